@@ -1,0 +1,45 @@
+// What every pass of a frame shares. Twin: `FrameUniforms` in src/render/shaders.rs.
+
+struct FrameUniforms {
+    // From metres relative to the eye (world axes) to clip space; depth is reversed: 1 near, 0 far.
+    clip_from_offset: mat4x4<f32>,
+    eye: vec3<f32>,
+    // Factor on radiance before the tone curve.
+    exposure: f32,
+    // Unit vector towards the sun.
+    sun_direction: vec3<f32>,
+    // Tangent of half the angle that the sun's disc spans.
+    sun_tan_half_angle: f32,
+    // Irradiance on a surface that faces the sun.
+    sun_irradiance: vec3<f32>,
+    // Height of one of the two layers of the shadow atlas.
+    atlas_layer_px: f32,
+    // The plane across the sun: sun_right x sun_up = sun_direction.
+    sun_right: vec3<f32>,
+    atlas_width_px: f32,
+    sun_up: vec3<f32>,
+    // Distance between two samples of the horizon map, metres.
+    horizon_step_m: f32,
+    // Radiance of sunlit level ground, for the light that it bounces.
+    ground_radiance: vec3<f32>,
+    // Side of a cell of the caster grid, metres.
+    caster_cell_m: f32,
+    // Radiance of the sky's dome.
+    sky_radiance: vec3<f32>,
+    // Cells along a side of the caster grid.
+    caster_cells: u32,
+    // World place of sample (0, 0) of the horizon map, metres.
+    horizon_origin: vec2<f32>,
+    // Horizontal unit vector towards the sun: the direction of the horizon map's columns.
+    horizon_towards: vec2<f32>,
+    horizon_size: vec2<u32>,
+    // World place of the corner of the caster grid, metres.
+    caster_origin: vec2<f32>,
+    // Pixels of the picture.
+    picture_size_px: vec2<u32>,
+    // Samples along a side of a pixel.
+    samples_per_side: u32,
+    reserved: u32,
+}
+
+@group(0) @binding(0) var<uniform> frame: FrameUniforms;

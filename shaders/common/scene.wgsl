@@ -1,0 +1,34 @@
+// The things in the scene. Twins: `Instance`, `CasterTile` in src/render/shaders.rs.
+
+// One drawn thing. Class and instance ids are data of the scene: no shader knows what a rock is.
+struct Instance {
+    // Place of the mesh's origin, metres, world.
+    origin: vec3<f32>,
+    // Factor on the mesh's coordinates.
+    scale: f32,
+    // Diffuse reflectance of a surface, radiance of a thing of the sky.
+    colour: vec3<f32>,
+    // Roughness of the diffuse lobe.
+    roughness: f32,
+    class_id: u32,
+    instance_id: u32,
+    // Index of the shadow tile of a caster.
+    tile: u32,
+    reserved: u32,
+}
+
+// Where in the shadow atlas a caster is drawn.
+struct CasterTile {
+    // Centre of the caster, metres, world.
+    centre: vec3<f32>,
+    // Half the side of the square across the sun (and half the depth range along it), metres.
+    half_extent_m: f32,
+    // Corner of the tile, texels.
+    origin_px: vec2<f32>,
+    // Side of the tile, texels.
+    size_px: f32,
+    reserved: f32,
+}
+
+@group(1) @binding(0) var<storage, read> instances: array<Instance>;
+@group(1) @binding(1) var<storage, read> tiles: array<CasterTile>;

@@ -1,0 +1,126 @@
+// How much of the sun's disc is seen from a place.
+//
+// Two maps answer. The horizon map says for the ground how high a place must lie to see each limb of the sun
+// past all the ground between. The atlas holds, for each caster, its front and its back seen from the sun; its
+// middle (half way between the two) is what casts, so that neither side shadows itself and no light leaks in
+// where it stands on the ground: a bias of half the thickness of the thing, which needs no tuning ("midpoint
+// shadow maps": Woo 1992, Graphics Gems III, "The Shadow Depth Map Revisited").
+
+@group(2) @binding(0) var shadow_atlas: texture_depth_2d;
+@group(2) @binding(1) var horizon_map: texture_2d<f32>;
+// First the start of each cell's list (and the end of the last), then the lists: indices of tiles.
+@group(2) @binding(2) var<storage, read> caster_grid: array<u32>;
+
+const SEARCH_TAPS: i32 = 8;
+const FILTER_TAPS: i32 = 20;
+const GOLDEN_ANGLE: f32 = 2.39996323;
+
+// Fraction of the sun's disc seen at a place (metres, world). `turn` in [0, 1) turns the pattern of the taps.
+fn sun_visibility(position: vec3<f32>, turn: f32) -> f32 {
+    var visible = horizon_visibility(position);
+    let cell = vec2<i32>(floor((position.xy - frame.caster_origin) / frame.caster_cell_m));
+    let cells = i32(frame.caster_cells);
+    if visible > 0.0 && all(cell >= vec2(0)) && all(cell < vec2(cells)) {
+        let index = u32(cell.y * cells + cell.x);
+        let end = caster_grid[index + 1u];
+        for (var i = caster_grid[index]; i < end; i++) {
+            visible *= caster_visibility(tiles[caster_grid[i]], position, turn);
+        }
+    }
+    return visible;
+}
+
+// Fraction of the disc that stands above the ground's horizon. The horizon is taken as straight across the disc.
+fn horizon_visibility(position: vec3<f32>) -> f32 {
+    let offset = (position.xy - frame.horizon_origin) / frame.horizon_step_m;
+    let towards = frame.horizon_towards;
+    let limit = vec2<f32>(frame.horizon_size) - 1.001;
+    // Columns run towards the sun, rows across.
+    let at = clamp(vec2(dot(offset, towards), dot(offset, vec2(-towards.y, towards.x))), vec2(0.0), limit);
+    let corner = vec2<i32>(floor(at));
+    let t = at - floor(at);
+    let south = mix(horizon(corner), horizon(corner + vec2(1, 0)), t.x);
+    let north = mix(horizon(corner + vec2(0, 1)), horizon(corner + vec2(1, 1)), t.x);
+    // Heights from which the lower and the upper limb are just seen.
+    let limbs = mix(south, north, t.y);
+    if position.z >= limbs.x { return 1.0; }
+    if position.z <= limbs.y { return 0.0; }
+    let u = clamp(2.0 * (position.z - limbs.y) / (limbs.x - limbs.y) - 1.0, -1.0, 1.0);
+    // Area of a unit disc beyond a chord.
+    return 0.5 + (u * sqrt(1.0 - u * u) + asin(u)) / 3.14159265;
+}
+
+fn horizon(at: vec2<i32>) -> vec2<f32> {
+    return textureLoad(horizon_map, at, 0).xy;
+}
+
+// Fraction of the disc not hidden by one caster: the mean height of what hides the disc gives the width of the
+// penumbra (Fernando 2005, "Percentage-Closer Soft Shadows"), here in metres and with no light size to choose.
+fn caster_visibility(tile: CasterTile, position: vec3<f32>, turn: f32) -> f32 {
+    let offset = position - tile.centre;
+    let across = vec2(dot(offset, frame.sun_right), dot(offset, frame.sun_up));
+    let along = dot(offset, frame.sun_direction);
+    let reach = tile.half_extent_m - along;
+    if reach <= 0.0 { return 1.0; }
+    let search_m = frame.sun_tan_half_angle * reach;
+    if any(abs(across) > vec2(tile.half_extent_m + search_m)) { return 1.0; }
+    let texels_per_m = 0.5 * tile.size_px / tile.half_extent_m;
+    let at = vec2(across.x, -across.y) * texels_per_m + vec2(0.5 * tile.size_px);
+    let search_px = search_m * texels_per_m;
+
+    var blockers = 0.0;
+    var height_m = 0.0;
+    for (var i = 0; i < SEARCH_TAPS; i++) {
+        let tap = vec2<i32>(floor(at + search_px * disc_point(i, SEARCH_TAPS, turn)));
+        let middle = caster_middle(tile, tap);
+        if middle > along {
+            blockers += 1.0;
+            height_m += middle - along;
+        }
+    }
+    if search_px > 1.0 {
+        if blockers == 0.0 { return 1.0; }
+        if blockers == f32(SEARCH_TAPS) { return 0.0; }
+    }
+    let filter_px = frame.sun_tan_half_angle * height_m / max(blockers, 1.0) * texels_per_m;
+    if filter_px < 0.5 {
+        return 1.0 - hidden(tile, at, along);
+    }
+    var hidden_sum = 0.0;
+    for (var i = 0; i < FILTER_TAPS; i++) {
+        hidden_sum += hidden(tile, at + filter_px * disc_point(i, FILTER_TAPS, turn), along);
+    }
+    return 1.0 - hidden_sum / f32(FILTER_TAPS);
+}
+
+// Point `i` of `count` spread evenly over the unit disc (Vogel 1979, "A better way to construct the sunflower head").
+fn disc_point(i: i32, count: i32, turn: f32) -> vec2<f32> {
+    let angle = GOLDEN_ANGLE * f32(i) + 6.2831853 * turn;
+    return sqrt((f32(i) + 0.5) / f32(count)) * vec2(cos(angle), sin(angle));
+}
+
+// Share of the four texels around a place (in texels of the tile) that stand between a height and the sun.
+fn hidden(tile: CasterTile, at: vec2<f32>, along: f32) -> f32 {
+    let corner = floor(at - 0.5);
+    let t = at - 0.5 - corner;
+    let texel = vec2<i32>(corner);
+    let south = mix(blocks(tile, texel, along), blocks(tile, texel + vec2(1, 0), along), t.x);
+    let north = mix(blocks(tile, texel + vec2(0, 1), along), blocks(tile, texel + vec2(1, 1), along), t.x);
+    return mix(south, north, t.y);
+}
+
+fn blocks(tile: CasterTile, texel: vec2<i32>, along: f32) -> f32 {
+    return select(0.0, 1.0, caster_middle(tile, texel) > along);
+}
+
+// Height along the sun, metres from the caster's centre, of the middle of the caster; far below it where the
+// caster is not.
+fn caster_middle(tile: CasterTile, texel: vec2<i32>) -> f32 {
+    let size = i32(tile.size_px);
+    if any(texel < vec2(0)) || any(texel >= vec2(size)) { return -1.0e9; }
+    let at = vec2<i32>(tile.origin_px) + texel;
+    let front = textureLoad(shadow_atlas, at, 0);
+    if front == 0.0 { return -1.0e9; }
+    let back = textureLoad(shadow_atlas, at + vec2(0, i32(frame.atlas_layer_px)), 0);
+    return (front + back - 1.0) * tile.half_extent_m;
+}

@@ -1,0 +1,19 @@
+// From linear radiance to the 8-bit picture. Twin: `tone` in src/render/resolve.rs.
+
+// Below the knee the curve is the identity.
+override TONE_KNEE: f32;
+// What endless light comes to, display-linear.
+override TONE_WHITE: f32;
+
+// Linear up to the knee, then an exponential shoulder that joins with the same slope and ends at TONE_WHITE.
+fn tone(x: vec3<f32>) -> vec3<f32> {
+    let room = TONE_WHITE - TONE_KNEE;
+    let shoulder = TONE_KNEE + room * (1.0 - exp(-(x - TONE_KNEE) / room));
+    return select(shoulder, x, x <= vec3(TONE_KNEE));
+}
+
+// The sRGB transfer function (IEC 61966-2-1), linear to encoded.
+fn srgb_from_linear(x: vec3<f32>) -> vec3<f32> {
+    let curve = 1.055 * pow(max(x, vec3(0.0)), vec3(1.0 / 2.4)) - 0.055;
+    return select(curve, 12.92 * x, x <= vec3(0.0031308));
+}

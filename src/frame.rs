@@ -1,0 +1,86 @@
+//! A rendered frame as plain memory: what the renderer hands to the encoders.
+//!
+//! Must not know: how it was made.
+
+use crate::class::ClassId;
+
+/// The planes of one frame, rows from top to bottom without padding.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Frame {
+    /// Pixels in a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// 8-bit sRGB, three bytes a pixel.
+    pub rgb: Vec<u8>,
+    /// Class id, one byte a pixel.
+    pub class: Vec<u8>,
+}
+
+/// Statistics of the 8-bit picture over all pixels and channels.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct RgbStatistics {
+    /// Mean value.
+    pub mean: f64,
+    /// 99th percentile: the smallest value that at least 99 % do not exceed.
+    pub p99: u8,
+    /// Largest value.
+    pub max: u8,
+}
+
+impl Frame {
+    /// Number of pixels of a class.
+    #[must_use]
+    pub fn count(&self, class: ClassId) -> u64 {
+        self.class.iter().filter(|&&id| id == class.0).count() as u64
+    }
+
+    /// Fraction of the pixels that a class covers.
+    #[must_use]
+    pub fn coverage(&self, class: ClassId) -> f64 {
+        self.count(class) as f64 / self.class.len() as f64
+    }
+
+    /// Mean, 99th percentile and maximum of the picture.
+    #[must_use]
+    pub fn rgb_statistics(&self) -> RgbStatistics {
+        let mut histogram = [0_u64; 256];
+        for &value in &self.rgb {
+            histogram[usize::from(value)] += 1;
+        }
+        let total = self.rgb.len() as u64;
+        let sum: u64 = (0..).zip(histogram).map(|(value, count): (u64, u64)| value * count).sum();
+        let quantile = |needed: u64| {
+            let mut below = 0;
+            (0..=255_u8).find(|&value| {
+                below += histogram[usize::from(value)];
+                below >= needed
+            })
+        };
+        RgbStatistics {
+            mean: sum as f64 / total as f64,
+            p99: quantile((total * 99).div_ceil(100)).unwrap_or(u8::MAX),
+            max: quantile(total).unwrap_or(u8::MAX),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn statistics_of_a_known_picture() {
+        let mut rgb = vec![10_u8; 300];
+        rgb[0] = 250;
+        rgb[1] = 200;
+        rgb[2] = 200;
+        rgb[3] = 200;
+        let frame = Frame { width: 10, height: 10, rgb, class: [vec![0; 60], vec![1; 30], vec![2; 10]].concat() };
+        let statistics = frame.rgb_statistics();
+        assert!((statistics.mean - (296.0 * 10.0 + 850.0) / 300.0).abs() < 1e-12);
+        assert_eq!((statistics.p99, statistics.max), (200, 250));
+        assert_eq!(frame.count(ClassId::REGOLITH), 60);
+        assert!((frame.coverage(ClassId::SKY) - 0.1).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,29 @@
+//! Labelled pictures of the Moon.
+//!
+//! One frame comes about like this:
+//!
+//! 1. [`params::sampler::Config`] gathers defaults, preset, file and `--set`; its `draw` gives [`params::Params`]:
+//!    every value of one frame, checked.
+//! 2. [`scene::Scene::build`] makes the scene of a seed: meshes, materials, sun, camera; plain data.
+//! 3. [`render::gpu_scene::GpuScene::upload`] chooses what this camera and this sun can see of it and writes that
+//!    to buffers.
+//! 4. [`render::Renderer::render`] draws it: shadow atlas, then one scene pass that writes colour **and** class
+//!    id, then the resolve of samples to pixels.
+//! 5. A [`frame::Frame`] comes back: planes of bytes.
+//! 6. [`output`] encodes it and writes whole files.
+//!
+//! `params` and `scene` know no GPU, `gpu` knows no Moon; they meet in `render`. `render` and `output` meet in
+//! `frame`.
+
+pub mod class;
+pub mod error;
+pub mod frame;
+pub mod gpu;
+pub mod meta;
+pub mod output;
+pub mod params;
+pub mod random;
+pub mod render;
+pub mod scene;
+
+pub use error::{Error, Result};

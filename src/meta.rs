@@ -1,0 +1,96 @@
+//! What is recorded of a frame besides its pixels: the content of `frame_N.json`.
+
+use serde_json::{Map, Value, json};
+
+use crate::class::ClassId;
+use crate::frame::Frame;
+use crate::params::{Knob, Params};
+use crate::render::{RenderSettings, StageTimes};
+use crate::scene::Scene;
+
+/// Everything that a frame was made from and with.
+#[derive(Clone, Copy, Debug)]
+pub struct FrameRecord<'a> {
+    /// Seed of the scene.
+    pub seed: u64,
+    /// Values as used.
+    pub params: &'a Params,
+    /// The scene.
+    pub scene: &'a Scene,
+    /// Size and samples.
+    pub settings: &'a RenderSettings,
+    /// The device.
+    pub adapter: &'a wgpu::AdapterInfo,
+    /// The picture.
+    pub frame: &'a Frame,
+    /// Milliseconds of each stage of work.
+    pub times: &'a StageTimes,
+}
+
+impl FrameRecord<'_> {
+    /// The frame's JSON.
+    #[must_use]
+    pub fn to_json(&self) -> Value {
+        let info = self.adapter;
+        let mut coverage: Map<String, Value> =
+            ClassId::ALL.iter().map(|class| (class.name.to_owned(), self.frame.coverage(class.id).into())).collect();
+        coverage.insert("unlabelled".to_owned(), self.frame.coverage(ClassId::UNLABELLED).into());
+        let ms: Map<String, Value> =
+            self.times.iter().map(|&(stage, ms)| (stage.to_owned(), json!((ms * 1e3).round() / 1e3))).collect();
+        json!({
+            "seed": self.seed,
+            "stage": self.params.text(Knob::StageName),
+            "size": self.settings.size,
+            "samples": self.settings.samples_per_side.pow(2),
+            "version": env!("CARGO_PKG_VERSION"),
+            "adapter": {
+                "name": info.name,
+                "backend": info.backend.to_string(),
+                "driver": format!("{} {}", info.driver, info.driver_info).trim(),
+            },
+            "knobs": self.params.to_json(),
+            "geometry_hash": self.scene.geometry_hash(),
+            "camera": self.camera(),
+            "sun": {
+                "direction": self.scene.sun.direction.to_array(),
+                "elevation_deg": self.scene.sun.elevation_deg,
+                "azimuth_deg": self.scene.sun.azimuth_deg,
+                "angular_diameter_deg": self.scene.sun.angular_diameter_deg,
+            },
+            "coverage": coverage,
+            "rgb": self.frame.rgb_statistics(),
+            "moved_rocks": self.scene.moved_rocks(),
+            "ms": ms,
+        })
+    }
+
+    /// Intrinsics in pixels (pixel (u, v) has its centre at (u + 0.5, v + 0.5)) and the pose, row-major.
+    fn camera(&self) -> Value {
+        let camera = &self.scene.camera;
+        let [width, height] = self.settings.size;
+        let focal = camera.focal_px(width);
+        let (cx, cy) = (f64::from(width) / 2.0, f64::from(height) / 2.0);
+        let rows = |x: glam::Vec3, y: glam::Vec3, z: glam::Vec3| {
+            let eye = camera.eye;
+            json!([
+                [x.x, y.x, z.x, eye.x],
+                [x.y, y.y, z.y, eye.y],
+                [x.z, y.z, z.z, eye.z],
+                [0.0, 0.0, 0.0, 1.0],
+            ])
+        };
+        json!({
+            "fx": focal,
+            "fy": focal,
+            "cx": cx,
+            "cy": cy,
+            "K": [[focal, 0.0, cx], [0.0, focal, cy], [0.0, 0.0, 1.0]],
+            "fov_deg": camera.fov_deg(),
+            "world_from_camera": rows(camera.right, -camera.up, camera.forward),
+            "world_from_camera_gl": rows(camera.right, camera.up, -camera.forward),
+            "near_m": camera.near_m,
+            "far_m": camera.far_m,
+            "exposure_ev": camera.exposure_ev,
+        })
+    }
+}

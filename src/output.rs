@@ -1,0 +1,338 @@
+//! From a frame to files: one row of [`OUTPUTS`] for each thing a user can ask for.
+//!
+//! Encoders give bytes; [`write_all`] alone touches the disk, and leaves whole files or none.
+//! Must not know: scene, GPU.
+//! To add an output: a row in [`OUTPUTS`] with its encoder.
+
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder as _};
+use serde_json::{Value, json};
+
+use crate::class::ClassId;
+use crate::error::{Error, Result, nearest};
+use crate::frame::Frame;
+
+/// What the encoders work from.
+#[derive(Clone, Copy, Debug)]
+pub struct Source<'a> {
+    /// The planes.
+    pub frame: &'a Frame,
+    /// The content of the frame's JSON file.
+    pub meta: &'a Value,
+    /// Which ids the mask carries.
+    pub label_ids: LabelIds,
+}
+
+/// A file to be: its name and its bytes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Artifact {
+    /// File name, without folder.
+    pub name: String,
+    /// Content.
+    pub bytes: Vec<u8>,
+}
+
+/// The ids that a mask carries.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LabelIds {
+    /// Those of [`ClassId`].
+    #[default]
+    Canonical,
+    /// Those that a Replicator pipeline would have given.
+    Replicator,
+}
+
+impl LabelIds {
+    /// The id that stands in the mask for a class id; unlabelled stays what each system calls so.
+    #[must_use]
+    pub fn mask_id(self, id: u8) -> u8 {
+        match (self, ClassId(id).class()) {
+            (Self::Canonical, _) => id,
+            (Self::Replicator, Some(class)) => class.replicator_id,
+            (Self::Replicator, None) => 1,
+        }
+    }
+
+    /// Content of the label file: every id that a mask can carry, with its class.
+    #[must_use]
+    pub fn labels(self) -> Value {
+        let mut rows: Vec<(u8, &str)> =
+            ClassId::ALL.iter().map(|class| (self.mask_id(class.id.0), class.name)).collect();
+        if self == Self::Replicator {
+            rows.extend([(0, "BACKGROUND"), (1, "UNLABELLED")]);
+        }
+        rows.sort_unstable();
+        rows.into_iter().map(|(id, name)| (id.to_string(), json!({ "class": name }))).collect::<serde_json::Map<_, _>>().into()
+    }
+}
+
+type Encoder = fn(&Source<'_>) -> Result<Vec<u8>>;
+
+/// One thing that a user can ask for.
+#[derive(Debug)]
+pub struct Output {
+    /// Its word in `--outputs`.
+    pub name: &'static str,
+    /// Written unless `--outputs` says otherwise.
+    pub default: bool,
+    /// Stem and extension of each file that it writes, with its encoder; the frame's number stands between.
+    files: &'static [(&'static str, &'static str, Encoder)],
+}
+
+/// Every output.
+pub static OUTPUTS: [Output; 4] = [
+    Output { name: "rgb", default: true, files: &[("rgb", "png", rgb_png)] },
+    Output {
+        name: "mask",
+        default: true,
+        files: &[
+            ("semantic_segmentation", "png", mask_png),
+            ("semantic_segmentation_labels", "json", labels_json),
+        ],
+    },
+    Output { name: "preview", default: true, files: &[("preview", "png", preview_png)] },
+    Output { name: "meta", default: true, files: &[("frame", "json", meta_json)] },
+];
+
+impl Output {
+    /// Names of the files that it writes for frame `index`.
+    pub fn file_names(&self, index: u64) -> impl Iterator<Item = String> {
+        self.files.iter().map(move |(stem, extension, _)| format!("{stem}_{index:04}.{extension}"))
+    }
+}
+
+/// The outputs of a comma-separated list; `all` is every one.
+///
+/// # Errors
+/// [`Error::Usage`] for an unknown word.
+pub fn parse_outputs(list: &str) -> Result<Vec<&'static Output>> {
+    let words: Vec<&str> = list.split(',').map(str::trim).filter(|word| !word.is_empty()).collect();
+    if words.is_empty() {
+        return Err(Error::Usage("--outputs is empty; name at least one, or leave it out".to_owned()));
+    }
+    let known = || OUTPUTS.iter().map(|output| output.name);
+    if let Some(unknown) = words.iter().find(|word| **word != "all" && !known().any(|name| name == **word)) {
+        let meant = nearest(unknown, known()).map_or_else(String::new, |name| format!(" (did you mean `{name}`?)"));
+        let names: Vec<&str> = known().collect();
+        return Err(Error::Usage(format!("--outputs: unknown output `{unknown}`{meant}; there are {} and all", names.join(", "))));
+    }
+    Ok(OUTPUTS.iter().filter(|output| words.contains(&"all") || words.contains(&output.name)).collect())
+}
+
+/// The files of frame `index`.
+///
+/// # Errors
+/// [`Error::Encode`].
+pub fn encode(source: &Source<'_>, outputs: &[&'static Output], index: u64) -> Result<Vec<Artifact>> {
+    let mut artifacts = Vec::new();
+    for output in outputs {
+        for (name, (.., encoder)) in output.file_names(index).zip(output.files) {
+            let bytes = encoder(source).map_err(|error| match error {
+                Error::Encode { message, .. } => Error::Encode { name: name.clone(), message },
+                other => other,
+            })?;
+            artifacts.push(Artifact { name, bytes });
+        }
+    }
+    Ok(artifacts)
+}
+
+/// Refuses a folder that is a file, or that holds anything that frame `index` would not have written.
+///
+/// # Errors
+/// [`Error::OutIsFile`], [`Error::OutNotEmpty`] unless `force`, [`Error::Write`] if the folder cannot be read.
+pub fn check_folder(folder: &Path, index: u64, force: bool) -> Result<()> {
+    if folder.is_file() {
+        return Err(Error::OutIsFile(folder.to_owned()));
+    }
+    if force || !folder.exists() {
+        return Ok(());
+    }
+    let ours: Vec<String> = OUTPUTS.iter().flat_map(|output| output.file_names(index)).collect();
+    let unreadable = |cause| Error::Write { path: folder.to_owned(), cause };
+    let mut foreign = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(unreadable)? {
+        let name = entry.map_err(unreadable)?.file_name().to_string_lossy().into_owned();
+        if !ours.contains(&name) {
+            foreign.push(name);
+        }
+    }
+    foreign.sort_unstable();
+    match foreign.into_iter().next() {
+        Some(found) => Err(Error::OutNotEmpty { path: folder.to_owned(), found }),
+        None => Ok(()),
+    }
+}
+
+/// Writes all files into a folder (made if missing), or none: each is written under a temporary name and renamed
+/// only when all are whole. Gives their paths.
+///
+/// # Errors
+/// [`Error::Write`].
+pub fn write_all(folder: &Path, artifacts: &[Artifact]) -> Result<Vec<PathBuf>> {
+    let made = !folder.exists();
+    let result = try_write_all(folder, artifacts);
+    if made && result.is_err() {
+        // Only goes if it is empty, which it is unless something else wrote there meanwhile.
+        let _ = std::fs::remove_dir(folder);
+    }
+    result
+}
+
+fn try_write_all(folder: &Path, artifacts: &[Artifact]) -> Result<Vec<PathBuf>> {
+    let failed = |path: &Path| {
+        let path = path.to_owned();
+        move |cause| Error::Write { path, cause }
+    };
+    std::fs::create_dir_all(folder).map_err(failed(folder))?;
+    let mut written = Vec::new();
+    for artifact in artifacts {
+        let path = folder.join(&artifact.name);
+        if path.is_dir() {
+            return Err(Error::Write { path, cause: std::io::ErrorKind::IsADirectory.into() });
+        }
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(".writing-");
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+        let mut file = builder.tempfile_in(folder).map_err(failed(&path))?;
+        file.write_all(&artifact.bytes).and_then(|()| file.as_file().sync_data()).map_err(failed(&path))?;
+        written.push((file, path));
+    }
+    written
+        .into_iter()
+        .map(|(file, path)| match file.persist(&path) {
+            Ok(_) => Ok(path),
+            Err(error) => Err(Error::Write { path, cause: error.error }),
+        })
+        .collect()
+}
+
+fn rgb_png(source: &Source<'_>) -> Result<Vec<u8>> {
+    png(source.frame, &source.frame.rgb, ExtendedColorType::Rgb8, FilterType::Adaptive)
+}
+
+fn mask_png(source: &Source<'_>) -> Result<Vec<u8>> {
+    let ids: Vec<u8> = source.frame.class.iter().map(|&id| source.label_ids.mask_id(id)).collect();
+    png(source.frame, &ids, ExtendedColorType::L8, FilterType::Up)
+}
+
+fn preview_png(source: &Source<'_>) -> Result<Vec<u8>> {
+    let colour = |id: &u8| ClassId(*id).class().map_or([0; 3], |class| class.preview_rgb);
+    let rgb: Vec<u8> = source.frame.class.iter().flat_map(colour).collect();
+    png(source.frame, &rgb, ExtendedColorType::Rgb8, FilterType::Up)
+}
+
+fn labels_json(source: &Source<'_>) -> Result<Vec<u8>> {
+    json_bytes(&source.label_ids.labels())
+}
+
+fn meta_json(source: &Source<'_>) -> Result<Vec<u8>> {
+    json_bytes(source.meta)
+}
+
+fn png(frame: &Frame, bytes: &[u8], kind: ExtendedColorType, filter: FilterType) -> Result<Vec<u8>> {
+    let mut encoded = Vec::new();
+    PngEncoder::new_with_quality(&mut encoded, CompressionType::Fast, filter)
+        .write_image(bytes, frame.width, frame.height, kind)
+        .map_err(|error| Error::Encode { name: String::new(), message: error.to_string() })?;
+    Ok(encoded)
+}
+
+fn json_bytes(value: &Value) -> Result<Vec<u8>> {
+    let mut bytes = serde_json::to_vec_pretty(value)
+        .map_err(|error| Error::Encode { name: String::new(), message: error.to_string() })?;
+    bytes.push(b'\n');
+    Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frame() -> Frame {
+        Frame { width: 3, height: 2, rgb: (0..18).map(|i| i * 14).collect(), class: vec![0, 1, 2, 2, 1, 255] }
+    }
+
+    fn decoded(name: &str, label_ids: LabelIds) -> image::DynamicImage {
+        let (frame, meta) = (frame(), json!({}));
+        let source = Source { frame: &frame, meta: &meta, label_ids };
+        let outputs = parse_outputs("all").expect("all");
+        let artifacts = encode(&source, &outputs, 7).expect("encoded");
+        let bytes = &artifacts.iter().find(|a| a.name == name).expect(name).bytes;
+        image::load_from_memory(bytes).expect("a picture")
+    }
+
+    #[test]
+    fn pictures_come_back_as_they_went() {
+        assert_eq!(decoded("rgb_0007.png", LabelIds::Canonical), image::DynamicImage::ImageRgb8(
+            image::RgbImage::from_raw(3, 2, frame().rgb).expect("a picture")
+        ));
+        let mask = decoded("semantic_segmentation_0007.png", LabelIds::Canonical);
+        assert_eq!(mask.color(), image::ColorType::L8);
+        assert_eq!(mask.as_bytes(), frame().class);
+        let raw = decoded("semantic_segmentation_0007.png", LabelIds::Replicator);
+        assert_eq!(raw.as_bytes(), [4, 3, 2, 2, 3, 1]);
+        let preview = decoded("preview_0007.png", LabelIds::Replicator);
+        assert_eq!(preview.as_bytes()[..9], [170, 140, 110, 220, 45, 40, 70, 120, 205]);
+        assert_eq!(preview.as_bytes()[15..], [0, 0, 0]);
+    }
+
+    #[test]
+    fn label_files_name_every_id() {
+        let text = |ids: LabelIds| ids.labels().to_string();
+        assert_eq!(
+            text(LabelIds::Canonical),
+            r#"{"0":{"class":"regolith"},"1":{"class":"rock"},"2":{"class":"sky"}}"#
+        );
+        assert_eq!(
+            text(LabelIds::Replicator),
+            r#"{"0":{"class":"BACKGROUND"},"1":{"class":"UNLABELLED"},"2":{"class":"sky"},"3":{"class":"rock"},"4":{"class":"regolith"}}"#
+        );
+    }
+
+    #[test]
+    fn output_lists_are_checked() {
+        let names = |list| parse_outputs(list).map(|outputs| outputs.iter().map(|o| o.name).collect::<Vec<_>>());
+        assert_eq!(names("mask, rgb").expect("known"), ["rgb", "mask"]);
+        assert_eq!(names("all").expect("known").len(), OUTPUTS.len());
+        let message = names("rgb,masks").expect_err("unknown").to_string();
+        assert!(message.contains("`masks`") && message.contains("did you mean `mask`"), "{message}");
+        assert!(names(",").is_err());
+    }
+
+    #[test]
+    fn files_are_whole_or_absent() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let out = folder.path().join("deep/out");
+        let artifact = |name: &str| Artifact { name: name.to_owned(), bytes: vec![1, 2, 3] };
+        let paths = write_all(&out, &[artifact("a"), artifact("b")]).expect("written");
+        assert_eq!(std::fs::read(&paths[1]).expect("read"), [1, 2, 3]);
+        std::fs::create_dir(out.join("c")).expect("a folder in the way");
+        let error = write_all(&out, &[artifact("d"), artifact("c")]).expect_err("c is a folder");
+        assert!(matches!(error, Error::Write { .. }));
+        let mut left: Vec<_> =
+            std::fs::read_dir(&out).expect("read").map(|e| e.expect("an entry").file_name()).collect();
+        left.sort();
+        assert_eq!(left, ["a", "b", "c"], "neither d nor a temporary file");
+    }
+
+    #[test]
+    fn a_folder_with_other_content_is_refused() {
+        let folder = tempfile::tempdir().expect("a folder");
+        assert!(check_folder(folder.path(), 0, false).is_ok());
+        std::fs::write(folder.path().join("rgb_0000.png"), "old").expect("written");
+        assert!(check_folder(folder.path(), 0, false).is_ok(), "an earlier frame may be replaced");
+        std::fs::write(folder.path().join("thesis.tex"), "years of work").expect("written");
+        let error = check_folder(folder.path(), 0, false).expect_err("other content");
+        assert!(error.to_string().contains("thesis.tex") && error.exit_status() == 2);
+        assert!(check_folder(folder.path(), 0, true).is_ok());
+        assert!(matches!(
+            check_folder(&folder.path().join("thesis.tex"), 0, true),
+            Err(Error::OutIsFile(_))
+        ));
+    }
+}

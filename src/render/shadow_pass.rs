@@ -1,0 +1,86 @@
+//! The shadow-map pass: depth only, fronts of all casters in one layer of the atlas, backs in the other.
+
+use wgpu::TextureUsages;
+
+use super::gpu_scene::GpuScene;
+use super::shaders::SHADOW;
+use super::targets::{DEPTH_FORMAT, depth_state};
+use super::{BindLayouts, shadow, vertex_layout};
+use crate::gpu::Gpu;
+
+/// Pipelines and atlas of the pass.
+#[derive(Debug)]
+pub struct ShadowPass {
+    layers: [wgpu::RenderPipeline; 2],
+    /// Both layers, fronts above backs.
+    pub atlas: wgpu::TextureView,
+}
+
+impl ShadowPass {
+    /// Compiles the pass.
+    #[must_use]
+    pub fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
+        let module = SHADOW.compile(gpu);
+        let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some("shadow/layout"),
+            bind_group_layouts: &[Some(&layouts.frame), Some(&layouts.scene)],
+            immediate_size: 0,
+        });
+        let layer = |label, layer: f64, cull| {
+            gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+                label: Some(label),
+                layout: Some(&layout),
+                vertex: wgpu::VertexState {
+                    module: &module,
+                    entry_point: Some("vs_main"),
+                    compilation_options: wgpu::PipelineCompilationOptions {
+                        constants: &[("LAYER", layer)],
+                        ..Default::default()
+                    },
+                    buffers: &[Some(vertex_layout(&wgpu::vertex_attr_array![0 => Float32x3]))],
+                },
+                primitive: wgpu::PrimitiveState { cull_mode: Some(cull), ..Default::default() },
+                depth_stencil: Some(depth_state()),
+                multisample: wgpu::MultisampleState::default(),
+                fragment: None,
+                multiview_mask: None,
+                cache: None,
+            })
+        };
+        let layers = [
+            layer("shadow/fronts", 0.0, wgpu::Face::Back),
+            layer("shadow/backs", 1.0, wgpu::Face::Front),
+        ];
+        let size = [shadow::atlas_px(), 2 * shadow::atlas_px()];
+        let usage = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
+        Self { layers, atlas: gpu.texture("shadow/atlas", size, DEPTH_FORMAT, usage).1 }
+    }
+
+    /// Records the pass.
+    pub fn record(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        scene: &GpuScene,
+        groups: [&wgpu::BindGroup; 2],
+        timestamps: Option<wgpu::RenderPassTimestampWrites<'_>>,
+    ) {
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("shadow"),
+            color_attachments: &[],
+            depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
+                view: &self.atlas,
+                depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Store }),
+                stencil_ops: None,
+            }),
+            timestamp_writes: timestamps,
+            ..Default::default()
+        });
+        for (index, group) in (0..).zip(groups) {
+            pass.set_bind_group(index, group, &[]);
+        }
+        for pipeline in &self.layers {
+            pass.set_pipeline(pipeline);
+            super::draw_all(&mut pass, scene, &scene.draws.casters);
+        }
+    }
+}

@@ -1,0 +1,117 @@
+//! The planes that the scene pass draws: format, cleared value, and the textures at sample resolution.
+//!
+//! To add an annotation: a variant of [`Plane`], its arms here, a field in `shaders/common/planes.wgsl` and its
+//! value in `surface.wgsl` and `sky.wgsl`, its rule in `resolve.wgsl`.
+
+use wgpu::{TextureFormat, TextureUsages};
+
+use crate::class::ClassId;
+use crate::error::{Error, Result};
+use crate::gpu::Gpu;
+
+/// What a sample of the scene pass carries. The location in `SceneOut` is the place in [`Plane::ALL`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Plane {
+    /// Linear radiance.
+    Radiance,
+    /// Class id.
+    Class,
+}
+
+impl Plane {
+    /// Every plane, by location.
+    pub const ALL: [Self; 2] = [Self::Radiance, Self::Class];
+
+    /// Format of its texture. Together they must stay within 32 bytes a sample, which every device offers.
+    #[must_use]
+    pub const fn format(self) -> TextureFormat {
+        match self {
+            Self::Radiance => TextureFormat::Rgba16Float,
+            Self::Class => TextureFormat::R8Uint,
+        }
+    }
+
+    /// What it holds before anything is drawn.
+    #[must_use]
+    pub const fn cleared(self) -> wgpu::Color {
+        match self {
+            Self::Radiance => wgpu::Color::BLACK,
+            Self::Class => wgpu::Color { r: ClassId::UNLABELLED.0 as f64, g: 0.0, b: 0.0, a: 0.0 },
+        }
+    }
+}
+
+/// Format of the depth of the scene pass and of the shadow atlas; reversed in both: cleared to 0, the far end.
+pub const DEPTH_FORMAT: TextureFormat = TextureFormat::Depth32Float;
+
+/// Depth state of every pass: reversed, the nearer wins, of two as near the first.
+#[must_use]
+pub fn depth_state() -> wgpu::DepthStencilState {
+    wgpu::DepthStencilState {
+        format: DEPTH_FORMAT,
+        depth_write_enabled: Some(true),
+        depth_compare: Some(wgpu::CompareFunction::Greater),
+        stencil: wgpu::StencilState::default(),
+        bias: wgpu::DepthBiasState::default(),
+    }
+}
+
+/// The textures of one picture size.
+#[derive(Debug)]
+pub struct Targets {
+    /// Pixels of the picture.
+    pub size: [u32; 2],
+    /// Samples along a side of a pixel.
+    pub samples_per_side: u32,
+    /// One view a plane, as in [`Plane::ALL`].
+    pub planes: [wgpu::TextureView; Plane::ALL.len()],
+    /// Depth of the samples.
+    pub depth: wgpu::TextureView,
+}
+
+impl Targets {
+    /// Textures for a picture of this size.
+    ///
+    /// # Errors
+    /// [`Error::SizeBeyondDevice`].
+    pub fn new(gpu: &Gpu, size: [u32; 2], samples_per_side: u32) -> Result<Self> {
+        let limits = gpu.device.limits();
+        let [width, height] = size;
+        let needed_px = width.max(height).saturating_mul(samples_per_side);
+        // Besides the textures' sides, the packed result must fit into one binding.
+        let packed_bytes = u64::from(width) * u64::from(height) * 4;
+        if needed_px > limits.max_texture_dimension_2d || packed_bytes > limits.max_storage_buffer_binding_size {
+            return Err(Error::SizeBeyondDevice {
+                width,
+                height,
+                samples: samples_per_side * samples_per_side,
+                needed_px,
+                limit_px: limits.max_texture_dimension_2d,
+                adapter: gpu.info.name.clone(),
+            });
+        }
+        let sample_size = size.map(|side| side * samples_per_side);
+        let usage = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
+        let texture = |label: &str, format| gpu.texture(label, sample_size, format, usage).1;
+        Ok(Self {
+            size,
+            samples_per_side,
+            planes: Plane::ALL.map(|plane| texture(&format!("scene/{plane:?}"), plane.format())),
+            depth: texture("scene/depth", DEPTH_FORMAT),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn planes_fit_into_the_guaranteed_bytes_per_sample() {
+        let bytes: u32 = Plane::ALL
+            .iter()
+            .map(|plane| plane.format().target_pixel_byte_cost().expect("a colour format"))
+            .sum();
+        assert!(bytes <= 32, "{bytes} bytes");
+    }
+}

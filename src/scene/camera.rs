@@ -1,0 +1,160 @@
+//! The rover's camera: where it stands, how it looks, how a point falls on the picture.
+//!
+//! Must not know: pixels are drawn by a GPU.
+
+use glam::camera::rh::proj::directx::perspective;
+use glam::{DVec3, Mat4, Vec2, Vec3};
+
+use super::terrain::Terrain;
+use crate::error::{Error, Result};
+use crate::params::{Knob, Params};
+
+/// Distance of the near plane, metres.
+const NEAR_M: f32 = 0.05;
+/// The eye must be this far above the drawn ground, metres.
+const MIN_CLEARANCE_M: f32 = 2.0 * NEAR_M;
+
+/// A pinhole camera with square pixels and the principal point in the middle.
+#[derive(Clone, Copy, Debug)]
+pub struct Camera {
+    /// Eye, metres, world.
+    pub eye: Vec3,
+    /// Unit vector along the optical axis.
+    pub forward: Vec3,
+    /// Unit vector towards the right edge of the picture.
+    pub right: Vec3,
+    /// Unit vector towards the top edge of the picture.
+    pub up: Vec3,
+    /// Tangent of half the horizontal field of view.
+    pub tan_half_fov: f32,
+    /// Near plane, metres.
+    pub near_m: f32,
+    /// Far plane, metres.
+    pub far_m: f32,
+    /// Exposure relative to the reference, in stops.
+    pub exposure_ev: f32,
+}
+
+impl Camera {
+    /// The camera of these settings above its own ground.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] if the drawn ground comes to the lens: a very low camera on very rough ground.
+    pub fn build(params: &Params, terrain: &Terrain) -> Result<Self> {
+        let place =
+            Vec2::new(params.number(Knob::CameraXM) as f32, params.number(Knob::CameraYM) as f32);
+        let height_m = params.number(Knob::CameraHeightM) as f32;
+        let eye = place.extend(terrain.height_at(place) + height_m);
+        let clearance_m = eye.z - terrain.surface_height_at(place);
+        if clearance_m < MIN_CLEARANCE_M {
+            return Err(Error::Scene(format!(
+                "camera.height_m = {height_m} leaves the eye {clearance_m:.3} m above the drawn ground, \
+                 and {MIN_CLEARANCE_M} m is the least; raise it, or lower terrain.amplitude_m"
+            )));
+        }
+        Ok(Self::new(
+            eye,
+            [Knob::CameraPitchDeg, Knob::CameraYawDeg, Knob::CameraRollDeg].map(|knob| params.number(knob)),
+            params.number(Knob::CameraFovDeg),
+            2.0 * params.number(Knob::SkyDomeRadiusM) as f32 + params.number(Knob::TerrainSizeM) as f32,
+            params.number(Knob::CameraExposureEv) as f32,
+        ))
+    }
+
+    /// A camera at `eye` that looks along +Y, then is turned by pitch (up), yaw (compass, towards +X) and roll
+    /// (clockwise), all in degrees.
+    #[must_use]
+    pub fn new(eye: Vec3, pitch_yaw_roll_deg: [f64; 3], fov_deg: f64, far_m: f32, exposure_ev: f32) -> Self {
+        let [pitch, yaw, roll] = pitch_yaw_roll_deg.map(f64::to_radians);
+        let (level, rise) = (libm::cos(pitch), libm::sin(pitch));
+        let (east, north) = (libm::sin(yaw), libm::cos(yaw));
+        let forward = DVec3::new(level * east, level * north, rise);
+        let right = DVec3::new(north, -east, 0.0);
+        let up = right.cross(forward);
+        let (cos, sin) = (libm::cos(roll), libm::sin(roll));
+        Self {
+            eye,
+            forward: forward.as_vec3(),
+            right: (cos * right - sin * up).as_vec3(),
+            up: (cos * up + sin * right).as_vec3(),
+            tan_half_fov: libm::tan(0.5 * fov_deg.to_radians()) as f32,
+            near_m: NEAR_M,
+            far_m,
+            exposure_ev,
+        }
+    }
+
+    /// Horizontal field of view, degrees.
+    #[must_use]
+    pub fn fov_deg(&self) -> f64 {
+        2.0 * libm::atan(f64::from(self.tan_half_fov)).to_degrees()
+    }
+
+    /// Focal length in pixels of a picture `width_px` wide.
+    #[must_use]
+    pub fn focal_px(&self, width_px: u32) -> f64 {
+        0.5 * f64::from(width_px) / f64::from(self.tan_half_fov)
+    }
+
+    /// World to view axes (x right, y up, z back).
+    #[must_use]
+    pub fn view_from_world(&self) -> Mat4 {
+        self.world_from_view().inverse()
+    }
+
+    /// View axes (x right, y up, z back) to world.
+    #[must_use]
+    pub fn world_from_view(&self) -> Mat4 {
+        Mat4::from_cols(
+            self.right.extend(0.0),
+            self.up.extend(0.0),
+            (-self.forward).extend(0.0),
+            self.eye.extend(1.0),
+        )
+    }
+
+    /// World to clip space for a picture of this size, with reversed depth: 1 at the near plane, 0 at the far.
+    #[must_use]
+    pub fn clip_from_world(&self, [width_px, height_px]: [u32; 2]) -> Mat4 {
+        let aspect = width_px as f32 / height_px as f32;
+        let fov_y = 2.0 * libm::atanf(self.tan_half_fov / aspect);
+        perspective(fov_y, aspect, self.far_m, self.near_m) * self.view_from_world()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn camera(pitch: f64, yaw: f64, roll: f64) -> Camera {
+        Camera::new(Vec3::new(1.0, 2.0, 3.0), [pitch, yaw, roll], 61.9275, 2000.0, 0.0)
+    }
+
+    #[test]
+    fn axes_follow_pitch_yaw_and_roll() {
+        let plain = camera(0.0, 0.0, 0.0);
+        assert!(plain.forward.distance(Vec3::Y) < 1e-6 && plain.right.distance(Vec3::X) < 1e-6);
+        assert!(camera(-90.0, 0.0, 0.0).forward.distance(-Vec3::Z) < 1e-6);
+        assert!(camera(0.0, 90.0, 0.0).forward.distance(Vec3::X) < 1e-6);
+        assert!(camera(0.0, 0.0, 90.0).up.distance(Vec3::X) < 1e-6, "clockwise roll tips up to the right");
+        let any = camera(-12.0, 77.0, 5.0);
+        assert!(any.right.cross(any.up).distance(-any.forward) < 1e-6);
+    }
+
+    #[test]
+    fn projection_is_the_pinhole_of_24_mm_and_20_mm() {
+        let camera = camera(0.0, 0.0, 0.0);
+        assert!((camera.focal_px(512) - 512.0 * 20.0 / 24.0).abs() < 0.01);
+        let clip_from_world = camera.clip_from_world([512, 512]);
+        let project = |view: Vec3| {
+            let clip = clip_from_world * (camera.world_from_view() * view.extend(1.0));
+            clip.truncate() / clip.w
+        };
+        let edge = project(Vec3::new(6.0, 0.0, -10.0));
+        assert!((edge.x - 1.0).abs() < 1e-5 && edge.y.abs() < 1e-5);
+        assert!((project(Vec3::new(0.0, 0.0, -camera.near_m)).z - 1.0).abs() < 1e-5);
+        assert!(project(Vec3::new(0.0, 0.0, -camera.far_m)).z.abs() < 1e-6);
+        let wide = camera.clip_from_world([1024, 512]) * Vec3::new(7.0, 12.0, 3.0).extend(1.0);
+        assert!((wide.x / wide.w - 1.0).abs() < 1e-5, "the field of view is the horizontal one");
+    }
+}

@@ -1,0 +1,384 @@
+//! The boulders of the nominal stage: where they lie, how they are shaped, how deep they sit.
+//!
+//! Every rock is a function of (seed, its number) and of the ground under it, so that rocks can be built in any
+//! order and on any number of threads, and one rock more leaves all others as they are.
+//! Must not know: how many triangles of it are drawn.
+
+use glam::{Mat3, Vec2, Vec3};
+use rayon::prelude::*;
+
+use super::mesh::{Icosphere, Vertex, distance_to_triangle, set_smooth_normals};
+use super::noise::Fbm;
+use super::terrain::Terrain;
+use crate::params::{Knob, Params};
+use crate::random::{Stream, Streams};
+
+/// Materials in the pool of a scene.
+const MATERIALS: u64 = 12;
+/// Colour of a rock relative to its base grey, linear RGB.
+const TINT: [f64; 3] = [1.035, 1.00, 0.955];
+/// Largest deviation of a channel from the tinted grey.
+const CHANNEL_JITTER: f64 = 0.006;
+/// Smallest and largest reflectance of a channel.
+const ALBEDO_RANGE: [f64; 2] = [0.02, 0.55];
+/// Half the width of the strip in which near rocks lie, metres.
+const NEAR_HALF_WIDTH_M: f64 = 55.0;
+/// Half the width of the strip in which far rocks lie, metres.
+const FAR_HALF_WIDTH_M: f64 = 95.0;
+/// Range of y in which far rocks lie, metres.
+const FAR_Y_M: [f64; 2] = [-78.0, 230.0];
+/// The first near rocks, this many, lie in the wedge that a camera at its nominal place certainly sees.
+const NEAR_IN_VIEW: u64 = 3;
+/// Apex (y, metres; x is 0) of that wedge and the tangent of its half angle (24 degrees): within the view of
+/// every field of view from 48 degrees up.
+const WEDGE: (f64, f64) = (-90.0, 0.445);
+/// Smallest distance between a rock's surface and the eye, metres.
+pub const EYE_CLEARANCE_M: f32 = 0.5;
+/// A rock's lowest point lies at least this fraction of its vertical extent under the ground there.
+const LEAST_BURIAL: f32 = 0.02;
+/// Bounds of the distance of the surface from the centre of the undisplaced unit sphere.
+const RADIUS_RANGE: [f32; 2] = [0.50, 1.85];
+
+/// How a surface reflects.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Material {
+    /// Diffuse reflectance, linear RGB.
+    pub albedo: Vec3,
+    /// Roughness of the diffuse lobe, 0 (Lambert) to 1.
+    pub roughness: f32,
+}
+
+/// One boulder.
+#[derive(Clone, Debug)]
+pub struct Rock {
+    /// Its number from 0; its instance id is one more.
+    pub index: u32,
+    /// Origin of its vertices in the world, metres.
+    pub centre: Vec3,
+    /// Displaced icosphere of level [`Self::level`], metres from the centre, world axes.
+    pub vertices: Vec<Vertex>,
+    /// Level of the authored icosphere.
+    pub level: usize,
+    /// Per level, how far a surface drawn at that level may lie off the authored one, metres.
+    pub level_errors_m: Vec<f32>,
+    /// Greatest distance of a vertex from the centre, metres.
+    pub radius_m: f32,
+    /// Lowest and highest vertex, metres from the centre.
+    pub z_range_m: [f32; 2],
+    /// Radius of the undisplaced sphere before its axes were scaled, metres.
+    pub base_scale_m: f32,
+    /// How it reflects.
+    pub material: Material,
+    /// It was moved because it came too near to the eye.
+    pub moved: bool,
+}
+
+/// All rocks of these settings on this ground, none of them near the eye.
+#[must_use]
+pub fn build(streams: &Streams, params: &Params, terrain: &Terrain, eye: Vec3) -> Vec<Rock> {
+    let materials = draw_materials(streams, params);
+    let near_count = u64::from(params.count(Knob::RocksNearCount));
+    (0..u64::from(params.count(Knob::RocksCount)))
+        .into_par_iter()
+        .map(|k| {
+            let placed = if k < near_count { place_near(streams, params, k) } else { place_far(streams, params, k) };
+            let material = materials[streams.stream("rocks.material", k).uniform_int(0, MATERIALS as i64 - 1) as usize];
+            Rock::build(streams, params, terrain, eye, k, placed, material)
+        })
+        .collect()
+}
+
+/// Where a rock lies and how large it is before it is shaped.
+#[derive(Clone, Copy, Debug)]
+struct Placed {
+    place: Vec2,
+    base_scale_m: f64,
+}
+
+fn place_near(streams: &Streams, params: &Params, k: u64) -> Placed {
+    let hero_scale_m = params.number(Knob::RocksHeroScaleM);
+    if k == 0 && hero_scale_m > 0.0 {
+        let place = [Knob::RocksHeroXM, Knob::RocksHeroYM].map(|knob| params.number(knob) as f32);
+        return Placed { place: place.into(), base_scale_m: hero_scale_m };
+    }
+    let y = params.sample(Knob::RocksNearYM, &mut streams.stream(Knob::RocksNearYM.name(), k));
+    let mut draw = streams.stream("rocks.near_place", k);
+    let (apex_y, tan_half_angle) = WEDGE;
+    let half_width_m = tan_half_angle * (y - apex_y);
+    let x = if k < NEAR_IN_VIEW && half_width_m > 0.0 {
+        // One rock in each third of the wedge's width.
+        let third = 2.0 * (k as f64 + draw.unit()) / NEAR_IN_VIEW as f64 - 1.0;
+        third * half_width_m.min(NEAR_HALF_WIDTH_M)
+    } else {
+        draw.uniform(-NEAR_HALF_WIDTH_M, NEAR_HALF_WIDTH_M)
+    };
+    let scale = params.sample(Knob::RocksNearScaleM, &mut streams.stream(Knob::RocksNearScaleM.name(), k));
+    Placed { place: Vec2::new(x as f32, y as f32), base_scale_m: scale }
+}
+
+fn place_far(streams: &Streams, params: &Params, k: u64) -> Placed {
+    let mut draw = streams.stream("rocks.far_place", k);
+    let x = draw.uniform(-FAR_HALF_WIDTH_M, FAR_HALF_WIDTH_M);
+    let y = draw.uniform(FAR_Y_M[0], FAR_Y_M[1]);
+    let mut scale = params.sample(Knob::RocksScaleM, &mut streams.stream(Knob::RocksScaleM.name(), k));
+    if draw.unit() < params.number(Knob::RocksLargeShare) {
+        scale *= params.sample(Knob::RocksLargeFactor, &mut streams.stream(Knob::RocksLargeFactor.name(), k));
+    }
+    Placed { place: Vec2::new(x as f32, y as f32), base_scale_m: scale }
+}
+
+fn draw_materials(streams: &Streams, params: &Params) -> Vec<Material> {
+    (0..MATERIALS)
+        .map(|k| {
+            let grey = params.sample(Knob::RocksAlbedo, &mut streams.stream(Knob::RocksAlbedo.name(), k));
+            let roughness =
+                params.sample(Knob::RocksRoughness, &mut streams.stream(Knob::RocksRoughness.name(), k));
+            let mut jitter = streams.stream("rocks.channel_jitter", k);
+            let albedo = TINT.map(|tint| {
+                let channel = grey * tint + jitter.uniform(-CHANNEL_JITTER, CHANNEL_JITTER);
+                channel.clamp(ALBEDO_RANGE[0], ALBEDO_RANGE[1]) as f32
+            });
+            Material { albedo: albedo.into(), roughness: roughness as f32 }
+        })
+        .collect()
+}
+
+/// Level of the icosphere for a rock of this base radius.
+const fn authored_level(base_scale_m: f64) -> usize {
+    if base_scale_m >= 1.8 {
+        5
+    } else if base_scale_m >= 0.9 {
+        4
+    } else if base_scale_m >= 0.45 {
+        3
+    } else {
+        2
+    }
+}
+
+impl Rock {
+    fn build(
+        streams: &Streams,
+        params: &Params,
+        terrain: &Terrain,
+        eye: Vec3,
+        k: u64,
+        placed: Placed,
+        material: Material,
+    ) -> Self {
+        let level = authored_level(placed.base_scale_m);
+        let sphere = Icosphere::shared();
+        let shape = Shape::draw(&mut streams.stream("rocks.shape", k), params.number(Knob::RocksDisplacement));
+        let mesh_from_unit = draw_scale_and_rotation(&mut streams.stream("rocks.pose", k), placed.base_scale_m);
+        let mut vertices: Vec<Vertex> = sphere.directions[..Icosphere::vertex_count(level)]
+            .iter()
+            .map(|&u| Vertex { position: mesh_from_unit * (shape.radius(u) * u), normal: Vec3::Z })
+            .collect();
+        set_smooth_normals(&mut vertices, &sphere.triangles[level]);
+        let lowest = vertices.iter().map(|v| v.position).min_by(|a, b| a.z.total_cmp(&b.z)).unwrap_or_default();
+        let highest_z = vertices.iter().map(|v| v.position.z).fold(f32::MIN, f32::max);
+        let radius_m = vertices.iter().map(|v| v.position.length_squared()).fold(0.0, f32::max).sqrt();
+        let mut rock = Self {
+            index: k as u32,
+            centre: Vec3::ZERO,
+            level_errors_m: sphere.level_errors_m(&vertices),
+            vertices,
+            level,
+            radius_m,
+            z_range_m: [lowest.z, highest_z],
+            base_scale_m: placed.base_scale_m as f32,
+            material,
+            moved: false,
+        };
+        let embedding = params.number(Knob::RocksEmbedding) as f32;
+        rock.settle(terrain, placed.place, embedding, lowest);
+        if rock.distance_to(eye, EYE_CLEARANCE_M) < EYE_CLEARANCE_M {
+            // Straight away from the eye until the whole ball around the rock is clear of it.
+            let away = placed.place - eye.truncate();
+            let towards = if away.length() > 0.0 { away / away.length() } else { Vec2::Y };
+            let clear_m = 1.01 * (rock.radius_m + EYE_CLEARANCE_M);
+            rock.settle(terrain, eye.truncate() + clear_m * towards, embedding, lowest);
+            rock.moved = true;
+        }
+        rock
+    }
+
+    /// Its triangles at a level not finer than the authored one.
+    #[must_use]
+    pub fn triangles(&self, level: usize) -> &'static [[u32; 3]] {
+        &Icosphere::shared().triangles[level.min(self.level)]
+    }
+
+    /// Puts the rock on a place, with `embedding` of its height under the ground there, and deeper if its lowest
+    /// point would not be under the ground.
+    fn settle(&mut self, terrain: &Terrain, place: Vec2, embedding: f32, lowest: Vec3) {
+        let [bottom_m, top_m] = self.z_range_m;
+        let extent_m = top_m - bottom_m;
+        let z = terrain.surface_height_at(place) - (bottom_m + embedding * extent_m);
+        let ground_m = terrain.surface_height_at(place + lowest.truncate());
+        self.centre = place.extend(z.min(ground_m - bottom_m - LEAST_BURIAL * extent_m));
+    }
+
+    /// Distance from a point to the rock's surface, metres, 0 inside it; exact only where it is below `limit_m`.
+    fn distance_to(&self, point: Vec3, limit_m: f32) -> f32 {
+        let local = point - self.centre;
+        if local.length() > self.radius_m + limit_m {
+            return f32::INFINITY;
+        }
+        let corners = |t: &[u32; 3]| t.map(|v| self.vertices[v as usize].position);
+        let triangles = self.triangles(self.level);
+        // The surface is star-shaped around the centre, so the point is inside if the face that its direction
+        // pierces lies beyond it.
+        let inside = triangles.iter().map(corners).any(|[a, b, c]| {
+            let pierced = a.cross(b).dot(local) >= 0.0 && b.cross(c).dot(local) >= 0.0 && c.cross(a).dot(local) >= 0.0;
+            pierced && (b - a).cross(c - a).dot(local - a) <= 0.0
+        });
+        if inside {
+            return 0.0;
+        }
+        triangles.iter().map(|t| distance_to_triangle(local, corners(t))).fold(f32::INFINITY, f32::min)
+    }
+}
+
+/// Axis scales, tilt and heading: unit sphere to metres in world axes.
+fn draw_scale_and_rotation(draw: &mut Stream, base_scale_m: f64) -> Mat3 {
+    let (sx, sy, sz) = (draw.uniform(0.78, 1.34), draw.uniform(0.78, 1.34), draw.uniform(0.50, 0.92));
+    let scale = [sx, sy, sz].map(|s| (s * base_scale_m) as f32);
+    let heading = draw.uniform(0.0, std::f64::consts::TAU);
+    let tilt = (20.0_f64.to_radians() * draw.normal()).clamp(-1.5, 1.5);
+    let tilt_axis = draw.uniform(0.0, std::f64::consts::TAU);
+    let about_z = |angle: f64| {
+        let (sin, cos) = (libm::sin(angle) as f32, libm::cos(angle) as f32);
+        Mat3::from_cols(Vec3::new(cos, sin, 0.0), Vec3::new(-sin, cos, 0.0), Vec3::Z)
+    };
+    let (sin, cos) = (libm::sin(tilt) as f32, libm::cos(tilt) as f32);
+    let about_x = Mat3::from_cols(Vec3::X, Vec3::new(0.0, cos, sin), Vec3::new(0.0, -sin, cos));
+    about_z(tilt_axis) * about_x * about_z(heading) * Mat3::from_diagonal(scale.into())
+}
+
+/// The four displacement terms of a boulder over the unit sphere.
+#[derive(Clone, Debug)]
+struct Shape {
+    amplitude: f32,
+    domain_scale: Vec3,
+    domain_offset: Vec3,
+    lumps: (Fbm, f32),
+    ridges: (Fbm, f32),
+    bumps: (Fbm, f32),
+    grain: (Fbm, f32),
+}
+
+impl Shape {
+    fn draw(draw: &mut Stream, amplitude: f64) -> Self {
+        let mut uniform = |low, high| draw.uniform(low, high) as f32;
+        let domain_scale = Vec3::from([(); 3].map(|()| uniform(0.70, 1.55)));
+        let domain_offset = Vec3::from([(); 3].map(|()| uniform(-41.0, 41.0)));
+        let f = uniform(1.05, 1.75);
+        let weights =
+            [(0.90, 1.15), (0.26, 0.42), (0.12, 0.19), (0.05, 0.09)].map(|(low, high)| uniform(low, high));
+        let mut term = |octaves, frequency, lacunarity, weight| {
+            (Fbm { octaves, frequency, lacunarity, seed: draw.bits() }, weight)
+        };
+        Self {
+            amplitude: amplitude as f32,
+            domain_scale,
+            domain_offset,
+            lumps: term(4, 0.85 * f, 2.05, weights[0]),
+            ridges: term(4, f, 2.2, weights[1]),
+            bumps: term(3, 1.7 * f, 2.3, weights[2]),
+            grain: term(2, 2.7 * f, 2.5, weights[3]),
+        }
+    }
+
+    /// Distance of the surface from the centre in direction `u`, relative to the undisplaced sphere.
+    fn radius(&self, u: Vec3) -> f32 {
+        let p = self.domain_scale * u + self.domain_offset;
+        let noise = |fbm: &Fbm, zoom: f32| fbm.at_3d((zoom * p).into());
+        let crease = 1.0 - noise(&self.ridges.0, 1.7).abs();
+        let sum = self.lumps.1 * noise(&self.lumps.0, 1.0)
+            + self.ridges.1 * (2.0 * crease * crease - 1.0)
+            + self.bumps.1 * noise(&self.bumps.0, 3.0)
+            + self.grain.1 * noise(&self.grain.0, 7.0);
+        (1.0 + self.amplitude * sum).clamp(RADIUS_RANGE[0], RADIUS_RANGE[1])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn flat() -> Terrain {
+        Terrain::from_height(920.0, 30, Vec::new(), |_| 0.0)
+    }
+
+    #[test]
+    fn no_rock_floats_even_on_a_steep_slope() {
+        let slope = Terrain::from_height(920.0, 300, Vec::new(), |p| 0.6 * p.x + 0.3 * p.y);
+        let params = Params::draw_default(5);
+        for rock in build(&Streams::new(5), &params, &slope, Vec3::new(0.0, -90.0, 500.0)) {
+            let lowest =
+                rock.vertices.iter().map(|v| v.position + rock.centre).min_by(|a, b| a.z.total_cmp(&b.z));
+            let lowest = lowest.expect("a rock has vertices");
+            assert!(lowest.z < slope.surface_height_at(lowest.truncate()), "rock {}", rock.index);
+        }
+    }
+
+    #[test]
+    fn embedding_is_the_buried_fraction_of_the_height_on_flat_ground() {
+        let params = Params::draw_default(8);
+        for rock in build(&Streams::new(8), &params, &flat(), Vec3::new(0.0, -90.0, 500.0)) {
+            let [bottom, top] = rock.z_range_m.map(|z| z + rock.centre.z);
+            assert!((-bottom / (top - bottom) - 0.30).abs() < 1e-3, "rock {}", rock.index);
+        }
+    }
+
+    #[test]
+    fn a_rock_over_the_eye_is_moved_clear_of_it_and_no_other() {
+        let params = Params::draw_default(11);
+        let streams = Streams::new(11);
+        let before = build(&streams, &params, &flat(), Vec3::new(0.0, -90.0, 500.0));
+        let eye = before[4].centre + Vec3::new(0.05, 0.02, 0.1);
+        assert_eq!(before[4].distance_to(eye, 0.5), 0.0);
+        let after = build(&streams, &params, &flat(), eye);
+        assert!(after[4].moved && after[4].distance_to(eye, 1.0) >= EYE_CLEARANCE_M);
+        for (a, b) in before.iter().zip(&after) {
+            let too_near = a.distance_to(eye, 0.5) < EYE_CLEARANCE_M;
+            assert_eq!(b.moved, too_near);
+            assert_eq!(a.centre == b.centre, !too_near);
+            assert_eq!(a.vertices, b.vertices);
+        }
+    }
+
+    #[test]
+    fn one_rock_more_leaves_the_others_as_they_were() {
+        let mut config = crate::params::sampler::Config::new();
+        let mut rocks = |count: &str| {
+            config.apply_set(&format!("rocks.count={count}")).expect("a count");
+            let params = config.draw(21).expect("drawn");
+            build(&Streams::new(21), &params, &flat(), Vec3::new(0.0, -90.0, 2.0))
+        };
+        let (few, more) = (rocks("30"), rocks("31"));
+        assert_eq!((few.len(), more.len()), (30, 31));
+        for (a, b) in few.iter().zip(&more) {
+            assert!(a.centre == b.centre && a.vertices == b.vertices && a.material == b.material);
+        }
+    }
+
+    #[test]
+    fn faces_point_outward_and_shapes_are_those_of_boulders() {
+        let params = Params::draw_default(2);
+        let rocks = build(&Streams::new(2), &params, &flat(), Vec3::new(0.0, -90.0, 2.0));
+        for rock in &rocks {
+            let outward = rock.triangles(rock.level).iter().filter(|t| {
+                let [a, b, c] = t.map(|v| rock.vertices[v as usize].position);
+                (b - a).cross(c - a).dot(a) > 0.0
+            });
+            assert_eq!(outward.count(), 20 << (2 * rock.level), "a star-shaped surface has no face turned inward");
+            assert_eq!(rock.level, authored_level(f64::from(rock.base_scale_m)));
+            let flatness = (rock.z_range_m[1] - rock.z_range_m[0]) / (2.0 * rock.radius_m);
+            assert!((0.2..1.0).contains(&flatness), "rock {}: {flatness}", rock.index);
+        }
+        let roughness: Vec<f32> = rocks.iter().map(|r| r.material.roughness).collect();
+        assert!(roughness.iter().all(|r| (0.85..0.97).contains(r)));
+    }
+}

@@ -1,0 +1,139 @@
+//! The sun, the dome and the stars.
+//!
+//! Dome and stars emit and are unlit; they cast no shadow.
+//! Must not know: how they are drawn.
+
+use glam::{DVec3, Vec3};
+
+use crate::params::{Knob, Params};
+use crate::random::Streams;
+
+/// Radiance of the dome, in the units of [`Sun::irradiance`].
+pub const DOME_RADIANCE: Vec3 = Vec3::new(0.010, 0.010, 0.016);
+/// Radiance of a star.
+pub const STAR_RADIANCE: Vec3 = Vec3::new(4.0, 4.0, 4.2);
+/// How far inside the dome the stars hang, metres.
+const STAR_INSET_M: f64 = 18.0;
+/// Smallest and largest radius of a star, metres.
+pub const STAR_RADIUS_M: [f64; 2] = [0.5, 1.1];
+/// Irradiance, on a surface that faces the sun, per unit of the intensity knob. Radiance 1 is what a picture at
+/// exposure 0 EV shows at the tone curve's middle; the factor was chosen with the tone curve on the reference
+/// frame.
+pub const SUN_IRRADIANCE_PER_INTENSITY: f32 = 1.0e-3;
+
+/// The distant sun: the only light there is, apart from the dome's own glow.
+#[derive(Clone, Copy, Debug)]
+pub struct Sun {
+    /// Unit vector from the scene towards the sun.
+    pub direction: Vec3,
+    /// Angle above the XY plane, degrees.
+    pub elevation_deg: f64,
+    /// Compass angle from +Y towards +X, degrees.
+    pub azimuth_deg: f64,
+    /// Angle that the disc spans, degrees.
+    pub angular_diameter_deg: f64,
+    /// Irradiance on a surface that faces it, linear RGB.
+    pub irradiance: Vec3,
+}
+
+impl Sun {
+    /// The sun of these settings.
+    #[must_use]
+    pub fn build(params: &Params) -> Self {
+        let colour = params.rgb(Knob::SunColor).map(|channel| channel as f32);
+        let intensity = params.number(Knob::SunIntensity) as f32;
+        Self::new(
+            params.number(Knob::SunElevationDeg),
+            params.number(Knob::SunAzimuthDeg),
+            params.number(Knob::SunAngularDiameterDeg),
+            intensity * SUN_IRRADIANCE_PER_INTENSITY * Vec3::from(colour),
+        )
+    }
+
+    /// A sun at these angles (degrees).
+    #[must_use]
+    pub fn new(elevation_deg: f64, azimuth_deg: f64, angular_diameter_deg: f64, irradiance: Vec3) -> Self {
+        let (elevation, azimuth) = (elevation_deg.to_radians(), azimuth_deg.to_radians());
+        let across = libm::cos(elevation);
+        let direction =
+            DVec3::new(across * libm::sin(azimuth), across * libm::cos(azimuth), libm::sin(elevation));
+        Self { direction: direction.as_vec3(), elevation_deg, azimuth_deg, angular_diameter_deg, irradiance }
+    }
+
+    /// Tangent of half the angle that the disc spans.
+    #[must_use]
+    pub fn tan_half_angle(&self) -> f32 {
+        libm::tan(0.5 * self.angular_diameter_deg.to_radians()) as f32
+    }
+}
+
+/// One star: a small sphere that hangs inside the dome.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Star {
+    /// Centre, metres, world.
+    pub centre: Vec3,
+    /// Radius, metres.
+    pub radius_m: f32,
+}
+
+/// Dome and stars.
+#[derive(Clone, Debug)]
+pub struct Sky {
+    /// Centre of the dome, metres, world: the ground under the camera.
+    pub centre: Vec3,
+    /// Radius of the dome, metres.
+    pub radius_m: f32,
+    /// The stars.
+    pub stars: Vec<Star>,
+}
+
+impl Sky {
+    /// The sky of these settings around a place on the ground.
+    #[must_use]
+    pub fn build(streams: &Streams, params: &Params, centre: Vec3) -> Self {
+        let radius_m = params.number(Knob::SkyDomeRadiusM);
+        let stars = (0..u64::from(params.count(Knob::SkyStarCount)))
+            .map(|k| {
+                let mut draw = streams.stream("sky.star", k);
+                let (x, y, z) = (draw.normal(), draw.normal(), draw.normal());
+                let towards = DVec3::new(x, 0.85 * y.abs() + 0.15, 0.90 * z.abs() + 0.10);
+                let offset = (radius_m - STAR_INSET_M) / towards.length() * towards;
+                let [low, high] = STAR_RADIUS_M;
+                Star { centre: centre + offset.as_vec3(), radius_m: draw.uniform(low, high) as f32 }
+            })
+            .collect();
+        Self { centre, radius_m: radius_m as f32, stars }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sun_direction_is_a_compass_angle() {
+        let towards = |elevation, azimuth| Sun::new(elevation, azimuth, 0.53, Vec3::ONE).direction;
+        assert!(towards(0.0, 0.0).distance(Vec3::Y) < 1e-6);
+        assert!(towards(0.0, 90.0).distance(Vec3::X) < 1e-6);
+        assert!(towards(90.0, 33.0).distance(Vec3::Z) < 1e-6);
+        let nominal = towards(17.0, 120.0);
+        assert!(nominal.x > 0.0 && nominal.y < 0.0, "behind the camera, to the right");
+        assert!((nominal.z - 0.292_371_7).abs() < 1e-6);
+        let penumbra_per_metre = 2.0 * Sun::new(17.0, 0.0, 0.53, Vec3::ONE).tan_half_angle();
+        assert!((penumbra_per_metre - 0.00925).abs() < 1e-5);
+    }
+
+    #[test]
+    fn stars_hang_inside_the_dome_above_the_horizon_in_front() {
+        let params = Params::draw_default(3);
+        let centre = Vec3::new(1.0, -90.0, 0.5);
+        let sky = Sky::build(&Streams::new(3), &params, centre);
+        assert_eq!(sky.stars.len(), 220);
+        for star in &sky.stars {
+            let offset = star.centre - centre;
+            assert!((offset.length() - 582.0).abs() < 0.01);
+            assert!(offset.y > 0.0 && offset.z > 0.0);
+            assert!((0.5..1.1).contains(&star.radius_m));
+        }
+    }
+}

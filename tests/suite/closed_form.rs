@@ -1,0 +1,193 @@
+//! Scenes whose answer is known on paper.
+
+use glam::{Vec2, Vec3};
+use regolith::class::ClassId;
+use regolith::render::resolve::encoded;
+use regolith::scene::Scene;
+use regolith::scene::camera::Camera;
+use regolith::scene::mesh::{Icosphere, Vertex};
+use regolith::scene::rocks::{Material, Rock};
+use regolith::scene::sky::{DOME_RADIANCE, Sky, Sun};
+use regolith::scene::terrain::Terrain;
+
+use crate::support::{render, scene};
+
+const PI: f32 = std::f32::consts::PI;
+
+/// Flat Lambert ground of albedo 0.2 under a white sun, seen from straight above; `rocks` on it.
+fn flat_scene(sun: Sun, rocks: Vec<Rock>, eye: Vec3, fov_deg: f64) -> Scene {
+    Scene {
+        terrain: Terrain::from_height(400.0, 100, Vec::new(), |_| 0.0),
+        regolith: Material { albedo: Vec3::splat(0.2), roughness: 0.0 },
+        rocks,
+        sky: Sky { centre: Vec3::ZERO, radius_m: 600.0, stars: Vec::new() },
+        sun,
+        camera: Camera::new(eye, [-90.0, 0.0, 0.0], fov_deg, 2000.0, 0.0),
+    }
+}
+
+fn ball(centre: Vec3, radius_m: f32) -> Rock {
+    let sphere = Icosphere::shared();
+    let vertices: Vec<Vertex> =
+        sphere.directions.iter().map(|&d| Vertex { position: radius_m * d, normal: d }).collect();
+    Rock {
+        index: 0,
+        centre,
+        level: Icosphere::MAX_LEVEL,
+        level_errors_m: sphere.level_errors_m(&vertices),
+        vertices,
+        radius_m,
+        z_range_m: [-radius_m, radius_m],
+        base_scale_m: radius_m,
+        material: Material { albedo: Vec3::splat(0.1), roughness: 0.0 },
+        moved: false,
+    }
+}
+
+/// Radiance of flat Lambert ground of albedo 0.2 of which the sun is seen to this fraction.
+fn ground_radiance(sun: &Sun, visible: f32) -> Vec3 {
+    0.2 * (visible * sun.irradiance * sun.direction.z / PI + DOME_RADIANCE)
+}
+
+#[test]
+fn lambert_ground_has_the_radiance_of_the_formula() {
+    for elevation_deg in [5.0, 17.0, 60.0] {
+        let sun = Sun::new(elevation_deg, 120.0, 0.53, Vec3::new(3.0, 2.0, 1.0));
+        let frame = render(&flat_scene(sun, Vec::new(), Vec3::new(0.0, 0.0, 30.0), 40.0), 32, 4);
+        let expected = ground_radiance(&sun, 1.0).to_array().map(|x| encoded(f64::from(x)));
+        for pixel in frame.rgb.chunks_exact(3) {
+            for (value, expected) in pixel.iter().zip(expected) {
+                assert!((f64::from(*value) - expected).abs() <= 0.6, "{pixel:?} for {expected} at {elevation_deg}");
+            }
+        }
+        assert_eq!(frame.count(ClassId::REGOLITH), 32 * 32);
+    }
+}
+
+#[test]
+fn the_sky_alone_is_sky_and_has_its_own_radiance() {
+    let frame = render(&scene(4, &["camera.pitch_deg=60", "camera.fov_deg=40", "sky.star_count=0"]), 64, 4);
+    assert_eq!(frame.count(ClassId::SKY), 64 * 64);
+    let expected = DOME_RADIANCE.to_array().map(|x| encoded(f64::from(x)).round() as u8);
+    assert!(frame.rgb.chunks_exact(3).all(|pixel| pixel == expected), "{expected:?}, not {:?}", &frame.rgb[..3]);
+}
+
+#[test]
+fn stars_are_sky() {
+    let frame = render(&scene(4, &["camera.pitch_deg=40", "sky.star_count=4000"]), 128, 4);
+    assert_eq!(frame.count(ClassId::SKY), 128 * 128);
+    assert!(frame.rgb.iter().filter(|value| **value > 200).count() > 100, "stars shine");
+}
+
+#[test]
+fn a_rock_before_the_lens_is_all_rock() {
+    let mut scene = scene(4, &["rocks.count=0"]);
+    scene.rocks = vec![ball(scene.camera.eye + Vec3::new(0.0, 25.0, 0.0), 24.0)];
+    let frame = render(&scene, 64, 4);
+    assert_eq!(frame.count(ClassId::ROCK), 64 * 64);
+}
+
+/// A ball at height H throws an ellipse of shadow: half width R across the sun, R / sin(elevation) along it, H /
+/// tan(elevation) away from the point under it.
+#[test]
+fn the_shadow_of_a_ball_lies_where_geometry_puts_it() {
+    for azimuth_deg in [0.0, 90.0, 120.0, 250.0] {
+        let sun = Sun::new(17.0, azimuth_deg, 0.53, Vec3::splat(3.0));
+        let (height_m, radius_m) = (4.0_f32, 1.0_f32);
+        let away = -sun.direction.truncate() / sun.direction.truncate().length();
+        let sine = sun.direction.z;
+        let centre = away * height_m / 17_f32.to_radians().tan();
+        let eye = centre.extend(40.0);
+        let scene = flat_scene(sun, vec![ball(Vec3::new(0.0, 0.0, height_m), radius_m)], eye, 16.0);
+        let side = 256;
+        let frame = render(&scene, side, 4);
+        let lit = encoded(f64::from(ground_radiance(&sun, 0.5).x));
+        let metres_per_px = 2.0 * 40.0 * scene.camera.tan_half_fov / side as f32;
+        let (mut dark, mut offset) = (0.0_f32, Vec2::ZERO);
+        for (i, pixel) in frame.rgb.chunks_exact(3).enumerate() {
+            if frame.class[i] == ClassId::REGOLITH.0 && f64::from(pixel[0]) < lit {
+                let (x, y) = ((i as u32 % side) as f32 + 0.5, (i as u32 / side) as f32 + 0.5);
+                let half = side as f32 / 2.0;
+                dark += 1.0;
+                offset += Vec2::new(x - half, half - y) * metres_per_px;
+            }
+        }
+        let area = dark * metres_per_px * metres_per_px;
+        let expected = PI * radius_m * radius_m / sine;
+        assert!((area / expected - 1.0).abs() < 0.02, "azimuth {azimuth_deg}: {area} m2 for {expected}");
+        assert!((offset / dark).length() < 0.05, "azimuth {azimuth_deg}: off by {} m", offset / dark);
+    }
+}
+
+/// Across the edge of the shadow of a ball at distance d the sun is uncovered over d x 2 tan(0.265 deg), by the area
+/// of a disc beyond a chord.
+#[test]
+fn the_penumbra_widens_with_distance_as_the_sun_s_disc_says() {
+    let sun = Sun::new(17.0, 90.0, 0.53, Vec3::splat(3.0));
+    for distance_m in [2.0_f32, 5.0, 10.0, 40.0] {
+        // The northern edge of the shadow: beside the middle of the ball, so the chord is straight enough.
+        let radius_m = 3.0;
+        let centre = Vec3::new(0.0, -radius_m, 0.0) + distance_m * sun.direction;
+        let width_m = distance_m * 2.0 * 0.265_f32.to_radians().tan();
+        let eye = Vec3::new(0.0, 0.0, 1.2 * distance_m * sun.direction.z + 8.0);
+        let fov_deg = 2.0 * f64::from(2.5 * width_m / eye.z).atan().to_degrees();
+        let mut scene = flat_scene(sun, vec![ball(centre, radius_m)], eye, fov_deg);
+        if centre.y + radius_m > -0.01 {
+            scene.rocks[0].centre.y -= 0.0;
+        }
+        let side = 128;
+        let frame = render(&scene, side, 4);
+        let (mut sum, mut worst, mut n) = (0.0_f64, 0.0_f64, 0);
+        for row in 0..side {
+            let y = (0.5 - (f64::from(row) + 0.5) / f64::from(side)) * 2.0 * f64::from(2.5 * width_m);
+            let i = (row * side + side / 2) as usize;
+            if frame.class[i] != ClassId::REGOLITH.0 {
+                continue;
+            }
+            let u = (2.0 * y / f64::from(width_m)).clamp(-1.0, 1.0);
+            let visible = 0.5 + (u * (1.0 - u * u).sqrt() + u.asin()) / std::f64::consts::PI;
+            let expected = encoded(f64::from(ground_radiance(&sun, visible as f32).x));
+            let error = (f64::from(frame.rgb[3 * i]) - expected).abs() / 255.0;
+            sum += error;
+            worst = worst.max(error);
+            n += 1;
+        }
+        assert!(n > 40, "the edge is in view");
+        let mean = sum / f64::from(n);
+        assert!(mean < 0.02 && worst < 0.12, "{distance_m} m: mean error {mean:.3}, worst {worst:.3}");
+    }
+}
+
+#[test]
+fn flat_ground_at_grazing_sun_has_no_acne_and_no_leak_under_a_rock() {
+    for (elevation_deg, azimuth_deg) in [(1.0, 33.0), (5.0, 0.0), (17.0, 120.0)] {
+        let sun = Sun::new(elevation_deg, azimuth_deg, 0.53, Vec3::splat(3.0));
+        // A ball sunk to its middle: where it meets the ground on the far side from the sun it is dark.
+        let scene = flat_scene(sun, vec![ball(Vec3::ZERO, 1.5)], Vec3::new(0.0, 0.0, 20.0), 16.0);
+        let side = 256;
+        let frame = render(&scene, side, 4);
+        let away = -sun.direction.truncate() / sun.direction.truncate().length();
+        let metres_per_px = 2.0 * 20.0 * scene.camera.tan_half_fov / side as f32;
+        let (lit, dark) = (ground_radiance(&sun, 1.0).x, ground_radiance(&sun, 0.0).x);
+        let (lit, dark) = (encoded(f64::from(lit)), encoded(f64::from(dark)));
+        let (mut lit_seen, mut dark_seen) = (0, 0);
+        for (i, pixel) in frame.rgb.chunks_exact(3).enumerate() {
+            if frame.class[i] != ClassId::REGOLITH.0 {
+                continue;
+            }
+            let half = side as f32 / 2.0;
+            let p = Vec2::new((i as u32 % side) as f32 + 0.5 - half, half - (i as u32 / side) as f32 - 0.5);
+            let p = p * metres_per_px;
+            let (along, across) = (p.dot(away), p.perp_dot(away).abs());
+            let value = f64::from(pixel[0]);
+            if along < -0.1 || across > 1.7 {
+                assert!((value - lit).abs() <= 0.6, "{p} m, sun {elevation_deg}: {value} for {lit}");
+                lit_seen += 1;
+            } else if along > 0.0 && across < 1.3 && along < 1.9 && p.length() > 1.52 {
+                assert!((value - dark).abs() <= 0.6, "{p} m, sun {elevation_deg}: {value} for {dark}");
+                dark_seen += 1;
+            }
+        }
+        assert!(lit_seen > 5000 && dark_seen > 100, "{lit_seen} lit, {dark_seen} dark");
+    }
+}

@@ -1,0 +1,65 @@
+//! Same seed and knobs: same bytes, whatever ran before and on however many threads.
+
+use crate::support::{folder, json, program, render, run_ok, scene};
+
+#[test]
+fn the_program_makes_the_same_bytes_twice() {
+    let folder = folder();
+    for out in ["a", "b"] {
+        run_ok(folder.path(), &["--seed", "5", "--size", "160", "--out", out]);
+    }
+    let mut compared = 0;
+    for entry in std::fs::read_dir(folder.path().join("a")).expect("a folder") {
+        let name = entry.expect("an entry").file_name();
+        if name.to_string_lossy().starts_with("frame") {
+            continue; // it tells how long things took
+        }
+        let read = |out: &str| std::fs::read(folder.path().join(out).join(&name)).expect("a file");
+        assert!(read("a") == read("b"), "{}", name.to_string_lossy());
+        compared += 1;
+    }
+    assert_eq!(compared, 4);
+    let meta = |out: &str| {
+        let mut meta = json(&folder.path().join(out).join("frame_0000.json"));
+        meta.as_object_mut().expect("an object").remove("ms");
+        meta
+    };
+    assert_eq!(meta("a"), meta("b"));
+}
+
+#[test]
+fn the_number_of_threads_changes_nothing() {
+    let folder = folder();
+    let run = |threads: &str| {
+        let status = program(folder.path())
+            .args(["--seed", "6", "--size", "96", "--quiet", "--out", threads])
+            .env("RAYON_NUM_THREADS", threads)
+            .output()
+            .expect("the program starts")
+            .status;
+        assert!(status.success());
+        let out = folder.path().join(threads);
+        let hash = json(&out.join("frame_0000.json"))["geometry_hash"].clone();
+        (hash, std::fs::read(out.join("rgb_0000.png")).expect("a picture"))
+    };
+    let one = run("1");
+    assert_eq!(one, run("2"));
+    assert_eq!(one, run("8"));
+}
+
+/// The exact geometry of three seeds: it must be the same on every machine and never change within a version.
+#[test]
+fn geometry_is_the_same_on_every_machine() {
+    for (seed, expected) in GEOMETRY_HASHES {
+        assert_eq!(scene(seed, &[]).geometry_hash(), expected, "seed {seed}");
+    }
+}
+const GEOMETRY_HASHES: [(u64, &str); 3] = [(0, ""), (42, ""), (u64::MAX, "")];
+
+#[test]
+fn what_was_rendered_before_leaves_no_trace() {
+    let (first, other) = (scene(3, &[]), scene(4, &["sun.azimuth_deg=300", "terrain.cells=120"]));
+    let alone = render(&first, 128, 4);
+    render(&other, 200, 1);
+    assert!(alone == render(&first, 128, 4));
+}

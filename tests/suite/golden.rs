@@ -1,0 +1,53 @@
+//! Frames against golden ones, on the CPU driver: colour by perception, masks exactly.
+
+use std::path::Path;
+
+use image::{GrayImage, RgbImage};
+
+use crate::support::compare::{assert_mask, assert_picture, golden};
+use crate::support::{folder, json, render, run_ok, scene};
+
+fn check(name: &str, seed: u64, set: &[&str]) {
+    let side = 192;
+    let frame = render(&scene(seed, set), side, 4);
+    let picture = RgbImage::from_raw(side, side, frame.rgb).expect("the planes have the picture's size");
+    let mask = GrayImage::from_raw(side, side, frame.class).expect("the planes have the picture's size");
+    assert_picture(&golden(&format!("{name}.png")), &picture, true);
+    assert_mask(&format!("{name}_mask.png"), &mask);
+}
+
+#[test]
+fn nominal_42() {
+    check("nominal_42", 42, &[]);
+}
+
+#[test]
+fn sun_in_front_7() {
+    check("sun_in_front_7", 7, &["sun.azimuth_deg=5", "sun.elevation_deg=9", "camera.exposure_ev=0.5"]);
+}
+
+#[test]
+fn high_view_1001() {
+    check("high_view_1001", 1001, &["camera.height_m=12", "camera.pitch_deg=-14", "craters.count=12"]);
+}
+
+/// The picture on the README's first screen is what the program makes of the command under it, and it is what
+/// section 7 of the scene's specification asks for.
+#[test]
+fn reference_42_is_the_picture_in_the_readme_and_meets_its_numbers() {
+    let folder = folder();
+    run_ok(folder.path(), &["--preset", "reference", "--out", "out"]);
+    let picture = image::open(folder.path().join("out/rgb_0000.png")).expect("a picture").into_rgb8();
+    let readme = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/reference_42.png");
+    assert_picture(&readme, &picture, false);
+    let meta = json(&folder.path().join("out/frame_0000.json"));
+    for (class, expected) in [("regolith", 0.37), ("rock", 0.22), ("sky", 0.41)] {
+        let covered = meta["coverage"][class].as_f64().expect("a fraction");
+        assert!((covered - expected).abs() <= 0.02, "{class} covers {covered}");
+    }
+    assert_eq!(meta["coverage"]["unlabelled"], 0.0);
+    for (statistic, expected) in [("mean", 103.0), ("p99", 240.0), ("max", 249.0)] {
+        let value = meta["rgb"][statistic].as_f64().expect("a number");
+        assert!((value - expected).abs() <= 4.0, "{statistic} is {value}");
+    }
+}

@@ -1,0 +1,99 @@
+//! The mask: no pixel without a class, no class that does not exist, and the outline that the colour has.
+
+use glam::Vec3;
+use regolith::class::ClassId;
+use regolith::render::RenderSettings;
+
+use crate::support::{render, renderer, scene};
+
+fn assert_labelled(seed: u64, set: &[&str], samples: u32) {
+    let frame = render(&scene(seed, set), 96, samples);
+    let known = |id: &u8| ClassId::ALL.iter().any(|class| class.id.0 == *id);
+    assert!(frame.class.iter().all(known), "seed {seed}, {set:?}");
+}
+
+#[test]
+fn fifty_seeds_have_no_pixel_without_a_class() {
+    for seed in 0..50 {
+        assert_labelled(seed, &[], if seed % 5 == 0 { 4 } else { 1 });
+    }
+}
+
+#[test]
+fn extreme_knobs_have_no_pixel_without_a_class() {
+    let extremes: [&[&str]; 16] = [
+        &["sun.elevation_deg=0.5", "sun.azimuth_deg=0"],
+        &["sun.elevation_deg=90"],
+        &["sun.angular_diameter_deg=0"],
+        &["sun.angular_diameter_deg=5", "sun.elevation_deg=3"],
+        &["sun.intensity=0"],
+        &["camera.fov_deg=150", "camera.roll_deg=45"],
+        &["camera.fov_deg=5"],
+        &["camera.pitch_deg=89"],
+        &["camera.pitch_deg=-89"],
+        &["camera.yaw_deg=180"],
+        &["camera.x_m=455", "camera.y_m=455", "camera.yaw_deg=45", "camera.pitch_deg=-20"],
+        &["camera.height_m=150", "camera.pitch_deg=-30"],
+        &["terrain.amplitude_m=50", "camera.height_m=3"],
+        &["terrain.size_m=100", "terrain.cells=10", "camera.y_m=-45", "craters.count=40"],
+        &["rocks.count=0", "craters.count=0", "sky.star_count=0"],
+        &["rocks.count=600", "rocks.displacement=0.8", "sky.dome_radius_m=60", "sky.star_count=2000"],
+    ];
+    for (seed, set) in (100..).zip(extremes) {
+        assert_labelled(seed, set, 1);
+        assert_labelled(seed, set, 16);
+    }
+}
+
+/// Another way to the outline of the rocks: paint them another colour and see which pixels change. At one sample a
+/// pixel these are exactly the pixels that the mask calls rock.
+#[test]
+fn repainting_the_rocks_changes_exactly_the_pixels_that_are_rock() {
+    for seed in [1, 2, 3] {
+        let plain = scene(seed, &["sky.star_count=0"]);
+        let mut painted = plain.clone();
+        for rock in &mut painted.rocks {
+            rock.material.albedo = Vec3::new(0.9, 0.02, 0.9);
+        }
+        let (before, after) = (render(&plain, 256, 1), render(&painted, 256, 1));
+        assert_eq!(before.class, after.class);
+        let mut rocks = 0;
+        for (pixel, class) in before.class.iter().enumerate() {
+            let at = 3 * pixel..3 * pixel + 3;
+            let changed = before.rgb[at.clone()] != after.rgb[at];
+            assert_eq!(changed, *class == ClassId::ROCK.0, "seed {seed}, pixel {pixel}");
+            rocks += u32::from(changed);
+        }
+        assert!(rocks > 300, "only {rocks} pixels of rock");
+    }
+}
+
+/// Recounts the votes of the samples from a frame at one sample a pixel and twice the size, which draws the same
+/// sample positions.
+#[test]
+fn the_class_of_a_pixel_is_that_of_most_of_its_samples() {
+    let scene = scene(9, &[]);
+    let all_detail = |side, samples| {
+        let settings = RenderSettings::new([side; 2], samples).expect("settings");
+        let settings = RenderSettings { outline_error_px: 0.0, ..settings };
+        renderer().render(&scene, &settings).expect("a frame").0
+    };
+    let (samples, pixels) = (all_detail(256, 1), all_detail(128, 4));
+    let mut mixed = 0;
+    for y in 0..128 {
+        for x in 0..128 {
+            let votes: Vec<u8> = [(0, 0), (1, 0), (0, 1), (1, 1)]
+                .iter()
+                .map(|(dx, dy)| samples.class[(2 * y + dy) * 256 + 2 * x + dx])
+                .collect();
+            let count = |class: u8| votes.iter().filter(|vote| **vote == class).count();
+            let most = votes.iter().map(|vote| count(*vote)).max().expect("four votes");
+            let winner = pixels.class[y * 128 + x];
+            assert_eq!(count(winner), most, "pixel {x}, {y}: {votes:?} gave {winner}");
+            // The sky is farthest: it never wins a tie.
+            assert!(winner != ClassId::SKY.0 || most > 2 || votes.iter().all(|vote| *vote == winner), "{votes:?}");
+            mixed += u32::from(most < 4);
+        }
+    }
+    assert!(mixed > 100, "only {mixed} pixels had mixed votes");
+}

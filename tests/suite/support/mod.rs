@@ -1,0 +1,74 @@
+//! What the tests share: the device, scenes, the real program.
+
+pub(crate) mod compare;
+
+use std::path::Path;
+use std::process::{Command, Output};
+use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
+
+use regolith::frame::Frame;
+use regolith::gpu::Gpu;
+use regolith::params::Params;
+use regolith::params::sampler::Config;
+use regolith::render::{RenderSettings, Renderer};
+use regolith::scene::Scene;
+
+/// A renderer on the CPU driver, shared by all tests. Without a driver every test that draws fails with the message
+/// a user would get: what is missing and how to install it.
+pub(crate) fn renderer() -> MutexGuard<'static, Renderer> {
+    static RENDERER: LazyLock<Mutex<Renderer>> = LazyLock::new(|| {
+        let gpu = Gpu::open(Some("cpu")).unwrap_or_else(|error| panic!("{error}"));
+        Mutex::new(Renderer::new(gpu).unwrap_or_else(|error| panic!("{error}")))
+    });
+    RENDERER.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The values of a seed with these settings (`key=value`).
+pub(crate) fn params(seed: u64, set: &[&str]) -> Params {
+    let mut config = Config::new();
+    for assignment in set {
+        config.apply_set(assignment).unwrap_or_else(|error| panic!("{assignment}: {error}"));
+    }
+    config.draw(seed).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// The scene of a seed with these settings.
+pub(crate) fn scene(seed: u64, set: &[&str]) -> Scene {
+    Scene::build(seed, &params(seed, set)).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// A frame of a scene, `side` pixels square.
+pub(crate) fn render(scene: &Scene, side: u32, samples: u32) -> Frame {
+    let settings = RenderSettings::new([side, side], samples).expect("settings");
+    renderer().render(scene, &settings).unwrap_or_else(|error| panic!("{error}")).0
+}
+
+/// The real program, to be run in `folder` on the CPU driver unless a test says otherwise.
+pub(crate) fn program(folder: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_regolith-render"));
+    command.current_dir(folder).env_remove("WGPU_BACKEND").env("WGPU_ADAPTER_NAME", "cpu");
+    command
+}
+
+/// Runs the program with these words.
+pub(crate) fn run(folder: &Path, words: &[&str]) -> Output {
+    program(folder).args(words).output().expect("the program starts")
+}
+
+/// Runs the program, which must succeed, and gives its standard output.
+pub(crate) fn run_ok(folder: &Path, words: &[&str]) -> String {
+    let output = run(folder, words);
+    assert!(output.status.success(), "{words:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
+/// An empty folder that goes away with the test.
+pub(crate) fn folder() -> tempfile::TempDir {
+    tempfile::tempdir().expect("a temporary folder")
+}
+
+/// The content of a JSON file.
+pub(crate) fn json(path: &Path) -> serde_json::Value {
+    let text = std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    serde_json::from_str(&text).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
