@@ -9,7 +9,7 @@ use regolith::class::ClassId;
 use regolith::gpu::{self, Gpu};
 use regolith::meta::FrameRecord;
 use regolith::output::{self, LabelIds, Source};
-use regolith::params::sampler::{self, Config};
+use regolith::params::sampler::Config;
 use regolith::render::{RenderSettings, Renderer, StageTimes};
 use regolith::scene::Scene;
 use regolith::{Error, Result};
@@ -195,12 +195,21 @@ fn render_frame(args: &FrameArgs) -> Result<()> {
     }
     let record = |times: &StageTimes| {
         let adapter = &renderer.gpu().info;
-        FrameRecord { seed: args.seed, params: &params, scene: &scene, settings: &settings, adapter, frame: &frame, times }
-            .to_json()
+        FrameRecord {
+            seed: args.seed,
+            params: &params,
+            scene: &scene,
+            settings: &settings,
+            adapter,
+            frame: &frame,
+            times,
+        }
+        .to_json()
     };
     // The pictures first, so that the record can tell what encoding them took.
     let (pictures, records): (Vec<_>, Vec<_>) = outputs.into_iter().partition(|output| output.name != "meta");
-    let mut artifacts = output::encode(&Source { frame: &frame, meta: &Value::Null, label_ids }, &pictures, INDEX)?;
+    let mut artifacts =
+        output::encode(&Source { frame: &frame, meta: &Value::Null, label_ids }, &pictures, INDEX)?;
     stage(&mut times, "encode");
     let meta = record(&times);
     artifacts.extend(output::encode(&Source { frame: &frame, meta: &meta, label_ids }, &records, INDEX)?);
@@ -284,7 +293,8 @@ fn print(text: &str) -> Result<()> {
 }
 
 fn parse_size(text: &str) -> std::result::Result<[u32; 2], String> {
-    let side = |part: &str| part.trim().parse::<u32>().map_err(|_| format!("`{part}` is not a number of pixels"));
+    let side =
+        |part: &str| part.trim().parse::<u32>().map_err(|_| format!("`{part}` is not a number of pixels"));
     match text.split_once(['x', 'X']) {
         Some((width, height)) => Ok([side(width)?, side(height)?]),
         None => side(text).map(|n| [n, n]),
@@ -294,6 +304,7 @@ fn parse_size(text: &str) -> std::result::Result<[u32; 2], String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use regolith::params::sampler::presets;
 
     #[test]
     fn the_command_line_is_consistent_and_every_option_has_help() {
@@ -303,7 +314,7 @@ mod tests {
     #[test]
     fn the_help_names_every_preset_and_output() {
         let help = Cli::command().render_long_help().to_string();
-        for (name, _) in sampler::presets() {
+        for (name, _) in presets() {
             assert!(help.contains(name), "preset {name}");
         }
         for output in &output::OUTPUTS {

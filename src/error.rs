@@ -101,7 +101,9 @@ pub enum Error {
         cause: std::io::Error,
     },
     /// No adapter at all.
-    #[error("no graphics adapter was found{0}.\nWithout a GPU, Mesa's CPU driver does the work: `sudo apt-get install mesa-vulkan-drivers` (Debian, Ubuntu).\nWith a GPU, install its Vulkan driver; in a container, pass the GPU through with its graphics capability.")]
+    #[error(
+        "no graphics adapter was found{0}.\nWithout a GPU, Mesa's CPU driver does the work: `sudo apt-get install mesa-vulkan-drivers` (Debian, Ubuntu).\nWith a GPU, install its Vulkan driver; in a container, pass the GPU through with its graphics capability."
+    )]
     NoAdapter(String),
     /// Adapters, but none of the wanted name.
     #[error("no adapter matches `{wanted}`; there are:\n{}", .available.join("\n"))]
@@ -120,7 +122,9 @@ pub enum Error {
         reason: String,
     },
     /// More pixels than the device can draw.
-    #[error("size {width}x{height} with {samples} samples needs a {needed_px} px wide or high target, and {adapter} ends at {limit_px} px; use a smaller --size or fewer --samples")]
+    #[error(
+        "size {width}x{height} with {samples} samples needs a {needed_px} px wide or high target, and {adapter} ends at {limit_px} px; use a smaller --size or fewer --samples"
+    )]
     SizeBeyondDevice {
         /// Picture width.
         width: u32,
@@ -136,13 +140,17 @@ pub enum Error {
         adapter: String,
     },
     /// The device went away or gave up in mid-frame.
-    #[error("the graphics device was lost while rendering ({0}); nothing was written. Run the same command again; if it happens again, try a smaller --size or another --adapter")]
+    #[error(
+        "the graphics device was lost while rendering ({0}); nothing was written. Run the same command again; if it happens again, try a smaller --size or another --adapter"
+    )]
     DeviceLost(String),
     /// The device refused a command: a defect of this program or of the driver.
     #[error("the graphics device refused a command: {0}")]
     Device(String),
     /// A frame with pixels that nothing was drawn on.
-    #[error("{pixels} pixels of the frame carry no label (seed {seed}); the frame is not written. This is a defect: please report the seed and the settings")]
+    #[error(
+        "{pixels} pixels of the frame carry no label (seed {seed}); the frame is not written. This is a defect: please report the seed and the settings"
+    )]
     Unlabelled {
         /// How many.
         pixels: u64,

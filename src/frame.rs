@@ -76,7 +76,8 @@ mod tests {
         rgb[1] = 200;
         rgb[2] = 200;
         rgb[3] = 200;
-        let frame = Frame { width: 10, height: 10, rgb, class: [vec![0; 60], vec![1; 30], vec![2; 10]].concat() };
+        let frame =
+            Frame { width: 10, height: 10, rgb, class: [vec![0; 60], vec![1; 30], vec![2; 10]].concat() };
         let statistics = frame.rgb_statistics();
         assert!((statistics.mean - (296.0 * 10.0 + 850.0) / 300.0).abs() < 1e-12);
         assert_eq!((statistics.p99, statistics.max), (200, 250));

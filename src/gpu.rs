@@ -58,7 +58,8 @@ impl Gpu {
         Err(match wanted {
             Some(wanted) if !seen.is_empty() => Error::AdapterNotFound { wanted, available: seen },
             _ => Error::NoAdapter(
-                Backends::from_env().map_or_else(String::new, |b| format!(" (WGPU_BACKEND allows only {b:?})")),
+                Backends::from_env()
+                    .map_or_else(String::new, |b| format!(" (WGPU_BACKEND allows only {b:?})")),
             ),
         })
     }
@@ -67,7 +68,8 @@ impl Gpu {
         let info = adapter.get_info();
         let unfit = |reason: String| Error::AdapterUnfit { adapter: info.name.clone(), reason };
         let offered = adapter.limits();
-        let base = if info.backend == Backend::Gl { Limits::downlevel_defaults() } else { Limits::defaults() };
+        let base =
+            if info.backend == Backend::Gl { Limits::downlevel_defaults() } else { Limits::defaults() };
         let required_limits = Limits {
             max_texture_dimension_2d: offered.max_texture_dimension_2d,
             max_buffer_size: offered.max_buffer_size,
@@ -162,7 +164,8 @@ impl Gpu {
             usage,
             view_formats: &[],
         });
-        let view = texture.create_view(&wgpu::TextureViewDescriptor { label: Some(label), ..Default::default() });
+        let view =
+            texture.create_view(&wgpu::TextureViewDescriptor { label: Some(label), ..Default::default() });
         (texture, view)
     }
 }

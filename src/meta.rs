@@ -32,11 +32,16 @@ impl FrameRecord<'_> {
     #[must_use]
     pub fn to_json(&self) -> Value {
         let info = self.adapter;
-        let mut coverage: Map<String, Value> =
-            ClassId::ALL.iter().map(|class| (class.name.to_owned(), self.frame.coverage(class.id).into())).collect();
+        let mut coverage: Map<String, Value> = ClassId::ALL
+            .iter()
+            .map(|class| (class.name.to_owned(), self.frame.coverage(class.id).into()))
+            .collect();
         coverage.insert("unlabelled".to_owned(), self.frame.coverage(ClassId::UNLABELLED).into());
-        let ms: Map<String, Value> =
-            self.times.iter().map(|&(stage, ms)| (stage.to_owned(), json!((ms * 1e3).round() / 1e3))).collect();
+        let ms: Map<String, Value> = self
+            .times
+            .iter()
+            .map(|&(stage, ms)| (stage.to_owned(), json!((ms * 1e3).round() / 1e3)))
+            .collect();
         json!({
             "seed": self.seed,
             "stage": self.params.text(Knob::StageName),

@@ -65,7 +65,10 @@ impl LabelIds {
             rows.extend([(0, "BACKGROUND"), (1, "UNLABELLED")]);
         }
         rows.sort_unstable();
-        rows.into_iter().map(|(id, name)| (id.to_string(), json!({ "class": name }))).collect::<serde_json::Map<_, _>>().into()
+        rows.into_iter()
+            .map(|(id, name)| (id.to_string(), json!({ "class": name })))
+            .collect::<serde_json::Map<_, _>>()
+            .into()
     }
 }
 
@@ -115,9 +118,13 @@ pub fn parse_outputs(list: &str) -> Result<Vec<&'static Output>> {
     }
     let known = || OUTPUTS.iter().map(|output| output.name);
     if let Some(unknown) = words.iter().find(|word| **word != "all" && !known().any(|name| name == **word)) {
-        let meant = nearest(unknown, known()).map_or_else(String::new, |name| format!(" (did you mean `{name}`?)"));
+        let meant =
+            nearest(unknown, known()).map_or_else(String::new, |name| format!(" (did you mean `{name}`?)"));
         let names: Vec<&str> = known().collect();
-        return Err(Error::Usage(format!("--outputs: unknown output `{unknown}`{meant}; there are {} and all", names.join(", "))));
+        return Err(Error::Usage(format!(
+            "--outputs: unknown output `{unknown}`{meant}; there are {} and all",
+            names.join(", ")
+        )));
     }
     Ok(OUTPUTS.iter().filter(|output| words.contains(&"all") || words.contains(&output.name)).collect())
 }
@@ -268,9 +275,10 @@ mod tests {
 
     #[test]
     fn pictures_come_back_as_they_went() {
-        assert_eq!(decoded("rgb_0007.png", LabelIds::Canonical), image::DynamicImage::ImageRgb8(
-            image::RgbImage::from_raw(3, 2, frame().rgb).expect("a picture")
-        ));
+        assert_eq!(
+            decoded("rgb_0007.png", LabelIds::Canonical),
+            image::DynamicImage::ImageRgb8(image::RgbImage::from_raw(3, 2, frame().rgb).expect("a picture"))
+        );
         let mask = decoded("semantic_segmentation_0007.png", LabelIds::Canonical);
         assert_eq!(mask.color(), image::ColorType::L8);
         assert_eq!(mask.as_bytes(), frame().class);
@@ -296,7 +304,8 @@ mod tests {
 
     #[test]
     fn output_lists_are_checked() {
-        let names = |list| parse_outputs(list).map(|outputs| outputs.iter().map(|o| o.name).collect::<Vec<_>>());
+        let names =
+            |list| parse_outputs(list).map(|outputs| outputs.iter().map(|o| o.name).collect::<Vec<_>>());
         assert_eq!(names("mask, rgb").expect("known"), ["rgb", "mask"]);
         assert_eq!(names("all").expect("known").len(), OUTPUTS.len());
         let message = names("rgb,masks").expect_err("unknown").to_string();
@@ -330,9 +339,6 @@ mod tests {
         let error = check_folder(folder.path(), 0, false).expect_err("other content");
         assert!(error.to_string().contains("thesis.tex") && error.exit_status() == 2);
         assert!(check_folder(folder.path(), 0, true).is_ok());
-        assert!(matches!(
-            check_folder(&folder.path().join("thesis.tex"), 0, true),
-            Err(Error::OutIsFile(_))
-        ));
+        assert!(matches!(check_folder(&folder.path().join("thesis.tex"), 0, true), Err(Error::OutIsFile(_))));
     }
 }

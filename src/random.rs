@@ -90,7 +90,7 @@ mod tests {
         let drawn: Vec<u32> = (0..4).map(|_| stream.bits()).collect();
         assert_eq!(drawn, FIRST_BITS);
     }
-    const FIRST_BITS: [u32; 4] = [0, 0, 0, 0];
+    const FIRST_BITS: [u32; 4] = [2_410_832_724, 4_097_780_367, 1_629_051_110, 2_688_518_402];
 
     #[test]
     fn moments_are_those_of_the_distributions() {

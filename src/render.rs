@@ -53,12 +53,14 @@ impl RenderSettings {
     pub fn new(size: [u32; 2], samples: u32) -> Result<Self> {
         let [width, height] = size;
         if width == 0 || height == 0 {
-            return Err(Error::Usage(format!("--size {width}x{height}: a picture has at least one pixel each way")));
+            return Err(Error::Usage(format!(
+                "--size {width}x{height}: a picture has at least one pixel each way"
+            )));
         }
         match samples {
             1 | 4 | 16 => {
                 Ok(Self { size, samples_per_side: samples.isqrt(), outline_error_px: OUTLINE_ERROR_PX })
-            },
+            }
             _ => Err(Error::Usage(format!("--samples {samples}: allowed are 1, 4 (2 x 2) and 16 (4 x 4)"))),
         }
     }
@@ -156,10 +158,8 @@ impl Renderer {
     }
 
     fn submit_frame(&self, targets: &Targets, packed: &PackedFrame) {
-        let mut encoder = self
-            .gpu
-            .device
-            .create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") });
+        let mut encoder =
+            self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") });
         self.record_frame(&mut encoder, targets, packed);
         self.gpu.queue.submit([encoder.finish()]);
     }
@@ -219,7 +219,11 @@ impl Renderer {
             shadow: group(
                 "scene/shadow",
                 &self.layouts.shadow,
-                &[view(&self.shadow_pass.atlas), view(horizon), scene.caster_grid.buffer().as_entire_binding()],
+                &[
+                    view(&self.shadow_pass.atlas),
+                    view(horizon),
+                    scene.caster_grid.buffer().as_entire_binding(),
+                ],
             ),
             resolve: group(
                 "resolve",
@@ -247,7 +251,12 @@ impl BindLayouts {
         let group = |label, stages: ShaderStages, bindings: &[BindingType]| {
             let entries: Vec<_> = (0..)
                 .zip(bindings)
-                .map(|(binding, &ty)| wgpu::BindGroupLayoutEntry { binding, visibility: stages, ty, count: None })
+                .map(|(binding, &ty)| wgpu::BindGroupLayoutEntry {
+                    binding,
+                    visibility: stages,
+                    ty,
+                    count: None,
+                })
                 .collect();
             gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
                 label: Some(label),
@@ -266,7 +275,11 @@ impl BindLayouts {
         let (uint, depth) = (texture(TextureSampleType::Uint), texture(TextureSampleType::Depth));
         let drawing = ShaderStages::VERTEX_FRAGMENT;
         Self {
-            frame: group("frame", drawing | ShaderStages::COMPUTE, &[buffer(wgpu::BufferBindingType::Uniform)]),
+            frame: group(
+                "frame",
+                drawing | ShaderStages::COMPUTE,
+                &[buffer(wgpu::BufferBindingType::Uniform)],
+            ),
             scene: group("scene", drawing, &[read, read]),
             shadow: group("scene/shadow", ShaderStages::FRAGMENT, &[depth, float, read]),
             resolve: group("resolve", ShaderStages::COMPUTE, &[float, uint, depth, write]),

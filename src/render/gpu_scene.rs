@@ -179,7 +179,8 @@ impl GpuScene {
         };
         self.sphere_levels =
             Icosphere::shared().triangles.iter().map(|level| range(&mut level.iter().copied())).collect();
-        let spans = || (0..cells).step_by(BLOCK_CELLS as usize).map(|first| first..(first + BLOCK_CELLS).min(cells));
+        let spans =
+            || (0..cells).step_by(BLOCK_CELLS as usize).map(|first| first..(first + BLOCK_CELLS).min(cells));
         let blocks = spans()
             .flat_map(|rows| spans().map(move |columns| (columns, rows.clone())))
             .map(|(columns, rows)| {
@@ -193,7 +194,14 @@ impl GpuScene {
 
     /// Vertices, instances and draws of ground, rocks and sky; `outline_error` is the tangent of the angle by which
     /// an outline may be off.
-    fn upload_things(&mut self, gpu: &Gpu, scene: &Scene, frustum: &Frustum, outline_error: f32, casters: &[Caster]) {
+    fn upload_things(
+        &mut self,
+        gpu: &Gpu,
+        scene: &Scene,
+        frustum: &Frustum,
+        outline_error: f32,
+        casters: &[Caster],
+    ) {
         let mut draws = DrawList::default();
         let sphere: Vec<Vertex> = Icosphere::shared().directions[..Icosphere::vertex_count(DOME_LEVEL)]
             .iter()
@@ -290,7 +298,11 @@ impl GpuScene {
         let dome = instances.len() as u32;
         instances.push(in_sky(scene.sky.centre, scene.sky.radius_m, DOME_RADIANCE));
         for (level, range) in [(STAR_LEVEL, first_star..dome), (DOME_LEVEL, dome..dome + 1)] {
-            draws.sky.push(Draw { indices: self.sphere_levels[level].clone(), base_vertex: 0, instances: range });
+            draws.sky.push(Draw {
+                indices: self.sphere_levels[level].clone(),
+                base_vertex: 0,
+                instances: range,
+            });
         }
         self.draws = draws;
         let stride = size_of::<Vertex>();
@@ -311,8 +323,11 @@ impl GpuScene {
         }
         if let Some((texture, _)) = &self.horizon {
             let bytes: &[u8] = bytemuck::cast_slice(&map.heights_m);
-            let layout =
-                wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(8 * width), rows_per_image: None };
+            let layout = wgpu::TexelCopyBufferLayout {
+                offset: 0,
+                bytes_per_row: Some(8 * width),
+                rows_per_image: None,
+            };
             let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
             gpu.queue.write_texture(texture.as_image_copy(), bytes, layout, size);
             self.uploaded_bytes += bytes.len() as u64;
@@ -336,7 +351,8 @@ fn block_bounds(scene: &Scene, columns: &Range<u32>, rows: &Range<u32>) -> (Vec3
 
 fn frame_uniforms(scene: &Scene, settings: &RenderSettings, horizon: &HorizonMap) -> FrameUniforms {
     let (camera, sun) = (&scene.camera, &scene.sun);
-    let sun_right = if sun.direction.z.abs() > 0.999 { Vec3::X } else { Vec3::Z.cross(sun.direction).normalize() };
+    let sun_right =
+        if sun.direction.z.abs() > 0.999 { Vec3::X } else { Vec3::Z.cross(sun.direction).normalize() };
     let sun_right = (sun_right - sun.direction * sun_right.dot(sun.direction)).normalize();
     let clip_from_offset = camera.clip_from_world(settings.size) * Mat4::from_translation(camera.eye);
     FrameUniforms {

@@ -8,7 +8,7 @@ use crate::gpu::Gpu;
 
 /// Pipelines of the pass.
 #[derive(Debug)]
-pub struct ScenePass {
+pub(super) struct ScenePass {
     surface: wgpu::RenderPipeline,
     sky: wgpu::RenderPipeline,
 }
@@ -16,18 +16,25 @@ pub struct ScenePass {
 impl ScenePass {
     /// Compiles the pass.
     #[must_use]
-    pub fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
+    pub(super) fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
         let positions_and_normals = wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3];
         let positions = wgpu::vertex_attr_array![0 => Float32x3];
         Self {
-            surface: pipeline(gpu, &SURFACE, layouts, Some(&layouts.shadow), &positions_and_normals, Some(wgpu::Face::Back)),
+            surface: pipeline(
+                gpu,
+                &SURFACE,
+                layouts,
+                Some(&layouts.shadow),
+                &positions_and_normals,
+                Some(wgpu::Face::Back),
+            ),
             // The dome is seen from inside, the stars from outside.
             sky: pipeline(gpu, &SKY, layouts, None, &positions, None),
         }
     }
 
     /// Records the pass.
-    pub fn record(
+    pub(super) fn record(
         &self,
         encoder: &mut wgpu::CommandEncoder,
         scene: &GpuScene,
@@ -55,7 +62,10 @@ impl ScenePass {
             color_attachments: &attachments,
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
                 view: &targets.depth,
-                depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Store }),
+                depth_ops: Some(wgpu::Operations {
+                    load: wgpu::LoadOp::Clear(0.0),
+                    store: wgpu::StoreOp::Store,
+                }),
                 stencil_ops: None,
             }),
             timestamp_writes: timestamps,
@@ -88,7 +98,11 @@ fn pipeline(
         immediate_size: 0,
     });
     let targets = Plane::ALL.map(|plane| {
-        Some(wgpu::ColorTargetState { format: plane.format(), blend: None, write_mask: wgpu::ColorWrites::ALL })
+        Some(wgpu::ColorTargetState {
+            format: plane.format(),
+            blend: None,
+            write_mask: wgpu::ColorWrites::ALL,
+        })
     });
     gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some(program.name),

@@ -185,7 +185,8 @@ mod tests {
             for entry in std::fs::read_dir(folder).expect("the shader folder") {
                 let path = entry.expect("an entry").path();
                 if path.extension().is_some_and(|e| e == "wgsl") {
-                    let name = path.strip_prefix(&root).expect("below the root").to_string_lossy().into_owned();
+                    let name =
+                        path.strip_prefix(&root).expect("below the root").to_string_lossy().into_owned();
                     assert!(
                         PROGRAMS.iter().any(|p| p.files.iter().any(|(file, _)| *file == name)),
                         "{name} is in no program"
@@ -209,7 +210,8 @@ mod tests {
             let module = parse(program);
             for (_, kind) in module.types.iter() {
                 let naga::TypeInner::Struct { members, span } = &kind.inner else { continue };
-                let Some((name, layout, size)) = layouts.iter().find(|l| kind.name.as_deref() == Some(l.0)) else {
+                let Some((name, layout, size)) = layouts.iter().find(|l| kind.name.as_deref() == Some(l.0))
+                else {
                     continue;
                 };
                 let shader: Vec<(String, usize, usize)> = members

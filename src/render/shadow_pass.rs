@@ -10,16 +10,16 @@ use crate::gpu::Gpu;
 
 /// Pipelines and atlas of the pass.
 #[derive(Debug)]
-pub struct ShadowPass {
+pub(super) struct ShadowPass {
     layers: [wgpu::RenderPipeline; 2],
     /// Both layers, fronts above backs.
-    pub atlas: wgpu::TextureView,
+    pub(super) atlas: wgpu::TextureView,
 }
 
 impl ShadowPass {
     /// Compiles the pass.
     #[must_use]
-    pub fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
+    pub(super) fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
         let module = SHADOW.compile(gpu);
         let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("shadow/layout"),
@@ -47,17 +47,15 @@ impl ShadowPass {
                 cache: None,
             })
         };
-        let layers = [
-            layer("shadow/fronts", 0.0, wgpu::Face::Back),
-            layer("shadow/backs", 1.0, wgpu::Face::Front),
-        ];
+        let layers =
+            [layer("shadow/fronts", 0.0, wgpu::Face::Back), layer("shadow/backs", 1.0, wgpu::Face::Front)];
         let size = [shadow::atlas_px(), 2 * shadow::atlas_px()];
         let usage = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
         Self { layers, atlas: gpu.texture("shadow/atlas", size, DEPTH_FORMAT, usage).1 }
     }
 
     /// Records the pass.
-    pub fn record(
+    pub(super) fn record(
         &self,
         encoder: &mut wgpu::CommandEncoder,
         scene: &GpuScene,
@@ -69,7 +67,10 @@ impl ShadowPass {
             color_attachments: &[],
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
                 view: &self.atlas,
-                depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Store }),
+                depth_ops: Some(wgpu::Operations {
+                    load: wgpu::LoadOp::Clear(0.0),
+                    store: wgpu::StoreOp::Store,
+                }),
                 stencil_ops: None,
             }),
             timestamp_writes: timestamps,

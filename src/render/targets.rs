@@ -80,7 +80,9 @@ impl Targets {
         let needed_px = width.max(height).saturating_mul(samples_per_side);
         // Besides the textures' sides, the packed result must fit into one binding.
         let packed_bytes = u64::from(width) * u64::from(height) * 4;
-        if needed_px > limits.max_texture_dimension_2d || packed_bytes > limits.max_storage_buffer_binding_size {
+        if needed_px > limits.max_texture_dimension_2d
+            || packed_bytes > limits.max_storage_buffer_binding_size
+        {
             return Err(Error::SizeBeyondDevice {
                 width,
                 height,

@@ -29,7 +29,11 @@ impl Timer {
                 ty: wgpu::QueryType::Timestamp,
                 count: QUERIES,
             }),
-            buffer: gpu.buffer("timing/resolved", BYTES, BufferUsages::QUERY_RESOLVE | BufferUsages::COPY_SRC),
+            buffer: gpu.buffer(
+                "timing/resolved",
+                BYTES,
+                BufferUsages::QUERY_RESOLVE | BufferUsages::COPY_SRC,
+            ),
             readback: Readback::new(gpu, "timing/readback", BYTES),
         })
     }
@@ -58,8 +62,10 @@ impl Timer {
     pub(super) fn read(&self, gpu: &Gpu) -> Result<StageTimes> {
         let to_ms = f64::from(gpu.queue.get_timestamp_period()) * 1e-6;
         self.readback.read(gpu, |bytes| {
-            let ticks: Vec<u64> =
-                bytes.chunks_exact(8).map(|tick| u64::from_le_bytes(tick.try_into().unwrap_or_default())).collect();
+            let ticks: Vec<u64> = bytes
+                .chunks_exact(8)
+                .map(|tick| u64::from_le_bytes(tick.try_into().unwrap_or_default()))
+                .collect();
             PASSES
                 .iter()
                 .zip(ticks.chunks_exact(2))

@@ -41,8 +41,7 @@ impl Camera {
     /// # Errors
     /// [`Error::Scene`] if the drawn ground comes to the lens: a very low camera on very rough ground.
     pub fn build(params: &Params, terrain: &Terrain) -> Result<Self> {
-        let place =
-            Vec2::new(params.number(Knob::CameraXM) as f32, params.number(Knob::CameraYM) as f32);
+        let place = Vec2::new(params.number(Knob::CameraXM) as f32, params.number(Knob::CameraYM) as f32);
         let height_m = params.number(Knob::CameraHeightM) as f32;
         let eye = place.extend(terrain.height_at(place) + height_m);
         let clearance_m = eye.z - terrain.surface_height_at(place);

@@ -61,8 +61,7 @@ pub fn value_noise_2d(p: [f32; 2], seed: u32) -> f32 {
 #[must_use]
 pub fn value_noise_3d(p: [f32; 3], seed: u32) -> f32 {
     let ([x, y, z], [u, v, w]) = (p.map(floor), p.map(fraction).map(smoothstep));
-    let corner =
-        |dx, dy, dz| lattice_value(x.wrapping_add(dx), y.wrapping_add(dy), z.wrapping_add(dz), seed);
+    let corner = |dx, dy, dz| lattice_value(x.wrapping_add(dx), y.wrapping_add(dy), z.wrapping_add(dz), seed);
     let plane = |dz| {
         lerp(lerp(corner(0, 0, dz), corner(1, 0, dz), u), lerp(corner(0, 1, dz), corner(1, 1, dz), u), v)
     };

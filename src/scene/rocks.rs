@@ -81,8 +81,10 @@ pub fn build(streams: &Streams, params: &Params, terrain: &Terrain, eye: Vec3) -
     (0..u64::from(params.count(Knob::RocksCount)))
         .into_par_iter()
         .map(|k| {
-            let placed = if k < near_count { place_near(streams, params, k) } else { place_far(streams, params, k) };
-            let material = materials[streams.stream("rocks.material", k).uniform_int(0, MATERIALS as i64 - 1) as usize];
+            let placed =
+                if k < near_count { place_near(streams, params, k) } else { place_far(streams, params, k) };
+            let material =
+                materials[streams.stream("rocks.material", k).uniform_int(0, MATERIALS as i64 - 1) as usize];
             Rock::build(streams, params, terrain, eye, k, placed, material)
         })
         .collect()
@@ -168,14 +170,17 @@ impl Rock {
     ) -> Self {
         let level = authored_level(placed.base_scale_m);
         let sphere = Icosphere::shared();
-        let shape = Shape::draw(&mut streams.stream("rocks.shape", k), params.number(Knob::RocksDisplacement));
-        let mesh_from_unit = draw_scale_and_rotation(&mut streams.stream("rocks.pose", k), placed.base_scale_m);
+        let shape =
+            Shape::draw(&mut streams.stream("rocks.shape", k), params.number(Knob::RocksDisplacement));
+        let mesh_from_unit =
+            draw_scale_and_rotation(&mut streams.stream("rocks.pose", k), placed.base_scale_m);
         let mut vertices: Vec<Vertex> = sphere.directions[..Icosphere::vertex_count(level)]
             .iter()
             .map(|&u| Vertex { position: mesh_from_unit * (shape.radius(u) * u), normal: Vec3::Z })
             .collect();
         set_smooth_normals(&mut vertices, &sphere.triangles[level]);
-        let lowest = vertices.iter().map(|v| v.position).min_by(|a, b| a.z.total_cmp(&b.z)).unwrap_or_default();
+        let lowest =
+            vertices.iter().map(|v| v.position).min_by(|a, b| a.z.total_cmp(&b.z)).unwrap_or_default();
         let highest_z = vertices.iter().map(|v| v.position.z).fold(f32::MIN, f32::max);
         let radius_m = vertices.iter().map(|v| v.position.length_squared()).fold(0.0, f32::max).sqrt();
         let mut rock = Self {
@@ -230,7 +235,8 @@ impl Rock {
         // The surface is star-shaped around the centre, so the point is inside if the face that its direction
         // pierces lies beyond it.
         let inside = triangles.iter().map(corners).any(|[a, b, c]| {
-            let pierced = a.cross(b).dot(local) >= 0.0 && b.cross(c).dot(local) >= 0.0 && c.cross(a).dot(local) >= 0.0;
+            let pierced =
+                a.cross(b).dot(local) >= 0.0 && b.cross(c).dot(local) >= 0.0 && c.cross(a).dot(local) >= 0.0;
             pierced && (b - a).cross(c - a).dot(local - a) <= 0.0
         });
         if inside {
@@ -373,7 +379,11 @@ mod tests {
                 let [a, b, c] = t.map(|v| rock.vertices[v as usize].position);
                 (b - a).cross(c - a).dot(a) > 0.0
             });
-            assert_eq!(outward.count(), 20 << (2 * rock.level), "a star-shaped surface has no face turned inward");
+            assert_eq!(
+                outward.count(),
+                20 << (2 * rock.level),
+                "a star-shaped surface has no face turned inward"
+            );
             assert_eq!(rock.level, authored_level(f64::from(rock.base_scale_m)));
             let flatness = (rock.z_range_m[1] - rock.z_range_m[0]) / (2.0 * rock.radius_m);
             assert!((0.2..1.0).contains(&flatness), "rock {}: {flatness}", rock.index);

@@ -135,11 +135,7 @@ impl Terrain {
     #[must_use]
     pub fn surface_height_at(&self, p: Vec2) -> f32 {
         let ([h00, h10, h01, h11], u, v) = self.cell_at(p);
-        if u >= v {
-            h00 + (h10 - h00) * u + (h11 - h10) * v
-        } else {
-            h00 + (h01 - h00) * v + (h11 - h01) * u
-        }
+        if u >= v { h00 + (h10 - h00) * u + (h11 - h10) * v } else { h00 + (h01 - h00) * v + (h11 - h01) * u }
     }
 
     /// The two triangles of each cell of a block of cells, counter-clockwise seen from above; the cell's

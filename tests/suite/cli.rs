@@ -1,0 +1,296 @@
+//! The real program: what it writes, and what it says to wrong input.
+
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::Path;
+
+use crate::support::{folder, json, program, run, run_ok};
+
+/// Runs a command that must fail with this status, say all of this, and leave the folder as it was.
+fn assert_refused(words: &[&str], status: i32, said: &[&str]) {
+    let folder = folder();
+    std::fs::write(folder.path().join("a_file"), "not a folder").expect("written");
+    std::fs::write(folder.path().join("broken.toml"), "[sun]\nelevation_deg = = 3\n").expect("written");
+    std::fs::write(folder.path().join("typo.toml"), "[sun]\nelevation_dg = 3\n").expect("written");
+    let output = run(folder.path(), words);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(status), "{words:?}: {message}");
+    for text in said {
+        assert!(message.contains(text), "{words:?} should say `{text}`:\n{message}");
+    }
+    assert!(!message.contains("panicked") && !message.contains("backtrace"), "{message}");
+    assert!(output.stdout.is_empty(), "{words:?} printed a result");
+    let mut left: Vec<_> =
+        std::fs::read_dir(folder.path()).expect("read").map(|e| e.expect("an entry").file_name()).collect();
+    left.sort();
+    assert_eq!(left, ["a_file", "broken.toml", "typo.toml"], "{words:?} wrote something");
+}
+
+#[test]
+fn wrong_settings_are_refused_by_name_value_and_remedy() {
+    for (words, said) in [
+        (
+            &["--set", "sun.elevaton_deg=3"][..],
+            &["unknown knob `sun.elevaton_deg`", "did you mean `sun.elevation_deg`"][..],
+        ),
+        (&["--set", "sun.elevation_deg=95"], &["sun.elevation_deg = 95", "0.5 to 90 deg"]),
+        (&["--set", "sun.elevation_deg=nan"], &["sun.elevation_deg = nan", "finite", "0.5 to 90 deg"]),
+        (&["--set", "rocks.count=-1"], &["rocks.count = -1", "whole numbers, 0 to 5000"]),
+        (&["--set", "sun.elevation_deg"], &["KEY=VALUE"]),
+        (&["--set", "camera.x_m=700"], &["contradict", "camera.x_m = 700", "terrain.size_m"]),
+        (&["--size", "0"], &["--size 0x0", "at least one pixel"]),
+        (&["--size", "512x0"], &["--size 512x0"]),
+        (&["--size", "big"], &["--size", "`big` is not a number of pixels"]),
+        (&["--size", "100000"], &["100000x100000", "smaller --size"]),
+        (&["--samples", "3"], &["--samples 3", "1, 4 (2 x 2) and 16"]),
+        (&["--preset", "referense"], &["unknown preset `referense`", "did you mean `reference`", "train_dr"]),
+        (&["--stage", "mars"], &["stage.name = \"mars\"", "nominal"]),
+        (&["--config", "broken.toml"], &["broken.toml, line 2, column 17"]),
+        (&["--config", "typo.toml"], &["sun.elevation_dg", "typo.toml", "did you mean `sun.elevation_deg`"]),
+        (&["--config", "missing.toml"], &["cannot read missing.toml"]),
+        (&["--outputs", "rgb,masks"], &["unknown output `masks`", "did you mean `mask`"]),
+        (&["--out", "a_file"], &["--out a_file is a file"]),
+        (&["--out", "."], &["already holds a_file", "--force"]),
+        (&["--adapter", "voodoo"], &["no adapter matches `voodoo`", "llvmpipe"]),
+        (&["--seed", "-1"], &["--seed"]),
+        (&["--seeds", "1"], &["--seed"]),
+        (&["--label-ids", "mine"], &["canonical", "replicator"]),
+    ] {
+        assert_refused(words, 2, said);
+    }
+}
+
+#[test]
+fn no_adapter_at_all_says_how_to_get_one() {
+    let folder = folder();
+    let output = program(folder.path())
+        .env("VK_DRIVER_FILES", "/nonexistent.json")
+        .env("VK_ICD_FILENAMES", "/nonexistent.json")
+        .env("WGPU_BACKEND", "vulkan")
+        .output()
+        .expect("the program starts");
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(message.contains("no graphics adapter") && message.contains("mesa-vulkan-drivers"), "{message}");
+    assert!(!folder.path().join("out").exists());
+}
+
+#[test]
+fn a_device_lost_in_mid_frame_is_an_error_and_leaves_nothing() {
+    let folder = folder();
+    let output =
+        program(folder.path()).env("REGOLITH_FAULT", "device-lost").output().expect("the program starts");
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(message.contains("device was lost") && message.contains("nothing was written"), "{message}");
+    assert!(!message.contains("panicked") && !message.contains("defect"), "{message}");
+    assert!(!folder.path().join("out").exists());
+}
+
+/// Root may write anywhere, so a place that refuses everybody stands in for a read-only disk.
+#[test]
+fn a_place_that_cannot_be_written_is_an_error() {
+    let folder = folder();
+    for out in ["/proc/regolith", "/dev/null/out"] {
+        let output = run(folder.path(), &["--size", "16", "--out", out]);
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{message}");
+        assert!(message.contains(&format!("cannot write {out}")), "{message}");
+    }
+}
+
+/// A file size limit makes the kernel refuse writes in the middle of a file, as a full disk does.
+#[test]
+fn a_full_disk_leaves_no_half_written_file() {
+    let folder = folder();
+    let script = format!(
+        "trap '' XFSZ; ulimit -f 8; exec '{}' --seed 3 --out out --quiet",
+        env!("CARGO_BIN_EXE_regolith-render")
+    );
+    let output = std::process::Command::new("bash")
+        .args(["-c", &script])
+        .current_dir(folder.path())
+        .env("WGPU_ADAPTER_NAME", "cpu")
+        .env("MESA_SHADER_CACHE_DISABLE", "true")
+        .output()
+        .expect("bash");
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(message.contains("cannot write out/"), "{message}");
+    assert!(!folder.path().join("out").exists(), "nothing is left");
+}
+
+#[test]
+fn one_frame_is_the_five_files_of_the_contract() {
+    let folder = folder();
+    let printed = run_ok(folder.path(), &["--seed", "7", "--size", "200x120"]);
+    let expected = [
+        "out/rgb_0000.png",
+        "out/semantic_segmentation_0000.png",
+        "out/semantic_segmentation_labels_0000.json",
+        "out/preview_0000.png",
+        "out/frame_0000.json",
+    ];
+    assert_eq!(printed.lines().collect::<Vec<_>>(), expected);
+    for name in expected {
+        let file = std::fs::metadata(folder.path().join(name)).expect("a file");
+        assert_eq!(file.permissions().mode() & 0o600, 0o600);
+        assert_eq!(file.permissions().mode() & 0o044, 0o044, "others may read {name}");
+    }
+    let mask = image::open(folder.path().join(expected[1])).expect("a mask");
+    assert_eq!((mask.width(), mask.height(), mask.color()), (200, 120, image::ColorType::L8));
+    let rgb = image::open(folder.path().join(expected[0])).expect("a picture");
+    assert_eq!((rgb.width(), rgb.height(), rgb.color()), (200, 120, image::ColorType::Rgb8));
+
+    let meta = json(&folder.path().join("out/frame_0000.json"));
+    assert_eq!((&meta["seed"], &meta["stage"], &meta["samples"]), (&7.into(), &"nominal".into(), &4.into()));
+    assert_eq!(meta["size"], serde_json::json!([200, 120]));
+    assert_eq!(meta["knobs"].as_object().map(serde_json::Map::len), Some(regolith::params::KNOBS.len()));
+    assert!((75..=114).contains(&meta["knobs"]["rocks.count"].as_u64().expect("a count")));
+    let ids = mask.into_luma8();
+    for (class, id) in [("regolith", 0), ("rock", 1), ("sky", 2), ("unlabelled", 255)] {
+        let share = ids.iter().filter(|value| **value == id).count() as f64 / 24_000.0;
+        assert!((meta["coverage"][class].as_f64().expect("a fraction") - share).abs() < 1e-9);
+    }
+    for stage in ["scene", "pipelines", "upload", "shadow", "scene_pass", "readback", "encode"] {
+        assert!(meta["ms"][stage].is_f64(), "{stage} in {}", meta["ms"]);
+    }
+    for key in ["fx", "fy", "cx", "cy", "K", "world_from_camera", "world_from_camera_gl", "near_m", "far_m"] {
+        assert!(!meta["camera"][key].is_null(), "camera.{key}");
+    }
+    assert_eq!(meta["camera"]["cx"], 100.0);
+    assert_eq!(meta["geometry_hash"].as_str().map(str::len), Some(32));
+    assert!(meta["adapter"]["name"].as_str().is_some_and(|name| name.contains("llvmpipe")));
+}
+
+/// A point of the world, projected with the recorded matrices, falls on the pixel where it is drawn: the corner of
+/// the picture sees along the direction that K and the pose say.
+#[test]
+fn the_recorded_camera_projects_the_horizon_where_it_is() {
+    let folder = folder();
+    let words = [
+        "--size",
+        "256",
+        "--set",
+        "rocks.count=0",
+        "--set",
+        "terrain.amplitude_m=0",
+        "--set",
+        "craters.count=0",
+    ];
+    run_ok(folder.path(), &[&words[..], &["--set", "camera.pitch_deg=-10"]].concat());
+    let meta = json(&folder.path().join("out/frame_0000.json"));
+    let number = |value: &serde_json::Value| value.as_f64().expect("a number");
+    let (fy, cy) = (number(&meta["camera"]["fy"]), number(&meta["camera"]["cy"]));
+    // The far edge of flat ground 2 m below the eye, 550 m ahead.
+    let pose = &meta["camera"]["world_from_camera"];
+    let axis = |row: usize, column: usize| number(&pose[row][column]);
+    let offset = [0.0 - axis(0, 3), 460.0 - axis(1, 3), 0.0 - axis(2, 3)];
+    let along = |column: usize| (0..3).map(|row| axis(row, column) * offset[row]).sum::<f64>();
+    let v = cy + fy * along(1) / along(2);
+    let mask =
+        image::open(folder.path().join("out/semantic_segmentation_0000.png")).expect("a mask").into_luma8();
+    let first_ground = (0..256).find(|y| mask.get_pixel(128, *y).0 == [0]).expect("ground");
+    assert!((f64::from(first_ground) - v).abs() <= 1.0, "drawn at row {first_ground}, projected to {v}");
+}
+
+#[test]
+fn chosen_outputs_and_replicator_ids() {
+    let folder = folder();
+    run_ok(folder.path(), &["--size", "64", "--outputs", "mask", "--label-ids", "replicator"]);
+    let mut names: Vec<_> = std::fs::read_dir(folder.path().join("out"))
+        .expect("read")
+        .map(|e| e.expect("an entry").file_name().to_string_lossy().into_owned())
+        .collect();
+    names.sort();
+    assert_eq!(names, ["semantic_segmentation_0000.png", "semantic_segmentation_labels_0000.json"]);
+    let labels = json(&folder.path().join("out/semantic_segmentation_labels_0000.json"));
+    assert_eq!(labels["4"]["class"], "regolith");
+    let mask = image::open(folder.path().join("out").join(&names[0])).expect("a mask").into_luma8();
+    assert!(mask.iter().all(|id| [2, 3, 4].contains(id)));
+}
+
+#[test]
+fn set_wins_over_config_over_preset_over_defaults() {
+    let folder = folder();
+    std::fs::write(folder.path().join("my.toml"), "[sun]\nelevation_deg = 33\nazimuth_deg = 44\n")
+        .expect("written");
+    let words =
+        ["params", "--preset", "train_nodr", "--config", "my.toml", "--set", "sun.azimuth_deg=55", "--json"];
+    let rows: serde_json::Value = serde_json::from_str(&run_ok(folder.path(), &words)).expect("JSON");
+    let value = |name: &str| {
+        let rows = rows.as_array().expect("rows");
+        rows.iter().find(|row| row["name"] == name).expect("a knob")["value"].clone()
+    };
+    assert_eq!(value("sun.azimuth_deg"), 55.0);
+    assert_eq!(value("sun.elevation_deg"), 33.0);
+    assert_eq!(value("regolith.albedo"), 0.18);
+    assert_eq!(value("sky.dome_radius_m"), 600.0);
+}
+
+#[test]
+fn the_listing_of_knobs_is_a_config() {
+    let folder = folder();
+    let listing = run_ok(folder.path(), &["params", "--preset", "train_dr"]);
+    std::fs::write(folder.path().join("my.toml"), listing).expect("written");
+    run_ok(folder.path(), &["--config", "my.toml", "--size", "32", "--out", "a"]);
+    run_ok(folder.path(), &["--preset", "train_dr", "--size", "32", "--out", "b"]);
+    let read = |out: &str| std::fs::read(folder.path().join(out).join("rgb_0000.png")).expect("a picture");
+    assert!(read("a") == read("b"));
+}
+
+#[test]
+fn results_go_to_stdout_and_messages_to_stderr_without_noise() {
+    let folder = folder();
+    let adapters: serde_json::Value =
+        serde_json::from_str(&run_ok(folder.path(), &["adapters", "--json"])).expect("JSON");
+    assert!(adapters.as_array().is_some_and(|rows| rows.iter().any(|row| row["kind"] == "CPU driver")));
+    let quiet = program(folder.path())
+        .args(["--size", "32", "-q"])
+        .env_remove("XDG_RUNTIME_DIR")
+        .output()
+        .expect("run");
+    assert!(quiet.status.success() && quiet.stderr.is_empty(), "{}", String::from_utf8_lossy(&quiet.stderr));
+    let json_run = run_ok(folder.path(), &["--size", "32", "--json"]);
+    let record: serde_json::Value = serde_json::from_str(&json_run).expect("JSON");
+    assert_eq!(record["frame"]["seed"], 42);
+    assert!(run_ok(folder.path(), &["completions", "bash"]).contains("regolith-render"));
+    assert!(run_ok(folder.path(), &["--help"]).contains("--preset reference"));
+}
+
+/// GL through EGL draws what Vulkan draws: the same classes but for a few pixels on outlines.
+#[test]
+fn gl_agrees_with_vulkan() {
+    let folder = folder();
+    let frame = |backend: &str| {
+        let output = program(folder.path())
+            .args(["--seed", "5", "--size", "256", "--out", backend])
+            .env("WGPU_BACKEND", backend)
+            .output()
+            .expect("the program starts");
+        assert!(output.status.success(), "{backend}: {}", String::from_utf8_lossy(&output.stderr));
+        let open = |name: &str| image::open(folder.path().join(backend).join(name)).expect("a picture");
+        let meta = json(&folder.path().join(backend).join("frame_0000.json"));
+        let used = meta["adapter"]["backend"].as_str().unwrap_or_default().to_lowercase();
+        assert_eq!(used, backend, "the backend that was asked for");
+        (open("rgb_0000.png").into_rgb8(), open("semantic_segmentation_0000.png").into_luma8())
+    };
+    let (vulkan, gl) = (frame("vulkan"), frame("gl"));
+    let different = vulkan.1.iter().zip(gl.1.iter()).filter(|(a, b)| a != b).count();
+    assert!(different <= 65, "{different} pixels of 65536 have another class");
+    let sum: u64 = vulkan.0.iter().zip(gl.0.iter()).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
+    let mean = sum as f64 / (3.0 * 65_536.0);
+    assert!(mean < 0.5, "mean difference {mean}");
+}
+
+#[test]
+fn a_folder_with_other_content_needs_force() {
+    let folder = folder();
+    let out = folder.path().join("out");
+    std::fs::create_dir(&out).expect("a folder");
+    std::fs::write(out.join("notes.txt"), "mine").expect("written");
+    let refused = run(folder.path(), &["--size", "16"]);
+    assert_eq!(refused.status.code(), Some(2));
+    run_ok(folder.path(), &["--size", "16", "--force"]);
+    run_ok(folder.path(), &["--size", "16", "--force"]);
+    assert!(Path::exists(&out.join("notes.txt")) && Path::exists(&out.join("rgb_0000.png")));
+}

@@ -57,7 +57,10 @@ fn lambert_ground_has_the_radiance_of_the_formula() {
         let expected = ground_radiance(&sun, 1.0).to_array().map(|x| encoded(f64::from(x)));
         for pixel in frame.rgb.chunks_exact(3) {
             for (value, expected) in pixel.iter().zip(expected) {
-                assert!((f64::from(*value) - expected).abs() <= 0.6, "{pixel:?} for {expected} at {elevation_deg}");
+                assert!(
+                    (f64::from(*value) - expected).abs() <= 0.6,
+                    "{pixel:?} for {expected} at {elevation_deg}"
+                );
             }
         }
         assert_eq!(frame.count(ClassId::REGOLITH), 32 * 32);
@@ -69,7 +72,11 @@ fn the_sky_alone_is_sky_and_has_its_own_radiance() {
     let frame = render(&scene(4, &["camera.pitch_deg=60", "camera.fov_deg=40", "sky.star_count=0"]), 64, 4);
     assert_eq!(frame.count(ClassId::SKY), 64 * 64);
     let expected = DOME_RADIANCE.to_array().map(|x| encoded(f64::from(x)).round() as u8);
-    assert!(frame.rgb.chunks_exact(3).all(|pixel| pixel == expected), "{expected:?}, not {:?}", &frame.rgb[..3]);
+    assert!(
+        frame.rgb.chunks_exact(3).all(|pixel| pixel == expected),
+        "{expected:?}, not {:?}",
+        &frame.rgb[..3]
+    );
 }
 
 #[test]
@@ -131,10 +138,7 @@ fn the_penumbra_widens_with_distance_as_the_sun_s_disc_says() {
         let width_m = distance_m * 2.0 * 0.265_f32.to_radians().tan();
         let eye = Vec3::new(0.0, 0.0, 1.2 * distance_m * sun.direction.z + 8.0);
         let fov_deg = 2.0 * f64::from(2.5 * width_m / eye.z).atan().to_degrees();
-        let mut scene = flat_scene(sun, vec![ball(centre, radius_m)], eye, fov_deg);
-        if centre.y + radius_m > -0.01 {
-            scene.rocks[0].centre.y -= 0.0;
-        }
+        let scene = flat_scene(sun, vec![ball(centre, radius_m)], eye, fov_deg);
         let side = 128;
         let frame = render(&scene, side, 4);
         let (mut sum, mut worst, mut n) = (0.0_f64, 0.0_f64, 0);
@@ -180,7 +184,7 @@ fn flat_ground_at_grazing_sun_has_no_acne_and_no_leak_under_a_rock() {
             let p = p * metres_per_px;
             let (along, across) = (p.dot(away), p.perp_dot(away).abs());
             let value = f64::from(pixel[0]);
-            if along < -0.1 || across > 1.7 {
+            if (along < -0.1 || across > 1.7) && p.length() > 1.6 {
                 assert!((value - lit).abs() <= 0.6, "{p} m, sun {elevation_deg}: {value} for {lit}");
                 lit_seen += 1;
             } else if along > 0.0 && across < 1.3 && along < 1.9 && p.length() > 1.52 {

@@ -1,0 +1,227 @@
+//! 200 seeds against the specification of the nominal stage.
+
+use std::sync::LazyLock;
+
+use glam::Vec2;
+use regolith::class::ClassId;
+use regolith::scene::Scene;
+use regolith::scene::mesh::Icosphere;
+
+use crate::support::{params, render, scene};
+
+const SEEDS: u64 = 200;
+const NEAR: usize = 12;
+
+static SCENES: LazyLock<Vec<Scene>> = LazyLock::new(|| (0..SEEDS).map(|seed| scene(seed, &[])).collect());
+
+fn mean(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, n) = values.fold((0.0, 0.0), |(sum, n), value| (sum + value, n + 1.0));
+    sum / n
+}
+
+/// Largest distance between the distribution of the values and the uniform one over a range (Kolmogorov-Smirnov),
+/// times the root of their number: above 1.95 has a chance of one in a thousand.
+fn ks_uniform(values: impl Iterator<Item = f64>, low: f64, high: f64) -> f64 {
+    let mut sorted: Vec<f64> = values.map(|value| (value - low) / (high - low)).collect();
+    sorted.sort_by(f64::total_cmp);
+    let n = sorted.len() as f64;
+    let worst = (0..).zip(&sorted).fold(0.0_f64, |worst, (i, value)| {
+        let (below, above) = (f64::from(i) / n, f64::from(i + 1) / n);
+        worst.max((value - below).abs()).max((above - value).abs())
+    });
+    worst * n.sqrt()
+}
+
+#[test]
+fn counts_are_uniform_over_their_ranges() {
+    let mut rocks = [0_u32; 40];
+    let mut craters = [0_u32; 5];
+    for scene in SCENES.iter() {
+        rocks[scene.rocks.len() - 75] += 1;
+        craters[scene.terrain.craters.len() - 6] += 1;
+        assert_eq!(scene.sky.stars.len(), 220);
+    }
+    assert!(rocks.iter().filter(|count| **count > 0).count() > 35, "{rocks:?}");
+    assert!(craters.iter().all(|count| (20..=65).contains(count)), "{craters:?}");
+    let middle = mean(SCENES.iter().map(|scene| scene.rocks.len() as f64));
+    assert!((middle - 94.5).abs() < 3.0, "{middle}");
+}
+
+#[test]
+fn craters_have_the_stated_sizes() {
+    let craters: Vec<_> = SCENES.iter().flat_map(|scene| &scene.terrain.craters).collect();
+    for crater in &craters {
+        assert!(crater.centre.abs().max_element() <= 383.0);
+        assert!((10.0..38.0).contains(&crater.radius_m) && (1.5..5.5).contains(&crater.depth_m));
+        assert!((0.18..0.35).contains(&(crater.rim_m / crater.depth_m)));
+    }
+    let all = |value: fn(&regolith::scene::terrain::Crater) -> f32| {
+        craters.iter().map(move |c| f64::from(value(c)))
+    };
+    assert!(ks_uniform(all(|c| c.radius_m), 10.0, 38.0) < 1.95);
+    assert!(ks_uniform(all(|c| c.depth_m), 1.5, 5.5) < 1.95);
+    assert!(ks_uniform(all(|c| c.centre.x), -383.0, 383.0) < 1.95);
+    assert!(ks_uniform(all(|c| c.centre.y), -383.0, 383.0) < 1.95);
+}
+
+#[test]
+fn rocks_have_the_stated_sizes_places_and_detail() {
+    let mut large = 0.0;
+    let mut far_count = 0.0;
+    for rock in SCENES.iter().flat_map(|scene| &scene.rocks) {
+        let near = (rock.index as usize) < NEAR;
+        let base = rock.base_scale_m;
+        let at = rock.centre;
+        if rock.moved {
+            continue;
+        }
+        if near {
+            assert!((1.2..3.0).contains(&base) && at.x.abs() <= 55.0 && (-78.0..-48.0).contains(&at.y));
+        } else {
+            assert!((0.3..1.3 * 3.3).contains(&base) && at.x.abs() <= 95.0 && (-78.0..230.0).contains(&at.y));
+            far_count += 1.0;
+            large += f64::from(u8::from(base >= 1.3));
+        }
+        let vertices = [(1.8, 10_242), (0.9, 2_562), (0.45, 642), (0.0, 162)];
+        let expected = vertices.iter().find(|(from, _)| base >= *from).map(|(_, count)| *count);
+        assert_eq!(Some(rock.vertices.len()), expected);
+        assert_eq!(Icosphere::vertex_count(rock.level), rock.vertices.len());
+        let grey = rock.material.albedo.element_sum() / 3.0;
+        assert!((0.05..0.14).contains(&grey), "{grey}");
+        assert!((0.85..0.97).contains(&rock.material.roughness));
+    }
+    // 15 % are made 2.0 to 3.3 times larger, which takes 62 % of those (by integration) beyond 1.3 m.
+    let share = large / far_count;
+    assert!((share - 0.15 * LARGE_BEYOND).abs() < 0.01, "{share}");
+    let near = |value: fn(&regolith::scene::rocks::Rock) -> f32| {
+        let rocks = SCENES.iter().flat_map(|scene| &scene.rocks[..NEAR]).filter(|rock| !rock.moved);
+        rocks.map(move |rock| f64::from(value(rock)))
+    };
+    assert!(ks_uniform(near(|rock| rock.base_scale_m), 1.2, 3.0) < 1.95);
+    assert!(ks_uniform(near(|rock| rock.centre.y), -78.0, -48.0) < 1.95);
+}
+/// Chance that uniform(0.3, 1.3) x uniform(2.0, 3.3) is at least 1.3: 1 - (1.3 ln(3.3 / 2) / 1.3 - 0.3).
+const LARGE_BEYOND: f64 = 1.3 - 0.500_775;
+
+#[test]
+fn an_authored_scene_has_about_0_7_million_triangles() {
+    let triangles = mean(SCENES.iter().map(|scene| {
+        let rocks: usize = scene.rocks.iter().map(|rock| rock.triangles(rock.level).len()).sum();
+        2.0 * f64::from(scene.terrain.cells).powi(2) + rocks as f64
+    }));
+    assert!((0.45e6..0.8e6).contains(&triangles), "{triangles}");
+}
+
+#[test]
+fn relief_has_the_stated_deviation() {
+    let deviation = mean((0..20).map(|seed| {
+        let scene = scene(seed, &["craters.count=0"]);
+        let heights: Vec<f64> = scene.terrain.vertices.iter().map(|v| f64::from(v.position.z)).collect();
+        let middle = mean(heights.iter().copied());
+        mean(heights.iter().map(|height| (height - middle).powi(2))).sqrt()
+    }));
+    assert!((0.6..1.0).contains(&deviation), "{deviation} m");
+}
+
+#[test]
+fn three_near_rocks_or_more_stand_in_the_field_of_view() {
+    let mut least = usize::MAX;
+    for scene in SCENES.iter() {
+        let eye = scene.camera.eye.truncate();
+        let in_view = scene.rocks[..NEAR].iter().filter(|rock| {
+            let offset: Vec2 = rock.centre.truncate() - eye;
+            offset.y > 0.0 && offset.x.abs() <= offset.y * scene.camera.tan_half_fov
+        });
+        least = least.min(in_view.count());
+    }
+    assert!(least >= 3, "{least}");
+}
+
+#[test]
+fn no_rock_floats_and_none_comes_near_the_eye() {
+    for scene in SCENES.iter() {
+        for rock in &scene.rocks {
+            let lowest =
+                rock.vertices.iter().map(|v| v.position + rock.centre).min_by(|a, b| a.z.total_cmp(&b.z));
+            let lowest = lowest.expect("a rock has vertices");
+            let ground = scene.terrain.surface_height_at(lowest.truncate());
+            assert!(lowest.z < ground, "rock {} floats {} m", rock.index, lowest.z - ground);
+            let nearest = rock
+                .vertices
+                .iter()
+                .map(|v| (v.position + rock.centre).distance(scene.camera.eye))
+                .fold(f32::INFINITY, f32::min);
+            assert!(nearest >= 0.5, "rock {} is {nearest} m from the eye", rock.index);
+        }
+        let below = scene.camera.eye.z - scene.terrain.height_at(scene.camera.eye.truncate());
+        assert!((below - 2.0).abs() < 1e-4);
+    }
+}
+
+#[test]
+fn no_two_scenes_have_an_object_at_the_same_place() {
+    let mut places: Vec<[u32; 2]> = SCENES
+        .iter()
+        .flat_map(|scene| scene.rocks.iter().map(|rock| [rock.centre.x.to_bits(), rock.centre.y.to_bits()]))
+        .collect();
+    let count = places.len();
+    places.sort_unstable();
+    places.dedup();
+    assert_eq!(places.len(), count);
+}
+
+/// Shares of the classes over 200 pictures: a training frame has typically 1 to 10 % of rock.
+#[test]
+fn coverage_is_that_of_a_training_frame() {
+    let mut typical = 0;
+    let (mut rock_sum, mut sky_sum) = (0.0, 0.0);
+    for scene in SCENES.iter() {
+        let frame = render(scene, 64, 1);
+        let rock = frame.coverage(ClassId::ROCK);
+        assert!(rock > 0.0, "three near rocks are in view");
+        typical += u32::from((0.01..=0.10).contains(&rock));
+        rock_sum += rock;
+        sky_sum += frame.coverage(ClassId::SKY);
+    }
+    let (rock, sky) = (rock_sum / SEEDS as f64, sky_sum / SEEDS as f64);
+    assert!(typical >= 150, "only {typical} of {SEEDS} frames have 1 to 10 % of rock");
+    assert!((0.02..0.09).contains(&rock) && (0.42..0.50).contains(&sky), "rock {rock}, sky {sky}");
+}
+
+#[test]
+fn every_knob_is_live() {
+    use regolith::params::{KNOBS, Kind, Knob};
+    // One value for each knob that is far from its default.
+    let plain = scene(31, &[]);
+    let plain_frame = render(&plain, 96, 1);
+    for info in KNOBS.iter().filter(|info| !matches!(info.kind, Kind::Text(_))) {
+        let other = match info.name {
+            "sun.color" => "[0.5, 1.0, 0.5]",
+            "sun.angular_diameter_deg" => "5",
+            "rocks.near_count" => "3",
+            "rocks.large_share" => "1",
+            "rocks.hero_x_m" | "rocks.hero_y_m" => "-70",
+            "camera.y_m" => "-100",
+            "terrain.size_m" => "700",
+            "rocks.near_y_m" => "-60",
+            "craters.radius_m" | "terrain.amplitude_m" | "craters.depth_m" => "12",
+            _ if info.kind == Kind::Integer => "17",
+            _ if info.range[1] >= 5000.0 => "800",
+            _ if info.range[1] >= 30.0 => "30",
+            _ => "0.5",
+        };
+        let mut set = vec![format!("{}={other}", info.name)];
+        if info.name.starts_with("rocks.hero_") && info.name != "rocks.hero_scale_m" {
+            set.push("rocks.hero_scale_m=2".to_owned());
+        }
+        let set: Vec<&str> = set.iter().map(String::as_str).collect();
+        let reference = if set.len() == 2 { Some(scene(31, &set[1..])) } else { None };
+        let changed = scene(31, &set);
+        let before = reference.as_ref().unwrap_or(&plain);
+        let before_frame = reference.as_ref().map(|scene| render(scene, 96, 1));
+        let alive = changed.geometry_hash() != before.geometry_hash()
+            || render(&changed, 96, 1) != *before_frame.as_ref().unwrap_or(&plain_frame);
+        assert!(alive, "{} = {other} changes nothing", info.name);
+    }
+    assert_eq!(params(31, &[]).to_json().len(), Knob::ALL.len());
+}

@@ -34,7 +34,10 @@ fn failed_folder() -> PathBuf {
 
 fn open(path: &Path) -> image::DynamicImage {
     image::open(path).unwrap_or_else(|error| {
-        panic!("{}: {error}; REGOLITH_UPDATE_GOLDENS=1 makes golden pictures: look at them before you commit", path.display())
+        panic!(
+            "{}: {error}; REGOLITH_UPDATE_GOLDENS=1 makes golden pictures: look at them before you commit",
+            path.display()
+        )
     })
 }
 
@@ -53,9 +56,10 @@ pub(crate) fn assert_picture(path: &Path, actual: &RgbImage, cap_size: bool) {
         check_size(path);
     }
     assert_eq!(expected.dimensions(), actual.dimensions(), "{}", path.display());
-    let ssim = image_compare::rgb_similarity_structure(&image_compare::Algorithm::MSSIMSimple, &expected, actual)
-        .expect("pictures of one size")
-        .score;
+    let ssim =
+        image_compare::rgb_similarity_structure(&image_compare::Algorithm::MSSIMSimple, &expected, actual)
+            .expect("pictures of one size")
+            .score;
     let sum: u64 = expected.iter().zip(actual.iter()).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
     let mean = sum as f64 / expected.len() as f64;
     if ssim < LEAST_SSIM || mean > MOST_MEAN_DIFFERENCE {

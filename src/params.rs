@@ -1,0 +1,374 @@
+//! The knobs: one table, and the values of one frame.
+//!
+//! From [`KNOBS`] come parsing, checking, the listing of `params` and the record in a frame's JSON.
+//! Must not know: what a knob does.
+//! To add a knob: a row in the table below, and the line that uses it.
+
+pub mod distribution;
+pub mod sampler;
+
+use serde_json::{Map, Value as Json};
+
+use crate::error::{Error, Result};
+use crate::random::Stream;
+use Distribution::{Fixed, Power, Uniform, UniformInt};
+use Kind::{Integer, Number, Rgb, Text};
+use Scope::{Element, Frame};
+pub use distribution::{Distribution, Value};
+
+/// What sort of value a knob takes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Kind {
+    /// Any number in the range.
+    Number,
+    /// A whole number in the range.
+    Integer,
+    /// A colour, each channel in the range.
+    Rgb,
+    /// One of these words.
+    Text(&'static [&'static str]),
+}
+
+/// How often a knob is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scope {
+    /// Once a frame.
+    Frame,
+    /// Once for each of these.
+    Element(&'static str),
+}
+
+/// All that is known of a knob.
+#[derive(Debug)]
+pub struct KnobInfo {
+    /// Dotted name.
+    pub name: &'static str,
+    /// Unit, empty for none.
+    pub unit: &'static str,
+    /// What it takes.
+    pub kind: Kind,
+    /// How often it is drawn.
+    pub scope: Scope,
+    /// Its default.
+    pub default: Distribution,
+    /// Smallest and largest allowed number.
+    pub range: [f64; 2],
+    /// What it does.
+    pub doc: &'static str,
+}
+
+const fn number(value: f64) -> Distribution {
+    Distribution::number(value)
+}
+
+const fn uniform(low: f64, high: f64) -> Distribution {
+    Uniform { low, high }
+}
+
+macro_rules! knobs {
+    ($($knob:ident $name:literal $unit:literal $kind:expr, $scope:expr, $default:expr, $range:expr, $doc:literal;)*) => {
+        /// Every knob, by its place in [`KNOBS`].
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum Knob { $(#[doc = $doc] $knob,)* }
+
+        /// Every knob.
+        pub static KNOBS: [KnobInfo; [$($name),*].len()] = [$(KnobInfo {
+            name: $name, unit: $unit, kind: $kind, scope: $scope, default: $default, range: $range, doc: $doc,
+        },)*];
+
+        impl Knob {
+            /// Every knob, in the order of [`KNOBS`].
+            pub const ALL: [Self; KNOBS.len()] = [$(Self::$knob,)*];
+        }
+    };
+}
+
+knobs! {
+    StageName "stage.name" "" Text(&["nominal"]), Frame, Fixed(Value::Text(std::borrow::Cow::Borrowed("nominal"))), [0.0, 0.0],
+        "Which stage is built.";
+    SunElevationDeg "sun.elevation_deg" "deg" Number, Frame, number(17.0), [0.5, 90.0],
+        "Angle of the sun above the horizontal plane.";
+    SunAzimuthDeg "sun.azimuth_deg" "deg" Number, Frame, number(120.0), [0.0, 360.0],
+        "Compass angle of the sun from +Y, where the camera looks, towards +X: 0 is in front of the camera.";
+    SunIntensity "sun.intensity" "" Number, Frame, number(14_000.0), [0.0, 200_000.0],
+        "Strength of the sun on a relative scale; the reference frame has 14000.";
+    SunAngularDiameterDeg "sun.angular_diameter_deg" "deg" Number, Frame, number(0.53), [0.0, 5.0],
+        "Angle that the sun's disc spans: how fast penumbrae widen.";
+    SunColor "sun.color" "" Rgb, Frame, Fixed(Value::Rgb([1.0, 0.97, 0.92])), [0.0, 4.0],
+        "Colour of the sun's light, linear RGB.";
+    TerrainAmplitudeM "terrain.amplitude_m" "m" Number, Frame, number(3.2), [0.0, 50.0],
+        "Amplitude of the relief; its standard deviation is about a quarter of it.";
+    TerrainSizeM "terrain.size_m" "m" Number, Frame, number(920.0), [100.0, 4000.0],
+        "Side of the square of ground, centred on the origin.";
+    TerrainCells "terrain.cells" "" Integer, Frame, number(300.0), [10.0, 1000.0],
+        "Cells along a side of the ground's grid, two triangles each.";
+    RegolithAlbedo "regolith.albedo" "" Number, Frame, number(0.205), [0.0, 1.0],
+        "Mean diffuse reflectance of the ground.";
+    RegolithRoughness "regolith.roughness" "" Number, Frame, number(0.96), [0.0, 1.0],
+        "Roughness of the ground's diffuse lobe; 0 is Lambert's.";
+    CratersCount "craters.count" "" Integer, Frame, UniformInt { low: 6.0, high: 10.0 }, [0.0, 500.0],
+        "Number of craters.";
+    CratersRadiusM "craters.radius_m" "m" Number, Element("crater"), uniform(10.0, 38.0), [0.5, 400.0],
+        "Radius of a crater from its centre to the crest of its rim.";
+    CratersDepthM "craters.depth_m" "m" Number, Element("crater"), uniform(1.5, 5.5), [0.0, 60.0],
+        "Depth of a crater's bowl below the ground around it.";
+    CratersRimRatio "craters.rim_ratio" "" Number, Element("crater"), uniform(0.18, 0.35), [0.0, 1.0],
+        "Height of a crater's rim as a fraction of its depth.";
+    RocksCount "rocks.count" "" Integer, Frame, UniformInt { low: 75.0, high: 114.0 }, [0.0, 5000.0],
+        "Number of rocks.";
+    RocksNearCount "rocks.near_count" "" Integer, Frame, number(12.0), [0.0, 200.0],
+        "The first so many rocks are near ones; if there are fewer rocks, all are.";
+    RocksScaleM "rocks.scale_m" "m" Number, Element("far rock"), uniform(0.3, 1.3), [0.02, 20.0],
+        "Base radius of a far rock.";
+    RocksNearScaleM "rocks.near_scale_m" "m" Number, Element("near rock"), uniform(1.2, 3.0), [0.02, 20.0],
+        "Base radius of a near rock.";
+    RocksNearYM "rocks.near_y_m" "m" Number, Element("near rock"), uniform(-78.0, -48.0), [-2000.0, 2000.0],
+        "Place of a near rock along the camera's nominal line of sight; the camera stands at -90.";
+    RocksLargeShare "rocks.large_share" "" Number, Frame, number(0.15), [0.0, 1.0],
+        "Share of the far rocks that are made larger by rocks.large_factor.";
+    RocksLargeFactor "rocks.large_factor" "" Number, Element("large far rock"), uniform(2.0, 3.3), [1.0, 10.0],
+        "How much larger such a rock is.";
+    RocksEmbedding "rocks.embedding" "" Number, Frame, number(0.30), [0.02, 0.95],
+        "Fraction of a rock's height that is under the ground.";
+    RocksAlbedo "rocks.albedo" "" Number, Element("rock material"), Power { low: 0.058, high: 0.130, exponent: 1.6 }, [0.02, 0.55],
+        "Base grey of a rock material, of which a scene has twelve.";
+    RocksRoughness "rocks.roughness" "" Number, Element("rock material"), uniform(0.85, 0.97), [0.0, 1.0],
+        "Roughness of a rock material's diffuse lobe.";
+    RocksDisplacement "rocks.displacement" "" Number, Frame, number(0.34), [0.0, 0.8],
+        "Amplitude of the displacement that shapes the rocks, relative to their radius.";
+    RocksHeroScaleM "rocks.hero_scale_m" "m" Number, Frame, number(0.0), [0.0, 20.0],
+        "Base radius of one boulder that takes the place of the first near rock; 0 for none.";
+    RocksHeroXM "rocks.hero_x_m" "m" Number, Frame, number(0.0), [-2000.0, 2000.0],
+        "Where that boulder lies, to the right.";
+    RocksHeroYM "rocks.hero_y_m" "m" Number, Frame, number(-76.0), [-2000.0, 2000.0],
+        "Where that boulder lies, ahead.";
+    CameraXM "camera.x_m" "m" Number, Frame, number(0.0), [-2000.0, 2000.0],
+        "Where the camera stands, to the right.";
+    CameraYM "camera.y_m" "m" Number, Frame, number(-90.0), [-2000.0, 2000.0],
+        "Where the camera stands, ahead.";
+    CameraHeightM "camera.height_m" "m" Number, Frame, number(2.0), [0.2, 200.0],
+        "Height of the eye above the ground under it.";
+    CameraPitchDeg "camera.pitch_deg" "deg" Number, Frame, number(-0.8952), [-89.0, 89.0],
+        "How far the camera looks up; negative looks down.";
+    CameraYawDeg "camera.yaw_deg" "deg" Number, Frame, number(0.0), [-360.0, 360.0],
+        "How far the camera is turned from +Y towards +X.";
+    CameraRollDeg "camera.roll_deg" "deg" Number, Frame, number(0.0), [-180.0, 180.0],
+        "How far the camera is turned clockwise about its line of sight.";
+    CameraFovDeg "camera.fov_deg" "deg" Number, Frame, number(61.9275), [5.0, 150.0],
+        "Horizontal field of view; the default is a 20 mm lens before a sensor 24 mm wide.";
+    CameraExposureEv "camera.exposure_ev" "EV" Number, Frame, number(0.0), [-10.0, 10.0],
+        "Exposure relative to the reference frame's, in stops.";
+    SkyStarCount "sky.star_count" "" Integer, Frame, number(220.0), [0.0, 20_000.0],
+        "Number of stars.";
+    SkyDomeRadiusM "sky.dome_radius_m" "m" Number, Frame, number(600.0), [60.0, 5000.0],
+        "Radius of the sky's dome around the camera.";
+}
+
+impl Knob {
+    /// Its row.
+    #[must_use]
+    pub fn info(self) -> &'static KnobInfo {
+        &KNOBS[self as usize]
+    }
+
+    /// Its dotted name, which is also that of its random stream.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        self.info().name
+    }
+}
+
+impl KnobInfo {
+    /// The allowed values in words, with the unit.
+    #[must_use]
+    pub fn allowed(&self) -> String {
+        let [low, high] = self.range;
+        let unit = if self.unit.is_empty() { String::new() } else { format!(" {}", self.unit) };
+        match self.kind {
+            Number => format!("{low} to {high}{unit}"),
+            Integer => format!("whole numbers, {low} to {high}{unit}"),
+            Rgb => format!("[r, g, b], each {low} to {high}"),
+            Text(words) => words.join(", "),
+        }
+    }
+
+    /// Checks that whatever the distribution can give is right for this knob.
+    fn check(&self, distribution: &Distribution, origin: &str) -> Result<()> {
+        let wrong_type = |expected: &str| Error::KnobType {
+            name: self.name.to_owned(),
+            value: distribution.to_string(),
+            origin: origin.to_owned(),
+            expected: expected.to_owned(),
+        };
+        let out_of_range = || Error::KnobOutOfRange {
+            name: self.name.to_owned(),
+            value: distribution.to_string(),
+            origin: origin.to_owned(),
+            allowed: self.allowed(),
+        };
+        let within = |value: &f64| (self.range[0]..=self.range[1]).contains(value);
+        let whole_draws = matches!(distribution, Fixed(_) | UniformInt { .. } | Distribution::Choice { .. });
+        for bound in distribution.bounds() {
+            let allowed = match (self.kind, bound) {
+                (Number, Value::Number(value)) => within(&value),
+                (Integer, Value::Number(value)) if whole_draws && value.fract() == 0.0 => within(&value),
+                (Rgb, Value::Rgb(rgb)) => rgb.iter().all(within),
+                (Text(words), Value::Text(word)) => words.contains(&&*word),
+                (Number, _) => return Err(wrong_type("a number, or a distribution of numbers")),
+                (Integer, _) => {
+                    return Err(wrong_type("a whole number, {uniform_int=[a,b]}, or a choice of them"));
+                }
+                (Rgb, _) => return Err(wrong_type("a colour [r, g, b]")),
+                (Text(words), _) => return Err(wrong_type(&format!("one of {}", words.join(", ")))),
+            };
+            if !allowed {
+                return Err(out_of_range());
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The values of one frame, checked.
+///
+/// Knobs that are drawn once a frame have their value; those drawn for each element keep their distribution.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Params {
+    settings: Vec<Distribution>,
+}
+
+impl Params {
+    /// The defaults, drawn for a seed.
+    ///
+    /// # Panics
+    /// Never: a test holds the table's defaults against their rules.
+    #[must_use]
+    pub fn draw_default(seed: u64) -> Self {
+        sampler::Config::new().draw(seed).expect("the defaults keep their own rules")
+    }
+
+    fn value(&self, knob: Knob) -> &Value {
+        match &self.settings[knob as usize] {
+            Fixed(value) => value,
+            _ => panic!("{} is drawn for each element: use `sample`", knob.name()),
+        }
+    }
+
+    /// The number of a knob that is drawn once a frame.
+    ///
+    /// # Panics
+    /// If the table says that it is something else.
+    #[must_use]
+    pub fn number(&self, knob: Knob) -> f64 {
+        match self.value(knob) {
+            Value::Number(value) => *value,
+            _ => panic!("{} is no number", knob.name()),
+        }
+    }
+
+    /// The whole number of a knob that is drawn once a frame.
+    ///
+    /// # Panics
+    /// If the table says that it is something else.
+    #[must_use]
+    pub fn count(&self, knob: Knob) -> u32 {
+        self.number(knob) as u32
+    }
+
+    /// The colour of a knob.
+    ///
+    /// # Panics
+    /// If the table says that it is something else.
+    #[must_use]
+    pub fn rgb(&self, knob: Knob) -> [f64; 3] {
+        match self.value(knob) {
+            Value::Rgb(rgb) => *rgb,
+            _ => panic!("{} is no colour", knob.name()),
+        }
+    }
+
+    /// The word of a knob.
+    ///
+    /// # Panics
+    /// If the table says that it is something else.
+    #[must_use]
+    pub fn text(&self, knob: Knob) -> &str {
+        match self.value(knob) {
+            Value::Text(text) => text,
+            _ => panic!("{} is no word", knob.name()),
+        }
+    }
+
+    /// Draws the number of a knob for one element.
+    ///
+    /// # Panics
+    /// If the table says that it is something else.
+    #[must_use]
+    pub fn sample(&self, knob: Knob, stream: &mut Stream) -> f64 {
+        match self.settings[knob as usize].sample(stream) {
+            Value::Number(value) => value,
+            _ => panic!("{} is no number", knob.name()),
+        }
+    }
+
+    /// Every knob as used, under its dotted name; those drawn for each element as what they are drawn from.
+    #[must_use]
+    pub fn to_json(&self) -> Map<String, Json> {
+        KNOBS
+            .iter()
+            .zip(&self.settings)
+            .map(|(info, setting)| (info.name.to_owned(), setting.to_json(info.kind == Integer)))
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_keeps_its_own_rules() {
+        for (place, info) in KNOBS.iter().enumerate() {
+            assert_eq!(Knob::ALL[place] as usize, place);
+            info.check(&info.default, "default").unwrap_or_else(|error| panic!("{error}"));
+            assert!(info.doc.ends_with('.') && info.doc.len() > 10, "{}", info.name);
+            let suffix = match info.unit {
+                "" => continue,
+                "m" => "_m",
+                "deg" => "_deg",
+                "EV" => "_ev",
+                other => panic!("{}: a new unit {other}", info.name),
+            };
+            assert!(info.name.ends_with(suffix), "{} is in {}", info.name, info.unit);
+        }
+        for (i, a) in KNOBS.iter().enumerate() {
+            assert_eq!(a.name.matches('.').count(), 1, "{}", a.name);
+            assert!(KNOBS[i + 1..].iter().all(|b| a.name != b.name), "{} stands twice", a.name);
+        }
+        let mut sections: Vec<&str> = KNOBS.iter().filter_map(|info| info.name.split('.').next()).collect();
+        sections.dedup();
+        let mut once = sections.clone();
+        once.sort_unstable();
+        once.dedup();
+        assert_eq!(sections.len(), once.len(), "the knobs of a section stand together");
+    }
+
+    #[test]
+    fn every_knob_can_be_asked_as_its_kind() {
+        let params = Params::draw_default(1);
+        let mut stream = crate::random::Streams::new(1).stream("test", 0);
+        for (knob, info) in Knob::ALL.into_iter().zip(&KNOBS) {
+            match (info.kind, info.scope) {
+                (Number | Integer, Element(_)) => assert!(params.sample(knob, &mut stream).is_finite()),
+                (Number, Frame) => assert!(params.number(knob).is_finite()),
+                (Integer, Frame) => assert_eq!(f64::from(params.count(knob)), params.number(knob)),
+                (Rgb, _) => assert_eq!(params.rgb(knob).len(), 3),
+                (Text(words), _) => assert!(words.contains(&params.text(knob))),
+            }
+        }
+        let json = params.to_json();
+        assert_eq!(json.len(), KNOBS.len());
+        assert_eq!(json["rocks.scale_m"].to_string(), r#"{"uniform":[0.3,1.3]}"#);
+        assert!(json["rocks.count"].is_u64() && json["sun.elevation_deg"] == 17.0);
+    }
+}

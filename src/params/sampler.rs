@@ -1,0 +1,360 @@
+//! From presets, files and `--set` to the values of one frame.
+//!
+//! A [`Config`] holds what each knob is drawn from; later settings win over earlier ones, and a setting that is
+//! refused changes nothing. [`Config::draw`] gives the values of a seed: every knob from a stream of its own.
+//! Must not know: what a knob does.
+//! To add a preset: a file in `assets/presets` and its row in [`presets`].
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use serde_json::json;
+
+use super::distribution::{Distribution, Value};
+use super::{KNOBS, Kind, Knob, KnobInfo, Params, Scope};
+use crate::error::{Error, Result, nearest};
+use crate::random::Streams;
+
+macro_rules! preset_files {
+    ($($name:literal),*) => {
+        [$(($name, include_str!(concat!("../../assets/presets/", $name, ".toml")))),*]
+    };
+}
+
+/// Name and TOML text of every preset that ships; the text starts with a comment that says what it is.
+#[must_use]
+pub const fn presets() -> [(&'static str, &'static str); 4] {
+    preset_files!["reference", "train_dr", "train_nodr", "test_photoreal"]
+}
+
+/// What each knob is drawn from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Config {
+    settings: Vec<Distribution>,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Config {
+    /// The defaults of the nominal stage.
+    #[must_use]
+    pub fn new() -> Self {
+        Self { settings: KNOBS.iter().map(|info| info.default.clone()).collect() }
+    }
+
+    /// What a knob is drawn from.
+    #[must_use]
+    pub fn distribution(&self, knob: Knob) -> &Distribution {
+        &self.settings[knob as usize]
+    }
+
+    /// Starts from the defaults of a stage.
+    ///
+    /// # Errors
+    /// [`Error::KnobOutOfRange`] for a stage that there is not.
+    pub fn set_stage(&mut self, name: &str) -> Result<()> {
+        self.set(Knob::StageName.info(), Distribution::Fixed(Value::Text(name.to_owned().into())), "--stage")
+    }
+
+    /// Takes over a preset.
+    ///
+    /// # Errors
+    /// [`Error::UnknownPreset`].
+    pub fn apply_preset(&mut self, name: &str) -> Result<()> {
+        let known = presets();
+        match known.iter().find(|(preset, _)| *preset == name) {
+            Some((_, text)) => self.apply_toml(text, &format!("preset {name}")),
+            None => Err(Error::UnknownPreset {
+                name: name.to_owned(),
+                suggestion: nearest(name, known.iter().map(|preset| preset.0)),
+                available: known.iter().map(|preset| preset.0.to_owned()).collect(),
+            }),
+        }
+    }
+
+    /// Takes over a TOML file.
+    ///
+    /// # Errors
+    /// [`Error::Read`], or those of [`Self::apply_toml`].
+    pub fn apply_file(&mut self, path: &Path) -> Result<()> {
+        let text =
+            std::fs::read_to_string(path).map_err(|cause| Error::Read { path: path.to_owned(), cause })?;
+        self.apply_toml(&text, &path.display().to_string())
+    }
+
+    /// Takes over knobs from TOML: `[sun]` and `elevation_deg = 3` in it, or `sun.elevation_deg = 3`.
+    ///
+    /// # Errors
+    /// [`Error::Toml`], [`Error::UnknownKnob`], [`Error::KnobType`], [`Error::KnobOutOfRange`]; nothing is taken
+    /// over then.
+    pub fn apply_toml(&mut self, text: &str, origin: &str) -> Result<()> {
+        let table: toml::Table = toml::from_str(text).map_err(|error| {
+            let before = &text[..error.span().map_or(0, |span| span.start.min(text.len()))];
+            Error::Toml {
+                origin: origin.to_owned(),
+                line: before.matches('\n').count() + 1,
+                column: before.chars().rev().take_while(|c| *c != '\n').count() + 1,
+                message: error.message().to_owned(),
+            }
+        })?;
+        let mut changed = self.clone();
+        changed.apply_table("", &table, origin)?;
+        *self = changed;
+        Ok(())
+    }
+
+    fn apply_table(&mut self, prefix: &str, table: &toml::Table, origin: &str) -> Result<()> {
+        for (key, value) in table {
+            let name = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
+            if let Some(info) = KNOBS.iter().find(|info| info.name == name) {
+                self.set_toml(info, value, origin)?;
+            } else if let (toml::Value::Table(inner), true) = (value, is_section(&name)) {
+                self.apply_table(&name, inner, origin)?;
+            } else {
+                return Err(unknown(&name, origin));
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes over one `key=value`.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] without a `=`, else as [`Self::apply_toml`].
+    pub fn apply_set(&mut self, assignment: &str) -> Result<()> {
+        let Some((name, text)) = assignment.split_once('=') else {
+            return Err(Error::Usage(format!(
+                "--set {assignment}: the form is KEY=VALUE, as in sun.elevation_deg=12"
+            )));
+        };
+        let (name, text, origin) = (name.trim(), text.trim(), "--set");
+        let info = KNOBS.iter().find(|info| info.name == name).ok_or_else(|| unknown(name, origin))?;
+        let parsed = toml::from_str::<toml::Table>(&format!("value = {text}"));
+        match parsed.ok().and_then(|mut table| if table.len() == 1 { table.remove("value") } else { None }) {
+            Some(value) => self.set_toml(info, &value, origin),
+            // A word needs no quotes here.
+            None => self.set(info, Distribution::Fixed(Value::Text(text.to_owned().into())), origin),
+        }
+    }
+
+    fn set_toml(&mut self, info: &KnobInfo, value: &toml::Value, origin: &str) -> Result<()> {
+        let distribution =
+            Distribution::from_toml(value, info.range).map_err(|expected| Error::KnobType {
+                name: info.name.to_owned(),
+                value: value.to_string(),
+                origin: origin.to_owned(),
+                expected: format!("{expected} (allowed: {})", info.allowed()),
+            })?;
+        self.set(info, distribution, origin)
+    }
+
+    fn set(&mut self, info: &KnobInfo, distribution: Distribution, origin: &str) -> Result<()> {
+        info.check(&distribution, origin)?;
+        let place = KNOBS.iter().position(|row| row.name == info.name);
+        self.settings[place.expect("a row of the table")] = distribution;
+        Ok(())
+    }
+
+    /// Checks what a single knob's range cannot: that the values can hold together, whatever is drawn.
+    ///
+    /// # Errors
+    /// [`Error::Contradiction`].
+    pub fn check(&self) -> Result<()> {
+        let numbers = |knob: Knob| {
+            self.distribution(knob)
+                .bounds()
+                .into_iter()
+                .filter_map(|bound| if let Value::Number(value) = bound { Some(value) } else { None })
+                .collect::<Vec<f64>>()
+        };
+        let half_m = 0.5 * numbers(Knob::TerrainSizeM).into_iter().fold(f64::INFINITY, f64::min);
+        for knob in [Knob::CameraXM, Knob::CameraYM] {
+            if let Some(place) = numbers(knob).into_iter().find(|place| place.abs() >= half_m) {
+                return Err(Error::Contradiction(format!(
+                    "{} = {place} puts the camera off the ground, which ends {half_m} m from the origin \
+                     (terrain.size_m = {}); the camera must stand on it",
+                    knob.name(),
+                    2.0 * half_m
+                )));
+            }
+        }
+        Ok(())
+    }
+
+    /// The values of a seed.
+    ///
+    /// # Errors
+    /// [`Error::Contradiction`].
+    pub fn draw(&self, seed: u64) -> Result<Params> {
+        self.check()?;
+        let streams = Streams::new(seed);
+        let settings = KNOBS
+            .iter()
+            .zip(&self.settings)
+            .map(|(info, distribution)| match info.scope {
+                Scope::Frame => Distribution::Fixed(distribution.sample(&mut streams.stream(info.name, 0))),
+                Scope::Element(_) => distribution.clone(),
+            })
+            .collect();
+        Ok(Params { settings })
+    }
+
+    /// Every knob with what is known of it, as TOML that [`Self::apply_toml`] reads.
+    #[must_use]
+    pub fn to_toml(&self) -> String {
+        let mut text = String::new();
+        let mut section = "";
+        for (info, distribution) in KNOBS.iter().zip(&self.settings) {
+            let (own_section, key) = info.name.split_once('.').unwrap_or(("", info.name));
+            if own_section != section {
+                section = own_section;
+                let _ = writeln!(text, "{}[{section}]", if text.is_empty() { "" } else { "\n" });
+            }
+            let each = match info.scope {
+                Scope::Frame => String::new(),
+                Scope::Element(element) => format!(" One draw a {element}."),
+            };
+            let _ =
+                writeln!(text, "# {}{each} Allowed: {}.\n{key} = {distribution}", info.doc, info.allowed());
+        }
+        text
+    }
+
+    /// Every knob with what is known of it.
+    #[must_use]
+    pub fn to_json(&self) -> serde_json::Value {
+        let rows = KNOBS.iter().zip(&self.settings).map(|(info, distribution)| {
+            let mut row = json!({
+                "name": info.name,
+                "value": distribution.to_json(info.kind == Kind::Integer),
+                "default": info.default.to_json(info.kind == Kind::Integer),
+                "unit": info.unit,
+                "drawn_per": match info.scope { Scope::Frame => "frame", Scope::Element(element) => element },
+                "doc": info.doc,
+            });
+            row[if matches!(info.kind, Kind::Text(_)) { "choices" } else { "range" }] = match info.kind {
+                Kind::Text(words) => json!(words),
+                _ => json!(info.range),
+            };
+            row
+        });
+        rows.collect()
+    }
+}
+
+fn is_section(name: &str) -> bool {
+    KNOBS.iter().any(|info| info.name.split('.').next() == Some(name))
+}
+
+fn unknown(name: &str, origin: &str) -> Error {
+    let suggestion = nearest(name, KNOBS.iter().map(|info| info.name));
+    Error::UnknownKnob { name: name.to_owned(), origin: origin.to_owned(), suggestion }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn set(assignment: &str) -> Result<Config> {
+        let mut config = Config::new();
+        config.apply_set(assignment)?;
+        config.check()?;
+        Ok(config)
+    }
+
+    #[test]
+    fn the_listing_reads_back() {
+        for (name, text) in presets() {
+            let mut preset = Config::new();
+            preset.apply_preset(name).unwrap_or_else(|error| panic!("{name}: {error}"));
+            preset.check().unwrap_or_else(|error| panic!("{name}: {error}"));
+            let mut read = Config::new();
+            read.apply_toml(&preset.to_toml(), "listing").unwrap_or_else(|error| panic!("{name}: {error}"));
+            assert_eq!(read, preset);
+            assert!(text.starts_with("# ") && preset != Config::new(), "{name}");
+        }
+        assert_eq!(Config::new().to_json().as_array().map(Vec::len), Some(KNOBS.len()));
+    }
+
+    #[test]
+    fn sections_and_dotted_keys_are_the_same() {
+        let mut sections = Config::new();
+        sections
+            .apply_toml("[sun]\nelevation_deg = { uniform = [5, 40] }\n[rocks]\ncount = 80\n", "a")
+            .expect("read");
+        let mut dotted = Config::new();
+        dotted
+            .apply_toml("sun.elevation_deg = { uniform = [5, 40] }\nrocks.count = 80\n", "b")
+            .expect("read");
+        assert_eq!(sections, dotted);
+        assert_eq!(sections.distribution(Knob::RocksCount), &Distribution::number(80.0));
+    }
+
+    #[test]
+    fn later_settings_win_and_refused_ones_change_nothing() {
+        let mut config = Config::new();
+        config.apply_preset("train_nodr").expect("a preset");
+        config.apply_set("sun.elevation_deg=12").expect("a setting");
+        assert_eq!(config.distribution(Knob::SunElevationDeg), &Distribution::number(12.0));
+        let before = config.clone();
+        assert!(config.apply_toml("sun.elevation_deg = 30\nsun.azimuth_deg = 400\n", "f").is_err());
+        assert_eq!(config, before);
+    }
+
+    #[test]
+    fn errors_name_the_knob_the_value_and_what_is_allowed() {
+        for (assignment, expected) in [
+            (
+                "sun.elevaton_deg=3",
+                "unknown knob `sun.elevaton_deg` in --set (did you mean `sun.elevation_deg`?)",
+            ),
+            (
+                "sun.elevation_deg=95",
+                "sun.elevation_deg = 95 in --set is out of range: allowed is 0.5 to 90 deg",
+            ),
+            ("sun.elevation_deg=nan", "a finite number (allowed: 0.5 to 90 deg)"),
+            ("sun.elevation_deg={uniform=[5, 95]}", "out of range: allowed is 0.5 to 90 deg"),
+            ("sun.elevation_deg=high", "expected a number"),
+            ("rocks.count=7.5", "expected a whole number"),
+            ("rocks.count={uniform=[1,9]}", "expected a whole number"),
+            ("sun.color=3", "expected a colour"),
+            ("stage.name=mars", "allowed is nominal"),
+            ("sun.elevation_deg", "the form is KEY=VALUE"),
+            ("camera.x_m=1000", "puts the camera off the ground"),
+            ("sun.elevation_deg=3\nrocks.count=1", "expected a number"),
+        ] {
+            let error = set(assignment).expect_err(assignment);
+            assert!(error.to_string().contains(expected), "{assignment}: {error}");
+            assert_eq!(error.exit_status(), 2);
+        }
+    }
+
+    #[test]
+    fn a_file_s_errors_have_line_and_column() {
+        let mut config = Config::new();
+        let error = config.apply_toml("[sun]\nelevation_deg = = 3\n", "my.toml").expect_err("no TOML");
+        assert!(matches!(error, Error::Toml { line: 2, column: 17, .. }), "{error:?}");
+        assert!(error.to_string().starts_with("my.toml, line 2, column 17:"), "{error}");
+        let error = config.apply_toml("[sums]\nelevation_deg = 3\n", "my.toml").expect_err("no section");
+        assert!(error.to_string().contains("unknown knob `sums` in my.toml"), "{error}");
+        let error = config.apply_preset("train").expect_err("no preset").to_string();
+        assert!(error.contains("unknown preset `train`") && error.contains("test_photoreal"), "{error}");
+    }
+
+    #[test]
+    fn a_knob_s_draw_moves_no_other() {
+        let mut config = Config::new();
+        config.apply_preset("train_dr").expect("a preset");
+        let before = config.draw(7).expect("drawn").to_json();
+        config.apply_set("sun.elevation_deg={normal=[20,3]}").expect("a setting");
+        let after = config.draw(7).expect("drawn").to_json();
+        for (name, value) in &before {
+            assert_eq!(*value == after[name], name != "sun.elevation_deg", "{name}");
+        }
+        assert_ne!(before, config.draw(8).expect("drawn").to_json());
+    }
+}
