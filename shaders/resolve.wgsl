@@ -8,7 +8,8 @@
 
 @group(2) @binding(0) var radiance_samples: texture_2d<f32>;
 @group(2) @binding(1) var class_samples: texture_2d<u32>;
-@group(2) @binding(2) var depth_samples: texture_depth_2d;
+// Depth, bound as plain numbers: GLSL cannot load from a depth texture.
+@group(2) @binding(2) var depth_samples: texture_2d<f32>;
 @group(2) @binding(3) var<storage, read_write> packed_words: array<u32>;
 
 const GROUP_WIDTH: u32 = 64u;
@@ -65,7 +66,7 @@ fn class_of_most(corner: vec2<u32>) -> u32 {
     for (var i = 0u; i < side * side; i++) {
         let at = corner + vec2(i % side, i / side);
         let candidate = class_at(at);
-        let depth = textureLoad(depth_samples, vec2<i32>(at), 0);
+        let depth = textureLoad(depth_samples, vec2<i32>(at), 0).r;
         var votes = 0u;
         for (var j = 0u; j < side * side; j++) {
             votes += u32(class_at(corner + vec2(j % side, j / side)) == candidate);

@@ -24,10 +24,12 @@ fn fs_main(in: Varyings) -> SceneOut {
     let instance = instances[in.instance];
     let normal = normalize(in.normal);
     let to_eye = -normalize(in.offset);
+    let facet = cross(dpdx(in.offset), dpdy(in.offset));
+    let facet_normal = normalize(select(-facet, facet, dot(facet, to_eye) > 0.0));
     let cos_light = max(dot(normal, frame.sun_direction), 0.0);
     var direct = 0.0;
     if cos_light > 0.0 {
-        let visible = sun_visibility(frame.eye + in.offset, pattern_turn(in.clip.xy));
+        let visible = sun_visibility(frame.eye + in.offset, facet_normal, normal, pattern_turn(in.clip.xy));
         let cos_eye = max(dot(normal, to_eye), 0.0);
         let lobe = rough_diffuse(instance.roughness, cos_light, cos_eye, dot(frame.sun_direction, to_eye));
         direct = visible * cos_light * lobe;

@@ -107,7 +107,15 @@ impl Gpu {
     /// # Errors
     /// [`Error::DeviceLost`] or [`Error::Device`].
     pub fn check(&self) -> Result<()> {
-        self.trouble.lock().unwrap_or_else(PoisonError::into_inner).take().map_or(Ok(()), Err)
+        let first = || self.trouble.lock().unwrap_or_else(PoisonError::into_inner).take();
+        match first() {
+            None => Ok(()),
+            Some(error) => {
+                // On a lost device commands fail before the loss is told: a poll brings the news.
+                let _ = catch_unwind(AssertUnwindSafe(|| self.device.poll(wgpu::PollType::Poll)));
+                Err(first().unwrap_or(error))
+            }
+        }
     }
 
     /// Waits until the device has done everything that was submitted, and checks it.

@@ -67,7 +67,7 @@ impl RenderSettings {
 }
 
 /// Milliseconds of one frame's work, by stage, in order. `shadow`, `scene_pass` and `resolve` are measured by the
-/// device where it can, and left out where it cannot; `gpu` is the whole wait for it.
+/// device where it can, and left out where it cannot; `gpu` is the whole wait from recording to the last pass's end.
 pub type StageTimes = Vec<(&'static str, f64)>;
 
 /// Layouts of the bind groups: 0 frame, 1 scene, 2 the pass's own.
@@ -146,13 +146,15 @@ impl Renderer {
         self.gpu.check()?;
         let uploaded = Instant::now();
         self.gpu.guard(|| self.submit_frame(&targets, &packed))?;
+        self.gpu.wait()?;
+        let drawn = Instant::now();
         let frame = packed.read(&self.gpu)?;
-        let done = Instant::now();
+        let read = Instant::now();
         let mut times = vec![("upload", milliseconds(uploaded - start))];
         if let Some(timer) = &self.timer {
             times.extend(timer.read(&self.gpu)?);
         }
-        times.push(("gpu", milliseconds(done - uploaded)));
+        times.extend([("gpu", milliseconds(drawn - uploaded)), ("readback", milliseconds(read - drawn))]);
         self.targets = Some((targets, packed));
         Ok((frame, times))
     }
@@ -272,7 +274,7 @@ impl BindLayouts {
             multisampled: false,
         };
         let float = texture(TextureSampleType::Float { filterable: false });
-        let (uint, depth) = (texture(TextureSampleType::Uint), texture(TextureSampleType::Depth));
+        let uint = texture(TextureSampleType::Uint);
         let drawing = ShaderStages::VERTEX_FRAGMENT;
         Self {
             frame: group(
@@ -281,8 +283,8 @@ impl BindLayouts {
                 &[buffer(wgpu::BufferBindingType::Uniform)],
             ),
             scene: group("scene", drawing, &[read, read]),
-            shadow: group("scene/shadow", ShaderStages::FRAGMENT, &[depth, float, read]),
-            resolve: group("resolve", ShaderStages::COMPUTE, &[float, uint, depth, write]),
+            shadow: group("scene/shadow", ShaderStages::FRAGMENT, &[float, float, read]),
+            resolve: group("resolve", ShaderStages::COMPUTE, &[float, uint, float, write]),
         }
     }
 }

@@ -27,7 +27,8 @@ struct CasterTile {
     origin_px: vec2<f32>,
     // Side of the tile, texels.
     size_px: f32,
-    reserved: f32,
+    // Length of the edges of the caster's facets, metres.
+    facet_m: f32,
 }
 
 @group(1) @binding(0) var<storage, read> instances: array<Instance>;

@@ -6,7 +6,8 @@
 // where it stands on the ground: a bias of half the thickness of the thing, which needs no tuning ("midpoint
 // shadow maps": Woo 1992, Graphics Gems III, "The Shadow Depth Map Revisited").
 
-@group(2) @binding(0) var shadow_atlas: texture_depth_2d;
+// Depth, bound as plain numbers: GLSL cannot load from a depth texture.
+@group(2) @binding(0) var shadow_atlas: texture_2d<f32>;
 @group(2) @binding(1) var horizon_map: texture_2d<f32>;
 // First the start of each cell's list (and the end of the last), then the lists: indices of tiles.
 @group(2) @binding(2) var<storage, read> caster_grid: array<u32>;
@@ -15,8 +16,17 @@ const SEARCH_TAPS: i32 = 8;
 const FILTER_TAPS: i32 = 20;
 const GOLDEN_ANGLE: f32 = 2.39996323;
 
-// Fraction of the sun's disc seen at a place (metres, world). `turn` in [0, 1) turns the pattern of the taps.
-fn sun_visibility(position: vec3<f32>, turn: f32) -> f32 {
+// Fraction of the sun's disc seen at a place (metres, world) of a surface. `facet_normal` is that of its triangle,
+// `normal` the smooth one. `turn` in [0, 1) turns the pattern of the taps.
+fn sun_visibility(position: vec3<f32>, facet_normal: vec3<f32>, normal: vec3<f32>, turn: f32) -> f32 {
+    let facing = dot(facet_normal, frame.sun_direction);
+    // How the facet's plane rises along the sun per metre across it.
+    let across = vec2(dot(facet_normal, frame.sun_right), dot(facet_normal, frame.sun_up));
+    let rise = -across / select(min(facing, -0.05), max(facing, 0.05), facing > 0.0);
+    // Where the smooth surface faces the sun and the facet hardly does, the facet lies behind the surface that it
+    // stands for (the shadow terminator: Hanika 2021, "Hacking the Shadow Terminator", Ray Tracing Gems II): by up
+    // to this share of its length.
+    let behind = 0.5 * clamp(3.0 * (dot(normal, frame.sun_direction) - facing), 0.0, 1.0);
     var visible = horizon_visibility(position);
     let cell = vec2<i32>(floor((position.xy - frame.caster_origin) / frame.caster_cell_m));
     let cells = i32(frame.caster_cells);
@@ -24,7 +34,7 @@ fn sun_visibility(position: vec3<f32>, turn: f32) -> f32 {
         let index = u32(cell.y * cells + cell.x);
         let end = caster_grid[index + 1u];
         for (var i = caster_grid[index]; i < end; i++) {
-            visible *= caster_visibility(tiles[caster_grid[i]], position, turn);
+            visible *= caster_visibility(tiles[caster_grid[i]], position, rise, behind, turn);
         }
     }
     return visible;
@@ -56,7 +66,14 @@ fn horizon(at: vec2<i32>) -> vec2<f32> {
 
 // Fraction of the disc not hidden by one caster: the mean height of what hides the disc gives the width of the
 // penumbra (Fernando 2005, "Percentage-Closer Soft Shadows"), here in metres and with no light size to choose.
-fn caster_visibility(tile: CasterTile, position: vec3<f32>, turn: f32) -> f32 {
+// Heights are compared above the plane of the receiving facet, which so never hides the sun from itself.
+fn caster_visibility(
+    tile: CasterTile,
+    position: vec3<f32>,
+    rise: vec2<f32>,
+    behind: f32,
+    turn: f32,
+) -> f32 {
     let offset = position - tile.centre;
     let across = vec2(dot(offset, frame.sun_right), dot(offset, frame.sun_up));
     let along = dot(offset, frame.sun_direction);
@@ -67,15 +84,18 @@ fn caster_visibility(tile: CasterTile, position: vec3<f32>, turn: f32) -> f32 {
     let texels_per_m = 0.5 * tile.size_px / tile.half_extent_m;
     let at = vec2(across.x, -across.y) * texels_per_m + vec2(0.5 * tile.size_px);
     let search_px = search_m * texels_per_m;
+    // The facet's plane over the tile: height at texel (0, 0) and rise per texel.
+    let slope = vec2(rise.x, -rise.y) / texels_per_m;
+    let plane = vec3(slope, along + behind * tile.facet_m - dot(slope, at));
 
     var blockers = 0.0;
     var height_m = 0.0;
     for (var i = 0; i < SEARCH_TAPS; i++) {
         let tap = vec2<i32>(floor(at + search_px * disc_point(i, SEARCH_TAPS, turn)));
-        let middle = caster_middle(tile, tap);
-        if middle > along {
+        let above = height_above(tile, tap, plane);
+        if above > 0.0 {
             blockers += 1.0;
-            height_m += middle - along;
+            height_m += above;
         }
     }
     if search_px > 1.0 {
@@ -84,11 +104,11 @@ fn caster_visibility(tile: CasterTile, position: vec3<f32>, turn: f32) -> f32 {
     }
     let filter_px = frame.sun_tan_half_angle * height_m / max(blockers, 1.0) * texels_per_m;
     if filter_px < 0.5 {
-        return 1.0 - hidden(tile, at, along);
+        return 1.0 - hidden(tile, at, plane);
     }
     var hidden_sum = 0.0;
     for (var i = 0; i < FILTER_TAPS; i++) {
-        hidden_sum += hidden(tile, at + filter_px * disc_point(i, FILTER_TAPS, turn), along);
+        hidden_sum += hidden(tile, at + filter_px * disc_point(i, FILTER_TAPS, turn), plane);
     }
     return 1.0 - hidden_sum / f32(FILTER_TAPS);
 }
@@ -99,18 +119,23 @@ fn disc_point(i: i32, count: i32, turn: f32) -> vec2<f32> {
     return sqrt((f32(i) + 0.5) / f32(count)) * vec2(cos(angle), sin(angle));
 }
 
-// Share of the four texels around a place (in texels of the tile) that stand between a height and the sun.
-fn hidden(tile: CasterTile, at: vec2<f32>, along: f32) -> f32 {
+// Share of the four texels around a place (in texels of the tile) in which the caster stands above the plane.
+fn hidden(tile: CasterTile, at: vec2<f32>, plane: vec3<f32>) -> f32 {
     let corner = floor(at - 0.5);
     let t = at - 0.5 - corner;
     let texel = vec2<i32>(corner);
-    let south = mix(blocks(tile, texel, along), blocks(tile, texel + vec2(1, 0), along), t.x);
-    let north = mix(blocks(tile, texel + vec2(0, 1), along), blocks(tile, texel + vec2(1, 1), along), t.x);
+    let south = mix(blocks(tile, texel, plane), blocks(tile, texel + vec2(1, 0), plane), t.x);
+    let north = mix(blocks(tile, texel + vec2(0, 1), plane), blocks(tile, texel + vec2(1, 1), plane), t.x);
     return mix(south, north, t.y);
 }
 
-fn blocks(tile: CasterTile, texel: vec2<i32>, along: f32) -> f32 {
-    return select(0.0, 1.0, caster_middle(tile, texel) > along);
+fn blocks(tile: CasterTile, texel: vec2<i32>, plane: vec3<f32>) -> f32 {
+    return select(0.0, 1.0, height_above(tile, texel, plane) > 0.0);
+}
+
+// Height of the middle of the caster above a plane, metres along the sun.
+fn height_above(tile: CasterTile, texel: vec2<i32>, plane: vec3<f32>) -> f32 {
+    return caster_middle(tile, texel) - plane.z - dot(plane.xy, vec2<f32>(texel) + 0.5);
 }
 
 // Height along the sun, metres from the caster's centre, of the middle of the caster; far below it where the
@@ -119,8 +144,8 @@ fn caster_middle(tile: CasterTile, texel: vec2<i32>) -> f32 {
     let size = i32(tile.size_px);
     if any(texel < vec2(0)) || any(texel >= vec2(size)) { return -1.0e9; }
     let at = vec2<i32>(tile.origin_px) + texel;
-    let front = textureLoad(shadow_atlas, at, 0);
+    let front = textureLoad(shadow_atlas, at, 0).r;
     if front == 0.0 { return -1.0e9; }
-    let back = textureLoad(shadow_atlas, at + vec2(0, i32(frame.atlas_layer_px)), 0);
+    let back = textureLoad(shadow_atlas, at + vec2(0, i32(frame.atlas_layer_px)), 0).r;
     return (front + back - 1.0) * tile.half_extent_m;
 }

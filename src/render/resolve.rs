@@ -10,7 +10,7 @@ use crate::gpu::Gpu;
 use crate::gpu::readback::Readback;
 
 /// Display-linear value up to which the tone curve is the identity.
-pub const TONE_KNEE: f64 = 0.50;
+pub const TONE_KNEE: f64 = 0.85;
 /// Display-linear value that endless light comes to: 249 of 255 after sRGB encoding.
 pub const TONE_WHITE: f64 = 0.947_307;
 /// Workgroups in a row of the dispatch, and invocations in a workgroup; both stand in `resolve.wgsl` too.

@@ -62,7 +62,10 @@ pub fn casters(scene: &Scene, frustum: &Frustum, pixel_angle: f32) -> Vec<Caster
             let side_px = (2.0 * rock.radius_m / texel_m).ceil() as u32 + 2;
             let half_extent_m = rock.radius_m * 1.02;
             let size_px = side_px.clamp(*TILE_PX.start(), *TILE_PX.end()) as f32;
-            let tile = CasterTile { centre: rock.centre, half_extent_m, size_px, ..Default::default() };
+            // The icosahedron's edge spans 63 degrees of the sphere, and each level halves it.
+            let facet_m = 1.1 * rock.radius_m / (1 << rock.level) as f32;
+            let tile =
+                CasterTile { centre: rock.centre, half_extent_m, size_px, facet_m, ..Default::default() };
             Some(Caster { rock: index, tile, reach_m })
         })
         .collect();

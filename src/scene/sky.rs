@@ -19,7 +19,7 @@ pub const STAR_RADIUS_M: [f64; 2] = [0.5, 1.1];
 /// Irradiance, on a surface that faces the sun, per unit of the intensity knob. Radiance 1 is what a picture at
 /// exposure 0 EV shows at the tone curve's middle; the factor was chosen with the tone curve on the reference
 /// frame.
-pub const SUN_IRRADIANCE_PER_INTENSITY: f32 = 1.0e-3;
+pub const SUN_IRRADIANCE_PER_INTENSITY: f32 = 1.66e-3;
 
 /// The distant sun: the only light there is, apart from the dome's own glow.
 #[derive(Clone, Copy, Debug)]

@@ -51,7 +51,7 @@ fn wrong_settings_are_refused_by_name_value_and_remedy() {
         (&["--out", "a_file"], &["--out a_file is a file"]),
         (&["--out", "."], &["already holds a_file", "--force"]),
         (&["--adapter", "voodoo"], &["no adapter matches `voodoo`", "llvmpipe"]),
-        (&["--seed", "-1"], &["--seed"]),
+        (&["--seed=-1"], &["--seed"]),
         (&["--seeds", "1"], &["--seed"]),
         (&["--label-ids", "mine"], &["canonical", "replicator"]),
     ] {

@@ -200,6 +200,7 @@ fn every_knob_is_live() {
             "sun.angular_diameter_deg" => "5",
             "rocks.near_count" => "3",
             "rocks.large_share" => "1",
+            "rocks.large_factor" => "5",
             "rocks.hero_x_m" | "rocks.hero_y_m" => "-70",
             "camera.y_m" => "-100",
             "terrain.size_m" => "700",
