@@ -195,8 +195,9 @@ impl Distribution {
                 let list = weights.as_array().filter(|list| list.len() == values.len());
                 let numbers: Option<Vec<f64>> = list.and_then(|list| list.iter().map(number).collect());
                 numbers
-                    .filter(|w| w.iter().all(|w| *w >= 0.0) && w.iter().sum::<f64>() > 0.0)
-                    .ok_or("weights: as many numbers as choices, none below 0, not all 0")?
+                    .filter(|w| w.iter().all(|w| *w >= 0.0))
+                    .filter(|w| (f64::MIN_POSITIVE..=f64::MAX).contains(&w.iter().sum()))
+                    .ok_or("weights: as many numbers as choices, none below 0, with a finite sum above 0")?
             }
         };
         Ok(Self::Choice { values, weights })
@@ -264,10 +265,19 @@ fn pair(value: &toml::Value) -> Option<[f64; 2]> {
     }
 }
 
+/// A number as TOML: whole ones without a point, those beyond TOML's integers with an exponent.
+struct Plain(f64);
+
+impl fmt::Display for Plain {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.0.abs() < 1e15 { write!(f, "{}", self.0) } else { write!(f, "{:e}", self.0) }
+    }
+}
+
 impl fmt::Display for Value {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Number(value) => write!(f, "{value}"),
+            Self::Number(value) => Plain(*value).fmt(f),
             Self::Rgb([r, g, b]) => write!(f, "[{r}, {g}, {b}]"),
             Self::Text(text) => write!(f, "{text:?}"),
         }
@@ -282,14 +292,15 @@ impl fmt::Display for Distribution {
             Self::UniformInt { low, high } => write!(f, "{{ uniform_int = [{low}, {high}] }}"),
             Self::LogUniform { low, high } => write!(f, "{{ log_uniform = [{low}, {high}] }}"),
             Self::Normal { mean, sigma, clip: [low, high] } => {
+                let (mean, sigma) = (Plain(*mean), Plain(*sigma));
                 write!(f, "{{ normal = [{mean}, {sigma}], clip = [{low}, {high}] }}")
             }
             Self::Power { low, high, exponent } => {
-                write!(f, "{{ power = [{low}, {high}], exponent = {exponent} }}")
+                write!(f, "{{ power = [{low}, {high}], exponent = {} }}", Plain(*exponent))
             }
             Self::Choice { values, weights } => {
                 let values: Vec<String> = values.iter().map(ToString::to_string).collect();
-                let weights: Vec<String> = weights.iter().map(ToString::to_string).collect();
+                let weights: Vec<String> = weights.iter().map(|weight| Plain(*weight).to_string()).collect();
                 write!(f, "{{ choice = [{}], weights = [{}] }}", values.join(", "), weights.join(", "))
             }
         }
@@ -297,6 +308,7 @@ impl fmt::Display for Distribution {
 }
 
 #[cfg(test)]
+#[allow(clippy::disallowed_methods, reason = "what is expected may be reckoned with std's functions")]
 mod tests {
     use super::*;
     use crate::random::Streams;
@@ -319,6 +331,8 @@ mod tests {
             "{ normal = [2, 0.2], clip = [1.5, 2.7] }",
             "{ power = [0.058, 0.13], exponent = 1.6 }",
             "{ choice = [\"a\", \"b\"], weights = [1, 3] }",
+            "{ choice = [1, 2], weights = [1e300, 0.5] }",
+            "{ normal = [-1e20, 1.5e20], clip = [1, 2] }",
         ] {
             assert_eq!(parse(text).expect(text).to_string(), text);
         }
@@ -341,7 +355,8 @@ mod tests {
             ("{ power = [0, 1], exponent = 0 }", "exponent"),
             ("{ choice = [] }", "one value"),
             ("{ choice = [1, 2], weights = [1] }", "as many"),
-            ("{ choice = [1, 2], weights = [0, 0] }", "not all 0"),
+            ("{ choice = [1, 2], weights = [0, 0] }", "sum above 0"),
+            ("{ choice = [1, 2], weights = [1e308, 1e308] }", "finite sum"),
             ("{ unifrom = [1, 2] }", "uniform=[a,b]"),
             ("{ uniform = [1, 2], clip = [1, 2] }", "without `clip`"),
             ("true", "a number"),

@@ -27,6 +27,13 @@ pub const fn presets() -> [(&'static str, &'static str); 4] {
     preset_files!["reference", "train_dr", "train_nodr", "test_photoreal"]
 }
 
+/// What a preset is, in a line: the comment that its text starts with.
+#[must_use]
+pub fn preset_description(name: &str) -> Option<&'static str> {
+    let (_, text) = presets().into_iter().find(|(preset, _)| *preset == name)?;
+    text.lines().next()?.strip_prefix("# ")
+}
+
 /// What each knob is drawn from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Config {
@@ -89,10 +96,10 @@ impl Config {
     /// Takes over knobs from TOML: `[sun]` and `elevation_deg = 3` in it, or `sun.elevation_deg = 3`.
     ///
     /// # Errors
-    /// [`Error::Toml`], [`Error::UnknownKnob`], [`Error::KnobType`], [`Error::KnobOutOfRange`]; nothing is taken
-    /// over then.
+    /// [`Error::Toml`], [`Error::UnknownKnob`], [`Error::KnobType`], [`Error::KnobOutOfRange`]: the first in the
+    /// text; nothing is taken over then.
     pub fn apply_toml(&mut self, text: &str, origin: &str) -> Result<()> {
-        let table: toml::Table = toml::from_str(text).map_err(|error| {
+        let syntax = |error: toml::de::Error| {
             let before = &text[..error.span().map_or(0, |span| span.start.min(text.len()))];
             Error::Toml {
                 origin: origin.to_owned(),
@@ -100,24 +107,18 @@ impl Config {
                 column: before.chars().rev().take_while(|c| *c != '\n').count() + 1,
                 message: error.message().to_owned(),
             }
-        })?;
+        };
+        let table: toml::Table = toml::from_str(text).map_err(syntax)?;
+        let places = toml::de::DeTable::parse(text).map_err(syntax)?;
+        let mut entries = Vec::new();
+        collect_entries("", &table, places.get_ref(), &mut entries);
+        entries.sort_by_key(|(place, ..)| *place);
         let mut changed = self.clone();
-        changed.apply_table("", &table, origin)?;
-        *self = changed;
-        Ok(())
-    }
-
-    fn apply_table(&mut self, prefix: &str, table: &toml::Table, origin: &str) -> Result<()> {
-        for (key, value) in table {
-            let name = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
-            if let Some(info) = KNOBS.iter().find(|info| info.name == name) {
-                self.set_toml(info, value, origin)?;
-            } else if let (toml::Value::Table(inner), true) = (value, is_section(&name)) {
-                self.apply_table(&name, inner, origin)?;
-            } else {
-                return Err(unknown(&name, origin));
-            }
+        for (_, name, value) in entries {
+            let info = KNOBS.iter().find(|info| info.name == name).ok_or_else(|| unknown(&name, origin))?;
+            changed.set_toml(info, value, origin)?;
         }
+        *self = changed;
         Ok(())
     }
 
@@ -142,6 +143,14 @@ impl Config {
     }
 
     fn set_toml(&mut self, info: &KnobInfo, value: &toml::Value, origin: &str) -> Result<()> {
+        if has_non_finite(value) {
+            return Err(Error::KnobOutOfRange {
+                name: info.name.to_owned(),
+                value: value.to_string(),
+                origin: origin.to_owned(),
+                allowed: format!("{}, finite", info.allowed()),
+            });
+        }
         let distribution =
             Distribution::from_toml(value, info.range).map_err(|expected| Error::KnobType {
                 name: info.name.to_owned(),
@@ -246,6 +255,36 @@ impl Config {
     }
 }
 
+/// The entries of a document under their dotted names, each with its place in the text: the table itself is
+/// sorted by name, and the first error that is reported should be the first that is read.
+fn collect_entries<'a>(
+    prefix: &str,
+    table: &'a toml::Table,
+    places: &toml::de::DeTable<'_>,
+    entries: &mut Vec<(usize, String, &'a toml::Value)>,
+) {
+    for (key, place) in places {
+        let name =
+            if prefix.is_empty() { key.get_ref().to_string() } else { format!("{prefix}.{}", key.get_ref()) };
+        match (&table[key.get_ref().as_ref()], place.get_ref()) {
+            (toml::Value::Table(inner), toml::de::DeValue::Table(places)) if is_section(&name) => {
+                collect_entries(&name, inner, places, entries);
+            }
+            (value, _) => entries.push((key.span().start, name, value)),
+        }
+    }
+}
+
+/// Whether NaN or an infinity stands anywhere in it.
+fn has_non_finite(value: &toml::Value) -> bool {
+    match value {
+        toml::Value::Float(number) => !number.is_finite(),
+        toml::Value::Array(list) => list.iter().any(has_non_finite),
+        toml::Value::Table(table) => table.iter().any(|(_, inner)| has_non_finite(inner)),
+        _ => false,
+    }
+}
+
 fn is_section(name: &str) -> bool {
     KNOBS.iter().any(|info| info.name.split('.').next() == Some(name))
 }
@@ -276,7 +315,9 @@ mod tests {
             read.apply_toml(&preset.to_toml(), "listing").unwrap_or_else(|error| panic!("{name}: {error}"));
             assert_eq!(read, preset);
             assert!(text.starts_with("# ") && preset != Config::new(), "{name}");
+            assert!(preset_description(name).is_some_and(|line| line.len() > 20), "{name}");
         }
+        assert_eq!(preset_description("train"), None);
         assert_eq!(Config::new().to_json().as_array().map(Vec::len), Some(KNOBS.len()));
     }
 
@@ -316,7 +357,11 @@ mod tests {
                 "sun.elevation_deg=95",
                 "sun.elevation_deg = 95 in --set is out of range: allowed is 0.5 to 90 deg",
             ),
-            ("sun.elevation_deg=nan", "a finite number (allowed: 0.5 to 90 deg)"),
+            (
+                "sun.elevation_deg=nan",
+                "sun.elevation_deg = nan in --set is out of range: allowed is 0.5 to 90 deg, finite",
+            ),
+            ("sun.elevation_deg={uniform=[5, inf]}", "out of range: allowed is 0.5 to 90 deg, finite"),
             ("sun.elevation_deg={uniform=[5, 95]}", "out of range: allowed is 0.5 to 90 deg"),
             ("sun.elevation_deg=high", "expected a number"),
             ("rocks.count=7.5", "expected a whole number"),
@@ -330,6 +375,19 @@ mod tests {
             let error = set(assignment).expect_err(assignment);
             assert!(error.to_string().contains(expected), "{assignment}: {error}");
             assert_eq!(error.exit_status(), 2);
+        }
+    }
+
+    #[test]
+    fn the_first_error_of_a_file_is_the_first_that_is_read() {
+        for (text, expected) in [
+            ("[sun]\nelevation_deg = 95\n[camera]\nfov_deg = 500\n", "sun.elevation_deg = 95"),
+            ("[sun]\nintensity = -1\nazimuth_deg = 999\n", "sun.intensity = -1"),
+            ("sun.intensity = -1\ncamera.zoom = 3\n", "sun.intensity = -1"),
+            ("[zoom]\nx = 1\n[camera]\nfov_deg = 500\n", "unknown knob `zoom`"),
+        ] {
+            let error = Config::new().apply_toml(text, "f").expect_err(text).to_string();
+            assert!(error.contains(expected), "{text}: {error}");
         }
     }
 

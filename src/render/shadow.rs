@@ -204,6 +204,7 @@ fn distance_to_segment(point: Vec3, a: Vec3, b: Vec3) -> f32 {
 }
 
 #[cfg(test)]
+#[allow(clippy::disallowed_methods, reason = "what is expected may be reckoned with std's functions")]
 mod tests {
     use super::*;
 

@@ -148,7 +148,7 @@ mod tests {
                 n += 1.0;
             }
         }
-        let (mean, deviation) = (sum / n, (square / n - (sum / n).powi(2)).sqrt());
+        let (mean, deviation) = (sum / n, (square / n - (sum / n) * (sum / n)).sqrt());
         assert!(mean.abs() < 0.02, "{mean}");
         assert!((deviation - 0.25).abs() < 0.03, "{deviation}");
     }

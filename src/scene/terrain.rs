@@ -192,6 +192,7 @@ fn draw_craters(streams: &Streams, params: &Params) -> Vec<Crater> {
 }
 
 #[cfg(test)]
+#[allow(clippy::disallowed_methods, reason = "what is expected may be reckoned with std's functions")]
 mod tests {
     use super::*;
 

@@ -1,5 +1,7 @@
 //! The one integration binary: the real program and the renderer on a CPU driver.
 
+#![allow(clippy::disallowed_methods, reason = "what is expected may be reckoned with std's functions")]
+
 mod architecture;
 mod cli;
 mod closed_form;
