@@ -12,6 +12,14 @@
 //! 5. A [`frame::Frame`] comes back: planes of bytes.
 //! 6. [`output`] encodes it and writes whole files.
 //!
+//! ```
+//! use regolith::{params::Params, scene::Scene};
+//!
+//! let scene = Scene::build(42, &Params::draw_default(42))?;
+//! assert!((75..=114).contains(&scene.rocks.len()));
+//! # Ok::<(), regolith::Error>(())
+//! ```
+//!
 //! `params` and `scene` know no GPU, `gpu` knows no Moon; they meet in `render`. `render` and `output` meet in
 //! `frame`.
 
