@@ -122,9 +122,7 @@ pub enum Error {
         reason: String,
     },
     /// More pixels than the device can draw.
-    #[error(
-        "size {width}x{height} with {samples} samples needs a {needed_px} px wide or high target, and {adapter} ends at {limit_px} px; use a smaller --size or fewer --samples"
-    )]
+    #[error("--size {width}x{height} with --samples {samples} is too large for {adapter}: it needs {needed} and the device ends at {limit}; use a smaller --size or fewer --samples")]
     SizeBeyondDevice {
         /// Picture width.
         width: u32,
@@ -132,13 +130,16 @@ pub enum Error {
         height: u32,
         /// Samples per pixel.
         samples: u32,
-        /// Longest side that would have to be drawn.
-        needed_px: u32,
-        /// Longest side the device allows.
-        limit_px: u32,
+        /// What would be needed, with its unit.
+        needed: String,
+        /// What the device allows, with its unit.
+        limit: String,
         /// The adapter's name.
         adapter: String,
     },
+    /// The device's memory does not hold the frame.
+    #[error("the graphics device has not enough memory for this frame; nothing was written. Use a smaller --size or fewer --samples")]
+    OutOfMemory,
     /// The device went away or gave up in mid-frame.
     #[error(
         "the graphics device was lost while rendering ({0}); nothing was written. Run the same command again; if it happens again, try a smaller --size or another --adapter"
@@ -196,6 +197,7 @@ impl Error {
             | Self::AdapterUnfit { .. }
             | Self::DeviceLost(_)
             | Self::Device(_)
+            | Self::OutOfMemory
             | Self::Unlabelled { .. }
             | Self::Encode { .. } => 1,
         }

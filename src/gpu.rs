@@ -92,7 +92,11 @@ impl Gpu {
         };
         let (on_error, on_loss) = (Arc::clone(&trouble), Arc::clone(&trouble));
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
-            note(Error::Device(error.to_string().trim().to_owned()), &on_error);
+            let error = match error {
+                wgpu::Error::OutOfMemory { .. } => Error::OutOfMemory,
+                other => Error::Device(other.to_string().trim().to_owned()),
+            };
+            note(error, &on_error);
         }));
         device.set_device_lost_callback(move |reason, message| {
             let message = if message.is_empty() { format!("{reason:?}") } else { message };

@@ -77,20 +77,24 @@ impl Targets {
     pub fn new(gpu: &Gpu, size: [u32; 2], samples_per_side: u32) -> Result<Self> {
         let limits = gpu.device.limits();
         let [width, height] = size;
-        let needed_px = width.max(height).saturating_mul(samples_per_side);
-        // Besides the textures' sides, the packed result must fit into one binding.
+        let too_large = |needed: String, limit: String| Error::SizeBeyondDevice {
+            width,
+            height,
+            samples: samples_per_side * samples_per_side,
+            needed,
+            limit,
+            adapter: gpu.info.name.clone(),
+        };
+        let side_px = u64::from(width.max(height)) * u64::from(samples_per_side);
+        if side_px > u64::from(limits.max_texture_dimension_2d) {
+            let limit = format!("{} px", limits.max_texture_dimension_2d);
+            return Err(too_large(format!("a target with a side of {side_px} px"), limit));
+        }
         let packed_bytes = u64::from(width) * u64::from(height) * 4;
-        if needed_px > limits.max_texture_dimension_2d
-            || packed_bytes > limits.max_storage_buffer_binding_size
-        {
-            return Err(Error::SizeBeyondDevice {
-                width,
-                height,
-                samples: samples_per_side * samples_per_side,
-                needed_px,
-                limit_px: limits.max_texture_dimension_2d,
-                adapter: gpu.info.name.clone(),
-            });
+        if packed_bytes > limits.max_storage_buffer_binding_size {
+            let mebibytes = |bytes: u64| format!("{} MiB", bytes.div_ceil(1 << 20));
+            let limit = mebibytes(limits.max_storage_buffer_binding_size);
+            return Err(too_large(format!("{} in one buffer", mebibytes(packed_bytes)), limit));
         }
         let sample_size = size.map(|side| side * samples_per_side);
         let usage = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
