@@ -122,7 +122,9 @@ pub enum Error {
         reason: String,
     },
     /// More pixels than the device can draw.
-    #[error("--size {width}x{height} with --samples {samples} is too large for {adapter}: it needs {needed} and the device ends at {limit}; use a smaller --size or fewer --samples")]
+    #[error(
+        "--size {width}x{height} with --samples {samples} is too large for {adapter}: it needs {needed} and the device ends at {limit}; use a smaller --size or fewer --samples"
+    )]
     SizeBeyondDevice {
         /// Picture width.
         width: u32,
@@ -138,7 +140,9 @@ pub enum Error {
         adapter: String,
     },
     /// The device's memory does not hold the frame.
-    #[error("the graphics device has not enough memory for this frame; nothing was written. Use a smaller --size or fewer --samples")]
+    #[error(
+        "the graphics device has not enough memory for this frame; nothing was written. Use a smaller --size or fewer --samples"
+    )]
     OutOfMemory,
     /// The device went away or gave up in mid-frame.
     #[error(

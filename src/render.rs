@@ -9,6 +9,7 @@
 pub mod gpu_scene;
 pub mod resolve;
 mod scene_pass;
+pub mod selection;
 pub mod shaders;
 pub mod shadow;
 mod shadow_pass;

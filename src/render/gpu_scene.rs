@@ -1,16 +1,15 @@
 //! A scene on the device: what is drawn of it for this picture, and the buffers that hold it.
 //!
-//! The draw list is made anew for each frame: ground blocks and rocks that the camera can see, near ones first,
-//! each rock at the coarsest level that stays within a quarter of a pixel of its authored outline; and every rock
-//! whose shadow can be seen, for the shadow atlas.
+//! The draw list is made anew for each frame from a [`Selection`], near things first.
 
 use std::ops::Range;
 
-use glam::{Mat4, Vec3, Vec4};
+use glam::{Mat4, Vec3};
 use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 
+use super::selection::{Selection, ground_blocks};
 use super::shaders::{CasterTile, FrameUniforms, Instance};
-use super::shadow::{self, Caster, HorizonMap};
+use super::shadow::{self, HorizonMap};
 use super::{RenderSettings, resolve};
 use crate::class::ClassId;
 use crate::gpu::Gpu;
@@ -18,10 +17,6 @@ use crate::scene::Scene;
 use crate::scene::mesh::{Icosphere, Vertex};
 use crate::scene::sky::{DOME_RADIANCE, STAR_RADIANCE};
 
-/// Largest distance of a caster's drawn outline from the authored one, texels of its tile.
-const CASTER_ERROR_PX: f32 = 0.25;
-/// Cells along a side of a block of ground that is culled as one.
-const BLOCK_CELLS: u32 = 30;
 /// Levels of the icospheres that dome and stars are drawn with.
 const DOME_LEVEL: usize = 4;
 const STAR_LEVEL: usize = 1;
@@ -77,7 +72,7 @@ pub struct GpuScene {
 #[derive(Debug)]
 struct GroundBlocks {
     cells: u32,
-    blocks: Vec<(Range<u32>, [Range<u32>; 2])>,
+    blocks: Vec<Range<u32>>,
 }
 
 /// A buffer that grows when more is written than it holds.
@@ -145,14 +140,13 @@ impl GpuScene {
     pub fn upload(&mut self, gpu: &Gpu, scene: &Scene, settings: &RenderSettings) {
         self.uploaded_bytes = 0;
         self.upload_indices(gpu, scene);
-        let frustum = Frustum::new(&scene.camera.clip_from_world(settings.size));
-        let focal_px = scene.camera.focal_px(settings.size[0]) as f32;
-        let casters = shadow::casters(scene, &frustum, 1.0 / focal_px);
+        let selection = Selection::new(scene, settings);
         let horizon = HorizonMap::build(&scene.terrain, &scene.sun);
-        self.upload_things(gpu, scene, &frustum, settings.outline_error_px / focal_px, &casters);
+        self.upload_things(gpu, scene, &selection);
+        let casters = &selection.casters;
         let tiles: Vec<CasterTile> = casters.iter().map(|caster| caster.tile).collect();
         self.uploaded_bytes += self.tiles.write(gpu, &tiles);
-        self.uploaded_bytes += self.caster_grid.write(gpu, &shadow::caster_grid(scene, &casters));
+        self.uploaded_bytes += self.caster_grid.write(gpu, &shadow::caster_grid(scene, casters));
         let uniforms = frame_uniforms(scene, settings, &horizon);
         self.uploaded_bytes += self.frame.write(gpu, &[uniforms]);
         self.upload_horizon(gpu, &horizon);
@@ -179,29 +173,15 @@ impl GpuScene {
         };
         self.sphere_levels =
             Icosphere::shared().triangles.iter().map(|level| range(&mut level.iter().copied())).collect();
-        let spans =
-            || (0..cells).step_by(BLOCK_CELLS as usize).map(|first| first..(first + BLOCK_CELLS).min(cells));
-        let blocks = spans()
-            .flat_map(|rows| spans().map(move |columns| (columns, rows.clone())))
-            .map(|(columns, rows)| {
-                let indices = range(&mut scene.terrain.block_triangles(columns.clone(), rows.clone()));
-                (indices, [columns, rows])
-            })
+        let blocks = ground_blocks(cells)
+            .map(|[columns, rows]| range(&mut scene.terrain.block_triangles(columns, rows)))
             .collect();
         self.ground = Some(GroundBlocks { cells, blocks });
         self.uploaded_bytes += self.indices.write(gpu, triangles.as_flattened());
     }
 
-    /// Vertices, instances and draws of ground, rocks and sky; `outline_error` is the tangent of the angle by which
-    /// an outline may be off.
-    fn upload_things(
-        &mut self,
-        gpu: &Gpu,
-        scene: &Scene,
-        frustum: &Frustum,
-        outline_error: f32,
-        casters: &[Caster],
-    ) {
+    /// Vertices, instances and draws of ground, rocks and sky.
+    fn upload_things(&mut self, gpu: &Gpu, scene: &Scene, selection: &Selection) {
         let mut draws = DrawList::default();
         let sphere: Vec<Vertex> = Icosphere::shared().directions[..Icosphere::vertex_count(DOME_LEVEL)]
             .iter()
@@ -217,50 +197,26 @@ impl GpuScene {
             class_id: ClassId::REGOLITH.0.into(),
             ..Default::default()
         }];
-        let mut surfaces: Vec<(f32, Draw)> = self
-            .ground
-            .iter()
-            .flat_map(|ground| &ground.blocks)
-            .filter_map(|(indices, [columns, rows])| {
-                let (low, high) = block_bounds(scene, columns, rows);
-                frustum.may_see_box(low, high).then(|| {
-                    let nearest = scene.camera.eye.clamp(low, high).distance(scene.camera.eye);
-                    let draw =
-                        Draw { indices: indices.clone(), base_vertex: ground_base as i32, instances: 0..1 };
-                    (nearest, draw)
-                })
-            })
-            .collect();
-        // Rocks: an instance each if seen or casting; as many vertices as the finer of the two uses needs.
+        let mut surfaces: Vec<(f32, Draw)> = Vec::new();
+        for &(block, nearest_m) in &selection.blocks {
+            let indices = self.ground.as_ref().map_or(0..0, |ground| ground.blocks[block].clone());
+            surfaces.push((nearest_m, Draw { indices, base_vertex: ground_base as i32, instances: 0..1 }));
+        }
+        // Rocks: an instance each; as many vertices as the finer of its two uses needs.
         let mut uploads: Vec<(usize, &[Vertex])> = Vec::new();
-        let mut next_caster = casters.iter().enumerate().peekable();
-        for (index, rock) in scene.rocks.iter().enumerate() {
-            let tile = next_caster.next_if(|(_, caster)| caster.rock == index);
-            let seen = frustum.may_see_ball(rock.centre, rock.radius_m);
-            if tile.is_none() && !seen {
-                continue;
-            }
+        for selected in &selection.rocks {
+            let rock = &scene.rocks[selected.rock];
             let instance = instances.len() as u32;
-            let coarsest = |allowed_m: f32| {
-                rock.level_errors_m.iter().position(|&error_m| error_m <= allowed_m).unwrap_or(rock.level)
-            };
             let draw = |level: usize| Draw {
                 indices: self.sphere_levels[level].clone(),
                 base_vertex: rock_base as i32,
                 instances: instance..instance + 1,
             };
-            let mut finest = 0;
-            if let Some((_, caster)) = tile {
-                let texel_m = 2.0 * caster.tile.half_extent_m / caster.tile.size_px;
-                let level = coarsest(CASTER_ERROR_PX * texel_m);
+            if let Some((_, level)) = selected.caster {
                 draws.casters.push(draw(level));
-                finest = level;
             }
-            if seen {
-                let nearest_m = (rock.centre.distance(scene.camera.eye) - rock.radius_m).max(0.0);
-                let level = coarsest(outline_error * nearest_m);
-                surfaces.push((nearest_m, draw(level)));
-                finest = finest.max(level);
+            if let Some(level) = selected.seen_level {
+                surfaces.push((selected.nearest_m, draw(level)));
             }
             instances.push(Instance {
                 origin: rock.centre,
@@ -269,9 +225,10 @@ impl GpuScene {
                 roughness: rock.material.roughness,
                 class_id: ClassId::ROCK.0.into(),
                 instance_id: rock.index + 1,
-                tile: tile.map_or(0, |(i, _)| i as u32),
+                tile: selected.caster.map_or(0, |(tile, _)| tile as u32),
                 reserved: 0,
             });
+            let finest = selected.seen_level.max(selected.caster.map(|(_, level)| level)).unwrap_or(0);
             let vertices = &rock.vertices[..Icosphere::vertex_count(finest)];
             uploads.push((rock_base, vertices));
             rock_base += vertices.len();
@@ -287,14 +244,10 @@ impl GpuScene {
             ..Default::default()
         };
         let first_star = instances.len() as u32;
-        instances.extend(
-            scene
-                .sky
-                .stars
-                .iter()
-                .filter(|star| frustum.may_see_ball(star.centre, star.radius_m))
-                .map(|star| in_sky(star.centre, star.radius_m, STAR_RADIANCE)),
-        );
+        instances.extend(selection.stars.iter().map(|&star| {
+            let star = scene.sky.stars[star];
+            in_sky(star.centre, star.radius_m, STAR_RADIANCE)
+        }));
         let dome = instances.len() as u32;
         instances.push(in_sky(scene.sky.centre, scene.sky.radius_m, DOME_RADIANCE));
         for (level, range) in [(STAR_LEVEL, first_star..dome), (DOME_LEVEL, dome..dome + 1)] {
@@ -335,20 +288,6 @@ impl GpuScene {
     }
 }
 
-/// Lowest and highest corner of the box around a block of the ground.
-fn block_bounds(scene: &Scene, columns: &Range<u32>, rows: &Range<u32>) -> (Vec3, Vec3) {
-    let row_len = scene.terrain.cells as usize + 1;
-    let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-    for row in rows.start..=rows.end {
-        let first = row as usize * row_len;
-        for vertex in &scene.terrain.vertices[first + columns.start as usize..=first + columns.end as usize] {
-            low = low.min(vertex.position);
-            high = high.max(vertex.position);
-        }
-    }
-    (low, high)
-}
-
 fn frame_uniforms(scene: &Scene, settings: &RenderSettings, horizon: &HorizonMap) -> FrameUniforms {
     let (camera, sun) = (&scene.camera, &scene.sun);
     let sun_right =
@@ -378,68 +317,5 @@ fn frame_uniforms(scene: &Scene, settings: &RenderSettings, horizon: &HorizonMap
         picture_size_px: settings.size,
         samples_per_side: settings.samples_per_side,
         reserved: 0,
-    }
-}
-
-/// The six planes that bound what the camera sees. Tests may say yes for a thing just outside, never no for one
-/// inside.
-#[derive(Clone, Copy, Debug)]
-pub struct Frustum {
-    /// Normals inward, unit; distance in w.
-    planes: [Vec4; 5],
-}
-
-impl Frustum {
-    /// The frustum of a reversed-depth projection, without its far plane (the sky's dome lies before it).
-    #[must_use]
-    pub fn new(clip_from_world: &Mat4) -> Self {
-        let row = |i| clip_from_world.row(i);
-        let planes = [row(3) + row(0), row(3) - row(0), row(3) + row(1), row(3) - row(1), row(3) - row(2)];
-        Self { planes: planes.map(|plane| plane / plane.truncate().length()) }
-    }
-
-    fn may_see(&self, furthest_inside: impl Fn(Vec4) -> f32) -> bool {
-        self.planes.iter().all(|&plane| furthest_inside(plane) >= 0.0)
-    }
-
-    /// Whether a ball may be seen.
-    #[must_use]
-    pub fn may_see_ball(&self, centre: Vec3, radius_m: f32) -> bool {
-        self.may_see_swept_ball(centre, centre, radius_m)
-    }
-
-    /// Whether a ball that moves from `start` to `end` may be seen anywhere on its way.
-    #[must_use]
-    pub fn may_see_swept_ball(&self, start: Vec3, end: Vec3, radius_m: f32) -> bool {
-        self.may_see(|plane| plane.dot(start.extend(1.0)).max(plane.dot(end.extend(1.0))) + radius_m)
-    }
-
-    /// Whether a box may be seen.
-    #[must_use]
-    pub fn may_see_box(&self, low: Vec3, high: Vec3) -> bool {
-        self.may_see(|plane| {
-            let corner = Vec3::select(plane.truncate().cmpge(Vec3::ZERO), high, low);
-            plane.dot(corner.extend(1.0))
-        })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::scene::camera::Camera;
-
-    #[test]
-    fn frustum_sees_what_is_before_the_lens_and_nothing_behind_it() {
-        let camera = Camera::new(Vec3::new(0.0, -90.0, 2.0), [0.0, 0.0, 0.0], 60.0, 2000.0, 0.0);
-        let frustum = Frustum::new(&camera.clip_from_world([64, 64]));
-        let at = |x: f32, y: f32| Vec3::new(x, y, 2.0);
-        assert!(frustum.may_see_ball(at(0.0, 0.0), 0.1));
-        assert!(!frustum.may_see_ball(at(0.0, -100.0), 1.0));
-        assert!(!frustum.may_see_ball(at(80.0, -50.0), 1.0));
-        assert!(frustum.may_see_ball(at(24.0, -50.0), 2.0), "just outside, but its side is in view");
-        assert!(frustum.may_see_swept_ball(at(80.0, -50.0), at(0.0, -50.0), 1.0));
-        assert!(frustum.may_see_box(at(-1.0, -80.0), at(1.0, -70.0)));
-        assert!(!frustum.may_see_box(at(-1.0, -130.0), at(1.0, -110.0)));
     }
 }

@@ -7,7 +7,7 @@
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::gpu_scene::Frustum;
+use super::selection::Frustum;
 use super::shaders::CasterTile;
 use crate::scene::Scene;
 use crate::scene::sky::Sun;

@@ -1,0 +1,179 @@
+//! What of a scene is drawn for one picture: blocks of ground, rocks with their level of detail, casters, stars.
+//!
+//! A function of scene and settings alone, so that an export can hold exactly what a frame draws.
+//! Must not know: buffers.
+
+use std::ops::Range;
+
+use glam::{Mat4, Vec3, Vec4};
+
+use super::RenderSettings;
+use super::shadow::{self, Caster};
+use crate::scene::Scene;
+use crate::scene::rocks::Rock;
+
+/// Largest distance of a caster's drawn outline from the authored one, texels of its tile.
+const CASTER_ERROR_PX: f32 = 0.25;
+/// Cells along a side of a block of ground that is culled as one.
+const BLOCK_CELLS: u32 = 30;
+
+/// What is drawn for one picture.
+#[derive(Clone, Debug)]
+pub struct Selection {
+    /// Blocks of ground that may be seen, by their place in [`ground_blocks`], with their distance in metres. All of
+    /// the ground casts shadows.
+    pub blocks: Vec<(usize, f32)>,
+    /// Rocks that may be seen, or whose shadow may, by rising index.
+    pub rocks: Vec<SelectedRock>,
+    /// Indices of the stars that may be seen.
+    pub stars: Vec<usize>,
+    /// Rocks whose shadow may be seen.
+    pub casters: Vec<Caster>,
+}
+
+/// A rock that is drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SelectedRock {
+    /// Its index in the scene.
+    pub rock: usize,
+    /// Distance of the nearest it can be to the eye, metres.
+    pub nearest_m: f32,
+    /// Level of the icosphere that it is seen at.
+    pub seen_level: Option<usize>,
+    /// Index in [`Selection::casters`] and level that it casts its shadow with.
+    pub caster: Option<(usize, usize)>,
+}
+
+impl Selection {
+    /// What these settings draw of a scene.
+    #[must_use]
+    pub fn new(scene: &Scene, settings: &RenderSettings) -> Self {
+        let camera = &scene.camera;
+        let frustum = Frustum::new(&camera.clip_from_world(settings.size));
+        let pixel_angle = 1.0 / camera.focal_px(settings.size[0]) as f32;
+        let casters = shadow::casters(scene, &frustum, pixel_angle);
+        let blocks = ground_blocks(scene.terrain.cells)
+            .enumerate()
+            .filter_map(|(block, [columns, rows])| {
+                let (low, high) = block_bounds(scene, &columns, &rows);
+                let nearest_m = camera.eye.clamp(low, high).distance(camera.eye);
+                frustum.may_see_box(low, high).then_some((block, nearest_m))
+            })
+            .collect();
+        let mut next_caster = casters.iter().enumerate().peekable();
+        let rocks = scene
+            .rocks
+            .iter()
+            .enumerate()
+            .map(|(index, rock)| {
+                let nearest_m = (rock.centre.distance(camera.eye) - rock.radius_m).max(0.0);
+                let seen = frustum.may_see_ball(rock.centre, rock.radius_m);
+                let caster =
+                    next_caster.next_if(|(_, caster)| caster.rock == index).map(|(place, caster)| {
+                        let texel_m = 2.0 * caster.tile.half_extent_m / caster.tile.size_px;
+                        (place, coarsest_level(rock, CASTER_ERROR_PX * texel_m))
+                    });
+                let outline_error_m = settings.outline_error_px * pixel_angle * nearest_m;
+                let seen_level = seen.then(|| coarsest_level(rock, outline_error_m));
+                SelectedRock { rock: index, nearest_m, seen_level, caster }
+            })
+            .filter(|selected| selected.seen_level.is_some() || selected.caster.is_some())
+            .collect();
+        let stars = (0..scene.sky.stars.len())
+            .filter(|&star| {
+                frustum.may_see_ball(scene.sky.stars[star].centre, scene.sky.stars[star].radius_m)
+            })
+            .collect();
+        Self { blocks, rocks, stars, casters }
+    }
+}
+
+/// Columns and rows of the ground's cells in each block.
+pub fn ground_blocks(cells: u32) -> impl Iterator<Item = [Range<u32>; 2]> {
+    let spans = move || {
+        (0..cells).step_by(BLOCK_CELLS as usize).map(move |first| first..(first + BLOCK_CELLS).min(cells))
+    };
+    spans().flat_map(move |rows| spans().map(move |columns| [columns, rows.clone()]))
+}
+
+/// The coarsest level of a rock's mesh that stays this close to the authored one.
+fn coarsest_level(rock: &Rock, allowed_m: f32) -> usize {
+    rock.level_errors_m.iter().position(|&error_m| error_m <= allowed_m).unwrap_or(rock.level)
+}
+
+/// Lowest and highest corner of the box around a block of the ground.
+fn block_bounds(scene: &Scene, columns: &Range<u32>, rows: &Range<u32>) -> (Vec3, Vec3) {
+    let row_len = scene.terrain.cells as usize + 1;
+    let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    for row in rows.start..=rows.end {
+        let first = row as usize * row_len;
+        for vertex in &scene.terrain.vertices[first + columns.start as usize..=first + columns.end as usize] {
+            low = low.min(vertex.position);
+            high = high.max(vertex.position);
+        }
+    }
+    (low, high)
+}
+
+/// The six planes that bound what the camera sees. Tests may say yes for a thing just outside, never no for one
+/// inside.
+#[derive(Clone, Copy, Debug)]
+pub struct Frustum {
+    /// Normals inward, unit; distance in w.
+    planes: [Vec4; 5],
+}
+
+impl Frustum {
+    /// The frustum of a reversed-depth projection, without its far plane (the sky's dome lies before it).
+    #[must_use]
+    pub fn new(clip_from_world: &Mat4) -> Self {
+        let row = |i| clip_from_world.row(i);
+        let planes = [row(3) + row(0), row(3) - row(0), row(3) + row(1), row(3) - row(1), row(3) - row(2)];
+        Self { planes: planes.map(|plane| plane / plane.truncate().length()) }
+    }
+
+    fn may_see(&self, furthest_inside: impl Fn(Vec4) -> f32) -> bool {
+        self.planes.iter().all(|&plane| furthest_inside(plane) >= 0.0)
+    }
+
+    /// Whether a ball may be seen.
+    #[must_use]
+    pub fn may_see_ball(&self, centre: Vec3, radius_m: f32) -> bool {
+        self.may_see_swept_ball(centre, centre, radius_m)
+    }
+
+    /// Whether a ball that moves from `start` to `end` may be seen anywhere on its way.
+    #[must_use]
+    pub fn may_see_swept_ball(&self, start: Vec3, end: Vec3, radius_m: f32) -> bool {
+        self.may_see(|plane| plane.dot(start.extend(1.0)).max(plane.dot(end.extend(1.0))) + radius_m)
+    }
+
+    /// Whether a box may be seen.
+    #[must_use]
+    pub fn may_see_box(&self, low: Vec3, high: Vec3) -> bool {
+        self.may_see(|plane| {
+            let corner = Vec3::select(plane.truncate().cmpge(Vec3::ZERO), high, low);
+            plane.dot(corner.extend(1.0))
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::camera::Camera;
+
+    #[test]
+    fn frustum_sees_what_is_before_the_lens_and_nothing_behind_it() {
+        let camera = Camera::new(Vec3::new(0.0, -90.0, 2.0), [0.0, 0.0, 0.0], 60.0, 2000.0, 0.0);
+        let frustum = Frustum::new(&camera.clip_from_world([64, 64]));
+        let at = |x: f32, y: f32| Vec3::new(x, y, 2.0);
+        assert!(frustum.may_see_ball(at(0.0, 0.0), 0.1));
+        assert!(!frustum.may_see_ball(at(0.0, -100.0), 1.0));
+        assert!(!frustum.may_see_ball(at(80.0, -50.0), 1.0));
+        assert!(frustum.may_see_ball(at(24.0, -50.0), 2.0), "just outside, but its side is in view");
+        assert!(frustum.may_see_swept_ball(at(80.0, -50.0), at(0.0, -50.0), 1.0));
+        assert!(frustum.may_see_box(at(-1.0, -80.0), at(1.0, -70.0)));
+        assert!(!frustum.may_see_box(at(-1.0, -130.0), at(1.0, -110.0)));
+    }
+}
