@@ -1,16 +1,22 @@
-// Samples to pixels, each plane by its own rule, packed_words tight for reading back.
+// Samples to pixels, each plane by its own rule, packed tight for reading back.
 //
 // Colour: mean of the samples in linear light, then exposure, tone curve, sRGB, 8 bits rounded to nearest.
-// Labels: the class of most samples; among classes with as many, that of the nearest sample. Ids are never
-// averaged.
+// Labels: the class of most samples; among classes with as many, that of the nearest sample. Among the samples of that
+// class the instance likewise. Ids are never averaged.
+// Depth, normal and shadow are means over the samples of that class and instance alone, so nothing bleeds across an
+// outline. Depth is averaged as 1/z, which is linear on the picture: the depth of a plane at the pixel's centre.
 //
-// One invocation packs four pixels, in reading order: three words of RGB bytes, one word of class bytes.
+// One invocation packs four pixels, in reading order: three words of RGB bytes, one word of class bytes, and for each
+// annotation that is asked for its words, pixel by pixel.
 
 @group(2) @binding(0) var radiance_samples: texture_2d<f32>;
 @group(2) @binding(1) var class_samples: texture_2d<u32>;
+@group(2) @binding(2) var normal_samples: texture_2d<f32>;
+@group(2) @binding(3) var instance_samples: texture_2d<u32>;
+@group(2) @binding(4) var hidden_samples: texture_2d<f32>;
 // Depth, bound as plain numbers: GLSL cannot load from a depth texture.
-@group(2) @binding(2) var depth_samples: texture_2d<f32>;
-@group(2) @binding(3) var<storage, read_write> packed_words: array<u32>;
+@group(2) @binding(5) var depth_samples: texture_2d<f32>;
+@group(2) @binding(6) var<storage, read_write> packed_words: array<u32>;
 
 const GROUP_WIDTH: u32 = 64u;
 const ROW_WIDTH: u32 = 1024u;
@@ -27,8 +33,11 @@ fn cs_main(@builtin(global_invocation_id) id: vec3<u32>) {
         // Pixels beyond the last repeat it: they are never read.
         let pixel = min(4u * group + k, pixels - 1u);
         let corner = vec2(pixel % frame.picture_size_px.x, pixel / frame.picture_size_px.x) * frame.samples_per_side;
-        bytes[k] = colour(corner);
-        classes |= class_of_most(corner) << (8u * k);
+        let radiance = mean_radiance(corner);
+        bytes[k] = encoded(radiance);
+        let class_id = class_of_most(corner);
+        classes |= class_id << (8u * k);
+        annotate(pixel, corner, class_id, radiance);
     }
     packed_words[3u * group] = bytes[0].x | (bytes[0].y << 8u) | (bytes[0].z << 16u) | (bytes[1].x << 24u);
     packed_words[3u * group + 1u] = bytes[1].y | (bytes[1].z << 8u) | (bytes[2].x << 16u) | (bytes[2].y << 24u);
@@ -36,7 +45,7 @@ fn cs_main(@builtin(global_invocation_id) id: vec3<u32>) {
     packed_words[3u * groups + group] = classes;
 }
 
-fn colour(corner: vec2<u32>) -> vec3<u32> {
+fn mean_radiance(corner: vec2<u32>) -> vec3<f32> {
     let side = frame.samples_per_side;
     var sum = vec3(0.0);
     for (var y = 0u; y < side; y++) {
@@ -44,34 +53,51 @@ fn colour(corner: vec2<u32>) -> vec3<u32> {
             sum += textureLoad(radiance_samples, vec2<i32>(corner + vec2(x, y)), 0).rgb;
         }
     }
-    let encoded = srgb_from_linear(tone(frame.exposure * sum / f32(side * side)));
-    return vec3<u32>(clamp(255.0 * encoded + 0.5, vec3(0.0), vec3(255.0)));
+    return sum / f32(side * side);
 }
 
-fn class_at(sample_px: vec2<u32>) -> u32 {
-    return textureLoad(class_samples, vec2<i32>(sample_px), 0).r;
+fn encoded(radiance: vec3<f32>) -> vec3<u32> {
+    let display = srgb_from_linear(tone(frame.exposure * radiance));
+    return vec3<u32>(clamp(255.0 * display + 0.5, vec3(0.0), vec3(255.0)));
+}
+
+// Sample `i` of a pixel, in reading order.
+fn sample_at(corner: vec2<u32>, i: u32) -> vec2<i32> {
+    return vec2<i32>(corner + vec2(i % frame.samples_per_side, i / frame.samples_per_side));
+}
+
+fn class_at(at: vec2<i32>) -> u32 {
+    return textureLoad(class_samples, at, 0).r;
+}
+
+fn instance_at(at: vec2<i32>) -> u32 {
+    return textureLoad(instance_samples, at, 0).r;
+}
+
+// Reversed: the larger is the nearer.
+fn depth_at(at: vec2<i32>) -> f32 {
+    return textureLoad(depth_samples, at, 0).r;
 }
 
 fn class_of_most(corner: vec2<u32>) -> u32 {
-    let side = frame.samples_per_side;
-    let first = class_at(corner);
+    let count = frame.samples_per_side * frame.samples_per_side;
+    let first = class_at(vec2<i32>(corner));
     var uniform_pixel = true;
-    for (var i = 1u; i < side * side; i++) {
-        uniform_pixel = uniform_pixel && class_at(corner + vec2(i % side, i / side)) == first;
+    for (var i = 1u; i < count; i++) {
+        uniform_pixel = uniform_pixel && class_at(sample_at(corner, i)) == first;
     }
     if uniform_pixel { return first; }
     var best = first;
     var best_votes = 0u;
     var best_depth = 0.0;
-    for (var i = 0u; i < side * side; i++) {
-        let at = corner + vec2(i % side, i / side);
+    for (var i = 0u; i < count; i++) {
+        let at = sample_at(corner, i);
         let candidate = class_at(at);
-        let depth = textureLoad(depth_samples, vec2<i32>(at), 0).r;
+        let depth = depth_at(at);
         var votes = 0u;
-        for (var j = 0u; j < side * side; j++) {
-            votes += u32(class_at(corner + vec2(j % side, j / side)) == candidate);
+        for (var j = 0u; j < count; j++) {
+            votes += u32(class_at(sample_at(corner, j)) == candidate);
         }
-        // Depth is reversed: the larger is the nearer.
         if votes > best_votes || (votes == best_votes && depth > best_depth) {
             best = candidate;
             best_votes = votes;
@@ -79,4 +105,79 @@ fn class_of_most(corner: vec2<u32>) -> u32 {
         }
     }
     return best;
+}
+
+// The instance of most samples of a class, ties to the nearest.
+fn instance_of_most(corner: vec2<u32>, class_id: u32) -> u32 {
+    let count = frame.samples_per_side * frame.samples_per_side;
+    var best = 0u;
+    var best_votes = 0u;
+    var best_depth = 0.0;
+    for (var i = 0u; i < count; i++) {
+        let at = sample_at(corner, i);
+        if class_at(at) != class_id { continue; }
+        let candidate = instance_at(at);
+        let depth = depth_at(at);
+        var votes = 0u;
+        for (var j = 0u; j < count; j++) {
+            let other = sample_at(corner, j);
+            votes += u32(class_at(other) == class_id && instance_at(other) == candidate);
+        }
+        if votes > best_votes || (votes == best_votes && depth > best_depth) {
+            best = candidate;
+            best_votes = votes;
+            best_depth = depth;
+        }
+    }
+    return best;
+}
+
+fn annotate(pixel: u32, corner: vec2<u32>, class_id: u32, radiance: vec3<f32>) {
+    let count = frame.samples_per_side * frame.samples_per_side;
+    if frame.radiance_at != NOT_ASKED {
+        packed_words[frame.radiance_at + 2u * pixel] = pack2x16float(radiance.rg);
+        packed_words[frame.radiance_at + 2u * pixel + 1u] = pack2x16float(vec2(radiance.b, 0.0));
+    }
+    if frame.coverage_at != NOT_ASKED {
+        // How many samples each of the classes 0 to 3 has, a byte each.
+        var counts = 0u;
+        for (var i = 0u; i < count; i++) {
+            let other = class_at(sample_at(corner, i));
+            if other < 4u { counts += 1u << (8u * other); }
+        }
+        packed_words[frame.coverage_at + pixel] = counts;
+    }
+    let wanted = min(min(frame.depth_at, frame.normals_at), min(frame.instances_at, frame.hidden_at));
+    if wanted == NOT_ASKED { return; }
+    // Where no instances are drawn the texture holds a single 0, and every load gives it.
+    let instance_id = instance_of_most(corner, class_id);
+    var samples = 0.0;
+    var depth = 0.0;
+    var hidden = 0.0;
+    var normal = vec3(0.0);
+    for (var i = 0u; i < count; i++) {
+        let at = sample_at(corner, i);
+        if class_at(at) != class_id || instance_at(at) != instance_id { continue; }
+        samples += 1.0;
+        depth += depth_at(at);
+        hidden += textureLoad(hidden_samples, at, 0).r;
+        normal += textureLoad(normal_samples, at, 0).xyz;
+    }
+    if frame.depth_at != NOT_ASKED {
+        let metres = frame.depth_scale_m / (depth / samples + frame.depth_offset);
+        packed_words[frame.depth_at + pixel] = bitcast<u32>(metres);
+    }
+    if frame.normals_at != NOT_ASKED {
+        let length_squared = dot(normal, normal);
+        let unit = select(vec3(0.0), normal * inverseSqrt(max(length_squared, 1.0e-12)), length_squared > 1.0e-6);
+        packed_words[frame.normals_at + 3u * pixel] = bitcast<u32>(unit.x);
+        packed_words[frame.normals_at + 3u * pixel + 1u] = bitcast<u32>(unit.y);
+        packed_words[frame.normals_at + 3u * pixel + 2u] = bitcast<u32>(unit.z);
+    }
+    if frame.instances_at != NOT_ASKED {
+        packed_words[frame.instances_at + pixel] = instance_id;
+    }
+    if frame.hidden_at != NOT_ASKED {
+        packed_words[frame.hidden_at + pixel] = u32(255.0 * hidden / samples + 0.5);
+    }
 }

@@ -15,5 +15,5 @@ fn vs_main(@location(0) position: vec3<f32>, @builtin(instance_index) index: u32
 @fragment
 fn fs_main(in: Varyings) -> SceneOut {
     let instance = instances[in.instance];
-    return SceneOut(vec4(instance.colour, 1.0), instance.class_id);
+    return SceneOut(vec4(instance.colour, 1.0), instance.class_id, vec4(0.0), 0u, 0.0);
 }

@@ -27,9 +27,11 @@ fn fs_main(in: Varyings) -> SceneOut {
     let facet = cross(dpdx(in.offset), dpdy(in.offset));
     let facet_normal = normalize(select(-facet, facet, dot(facet, to_eye) > 0.0));
     let cos_light = max(dot(normal, frame.sun_direction), 0.0);
+    var visible = 0.0;
     var direct = 0.0;
+    // A surface that is turned away from the sun hides it.
     if cos_light > 0.0 {
-        let visible = sun_visibility(frame.eye + in.offset, facet_normal, normal, pattern_turn(in.clip.xy));
+        visible = sun_visibility(frame.eye + in.offset, facet_normal, normal, pattern_turn(in.clip.xy));
         let cos_eye = max(dot(normal, to_eye), 0.0);
         let lobe = rough_diffuse(instance.roughness, cos_light, cos_eye, dot(frame.sun_direction, to_eye));
         direct = visible * cos_light * lobe;
@@ -37,7 +39,7 @@ fn fs_main(in: Varyings) -> SceneOut {
     let bounced = ground_bounce(frame.ground_radiance, normal, frame.horizon_towards)
         + sky_light(frame.sky_radiance, normal);
     let radiance = instance.colour * (direct * frame.sun_irradiance + bounced / PI);
-    return SceneOut(vec4(radiance, 1.0), instance.class_id);
+    return SceneOut(vec4(radiance, 1.0), instance.class_id, vec4(normal, 1.0), instance.instance_id, 1.0 - visible);
 }
 
 // A number in [0, 1) that differs between neighbouring samples (Jimenez 2014, "Next Generation Post Processing in

@@ -8,6 +8,7 @@ use clap::{Args, CommandFactory as _, Parser, Subcommand};
 use regolith::class::ClassId;
 use regolith::gpu::{self, Gpu};
 use regolith::meta::FrameRecord;
+use regolith::output::edges::EdgePolicy;
 use regolith::output::{self, LabelIds, Source};
 use regolith::params::sampler::Config;
 use regolith::render::{RenderSettings, Renderer, StageTimes};
@@ -103,12 +104,15 @@ struct FrameArgs {
     samples: u32,
     #[command(flatten)]
     config: ConfigArgs,
-    /// What to write: of rgb, mask, preview, meta, or all
+    /// What to write: of rgb, mask, preview, depth, normals, instances, shadow, hdr, coverage, meta; or all
     #[arg(long, value_name = "LIST", default_value = "rgb,mask,preview,meta")]
     outputs: String,
     /// Ids in the mask: canonical (0 regolith, 1 rock, 2 sky) or those of a Replicator pipeline
     #[arg(long, value_name = "KIND", default_value = "canonical", value_parser = ["canonical", "replicator"])]
     label_ids: String,
+    /// What the mask says where classes meet: hard, or ignore:N for 255 within N pixels of another class
+    #[arg(long, value_name = "RULE", default_value = "hard")]
+    edges: String,
     /// Use the adapter with this in its name, or `cpu`
     #[arg(long, value_name = "TEXT")]
     adapter: Option<String>,
@@ -163,8 +167,10 @@ fn render_frame(args: &FrameArgs) -> Result<()> {
     const INDEX: u64 = 0;
     let start = Instant::now();
     let params = args.config.build()?.draw(args.seed)?;
-    let settings = RenderSettings::new(args.size, args.samples)?;
     let outputs = output::parse_outputs(&args.outputs)?;
+    let mut settings = RenderSettings::new(args.size, args.samples)?;
+    settings.annotations = output::annotations(&outputs);
+    let edges: EdgePolicy = args.edges.parse()?;
     output::check_folder(&args.out, INDEX, args.force)?;
     let label_ids = if args.label_ids == "replicator" { LabelIds::Replicator } else { LabelIds::Canonical };
 
@@ -202,6 +208,7 @@ fn render_frame(args: &FrameArgs) -> Result<()> {
             settings: &settings,
             adapter,
             frame: &frame,
+            edges,
             times,
         }
         .to_json()
@@ -209,10 +216,14 @@ fn render_frame(args: &FrameArgs) -> Result<()> {
     // The pictures first, so that the record can tell what encoding them took.
     let (pictures, records): (Vec<_>, Vec<_>) = outputs.into_iter().partition(|output| output.name != "meta");
     let mut artifacts =
-        output::encode(&Source { frame: &frame, meta: &Value::Null, label_ids }, &pictures, INDEX)?;
+        output::encode(&Source { frame: &frame, meta: &Value::Null, label_ids, edges }, &pictures, INDEX)?;
     stage(&mut times, "encode");
     let meta = record(&times);
-    artifacts.extend(output::encode(&Source { frame: &frame, meta: &meta, label_ids }, &records, INDEX)?);
+    artifacts.extend(output::encode(
+        &Source { frame: &frame, meta: &meta, label_ids, edges },
+        &records,
+        INDEX,
+    )?);
     let paths = output::write_all(&args.out, &artifacts)?;
 
     let shown: Vec<String> = paths.iter().map(|path| path.display().to_string()).collect();

@@ -4,17 +4,96 @@
 
 use crate::class::ClassId;
 
-/// The planes of one frame, rows from top to bottom without padding.
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// What can be asked for besides colour and class.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Annotation {
+    /// Distance along the optical axis.
+    Depth,
+    /// World normals.
+    Normals,
+    /// Instance ids.
+    Instances,
+    /// How much of the sun is hidden.
+    Shadow,
+    /// Linear radiance.
+    Hdr,
+    /// Shares of the classes within a pixel.
+    Coverage,
+}
+
+/// A set of [`Annotation`]s.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Annotations(u8);
+
+impl Annotations {
+    /// The set with one more.
+    #[must_use]
+    pub const fn with(self, annotation: Annotation) -> Self {
+        Self(self.0 | 1 << annotation as u8)
+    }
+
+    /// Whether it is in the set.
+    #[must_use]
+    pub const fn contains(self, annotation: Annotation) -> bool {
+        self.0 & 1 << annotation as u8 != 0
+    }
+}
+
+impl FromIterator<Annotation> for Annotations {
+    fn from_iter<T: IntoIterator<Item = Annotation>>(annotations: T) -> Self {
+        annotations.into_iter().fold(Self::default(), Self::with)
+    }
+}
+
+/// The planes of one frame, rows from top to bottom without padding. Annotations that were not asked for are empty.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Frame {
     /// Pixels in a row.
     pub width: u32,
     /// Rows.
     pub height: u32,
+    /// Focal length, pixels; the principal point is the middle of the picture.
+    pub focal_px: f64,
     /// 8-bit sRGB, three bytes a pixel.
     pub rgb: Vec<u8>,
     /// Class id, one byte a pixel.
     pub class: Vec<u8>,
+    /// Metres along the optical axis at the pixel's centre, infinite for the sky.
+    pub depth_m: Vec<f32>,
+    /// World normal, unit, three numbers a pixel; 0 for the sky.
+    pub normals: Vec<f32>,
+    /// Instance id; 0 for what is no rock.
+    pub instances: Vec<u16>,
+    /// Fraction of the sun's disc that is hidden, 0 to 255; 0 for the sky.
+    pub hidden: Vec<u8>,
+    /// Linear radiance before exposure and tone curve, half floats, three a pixel.
+    pub radiance: Vec<half::f16>,
+    /// Samples of each class, three counts a pixel by class id.
+    pub sample_counts: Vec<[u8; 3]>,
+    /// The rocks that are seen, if instances were asked for.
+    pub rocks: Vec<RockLabel>,
+}
+
+/// What is told of a rock in the picture.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RockLabel {
+    /// Its instance id.
+    pub instance: u16,
+    /// Pixels that are its own.
+    pub visible_px: u32,
+    /// Pixels of the picture that it would have if no other thing stood before it; what the ground it lies in buries
+    /// does not count.
+    pub exposed_px: u32,
+    /// Smallest and largest column and row of its pixels: left, top, right, bottom, all included.
+    pub box_px: [u32; 4],
+}
+
+impl RockLabel {
+    /// Fraction of it that other things hide.
+    #[must_use]
+    pub fn occluded(&self) -> f64 {
+        1.0 - f64::from(self.visible_px) / f64::from(self.exposed_px.max(self.visible_px))
+    }
 }
 
 /// Statistics of the 8-bit picture over all pixels and channels.
@@ -76,8 +155,13 @@ mod tests {
         rgb[1] = 200;
         rgb[2] = 200;
         rgb[3] = 200;
-        let frame =
-            Frame { width: 10, height: 10, rgb, class: [vec![0; 60], vec![1; 30], vec![2; 10]].concat() };
+        let frame = Frame {
+            width: 10,
+            height: 10,
+            rgb,
+            class: [vec![0; 60], vec![1; 30], vec![2; 10]].concat(),
+            ..Frame::default()
+        };
         let statistics = frame.rgb_statistics();
         assert!((statistics.mean - (296.0 * 10.0 + 850.0) / 300.0).abs() < 1e-12);
         assert_eq!((statistics.p99, statistics.max), (200, 250));

@@ -4,6 +4,7 @@ use serde_json::{Map, Value, json};
 
 use crate::class::ClassId;
 use crate::frame::Frame;
+use crate::output::edges::EdgePolicy;
 use crate::params::{Knob, Params};
 use crate::render::{RenderSettings, StageTimes};
 use crate::scene::Scene;
@@ -23,6 +24,8 @@ pub struct FrameRecord<'a> {
     pub adapter: &'a wgpu::AdapterInfo,
     /// The picture.
     pub frame: &'a Frame,
+    /// What the mask says where classes meet.
+    pub edges: EdgePolicy,
     /// Milliseconds of each stage of work.
     pub times: &'a StageTimes,
 }
@@ -47,6 +50,7 @@ impl FrameRecord<'_> {
             "stage": self.params.text(Knob::StageName),
             "size": self.settings.size,
             "samples": self.settings.samples_per_side.pow(2),
+            "edges": self.edges.to_string(),
             "version": env!("CARGO_PKG_VERSION"),
             "adapter": {
                 "name": info.name,

@@ -4,6 +4,8 @@
 //! Must not know: scene, GPU.
 //! To add an output: a row in [`OUTPUTS`] with its encoder.
 
+pub mod edges;
+
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -13,7 +15,8 @@ use serde_json::{Value, json};
 
 use crate::class::ClassId;
 use crate::error::{Error, Result, nearest};
-use crate::frame::Frame;
+use crate::frame::{Annotation, Annotations, Frame};
+use edges::EdgePolicy;
 
 /// What the encoders work from.
 #[derive(Clone, Copy, Debug)]
@@ -24,6 +27,14 @@ pub struct Source<'a> {
     pub meta: &'a Value,
     /// Which ids the mask carries.
     pub label_ids: LabelIds,
+    /// What the mask says where classes meet.
+    pub edges: EdgePolicy,
+}
+
+impl Source<'_> {
+    fn classes(&self) -> Vec<u8> {
+        self.edges.apply(self.frame)
+    }
 }
 
 /// A file to be: its name and its bytes.
@@ -81,24 +92,70 @@ pub struct Output {
     pub name: &'static str,
     /// Written unless `--outputs` says otherwise.
     pub default: bool,
+    /// What the renderer must add to the frame for it.
+    needs: Option<Annotation>,
     /// Stem and extension of each file that it writes, with its encoder; the frame's number stands between.
     files: &'static [(&'static str, &'static str, Encoder)],
 }
 
 /// Every output.
-pub static OUTPUTS: [Output; 4] = [
-    Output { name: "rgb", default: true, files: &[("rgb", "png", rgb_png)] },
+pub static OUTPUTS: [Output; 10] = [
+    Output { name: "rgb", default: true, needs: None, files: &[("rgb", "png", rgb_png)] },
     Output {
         name: "mask",
         default: true,
+        needs: None,
         files: &[
             ("semantic_segmentation", "png", mask_png),
             ("semantic_segmentation_labels", "json", labels_json),
         ],
     },
-    Output { name: "preview", default: true, files: &[("preview", "png", preview_png)] },
-    Output { name: "meta", default: true, files: &[("frame", "json", meta_json)] },
+    Output { name: "preview", default: true, needs: None, files: &[("preview", "png", preview_png)] },
+    Output {
+        name: "depth",
+        default: false,
+        needs: Some(Annotation::Depth),
+        files: &[
+            ("distance_to_image_plane", "npy", plane_distance_npy),
+            ("distance_to_camera", "npy", camera_distance_npy),
+        ],
+    },
+    Output {
+        name: "normals",
+        default: false,
+        needs: Some(Annotation::Normals),
+        files: &[("normals", "npy", normals_npy)],
+    },
+    Output {
+        name: "instances",
+        default: false,
+        needs: Some(Annotation::Instances),
+        files: &[
+            ("instance_segmentation", "png", instances_png),
+            ("instance_segmentation_mapping", "json", instances_json),
+        ],
+    },
+    Output {
+        name: "shadow",
+        default: false,
+        needs: Some(Annotation::Shadow),
+        files: &[("shadow", "png", shadow_png)],
+    },
+    Output { name: "hdr", default: false, needs: Some(Annotation::Hdr), files: &[("hdr", "exr", hdr_exr)] },
+    Output {
+        name: "coverage",
+        default: false,
+        needs: Some(Annotation::Coverage),
+        files: &[("semantic_coverage", "npy", coverage_npy)],
+    },
+    Output { name: "meta", default: true, needs: None, files: &[("frame", "json", meta_json)] },
 ];
+
+/// What the renderer must add to the frame for these outputs.
+#[must_use]
+pub fn annotations(outputs: &[&'static Output]) -> Annotations {
+    outputs.iter().filter_map(|output| output.needs).collect()
+}
 
 impl Output {
     /// Names of the files that it writes for frame `index`.
@@ -223,14 +280,104 @@ fn rgb_png(source: &Source<'_>) -> Result<Vec<u8>> {
 }
 
 fn mask_png(source: &Source<'_>) -> Result<Vec<u8>> {
-    let ids: Vec<u8> = source.frame.class.iter().map(|&id| source.label_ids.mask_id(id)).collect();
+    let ids: Vec<u8> = source.classes().iter().map(|&id| source.label_ids.mask_id(id)).collect();
     png(source.frame, &ids, ExtendedColorType::L8, FilterType::Up)
 }
 
 fn preview_png(source: &Source<'_>) -> Result<Vec<u8>> {
     let colour = |id: &u8| ClassId(*id).class().map_or([0; 3], |class| class.preview_rgb);
-    let rgb: Vec<u8> = source.frame.class.iter().flat_map(colour).collect();
+    let rgb: Vec<u8> = source.classes().iter().flat_map(colour).collect();
     png(source.frame, &rgb, ExtendedColorType::Rgb8, FilterType::Up)
+}
+
+fn plane_distance_npy(source: &Source<'_>) -> Result<Vec<u8>> {
+    Ok(npy(source.frame, 1, &source.frame.depth_m))
+}
+
+fn camera_distance_npy(source: &Source<'_>) -> Result<Vec<u8>> {
+    let frame = source.frame;
+    let along_ray = |(pixel, depth_m): (u32, &f32)| {
+        let x = f64::from(pixel % frame.width) + 0.5 - f64::from(frame.width) / 2.0;
+        let y = f64::from(pixel / frame.width) + 0.5 - f64::from(frame.height) / 2.0;
+        (f64::from(*depth_m) * (1.0 + (x * x + y * y) / (frame.focal_px * frame.focal_px)).sqrt()) as f32
+    };
+    let distances: Vec<f32> = (0..).zip(&frame.depth_m).map(along_ray).collect();
+    Ok(npy(frame, 1, &distances))
+}
+
+fn normals_npy(source: &Source<'_>) -> Result<Vec<u8>> {
+    Ok(npy(source.frame, 3, &source.frame.normals))
+}
+
+fn coverage_npy(source: &Source<'_>) -> Result<Vec<u8>> {
+    let share = |counts: &[u8; 3]| {
+        let all: f32 = counts.iter().map(|count| f32::from(*count)).sum();
+        counts.map(|count| f32::from(count) / all)
+    };
+    let shares: Vec<f32> = source.frame.sample_counts.iter().flat_map(share).collect();
+    Ok(npy(source.frame, 3, &shares))
+}
+
+fn instances_png(source: &Source<'_>) -> Result<Vec<u8>> {
+    let bytes: &[u8] = bytemuck::cast_slice(&source.frame.instances);
+    png(source.frame, bytes, ExtendedColorType::L16, FilterType::Up)
+}
+
+fn instances_json(source: &Source<'_>) -> Result<Vec<u8>> {
+    let rows = source.frame.rocks.iter().map(|rock| {
+        let row = json!({
+            "path": format!("/World/Rocks/Rock_{:03}", rock.instance - 1),
+            "class": "rock",
+            "visible_px": rock.visible_px,
+            "box_px": rock.box_px,
+            "occluded": rock.occluded(),
+        });
+        (rock.instance.to_string(), row)
+    });
+    json_bytes(&rows.collect::<serde_json::Map<_, _>>().into())
+}
+
+fn shadow_png(source: &Source<'_>) -> Result<Vec<u8>> {
+    png(source.frame, &source.frame.hidden, ExtendedColorType::L8, FilterType::Up)
+}
+
+fn hdr_exr(source: &Source<'_>) -> Result<Vec<u8>> {
+    use exr::prelude::{Encoding, SpecificChannels, WritableImage as _};
+    let frame = source.frame;
+    let size = (frame.width as usize, frame.height as usize);
+    let pixel = |at: exr::math::Vec2<usize>| {
+        let first = 3 * (at.y() * size.0 + at.x());
+        (frame.radiance[first], frame.radiance[first + 1], frame.radiance[first + 2])
+    };
+    let layer = exr::image::Layer::new(
+        size,
+        exr::meta::header::LayerAttributes::default(),
+        Encoding::SMALL_LOSSLESS,
+        SpecificChannels::rgb(pixel),
+    );
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    exr::image::Image::from_layer(layer)
+        .write()
+        .non_parallel()
+        .to_buffered(&mut bytes)
+        .map_err(|error| Error::Encode { name: String::new(), message: error.to_string() })?;
+    Ok(bytes.into_inner())
+}
+
+/// A NumPy array (format version 1.0) of float32, rows x columns, or rows x columns x `channels`.
+fn npy(frame: &Frame, channels: usize, values: &[f32]) -> Vec<u8> {
+    let (rows, columns) = (frame.height, frame.width);
+    let shape =
+        if channels == 1 { format!("{rows}, {columns}") } else { format!("{rows}, {columns}, {channels}") };
+    let mut header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({shape}), }}");
+    // Magic, version and length take ten bytes; the data start at a multiple of 64.
+    header.push_str(&" ".repeat(63 - (header.len() + 10) % 64));
+    header.push('\n');
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.as_bytes());
+    bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+    bytes
 }
 
 fn labels_json(source: &Source<'_>) -> Result<Vec<u8>> {
@@ -259,18 +406,79 @@ fn json_bytes(value: &Value) -> Result<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::frame::RockLabel;
 
     fn frame() -> Frame {
-        Frame { width: 3, height: 2, rgb: (0..18).map(|i| i * 14).collect(), class: vec![0, 1, 2, 2, 1, 255] }
+        Frame {
+            width: 3,
+            height: 2,
+            focal_px: 2.0,
+            rgb: (0..18).map(|i| i * 14).collect(),
+            class: vec![0, 1, 2, 2, 1, 255],
+            depth_m: vec![1.0, 2.0, f32::INFINITY, 4.0, 5.0, 6.0],
+            normals: (0..18).map(|i| i as f32).collect(),
+            instances: vec![0, 300, 0, 0, 2, 0],
+            hidden: vec![0, 10, 20, 30, 40, 255],
+            radiance: (0..18).map(|i| half::f16::from_f32(i as f32 * 0.25)).collect(),
+            sample_counts: vec![[4, 0, 0], [1, 3, 0], [0, 0, 4], [0, 2, 2], [0, 4, 0], [1, 1, 2]],
+            rocks: vec![RockLabel { instance: 300, visible_px: 1, exposed_px: 4, box_px: [1, 0, 1, 0] }],
+        }
+    }
+
+    #[test]
+    fn annotations_come_back_as_they_went() {
+        let bytes = |name: &str| encoded(name, LabelIds::Canonical);
+        let floats = |name: &str, shape: &str| {
+            let bytes = bytes(name);
+            let data = 10 + usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
+            let header = String::from_utf8_lossy(&bytes[10..data]).into_owned();
+            assert!(bytes.starts_with(b"\x93NUMPY\x01\x00") && data % 64 == 0 && header.ends_with('\n'));
+            assert!(header.contains(&format!("'shape': ({shape})")) && header.contains("'<f4'"), "{header}");
+            bytes[data..]
+                .chunks_exact(4)
+                .map(|f| f32::from_le_bytes([f[0], f[1], f[2], f[3]]))
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(floats("distance_to_image_plane_0007.npy", "2, 3"), frame().depth_m);
+        assert_eq!(floats("normals_0007.npy", "2, 3, 3"), frame().normals);
+        assert_eq!(floats("semantic_coverage_0007.npy", "2, 3, 3")[3..6], [0.25, 0.75, 0.0]);
+        let along_ray = floats("distance_to_camera_0007.npy", "2, 3");
+        // The first pixel's centre is a pixel left of and half a pixel above the middle; the focal length is 2 px.
+        assert!((along_ray[0] - (1.0_f32 + 0.25 + 0.0625).sqrt()).abs() < 1e-6 && along_ray[2].is_infinite());
+        let instances = decoded("instance_segmentation_0007.png", LabelIds::Canonical);
+        assert_eq!(instances.color(), image::ColorType::L16);
+        assert_eq!(instances.into_luma16().into_raw(), frame().instances);
+        assert_eq!(decoded("shadow_0007.png", LabelIds::Canonical).as_bytes(), frame().hidden);
+        let mapping: Value =
+            serde_json::from_slice(&bytes("instance_segmentation_mapping_0007.json")).expect("JSON");
+        assert_eq!(mapping["300"]["path"], "/World/Rocks/Rock_299");
+        assert_eq!(mapping["300"]["occluded"], 0.75);
+        let exr = exr::prelude::read_first_rgba_layer_from_file;
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("hdr.exr");
+        std::fs::write(&path, bytes("hdr_0007.exr")).expect("written");
+        let image = exr(
+            &path,
+            |_, _| vec![[0.0_f32; 3]; 6],
+            |pixels: &mut Vec<[f32; 3]>, at: exr::math::Vec2<usize>, (r, g, b, _): (f32, f32, f32, f32)| {
+                pixels[at.y() * 3 + at.x()] = [r, g, b];
+            },
+        )
+        .expect("an OpenEXR file");
+        let expected: Vec<f32> = frame().radiance.iter().map(|value| value.to_f32()).collect();
+        assert_eq!(image.layer_data.channel_data.pixels.concat(), expected);
+    }
+
+    fn encoded(name: &str, label_ids: LabelIds) -> Vec<u8> {
+        let (frame, meta) = (frame(), json!({}));
+        let source = Source { frame: &frame, meta: &meta, label_ids, edges: EdgePolicy::Hard };
+        let outputs = parse_outputs("all").expect("all");
+        let artifacts = encode(&source, &outputs, 7).expect("encoded");
+        artifacts.into_iter().find(|artifact| artifact.name == name).expect(name).bytes
     }
 
     fn decoded(name: &str, label_ids: LabelIds) -> image::DynamicImage {
-        let (frame, meta) = (frame(), json!({}));
-        let source = Source { frame: &frame, meta: &meta, label_ids };
-        let outputs = parse_outputs("all").expect("all");
-        let artifacts = encode(&source, &outputs, 7).expect("encoded");
-        let bytes = &artifacts.iter().find(|a| a.name == name).expect(name).bytes;
-        image::load_from_memory(bytes).expect("a picture")
+        image::load_from_memory(&encoded(name, label_ids)).expect("a picture")
     }
 
     #[test]

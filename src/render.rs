@@ -7,6 +7,7 @@
 //! [`Renderer::record_frame`].
 
 pub mod gpu_scene;
+mod labels;
 pub mod resolve;
 mod scene_pass;
 pub mod selection;
@@ -21,7 +22,7 @@ use std::time::Instant;
 use wgpu::{BindingType, ShaderStages, TextureSampleType};
 
 use crate::error::{Error, Result};
-use crate::frame::Frame;
+use crate::frame::{Annotation, Annotations, Frame};
 use crate::gpu::Gpu;
 use crate::scene::Scene;
 use crate::scene::mesh::Vertex;
@@ -29,7 +30,7 @@ use gpu_scene::{Draw, GpuScene};
 use resolve::{PackedFrame, ResolvePass};
 use scene_pass::ScenePass;
 use shadow_pass::ShadowPass;
-use targets::{Plane, Targets};
+use targets::Targets;
 use timing::Timer;
 
 /// What concerns the picture but not the scene.
@@ -41,6 +42,8 @@ pub struct RenderSettings {
     pub samples_per_side: u32,
     /// How far a rock may be drawn off its authored outline, pixels; 0 draws every triangle.
     pub outline_error_px: f32,
+    /// What is wanted besides colour and class.
+    pub annotations: Annotations,
 }
 
 /// The scene's specification allows less than a quarter of a pixel.
@@ -59,9 +62,12 @@ impl RenderSettings {
             )));
         }
         match samples {
-            1 | 4 | 16 => {
-                Ok(Self { size, samples_per_side: samples.isqrt(), outline_error_px: OUTLINE_ERROR_PX })
-            }
+            1 | 4 | 16 => Ok(Self {
+                size,
+                samples_per_side: samples.isqrt(),
+                outline_error_px: OUTLINE_ERROR_PX,
+                annotations: Annotations::default(),
+            }),
             _ => Err(Error::Usage(format!("--samples {samples}: allowed are 1, 4 (2 x 2) and 16 (4 x 4)"))),
         }
     }
@@ -132,16 +138,14 @@ impl Renderer {
     /// [`Error::SizeBeyondDevice`], [`Error::DeviceLost`] or [`Error::Device`].
     pub fn render(&mut self, scene: &Scene, settings: &RenderSettings) -> Result<(Frame, StageTimes)> {
         let start = Instant::now();
-        let fits = |targets: &Targets| {
-            (targets.size, targets.samples_per_side) == (settings.size, settings.samples_per_side)
-        };
         let (targets, packed) = match self.targets.take() {
-            Some(kept) if fits(&kept.0) => kept,
+            Some(kept) if kept.0.serve(settings) => kept,
             _ => {
-                let targets = Targets::new(&self.gpu, settings.size, settings.samples_per_side)?;
-                (targets, PackedFrame::new(&self.gpu, settings.size))
+                let targets = Targets::new(&self.gpu, settings)?;
+                (targets, PackedFrame::new(&self.gpu, settings.size, settings.annotations))
             }
         };
+        self.scene_pass.prepare(&self.gpu, settings.annotations);
         let (gpu, gpu_scene) = (&self.gpu, &mut self.scene);
         gpu.guard(|| gpu_scene.upload(gpu, scene, settings))?;
         self.gpu.check()?;
@@ -149,7 +153,8 @@ impl Renderer {
         self.gpu.guard(|| self.submit_frame(&targets, &packed))?;
         self.gpu.wait()?;
         let drawn = Instant::now();
-        let frame = packed.read(&self.gpu)?;
+        let mut frame = packed.read(&self.gpu)?;
+        frame.focal_px = scene.camera.focal_px(settings.size[0]);
         let read = Instant::now();
         let mut times = vec![("upload", milliseconds(uploaded - start))];
         if let Some(timer) = &self.timer {
@@ -157,6 +162,10 @@ impl Renderer {
         }
         times.extend([("gpu", milliseconds(drawn - uploaded)), ("readback", milliseconds(read - drawn))]);
         self.targets = Some((targets, packed));
+        if settings.annotations.contains(Annotation::Instances) {
+            frame.rocks = labels::rocks(scene, settings, &frame);
+            times.push(("labels", milliseconds(read.elapsed())));
+        }
         Ok((frame, times))
     }
 
@@ -228,16 +237,10 @@ impl Renderer {
                     scene.caster_grid.buffer().as_entire_binding(),
                 ],
             ),
-            resolve: group(
-                "resolve",
-                &self.layouts.resolve,
-                &[
-                    view(&targets.planes[Plane::Radiance as usize]),
-                    view(&targets.planes[Plane::Class as usize]),
-                    view(&targets.depth),
-                    packed.buffer.as_entire_binding(),
-                ],
-            ),
+            resolve: group("resolve", &self.layouts.resolve, &{
+                let planes = targets.planes.iter().chain([&targets.depth]).map(view);
+                planes.chain([packed.buffer.as_entire_binding()]).collect::<Vec<_>>()
+            }),
         }
     }
 }
@@ -285,7 +288,11 @@ impl BindLayouts {
             ),
             scene: group("scene", drawing, &[read, read]),
             shadow: group("scene/shadow", ShaderStages::FRAGMENT, &[float, float, read]),
-            resolve: group("resolve", ShaderStages::COMPUTE, &[float, uint, float, write]),
+            resolve: group(
+                "resolve",
+                ShaderStages::COMPUTE,
+                &[float, uint, float, uint, float, float, write],
+            ),
         }
     }
 }

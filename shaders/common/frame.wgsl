@@ -39,7 +39,20 @@ struct FrameUniforms {
     picture_size_px: vec2<u32>,
     // Samples along a side of a pixel.
     samples_per_side: u32,
+    // What the depth of the pixel is reckoned from: with reversed depth d, metres along the axis are
+    // depth_scale_m / (d + depth_offset).
+    depth_scale_m: f32,
+    depth_offset: f32,
+    // Where each annotation starts in the packed result, words; NOT_ASKED where nobody wants it.
+    depth_at: u32,
+    normals_at: u32,
+    instances_at: u32,
+    hidden_at: u32,
+    radiance_at: u32,
+    coverage_at: u32,
     reserved: u32,
 }
+
+const NOT_ASKED: u32 = 0xffffffffu;
 
 @group(0) @binding(0) var<uniform> frame: FrameUniforms;

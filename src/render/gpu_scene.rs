@@ -7,11 +7,13 @@ use std::ops::Range;
 use glam::{Mat4, Vec3};
 use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 
+use super::RenderSettings;
+use super::resolve::{self, Packing};
 use super::selection::{Selection, ground_blocks};
 use super::shaders::{CasterTile, FrameUniforms, Instance};
 use super::shadow::{self, HorizonMap};
-use super::{RenderSettings, resolve};
 use crate::class::ClassId;
+use crate::frame::Annotation;
 use crate::gpu::Gpu;
 use crate::scene::Scene;
 use crate::scene::mesh::{Icosphere, Vertex};
@@ -294,6 +296,7 @@ fn frame_uniforms(scene: &Scene, settings: &RenderSettings, horizon: &HorizonMap
         if sun.direction.z.abs() > 0.999 { Vec3::X } else { Vec3::Z.cross(sun.direction).normalize() };
     let sun_right = (sun_right - sun.direction * sun_right.dot(sun.direction)).normalize();
     let clip_from_offset = camera.clip_from_world(settings.size) * Mat4::from_translation(camera.eye);
+    let packing = Packing::new(settings.size, settings.annotations);
     FrameUniforms {
         clip_from_offset,
         eye: camera.eye,
@@ -316,6 +319,14 @@ fn frame_uniforms(scene: &Scene, settings: &RenderSettings, horizon: &HorizonMap
         caster_origin: glam::Vec2::splat(-0.5 * scene.terrain.size_m),
         picture_size_px: settings.size,
         samples_per_side: settings.samples_per_side,
+        depth_scale_m: camera.near_m * camera.far_m / (camera.far_m - camera.near_m),
+        depth_offset: camera.near_m / (camera.far_m - camera.near_m),
+        depth_at: packing.start(Annotation::Depth),
+        normals_at: packing.start(Annotation::Normals),
+        instances_at: packing.start(Annotation::Instances),
+        hidden_at: packing.start(Annotation::Shadow),
+        radiance_at: packing.start(Annotation::Hdr),
+        coverage_at: packing.start(Annotation::Coverage),
         reserved: 0,
     }
 }

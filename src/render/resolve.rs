@@ -5,7 +5,8 @@ use wgpu::BufferUsages;
 use super::BindLayouts;
 use super::shaders::RESOLVE;
 use super::targets::Targets;
-use crate::frame::Frame;
+use crate::class::ClassId;
+use crate::frame::{Annotation, Annotations, Frame};
 use crate::gpu::Gpu;
 use crate::gpu::readback::Readback;
 
@@ -43,10 +44,70 @@ pub struct ResolvePass {
     pipeline: wgpu::ComputePipeline,
 }
 
+/// Where each plane of a frame lies in the packed result.
+#[derive(Clone, Copy, Debug)]
+pub struct Packing {
+    pixels: u64,
+    annotations: Annotations,
+}
+
+/// Offset of an annotation that nobody asked for. Stands in `common/frame.wgsl` too.
+pub const NOT_ASKED: u32 = u32::MAX;
+
+/// Annotations in the order in which they are packed, with their words a pixel.
+const PACKED: [(Annotation, u64); 6] = [
+    (Annotation::Depth, 1),
+    (Annotation::Normals, 3),
+    (Annotation::Instances, 1),
+    (Annotation::Shadow, 1),
+    (Annotation::Hdr, 2),
+    (Annotation::Coverage, 1),
+];
+
+impl Packing {
+    /// The packing of a picture of this size with these annotations.
+    #[must_use]
+    pub fn new([width, height]: [u32; 2], annotations: Annotations) -> Self {
+        Self { pixels: u64::from(width) * u64::from(height), annotations }
+    }
+
+    /// Groups of four pixels, each with three words of colour and one of classes.
+    fn groups(self) -> u64 {
+        self.pixels.div_ceil(4)
+    }
+
+    /// Words of an annotation, `None` if it was not asked for.
+    fn words(self, wanted: Annotation) -> Option<std::ops::Range<u64>> {
+        let mut start = 4 * self.groups();
+        for (annotation, words) in PACKED {
+            let end = start + if self.annotations.contains(annotation) { words * self.pixels } else { 0 };
+            if annotation == wanted {
+                return (end > start).then_some(start..end);
+            }
+            start = end;
+        }
+        None
+    }
+
+    /// First word of an annotation, or [`NOT_ASKED`].
+    #[must_use]
+    pub fn start(self, annotation: Annotation) -> u32 {
+        self.words(annotation).map_or(NOT_ASKED, |words| words.start as u32)
+    }
+
+    /// Bytes in all.
+    #[must_use]
+    pub fn bytes(self) -> u64 {
+        let annotated = PACKED.iter().filter(|(annotation, _)| self.annotations.contains(*annotation));
+        16 * self.groups() + annotated.map(|(_, words)| 4 * words * self.pixels).sum::<u64>()
+    }
+}
+
 /// The packed result of one picture size.
 #[derive(Debug)]
 pub struct PackedFrame {
     size: [u32; 2],
+    packing: Packing,
     /// Written by the pass.
     pub buffer: wgpu::Buffer,
     readback: Readback,
@@ -91,31 +152,29 @@ impl ResolvePass {
         pass.set_pipeline(&self.pipeline);
         pass.set_bind_group(0, frame, &[]);
         pass.set_bind_group(2, own, &[]);
-        let workgroups = (groups_of_four(targets.size) as u32).div_ceil(GROUP_WIDTH);
+        let groups = Packing::new(targets.size, targets.annotations).groups() as u32;
+        let workgroups = groups.div_ceil(GROUP_WIDTH);
         pass.dispatch_workgroups(workgroups.min(ROW_WIDTH), workgroups.div_ceil(ROW_WIDTH), 1);
     }
 }
 
-fn groups_of_four([width, height]: [u32; 2]) -> u64 {
-    (u64::from(width) * u64::from(height)).div_ceil(4)
-}
-
 impl PackedFrame {
-    /// Room for a picture of this size.
+    /// Room for a picture of this size with these annotations.
     #[must_use]
-    pub fn new(gpu: &Gpu, size: [u32; 2]) -> Self {
-        let bytes = 16 * groups_of_four(size);
+    pub fn new(gpu: &Gpu, size: [u32; 2], annotations: Annotations) -> Self {
+        let packing = Packing::new(size, annotations);
         let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
         Self {
             size,
-            buffer: gpu.buffer("resolve/packed", bytes, usage),
-            readback: Readback::new(gpu, "resolve/readback", bytes),
+            packing,
+            buffer: gpu.buffer("resolve/packed", packing.bytes(), usage),
+            readback: Readback::new(gpu, "resolve/readback", packing.bytes()),
         }
     }
 
     /// Records the copy to where the program can read it.
     pub fn copy(&self, encoder: &mut wgpu::CommandEncoder) {
-        self.readback.copy(encoder, &self.buffer, 16 * groups_of_four(self.size));
+        self.readback.copy(encoder, &self.buffer, self.packing.bytes());
     }
 
     /// Waits for the frame.
@@ -125,12 +184,40 @@ impl PackedFrame {
     pub fn read(&self, gpu: &Gpu) -> crate::Result<Frame> {
         let [width, height] = self.size;
         let pixels = width as usize * height as usize;
-        let classes_at = 12 * groups_of_four(self.size) as usize;
-        self.readback.read(gpu, |bytes| Frame {
-            width,
-            height,
-            rgb: bytes[..3 * pixels].to_vec(),
-            class: bytes[classes_at..classes_at + pixels].to_vec(),
+        let classes_at = 12 * self.packing.groups() as usize;
+        self.readback.read(gpu, |bytes| {
+            let words = |annotation: Annotation| {
+                let range = self.packing.words(annotation).unwrap_or(0..0);
+                bytes[4 * range.start as usize..4 * range.end as usize]
+                    .chunks_exact(4)
+                    .map(|word| u32::from_le_bytes([word[0], word[1], word[2], word[3]]))
+            };
+            let class = bytes[classes_at..classes_at + pixels].to_vec();
+            let depth = |(word, class): (u32, &u8)| {
+                if *class == ClassId::SKY.0 { f32::INFINITY } else { f32::from_bits(word) }
+            };
+            let half = |bits: u32| half::f16::from_bits(bits as u16);
+            Frame {
+                width,
+                height,
+                focal_px: 0.0,
+                rgb: bytes[..3 * pixels].to_vec(),
+                depth_m: words(Annotation::Depth).zip(&class).map(depth).collect(),
+                normals: words(Annotation::Normals).map(f32::from_bits).collect(),
+                instances: words(Annotation::Instances).map(|word| word as u16).collect(),
+                hidden: words(Annotation::Shadow).map(|word| word as u8).collect(),
+                radiance: words(Annotation::Hdr)
+                    .enumerate()
+                    // Red and green share a word, blue has one with an empty half.
+                    .flat_map(|(i, word)| [Some(half(word)), (i % 2 == 0).then(|| half(word >> 16))])
+                    .flatten()
+                    .collect(),
+                sample_counts: words(Annotation::Coverage)
+                    .map(|word| [word as u8, (word >> 8) as u8, (word >> 16) as u8])
+                    .collect(),
+                class,
+                rocks: Vec::new(),
+            }
         })
     }
 }

@@ -4,33 +4,92 @@ use super::gpu_scene::GpuScene;
 use super::shaders::{Program, SKY, SURFACE};
 use super::targets::{Plane, Targets, depth_state};
 use super::{BindLayouts, vertex_layout};
+use crate::frame::Annotations;
 use crate::gpu::Gpu;
 
 /// Pipelines of the pass.
 #[derive(Debug)]
 pub(super) struct ScenePass {
-    surface: wgpu::RenderPipeline,
-    sky: wgpu::RenderPipeline,
+    modules: [wgpu::ShaderModule; 2],
+    layouts: [wgpu::PipelineLayout; 2],
+    /// Surfaces and sky, for each set of annotations that was asked for so far.
+    pipelines: Vec<(Annotations, [wgpu::RenderPipeline; 2])>,
 }
 
 impl ScenePass {
-    /// Compiles the pass.
+    /// Compiles the programs.
     #[must_use]
     pub(super) fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
+        let layout = |program: &Program, groups: &[Option<&wgpu::BindGroupLayout>]| {
+            gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+                label: Some(program.name),
+                bind_group_layouts: groups,
+                immediate_size: 0,
+            })
+        };
+        let common = [Some(&layouts.frame), Some(&layouts.scene)];
+        Self {
+            modules: [SURFACE.compile(gpu), SKY.compile(gpu)],
+            layouts: [
+                layout(&SURFACE, &[common[0], common[1], Some(&layouts.shadow)]),
+                layout(&SKY, &common),
+            ],
+            pipelines: Vec::new(),
+        }
+    }
+
+    /// Makes the pipelines that draw these annotations, unless they are there.
+    pub(super) fn prepare(&mut self, gpu: &Gpu, annotations: Annotations) {
+        if self.pipelines.iter().any(|(made, _)| *made == annotations) {
+            return;
+        }
         let positions_and_normals = wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3];
         let positions = wgpu::vertex_attr_array![0 => Float32x3];
-        Self {
-            surface: pipeline(
-                gpu,
-                &SURFACE,
-                layouts,
-                Some(&layouts.shadow),
-                &positions_and_normals,
-                Some(wgpu::Face::Back),
-            ),
-            // The dome is seen from inside, the stars from outside.
-            sky: pipeline(gpu, &SKY, layouts, None, &positions, None),
-        }
+        // The dome is seen from inside, the stars from outside.
+        let pipelines = [
+            self.pipeline(gpu, 0, annotations, &positions_and_normals, Some(wgpu::Face::Back)),
+            self.pipeline(gpu, 1, annotations, &positions, None),
+        ];
+        self.pipelines.push((annotations, pipelines));
+    }
+
+    fn pipeline(
+        &self,
+        gpu: &Gpu,
+        program: usize,
+        annotations: Annotations,
+        attributes: &[wgpu::VertexAttribute],
+        cull_mode: Option<wgpu::Face>,
+    ) -> wgpu::RenderPipeline {
+        let module = &self.modules[program];
+        let targets = Plane::ALL.map(|plane| {
+            plane.is_drawn(annotations).then(|| wgpu::ColorTargetState {
+                format: plane.format(),
+                blend: None,
+                write_mask: wgpu::ColorWrites::ALL,
+            })
+        });
+        gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+            label: Some([SURFACE.name, SKY.name][program]),
+            layout: Some(&self.layouts[program]),
+            vertex: wgpu::VertexState {
+                module,
+                entry_point: Some("vs_main"),
+                compilation_options: wgpu::PipelineCompilationOptions::default(),
+                buffers: &[Some(vertex_layout(attributes))],
+            },
+            primitive: wgpu::PrimitiveState { cull_mode, ..Default::default() },
+            depth_stencil: Some(depth_state()),
+            multisample: wgpu::MultisampleState::default(),
+            fragment: Some(wgpu::FragmentState {
+                module,
+                entry_point: Some("fs_main"),
+                compilation_options: wgpu::PipelineCompilationOptions::default(),
+                targets: &targets,
+            }),
+            multiview_mask: None,
+            cache: None,
+        })
     }
 
     /// Records the pass.
@@ -46,7 +105,7 @@ impl ScenePass {
             .iter()
             .zip(&targets.planes)
             .map(|(plane, view)| {
-                Some(wgpu::RenderPassColorAttachment {
+                plane.is_drawn(targets.annotations).then(|| wgpu::RenderPassColorAttachment {
                     view,
                     depth_slice: None,
                     resolve_target: None,
@@ -74,55 +133,11 @@ impl ScenePass {
         for (index, group) in (0..).zip(groups) {
             pass.set_bind_group(index, group, &[]);
         }
-        pass.set_pipeline(&self.surface);
+        let made = self.pipelines.iter().find(|(made, _)| *made == targets.annotations);
+        let [surface, sky] = &made.expect("pipelines are prepared before they are used").1;
+        pass.set_pipeline(surface);
         super::draw_all(&mut pass, scene, &scene.draws.surfaces);
-        pass.set_pipeline(&self.sky);
+        pass.set_pipeline(sky);
         super::draw_all(&mut pass, scene, &scene.draws.sky);
     }
-}
-
-fn pipeline(
-    gpu: &Gpu,
-    program: &Program,
-    layouts: &BindLayouts,
-    own: Option<&wgpu::BindGroupLayout>,
-    attributes: &[wgpu::VertexAttribute],
-    cull_mode: Option<wgpu::Face>,
-) -> wgpu::RenderPipeline {
-    let module = program.compile(gpu);
-    let mut groups = vec![Some(&layouts.frame), Some(&layouts.scene)];
-    groups.extend(own.map(Some));
-    let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-        label: Some(program.name),
-        bind_group_layouts: &groups,
-        immediate_size: 0,
-    });
-    let targets = Plane::ALL.map(|plane| {
-        Some(wgpu::ColorTargetState {
-            format: plane.format(),
-            blend: None,
-            write_mask: wgpu::ColorWrites::ALL,
-        })
-    });
-    gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-        label: Some(program.name),
-        layout: Some(&layout),
-        vertex: wgpu::VertexState {
-            module: &module,
-            entry_point: Some("vs_main"),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
-            buffers: &[Some(vertex_layout(attributes))],
-        },
-        primitive: wgpu::PrimitiveState { cull_mode, ..Default::default() },
-        depth_stencil: Some(depth_state()),
-        multisample: wgpu::MultisampleState::default(),
-        fragment: Some(wgpu::FragmentState {
-            module: &module,
-            entry_point: Some("fs_main"),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
-            targets: &targets,
-        }),
-        multiview_mask: None,
-        cache: None,
-    })
 }

@@ -121,6 +121,14 @@ shader_struct! {
         caster_origin: Vec2,
         picture_size_px: [u32; 2],
         samples_per_side: u32,
+        depth_scale_m: f32,
+        depth_offset: f32,
+        depth_at: u32,
+        normals_at: u32,
+        instances_at: u32,
+        hidden_at: u32,
+        radiance_at: u32,
+        coverage_at: u32,
         reserved: u32,
     }
 }

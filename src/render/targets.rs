@@ -5,8 +5,11 @@
 
 use wgpu::{TextureFormat, TextureUsages};
 
+use super::RenderSettings;
+use super::resolve::Packing;
 use crate::class::ClassId;
 use crate::error::{Error, Result};
+use crate::frame::{Annotation, Annotations};
 use crate::gpu::Gpu;
 
 /// What a sample of the scene pass carries. The location in `SceneOut` is the place in [`Plane::ALL`].
@@ -16,18 +19,26 @@ pub enum Plane {
     Radiance,
     /// Class id.
     Class,
+    /// World normal.
+    Normal,
+    /// Instance id.
+    Instance,
+    /// Fraction of the sun that is hidden.
+    Hidden,
 }
 
 impl Plane {
     /// Every plane, by location.
-    pub const ALL: [Self; 2] = [Self::Radiance, Self::Class];
+    pub const ALL: [Self; 5] = [Self::Radiance, Self::Class, Self::Normal, Self::Instance, Self::Hidden];
 
     /// Format of its texture. Together they must stay within 32 bytes a sample, which every device offers.
     #[must_use]
     pub const fn format(self) -> TextureFormat {
         match self {
-            Self::Radiance => TextureFormat::Rgba16Float,
+            Self::Radiance | Self::Normal => TextureFormat::Rgba16Float,
             Self::Class => TextureFormat::R8Uint,
+            Self::Instance => TextureFormat::R16Uint,
+            Self::Hidden => TextureFormat::R8Unorm,
         }
     }
 
@@ -35,8 +46,24 @@ impl Plane {
     #[must_use]
     pub const fn cleared(self) -> wgpu::Color {
         match self {
-            Self::Radiance => wgpu::Color::BLACK,
+            Self::Radiance | Self::Normal | Self::Instance | Self::Hidden => wgpu::Color::TRANSPARENT,
             Self::Class => wgpu::Color { r: ClassId::UNLABELLED.0 as f64, g: 0.0, b: 0.0, a: 0.0 },
+        }
+    }
+
+    /// Whether it is drawn when these annotations are asked for. What is averaged over the samples of an instance
+    /// needs the instances.
+    #[must_use]
+    pub fn is_drawn(self, asked: Annotations) -> bool {
+        let any =
+            |annotations: &[Annotation]| annotations.iter().any(|&annotation| asked.contains(annotation));
+        match self {
+            Self::Radiance | Self::Class => true,
+            Self::Normal => any(&[Annotation::Normals]),
+            Self::Instance => {
+                any(&[Annotation::Instances, Annotation::Depth, Annotation::Normals, Annotation::Shadow])
+            }
+            Self::Hidden => any(&[Annotation::Shadow]),
         }
     }
 }
@@ -63,7 +90,9 @@ pub struct Targets {
     pub size: [u32; 2],
     /// Samples along a side of a pixel.
     pub samples_per_side: u32,
-    /// One view a plane, as in [`Plane::ALL`].
+    /// What is asked for.
+    pub annotations: Annotations,
+    /// One view a plane, as in [`Plane::ALL`]; of a single sample where the plane is not drawn.
     pub planes: [wgpu::TextureView; Plane::ALL.len()],
     /// Depth of the samples.
     pub depth: wgpu::TextureView,
@@ -74,7 +103,8 @@ impl Targets {
     ///
     /// # Errors
     /// [`Error::SizeBeyondDevice`].
-    pub fn new(gpu: &Gpu, size: [u32; 2], samples_per_side: u32) -> Result<Self> {
+    pub fn new(gpu: &Gpu, settings: &RenderSettings) -> Result<Self> {
+        let &RenderSettings { size, samples_per_side, annotations, .. } = settings;
         let limits = gpu.device.limits();
         let [width, height] = size;
         let too_large = |needed: String, limit: String| Error::SizeBeyondDevice {
@@ -90,7 +120,7 @@ impl Targets {
             let limit = format!("{} px", limits.max_texture_dimension_2d);
             return Err(too_large(format!("a target with a side of {side_px} px"), limit));
         }
-        let packed_bytes = u64::from(width) * u64::from(height) * 4;
+        let packed_bytes = Packing::new(size, annotations).bytes();
         if packed_bytes > limits.max_storage_buffer_binding_size {
             let mebibytes = |bytes: u64| format!("{} MiB", bytes.div_ceil(1 << 20));
             let limit = mebibytes(limits.max_storage_buffer_binding_size);
@@ -98,13 +128,24 @@ impl Targets {
         }
         let sample_size = size.map(|side| side * samples_per_side);
         let usage = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
-        let texture = |label: &str, format| gpu.texture(label, sample_size, format, usage).1;
+        let texture = |label: &str, size, format| gpu.texture(label, size, format, usage).1;
         Ok(Self {
             size,
             samples_per_side,
-            planes: Plane::ALL.map(|plane| texture(&format!("scene/{plane:?}"), plane.format())),
-            depth: texture("scene/depth", DEPTH_FORMAT),
+            annotations,
+            planes: Plane::ALL.map(|plane| {
+                let size = if plane.is_drawn(annotations) { sample_size } else { [1, 1] };
+                texture(&format!("scene/{plane:?}"), size, plane.format())
+            }),
+            depth: texture("scene/depth", sample_size, DEPTH_FORMAT),
         })
+    }
+
+    /// Whether they serve these settings.
+    #[must_use]
+    pub fn serve(&self, settings: &RenderSettings) -> bool {
+        (self.size, self.samples_per_side, self.annotations)
+            == (settings.size, settings.samples_per_side, settings.annotations)
     }
 }
 

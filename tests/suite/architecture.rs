@@ -14,7 +14,7 @@ const MAY_USE: [(&str, &[&str]); 10] = [
     ("gpu", &["error"]),
     ("render", &["scene", "gpu", "frame", "class", "error"]),
     ("output", &["frame", "class", "error"]),
-    ("meta", &["params", "scene", "render", "frame", "class"]),
+    ("meta", &["params", "scene", "render", "output", "frame", "class"]),
 ];
 
 fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
