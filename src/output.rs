@@ -453,11 +453,10 @@ mod tests {
             serde_json::from_slice(&bytes("instance_segmentation_mapping_0007.json")).expect("JSON");
         assert_eq!(mapping["300"]["path"], "/World/Rocks/Rock_299");
         assert_eq!(mapping["300"]["occluded"], 0.75);
-        let exr = exr::prelude::read_first_rgba_layer_from_file;
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("hdr.exr");
         std::fs::write(&path, bytes("hdr_0007.exr")).expect("written");
-        let image = exr(
+        let image = exr::prelude::read_first_rgba_layer_from_file(
             &path,
             |_, _| vec![[0.0_f32; 3]; 6],
             |pixels: &mut Vec<[f32; 3]>, at: exr::math::Vec2<usize>, (r, g, b, _): (f32, f32, f32, f32)| {

@@ -10,3 +10,4 @@ mod golden;
 mod labels;
 mod scene_statistics;
 mod support;
+mod truth;
