@@ -148,6 +148,7 @@ impl Renderer {
         self.scene_pass.prepare(&self.gpu, settings.annotations);
         let (gpu, gpu_scene) = (&self.gpu, &mut self.scene);
         gpu.guard(|| gpu_scene.upload(gpu, scene, settings))?;
+        self.shadow_pass.prepare(&self.gpu, self.scene.atlas_layer_px);
         self.gpu.check()?;
         let uploaded = Instant::now();
         self.gpu.guard(|| self.submit_frame(&targets, &packed))?;
@@ -232,7 +233,7 @@ impl Renderer {
                 "scene/shadow",
                 &self.layouts.shadow,
                 &[
-                    view(&self.shadow_pass.atlas),
+                    view(self.shadow_pass.atlas()),
                     view(horizon),
                     scene.caster_grid.buffer().as_entire_binding(),
                 ],

@@ -22,11 +22,11 @@ fn sun_visibility(position: vec3<f32>, facet_normal: vec3<f32>, normal: vec3<f32
     let facing = dot(facet_normal, frame.sun_direction);
     // How the facet's plane rises along the sun per metre across it.
     let across = vec2(dot(facet_normal, frame.sun_right), dot(facet_normal, frame.sun_up));
-    let rise = -across / select(min(facing, -0.05), max(facing, 0.05), facing > 0.0);
+    let rise = -across / select(min(facing, -0.15), max(facing, 0.15), facing > 0.0);
     // Where the smooth surface faces the sun and the facet hardly does, the facet lies behind the surface that it
     // stands for (the shadow terminator: Hanika 2021, "Hacking the Shadow Terminator", Ray Tracing Gems II): by up
     // to this share of its length.
-    let behind = 0.5 * clamp(3.0 * (dot(normal, frame.sun_direction) - facing), 0.0, 1.0);
+    let behind = 0.5 * clamp(3.0 * (dot(normal, frame.sun_direction) - facing), 0.0, 1.0) * (1.0 - smoothstep(0.0, 0.1, facing));
     var visible = horizon_visibility(position);
     let cell = vec2<i32>(floor((position.xy - frame.caster_origin) / frame.caster_cell_m));
     let cells = i32(frame.caster_cells);

@@ -62,6 +62,8 @@ pub struct GpuScene {
     pub tiles: Store,
     /// Which casters a place must ask.
     pub caster_grid: Store,
+    /// Rows of each layer of the shadow atlas.
+    pub atlas_layer_px: u32,
     /// The ground's horizon, two heights a texel.
     pub horizon: Option<(wgpu::Texture, wgpu::TextureView)>,
     ground: Option<GroundBlocks>,
@@ -129,6 +131,7 @@ impl Default for GpuScene {
             instances: Store::new("scene/instances", BufferUsages::STORAGE),
             tiles: Store::new("shadow/tiles", BufferUsages::STORAGE),
             caster_grid: Store::new("shadow/caster_grid", BufferUsages::STORAGE),
+            atlas_layer_px: 0,
             horizon: None,
             ground: None,
             sphere_levels: Vec::new(),
@@ -149,7 +152,8 @@ impl GpuScene {
         let tiles: Vec<CasterTile> = casters.iter().map(|caster| caster.tile).collect();
         self.uploaded_bytes += self.tiles.write(gpu, &tiles);
         self.uploaded_bytes += self.caster_grid.write(gpu, &shadow::caster_grid(scene, casters));
-        let uniforms = frame_uniforms(scene, settings, &horizon);
+        self.atlas_layer_px = shadow::layer_px(casters);
+        let uniforms = frame_uniforms(scene, settings, &horizon, self.atlas_layer_px);
         self.uploaded_bytes += self.frame.write(gpu, &[uniforms]);
         self.upload_horizon(gpu, &horizon);
     }
@@ -290,7 +294,12 @@ impl GpuScene {
     }
 }
 
-fn frame_uniforms(scene: &Scene, settings: &RenderSettings, horizon: &HorizonMap) -> FrameUniforms {
+fn frame_uniforms(
+    scene: &Scene,
+    settings: &RenderSettings,
+    horizon: &HorizonMap,
+    atlas_layer_px: u32,
+) -> FrameUniforms {
     let (camera, sun) = (&scene.camera, &scene.sun);
     let sun_right =
         if sun.direction.z.abs() > 0.999 { Vec3::X } else { Vec3::Z.cross(sun.direction).normalize() };
@@ -304,9 +313,9 @@ fn frame_uniforms(scene: &Scene, settings: &RenderSettings, horizon: &HorizonMap
         sun_direction: sun.direction,
         sun_tan_half_angle: sun.tan_half_angle(),
         sun_irradiance: sun.irradiance,
-        atlas_layer_px: shadow::atlas_px() as f32,
+        atlas_layer_px: atlas_layer_px as f32,
         sun_right,
-        atlas_width_px: shadow::atlas_px() as f32,
+        atlas_width_px: shadow::ATLAS_PX as f32,
         sun_up: sun.direction.cross(sun_right),
         horizon_step_m: horizon.step_m,
         ground_radiance: scene.regolith.albedo * sun.irradiance * sun.direction.z / std::f32::consts::PI,

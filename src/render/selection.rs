@@ -51,7 +51,7 @@ impl Selection {
         let camera = &scene.camera;
         let frustum = Frustum::new(&camera.clip_from_world(settings.size));
         let pixel_angle = 1.0 / camera.focal_px(settings.size[0]) as f32;
-        let casters = shadow::casters(scene, &frustum, pixel_angle);
+        let casters = shadow::casters(scene, &frustum, settings.size);
         let blocks = ground_blocks(scene.terrain.cells)
             .enumerate()
             .filter_map(|(block, [columns, rows])| {

@@ -177,8 +177,9 @@ mod tests {
         for program in PROGRAMS {
             let module = parse(program);
             assert!(!module.entry_points.is_empty(), "{} has no entry point", program.name);
-            // All checks, no optional capability: what every adapter understands.
-            let result = Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(&module);
+            // All checks, and no optional capability but the packing of half floats, which Vulkan and GL both have.
+            let capabilities = Capabilities::SHADER_FLOAT16_IN_FLOAT32;
+            let result = Validator::new(ValidationFlags::all(), capabilities).validate(&module);
             if let Err(error) = result {
                 panic!("{}: {}", program.name, error.emit_to_string(&program.text()));
             }

@@ -13,12 +13,13 @@ use crate::scene::Scene;
 use crate::scene::sky::Sun;
 use crate::scene::terrain::Terrain;
 
-/// Texels of a tile per pixel of the picture, where the shadow is seen nearest.
-const TEXELS_PER_PIXEL: f32 = 1.5;
-/// Sides of tiles, texels.
-const TILE_PX: std::ops::RangeInclusive<u32> = 16..=1024;
-/// Side of an atlas layer, texels; all tiles shrink until they fit.
-const ATLAS_PX: u32 = 2048;
+/// Texels of a tile per pixel of the picture, where the shadow is seen nearest. With half as many the shadows of
+/// boulders on themselves miss their bounds against ray-cast truth.
+const TEXELS_PER_PIXEL: f32 = 3.0;
+/// Smallest and largest side of a tile, texels; nor is it more than four times the picture's longer side.
+const TILE_PX: [u32; 2] = [16, 2048];
+/// Columns of the atlas and most rows of one of its layers, texels; all tiles shrink until they fit.
+pub const ATLAS_PX: u32 = 4096;
 /// Cells along a side of the grid that finds the casters of a place.
 pub const CASTER_CELLS: u32 = 128;
 /// Samples of the horizon map per cell of the terrain.
@@ -41,7 +42,9 @@ pub struct Caster {
 
 /// The tiles of every rock that can throw a shadow into the picture, packed into the atlas.
 #[must_use]
-pub fn casters(scene: &Scene, frustum: &Frustum, pixel_angle: f32) -> Vec<Caster> {
+pub fn casters(scene: &Scene, frustum: &Frustum, size_px: [u32; 2]) -> Vec<Caster> {
+    let pixel_angle = 1.0 / scene.camera.focal_px(size_px[0]) as f32;
+    let largest_px = (4 * size_px[0].max(size_px[1])).clamp(TILE_PX[0], TILE_PX[1]);
     let lowest_ground_m = scene.terrain.vertices.iter().map(|v| v.position.z).fold(f32::MAX, f32::min);
     let sun = scene.sun.direction;
     let mut casters: Vec<Caster> = scene
@@ -61,7 +64,7 @@ pub fn casters(scene: &Scene, frustum: &Frustum, pixel_angle: f32) -> Vec<Caster
             // A margin of a texel on each side keeps the outline inside the tile.
             let side_px = (2.0 * rock.radius_m / texel_m).ceil() as u32 + 2;
             let half_extent_m = rock.radius_m * 1.02;
-            let size_px = side_px.clamp(*TILE_PX.start(), *TILE_PX.end()) as f32;
+            let size_px = side_px.clamp(TILE_PX[0], largest_px) as f32;
             // The icosahedron's edge spans 63 degrees of the sphere, and each level halves it.
             let facet_m = 1.1 * rock.radius_m / (1 << rock.level) as f32;
             let tile =
@@ -77,10 +80,11 @@ pub fn casters(scene: &Scene, frustum: &Frustum, pixel_angle: f32) -> Vec<Caster
     casters
 }
 
-/// Side of an atlas layer, texels.
+/// Rows of each of the atlas's layers that these casters need, in steps, so that scenes share atlases.
 #[must_use]
-pub const fn atlas_px() -> u32 {
-    ATLAS_PX
+pub fn layer_px(casters: &[Caster]) -> u32 {
+    let last_row = |caster: &Caster| (caster.tile.origin_px.y + caster.tile.size_px) as u32;
+    casters.iter().map(last_row).max().unwrap_or(1).next_multiple_of(512)
 }
 
 /// Places the tiles in shelves, largest first; `false` if they do not fit.

@@ -12,8 +12,8 @@ use crate::gpu::Gpu;
 #[derive(Debug)]
 pub(super) struct ShadowPass {
     layers: [wgpu::RenderPipeline; 2],
-    /// Both layers, fronts above backs.
-    pub(super) atlas: wgpu::TextureView,
+    /// The atlas and the rows of a layer, of which it has two, fronts above backs.
+    atlas: Option<(u32, wgpu::TextureView)>,
 }
 
 impl ShadowPass {
@@ -49,9 +49,25 @@ impl ShadowPass {
         };
         let layers =
             [layer("shadow/fronts", 0.0, wgpu::Face::Back), layer("shadow/backs", 1.0, wgpu::Face::Front)];
-        let size = [shadow::atlas_px(), 2 * shadow::atlas_px()];
-        let usage = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
-        Self { layers, atlas: gpu.texture("shadow/atlas", size, DEPTH_FORMAT, usage).1 }
+        Self { layers, atlas: None }
+    }
+
+    /// Makes the atlas with layers of exactly so many rows, unless it is there. Not a larger one: places in the atlas
+    /// would be rounded otherwise, and the frame would depend on those before it.
+    pub(super) fn prepare(&mut self, gpu: &Gpu, layer_px: u32) {
+        if self.atlas.as_ref().is_none_or(|(made, _)| *made != layer_px) {
+            let usage = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
+            let size = [shadow::ATLAS_PX, 2 * layer_px];
+            self.atlas = Some((layer_px, gpu.texture("shadow/atlas", size, DEPTH_FORMAT, usage).1));
+        }
+    }
+
+    /// The atlas.
+    ///
+    /// # Panics
+    /// Before [`Self::prepare`].
+    pub(super) fn atlas(&self) -> &wgpu::TextureView {
+        &self.atlas.as_ref().expect("an atlas is prepared before it is used").1
     }
 
     /// Records the pass.
@@ -66,7 +82,7 @@ impl ShadowPass {
             label: Some("shadow"),
             color_attachments: &[],
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                view: &self.atlas,
+                view: self.atlas(),
                 depth_ops: Some(wgpu::Operations {
                     load: wgpu::LoadOp::Clear(0.0),
                     store: wgpu::StoreOp::Store,

@@ -54,6 +54,7 @@ fn wrong_settings_are_refused_by_name_value_and_remedy() {
         (&["--adapter", "voodoo"], &["no adapter matches `voodoo`", "llvmpipe"]),
         (&["--seed=-1"], &["--seed"]),
         (&["--seeds", "1"], &["--seed"]),
+        (&["--edges", "ignore:0"], &["--edges ignore:0", "ignore:N"]),
         (&["--label-ids", "mine"], &["canonical", "replicator"]),
     ] {
         assert_refused(words, 2, said);
@@ -294,4 +295,124 @@ fn a_folder_with_other_content_needs_force() {
     run_ok(folder.path(), &["--size", "16", "--force"]);
     run_ok(folder.path(), &["--size", "16", "--force"]);
     assert!(Path::exists(&out.join("notes.txt")) && Path::exists(&out.join("rgb_0000.png")));
+}
+
+/// Numbers of a float32 .npy file.
+fn npy(path: &Path) -> Vec<f32> {
+    let bytes = std::fs::read(path).expect("an array");
+    let data = 10 + usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
+    bytes[data..].chunks_exact(4).map(|f| f32::from_le_bytes([f[0], f[1], f[2], f[3]])).collect()
+}
+
+/// Depth, K and pose, as a user has them, put every pixel of flat ground back on it; and both kinds of distance agree.
+#[test]
+fn depth_goes_back_to_the_world_through_k_and_pose() {
+    let folder = folder();
+    let flat = ["--set", "terrain.amplitude_m=0", "--set", "craters.count=0", "--set", "rocks.count=0"];
+    let camera =
+        ["--set", "camera.pitch_deg=-12", "--set", "camera.yaw_deg=30", "--set", "camera.roll_deg=7"];
+    let rest = ["--size", "160x120", "--outputs", "mask,depth,normals,meta"];
+    run_ok(folder.path(), &[&flat[..], &camera, &rest].concat());
+    let out = folder.path().join("out");
+    let meta = json(&out.join("frame_0000.json"));
+    let number = |value: &serde_json::Value| value.as_f64().expect("a number");
+    let camera = &meta["camera"];
+    let (f, cx, cy) = (number(&camera["fx"]), number(&camera["cx"]), number(&camera["cy"]));
+    let pose = |row: usize, column: usize| number(&camera["world_from_camera"][row][column]);
+    let (depth, distance) =
+        (npy(&out.join("distance_to_image_plane_0000.npy")), npy(&out.join("distance_to_camera_0000.npy")));
+    let normals = npy(&out.join("normals_0000.npy"));
+    let mask = image::open(out.join("semantic_segmentation_0000.png")).expect("a mask").into_luma8();
+    let mut checked = 0;
+    for (x, y, id) in mask.enumerate_pixels() {
+        let pixel = (y * 160 + x) as usize;
+        if id.0 == [2] {
+            assert!(
+                depth[pixel].is_infinite() && distance[pixel].is_infinite() && normals[3 * pixel + 2] == 0.0
+            );
+            continue;
+        }
+        let (u, v) = (f64::from(x) + 0.5, f64::from(y) + 0.5);
+        let ray = [(u - cx) / f, (v - cy) / f, 1.0];
+        let z = f64::from(depth[pixel]);
+        let height = pose(2, 3) + z * (0..3).map(|i| pose(2, i) * ray[i]).sum::<f64>();
+        let length = z * ray.iter().map(|r| r * r).sum::<f64>().sqrt();
+        assert!((f64::from(distance[pixel]) / length - 1.0).abs() < 1e-5);
+        assert!((normals[3 * pixel + 2] - 1.0).abs() < 1e-3);
+        // Pixels cut by the horizon have their depth from part of their samples.
+        if y > 0 && mask.get_pixel(x, y - 1).0 == [0] && x > 0 && mask.get_pixel(x - 1, y).0 == [0] {
+            assert!(height.abs() < 1e-4 * z, "pixel {x}, {y} lies {height} m off the ground, {z} m away");
+            checked += 1;
+        }
+    }
+    assert!(checked > 5000, "{checked}");
+}
+
+#[test]
+fn every_output_is_written_and_agrees_with_the_mask() {
+    let folder = folder();
+    let words = ["--seed", "42", "--size", "160", "--outputs", "all", "--edges", "ignore:2"];
+    let printed = run_ok(folder.path(), &words);
+    assert_eq!(printed.lines().count(), 13, "{printed}");
+    let out = folder.path().join("out");
+    let open = |name: &str| image::open(out.join(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
+    let mask = open("semantic_segmentation_0000.png").into_luma8();
+    let instances = open("instance_segmentation_0000.png").into_luma16();
+    let mapping = json(&out.join("instance_segmentation_mapping_0000.json"));
+    let coverage = npy(&out.join("semantic_coverage_0000.npy"));
+    let meta = json(&out.join("frame_0000.json"));
+    assert_eq!(meta["edges"], "ignore:2");
+    assert_eq!(meta["coverage"]["unlabelled"], 0.0, "the rule is about the mask, not about the scene");
+    let mut ignored = 0;
+    for (pixel, (id, instance)) in mask.iter().zip(instances.iter()).enumerate() {
+        let shares = &coverage[3 * pixel..3 * pixel + 3];
+        assert!((shares.iter().sum::<f32>() - 1.0).abs() < 1e-6);
+        ignored += u32::from(*id == 255);
+        let most = shares.iter().copied().fold(0.0, f32::max);
+        assert!(
+            *id == 255 || shares[usize::from(*id)] == most,
+            "a pixel has the class of most of its samples"
+        );
+        assert!(*id == 255 || (*id == 1) == (*instance > 0));
+        assert!(
+            *instance == 0 || !mapping[instance.to_string()].is_null(),
+            "instance {instance} is in the mapping"
+        );
+    }
+    assert!(ignored > 300, "{ignored}");
+    for (id, rock) in mapping.as_object().expect("an object") {
+        let number: u16 = id.parse().expect("an id");
+        assert_eq!(rock["path"], format!("/World/Rocks/Rock_{:03}", number - 1));
+        let pixels: Vec<(u32, u32)> = instances
+            .enumerate_pixels()
+            .filter(|(.., id)| id.0 == [number])
+            .map(|(x, y, _)| (x, y))
+            .collect();
+        assert_eq!(rock["visible_px"], pixels.len());
+        let bound = |pick: fn(&(u32, u32)) -> u32| {
+            (pixels.iter().map(pick).min().expect("pixels"), pixels.iter().map(pick).max().expect("pixels"))
+        };
+        let ((left, right), (top, bottom)) = (bound(|p| p.0), bound(|p| p.1));
+        assert_eq!(rock["box_px"], serde_json::json!([left, top, right, bottom]));
+        assert!((0.0..1.0).contains(&rock["occluded"].as_f64().expect("a fraction")));
+    }
+    let occluded = |value: f64| {
+        mapping.as_object().is_some_and(|rocks| {
+            rocks.values().any(|rock| (rock["occluded"].as_f64().expect("a fraction") - 0.5).abs() < value)
+        })
+    };
+    assert!(occluded(0.45), "some rock is partly behind another");
+    assert_eq!(open("shadow_0000.png").color(), image::ColorType::L8);
+}
+
+/// What is asked for besides changes neither colour nor mask.
+#[test]
+fn annotations_leave_picture_and_mask_as_they_are() {
+    let folder = folder();
+    run_ok(folder.path(), &["--size", "128", "--outputs", "all", "--out", "all"]);
+    run_ok(folder.path(), &["--size", "128", "--out", "plain"]);
+    for name in ["rgb_0000.png", "semantic_segmentation_0000.png"] {
+        let read = |out: &str| std::fs::read(folder.path().join(out).join(name)).expect("a picture");
+        assert!(read("all") == read("plain"), "{name}");
+    }
 }

@@ -3,6 +3,8 @@
 //! The caster is a maintained BVH library; it knows nothing of shaders, levels of detail or shadow maps. It shoots a
 //! ray through every pixel's centre, and 64 rays at the sun's disc from what it hits.
 
+#![allow(clippy::print_stdout, reason = "figures for people who run it with --nocapture")]
+
 use std::time::Duration;
 
 use glam::{Vec3, Vec3A};
@@ -245,11 +247,6 @@ fn check(case: usize) {
             f32::from(frame.hidden[pixel]) / 255.0 - drawn.hidden(&scene, place, pixel as u64)
         })
         .collect();
-    for (what, of) in [("ground", true), ("rock", false)] {
-        let part: Vec<f32> = errors.iter().zip(&shadows).filter(|(_, s)| (instance(s.0) == 0) == of).map(|(e, _)| *e).collect();
-        let n = part.len() as f32;
-        println!("PART {name} {what}: n {n} mae {:.4} signed {:.4} off {:.4}", part.iter().map(|e| e.abs()).sum::<f32>() / n, part.iter().sum::<f32>() / n, part.iter().filter(|e| e.abs() > 0.25).count() as f32 / n);
-    }
     let n = errors.len() as f32;
     let mean = errors.iter().map(|e| e.abs()).sum::<f32>() / n;
     let signed = errors.iter().sum::<f32>() / n;
