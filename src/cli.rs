@@ -6,10 +6,11 @@ use std::time::Instant;
 
 use clap::{Args, CommandFactory as _, Parser, Subcommand};
 use regolith::class::ClassId;
+use regolith::export::{self, Detail, Format, Stage};
 use regolith::gpu::{self, Gpu};
 use regolith::meta::FrameRecord;
 use regolith::output::edges::EdgePolicy;
-use regolith::output::{self, LabelIds, Source};
+use regolith::output::{self, Artifact, LabelIds, Source};
 use regolith::params::sampler::Config;
 use regolith::render::{RenderSettings, Renderer, StageTimes};
 use regolith::scene::Scene;
@@ -55,6 +56,8 @@ enum Command {
         #[arg(long)]
         json: bool,
     },
+    /// Write the stage as a file for other programs, the format by its extension: .npz
+    Export(ExportArgs),
     /// Print the completion script of a shell
     Completions {
         /// Which shell
@@ -86,6 +89,26 @@ struct ParamsArgs {
     /// Print JSON
     #[arg(long)]
     json: bool,
+}
+
+#[derive(Args, Debug)]
+struct ExportArgs {
+    /// The file
+    file: PathBuf,
+    /// Seed of the scene
+    #[arg(long, value_name = "N", default_value_t = 42)]
+    seed: u64,
+    /// Pixels of the picture, for the camera's matrix and for --drawn: WxH, or N for a square
+    #[arg(long, value_name = "WxH", default_value = "512x512", value_parser = parse_size)]
+    size: [u32; 2],
+    #[command(flatten)]
+    config: ConfigArgs,
+    /// Only the triangles that a frame of this size draws or lets cast shadows, at the detail that it draws them
+    #[arg(long)]
+    drawn: bool,
+    /// Replace the file if it is there
+    #[arg(long)]
+    force: bool,
 }
 
 #[derive(Args, Debug)]
@@ -137,6 +160,7 @@ pub(crate) fn run() -> Result<()> {
         None => render_frame(&cli.frame),
         Some(Command::Params(args)) => list_params(&args),
         Some(Command::Adapters { json }) => list_adapters(json),
+        Some(Command::Export(args)) => export_stage(&args),
         Some(Command::Completions { shell }) => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "regolith-render", &mut script);
@@ -262,6 +286,22 @@ fn summarise(args: &FrameArgs, renderer: &Renderer, meta: &Value, times: &StageT
         let stages: Vec<String> = times.iter().map(|(name, ms)| format!("{name} {ms:.1}")).collect();
         eprintln!("milliseconds: {}", stages.join(", "));
     }
+}
+
+fn export_stage(args: &ExportArgs) -> Result<()> {
+    let format = Format::from_path(&args.file)?;
+    if args.file.exists() && !args.force {
+        return Err(Error::Usage(format!("{} exists; add --force to replace it", args.file.display())));
+    }
+    let params = args.config.build()?.draw(args.seed)?;
+    let settings = RenderSettings::new(args.size, 1)?;
+    let scene = Scene::build(args.seed, &params)?;
+    let detail = if args.drawn { Detail::Drawn } else { Detail::Authored };
+    let bytes = export::export(&Stage { scene: &scene, settings: &settings, detail }, format)?;
+    let name = args.file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let folder = args.file.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    output::write_all(folder, &[Artifact { name, bytes }])?;
+    print(&format!("{}\n", args.file.display()))
 }
 
 fn list_params(args: &ParamsArgs) -> Result<()> {

@@ -25,6 +25,7 @@
 
 pub mod class;
 pub mod error;
+pub mod export;
 pub mod frame;
 pub mod gpu;
 pub mod meta;

@@ -364,19 +364,27 @@ fn hdr_exr(source: &Source<'_>) -> Result<Vec<u8>> {
     Ok(bytes.into_inner())
 }
 
-/// A NumPy array (format version 1.0) of float32, rows x columns, or rows x columns x `channels`.
+/// A NumPy array of float32, rows x columns, or rows x columns x `channels`.
 fn npy(frame: &Frame, channels: usize, values: &[f32]) -> Vec<u8> {
-    let (rows, columns) = (frame.height, frame.width);
-    let shape =
-        if channels == 1 { format!("{rows}, {columns}") } else { format!("{rows}, {columns}, {channels}") };
-    let mut header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({shape}), }}");
+    let shape = [frame.height as usize, frame.width as usize, channels];
+    let mut bytes = npy_header("<f4", if channels == 1 { &shape[..2] } else { &shape });
+    bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+    bytes
+}
+
+/// What stands before the data of a NumPy array file (format version 1.0) of this type (`<f4`, `|u1`, ...) and shape.
+#[must_use]
+pub fn npy_header(kind: &str, shape: &[usize]) -> Vec<u8> {
+    let shape: Vec<String> = shape.iter().map(ToString::to_string).collect();
+    let comma = if shape.len() == 1 { "," } else { "" };
+    let shape = shape.join(", ");
+    let mut header = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': ({shape}{comma}), }}");
     // Magic, version and length take ten bytes; the data start at a multiple of 64.
     header.push_str(&" ".repeat(63 - (header.len() + 10) % 64));
     header.push('\n');
     let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
     bytes.extend((header.len() as u16).to_le_bytes());
     bytes.extend(header.as_bytes());
-    bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
     bytes
 }
 

@@ -1,0 +1,125 @@
+//! The scene as files for other programs: one format a file here.
+//!
+//! Holds the authored triangles, or exactly those that a frame draws.
+//! Must not know: where bytes are written.
+//! To add a format: a file in `export/` with a function from [`Geometry`] and [`Stage`] to bytes, a row in
+//! [`Format::ALL`], an arm in [`export`].
+
+mod npz;
+
+use std::path::Path;
+
+use glam::Vec3;
+
+use crate::class::ClassId;
+use crate::error::{Error, Result};
+use crate::render::RenderSettings;
+use crate::render::selection::Selection;
+use crate::scene::Scene;
+use crate::scene::mesh::Vertex;
+
+/// A format that a scene can be written in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// NumPy arrays.
+    Npz,
+}
+
+impl Format {
+    /// Every format with its extension.
+    pub const ALL: [(Self, &'static str); 1] = [(Self::Npz, "npz")];
+
+    /// The format of a file by its extension.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for any other.
+    pub fn from_path(path: &Path) -> Result<Self> {
+        let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
+        let known = Self::ALL.iter().find(|(_, known)| extension.as_deref() == Some(*known));
+        known.map(|(format, _)| *format).ok_or_else(|| {
+            let names: Vec<String> = Self::ALL.iter().map(|(_, name)| format!(".{name}")).collect();
+            Error::Usage(format!(
+                "{}: the extension tells the format; there are {}",
+                path.display(),
+                names.join(", ")
+            ))
+        })
+    }
+}
+
+/// How much of the scene's detail is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Detail {
+    /// Every triangle.
+    Authored,
+    /// The triangles that a frame with the stage's settings draws or lets cast shadows.
+    Drawn,
+}
+
+/// What is exported.
+#[derive(Clone, Copy, Debug)]
+pub struct Stage<'a> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// For the camera's matrix and for [`Detail::Drawn`].
+    pub settings: &'a RenderSettings,
+    /// How much of it.
+    pub detail: Detail,
+}
+
+/// The bytes of the file.
+///
+/// # Errors
+/// [`Error::Encode`].
+pub fn export(stage: &Stage<'_>, format: Format) -> Result<Vec<u8>> {
+    match format {
+        Format::Npz => npz::encode(stage),
+    }
+}
+
+/// One thing of the scene.
+struct Part<'a> {
+    class: ClassId,
+    /// 0 for what is no rock.
+    instance: u16,
+    origin: Vec3,
+    vertices: &'a [Vertex],
+    triangles: Vec<[u32; 3]>,
+}
+
+impl Stage<'_> {
+    /// Ground, then the rocks by number.
+    fn parts(&self) -> Vec<Part<'_>> {
+        let scene = self.scene;
+        let cells = 0..scene.terrain.cells;
+        let mut parts = vec![Part {
+            class: ClassId::REGOLITH,
+            instance: 0,
+            origin: Vec3::ZERO,
+            vertices: &scene.terrain.vertices,
+            // All of the ground casts shadows.
+            triangles: scene.terrain.block_triangles(cells.clone(), cells).collect(),
+        }];
+        let levels: Vec<(usize, usize)> = match self.detail {
+            Detail::Authored => scene.rocks.iter().enumerate().map(|(rock, r)| (rock, r.level)).collect(),
+            Detail::Drawn => Selection::new(scene, self.settings)
+                .rocks
+                .iter()
+                .filter_map(|s| Some((s.rock, s.seen_level.or(s.caster.map(|(_, level)| level))?)))
+                .collect(),
+        };
+        parts.extend(levels.into_iter().map(|(rock, level)| {
+            let rock = &scene.rocks[rock];
+            let triangles = rock.triangles(level).to_vec();
+            let used = triangles.as_flattened().iter().max().map_or(0, |last| *last as usize + 1);
+            Part {
+                class: ClassId::ROCK,
+                instance: rock.index as u16 + 1,
+                origin: rock.centre,
+                vertices: &rock.vertices[..used],
+                triangles,
+            }
+        }));
+        parts
+    }
+}
