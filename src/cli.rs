@@ -56,7 +56,7 @@ enum Command {
         #[arg(long)]
         json: bool,
     },
-    /// Write the stage as a file for other programs, the format by its extension: .npz
+    /// Write the stage as a file for other programs, the format by its extension: .npz, .glb, .usda
     Export(ExportArgs),
     /// Print the completion script of a shell
     Completions {
@@ -297,7 +297,9 @@ fn export_stage(args: &ExportArgs) -> Result<()> {
     let settings = RenderSettings::new(args.size, 1)?;
     let scene = Scene::build(args.seed, &params)?;
     let detail = if args.drawn { Detail::Drawn } else { Detail::Authored };
-    let bytes = export::export(&Stage { scene: &scene, settings: &settings, detail }, format)?;
+    let knobs = params.to_json();
+    let stage = Stage { scene: &scene, seed: args.seed, knobs: &knobs, settings: &settings, detail };
+    let bytes = export::export(&stage, format)?;
     let name = args.file.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let folder = args.file.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     output::write_all(folder, &[Artifact { name, bytes }])?;

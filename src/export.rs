@@ -5,7 +5,9 @@
 //! To add a format: a file in `export/` with a function from [`Geometry`] and [`Stage`] to bytes, a row in
 //! [`Format::ALL`], an arm in [`export`].
 
+mod gltf;
 mod npz;
+mod usd;
 
 use std::path::Path;
 
@@ -23,11 +25,15 @@ use crate::scene::mesh::Vertex;
 pub enum Format {
     /// NumPy arrays.
     Npz,
+    /// Binary glTF 2.0.
+    Glb,
+    /// OpenUSD, as text.
+    Usda,
 }
 
 impl Format {
     /// Every format with its extension.
-    pub const ALL: [(Self, &'static str); 1] = [(Self::Npz, "npz")];
+    pub const ALL: [(Self, &'static str); 3] = [(Self::Npz, "npz"), (Self::Glb, "glb"), (Self::Usda, "usda")];
 
     /// The format of a file by its extension.
     ///
@@ -61,6 +67,10 @@ pub enum Detail {
 pub struct Stage<'a> {
     /// The scene.
     pub scene: &'a Scene,
+    /// Its seed.
+    pub seed: u64,
+    /// Its knobs as used.
+    pub knobs: &'a serde_json::Map<String, serde_json::Value>,
     /// For the camera's matrix and for [`Detail::Drawn`].
     pub settings: &'a RenderSettings,
     /// How much of it.
@@ -74,17 +84,28 @@ pub struct Stage<'a> {
 pub fn export(stage: &Stage<'_>, format: Format) -> Result<Vec<u8>> {
     match format {
         Format::Npz => npz::encode(stage),
+        Format::Glb => gltf::encode(stage),
+        Format::Usda => usd::encode(stage),
     }
 }
 
 /// One thing of the scene.
 struct Part<'a> {
     class: ClassId,
+    /// Index of the rock; none for the ground.
+    rock: Option<usize>,
     /// 0 for what is no rock.
     instance: u16,
     origin: Vec3,
     vertices: &'a [Vertex],
     triangles: Vec<[u32; 3]>,
+}
+
+impl Part<'_> {
+    /// Name of its node or prim.
+    fn name(&self) -> String {
+        self.rock.map_or_else(|| "Regolith".to_owned(), |rock| format!("Rock_{rock:03}"))
+    }
 }
 
 impl Stage<'_> {
@@ -94,6 +115,7 @@ impl Stage<'_> {
         let cells = 0..scene.terrain.cells;
         let mut parts = vec![Part {
             class: ClassId::REGOLITH,
+            rock: None,
             instance: 0,
             origin: Vec3::ZERO,
             vertices: &scene.terrain.vertices,
@@ -108,12 +130,13 @@ impl Stage<'_> {
                 .filter_map(|s| Some((s.rock, s.seen_level.or(s.caster.map(|(_, level)| level))?)))
                 .collect(),
         };
-        parts.extend(levels.into_iter().map(|(rock, level)| {
-            let rock = &scene.rocks[rock];
+        parts.extend(levels.into_iter().map(|(index, level)| {
+            let rock = &scene.rocks[index];
             let triangles = rock.triangles(level).to_vec();
             let used = triangles.as_flattened().iter().max().map_or(0, |last| *last as usize + 1);
             Part {
                 class: ClassId::ROCK,
+                rock: Some(index),
                 instance: rock.index as u16 + 1,
                 origin: rock.centre,
                 vertices: &rock.vertices[..used],

@@ -82,10 +82,13 @@ mod tests {
 
     #[test]
     fn arrays_hold_the_authored_scene_and_the_drawn_part_of_it() {
-        let scene = Scene::build(7, &Params::draw_default(7)).expect("a scene");
+        let params = Params::draw_default(7);
+        let scene = Scene::build(7, &params).expect("a scene");
+        let knobs = params.to_json();
         let settings = RenderSettings::new([256, 128], 4).expect("settings");
         let bytes = |detail| {
-            export(&Stage { scene: &scene, settings: &settings, detail }, Format::Npz).expect("exported")
+            export(&Stage { scene: &scene, seed: 7, knobs: &knobs, settings: &settings, detail }, Format::Npz)
+                .expect("exported")
         };
         let (authored, drawn) = (bytes(Detail::Authored), bytes(Detail::Drawn));
         assert!(authored == bytes(Detail::Authored), "the same bytes every time");

@@ -416,3 +416,19 @@ fn annotations_leave_picture_and_mask_as_they_are() {
         assert!(read("all") == read("plain"), "{name}");
     }
 }
+
+#[test]
+fn export_writes_whole_files_and_replaces_none_unasked() {
+    let folder = folder();
+    for name in ["stage.npz", "stage.glb", "stage.usda"] {
+        assert_eq!(run_ok(folder.path(), &["export", name, "--drawn", "--size", "128"]).trim_end(), name);
+        let size = std::fs::metadata(folder.path().join(name)).expect("a file").len();
+        assert!((1 << 20..40 << 20).contains(&size), "{name}: {size} bytes");
+        let again = run(folder.path(), &["export", name]);
+        assert_eq!(again.status.code(), Some(2));
+        assert!(String::from_utf8_lossy(&again.stderr).contains("add --force"));
+    }
+    let wrong = run(folder.path(), &["export", "stage.obj"]);
+    assert_eq!(wrong.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&wrong.stderr).contains(".npz, .glb, .usda"));
+}
