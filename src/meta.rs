@@ -76,27 +76,16 @@ impl FrameRecord<'_> {
     /// Intrinsics in pixels (pixel (u, v) has its centre at (u + 0.5, v + 0.5)) and the pose, row-major.
     fn camera(&self) -> Value {
         let camera = &self.scene.camera;
-        let [width, height] = self.settings.size;
-        let focal = camera.focal_px(width);
-        let (cx, cy) = (f64::from(width) / 2.0, f64::from(height) / 2.0);
-        let rows = |x: glam::Vec3, y: glam::Vec3, z: glam::Vec3| {
-            let eye = camera.eye;
-            json!([
-                [x.x, y.x, z.x, eye.x],
-                [x.y, y.y, z.y, eye.y],
-                [x.z, y.z, z.z, eye.z],
-                [0.0, 0.0, 0.0, 1.0],
-            ])
-        };
+        let k = camera.intrinsics(self.settings.size);
         json!({
-            "fx": focal,
-            "fy": focal,
-            "cx": cx,
-            "cy": cy,
-            "K": [[focal, 0.0, cx], [0.0, focal, cy], [0.0, 0.0, 1.0]],
+            "fx": k[0][0],
+            "fy": k[1][1],
+            "cx": k[0][2],
+            "cy": k[1][2],
+            "K": k,
             "fov_deg": camera.fov_deg(),
-            "world_from_camera": rows(camera.right, -camera.up, camera.forward),
-            "world_from_camera_gl": rows(camera.right, camera.up, -camera.forward),
+            "world_from_camera": camera.world_from_camera(),
+            "world_from_camera_gl": camera.world_from_camera_gl(),
             "near_m": camera.near_m,
             "far_m": camera.far_m,
             "exposure_ev": camera.exposure_ev,

@@ -26,7 +26,8 @@ fn sun_visibility(position: vec3<f32>, facet_normal: vec3<f32>, normal: vec3<f32
     // Where the smooth surface faces the sun and the facet hardly does, the facet lies behind the surface that it
     // stands for (the shadow terminator: Hanika 2021, "Hacking the Shadow Terminator", Ray Tracing Gems II): by up
     // to this share of its length.
-    let behind = 0.5 * clamp(3.0 * (dot(normal, frame.sun_direction) - facing), 0.0, 1.0) * (1.0 - smoothstep(0.0, 0.1, facing));
+    let excess = clamp(3.0 * (dot(normal, frame.sun_direction) - facing), 0.0, 1.0);
+    let behind = 0.5 * excess * (1.0 - smoothstep(0.0, 0.1, facing));
     var visible = horizon_visibility(position);
     let cell = vec2<i32>(floor((position.xy - frame.caster_origin) / frame.caster_cell_m));
     let cells = i32(frame.caster_cells);

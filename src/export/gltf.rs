@@ -111,9 +111,7 @@ pub(super) fn encode(stage: &Stage<'_>) -> Result<Vec<u8>> {
         let columns = [x.extend(0.0), y.extend(0.0), z.extend(0.0), place.extend(1.0)];
         json!(columns.map(|column| column.to_array()).as_flattened())
     };
-    let towards = scene.sun.direction;
-    let across =
-        if towards.z.abs() > 0.999 { glam::Vec3::X } else { glam::Vec3::Z.cross(towards).normalize() };
+    let [across, up] = scene.sun.right_and_up();
     let [width, height] = stage.settings.size;
     let aspect = f64::from(width) / f64::from(height);
     let turn = std::f64::consts::FRAC_1_SQRT_2;
@@ -127,7 +125,7 @@ pub(super) fn encode(stage: &Stage<'_>) -> Result<Vec<u8>> {
         }),
         json!({
             "name": "Sun",
-            "matrix": matrix(across, towards.cross(across), towards, glam::Vec3::ZERO),
+            "matrix": matrix(across, up, scene.sun.direction, glam::Vec3::ZERO),
             "extensions": { "KHR_lights_punctual": { "light": 0 } },
         }),
     ];

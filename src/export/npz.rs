@@ -25,12 +25,7 @@ pub(super) fn encode(stage: &Stage<'_>) -> Result<Vec<u8>> {
     albedo.extend(scene.rocks.iter().map(|rock| rock.material.albedo.to_array()));
 
     let camera = &scene.camera;
-    let [width, height] = stage.settings.size;
-    let focal = camera.focal_px(width);
-    let k = [focal, 0.0, 0.5 * f64::from(width), 0.0, focal, 0.5 * f64::from(height), 0.0, 0.0, 1.0];
-    let (x, y, z, eye) = (camera.right, -camera.up, camera.forward, camera.eye);
-    let pose = [[x.x, y.x, z.x, eye.x], [x.y, y.y, z.y, eye.y], [x.z, y.z, z.z, eye.z], [0.0, 0.0, 0.0, 1.0]];
-    let pose = pose.as_flattened().iter().map(|value| f64::from(*value)).collect::<Vec<f64>>();
+    let (k, pose) = (camera.intrinsics(stage.settings.size), camera.world_from_camera());
     let sun = scene.sun.direction.to_array();
     let members: [(&str, &str, &[usize], &[u8]); 9] = [
         ("vertices", "<f4", &[vertices.len(), 3], bytemuck::cast_slice(&vertices)),
@@ -56,7 +51,7 @@ fn archive(members: &[(&str, &str, &[usize], &[u8])]) -> zip::result::ZipResult<
             .last_modified_time(zip::DateTime::default())
             .large_file(bytes.len() > 1 << 31);
         zip.start_file(format!("{name}.npy"), options)?;
-        zip.write_all(&crate::output::npy_header(kind, shape))?;
+        zip.write_all(&crate::output::encoders::npy_header(kind, shape))?;
         zip.write_all(bytes)?;
     }
     Ok(zip.finish()?.into_inner())

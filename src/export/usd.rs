@@ -161,8 +161,7 @@ fn matrix(x: Vec3, y: Vec3, z: Vec3, place: Vec3) -> String {
 fn write_sun(out: &mut String, stage: &Stage<'_>) -> std::fmt::Result {
     let sun = &stage.scene.sun;
     // A distant light shines along its -Z.
-    let z = sun.direction;
-    let x = if z.z.abs() > 0.999 { Vec3::X } else { Vec3::Z.cross(z).normalize() };
+    let [right, up] = sun.right_and_up();
     let knob = |name: &str| stage.knobs.get(name).cloned().unwrap_or_default();
     let colour = knob("sun.color").to_string().replace('[', "(").replace(']', ")");
     write!(
@@ -172,7 +171,7 @@ fn write_sun(out: &mut String, stage: &Stage<'_>) -> std::fmt::Result {
          uniform token[] xformOpOrder = [\"xformOp:transform\"]\n    }}\n",
         sun.angular_diameter_deg,
         knob("sun.intensity"),
-        matrix(x, z.cross(x), z, Vec3::ZERO)
+        matrix(right, up, sun.direction, Vec3::ZERO)
     )
 }
 

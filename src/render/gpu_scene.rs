@@ -4,7 +4,7 @@
 
 use std::ops::Range;
 
-use glam::{Mat4, Vec3};
+use glam::Mat4;
 use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 
 use super::RenderSettings;
@@ -301,9 +301,7 @@ fn frame_uniforms(
     atlas_layer_px: u32,
 ) -> FrameUniforms {
     let (camera, sun) = (&scene.camera, &scene.sun);
-    let sun_right =
-        if sun.direction.z.abs() > 0.999 { Vec3::X } else { Vec3::Z.cross(sun.direction).normalize() };
-    let sun_right = (sun_right - sun.direction * sun_right.dot(sun.direction)).normalize();
+    let [sun_right, sun_up] = sun.right_and_up();
     let clip_from_offset = camera.clip_from_world(settings.size) * Mat4::from_translation(camera.eye);
     let packing = Packing::new(settings.size, settings.annotations);
     FrameUniforms {
@@ -316,7 +314,7 @@ fn frame_uniforms(
         atlas_layer_px: atlas_layer_px as f32,
         sun_right,
         atlas_width_px: shadow::ATLAS_PX as f32,
-        sun_up: sun.direction.cross(sun_right),
+        sun_up,
         horizon_step_m: horizon.step_m,
         ground_radiance: scene.regolith.albedo * sun.irradiance * sun.direction.z / std::f32::consts::PI,
         caster_cell_m: scene.terrain.size_m / shadow::CASTER_CELLS as f32,

@@ -95,6 +95,26 @@ impl Camera {
         0.5 * f64::from(width_px) / f64::from(self.tan_half_fov)
     }
 
+    /// Intrinsic matrix for a picture of this size, pixels; pixel (u, v) has its centre at (u + 0.5, v + 0.5).
+    #[must_use]
+    pub fn intrinsics(&self, [width_px, height_px]: [u32; 2]) -> [[f64; 3]; 3] {
+        let focal = self.focal_px(width_px);
+        let (cx, cy) = (0.5 * f64::from(width_px), 0.5 * f64::from(height_px));
+        [[focal, 0.0, cx], [0.0, focal, cy], [0.0, 0.0, 1.0]]
+    }
+
+    /// Rows of the pose in OpenCV axes: x right, y down, z forward.
+    #[must_use]
+    pub fn world_from_camera(&self) -> [[f64; 4]; 4] {
+        pose(self.right, -self.up, self.forward, self.eye)
+    }
+
+    /// Rows of the pose in OpenGL and USD axes: x right, y up, z back.
+    #[must_use]
+    pub fn world_from_camera_gl(&self) -> [[f64; 4]; 4] {
+        pose(self.right, self.up, -self.forward, self.eye)
+    }
+
     /// World to view axes (x right, y up, z back).
     #[must_use]
     pub fn view_from_world(&self) -> Mat4 {
@@ -119,6 +139,12 @@ impl Camera {
         let fov_y = 2.0 * libm::atanf(self.tan_half_fov / aspect);
         perspective(fov_y, aspect, self.far_m, self.near_m) * self.view_from_world()
     }
+}
+
+/// Rows of a rigid transform: where the axes point, and the origin.
+fn pose(x: Vec3, y: Vec3, z: Vec3, origin: Vec3) -> [[f64; 4]; 4] {
+    let row = |i: usize| [x[i], y[i], z[i], origin[i]].map(f64::from);
+    [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]]
 }
 
 #[cfg(test)]

@@ -60,6 +60,16 @@ impl Sun {
         Self { direction: direction.as_vec3(), elevation_deg, azimuth_deg, angular_diameter_deg, irradiance }
     }
 
+    /// Unit vectors of the plane across the sun's rays; the first is level, and `right x up` is the direction.
+    #[must_use]
+    pub fn right_and_up(&self) -> [Vec3; 2] {
+        let level = Vec3::new(-self.direction.y, self.direction.x, 0.0);
+        let right = if level.length() > 1e-3 { level / level.length() } else { Vec3::X };
+        let up = self.direction.cross(right);
+        let up = up / up.length();
+        [up.cross(self.direction), up]
+    }
+
     /// Tangent of half the angle that the disc spans.
     #[must_use]
     pub fn tan_half_angle(&self) -> f32 {
@@ -119,6 +129,10 @@ mod tests {
         let nominal = towards(17.0, 120.0);
         assert!(nominal.x > 0.0 && nominal.y < 0.0, "behind the camera, to the right");
         assert!((nominal.z - 0.292_371_7).abs() < 1e-6);
+        for sun in [Sun::new(17.0, 120.0, 0.53, Vec3::ONE), Sun::new(90.0, 0.0, 0.53, Vec3::ONE)] {
+            let [right, up] = sun.right_and_up();
+            assert!(right.cross(up).distance(sun.direction) < 1e-5 && right.z.abs() < 1e-5);
+        }
         let penumbra_per_metre = 2.0 * Sun::new(17.0, 0.0, 0.53, Vec3::ONE).tan_half_angle();
         assert!((penumbra_per_metre - 0.00925).abs() < 1e-5);
     }
