@@ -4,14 +4,14 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use clap::{Args, CommandFactory as _, Parser, Subcommand};
+use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use regolith::class::ClassId;
 use regolith::export::{self, Detail, Format, Stage};
 use regolith::gpu::{self, Gpu};
 use regolith::meta::FrameRecord;
 use regolith::output::edges::EdgePolicy;
 use regolith::output::{self, Artifact, LabelIds, Source};
-use regolith::params::sampler::Config;
+use regolith::params::sampler::{self, Config};
 use regolith::render::{RenderSettings, Renderer, StageTimes};
 use regolith::scene::Scene;
 use regolith::{Error, Result};
@@ -38,7 +38,7 @@ Environment: WGPU_BACKEND (vulkan, gl), WGPU_ADAPTER_NAME.";
 
 /// Labelled pictures of the Moon.
 #[derive(Debug, Parser)]
-#[command(version, long_about = LONG_ABOUT, after_long_help = EXAMPLES, args_conflicts_with_subcommands = true)]
+#[command(version, long_about = LONG_ABOUT, args_conflicts_with_subcommands = true)]
 pub(crate) struct Cli {
     #[command(subcommand)]
     command: Option<Command>,
@@ -71,7 +71,7 @@ struct ConfigArgs {
     /// Which stage's defaults to start from
     #[arg(long, value_name = "NAME", default_value = "nominal")]
     stage: String,
-    /// A named set of knobs: reference, train_dr, train_nodr, test_photoreal
+    /// A named set of knobs; `--help` lists them
     #[arg(long, value_name = "NAME")]
     preset: Option<String>,
     /// Knobs from a TOML file
@@ -153,9 +153,18 @@ struct FrameArgs {
     quiet: bool,
 }
 
+/// The command line, its help complete with the presets that ship.
+fn command() -> clap::Command {
+    let presets: String = sampler::presets()
+        .iter()
+        .map(|(name, _)| format!("  {name:<15} {}\n", sampler::preset_description(name).unwrap_or_default()))
+        .collect();
+    Cli::command().after_long_help(format!("Presets:\n{presets}\n{EXAMPLES}"))
+}
+
 /// Parses the command line and does what it says.
 pub(crate) fn run() -> Result<()> {
-    let cli = Cli::parse();
+    let cli = Cli::from_arg_matches(&command().get_matches()).unwrap_or_else(|error| error.exit());
     match cli.command {
         None => render_frame(&cli.frame),
         Some(Command::Params(args)) => list_params(&args),
@@ -163,7 +172,7 @@ pub(crate) fn run() -> Result<()> {
         Some(Command::Export(args)) => export_stage(&args),
         Some(Command::Completions { shell }) => {
             let mut script = Vec::new();
-            clap_complete::generate(shell, &mut Cli::command(), "regolith-render", &mut script);
+            clap_complete::generate(shell, &mut command(), "regolith-render", &mut script);
             print(&String::from_utf8_lossy(&script))
         }
     }
@@ -357,17 +366,16 @@ fn parse_size(text: &str) -> std::result::Result<[u32; 2], String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use regolith::params::sampler::presets;
 
     #[test]
     fn the_command_line_is_consistent_and_every_option_has_help() {
-        Cli::command().help_expected(true).debug_assert();
+        command().help_expected(true).debug_assert();
     }
 
     #[test]
     fn the_help_names_every_preset_and_output() {
-        let help = Cli::command().render_long_help().to_string();
-        for (name, _) in presets() {
+        let help = command().render_long_help().to_string();
+        for (name, _) in sampler::presets() {
             assert!(help.contains(name), "preset {name}");
         }
         for output in &output::OUTPUTS {

@@ -132,14 +132,14 @@ fn the_shadow_of_a_ball_lies_where_geometry_puts_it() {
 fn the_penumbra_widens_with_distance_as_the_sun_s_disc_says() {
     let sun = Sun::new(17.0, 90.0, 0.53, Vec3::splat(3.0));
     for distance_m in [2.0_f32, 5.0, 10.0, 40.0] {
-        // The northern edge of the shadow: beside the middle of the ball, so the chord is straight enough.
-        let radius_m = 3.0;
-        let centre = Vec3::new(0.0, -radius_m, 0.0) + distance_m * sun.direction;
+        // The northern edge of the shadow: beside the middle of a ball so large that its outline is straight there.
         let width_m = distance_m * 2.0 * 0.265_f32.to_radians().tan();
+        let radius_m = (16.0 * width_m).clamp(0.6, 3.0);
+        let centre = Vec3::new(0.0, -radius_m, 0.0) + distance_m * sun.direction;
         let eye = Vec3::new(0.0, 0.0, 1.2 * distance_m * sun.direction.z + 8.0);
         let fov_deg = 2.0 * f64::from(2.5 * width_m / eye.z).atan().to_degrees();
         let scene = flat_scene(sun, vec![ball(centre, radius_m)], eye, fov_deg);
-        let side = 128;
+        let side = 256;
         let frame = render(&scene, side, 4);
         let (mut sum, mut worst, mut n) = (0.0_f64, 0.0_f64, 0);
         for row in 0..side {
@@ -156,6 +156,33 @@ fn the_penumbra_widens_with_distance_as_the_sun_s_disc_says() {
             worst = worst.max(error);
             n += 1;
         }
+        // The width from a tenth to nine tenths of the sun, by interpolation between pixels.
+        let seen = |row: u32| {
+            let i = (row * side + side / 2) as usize;
+            let linear = |code: f64| {
+                let (mut low, mut high) = (0.0, 2.0);
+                for _ in 0..40 {
+                    let middle = 0.5 * (low + high);
+                    if encoded(middle) < code { low = middle } else { high = middle }
+                }
+                low
+            };
+            let (dark, lit) = (ground_radiance(&sun, 0.0).x, ground_radiance(&sun, 1.0).x);
+            (linear(f64::from(frame.rgb[3 * i])) - f64::from(dark)) / f64::from(lit - dark)
+        };
+        let row_at = |level: f64| {
+            let row =
+                (0..side - 1).find(|&row| seen(row) >= level && seen(row + 1) < level).expect("a crossing");
+            f64::from(row) + (seen(row) - level) / (seen(row) - seen(row + 1))
+        };
+        let metres_per_row = 5.0 * f64::from(width_m) / f64::from(side);
+        let measured = (row_at(0.1) - row_at(0.9)) * metres_per_row;
+        // Beyond a chord at 0.6870 of the radius lies a tenth of a disc.
+        let expected = 0.6870 * f64::from(width_m);
+        assert!(
+            (measured / expected - 1.0).abs() < 0.15,
+            "{distance_m} m: {measured:.4} m wide for {expected:.4}"
+        );
         assert!(n > 40, "the edge is in view");
         let mean = sum / f64::from(n);
         assert!(mean < 0.02 && worst < 0.12, "{distance_m} m: mean error {mean:.3}, worst {worst:.3}");
