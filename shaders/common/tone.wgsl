@@ -5,11 +5,14 @@ override TONE_KNEE: f32;
 // What endless light comes to, display-linear.
 override TONE_WHITE: f32;
 
-// Linear up to the knee, then an exponential shoulder that joins with the same slope and ends at TONE_WHITE.
+// Linear up to the knee, then an exponential shoulder that joins with the same slope and ends at TONE_WHITE. The
+// curve is that of the largest channel; the others keep their ratio to it, so that bright ground keeps its hue.
 fn tone(x: vec3<f32>) -> vec3<f32> {
+    let largest = max(x.r, max(x.g, x.b));
+    if largest <= TONE_KNEE { return x; }
     let room = TONE_WHITE - TONE_KNEE;
-    let shoulder = TONE_KNEE + room * (1.0 - exp(-(x - TONE_KNEE) / room));
-    return select(shoulder, x, x <= vec3(TONE_KNEE));
+    let shoulder = TONE_KNEE + room * (1.0 - exp(-(largest - TONE_KNEE) / room));
+    return x * (shoulder / largest);
 }
 
 // The sRGB transfer function (IEC 61966-2-1), linear to encoded.

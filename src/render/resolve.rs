@@ -24,7 +24,7 @@ pub fn exposure(ev: f32) -> f32 {
     libm::exp2f(ev)
 }
 
-/// The tone curve on exposed radiance. Twin of `tone` in `common/tone.wgsl`.
+/// The tone curve on the largest channel of exposed radiance. Twin of `tone` in `common/tone.wgsl`.
 #[must_use]
 pub fn tone(x: f64) -> f64 {
     let room = TONE_WHITE - TONE_KNEE;
