@@ -128,7 +128,7 @@ struct FrameArgs {
     #[command(flatten)]
     config: ConfigArgs,
     /// What to write: of rgb, mask, preview, depth, normals, instances, shadow, hdr, coverage, meta; or all
-    #[arg(long, value_name = "LIST", default_value = "rgb,mask,preview,meta")]
+    #[arg(long, value_name = "LIST", default_value_t = output::default_list())]
     outputs: String,
     /// Ids in the mask: canonical (0 regolith, 1 rock, 2 sky) or those of a Replicator pipeline
     #[arg(long, value_name = "KIND", default_value = "canonical", value_parser = ["canonical", "replicator"])]
@@ -225,8 +225,8 @@ fn render_frame(args: &FrameArgs) -> Result<()> {
         renderer.gpu().device.destroy();
     }
     let (frame, render_times) = renderer.render(&scene, &settings)?;
-    stage(&mut times, "render");
-    times.pop();
+    // The renderer tells its own stages apart.
+    stage(&mut StageTimes::new(), "render");
     times.extend(render_times);
     let unlabelled = frame.count(ClassId::UNLABELLED);
     if unlabelled > 0 {

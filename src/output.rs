@@ -161,6 +161,13 @@ impl Output {
     }
 }
 
+/// The outputs that are written unless others are asked for, as a comma-separated list.
+#[must_use]
+pub fn default_list() -> String {
+    let names: Vec<&str> = OUTPUTS.iter().filter(|output| output.default).map(|output| output.name).collect();
+    names.join(",")
+}
+
 /// The outputs of a comma-separated list; `all` is every one.
 ///
 /// # Errors
