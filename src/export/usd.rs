@@ -18,6 +18,8 @@ use crate::scene::sky::{DOME_RADIANCE, STAR_RADIANCE};
 const HOLE_DEG: f64 = 34.0;
 /// Level of the icosphere that the dome is.
 const DOME_LEVEL: usize = 4;
+/// Level of the icosphere that a star is.
+const STAR_LEVEL: usize = 1;
 /// Width of the camera's film, millimetres.
 const APERTURE_MM: f64 = 24.0;
 
@@ -191,25 +193,21 @@ fn write_sky(out: &mut String, stage: &Stage<'_>) -> std::fmt::Result {
     let none: Option<fn() -> std::iter::Empty<Vec3>> = None;
     write_mesh(out, "    ", "StarDome", "StarDome", ClassId::SKY, &triangles, positions, none)?;
     writeln!(out, "        bool primvars:doNotCastShadows = 1\n    }}\n    def Xform \"Stars\"\n    {{")?;
-    let (applied, labels) = schemas(ClassId::SKY);
     let towards =
         |star: &crate::scene::sky::Star| (star.centre - sky.centre) / (star.centre - sky.centre).length();
     for (index, star) in sky.stars.iter().enumerate().filter(|(_, star)| !in_hole(towards(star))) {
+        // A mesh rather than a sphere prim, which not every program reads.
+        let used = Icosphere::vertex_count(STAR_LEVEL);
+        let positions = || sphere.directions[..used].iter().map(|d| star.radius_m * *d);
+        let none: Option<fn() -> std::iter::Empty<Vec3>> = None;
+        let (name, triangles) = (format!("Star_{index:03}"), &sphere.triangles[STAR_LEVEL]);
+        write_mesh(out, "        ", &name, "Star", ClassId::SKY, triangles, positions, none)?;
         write!(
             out,
-            "        def Sphere \"Star_{index:03}\" (\n            {applied}\n        )\n        {{\n            \
-             float3[] extent = [({r0}, {r0}, {r0}), ({r}, {r}, {r})]\n            double radius = {r}\n            \
-             bool primvars:doNotCastShadows = 1\n            rel material:binding = </World/Looks/Star>\n            \
-             double3 xformOp:translate = {place}\n            \
-             uniform token[] xformOpOrder = [\"xformOp:translate\"]\n",
-            r0 = -star.radius_m,
-            r = star.radius_m,
-            place = Tuple(star.centre)
+            "            bool primvars:doNotCastShadows = 1\n            double3 xformOp:translate = {}\n            \
+             uniform token[] xformOpOrder = [\"xformOp:translate\"]\n        }}\n",
+            Tuple(star.centre)
         )?;
-        for line in labels.lines() {
-            writeln!(out, "            {line}")?;
-        }
-        writeln!(out, "        }}")?;
     }
     writeln!(out, "    }}")
 }
@@ -300,7 +298,7 @@ mod tests {
         assert_eq!(text.matches("def Mesh \"Rock_").count(), drawn);
         assert_eq!(text.matches("token[] semantics:labels:class = [\"rock\"]").count(), drawn);
         assert_eq!(text.matches("semanticData = \"regolith\"").count(), 1);
-        let stars = text.matches("def Sphere \"Star_").count();
+        let stars = text.matches("def Mesh \"Star_").count();
         assert!(stars > 150 && stars <= 220, "{stars} stars outside the hole");
     }
 }
