@@ -2,8 +2,8 @@
 //!
 //! Holds the authored triangles, or exactly those that a frame draws.
 //! Must not know: where bytes are written.
-//! To add a format: a file in `export/` with a function from [`Geometry`] and [`Stage`] to bytes, a row in
-//! [`Format::ALL`], an arm in [`export`].
+//! To add a format: a file in `export/` with a function from [`Stage`] to bytes, a row in [`Format::ALL`], an arm in
+//! [`export`].
 
 mod gltf;
 mod npz;
@@ -19,6 +19,7 @@ use crate::render::RenderSettings;
 use crate::render::selection::Selection;
 use crate::scene::Scene;
 use crate::scene::mesh::Vertex;
+use crate::scene::rocks::Material;
 
 /// A format that a scene can be written in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -99,6 +100,7 @@ struct Part<'a> {
     origin: Vec3,
     vertices: &'a [Vertex],
     triangles: Vec<[u32; 3]>,
+    material: Material,
 }
 
 impl Part<'_> {
@@ -106,6 +108,29 @@ impl Part<'_> {
     fn name(&self) -> String {
         self.rock.map_or_else(|| "Regolith".to_owned(), |rock| format!("Rock_{rock:03}"))
     }
+}
+
+/// The distinct materials of some parts with their names, in the order in which they are met, and for each part the
+/// index of its own. Rocks share a pool, so there are far fewer than parts.
+fn looks(parts: &[Part<'_>]) -> (Vec<(String, Material)>, Vec<usize>) {
+    let mut looks: Vec<(String, Material)> = Vec::new();
+    let (mut of_parts, mut rock_looks) = (Vec::with_capacity(parts.len()), 0);
+    for part in parts {
+        let known = looks.iter().position(|(name, material)| {
+            *material == part.material && (name == "Regolith") == part.rock.is_none()
+        });
+        of_parts.push(known.unwrap_or_else(|| {
+            let name = if part.rock.is_some() {
+                rock_looks += 1;
+                format!("RockMaterial_{:02}", rock_looks - 1)
+            } else {
+                "Regolith".to_owned()
+            };
+            looks.push((name, part.material));
+            looks.len() - 1
+        }));
+    }
+    (looks, of_parts)
 }
 
 impl Stage<'_> {
@@ -121,6 +146,7 @@ impl Stage<'_> {
             vertices: &scene.terrain.vertices,
             // All of the ground casts shadows.
             triangles: scene.terrain.block_triangles(cells.clone(), cells).collect(),
+            material: scene.regolith,
         }];
         let levels: Vec<(usize, usize)> = match self.detail {
             Detail::Authored => scene.rocks.iter().enumerate().map(|(rock, r)| (rock, r.level)).collect(),
@@ -141,6 +167,7 @@ impl Stage<'_> {
                 origin: rock.centre,
                 vertices: &rock.vertices[..used],
                 triangles,
+                material: rock.material,
             }
         }));
         parts

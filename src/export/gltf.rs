@@ -1,13 +1,15 @@
 //! The scene as binary glTF 2.0: a node a rock, with class and instance as extras.
 //!
 //! glTF is Y-up: the root node `World` turns the scene's Z up.
+//! Must not know: a sky, which viewers of glTF have one of their own for.
 
 use serde_json::{Value, json};
 
-use super::{Part, Stage};
+use super::{Part, Stage, looks};
 use crate::error::{Error, Result};
 
 /// Component types and buffer targets of glTF.
+const UNSIGNED_SHORT: u32 = 5123;
 const UNSIGNED_INT: u32 = 5125;
 const FLOAT: u32 = 5126;
 const ARRAY_BUFFER: u32 = 34962;
@@ -28,6 +30,8 @@ impl Buffer {
             "buffer": 0, "byteOffset": self.bytes.len(), "byteLength": data.len(), "target": target,
         }));
         self.bytes.extend_from_slice(data);
+        // Every view starts at a multiple of four, whatever the component type.
+        self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
         accessor["bufferView"] = json!(self.views.len() - 1);
         self.accessors.push(accessor);
         self.accessors.len() - 1
@@ -50,11 +54,16 @@ impl Buffer {
         let bounds = json!({ "min": bound(f32::MAX, f32::min), "max": bound(f32::MIN, f32::max) });
         let position = self.add(bytemuck::cast_slice(&positions), ARRAY_BUFFER, vectors(bounds));
         let normal = self.add(bytemuck::cast_slice(&normals), ARRAY_BUFFER, vectors(json!({})));
-        let indices = self.add(
-            bytemuck::cast_slice(&part.triangles),
-            ELEMENT_ARRAY_BUFFER,
-            json!({ "componentType": UNSIGNED_INT, "count": 3 * part.triangles.len(), "type": "SCALAR" }),
-        );
+        let scalars =
+            |kind: u32| json!({ "componentType": kind, "count": 3 * part.triangles.len(), "type": "SCALAR" });
+        let corners = part.triangles.as_flattened();
+        // The largest number of a type is not an index in glTF.
+        let indices = if positions.len() <= usize::from(u16::MAX) {
+            let short: Vec<u16> = corners.iter().map(|&v| v as u16).collect();
+            self.add(bytemuck::cast_slice(&short), ELEMENT_ARRAY_BUFFER, scalars(UNSIGNED_SHORT))
+        } else {
+            self.add(bytemuck::cast_slice(corners), ELEMENT_ARRAY_BUFFER, scalars(UNSIGNED_INT))
+        };
         json!({
             "name": name,
             "primitives": [{
@@ -69,31 +78,16 @@ impl Buffer {
 pub(super) fn encode(stage: &Stage<'_>) -> Result<Vec<u8>> {
     let scene = stage.scene;
     let mut buffer = Buffer::default();
-    let (mut meshes, mut materials) = (Vec::new(), Vec::new());
+    let mut meshes = Vec::new();
     // Node 0 is World, 1 Rocks, 2 the camera, 3 the sun; ground and rocks follow.
     let (mut world, mut rocks, mut things) = (vec![1, 2, 3], Vec::new(), Vec::new());
-    for part in &stage.parts() {
-        let node = 4 + things.len();
-        let material = match part.rock {
-            Some(rock) => {
-                rocks.push(node);
-                scene.rocks[rock].material
-            }
-            None => {
-                world.push(node);
-                scene.regolith
-            }
-        };
+    let parts = stage.parts();
+    let (looks, look_of) = looks(&parts);
+    for (part, look) in parts.iter().zip(look_of) {
+        let children = if part.rock.is_some() { &mut rocks } else { &mut world };
+        children.push(4 + things.len());
         let name = part.name();
-        materials.push(json!({
-            "name": name,
-            "pbrMetallicRoughness": {
-                "baseColorFactor": [material.albedo.x, material.albedo.y, material.albedo.z, 1.0],
-                "metallicFactor": 0.0,
-                "roughnessFactor": material.roughness,
-            },
-        }));
-        meshes.push(buffer.mesh(part, &name, materials.len() - 1));
+        meshes.push(buffer.mesh(part, &name, look));
         things.push(json!({
             "name": name,
             "mesh": meshes.len() - 1,
@@ -105,6 +99,19 @@ pub(super) fn encode(stage: &Stage<'_>) -> Result<Vec<u8>> {
             },
         }));
     }
+    let materials: Vec<Value> = looks
+        .iter()
+        .map(|(name, material)| {
+            json!({
+                "name": name,
+                "pbrMetallicRoughness": {
+                    "baseColorFactor": material.albedo.extend(1.0).to_array(),
+                    "metallicFactor": 0.0,
+                    "roughnessFactor": material.roughness,
+                },
+            })
+        })
+        .collect();
     let camera = &scene.camera;
     // Columns of a matrix: where the node's axes point (glTF looks along -Z with Y up), and its place.
     let matrix = |x: glam::Vec3, y: glam::Vec3, z: glam::Vec3, place: glam::Vec3| {

@@ -1,4 +1,6 @@
 //! The scene as NumPy arrays: a stored zip of `.npy` members, the same bytes every time.
+//!
+//! Must not know: the sky, which has no geometry here.
 
 use std::io::{Cursor, Write as _};
 
