@@ -1,18 +1,20 @@
 //! The scene as an OpenUSD stage in text form, with the prims and labels of the stage that it stands in for.
 //!
 //! Dome and stars are geometry here, for other programs have no sky of ours; the dome has a hole around the sun, and
-//! stars in it are left out, so that a path tracer's shadow rays reach it.
+//! stars in it are left out (their numbers are in the custom data of `/World/Stars`), so that a path tracer's shadow
+//! rays reach it.
+//! Must not know: which triangles a frame draws; [`Stage::parts`] gives them.
 
 use std::fmt::Write as _;
 
 use glam::Vec3;
 
-use super::{Part, Stage};
+use super::{Part, Stage, looks};
 use crate::class::ClassId;
 use crate::error::Result;
 use crate::scene::mesh::Icosphere;
 use crate::scene::rocks::Material;
-use crate::scene::sky::{DOME_RADIANCE, STAR_RADIANCE};
+use crate::scene::sky::{DOME_RADIANCE, STAR_RADIANCE, SUN_IRRADIANCE_PER_INTENSITY, Star};
 
 /// Half the angle of the dome's hole around the sun, degrees.
 const HOLE_DEG: f64 = 34.0;
@@ -31,7 +33,6 @@ pub(super) fn encode(stage: &Stage<'_>) -> Result<Vec<u8>> {
 }
 
 fn write_stage(out: &mut String, stage: &Stage<'_>) -> std::fmt::Result {
-    let scene = stage.scene;
     let knobs = serde_json::Value::Object(stage.knobs.clone()).to_string();
     write!(
         out,
@@ -42,23 +43,26 @@ fn write_stage(out: &mut String, stage: &Stage<'_>) -> std::fmt::Result {
         env!("CARGO_PKG_VERSION")
     )?;
     let parts = stage.parts();
-    let (ground, rocks) =
-        parts.split_first().map_or((None, &parts[..]), |(ground, rocks)| (Some(ground), rocks));
-    if let Some(ground) = ground {
-        write_part(out, ground, "    ")?;
+    let (looks, look_of) = looks(&parts);
+    let named = |wanted: bool| {
+        let looks = &looks;
+        let pairs = parts.iter().zip(&look_of).filter(move |(part, _)| part.rock.is_some() == wanted);
+        pairs.map(move |(part, look)| (part, looks[*look].0.as_str()))
+    };
+    for (ground, look) in named(false) {
+        write_part(out, ground, look, "    ")?;
     }
     writeln!(out, "    def Xform \"Rocks\"\n    {{")?;
-    for rock in rocks {
-        write_part(out, rock, "        ")?;
+    for (rock, look) in named(true) {
+        write_part(out, rock, look, "        ")?;
     }
     writeln!(out, "    }}")?;
     write_sun(out, stage)?;
     write_sky(out, stage)?;
     write_camera(out, stage)?;
     writeln!(out, "    def Scope \"Looks\"\n    {{")?;
-    write_surface(out, "Regolith", scene.regolith)?;
-    for rock in rocks.iter().filter_map(|part| part.rock) {
-        write_surface(out, &format!("Rock_{rock:03}"), scene.rocks[rock].material)?;
+    for (name, material) in &looks {
+        write_surface(out, name, *material)?;
     }
     write_emitter(out, "StarDome", DOME_RADIANCE)?;
     write_emitter(out, "Star", STAR_RADIANCE)?;
@@ -78,11 +82,11 @@ fn schemas(class: ClassId) -> (String, String) {
     (applied.to_owned(), labels)
 }
 
-fn write_part(out: &mut String, part: &Part<'_>, indent: &str) -> std::fmt::Result {
+fn write_part(out: &mut String, part: &Part<'_>, look: &str, indent: &str) -> std::fmt::Result {
     let name = part.name();
     let positions = || part.vertices.iter().map(|v| v.position);
     let normals = || part.vertices.iter().map(|v| v.normal);
-    write_mesh(out, indent, &name, &name, part.class, &part.triangles, positions, Some(normals))?;
+    write_mesh(out, indent, &name, look, part.class, &part.triangles, positions, Some(normals))?;
     let [x, y, z] = part.origin.to_array();
     write!(
         out,
@@ -164,15 +168,27 @@ fn write_sun(out: &mut String, stage: &Stage<'_>) -> std::fmt::Result {
     let sun = &stage.scene.sun;
     // A distant light shines along its -Z.
     let [right, up] = sun.right_and_up();
-    let knob = |name: &str| stage.knobs.get(name).cloned().unwrap_or_default();
-    let colour = knob("sun.color").to_string().replace('[', "(").replace(']', ")");
+    // A scene made by hand has no such knobs; then the sun's own irradiance gives them.
+    let knob = |name: &str| stage.knobs.get(name);
+    let own = sun.irradiance / SUN_IRRADIANCE_PER_INTENSITY;
+    let colour = knob("sun.color").and_then(|colour| {
+        let [red, green, blue] = colour.as_array()?.as_slice() else { return None };
+        Some([red.as_f64()?, green.as_f64()?, blue.as_f64()?])
+    });
+    let (intensity, [red, green, blue]) =
+        match (knob("sun.intensity").and_then(serde_json::Value::as_f64), colour) {
+            (Some(intensity), Some(colour)) => (intensity, colour),
+            _ => {
+                let brightest = own.max_element().max(f32::MIN_POSITIVE);
+                (f64::from(brightest), (own / brightest).to_array().map(f64::from))
+            }
+        };
     write!(
         out,
-        "    def DistantLight \"Sun\"\n    {{\n        float inputs:angle = {}\n        color3f inputs:color = {colour}\n        \
-         float inputs:intensity = {}\n        matrix4d xformOp:transform = {}\n        \
+        "    def DistantLight \"Sun\"\n    {{\n        float inputs:angle = {}\n        color3f inputs:color = ({red}, {green}, {blue})\n        \
+         float inputs:intensity = {intensity}\n        matrix4d xformOp:transform = {}\n        \
          uniform token[] xformOpOrder = [\"xformOp:transform\"]\n    }}\n",
         sun.angular_diameter_deg,
-        knob("sun.intensity"),
         matrix(right, up, sun.direction, Vec3::ZERO)
     )
 }
@@ -182,20 +198,39 @@ fn write_sky(out: &mut String, stage: &Stage<'_>) -> std::fmt::Result {
     let edge = libm::cos(HOLE_DEG.to_radians()) as f32;
     let in_hole = |direction: Vec3| direction.dot(sun.direction) > edge;
     let sphere = Icosphere::shared();
-    let used = Icosphere::vertex_count(DOME_LEVEL);
+    // Only the directions that a triangle uses, numbered anew.
+    let mut number_of = vec![None; Icosphere::vertex_count(DOME_LEVEL)];
+    let mut directions: Vec<Vec3> = Vec::new();
+    let mut number = |v: u32| {
+        *number_of[v as usize].get_or_insert_with(|| {
+            directions.push(sphere.directions[v as usize]);
+            directions.len() as u32 - 1
+        })
+    };
     // Turned inside out: its front faces the scene.
     let triangles: Vec<[u32; 3]> = sphere.triangles[DOME_LEVEL]
         .iter()
         .filter(|t| !t.iter().any(|v| in_hole(sphere.directions[*v as usize])))
-        .map(|&[a, b, c]| [a, c, b])
+        .map(|&[a, b, c]| [a, c, b].map(&mut number))
         .collect();
-    let positions = || sphere.directions[..used].iter().map(|d| sky.centre + sky.radius_m * *d);
+    let positions = || directions.iter().map(|d| sky.centre + sky.radius_m * *d);
     let none: Option<fn() -> std::iter::Empty<Vec3>> = None;
     write_mesh(out, "    ", "StarDome", "StarDome", ClassId::SKY, &triangles, positions, none)?;
-    writeln!(out, "        bool primvars:doNotCastShadows = 1\n    }}\n    def Xform \"Stars\"\n    {{")?;
-    let towards =
-        |star: &crate::scene::sky::Star| (star.centre - sky.centre) / (star.centre - sky.centre).length();
-    for (index, star) in sky.stars.iter().enumerate().filter(|(_, star)| !in_hole(towards(star))) {
+    let hidden = |star: &Star| in_hole((star.centre - sky.centre).normalize());
+    let left_out: Vec<String> = sky
+        .stars
+        .iter()
+        .enumerate()
+        .filter(|(_, star)| hidden(star))
+        .map(|(index, _)| index.to_string())
+        .collect();
+    write!(
+        out,
+        "        bool primvars:doNotCastShadows = 1\n    }}\n    def Xform \"Stars\" (\n        customData = {{\n            \
+         double holeHalfAngleDeg = {HOLE_DEG}\n            int[] starsLeftOutInHole = [{}]\n        }}\n    )\n    {{\n",
+        left_out.join(", ")
+    )?;
+    for (index, star) in sky.stars.iter().enumerate().filter(|(_, star)| !hidden(star)) {
         // A mesh rather than a sphere prim, which not every program reads.
         let used = Icosphere::vertex_count(STAR_LEVEL);
         let positions = || sphere.directions[..used].iter().map(|d| star.radius_m * *d);
