@@ -6,6 +6,7 @@ mod architecture;
 mod cli;
 mod closed_form;
 mod determinism;
+mod export;
 mod golden;
 mod labels;
 mod scene_statistics;
