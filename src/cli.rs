@@ -1,21 +1,21 @@
 //! The command line: what may be typed, and what it means.
+//!
+//! Here is what the subcommands share; each has its file in `cli/`.
+
+mod dataset;
+mod frame;
+mod stage;
 
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
-use regolith::class::ClassId;
-use regolith::export::{self, Detail, Format, Stage};
-use regolith::gpu::{self, Gpu};
-use regolith::meta::FrameRecord;
+use regolith::dataset::rules::Rules;
+use regolith::output::LabelIds;
 use regolith::output::edges::EdgePolicy;
-use regolith::output::{self, Artifact, LabelIds, Source};
 use regolith::params::sampler::{self, Config};
-use regolith::render::{RenderSettings, Renderer, StageTimes};
-use regolith::scene::Scene;
+use regolith::render::{RenderSettings, Renderer};
 use regolith::{Error, Result};
-use serde_json::{Value, json};
 
 const LONG_ABOUT: &str = "\
 Renders labelled pictures of the Moon: from one seed a cratered, boulder-strewn lunar scene under a low hard sun, \
@@ -31,6 +31,8 @@ Examples:
   regolith-render --set sun.elevation_deg=5 --set sun.azimuth_deg=0
                                                          the sun low and in front of the camera
   regolith-render --size 1920x1080 --samples 16          larger, smoother
+  regolith-render dataset --count 1500 --preset train_dr --out data/train
+                                                         a dataset; run it again to go on after a stop
   regolith-render params --preset train_dr > my.toml     every knob, to be edited and given with --config
 
 Exit status: 0 done, 2 wrong usage or configuration, 1 anything else.
@@ -43,13 +45,15 @@ pub(crate) struct Cli {
     #[command(subcommand)]
     command: Option<Command>,
     #[command(flatten)]
-    frame: FrameArgs,
+    frame: frame::FrameArgs,
 }
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Make a labelled dataset: thousands of randomised frames, checked, resumable, reproducible by number
+    Dataset(dataset::DatasetArgs),
     /// List every knob with its unit, default and allowed range, as TOML that --config reads
-    Params(ParamsArgs),
+    Params(stage::ParamsArgs),
     /// List the GPUs and CPU drivers that can be used, best first
     Adapters {
         /// Print JSON
@@ -57,7 +61,7 @@ enum Command {
         json: bool,
     },
     /// Write the stage as a file for other programs, the format by its extension: .npz, .glb, .usda
-    Export(ExportArgs),
+    Export(stage::ExportArgs),
     /// Print the completion script of a shell
     Completions {
         /// Which shell
@@ -82,54 +86,15 @@ struct ConfigArgs {
     set: Vec<String>,
 }
 
+/// What concerns the picture and its labels.
 #[derive(Args, Debug)]
-struct ParamsArgs {
-    #[command(flatten)]
-    config: ConfigArgs,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
-}
-
-#[derive(Args, Debug)]
-struct ExportArgs {
-    /// The file
-    file: PathBuf,
-    /// Seed of the scene
-    #[arg(long, value_name = "N", default_value_t = 42)]
-    seed: u64,
-    /// Pixels of the picture, for the camera's matrix and for --drawn: WxH, or N for a square
-    #[arg(long, value_name = "WxH", default_value = "512x512", value_parser = parse_size)]
-    size: [u32; 2],
-    #[command(flatten)]
-    config: ConfigArgs,
-    /// Only the triangles that a frame of this size draws or lets cast shadows, at the detail that it draws them
-    #[arg(long)]
-    drawn: bool,
-    /// Replace the file if it is there
-    #[arg(long)]
-    force: bool,
-}
-
-#[derive(Args, Debug)]
-struct FrameArgs {
-    /// Seed of the scene, 64 bits: the same seed and knobs give the same scene on every machine
-    #[arg(long, value_name = "N", default_value_t = 42)]
-    seed: u64,
-    /// Output folder, made if missing
-    #[arg(long, value_name = "DIR", default_value = "out")]
-    out: PathBuf,
+struct PictureArgs {
     /// Pixels of the picture: WxH, or N for a square
     #[arg(long, value_name = "WxH", default_value = "512x512", value_parser = parse_size)]
     size: [u32; 2],
     /// Samples per pixel: 1, 4 (2 x 2) or 16 (4 x 4)
     #[arg(long, value_name = "N", default_value_t = 4)]
     samples: u32,
-    #[command(flatten)]
-    config: ConfigArgs,
-    /// What to write: of rgb, mask, preview, depth, normals, instances, shadow, hdr, coverage, meta; or all
-    #[arg(long, value_name = "LIST", default_value_t = output::default_list())]
-    outputs: String,
     /// Ids in the mask: canonical (0 regolith, 1 rock, 2 sky) or those of a Replicator pipeline
     #[arg(long, value_name = "KIND", default_value = "canonical", value_parser = ["canonical", "replicator"])]
     label_ids: String,
@@ -139,18 +104,20 @@ struct FrameArgs {
     /// Use the adapter with this in its name, or `cpu`
     #[arg(long, value_name = "TEXT")]
     adapter: Option<String>,
-    /// Allow writing into a folder that has other content
-    #[arg(long)]
-    force: bool,
-    /// Print the frame's record and the paths of its files as JSON on stdout
-    #[arg(long)]
-    json: bool,
-    /// Say more: adapter, device times
-    #[arg(short, long, conflicts_with = "quiet")]
-    verbose: bool,
-    /// Say nothing but errors
-    #[arg(short, long)]
-    quiet: bool,
+}
+
+impl PictureArgs {
+    fn settings(&self) -> Result<RenderSettings> {
+        RenderSettings::new(self.size, self.samples)
+    }
+
+    fn label_ids(&self) -> LabelIds {
+        LabelIds::from_name(&self.label_ids).unwrap_or_default()
+    }
+
+    fn edges(&self) -> Result<EdgePolicy> {
+        self.edges.parse()
+    }
 }
 
 /// The command line, its help complete with the presets that ship.
@@ -159,17 +126,21 @@ fn command() -> clap::Command {
         .iter()
         .map(|(name, _)| format!("  {name:<15} {}\n", sampler::preset_description(name).unwrap_or_default()))
         .collect();
-    Cli::command().after_long_help(format!("Presets:\n{presets}\n{EXAMPLES}"))
+    let formats = dataset::formats_help();
+    Cli::command()
+        .after_long_help(format!("Presets:\n{presets}\n{EXAMPLES}"))
+        .mut_subcommand("dataset", |dataset| dataset.after_help(formats))
 }
 
 /// Parses the command line and does what it says.
 pub(crate) fn run() -> Result<()> {
     let cli = Cli::from_arg_matches(&command().get_matches()).unwrap_or_else(|error| error.exit());
     match cli.command {
-        None => render_frame(&cli.frame),
-        Some(Command::Params(args)) => list_params(&args),
-        Some(Command::Adapters { json }) => list_adapters(json),
-        Some(Command::Export(args)) => export_stage(&args),
+        None => frame::run(&cli.frame),
+        Some(Command::Dataset(args)) => dataset::run(&args),
+        Some(Command::Params(args)) => stage::list_params(&args),
+        Some(Command::Adapters { json }) => stage::list_adapters(json),
+        Some(Command::Export(args)) => stage::export_stage(&args),
         Some(Command::Completions { shell }) => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut command(), "regolith-render", &mut script);
@@ -192,155 +163,17 @@ impl ConfigArgs {
             config.apply_set(assignment)?;
         }
         config.check()?;
+        // A frame alone has no rules to keep, but a wrong one is wrong everywhere.
+        Rules::from_config(&config)?;
         Ok(config)
     }
 }
 
-fn render_frame(args: &FrameArgs) -> Result<()> {
-    const INDEX: u64 = 0;
-    let start = Instant::now();
-    let params = args.config.build()?.draw(args.seed)?;
-    let outputs = output::parse_outputs(&args.outputs)?;
-    let mut settings = RenderSettings::new(args.size, args.samples)?;
-    settings.annotations = output::annotations(&outputs);
-    let edges: EdgePolicy = args.edges.parse()?;
-    output::check_folder(&args.out, INDEX, args.force)?;
-    let label_ids = if args.label_ids == "replicator" { LabelIds::Replicator } else { LabelIds::Canonical };
-
-    let mut times: StageTimes = Vec::new();
-    let mut last = Instant::now();
-    let mut stage = |times: &mut StageTimes, name| {
-        let now = Instant::now();
-        times.push((name, (now - last).as_secs_f64() * 1e3));
-        last = now;
-    };
-    let scene = Scene::build(args.seed, &params)?;
-    stage(&mut times, "scene");
-    let gpu = Gpu::open(args.adapter.as_deref())?;
-    stage(&mut times, "adapter");
-    let mut renderer = Renderer::new(gpu)?;
-    stage(&mut times, "pipelines");
+/// What happens to a user whose GPU is pulled away, on demand: for tests of this program and of scripts.
+fn inject_fault(renderer: &Renderer) {
     if std::env::var("REGOLITH_FAULT").is_ok_and(|fault| fault == "device-lost") {
-        // What happens to a user whose GPU is pulled away, on demand: for tests of this program and of scripts.
         renderer.gpu().device.destroy();
     }
-    let (frame, render_times) = renderer.render(&scene, &settings)?;
-    // The renderer tells its own stages apart.
-    stage(&mut StageTimes::new(), "render");
-    times.extend(render_times);
-    let unlabelled = frame.count(ClassId::UNLABELLED);
-    if unlabelled > 0 {
-        return Err(Error::Unlabelled { pixels: unlabelled, seed: args.seed });
-    }
-    let record = |times: &StageTimes| {
-        let adapter = &renderer.gpu().info;
-        FrameRecord {
-            seed: args.seed,
-            params: &params,
-            scene: &scene,
-            settings: &settings,
-            adapter,
-            frame: &frame,
-            edges,
-            times,
-        }
-        .to_json()
-    };
-    // The pictures first, so that the record can tell what encoding them took.
-    let (pictures, records): (Vec<_>, Vec<_>) = outputs.into_iter().partition(|output| output.name != "meta");
-    let mut artifacts =
-        output::encode(&Source { frame: &frame, meta: &Value::Null, label_ids, edges }, &pictures, INDEX)?;
-    stage(&mut times, "encode");
-    let meta = record(&times);
-    artifacts.extend(output::encode(
-        &Source { frame: &frame, meta: &meta, label_ids, edges },
-        &records,
-        INDEX,
-    )?);
-    let paths = output::write_all(&args.out, &artifacts)?;
-
-    let shown: Vec<String> = paths.iter().map(|path| path.display().to_string()).collect();
-    if args.json {
-        print(&format!("{:#}\n", json!({ "files": shown, "frame": meta })))?;
-    } else {
-        print(&format!("{}\n", shown.join("\n")))?;
-    }
-    if !args.quiet {
-        summarise(args, &renderer, &meta, &times, start);
-    }
-    Ok(())
-}
-
-#[expect(clippy::print_stderr, reason = "messages to people go to stderr")]
-fn summarise(args: &FrameArgs, renderer: &Renderer, meta: &Value, times: &StageTimes, start: Instant) {
-    let share = |name: &str| 100.0 * meta["coverage"][name].as_f64().unwrap_or_default();
-    eprintln!(
-        "seed {}: regolith {:.1} %, rock {:.1} %, sky {:.1} %; RGB mean {:.1}, p99 {}, max {}; {:.2} s",
-        args.seed,
-        share("regolith"),
-        share("rock"),
-        share("sky"),
-        meta["rgb"]["mean"].as_f64().unwrap_or_default(),
-        meta["rgb"]["p99"],
-        meta["rgb"]["max"],
-        start.elapsed().as_secs_f64()
-    );
-    if !meta["moved_rocks"].as_array().is_none_or(Vec::is_empty) {
-        eprintln!("moved away from the camera: rocks {}", meta["moved_rocks"]);
-    }
-    if args.verbose {
-        let scene = renderer.gpu_scene();
-        eprintln!("adapter: {}", gpu::describe(&renderer.gpu().info));
-        eprintln!("drawn: {} triangles, {} bytes uploaded", scene.drawn_triangles(), scene.uploaded_bytes);
-        let stages: Vec<String> = times.iter().map(|(name, ms)| format!("{name} {ms:.1}")).collect();
-        eprintln!("milliseconds: {}", stages.join(", "));
-    }
-}
-
-fn export_stage(args: &ExportArgs) -> Result<()> {
-    let format = Format::from_path(&args.file)?;
-    if args.file.exists() && !args.force {
-        return Err(Error::Usage(format!("{} exists; add --force to replace it", args.file.display())));
-    }
-    let params = args.config.build()?.draw(args.seed)?;
-    let settings = RenderSettings::new(args.size, 1)?;
-    let scene = Scene::build(args.seed, &params)?;
-    let detail = if args.drawn { Detail::Drawn } else { Detail::Authored };
-    let knobs = params.to_json();
-    let stage = Stage { scene: &scene, seed: args.seed, knobs: &knobs, settings: &settings, detail };
-    let bytes = export::export(&stage, format)?;
-    let name = args.file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let folder = args.file.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    output::write_all(folder, &[Artifact { name, bytes }])?;
-    print(&format!("{}\n", args.file.display()))
-}
-
-fn list_params(args: &ParamsArgs) -> Result<()> {
-    let config = args.config.build()?;
-    if args.json { print(&format!("{:#}\n", config.to_json())) } else { print(&config.to_toml()) }
-}
-
-fn list_adapters(as_json: bool) -> Result<()> {
-    let infos = gpu::adapters();
-    if infos.is_empty() {
-        return Err(Error::NoAdapter(String::new()));
-    }
-    if as_json {
-        let rows: Vec<Value> = infos
-            .iter()
-            .map(|info| {
-                json!({
-                    "name": info.name,
-                    "kind": gpu::kind(info),
-                    "backend": info.backend.to_string(),
-                    "driver": info.driver,
-                    "driver_info": info.driver_info,
-                })
-            })
-            .collect();
-        return print(&format!("{:#}\n", Value::from(rows)));
-    }
-    print(&infos.iter().map(|info| format!("{}\n", gpu::describe(info))).collect::<String>())
 }
 
 /// Prints a result; a reader that has gone away (`| head`) is no error.

@@ -165,6 +165,50 @@ pub enum Error {
     /// A rule of the scene that cannot be met with these settings.
     #[error("no valid scene with these settings: {0}")]
     Scene(String),
+    /// A rule for the frames of a dataset that frame after frame breaks.
+    #[error(
+        "frame {index} was drawn {attempts} times and broke a rule each time, the last time `{rule}`: {found}. Loosen the rule or change the knobs; what is finished stays"
+    )]
+    RuleBroken {
+        /// The frame.
+        index: u64,
+        /// How often it was drawn.
+        attempts: u32,
+        /// Name of the rule.
+        rule: String,
+        /// What was found and what is allowed.
+        found: String,
+    },
+    /// A dataset folder that another configuration made.
+    #[error("{} holds a dataset of another configuration; choose another --out. What differs:\n{}", .path.display(), .differences.join("\n"))]
+    OtherDataset {
+        /// The folder.
+        path: PathBuf,
+        /// One line for each setting that differs.
+        differences: Vec<String>,
+    },
+    /// A folder that another process is writing to.
+    #[error("another run is writing {}; wait for it, or stop it first", .0.display())]
+    Busy(PathBuf),
+    /// A run that was asked to stop.
+    #[error("stopped: {done} of {wanted} frames are finished and whole. Run the same command again to go on")]
+    Stopped {
+        /// Frames that are there.
+        done: u64,
+        /// Frames that were asked for.
+        wanted: u64,
+    },
+    /// Something that should be a dataset (or a part of one) and is not.
+    #[error("{}: {message}", .path.display())]
+    Dataset {
+        /// The folder or file.
+        path: PathBuf,
+        /// What is wrong, and the remedy.
+        message: String,
+    },
+    /// A check that found something wrong; what, has been printed.
+    #[error("{0}")]
+    CheckFailed(String),
     /// Encoding failed.
     #[error("cannot encode {name}: {message}")]
     Encode {
@@ -195,6 +239,8 @@ impl Error {
             | Self::OutNotEmpty { .. }
             | Self::SizeBeyondDevice { .. }
             | Self::AdapterNotFound { .. }
+            | Self::OtherDataset { .. }
+            | Self::Dataset { .. }
             | Self::Scene(_) => 2,
             Self::Write { .. }
             | Self::NoAdapter(_)
@@ -203,6 +249,10 @@ impl Error {
             | Self::Device(_)
             | Self::OutOfMemory
             | Self::Unlabelled { .. }
+            | Self::RuleBroken { .. }
+            | Self::Busy(_)
+            | Self::Stopped { .. }
+            | Self::CheckFailed(_)
             | Self::Encode { .. } => 1,
         }
     }

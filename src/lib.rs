@@ -24,6 +24,7 @@
 //! `frame`.
 
 pub mod class;
+pub mod dataset;
 pub mod error;
 pub mod export;
 pub mod frame;

@@ -1,14 +1,15 @@
 //! From a frame to files: one row of [`OUTPUTS`] for each thing a user can ask for.
 //!
-//! Encoders give bytes; [`write_all`] alone touches the disk, and leaves whole files or none.
+//! Encoders give bytes; [`disk`] alone touches the disk, and leaves whole files or none; [`writer`] lays out the files of
+//! a dataset.
 //! Must not know: scene, GPU.
 //! To add an output: a row in [`OUTPUTS`] with its encoder.
 
+pub mod disk;
 pub mod edges;
 pub mod encoders;
-
-use std::io::Write as _;
-use std::path::{Path, PathBuf};
+pub mod folder;
+pub mod writer;
 
 use serde_json::{Value, json};
 
@@ -37,7 +38,7 @@ pub struct Source<'a> {
 /// A file to be: its name and its bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Artifact {
-    /// File name, without folder.
+    /// Its path below the output folder.
     pub name: String,
     /// Content.
     pub bytes: Vec<u8>,
@@ -54,6 +55,21 @@ pub enum LabelIds {
 }
 
 impl LabelIds {
+    /// Its word in `--label-ids`.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Canonical => "canonical",
+            Self::Replicator => "replicator",
+        }
+    }
+
+    /// The kind of a word in `--label-ids`.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        [Self::Canonical, Self::Replicator].into_iter().find(|ids| ids.name() == name)
+    }
+
     /// The id that stands in the mask for a class id; unlabelled stays what each system calls so.
     #[must_use]
     pub fn mask_id(self, id: u8) -> u8 {
@@ -157,7 +173,7 @@ pub fn annotations(outputs: &[&'static Output]) -> Annotations {
 impl Output {
     /// Names of the files that it writes for frame `index`.
     pub fn file_names(&self, index: u64) -> impl Iterator<Item = String> {
-        self.files.iter().map(move |(stem, extension, _)| format!("{stem}_{index:04}.{extension}"))
+        self.files.iter().map(move |(stem, extension, _)| frame_file_name(stem, index, extension))
     }
 }
 
@@ -190,93 +206,46 @@ pub fn parse_outputs(list: &str) -> Result<Vec<&'static Output>> {
     Ok(OUTPUTS.iter().filter(|output| words.contains(&"all") || words.contains(&output.name)).collect())
 }
 
-/// The files of frame `index`.
+/// One encoded output of a frame, before a layout gives it its place.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Encoded {
+    /// The word in `--outputs` that it belongs to.
+    pub output: &'static str,
+    /// What it is: the part of its file name before the frame's number.
+    pub stem: &'static str,
+    /// Extension of its file name.
+    pub extension: &'static str,
+    /// Content.
+    pub bytes: Vec<u8>,
+}
+
+/// The encoded outputs of a frame.
 ///
 /// # Errors
 /// [`Error::Encode`].
-pub fn encode(source: &Source<'_>, outputs: &[&'static Output], index: u64) -> Result<Vec<Artifact>> {
-    let mut artifacts = Vec::new();
-    for output in outputs {
-        for (name, (.., encoder)) in output.file_names(index).zip(output.files) {
+pub fn encode(source: &Source<'_>, outputs: &[&'static Output]) -> Result<Vec<Encoded>> {
+    let files = outputs.iter().flat_map(|output| output.files.iter().map(|file| (output.name, file)));
+    files
+        .map(|(output, &(stem, extension, encoder))| {
             let bytes = encoder(source).map_err(|error| match error {
-                Error::Encode { message, .. } => Error::Encode { name: name.clone(), message },
+                Error::Encode { message, .. } => Error::Encode { name: stem.to_owned(), message },
                 other => other,
             })?;
-            artifacts.push(Artifact { name, bytes });
-        }
-    }
-    Ok(artifacts)
-}
-
-/// Refuses a folder that is a file, or that holds anything that frame `index` would not have written.
-///
-/// # Errors
-/// [`Error::OutIsFile`], [`Error::OutNotEmpty`] unless `force`, [`Error::Write`] if the folder cannot be read.
-pub fn check_folder(folder: &Path, index: u64, force: bool) -> Result<()> {
-    if folder.is_file() {
-        return Err(Error::OutIsFile(folder.to_owned()));
-    }
-    if force || !folder.exists() {
-        return Ok(());
-    }
-    let ours: Vec<String> = OUTPUTS.iter().flat_map(|output| output.file_names(index)).collect();
-    let unreadable = |cause| Error::Write { path: folder.to_owned(), cause };
-    let mut foreign = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(unreadable)? {
-        let name = entry.map_err(unreadable)?.file_name().to_string_lossy().into_owned();
-        if !ours.contains(&name) {
-            foreign.push(name);
-        }
-    }
-    foreign.sort_unstable();
-    match foreign.into_iter().next() {
-        Some(found) => Err(Error::OutNotEmpty { path: folder.to_owned(), found }),
-        None => Ok(()),
-    }
-}
-
-/// Writes all files into a folder (made if missing), or none: each is written under a temporary name and renamed
-/// only when all are whole. Gives their paths.
-///
-/// # Errors
-/// [`Error::Write`].
-pub fn write_all(folder: &Path, artifacts: &[Artifact]) -> Result<Vec<PathBuf>> {
-    let made = !folder.exists();
-    let result = try_write_all(folder, artifacts);
-    if made && result.is_err() {
-        // Only goes if it is empty, which it is unless something else wrote there meanwhile.
-        let _ = std::fs::remove_dir(folder);
-    }
-    result
-}
-
-fn try_write_all(folder: &Path, artifacts: &[Artifact]) -> Result<Vec<PathBuf>> {
-    let failed = |path: &Path| {
-        let path = path.to_owned();
-        move |cause| Error::Write { path, cause }
-    };
-    std::fs::create_dir_all(folder).map_err(failed(folder))?;
-    let mut written = Vec::new();
-    for artifact in artifacts {
-        let path = folder.join(&artifact.name);
-        if path.is_dir() {
-            return Err(Error::Write { path, cause: std::io::ErrorKind::IsADirectory.into() });
-        }
-        let mut builder = tempfile::Builder::new();
-        builder.prefix(".writing-");
-        #[cfg(unix)]
-        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-        let mut file = builder.tempfile_in(folder).map_err(failed(&path))?;
-        file.write_all(&artifact.bytes).and_then(|()| file.as_file().sync_data()).map_err(failed(&path))?;
-        written.push((file, path));
-    }
-    written
-        .into_iter()
-        .map(|(file, path)| match file.persist(&path) {
-            Ok(_) => Ok(path),
-            Err(error) => Err(Error::Write { path, cause: error.error }),
+            Ok(Encoded { output, stem, extension, bytes })
         })
         .collect()
+}
+
+impl Encoded {
+    /// The file that it is when a frame stands alone.
+    #[must_use]
+    pub fn into_artifact(self, index: u64) -> Artifact {
+        Artifact { name: frame_file_name(self.stem, index, self.extension), bytes: self.bytes }
+    }
+}
+
+fn frame_file_name(stem: &str, index: u64, extension: &str) -> String {
+    format!("{stem}_{index:04}.{extension}")
 }
 
 #[cfg(test)]
@@ -348,8 +317,9 @@ mod tests {
         let (frame, meta) = (frame(), json!({}));
         let source = Source { frame: &frame, meta: &meta, label_ids, edges: EdgePolicy::Hard };
         let outputs = parse_outputs("all").expect("all");
-        let artifacts = encode(&source, &outputs, 7).expect("encoded");
-        artifacts.into_iter().find(|artifact| artifact.name == name).expect(name).bytes
+        let encoded = encode(&source, &outputs).expect("encoded");
+        let mut artifacts = encoded.into_iter().map(|file| file.into_artifact(7));
+        artifacts.find(|artifact| artifact.name == name).expect(name).bytes
     }
 
     fn decoded(name: &str, label_ids: LabelIds) -> image::DynamicImage {
@@ -394,34 +364,5 @@ mod tests {
         let message = names("rgb,masks").expect_err("unknown").to_string();
         assert!(message.contains("`masks`") && message.contains("did you mean `mask`"), "{message}");
         assert!(names(",").is_err());
-    }
-
-    #[test]
-    fn files_are_whole_or_absent() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let out = folder.path().join("deep/out");
-        let artifact = |name: &str| Artifact { name: name.to_owned(), bytes: vec![1, 2, 3] };
-        let paths = write_all(&out, &[artifact("a"), artifact("b")]).expect("written");
-        assert_eq!(std::fs::read(&paths[1]).expect("read"), [1, 2, 3]);
-        std::fs::create_dir(out.join("c")).expect("a folder in the way");
-        let error = write_all(&out, &[artifact("d"), artifact("c")]).expect_err("c is a folder");
-        assert!(matches!(error, Error::Write { .. }));
-        let mut left: Vec<_> =
-            std::fs::read_dir(&out).expect("read").map(|e| e.expect("an entry").file_name()).collect();
-        left.sort();
-        assert_eq!(left, ["a", "b", "c"], "neither d nor a temporary file");
-    }
-
-    #[test]
-    fn a_folder_with_other_content_is_refused() {
-        let folder = tempfile::tempdir().expect("a folder");
-        assert!(check_folder(folder.path(), 0, false).is_ok());
-        std::fs::write(folder.path().join("rgb_0000.png"), "old").expect("written");
-        assert!(check_folder(folder.path(), 0, false).is_ok(), "an earlier frame may be replaced");
-        std::fs::write(folder.path().join("thesis.tex"), "years of work").expect("written");
-        let error = check_folder(folder.path(), 0, false).expect_err("other content");
-        assert!(error.to_string().contains("thesis.tex") && error.exit_status() == 2);
-        assert!(check_folder(folder.path(), 0, true).is_ok());
-        assert!(matches!(check_folder(&folder.path().join("thesis.tex"), 0, true), Err(Error::OutIsFile(_))));
     }
 }

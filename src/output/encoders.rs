@@ -145,7 +145,7 @@ fn png(frame: &Frame, bytes: &[u8], kind: ExtendedColorType, filter: FilterType)
     Ok(encoded)
 }
 
-fn json_bytes(value: &Value) -> Result<Vec<u8>> {
+pub(crate) fn json_bytes(value: &Value) -> Result<Vec<u8>> {
     let mut bytes = serde_json::to_vec_pretty(value)
         .map_err(|error| Error::Encode { name: String::new(), message: error.to_string() })?;
     bytes.push(b'\n');

@@ -38,6 +38,23 @@ pub fn preset_description(name: &str) -> Option<&'static str> {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Config {
     settings: Vec<Distribution>,
+    rules: Vec<RuleSetting>,
+}
+
+/// A setting of the section `[rules]`, which says what frames a dataset takes: kept for the dataset to read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RuleSetting {
+    /// Its name without `rules.`.
+    pub name: String,
+    /// As it was given.
+    pub value: toml::Value,
+    /// Where it was given.
+    pub origin: String,
+}
+
+/// The name within `[rules]` of a setting; the demands on classes may also stand alone.
+fn rule_name(name: &str) -> Option<&str> {
+    name.strip_prefix("rules.").or((name == "require").then_some(name))
 }
 
 impl Default for Config {
@@ -50,13 +67,19 @@ impl Config {
     /// The defaults of the nominal stage.
     #[must_use]
     pub fn new() -> Self {
-        Self { settings: KNOBS.iter().map(|info| info.default.clone()).collect() }
+        Self { settings: KNOBS.iter().map(|info| info.default.clone()).collect(), rules: Vec::new() }
     }
 
     /// What a knob is drawn from.
     #[must_use]
     pub fn distribution(&self, knob: Knob) -> &Distribution {
         &self.settings[knob as usize]
+    }
+
+    /// What was set of the rules for a dataset's frames, in the order in which it was.
+    #[must_use]
+    pub fn rules(&self) -> &[RuleSetting] {
+        &self.rules
     }
 
     /// Starts from the defaults of a stage.
@@ -115,6 +138,11 @@ impl Config {
         entries.sort_by_key(|(place, ..)| *place);
         let mut changed = self.clone();
         for (_, name, value) in entries {
+            if let Some(rule) = rule_name(&name) {
+                let (name, origin) = (rule.to_owned(), origin.to_owned());
+                changed.rules.push(RuleSetting { name, value: value.clone(), origin });
+                continue;
+            }
             let info = KNOBS.iter().find(|info| info.name == name).ok_or_else(|| unknown(&name, origin))?;
             changed.set_toml(info, value, origin)?;
         }
@@ -133,9 +161,16 @@ impl Config {
             )));
         };
         let (name, text, origin) = (name.trim(), text.trim(), "--set");
-        let info = KNOBS.iter().find(|info| info.name == name).ok_or_else(|| unknown(name, origin))?;
         let parsed = toml::from_str::<toml::Table>(&format!("value = {text}"));
-        match parsed.ok().and_then(|mut table| if table.len() == 1 { table.remove("value") } else { None }) {
+        let value =
+            parsed.ok().and_then(|mut table| if table.len() == 1 { table.remove("value") } else { None });
+        if let Some(rule) = rule_name(name) {
+            let value = value.unwrap_or_else(|| toml::Value::String(text.to_owned()));
+            self.rules.push(RuleSetting { name: rule.to_owned(), value, origin: origin.to_owned() });
+            return Ok(());
+        }
+        let info = KNOBS.iter().find(|info| info.name == name).ok_or_else(|| unknown(name, origin))?;
+        match value {
             Some(value) => self.set_toml(info, &value, origin),
             // A word needs no quotes here.
             None => self.set(info, Distribution::Fixed(Value::Text(text.to_owned().into())), origin),
@@ -233,6 +268,13 @@ impl Config {
         text
     }
 
+    /// What every knob is drawn from, by its dotted name.
+    #[must_use]
+    pub fn distributions_json(&self) -> serde_json::Map<String, serde_json::Value> {
+        let rows = KNOBS.iter().zip(&self.settings);
+        rows.map(|(info, from)| (info.name.to_owned(), from.to_json(info.kind == Kind::Integer))).collect()
+    }
+
     /// Every knob with what is known of it.
     #[must_use]
     pub fn to_json(&self) -> serde_json::Value {
@@ -286,7 +328,7 @@ fn has_non_finite(value: &toml::Value) -> bool {
 }
 
 fn is_section(name: &str) -> bool {
-    KNOBS.iter().any(|info| info.name.split('.').next() == Some(name))
+    name == "rules" || KNOBS.iter().any(|info| info.name.split('.').next() == Some(name))
 }
 
 fn unknown(name: &str, origin: &str) -> Error {

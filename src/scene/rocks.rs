@@ -225,7 +225,8 @@ impl Rock {
     }
 
     /// Distance from a point to the rock's surface, metres, 0 inside it; exact only where it is below `limit_m`.
-    fn distance_to(&self, point: Vec3, limit_m: f32) -> f32 {
+    #[must_use]
+    pub fn distance_to(&self, point: Vec3, limit_m: f32) -> f32 {
         let local = point - self.centre;
         if local.length() > self.radius_m + limit_m {
             return f32::INFINITY;

@@ -1,0 +1,368 @@
+//! Datasets: `dataset`.
+
+use std::io::IsTerminal as _;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use clap::Args;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use regolith::class::ClassId;
+use regolith::dataset::journal::{self, Journal, Settled};
+use regolith::dataset::plan::{self, MAX_FRAMES, Plan, Range, frame_seed};
+use regolith::dataset::rules::Rules;
+use regolith::dataset::{self, Progress};
+use regolith::gpu::Gpu;
+use regolith::output;
+use regolith::output::writer::{self, WRITERS};
+use regolith::render::Renderer;
+use regolith::{Error, Result};
+use serde_json::{Value, json};
+
+use super::{ConfigArgs, PictureArgs, print};
+
+/// Seconds between plain lines of progress.
+const PLAIN_SECONDS: u64 = 5;
+/// Frames that a dry run tells of, unless fewer are asked for.
+const DRY_FRAMES: u64 = 5;
+
+#[derive(Args, Debug)]
+pub(super) struct DatasetArgs {
+    /// Number of frames
+    #[arg(long, value_name = "N", required_unless_present_any = ["split", "merge"], conflicts_with = "split")]
+    count: Option<u64>,
+    /// Splits with their numbers of frames, as in train=1500,val=200: a folder each, no scene in two of them
+    #[arg(long, value_name = "LIST", conflicts_with = "start")]
+    split: Option<String>,
+    /// Number of the first frame
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    start: u64,
+    /// Make only the frames i with i mod N = I, as in 0/4; shards may share a folder, or be copied into one
+    #[arg(long, value_name = "I/N", default_value = "0/1")]
+    shard: String,
+    /// Base seed: frame i depends on it, on i and on the settings alone
+    #[arg(long, value_name = "N", default_value_t = 42)]
+    seed: u64,
+    /// Output folder, made if missing; the same command goes on with what is there
+    #[arg(long, value_name = "DIR", default_value = "out")]
+    out: PathBuf,
+    #[command(flatten)]
+    config: ConfigArgs,
+    #[command(flatten)]
+    picture: PictureArgs,
+    /// What to write: of rgb, mask, preview (every 25th), depth, normals, instances, shadow, hdr, coverage, meta; or all
+    #[arg(long, value_name = "LIST", default_value = "rgb,mask,preview")]
+    outputs: String,
+    /// Layout: see the list below
+    #[arg(long, value_name = "NAME", default_value = "folder")]
+    format: String,
+    /// Render nothing: make one frames.jsonl and one manifest out of the shards in --out
+    #[arg(long, conflicts_with_all = ["count", "split", "start", "shard"])]
+    merge: bool,
+    /// Render nothing: print the knobs of the first frames
+    #[arg(long)]
+    dry_run: bool,
+    /// Threads that encode and write; as many as there are cores if not given
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
+    threads: Option<u16>,
+    /// Allow starting in a folder that has other content
+    #[arg(long)]
+    force: bool,
+    /// Print the summary as JSON on stdout
+    #[arg(long)]
+    json: bool,
+    /// Say more: adapter, milliseconds by stage
+    #[arg(short, long, conflicts_with = "quiet")]
+    verbose: bool,
+    /// Say nothing but errors
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+/// The list of layouts for the help.
+pub(super) fn formats_help() -> String {
+    let rows = WRITERS.iter().map(|(name, what, _)| format!("  {name:<15} {what}\n"));
+    format!("Formats:\n{}", rows.collect::<String>())
+}
+
+pub(super) fn run(args: &DatasetArgs) -> Result<()> {
+    if args.merge {
+        return merge(args);
+    }
+    let plan = plan(args)?;
+    if args.dry_run {
+        return dry_run(args, &plan);
+    }
+    let stop = stop_on_signals()?;
+    let encoders = args.threads.map_or_else(cores, usize::from);
+    let journal = Journal::open(&args.out, &plan, args.force)?;
+    let own = (plan.range.start..plan.range.end()).filter(|index| plan.shard.has(*index));
+    if own.clone().all(|index| journal.done().contains(&index)) {
+        drop(journal);
+        let settled = journal::settle(&args.out)?;
+        return report(args, None, &settled, 0.0);
+    }
+    let start = Instant::now();
+    let gpu = Gpu::open(args.picture.adapter.as_deref())?;
+    if !args.quiet {
+        note(format_args!("rendering on {}", regolith::gpu::describe(&gpu.info)));
+    }
+    let mut renderer = Renderer::new(gpu)?;
+    super::inject_fault(&renderer);
+    let mut meter = Meter::new(args.quiet);
+    let result =
+        dataset::run(&plan, &mut renderer, journal, encoders, &stop, |progress| meter.show(progress));
+    meter.finish();
+    let (progress, settled) = result?;
+    report(args, Some(&progress), &settled, start.elapsed().as_secs_f64())
+}
+
+fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
+fn plan(args: &DatasetArgs) -> Result<Plan> {
+    let config = args.config.build()?;
+    let (format, writer) = writer::writer(&args.format)?;
+    let outputs = Plan::outputs(&args.outputs, format, writer)?;
+    let mut settings = args.picture.settings()?;
+    settings.annotations = output::annotations(&outputs);
+    let splits = args.split.as_deref().map_or(Ok(Vec::new()), plan::parse_splits)?;
+    let count = args.count.unwrap_or_else(|| splits.iter().map(|(_, count)| count).sum());
+    if count == 0 || args.start.checked_add(count).is_none_or(|end| end > MAX_FRAMES) {
+        return Err(Error::Usage(format!(
+            "--start {} --count {count}: a dataset has 1 to {MAX_FRAMES} frames",
+            args.start
+        )));
+    }
+    Ok(Plan {
+        rules: Rules::from_config(&config)?,
+        config,
+        base_seed: args.seed,
+        settings,
+        outputs,
+        edges: args.picture.edges()?,
+        label_ids: args.picture.label_ids(),
+        format,
+        writer,
+        range: Range { start: args.start, count },
+        splits,
+        shard: args.shard.parse()?,
+    })
+}
+
+/// A flag that Ctrl-C and the system's wish to end set; a second Ctrl-C ends at once.
+fn stop_on_signals() -> Result<Arc<AtomicBool>> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&stop);
+    ctrlc::set_handler(move || {
+        if flag.swap(true, Ordering::Relaxed) {
+            std::process::exit(1);
+        }
+        note(format_args!("\nstopping: the frames in flight are finished first (once more to end at once)"));
+    })
+    .map_err(|error| Error::Usage(format!("cannot listen for Ctrl-C: {error}")))?;
+    Ok(stop)
+}
+
+/// Prints the knobs of the first frames.
+fn dry_run(args: &DatasetArgs, plan: &Plan) -> Result<()> {
+    let indices = (plan.range.start..plan.range.end()).filter(|index| plan.shard.has(*index));
+    let mut rows = Vec::new();
+    for index in indices.take(DRY_FRAMES as usize) {
+        let seed = frame_seed(plan.base_seed, index, 0);
+        rows.push((index, seed, plan.config.draw(seed)?.to_json()));
+    }
+    if args.json {
+        let rows: Vec<Value> = rows
+            .into_iter()
+            .map(|(index, seed, knobs)| {
+                json!({ "index": index, "split": plan.split_of(index), "seed": seed, "knobs": knobs })
+            })
+            .collect();
+        return print(&format!("{:#}\n", Value::from(rows)));
+    }
+    let mut text = format!("{:<26}", "frame");
+    for (index, ..) in &rows {
+        text.push_str(&format!("{index:>18}"));
+    }
+    text.push_str(&format!("\n{:<26}", "seed"));
+    for (_, seed, _) in &rows {
+        text.push_str(&format!("{seed:>18}"));
+    }
+    for knob in rows[0].2.keys() {
+        let values: Vec<&Value> = rows.iter().map(|row| &row.2[knob]).collect();
+        let shown = |value: &Value| {
+            value.as_f64().map_or(value.to_string(), |number| {
+                if number.fract() == 0.0 { number.to_string() } else { format!("{number:.4}") }
+            })
+        };
+        text.push_str(&format!("\n{knob:<26}"));
+        if values.iter().all(|value| *value == values[0]) {
+            text.push_str(&format!("  {} in all", shown(values[0])));
+        } else {
+            for value in values {
+                text.push_str(&format!("{:>18}", shown(value)));
+            }
+        }
+    }
+    print(&format!("{text}\n"))
+}
+
+/// Settles the folder without rendering.
+fn merge(args: &DatasetArgs) -> Result<()> {
+    let settled = journal::settle(&args.out)?;
+    report(args, None, &settled, 0.0)?;
+    match settled.missing.as_slice() {
+        [] => Ok(()),
+        missing => Err(Error::CheckFailed(format!(
+            "{} frames are missing from {}: {}. Make them with their --shard, or copy the other shards here",
+            missing.len(),
+            args.out.display(),
+            some_of(missing)
+        ))),
+    }
+}
+
+fn some_of(indices: &[u64]) -> String {
+    let shown: Vec<String> = indices.iter().take(8).map(ToString::to_string).collect();
+    format!("{}{}", shown.join(", "), if indices.len() > 8 { ", ..." } else { "" })
+}
+
+/// Tells of a run that has ended well.
+fn report(args: &DatasetArgs, run: Option<&Progress>, settled: &Settled, seconds: f64) -> Result<()> {
+    let manifest = &settled.manifest;
+    let ms: serde_json::Map<String, Value> = run
+        .map(|run| {
+            run.times
+                .iter()
+                .map(|(name, ms)| ((*name).to_owned(), json!(ms / run.made.max(1) as f64)))
+                .collect()
+        })
+        .unwrap_or_default();
+    if args.json {
+        let summary = json!({
+            "out": args.out,
+            "frames": manifest["n_completed"],
+            "made": run.map_or(0, |run| run.made),
+            "redraws": run.map_or(0, |run| run.redraws),
+            "missing": settled.missing,
+            "seconds": seconds,
+            "ms_per_frame": ms,
+            "status": manifest["status"],
+            "totals": manifest["totals"],
+        });
+        print(&format!("{summary:#}\n"))?;
+    } else {
+        print(&format!("{}\n", args.out.display()))?;
+    }
+    if args.quiet {
+        return Ok(());
+    }
+    match run {
+        Some(run) => note(format_args!(
+            "{} frames made ({} were there), {} drawn again, in {}: {:.2} frames/s",
+            run.made,
+            run.found,
+            run.redraws,
+            duration(seconds),
+            run.made as f64 / seconds
+        )),
+        None => note(format_args!("no frame was rendered; {} are there", manifest["n_completed"])),
+    }
+    let share = |class: &str| 100.0 * manifest["totals"]["coverage_mean"][class].as_f64().unwrap_or_default();
+    let shares: Vec<String> =
+        ClassId::ALL.iter().map(|class| format!("{} {:.1} %", class.name, share(class.name))).collect();
+    let brightness = manifest["totals"]["rgb_mean"].as_f64().unwrap_or_default();
+    note(format_args!("mean shares: {}; mean brightness {brightness:.1} of 255", shares.join(", ")));
+    if args.verbose {
+        let stages: Vec<String> =
+            ms.iter().map(|(name, ms)| format!("{name} {:.1}", ms.as_f64().unwrap_or(0.0))).collect();
+        note(format_args!("milliseconds of work a frame: {}", stages.join(", ")));
+    }
+    if settled.missing.is_empty() {
+        let sheet = if args.out.join("contact_sheet.png").is_file() { "contact_sheet.png, " } else { "" };
+        note(format_args!(
+            "whole: {} frames in {}; see {sheet}histograms.svg, README.md",
+            manifest["n_completed"],
+            args.out.display()
+        ));
+    } else {
+        note(format_args!(
+            "{} frames of other shards are still missing: {}; once they are here, `regolith-render dataset --merge --out {}` completes the folder",
+            settled.missing.len(),
+            some_of(&settled.missing),
+            args.out.display()
+        ));
+    }
+    Ok(())
+}
+
+#[expect(clippy::print_stderr, reason = "messages to people go to stderr")]
+fn note(text: std::fmt::Arguments<'_>) {
+    eprintln!("{text}");
+}
+
+fn duration(seconds: f64) -> String {
+    let whole = seconds as u64;
+    match whole {
+        0..60 => format!("{seconds:.1} s"),
+        60..3600 => format!("{} min {:02} s", whole / 60, whole % 60),
+        _ => format!("{} h {:02} min", whole / 3600, whole % 3600 / 60),
+    }
+}
+
+/// Shows how far a run has come: a bar on a terminal, else a line every few seconds.
+struct Meter {
+    bar: Option<ProgressBar>,
+    quiet: bool,
+    start: Instant,
+    shown: Instant,
+}
+
+impl Meter {
+    fn new(quiet: bool) -> Self {
+        let bar = (!quiet && std::io::stderr().is_terminal()).then(|| {
+            let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
+            let style = "{bar:32} {pos}/{len} frames, {msg}, {eta} left";
+            bar.set_style(
+                ProgressStyle::with_template(style).unwrap_or_else(|_| ProgressStyle::default_bar()),
+            );
+            bar.enable_steady_tick(Duration::from_millis(250));
+            bar
+        });
+        Self { bar, quiet, start: Instant::now(), shown: Instant::now() }
+    }
+
+    fn show(&mut self, progress: &Progress) {
+        let seconds = self.start.elapsed().as_secs_f64();
+        let rate = progress.made as f64 / seconds.max(1e-3);
+        let redrawn =
+            if progress.redraws > 0 { format!(", {} drawn again", progress.redraws) } else { String::new() };
+        if let Some(bar) = &self.bar {
+            if bar.length().is_none() {
+                bar.set_length(progress.wanted);
+                bar.set_position(progress.found);
+                bar.reset_eta();
+            }
+            bar.set_position(progress.found + progress.made);
+            bar.set_message(format!("{rate:.2} frames/s{redrawn}"));
+        } else if !self.quiet && self.shown.elapsed().as_secs() >= PLAIN_SECONDS && progress.made > 0 {
+            self.shown = Instant::now();
+            let left = (progress.wanted - progress.found - progress.made) as f64 / rate.max(1e-9);
+            note(format_args!(
+                "{}/{} frames, {rate:.2} frames/s{redrawn}, {} left",
+                progress.found + progress.made,
+                progress.wanted,
+                duration(left)
+            ));
+        }
+    }
+
+    fn finish(&self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
+}

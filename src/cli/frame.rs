@@ -1,0 +1,139 @@
+//! One frame: the command without a subcommand.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use clap::Args;
+use regolith::class::ClassId;
+use regolith::gpu::{self, Gpu};
+use regolith::meta::FrameRecord;
+use regolith::output::{self, Source, disk};
+use regolith::render::{Renderer, StageTimes};
+use regolith::scene::Scene;
+use regolith::{Error, Result};
+use serde_json::{Value, json};
+
+use super::{ConfigArgs, PictureArgs, print};
+
+#[derive(Args, Debug)]
+pub(super) struct FrameArgs {
+    /// Seed of the scene, 64 bits: the same seed and knobs give the same scene on every machine
+    #[arg(long, value_name = "N", default_value_t = 42)]
+    seed: u64,
+    /// Output folder, made if missing
+    #[arg(long, value_name = "DIR", default_value = "out")]
+    out: PathBuf,
+    #[command(flatten)]
+    config: ConfigArgs,
+    #[command(flatten)]
+    picture: PictureArgs,
+    /// What to write: of rgb, mask, preview, depth, normals, instances, shadow, hdr, coverage, meta; or all
+    #[arg(long, value_name = "LIST", default_value_t = output::default_list())]
+    outputs: String,
+    /// Allow writing into a folder that has other content
+    #[arg(long)]
+    force: bool,
+    /// Print the frame's record and the paths of its files as JSON on stdout
+    #[arg(long)]
+    json: bool,
+    /// Say more: adapter, device times
+    #[arg(short, long, conflicts_with = "quiet")]
+    verbose: bool,
+    /// Say nothing but errors
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+pub(super) fn run(args: &FrameArgs) -> Result<()> {
+    const INDEX: u64 = 0;
+    let start = Instant::now();
+    let params = args.config.build()?.draw(args.seed)?;
+    let outputs = output::parse_outputs(&args.outputs)?;
+    let mut settings = args.picture.settings()?;
+    settings.annotations = output::annotations(&outputs);
+    let (label_ids, edges) = (args.picture.label_ids(), args.picture.edges()?);
+    disk::check_folder(&args.out, INDEX, args.force)?;
+
+    let mut times: StageTimes = Vec::new();
+    let mut last = Instant::now();
+    let mut stage = |times: &mut StageTimes, name| {
+        let now = Instant::now();
+        times.push((name, (now - last).as_secs_f64() * 1e3));
+        last = now;
+    };
+    let scene = Scene::build(args.seed, &params)?;
+    stage(&mut times, "scene");
+    let gpu = Gpu::open(args.picture.adapter.as_deref())?;
+    stage(&mut times, "adapter");
+    let mut renderer = Renderer::new(gpu)?;
+    stage(&mut times, "pipelines");
+    super::inject_fault(&renderer);
+    let (frame, render_times) = renderer.render(&scene, &settings)?;
+    // The renderer tells its own stages apart.
+    stage(&mut StageTimes::new(), "render");
+    times.extend(render_times);
+    let unlabelled = frame.count(ClassId::UNLABELLED);
+    if unlabelled > 0 {
+        return Err(Error::Unlabelled { pixels: unlabelled, seed: args.seed });
+    }
+    let record = |times: &StageTimes| {
+        let adapter = &renderer.gpu().info;
+        FrameRecord {
+            seed: args.seed,
+            params: &params,
+            scene: &scene,
+            settings: &settings,
+            adapter,
+            frame: &frame,
+            edges,
+            times,
+        }
+        .to_json()
+    };
+    // The pictures first, so that the record can tell what encoding them took.
+    let (pictures, records): (Vec<_>, Vec<_>) = outputs.into_iter().partition(|output| output.name != "meta");
+    let mut files =
+        output::encode(&Source { frame: &frame, meta: &Value::Null, label_ids, edges }, &pictures)?;
+    stage(&mut times, "encode");
+    let meta = record(&times);
+    files.extend(output::encode(&Source { frame: &frame, meta: &meta, label_ids, edges }, &records)?);
+    let artifacts: Vec<_> = files.into_iter().map(|file| file.into_artifact(INDEX)).collect();
+    let paths = disk::write_all(&args.out, &artifacts)?;
+
+    let shown: Vec<String> = paths.iter().map(|path| path.display().to_string()).collect();
+    if args.json {
+        print(&format!("{:#}\n", json!({ "files": shown, "frame": meta })))?;
+    } else {
+        print(&format!("{}\n", shown.join("\n")))?;
+    }
+    if !args.quiet {
+        summarise(args, &renderer, &meta, &times, start);
+    }
+    Ok(())
+}
+
+#[expect(clippy::print_stderr, reason = "messages to people go to stderr")]
+fn summarise(args: &FrameArgs, renderer: &Renderer, meta: &Value, times: &StageTimes, start: Instant) {
+    let share = |name: &str| 100.0 * meta["coverage"][name].as_f64().unwrap_or_default();
+    eprintln!(
+        "seed {}: regolith {:.1} %, rock {:.1} %, sky {:.1} %; RGB mean {:.1}, p99 {}, max {}; {:.2} s",
+        args.seed,
+        share("regolith"),
+        share("rock"),
+        share("sky"),
+        meta["rgb"]["mean"].as_f64().unwrap_or_default(),
+        meta["rgb"]["p99"],
+        meta["rgb"]["max"],
+        start.elapsed().as_secs_f64()
+    );
+    if !meta["moved_rocks"].as_array().is_none_or(Vec::is_empty) {
+        eprintln!("moved away from the camera: rocks {}", meta["moved_rocks"]);
+    }
+    if args.verbose {
+        let scene = renderer.gpu_scene();
+        eprintln!("adapter: {}", gpu::describe(&renderer.gpu().info));
+        eprintln!("drawn: {} triangles, {} bytes uploaded", scene.drawn_triangles(), scene.uploaded_bytes);
+        let stages: Vec<String> = times.iter().map(|(name, ms)| format!("{name} {ms:.1}")).collect();
+        eprintln!("milliseconds: {}", stages.join(", "));
+    }
+}

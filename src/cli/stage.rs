@@ -1,0 +1,92 @@
+//! What can be told without rendering: the stage as a file, the knobs, the adapters.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use regolith::dataset::rules::Rules;
+use regolith::export::{self, Detail, Format, Stage};
+use regolith::output::{Artifact, disk};
+use regolith::render::RenderSettings;
+use regolith::scene::Scene;
+use regolith::{Error, Result, gpu};
+use serde_json::{Value, json};
+
+use super::{ConfigArgs, parse_size, print};
+
+#[derive(Args, Debug)]
+pub(super) struct ParamsArgs {
+    #[command(flatten)]
+    config: ConfigArgs,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Args, Debug)]
+pub(super) struct ExportArgs {
+    /// The file
+    file: PathBuf,
+    /// Seed of the scene
+    #[arg(long, value_name = "N", default_value_t = 42)]
+    seed: u64,
+    /// Pixels of the picture, for the camera's matrix and for --drawn: WxH, or N for a square
+    #[arg(long, value_name = "WxH", default_value = "512x512", value_parser = parse_size)]
+    size: [u32; 2],
+    #[command(flatten)]
+    config: ConfigArgs,
+    /// Only the triangles that a frame of this size draws or lets cast shadows, at the detail that it draws them
+    #[arg(long)]
+    drawn: bool,
+    /// Replace the file if it is there
+    #[arg(long)]
+    force: bool,
+}
+
+pub(super) fn export_stage(args: &ExportArgs) -> Result<()> {
+    let format = Format::from_path(&args.file)?;
+    if args.file.exists() && !args.force {
+        return Err(Error::Usage(format!("{} exists; add --force to replace it", args.file.display())));
+    }
+    let params = args.config.build()?.draw(args.seed)?;
+    let settings = RenderSettings::new(args.size, 1)?;
+    let scene = Scene::build(args.seed, &params)?;
+    let detail = if args.drawn { Detail::Drawn } else { Detail::Authored };
+    let knobs = params.to_json();
+    let stage = Stage { scene: &scene, seed: args.seed, knobs: &knobs, settings: &settings, detail };
+    let bytes = export::export(&stage, format)?;
+    let name = args.file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let folder = args.file.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    disk::write_all(folder, &[Artifact { name, bytes }])?;
+    print(&format!("{}\n", args.file.display()))
+}
+
+pub(super) fn list_params(args: &ParamsArgs) -> Result<()> {
+    let config = args.config.build()?;
+    if args.json {
+        return print(&format!("{:#}\n", config.to_json()));
+    }
+    print(&format!("{}\n{}", config.to_toml(), Rules::from_config(&config)?.to_toml()))
+}
+
+pub(super) fn list_adapters(as_json: bool) -> Result<()> {
+    let infos = gpu::adapters();
+    if infos.is_empty() {
+        return Err(Error::NoAdapter(String::new()));
+    }
+    if as_json {
+        let rows: Vec<Value> = infos
+            .iter()
+            .map(|info| {
+                json!({
+                    "name": info.name,
+                    "kind": gpu::kind(info),
+                    "backend": info.backend.to_string(),
+                    "driver": info.driver,
+                    "driver_info": info.driver_info,
+                })
+            })
+            .collect();
+        return print(&format!("{:#}\n", Value::from(rows)));
+    }
+    print(&infos.iter().map(|info| format!("{}\n", gpu::describe(info))).collect::<String>())
+}

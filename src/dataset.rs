@@ -1,0 +1,401 @@
+//! Thousands of frames, checked, in a folder that survives anything.
+//!
+//! Threads build scenes, this one draws, others encode and write, and every queue between them is bounded:
+//!
+//! ```text
+//! indices -> scenes (threads) -> frames (one device) -> files (threads) -> line of frames.jsonl
+//! ```
+//!
+//! [`plan`] says what frame i is, [`rules`] which frames are taken, [`journal`] what is finished.
+//! Must not know: the command line.
+
+pub mod journal;
+pub mod plan;
+pub mod rules;
+pub mod summary;
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
+
+use serde_json::{Map, Value, json};
+
+use crate::error::{Error, Result};
+use crate::frame::Frame;
+use crate::meta::FrameRecord;
+use crate::output::writer::{Placed, Sample};
+use crate::output::{self, Source, disk};
+use crate::params::Params;
+use crate::render::{Renderer, StageTimes};
+use crate::scene::Scene;
+use journal::Journal;
+use plan::{Plan, frame_seed};
+
+/// Threads that build scenes; each build uses all cores where it can.
+const BUILDERS: usize = 2;
+/// Scenes that wait for the device.
+const SCENES_WAITING: usize = 1;
+/// The manifest is written anew after so many seconds.
+const MANIFEST_SECONDS: u64 = 5;
+
+/// A frame's scene, not yet drawn.
+struct Built {
+    index: u64,
+    attempt: u32,
+    seed: u64,
+    params: Params,
+    scene: Scene,
+    times: StageTimes,
+    /// Rules that earlier attempts broke.
+    redrawn: Vec<String>,
+}
+
+/// A frame that was drawn and taken.
+struct Drawn {
+    built: Built,
+    frame: Frame,
+    adapter: wgpu::AdapterInfo,
+}
+
+/// A frame whose files are made.
+#[derive(Debug)]
+pub struct Finished {
+    /// Its number.
+    pub index: u64,
+    /// Its line of `frames.jsonl`.
+    pub line: Map<String, Value>,
+    /// Its files.
+    pub placed: Placed,
+    /// Milliseconds of work by stage.
+    pub times: StageTimes,
+    /// How often it was drawn again.
+    pub redraws: u32,
+}
+
+/// Builds the scene of an attempt at a frame.
+fn build(plan: &Plan, index: u64, attempt: u32, redrawn: Vec<String>) -> Result<Built> {
+    let start = Instant::now();
+    let seed = frame_seed(plan.base_seed, index, attempt);
+    let params = plan.config.draw(seed)?;
+    let scene = Scene::build(seed, &params)?;
+    let times = vec![("scene", milliseconds_since(start))];
+    Ok(Built { index, attempt, seed, params, scene, times, redrawn })
+}
+
+/// Draws a frame, again and again until it keeps the rules. `built` may be the first attempt, if that could be built.
+fn draw(plan: &Plan, renderer: &mut Renderer, index: u64, mut built: Result<Built>) -> Result<Drawn> {
+    let (mut attempt, mut redrawn) = (0, Vec::new());
+    loop {
+        let broken = match built {
+            Ok(mut built) => {
+                let (frame, times) = renderer.render(&built.scene, &plan.settings)?;
+                built.times.extend(times);
+                match plan.rules.broken_by(&built.scene, &frame) {
+                    None => return Ok(Drawn { built, frame, adapter: renderer.gpu().info.clone() }),
+                    Some(broken) => broken,
+                }
+            }
+            Err(Error::Scene(found)) => rules::Broken { rule: "scene".to_owned(), found },
+            Err(other) => return Err(other),
+        };
+        attempt += 1;
+        if attempt == plan.rules.attempts_max {
+            return Err(Error::RuleBroken {
+                index,
+                attempts: attempt,
+                rule: broken.rule,
+                found: broken.found,
+            });
+        }
+        redrawn.push(broken.rule);
+        built = build(plan, index, attempt, redrawn.clone());
+    }
+}
+
+/// Encodes a frame and finds the place of its files.
+fn encode(plan: &Plan, drawn: Drawn) -> Result<Finished> {
+    let start = Instant::now();
+    let Drawn { built, mut frame, adapter } = drawn;
+    let mut line = record(plan, &built, &frame, &adapter);
+    let meta = Value::Object(line.clone());
+    let source = Source { frame: &frame, meta: &meta, label_ids: plan.label_ids, edges: plan.edges };
+    let files = output::encode(&source, &plan.outputs)?;
+    frame.class = plan.edges.apply(&frame);
+    let sample = Sample {
+        index: built.index,
+        split: plan.split_of(built.index),
+        frame: &frame,
+        files: &files,
+        record: &line,
+    };
+    let placed = plan.writer.place(&sample)?;
+    let hashes: Map<String, Value> =
+        placed.files.iter().map(|file| (file.name.clone(), disk::content_hash(&file.bytes).into())).collect();
+    let mut times = built.times;
+    times.push(("encode", milliseconds_since(start)));
+    line.insert("hashes".to_owned(), hashes.into());
+    if !placed.entry.is_null() {
+        line.insert("entry".to_owned(), placed.entry.clone());
+    }
+    // Times come last: all before them is the same in every run.
+    line.insert("ms".to_owned(), milliseconds_json(&times));
+    Ok(Finished { index: built.index, line, placed, times, redraws: built.attempt })
+}
+
+/// What is recorded of a frame, but for its files and times.
+fn record(plan: &Plan, built: &Built, frame: &Frame, adapter: &wgpu::AdapterInfo) -> Map<String, Value> {
+    let record = FrameRecord {
+        seed: built.seed,
+        params: &built.params,
+        scene: &built.scene,
+        settings: &plan.settings,
+        adapter,
+        frame,
+        edges: plan.edges,
+        times: &Vec::new(),
+    };
+    let mut line = Map::new();
+    line.insert("index".to_owned(), built.index.into());
+    let split = plan.split_of(built.index);
+    if !split.is_empty() {
+        line.insert("split".to_owned(), split.into());
+    }
+    line.insert("attempt".to_owned(), built.attempt.into());
+    if !built.redrawn.is_empty() {
+        line.insert("redrawn".to_owned(), json!(built.redrawn));
+    }
+    if let Value::Object(record) = record.to_json() {
+        // The manifest has these, for all frames alike.
+        let shared = ["size", "samples", "edges", "version", "ms"];
+        line.extend(record.into_iter().filter(|(key, _)| !shared.contains(&key.as_str())));
+    }
+    line.insert("adapter".to_owned(), adapter.name.clone().into());
+    line
+}
+
+fn milliseconds_since(start: Instant) -> f64 {
+    start.elapsed().as_secs_f64() * 1e3
+}
+
+fn milliseconds_json(times: &StageTimes) -> Value {
+    let rounded = times.iter().map(|&(stage, ms)| (stage.to_owned(), json!((ms * 1e3).round() / 1e3)));
+    rounded.collect::<Map<_, _>>().into()
+}
+
+/// Makes these frames and gives each, finished, to `sink`, in any order. Once `stop` is true no frame is begun any
+/// more, and those in flight are finished.
+///
+/// # Errors
+/// The first that occurs: that of drawing, encoding or `sink`.
+pub fn make(
+    plan: &Plan,
+    renderer: &mut Renderer,
+    indices: impl Iterator<Item = u64> + Send,
+    encoders: usize,
+    stop: &AtomicBool,
+    sink: impl FnMut(Finished) -> Result<()> + Send,
+) -> Result<()> {
+    let failure = Failure::default();
+    let indices = Mutex::new(indices);
+    let (scenes, built) = sync_channel::<(u64, Result<Built>)>(SCENES_WAITING);
+    let (frames, drawn) = sync_channel::<Drawn>(encoders);
+    let (done, finished) = sync_channel::<Finished>(encoders);
+    let drawn = Mutex::new(drawn);
+    std::thread::scope(|scope| {
+        for _ in 0..BUILDERS {
+            let (scenes, indices, failure) = (scenes.clone(), &indices, &failure);
+            scope.spawn(move || {
+                while !stop.load(Ordering::Relaxed) && !failure.occurred() {
+                    let next = indices.lock().unwrap_or_else(PoisonError::into_inner).next();
+                    let Some(index) = next else { break };
+                    if scenes.send((index, build(plan, index, 0, Vec::new()))).is_err() {
+                        break;
+                    }
+                }
+            });
+        }
+        drop(scenes);
+        for _ in 0..encoders {
+            let (drawn, done, failure) = (&drawn, done.clone(), &failure);
+            scope.spawn(move || encode_all(plan, drawn, &done, failure));
+        }
+        drop(done);
+        let failure = &failure;
+        scope.spawn(move || {
+            let mut sink = sink;
+            for frame in finished {
+                if !failure.occurred() {
+                    failure.keep(sink(frame));
+                }
+            }
+        });
+        for (index, built) in built {
+            if failure.occurred() {
+                continue;
+            }
+            match draw(plan, renderer, index, built) {
+                Ok(drawn) => drop(frames.send(drawn)),
+                Err(error) => drop(failure.keep::<()>(Err(error))),
+            }
+        }
+        drop(frames);
+    });
+    failure.into_result()
+}
+
+fn encode_all(plan: &Plan, drawn: &Mutex<Receiver<Drawn>>, done: &SyncSender<Finished>, failure: &Failure) {
+    loop {
+        let next = drawn.lock().unwrap_or_else(PoisonError::into_inner).recv();
+        let Ok(frame) = next else { break };
+        if let Some(finished) = failure.keep(encode(plan, frame)) {
+            let _ = done.send(finished);
+        }
+    }
+}
+
+/// The first error of many threads.
+#[derive(Debug, Default)]
+struct Failure {
+    occurred: AtomicBool,
+    first: Mutex<Option<Error>>,
+}
+
+impl Failure {
+    fn occurred(&self) -> bool {
+        self.occurred.load(Ordering::Relaxed)
+    }
+
+    /// Keeps the error, if it is one and the first.
+    fn keep<T>(&self, result: Result<T>) -> Option<T> {
+        match result {
+            Ok(value) => Some(value),
+            Err(error) => {
+                self.first.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+                self.occurred.store(true, Ordering::Relaxed);
+                None
+            }
+        }
+    }
+
+    fn into_result(self) -> Result<()> {
+        self.first.into_inner().unwrap_or_else(PoisonError::into_inner).map_or(Ok(()), Err)
+    }
+}
+
+/// How far a run has come.
+#[derive(Clone, Debug)]
+pub struct Progress {
+    /// Frames of this run that were there before it.
+    pub found: u64,
+    /// Frames that it has made.
+    pub made: u64,
+    /// Frames that it was asked for.
+    pub wanted: u64,
+    /// How often a frame was drawn again.
+    pub redraws: u64,
+    /// Milliseconds of work in all, by stage.
+    pub times: StageTimes,
+}
+
+impl Progress {
+    fn add(&mut self, frame: &Finished) {
+        self.made += 1;
+        self.redraws += u64::from(frame.redraws);
+        for &(stage, ms) in &frame.times {
+            match self.times.iter_mut().find(|(known, _)| *known == stage) {
+                Some((_, sum)) => *sum += ms,
+                None => self.times.push((stage, ms)),
+            }
+        }
+    }
+}
+
+/// Makes the frames of a plan that its folder lacks, and settles the folder. `watch` is told of every frame.
+///
+/// # Errors
+/// Those of [`make`]; [`Error::Stopped`] if it was asked to. What is finished stays, and the same call goes on with it.
+pub fn run(
+    plan: &Plan,
+    renderer: &mut Renderer,
+    journal: Journal,
+    encoders: usize,
+    stop: &AtomicBool,
+    mut watch: impl FnMut(&Progress) + Send,
+) -> Result<(Progress, journal::Settled)> {
+    let own = (plan.range.start..plan.range.end()).filter(|index| plan.shard.has(*index));
+    let missing: Vec<u64> = own.clone().filter(|index| !journal.done().contains(index)).collect();
+    let wanted = own.count() as u64;
+    let found = wanted - missing.len() as u64;
+    let mut progress = Progress { found, made: 0, wanted, redraws: 0, times: StageTimes::new() };
+    watch(&progress);
+    let folder = journal.folder().to_owned();
+    let tag = journal::tag(plan.shard);
+    let mut journal = journal;
+    let mut written = Instant::now();
+    let result = make(plan, renderer, missing.into_iter(), encoders, stop, |mut frame| {
+        let start = Instant::now();
+        disk::write_all_tagged(&folder, &tag, &frame.placed.files)?;
+        frame.times.push(("write", milliseconds_since(start)));
+        frame.line.insert("ms".to_owned(), milliseconds_json(&frame.times));
+        journal.record(frame.index, &frame.line)?;
+        progress.add(&frame);
+        watch(&progress);
+        if written.elapsed().as_secs() >= MANIFEST_SECONDS {
+            journal.write_manifest("running")?;
+            written = Instant::now();
+        }
+        Ok(())
+    });
+    let complete = progress.found + progress.made == wanted;
+    // A disk that is full has no room for the manifest either; the error that matters is the first.
+    let status = if result.is_err() {
+        "error"
+    } else if complete {
+        "done"
+    } else {
+        "stopped"
+    };
+    let manifest = journal.write_manifest(status);
+    result?;
+    manifest?;
+    drop(journal);
+    if !complete {
+        return Err(Error::Stopped { done: progress.found + progress.made, wanted });
+    }
+    Ok((progress, journal::settle(&folder)?))
+}
+
+/// Makes the frames of a plan in order and gives the bytes of each, as a tar archive without its end, to `sink`.
+///
+/// # Errors
+/// Those of [`make`]; [`Error::Stopped`].
+pub fn stream(
+    plan: &Plan,
+    renderer: &mut Renderer,
+    encoders: usize,
+    stop: &AtomicBool,
+    mut sink: impl FnMut(&Placed, &Progress) -> Result<()> + Send,
+) -> Result<Progress> {
+    let indices = (plan.range.start..plan.range.end()).filter(|index| plan.shard.has(*index));
+    let wanted = indices.clone().count() as u64;
+    let mut progress = Progress { found: 0, made: 0, wanted, redraws: 0, times: StageTimes::new() };
+    // Frames that wait for an earlier one: as many as are in flight at most.
+    let mut waiting: BTreeMap<u64, Finished> = BTreeMap::new();
+    let mut order = indices.clone();
+    let mut next = order.next();
+    make(plan, renderer, indices, encoders, stop, |frame| {
+        waiting.insert(frame.index, frame);
+        while let Some(frame) = next.and_then(|index| waiting.remove(&index)) {
+            progress.add(&frame);
+            sink(&frame.placed, &progress)?;
+            next = order.next();
+        }
+        Ok(())
+    })?;
+    if progress.made < wanted {
+        return Err(Error::Stopped { done: progress.made, wanted });
+    }
+    Ok(progress)
+}

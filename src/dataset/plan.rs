@@ -1,0 +1,311 @@
+//! What a dataset is to be: which frames, of what, in which layout.
+//!
+//! Frame i is a function of the base seed, i and the configuration alone. Its scene's seed is
+//! `first_seed(base) + attempt * 2^32 + i` (modulo 2^53, so that JSON readers keep every digit): frames of one base
+//! seed never share a scene, whichever splits, shards and attempts they belong to, and the range of seeds in a manifest
+//! proves it between datasets.
+//! Must not know: threads, files.
+
+use std::str::FromStr;
+
+use serde_json::{Map, Value, json};
+use twox_hash::XxHash3_128;
+
+use super::rules::Rules;
+use crate::class::ClassId;
+use crate::error::{Error, Result};
+use crate::output::edges::EdgePolicy;
+use crate::output::writer::Writer;
+use crate::output::{self, LabelIds, Output};
+use crate::params::sampler::Config;
+use crate::render::RenderSettings;
+
+/// Seeds are below this.
+const SEEDS: u64 = 1 << 53;
+/// Frames that a base seed has; attempts are this far apart.
+pub const MAX_FRAMES: u64 = 1 << 32;
+
+/// What a dataset is to be.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// What each knob is drawn from.
+    pub config: Config,
+    /// What frames are taken.
+    pub rules: Rules,
+    /// What every frame's seed comes from.
+    pub base_seed: u64,
+    /// Size, samples, annotations.
+    pub settings: RenderSettings,
+    /// What is written of a frame.
+    pub outputs: Vec<&'static Output>,
+    /// What the mask says where classes meet.
+    pub edges: EdgePolicy,
+    /// Which ids the mask carries.
+    pub label_ids: LabelIds,
+    /// Name of the layout.
+    pub format: &'static str,
+    /// The layout.
+    pub writer: &'static dyn Writer,
+    /// The frames.
+    pub range: Range,
+    /// Names of the splits and their numbers of frames, in order from the first frame; none for a dataset in one.
+    pub splits: Vec<(String, u64)>,
+    /// Which of the frames this run makes.
+    pub shard: Shard,
+}
+
+/// Frames from `start` to `start + count - 1`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Range {
+    /// The first.
+    pub start: u64,
+    /// How many.
+    pub count: u64,
+}
+
+impl Range {
+    /// The frame after the last.
+    #[must_use]
+    pub const fn end(self) -> u64 {
+        self.start + self.count
+    }
+
+    /// The smallest range that has both.
+    #[must_use]
+    pub fn hull(self, other: Self) -> Self {
+        let start = self.start.min(other.start);
+        Self { start, count: self.end().max(other.end()) - start }
+    }
+}
+
+/// The frames i with i mod `of` = `number`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shard {
+    /// From 0.
+    pub number: u64,
+    /// How many shards there are.
+    pub of: u64,
+}
+
+impl Shard {
+    /// All frames.
+    pub const WHOLE: Self = Self { number: 0, of: 1 };
+
+    /// Whether a frame is in it.
+    #[must_use]
+    pub const fn has(self, index: u64) -> bool {
+        index % self.of == self.number
+    }
+}
+
+impl FromStr for Shard {
+    type Err = Error;
+
+    fn from_str(text: &str) -> Result<Self> {
+        let numbers = text.split_once('/').and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
+        numbers.filter(|(number, of)| number < of).map(|(number, of)| Self { number, of }).ok_or_else(|| {
+            Error::Usage(format!("--shard {text}: the form is I/N with I from 0 to N - 1, as in 0/4"))
+        })
+    }
+}
+
+/// Reads `train=1500,val=200`.
+///
+/// # Errors
+/// [`Error::Usage`].
+pub fn parse_splits(text: &str) -> Result<Vec<(String, u64)>> {
+    let refused = |why: &str| {
+        Error::Usage(format!("--split {text}: {why}; the form is NAME=FRAMES,..., as in train=1500,val=200"))
+    };
+    let mut splits: Vec<(String, u64)> = Vec::new();
+    for part in text.split(',') {
+        let (name, count) = part.split_once('=').ok_or_else(|| refused(&format!("`{part}` has no `=`")))?;
+        let name = name.trim();
+        let plain =
+            !name.is_empty() && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-');
+        if !plain {
+            return Err(refused(&format!("`{name}` is no name of letters, digits, - and _")));
+        }
+        if splits.iter().any(|(known, _)| known == name) {
+            return Err(refused(&format!("`{name}` stands twice")));
+        }
+        let count = count.trim().parse().ok().filter(|count| *count > 0);
+        splits.push((
+            name.to_owned(),
+            count.ok_or_else(|| refused(&format!("`{part}` has no number of frames")))?,
+        ));
+    }
+    Ok(splits)
+}
+
+/// The seed of frame 0 of a base seed, at its first attempt.
+#[must_use]
+pub fn first_seed(base_seed: u64) -> u64 {
+    let hash = XxHash3_128::oneshot(&[b"dataset".as_slice(), &base_seed.to_le_bytes()].concat());
+    (hash % u128::from(SEEDS)) as u64
+}
+
+/// The seed of a frame's scene.
+#[must_use]
+pub fn frame_seed(base_seed: u64, index: u64, attempt: u32) -> u64 {
+    (first_seed(base_seed) + u64::from(attempt) * MAX_FRAMES + index) % SEEDS
+}
+
+impl Plan {
+    /// The split that a frame belongs to; empty if there are none.
+    #[must_use]
+    pub fn split_of(&self, index: u64) -> &str {
+        let mut end = self.range.start;
+        for (name, count) in &self.splits {
+            end += count;
+            if index < end {
+                return name;
+            }
+        }
+        ""
+    }
+
+    /// The splits with their frames and the seeds of these at the first attempt, both ends included.
+    #[must_use]
+    pub fn splits_json(&self) -> Value {
+        let mut start = self.range.start;
+        let rows = self.splits.iter().map(|(name, count)| {
+            let last = start + count - 1;
+            let seeds = [start, last].map(|index| frame_seed(self.base_seed, index, 0));
+            let row = json!({ "start": start, "count": count, "seeds": seeds });
+            start = last + 1;
+            (name.clone(), row)
+        });
+        rows.collect::<Map<_, _>>().into()
+    }
+
+    /// Everything that decides what is in the files: two runs that agree in it make the same dataset.
+    #[must_use]
+    pub fn identity(&self) -> Map<String, Value> {
+        let classes: Map<String, Value> = ClassId::ALL
+            .iter()
+            .map(|class| (class.name.to_owned(), self.label_ids.mask_id(class.id.0).into()))
+            .collect();
+        let outputs: Vec<&str> = self.outputs.iter().map(|output| output.name).collect();
+        let identity = json!({
+            "version": env!("CARGO_PKG_VERSION"),
+            "format": self.format,
+            "base_seed": self.base_seed,
+            "size": self.settings.size,
+            "samples": self.settings.samples_per_side.pow(2),
+            "outputs": outputs,
+            "edges": self.edges.to_string(),
+            "label_ids": self.label_ids.name(),
+            "class_map": classes,
+            "ignore_index": self.label_ids.mask_id(ClassId::UNLABELLED.0),
+            "splits": self.splits_json(),
+            "rules": self.rules.to_json(),
+            "config": self.config.distributions_json(),
+        });
+        match identity {
+            Value::Object(identity) => identity,
+            _ => unreachable!("it is an object"),
+        }
+    }
+
+    /// The outputs that are asked for and those that the layout cannot be without.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for an unknown one, or one that the layout has no place for.
+    pub fn outputs(list: &str, format: &str, writer: &dyn Writer) -> Result<Vec<&'static Output>> {
+        let asked = output::parse_outputs(list)?;
+        let all = list.split(',').any(|word| word.trim() == "all");
+        if let Some(homeless) = asked.iter().find(|output| !all && !writer.holds(output.name)) {
+            let held: Vec<&str> =
+                output::OUTPUTS.iter().map(|output| output.name).filter(|name| writer.holds(name)).collect();
+            return Err(Error::Usage(format!(
+                "--outputs {}: --format {format} has no place for it; it holds {}",
+                homeless.name,
+                held.join(", ")
+            )));
+        }
+        let named = |name: &str| asked.iter().any(|output| output.name == name);
+        Ok(output::OUTPUTS
+            .iter()
+            .filter(|o| writer.holds(o.name) && (named(o.name) || writer.outputs().contains(&o.name)))
+            .collect())
+    }
+}
+
+/// Where two identities differ, a line each.
+#[must_use]
+pub fn differences(folder: &Map<String, Value>, run: &Map<String, Value>) -> Vec<String> {
+    fn collect(prefix: &str, a: &Value, b: &Value, lines: &mut Vec<String>) {
+        // A distribution is told as a whole.
+        let section = |value: &Value, prefix: &str| value.is_object() && matches!(prefix, "config" | "rules");
+        if section(a, prefix) && section(b, prefix) {
+            let (Value::Object(a), Value::Object(b)) = (a, b) else { return };
+            for key in a.keys().chain(b.keys().filter(|key| !a.contains_key(*key))) {
+                let null = Value::Null;
+                let name = if prefix == "config" { key.clone() } else { format!("{prefix}.{key}") };
+                collect(&name, a.get(key).unwrap_or(&null), b.get(key).unwrap_or(&null), lines);
+            }
+        } else if a != b {
+            lines.push(format!("  {prefix}: there {a}, now {b}"));
+        }
+    }
+    let mut lines = Vec::new();
+    for (key, now) in run {
+        collect(key, folder.get(key).unwrap_or(&Value::Null), now, &mut lines);
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn seeds_of_a_base_are_distinct_and_survive_json() {
+        for base in [0, 1, 42, 7777, u64::MAX] {
+            let mut seeds: Vec<u64> =
+                (0..1000).flat_map(|i| [0, 1, 19].map(|a| frame_seed(base, i, a))).collect();
+            seeds.sort_unstable();
+            seeds.dedup();
+            assert_eq!(seeds.len(), 3000);
+            assert!(seeds.iter().all(|seed| (*seed as f64) as u64 == *seed));
+        }
+        // Neighbouring base seeds are far apart.
+        let near = first_seed(42).abs_diff(first_seed(43));
+        assert!(near > MAX_FRAMES, "{near}");
+        // A change here changes every dataset ever made.
+        assert_eq!(frame_seed(42, 17, 0), 8_006_897_132_670_268);
+    }
+
+    #[test]
+    fn shards_part_the_frames() {
+        let shards: Vec<Shard> = (0..3).map(|i| format!("{i}/3").parse().expect("a shard")).collect();
+        for index in 0..30 {
+            assert_eq!(shards.iter().filter(|shard| shard.has(index)).count(), 1);
+        }
+        for wrong in ["3/3", "1", "-1/2", "a/b", "0/0", ""] {
+            let message = wrong.parse::<Shard>().expect_err(wrong).to_string();
+            assert!(message.contains("I/N"), "{message}");
+        }
+    }
+
+    #[test]
+    fn splits_are_read_in_order_and_wrong_ones_refused() {
+        let splits = parse_splits("train=1500, val=200").expect("read");
+        assert_eq!(splits, [("train".to_owned(), 1500), ("val".to_owned(), 200)]);
+        for wrong in ["train", "train=", "train=0", "=3", "a=1,a=2", "a/b=1", "../x=2"] {
+            assert!(parse_splits(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn differences_name_the_knob() {
+        let of = |value: Value| value.as_object().expect("an object").clone();
+        let a = of(
+            json!({ "size": [64, 64], "config": { "sun.elevation_deg": { "uniform": [5, 40] }, "x": 1 } }),
+        );
+        let b = of(json!({ "size": [64, 64], "config": { "sun.elevation_deg": 17, "x": 1 } }));
+        assert_eq!(differences(&a, &b), ["  sun.elevation_deg: there {\"uniform\":[5,40]}, now 17"]);
+        assert!(differences(&a, &a).is_empty());
+    }
+}

@@ -1,0 +1,265 @@
+//! What frames a dataset takes. A frame that breaks a rule is drawn again under its next attempt number.
+//!
+//! Must not know: threads, files.
+//! To add a rule: a field (or a line in [`Rules::broken_by`] if it has no setting), its arm in [`Rules::from_config`].
+
+use serde_json::{Value, json};
+
+use crate::class::ClassId;
+use crate::error::{Error, Result, nearest};
+use crate::frame::Frame;
+use crate::params::sampler::{Config, RuleSetting};
+use crate::scene::Scene;
+
+/// The largest value that the tone curve gives: a channel that has it carries no more than "at least so bright".
+const WHITE: u8 = 249;
+/// A pixel is black up to here in every channel.
+const BLACK: u8 = 2;
+
+/// The rules, with their settings.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rules {
+    /// Largest share of the pixels that are not sky which may be black.
+    pub black_max: f64,
+    /// Largest share of the pixels that are not sky which may be as bright as the tone curve goes.
+    pub clipped_max: f64,
+    /// How often a frame is drawn before the run gives up.
+    pub attempts_max: u32,
+    /// For classes (by place in [`ClassId::ALL`]): smallest and largest share of the picture.
+    pub require: [Option<[f64; 2]>; ClassId::ALL.len()],
+}
+
+impl Default for Rules {
+    fn default() -> Self {
+        Self { black_max: 0.95, clipped_max: 0.5, attempts_max: 20, require: [None; ClassId::ALL.len()] }
+    }
+}
+
+/// A rule that a frame breaks.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Broken {
+    /// Its name.
+    pub rule: String,
+    /// What was found, and what is allowed.
+    pub found: String,
+}
+
+impl Rules {
+    /// The rules as a configuration sets them.
+    ///
+    /// # Errors
+    /// [`Error::UnknownKnob`], [`Error::KnobType`], [`Error::KnobOutOfRange`].
+    pub fn from_config(config: &Config) -> Result<Self> {
+        let mut rules = Self::default();
+        for setting in config.rules() {
+            match setting.name.as_str() {
+                "black_max" => rules.black_max = share(setting)?,
+                "clipped_max" => rules.clipped_max = share(setting)?,
+                "attempts_max" => {
+                    let attempts = setting.value.as_integer().filter(|n| (1..=1000).contains(n));
+                    rules.attempts_max =
+                        attempts.ok_or_else(|| refused(setting, "a whole number, 1 to 1000"))? as u32;
+                }
+                "require" => rules.set_require(setting)?,
+                _ => {
+                    let known = ["black_max", "clipped_max", "attempts_max", "require"];
+                    return Err(Error::UnknownKnob {
+                        name: format!("rules.{}", setting.name),
+                        origin: setting.origin.clone(),
+                        suggestion: nearest(&setting.name, known).map(|name| format!("rules.{name}")),
+                    });
+                }
+            }
+        }
+        Ok(rules)
+    }
+
+    fn set_require(&mut self, setting: &RuleSetting) -> Result<()> {
+        let form = "a table of classes and their share of the picture, as in { rock = [0.005, 0.6] }";
+        let table = setting.value.as_table().ok_or_else(|| refused(setting, form))?;
+        for (name, range) in table {
+            let place = ClassId::ALL.iter().position(|class| class.name == name).ok_or_else(|| {
+                let names: Vec<&str> = ClassId::ALL.iter().map(|class| class.name).collect();
+                refused(
+                    setting,
+                    &format!("{form}; there is no class `{name}`, there are {}", names.join(", ")),
+                )
+            })?;
+            let number = |value: &toml::Value| value.as_float().or(value.as_integer().map(|n| n as f64));
+            let bounds = match range.as_array().map(Vec::as_slice) {
+                Some([low, high]) => number(low).zip(number(high)),
+                _ => None,
+            };
+            let [low, high] = bounds
+                .filter(|(low, high)| 0.0 <= *low && low <= high && *high <= 1.0)
+                .map(|(low, high)| [low, high])
+                .ok_or_else(|| refused(setting, &format!("{form}; 0 <= smallest <= largest <= 1")))?;
+            self.require[place] = Some([low, high]);
+        }
+        Ok(())
+    }
+
+    /// The rules as JSON, as they stand in a manifest.
+    #[must_use]
+    pub fn to_json(&self) -> Value {
+        let require: serde_json::Map<String, Value> = ClassId::ALL
+            .iter()
+            .zip(self.require)
+            .filter_map(|(class, range)| Some((class.name.to_owned(), json!(range?))))
+            .collect();
+        json!({
+            "black_max": self.black_max,
+            "clipped_max": self.clipped_max,
+            "attempts_max": self.attempts_max,
+            "require": require,
+        })
+    }
+
+    /// The rules as TOML that a configuration reads.
+    #[must_use]
+    pub fn to_toml(&self) -> String {
+        let require: Vec<String> = ClassId::ALL
+            .iter()
+            .zip(self.require)
+            .filter_map(|(class, range)| {
+                range.map(|[low, high]| format!(" {} = [{low}, {high}]", class.name))
+            })
+            .collect();
+        format!(
+            "# What frames a dataset takes; one that breaks a rule is drawn again.\n[rules]\n\
+             # Largest share of ground and rocks that may be black. Allowed: 0 to 1.\nblack_max = {}\n\
+             # Largest share of ground and rocks that may be as bright as the tone curve goes. Allowed: 0 to 1.\n\
+             clipped_max = {}\n# How often a frame is drawn before the run gives up. Allowed: whole numbers, 1 to 1000.\n\
+             attempts_max = {}\n# Smallest and largest share of the picture by class, as in {{ rock = [0.005, 0.6] }}.\n\
+             require = {{{} }}\n",
+            self.black_max,
+            self.clipped_max,
+            self.attempts_max,
+            require.join(",")
+        )
+    }
+
+    /// The first rule that a frame breaks.
+    #[must_use]
+    pub fn broken_by(&self, scene: &Scene, frame: &Frame) -> Option<Broken> {
+        let broken = |rule: &str, found: String| Some(Broken { rule: rule.to_owned(), found });
+        let unlabelled = frame.count(ClassId::UNLABELLED);
+        if unlabelled > 0 {
+            return broken("unlabelled", format!("{unlabelled} pixels carry no label"));
+        }
+        let eye = scene.camera.eye;
+        let height_m = eye.z - scene.terrain.surface_height_at(eye.truncate());
+        if height_m <= 0.0 {
+            return broken("eye_above_ground", format!("the eye is {height_m:.2} m above the ground"));
+        }
+        if let Some(rock) = scene.rocks.iter().find(|rock| rock.distance_to(eye, 1.0) <= 0.0) {
+            return broken("eye_outside_rocks", format!("the eye is inside rock {}", rock.index));
+        }
+        let (mut things, mut black, mut clipped) = (0_u64, 0_u64, 0_u64);
+        for (pixel, class) in frame.rgb.chunks_exact(3).zip(&frame.class) {
+            if *class != ClassId::SKY.0 {
+                things += 1;
+                black += u64::from(pixel.iter().all(|value| *value <= BLACK));
+                clipped += u64::from(pixel.iter().any(|value| *value >= WHITE));
+            }
+        }
+        for (rule, count, allowed) in
+            [("black", black, self.black_max), ("clipped", clipped, self.clipped_max)]
+        {
+            let share = count as f64 / things.max(1) as f64;
+            if share > allowed {
+                let found = format!("{share:.3} of ground and rocks is {rule}; rules.{rule}_max = {allowed}");
+                return broken(rule, found);
+            }
+        }
+        for (class, range) in ClassId::ALL.iter().zip(self.require) {
+            let Some([low, high]) = range else { continue };
+            let share = frame.coverage(class.id);
+            if !(low..=high).contains(&share) {
+                let found =
+                    format!("{} covers {share:.4} of the picture; wanted is {low} to {high}", class.name);
+                return broken(&format!("require.{}", class.name), found);
+            }
+        }
+        None
+    }
+}
+
+fn refused(setting: &RuleSetting, expected: &str) -> Error {
+    Error::KnobType {
+        name: format!("rules.{}", setting.name),
+        value: setting.value.to_string(),
+        origin: setting.origin.clone(),
+        expected: expected.to_owned(),
+    }
+}
+
+fn share(setting: &RuleSetting) -> Result<f64> {
+    let value = setting.value.as_float().or(setting.value.as_integer().map(|n| n as f64));
+    value.filter(|share| (0.0..=1.0).contains(share)).ok_or_else(|| refused(setting, "a share, 0 to 1"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::params::Params;
+
+    fn rules(text: &str) -> Result<Rules> {
+        let mut config = Config::new();
+        config.apply_toml(text, "a test")?;
+        Rules::from_config(&config)
+    }
+
+    #[test]
+    fn settings_are_read_and_wrong_ones_refused_by_name() {
+        let read = rules("require = { rock = [0.005, 0.6] }\n[rules]\nclipped_max = 0.1\nattempts_max = 3")
+            .expect("read");
+        assert_eq!((read.clipped_max, read.attempts_max), (0.1, 3));
+        assert_eq!(read.require, [None, Some([0.005, 0.6]), None]);
+        assert_eq!(rules("[rules]\nrequire = { rock = [0.005, 0.6] }").expect("read").require, read.require);
+        for rules_as_set in [Rules::default(), read] {
+            assert_eq!(rules(&rules_as_set.to_toml()).expect("its own listing"), rules_as_set);
+        }
+        for (text, said) in [
+            ("[rules]\nclipped_maks = 1", "did you mean `rules.clipped_max`"),
+            ("[rules]\nclipped_max = 2", "0 to 1"),
+            ("[rules]\nattempts_max = 0", "1 to 1000"),
+            ("require = { rocks = [0, 1] }", "no class `rocks`"),
+            ("require = { rock = [0.6, 0.1] }", "smallest <= largest"),
+            ("require = 3", "a table of classes"),
+        ] {
+            let message = rules(text).expect_err(text).to_string();
+            assert!(message.contains(said), "{text}: {message}");
+        }
+    }
+
+    #[test]
+    fn each_rule_finds_what_it_is_for() {
+        let scene = Scene::build(1, &Params::draw_default(1)).expect("a scene");
+        let good = Frame {
+            width: 10,
+            height: 1,
+            rgb: [[120; 3]; 10].concat(),
+            class: vec![0, 0, 0, 0, 0, 1, 1, 2, 2, 2],
+            ..Frame::default()
+        };
+        let rule = |rules: &Rules, change: &dyn Fn(&mut Frame)| {
+            let mut frame = good.clone();
+            change(&mut frame);
+            rules.broken_by(&scene, &frame).map(|broken| broken.rule)
+        };
+        let defaults = Rules::default();
+        assert_eq!(rule(&defaults, &|_| {}), None);
+        assert_eq!(rule(&defaults, &|frame| frame.class[9] = 255).as_deref(), Some("unlabelled"));
+        assert_eq!(rule(&defaults, &|frame| frame.rgb.fill(1)).as_deref(), Some("black"));
+        assert_eq!(rule(&defaults, &|frame| frame.rgb[21..].fill(1)), None, "a black sky is as it should be");
+        assert_eq!(rule(&defaults, &|frame| frame.rgb[..12].fill(249)).as_deref(), Some("clipped"));
+        assert_eq!(rule(&defaults, &|frame| frame.rgb[..9].fill(249)), None, "three of seven");
+        let demand = Rules { require: [None, Some([0.3, 1.0]), None], ..defaults.clone() };
+        assert_eq!(rule(&demand, &|_| {}).as_deref(), Some("require.rock"));
+        assert_eq!(rule(&demand, &|frame| frame.class[0] = 1), None);
+        let mut buried = scene.clone();
+        buried.camera.eye.z -= 100.0;
+        assert_eq!(defaults.broken_by(&buried, &good).map(|b| b.rule).as_deref(), Some("eye_above_ground"));
+    }
+}

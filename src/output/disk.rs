@@ -1,0 +1,339 @@
+//! The only place that touches the disk: whole files or none, whatever happens in between.
+//!
+//! A file is written under a temporary name next to its place, synchronised, and renamed. Temporary names start with
+//! [`TEMPORARY_PREFIX`] and the writer's tag, so that what a killed process leaves behind can be told from what another
+//! is writing, and removed.
+//! Must not know: what the bytes mean.
+
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{Read as _, Seek as _, SeekFrom, Write as _};
+use std::path::{Path, PathBuf};
+
+use twox_hash::XxHash3_128;
+
+use super::{Artifact, OUTPUTS};
+use crate::error::{Error, Result};
+
+/// What the names of files start with that are not whole yet.
+pub const TEMPORARY_PREFIX: &str = ".writing-";
+
+fn failed(path: &Path) -> impl FnOnce(std::io::Error) -> Error {
+    let path = path.to_owned();
+    move |cause| Error::Write { path, cause }
+}
+
+fn unreadable(path: &Path) -> impl FnOnce(std::io::Error) -> Error {
+    let path = path.to_owned();
+    move |cause| Error::Read { path, cause }
+}
+
+/// Refuses a folder that is a file, or that holds anything that frame `index` would not have written.
+///
+/// # Errors
+/// [`Error::OutIsFile`], [`Error::OutNotEmpty`] unless `force`, [`Error::Write`] if the folder cannot be read.
+pub fn check_folder(folder: &Path, index: u64, force: bool) -> Result<()> {
+    let ours: Vec<String> = OUTPUTS.iter().flat_map(|output| output.file_names(index)).collect();
+    check_content(folder, force, |name| ours.iter().any(|own| own == name))
+}
+
+/// Refuses a folder that is a file, or that holds anything that is not `ours`.
+///
+/// # Errors
+/// [`Error::OutIsFile`], [`Error::OutNotEmpty`] unless `force`, [`Error::Write`] if the folder cannot be read.
+pub fn check_content(folder: &Path, force: bool, ours: impl Fn(&str) -> bool) -> Result<()> {
+    if folder.is_file() {
+        return Err(Error::OutIsFile(folder.to_owned()));
+    }
+    if force || !folder.exists() {
+        return Ok(());
+    }
+    let foreign = names(folder)?.into_iter().find(|name| !name.starts_with(TEMPORARY_PREFIX) && !ours(name));
+    match foreign {
+        Some(found) => Err(Error::OutNotEmpty { path: folder.to_owned(), found }),
+        None => Ok(()),
+    }
+}
+
+/// Names of what is in a folder, sorted.
+///
+/// # Errors
+/// [`Error::Read`].
+pub fn names(folder: &Path) -> Result<Vec<String>> {
+    let mut names = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(unreadable(folder))? {
+        let entry = entry.map_err(unreadable(folder))?;
+        names.push(entry.file_name().to_string_lossy().into_owned());
+    }
+    names.sort_unstable();
+    Ok(names)
+}
+
+/// The content of a file.
+///
+/// # Errors
+/// [`Error::Read`].
+pub fn read(path: &Path) -> Result<Vec<u8>> {
+    std::fs::read(path).map_err(unreadable(path))
+}
+
+/// XXH3 of 128 bits, hexadecimal: what `xxhsum -H2` prints.
+#[must_use]
+pub fn content_hash(bytes: &[u8]) -> String {
+    format!("{:032x}", XxHash3_128::oneshot(bytes))
+}
+
+/// Writes all files into a folder (made if missing), or none: each is written under a temporary name and renamed
+/// only when all are whole. Gives their paths.
+///
+/// # Errors
+/// [`Error::Write`].
+pub fn write_all(folder: &Path, artifacts: &[Artifact]) -> Result<Vec<PathBuf>> {
+    write_all_tagged(folder, "", artifacts)
+}
+
+/// As [`write_all`], with a tag of the writer's in the temporary names.
+///
+/// # Errors
+/// [`Error::Write`].
+pub fn write_all_tagged(folder: &Path, tag: &str, artifacts: &[Artifact]) -> Result<Vec<PathBuf>> {
+    let made = !folder.exists();
+    let result = try_write_all(folder, tag, artifacts);
+    if made && result.is_err() {
+        // Only goes if it is empty, which it is unless something else wrote there meanwhile.
+        let _ = std::fs::remove_dir(folder);
+    }
+    result
+}
+
+fn try_write_all(folder: &Path, tag: &str, artifacts: &[Artifact]) -> Result<Vec<PathBuf>> {
+    std::fs::create_dir_all(folder).map_err(failed(folder))?;
+    let prefix = format!("{TEMPORARY_PREFIX}{tag}");
+    let mut written = Vec::new();
+    for artifact in artifacts {
+        let path = folder.join(&artifact.name);
+        if path.is_dir() {
+            return Err(Error::Write { path, cause: std::io::ErrorKind::IsADirectory.into() });
+        }
+        let parent = path.parent().unwrap_or(folder).to_owned();
+        if artifact.name.contains('/') {
+            std::fs::create_dir_all(&parent).map_err(failed(&parent))?;
+        }
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(&prefix);
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+        let mut file = builder.tempfile_in(parent).map_err(failed(&path))?;
+        file.write_all(&artifact.bytes).and_then(|()| file.as_file().sync_data()).map_err(failed(&path))?;
+        written.push((file, path));
+    }
+    written
+        .into_iter()
+        .map(|(file, path)| match file.persist(&path) {
+            Ok(_) => Ok(path),
+            Err(error) => Err(Error::Write { path, cause: error.error }),
+        })
+        .collect()
+}
+
+/// Writes one file, whole or not at all, as its content comes.
+///
+/// # Errors
+/// [`Error::Write`].
+pub fn write_streamed(
+    path: &Path,
+    content: impl FnOnce(&mut dyn std::io::Write) -> std::io::Result<()>,
+) -> Result<()> {
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(TEMPORARY_PREFIX);
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let file = builder.tempfile_in(folder).map_err(failed(path))?;
+    let mut out = std::io::BufWriter::new(file);
+    content(&mut out).map_err(failed(path))?;
+    let file = out.into_inner().map_err(|error| failed(path)(error.into_error()))?;
+    file.as_file().sync_data().map_err(failed(path))?;
+    file.persist(path).map(drop).map_err(|error| failed(path)(error.error))
+}
+
+/// Removes what killed writers of this tag left in a folder and the folders in it; an empty tag means all.
+///
+/// # Errors
+/// [`Error::Write`] or [`Error::Read`].
+pub fn remove_temporary(folder: &Path, tag: &str) -> Result<()> {
+    let prefix = format!("{TEMPORARY_PREFIX}{tag}");
+    for name in names(folder)? {
+        let path = folder.join(&name);
+        if name.starts_with(&prefix) {
+            remove(&path)?;
+        } else if path.is_dir() && !path.is_symlink() {
+            remove_temporary(&path, tag)?;
+        }
+    }
+    Ok(())
+}
+
+/// Removes a file; one that is gone already is no error.
+///
+/// # Errors
+/// [`Error::Write`].
+pub fn remove(path: &Path) -> Result<()> {
+    match std::fs::remove_file(path) {
+        Err(cause) if cause.kind() != std::io::ErrorKind::NotFound => Err(failed(path)(cause)),
+        _ => Ok(()),
+    }
+}
+
+/// A text file that grows by lines. What a killed process left without a line's end is cut off when it is opened.
+#[derive(Debug)]
+pub struct LineFile {
+    file: File,
+    path: PathBuf,
+}
+
+impl LineFile {
+    /// Opens it, or makes it.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn open(path: &Path) -> Result<Self> {
+        let open = || {
+            let mut file =
+                OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path)?;
+            let mut content = Vec::new();
+            file.read_to_end(&mut content)?;
+            let whole = content.iter().rposition(|byte| *byte == b'\n').map_or(0, |last| last + 1);
+            file.set_len(whole as u64)?;
+            file.seek(SeekFrom::End(0))?;
+            Ok(file)
+        };
+        Ok(Self { file: open().map_err(failed(path))?, path: path.to_owned() })
+    }
+
+    /// Adds a line, in one write.
+    ///
+    /// # Errors
+    /// [`Error::Write`]; then nothing of the line is in the file.
+    pub fn append(&mut self, line: &str) -> Result<()> {
+        let before = self.file.stream_position().map_err(failed(&self.path))?;
+        let written = self.file.write_all(format!("{line}\n").as_bytes());
+        written.map_err(|cause| {
+            // A full disk may have taken a part of it.
+            let _ = self.file.set_len(before).and_then(|()| self.file.seek(SeekFrom::Start(before)));
+            failed(&self.path)(cause)
+        })
+    }
+
+    /// Waits until the disk has it all.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn sync(&self) -> Result<()> {
+        self.file.sync_data().map_err(failed(&self.path))
+    }
+}
+
+/// A lock on a file that holds as long as it lives; the system takes it back from a killed process.
+#[derive(Debug)]
+pub struct Lock(#[expect(dead_code, reason = "the open file is the lock")] File);
+
+impl Lock {
+    /// Takes the lock, or gives `None` if another process has it. Where the file system knows no locks, there is none
+    /// to wait for.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn try_take(path: &Path) -> Result<Option<Self>> {
+        let file = Self::open(path)?;
+        match file.try_lock() {
+            Err(TryLockError::WouldBlock) => Ok(None),
+            Ok(()) | Err(TryLockError::Error(_)) => Ok(Some(Self(file))),
+        }
+    }
+
+    /// Waits for the lock.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn take(path: &Path) -> Result<Self> {
+        let file = Self::open(path)?;
+        let _ = file.lock();
+        Ok(Self(file))
+    }
+
+    fn open(path: &Path) -> Result<File> {
+        let opened = OpenOptions::new().write(true).create(true).truncate(false).open(path);
+        opened.map_err(failed(path))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_are_whole_or_absent() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let out = folder.path().join("deep/out");
+        let artifact = |name: &str| Artifact { name: name.to_owned(), bytes: vec![1, 2, 3] };
+        let paths = write_all(&out, &[artifact("a"), artifact("b")]).expect("written");
+        assert_eq!(std::fs::read(&paths[1]).expect("read"), [1, 2, 3]);
+        std::fs::create_dir(out.join("c")).expect("a folder in the way");
+        let error = write_all(&out, &[artifact("d"), artifact("c")]).expect_err("c is a folder");
+        assert!(matches!(error, Error::Write { .. }));
+        let mut left: Vec<_> =
+            std::fs::read_dir(&out).expect("read").map(|e| e.expect("an entry").file_name()).collect();
+        left.sort();
+        assert_eq!(left, ["a", "b", "c"], "neither d nor a temporary file");
+    }
+
+    #[test]
+    fn a_folder_with_other_content_is_refused() {
+        let folder = tempfile::tempdir().expect("a folder");
+        assert!(check_folder(folder.path(), 0, false).is_ok());
+        std::fs::write(folder.path().join("rgb_0000.png"), "old").expect("written");
+        assert!(check_folder(folder.path(), 0, false).is_ok(), "an earlier frame may be replaced");
+        std::fs::write(folder.path().join("thesis.tex"), "years of work").expect("written");
+        let error = check_folder(folder.path(), 0, false).expect_err("other content");
+        assert!(error.to_string().contains("thesis.tex") && error.exit_status() == 2);
+        assert!(check_folder(folder.path(), 0, true).is_ok());
+        assert!(matches!(check_folder(&folder.path().join("thesis.tex"), 0, true), Err(Error::OutIsFile(_))));
+    }
+
+    #[test]
+    fn lines_survive_a_torn_end() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("lines");
+        let mut file = LineFile::open(&path).expect("made");
+        file.append("one").expect("written");
+        std::fs::write(&path, "one\ntwo\nthr").expect("torn");
+        let mut file = LineFile::open(&path).expect("opened");
+        file.append("three").expect("written");
+        assert_eq!(std::fs::read_to_string(&path).expect("read"), "one\ntwo\nthree\n");
+    }
+
+    #[test]
+    fn a_lock_is_one_process_s_and_ends_with_it() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("lock");
+        let held = Lock::try_take(&path).expect("a file").expect("free");
+        assert!(Lock::try_take(&path).expect("a file").is_none(), "taken");
+        drop(held);
+        assert!(Lock::try_take(&path).expect("a file").is_some(), "free again");
+    }
+
+    #[test]
+    fn leftovers_go_and_nothing_else() {
+        let folder = tempfile::tempdir().expect("a folder");
+        write_all(folder.path(), &[Artifact { name: "a/b/c.txt".to_owned(), bytes: vec![7] }])
+            .expect("written");
+        for name in [".writing-x", "a/b/.writing-y", ".writing-1of2-z"] {
+            std::fs::write(folder.path().join(name), "half").expect("written");
+        }
+        remove_temporary(folder.path(), "1of2-").expect("removed");
+        assert_eq!(names(folder.path()).expect("read"), [".writing-x", "a"]);
+        remove_temporary(folder.path(), "").expect("removed");
+        assert_eq!(names(folder.path()).expect("read"), ["a"]);
+        assert_eq!(names(&folder.path().join("a/b")).expect("read"), ["c.txt"]);
+    }
+}
