@@ -51,7 +51,7 @@ pub(crate) struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Make a labelled dataset: thousands of randomised frames, checked, resumable, reproducible by number
-    Dataset(dataset::DatasetArgs),
+    Dataset(Box<dataset::DatasetArgs>),
     /// List every knob with its unit, default and allowed range, as TOML that --config reads
     Params(stage::ParamsArgs),
     /// List the GPUs and CPU drivers that can be used, best first
@@ -211,7 +211,7 @@ mod tests {
         for (name, _) in sampler::presets() {
             assert!(help.contains(name), "preset {name}");
         }
-        for output in &output::OUTPUTS {
+        for output in &regolith::output::OUTPUTS {
             assert!(help.contains(output.name), "output {}", output.name);
         }
     }
