@@ -62,6 +62,15 @@ pub enum Distribution {
         /// Above 1 for more small values.
         exponent: f64,
     },
+    /// A power (uniform for an exponent of 1) whose ends are drawn themselves, once a frame.
+    Between {
+        /// Value for u = 0.
+        low: Box<Self>,
+        /// Value for u = 1.
+        high: Box<Self>,
+        /// Above 1 for more small values.
+        exponent: f64,
+    },
     /// One of several values.
     Choice {
         /// The values.
@@ -78,11 +87,28 @@ impl Distribution {
         Self::Fixed(Value::Number(value))
     }
 
+    /// The distribution of one frame: random ends are drawn, lower then upper; one without them is as it is.
+    #[must_use]
+    pub fn with_ends(&self, stream: &mut Stream) -> Self {
+        let Self::Between { low, high, exponent } = self else { return self.clone() };
+        let mut end = |from: &Self| match from.sample(stream) {
+            Value::Number(value) => value,
+            Value::Rgb(_) | Value::Text(_) => f64::NAN,
+        };
+        let (low, high) = (end(low), end(high));
+        if *exponent == 1.0 {
+            Self::Uniform { low, high }
+        } else {
+            Self::Power { low, high, exponent: *exponent }
+        }
+    }
+
     /// Draws a value.
     #[must_use]
     pub fn sample(&self, stream: &mut Stream) -> Value {
         let number = match *self {
             Self::Fixed(ref value) => return value.clone(),
+            Self::Between { .. } => return self.with_ends(stream).sample(stream),
             Self::Choice { ref values, ref weights } => {
                 let mut left = stream.unit() * weights.iter().sum::<f64>();
                 let chosen = weights.iter().position(|weight| {
@@ -110,6 +136,7 @@ impl Distribution {
         match *self {
             Self::Fixed(ref value) => vec![value.clone()],
             Self::Choice { ref values, .. } => values.clone(),
+            Self::Between { ref low, ref high, .. } => [low.bounds(), high.bounds()].concat(),
             Self::Normal { clip: [low, high], .. }
             | Self::Uniform { low, high }
             | Self::UniformInt { low, high }
@@ -148,6 +175,12 @@ impl Distribution {
         if kind == "choice" {
             return Self::choice(table);
         }
+        if matches!(kind, "uniform" | "power")
+            && let Some([low, high]) = table[kind].as_array().map(Vec::as_slice)
+            && (low.is_table() || high.is_table())
+        {
+            return Self::between(low, high, table.get("exponent"), range);
+        }
         let [low, high] = pair(&table[kind]).ok_or_else(|| format!("two finite numbers, {kind} = [a, b]"))?;
         let ordered =
             |condition: bool, rule: &str| if condition { Ok(()) } else { Err(format!("{kind} with {rule}")) };
@@ -183,6 +216,30 @@ impl Distribution {
         }
     }
 
+    fn between(
+        low: &toml::Value,
+        high: &toml::Value,
+        exponent: Option<&toml::Value>,
+        range: [f64; 2],
+    ) -> Result<Self, String> {
+        let [low, high] = [Self::from_toml(low, range)?, Self::from_toml(high, range)?];
+        let numbers = |end: &Self| -> Result<Vec<f64>, String> {
+            let bounds = end.bounds().into_iter().map(|bound| match bound {
+                Value::Number(value) => Ok(value),
+                Value::Rgb(_) | Value::Text(_) => Err("ends that are numbers or distributions of them".to_owned()),
+            });
+            bounds.collect()
+        };
+        let lowest = numbers(&low)?.into_iter().fold(f64::NEG_INFINITY, f64::max);
+        let highest = numbers(&high)?.into_iter().fold(f64::INFINITY, f64::min);
+        if lowest > highest {
+            return Err(format!("a lower end ({lowest} at most) that is never above the upper ({highest} at least)"));
+        }
+        let exponent = exponent.map_or(Some(1.0), number).filter(|exponent| *exponent > 0.0);
+        let exponent = exponent.ok_or("an exponent above 0")?;
+        Ok(Self::Between { low: Box::new(low), high: Box::new(high), exponent })
+    }
+
     fn choice(table: &toml::Table) -> Result<Self, String> {
         let list = table["choice"]
             .as_array()
@@ -213,6 +270,12 @@ impl Distribution {
             Self::LogUniform { low, high } => json!({ "log_uniform": [low, high] }),
             Self::Normal { mean, sigma, clip } => json!({ "normal": [mean, sigma], "clip": clip }),
             Self::Power { low, high, exponent } => json!({ "power": [low, high], "exponent": exponent }),
+            Self::Between { low, high, exponent } if *exponent == 1.0 => {
+                json!({ "uniform": [low.to_json(whole), high.to_json(whole)] })
+            }
+            Self::Between { low, high, exponent } => {
+                json!({ "power": [low.to_json(whole), high.to_json(whole)], "exponent": exponent })
+            }
             Self::Choice { values, weights } => {
                 let values: Vec<_> = values.iter().map(|value| value.to_json(whole)).collect();
                 json!({ "choice": values, "weights": weights })
@@ -295,6 +358,12 @@ impl fmt::Display for Distribution {
                 let (mean, sigma) = (Plain(*mean), Plain(*sigma));
                 write!(f, "{{ normal = [{mean}, {sigma}], clip = [{low}, {high}] }}")
             }
+            Self::Between { low, high, exponent } if *exponent == 1.0 => {
+                write!(f, "{{ uniform = [{low}, {high}] }}")
+            }
+            Self::Between { low, high, exponent } => {
+                write!(f, "{{ power = [{low}, {high}], exponent = {} }}", Plain(*exponent))
+            }
             Self::Power { low, high, exponent } => {
                 write!(f, "{{ power = [{low}, {high}], exponent = {} }}", Plain(*exponent))
             }
@@ -333,6 +402,8 @@ mod tests {
             "{ choice = [\"a\", \"b\"], weights = [1, 3] }",
             "{ choice = [1, 2], weights = [1e300, 0.5] }",
             "{ normal = [-1e20, 1.5e20], clip = [1, 2] }",
+            "{ power = [{ uniform = [0.04, 0.08] }, { uniform = [0.1, 0.2] }], exponent = 1.6 }",
+            "{ uniform = [1, { uniform = [2, 3] }] }",
         ] {
             assert_eq!(parse(text).expect(text).to_string(), text);
         }
@@ -349,6 +420,8 @@ mod tests {
             ("inf", "finite"),
             ("{ uniform = [2, 1] }", "a <= b"),
             ("{ uniform = [1] }", "two finite numbers"),
+            ("{ uniform = [{ uniform = [1, 5] }, 3] }", "never above the upper"),
+            ("{ uniform = [{ choice = ['a'] }, 3] }", "ends that are numbers"),
             ("{ uniform_int = [1.5, 2] }", "whole"),
             ("{ log_uniform = [0, 1] }", "0 < a"),
             ("{ normal = [0, -1] }", "sigma"),
@@ -365,6 +438,23 @@ mod tests {
             let message = parse(text).expect_err(text);
             assert!(message.contains(expected), "{text}: {message}");
         }
+    }
+
+    #[test]
+    fn random_ends_are_drawn_once_and_then_hold() {
+        let from = parse("{ power = [{ uniform = [1, 2] }, { uniform = [3, 4] }], exponent = 2 }").expect("read");
+        let mut lows = Vec::new();
+        for seed in 0..50 {
+            let Distribution::Power { low, high, exponent } =
+                from.with_ends(&mut Streams::new(seed).stream("test", u64::MAX))
+            else {
+                panic!("a power with fixed ends");
+            };
+            assert!((1.0..2.0).contains(&low) && (3.0..4.0).contains(&high) && exponent == 2.0);
+            lows.push(low);
+        }
+        lows.sort_by(f64::total_cmp);
+        assert!(lows[0] < 1.2 && lows[49] > 1.8, "{lows:?}");
     }
 
     #[test]
