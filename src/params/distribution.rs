@@ -226,14 +226,18 @@ impl Distribution {
         let numbers = |end: &Self| -> Result<Vec<f64>, String> {
             let bounds = end.bounds().into_iter().map(|bound| match bound {
                 Value::Number(value) => Ok(value),
-                Value::Rgb(_) | Value::Text(_) => Err("ends that are numbers or distributions of them".to_owned()),
+                Value::Rgb(_) | Value::Text(_) => {
+                    Err("ends that are numbers or distributions of them".to_owned())
+                }
             });
             bounds.collect()
         };
         let lowest = numbers(&low)?.into_iter().fold(f64::NEG_INFINITY, f64::max);
         let highest = numbers(&high)?.into_iter().fold(f64::INFINITY, f64::min);
         if lowest > highest {
-            return Err(format!("a lower end ({lowest} at most) that is never above the upper ({highest} at least)"));
+            return Err(format!(
+                "a lower end ({lowest} at most) that is never above the upper ({highest} at least)"
+            ));
         }
         let exponent = exponent.map_or(Some(1.0), number).filter(|exponent| *exponent > 0.0);
         let exponent = exponent.ok_or("an exponent above 0")?;
@@ -442,7 +446,8 @@ mod tests {
 
     #[test]
     fn random_ends_are_drawn_once_and_then_hold() {
-        let from = parse("{ power = [{ uniform = [1, 2] }, { uniform = [3, 4] }], exponent = 2 }").expect("read");
+        let from =
+            parse("{ power = [{ uniform = [1, 2] }, { uniform = [3, 4] }], exponent = 2 }").expect("read");
         let mut lows = Vec::new();
         for seed in 0..50 {
             let Distribution::Power { low, high, exponent } =

@@ -5,6 +5,7 @@
 mod architecture;
 mod cli;
 mod closed_form;
+mod dataset;
 mod determinism;
 mod export;
 mod golden;

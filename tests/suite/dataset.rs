@@ -1,0 +1,415 @@
+//! Datasets: reproducible by number, whatever happens to the run; rules, shards, splits.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use regolith::params::Knob;
+use regolith::params::sampler::Config;
+use regolith::scene::Scene;
+use serde_json::{Map, Value};
+
+use crate::support::{folder, json, program, run, run_ok};
+
+/// Small frames of a small scene.
+const SMALL: [&str; 9] = [
+    "--size",
+    "48",
+    "--samples",
+    "1",
+    "--set=terrain.cells=40",
+    "--set=rocks.count=14",
+    "--set=sun.elevation_deg={uniform=[5,40]}",
+    "--set=camera.exposure_ev=-1",
+    "--set=sky.star_count=20",
+];
+
+fn dataset<'a>(out: &'a str, words: &[&'a str]) -> Vec<&'a str> {
+    [&["dataset", "--out", out], SMALL.as_slice(), words].concat()
+}
+
+/// Every file below a folder; of `frames.jsonl` all but the milliseconds.
+fn content(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    fn collect(root: &Path, folder: &Path, files: &mut BTreeMap<String, Vec<u8>>) {
+        for entry in std::fs::read_dir(folder).expect("a folder") {
+            let path = entry.expect("an entry").path();
+            if path.is_dir() {
+                collect(root, &path, files);
+            } else {
+                let name = path.strip_prefix(root).expect("below").display().to_string();
+                files.insert(name, std::fs::read(&path).expect("read"));
+            }
+        }
+    }
+    let mut files = BTreeMap::new();
+    collect(folder, folder, &mut files);
+    if files.contains_key("frames.jsonl") {
+        let mut lines = lines(folder);
+        lines.iter_mut().for_each(|line| drop(line.remove("ms")));
+        files.insert("frames.jsonl".to_owned(), format!("{lines:?}").into_bytes());
+    }
+    files
+}
+
+fn lines(folder: &Path) -> Vec<Map<String, Value>> {
+    let text = std::fs::read_to_string(folder.join("frames.jsonl")).expect("frames.jsonl");
+    text.lines().map(|line| serde_json::from_str(line).expect("a line of JSON")).collect()
+}
+
+#[track_caller]
+fn assert_same(a: &Path, b: &Path) {
+    let (a, b) = (content(a), content(b));
+    assert_eq!(a.keys().collect::<Vec<_>>(), b.keys().collect::<Vec<_>>());
+    for (name, bytes) in &a {
+        assert!(*bytes == b[name], "{name} differs");
+    }
+}
+
+#[test]
+fn a_dataset_has_its_layout_and_each_frame_can_be_made_alone() {
+    let folder = folder();
+    run_ok(folder.path(), &dataset("data", &["--count", "27", "--outputs", "all", "-q"]));
+    let data = folder.path().join("data");
+    let files = content(&data);
+    for name in [
+        "rgb/rgb_00000.png",
+        "mask/mask_00026.png",
+        "preview/preview_00025.png",
+        "depth/distance_to_image_plane_00003.npy",
+        "instances/instance_segmentation_mapping_00026.json",
+        "meta/frame_00001.json",
+        "hdr/hdr_00001.exr",
+        "contact_sheet.png",
+        "histograms.svg",
+        "README.md",
+        "semantic_segmentation_labels.json",
+    ] {
+        assert!(files.contains_key(name), "{name} is missing");
+    }
+    assert_eq!(files.keys().filter(|name| name.starts_with("preview/")).count(), 2);
+    assert!(!files.keys().any(|name| name.contains("/.") || name.starts_with('.')), "{:?}", files.keys());
+    let manifest = json(&data.join("manifest.json"));
+    assert_eq!((&manifest["status"], &manifest["n_completed"]), (&"done".into(), &27.into()));
+    assert_eq!(manifest["class_map"]["rock"], 1);
+    assert_eq!(manifest["ignore_index"], 255);
+    assert_eq!(manifest["config"]["sun.elevation_deg"]["uniform"][1], 40.0);
+
+    let lines = lines(&data);
+    assert!((0..).zip(&lines).all(|(index, line)| line["index"] == index));
+    let line = &lines[17];
+    let (seed, exposure) = (line["seed"].to_string(), line["knobs"]["camera.exposure_ev"].as_f64());
+    assert_eq!(exposure, Some(-1.0));
+    let alone = [&["--seed", &seed, "--out", "alone", "--outputs", "all"], SMALL.as_slice()].concat();
+    run_ok(folder.path(), &alone);
+    let alone = content(&folder.path().join("alone"));
+    for (in_dataset, by_itself) in [
+        ("rgb/rgb_00017.png", "rgb_0000.png"),
+        ("mask/mask_00017.png", "semantic_segmentation_0000.png"),
+        ("normals/normals_00017.npy", "normals_0000.npy"),
+    ] {
+        assert!(files[in_dataset] == alone[by_itself], "{in_dataset} is not what its seed gives");
+    }
+    let record: Value = serde_json::from_slice(&alone["frame_0000.json"]).expect("JSON");
+    for key in ["knobs", "camera", "sun", "coverage", "rgb", "geometry_hash"] {
+        assert_eq!(record[key], line[key], "{key}");
+    }
+    for (path, hash) in line["hashes"].as_object().expect("hashes") {
+        assert_eq!(*hash, regolith::output::disk::content_hash(&files[path]), "{path}");
+    }
+}
+
+#[test]
+fn killed_at_any_moment_it_ends_with_the_same_bytes() {
+    let folder = folder();
+    let words = |out| dataset(out, &["--count", "60", "--preset", "train_dr", "-q"]);
+    run_ok(folder.path(), &words("whole"));
+    for wait_ms in [150, 500, 700, 900] {
+        let mut child = program(folder.path()).args(words("killed")).spawn().expect("started");
+        std::thread::sleep(Duration::from_millis(wait_ms));
+        child.kill().expect("killed");
+        let _ = child.wait();
+    }
+    let killed = folder.path().join("killed");
+    // What a power failure may do besides: a torn line, and a frame whose file is gone.
+    let there = lines_that_parse(&killed);
+    assert!(there < 60, "nothing was left to do");
+    use std::io::Write as _;
+    let mut journal =
+        std::fs::OpenOptions::new().append(true).open(killed.join("frames.jsonl")).expect("open");
+    journal.write_all(b"{\"index\": 3, \"seed").expect("torn");
+    let _ = std::fs::remove_file(killed.join("mask/mask_00002.png"));
+    run_ok(folder.path(), &words("killed"));
+    assert_same(&folder.path().join("whole"), &killed);
+}
+
+fn lines_that_parse(folder: &Path) -> usize {
+    let text = std::fs::read_to_string(folder.join("frames.jsonl")).unwrap_or_default();
+    text.lines().filter(|line| serde_json::from_str::<Value>(line).is_ok()).count()
+}
+
+#[test]
+fn ctrl_c_finishes_what_is_in_flight_and_says_how_to_go_on() {
+    let folder = folder();
+    let words = dataset("data", &["--count", "400"]);
+    let child = program(folder.path()).args(&words).stderr(Stdio::piped()).stdout(Stdio::piped()).spawn();
+    let child = child.expect("started");
+    std::thread::sleep(Duration::from_millis(1500));
+    let signal = Command::new("kill").args(["-INT", &child.id().to_string()]).status().expect("kill");
+    assert!(signal.success());
+    let output = child.wait_with_output().expect("ended");
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(message.contains("of 400 frames are finished") && message.contains("same command"), "{message}");
+    let data = folder.path().join("data");
+    assert_eq!(json(&data.join("manifest.json"))["status"], "stopped");
+    let lines = lines(&data);
+    let pictures = std::fs::read_dir(data.join("rgb")).expect("pictures").count();
+    assert!(!lines.is_empty() && lines.len() == pictures, "{} lines, {pictures} pictures", lines.len());
+    assert_eq!(json(&data.join("manifest.json"))["n_completed"], lines.len());
+}
+
+#[test]
+fn shards_in_one_folder_or_copied_into_one_are_the_whole() {
+    let folder = folder();
+    run_ok(folder.path(), &dataset("whole", &["--count", "10", "-q"]));
+    let words = |out, shard| dataset(out, &["--count", "10", "-q", "--shard", shard]);
+    let mut together: Vec<_> = ["0/3", "1/3", "2/3"]
+        .map(|shard| {
+            program(folder.path())
+                .args(words("together", shard))
+                .stdout(Stdio::null())
+                .spawn()
+                .expect("started")
+        })
+        .into();
+    for child in &mut together {
+        assert!(child.wait().expect("ended").success());
+    }
+    assert_same(&folder.path().join("whole"), &folder.path().join("together"));
+
+    for (out, shard) in [("a", "0/2"), ("b", "1/2")] {
+        run_ok(folder.path(), &words(out, shard));
+        let manifest = json(&folder.path().join(out).join("manifest.json"));
+        assert_eq!(manifest["status"], "incomplete");
+        assert_eq!(lines(&folder.path().join(out)).len(), 5);
+    }
+    let refused = run(folder.path(), &["dataset", "--merge", "--out", "a"]);
+    let message = String::from_utf8_lossy(&refused.stderr);
+    assert!(refused.status.code() == Some(1) && message.contains("5 frames are missing"), "{message}");
+    let copied = Command::new("cp").args(["-r", "b/.", "a"]).current_dir(folder.path()).status().expect("cp");
+    assert!(copied.success());
+    run_ok(folder.path(), &["dataset", "--merge", "--out", "a"]);
+    assert_same(&folder.path().join("whole"), &folder.path().join("a"));
+}
+
+#[test]
+fn neither_threads_nor_order_nor_growth_change_a_byte() {
+    let folder = folder();
+    run_ok(folder.path(), &dataset("one", &["--count", "8", "--threads", "1", "-q"]));
+    let many = dataset("many", &["--count", "8", "--threads", "7", "-q"]);
+    let output = program(folder.path()).args(many).env("RAYON_NUM_THREADS", "3").output().expect("run");
+    assert!(output.status.success());
+    assert_same(&folder.path().join("one"), &folder.path().join("many"));
+    run_ok(folder.path(), &dataset("grown", &["--count", "3", "--start", "2", "-q"]));
+    run_ok(folder.path(), &dataset("grown", &["--count", "3", "--start", "5", "-q"]));
+    run_ok(folder.path(), &dataset("grown", &["--count", "8", "-q"]));
+    assert_same(&folder.path().join("one"), &folder.path().join("grown"));
+    let apart = run(folder.path(), &dataset("grown", &["--count", "1", "--start", "50", "-q"]));
+    assert!(String::from_utf8_lossy(&apart.stderr).contains("frames in between would be missing"));
+}
+
+#[test]
+fn a_folder_of_another_configuration_or_of_someone_else_is_refused() {
+    let folder = folder();
+    run_ok(folder.path(), &dataset("data", &["--count", "2", "-q"]));
+    let before = content(&folder.path().join("data"));
+    for (words, said) in [
+        (
+            vec!["--count", "2", "--set", "sun.elevation_deg=9"],
+            "sun.elevation_deg: there {\"uniform\":[5.0,40.0]}, now 9.0",
+        ),
+        (vec!["--count", "2", "--seed", "43"], "base_seed: there 42, now 43"),
+        (vec!["--count", "2", "--outputs", "rgb,mask,depth"], "outputs"),
+        (vec!["--count", "2", "--set", "rules.clipped_max=0.1"], "rules.clipped_max: there 0.5, now 0.1"),
+        (vec!["--count", "2", "--edges", "ignore:1", "--force"], "edges"),
+    ] {
+        let output = run(folder.path(), &dataset("data", &words));
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{message}");
+        assert!(message.contains("another configuration") && message.contains(said), "{words:?}: {message}");
+    }
+    assert_eq!(content(&folder.path().join("data")), before);
+
+    std::fs::create_dir(folder.path().join("thesis")).expect("made");
+    std::fs::write(folder.path().join("thesis/thesis.tex"), "years of work").expect("written");
+    let output = run(folder.path(), &dataset("thesis", &["--count", "1"]));
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(2) && message.contains("thesis.tex"), "{message}");
+    run_ok(folder.path(), &dataset("thesis", &["--count", "1", "--force", "-q"]));
+    assert!(folder.path().join("thesis/thesis.tex").exists());
+
+    for (words, said) in [
+        (vec!["--shard", "2/2", "--count", "1"], "I/N"),
+        (vec!["--count", "0"], "1 to 4294967296 frames"),
+        (vec!["--split", "train=2,train=3"], "stands twice"),
+        (vec!["--format", "cocoo", "--count", "1"], "unknown format"),
+        (vec![], "--count"),
+        (vec!["--count", "1", "--set", "rules.clipped=1"], "did you mean `rules.clipped_max`"),
+    ] {
+        let output = run(folder.path(), &dataset("new", &words));
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{words:?}: {message}");
+        assert!(message.contains(said), "{words:?}: {message}");
+        assert!(!folder.path().join("new").exists(), "{words:?}");
+    }
+}
+
+#[test]
+fn a_frame_that_breaks_a_rule_is_drawn_again_and_counted() {
+    let folder = folder();
+    let demand = "--set=require={rock=[0.03,1]}";
+    run_ok(folder.path(), &dataset("data", &["--count", "12", "-q", demand]));
+    let lines = lines(&folder.path().join("data"));
+    let attempts: Vec<u64> = lines.iter().map(|line| line["attempt"].as_u64().expect("a number")).collect();
+    let redrawn: u64 = attempts.iter().sum();
+    assert!(redrawn > 0, "a demand that every frame meets shows nothing");
+    for line in &lines {
+        assert!(line["coverage"]["rock"].as_f64() >= Some(0.03));
+        let rules = line.get("redrawn").and_then(Value::as_array).map_or(0, Vec::len);
+        assert_eq!(Some(rules as u64), line["attempt"].as_u64());
+    }
+    let manifest = json(&folder.path().join("data/manifest.json"));
+    assert_eq!(manifest["totals"]["redraws"]["require.rock"], redrawn);
+    let impossible = ["--count", "4", "--set=require={rock=[0.99,1]}", "--set=rules.attempts_max=3"];
+    let output = run(folder.path(), &dataset("never", &impossible));
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    for said in ["require.rock", "drawn 3 times", "wanted is 0.99 to 1"] {
+        assert!(message.contains(said), "{message}");
+    }
+}
+
+#[test]
+fn splits_share_no_scene_and_say_so() {
+    let folder = folder();
+    run_ok(folder.path(), &dataset("data", &["--split", "train=5,val=2,test=3", "-q"]));
+    let data = folder.path().join("data");
+    for (split, first, count) in [("train", 0, 5), ("val", 5, 2), ("test", 7, 3)] {
+        let masks = std::fs::read_dir(data.join(split).join("mask")).expect("masks").count();
+        assert_eq!(masks, count, "{split}");
+        assert!(data.join(format!("{split}/rgb/rgb_{first:05}.png")).is_file());
+    }
+    let manifest = json(&data.join("manifest.json"));
+    let mut end = None;
+    for split in ["train", "val", "test"] {
+        let seeds = &manifest["splits"][split]["seeds"];
+        let [low, high] = [0, 1].map(|i| seeds[i].as_u64().expect("a seed"));
+        assert!(low <= high && end.is_none_or(|end| end < low), "the ranges do not overlap");
+        end = Some(high);
+        for line in lines(&data).iter().filter(|line| line["split"] == split) {
+            assert!((low..=high).contains(&line["seed"].as_u64().expect("a seed")));
+        }
+    }
+    let hashes: Vec<Value> = lines(&data).iter().map(|line| line["geometry_hash"].clone()).collect();
+    let mut distinct: Vec<String> = hashes.iter().map(ToString::to_string).collect();
+    distinct.sort();
+    distinct.dedup();
+    assert_eq!(distinct.len(), 10);
+}
+
+#[test]
+fn paired_presets_have_the_same_layout_frame_by_frame() {
+    let draw = |preset: &str, seed| {
+        let mut config = Config::new();
+        config.apply_preset(preset).expect("a preset");
+        let params = config.draw(seed).expect("drawn");
+        (Scene::build(seed, &params).expect("a scene"), params)
+    };
+    for index in 0..3 {
+        let seed = regolith::dataset::plan::frame_seed(42, index, 0);
+        let ((varied, varied_params), (fixed, fixed_params)) =
+            (draw("train_dr", seed), draw("train_nodr", seed));
+        for knob in [Knob::CratersCount, Knob::RocksCount] {
+            assert_eq!(varied_params.count(knob), fixed_params.count(knob));
+        }
+        assert_eq!(varied.terrain.craters, fixed.terrain.craters);
+        for (a, b) in varied.rocks.iter().zip(&fixed.rocks).filter(|(a, b)| !a.moved && !b.moved) {
+            assert_eq!(a.centre.truncate(), b.centre.truncate(), "rock {}", a.index);
+            assert_eq!(a.vertices, b.vertices);
+        }
+        assert_ne!(varied.sun.direction, fixed.sun.direction);
+    }
+}
+
+#[test]
+fn a_full_disk_stops_with_a_message_and_the_run_goes_on_later() {
+    let folder = folder();
+    let words = |out| dataset(out, &["--count", "6", "-q"]);
+    run_ok(folder.path(), &words("whole"));
+    // Files of more than 2 KiB cannot be written: the pictures.
+    let limited = format!(
+        "trap '' XFSZ; ulimit -f 4; exec {} {}",
+        env!("CARGO_BIN_EXE_regolith-render"),
+        words("data").iter().map(|word| format!("'{word}'")).collect::<Vec<_>>().join(" ")
+    );
+    let output = Command::new("sh")
+        .args(["-c", &limited])
+        .current_dir(folder.path())
+        .env("WGPU_ADAPTER_NAME", "cpu")
+        .env("MESA_SHADER_CACHE_DISABLE", "true")
+        .output()
+        .expect("started");
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(message.contains("cannot write") && !message.contains("panicked"), "{message}");
+    let data = folder.path().join("data");
+    let half_written = content(&data).into_keys().filter(|name| name.contains(".writing-")).count();
+    assert_eq!(half_written, 0);
+    run_ok(folder.path(), &words("data"));
+    assert_same(&folder.path().join("whole"), &data);
+}
+
+#[test]
+fn a_lost_device_stops_with_a_message_and_the_run_goes_on_later() {
+    let folder = folder();
+    let words = dataset("data", &["--count", "3", "-q"]);
+    let output =
+        program(folder.path()).args(&words).env("REGOLITH_FAULT", "device-lost").output().expect("started");
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(message.contains("device was lost") && message.contains("again"), "{message}");
+    run_ok(folder.path(), &words);
+    assert_eq!(lines(&folder.path().join("data")).len(), 3);
+}
+
+#[test]
+fn a_second_run_of_the_same_shard_is_refused_while_the_first_writes() {
+    let folder = folder();
+    let words = dataset("data", &["--count", "300", "-q"]);
+    let mut first = program(folder.path()).args(&words).stdout(Stdio::null()).spawn().expect("started");
+    std::thread::sleep(Duration::from_millis(900));
+    let output = run(folder.path(), &words);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(message.contains("another run is writing"), "{message}");
+    first.kill().expect("killed");
+    let _ = first.wait();
+}
+
+#[test]
+fn a_dry_run_tells_the_knobs_and_writes_nothing() {
+    let folder = folder();
+    let text = run_ok(folder.path(), &dataset("data", &["--count", "3", "--dry-run"]));
+    assert!(
+        text.contains("sun.elevation_deg") && text.contains("camera.exposure_ev") && text.contains("in all")
+    );
+    let rows = run_ok(folder.path(), &dataset("data", &["--count", "3", "--dry-run", "--json"]));
+    let rows: Value = serde_json::from_str(&rows).expect("JSON");
+    assert_eq!(rows.as_array().map(Vec::len), Some(3));
+    assert!(!folder.path().join("data").exists());
+    run_ok(folder.path(), &dataset("data", &["--count", "3", "-q"]));
+    for (row, line) in rows.as_array().expect("rows").iter().zip(lines(&folder.path().join("data"))) {
+        assert_eq!((&row["seed"], &row["knobs"]), (&line["seed"], &line["knobs"]));
+    }
+}
