@@ -4,7 +4,9 @@
 
 mod dataset;
 mod frame;
+mod remap;
 mod stage;
+mod verify;
 
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -52,6 +54,10 @@ pub(crate) struct Cli {
 enum Command {
     /// Make a labelled dataset: thousands of randomised frames, checked, resumable, reproducible by number
     Dataset(Box<dataset::DatasetArgs>),
+    /// Check a dataset: files, hashes, masks, statistics, a sample rendered again; exit status 1 if anything is wrong
+    Verify(verify::VerifyArgs),
+    /// Turn masks of a Replicator pipeline into canonical ones, by the names in their label files
+    Remap(remap::RemapArgs),
     /// List every knob with its unit, default and allowed range, as TOML that --config reads
     Params(stage::ParamsArgs),
     /// List the GPUs and CPU drivers that can be used, best first
@@ -138,6 +144,8 @@ pub(crate) fn run() -> Result<()> {
     match cli.command {
         None => frame::run(&cli.frame),
         Some(Command::Dataset(args)) => dataset::run(&args),
+        Some(Command::Verify(args)) => verify::run(&args),
+        Some(Command::Remap(args)) => remap::run(&args),
         Some(Command::Params(args)) => stage::list_params(&args),
         Some(Command::Adapters { json }) => stage::list_adapters(json),
         Some(Command::Export(args)) => stage::export_stage(&args),

@@ -13,6 +13,7 @@ pub mod journal;
 pub mod plan;
 pub mod rules;
 pub mod summary;
+pub mod verify;
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};

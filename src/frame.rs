@@ -123,11 +123,19 @@ impl Frame {
     /// Mean, 99th percentile and maximum of the picture.
     #[must_use]
     pub fn rgb_statistics(&self) -> RgbStatistics {
+        RgbStatistics::of(&self.rgb)
+    }
+}
+
+impl RgbStatistics {
+    /// Of all values of a picture.
+    #[must_use]
+    pub fn of(rgb: &[u8]) -> Self {
         let mut histogram = [0_u64; 256];
-        for &value in &self.rgb {
+        for &value in rgb {
             histogram[usize::from(value)] += 1;
         }
-        let total = self.rgb.len() as u64;
+        let total = rgb.len() as u64;
         let sum: u64 = (0..).zip(histogram).map(|(value, count): (u64, u64)| value * count).sum();
         let quantile = |needed: u64| {
             let mut below = 0;
@@ -136,7 +144,7 @@ impl Frame {
                 below >= needed
             })
         };
-        RgbStatistics {
+        Self {
             mean: sum as f64 / total as f64,
             p99: quantile((total * 99).div_ceil(100)).unwrap_or(u8::MAX),
             max: quantile(total).unwrap_or(u8::MAX),

@@ -33,6 +33,7 @@ pub mod meta;
 pub mod output;
 pub mod params;
 pub mod random;
+pub mod remap;
 pub mod render;
 pub mod scene;
 

@@ -138,9 +138,23 @@ pub(super) fn meta_json(source: &Source<'_>) -> Result<Vec<u8>> {
 }
 
 fn png(frame: &Frame, bytes: &[u8], kind: ExtendedColorType, filter: FilterType) -> Result<Vec<u8>> {
+    encode_png([frame.width, frame.height], bytes, kind, filter)
+}
+
+/// A mask of these ids, one byte a pixel.
+pub(crate) fn ids_png(width: u32, height: u32, ids: &[u8]) -> Result<Vec<u8>> {
+    encode_png([width, height], ids, ExtendedColorType::L8, FilterType::Up)
+}
+
+fn encode_png(
+    [width, height]: [u32; 2],
+    bytes: &[u8],
+    kind: ExtendedColorType,
+    filter: FilterType,
+) -> Result<Vec<u8>> {
     let mut encoded = Vec::new();
     PngEncoder::new_with_quality(&mut encoded, CompressionType::Fast, filter)
-        .write_image(bytes, frame.width, frame.height, kind)
+        .write_image(bytes, width, height, kind)
         .map_err(|error| Error::Encode { name: String::new(), message: error.to_string() })?;
     Ok(encoded)
 }

@@ -153,6 +153,28 @@ impl Config {
         Ok(())
     }
 
+    /// Takes over knobs as [`Self::distributions_json`] or [`Params::to_json`] gives them.
+    ///
+    /// # Errors
+    /// As [`Self::apply_toml`].
+    pub fn apply_json(
+        &mut self,
+        knobs: &serde_json::Map<String, serde_json::Value>,
+        origin: &str,
+    ) -> Result<()> {
+        for (name, value) in knobs {
+            let info = KNOBS.iter().find(|info| info.name == name).ok_or_else(|| unknown(name, origin))?;
+            let value = toml::Value::try_from(value).map_err(|_| Error::KnobType {
+                name: name.clone(),
+                value: value.to_string(),
+                origin: origin.to_owned(),
+                expected: info.allowed(),
+            })?;
+            self.set_toml(info, &value, origin)?;
+        }
+        Ok(())
+    }
+
     /// Takes over one `key=value`.
     ///
     /// # Errors
@@ -362,6 +384,11 @@ mod tests {
             assert!(text.starts_with("# ") && preset != Config::new(), "{name}");
             assert!(preset_description(name).is_some_and(|line| line.len() > 20), "{name}");
         }
+        let mut from_json = Config::new();
+        let mut full = Config::new();
+        full.apply_preset("train_full").expect("a preset");
+        from_json.apply_json(&full.distributions_json(), "JSON").expect("read");
+        assert_eq!(from_json.settings, full.settings);
         assert_eq!(preset_description("train"), None);
         assert_eq!(Config::new().to_json().as_array().map(Vec::len), Some(KNOBS.len()));
     }

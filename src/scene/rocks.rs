@@ -224,26 +224,33 @@ impl Rock {
         self.centre = place.extend(z.min(ground_m - bottom_m - LEAST_BURIAL * extent_m));
     }
 
-    /// Distance from a point to the rock's surface, metres, 0 inside it; exact only where it is below `limit_m`.
+    /// Distance from a point to the rock, metres, 0 inside it; exact only where it is below `limit_m`.
     #[must_use]
     pub fn distance_to(&self, point: Vec3, limit_m: f32) -> f32 {
         let local = point - self.centre;
         if local.length() > self.radius_m + limit_m {
             return f32::INFINITY;
         }
-        let corners = |t: &[u32; 3]| t.map(|v| self.vertices[v as usize].position);
-        let triangles = self.triangles(self.level);
         // The surface is star-shaped around the centre, so the point is inside if the face that its direction
         // pierces lies beyond it.
-        let inside = triangles.iter().map(corners).any(|[a, b, c]| {
+        let inside = self.corners().any(|[a, b, c]| {
             let pierced =
                 a.cross(b).dot(local) >= 0.0 && b.cross(c).dot(local) >= 0.0 && c.cross(a).dot(local) >= 0.0;
             pierced && (b - a).cross(c - a).dot(local - a) <= 0.0
         });
-        if inside {
-            return 0.0;
-        }
-        triangles.iter().map(|t| distance_to_triangle(local, corners(t))).fold(f32::INFINITY, f32::min)
+        if inside { 0.0 } else { self.distance_to_surface(point) }
+    }
+
+    /// Distance from a point, inside or outside, to the rock's surface, metres.
+    #[must_use]
+    pub fn distance_to_surface(&self, point: Vec3) -> f32 {
+        let local = point - self.centre;
+        self.corners().map(|corners| distance_to_triangle(local, corners)).fold(f32::INFINITY, f32::min)
+    }
+
+    /// Corners of every authored triangle, metres from the centre.
+    fn corners(&self) -> impl Iterator<Item = [Vec3; 3]> {
+        self.triangles(self.level).iter().map(|t| t.map(|v| self.vertices[v as usize].position))
     }
 }
 

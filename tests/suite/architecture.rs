@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// Module and the modules of ours that it may use. A module may always use what is below its own folder.
-const MAY_USE: [(&str, &[&str]); 12] = [
+const MAY_USE: [(&str, &[&str]); 13] = [
     ("error", &[]),
     ("class", &[]),
     ("random", &[]),
@@ -14,6 +14,7 @@ const MAY_USE: [(&str, &[&str]); 12] = [
     ("gpu", &["error"]),
     ("render", &["scene", "gpu", "frame", "class", "error"]),
     ("output", &["frame", "class", "error"]),
+    ("remap", &["output", "class", "error"]),
     ("export", &["scene", "render", "output", "class", "error"]),
     ("meta", &["params", "scene", "render", "output", "frame", "class"]),
     ("dataset", &["params", "scene", "render", "output", "meta", "frame", "class", "error"]),

@@ -4,7 +4,7 @@ use glam::Vec3;
 use regolith::class::ClassId;
 use regolith::render::RenderSettings;
 
-use crate::support::{render, renderer, scene};
+use crate::support::{folder, render, renderer, run, run_ok, scene};
 
 fn assert_labelled(seed: u64, set: &[&str], samples: u32) {
     let frame = render(&scene(seed, set), 96, samples);
@@ -97,4 +97,28 @@ fn the_class_of_a_pixel_is_that_of_most_of_its_samples() {
         }
     }
     assert!(mixed > 100, "only {mixed} pixels had mixed votes");
+}
+
+#[test]
+fn raw_ids_of_a_replicator_pipeline_come_back_as_canonical_masks() {
+    let folder = folder();
+    let frame = ["--size", "96", "--samples", "1", "--outputs", "mask", "-q"];
+    run_ok(
+        folder.path(),
+        &[frame.as_slice(), &["--out", "raw/camera", "--label-ids", "replicator"]].concat(),
+    );
+    run_ok(folder.path(), &[frame.as_slice(), &["--out", "canonical"]].concat());
+    let summary = run_ok(folder.path(), &["remap", "raw", "--out", "remapped", "--json"]);
+    let summary: serde_json::Value = serde_json::from_str(&summary).expect("JSON");
+    assert_eq!((&summary["masks"], &summary["pixels"]["unlabelled"]), (&1.into(), &0.into()));
+    for name in ["semantic_segmentation_0000.png", "semantic_segmentation_labels_0000.json"] {
+        let read = |inner: &str| std::fs::read(folder.path().join(inner).join(name)).expect(name);
+        assert!(read("remapped/camera") == read("canonical"), "{name}");
+    }
+    std::fs::write(folder.path().join("raw/camera/semantic_segmentation_labels_0000.json"), "{}")
+        .expect("written");
+    let output = run(folder.path(), &["remap", "raw", "--out", "again"]);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(2) && message.contains("it is empty"), "{message}");
+    assert!(!folder.path().join("again").exists());
 }

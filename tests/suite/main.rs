@@ -13,3 +13,4 @@ mod labels;
 mod scene_statistics;
 mod support;
 mod truth;
+mod verify;

@@ -1,0 +1,75 @@
+//! Masks of other pipelines: `remap`.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use regolith::output::disk;
+use regolith::remap::{self, Remapped};
+use regolith::{Error, Result};
+use serde_json::json;
+
+use super::print;
+
+#[derive(Args, Debug)]
+pub(super) struct RemapArgs {
+    /// Folder with semantic_segmentation_N.png and semantic_segmentation_labels_N.json, or folders of them
+    folder: PathBuf,
+    /// Output folder, made if missing: the same names in the same places, with canonical ids
+    #[arg(long, value_name = "DIR", default_value = "out")]
+    out: PathBuf,
+    /// Allow writing into a folder that has other content
+    #[arg(long)]
+    force: bool,
+    /// Print the summary as JSON
+    #[arg(long)]
+    json: bool,
+    /// Say nothing but errors
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+pub(super) fn run(args: &RemapArgs) -> Result<()> {
+    let pairs = remap::find(&args.folder)?;
+    let same =
+        |a: &Path, b: &Path| a.canonicalize().ok().is_some_and(|a| b.canonicalize().is_ok_and(|b| a == b));
+    if same(&args.folder, &args.out) {
+        return Err(Error::Usage("--out is the folder of the masks themselves; give another".to_owned()));
+    }
+    disk::check_content(&args.out, args.force, |_| false)?;
+    let bar = if args.quiet { ProgressBar::hidden() } else { ProgressBar::new(pairs.len() as u64) };
+    let style = ProgressStyle::with_template("{bar:32} {pos}/{len} masks, {eta} left");
+    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+    let mut all = Remapped::default();
+    for pair in &pairs {
+        all.add(remap::remap(&args.folder, pair, &args.out)?);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    if args.json {
+        return print(&format!("{:#}\n", json!(all)));
+    }
+    print(&format!("{}\n", args.out.display()))?;
+    if !args.quiet {
+        tell(args, &all);
+    }
+    Ok(())
+}
+
+#[expect(clippy::print_stderr, reason = "messages to people go to stderr")]
+fn tell(args: &RemapArgs, all: &Remapped) {
+    let total: u64 = all.pixels.values().sum();
+    let shares: Vec<String> = all
+        .pixels
+        .iter()
+        .map(|(class, pixels)| format!("{class} {:.1} %", 100.0 * *pixels as f64 / total.max(1) as f64))
+        .collect();
+    eprintln!("{} masks in {}: {}", all.masks, args.out.display(), shares.join(", "));
+    if !all.unknown_names.is_empty() {
+        let names: Vec<&str> = all.unknown_names.iter().map(String::as_str).collect();
+        eprintln!("names that are no class became 255: {}", names.join(", "));
+    }
+    for mask in &all.empty_masks {
+        eprintln!("warning: {} has become nothing but 255: none of its ids is a class's", mask.display());
+    }
+}

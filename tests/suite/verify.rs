@@ -1,0 +1,165 @@
+//! `verify` finds whatever is wrong with a dataset, and nothing where all is well.
+
+use std::fs;
+use std::path::Path;
+
+use image::GrayImage;
+use regolith::output::disk::content_hash;
+use serde_json::Value;
+
+use crate::support::{folder, run, run_ok};
+
+fn make(folder: &Path) {
+    let words = ["dataset", "--out", "data", "--count", "6", "--size", "64", "--samples", "1", "-q"];
+    let scene =
+        ["--set=terrain.cells=60", "--set=rocks.count=20", "--preset=train_dr", "--outputs=rgb,mask,depth"];
+    run_ok(folder, &[words.as_slice(), &scene].concat());
+}
+
+/// Runs `verify` after a change; the names of the checks that find something, with all that is said.
+fn found_after(change: impl FnOnce(&Path)) -> (Vec<String>, String) {
+    let folder = folder();
+    make(folder.path());
+    change(&folder.path().join("data"));
+    let output = run(folder.path(), &["verify", "data", "--json", "--rerender", "3"]);
+    let report: Value = serde_json::from_slice(&output.stdout).expect("a report");
+    let problems = report["problems"].as_array().expect("problems");
+    let mut checks: Vec<String> =
+        problems.iter().map(|p| p["check"].as_str().expect("a name").to_owned()).collect();
+    checks.sort();
+    checks.dedup();
+    assert_eq!(output.status.code(), Some(i32::from(!checks.is_empty())), "{report:#}");
+    assert_eq!(report["good"], checks.is_empty());
+    (checks, report.to_string())
+}
+
+/// Rewrites `frames.jsonl` line by line.
+fn rewrite(data: &Path, change: impl Fn(usize, &mut Value)) {
+    let path = data.join("frames.jsonl");
+    let text = fs::read_to_string(&path).expect("read");
+    let lines = text.lines().enumerate().map(|(i, line)| {
+        let mut line: Value = serde_json::from_str(line).expect("JSON");
+        change(i, &mut line);
+        format!("{line}\n")
+    });
+    let changed: String = lines.collect();
+    fs::write(path, changed).expect("written");
+}
+
+/// Replaces a file and its recorded hash, as someone would who meant it.
+fn replace(data: &Path, frame: usize, name: &str, bytes: &[u8]) {
+    fs::write(data.join(name), bytes).expect("written");
+    rewrite(data, |i, line| {
+        if i == frame {
+            line["hashes"][name] = content_hash(bytes).into();
+        }
+    });
+}
+
+fn png(image: &GrayImage) -> Vec<u8> {
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    image.write_to(&mut bytes, image::ImageFormat::Png).expect("encoded");
+    bytes.into_inner()
+}
+
+fn mask(data: &Path, frame: usize) -> GrayImage {
+    image::open(data.join(format!("mask/mask_{frame:05}.png"))).expect("a mask").into_luma8()
+}
+
+#[test]
+fn a_whole_dataset_is_good_and_the_table_says_what_was_looked_at() {
+    let folder = folder();
+    make(folder.path());
+    let table = run_ok(folder.path(), &["verify", "data"]);
+    for (check, count) in [("files", "28"), ("masks", "24"), ("statistics", "6"), ("depth", "4")] {
+        let row = table.lines().find(|line| line.starts_with(check)).expect("a row");
+        assert_eq!(row.split_whitespace().nth(1), Some(count), "{table}");
+    }
+    let none = run(folder.path(), &["verify", "nowhere"]);
+    assert_eq!(none.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&none.stderr).contains("no manifest.json"));
+}
+
+#[test]
+fn flipped_missing_truncated_and_swapped_files_are_found() {
+    let (checks, _) = found_after(|data| {
+        let path = data.join("rgb/rgb_00001.png");
+        let mut bytes = fs::read(&path).expect("read");
+        let middle = bytes.len() / 2;
+        bytes[middle] ^= 1;
+        fs::write(path, bytes).expect("written");
+    });
+    assert!(checks.contains(&"hashes".to_owned()), "{checks:?}");
+    let (checks, said) =
+        found_after(|data| fs::remove_file(data.join("mask/mask_00002.png")).expect("removed"));
+    assert!(checks == ["files"] && said.contains("mask_00002.png"), "{said}");
+    let (checks, said) = found_after(|data| {
+        let path = data.join("mask/mask_00003.png");
+        let bytes = fs::read(&path).expect("read");
+        fs::write(path, &bytes[..bytes.len() / 2]).expect("written");
+    });
+    assert!(checks.contains(&"hashes".to_owned()) && checks.contains(&"pictures".to_owned()), "{said}");
+    let (checks, _) = found_after(|data| {
+        let [a, b] = [4, 5].map(|i| data.join(format!("mask/mask_{i:05}.png")));
+        let (first, second) = (fs::read(&a).expect("read"), fs::read(&b).expect("read"));
+        fs::write(a, second).expect("written");
+        fs::write(b, first).expect("written");
+    });
+    assert!(checks.contains(&"hashes".to_owned()) && checks.contains(&"masks".to_owned()), "{checks:?}");
+    let (checks, said) = found_after(|data| {
+        fs::copy(data.join("rgb/rgb_00000.png"), data.join("rgb/rgb_00099.png")).map(drop).expect("copied");
+    });
+    assert!(checks == ["files"] && said.contains("rgb_00099.png"), "{said}");
+}
+
+#[test]
+fn what_a_right_hash_cannot_hide_is_found() {
+    let (checks, said) = found_after(|data| {
+        let mut image = mask(data, 2);
+        image.put_pixel(3, 3, image::Luma([3]));
+        replace(data, 2, "mask/mask_00002.png", &png(&image));
+    });
+    assert!(checks.contains(&"masks".to_owned()) && said.contains("ids [3]"), "{said}");
+    // As many pixels of each class, in other places: only rendering tells.
+    let (checks, said) = found_after(|data| {
+        let image = image::imageops::flip_horizontal(&mask(data, 0));
+        replace(data, 0, "mask/mask_00000.png", &png(&image));
+    });
+    assert!(checks == ["rendering"] && said.contains("come out as another class"), "{said}");
+    let (checks, _) =
+        found_after(|data| replace(data, 1, "mask/mask_00001.png", &png(&GrayImage::new(32, 64))));
+    assert!(checks.contains(&"pictures".to_owned()), "{checks:?}");
+    let (checks, _) = found_after(|data| {
+        fs::write(data.join("semantic_segmentation_labels.json"), "{\"0\": {\"class\": \"rock\"}}")
+            .expect("written");
+    });
+    assert!(checks.contains(&"labels".to_owned()) && checks.contains(&"hashes".to_owned()), "{checks:?}");
+}
+
+#[test]
+fn wrong_books_and_a_wrong_camera_are_found() {
+    let (checks, _) = found_after(|data| {
+        rewrite(data, |i, line| {
+            if i == 3 {
+                line["index"] = 7.into()
+            }
+        })
+    });
+    assert!(checks.contains(&"books".to_owned()), "{checks:?}");
+    let (checks, _) = found_after(|data| {
+        rewrite(data, |i, line| {
+            if i == 3 {
+                line["seed"] = 7.into()
+            }
+        })
+    });
+    assert_eq!(checks, ["books"]);
+    let (checks, _) = found_after(|data| rewrite(data, |_, line| line["rgb"]["p99"] = 3.into()));
+    assert_eq!(checks, ["statistics"]);
+    let (checks, said) = found_after(|data| {
+        rewrite(data, |_, line| line["camera"]["world_from_camera"][2][3] = 40.0.into());
+    });
+    assert!(checks == ["depth"] && said.contains("off the surface"), "{said}");
+    let (checks, _) = found_after(|data| rewrite(data, |_, line| line["knobs"]["rocks.count"] = 3.into()));
+    assert!(checks.contains(&"rendering".to_owned()), "{checks:?}");
+}
