@@ -1,0 +1,47 @@
+"""A dataset on a Ray cluster: one shard a task, all into one folder that every node sees.
+
+    python ray_dataset.py --shards 16 --cpus 4 --gpus 1 -- --count 100000 --preset train_dr --out /shared/moon
+
+What stands after `--` goes to `regolith-render dataset`. A task that dies is started again and goes on where it
+stopped, and so does this script: run the same line again. The shard that ends last completes the folder.
+"""
+
+import argparse
+import subprocess
+
+import ray
+
+
+def render_shard(program: str, options: list[str], shard: int, shards: int) -> int:
+    """Makes one shard; raises what the program says if it fails."""
+    command = [program, "dataset", *options, "--shard", f"{shard}/{shards}", "--quiet"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode != 0:
+        raise RuntimeError(f"shard {shard}/{shards}: {done.stderr.strip()}")
+    return shard
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--shards", type=int, default=8, help="number of tasks")
+    parser.add_argument("--cpus", type=float, default=2, help="cores of a task")
+    parser.add_argument("--gpus", type=float, default=0, help="GPUs of a task")
+    parser.add_argument("--retries", type=int, default=3, help="how often a task is started again")
+    parser.add_argument("--address", default=None, help="the cluster; without it this machine alone")
+    parser.add_argument("--program", default="regolith-render")
+    parser.add_argument("options", nargs="+", help="options of `regolith-render dataset`, after --")
+    args = parser.parse_args()
+
+    ray.init(address=args.address)
+    task = ray.remote(num_cpus=args.cpus, num_gpus=args.gpus, max_retries=args.retries, retry_exceptions=True)(render_shard)
+    waiting = [task.remote(args.program, args.options, shard, args.shards) for shard in range(args.shards)]
+    finished = 0
+    while waiting:
+        done, waiting = ray.wait(waiting)
+        ray.get(done)
+        finished += len(done)
+        print(f"{finished} of {args.shards} shards", flush=True)
+
+
+if __name__ == "__main__":
+    main()
