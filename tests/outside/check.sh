@@ -29,7 +29,9 @@ if [ "$(cat "$venv/stamp" 2>/dev/null)" != "$stamp" ]; then
         # No wheel for this Python or this machine is an excuse; no network, no room on the disk are none.
         grep -q "No matching distribution found for bpy" "$log" && ! grep -q "Retrying (" "$log" \
             || fail "pip could not install Blender"
-        { "$python" --version; uname -sm; } | paste -sd' ' >"$venv/no-blender"
+        place="$("$python" --version) $(uname -sm)"
+        [[ $place != "Python 3.11."*" Linux x86_64" ]] || fail "there is a wheel of Blender for $place"
+        echo "$place" >"$venv/no-blender"
     fi
     echo "$stamp" >"$venv/stamp"
 fi
