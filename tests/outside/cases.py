@@ -1,0 +1,140 @@
+"""The scenes that are checked, their exports and their frames, all made by the release binary."""
+
+import json
+import os
+import re
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+BINARY = os.environ["REGOLITH_BINARY"]
+WORK = Path(os.environ["REGOLITH_OUTSIDE"])
+REGOLITH, ROCK, SKY = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class Case:
+    """A seed, its knobs, the size of the picture in pixels."""
+
+    name: str
+    seed: int
+    size: tuple[int, int]
+    knobs: tuple[str, ...] = ()
+
+    def words(self) -> list[str]:
+        """Arguments that frames and exports share."""
+        knobs = [word for knob in self.knobs for word in ("--set", knob)]
+        return ["--seed", str(self.seed), "--size", "{}x{}".format(*self.size), *knobs]
+
+
+CASES = [
+    Case("seed 42", 42, (256, 256)),
+    # The sun low in the camera's face, the camera low and wide, the picture not square.
+    Case(
+        "seed 7, extreme",
+        7,
+        (256, 192),
+        ("sun.elevation_deg=5", "sun.azimuth_deg=0", "camera.height_m=1.5", "camera.fov_deg=85"),
+    ),
+]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The planes of a frame (arrays H x W) and its record."""
+
+    record: dict[str, Any]
+    rgb: np.ndarray
+    classes: np.ndarray
+    instances: np.ndarray
+    depth_m: np.ndarray
+    normals: np.ndarray
+    hidden: np.ndarray
+
+    @property
+    def k(self) -> np.ndarray:
+        """Intrinsic matrix, pixels."""
+        return np.array(self.record["camera"]["K"])
+
+    @property
+    def pose(self) -> np.ndarray:
+        """World from camera, OpenCV axes, metres."""
+        return np.array(self.record["camera"]["world_from_camera"])
+
+    @property
+    def sun(self) -> np.ndarray:
+        """Unit vector towards the sun."""
+        return np.array(self.record["sun"]["direction"])
+
+
+@dataclass(frozen=True)
+class Soup:
+    """The triangles of an export as arrays; the yardstick for the other formats."""
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    instances: np.ndarray
+    arrays: dict[str, np.ndarray]
+
+    def part(self, instance: int) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices (metres, world) and triangles of a rock, or of the ground (0)."""
+        triangles = self.triangles[self.instances == instance].astype(np.int64)
+        first, last = triangles.min(), triangles.max()
+        return self.vertices[first : last + 1], triangles - first
+
+
+def run(*words: str) -> subprocess.CompletedProcess[str]:
+    """Runs the binary; its messages come along with what it did."""
+    return subprocess.run([BINARY, *words], capture_output=True, text=True, check=False)
+
+
+def formats() -> list[str]:
+    """Extensions that the binary exports to, as it lists them itself."""
+    refusal = run("export", "stage.unknown").stderr
+    return re.findall(r"\.([a-z0-9]+)", refusal.partition("there are")[2])
+
+
+def export(case: Case, extension: str, drawn: bool) -> Path:
+    """Writes the stage and gives its file."""
+    path = WORK / f"{case.seed}{'_drawn' if drawn else ''}.{extension}"
+    result = run("export", str(path), "--force", *case.words(), *(["--drawn"] if drawn else []))
+    if result.returncode:
+        raise RuntimeError(result.stderr.strip())
+    return path
+
+
+def render(case: Case, samples: int) -> Frame:
+    """Renders the frame with everything that can be written of it."""
+    folder = WORK / f"frame_{case.seed}_{samples}"
+    more = ["--samples", str(samples), "--outputs", "all", "--out", str(folder), "--force", "--quiet"]
+    result = run(*case.words(), *more)
+    if result.returncode:
+        raise RuntimeError(result.stderr.strip())
+
+    def picture(stem: str) -> np.ndarray:
+        return np.array(Image.open(folder / f"{stem}_0000.png"))
+
+    return Frame(
+        record=json.loads((folder / "frame_0000.json").read_text()),
+        rgb=picture("rgb"),
+        classes=picture("semantic_segmentation").astype(int),
+        instances=picture("instance_segmentation").astype(int),
+        depth_m=np.load(folder / "distance_to_image_plane_0000.npy").astype(float),
+        normals=np.load(folder / "normals_0000.npy").astype(float),
+        hidden=picture("shadow") / 255.0,
+    )
+
+
+def soup(path: Path) -> Soup:
+    """Reads an .npz export."""
+    arrays = dict(np.load(path))
+    return Soup(
+        vertices=arrays["vertices"].astype(float),
+        triangles=arrays["triangles"],
+        instances=arrays["triangle_instance"].astype(int),
+        arrays=arrays,
+    )

@@ -1,0 +1,59 @@
+"""What this renderer writes, in the hands of usd-core, trimesh, Embree and Blender. Run through check.sh."""
+
+import importlib.util
+import sys
+import time
+import traceback
+
+import blender
+import gltf_stage
+import pixels
+import usd_stage
+from cases import CASES, Case, export, formats, render, soup
+from report import Report
+
+USD_FORMATS = ("usda", "usdc")
+CHECKED_FORMATS = {"npz", "glb", *USD_FORMATS}
+
+
+def check_case(report: Report, number: int, case: Case) -> None:
+    """One scene: every format, as authored and as drawn, then its pixels."""
+    report.case = case.name
+    frame = render(case, samples=1)
+    usd = [extension for extension in USD_FORMATS if extension in formats()]
+    for drawn in (False, True):
+        arrays = soup(export(case, "npz", drawn))
+        for extension in usd:
+            usd_stage.check(export(case, extension, drawn), frame, arrays, report)
+        gltf_stage.check(export(case, "glb", drawn), frame, arrays, report)
+    # What a frame draws is what its pixels can be held against.
+    pixels.check(frame, arrays, report)
+    if importlib.util.find_spec("bpy"):
+        blender.check(export(case, usd[number % len(usd)], drawn=True), frame, report)
+
+
+def guarded(report: Report, number: int, case: Case) -> None:
+    """A scene whose check stumbles is a row that fails; the others still run."""
+    try:
+        check_case(report, number, case)
+    except Exception as error:  # whatever a reader of files throws
+        traceback.print_exc()
+        report.none("the check ran", [f"{type(error).__name__}: {error}"], "yes")
+
+
+def main() -> int:
+    """Exit status."""
+    start = time.monotonic()
+    report = Report(case="formats")
+    listed = formats()
+    report.none("formats listed, each with its check", sorted(set(listed) - CHECKED_FORMATS), " ".join(listed))
+    for number, case in enumerate(CASES):
+        guarded(report, number, case)
+    report.print()
+    failed = len(report.failed())
+    print(f"{len(report.rows) - failed} of {len(report.rows)} hold; {time.monotonic() - start:.0f} s")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

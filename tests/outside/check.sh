@@ -1,0 +1,46 @@
+#!/usr/bin/env bash
+# Exports and frames in the hands of other programs: sets up their virtual environment below target/, then runs
+# check.py (or the script that is named as first argument, with the arguments that follow).
+# Uses the binary that `cargo build --release` left; PYTHON names another interpreter than python3.11.
+set -euo pipefail
+here=$(cd "$(dirname "$0")" && pwd)
+root=$(cd "$here/../.." && pwd)
+target=${CARGO_TARGET_DIR:-$root/target}
+binary=$target/release/regolith-render
+venv=$target/outside/venv
+export PYTHONDONTWRITEBYTECODE=1 REGOLITH_BINARY=$binary REGOLITH_OUTSIDE=$target/outside
+
+fail() { echo "tests/outside: $*" >&2; exit 1; }
+
+[ -x "$binary" ] || fail "$binary is missing: cargo build --release"
+newer=$(find "$root/src" "$root/shaders" "$root/assets/presets" -newer "$binary" -type f | head -1)
+[ -z "$newer" ] || fail "$binary is older than $newer: cargo build --release"
+
+python=${PYTHON:-$(command -v python3.11 || command -v python3)} || fail "no python3"
+stamp=$(cat "$here"/requirements*.txt; "$python" --version)
+if [ "$(cat "$venv/stamp" 2>/dev/null)" != "$stamp" ]; then
+    mkdir -p "$target/outside"
+    "$python" -m venv --clear "$venv" || fail "no virtual environment (Debian, Ubuntu: apt-get install python3-venv)"
+    install="$venv/bin/pip install --quiet --no-compile --disable-pip-version-check"
+    $install -r "$here/requirements.txt" || fail "pip could not install requirements.txt"
+    log=$target/outside/blender.log
+    if ! $install -r "$here/requirements-blender.txt" 2>"$log"; then
+        cat "$log" >&2
+        # No wheel for this Python or this machine is an excuse; no network, no room on the disk are none.
+        grep -q "No matching distribution found for bpy" "$log" && ! grep -q "Retrying (" "$log" \
+            || fail "pip could not install Blender"
+        place="$("$python" --version) $(uname -sm)"
+        [[ $place != "Python 3.11."*" Linux x86_64" ]] || fail "there is a wheel of Blender for $place"
+        echo "$place" >"$venv/no-blender"
+    fi
+    echo "$stamp" >"$venv/stamp"
+fi
+
+status=0
+script=${1:-check.py}
+"$venv/bin/python" "$here/$script" "${@:2}" || status=$?
+if [ -e "$venv/no-blender" ]; then
+    echo "!!! BLENDER DID NOT RUN: PyPI has no $(grep ^bpy "$here/requirements-blender.txt") for" \
+        "$(cat "$venv/no-blender"); masks and shadows were not held against Cycles !!!" >&2
+fi
+exit $status

@@ -1,0 +1,47 @@
+"""trimesh reads the binary glTF: a node a rock with its labels, vertices where the arrays have them."""
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from cases import ROCK, Frame, Soup
+from report import Report
+
+
+def check(path: Path, frame: Frame, soup: Soup, report: Report) -> None:
+    """Everything that trimesh can tell of one file."""
+    scene = trimesh.load_scene(path, process=False)
+    z_up = np.linalg.inv(scene.graph.get("World")[0])
+    extras = {child: edge.get("metadata", {}) for (_, child), edge in scene.graph.transforms.edge_data.items()}
+    instances = [int(instance) for instance in np.unique(soup.instances)]
+    names = {instance: f"Rock_{instance - 1:03}" if instance else "Regolith" for instance in instances}
+    faults = sorted(set(scene.graph.nodes_geometry) ^ set(names.values()))
+    worst_m, count = 0.0, 0
+    for instance, name in names.items():
+        if name in faults:
+            continue
+        of_class = {"class": "rock", "class_id": ROCK} if instance else {"class": "regolith", "class_id": 0}
+        wanted = {**of_class, "instance_id": instance}
+        if {key: extras[name].get(key) for key in wanted} != wanted:
+            faults.append(f"{name} says {extras[name]}")
+        pose, geometry = scene.graph.get(name)
+        mesh = scene.geometry[geometry]
+        vertices, triangles = soup.part(instance)
+        count += len(mesh.faces)
+        if mesh.vertices.shape != vertices.shape or not np.array_equal(mesh.faces, triangles):
+            faults.append(f"{name} has other triangles")
+            continue
+        points = trimesh.transform_points(mesh.vertices, z_up @ pose)
+        worst_m = max(worst_m, np.abs(points - vertices).max())
+    report.none(f"{path.name}: nodes, extras, triangles as in .npz", faults, count)
+    report.at_most(f"{path.name}: vertices off those of .npz", worst_m, 1e-4, " m")
+    # trimesh hangs cameras at the root, so this is the pose below `World`.
+    camera = scene.graph.get("RoverCam")[0]
+    off = np.abs(camera - frame.record["camera"]["world_from_camera_gl"]).max()
+    report.at_most(f"{path.name}: camera's pose off the record", off, 1e-5)
+    # Of the angle across, trimesh makes a guess of its own.
+    down_deg = np.degrees(2 * np.arctan(frame.classes.shape[0] / 2 / frame.k[1, 1]))
+    report.at_most(f"{path.name}: angle of view off the record", abs(scene.camera.fov[1] - down_deg), 1e-4, " deg")
+    sun = (z_up @ scene.graph.get("Sun")[0])[:3, 2]
+    report.at_most(f"{path.name}: sun's direction off the record", np.abs(sun - frame.sun).max(), 1e-6)
