@@ -22,7 +22,7 @@ if [ "$(cat "$venv/stamp" 2>/dev/null)" != "$stamp" ]; then
     mkdir -p "$target/outside"
     "$python" -m venv --clear "$venv" || fail "no virtual environment (Debian, Ubuntu: apt-get install python3-venv)"
     install="$venv/bin/pip install --quiet --no-compile --disable-pip-version-check"
-    $install -r "$here/requirements.txt" || fail "pip could not install requirements.txt"
+    $install -r "$here/requirements.txt" -r "$here/requirements-recipes.txt" || fail "pip could not install what the checks need"
     log=$target/outside/blender.log
     if ! $install -r "$here/requirements-blender.txt" 2>"$log"; then
         cat "$log" >&2

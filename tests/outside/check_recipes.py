@@ -1,7 +1,7 @@
 """Runs the recipes of assets/recipes for real and holds what they make against a run without shards.
 
 Ray runs with two workers on this machine. Slurm and Kubernetes are stood in for by what they give a task: environment
-variables, a command line, tasks at the same time. Usage: check_recipes.py PROGRAM
+variables, a command line, tasks at the same time.
 """
 
 import json
@@ -89,7 +89,7 @@ def content(folder: Path) -> dict[str, object]:
 
 
 def main() -> None:
-    program = Path(sys.argv[1]).resolve()
+    program = Path(os.environ["REGOLITH_BINARY"])
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         whole = folder / "whole"
