@@ -96,15 +96,17 @@ pub(super) fn run(args: &DatasetArgs) -> Result<()> {
     }
     let stop = stop_on_signals()?;
     let encoders = args.threads.map_or_else(cores, usize::from);
-    let journal = Journal::open(&args.out, &plan, args.force)?;
-    let own = (plan.range.start..plan.range.end()).filter(|index| plan.shard.has(*index));
-    if own.clone().all(|index| journal.done().contains(&index)) {
-        drop(journal);
-        let settled = journal::settle(&args.out)?;
-        return report(args, None, &settled, 0.0);
+    let done = Journal::check(&args.out, &plan, args.force)?;
+    if (plan.range.start..plan.range.end())
+        .filter(|index| plan.shard.has(*index))
+        .all(|index| done.contains(&index))
+    {
+        return report(args, None, &journal::settle(&args.out)?, 0.0);
     }
     let start = Instant::now();
+    // Before the folder is made, so that a machine without an adapter leaves nothing.
     let gpu = Gpu::open(args.picture.adapter.as_deref())?;
+    let journal = Journal::open(&args.out, &plan, args.force)?;
     if !args.quiet {
         note(format_args!("rendering on {}", regolith::gpu::describe(&gpu.info)));
     }

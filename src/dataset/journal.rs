@@ -136,46 +136,61 @@ fn find_lines(folder: &Path) -> Result<(Vec<PathBuf>, BTreeMap<u64, LinePlace>)>
     Ok((books, places))
 }
 
+/// The frames of a plan and of the dataset that its folder holds, if that is the same dataset.
+fn hull_with(folder: &Path, plan: &Plan, force: bool) -> Result<Range> {
+    if folder.is_file() {
+        return Err(Error::OutIsFile(folder.to_owned()));
+    }
+    let identity = plan.identity();
+    let mut range = plan.range;
+    let manifests = if folder.exists() { books(folder, "manifest", "json")? } else { Vec::new() };
+    for path in &manifests {
+        let manifest = read_manifest(path)?;
+        let mut differences = differences(&manifest, &identity);
+        let there = range_of(&manifest);
+        if !plan.splits.is_empty() && there != plan.range {
+            differences.push(format!("  --split: there {} frames, now {}", there.count, plan.range.count));
+        }
+        if !differences.is_empty() {
+            return Err(Error::OtherDataset { path: folder.to_owned(), differences });
+        }
+        if there.start > range.end() || there.end() < range.start {
+            return Err(Error::Usage(format!(
+                "--start {} --count {}: the folder has frames {} to {}; frames in between would be missing. Choose a \
+                 range that adjoins, or another --out",
+                plan.range.start,
+                plan.range.count,
+                there.start,
+                there.end().saturating_sub(1)
+            )));
+        }
+        range = range.hull(there);
+    }
+    if manifests.is_empty() {
+        // A run that was stopped at its very beginning, or another shard at its own, has left no more than this.
+        let begun = |name: &str| name.starts_with(".lock") || is_book(name, "frames", "jsonl");
+        disk::check_content(folder, force, begun)?;
+    }
+    Ok(range)
+}
+
 impl Journal {
+    /// Whether a run may go on in a folder, and the frames that are there; writes nothing.
+    ///
+    /// # Errors
+    /// [`Error::OtherDataset`], [`Error::OutNotEmpty`], [`Error::OutIsFile`], [`Error::Usage`] for frames that would
+    /// leave a gap.
+    pub fn check(folder: &Path, plan: &Plan, force: bool) -> Result<BTreeSet<u64>> {
+        hull_with(folder, plan, force)?;
+        Ok(if folder.exists() { find_lines(folder)?.1.into_keys().collect() } else { BTreeSet::new() })
+    }
+
     /// Opens the books of a folder for a run, which goes on with what is there.
     ///
     /// # Errors
-    /// [`Error::OtherDataset`], [`Error::OutNotEmpty`], [`Error::OutIsFile`], [`Error::Busy`], [`Error::Write`].
+    /// Those of [`Self::check`], [`Error::Busy`], [`Error::Write`].
     pub fn open(folder: &Path, plan: &Plan, force: bool) -> Result<Self> {
-        if folder.is_file() {
-            return Err(Error::OutIsFile(folder.to_owned()));
-        }
-        let identity = plan.identity();
-        let mut range = plan.range;
-        let manifests = if folder.exists() { books(folder, "manifest", "json")? } else { Vec::new() };
-        for path in &manifests {
-            let manifest = read_manifest(path)?;
-            let mut differences = differences(&manifest, &identity);
-            let there = range_of(&manifest);
-            if !plan.splits.is_empty() && there != plan.range {
-                differences
-                    .push(format!("  --split: there {} frames, now {}", there.count, plan.range.count));
-            }
-            if !differences.is_empty() {
-                return Err(Error::OtherDataset { path: folder.to_owned(), differences });
-            }
-            if there.start > range.end() || there.end() < range.start {
-                return Err(Error::Usage(format!(
-                    "--start {} --count {}: the folder has frames {} to {}; frames in between would be missing. \
-                     Choose a range that adjoins, or another --out",
-                    plan.range.start,
-                    plan.range.count,
-                    there.start,
-                    there.end().saturating_sub(1)
-                )));
-            }
-            range = range.hull(there);
-        }
-        if manifests.is_empty() {
-            // A run that was stopped at its very beginning, or another shard at its own, has left no more than this.
-            let begun = |name: &str| name.starts_with(".lock") || is_book(name, "frames", "jsonl");
-            disk::check_content(folder, force, begun)?;
-        }
+        let range = hull_with(folder, plan, force)?;
         let write = |path: &Path, cause| Error::Write { path: path.to_owned(), cause };
         std::fs::create_dir_all(folder).map_err(|cause| write(folder, cause))?;
         let lock = folder.join(format!(".lock-{}-of-{}", plan.shard.number, plan.shard.of));
@@ -185,7 +200,7 @@ impl Journal {
         let journal = Self {
             lines: LineFile::open(&folder.join(book_name("frames", "jsonl", plan.shard)))?,
             folder: folder.to_owned(),
-            identity,
+            identity: plan.identity(),
             range,
             shard: plan.shard,
             done: places.into_keys().collect(),

@@ -1,5 +1,7 @@
 //! Datasets: reproducible by number, whatever happens to the run; rules, shards, splits.
 
+#![allow(clippy::print_stdout, reason = "figures for people who run it with --nocapture")]
+
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -7,6 +9,7 @@ use std::time::Duration;
 
 use regolith::params::Knob;
 use regolith::params::sampler::Config;
+use regolith::random::Streams;
 use regolith::scene::Scene;
 use serde_json::{Map, Value};
 
@@ -120,25 +123,32 @@ fn a_dataset_has_its_layout_and_each_frame_can_be_made_alone() {
 }
 
 #[test]
-fn killed_at_any_moment_it_ends_with_the_same_bytes() {
+fn killed_a_hundred_times_it_ends_with_the_same_bytes() {
+    const KILLS: u64 = 100;
     let folder = folder();
-    let words = |out| dataset(out, &["--count", "60", "--preset", "train_dr", "-q"]);
+    let words =
+        |out| dataset(out, &["--count", "700", "--preset", "train_dr", "-q", "--outputs", "rgb,mask"]);
     run_ok(folder.path(), &words("whole"));
-    for wait_ms in [150, 500, 700, 900] {
+    let killed = folder.path().join("killed");
+    let mut draw = Streams::new(4).stream("test", 0);
+    let (mut at_work, mut before) = (0, 0);
+    for _ in 0..KILLS {
         let mut child = program(folder.path()).args(words("killed")).spawn().expect("started");
-        std::thread::sleep(Duration::from_millis(wait_ms));
+        std::thread::sleep(Duration::from_millis(draw.uniform(20.0, 700.0) as u64));
         child.kill().expect("killed");
         let _ = child.wait();
+        let there = lines_that_parse(&killed);
+        at_work += u64::from(there > before);
+        before = there;
     }
-    let killed = folder.path().join("killed");
+    assert!(before < 700, "nothing is left to do: the last kills hit no work");
+    assert!(at_work > KILLS / 4, "only {at_work} kills came after a frame was made");
     // What a power failure may do besides: a torn line, and a frame whose file is gone.
-    let there = lines_that_parse(&killed);
-    assert!(there < 60, "nothing was left to do");
     use std::io::Write as _;
     let mut journal =
         std::fs::OpenOptions::new().append(true).open(killed.join("frames.jsonl")).expect("open");
     journal.write_all(b"{\"index\": 3, \"seed").expect("torn");
-    let _ = std::fs::remove_file(killed.join("mask/mask_00002.png"));
+    std::fs::remove_file(killed.join("mask/mask_00002.png")).expect("removed");
     run_ok(folder.path(), &words("killed"));
     assert_same(&folder.path().join("whole"), &killed);
 }
@@ -146,6 +156,39 @@ fn killed_at_any_moment_it_ends_with_the_same_bytes() {
 fn lines_that_parse(folder: &Path) -> usize {
     let text = std::fs::read_to_string(folder.join("frames.jsonl")).unwrap_or_default();
     text.lines().filter(|line| serde_json::from_str::<Value>(line).is_ok()).count()
+}
+
+/// Resident memory of a process, KiB.
+fn resident_kib(process: u32) -> Option<u64> {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmRSS:"))?;
+    line.split_whitespace().nth(1)?.parse().ok()
+}
+
+#[test]
+fn memory_stays_what_it_is_over_two_thousand_frames() {
+    let folder = folder();
+    let words = dataset("data", &["--count", "2000", "-q", "--outputs", "rgb,mask"]);
+    let mut child = program(folder.path()).args(&words).stdout(Stdio::null()).spawn().expect("started");
+    let path = folder.path().join("data/frames.jsonl");
+    let frames = || std::fs::read(&path).map_or(0, |text| text.iter().filter(|byte| **byte == b'\n').count());
+    // Scenes differ in size, so memory is taken as the mean over stretches of the run.
+    let (mut early, mut late) = (Vec::new(), Vec::new());
+    while child.try_wait().expect("a process").is_none() {
+        let memory = resident_kib(child.id());
+        match frames() {
+            100..400 => early.extend(memory),
+            1600..1990 => late.extend(memory),
+            _ => {}
+        }
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    assert!(child.wait().expect("ended").success());
+    let mean = |samples: &[u64]| samples.iter().sum::<u64>() as f64 / samples.len() as f64;
+    assert!(early.len() > 10 && late.len() > 10, "{} and {} samples", early.len(), late.len());
+    let (early, late) = (mean(&early), mean(&late));
+    println!("resident memory: {:.1} MiB early, {:.1} MiB late", early / 1024.0, late / 1024.0);
+    assert!(late < 1.05 * early, "resident memory grew from {early} KiB to {late} KiB");
 }
 
 #[test]
@@ -248,16 +291,51 @@ fn a_folder_of_another_configuration_or_of_someone_else_is_refused() {
     assert!(output.status.code() == Some(2) && message.contains("thesis.tex"), "{message}");
     run_ok(folder.path(), &dataset("thesis", &["--count", "1", "--force", "-q"]));
     assert!(folder.path().join("thesis/thesis.tex").exists());
+}
 
+#[test]
+fn wrong_configurations_are_refused_before_anything_is_written() {
+    let folder = folder();
+    std::fs::write(folder.path().join("broken.toml"), "[sun\nelevation_deg = 3\n").expect("written");
+    std::fs::write(folder.path().join("typo.toml"), "[rocks]\ncuont = 3\n").expect("written");
+    std::fs::write(folder.path().join("rules.toml"), "[rules]\nrequire = { boulder = [0, 1] }\n")
+        .expect("written");
     for (words, said) in [
-        (vec!["--shard", "2/2", "--count", "1"], "I/N"),
-        (vec!["--count", "0"], "1 to 4294967296 frames"),
-        (vec!["--split", "train=2,train=3"], "stands twice"),
-        (vec!["--format", "cocoo", "--count", "1"], "unknown format"),
         (vec![], "--count"),
+        (vec!["--count", "0"], "1 to 4294967296 frames"),
+        (vec!["--count", "many"], "--count"),
+        (vec!["--count", "2", "--start", "4294967295"], "1 to 4294967296 frames"),
+        (vec!["--count", "1", "--shard", "2/2"], "I/N"),
+        (vec!["--count", "1", "--shard", "half"], "I/N"),
+        (vec!["--count", "1", "--split", "train=1"], "--split"),
+        (vec!["--split", "train=2,train=3"], "stands twice"),
+        (vec!["--split", "../up=2"], "no name of letters"),
+        (vec!["--split", "train"], "has no `=`"),
+        (vec!["--count", "1", "--format", "cocoo"], "unknown format"),
+        (vec!["--count", "1", "--outputs", "rgb,masks"], "did you mean `mask`"),
+        (vec!["--count", "1", "--preset", "train_rd"], "did you mean `train_dr`"),
+        (vec!["--count", "1", "--stage", "mars"], "nominal"),
+        (vec!["--count", "1", "--samples", "2"], "1, 4 (2 x 2) and 16"),
+        (vec!["--count", "1", "--size", "0"], "at least one pixel"),
+        (vec!["--count", "1", "--edges", "soft"], "--edges soft"),
+        (vec!["--count", "1", "--label-ids", "mine"], "canonical"),
+        (vec!["--count", "1", "--config", "broken.toml"], "broken.toml, line 1"),
+        (vec!["--count", "1", "--config", "typo.toml"], "did you mean `rocks.count`"),
+        (vec!["--count", "1", "--config", "missing.toml"], "cannot read missing.toml"),
+        (vec!["--count", "1", "--config", "rules.toml"], "no class `boulder`"),
         (vec!["--count", "1", "--set", "rules.clipped=1"], "did you mean `rules.clipped_max`"),
+        (vec!["--count", "1", "--set", "rules.black_max=2"], "0 to 1"),
+        (vec!["--count", "1", "--set", "sun.elevation_deg={uniform=[5,95]}"], "0.5 to 90 deg"),
+        (vec!["--count", "1", "--set", "sun.elevation_deg={uniform=[9,5]}"], "a <= b"),
+        (vec!["--count", "1", "--set", "sun.elevation_deg={unifrom=[5,9]}"], "uniform=[a,b]"),
+        (vec!["--count", "1", "--set", "rocks.count={uniform=[1,9]}"], "whole number"),
+        (vec!["--count", "1", "--set", "stage.name={choice=[\"nominal\",\"mars\"]}"], "nominal"),
+        (vec!["--count", "1", "--set", "camera.height_m={normal=[2,0.2],clip=[-1,3]}"], "0.2 to 200 m"),
+        (vec!["--count", "1", "--set", "camera.x_m={uniform=[-900,900]}"], "off the ground"),
+        (vec!["--count", "1", "--threads", "0"], "--threads"),
+        (vec!["--count", "1", "--adapter", "voodoo"], "no adapter matches"),
     ] {
-        let output = run(folder.path(), &dataset("new", &words));
+        let output = run(folder.path(), &[&["dataset", "--out", "new"], words.as_slice()].concat());
         let message = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{words:?}: {message}");
         assert!(message.contains(said), "{words:?}: {message}");
