@@ -2,6 +2,7 @@
 //!
 //! Here is what the subcommands share; each has its file in `cli/`.
 
+mod bench;
 mod dataset;
 mod frame;
 mod remap;
@@ -54,6 +55,8 @@ pub(crate) struct Cli {
 enum Command {
     /// Make a labelled dataset: thousands of randomised frames, checked, resumable, reproducible by number
     Dataset(Box<dataset::DatasetArgs>),
+    /// Measure how fast frames come, case by case and stage by stage, as a table or as JSON
+    Bench(Box<bench::BenchArgs>),
     /// Check a dataset: files, hashes, masks, statistics, a sample rendered again; exit status 1 if anything is wrong
     Verify(verify::VerifyArgs),
     /// Turn masks of a Replicator pipeline into canonical ones, by the names in their label files
@@ -144,6 +147,7 @@ pub(crate) fn run() -> Result<()> {
     match cli.command {
         None => frame::run(&cli.frame),
         Some(Command::Dataset(args)) => dataset::run(&args),
+        Some(Command::Bench(args)) => bench::run(&args),
         Some(Command::Verify(args)) => verify::run(&args),
         Some(Command::Remap(args)) => remap::run(&args),
         Some(Command::Params(args)) => stage::list_params(&args),

@@ -58,6 +58,18 @@ struct Drawn {
     built: Built,
     frame: Frame,
     adapter: wgpu::AdapterInfo,
+    cost: Cost,
+}
+
+/// What drawing a frame took of the device.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Cost {
+    /// Triangles of the scene pass.
+    pub triangles: u64,
+    /// Bytes written to the device.
+    pub uploaded_bytes: u64,
+    /// Bytes read back.
+    pub readback_bytes: u64,
 }
 
 /// A frame whose files are made.
@@ -73,6 +85,8 @@ pub struct Finished {
     pub times: StageTimes,
     /// How often it was drawn again.
     pub redraws: u32,
+    /// What drawing it took of the device.
+    pub cost: Cost,
 }
 
 /// Builds the scene of an attempt at a frame.
@@ -94,7 +108,14 @@ fn draw(plan: &Plan, renderer: &mut Renderer, index: u64, mut built: Result<Buil
                 let (frame, times) = renderer.render(&built.scene, &plan.settings)?;
                 built.times.extend(times);
                 match plan.rules.broken_by(&built.scene, &frame) {
-                    None => return Ok(Drawn { built, frame, adapter: renderer.gpu().info.clone() }),
+                    None => {
+                        let cost = Cost {
+                            triangles: renderer.gpu_scene().drawn_triangles(),
+                            uploaded_bytes: renderer.gpu_scene().uploaded_bytes,
+                            readback_bytes: frame.bytes(),
+                        };
+                        return Ok(Drawn { built, frame, adapter: renderer.gpu().info.clone(), cost });
+                    }
                     Some(broken) => broken,
                 }
             }
@@ -118,7 +139,7 @@ fn draw(plan: &Plan, renderer: &mut Renderer, index: u64, mut built: Result<Buil
 /// Encodes a frame and finds the place of its files.
 fn encode(plan: &Plan, drawn: Drawn) -> Result<Finished> {
     let start = Instant::now();
-    let Drawn { built, mut frame, adapter } = drawn;
+    let Drawn { built, mut frame, adapter, cost } = drawn;
     let mut line = record(plan, &built, &frame, &adapter);
     let meta = Value::Object(line.clone());
     let source = Source { frame: &frame, meta: &meta, label_ids: plan.label_ids, edges: plan.edges };
@@ -142,7 +163,7 @@ fn encode(plan: &Plan, drawn: Drawn) -> Result<Finished> {
     }
     // Times come last: all before them is the same in every run.
     line.insert("ms".to_owned(), milliseconds_json(&times));
-    Ok(Finished { index: built.index, line, placed, times, redraws: built.attempt })
+    Ok(Finished { index: built.index, line, placed, times, redraws: built.attempt, cost })
 }
 
 /// What is recorded of a frame, but for its files and times.

@@ -108,6 +108,15 @@ pub struct RgbStatistics {
 }
 
 impl Frame {
+    /// Bytes of all planes.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        let floats = self.depth_m.len() + self.normals.len();
+        let halves = self.instances.len() + self.radiance.len();
+        let bytes = self.rgb.len() + self.class.len() + self.hidden.len() + 3 * self.sample_counts.len();
+        (bytes + 2 * halves + 4 * floats) as u64
+    }
+
     /// Number of pixels of a class.
     #[must_use]
     pub fn count(&self, class: ClassId) -> u64 {

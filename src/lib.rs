@@ -23,6 +23,7 @@
 //! `params` and `scene` know no GPU, `gpu` knows no Moon; they meet in `render`. `render` and `output` meet in
 //! `frame`.
 
+pub mod bench;
 pub mod class;
 pub mod dataset;
 pub mod error;

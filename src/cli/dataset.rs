@@ -120,7 +120,7 @@ pub(super) fn run(args: &DatasetArgs) -> Result<()> {
     report(args, Some(&progress), &settled, start.elapsed().as_secs_f64())
 }
 
-fn cores() -> usize {
+pub(super) fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }
 

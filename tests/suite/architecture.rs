@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// Module and the modules of ours that it may use. A module may always use what is below its own folder.
-const MAY_USE: [(&str, &[&str]); 13] = [
+const MAY_USE: [(&str, &[&str]); 14] = [
     ("error", &[]),
     ("class", &[]),
     ("random", &[]),
@@ -17,6 +17,7 @@ const MAY_USE: [(&str, &[&str]); 13] = [
     ("remap", &["output", "class", "error"]),
     ("export", &["scene", "render", "output", "class", "error"]),
     ("meta", &["params", "scene", "render", "output", "frame", "class"]),
+    ("bench", &["dataset", "params", "scene", "render", "output", "error", "Error"]),
     ("dataset", &["params", "scene", "render", "output", "meta", "frame", "class", "error"]),
 ];
 

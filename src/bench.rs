@@ -1,0 +1,362 @@
+//! How fast frames come, case by case, with the work of each stage.
+//!
+//! Times are those of whole frames, read back to memory, after a warm-up; the median is what counts. Stages overlap
+//! where they can, so that their times need not add up to a frame's.
+//! Must not know: the command line.
+//! To add a case: a variant of [`Case`] with its arm in [`run`].
+
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+use std::time::Instant;
+
+use serde_json::{Map, Value, json};
+
+use crate::dataset;
+use crate::dataset::plan::{Plan, frame_seed};
+use crate::error::Result;
+use crate::output::disk;
+use crate::params::Knob;
+use crate::render::{RenderSettings, Renderer, StageTimes};
+use crate::scene::Scene;
+use crate::scene::camera::Camera;
+use crate::scene::sky::Sun;
+
+/// Frames before those that count.
+const WARM_UP: u64 = 3;
+/// Frames in which camera and sun come back to where they were.
+const PERIOD: u64 = 40;
+
+/// What changes from frame to frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Case {
+    /// One scene; camera and sun move.
+    Camera,
+    /// One scene; the camera moves.
+    StaticSun,
+    /// A new scene for every frame, in memory.
+    Scene,
+    /// A new scene for every frame, encoded and written.
+    Dataset,
+}
+
+impl Case {
+    /// Every case with its name and what changes in it.
+    pub const ALL: [(Self, &'static str, &'static str); 4] = [
+        (Self::Camera, "camera", "one scene, camera and sun move"),
+        (Self::StaticSun, "static-sun", "one scene, the camera moves"),
+        (Self::Scene, "scene", "a new scene for every frame, in memory"),
+        (Self::Dataset, "dataset", "a new scene for every frame, encoded and written"),
+    ];
+
+    /// Its name.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        Self::ALL[self as usize].1
+    }
+}
+
+/// What a case came to.
+#[derive(Clone, Debug, Default)]
+pub struct Measured {
+    /// Milliseconds of each frame; for datasets from the end of one frame to that of the next.
+    pub frames_ms: Vec<f64>,
+    /// Milliseconds from the start of the first frame to the end of the last.
+    pub total_ms: f64,
+    /// Milliseconds of work by stage, of each frame.
+    pub stages: Vec<StageTimes>,
+    /// Triangles drawn in the scene pass, of each frame.
+    pub triangles: Vec<f64>,
+    /// Bytes written to the device, of each frame.
+    pub upload_bytes: Vec<f64>,
+    /// Bytes read back, of a frame.
+    pub readback_bytes: u64,
+}
+
+/// The value that a share `q` of the values does not exceed; 0 for none.
+#[must_use]
+pub fn quantile(values: &[f64], q: f64) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted
+        .get(((sorted.len() as f64 * q) as usize).min(sorted.len().saturating_sub(1)))
+        .copied()
+        .unwrap_or_default()
+}
+
+impl Measured {
+    /// Frames per second over the whole case.
+    #[must_use]
+    pub fn frames_per_second(&self) -> f64 {
+        1e3 * self.frames_ms.len() as f64 / self.total_ms.max(1e-9)
+    }
+
+    /// Median milliseconds by stage, in the order in which the stages come.
+    #[must_use]
+    pub fn stage_ms(&self) -> StageTimes {
+        let names =
+            self.stages.first().map(|stages| stages.iter().map(|stage| stage.0)).into_iter().flatten();
+        names
+            .map(|name| {
+                let of =
+                    |stages: &StageTimes| stages.iter().find(|stage| stage.0 == name).map(|stage| stage.1);
+                let values: Vec<f64> = self.stages.iter().filter_map(of).collect();
+                (name, quantile(&values, 0.5))
+            })
+            .collect()
+    }
+
+    /// As it stands in the JSON of the bench.
+    #[must_use]
+    pub fn to_json(&self) -> Value {
+        let stages: Map<String, Value> =
+            self.stage_ms().into_iter().map(|(name, ms)| (name.to_owned(), ms.into())).collect();
+        json!({
+            "frames": self.frames_ms.len(),
+            "median_ms": quantile(&self.frames_ms, 0.5),
+            "p95_ms": quantile(&self.frames_ms, 0.95),
+            "frames_per_second": self.frames_per_second(),
+            "stage_ms": stages,
+            "triangles": quantile(&self.triangles, 0.5) as u64,
+            "upload_bytes": quantile(&self.upload_bytes, 0.5) as u64,
+            "readback_bytes": self.readback_bytes,
+        })
+    }
+}
+
+/// What is measured: of the plan, knobs, seed, size, samples and outputs count.
+#[derive(Clone, Debug)]
+pub struct Setup {
+    /// What is drawn.
+    pub plan: Plan,
+    /// Threads that encode, for datasets.
+    pub encoders: usize,
+    /// Frames that count.
+    pub frames: u64,
+}
+
+/// Measures a case. Datasets go into `folder`, which must be empty.
+///
+/// # Errors
+/// Those of drawing and writing.
+pub fn run(case: Case, setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Measured> {
+    let Setup { plan, frames, .. } = setup;
+    match case {
+        Case::Camera => moving(plan, *frames, true, renderer),
+        Case::StaticSun => moving(plan, *frames, false, renderer),
+        Case::Scene => scenes(plan, *frames, renderer),
+        Case::Dataset => dataset(setup, folder, renderer),
+    }
+}
+
+/// Renders a frame that counts from `start` on.
+fn measure(
+    measured: &mut Measured,
+    start: Instant,
+    mut times: StageTimes,
+    scene: &Scene,
+    settings: &RenderSettings,
+    renderer: &mut Renderer,
+) -> Result<()> {
+    let (frame, render_times) = renderer.render(scene, settings)?;
+    times.extend(render_times);
+    measured.frames_ms.push(start.elapsed().as_secs_f64() * 1e3);
+    measured.stages.push(times);
+    measured.triangles.push(renderer.gpu_scene().drawn_triangles() as f64);
+    measured.upload_bytes.push(renderer.gpu_scene().uploaded_bytes as f64);
+    measured.readback_bytes = frame.bytes();
+    Ok(())
+}
+
+fn moving(plan: &Plan, frames: u64, sun_moves: bool, renderer: &mut Renderer) -> Result<Measured> {
+    let params = plan.config.draw(plan.base_seed)?;
+    let mut scene = Scene::build(plan.base_seed, &params)?;
+    let mut measured = Measured::default();
+    let (eye, sun) = (scene.camera.eye, scene.sun);
+    let angles = [Knob::CameraPitchDeg, Knob::CameraYawDeg, Knob::CameraRollDeg];
+    let [pitch, yaw, roll] = angles.map(|knob| params.number(knob));
+    let fov_deg = params.number(Knob::CameraFovDeg);
+    let mut begun = Instant::now();
+    for frame in 0..WARM_UP + frames {
+        if frame == WARM_UP {
+            measured = Measured::default();
+            begun = Instant::now();
+        }
+        let turn = std::f64::consts::TAU * (frame % PERIOD) as f64 / PERIOD as f64;
+        let start = Instant::now();
+        let mut place = eye;
+        place.x += 2.0 * libm::sin(turn) as f32;
+        place.z += scene.terrain.height_at(place.truncate()) - scene.terrain.height_at(eye.truncate());
+        let angles = [pitch + libm::cos(turn), yaw + 8.0 * libm::sin(turn), roll];
+        let old = &scene.camera;
+        scene.camera = Camera::new(place, angles, fov_deg, old.far_m, old.exposure_ev);
+        if sun_moves {
+            let azimuth_deg = (sun.azimuth_deg + 30.0 * libm::sin(turn)).rem_euclid(360.0);
+            scene.sun = Sun::new(sun.elevation_deg, azimuth_deg, sun.angular_diameter_deg, sun.irradiance);
+        }
+        measure(&mut measured, start, StageTimes::new(), &scene, &plan.settings, renderer)?;
+    }
+    measured.total_ms = begun.elapsed().as_secs_f64() * 1e3;
+    Ok(measured)
+}
+
+fn scenes(plan: &Plan, frames: u64, renderer: &mut Renderer) -> Result<Measured> {
+    let mut measured = Measured::default();
+    let mut begun = Instant::now();
+    for frame in 0..WARM_UP + frames {
+        if frame == WARM_UP {
+            measured = Measured::default();
+            begun = Instant::now();
+        }
+        let start = Instant::now();
+        let seed = frame_seed(plan.base_seed, frame, 0);
+        let scene = Scene::build(seed, &plan.config.draw(seed)?)?;
+        let times = vec![("scene", start.elapsed().as_secs_f64() * 1e3)];
+        measure(&mut measured, start, times, &scene, &plan.settings, renderer)?;
+    }
+    measured.total_ms = begun.elapsed().as_secs_f64() * 1e3;
+    Ok(measured)
+}
+
+fn dataset(setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Measured> {
+    let mut measured = Measured::default();
+    let (mut begun, mut last, mut done) = (Instant::now(), Instant::now(), 0);
+    let indices = 0..WARM_UP + setup.frames;
+    dataset::make(&setup.plan, renderer, indices, setup.encoders, &AtomicBool::new(false), |frame| {
+        disk::write_all(folder, &frame.placed.files)?;
+        done += 1;
+        if done <= WARM_UP {
+            begun = Instant::now();
+        } else {
+            measured.frames_ms.push(last.elapsed().as_secs_f64() * 1e3);
+            measured.stages.push(frame.times);
+            measured.triangles.push(frame.cost.triangles as f64);
+            measured.upload_bytes.push(frame.cost.uploaded_bytes as f64);
+            measured.readback_bytes = frame.cost.readback_bytes;
+        }
+        last = Instant::now();
+        Ok(())
+    })?;
+    measured.total_ms = begun.elapsed().as_secs_f64() * 1e3;
+    Ok(measured)
+}
+
+/// Largest resident memory that this process has had, bytes; `None` where the system does not say.
+#[must_use]
+pub fn peak_rss_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
+    Some(1024 * line.split_whitespace().nth(1)?.parse::<u64>().ok()?)
+}
+
+/// Some points and how much a frame cost there.
+#[derive(Clone, Debug)]
+pub struct Curve {
+    /// What was varied, with its unit.
+    pub axis: &'static str,
+    /// Value and median milliseconds of a frame.
+    pub points: Vec<(f64, f64)>,
+}
+
+impl Curve {
+    /// A plot.
+    #[must_use]
+    pub fn to_svg(&self) -> String {
+        const SIZE: [f64; 2] = [560.0, 320.0];
+        const MARGIN: f64 = 48.0;
+        let most = |of: fn(&(f64, f64)) -> f64| self.points.iter().map(of).fold(0.0, f64::max).max(1e-9);
+        let (most_x, most_y) = (most(|point| point.0), 1.1 * most(|point| point.1));
+        let place = |&(x, y): &(f64, f64)| {
+            let at = [
+                MARGIN + (SIZE[0] - 2.0 * MARGIN) * x / most_x,
+                SIZE[1] - MARGIN - (SIZE[1] - 2.0 * MARGIN) * y / most_y,
+            ];
+            (at[0], at[1])
+        };
+        let line: String = self.points.iter().map(place).map(|(x, y)| format!("{x:.1},{y:.1} ")).collect();
+        let marks: String = self
+            .points
+            .iter()
+            .map(|point| {
+                let ((x, y), (value, ms)) = (place(point), point);
+                let base = SIZE[1] - MARGIN + 16.0;
+                format!(
+                    "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3.5\" fill=\"#44628c\"/>\
+                     <text x=\"{x:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{ms:.1}</text>\
+                     <text x=\"{x:.1}\" y=\"{base}\" text-anchor=\"middle\">{value}</text>\n",
+                    y - 9.0
+                )
+            })
+            .collect();
+        format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{0}\" height=\"{1}\" viewBox=\"0 0 {0} {1}\" \
+             font-family=\"sans-serif\" font-size=\"11\">\n<rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n\
+             <polyline points=\"{line}\" fill=\"none\" stroke=\"#44628c\" stroke-width=\"2\"/>\n{marks}\
+             <path d=\"M{MARGIN} {MARGIN}V{2}H{3}\" fill=\"none\" stroke=\"black\"/>\n\
+             <text x=\"{4}\" y=\"{5}\" text-anchor=\"middle\">{6}</text>\n<text x=\"8\" y=\"24\">median ms a frame</text>\n</svg>\n",
+            SIZE[0],
+            SIZE[1],
+            SIZE[1] - MARGIN,
+            SIZE[0] - MARGIN,
+            0.5 * SIZE[0],
+            SIZE[1] - 12.0,
+            self.axis
+        )
+    }
+}
+
+/// What can be varied, in the order of the help.
+pub const SWEEPS: [&str; 4] = ["size", "samples", "rocks", "threads"];
+
+/// The setups of a sweep: what is varied, and each of its values with the setup.
+///
+/// # Errors
+/// Those of the settings.
+pub fn sweep(name: &str, setup: &Setup) -> Result<(&'static str, Vec<(f64, Setup)>)> {
+    let mut setups = Vec::new();
+    let mut with = |value: f64, change: &dyn Fn(&mut Setup) -> Result<()>| {
+        let mut setup = setup.clone();
+        change(&mut setup)?;
+        setups.push((value, setup));
+        Ok::<(), crate::Error>(())
+    };
+    let axis = match name {
+        "size" => {
+            let [width, height] = setup.plan.settings.size;
+            for side in [128, 256, 512, 768, 1024] {
+                with(f64::from(side), &|setup| {
+                    setup.plan.settings.size = [side, (side * height / width).max(1)];
+                    Ok(())
+                })?;
+            }
+            "width, pixels"
+        }
+        "samples" => {
+            for samples in [1_u32, 4, 16] {
+                with(f64::from(samples), &|setup| {
+                    setup.plan.settings.samples_per_side = samples.isqrt();
+                    Ok(())
+                })?;
+            }
+            "samples a pixel"
+        }
+        "rocks" => {
+            for count in [0, 50, 100, 200, 400, 800] {
+                with(f64::from(count), &|setup| {
+                    setup.plan.config.apply_set(&format!("rocks.count={count}"))
+                })?;
+            }
+            "rocks"
+        }
+        _ => {
+            let cores = std::thread::available_parallelism().map_or(1, usize::from);
+            for threads in (0..).map(|power| 1_usize << power).take_while(|threads| *threads <= 2 * cores) {
+                with(threads as f64, &|setup| {
+                    setup.encoders = threads;
+                    Ok(())
+                })?;
+            }
+            "threads that encode"
+        }
+    };
+    Ok((axis, setups))
+}

@@ -1,0 +1,205 @@
+//! Throughput: `bench`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use regolith::bench::{self, Case, Curve, Measured, SWEEPS, Setup};
+use regolith::dataset::plan::{Plan, Range, Shard};
+use regolith::dataset::rules::Rules;
+use regolith::gpu::Gpu;
+use regolith::output::{self, Artifact, disk, writer};
+use regolith::render::Renderer;
+use regolith::{Error, Result};
+use serde_json::{Map, Value, json};
+
+use super::{ConfigArgs, PictureArgs, print};
+
+#[derive(Args, Debug)]
+pub(super) struct BenchArgs {
+    /// Which cases: of camera, static-sun, scene, dataset
+    #[arg(long, value_name = "LIST", default_value = "camera,static-sun,scene,dataset")]
+    cases: String,
+    /// Frames of each case, after a warm-up
+    #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..))]
+    frames: u64,
+    /// Base seed
+    #[arg(long, value_name = "N", default_value_t = 42)]
+    seed: u64,
+    #[command(flatten)]
+    config: ConfigArgs,
+    #[command(flatten)]
+    picture: PictureArgs,
+    /// What is read back (and written, in the case dataset): as for a frame
+    #[arg(long, value_name = "LIST", default_value = "rgb,mask")]
+    outputs: String,
+    /// Threads that encode, in the case dataset; as many as there are cores if not given
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
+    threads: Option<u16>,
+    /// Vary one thing: size, samples, rocks (the first of --cases) or threads (the case dataset); plots how cost grows
+    #[arg(long, value_name = "NAME", value_parser = SWEEPS)]
+    sweep: Option<String>,
+    /// File of the sweep's plot
+    #[arg(
+        long,
+        value_name = "FILE.svg",
+        requires = "sweep",
+        default_value_if("sweep", clap::builder::ArgPredicate::IsPresent, "sweep.svg")
+    )]
+    plot: Option<PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+    /// Say nothing but errors
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+pub(super) fn run(args: &BenchArgs) -> Result<()> {
+    let cases = parse_cases(&args.cases)?;
+    let setup = setup(args)?;
+    let mut renderer = Renderer::new(Gpu::open(args.picture.adapter.as_deref())?)?;
+    match &args.sweep {
+        Some(name) => sweep(args, name, cases[0], &setup, &mut renderer),
+        None => measure(args, &cases, &setup, &mut renderer),
+    }
+}
+
+fn parse_cases(list: &str) -> Result<Vec<Case>> {
+    let cases = list.split(',').map(|word| {
+        let word = word.trim();
+        let known = Case::ALL.iter().find(|row| row.1 == word);
+        known.map(|row| row.0).ok_or_else(|| {
+            let names: Vec<&str> = Case::ALL.iter().map(|row| row.1).collect();
+            Error::Usage(format!("--cases: unknown case `{word}`; there are {}", names.join(", ")))
+        })
+    });
+    cases.collect()
+}
+
+fn setup(args: &BenchArgs) -> Result<Setup> {
+    let config = args.config.build()?;
+    let (format, writer) = writer::writer("folder")?;
+    let outputs = Plan::outputs(&args.outputs, format, writer)?;
+    let mut settings = args.picture.settings()?;
+    settings.annotations = output::annotations(&outputs);
+    // Every frame is taken: what is drawn again would be measured twice.
+    let rules = Rules { black_max: 1.0, clipped_max: 1.0, ..Rules::from_config(&config)? };
+    let plan = Plan {
+        rules,
+        config,
+        base_seed: args.seed,
+        settings,
+        outputs,
+        edges: args.picture.edges()?,
+        label_ids: args.picture.label_ids(),
+        format,
+        writer,
+        range: Range { start: 0, count: args.frames },
+        splits: Vec::new(),
+        shard: Shard::WHOLE,
+    };
+    let encoders = args.threads.map_or_else(super::dataset::cores, usize::from);
+    Ok(Setup { plan, encoders, frames: args.frames })
+}
+
+/// Measures in a folder that goes away.
+fn measure_one(case: Case, setup: &Setup, renderer: &mut Renderer) -> Result<Measured> {
+    let folder = tempfile::tempdir().map_err(|cause| Error::Write { path: std::env::temp_dir(), cause })?;
+    bench::run(case, setup, folder.path(), renderer)
+}
+
+fn measure(args: &BenchArgs, cases: &[Case], setup: &Setup, renderer: &mut Renderer) -> Result<()> {
+    let mut results = Vec::new();
+    for &case in cases {
+        if !args.quiet {
+            note(format_args!("{}: {} frames ...", case.name(), setup.frames));
+        }
+        results.push((case, measure_one(case, setup, renderer)?));
+    }
+    let info = &renderer.gpu().info;
+    let settings = &setup.plan.settings;
+    if args.json {
+        let cases: Map<String, Value> =
+            results.iter().map(|(case, measured)| (case.name().to_owned(), measured.to_json())).collect();
+        let result = json!({
+            "adapter": { "name": info.name, "backend": info.backend.to_string(), "driver": format!("{} {}", info.driver, info.driver_info) },
+            "version": env!("CARGO_PKG_VERSION"),
+            "cores": super::dataset::cores(),
+            "size": settings.size,
+            "samples": settings.samples_per_side.pow(2),
+            "stage": args.config.stage,
+            "cases": cases,
+            "peak_rss_bytes": bench::peak_rss_bytes(),
+        });
+        return print(&format!("{result:#}\n"));
+    }
+    let mut text = format!(
+        "{}\n{} x {} pixels, {} samples a pixel, {} cores\n\n{:<12}{:>10}{:>10}{:>10}{:>12}{:>12}  stages, median ms\n",
+        regolith::gpu::describe(info),
+        settings.size[0],
+        settings.size[1],
+        settings.samples_per_side.pow(2),
+        super::dataset::cores(),
+        "case",
+        "frames/s",
+        "median ms",
+        "p95 ms",
+        "triangles",
+        "upload MB"
+    );
+    for (case, measured) in &results {
+        let stages: Vec<String> =
+            measured.stage_ms().iter().map(|(name, ms)| format!("{name} {ms:.1}")).collect();
+        text.push_str(&format!(
+            "{:<12}{:>10.2}{:>10.1}{:>10.1}{:>12}{:>12.2}  {}\n",
+            case.name(),
+            measured.frames_per_second(),
+            bench::quantile(&measured.frames_ms, 0.5),
+            bench::quantile(&measured.frames_ms, 0.95),
+            bench::quantile(&measured.triangles, 0.5),
+            bench::quantile(&measured.upload_bytes, 0.5) / 1e6,
+            stages.join(", ")
+        ));
+    }
+    if let Some(bytes) = bench::peak_rss_bytes() {
+        text.push_str(&format!("\npeak resident memory {:.0} MB\n", bytes as f64 / 1e6));
+    }
+    print(&text)
+}
+
+fn sweep(args: &BenchArgs, name: &str, case: Case, setup: &Setup, renderer: &mut Renderer) -> Result<()> {
+    let case = if name == "threads" { Case::Dataset } else { case };
+    let (axis, setups) = bench::sweep(name, setup)?;
+    let mut points = Vec::new();
+    for (value, setup) in &setups {
+        let measured = measure_one(case, setup, renderer)?;
+        points.push((*value, bench::quantile(&measured.frames_ms, 0.5)));
+        if !args.quiet {
+            note(format_args!("{axis} {value}: {:.1} ms", points[points.len() - 1].1));
+        }
+    }
+    let curve = Curve { axis, points };
+    let path = args.plot.clone().unwrap_or_default();
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let folder =
+        path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(std::path::Path::new("."));
+    disk::write_all(folder, &[Artifact { name, bytes: curve.to_svg().into_bytes() }])?;
+    if args.json {
+        let points: Vec<Value> =
+            curve.points.iter().map(|(value, ms)| json!({ "value": value, "median_ms": ms })).collect();
+        return print(&format!(
+            "{:#}\n",
+            json!({ "sweep": axis, "case": case.name(), "points": points, "plot": path })
+        ));
+    }
+    let mut text = format!("{axis:<20}{:>12}   case {}\n", "median ms", case.name());
+    for (value, ms) in &curve.points {
+        text.push_str(&format!("{value:<20}{ms:>12.1}\n"));
+    }
+    print(&format!("{text}{}\n", path.display()))
+}
+
+#[expect(clippy::print_stderr, reason = "messages to people go to stderr")]
+fn note(text: std::fmt::Arguments<'_>) {
+    eprintln!("{text}");
+}
