@@ -1,5 +1,8 @@
 // Ground and rocks: lit radiance and labels from one draw.
 
+// Draws ground on which no shadow can fall: what faces the sun sees all of it.
+override OPEN: bool;
+
 struct Varyings {
     @builtin(position) clip: vec4<f32>,
     // Metres from the eye, world axes.
@@ -24,14 +27,17 @@ fn fs_main(in: Varyings) -> SceneOut {
     let instance = instances[in.instance];
     let normal = normalize(in.normal);
     let to_eye = -normalize(in.offset);
-    let facet = cross(dpdx(in.offset), dpdy(in.offset));
-    let facet_normal = normalize(select(-facet, facet, dot(facet, to_eye) > 0.0));
     let cos_light = max(dot(normal, frame.sun_direction), 0.0);
     var visible = 0.0;
     var direct = 0.0;
     // A surface that is turned away from the sun hides it.
+    let facet = cross(dpdx(in.offset), dpdy(in.offset));
     if cos_light > 0.0 {
-        visible = sun_visibility(frame.eye + in.offset, facet_normal, normal, pattern_turn(in.clip.xy));
+        visible = 1.0;
+        if !OPEN {
+            let facet_normal = normalize(select(-facet, facet, dot(facet, to_eye) > 0.0));
+            visible = sun_visibility(frame.eye + in.offset, facet_normal, normal, pattern_turn(in.clip.xy));
+        }
         let cos_eye = max(dot(normal, to_eye), 0.0);
         let lobe = rough_diffuse(instance.roughness, cos_light, cos_eye, dot(frame.sun_direction, to_eye));
         direct = visible * cos_light * lobe;

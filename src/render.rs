@@ -6,6 +6,7 @@
 //! To add a pass: a file here with its struct (`new`, `record`), its WGSL in `shaders.rs`, a line in
 //! [`Renderer::record_frame`].
 
+pub mod facing;
 pub mod gpu_scene;
 mod labels;
 pub mod resolve;
@@ -306,11 +307,16 @@ fn vertex_layout(attributes: &[wgpu::VertexAttribute]) -> wgpu::VertexBufferLayo
     }
 }
 
-fn draw_all(pass: &mut wgpu::RenderPass<'_>, scene: &GpuScene, draws: &[Draw]) {
+fn draw_all(
+    pass: &mut wgpu::RenderPass<'_>,
+    scene: &GpuScene,
+    indices: &gpu_scene::Store,
+    draws: &[Draw],
+) {
     pass.set_vertex_buffer(0, scene.vertices.buffer().slice(..));
-    pass.set_index_buffer(scene.indices.buffer().slice(..), wgpu::IndexFormat::Uint32);
+    pass.set_index_buffer(indices.buffer().slice(..), wgpu::IndexFormat::Uint32);
     for draw in draws {
-        if !draw.instances.is_empty() {
+        if !draw.instances.is_empty() && !draw.indices.is_empty() {
             pass.draw_indexed(draw.indices.clone(), draw.base_vertex, draw.instances.clone());
         }
     }

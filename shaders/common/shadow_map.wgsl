@@ -9,9 +9,11 @@
 // Depth, bound as plain numbers: GLSL cannot load from a depth texture.
 @group(2) @binding(0) var shadow_atlas: texture_2d<f32>;
 @group(2) @binding(1) var horizon_map: texture_2d<f32>;
-// First the start of each cell's list (and the end of the last), then the lists: indices of tiles.
+// First the start of each cell's list (and the end of the last), then the lists: indices of tiles. A start has the
+// highest bit set where the horizon map is to be asked too.
 @group(2) @binding(2) var<storage, read> caster_grid: array<u32>;
 
+const ASK_HORIZON: u32 = 0x80000000u;
 const SEARCH_TAPS: i32 = 8;
 const FILTER_TAPS: i32 = 20;
 const GOLDEN_ANGLE: f32 = 2.39996323;
@@ -28,15 +30,18 @@ fn sun_visibility(position: vec3<f32>, facet_normal: vec3<f32>, normal: vec3<f32
     // to this share of its length.
     let excess = clamp(3.0 * (dot(normal, frame.sun_direction) - facing), 0.0, 1.0);
     let behind = 0.5 * excess * (1.0 - smoothstep(0.0, 0.1, facing));
-    var visible = horizon_visibility(position);
-    let cell = vec2<i32>(floor((position.xy - frame.caster_origin) / frame.caster_cell_m));
     let cells = i32(frame.caster_cells);
-    if visible > 0.0 && all(cell >= vec2(0)) && all(cell < vec2(cells)) {
-        let index = u32(cell.y * cells + cell.x);
-        let end = caster_grid[index + 1u];
-        for (var i = caster_grid[index]; i < end; i++) {
-            visible *= caster_visibility(tiles[caster_grid[i]], position, rise, behind, turn);
-        }
+    // What juts out over the border of the ground has the neighbours of its border.
+    let cell = clamp(vec2<i32>(floor((position.xy - frame.caster_origin) / frame.caster_cell_m)), vec2(0), vec2(cells - 1));
+    let index = u32(cell.y * cells + cell.x);
+    let start = caster_grid[index];
+    let end = caster_grid[index + 1u] & ~ASK_HORIZON;
+    var visible = 1.0;
+    if (start & ASK_HORIZON) != 0u {
+        visible = horizon_visibility(position);
+    }
+    for (var i = start & ~ASK_HORIZON; i < end && visible > 0.0; i++) {
+        visible *= caster_visibility(caster_grid[i], position, rise, behind, turn);
     }
     return visible;
 }
@@ -69,19 +74,21 @@ fn horizon(at: vec2<i32>) -> vec2<f32> {
 // penumbra (Fernando 2005, "Percentage-Closer Soft Shadows"), here in metres and with no light size to choose.
 // Heights are compared above the plane of the receiving facet, which so never hides the sun from itself.
 fn caster_visibility(
-    tile: CasterTile,
+    caster: u32,
     position: vec3<f32>,
     rise: vec2<f32>,
     behind: f32,
     turn: f32,
 ) -> f32 {
-    let offset = position - tile.centre;
+    let offset = position - tiles[caster].centre;
+    let half_extent_m = tiles[caster].half_extent_m;
     let across = vec2(dot(offset, frame.sun_right), dot(offset, frame.sun_up));
     let along = dot(offset, frame.sun_direction);
-    let reach = tile.half_extent_m - along;
+    let reach = half_extent_m - along;
     if reach <= 0.0 { return 1.0; }
     let search_m = frame.sun_tan_half_angle * reach;
-    if any(abs(across) > vec2(tile.half_extent_m + search_m)) { return 1.0; }
+    if any(abs(across) > vec2(half_extent_m + search_m)) { return 1.0; }
+    let tile = tiles[caster];
     let texels_per_m = 0.5 * tile.size_px / tile.half_extent_m;
     let at = vec2(across.x, -across.y) * texels_per_m + vec2(0.5 * tile.size_px);
     let search_px = search_m * texels_per_m;

@@ -9,7 +9,8 @@ use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 
 use super::RenderSettings;
 use super::resolve::{self, Packing};
-use super::selection::{Selection, ground_blocks};
+use super::facing::Facing;
+use super::selection::{Frustum, Selection, ground_blocks};
 use super::shaders::{CasterTile, FrameUniforms, Instance};
 use super::shadow::{self, HorizonMap};
 use crate::class::ClassId;
@@ -37,8 +38,10 @@ pub struct Draw {
 /// The draws of a frame, in order.
 #[derive(Clone, Debug, Default)]
 pub struct DrawList {
-    /// Into the shadow atlas.
-    pub casters: Vec<Draw>,
+    /// Into the shadow atlas: fronts, backs.
+    pub casters: [Vec<Draw>; 2],
+    /// Ground on which no shadow can fall, where it is told apart.
+    pub lit: Vec<Draw>,
     /// Ground and rocks, near to far.
     pub surfaces: Vec<Draw>,
     /// Stars, then the dome.
@@ -54,6 +57,9 @@ pub struct GpuScene {
     pub vertices: Store,
     /// Triangles of the icosphere's levels, then of the ground's blocks.
     pub indices: Store,
+    /// Triangles that were picked for this frame.
+    picked: Store,
+    is_picked: bool,
     /// `FrameUniforms`.
     pub frame: Store,
     /// `Instance`s.
@@ -77,6 +83,21 @@ pub struct GpuScene {
 struct GroundBlocks {
     cells: u32,
     blocks: Vec<Range<u32>>,
+}
+
+/// Triangles that are picked for a frame.
+#[derive(Default)]
+struct Picked {
+    triangles: Vec<[u32; 3]>,
+}
+
+impl Picked {
+    /// Adds triangles and gives the range of their indices.
+    fn add(&mut self, triangles: &[[u32; 3]]) -> Range<u32> {
+        let start = 3 * self.triangles.len() as u32;
+        self.triangles.extend(triangles);
+        start..start + 3 * triangles.len() as u32
+    }
 }
 
 /// A buffer that grows when more is written than it holds.
@@ -127,6 +148,8 @@ impl Default for GpuScene {
             draws: DrawList::default(),
             vertices: Store::new("scene/vertices", BufferUsages::VERTEX),
             indices: Store::new("scene/indices", BufferUsages::INDEX),
+            picked: Store::new("scene/picked_indices", BufferUsages::INDEX),
+            is_picked: false,
             frame: Store::new("frame/uniforms", BufferUsages::UNIFORM),
             instances: Store::new("scene/instances", BufferUsages::STORAGE),
             tiles: Store::new("shadow/tiles", BufferUsages::STORAGE),
@@ -146,23 +169,35 @@ impl GpuScene {
         self.uploaded_bytes = 0;
         self.upload_indices(gpu, scene);
         let selection = Selection::new(scene, settings);
-        let horizon = HorizonMap::build(&scene.terrain, &scene.sun);
-        self.upload_things(gpu, scene, &selection);
+        let horizon = HorizonMap::build(&scene.terrain, &scene.sun, &selection.seen_corners(scene));
         let casters = &selection.casters;
+        let caster_grid = shadow::caster_grid(scene, casters, &horizon);
+        // A GPU is faster without, and the picture is the same.
+        let facing = (gpu.info.device_type == wgpu::DeviceType::Cpu).then(|| {
+            let frustum = Frustum::new(&scene.camera.clip_from_world(settings.size));
+            Facing::new(scene, &selection, &frustum, &caster_grid)
+        });
+        self.upload_things(gpu, scene, &selection, facing.as_ref());
         let tiles: Vec<CasterTile> = casters.iter().map(|caster| caster.tile).collect();
         self.uploaded_bytes += self.tiles.write(gpu, &tiles);
-        self.uploaded_bytes += self.caster_grid.write(gpu, &shadow::caster_grid(scene, casters));
+        self.uploaded_bytes += self.caster_grid.write(gpu, &caster_grid);
         self.atlas_layer_px = shadow::layer_px(casters);
         let uniforms = frame_uniforms(scene, settings, &horizon, self.atlas_layer_px);
         self.uploaded_bytes += self.frame.write(gpu, &[uniforms]);
         self.upload_horizon(gpu, &horizon);
     }
 
+    /// The indices of ground, rocks and casters; the sky's are whole meshes.
+    #[must_use]
+    pub const fn thing_indices(&self) -> &Store {
+        if self.is_picked { &self.picked } else { &self.indices }
+    }
+
     /// Triangles drawn in the scene pass.
     #[must_use]
     pub fn drawn_triangles(&self) -> u64 {
         let count = |d: &Draw| u64::from(d.indices.end - d.indices.start) / 3 * d.instances.len() as u64;
-        self.draws.surfaces.iter().chain(&self.draws.sky).map(count).sum()
+        [&self.draws.lit, &self.draws.surfaces, &self.draws.sky].into_iter().flatten().map(count).sum()
     }
 
     /// The index buffer depends on the number of the ground's cells alone.
@@ -187,8 +222,9 @@ impl GpuScene {
     }
 
     /// Vertices, instances and draws of ground, rocks and sky.
-    fn upload_things(&mut self, gpu: &Gpu, scene: &Scene, selection: &Selection) {
+    fn upload_things(&mut self, gpu: &Gpu, scene: &Scene, selection: &Selection, facing: Option<&Facing>) {
         let mut draws = DrawList::default();
+        let mut picked = Picked::default();
         let sphere: Vec<Vertex> = Icosphere::shared().directions[..Icosphere::vertex_count(DOME_LEVEL)]
             .iter()
             .map(|&d| Vertex { position: d, normal: d })
@@ -203,26 +239,41 @@ impl GpuScene {
             class_id: ClassId::REGOLITH.0.into(),
             ..Default::default()
         }];
-        let mut surfaces: Vec<(f32, Draw)> = Vec::new();
-        for &(block, nearest_m) in &selection.blocks {
-            let indices = self.ground.as_ref().map_or(0..0, |ground| ground.blocks[block].clone());
-            surfaces.push((nearest_m, Draw { indices, base_vertex: ground_base as i32, instances: 0..1 }));
+        let (mut surfaces, mut lit): (Vec<(f32, Draw)>, Vec<(f32, Draw)>) = (Vec::new(), Vec::new());
+        for (place, &(block, nearest_m)) in selection.blocks.iter().enumerate() {
+            let draw = |indices| Draw { indices, base_vertex: ground_base as i32, instances: 0..1 };
+            if let Some(facing) = facing {
+                let [open, shaded] = &facing.ground[place];
+                lit.push((nearest_m, draw(picked.add(open))));
+                surfaces.push((nearest_m, draw(picked.add(shaded))));
+            } else {
+                let whole = self.ground.as_ref().map_or(0..0, |ground| ground.blocks[block].clone());
+                surfaces.push((nearest_m, draw(whole)));
+            }
         }
         // Rocks: an instance each; as many vertices as the finer of its two uses needs.
         let mut uploads: Vec<(usize, &[Vertex])> = Vec::new();
-        for selected in &selection.rocks {
+        for (place, selected) in selection.rocks.iter().enumerate() {
             let rock = &scene.rocks[selected.rock];
             let instance = instances.len() as u32;
-            let draw = |level: usize| Draw {
-                indices: self.sphere_levels[level].clone(),
+            let draw = |indices| Draw {
+                indices,
                 base_vertex: rock_base as i32,
                 instances: instance..instance + 1,
             };
+            let triangles = facing.map(|facing| &facing.rocks[place]);
             if let Some((_, level)) = selected.caster {
-                draws.casters.push(draw(level));
+                let whole = || self.sphere_levels[level].clone();
+                let sides = triangles
+                    .map_or_else(|| [whole(), whole()], |t| [picked.add(&t.fronts), picked.add(&t.backs)]);
+                for (list, indices) in draws.casters.iter_mut().zip(sides) {
+                    list.push(draw(indices));
+                }
             }
             if let Some(level) = selected.seen_level {
-                surfaces.push((selected.nearest_m, draw(level)));
+                let indices =
+                    triangles.map_or_else(|| self.sphere_levels[level].clone(), |t| picked.add(&t.seen));
+                surfaces.push((selected.nearest_m, draw(indices)));
             }
             instances.push(Instance {
                 origin: rock.centre,
@@ -239,8 +290,10 @@ impl GpuScene {
             uploads.push((rock_base, vertices));
             rock_base += vertices.len();
         }
-        surfaces.sort_by(|a, b| a.0.total_cmp(&b.0));
-        draws.surfaces = surfaces.into_iter().map(|(_, draw)| draw).collect();
+        for (mut list, draws) in [(surfaces, &mut draws.surfaces), (lit, &mut draws.lit)] {
+            list.sort_by(|a, b| a.0.total_cmp(&b.0));
+            draws.extend(list.into_iter().map(|(_, draw)| draw));
+        }
         // Sky: stars before the dome that they cover.
         let in_sky = |origin, scale, colour| Instance {
             origin,
@@ -271,6 +324,10 @@ impl GpuScene {
             self.uploaded_bytes += self.vertices.write_at(gpu, base * stride, vertices);
         }
         self.uploaded_bytes += self.instances.write(gpu, &instances);
+        self.is_picked = facing.is_some();
+        if self.is_picked {
+            self.uploaded_bytes += self.picked.write(gpu, picked.triangles.as_flattened());
+        }
     }
 
     fn upload_horizon(&mut self, gpu: &Gpu, map: &HorizonMap) {

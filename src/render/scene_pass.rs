@@ -12,8 +12,8 @@ use crate::gpu::Gpu;
 pub(super) struct ScenePass {
     modules: [wgpu::ShaderModule; 2],
     layouts: [wgpu::PipelineLayout; 2],
-    /// Surfaces and sky, for each set of annotations that was asked for so far.
-    pipelines: Vec<(Annotations, [wgpu::RenderPipeline; 2])>,
+    /// Lit ground, surfaces and sky, for each set of annotations that was asked for so far.
+    pipelines: Vec<(Annotations, [wgpu::RenderPipeline; 3])>,
 }
 
 impl ScenePass {
@@ -47,8 +47,9 @@ impl ScenePass {
         let positions = wgpu::vertex_attr_array![0 => Float32x3];
         // The dome is seen from inside, the stars from outside.
         let pipelines = [
-            self.pipeline(gpu, 0, annotations, &positions_and_normals, Some(wgpu::Face::Back)),
-            self.pipeline(gpu, 1, annotations, &positions, None),
+            self.pipeline(gpu, 0, &[("OPEN", 1.0)], annotations, &positions_and_normals, Some(wgpu::Face::Back)),
+            self.pipeline(gpu, 0, &[("OPEN", 0.0)], annotations, &positions_and_normals, Some(wgpu::Face::Back)),
+            self.pipeline(gpu, 1, &[], annotations, &positions, None),
         ];
         self.pipelines.push((annotations, pipelines));
     }
@@ -57,6 +58,7 @@ impl ScenePass {
         &self,
         gpu: &Gpu,
         program: usize,
+        constants: &[(&str, f64)],
         annotations: Annotations,
         attributes: &[wgpu::VertexAttribute],
         cull_mode: Option<wgpu::Face>,
@@ -84,7 +86,7 @@ impl ScenePass {
             fragment: Some(wgpu::FragmentState {
                 module,
                 entry_point: Some("fs_main"),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
+                compilation_options: wgpu::PipelineCompilationOptions { constants, ..Default::default() },
                 targets: &targets,
             }),
             multiview_mask: None,
@@ -134,10 +136,12 @@ impl ScenePass {
             pass.set_bind_group(index, group, &[]);
         }
         let made = self.pipelines.iter().find(|(made, _)| *made == targets.annotations);
-        let [surface, sky] = &made.expect("pipelines are prepared before they are used").1;
+        let [lit, surface, sky] = &made.expect("pipelines are prepared before they are used").1;
+        pass.set_pipeline(lit);
+        super::draw_all(&mut pass, scene, scene.thing_indices(), &scene.draws.lit);
         pass.set_pipeline(surface);
-        super::draw_all(&mut pass, scene, &scene.draws.surfaces);
+        super::draw_all(&mut pass, scene, scene.thing_indices(), &scene.draws.surfaces);
         pass.set_pipeline(sky);
-        super::draw_all(&mut pass, scene, &scene.draws.sky);
+        super::draw_all(&mut pass, scene, &scene.indices, &scene.draws.sky);
     }
 }

@@ -5,7 +5,7 @@
 
 use std::ops::Range;
 
-use glam::{Mat4, Vec3, Vec4};
+use glam::{Mat4, Vec2, Vec3, Vec4};
 
 use super::RenderSettings;
 use super::shadow::{self, Caster};
@@ -68,13 +68,14 @@ impl Selection {
             .map(|(index, rock)| {
                 let nearest_m = (rock.centre.distance(camera.eye) - rock.radius_m).max(0.0);
                 let seen = frustum.may_see_ball(rock.centre, rock.radius_m);
+                let outline_error_m = settings.outline_error_px * pixel_angle * nearest_m;
+                let seen_level = seen.then(|| coarsest_level(rock, outline_error_m));
+                // What is seen casts as it is seen, or its shadow would not fit it.
                 let caster =
                     next_caster.next_if(|(_, caster)| caster.rock == index).map(|(place, caster)| {
                         let texel_m = 2.0 * caster.tile.half_extent_m / caster.tile.size_px;
-                        (place, coarsest_level(rock, CASTER_ERROR_PX * texel_m))
+                        (place, seen_level.unwrap_or_else(|| coarsest_level(rock, CASTER_ERROR_PX * texel_m)))
                     });
-                let outline_error_m = settings.outline_error_px * pixel_angle * nearest_m;
-                let seen_level = seen.then(|| coarsest_level(rock, outline_error_m));
                 SelectedRock { rock: index, nearest_m, seen_level, caster }
             })
             .filter(|selected| selected.seen_level.is_some() || selected.caster.is_some())
@@ -85,6 +86,33 @@ impl Selection {
             })
             .collect();
         Self { blocks, rocks, stars, casters }
+    }
+}
+
+impl Selection {
+    /// Corners, seen from above, of boxes that hold all ground and rocks that may be seen; metres, world.
+    #[must_use]
+    pub fn seen_corners(&self, scene: &Scene) -> Vec<Vec2> {
+        let spans: Vec<_> = ground_blocks(scene.terrain.cells).collect();
+        let row_len = scene.terrain.cells + 1;
+        let place = |column: u32, row: u32| {
+            scene.terrain.vertices[(row * row_len + column) as usize].position.truncate()
+        };
+        let blocks = self.blocks.iter().flat_map(|&(block, _)| {
+            let [columns, rows] = &spans[block];
+            [columns.start, columns.end]
+                .into_iter()
+                .flat_map(move |column| [rows.start, rows.end].map(|row| place(column, row)))
+                .collect::<Vec<_>>()
+        });
+        let seen = self.rocks.iter().filter(|rock| rock.seen_level.is_some());
+        let rocks = seen.flat_map(|selected| {
+            let rock = &scene.rocks[selected.rock];
+            let (centre, radius_m) = (rock.centre.truncate(), rock.radius_m);
+            [Vec2::new(-1.0, -1.0), Vec2::new(1.0, -1.0), Vec2::new(-1.0, 1.0), Vec2::ONE]
+                .map(|corner| centre + radius_m * corner)
+        });
+        blocks.chain(rocks).collect()
     }
 }
 

@@ -21,7 +21,9 @@ const TILE_PX: [u32; 2] = [16, 2048];
 /// Columns of the atlas and most rows of one of its layers, texels; all tiles shrink until they fit.
 pub const ATLAS_PX: u32 = 4096;
 /// Cells along a side of the grid that finds the casters of a place.
-pub const CASTER_CELLS: u32 = 128;
+pub const CASTER_CELLS: u32 = 512;
+/// Set in the start of a cell's list if the ground may hide the sun from a place above the cell.
+pub const ASK_HORIZON: u32 = 1 << 31;
 /// Samples of the horizon map per cell of the terrain.
 const HORIZON_PER_CELL: f32 = 3.0;
 /// Most samples along a side of the horizon map.
@@ -108,41 +110,115 @@ fn pack(casters: &mut [Caster]) -> bool {
 }
 
 /// For each cell of a square grid over the terrain, the casters whose shadow can fall on a place above it: first
-/// the start of each cell's list (and the end of the last), then the lists.
+/// the start of each cell's list (and the end of the last), with [`ASK_HORIZON`] where the horizon map is to be asked
+/// too, then the lists.
 #[must_use]
-pub fn caster_grid(scene: &Scene, casters: &[Caster]) -> Vec<u32> {
+pub fn caster_grid(scene: &Scene, casters: &[Caster], horizon: &HorizonMap) -> Vec<u32> {
     let side = CASTER_CELLS as usize;
-    let cell_m = scene.terrain.size_m / CASTER_CELLS as f32;
-    let half_diagonal_m = cell_m * std::f32::consts::FRAC_1_SQRT_2;
-    let sun = scene.sun.direction;
-    let mut lists = vec![Vec::new(); side * side];
+    let cells = CasterCells::new(&scene.terrain);
+    let mut lists: Vec<(u32, u32)> = Vec::new();
     for (index, caster) in casters.iter().enumerate() {
-        let start = caster.tile.centre.truncate();
-        let end = (caster.tile.centre - caster.reach_m * sun).truncate();
-        let radius_m = caster.tile.half_extent_m + scene.sun.tan_half_angle() * caster.reach_m;
-        let to_cell =
-            |metres: f32| ((metres / scene.terrain.size_m + 0.5) * side as f32).clamp(0.0, side as f32);
-        let (low, high) = (start.min(end) - radius_m, start.max(end) + radius_m);
-        for row in to_cell(low.y) as usize..to_cell(high.y).ceil() as usize {
-            for column in to_cell(low.x) as usize..to_cell(high.x).ceil() as usize {
-                let centre =
-                    (Vec2::new(column as f32, row as f32) + 0.5) * cell_m - 0.5 * scene.terrain.size_m;
-                let distance = distance_to_segment(centre.extend(0.0), start.extend(0.0), end.extend(0.0));
-                if distance <= radius_m + half_diagonal_m {
-                    lists[row * side + column].push(index as u32);
+        cells.shaded_by(scene, caster, |cell| lists.push((cell, index as u32)));
+    }
+    // By cell; within a cell the casters keep their order.
+    let mut counts = vec![0_u32; side * side];
+    for &(cell, _) in &lists {
+        counts[cell as usize] += 1;
+    }
+    let mut asks = vec![false; side * side];
+    for place in &horizon.shaded {
+        let at = |metres: f32| cells.place(metres).min(side - 1);
+        let (low, high) = (*place - 1.5 * horizon.step_m, *place + 1.5 * horizon.step_m);
+        for row in at(low.y)..=at(high.y) {
+            asks[row * side + at(low.x)..=row * side + at(high.x)].fill(true);
+        }
+    }
+    let first = (side * side + 1) as u32;
+    let mut grid = Vec::with_capacity(first as usize + lists.len());
+    let mut start = first;
+    for (count, asks) in counts.iter_mut().zip(asks) {
+        grid.push(if asks { start | ASK_HORIZON } else { start });
+        let end = start + *count;
+        *count = start;
+        start = end;
+    }
+    grid.push(start);
+    grid.resize(start as usize, 0);
+    for (cell, index) in lists {
+        grid[counts[cell as usize] as usize] = index;
+        counts[cell as usize] += 1;
+    }
+    grid
+}
+
+/// The geometry of the caster grid.
+struct CasterCells<'a> {
+    terrain: &'a Terrain,
+    cell_m: f32,
+    origin_m: f32,
+}
+
+impl<'a> CasterCells<'a> {
+    fn new(terrain: &'a Terrain) -> Self {
+        Self { terrain, cell_m: terrain.size_m / CASTER_CELLS as f32, origin_m: -0.5 * terrain.size_m }
+    }
+
+    /// Column or row of a coordinate, which may lie outside.
+    fn place(&self, metres: f32) -> usize {
+        ((metres - self.origin_m) / self.cell_m).clamp(0.0, CASTER_CELLS as f32) as usize
+    }
+
+    /// Gives every cell that the shadow of a caster can touch above the ground.
+    fn shaded_by(&self, scene: &Scene, caster: &Caster, mut give: impl FnMut(u32)) {
+        let sun = &scene.sun;
+        let away = -sun.direction.truncate();
+        // The steepness of the rays that reach furthest: those of the lower limb.
+        let lowest = (sun.direction.z - sun.tan_half_angle()).max(1e-4);
+        let (steepness, away) =
+            if away.length() > 1e-6 { (lowest / away.length(), away / away.length()) } else { (1e6, Vec2::X) };
+        let rock = &scene.rocks[caster.rock];
+        let (centre, extent_m) = (caster.tile.centre, caster.tile.half_extent_m);
+        let top_m = centre.z + rock.z_range_m[1];
+        let half_diagonal_m = self.cell_m * std::f32::consts::FRAC_1_SQRT_2;
+        let penumbra = sun.tan_half_angle();
+        let start = centre.truncate();
+        let end = (centre - caster.reach_m * sun.direction).truncate();
+        let widest_m = extent_m + penumbra * caster.reach_m;
+        let (low, high) = (start.min(end) - widest_m, start.max(end) + widest_m);
+        for row in self.place(low.y)..(self.place(high.y) + 1).min(CASTER_CELLS as usize) {
+            for column in self.place(low.x)..(self.place(high.x) + 1).min(CASTER_CELLS as usize) {
+                let middle = (Vec2::new(column as f32, row as f32) + 0.5) * self.cell_m + self.origin_m;
+                let along_m = (middle - start).dot(away);
+                let across_m = (middle - start).perp_dot(away).abs();
+                let nearest_m = (along_m - half_diagonal_m).max(0.0);
+                let furthest_m = (along_m + half_diagonal_m).max(0.0);
+                let width_m = extent_m + 2.0 * penumbra * (furthest_m + extent_m) * (1.0 + steepness.min(10.0));
+                if across_m > width_m + half_diagonal_m || along_m < -(extent_m + half_diagonal_m) {
+                    continue;
+                }
+                // The highest ray that can have passed the rock falls below the ground somewhere.
+                let ray_m = top_m - (nearest_m - extent_m).max(0.0) * steepness;
+                if ray_m >= self.lowest_ground_m(column, row) {
+                    give((row * CASTER_CELLS as usize + column) as u32);
                 }
             }
         }
     }
-    let mut grid = Vec::with_capacity(side * side + 1 + lists.iter().map(Vec::len).sum::<usize>());
-    let mut start = (side * side + 1) as u32;
-    for list in &lists {
-        grid.push(start);
-        start += list.len() as u32;
+
+    /// A height that the ground of a cell does not fall below.
+    fn lowest_ground_m(&self, column: usize, row: usize) -> f32 {
+        let per_cell = self.terrain.cells as f32 / CASTER_CELLS as f32;
+        let last = self.terrain.cells as usize;
+        let span = |cell: usize| {
+            let low = (cell as f32 * per_cell - 1e-3).max(0.0) as usize;
+            low..=(((cell + 1) as f32 * per_cell + 1e-3).ceil() as usize).min(last)
+        };
+        let heights = span(row).flat_map(|row| {
+            let first = row * (last + 1);
+            span(column).map(move |column| self.terrain.vertices[first + column].position.z)
+        });
+        heights.fold(f32::INFINITY, f32::min)
     }
-    grid.push(start);
-    grid.extend(lists.iter().flatten());
-    grid
 }
 
 /// For places on a grid that is aligned with the sun: from which height each limb of the sun is just seen past
@@ -163,41 +239,125 @@ pub struct HorizonMap {
     pub size: [u32; 2],
     /// Height for the lower and for the upper limb, metres.
     pub heights_m: Vec<[f32; 2]>,
+    /// Places, metres, within [`Self::step_m`] of which the ground may hide any of the sun from what lies on it or above.
+    pub shaded: Vec<Vec2>,
 }
 
 impl HorizonMap {
-    /// The map of a ground and a sun. Covers the whole terrain.
+    /// The map of a ground and a sun over a region, given by its corners in the world: what is seen. Samples lie
+    /// where they would in a map of the whole terrain, and have the values that they would have there.
     #[must_use]
-    pub fn build(terrain: &Terrain, sun: &Sun) -> Self {
+    pub fn build(terrain: &Terrain, sun: &Sun, corners: &[Vec2]) -> Self {
         let azimuth = sun.azimuth_deg.to_radians();
         let towards = Vec2::new(libm::sin(azimuth) as f32, libm::cos(azimuth) as f32);
         let across = Vec2::new(-towards.y, towards.x);
         // The turned square that holds the terrain.
         let side_m = terrain.size_m * (towards.x.abs() + towards.y.abs());
         let step_m = (terrain.cell_m() / HORIZON_PER_CELL).max(side_m / (HORIZON_MAX - 2) as f32);
-        let samples = (side_m / step_m).ceil() as u32 + 2;
-        let origin = -0.5 * (samples - 1) as f32 * step_m * (towards + across);
+        let samples = (side_m / step_m).ceil() as usize + 2;
+        let whole_origin = -0.5 * (samples - 1) as f32 * step_m * (towards + across);
         let half_disc = 0.5 * sun.angular_diameter_deg;
         let fall_m = [-half_disc, half_disc].map(|offset| {
             let limb = (sun.elevation_deg + offset).clamp(LOWEST_LIMB_DEG, 89.9).to_radians();
             libm::tan(limb) as f32 * step_m
         });
-        let mut heights_m = vec![[f32::MIN; 2]; samples as usize * samples as usize];
+        // The samples around the region.
+        let (mut low, mut high) = (Vec2::INFINITY, Vec2::NEG_INFINITY);
+        for corner in corners {
+            let offset = (*corner - whole_origin) / step_m;
+            let at = Vec2::new(offset.dot(towards), offset.dot(across));
+            (low, high) = (low.min(at), high.max(at));
+        }
+        let first = |at: f32| (at.floor() - 1.0).clamp(0.0, (samples - 2) as f32) as usize;
+        let end = |at: f32| (at.ceil() + 2.0).clamp(2.0, samples as f32) as usize;
+        let (columns, rows) = (first(low.x)..end(high.x), first(low.y)..end(high.y));
+        let (columns, rows) = (
+            columns.start..columns.end.max(columns.start + 2),
+            rows.start..rows.end.max(rows.start + 2),
+        );
+        // No ground is so high that it would hide the sun from further off than this.
+        let heights = terrain.vertices.iter().map(|vertex| vertex.position.z);
+        let (lowest_m, highest_m) = heights.fold((f32::MAX, f32::MIN), |(low, high), z| (low.min(z), high.max(z)));
+        let reach = ((highest_m - lowest_m) / fall_m[0].max(1e-6)).ceil().min(samples as f32) as usize + 2;
+        let last = (columns.end + reach).min(samples);
         let half_m = 0.5 * terrain.size_m;
-        heights_m.par_chunks_mut(samples as usize).enumerate().for_each(|(row, heights)| {
-            let start = origin + row as f32 * step_m * across;
+        let mut heights_m = vec![[f32::MIN; 2]; columns.len() * rows.len()];
+        let bends = Bends::new(terrain, step_m);
+        let lines = heights_m.par_chunks_mut(columns.len()).zip(rows.clone());
+        let shaded = lines.map(|(heights, row)| {
+            let start = whole_origin + row as f32 * step_m * across;
             let mut limbs = [-1.0e9_f32; 2];
-            for (column, height) in heights.iter_mut().enumerate().rev() {
+            let mut shaded = Vec::new();
+            for column in (columns.start..last).rev() {
                 limbs = [limbs[0] - fall_m[0], limbs[1] - fall_m[1]];
-                *height = limbs;
                 let place = start + column as f32 * step_m * towards;
-                if place.abs().max_element() <= half_m {
-                    let ground_m = terrain.surface_height_at(place);
-                    limbs = limbs.map(|limb| limb.max(ground_m));
+                let ground_m = if place.abs().max_element() <= half_m {
+                    terrain.surface_height_at(place)
+                } else {
+                    f32::MIN
+                };
+                if columns.contains(&column) {
+                    heights[column - columns.start] = limbs;
+                    if ground_m > f32::MIN && ground_m - limbs[0] <= bends.at(place) {
+                        shaded.push(place);
+                    }
                 }
+                limbs = limbs.map(|limb| limb.max(ground_m));
             }
+            shaded
         });
-        Self { origin, towards, step_m, size: [samples; 2], heights_m }
+        let shaded: Vec<Vec2> = shaded.collect::<Vec<_>>().into_iter().flatten().collect();
+        let origin = whole_origin + step_m * (columns.start as f32 * towards + rows.start as f32 * across);
+        Self { origin, towards, step_m, size: [columns.len() as u32, rows.len() as u32], heights_m, shaded }
+    }
+}
+
+/// For each cell of a terrain, how far its ground may lie below the straight course between places a step apart.
+///
+/// Along a line the ground is straight but for kinks where it crosses the triangles' edges; a kink by J (change of
+/// slope) within a step of length s takes it at most J s / 4 off the straight line. Two axes make twice that; the three
+/// kinds of edges are added up over the cells around.
+struct Bends {
+    cells: usize,
+    cell_m: f32,
+    half_m: f32,
+    bends_m: Vec<f32>,
+}
+
+impl Bends {
+    fn new(terrain: &Terrain, step_m: f32) -> Self {
+        let (cells, row_len) = (terrain.cells as usize, terrain.cells as usize + 1);
+        let last = row_len - 1;
+        let height = |column: usize, row: usize| terrain.vertices[row * row_len + column].position.z;
+        // Changes of slope at a vertex, times a cell: along both axes and the diagonal.
+        let kinks_at = |column: usize, row: usize| {
+            let (west, east) = (column.saturating_sub(1), (column + 1).min(last));
+            let (south, north) = (row.saturating_sub(1), (row + 1).min(last));
+            let middle = 2.0 * height(column, row);
+            (height(west, row) + height(east, row) - middle).abs()
+                + (height(column, south) + height(column, north) - middle).abs()
+                + (height(west, south) + height(east, north) - middle).abs()
+        };
+        // Largest over two cells each way: first along rows, then along columns.
+        let wide = |at: usize, end: usize| at.saturating_sub(1)..=(at + 2).min(end);
+        let scale = 0.5 * step_m / terrain.cell_m();
+        let rows: Vec<Vec<f32>> = (0..row_len)
+            .into_par_iter()
+            .map(|row| {
+                let kinks: Vec<f32> = (0..row_len).map(|column| scale * kinks_at(column, row)).collect();
+                (0..cells).map(|column| wide(column, last).map(|c| kinks[c]).fold(0.0, f32::max)).collect()
+            })
+            .collect();
+        let bends_m = (0..cells * cells)
+            .into_par_iter()
+            .map(|cell| wide(cell / cells, last).map(|row| rows[row][cell % cells]).fold(0.0, f32::max))
+            .collect();
+        Self { cells, cell_m: terrain.cell_m(), half_m: 0.5 * terrain.size_m, bends_m }
+    }
+
+    fn at(&self, place: Vec2) -> f32 {
+        let cell = |metres: f32| (((metres + self.half_m) / self.cell_m) as usize).min(self.cells - 1);
+        self.bends_m[cell(place.y) * self.cells + cell(place.x)]
     }
 }
 
@@ -217,7 +377,8 @@ mod tests {
         // A ridge 4 m high along x = 0; the sun stands in the east (azimuth 90).
         let terrain = Terrain::from_height(200.0, 200, Vec::new(), |p| (4.0 - p.x.abs()).max(0.0));
         let sun = Sun::new(17.0, 90.0, 0.53, Vec3::ONE);
-        let map = HorizonMap::build(&terrain, &sun);
+        let corners = [Vec2::splat(-100.0), Vec2::splat(100.0), Vec2::new(-100.0, 100.0), Vec2::new(100.0, -100.0)];
+        let map = HorizonMap::build(&terrain, &sun, &corners);
         // Beyond 13 m the shadow of the ridge has met the ground.
         for x in [-5.0_f32, -8.0, -12.0] {
             let column = ((x - map.origin.x) / map.step_m).round();

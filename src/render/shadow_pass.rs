@@ -95,9 +95,9 @@ impl ShadowPass {
         for (index, group) in (0..).zip(groups) {
             pass.set_bind_group(index, group, &[]);
         }
-        for pipeline in &self.layers {
+        for (pipeline, draws) in self.layers.iter().zip(&scene.draws.casters) {
             pass.set_pipeline(pipeline);
-            super::draw_all(&mut pass, scene, &scene.draws.casters);
+            super::draw_all(&mut pass, scene, scene.thing_indices(), draws);
         }
     }
 }

@@ -1,0 +1,164 @@
+//! Triangles that can be seen, picked one by one: for devices on which a triangle costs more than the picking.
+//!
+//! A driver that rasterises on the CPU takes as long for a triangle that faces away as this takes for fifty. What is
+//! left out here could not have covered a sample, so that the picture is the same to the bit with and without.
+//! Such a driver also runs every branch of a shader: ground on which no shadow can fall is told apart, to be drawn by a
+//! program without any.
+//! Must not know: buffers.
+
+use std::ops::Range;
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::selection::{Frustum, Selection, ground_blocks};
+use super::shadow::{ASK_HORIZON, CASTER_CELLS};
+use crate::scene::Scene;
+use crate::scene::rocks::Rock;
+
+/// A triangle counts as facing both ways if the sine of its tilt is below this: a device's arithmetic may differ from
+/// ours.
+const EDGE_ON: f32 = 1e-3;
+
+/// The triangles of a rock that matter, as lists of vertex indices.
+#[derive(Clone, Debug, Default)]
+pub struct RockTriangles {
+    /// Towards the eye and not under the ground.
+    pub seen: Vec<[u32; 3]>,
+    /// Towards the sun.
+    pub fronts: Vec<[u32; 3]>,
+    /// Away from the sun.
+    pub backs: Vec<[u32; 3]>,
+}
+
+/// The triangles of a selection that matter.
+#[derive(Clone, Debug, Default)]
+pub struct Facing {
+    /// For each of [`Selection::rocks`].
+    pub rocks: Vec<RockTriangles>,
+    /// For each of [`Selection::blocks`]: ground on which no shadow can fall, and the rest.
+    pub ground: Vec<[Vec<[u32; 3]>; 2]>,
+}
+
+impl Facing {
+    /// What matters of a selection. `caster_grid` is that of [`super::shadow::caster_grid`].
+    #[must_use]
+    pub fn new(scene: &Scene, selection: &Selection, frustum: &Frustum, caster_grid: &[u32]) -> Self {
+        let rocks = selection
+            .rocks
+            .par_iter()
+            .map(|selected| {
+                let rock = &scene.rocks[selected.rock];
+                let seen = selected.seen_level.map_or(Vec::new(), |level| seen_triangles(scene, rock, level));
+                let (fronts, backs) = selected
+                    .caster
+                    .map_or_else(Default::default, |(_, level)| by_side(rock, level, scene.sun.direction));
+                RockTriangles { seen, fronts, backs }
+            })
+            .collect();
+        let shaded = shaded_cells(scene, caster_grid);
+        let spans: Vec<[Range<u32>; 2]> = ground_blocks(scene.terrain.cells).collect();
+        let ground = selection
+            .blocks
+            .par_iter()
+            .map(|&(block, _)| ground_triangles(scene, &spans[block], frustum, &shaded))
+            .collect();
+        Self { rocks, ground }
+    }
+}
+
+/// The normal of a triangle, as long as twice its area, and its corners.
+fn normal(rock: &Rock, triangle: &[u32; 3]) -> (Vec3, [Vec3; 3]) {
+    let corners = triangle.map(|vertex| rock.vertices[vertex as usize].position);
+    let [a, b, c] = corners;
+    ((b - a).cross(c - a), corners)
+}
+
+fn seen_triangles(scene: &Scene, rock: &Rock, level: usize) -> Vec<[u32; 3]> {
+    let eye = scene.camera.eye - rock.centre;
+    // Whatever lies below the lowest ground around the rock is under the ground.
+    let buried_m = lowest_ground_m(scene, rock) - rock.centre.z;
+    let triangles = rock.triangles(level).iter().filter(|triangle| {
+        let (normal, [a, b, c]) = normal(rock, triangle);
+        let to_eye = eye - a;
+        let facing = normal.dot(to_eye);
+        (facing > 0.0 || facing * facing < EDGE_ON * EDGE_ON * normal.length_squared() * to_eye.length_squared())
+            && a.z.max(b.z).max(c.z) > buried_m
+    });
+    triangles.copied().collect()
+}
+
+fn by_side(rock: &Rock, level: usize, sun: Vec3) -> (Vec<[u32; 3]>, Vec<[u32; 3]>) {
+    let triangles = rock.triangles(level);
+    let (mut fronts, mut backs) = (Vec::with_capacity(triangles.len() * 3 / 5), Vec::with_capacity(triangles.len() * 3 / 5));
+    for triangle in triangles {
+        let (normal, _) = normal(rock, triangle);
+        let facing = normal.dot(sun);
+        let edge_on = facing * facing < EDGE_ON * EDGE_ON * normal.length_squared();
+        if facing > 0.0 || edge_on {
+            fronts.push(*triangle);
+        }
+        if facing < 0.0 || edge_on {
+            backs.push(*triangle);
+        }
+    }
+    (fronts, backs)
+}
+
+fn lowest_ground_m(scene: &Scene, rock: &Rock) -> f32 {
+    let terrain = &scene.terrain;
+    let cell = |metres: f32| ((metres + 0.5 * terrain.size_m) / terrain.cell_m()).clamp(0.0, terrain.cells as f32);
+    let span = |centre: f32| {
+        (cell(centre - rock.radius_m) as usize)..=(cell(centre + rock.radius_m).ceil() as usize)
+    };
+    let row_len = terrain.cells as usize + 1;
+    let heights = span(rock.centre.y).flat_map(|row| {
+        span(rock.centre.x).map(move |column| terrain.vertices[row * row_len + column].position.z)
+    });
+    heights.fold(f32::INFINITY, f32::min)
+}
+
+/// For each cell of the ground, whether any shadow can fall on it.
+fn shaded_cells(scene: &Scene, caster_grid: &[u32]) -> Vec<bool> {
+    let (cells, side) = (scene.terrain.cells as usize, CASTER_CELLS as usize);
+    let mut shaded = vec![false; cells * cells];
+    let per_cell = cells as f32 / side as f32;
+    let span = |cell: usize| {
+        let low = (cell as f32 * per_cell - 1e-3).max(0.0) as usize;
+        low..(((cell + 1) as f32 * per_cell + 1e-3).ceil() as usize).min(cells)
+    };
+    for (cell, starts) in caster_grid[..=side * side].windows(2).enumerate() {
+        let empty = starts[0] & ASK_HORIZON == 0 && starts[0] == starts[1] & !ASK_HORIZON;
+        if !empty {
+            for row in span(cell / side) {
+                shaded[row * cells..][span(cell % side)].fill(true);
+            }
+        }
+    }
+    shaded
+}
+
+/// The triangles of a block that may be seen: those on which no shadow can fall, and the rest.
+fn ground_triangles(
+    scene: &Scene,
+    [columns, rows]: &[Range<u32>; 2],
+    frustum: &Frustum,
+    shaded: &[bool],
+) -> [Vec<[u32; 3]>; 2] {
+    let terrain = &scene.terrain;
+    let row_len = terrain.cells + 1;
+    let mut lists = [Vec::new(), Vec::new()];
+    for row in rows.clone() {
+        for column in columns.clone() {
+            let (sw, se) = (row * row_len + column, row * row_len + column + 1);
+            let corners = [sw, se, sw + row_len, se + row_len].map(|v| terrain.vertices[v as usize].position);
+            let (low, high) =
+                corners.iter().fold((corners[0], corners[0]), |(low, high), p| (low.min(*p), high.max(*p)));
+            if frustum.may_see_box(low, high) {
+                let list = usize::from(shaded[(row * terrain.cells + column) as usize]);
+                lists[list].extend(terrain.block_triangles(column..column + 1, row..row + 1));
+            }
+        }
+    }
+    lists
+}
