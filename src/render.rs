@@ -98,6 +98,9 @@ pub struct Renderer {
     scene: GpuScene,
     targets: Option<(Targets, PackedFrame)>,
     timer: Option<Timer>,
+    /// Whether triangles that cannot be seen are left out one by one (see [`facing`]); labels and picture are the same
+    /// either way. At first, whether the device is a CPU: a GPU is faster without.
+    pub pick_triangles: bool,
 }
 
 impl Renderer {
@@ -114,6 +117,7 @@ impl Renderer {
             scene: GpuScene::default(),
             targets: None,
             timer: Timer::new(&gpu),
+            pick_triangles: gpu.info.device_type == wgpu::DeviceType::Cpu,
             layouts,
             gpu,
         };
@@ -147,8 +151,8 @@ impl Renderer {
             }
         };
         self.scene_pass.prepare(&self.gpu, settings.annotations);
-        let (gpu, gpu_scene) = (&self.gpu, &mut self.scene);
-        gpu.guard(|| gpu_scene.upload(gpu, scene, settings))?;
+        let (gpu, gpu_scene, pick_triangles) = (&self.gpu, &mut self.scene, self.pick_triangles);
+        gpu.guard(|| gpu_scene.upload(gpu, scene, settings, pick_triangles))?;
         self.shadow_pass.prepare(&self.gpu, self.scene.atlas_layer_px);
         self.gpu.check()?;
         let uploaded = Instant::now();
@@ -307,12 +311,7 @@ fn vertex_layout(attributes: &[wgpu::VertexAttribute]) -> wgpu::VertexBufferLayo
     }
 }
 
-fn draw_all(
-    pass: &mut wgpu::RenderPass<'_>,
-    scene: &GpuScene,
-    indices: &gpu_scene::Store,
-    draws: &[Draw],
-) {
+fn draw_all(pass: &mut wgpu::RenderPass<'_>, scene: &GpuScene, indices: &gpu_scene::Store, draws: &[Draw]) {
     pass.set_vertex_buffer(0, scene.vertices.buffer().slice(..));
     pass.set_index_buffer(indices.buffer().slice(..), wgpu::IndexFormat::Uint32);
     for draw in draws {

@@ -1,7 +1,7 @@
 //! Triangles that can be seen, picked one by one: for devices on which a triangle costs more than the picking.
 //!
 //! A driver that rasterises on the CPU takes as long for a triangle that faces away as this takes for fifty. What is
-//! left out here could not have covered a sample, so that the picture is the same to the bit with and without.
+//! left out here could not have covered a sample, so that labels and picture are the same with and without.
 //! Such a driver also runs every branch of a shader: ground on which no shadow can fall is told apart, to be drawn by a
 //! program without any.
 //! Must not know: buffers.
@@ -82,7 +82,8 @@ fn seen_triangles(scene: &Scene, rock: &Rock, level: usize) -> Vec<[u32; 3]> {
         let (normal, [a, b, c]) = normal(rock, triangle);
         let to_eye = eye - a;
         let facing = normal.dot(to_eye);
-        (facing > 0.0 || facing * facing < EDGE_ON * EDGE_ON * normal.length_squared() * to_eye.length_squared())
+        (facing > 0.0
+            || facing * facing < EDGE_ON * EDGE_ON * normal.length_squared() * to_eye.length_squared())
             && a.z.max(b.z).max(c.z) > buried_m
     });
     triangles.copied().collect()
@@ -90,7 +91,8 @@ fn seen_triangles(scene: &Scene, rock: &Rock, level: usize) -> Vec<[u32; 3]> {
 
 fn by_side(rock: &Rock, level: usize, sun: Vec3) -> (Vec<[u32; 3]>, Vec<[u32; 3]>) {
     let triangles = rock.triangles(level);
-    let (mut fronts, mut backs) = (Vec::with_capacity(triangles.len() * 3 / 5), Vec::with_capacity(triangles.len() * 3 / 5));
+    let (mut fronts, mut backs) =
+        (Vec::with_capacity(triangles.len() * 3 / 5), Vec::with_capacity(triangles.len() * 3 / 5));
     for triangle in triangles {
         let (normal, _) = normal(rock, triangle);
         let facing = normal.dot(sun);
@@ -105,9 +107,15 @@ fn by_side(rock: &Rock, level: usize, sun: Vec3) -> (Vec<[u32; 3]>, Vec<[u32; 3]
     (fronts, backs)
 }
 
+/// A height that the ground around a rock does not fall below.
 fn lowest_ground_m(scene: &Scene, rock: &Rock) -> f32 {
     let terrain = &scene.terrain;
-    let cell = |metres: f32| ((metres + 0.5 * terrain.size_m) / terrain.cell_m()).clamp(0.0, terrain.cells as f32);
+    if rock.centre.truncate().abs().max_element() + rock.radius_m >= 0.5 * terrain.size_m {
+        // Beyond its border there is no ground to be under.
+        return f32::NEG_INFINITY;
+    }
+    let cell =
+        |metres: f32| ((metres + 0.5 * terrain.size_m) / terrain.cell_m()).clamp(0.0, terrain.cells as f32);
     let span = |centre: f32| {
         (cell(centre - rock.radius_m) as usize)..=(cell(centre + rock.radius_m).ceil() as usize)
     };

@@ -8,8 +8,8 @@ use glam::Mat4;
 use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 
 use super::RenderSettings;
-use super::resolve::{self, Packing};
 use super::facing::Facing;
+use super::resolve::{self, Packing};
 use super::selection::{Frustum, Selection, ground_blocks};
 use super::shaders::{CasterTile, FrameUniforms, Instance};
 use super::shadow::{self, HorizonMap};
@@ -165,15 +165,14 @@ impl Default for GpuScene {
 
 impl GpuScene {
     /// Chooses what is drawn of `scene` with these settings and writes it to the device.
-    pub fn upload(&mut self, gpu: &Gpu, scene: &Scene, settings: &RenderSettings) {
+    pub fn upload(&mut self, gpu: &Gpu, scene: &Scene, settings: &RenderSettings, pick_triangles: bool) {
         self.uploaded_bytes = 0;
         self.upload_indices(gpu, scene);
         let selection = Selection::new(scene, settings);
         let horizon = HorizonMap::build(&scene.terrain, &scene.sun, &selection.seen_corners(scene));
         let casters = &selection.casters;
         let caster_grid = shadow::caster_grid(scene, casters, &horizon);
-        // A GPU is faster without, and the picture is the same.
-        let facing = (gpu.info.device_type == wgpu::DeviceType::Cpu).then(|| {
+        let facing = pick_triangles.then(|| {
             let frustum = Frustum::new(&scene.camera.clip_from_world(settings.size));
             Facing::new(scene, &selection, &frustum, &caster_grid)
         });
@@ -239,7 +238,8 @@ impl GpuScene {
             class_id: ClassId::REGOLITH.0.into(),
             ..Default::default()
         }];
-        let (mut surfaces, mut lit): (Vec<(f32, Draw)>, Vec<(f32, Draw)>) = (Vec::new(), Vec::new());
+        let mut surfaces: Vec<(f32, Draw)> = Vec::new();
+        let mut lit: Vec<(f32, Draw)> = Vec::new();
         for (place, &(block, nearest_m)) in selection.blocks.iter().enumerate() {
             let draw = |indices| Draw { indices, base_vertex: ground_base as i32, instances: 0..1 };
             if let Some(facing) = facing {
@@ -256,11 +256,8 @@ impl GpuScene {
         for (place, selected) in selection.rocks.iter().enumerate() {
             let rock = &scene.rocks[selected.rock];
             let instance = instances.len() as u32;
-            let draw = |indices| Draw {
-                indices,
-                base_vertex: rock_base as i32,
-                instances: instance..instance + 1,
-            };
+            let draw =
+                |indices| Draw { indices, base_vertex: rock_base as i32, instances: instance..instance + 1 };
             let triangles = facing.map(|facing| &facing.rocks[place]);
             if let Some((_, level)) = selected.caster {
                 let whole = || self.sphere_levels[level].clone();

@@ -47,8 +47,22 @@ impl ScenePass {
         let positions = wgpu::vertex_attr_array![0 => Float32x3];
         // The dome is seen from inside, the stars from outside.
         let pipelines = [
-            self.pipeline(gpu, 0, &[("OPEN", 1.0)], annotations, &positions_and_normals, Some(wgpu::Face::Back)),
-            self.pipeline(gpu, 0, &[("OPEN", 0.0)], annotations, &positions_and_normals, Some(wgpu::Face::Back)),
+            self.pipeline(
+                gpu,
+                0,
+                &[("OPEN", 1.0)],
+                annotations,
+                &positions_and_normals,
+                Some(wgpu::Face::Back),
+            ),
+            self.pipeline(
+                gpu,
+                0,
+                &[("OPEN", 0.0)],
+                annotations,
+                &positions_and_normals,
+                Some(wgpu::Face::Back),
+            ),
             self.pipeline(gpu, 1, &[], annotations, &positions, None),
         ];
         self.pipelines.push((annotations, pipelines));

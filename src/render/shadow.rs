@@ -174,8 +174,11 @@ impl<'a> CasterCells<'a> {
         let away = -sun.direction.truncate();
         // The steepness of the rays that reach furthest: those of the lower limb.
         let lowest = (sun.direction.z - sun.tan_half_angle()).max(1e-4);
-        let (steepness, away) =
-            if away.length() > 1e-6 { (lowest / away.length(), away / away.length()) } else { (1e6, Vec2::X) };
+        let (steepness, away) = if away.length() > 1e-6 {
+            (lowest / away.length(), away / away.length())
+        } else {
+            (1e6, Vec2::X)
+        };
         let rock = &scene.rocks[caster.rock];
         let (centre, extent_m) = (caster.tile.centre, caster.tile.half_extent_m);
         let top_m = centre.z + rock.z_range_m[1];
@@ -192,7 +195,8 @@ impl<'a> CasterCells<'a> {
                 let across_m = (middle - start).perp_dot(away).abs();
                 let nearest_m = (along_m - half_diagonal_m).max(0.0);
                 let furthest_m = (along_m + half_diagonal_m).max(0.0);
-                let width_m = extent_m + 2.0 * penumbra * (furthest_m + extent_m) * (1.0 + steepness.min(10.0));
+                let width_m =
+                    extent_m + 2.0 * penumbra * (furthest_m + extent_m) * (1.0 + steepness.min(10.0));
                 if across_m > width_m + half_diagonal_m || along_m < -(extent_m + half_diagonal_m) {
                     continue;
                 }
@@ -271,13 +275,12 @@ impl HorizonMap {
         let first = |at: f32| (at.floor() - 1.0).clamp(0.0, (samples - 2) as f32) as usize;
         let end = |at: f32| (at.ceil() + 2.0).clamp(2.0, samples as f32) as usize;
         let (columns, rows) = (first(low.x)..end(high.x), first(low.y)..end(high.y));
-        let (columns, rows) = (
-            columns.start..columns.end.max(columns.start + 2),
-            rows.start..rows.end.max(rows.start + 2),
-        );
+        let (columns, rows) =
+            (columns.start..columns.end.max(columns.start + 2), rows.start..rows.end.max(rows.start + 2));
         // No ground is so high that it would hide the sun from further off than this.
         let heights = terrain.vertices.iter().map(|vertex| vertex.position.z);
-        let (lowest_m, highest_m) = heights.fold((f32::MAX, f32::MIN), |(low, high), z| (low.min(z), high.max(z)));
+        let (lowest_m, highest_m) =
+            heights.fold((f32::MAX, f32::MIN), |(low, high), z| (low.min(z), high.max(z)));
         let reach = ((highest_m - lowest_m) / fall_m[0].max(1e-6)).ceil().min(samples as f32) as usize + 2;
         let last = (columns.end + reach).min(samples);
         let half_m = 0.5 * terrain.size_m;
@@ -377,7 +380,8 @@ mod tests {
         // A ridge 4 m high along x = 0; the sun stands in the east (azimuth 90).
         let terrain = Terrain::from_height(200.0, 200, Vec::new(), |p| (4.0 - p.x.abs()).max(0.0));
         let sun = Sun::new(17.0, 90.0, 0.53, Vec3::ONE);
-        let corners = [Vec2::splat(-100.0), Vec2::splat(100.0), Vec2::new(-100.0, 100.0), Vec2::new(100.0, -100.0)];
+        let corners =
+            [Vec2::splat(-100.0), Vec2::splat(100.0), Vec2::new(-100.0, 100.0), Vec2::new(100.0, -100.0)];
         let map = HorizonMap::build(&terrain, &sun, &corners);
         // Beyond 13 m the shadow of the ridge has met the ground.
         for x in [-5.0_f32, -8.0, -12.0] {

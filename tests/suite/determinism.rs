@@ -1,6 +1,9 @@
 //! Same seed and knobs: same bytes, whatever ran before and on however many threads.
 
-use crate::support::{folder, json, program, render, run_ok, scene};
+use regolith::frame::Annotation;
+use regolith::render::RenderSettings;
+
+use crate::support::{folder, json, program, render, renderer, run_ok, scene};
 
 #[test]
 fn the_program_makes_the_same_bytes_twice() {
@@ -66,4 +69,38 @@ fn what_was_rendered_before_leaves_no_trace() {
     let alone = render(&first, 128, 4);
     render(&other, 200, 1);
     assert!(alone == render(&first, 128, 4));
+}
+
+#[test]
+fn leaving_out_what_cannot_be_seen_changes_no_label_and_no_colour() {
+    let settings = |side| {
+        let mut settings = RenderSettings::new([side, side], 4).expect("settings");
+        settings.annotations =
+            [Annotation::Depth, Annotation::Normals, Annotation::Instances, Annotation::Shadow]
+                .into_iter()
+                .collect();
+        settings
+    };
+    for (seed, set) in [
+        (1, &[][..]),
+        (2, &["sun.elevation_deg=3", "sun.azimuth_deg=10"]),
+        (3, &["sun.elevation_deg=2", "sun.azimuth_deg=250", "terrain.amplitude_m=7"]),
+        (4, &["camera.height_m=15", "camera.pitch_deg=-35", "sun.elevation_deg=60", "craters.count=30"]),
+        (5, &["sun.elevation_deg=1", "sun.angular_diameter_deg=3", "camera.yaw_deg=120"]),
+        (6, &["terrain.size_m=200", "terrain.cells=400", "camera.y_m=-60", "rocks.count=300"]),
+    ] {
+        let scene = scene(seed, set);
+        let mut renderer = renderer();
+        assert!(renderer.pick_triangles, "the device of the tests is a CPU");
+        let picked = renderer.render(&scene, &settings(192)).expect("a frame").0;
+        let triangles = renderer.gpu_scene().drawn_triangles();
+        renderer.pick_triangles = false;
+        let whole = renderer.render(&scene, &settings(192)).expect("a frame").0;
+        renderer.pick_triangles = true;
+        assert!(renderer.gpu_scene().drawn_triangles() > triangles, "seed {seed}: nothing was left out");
+        assert!(picked.class == whole.class && picked.instances == whole.instances, "seed {seed}: labels");
+        assert!(picked.depth_m == whole.depth_m && picked.normals == whole.normals, "seed {seed}: geometry");
+        assert!(picked.hidden == whole.hidden && picked.rocks == whole.rocks, "seed {seed}: shadows, boxes");
+        assert!(picked.rgb == whole.rgb, "seed {seed}: colours");
+    }
 }
