@@ -69,7 +69,7 @@ enum Command {
         #[arg(long)]
         json: bool,
     },
-    /// Write the stage as a file for other programs, the format by its extension: .npz, .glb, .usda
+    /// Write the stage as a file for other programs, the format by its extension: .npz, .glb, .usda, .usdc
     Export(stage::ExportArgs),
     /// Print the completion script of a shell
     Completions {

@@ -30,11 +30,14 @@ pub enum Format {
     Glb,
     /// OpenUSD, as text.
     Usda,
+    /// OpenUSD, as a binary crate.
+    Usdc,
 }
 
 impl Format {
     /// Every format with its extension.
-    pub const ALL: [(Self, &'static str); 3] = [(Self::Npz, "npz"), (Self::Glb, "glb"), (Self::Usda, "usda")];
+    pub const ALL: [(Self, &'static str); 4] =
+        [(Self::Npz, "npz"), (Self::Glb, "glb"), (Self::Usda, "usda"), (Self::Usdc, "usdc")];
 
     /// The format of a file by its extension.
     ///
@@ -86,7 +89,8 @@ pub fn export(stage: &Stage<'_>, format: Format) -> Result<Vec<u8>> {
     match format {
         Format::Npz => npz::encode(stage),
         Format::Glb => gltf::encode(stage),
-        Format::Usda => usd::encode(stage),
+        Format::Usda => usd::encode_text(stage),
+        Format::Usdc => usd::encode_crate(stage),
     }
 }
 

@@ -1,11 +1,14 @@
-//! The scene as an OpenUSD stage in text form, with the prims and labels of the stage that it stands in for.
+//! The scene as an OpenUSD stage, with the prims and labels of the stage that it stands in for.
 //!
 //! Dome and stars are geometry here, for other programs have no sky of ours; the dome has a hole around the sun, and
 //! stars in it are left out (their numbers are in the custom data of `/World/Stars`), so that a path tracer's shadow
 //! rays reach it.
-//! Must not know: which triangles a frame draws; [`Stage::parts`] gives them.
+//! Must not know: which triangles a frame draws ([`Stage::parts`] gives them), how a file is laid out (`layer`, and its
+//! writers `text` and `crate_file`).
 
-use std::fmt::Write as _;
+mod crate_file;
+mod layer;
+mod text;
 
 use glam::Vec3;
 
@@ -15,6 +18,7 @@ use crate::error::Result;
 use crate::scene::mesh::Icosphere;
 use crate::scene::rocks::Material;
 use crate::scene::sky::{DOME_RADIANCE, STAR_RADIANCE, SUN_IRRADIANCE_PER_INTENSITY, Star};
+use layer::{Layer, Prim, Property, Value};
 
 /// Half the angle of the dome's hole around the sun, degrees.
 const HOLE_DEG: f64 = 34.0;
@@ -25,175 +29,157 @@ const STAR_LEVEL: usize = 1;
 /// Width of the camera's film, millimetres.
 const APERTURE_MM: f64 = 24.0;
 
-pub(super) fn encode(stage: &Stage<'_>) -> Result<Vec<u8>> {
-    let mut text = String::with_capacity(96 << 20);
-    // Writing into a string cannot fail.
-    let _ = write_stage(&mut text, stage);
-    Ok(text.into_bytes())
+/// The stage as text (`.usda`).
+pub(super) fn encode_text(stage: &Stage<'_>) -> Result<Vec<u8>> {
+    Ok(text::encode(&layer(stage)))
 }
 
-fn write_stage(out: &mut String, stage: &Stage<'_>) -> std::fmt::Result {
-    let knobs = serde_json::Value::Object(stage.knobs.clone()).to_string();
-    write!(
-        out,
-        "#usda 1.0\n(\n    customLayerData = {{\n        string regolith_knobs = {knobs:?}\n        \
-         string regolith_seed = \"{}\"\n        string regolith_version = \"{}\"\n    }}\n    \
-         defaultPrim = \"World\"\n    metersPerUnit = 1\n    upAxis = \"Z\"\n)\n\ndef Xform \"World\"\n{{\n",
-        stage.seed,
-        env!("CARGO_PKG_VERSION")
-    )?;
+/// The stage as a binary crate (`.usdc`).
+pub(super) fn encode_crate(stage: &Stage<'_>) -> Result<Vec<u8>> {
+    Ok(crate_file::encode(&layer(stage)))
+}
+
+fn layer(stage: &Stage<'_>) -> Layer {
     let parts = stage.parts();
     let (looks, look_of) = looks(&parts);
-    let named = |wanted: bool| {
-        let looks = &looks;
-        let pairs = parts.iter().zip(&look_of).filter(move |(part, _)| part.rock.is_some() == wanted);
-        pairs.map(move |(part, look)| (part, looks[*look].0.as_str()))
-    };
-    for (ground, look) in named(false) {
-        write_part(out, ground, look, "    ")?;
+    let mut world = Prim::new("World", "Xform");
+    let mut rocks = Prim::new("Rocks", "Xform");
+    for (part, look) in parts.iter().zip(&look_of) {
+        let prim = part_mesh(part, &looks[*look].0);
+        if part.rock.is_some() {
+            rocks.children.push(prim);
+        } else {
+            world.children.push(prim);
+        }
     }
-    writeln!(out, "    def Xform \"Rocks\"\n    {{")?;
-    for (rock, look) in named(true) {
-        write_part(out, rock, look, "        ")?;
-    }
-    writeln!(out, "    }}")?;
-    write_sun(out, stage)?;
-    write_sky(out, stage)?;
-    write_camera(out, stage)?;
-    writeln!(out, "    def Scope \"Looks\"\n    {{")?;
-    for (name, material) in &looks {
-        write_surface(out, name, *material)?;
-    }
-    write_emitter(out, "StarDome", DOME_RADIANCE)?;
-    write_emitter(out, "Star", STAR_RADIANCE)?;
-    writeln!(out, "    }}\n}}")
+    let mut materials = Prim::new("Looks", "Scope");
+    materials.children.extend(looks.iter().map(|(name, material)| surface(name, *material)));
+    materials.children.extend([emitter("StarDome", DOME_RADIANCE), emitter("Star", STAR_RADIANCE)]);
+    let [dome, stars] = sky(stage);
+    world.children.extend([rocks, sun(stage), dome, stars, camera(stage), materials]);
+    let knobs = serde_json::Value::Object(stage.knobs.clone()).to_string();
+    let metadata = vec![
+        (
+            "customLayerData",
+            Value::Dictionary(vec![
+                ("regolith_knobs", Value::String(knobs)),
+                ("regolith_seed", Value::String(stage.seed.to_string())),
+                ("regolith_version", Value::String(env!("CARGO_PKG_VERSION").to_owned())),
+            ]),
+        ),
+        ("defaultPrim", Value::Token("World".to_owned())),
+        ("metersPerUnit", Value::Double(1.0)),
+        ("upAxis", Value::Token("Z".to_owned())),
+    ];
+    Layer { metadata, prims: vec![world] }
 }
 
-/// Labels and material of a prim, as metadata in parentheses and as properties.
-fn schemas(class: ClassId) -> (String, String) {
-    let name = class.class().map_or("", |class| class.name);
-    let applied = "prepend apiSchemas = [\"MaterialBindingAPI\", \"SemanticsLabelsAPI:class\", \
-                   \"SemanticsAPI:Semantics_class\"]";
-    let labels = format!(
-        "token[] semantics:labels:class = [\"{name}\"]\n\
-         string semantic:Semantics_class:params:semanticData = \"{name}\"\n\
-         string semantic:Semantics_class:params:semanticType = \"class\""
-    );
-    (applied.to_owned(), labels)
+fn part_mesh(part: &Part<'_>, look: &str) -> Prim {
+    let points = part.vertices.iter().map(|v| v.position).collect();
+    let normals = part.vertices.iter().map(|v| v.normal).collect();
+    let mut prim = mesh(&part.name(), look, part.class, &part.triangles, points, Some(normals));
+    prim.properties.extend(translation(part.origin));
+    prim
 }
 
-fn write_part(out: &mut String, part: &Part<'_>, look: &str, indent: &str) -> std::fmt::Result {
-    let name = part.name();
-    let positions = || part.vertices.iter().map(|v| v.position);
-    let normals = || part.vertices.iter().map(|v| v.normal);
-    write_mesh(out, indent, &name, look, part.class, &part.triangles, positions, Some(normals))?;
-    let [x, y, z] = part.origin.to_array();
-    write!(
-        out,
-        "{indent}    double3 xformOp:translate = ({x}, {y}, {z})\n\
-         {indent}    uniform token[] xformOpOrder = [\"xformOp:translate\"]\n{indent}}}\n"
-    )
-}
-
-/// A mesh without its closing brace.
-#[expect(clippy::too_many_arguments, reason = "one line of each makes a mesh")]
-fn write_mesh<P: Iterator<Item = Vec3>, N: Iterator<Item = Vec3>>(
-    out: &mut String,
-    indent: &str,
+/// A mesh with its labels and material.
+fn mesh(
     name: &str,
-    material: &str,
+    look: &str,
     class: ClassId,
     triangles: &[[u32; 3]],
-    positions: impl Fn() -> P,
-    normals: Option<impl Fn() -> N>,
-) -> std::fmt::Result {
-    let (applied, labels) = schemas(class);
-    let (low, high) =
-        positions().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
-    write!(out, "{indent}def Mesh \"{name}\" (\n{indent}    {applied}\n{indent})\n{indent}{{\n")?;
-    writeln!(out, "{indent}    float3[] extent = [{}, {}]", Tuple(low), Tuple(high))?;
-    write_list(out, indent, "int[] faceVertexCounts", triangles.iter().map(|_| 3))?;
-    write_list(out, indent, "int[] faceVertexIndices", triangles.as_flattened().iter())?;
-    write_list(out, indent, "point3f[] points", positions().map(Tuple))?;
-    if let Some(normals) = normals {
-        write_list(out, indent, "normal3f[] normals", normals().map(Tuple))?;
-        // The interpolation is metadata of the list that was just written.
-        out.truncate(out.trim_end().len());
-        write!(out, " (\n{indent}        interpolation = \"vertex\"\n{indent}    )\n")?;
-    }
-    write!(
-        out,
-        "{indent}    uniform token orientation = \"rightHanded\"\n\
-         {indent}    uniform token subdivisionScheme = \"none\"\n\
-         {indent}    rel material:binding = </World/Looks/{material}>\n"
-    )?;
-    for line in labels.lines() {
-        writeln!(out, "{indent}    {line}")?;
-    }
-    Ok(())
+    points: Vec<Vec3>,
+    normals: Option<Vec<Vec3>>,
+) -> Prim {
+    let (low, high) = points
+        .iter()
+        .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(*p), high.max(*p)));
+    let indices = triangles.as_flattened().iter().map(|vertex| *vertex as i32).collect();
+    let label = class.class().map_or("", |class| class.name);
+    let mut prim = Prim::new(name, "Mesh");
+    let schemas = ["MaterialBindingAPI", "SemanticsLabelsAPI:class", "SemanticsAPI:Semantics_class"];
+    prim.metadata.push(("apiSchemas", Value::PrependedTokens(schemas.map(str::to_owned).to_vec())));
+    prim.properties = vec![
+        Property::new("extent", "float3[]", Value::Vec3fArray(vec![low, high])),
+        Property::new("faceVertexCounts", "int[]", Value::IntArray(vec![3; triangles.len()])),
+        Property::new("faceVertexIndices", "int[]", Value::IntArray(indices)),
+        Property::new("points", "point3f[]", Value::Vec3fArray(points)),
+    ];
+    prim.properties.extend(normals.map(|normals| {
+        Property::new("normals", "normal3f[]", Value::Vec3fArray(normals))
+            .with("interpolation", Value::Token("vertex".to_owned()))
+    }));
+    let token = |text: &str| Value::Token(text.to_owned());
+    prim.properties.extend([
+        Property::new("orientation", "token", token("rightHanded")).uniform(),
+        Property::new("subdivisionScheme", "token", token("none")).uniform(),
+        Property::relationship("material:binding", format!("/World/Looks/{look}")),
+        Property::new("semantics:labels:class", "token[]", Value::TokenArray(vec![label.to_owned()])),
+        Property::new(
+            "semantic:Semantics_class:params:semanticData",
+            "string",
+            Value::String(label.to_owned()),
+        ),
+        Property::new(
+            "semantic:Semantics_class:params:semanticType",
+            "string",
+            Value::String("class".to_owned()),
+        ),
+    ]);
+    prim
 }
 
-/// A vector as USD writes it.
-struct Tuple(Vec3);
-
-impl std::fmt::Display for Tuple {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let [x, y, z] = self.0.to_array();
-        write!(f, "({x}, {y}, {z})")
-    }
+fn translation(to: Vec3) -> [Property; 2] {
+    [
+        Property::new("xformOp:translate", "double3", Value::Vec3d(to.as_dvec3().to_array())),
+        transform_order("xformOp:translate"),
+    ]
 }
 
-fn write_list<T: std::fmt::Display>(
-    out: &mut String,
-    indent: &str,
-    declaration: &str,
-    items: impl Iterator<Item = T>,
-) -> std::fmt::Result {
-    write!(out, "{indent}    {declaration} = [")?;
-    for (i, item) in items.enumerate() {
-        let comma = if i > 0 { ", " } else { "" };
-        write!(out, "{comma}{item}")?;
-    }
-    out.push_str("]\n");
-    Ok(())
+fn transform_order(operation: &str) -> Property {
+    Property::new("xformOpOrder", "token[]", Value::TokenArray(vec![operation.to_owned()])).uniform()
 }
 
-/// Rows of a USD transform (row vectors): where the prim's axes point, and its place.
-fn matrix(x: Vec3, y: Vec3, z: Vec3, place: Vec3) -> String {
-    let row = |v: Vec3, last: u8| format!("({}, {}, {}, {last})", v.x, v.y, v.z);
-    format!("( {}, {}, {}, {} )", row(x, 0), row(y, 0), row(z, 0), row(place, 1))
+/// A transform by where the prim's axes point, and its place: USD's rows are vectors.
+fn transform(x: Vec3, y: Vec3, z: Vec3, place: Vec3) -> [Property; 2] {
+    let row = |v: Vec3, last: f64| [f64::from(v.x), f64::from(v.y), f64::from(v.z), last];
+    let matrix = [row(x, 0.0), row(y, 0.0), row(z, 0.0), row(place, 1.0)];
+    [
+        Property::new("xformOp:transform", "matrix4d", Value::Matrix4d(matrix)),
+        transform_order("xformOp:transform"),
+    ]
 }
 
-fn write_sun(out: &mut String, stage: &Stage<'_>) -> std::fmt::Result {
+fn sun(stage: &Stage<'_>) -> Prim {
     let sun = &stage.scene.sun;
-    // A distant light shines along its -Z.
     let [right, up] = sun.right_and_up();
     // A scene made by hand has no such knobs; then the sun's own irradiance gives them.
     let knob = |name: &str| stage.knobs.get(name);
     let own = sun.irradiance / SUN_IRRADIANCE_PER_INTENSITY;
     let colour = knob("sun.color").and_then(|colour| {
         let [red, green, blue] = colour.as_array()?.as_slice() else { return None };
-        Some([red.as_f64()?, green.as_f64()?, blue.as_f64()?])
+        Some(Vec3::new(red.as_f64()? as f32, green.as_f64()? as f32, blue.as_f64()? as f32))
     });
-    let (intensity, [red, green, blue]) =
-        match (knob("sun.intensity").and_then(serde_json::Value::as_f64), colour) {
-            (Some(intensity), Some(colour)) => (intensity, colour),
-            _ => {
-                let brightest = own.max_element().max(f32::MIN_POSITIVE);
-                (f64::from(brightest), (own / brightest).to_array().map(f64::from))
-            }
-        };
-    write!(
-        out,
-        "    def DistantLight \"Sun\"\n    {{\n        float inputs:angle = {}\n        color3f inputs:color = ({red}, {green}, {blue})\n        \
-         float inputs:intensity = {intensity}\n        matrix4d xformOp:transform = {}\n        \
-         uniform token[] xformOpOrder = [\"xformOp:transform\"]\n    }}\n",
-        sun.angular_diameter_deg,
-        matrix(right, up, sun.direction, Vec3::ZERO)
-    )
+    let (intensity, colour) = match (knob("sun.intensity").and_then(serde_json::Value::as_f64), colour) {
+        (Some(intensity), Some(colour)) => (intensity as f32, colour),
+        _ => {
+            let brightest = own.max_element().max(f32::MIN_POSITIVE);
+            (brightest, own / brightest)
+        }
+    };
+    let mut prim = Prim::new("Sun", "DistantLight");
+    prim.properties = vec![
+        Property::new("inputs:angle", "float", Value::Float(sun.angular_diameter_deg as f32)),
+        Property::new("inputs:color", "color3f", Value::Vec3f(colour)),
+        Property::new("inputs:intensity", "float", Value::Float(intensity)),
+    ];
+    // A distant light shines along its -Z.
+    prim.properties.extend(transform(right, up, sun.direction, Vec3::ZERO));
+    prim
 }
 
-fn write_sky(out: &mut String, stage: &Stage<'_>) -> std::fmt::Result {
+/// Dome and stars.
+fn sky(stage: &Stage<'_>) -> [Prim; 2] {
     let (sky, sun) = (&stage.scene.sky, &stage.scene.sun);
     let edge = libm::cos(HOLE_DEG.to_radians()) as f32;
     let in_hole = |direction: Vec3| direction.dot(sun.direction) > edge;
@@ -213,87 +199,88 @@ fn write_sky(out: &mut String, stage: &Stage<'_>) -> std::fmt::Result {
         .filter(|t| !t.iter().any(|v| in_hole(sphere.directions[*v as usize])))
         .map(|&[a, b, c]| [a, c, b].map(&mut number))
         .collect();
-    let positions = || directions.iter().map(|d| sky.centre + sky.radius_m * *d);
-    let none: Option<fn() -> std::iter::Empty<Vec3>> = None;
-    write_mesh(out, "    ", "StarDome", "StarDome", ClassId::SKY, &triangles, positions, none)?;
+    let points = directions.iter().map(|d| sky.centre + sky.radius_m * *d).collect();
+    let no_shadow = || Property::new("primvars:doNotCastShadows", "bool", Value::Bool(true));
+    let mut dome = mesh("StarDome", "StarDome", ClassId::SKY, &triangles, points, None);
+    dome.properties.push(no_shadow());
+
     let hidden = |star: &Star| in_hole((star.centre - sky.centre).normalize());
-    let left_out: Vec<String> = sky
-        .stars
-        .iter()
-        .enumerate()
-        .filter(|(_, star)| hidden(star))
-        .map(|(index, _)| index.to_string())
-        .collect();
-    write!(
-        out,
-        "        bool primvars:doNotCastShadows = 1\n    }}\n    def Xform \"Stars\" (\n        customData = {{\n            \
-         double holeHalfAngleDeg = {HOLE_DEG}\n            int[] starsLeftOutInHole = [{}]\n        }}\n    )\n    {{\n",
-        left_out.join(", ")
-    )?;
-    for (index, star) in sky.stars.iter().enumerate().filter(|(_, star)| !hidden(star)) {
+    let numbered = || (0..).zip(&sky.stars);
+    let left_out = numbered().filter(|(_, star)| hidden(star)).map(|(index, _)| index).collect();
+    let mut stars = Prim::new("Stars", "Xform");
+    let data = vec![
+        ("holeHalfAngleDeg", Value::Double(HOLE_DEG)),
+        ("starsLeftOutInHole", Value::IntArray(left_out)),
+    ];
+    stars.metadata.push(("customData", Value::Dictionary(data)));
+    stars.children.extend(numbered().filter(|(_, star)| !hidden(star)).map(|(index, star)| {
         // A mesh rather than a sphere prim, which not every program reads.
-        let used = Icosphere::vertex_count(STAR_LEVEL);
-        let positions = || sphere.directions[..used].iter().map(|d| star.radius_m * *d);
-        let none: Option<fn() -> std::iter::Empty<Vec3>> = None;
-        let (name, triangles) = (format!("Star_{index:03}"), &sphere.triangles[STAR_LEVEL]);
-        write_mesh(out, "        ", &name, "Star", ClassId::SKY, triangles, positions, none)?;
-        write!(
-            out,
-            "            bool primvars:doNotCastShadows = 1\n            double3 xformOp:translate = {}\n            \
-             uniform token[] xformOpOrder = [\"xformOp:translate\"]\n        }}\n",
-            Tuple(star.centre)
-        )?;
-    }
-    writeln!(out, "    }}")
+        let used = &sphere.directions[..Icosphere::vertex_count(STAR_LEVEL)];
+        let points = used.iter().map(|d| star.radius_m * *d).collect();
+        let name = format!("Star_{index:03}");
+        let mut prim = mesh(&name, "Star", ClassId::SKY, &sphere.triangles[STAR_LEVEL], points, None);
+        prim.properties.push(no_shadow());
+        prim.properties.extend(translation(star.centre));
+        prim
+    }));
+    [dome, stars]
 }
 
-fn write_camera(out: &mut String, stage: &Stage<'_>) -> std::fmt::Result {
+fn camera(stage: &Stage<'_>) -> Prim {
     let camera = &stage.scene.camera;
     let [width, height] = stage.settings.size;
-    write!(
-        out,
-        "    def Camera \"RoverCam\"\n    {{\n        float2 clippingRange = ({}, {})\n        float focalLength = {}\n        \
-         float horizontalAperture = {APERTURE_MM}\n        float verticalAperture = {}\n        \
-         token projection = \"perspective\"\n        matrix4d xformOp:transform = {}\n        \
-         uniform token[] xformOpOrder = [\"xformOp:transform\"]\n    }}\n",
-        camera.near_m,
-        camera.far_m,
-        APERTURE_MM / (2.0 * f64::from(camera.tan_half_fov)),
-        APERTURE_MM * f64::from(height) / f64::from(width),
-        matrix(camera.right, camera.up, -camera.forward, camera.eye)
+    let float = |name: &'static str, value: f64| Property::new(name, "float", Value::Float(value as f32));
+    let mut prim = Prim::new("RoverCam", "Camera");
+    prim.properties = vec![
+        Property::new("clippingRange", "float2", Value::Vec2f([camera.near_m, camera.far_m])),
+        float("focalLength", APERTURE_MM / (2.0 * f64::from(camera.tan_half_fov))),
+        float("horizontalAperture", APERTURE_MM),
+        float("verticalAperture", APERTURE_MM * f64::from(height) / f64::from(width)),
+        Property::new("projection", "token", Value::Token("perspective".to_owned())),
+    ];
+    prim.properties.extend(transform(camera.right, camera.up, -camera.forward, camera.eye));
+    prim
+}
+
+fn surface(name: &str, of: Material) -> Prim {
+    material(
+        name,
+        vec![
+            Property::new("inputs:diffuseColor", "color3f", Value::Vec3f(of.albedo)),
+            Property::new("inputs:metallic", "float", Value::Float(0.0)),
+            Property::new("inputs:roughness", "float", Value::Float(of.roughness)),
+        ],
     )
 }
 
-fn write_surface(out: &mut String, name: &str, material: Material) -> std::fmt::Result {
-    let inputs = format!(
-        "color3f inputs:diffuseColor = {}\nfloat inputs:metallic = 0\nfloat inputs:roughness = {}",
-        Tuple(material.albedo),
-        material.roughness
-    );
-    write_material(out, name, &inputs)
+/// Unlit: no diffuse, no specular reflection, only its own light. An index of refraction of 1 says so to programs that
+/// do not know the specular workflow.
+fn emitter(name: &str, radiance: Vec3) -> Prim {
+    material(
+        name,
+        vec![
+            Property::new("inputs:diffuseColor", "color3f", Value::Vec3f(Vec3::ZERO)),
+            Property::new("inputs:emissiveColor", "color3f", Value::Vec3f(radiance)),
+            Property::new("inputs:ior", "float", Value::Float(1.0)),
+            Property::new("inputs:roughness", "float", Value::Float(1.0)),
+            Property::new("inputs:specularColor", "color3f", Value::Vec3f(Vec3::ZERO)),
+            Property::new("inputs:useSpecularWorkflow", "int", Value::Int(1)),
+        ],
+    )
 }
 
-/// Unlit: no diffuse, no specular reflection, only its own light.
-fn write_emitter(out: &mut String, name: &str, radiance: Vec3) -> std::fmt::Result {
-    let inputs = format!(
-        "color3f inputs:diffuseColor = (0, 0, 0)\ncolor3f inputs:emissiveColor = {}\nfloat inputs:roughness = 1\n\
-         color3f inputs:specularColor = (0, 0, 0)\nint inputs:useSpecularWorkflow = 1",
-        Tuple(radiance)
-    );
-    write_material(out, name, &inputs)
-}
-
-fn write_material(out: &mut String, name: &str, inputs: &str) -> std::fmt::Result {
-    write!(
-        out,
-        "        def Material \"{name}\"\n        {{\n            \
-         token outputs:surface.connect = </World/Looks/{name}/Surface.outputs:surface>\n\n            \
-         def Shader \"Surface\"\n            {{\n                uniform token info:id = \"UsdPreviewSurface\"\n"
-    )?;
-    for line in inputs.lines() {
-        writeln!(out, "                {line}")?;
-    }
-    write!(out, "                token outputs:surface\n            }}\n        }}\n")
+fn material(name: &str, inputs: Vec<Property>) -> Prim {
+    let mut shader = Prim::new("Surface", "Shader");
+    shader
+        .properties
+        .push(Property::new("info:id", "token", Value::Token("UsdPreviewSurface".to_owned())).uniform());
+    shader.properties.extend(inputs);
+    shader.properties.push(Property::declared("outputs:surface", "token"));
+    let mut prim = Prim::new(name, "Material");
+    let source = format!("/World/Looks/{name}/Surface.outputs:surface");
+    prim.properties.push(Property::connected("outputs:surface", "token", source));
+    prim.children.push(shader);
+    prim
 }
 
 #[cfg(test)]
@@ -335,5 +322,41 @@ mod tests {
         assert_eq!(text.matches("semanticData = \"regolith\"").count(), 1);
         let stars = text.matches("def Mesh \"Star_").count();
         assert!(stars > 150 && stars <= 220, "{stars} stars outside the hole");
+    }
+
+    #[test]
+    fn the_crate_holds_the_same_layer_and_is_small() {
+        let params = Params::draw_default(42);
+        let scene = Scene::build(42, &params).expect("a scene");
+        let settings = RenderSettings::new([64, 64], 1).expect("settings");
+        let knobs = params.to_json();
+        let stage =
+            Stage { scene: &scene, seed: 42, knobs: &knobs, settings: &settings, detail: Detail::Authored };
+        let bytes = export(&stage, Format::Usdc).expect("exported");
+        assert!(bytes.starts_with(b"PXR-USDC\0\x08") && bytes.len() < 40_000_000, "{} bytes", bytes.len());
+        let number = |at: usize| {
+            let eight: [u8; 8] = bytes[at..at + 8].try_into().expect("eight bytes");
+            u64::from_le_bytes(eight) as usize
+        };
+        let table = number(16);
+        let sections: Vec<(String, usize, usize)> = (0..number(table))
+            .map(|i| table + 8 + 32 * i)
+            .map(|at| {
+                let name = String::from_utf8_lossy(&bytes[at..at + 16]).trim_end_matches('\0').to_owned();
+                (name, number(at + 16), number(at + 24))
+            })
+            .collect();
+        let names: Vec<&str> = sections.iter().map(|section| section.0.as_str()).collect();
+        assert_eq!(names, ["TOKENS", "STRINGS", "FIELDS", "FIELDSETS", "PATHS", "SPECS"]);
+        assert_eq!(sections[5].1 + sections[5].2, table, "the sections lie one behind the other");
+        // Prims and their properties, and the root.
+        let layer = layer(&stage);
+        fn count(prim: &Prim) -> usize {
+            1 + prim.properties.len() + prim.children.iter().map(count).sum::<usize>()
+        }
+        assert_eq!(number(sections[5].1), 1 + layer.prims.iter().map(count).sum::<usize>());
+        // The ground's first vertex stands there as it is.
+        let first = bytemuck::bytes_of(&scene.terrain.vertices[0].position);
+        assert!(bytes.windows(first.len()).any(|window| window == first));
     }
 }
