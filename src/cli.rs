@@ -3,6 +3,7 @@
 //! Here is what the subcommands share; each has its file in `cli/`.
 
 mod bench;
+mod convert;
 mod dataset;
 mod frame;
 mod remap;
@@ -59,6 +60,8 @@ enum Command {
     Bench(Box<bench::BenchArgs>),
     /// Check a dataset: files, hashes, masks, statistics, a sample rendered again; exit status 1 if anything is wrong
     Verify(verify::VerifyArgs),
+    /// Write a finished dataset in another format, without rendering
+    Convert(convert::ConvertArgs),
     /// Turn masks of a Replicator pipeline into canonical ones, by the names in their label files
     Remap(remap::RemapArgs),
     /// List every knob with its unit, default and allowed range, as TOML that --config reads
@@ -138,7 +141,8 @@ fn command() -> clap::Command {
     let formats = dataset::formats_help();
     Cli::command()
         .after_long_help(format!("Presets:\n{presets}\n{EXAMPLES}"))
-        .mut_subcommand("dataset", |dataset| dataset.after_help(formats))
+        .mut_subcommand("dataset", |dataset| dataset.after_help(formats.clone()))
+        .mut_subcommand("convert", |convert| convert.after_help(formats))
 }
 
 /// Parses the command line and does what it says.
@@ -149,6 +153,7 @@ pub(crate) fn run() -> Result<()> {
         Some(Command::Dataset(args)) => dataset::run(&args),
         Some(Command::Bench(args)) => bench::run(&args),
         Some(Command::Verify(args)) => verify::run(&args),
+        Some(Command::Convert(args)) => convert::run(&args),
         Some(Command::Remap(args)) => remap::run(&args),
         Some(Command::Params(args)) => stage::list_params(&args),
         Some(Command::Adapters { json }) => stage::list_adapters(json),

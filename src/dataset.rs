@@ -9,6 +9,7 @@
 //! [`plan`] says what frame i is, [`rules`] which frames are taken, [`journal`] what is finished.
 //! Must not know: the command line.
 
+pub mod convert;
 pub mod journal;
 pub mod plan;
 pub mod rules;
@@ -27,7 +28,7 @@ use crate::error::{Error, Result};
 use crate::frame::Frame;
 use crate::meta::FrameRecord;
 use crate::output::writer::{Placed, Sample};
-use crate::output::{self, Source, disk};
+use crate::output::{self, Artifact, Source, disk};
 use crate::params::Params;
 use crate::render::{Renderer, StageTimes};
 use crate::scene::Scene;
@@ -153,17 +154,21 @@ fn encode(plan: &Plan, drawn: Drawn) -> Result<Finished> {
         record: &line,
     };
     let placed = plan.writer.place(&sample)?;
-    let hashes: Map<String, Value> =
-        placed.files.iter().map(|file| (file.name.clone(), disk::content_hash(&file.bytes).into())).collect();
     let mut times = built.times;
     times.push(("encode", milliseconds_since(start)));
-    line.insert("hashes".to_owned(), hashes.into());
-    if !placed.entry.is_null() {
-        line.insert("entry".to_owned(), placed.entry.clone());
-    }
+    add_files(&mut line, &placed);
     // Times come last: all before them is the same in every run.
     line.insert("ms".to_owned(), milliseconds_json(&times));
     Ok(Finished { index: built.index, line, placed, times, redraws: built.attempt, cost })
+}
+
+/// Adds to a frame's line its files with their hashes, and what its layout needs to know of it.
+fn add_files(line: &mut Map<String, Value>, placed: &Placed) {
+    let hash = |file: &Artifact| (file.name.clone(), disk::content_hash(&file.bytes).into());
+    line.insert("hashes".to_owned(), placed.files.iter().map(hash).collect::<Map<_, _>>().into());
+    if !placed.entry.is_null() {
+        line.insert("entry".to_owned(), placed.entry.clone());
+    }
 }
 
 /// What is recorded of a frame, but for its files and times.

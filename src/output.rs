@@ -5,10 +5,15 @@
 //! Must not know: scene, GPU.
 //! To add an output: a row in [`OUTPUTS`] with its encoder.
 
+pub mod basic;
+pub mod cityscapes;
+pub mod coco;
 pub mod disk;
 pub mod edges;
 pub mod encoders;
 pub mod folder;
+pub mod hugging_face;
+pub mod webdataset;
 pub mod writer;
 
 use serde_json::{Value, json};
@@ -171,6 +176,11 @@ pub fn annotations(outputs: &[&'static Output]) -> Annotations {
 }
 
 impl Output {
+    /// Stem and extension of each of its files.
+    pub fn kinds(&self) -> impl Iterator<Item = (&'static str, &'static str)> {
+        self.files.iter().map(|&(stem, extension, _)| (stem, extension))
+    }
+
     /// Names of the files that it writes for frame `index`.
     pub fn file_names(&self, index: u64) -> impl Iterator<Item = String> {
         self.files.iter().map(move |(stem, extension, _)| frame_file_name(stem, index, extension))

@@ -1,6 +1,6 @@
 //! Datasets: `dataset`.
 
-use std::io::IsTerminal as _;
+use std::io::{IsTerminal as _, Write as _};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -9,12 +9,13 @@ use std::time::{Duration, Instant};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use regolith::class::ClassId;
-use regolith::dataset::journal::{self, Journal, Settled};
+use regolith::dataset::journal::{self, Contents, Journal, Settled};
 use regolith::dataset::plan::{self, MAX_FRAMES, Plan, Range, frame_seed};
 use regolith::dataset::rules::Rules;
 use regolith::dataset::{self, Progress};
 use regolith::gpu::Gpu;
 use regolith::output;
+use regolith::output::webdataset::archive_end;
 use regolith::output::writer::{self, WRITERS};
 use regolith::render::Renderer;
 use regolith::{Error, Result};
@@ -96,7 +97,11 @@ pub(super) fn run(args: &DatasetArgs) -> Result<()> {
     }
     let stop = stop_on_signals()?;
     let encoders = args.threads.map_or_else(cores, usize::from);
-    let done = Journal::check(&args.out, &plan, args.force)?;
+    if args.out.as_os_str() == "-" {
+        return stream(args, &plan, encoders, &stop);
+    }
+    let contents = Contents::of_plan(&plan);
+    let done = Journal::check(&args.out, &contents, args.force)?;
     if (plan.range.start..plan.range.end())
         .filter(|index| plan.shard.has(*index))
         .all(|index| done.contains(&index))
@@ -106,7 +111,7 @@ pub(super) fn run(args: &DatasetArgs) -> Result<()> {
     let start = Instant::now();
     // Before the folder is made, so that a machine without an adapter leaves nothing.
     let gpu = Gpu::open(args.picture.adapter.as_deref())?;
-    let journal = Journal::open(&args.out, &plan, args.force)?;
+    let journal = Journal::open(&args.out, &contents, args.force)?;
     if !args.quiet {
         note(format_args!("rendering on {}", regolith::gpu::describe(&gpu.info)));
     }
@@ -155,7 +160,7 @@ fn plan(args: &DatasetArgs) -> Result<Plan> {
 }
 
 /// A flag that Ctrl-C and the system's wish to end set; a second Ctrl-C ends at once.
-fn stop_on_signals() -> Result<Arc<AtomicBool>> {
+pub(super) fn stop_on_signals() -> Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
     ctrlc::set_handler(move || {
@@ -166,6 +171,47 @@ fn stop_on_signals() -> Result<Arc<AtomicBool>> {
     })
     .map_err(|error| Error::Usage(format!("cannot listen for Ctrl-C: {error}")))?;
     Ok(stop)
+}
+
+/// Writes the archive of a WebDataset to standard output, in order.
+fn stream(args: &DatasetArgs, plan: &Plan, encoders: usize, stop: &AtomicBool) -> Result<()> {
+    if plan.format != "webdataset" || !plan.splits.is_empty() {
+        return Err(Error::Usage(
+            "--out - streams one archive: it needs --format webdataset and no --split".to_owned(),
+        ));
+    }
+    let gpu = Gpu::open(args.picture.adapter.as_deref())?;
+    let mut renderer = Renderer::new(gpu)?;
+    super::inject_fault(&renderer);
+    let mut meter = Meter::new(args.quiet);
+    let (start, closed) = (Instant::now(), AtomicBool::new(false));
+    let write = |bytes: &[u8]| match std::io::stdout().lock().write_all(bytes) {
+        Err(cause) if cause.kind() == std::io::ErrorKind::BrokenPipe => {
+            // Whoever reads has had enough.
+            closed.store(true, Ordering::Relaxed);
+            stop.store(true, Ordering::Relaxed);
+            Ok(())
+        }
+        result => result.map_err(|cause| Error::Write { path: "standard output".into(), cause }),
+    };
+    let result = dataset::stream(plan, &mut renderer, encoders, stop, |placed, progress| {
+        meter.show(progress);
+        placed.files.iter().try_for_each(|file| write(&file.bytes))
+    });
+    meter.finish();
+    if closed.load(Ordering::Relaxed) {
+        return Ok(());
+    }
+    let progress = result?;
+    write(&archive_end())?;
+    if !args.quiet {
+        note(format_args!(
+            "{} frames streamed in {}",
+            progress.made,
+            duration(start.elapsed().as_secs_f64())
+        ));
+    }
+    Ok(())
 }
 
 /// Prints the knobs of the first frames.

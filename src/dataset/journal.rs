@@ -20,7 +20,44 @@ use crate::output::writer::{self, Index, Lines};
 use crate::output::{Artifact, encoders};
 
 /// What stands in a manifest besides the plan's identity.
-const STATE_KEYS: [&str; 7] = ["status", "start", "count", "n_completed", "seeds", "adapters", "totals"];
+const STATE_KEYS: [&str; 8] =
+    ["status", "start", "count", "n_completed", "seeds", "adapters", "totals", "index_files"];
+
+/// What a dataset is to hold, as far as its books are concerned.
+#[derive(Clone, Debug)]
+pub struct Contents {
+    /// What decides what is in the files.
+    pub identity: Map<String, Value>,
+    /// The frames.
+    pub range: Range,
+    /// Whether the frames are split, so that no other range will do.
+    pub is_split: bool,
+    /// Which of the frames a run makes.
+    pub shard: Shard,
+}
+
+impl Contents {
+    /// What a plan is to make.
+    #[must_use]
+    pub fn of_plan(plan: &Plan) -> Self {
+        Self {
+            identity: plan.identity(),
+            range: plan.range,
+            is_split: !plan.splits.is_empty(),
+            shard: plan.shard,
+        }
+    }
+
+    /// What a settled dataset holds.
+    #[must_use]
+    pub fn of(manifest: &Map<String, Value>) -> Self {
+        let mut identity = manifest.clone();
+        identity.retain(|key, _| !STATE_KEYS.contains(&key.as_str()));
+        let is_split =
+            manifest.get("splits").and_then(Value::as_object).is_some_and(|splits| !splits.is_empty());
+        Self { identity, range: range_of(manifest), is_split, shard: Shard::WHOLE }
+    }
+}
 
 /// The books of one run.
 #[derive(Debug)]
@@ -137,19 +174,20 @@ fn find_lines(folder: &Path) -> Result<(Vec<PathBuf>, BTreeMap<u64, LinePlace>)>
 }
 
 /// The frames of a plan and of the dataset that its folder holds, if that is the same dataset.
-fn hull_with(folder: &Path, plan: &Plan, force: bool) -> Result<Range> {
+fn hull_with(folder: &Path, contents: &Contents, force: bool) -> Result<Range> {
     if folder.is_file() {
         return Err(Error::OutIsFile(folder.to_owned()));
     }
-    let identity = plan.identity();
-    let mut range = plan.range;
+    let Contents { identity, is_split, .. } = contents;
+    let mut range = contents.range;
     let manifests = if folder.exists() { books(folder, "manifest", "json")? } else { Vec::new() };
     for path in &manifests {
         let manifest = read_manifest(path)?;
-        let mut differences = differences(&manifest, &identity);
+        let mut differences = differences(&manifest, identity);
         let there = range_of(&manifest);
-        if !plan.splits.is_empty() && there != plan.range {
-            differences.push(format!("  --split: there {} frames, now {}", there.count, plan.range.count));
+        if *is_split && there != contents.range {
+            differences
+                .push(format!("  --split: there {} frames, now {}", there.count, contents.range.count));
         }
         if !differences.is_empty() {
             return Err(Error::OtherDataset { path: folder.to_owned(), differences });
@@ -158,8 +196,8 @@ fn hull_with(folder: &Path, plan: &Plan, force: bool) -> Result<Range> {
             return Err(Error::Usage(format!(
                 "--start {} --count {}: the folder has frames {} to {}; frames in between would be missing. Choose a \
                  range that adjoins, or another --out",
-                plan.range.start,
-                plan.range.count,
+                contents.range.start,
+                contents.range.count,
                 there.start,
                 there.end().saturating_sub(1)
             )));
@@ -180,8 +218,16 @@ impl Journal {
     /// # Errors
     /// [`Error::OtherDataset`], [`Error::OutNotEmpty`], [`Error::OutIsFile`], [`Error::Usage`] for frames that would
     /// leave a gap.
-    pub fn check(folder: &Path, plan: &Plan, force: bool) -> Result<BTreeSet<u64>> {
-        hull_with(folder, plan, force)?;
+    pub fn check(folder: &Path, contents: &Contents, force: bool) -> Result<BTreeSet<u64>> {
+        hull_with(folder, contents, force)?;
+        Self::done_in(folder)
+    }
+
+    /// The frames that are in a folder, which need not exist.
+    ///
+    /// # Errors
+    /// [`Error::Read`].
+    pub fn done_in(folder: &Path) -> Result<BTreeSet<u64>> {
         Ok(if folder.exists() { find_lines(folder)?.1.into_keys().collect() } else { BTreeSet::new() })
     }
 
@@ -189,20 +235,21 @@ impl Journal {
     ///
     /// # Errors
     /// Those of [`Self::check`], [`Error::Busy`], [`Error::Write`].
-    pub fn open(folder: &Path, plan: &Plan, force: bool) -> Result<Self> {
-        let range = hull_with(folder, plan, force)?;
+    pub fn open(folder: &Path, contents: &Contents, force: bool) -> Result<Self> {
+        let range = hull_with(folder, contents, force)?;
+        let shard = contents.shard;
         let write = |path: &Path, cause| Error::Write { path: path.to_owned(), cause };
         std::fs::create_dir_all(folder).map_err(|cause| write(folder, cause))?;
-        let lock = folder.join(format!(".lock-{}-of-{}", plan.shard.number, plan.shard.of));
+        let lock = folder.join(format!(".lock-{}-of-{}", shard.number, shard.of));
         let lock = Lock::try_take(&lock)?.ok_or_else(|| Error::Busy(folder.to_owned()))?;
-        disk::remove_temporary(folder, &tag(plan.shard))?;
+        disk::remove_temporary(folder, &tag(shard))?;
         let (_, places) = find_lines(folder)?;
         let journal = Self {
-            lines: LineFile::open(&folder.join(book_name("frames", "jsonl", plan.shard)))?,
+            lines: LineFile::open(&folder.join(book_name("frames", "jsonl", shard)))?,
             folder: folder.to_owned(),
-            identity: plan.identity(),
+            identity: contents.identity.clone(),
             range,
-            shard: plan.shard,
+            shard,
             done: places.into_keys().collect(),
             _lock: lock,
         };
@@ -315,7 +362,7 @@ pub fn settle(folder: &Path) -> Result<Settled> {
     let lock = Lock::take(&lock_path)?;
     let mut identity = read_manifest(first)?;
     let mut range = range_of(&identity);
-    identity.retain(|key, _| !STATE_KEYS.contains(&key.as_str()) && key != "index_files");
+    identity.retain(|key, _| !STATE_KEYS.contains(&key.as_str()));
     for path in &manifests[1..] {
         // Another run's settling may have taken it away meanwhile.
         let Ok(manifest) = read_manifest(path) else { continue };

@@ -184,6 +184,11 @@ pub fn remove(path: &Path) -> Result<()> {
     }
 }
 
+/// Removes a folder if there is nothing in it.
+pub fn remove_empty_folder(path: &Path) {
+    let _ = std::fs::remove_dir(path);
+}
+
 /// A text file that grows by lines. What a killed process left without a line's end is cut off when it is opened.
 #[derive(Debug)]
 pub struct LineFile {

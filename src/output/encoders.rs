@@ -146,6 +146,16 @@ pub(crate) fn ids_png(width: u32, height: u32, ids: &[u8]) -> Result<Vec<u8>> {
     encode_png([width, height], ids, ExtendedColorType::L8, FilterType::Up)
 }
 
+/// A mask of these ids, two bytes a pixel.
+pub(crate) fn wide_ids_png(width: u32, height: u32, ids: &[u16]) -> Result<Vec<u8>> {
+    encode_png([width, height], bytemuck::cast_slice(ids), ExtendedColorType::L16, FilterType::Up)
+}
+
+/// A picture of these colours that is no photograph, three bytes a pixel.
+pub(crate) fn rgb_bytes_png(width: u32, height: u32, rgb: &[u8]) -> Result<Vec<u8>> {
+    encode_png([width, height], rgb, ExtendedColorType::Rgb8, FilterType::Up)
+}
+
 fn encode_png(
     [width, height]: [u32; 2],
     bytes: &[u8],

@@ -63,6 +63,6 @@ impl Writer for Folder {
     fn index(&self, index: &Index<'_>, put: &mut dyn FnMut(Artifact) -> Result<()>) -> Result<()> {
         let label_ids = index.manifest.get("label_ids").and_then(Value::as_str);
         put(labels_file(label_ids.and_then(LabelIds::from_name).unwrap_or_default())?)?;
-        put(Artifact { name: "README.md".to_owned(), bytes: index.card.as_bytes().to_vec() })
+        put(index.card_file())
     }
 }

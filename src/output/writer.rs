@@ -9,7 +9,12 @@ use std::path::Path;
 
 use serde_json::{Map, Value};
 
+use super::basic::Basic;
+use super::cityscapes::Cityscapes;
+use super::coco::Coco;
 use super::folder::Folder;
+use super::hugging_face::HuggingFace;
+use super::webdataset::WebDataset;
 use super::{Artifact, Encoded};
 use crate::error::{Error, Result, nearest};
 use crate::frame::Frame;
@@ -60,6 +65,28 @@ pub struct Index<'a> {
     pub card: &'a str,
 }
 
+impl Index<'_> {
+    /// Names of the splits in their order; `train` if there are none.
+    #[must_use]
+    pub fn split_names(&self) -> Vec<String> {
+        let splits =
+            self.manifest.get("splits").and_then(Value::as_object).filter(|splits| !splits.is_empty());
+        splits.map_or_else(|| vec!["train".to_owned()], |splits| splits.keys().cloned().collect())
+    }
+
+    /// The data card as a file.
+    #[must_use]
+    pub fn card_file(&self) -> Artifact {
+        Artifact { name: "README.md".to_owned(), bytes: self.card.as_bytes().to_vec() }
+    }
+}
+
+/// The split's name, `train` if there are none: for layouts that cannot be without.
+#[must_use]
+pub fn split_or_train(split: &str) -> &str {
+    if split.is_empty() { "train" } else { split }
+}
+
 /// A layout of a dataset.
 pub trait Writer: std::fmt::Debug + Sync {
     /// Outputs without which the layout cannot be, besides those that the user asks for.
@@ -89,8 +116,14 @@ pub trait Writer: std::fmt::Debug + Sync {
 }
 
 /// Every layout by its word in `--format`, with what it is.
-pub static WRITERS: [(&str, &str, &dyn Writer); 1] =
-    [("folder", "a folder for each output; what verify and convert read", &Folder)];
+pub static WRITERS: [(&str, &str, &dyn Writer); 6] = [
+    ("folder", "a folder for each output; what verify checks in full and convert reads", &Folder),
+    ("basic", "flat, with the names of Replicator's BasicWriter", &Basic),
+    ("coco", "COCO: rocks as instances, everything as panoptic segments", &Coco),
+    ("cityscapes", "Cityscapes: leftImg8bit and gtFine of the city moon", &Cityscapes),
+    ("hf", "Hugging Face imagefolder, with a data card", &HuggingFace),
+    ("webdataset", "tar shards of 1000 frames; --out - streams one archive to standard output", &WebDataset),
+];
 
 /// The layout of this name.
 ///

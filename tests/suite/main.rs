@@ -8,6 +8,7 @@ mod closed_form;
 mod dataset;
 mod determinism;
 mod export;
+mod formats;
 mod golden;
 mod labels;
 mod scene_statistics;

@@ -1,0 +1,51 @@
+//! Datasets in other layouts: `convert`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use regolith::Result;
+use regolith::dataset::convert::Conversion;
+use serde_json::json;
+
+use super::print;
+
+#[derive(Args, Debug)]
+pub(super) struct ConvertArgs {
+    /// A finished dataset of the format `folder`
+    folder: PathBuf,
+    /// The other format: see the list below
+    #[arg(long, value_name = "NAME")]
+    format: String,
+    /// Output folder, made if missing; the same command goes on with what is there
+    #[arg(long, value_name = "DIR", default_value = "out")]
+    out: PathBuf,
+    /// Allow starting in a folder that has other content
+    #[arg(long)]
+    force: bool,
+    /// Print the summary as JSON
+    #[arg(long)]
+    json: bool,
+    /// Say nothing but errors
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+pub(super) fn run(args: &ConvertArgs) -> Result<()> {
+    let conversion = Conversion::new(&args.folder, &args.format)?;
+    let stop = super::dataset::stop_on_signals()?;
+    let bar = if args.quiet { ProgressBar::hidden() } else { ProgressBar::new(conversion.frames()) };
+    let style = ProgressStyle::with_template("{bar:32} {pos}/{len} frames, {eta} left");
+    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+    let result = conversion.run(&args.folder, &args.out, args.force, &stop, |done| bar.set_position(done));
+    bar.finish_and_clear();
+    let settled = result?;
+    if args.json {
+        let summary = json!({
+            "out": args.out, "format": args.format, "frames": settled.manifest["n_completed"],
+            "status": settled.manifest["status"],
+        });
+        return print(&format!("{summary:#}\n"));
+    }
+    print(&format!("{}\n", args.out.display()))
+}

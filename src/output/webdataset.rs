@@ -1,0 +1,138 @@
+//! WebDataset: tar shards of [`SHARD_FRAMES`] frames, `000000012.rgb.png` beside `000000012.mask.png` and
+//! `000000012.json`.
+//!
+//! A frame is first a fragment (its members without the archive's end), so that it survives a stop; once all frames
+//! are there, the fragments of a shard are joined and go. Headers hold nothing of time, user or machine.
+//! Must not know: scene, GPU.
+
+use serde_json::{Map, Value, json};
+
+use super::writer::{Index, Placed, Sample, Writer};
+use super::{Artifact, disk, encoders};
+use crate::error::{Error, Result};
+
+/// See the module.
+#[derive(Debug)]
+pub struct WebDataset;
+
+/// Frames of a shard.
+pub const SHARD_FRAMES: u64 = 1000;
+/// Bytes of a block of a tar archive.
+const BLOCK: usize = 512;
+
+/// What ends an archive.
+#[must_use]
+pub fn archive_end() -> Vec<u8> {
+    vec![0; 2 * BLOCK]
+}
+
+/// The shard of a frame. Splits begin a shard of their own; their frames are counted from that of the dataset's first.
+fn shard_name(split: &str, index: u64) -> String {
+    let shard = index / SHARD_FRAMES;
+    if split.is_empty() { format!("{shard:06}.tar") } else { format!("{split}-{shard:06}.tar") }
+}
+
+fn fragment_name(index: u64) -> String {
+    format!(".parts/{index:09}.tar")
+}
+
+/// Field of an encoded output within its sample: no dots, for the first one ends the key.
+fn field(output: &str, stem: &str) -> String {
+    match output {
+        "rgb" | "mask" => output.to_owned(),
+        _ => stem.to_owned(),
+    }
+}
+
+impl Writer for WebDataset {
+    fn holds(&self, output: &str) -> bool {
+        // The record is always there, as the sample's JSON; a preview is not.
+        !matches!(output, "preview" | "meta")
+    }
+
+    fn place(&self, sample: &Sample<'_>) -> Result<Placed> {
+        let key = format!("{:09}", sample.index);
+        let mut bytes = Vec::new();
+        for file in sample.files {
+            let is_held = self.holds(file.output) && !(file.output == "mask" && file.extension == "json");
+            if is_held {
+                let name = format!("{key}.{}.{}", field(file.output, file.stem), file.extension);
+                add_member(&mut bytes, &name, &file.bytes)?;
+            }
+        }
+        add_member(
+            &mut bytes,
+            &format!("{key}.json"),
+            &encoders::json_bytes(&Value::Object(sample.record.clone()))?,
+        )?;
+        let fragment = Artifact { name: fragment_name(sample.index), bytes };
+        Ok(Placed {
+            files: vec![fragment],
+            entry: json!({ "bundle": shard_name(sample.split, sample.index) }),
+        })
+    }
+
+    fn index(&self, index: &Index<'_>, put: &mut dyn FnMut(Artifact) -> Result<()>) -> Result<()> {
+        let mut shards = Map::new();
+        let mut shard: (String, Vec<u64>) = (String::new(), Vec::new());
+        let mut flush = |(name, frames): (String, Vec<u64>)| {
+            if frames.is_empty() {
+                return Ok(());
+            }
+            shards.insert(name.clone(), frames.len().into());
+            let path = index.folder.join(&name);
+            let mut bytes = Vec::new();
+            if path.is_file() && !index.folder.join(fragment_name(frames[0])).is_file() {
+                // Joined before.
+                bytes = disk::read(&path)?;
+            } else {
+                for frame in &frames {
+                    bytes.extend(disk::read(&index.folder.join(fragment_name(*frame)))?);
+                }
+                bytes.extend(archive_end());
+            }
+            put(Artifact { name, bytes })?;
+            // From the last, so that the first tells whether a shard is joined.
+            frames.iter().rev().try_for_each(|frame| disk::remove(&index.folder.join(fragment_name(*frame))))
+        };
+        index.lines.for_each(&mut |line| {
+            let bundle = line.get("entry").and_then(|entry| entry.get("bundle")).and_then(Value::as_str);
+            let name = bundle.unwrap_or_default();
+            if shard.0 != name {
+                flush(std::mem::replace(&mut shard, (name.to_owned(), Vec::new())))?;
+            }
+            shard.1.extend(line.get("index").and_then(Value::as_u64));
+            Ok(())
+        })?;
+        flush(shard)?;
+        disk::remove_empty_folder(&index.folder.join(".parts"));
+        put(Artifact { name: "shards.json".to_owned(), bytes: encoders::json_bytes(&shards.into())? })?;
+        put(index.card_file())
+    }
+}
+
+/// Adds a file to an archive: POSIX ustar, owner 0, time 0.
+fn add_member(archive: &mut Vec<u8>, name: &str, bytes: &[u8]) -> Result<()> {
+    let mut header = [0_u8; BLOCK];
+    let mut put = |at: usize, text: &[u8]| header[at..at + text.len()].copy_from_slice(text);
+    if name.len() > 100 || bytes.len() >= 1 << 33 {
+        let message = "its name or content is too long for a tar archive".to_owned();
+        return Err(Error::Encode { name: name.to_owned(), message });
+    }
+    put(0, name.as_bytes());
+    put(100, b"0000644\0");
+    put(108, b"0000000\0");
+    put(116, b"0000000\0");
+    put(124, format!("{:011o}\0", bytes.len()).as_bytes());
+    put(136, b"00000000000\0");
+    // The checksum is taken with spaces in its place.
+    put(148, b"        ");
+    put(156, b"0");
+    put(257, b"ustar\x0000");
+    let sum: u32 = header.iter().map(|byte| u32::from(*byte)).sum();
+    header[148..156].copy_from_slice(format!("{sum:06o}\0 ").as_bytes());
+    archive.extend(header);
+    archive.extend(bytes);
+    archive.resize(archive.len().next_multiple_of(BLOCK), 0);
+    Ok(())
+}

@@ -1,0 +1,291 @@
+//! The layouts of datasets: the same labels in each, and the same bytes whether rendered or converted.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use image::DynamicImage;
+use regolith::output::writer::WRITERS;
+use serde_json::Value;
+
+use crate::support::{folder, json, program, run, run_ok};
+
+const SMALL: [&str; 9] = [
+    "dataset",
+    "-q",
+    "--size=56",
+    "--samples=1",
+    "--preset=train_dr",
+    "--set=terrain.cells=60",
+    "--set=rocks.count=20",
+    "--edges=ignore:1",
+    "--outputs=rgb,mask,instances,preview",
+];
+
+/// Outputs that every layout holds.
+fn make(folder: &Path, out: &str, format: &str, more: &[&str]) {
+    let format = format!("--format={format}");
+    let outputs = if matches!(format.as_str(), "--format=folder" | "--format=basic") {
+        &SMALL[..]
+    } else {
+        &SMALL[..8]
+    };
+    let instances = if outputs.len() == 8 { &["--outputs=rgb,mask,instances"][..] } else { &[] };
+    run_ok(folder, &[outputs, instances, &["--out", out, &format], more].concat());
+}
+
+/// Every file below a folder; of `frames.jsonl` all but the milliseconds.
+fn content(root: &Path) -> BTreeMap<String, Vec<u8>> {
+    let mut files = BTreeMap::new();
+    let mut folders = vec![root.to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(&folder).expect("a folder") {
+            let path = entry.expect("an entry").path();
+            if path.is_dir() {
+                folders.push(path);
+                continue;
+            }
+            let name = path.strip_prefix(root).expect("below").display().to_string();
+            let mut bytes = std::fs::read(&path).expect("read");
+            if name == "frames.jsonl" {
+                let without_ms = String::from_utf8_lossy(&bytes)
+                    .lines()
+                    .map(|line| {
+                        let mut line: Value = serde_json::from_str(line).expect("JSON");
+                        line.as_object_mut().expect("an object").remove("ms");
+                        format!("{line}\n")
+                    })
+                    .collect::<String>();
+                bytes = without_ms.into_bytes();
+            }
+            files.insert(name, bytes);
+        }
+    }
+    files
+}
+
+fn picture(files: &BTreeMap<String, Vec<u8>>, name: &str) -> DynamicImage {
+    let bytes = files.get(name).unwrap_or_else(|| panic!("{name} is missing: {:?}", files.keys()));
+    image::load_from_memory(bytes).expect("a picture")
+}
+
+fn ids(files: &BTreeMap<String, Vec<u8>>, name: &str) -> Vec<u8> {
+    picture(files, name).into_luma8().into_raw()
+}
+
+#[test]
+fn a_converted_dataset_is_the_rendered_one_to_the_byte() {
+    for splits in [&["--count=4"][..], &["--split=train=3,val=2"]] {
+        let folder = folder();
+        make(folder.path(), "folder", "folder", splits);
+        for (format, ..) in WRITERS.iter().filter(|row| row.0 != "folder") {
+            make(folder.path(), format, format, splits);
+            let converted = format!("converted_{format}");
+            let words = ["convert", "folder", "--format", format, "--out", &converted, "-q"];
+            run_ok(folder.path(), &words);
+            // Once more: nothing is left to do, and nothing changes.
+            run_ok(folder.path(), &words);
+            let (rendered, converted) =
+                (content(&folder.path().join(format)), content(&folder.path().join(&converted)));
+            let names = |files: &BTreeMap<String, Vec<u8>>| files.keys().cloned().collect::<Vec<_>>();
+            // What of the folder's outputs the layout holds, it holds: previews in `basic` were asked for in both.
+            assert_eq!(names(&rendered), names(&converted), "{format}");
+            for (name, bytes) in &rendered {
+                assert!(*bytes == converted[name], "{format}: {name} differs");
+            }
+            let report = run_ok(folder.path(), &["verify", format, "--rerender", "1", "--json"]);
+            assert!(report.contains("\"good\": true"), "{format}: {report}");
+        }
+    }
+}
+
+#[test]
+fn every_layout_has_the_labels_of_the_folder() {
+    let folder = folder();
+    for (format, ..) in &WRITERS {
+        make(folder.path(), format, format, &["--count=3"]);
+    }
+    let of = |format: &str| content(&folder.path().join(format));
+    let (plain, basic, cityscapes, hf, coco) =
+        (of("folder"), of("basic"), of("cityscapes"), of("hf"), of("coco"));
+    let instances_json = json(&folder.path().join("coco/annotations/instances_train.json"));
+    let panoptic_json = json(&folder.path().join("coco/annotations/panoptic_train.json"));
+    let rows = |json: &Value| json["annotations"].as_array().expect("annotations").clone();
+    let mut seen_ids = std::collections::BTreeSet::new();
+    for index in 0..3 {
+        let mask = ids(&plain, &format!("mask/mask_{index:05}.png"));
+        assert!(mask.contains(&0) && mask.contains(&255), "regolith survives, outlines are ignored");
+        assert_eq!(ids(&basic, &format!("semantic_segmentation_{index:04}.png")), mask);
+        assert_eq!(ids(&hf, &format!("train/masks/{index:06}.png")), mask);
+        let city = |what: &str| format!("gtFine/train/moon/moon_000000_{index:06}_gtFine_{what}.png");
+        assert_eq!(ids(&cityscapes, &city("labelTrainIds")), mask);
+        let labels: Vec<u8> = mask.iter().map(|id| id.wrapping_add(1)).collect();
+        assert_eq!(ids(&cityscapes, &city("labelIds")), labels);
+        let city_instances = picture(&cityscapes, &city("instanceIds")).into_luma16().into_raw();
+        assert!(city_instances.iter().zip(&labels).all(|(instance, label)| {
+            let class = if *instance >= 1000 { instance / 1000 } else { *instance };
+            class == u16::from(*label) && (*instance >= 1000) == (*label == 2)
+        }));
+
+        // Rocks of COCO: each mask is exactly its rock's pixels.
+        let rocks = picture(&plain, &format!("instances/instance_segmentation_{index:05}.png"))
+            .into_luma16()
+            .into_raw();
+        let mut covered = vec![false; mask.len()];
+        for row in rows(&instances_json).iter().filter(|row| row["image_id"] == index) {
+            assert!(seen_ids.insert(row["id"].as_u64().expect("an id")) && row["category_id"] == 1);
+            let pixels = decoded(row["segmentation"]["counts"].as_str().expect("text"), 56, 56);
+            let rock = row["id"].as_u64().expect("an id") % 65536;
+            for (pixel, inside) in pixels.iter().enumerate() {
+                assert_eq!(*inside, mask[pixel] == 1 && u64::from(rocks[pixel]) == rock, "rock {rock}");
+                covered[pixel] |= inside;
+            }
+            assert_eq!(row["area"], pixels.iter().filter(|inside| **inside).count());
+            let at = |keep: fn(usize) -> usize| {
+                let places: Vec<usize> = (0..pixels.len()).filter(|p| pixels[*p]).map(keep).collect();
+                (*places.iter().min().expect("a pixel"), *places.iter().max().expect("a pixel"))
+            };
+            let ((left, right), (top, bottom)) = (at(|p| p % 56), at(|p| p / 56));
+            let expected = [left, top, right - left + 1, bottom - top + 1].map(|side| side as f64);
+            assert_eq!(row["bbox"], serde_json::json!(expected));
+        }
+        assert!(
+            covered.iter().zip(&mask).all(|(covered, id)| *covered == (*id == 1)),
+            "every rock pixel is in one"
+        );
+
+        // Panoptic segments tile the picture.
+        let colours = picture(&coco, &format!("annotations/panoptic_train/{index:06}.png")).into_rgb8();
+        let segments: Vec<u64> = colours
+            .pixels()
+            .map(|p| u64::from(p[0]) + 256 * u64::from(p[1]) + 65536 * u64::from(p[2]))
+            .collect();
+        let row = rows(&panoptic_json).into_iter().find(|row| row["image_id"] == index).expect("a row");
+        let listed: BTreeMap<u64, Value> = row["segments_info"]
+            .as_array()
+            .expect("segments")
+            .iter()
+            .map(|segment| (segment["id"].as_u64().expect("an id"), segment.clone()))
+            .collect();
+        for (segment, id) in segments.iter().zip(&mask) {
+            let category =
+                listed.get(segment).map_or(0, |segment| segment["category_id"].as_u64().expect("a number"));
+            assert_eq!(category, [2, 1, 3].get(usize::from(*id)).copied().unwrap_or(0));
+        }
+        for (id, segment) in &listed {
+            assert_eq!(segment["area"], segments.iter().filter(|other| *other == id).count());
+        }
+    }
+    let lines = String::from_utf8_lossy(&hf["train/metadata.jsonl"]).into_owned();
+    for line in lines.lines() {
+        let row: Value = serde_json::from_str(line).expect("JSON");
+        for column in ["file_name", "mask_file_name", "instance_segmentation_file_name"] {
+            let name = format!("train/{}", row[column].as_str().expect(column));
+            assert!(hf.contains_key(&name), "{name}");
+        }
+    }
+    assert!(hf["README.md"].starts_with(b"---\nlicense: cc0-1.0\n"));
+}
+
+/// The pixels of a compressed run-length mask, row by row.
+fn decoded(text: &str, width: usize, height: usize) -> Vec<bool> {
+    let (mut counts, mut value, mut shift): (Vec<i64>, i64, u32) = (Vec::new(), 0, 0);
+    for byte in text.bytes().map(|byte| i64::from(byte) - 48) {
+        value |= (byte & 0x1f) << shift;
+        shift += 5;
+        if byte & 0x20 == 0 {
+            if byte & 0x10 != 0 {
+                value |= -1 << shift;
+            }
+            if counts.len() > 2 {
+                value += counts[counts.len() - 2];
+            }
+            counts.push(value);
+            (value, shift) = (0, 0);
+        }
+    }
+    assert_eq!(counts.iter().sum::<i64>(), (width * height) as i64);
+    let columns: Vec<bool> = counts
+        .iter()
+        .enumerate()
+        .flat_map(|(i, count)| std::iter::repeat_n(i % 2 == 1, *count as usize))
+        .collect();
+    (0..width * height).map(|pixel| columns[pixel % width * height + pixel / width]).collect()
+}
+
+/// Names and content of a tar archive's members; checks what a fixed header must have.
+fn members(archive: &[u8]) -> Vec<(String, Vec<u8>)> {
+    let (mut at, mut members) = (0, Vec::new());
+    while archive[at] != 0 {
+        let header = &archive[at..at + 512];
+        let text = |from: usize, to: usize| {
+            String::from_utf8_lossy(&header[from..to]).trim_end_matches('\0').to_owned()
+        };
+        let octal = |from: usize, to: usize| u64::from_str_radix(text(from, to).trim(), 8).expect("octal");
+        assert_eq!((octal(108, 116), octal(116, 124), octal(136, 148)), (0, 0, 0), "owner, group, time");
+        assert_eq!(&header[257..265], b"ustar\x0000");
+        let sum: u64 = header
+            .iter()
+            .enumerate()
+            .map(|(i, b)| if (148..156).contains(&i) { 32 } else { u64::from(*b) })
+            .sum();
+        assert_eq!(octal(148, 155), sum, "the checksum");
+        let size = octal(124, 136) as usize;
+        members.push((text(0, 100), archive[at + 512..at + 512 + size].to_vec()));
+        at += 512 + size.next_multiple_of(512);
+    }
+    assert!(archive[at..].len() == 1024 && archive[at..].iter().all(|byte| *byte == 0), "the archive's end");
+    members
+}
+
+#[test]
+fn shards_hold_whole_samples_in_order_and_a_stream_is_the_same() {
+    let folder = folder();
+    make(folder.path(), "shards", "webdataset", &["--count=3", "--start=999"]);
+    make(folder.path(), "plain", "folder", &["--count=3", "--start=999"]);
+    let (shards, plain) = (content(&folder.path().join("shards")), content(&folder.path().join("plain")));
+    let table: Value = serde_json::from_slice(&shards["shards.json"]).expect("JSON");
+    assert_eq!(table, serde_json::json!({ "000000.tar": 1, "000001.tar": 2 }));
+    assert!(!shards.keys().any(|name| name.starts_with('.')), "{:?}", shards.keys());
+    let all = [members(&shards["000000.tar"]), members(&shards["000001.tar"])].concat();
+    let names: Vec<&str> = all.iter().map(|(name, _)| name.as_str()).collect();
+    let fields =
+        ["rgb.png", "mask.png", "instance_segmentation.png", "instance_segmentation_mapping.json", "json"];
+    let expected: Vec<String> =
+        (999..1002).flat_map(|index| fields.map(|field| format!("{index:09}.{field}"))).collect();
+    assert_eq!(names, expected);
+    for (place, index) in (999..1002).enumerate() {
+        assert!(all[5 * place].1 == plain[&format!("rgb/rgb_{index:05}.png")]);
+        assert!(all[5 * place + 1].1 == plain[&format!("mask/mask_{index:05}.png")]);
+        let record: Value = serde_json::from_slice(&all[5 * place + 4].1).expect("JSON");
+        assert_eq!(record["index"], index);
+    }
+    let words = [&SMALL[..8], &["--outputs=rgb,mask,instances", "--format=webdataset", "--out=-"]].concat();
+    let output = program(folder.path()).args(words).args(["--count=3", "--start=999"]).output().expect("run");
+    assert!(output.status.success());
+    assert!(members(&output.stdout) == all, "the stream has the same members");
+    let refused = run(folder.path(), &["dataset", "--count=1", "--out=-"]);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("--format webdataset"));
+}
+
+#[test]
+fn what_cannot_be_converted_is_refused_with_the_remedy() {
+    let folder = folder();
+    run_ok(folder.path(), &[&SMALL[..8], &["--outputs=rgb,mask", "--out=plain", "--count=2"]].concat());
+    run_ok(
+        folder.path(),
+        &[&SMALL[..8], &["--outputs=rgb,mask", "--out=half", "--count=2", "--shard=0/2"]].concat(),
+    );
+    for (words, said) in [
+        (["plain", "coco"], "lacks the output `instances`"),
+        (["half", "hf"], "not finished"),
+        (["plain", "cocoo"], "unknown format"),
+        (["nowhere", "hf"], "no manifest.json"),
+    ] {
+        let output = run(folder.path(), &["convert", words[0], "--format", words[1], "--out", "new"]);
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{message}");
+        assert!(message.contains(said), "{message}");
+        assert!(!folder.path().join("new").exists());
+    }
+}
