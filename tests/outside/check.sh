@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Exports and frames in the hands of other programs: sets up their virtual environment below target/, then runs
+# What is written here in the hands of other programs: sets up their virtual environment below target/, then runs
 # check.py (or the script that is named as first argument, with the arguments that follow).
 # Uses the binary that `cargo build --release` left; PYTHON names another interpreter than python3.11.
 set -euo pipefail
@@ -7,7 +7,13 @@ here=$(cd "$(dirname "$0")" && pwd)
 root=$(cd "$here/../.." && pwd)
 target=${CARGO_TARGET_DIR:-$root/target}
 binary=$target/release/regolith-render
-venv=$target/outside/venv
+script=${1:-check.py}
+# Blender and the readers of datasets want different NumPys.
+case $script in
+    check_datasets.py | check_recipes.py) kind=datasets requirements=("$here"/requirements-{datasets,recipes}.txt) ;;
+    *) kind=exports requirements=("$here/requirements.txt") ;;
+esac
+venv=$target/outside/venv-$kind
 export PYTHONDONTWRITEBYTECODE=1 REGOLITH_BINARY=$binary REGOLITH_OUTSIDE=$target/outside
 
 fail() { echo "tests/outside: $*" >&2; exit 1; }
@@ -17,14 +23,16 @@ newer=$(find "$root/src" "$root/shaders" "$root/assets/presets" -newer "$binary"
 [ -z "$newer" ] || fail "$binary is older than $newer: cargo build --release"
 
 python=${PYTHON:-$(command -v python3.11 || command -v python3)} || fail "no python3"
-stamp=$(cat "$here"/requirements*.txt; "$python" --version)
+stamp=$(cat "${requirements[@]}" "$here/requirements-blender.txt"; "$python" --version)
 if [ "$(cat "$venv/stamp" 2>/dev/null)" != "$stamp" ]; then
     mkdir -p "$target/outside"
     "$python" -m venv --clear "$venv" || fail "no virtual environment (Debian, Ubuntu: apt-get install python3-venv)"
     install="$venv/bin/pip install --quiet --no-compile --disable-pip-version-check"
-    $install -r "$here/requirements.txt" -r "$here/requirements-recipes.txt" || fail "pip could not install what the checks need"
+    for file in "${requirements[@]}"; do
+        $install -r "$file" || fail "pip could not install $file"
+    done
     log=$target/outside/blender.log
-    if ! $install -r "$here/requirements-blender.txt" 2>"$log"; then
+    if [ $kind = exports ] && ! $install -r "$here/requirements-blender.txt" 2>"$log"; then
         cat "$log" >&2
         # No wheel for this Python or this machine is an excuse; no network, no room on the disk are none.
         grep -q "No matching distribution found for bpy" "$log" && ! grep -q "Retrying (" "$log" \
@@ -37,7 +45,6 @@ if [ "$(cat "$venv/stamp" 2>/dev/null)" != "$stamp" ]; then
 fi
 
 status=0
-script=${1:-check.py}
 "$venv/bin/python" "$here/$script" "${@:2}" || status=$?
 if [ -e "$venv/no-blender" ]; then
     echo "!!! BLENDER DID NOT RUN: PyPI has no $(grep ^bpy "$here/requirements-blender.txt") for" \
