@@ -12,6 +12,8 @@
 //! 5. A [`frame::Frame`] comes back: planes of bytes.
 //! 6. [`output`] encodes it and writes whole files.
 //!
+//! [`dataset`] does this thousands of times, checked and resumable; [`bench`] measures how fast.
+//!
 //! ```
 //! use regolith::{params::Params, scene::Scene};
 //!

@@ -432,3 +432,29 @@ fn export_writes_whole_files_and_replaces_none_unasked() {
     assert_eq!(wrong.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&wrong.stderr).contains(".npz, .glb, .usda"));
 }
+
+#[test]
+fn the_bench_tells_every_case_and_a_sweep_draws_its_curve() {
+    let folder = folder();
+    let small =
+        ["bench", "--frames", "3", "--size", "64", "--samples", "1", "-q", "--set", "terrain.cells=40"];
+    let result = run_ok(folder.path(), &[&small[..], &["--json"]].concat());
+    let result: serde_json::Value = serde_json::from_str(&result).expect("JSON");
+    assert_eq!((&result["size"], &result["samples"]), (&serde_json::json!([64, 64]), &1.into()));
+    assert!(result["peak_rss_bytes"].as_u64() > Some(1 << 20) && result["adapter"]["name"].is_string());
+    for case in ["camera", "static-sun", "scene", "dataset"] {
+        let case = &result["cases"][case];
+        assert_eq!(case["frames"], 3);
+        for key in ["median_ms", "p95_ms", "frames_per_second", "triangles", "upload_bytes", "readback_bytes"]
+        {
+            assert!(case[key].as_f64() > Some(0.0), "{key}: {case}");
+        }
+        assert!(case["stage_ms"]["gpu"].as_f64() > Some(0.0), "{case}");
+    }
+    let sweep =
+        run_ok(folder.path(), &[&small[..], &["--sweep", "samples", "--plot", "samples.svg"]].concat());
+    assert_eq!(sweep.lines().count(), 5, "{sweep}");
+    let plot = std::fs::read_to_string(folder.path().join("samples.svg")).expect("a plot");
+    assert!(plot.starts_with("<svg") && plot.matches("<circle").count() == 3);
+    assert_refused(&["bench", "--cases", "camra"], 2, &["unknown case `camra`", "static-sun"]);
+}
