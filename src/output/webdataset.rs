@@ -5,6 +5,8 @@
 //! are there, the fragments of a shard are joined and go. Headers hold nothing of time, user or machine.
 //! Must not know: scene, GPU.
 
+use std::collections::BTreeMap;
+
 use serde_json::{Map, Value, json};
 
 use super::writer::{Index, Placed, Sample, Writer};
@@ -80,20 +82,22 @@ impl Writer for WebDataset {
                 return Ok(());
             }
             shards.insert(name.clone(), frames.len().into());
+            // Where the dataset has grown, or a stop came between joining and removing, a part of the frames is in the
+            // shard already.
             let path = index.folder.join(&name);
+            let joined = if path.is_file() { disk::read(&path)? } else { Vec::new() };
+            let joined = samples(&joined);
             let mut bytes = Vec::new();
-            if path.is_file() && !index.folder.join(fragment_name(frames[0])).is_file() {
-                // Joined before.
-                bytes = disk::read(&path)?;
-            } else {
-                for frame in &frames {
-                    bytes.extend(disk::read(&index.folder.join(fragment_name(*frame)))?);
+            for frame in &frames {
+                let fragment = index.folder.join(fragment_name(*frame));
+                match joined.get(format!("{frame:09}").as_str()) {
+                    Some(sample) if !fragment.is_file() => bytes.extend(*sample),
+                    _ => bytes.extend(disk::read(&fragment)?),
                 }
-                bytes.extend(archive_end());
             }
+            bytes.extend(archive_end());
             put(Artifact { name, bytes })?;
-            // From the last, so that the first tells whether a shard is joined.
-            frames.iter().rev().try_for_each(|frame| disk::remove(&index.folder.join(fragment_name(*frame))))
+            frames.iter().try_for_each(|frame| disk::remove(&index.folder.join(fragment_name(*frame))))
         };
         index.lines.for_each(&mut |line| {
             let bundle = line.get("entry").and_then(|entry| entry.get("bundle")).and_then(Value::as_str);
@@ -109,6 +113,23 @@ impl Writer for WebDataset {
         put(Artifact { name: "shards.json".to_owned(), bytes: encoders::json_bytes(&shards.into())? })?;
         put(index.card_file())
     }
+}
+
+/// The samples of an archive by their keys, each with all its members and their headers.
+fn samples(archive: &[u8]) -> BTreeMap<&str, &[u8]> {
+    let mut samples: BTreeMap<&str, &[u8]> = BTreeMap::new();
+    let (mut at, mut start) = (0, 0);
+    while let Some(header) = archive.get(at..at + BLOCK).filter(|header| header[0] != 0) {
+        let text = |from: usize, to: usize| std::str::from_utf8(&header[from..to]).unwrap_or_default();
+        let key = text(0, 100).split('.').next().unwrap_or_default();
+        let size = usize::from_str_radix(text(124, 135), 8).unwrap_or_default();
+        if !samples.contains_key(key) {
+            start = at;
+        }
+        at = (at + BLOCK + size.next_multiple_of(BLOCK)).min(archive.len());
+        samples.insert(key, &archive[start..at]);
+    }
+    samples
 }
 
 /// Adds a file to an archive: POSIX ustar, owner 0, time 0.
@@ -135,4 +156,29 @@ fn add_member(archive: &mut Vec<u8>, name: &str, bytes: &[u8]) -> Result<()> {
     archive.extend(bytes);
     archive.resize(archive.len().next_multiple_of(BLOCK), 0);
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_archive_comes_apart_into_its_samples() {
+        let mut archive = Vec::new();
+        let mut sizes = Vec::new();
+        for key in ["000000007", "000000008"] {
+            let before = archive.len();
+            add_member(&mut archive, &format!("{key}.rgb.png"), &[7; 700]).expect("added");
+            add_member(&mut archive, &format!("{key}.json"), b"").expect("added");
+            sizes.push(archive.len() - before);
+        }
+        archive.extend(archive_end());
+        let samples = samples(&archive);
+        assert_eq!(samples.keys().copied().collect::<Vec<_>>(), ["000000007", "000000008"]);
+        assert_eq!(samples.values().map(|sample| sample.len()).collect::<Vec<_>>(), sizes);
+        assert_eq!(
+            samples.values().copied().collect::<Vec<_>>().concat(),
+            archive[..archive.len() - 2 * BLOCK]
+        );
+    }
 }

@@ -289,3 +289,21 @@ fn what_cannot_be_converted_is_refused_with_the_remedy() {
         assert!(!folder.path().join("new").exists());
     }
 }
+
+#[test]
+fn shards_grow_and_survive_a_stop_between_joining_and_removing() {
+    let folder = folder();
+    make(folder.path(), "whole", "webdataset", &["--count=5"]);
+    make(folder.path(), "grown", "webdataset", &["--count=2"]);
+    make(folder.path(), "grown", "webdataset", &["--count=5"]);
+    let whole = content(&folder.path().join("whole"));
+    assert!(whole == content(&folder.path().join("grown")));
+    // The shard is whole, some of its fragments are gone, and the manifest says that the run goes on.
+    let grown = folder.path().join("grown");
+    let archive = std::fs::read(grown.join("000000.tar")).expect("a shard");
+    let frame = archive.windows(9).position(|window| window == b"000000001").expect("the second sample");
+    std::fs::create_dir(grown.join(".parts")).expect("made");
+    std::fs::write(grown.join(".parts/000000000.tar"), &archive[..frame]).expect("written");
+    make(folder.path(), "grown", "webdataset", &["--count=5"]);
+    assert!(whole == content(&grown));
+}
