@@ -128,8 +128,8 @@ impl Measured {
 pub struct Setup {
     /// What is drawn.
     pub plan: Plan,
-    /// Threads that encode, for datasets.
-    pub encoders: usize,
+    /// Threads that build scenes, and as many that encode, for datasets.
+    pub threads: usize,
     /// Frames that count.
     pub frames: u64,
 }
@@ -221,7 +221,7 @@ fn dataset(setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Meas
     let mut measured = Measured::default();
     let (mut begun, mut last, mut done) = (Instant::now(), Instant::now(), 0);
     let indices = 0..WARM_UP + setup.frames;
-    dataset::make(&setup.plan, renderer, indices, setup.encoders, &AtomicBool::new(false), |frame| {
+    dataset::make(&setup.plan, renderer, indices, setup.threads, &AtomicBool::new(false), |frame| {
         disk::write_all(folder, &frame.placed.files)?;
         done += 1;
         if done <= WARM_UP {
@@ -351,11 +351,11 @@ pub fn sweep(name: &str, setup: &Setup) -> Result<(&'static str, Vec<(f64, Setup
             let cores = std::thread::available_parallelism().map_or(1, usize::from);
             for threads in (0..).map(|power| 1_usize << power).take_while(|threads| *threads <= 2 * cores) {
                 with(threads as f64, &|setup| {
-                    setup.encoders = threads;
+                    setup.threads = threads;
                     Ok(())
                 })?;
             }
-            "threads that encode"
+            "threads that build scenes and encode"
         }
     };
     Ok((axis, setups))

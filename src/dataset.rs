@@ -35,8 +35,6 @@ use crate::scene::Scene;
 use journal::Journal;
 use plan::{Plan, frame_seed};
 
-/// Threads that build scenes; each build uses all cores where it can.
-const BUILDERS: usize = 2;
 /// Scenes that wait for the device.
 const SCENES_WAITING: usize = 1;
 /// The manifest is written anew after so many seconds.
@@ -211,7 +209,7 @@ fn milliseconds_json(times: &StageTimes) -> Value {
     rounded.collect::<Map<_, _>>().into()
 }
 
-/// Makes these frames and gives each, finished, to `sink`, in any order. Once `stop` is true no frame is begun any
+/// Makes these frames and gives each, finished, to `sink`, in any order; `threads` build scenes and as many encode. Once `stop` is true no frame is begun any
 /// more, and those in flight are finished.
 ///
 /// # Errors
@@ -220,20 +218,21 @@ pub fn make(
     plan: &Plan,
     renderer: &mut Renderer,
     indices: impl Iterator<Item = u64> + Send,
-    encoders: usize,
+    threads: usize,
     stop: &AtomicBool,
     sink: impl FnMut(Finished) -> Result<()> + Send,
 ) -> Result<()> {
     let failure = Failure::default();
     let indices = Mutex::new(indices);
     let (scenes, built) = sync_channel::<(u64, Result<Built>)>(SCENES_WAITING);
-    let (frames, drawn) = sync_channel::<Drawn>(encoders);
-    let (done, finished) = sync_channel::<Finished>(encoders);
+    let (frames, drawn) = sync_channel::<Drawn>(threads);
+    let (done, finished) = sync_channel::<Finished>(threads);
     let drawn = Mutex::new(drawn);
     std::thread::scope(|scope| {
-        for _ in 0..BUILDERS {
+        for _ in 0..threads {
             let (scenes, indices, failure) = (scenes.clone(), &indices, &failure);
-            scope.spawn(move || {
+            // A scene a thread: its own parallel loops run on it alone, and those of the device's thread need not wait.
+            let builder = move || {
                 while !stop.load(Ordering::Relaxed) && !failure.occurred() {
                     let next = indices.lock().unwrap_or_else(PoisonError::into_inner).next();
                     let Some(index) = next else { break };
@@ -241,10 +240,14 @@ pub fn make(
                         break;
                     }
                 }
+            };
+            scope.spawn(move || match rayon::ThreadPoolBuilder::new().num_threads(1).build() {
+                Ok(pool) => pool.install(builder),
+                Err(_) => builder(),
             });
         }
         drop(scenes);
-        for _ in 0..encoders {
+        for _ in 0..threads {
             let (drawn, done, failure) = (&drawn, done.clone(), &failure);
             scope.spawn(move || encode_all(plan, drawn, &done, failure));
         }
@@ -347,7 +350,7 @@ pub fn run(
     plan: &Plan,
     renderer: &mut Renderer,
     journal: Journal,
-    encoders: usize,
+    threads: usize,
     stop: &AtomicBool,
     mut watch: impl FnMut(&Progress) + Send,
 ) -> Result<(Progress, journal::Settled)> {
@@ -361,7 +364,7 @@ pub fn run(
     let tag = journal::tag(plan.shard);
     let mut journal = journal;
     let mut written = Instant::now();
-    let result = make(plan, renderer, missing.into_iter(), encoders, stop, |mut frame| {
+    let result = make(plan, renderer, missing.into_iter(), threads, stop, |mut frame| {
         let start = Instant::now();
         disk::write_all_tagged(&folder, &tag, &frame.placed.files)?;
         frame.times.push(("write", milliseconds_since(start)));
@@ -401,7 +404,7 @@ pub fn run(
 pub fn stream(
     plan: &Plan,
     renderer: &mut Renderer,
-    encoders: usize,
+    threads: usize,
     stop: &AtomicBool,
     mut sink: impl FnMut(&Placed, &Progress) -> Result<()> + Send,
 ) -> Result<Progress> {
@@ -412,7 +415,7 @@ pub fn stream(
     let mut waiting: BTreeMap<u64, Finished> = BTreeMap::new();
     let mut order = indices.clone();
     let mut next = order.next();
-    make(plan, renderer, indices, encoders, stop, |frame| {
+    make(plan, renderer, indices, threads, stop, |frame| {
         waiting.insert(frame.index, frame);
         while let Some(frame) = next.and_then(|index| waiting.remove(&index)) {
             progress.add(&frame);

@@ -32,7 +32,7 @@ pub(super) struct BenchArgs {
     /// What is read back (and written, in the case dataset): as for a frame
     #[arg(long, value_name = "LIST", default_value = "rgb,mask")]
     outputs: String,
-    /// Threads that encode, in the case dataset; as many as there are cores if not given
+    /// Threads that build scenes, and as many that encode, in the case dataset; as many as there are cores if not given
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     threads: Option<u16>,
     /// Vary one thing: size, samples, rocks (the first of --cases) or threads (the case dataset); plots how cost grows
@@ -98,8 +98,8 @@ fn setup(args: &BenchArgs) -> Result<Setup> {
         splits: Vec::new(),
         shard: Shard::WHOLE,
     };
-    let encoders = args.threads.map_or_else(super::dataset::cores, usize::from);
-    Ok(Setup { plan, encoders, frames: args.frames })
+    let threads = args.threads.map_or_else(super::dataset::cores, usize::from);
+    Ok(Setup { plan, threads, frames: args.frames })
 }
 
 /// Measures in a folder that goes away.

@@ -64,7 +64,7 @@ pub(super) struct DatasetArgs {
     /// Render nothing: print the knobs of the first frames
     #[arg(long)]
     dry_run: bool,
-    /// Threads that encode and write; as many as there are cores if not given
+    /// Threads that build scenes, and as many that encode; as many as there are cores if not given
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     threads: Option<u16>,
     /// Allow starting in a folder that has other content
@@ -96,9 +96,9 @@ pub(super) fn run(args: &DatasetArgs) -> Result<()> {
         return dry_run(args, &plan);
     }
     let stop = stop_on_signals()?;
-    let encoders = args.threads.map_or_else(cores, usize::from);
+    let threads = args.threads.map_or_else(cores, usize::from);
     if args.out.as_os_str() == "-" {
-        return stream(args, &plan, encoders, &stop);
+        return stream(args, &plan, threads, &stop);
     }
     let contents = Contents::of_plan(&plan);
     let done = Journal::check(&args.out, &contents, args.force)?;
@@ -118,8 +118,7 @@ pub(super) fn run(args: &DatasetArgs) -> Result<()> {
     let mut renderer = Renderer::new(gpu)?;
     super::inject_fault(&renderer);
     let mut meter = Meter::new(args.quiet);
-    let result =
-        dataset::run(&plan, &mut renderer, journal, encoders, &stop, |progress| meter.show(progress));
+    let result = dataset::run(&plan, &mut renderer, journal, threads, &stop, |progress| meter.show(progress));
     meter.finish();
     let (progress, settled) = result?;
     report(args, Some(&progress), &settled, start.elapsed().as_secs_f64())
@@ -174,7 +173,7 @@ pub(super) fn stop_on_signals() -> Result<Arc<AtomicBool>> {
 }
 
 /// Writes the archive of a WebDataset to standard output, in order.
-fn stream(args: &DatasetArgs, plan: &Plan, encoders: usize, stop: &AtomicBool) -> Result<()> {
+fn stream(args: &DatasetArgs, plan: &Plan, threads: usize, stop: &AtomicBool) -> Result<()> {
     if plan.format != "webdataset" || !plan.splits.is_empty() {
         return Err(Error::Usage(
             "--out - streams one archive: it needs --format webdataset and no --split".to_owned(),
@@ -194,7 +193,7 @@ fn stream(args: &DatasetArgs, plan: &Plan, encoders: usize, stop: &AtomicBool) -
         }
         result => result.map_err(|cause| Error::Write { path: "standard output".into(), cause }),
     };
-    let result = dataset::stream(plan, &mut renderer, encoders, stop, |placed, progress| {
+    let result = dataset::stream(plan, &mut renderer, threads, stop, |placed, progress| {
         meter.show(progress);
         placed.files.iter().try_for_each(|file| write(&file.bytes))
     });

@@ -148,7 +148,11 @@ fn find_lines(folder: &Path) -> Result<(Vec<PathBuf>, BTreeMap<u64, LinePlace>)>
     let mut places = BTreeMap::new();
     for (book, path) in books.iter().enumerate() {
         let unreadable = |cause| Error::Read { path: path.clone(), cause };
-        let mut reader = BufReader::new(std::fs::File::open(path).map_err(unreadable)?);
+        let mut reader = match std::fs::File::open(path) {
+            // Another shard has completed the folder just now; its one book has these lines.
+            Err(cause) if cause.kind() == std::io::ErrorKind::NotFound => continue,
+            file => BufReader::new(file.map_err(unreadable)?),
+        };
         let (mut offset, mut text) = (0, String::new());
         loop {
             text.clear();
@@ -182,7 +186,11 @@ fn hull_with(folder: &Path, contents: &Contents, force: bool) -> Result<Range> {
     let mut range = contents.range;
     let manifests = if folder.exists() { books(folder, "manifest", "json")? } else { Vec::new() };
     for path in &manifests {
-        let manifest = read_manifest(path)?;
+        let manifest = match read_manifest(path) {
+            // Another shard has completed the folder just now.
+            Err(Error::Read { .. }) if !path.exists() => continue,
+            manifest => manifest?,
+        };
         let mut differences = differences(&manifest, identity);
         let there = range_of(&manifest);
         if *is_split && there != contents.range {
@@ -351,21 +359,23 @@ pub struct Settled {
 /// [`Error::Dataset`] if the folder has no manifest, [`Error::OtherDataset`] if its shards are of different
 /// configurations, [`Error::Read`], [`Error::Write`].
 pub fn settle(folder: &Path) -> Result<Settled> {
-    let manifests = if folder.is_dir() { books(folder, "manifest", "json")? } else { Vec::new() };
-    let Some(first) = manifests.first() else {
-        return Err(Error::Dataset {
-            path: folder.to_owned(),
-            message: "no dataset is here: it has no manifest.json".to_owned(),
-        });
+    let manifests = || if folder.is_dir() { books(folder, "manifest", "json") } else { Ok(Vec::new()) };
+    let none = || Error::Dataset {
+        path: folder.to_owned(),
+        message: "no dataset is here: it has no manifest.json".to_owned(),
     };
-    let lock_path = folder.join(".lock");
-    let lock = Lock::take(&lock_path)?;
+    if manifests()?.is_empty() {
+        return Err(none());
+    }
+    let lock = Lock::take(&folder.join(".lock"))?;
+    // Another shard that was settling meanwhile has taken its books away.
+    let manifests = manifests()?;
+    let first = manifests.first().ok_or_else(none)?;
     let mut identity = read_manifest(first)?;
     let mut range = range_of(&identity);
     identity.retain(|key, _| !STATE_KEYS.contains(&key.as_str()));
     for path in &manifests[1..] {
-        // Another run's settling may have taken it away meanwhile.
-        let Ok(manifest) = read_manifest(path) else { continue };
+        let manifest = read_manifest(path)?;
         let differences = differences(&manifest, &identity);
         if !differences.is_empty() {
             return Err(Error::OtherDataset { path: path.clone(), differences });

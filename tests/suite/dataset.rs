@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::{Command, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use regolith::params::Knob;
 use regolith::params::sampler::Config;
@@ -130,11 +130,18 @@ fn killed_a_hundred_times_it_ends_with_the_same_bytes() {
         |out| dataset(out, &["--count", "700", "--preset", "train_dr", "-q", "--outputs", "rgb,mask"]);
     run_ok(folder.path(), &words("whole"));
     let killed = folder.path().join("killed");
+    // How long it takes here until the first frame is there.
+    let start = Instant::now();
+    let mut child = program(folder.path()).args(words("first")).spawn().expect("started");
+    wait_until(|| lines_that_parse(&folder.path().join("first")) > 0);
+    let first_s = start.elapsed().as_secs_f64();
+    child.kill().and_then(|()| child.wait()).map(drop).expect("killed");
+
     let mut draw = Streams::new(4).stream("test", 0);
     let (mut at_work, mut before) = (0, 0);
     for _ in 0..KILLS {
         let mut child = program(folder.path()).args(words("killed")).spawn().expect("started");
-        std::thread::sleep(Duration::from_millis(draw.uniform(20.0, 700.0) as u64));
+        std::thread::sleep(Duration::from_secs_f64(draw.uniform(0.02, 2.0 * first_s)));
         child.kill().expect("killed");
         let _ = child.wait();
         let there = lines_that_parse(&killed);
@@ -151,6 +158,16 @@ fn killed_a_hundred_times_it_ends_with_the_same_bytes() {
     std::fs::remove_file(killed.join("mask/mask_00002.png")).expect("removed");
     run_ok(folder.path(), &words("killed"));
     assert_same(&folder.path().join("whole"), &killed);
+}
+
+/// Waits for something that a process in the background will bring about.
+#[track_caller]
+fn wait_until(mut happened: impl FnMut() -> bool) {
+    let start = Instant::now();
+    while !happened() {
+        assert!(start.elapsed().as_secs() < 120, "it has not happened in two minutes");
+        std::thread::sleep(Duration::from_millis(5));
+    }
 }
 
 fn lines_that_parse(folder: &Path) -> usize {
@@ -197,7 +214,7 @@ fn ctrl_c_finishes_what_is_in_flight_and_says_how_to_go_on() {
     let words = dataset("data", &["--count", "400"]);
     let child = program(folder.path()).args(&words).stderr(Stdio::piped()).stdout(Stdio::piped()).spawn();
     let child = child.expect("started");
-    std::thread::sleep(Duration::from_millis(1500));
+    wait_until(|| lines_that_parse(&folder.path().join("data")) > 2);
     let signal = Command::new("kill").args(["-INT", &child.id().to_string()]).status().expect("kill");
     assert!(signal.success());
     let output = child.wait_with_output().expect("ended");
@@ -469,7 +486,7 @@ fn a_second_run_of_the_same_shard_is_refused_while_the_first_writes() {
     let folder = folder();
     let words = dataset("data", &["--count", "300", "-q"]);
     let mut first = program(folder.path()).args(&words).stdout(Stdio::null()).spawn().expect("started");
-    std::thread::sleep(Duration::from_millis(900));
+    wait_until(|| lines_that_parse(&folder.path().join("data")) > 0);
     let output = run(folder.path(), &words);
     let message = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{message}");
