@@ -18,6 +18,11 @@
 @group(2) @binding(5) var depth_samples: texture_2d<f32>;
 @group(2) @binding(6) var<storage, read_write> packed_words: array<u32>;
 
+// Samples along a side of a pixel: a constant, so that the loops over them unroll.
+override SIDE: u32;
+// Whether any annotation is asked for: a driver that runs on the CPU takes its time for branches that are not taken.
+override ANNOTATED: bool;
+
 const GROUP_WIDTH: u32 = 64u;
 const ROW_WIDTH: u32 = 1024u;
 
@@ -32,12 +37,12 @@ fn cs_main(@builtin(global_invocation_id) id: vec3<u32>) {
     for (var k = 0u; k < 4u; k++) {
         // Pixels beyond the last repeat it: they are never read.
         let pixel = min(4u * group + k, pixels - 1u);
-        let corner = vec2(pixel % frame.picture_size_px.x, pixel / frame.picture_size_px.x) * frame.samples_per_side;
+        let corner = vec2(pixel % frame.picture_size_px.x, pixel / frame.picture_size_px.x) * SIDE;
         let radiance = mean_radiance(corner);
         bytes[k] = encoded(radiance);
         let class_id = class_of_most(corner);
         classes |= class_id << (8u * k);
-        annotate(pixel, corner, class_id, radiance);
+        if ANNOTATED { annotate(pixel, corner, class_id, radiance); }
     }
     packed_words[3u * group] = bytes[0].x | (bytes[0].y << 8u) | (bytes[0].z << 16u) | (bytes[1].x << 24u);
     packed_words[3u * group + 1u] = bytes[1].y | (bytes[1].z << 8u) | (bytes[2].x << 16u) | (bytes[2].y << 24u);
@@ -46,14 +51,13 @@ fn cs_main(@builtin(global_invocation_id) id: vec3<u32>) {
 }
 
 fn mean_radiance(corner: vec2<u32>) -> vec3<f32> {
-    let side = frame.samples_per_side;
     var sum = vec3(0.0);
-    for (var y = 0u; y < side; y++) {
-        for (var x = 0u; x < side; x++) {
+    for (var y = 0u; y < SIDE; y++) {
+        for (var x = 0u; x < SIDE; x++) {
             sum += textureLoad(radiance_samples, vec2<i32>(corner + vec2(x, y)), 0).rgb;
         }
     }
-    return sum / f32(side * side);
+    return sum / f32(SIDE * SIDE);
 }
 
 fn encoded(radiance: vec3<f32>) -> vec3<u32> {
@@ -63,7 +67,7 @@ fn encoded(radiance: vec3<f32>) -> vec3<u32> {
 
 // Sample `i` of a pixel, in reading order.
 fn sample_at(corner: vec2<u32>, i: u32) -> vec2<i32> {
-    return vec2<i32>(corner + vec2(i % frame.samples_per_side, i / frame.samples_per_side));
+    return vec2<i32>(corner + vec2(i % SIDE, i / SIDE));
 }
 
 fn class_at(at: vec2<i32>) -> u32 {
@@ -80,7 +84,7 @@ fn depth_at(at: vec2<i32>) -> f32 {
 }
 
 fn class_of_most(corner: vec2<u32>) -> u32 {
-    let count = frame.samples_per_side * frame.samples_per_side;
+    let count = SIDE * SIDE;
     let first = class_at(vec2<i32>(corner));
     var uniform_pixel = true;
     for (var i = 1u; i < count; i++) {
@@ -109,7 +113,7 @@ fn class_of_most(corner: vec2<u32>) -> u32 {
 
 // The instance of most samples of a class, ties to the nearest.
 fn instance_of_most(corner: vec2<u32>, class_id: u32) -> u32 {
-    let count = frame.samples_per_side * frame.samples_per_side;
+    let count = SIDE * SIDE;
     var best = 0u;
     var best_votes = 0u;
     var best_depth = 0.0;
@@ -133,7 +137,7 @@ fn instance_of_most(corner: vec2<u32>, class_id: u32) -> u32 {
 }
 
 fn annotate(pixel: u32, corner: vec2<u32>, class_id: u32, radiance: vec3<f32>) {
-    let count = frame.samples_per_side * frame.samples_per_side;
+    let count = SIDE * SIDE;
     if frame.radiance_at != NOT_ASKED {
         packed_words[frame.radiance_at + 2u * pixel] = pack2x16float(radiance.rg);
         packed_words[frame.radiance_at + 2u * pixel + 1u] = pack2x16float(vec2(radiance.b, 0.0));

@@ -151,6 +151,7 @@ impl Renderer {
             }
         };
         self.scene_pass.prepare(&self.gpu, settings.annotations);
+        self.resolve_pass.prepare(&self.gpu, settings);
         let (gpu, gpu_scene, pick_triangles) = (&self.gpu, &mut self.scene, self.pick_triangles);
         gpu.guard(|| gpu_scene.upload(gpu, scene, settings, pick_triangles))?;
         self.shadow_pass.prepare(&self.gpu, self.scene.atlas_layer_px);

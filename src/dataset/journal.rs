@@ -215,7 +215,11 @@ fn hull_with(folder: &Path, contents: &Contents, force: bool) -> Result<Range> {
     if manifests.is_empty() {
         // A run that was stopped at its very beginning, or another shard at its own, has left no more than this.
         let begun = |name: &str| name.starts_with(".lock") || is_book(name, "frames", "jsonl");
-        disk::check_content(folder, force, begun)?;
+        if let Err(foreign) = disk::check_content(folder, force, begun) {
+            // Another shard may have begun just now.
+            let is_ours = folder.is_dir() && !books(folder, "manifest", "json")?.is_empty();
+            return if is_ours { hull_with(folder, contents, force) } else { Err(foreign) };
+        }
     }
     Ok(range)
 }
@@ -277,7 +281,7 @@ impl Journal {
         &self.done
     }
 
-    /// Writes a frame's files, then its line.
+    /// Writes a frame's line; its files are there.
     ///
     /// # Errors
     /// [`Error::Write`].

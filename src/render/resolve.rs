@@ -2,9 +2,9 @@
 
 use wgpu::BufferUsages;
 
-use super::BindLayouts;
 use super::shaders::RESOLVE;
 use super::targets::Targets;
+use super::{BindLayouts, RenderSettings};
 use crate::class::ClassId;
 use crate::frame::{Annotation, Annotations, Frame};
 use crate::gpu::Gpu;
@@ -38,10 +38,18 @@ pub fn encoded(radiance: f64) -> f64 {
     255.0 * if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * libm::pow(x, 1.0 / 2.4) - 0.055 }
 }
 
-/// Pipeline of the pass.
+/// Pipelines of the pass.
 #[derive(Debug)]
 pub struct ResolvePass {
-    pipeline: wgpu::ComputePipeline,
+    module: wgpu::ShaderModule,
+    layout: wgpu::PipelineLayout,
+    /// For each number of samples along a pixel's side that was needed so far, without and with annotations.
+    pipelines: Vec<((u32, bool), wgpu::ComputePipeline)>,
+}
+
+/// What a pipeline of the pass is made for: samples along a pixel's side, and whether there are annotations.
+fn variant(samples_per_side: u32, annotations: Annotations) -> (u32, bool) {
+    (samples_per_side, annotations != Annotations::default())
 }
 
 /// Where each plane of a frame lies in the packed result.
@@ -122,18 +130,33 @@ impl ResolvePass {
             bind_group_layouts: &[Some(&layouts.frame), None, Some(&layouts.resolve)],
             immediate_size: 0,
         });
+        Self { module: RESOLVE.compile(gpu), layout, pipelines: Vec::new() }
+    }
+
+    /// Makes the pipeline for these settings, unless it is there.
+    pub fn prepare(&mut self, gpu: &Gpu, settings: &RenderSettings) {
+        let wanted = variant(settings.samples_per_side, settings.annotations);
+        if self.pipelines.iter().any(|(made, _)| *made == wanted) {
+            return;
+        }
+        let (samples_per_side, annotated) = wanted;
         let pipeline = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some("resolve"),
-            layout: Some(&layout),
-            module: &RESOLVE.compile(gpu),
+            layout: Some(&self.layout),
+            module: &self.module,
             entry_point: Some("cs_main"),
             compilation_options: wgpu::PipelineCompilationOptions {
-                constants: &[("TONE_KNEE", TONE_KNEE), ("TONE_WHITE", TONE_WHITE)],
+                constants: &[
+                    ("TONE_KNEE", TONE_KNEE),
+                    ("TONE_WHITE", TONE_WHITE),
+                    ("SIDE", f64::from(samples_per_side)),
+                    ("ANNOTATED", f64::from(u8::from(annotated))),
+                ],
                 ..Default::default()
             },
             cache: None,
         });
-        Self { pipeline }
+        self.pipelines.push((wanted, pipeline));
     }
 
     /// Records the pass.
@@ -149,7 +172,9 @@ impl ResolvePass {
             label: Some("resolve"),
             timestamp_writes: timestamps,
         });
-        pass.set_pipeline(&self.pipeline);
+        let wanted = variant(targets.samples_per_side, targets.annotations);
+        let made = self.pipelines.iter().find(|(made, _)| *made == wanted);
+        pass.set_pipeline(&made.expect("a pipeline is prepared before it is used").1);
         pass.set_bind_group(0, frame, &[]);
         pass.set_bind_group(2, own, &[]);
         let groups = Packing::new(targets.size, targets.annotations).groups() as u32;
