@@ -79,7 +79,7 @@ fn parse_cases(list: &str) -> Result<Vec<Case>> {
 fn setup(args: &BenchArgs) -> Result<Setup> {
     let config = args.config.build()?;
     let (format, writer) = writer::writer("folder")?;
-    let outputs = Plan::outputs(&args.outputs, format, writer)?;
+    let outputs = Plan::outputs(Some(&args.outputs), format, writer)?;
     let mut settings = args.picture.settings()?;
     settings.annotations = output::annotations(&outputs);
     // Every frame is taken: what is drawn again would be measured twice.

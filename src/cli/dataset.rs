@@ -53,8 +53,9 @@ pub(super) struct DatasetArgs {
     #[command(flatten)]
     picture: PictureArgs,
     /// What to write: of rgb, mask, preview (every 25th), depth, normals, instances, shadow, hdr, coverage, meta; or all
-    #[arg(long, value_name = "LIST", default_value = "rgb,mask,preview")]
-    outputs: String,
+    /// [default: rgb,mask,preview, as far as the format holds them]
+    #[arg(long, value_name = "LIST")]
+    outputs: Option<String>,
     /// Layout: see the list below
     #[arg(long, value_name = "NAME", default_value = "folder")]
     format: String,
@@ -131,7 +132,7 @@ pub(super) fn cores() -> usize {
 fn plan(args: &DatasetArgs) -> Result<Plan> {
     let config = args.config.build()?;
     let (format, writer) = writer::writer(&args.format)?;
-    let outputs = Plan::outputs(&args.outputs, format, writer)?;
+    let outputs = Plan::outputs(args.outputs.as_deref(), format, writer)?;
     let mut settings = args.picture.settings()?;
     settings.annotations = output::annotations(&outputs);
     let splits = args.split.as_deref().map_or(Ok(Vec::new()), plan::parse_splits)?;

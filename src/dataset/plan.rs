@@ -152,6 +152,9 @@ pub fn frame_seed(base_seed: u64, index: u64, attempt: u32) -> u64 {
 }
 
 impl Plan {
+    /// What is written of a frame unless something else is asked for.
+    pub const USUAL_OUTPUTS: &'static str = "rgb,mask,preview";
+
     /// The split that a frame belongs to; empty if there are none.
     #[must_use]
     pub fn split_of(&self, index: u64) -> &str {
@@ -208,14 +211,15 @@ impl Plan {
         }
     }
 
-    /// The outputs that are asked for and those that the layout cannot be without.
+    /// The outputs that are asked for (if none are, the usual ones of a dataset as far as the layout holds them) and
+    /// those that the layout cannot be without.
     ///
     /// # Errors
     /// [`Error::Usage`] for an unknown one, or one that the layout has no place for.
-    pub fn outputs(list: &str, format: &str, writer: &dyn Writer) -> Result<Vec<&'static Output>> {
-        let asked = output::parse_outputs(list)?;
-        let all = list.split(',').any(|word| word.trim() == "all");
-        if let Some(homeless) = asked.iter().find(|output| !all && !writer.holds(output.name)) {
+    pub fn outputs(list: Option<&str>, format: &str, writer: &dyn Writer) -> Result<Vec<&'static Output>> {
+        let asked = output::parse_outputs(list.unwrap_or(Self::USUAL_OUTPUTS))?;
+        let any = list.is_none_or(|list| list.split(',').any(|word| word.trim() == "all"));
+        if let Some(homeless) = asked.iter().find(|output| !any && !writer.holds(output.name)) {
             let held: Vec<&str> =
                 output::OUTPUTS.iter().map(|output| output.name).filter(|name| writer.holds(name)).collect();
             return Err(Error::Usage(format!(

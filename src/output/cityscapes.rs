@@ -1,7 +1,8 @@
 //! Cityscapes: `leftImg8bit` and `gtFine` by split and city, of which there is one: `moon`.
 //!
 //! Train ids are the classes' own (255 to be ignored); label ids are one more, 0 for unlabelled. An instance id is the
-//! label id times 1000 plus the rock's place in the frame, or the label id alone.
+//! label id times 1000 plus the rock's place in the frame; the label id alone, which stands for a group, where there is
+//! no rock or a thousand came before.
 //! Must not know: scene, GPU, the disk.
 
 use serde_json::{Value, json};
@@ -46,7 +47,8 @@ impl Writer for Cityscapes {
         seen.sort_unstable();
         let instance_id = |(class, rock): (&u8, &u16)| {
             let label = u16::from(label_id(*class));
-            let place = seen.binary_search(rock).ok().filter(|_| *class == ClassId::ROCK.0);
+            let place = seen.binary_search(rock).ok();
+            let place = place.filter(|place| *class == ClassId::ROCK.0 && *place < 1000);
             place.map_or(label, |place| label * 1000 + place as u16)
         };
         let instances: Vec<u16> = frame.class.iter().zip(&frame.instances).map(instance_id).collect();

@@ -88,7 +88,8 @@ impl Writer for HuggingFace {
              - config_name: default\n  data_files:\n"
         );
         for split in &names {
-            let _ = writeln!(card, "  - split: {split}\n    path: \"{split}/**\"");
+            // A split's name is one word there.
+            let _ = writeln!(card, "  - split: {}\n    path: \"{split}/**\"", split.replace('-', "_"));
         }
         let _ = write!(card, "---\n\n{}", index.card);
         put(Artifact { name: "README.md".to_owned(), bytes: card.into_bytes() })

@@ -269,6 +269,23 @@ fn shards_hold_whole_samples_in_order_and_a_stream_is_the_same() {
 }
 
 #[test]
+fn every_layout_has_outputs_of_its_own_unless_others_are_asked_for() {
+    let folder = folder();
+    for (format, ..) in &WRITERS {
+        run_ok(folder.path(), &[&SMALL[..8], &["--count=1", "--format", format, "--out", format]].concat());
+        let manifest = json(&folder.path().join(format).join("manifest.json"));
+        let outputs: Vec<&str> =
+            manifest["outputs"].as_array().expect("outputs").iter().filter_map(Value::as_str).collect();
+        assert!(outputs.starts_with(&["rgb", "mask"]), "{format}: {outputs:?}");
+        assert_eq!(outputs.contains(&"preview"), ["folder", "basic"].contains(format), "{format}");
+    }
+    let refused =
+        run(folder.path(), &["dataset", "--count=1", "--format=coco", "--outputs=rgb,depth", "--out=new"]);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("--format coco has no place for it"));
+}
+
+#[test]
 fn what_cannot_be_converted_is_refused_with_the_remedy() {
     let folder = folder();
     run_ok(folder.path(), &[&SMALL[..8], &["--outputs=rgb,mask", "--out=plain", "--count=2"]].concat());
