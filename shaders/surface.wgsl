@@ -2,6 +2,13 @@
 
 // Draws ground on which no shadow can fall: what faces the sun sees all of it.
 override OPEN: bool;
+// The law of reflection.
+override LAW: u32;
+// What detail below the mesh there is: none, that of the ground, that of rocks.
+override DETAIL: u32;
+
+const GROUND_DETAIL: u32 = 1u;
+const ROCK_DETAIL: u32 = 2u;
 
 struct Varyings {
     @builtin(position) clip: vec4<f32>,
@@ -25,8 +32,24 @@ fn vs_main(
 @fragment
 fn fs_main(in: Varyings) -> SceneOut {
     let instance = instances[in.instance];
-    let normal = normalize(in.normal);
+    let smooth_normal = normalize(in.normal);
     let to_eye = -normalize(in.offset);
+    var normal = smooth_normal;
+    var albedo = instance.colour;
+    if DETAIL == GROUND_DETAIL {
+        normal = ground_normal(in.offset, smooth_normal, to_eye);
+    }
+    if DETAIL == ROCK_DETAIL {
+        let sample_m = relief.sample_angle * length(in.offset);
+        let texture = rock_texture(frame.eye + in.offset - instance.origin, sample_m, instance.instance_id);
+        let across = texture.xyz - smooth_normal * dot(texture.xyz, smooth_normal);
+        normal = normalize(smooth_normal - across);
+        // Soil lies where the rock is level enough, with an edge that its texture frays.
+        let dusty = smoothstep(-0.08, 0.08, smooth_normal.z - instance.dust_above + 0.12 * texture.w);
+        albedo = mix(instance.colour * (1.0 + 0.12 * texture.w), instance.dust, dusty);
+    }
+    // What looks away from the eye behind a bump is not seen: the light is that of a surface just turned to it.
+    let cos_eye = max(dot(normal, to_eye), 0.02);
     let cos_light = max(dot(normal, frame.sun_direction), 0.0);
     var visible = 0.0;
     var direct = 0.0;
@@ -36,16 +59,25 @@ fn fs_main(in: Varyings) -> SceneOut {
         visible = 1.0;
         if !OPEN {
             let facet_normal = normalize(select(-facet, facet, dot(facet, to_eye) > 0.0));
-            visible = sun_visibility(frame.eye + in.offset, facet_normal, normal, pattern_turn(in.clip.xy));
+            visible = sun_visibility(frame.eye + in.offset, facet_normal, smooth_normal, pattern_turn(in.clip.xy));
         }
-        let cos_eye = max(dot(normal, to_eye), 0.0);
-        let lobe = rough_diffuse(instance.roughness, cos_light, cos_eye, dot(frame.sun_direction, to_eye));
-        direct = visible * cos_light * lobe;
+        let cos_phase = dot(frame.sun_direction, to_eye);
+        direct = visible * reflected(LAW, instance.roughness, instance.surge, cos_light, cos_eye, cos_phase);
     }
     let bounced = ground_bounce(frame.ground_radiance, normal, frame.horizon_towards)
         + sky_light(frame.sky_radiance, normal);
-    let radiance = instance.colour * (direct * frame.sun_irradiance + bounced / PI);
+    let radiance = albedo * (direct * frame.sun_irradiance + frame.bounce_share * bounced / PI);
     return SceneOut(vec4(radiance, 1.0), instance.class_id, vec4(normal, 1.0), instance.instance_id, 1.0 - visible);
+}
+
+// The normal of the ground with the relief that its mesh leaves out.
+fn ground_normal(offset: vec3<f32>, smooth_normal: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
+    let facing = clamp(dot(smooth_normal, to_eye), 0.04, 1.0);
+    // Samples lie further apart in depth than across: the mean of the two, in the logarithm.
+    let sample_m = relief.sample_angle * length(offset) * inverseSqrt(facing);
+    let slope = relief_slope(relief.eye_from_centre + offset.xy, sample_m);
+    let z = max(smooth_normal.z, 0.1);
+    return normalize(vec3(smooth_normal.xy / z - slope, 1.0));
 }
 
 // A number in [0, 1) that differs between neighbouring samples (Jimenez 2014, "Next Generation Post Processing in

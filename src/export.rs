@@ -141,7 +141,6 @@ impl Stage<'_> {
     /// Ground, then the rocks by number.
     fn parts(&self) -> Vec<Part<'_>> {
         let scene = self.scene;
-        let cells = 0..scene.terrain.cells;
         let mut parts = vec![Part {
             class: ClassId::REGOLITH,
             rock: None,
@@ -149,7 +148,7 @@ impl Stage<'_> {
             origin: Vec3::ZERO,
             vertices: &scene.terrain.vertices,
             // All of the ground casts shadows.
-            triangles: scene.terrain.block_triangles(cells.clone(), cells).collect(),
+            triangles: scene.terrain.triangles().collect(),
             material: scene.regolith,
         }];
         let levels: Vec<(usize, usize)> = match self.detail {

@@ -38,6 +38,32 @@ pub enum Scope {
     Element(&'static str),
 }
 
+/// A stage.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// The reference stage: simple and exactly specified.
+    Nominal,
+    /// The realistic ground.
+    Surface,
+}
+
+impl Stage {
+    /// Every stage with its name.
+    pub const ALL: [(Self, &'static str); 2] = [(Self::Nominal, "nominal"), (Self::Surface, "surface")];
+
+    /// Its name.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        Self::ALL[self as usize].1
+    }
+
+    /// The stage of a name.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|(_, known)| *known == name).map(|(stage, _)| stage)
+    }
+}
+
 /// All that is known of a knob.
 #[derive(Debug)]
 pub struct KnobInfo {
@@ -49,8 +75,12 @@ pub struct KnobInfo {
     pub kind: Kind,
     /// How often it is drawn.
     pub scope: Scope,
+    /// The stage that it belongs to; none for those of every stage.
+    pub stage: Option<Stage>,
     /// Its default.
     pub default: Distribution,
+    /// Its default on the surface stage, where that is another one.
+    pub surface_default: Option<Distribution>,
     /// Smallest and largest allowed number.
     pub range: [f64; 2],
     /// What it does.
@@ -61,19 +91,28 @@ const fn number(value: f64) -> Distribution {
     Distribution::number(value)
 }
 
+const fn word(text: &'static str) -> Distribution {
+    Fixed(Value::Text(std::borrow::Cow::Borrowed(text)))
+}
+
 const fn uniform(low: f64, high: f64) -> Distribution {
     Uniform { low, high }
 }
 
 macro_rules! knobs {
-    ($($knob:ident $name:literal $unit:literal $kind:expr, $scope:expr, $default:expr, $range:expr, $doc:literal;)*) => {
+    ($($knob:ident $name:literal $unit:literal $(in $stage:ident)? $kind:expr, $scope:expr, $default:expr
+        $(=> $surface:expr)?, $range:expr, $doc:literal;)*) => {
         /// Every knob, by its place in [`KNOBS`].
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum Knob { $(#[doc = $doc] $knob,)* }
 
         /// Every knob.
         pub static KNOBS: [KnobInfo; [$($name),*].len()] = [$(KnobInfo {
-            name: $name, unit: $unit, kind: $kind, scope: $scope, default: $default, range: $range, doc: $doc,
+            name: $name, unit: $unit, kind: $kind, scope: $scope,
+            stage: knobs!(@or_none $(Stage::$stage)?),
+            default: $default,
+            surface_default: knobs!(@or_none $($surface)?),
+            range: $range, doc: $doc,
         },)*];
 
         impl Knob {
@@ -81,86 +120,142 @@ macro_rules! knobs {
             pub const ALL: [Self; KNOBS.len()] = [$(Self::$knob,)*];
         }
     };
+    (@or_none) => { None };
+    (@or_none $value:expr) => { Some($value) };
 }
 
 knobs! {
-    StageName "stage.name" "" Text(&["nominal"]), Frame, Fixed(Value::Text(std::borrow::Cow::Borrowed("nominal"))), [0.0, 0.0],
+    StageName "stage.name" "" Text(&["nominal", "surface"]), Frame, word("nominal"), [0.0, 0.0],
         "Which stage is built.";
-    SunElevationDeg "sun.elevation_deg" "deg" Number, Frame, number(17.0), [0.5, 90.0],
+    SunElevationDeg "sun.elevation_deg" "deg" Number, Frame, number(17.0) => number(13.0), [0.5, 90.0],
         "Angle of the sun above the horizontal plane.";
-    SunAzimuthDeg "sun.azimuth_deg" "deg" Number, Frame, number(120.0), [0.0, 360.0],
+    SunAzimuthDeg "sun.azimuth_deg" "deg" Number, Frame, number(120.0) => number(135.0), [0.0, 360.0],
         "Compass angle of the sun from +Y, where the camera looks, towards +X: 0 is in front of the camera.";
-    SunIntensity "sun.intensity" "" Number, Frame, number(14_000.0), [0.0, 200_000.0],
+    SunIntensity "sun.intensity" "" Number, Frame, number(14_000.0) => number(3500.0), [0.0, 200_000.0],
         "Strength of the sun on a relative scale; the reference frame has 14000.";
     SunAngularDiameterDeg "sun.angular_diameter_deg" "deg" Number, Frame, number(0.53), [0.0, 5.0],
         "Angle that the sun's disc spans: how fast penumbrae widen.";
     SunColor "sun.color" "" Rgb, Frame, Fixed(Value::Rgb([1.0, 0.97, 0.92])), [0.0, 4.0],
         "Colour of the sun's light, linear RGB.";
-    TerrainAmplitudeM "terrain.amplitude_m" "m" Number, Frame, number(3.2), [0.0, 50.0],
+    TerrainAmplitudeM "terrain.amplitude_m" "m" in Nominal Number, Frame, number(3.2), [0.0, 50.0],
         "Amplitude of the relief; its standard deviation is about a quarter of it.";
-    TerrainSizeM "terrain.size_m" "m" Number, Frame, number(920.0), [100.0, 4000.0],
+    TerrainSizeM "terrain.size_m" "m" Number, Frame, number(920.0) => number(2400.0), [100.0, 4000.0],
         "Side of the square of ground, centred on the origin.";
-    TerrainCells "terrain.cells" "" Integer, Frame, number(300.0), [10.0, 1000.0],
+    TerrainCells "terrain.cells" "" in Nominal Integer, Frame, number(300.0), [10.0, 1000.0],
         "Cells along a side of the ground's grid, two triangles each.";
-    RegolithAlbedo "regolith.albedo" "" Number, Frame, number(0.205), [0.0, 1.0],
+    TerrainCellMrad "terrain.cell_mrad" "mrad" in Surface Number, Frame, number(8.0), [2.0, 50.0],
+        "Angle that a cell of the ground's mesh spans seen from the camera; detail below it is in the shading.";
+    ReliefHillsM "relief.hills_m" "m" in Surface Number, Frame, number(9.0), [0.0, 60.0],
+        "Amplitude of hills 250 m long and shorter; their standard deviation is about a quarter of it.";
+    ReliefUndulationM "relief.undulation_m" "m" in Surface Number, Frame, number(2.4), [0.0, 20.0],
+        "Amplitude of waves 50 m long and shorter; their standard deviation is about a quarter of it.";
+    ReliefSlopeDeg "relief.slope_deg" "deg" in Surface Number, Frame, number(10.0), [0.0, 25.0],
+        "Median slope of the fine relief between places 7 mm apart (Guo et al. 2021: 10 at the site of Chang'e-4).";
+    ReliefHurst "relief.hurst" "" in Surface Number, Frame, number(0.75), [0.4, 1.0],
+        "Hurst exponent of the fine relief: 1 is smooth when looked at closely (Guo et al. 2021: 0.6 to 0.85).";
+    ReliefClods "relief.clods" "" in Surface Number, Frame, number(0.5), [0.0, 1.0],
+        "Share of clods among the pits and clods of up to 6 cm.";
+    RegolithAlbedo "regolith.albedo" "" Number, Frame, number(0.205) => number(0.12), [0.0, 1.0],
         "Mean diffuse reflectance of the ground.";
     RegolithRoughness "regolith.roughness" "" Number, Frame, number(0.96), [0.0, 1.0],
         "Roughness of the ground's diffuse lobe; 0 is Lambert's.";
-    CratersCount "craters.count" "" Integer, Frame, UniformInt { low: 6.0, high: 10.0 }, [0.0, 500.0],
+    RegolithRedOverGreen "regolith.red_over_green" "" in Surface Number, Frame, number(1.06), [0.5, 2.0],
+        "Colour of the soil: red over green, linear; lunar soil has 1.00 to 1.12.";
+    RegolithBlueOverGreen "regolith.blue_over_green" "" in Surface Number, Frame, number(0.84), [0.3, 2.0],
+        "Colour of the soil: blue over green, linear; lunar soil has 0.72 to 0.95.";
+    CratersCount "craters.count" "" in Nominal Integer, Frame, UniformInt { low: 6.0, high: 10.0 }, [0.0, 500.0],
         "Number of craters.";
-    CratersRadiusM "craters.radius_m" "m" Number, Element("crater"), uniform(10.0, 38.0), [0.5, 400.0],
+    CratersRadiusM "craters.radius_m" "m" in Nominal Number, Element("crater"), uniform(10.0, 38.0), [0.5, 400.0],
         "Radius of a crater from its centre to the crest of its rim.";
-    CratersDepthM "craters.depth_m" "m" Number, Element("crater"), uniform(1.5, 5.5), [0.0, 60.0],
+    CratersDepthM "craters.depth_m" "m" in Nominal Number, Element("crater"), uniform(1.5, 5.5), [0.0, 60.0],
         "Depth of a crater's bowl below the ground around it.";
-    CratersRimRatio "craters.rim_ratio" "" Number, Element("crater"), uniform(0.18, 0.35), [0.0, 1.0],
+    CratersRimRatio "craters.rim_ratio" "" in Nominal Number, Element("crater"), uniform(0.18, 0.35), [0.0, 1.0],
         "Height of a crater's rim as a fraction of its depth.";
-    RocksCount "rocks.count" "" Integer, Frame, UniformInt { low: 75.0, high: 114.0 }, [0.0, 5000.0],
+    CratersDensity "craters.density" "" in Surface Number, Frame, number(1.0), [0.0, 1.6],
+        "Number of craters relative to equilibrium, 0.0794 D^-2 of more than D metres a square metre (Trask 1966).";
+    CratersFreshShare "craters.fresh_share" "" in Surface Number, Frame, number(0.03), [0.0, 1.0],
+        "Share of craters that are fresh: deep, with a sharp rim and rocks around.";
+    RocksCount "rocks.count" "" in Nominal Integer, Frame, UniformInt { low: 75.0, high: 114.0 }, [0.0, 5000.0],
         "Number of rocks.";
-    RocksNearCount "rocks.near_count" "" Integer, Frame, number(12.0), [0.0, 200.0],
+    RocksNearCount "rocks.near_count" "" in Nominal Integer, Frame, number(12.0), [0.0, 200.0],
         "The first so many rocks are near ones; if there are fewer rocks, all are.";
-    RocksScaleM "rocks.scale_m" "m" Number, Element("far rock"), uniform(0.3, 1.3), [0.02, 20.0],
+    RocksScaleM "rocks.scale_m" "m" in Nominal Number, Element("far rock"), uniform(0.3, 1.3), [0.02, 20.0],
         "Base radius of a far rock.";
-    RocksNearScaleM "rocks.near_scale_m" "m" Number, Element("near rock"), uniform(1.2, 3.0), [0.02, 20.0],
+    RocksNearScaleM "rocks.near_scale_m" "m" in Nominal Number, Element("near rock"), uniform(1.2, 3.0), [0.02, 20.0],
         "Base radius of a near rock.";
-    RocksNearYM "rocks.near_y_m" "m" Number, Element("near rock"), uniform(-78.0, -48.0), [-2000.0, 2000.0],
+    RocksNearYM "rocks.near_y_m" "m" in Nominal Number, Element("near rock"), uniform(-78.0, -48.0), [-2000.0, 2000.0],
         "Place of a near rock along the camera's nominal line of sight; the camera stands at -90.";
-    RocksLargeShare "rocks.large_share" "" Number, Frame, number(0.15), [0.0, 1.0],
+    RocksLargeShare "rocks.large_share" "" in Nominal Number, Frame, number(0.15), [0.0, 1.0],
         "Share of the far rocks that are made larger by rocks.large_factor.";
-    RocksLargeFactor "rocks.large_factor" "" Number, Element("large far rock"), uniform(2.0, 3.3), [1.0, 10.0],
+    RocksLargeFactor "rocks.large_factor" "" in Nominal Number, Element("large far rock"), uniform(2.0, 3.3), [1.0, 10.0],
         "How much larger such a rock is.";
-    RocksEmbedding "rocks.embedding" "" Number, Frame, number(0.30), [0.02, 0.95],
+    RocksEmbedding "rocks.embedding" "" in Nominal Number, Frame, number(0.30), [0.02, 0.95],
         "Fraction of a rock's height that is under the ground.";
-    RocksAlbedo "rocks.albedo" "" Number, Element("rock material"), Power { low: 0.058, high: 0.130, exponent: 1.6 }, [0.02, 0.55],
+    RocksAlbedo "rocks.albedo" "" in Nominal Number, Element("rock material"), Power { low: 0.058, high: 0.130, exponent: 1.6 }, [0.02, 0.55],
         "Base grey of a rock material, of which a scene has twelve.";
-    RocksRoughness "rocks.roughness" "" Number, Element("rock material"), uniform(0.85, 0.97), [0.0, 1.0],
+    RocksRoughness "rocks.roughness" "" Number, Element("rock material"), uniform(0.85, 0.97) => number(0.9), [0.0, 1.0],
         "Roughness of a rock material's diffuse lobe.";
-    RocksDisplacement "rocks.displacement" "" Number, Frame, number(0.34), [0.0, 0.8],
+    RocksDisplacement "rocks.displacement" "" Number, Frame, number(0.34) => number(0.30), [0.0, 0.8],
         "Amplitude of the displacement that shapes the rocks, relative to their radius.";
-    RocksHeroScaleM "rocks.hero_scale_m" "m" Number, Frame, number(0.0), [0.0, 20.0],
+    RocksHeroScaleM "rocks.hero_scale_m" "m" in Nominal Number, Frame, number(0.0), [0.0, 20.0],
         "Base radius of one boulder that takes the place of the first near rock; 0 for none.";
-    RocksHeroXM "rocks.hero_x_m" "m" Number, Frame, number(0.0), [-2000.0, 2000.0],
+    RocksHeroXM "rocks.hero_x_m" "m" in Nominal Number, Frame, number(0.0), [-2000.0, 2000.0],
         "Where that boulder lies, to the right.";
-    RocksHeroYM "rocks.hero_y_m" "m" Number, Frame, number(-76.0), [-2000.0, 2000.0],
+    RocksHeroYM "rocks.hero_y_m" "m" in Nominal Number, Frame, number(-76.0), [-2000.0, 2000.0],
         "Where that boulder lies, ahead.";
+    RocksCoverage "rocks.coverage" "" in Surface Number, Frame, number(0.008), [0.0, 0.1],
+        "Share k of the ground under rocks, with F(>D) = k exp(-(0.5648 + 0.01285 / k) D) (Li and Wu 2018).";
+    RocksExposed "rocks.exposed" "" in Surface Number, Element("rock"), uniform(0.35, 0.95), [0.05, 1.0],
+        "Fraction of a rock's height that stands out of the ground.";
+    RocksAlbedoRatio "rocks.albedo_ratio" "" in Surface Number, Frame, number(1.35), [0.3, 4.0],
+        "Median of the rocks' albedo over the soil's, one draw a rock, log-normal within 0.7 to 2.5.";
+    RocksAlbedoSpread "rocks.albedo_spread" "" in Surface Number, Frame, number(0.3), [0.0, 1.0],
+        "Standard deviation of the logarithm of that ratio.";
+    RocksDust "rocks.dust" "" in Surface Number, Element("rock"), uniform(0.1, 0.6), [0.0, 1.0],
+        "Share of a rock's upward faces that soil lies on.";
+    PhotometryLaw "photometry.law" "" Text(&["lambert", "oren_nayar", "lommel_seeliger", "hapke"]), Frame, word("oren_nayar") => word("hapke"), [0.0, 0.0],
+        "How ground and rocks reflect; the albedo is that of the law at normal incidence and zero phase.";
+    HapkeW "hapke.w" "" Number, Frame, number(0.32357), [0.05, 0.95],
+        "Single-scattering albedo of the grains: how much light is scattered more than once.";
+    HapkeB "hapke.b" "" Number, Frame, number(0.23955), [0.0, 0.9],
+        "Width of the lobes of the grains' phase function (0 is even).";
+    HapkeC "hapke.c" "" Number, Frame, number(0.30452), [-1.0, 1.0],
+        "Weight of the backward lobe, 1 for all of it, -1 for all of the forward one (Hapke 2012).";
+    HapkeBS0 "hapke.b_s0" "" Number, Frame, number(1.80238), [0.0, 4.0],
+        "Height of the opposition surge on the ground.";
+    HapkeRockBS0 "hapke.rock_b_s0" "" Number, Frame, number(0.85), [0.0, 4.0],
+        "Height of the opposition surge on rocks.";
+    HapkeHS "hapke.h_s" "" Number, Frame, number(0.07145), [0.005, 1.0],
+        "Width of the opposition surge: the tangent of half the phase angle at which it has halved.";
+    HapkeThetaBarDeg "hapke.theta_bar_deg" "deg" Number, Frame, number(23.657), [0.0, 40.0],
+        "Mean slope of the roughness that no pixel shows (Sato et al. 2014 for the whole Moon).";
+    LabelMinPixels "label.min_pixels" "" Number, Frame, number(0.0), [0.0, 100_000.0],
+        "Rocks that would cover fewer pixels, nothing before them, count as regolith.";
+    LabelMinDiameterM "label.min_diameter_m" "m" Number, Frame, number(0.0), [0.0, 10.0],
+        "Rocks with a smaller diameter count as regolith.";
     CameraXM "camera.x_m" "m" Number, Frame, number(0.0), [-2000.0, 2000.0],
         "Where the camera stands, to the right.";
     CameraYM "camera.y_m" "m" Number, Frame, number(-90.0), [-2000.0, 2000.0],
         "Where the camera stands, ahead.";
-    CameraHeightM "camera.height_m" "m" Number, Frame, number(2.0), [0.2, 200.0],
+    CameraHeightM "camera.height_m" "m" Number, Frame, number(2.0) => number(2.1), [0.2, 200.0],
         "Height of the eye above the ground under it.";
-    CameraPitchDeg "camera.pitch_deg" "deg" Number, Frame, number(-0.8952), [-89.0, 89.0],
+    CameraPitchDeg "camera.pitch_deg" "deg" Number, Frame, number(-0.8952) => number(-7.0), [-89.0, 89.0],
         "How far the camera looks up; negative looks down.";
     CameraYawDeg "camera.yaw_deg" "deg" Number, Frame, number(0.0), [-360.0, 360.0],
         "How far the camera is turned from +Y towards +X.";
     CameraRollDeg "camera.roll_deg" "deg" Number, Frame, number(0.0), [-180.0, 180.0],
         "How far the camera is turned clockwise about its line of sight.";
-    CameraFovDeg "camera.fov_deg" "deg" Number, Frame, number(61.9275), [5.0, 150.0],
+    CameraFovDeg "camera.fov_deg" "deg" Number, Frame, number(61.9275) => number(60.0), [5.0, 150.0],
         "Horizontal field of view; the default is a 20 mm lens before a sensor 24 mm wide.";
     CameraExposureEv "camera.exposure_ev" "EV" Number, Frame, number(0.0), [-10.0, 10.0],
         "Exposure relative to the reference frame's, in stops.";
     SkyStarCount "sky.star_count" "" Integer, Frame, number(220.0), [0.0, 20_000.0],
         "Number of stars.";
-    SkyDomeRadiusM "sky.dome_radius_m" "m" Number, Frame, number(600.0), [60.0, 5000.0],
+    SkyStarGain "sky.star_gain" "" Number, Frame, number(1.0) => number(1e-5), [0.0, 100.0],
+        "Radiance of the stars relative to the nominal stage's; at 1e-5 one is as faint as a bright star is by daylight.";
+    SkyGlow "sky.glow" "" Number, Frame, number(1.0) => number(0.0), [0.0, 100.0],
+        "Radiance of the dome relative to the nominal stage's; the Moon's sky has none.";
+    SkyDomeRadiusM "sky.dome_radius_m" "m" Number, Frame, number(600.0) => number(2000.0), [60.0, 5000.0],
         "Radius of the sky's dome around the camera.";
 }
 
@@ -179,6 +274,18 @@ impl Knob {
 }
 
 impl KnobInfo {
+    /// Whether a stage has it.
+    #[must_use]
+    pub fn is_of(&self, stage: Stage) -> bool {
+        self.stage.is_none_or(|own| own == stage)
+    }
+
+    /// Its default on a stage.
+    #[must_use]
+    pub fn default_on(&self, stage: Stage) -> &Distribution {
+        self.surface_default.as_ref().filter(|_| stage == Stage::Surface).unwrap_or(&self.default)
+    }
+
     /// The allowed values in words, with the unit.
     #[must_use]
     pub fn allowed(&self) -> String {
@@ -311,12 +418,22 @@ impl Params {
         }
     }
 
-    /// Every knob as used, under its dotted name; those drawn for each element as what they are drawn from.
+    /// The stage.
+    ///
+    /// # Panics
+    /// Never: the table allows no other word.
+    #[must_use]
+    pub fn stage(&self) -> Stage {
+        Stage::from_name(self.text(Knob::StageName)).expect("a stage that there is")
+    }
+
+    /// Every knob of the stage as used, under its dotted name; those drawn for each element as what they are drawn from.
     #[must_use]
     pub fn to_json(&self) -> Map<String, Json> {
         KNOBS
             .iter()
             .zip(&self.settings)
+            .filter(|(info, _)| info.is_of(self.stage()))
             .map(|(info, setting)| (info.name.to_owned(), setting.to_json(info.kind == Integer)))
             .collect()
     }
@@ -330,13 +447,16 @@ mod tests {
     fn the_table_keeps_its_own_rules() {
         for (place, info) in KNOBS.iter().enumerate() {
             assert_eq!(Knob::ALL[place] as usize, place);
-            info.check(&info.default, "default").unwrap_or_else(|error| panic!("{error}"));
+            for default in [&info.default].into_iter().chain(&info.surface_default) {
+                info.check(default, "default").unwrap_or_else(|error| panic!("{error}"));
+            }
             assert!(info.doc.ends_with('.') && info.doc.len() > 10, "{}", info.name);
             let suffix = match info.unit {
                 "" => continue,
                 "m" => "_m",
                 "deg" => "_deg",
                 "EV" => "_ev",
+                "mrad" => "_mrad",
                 other => panic!("{}: a new unit {other}", info.name),
             };
             assert!(info.name.ends_with(suffix), "{} is in {}", info.name, info.unit);

@@ -8,6 +8,7 @@
 
 pub mod facing;
 pub mod gpu_scene;
+pub mod horizon;
 mod labels;
 pub mod resolve;
 mod scene_pass;
@@ -150,10 +151,10 @@ impl Renderer {
                 (targets, PackedFrame::new(&self.gpu, settings.size, settings.annotations))
             }
         };
-        self.scene_pass.prepare(&self.gpu, settings.annotations);
         self.resolve_pass.prepare(&self.gpu, settings);
         let (gpu, gpu_scene, pick_triangles) = (&self.gpu, &mut self.scene, self.pick_triangles);
         gpu.guard(|| gpu_scene.upload(gpu, scene, settings, pick_triangles))?;
+        self.scene_pass.prepare(&self.gpu, self.scene.variant(settings.annotations));
         self.shadow_pass.prepare(&self.gpu, self.scene.atlas_layer_px);
         self.gpu.check()?;
         let uploaded = Instant::now();
@@ -229,7 +230,14 @@ impl Renderer {
         };
         let view = wgpu::BindingResource::TextureView;
         BindGroups {
-            frame: group("frame", &self.layouts.frame, &[scene.frame.buffer().as_entire_binding()]),
+            frame: group(
+                "frame",
+                &self.layouts.frame,
+                &[
+                    scene.frame.buffer().as_entire_binding(),
+                    scene.relief.buffer().as_entire_binding(),
+                ],
+            ),
             scene: group(
                 "scene",
                 &self.layouts.scene,
@@ -291,7 +299,7 @@ impl BindLayouts {
             frame: group(
                 "frame",
                 drawing | ShaderStages::COMPUTE,
-                &[buffer(wgpu::BufferBindingType::Uniform)],
+                &[buffer(wgpu::BufferBindingType::Uniform); 2],
             ),
             scene: group("scene", drawing, &[read, read]),
             shadow: group("scene/shadow", ShaderStages::FRAGMENT, &[float, float, read]),

@@ -6,21 +6,28 @@
 //! [`Scene::hash_geometry`], and a class in `class.rs` if it is a new one.
 
 pub mod camera;
+pub mod craters;
+pub mod lattice;
 pub mod mesh;
 pub mod noise;
+pub mod photometry;
+pub mod relief;
+pub mod rings;
 pub mod rocks;
 pub mod sky;
 pub mod terrain;
 
 use bytemuck::bytes_of;
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use twox_hash::XxHash3_128;
 
 use crate::error::Result;
-use crate::params::{Knob, Params};
+use crate::params::{Knob, Params, Stage};
 use crate::random::Streams;
 use camera::Camera;
-use rocks::{Material, Rock};
+use photometry::{Photometry, tinted};
+use relief::Relief;
+use rocks::{Material, Rock, lunar};
 use sky::{Sky, Sun};
 use terrain::Terrain;
 
@@ -32,8 +39,14 @@ const REGOLITH_TINT: [f64; 3] = [0.22, 0.205, 0.19];
 pub struct Scene {
     /// The ground.
     pub terrain: Terrain,
+    /// Of the surface stage: the height function that the ground was sampled from.
+    pub relief: Option<Relief>,
     /// How the ground reflects.
     pub regolith: Material,
+    /// The law by which ground and rocks reflect.
+    pub photometry: Photometry,
+    /// Which rocks count as regolith.
+    pub label_rule: LabelRule,
     /// The boulders, by number.
     pub rocks: Vec<Rock>,
     /// Dome and stars.
@@ -44,6 +57,27 @@ pub struct Scene {
     pub camera: Camera,
 }
 
+/// Which rocks are too small to count as rocks: a rule on the rock, not on the mask.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LabelRule {
+    /// Those that would cover fewer pixels with nothing before them.
+    pub min_pixels: f32,
+    /// Those with a smaller diameter, metres.
+    pub min_diameter_m: f32,
+}
+
+impl LabelRule {
+    /// Whether a rock counts as one in a picture in which a length of a metre, a metre away, spans `focal_px` pixels. Its
+    /// outline is taken as a disc of its diameter.
+    #[must_use]
+    pub fn counts(&self, rock: &Rock, eye: Vec3, focal_px: f32) -> bool {
+        let diameter_m = 2.0 * rock.base_scale_m;
+        let across_px = focal_px * diameter_m / rock.centre.distance(eye).max(1e-3);
+        diameter_m >= self.min_diameter_m
+            && 0.25 * std::f32::consts::PI * across_px * across_px >= self.min_pixels
+    }
+}
+
 impl Scene {
     /// The scene of a seed and its values. The same on every machine and for every number of threads.
     ///
@@ -51,17 +85,63 @@ impl Scene {
     /// [`crate::Error::Scene`] if the camera cannot stand where it was put.
     pub fn build(seed: u64, params: &Params) -> Result<Self> {
         let streams = Streams::new(seed);
-        let terrain = Terrain::build(&streams, params);
+        match params.stage() {
+            Stage::Nominal => Self::nominal(&streams, params),
+            Stage::Surface => Self::surface(&streams, params),
+        }
+    }
+
+    fn nominal(streams: &Streams, params: &Params) -> Result<Self> {
+        let terrain = Terrain::build(streams, params);
         let camera = Camera::build(params, &terrain)?;
-        let ground = camera.eye.truncate().extend(terrain.height_at(camera.eye.truncate()));
-        Ok(Self {
-            regolith: regolith(params),
-            rocks: rocks::build(&streams, params, &terrain, camera.eye),
-            sky: Sky::build(&streams, params, ground),
+        let rocks = rocks::build(streams, params, &terrain, camera.eye);
+        Ok(Self::assembled(streams, params, (terrain, None), rocks, nominal_regolith(params), camera))
+    }
+
+    fn surface(streams: &Streams, params: &Params) -> Result<Self> {
+        let centre = Vec2::new(params.number(Knob::CameraXM) as f32, params.number(Knob::CameraYM) as f32);
+        let view = camera::ground_view(params);
+        let mut relief = Relief::new(streams, params, centre);
+        let placed = lunar::place(streams, params, &relief, &view, centre);
+        relief.aprons = lunar::aprons(streams, &placed, centre);
+        let terrain = Terrain::rings(&relief, &view, centre);
+        let camera = Camera::build(params, &terrain)?;
+        let number = |knob| params.number(knob);
+        let regolith = Material {
+            albedo: tinted(
+                number(Knob::RegolithAlbedo),
+                number(Knob::RegolithRedOverGreen),
+                number(Knob::RegolithBlueOverGreen),
+            ),
+            roughness: number(Knob::RegolithRoughness) as f32,
+        };
+        let rocks = lunar::build(streams, params, &terrain, camera.eye, &regolith, &placed);
+        Ok(Self::assembled(streams, params, (terrain, Some(relief)), rocks, regolith, camera))
+    }
+
+    fn assembled(
+        streams: &Streams,
+        params: &Params,
+        (terrain, relief): (Terrain, Option<Relief>),
+        rocks: Vec<Rock>,
+        regolith: Material,
+        camera: Camera,
+    ) -> Self {
+        let place = camera.eye.truncate();
+        Self {
+            sky: Sky::build(streams, params, place.extend(terrain.height_at(place))),
+            photometry: Photometry::build(params),
+            label_rule: LabelRule {
+                min_pixels: params.number(Knob::LabelMinPixels) as f32,
+                min_diameter_m: params.number(Knob::LabelMinDiameterM) as f32,
+            },
             sun: Sun::build(params),
+            regolith,
+            rocks,
+            relief,
             terrain,
             camera,
-        })
+        }
     }
 
     /// Numbers of the rocks that were moved because they came too near to the eye.
@@ -79,7 +159,7 @@ impl Scene {
     }
 
     fn hash_geometry(&self, mut write: impl FnMut(&[u8])) {
-        write(&self.terrain.cells.to_le_bytes());
+        write(&self.terrain.columns.to_le_bytes());
         write(bytemuck::cast_slice(&self.terrain.vertices));
         for rock in &self.rocks {
             write(&rock.index.to_le_bytes());
@@ -95,8 +175,8 @@ impl Scene {
     }
 }
 
-/// The ground's material: the regolith's tint with the albedo knob as its mean.
-fn regolith(params: &Params) -> Material {
+/// The nominal ground's material: the regolith's tint with the albedo knob as its mean.
+fn nominal_regolith(params: &Params) -> Material {
     let mean = REGOLITH_TINT.iter().sum::<f64>() / 3.0;
     let scale = params.number(Knob::RegolithAlbedo) / mean;
     Material {

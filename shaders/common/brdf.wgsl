@@ -32,3 +32,73 @@ fn ground_bounce(ground: vec3<f32>, normal: vec3<f32>, towards_sun: vec2<f32>) -
 fn sky_light(sky: vec3<f32>, normal: vec3<f32>) -> vec3<f32> {
     return PI * sky * 0.5 * (1.0 + normal.z);
 }
+
+// The laws of reflection, by their place in `Law::ALL` (src/scene/photometry.rs).
+const LAMBERT: u32 = 0u;
+const OREN_NAYAR: u32 = 1u;
+const LOMMEL_SEELIGER: u32 = 2u;
+const HAPKE: u32 = 3u;
+
+// Reflected radiance, per unit of irradiance of a surface that faces the sun, of a surface of unit albedo (of Hapke's law:
+// of a colour that is divided by what the law gives at normal incidence and zero phase). From the cosines of incidence,
+// emission and phase.
+fn reflected(law: u32, roughness: f32, surge: f32, cos_light: f32, cos_eye: f32, cos_phase: f32) -> f32 {
+    if law == HAPKE { return hapke(surge, cos_light, cos_eye, cos_phase) / PI; }
+    if law == LOMMEL_SEELIGER { return 2.0 * cos_light / (PI * max(cos_light + cos_eye, 1.0e-4)); }
+    if law == OREN_NAYAR { return cos_light * rough_diffuse(roughness, cos_light, cos_eye, cos_phase); }
+    return cos_light / PI;
+}
+
+// Largest angle from the normal that Hapke's shadowing is reckoned at: its terms run away at 90 degrees.
+const LEAST_COSINE: f32 = 0.0087265355;
+
+// Hapke's radiance factor (`Hapke::radiance_factor` in src/scene/photometry.rs, where the sources stand).
+fn hapke(surge_height: f32, cos_light: f32, cos_eye: f32, cos_phase: f32) -> f32 {
+    let mu0 = clamp(cos_light, LEAST_COSINE, 1.0);
+    let mu = clamp(cos_eye, LEAST_COSINE, 1.0);
+    let g = clamp(cos_phase, -1.0, 1.0);
+    // Roughness.
+    let tan_bar = max(frame.hapke_tan_theta_bar, 1.0e-4);
+    let chi = inverseSqrt(1.0 + PI * tan_bar * tan_bar);
+    let sin0 = sqrt(1.0 - mu0 * mu0);
+    let sin1 = sqrt(1.0 - mu * mu);
+    let cos_azimuth = clamp((g - mu0 * mu) / max(sin0 * sin1, 1.0e-6), -1.0, 1.0);
+    let half_square = 0.5 * (1.0 - cos_azimuth);
+    let cot0 = mu0 / (max(sin0, 1.0e-6) * tan_bar);
+    let cot1 = mu / (max(sin1, 1.0e-6) * tan_bar);
+    let e1_light = exp(-2.0 / PI * cot0);
+    let e2_light = exp(-cot0 * cot0 / PI);
+    let e1_eye = exp(-2.0 / PI * cot1);
+    let e2_eye = exp(-cot1 * cot1 / PI);
+    let eta_light = chi * (mu0 + sin0 * tan_bar * e2_light / (2.0 - e1_light));
+    let eta_eye = chi * (mu + sin1 * tan_bar * e2_eye / (2.0 - e1_eye));
+    let f = exp(-2.0 * sqrt((1.0 - cos_azimuth) / max(1.0 + cos_azimuth, 1.0e-9)));
+    let share = acos(cos_azimuth) / PI;
+    // The larger of the two angles leads.
+    let light_leads = mu0 <= mu;
+    let below = 2.0 - select(e1_eye, e1_light, light_leads) - share * select(e1_light, e1_eye, light_leads);
+    let lead = select(e2_eye, e2_light, light_leads);
+    let other = select(e2_light, e2_eye, light_leads);
+    let own = (lead - half_square * other) / below;
+    let across = (cos_azimuth * lead + half_square * other) / below;
+    let effective0 = max(chi * (mu0 + sin0 * tan_bar * select(across, own, light_leads)), 1.0e-6);
+    let effective = max(chi * (mu + sin1 * tan_bar * select(own, across, light_leads)), 1.0e-6);
+    let nearer = select(mu0 / eta_light, mu / eta_eye, light_leads);
+    let shadowing = effective / eta_eye * (mu0 / eta_light) * chi / (1.0 - f + f * chi * nearer);
+    // Grains.
+    let b = frame.hapke_b;
+    let square = b * b;
+    let back = (1.0 - square) * pow(1.0 - 2.0 * b * g + square, -1.5);
+    let forth = (1.0 - square) * pow(1.0 + 2.0 * b * g + square, -1.5);
+    let phase = 0.5 * (1.0 + frame.hapke_c) * back + 0.5 * (1.0 - frame.hapke_c) * forth;
+    let tan_half_phase = sqrt((1.0 - g) / max(1.0 + g, 1.0e-9));
+    let surge = 1.0 + surge_height / (1.0 + tan_half_phase / frame.hapke_h_s);
+    return 0.25 * frame.hapke_w * effective0 / (effective0 + effective)
+        * (phase * surge + chandrasekhar(effective0) * chandrasekhar(effective) - 1.0) * shadowing;
+}
+
+fn chandrasekhar(x: f32) -> f32 {
+    let gamma = sqrt(1.0 - frame.hapke_w);
+    let r0 = (1.0 - gamma) / (1.0 + gamma);
+    return 1.0 / (1.0 - frame.hapke_w * x * (r0 + 0.5 * (1.0 - 2.0 * r0 * x) * log((1.0 + x) / x)));
+}

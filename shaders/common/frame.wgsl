@@ -18,27 +18,34 @@ struct FrameUniforms {
     sun_right: vec3<f32>,
     atlas_width_px: f32,
     sun_up: vec3<f32>,
-    // Distance between two samples of the horizon map, metres.
-    horizon_step_m: f32,
+    // How much of even light from all around a surface of unit colour reflects.
+    bounce_share: f32,
     // Radiance of sunlit level ground, for the light that it bounces.
     ground_radiance: vec3<f32>,
-    // Side of a cell of the caster grid, metres.
-    caster_cell_m: f32,
+    // Distance from horizon_centre that the first grid of the horizon map serves, metres.
+    horizon_base_m: f32,
     // Radiance of the sky's dome.
     sky_radiance: vec3<f32>,
-    // Cells along a side of the caster grid.
+    // Cells along a side of each caster grid.
     caster_cells: u32,
-    // World place of sample (0, 0) of the horizon map, metres.
-    horizon_origin: vec2<f32>,
     // Horizontal unit vector towards the sun: the direction of the horizon map's columns.
     horizon_towards: vec2<f32>,
-    horizon_size: vec2<u32>,
-    // World place of the corner of the caster grid, metres.
-    caster_origin: vec2<f32>,
+    // Centres of the horizon map's grids and of the caster grids, metres, world.
+    horizon_centre: vec2<f32>,
+    caster_centre: vec2<f32>,
     // Pixels of the picture.
     picture_size_px: vec2<u32>,
-    // Samples along a side of a pixel.
-    samples_per_side: u32,
+    // Half the side of the first caster grid, metres; each further one is twice as wide.
+    caster_half_m: f32,
+    caster_levels: u32,
+    // Grids of the horizon map.
+    horizon_levels: u32,
+    // Hapke's parameters (src/scene/photometry.rs).
+    hapke_w: f32,
+    hapke_b: f32,
+    hapke_c: f32,
+    hapke_h_s: f32,
+    hapke_tan_theta_bar: f32,
     // What the depth of the pixel is reckoned from: with reversed depth d, metres along the axis are
     // depth_scale_m / (d + depth_offset).
     depth_scale_m: f32,
@@ -50,7 +57,20 @@ struct FrameUniforms {
     hidden_at: u32,
     radiance_at: u32,
     coverage_at: u32,
-    reserved: u32,
+    horizon: array<HorizonLevel, 12>,
+}
+
+// A grid of the horizon map.
+struct HorizonLevel {
+    // World place of sample (0, 0), metres.
+    origin: vec2<f32>,
+    // Distance between two samples, metres.
+    step_m: f32,
+    // Its first row in the texture.
+    first_row: u32,
+    // Samples along and across.
+    size: vec2<u32>,
+    reserved: vec2<u32>,
 }
 
 const NOT_ASKED: u32 = 0xffffffffu;

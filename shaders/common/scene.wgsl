@@ -14,7 +14,11 @@ struct Instance {
     instance_id: u32,
     // Index of the shadow tile of a caster.
     tile: u32,
-    reserved: u32,
+    // Height of the opposition surge.
+    surge: f32,
+    // Reflectance of the soil that lies on it, and from which z of the normal on.
+    dust: vec3<f32>,
+    dust_above: f32,
 }
 
 // Where in the shadow atlas a caster is drawn.

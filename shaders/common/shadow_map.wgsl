@@ -31,9 +31,16 @@ fn sun_visibility(position: vec3<f32>, facet_normal: vec3<f32>, normal: vec3<f32
     let excess = clamp(3.0 * (dot(normal, frame.sun_direction) - facing), 0.0, 1.0);
     let behind = 0.5 * excess * (1.0 - smoothstep(0.0, 0.1, facing));
     let cells = i32(frame.caster_cells);
+    // The finest grid that holds the place.
+    let from_centre = abs(position.xy - frame.caster_centre);
+    let out = log2(max(max(from_centre.x, from_centre.y), 1.0e-3) / frame.caster_half_m);
+    let level = clamp(i32(ceil(out)), 0, i32(frame.caster_levels) - 1);
+    let half_m = frame.caster_half_m * exp2(f32(level));
+    let origin = frame.caster_centre - half_m;
+    let cell_m = 2.0 * half_m / f32(cells);
     // What juts out over the border of the ground has the neighbours of its border.
-    let cell = clamp(vec2<i32>(floor((position.xy - frame.caster_origin) / frame.caster_cell_m)), vec2(0), vec2(cells - 1));
-    let index = u32(cell.y * cells + cell.x);
+    let cell = clamp(vec2<i32>(floor((position.xy - origin) / cell_m)), vec2(0), vec2(cells - 1));
+    let index = u32((level * cells + cell.y) * cells + cell.x);
     let start = caster_grid[index];
     let end = caster_grid[index + 1u] & ~ASK_HORIZON;
     var visible = 1.0;
@@ -48,17 +55,19 @@ fn sun_visibility(position: vec3<f32>, facet_normal: vec3<f32>, normal: vec3<f32
 
 // Fraction of the disc that stands above the ground's horizon. The horizon is taken as straight across the disc.
 fn horizon_visibility(position: vec3<f32>) -> f32 {
-    let offset = (position.xy - frame.horizon_origin) / frame.horizon_step_m;
+    let out = log2(max(distance(position.xy, frame.horizon_centre), 1.0e-3) / frame.horizon_base_m);
+    let grid = frame.horizon[clamp(i32(ceil(out)), 0, i32(frame.horizon_levels) - 1)];
+    let offset = (position.xy - grid.origin) / grid.step_m;
     let towards = frame.horizon_towards;
-    let limit = vec2<f32>(frame.horizon_size) - 1.001;
+    let limit = vec2<f32>(grid.size) - 1.001;
     // Columns run towards the sun, rows across.
     let at = clamp(vec2(dot(offset, towards), dot(offset, vec2(-towards.y, towards.x))), vec2(0.0), limit);
-    let corner = vec2<i32>(floor(at));
+    let corner = vec2<i32>(floor(at)) + vec2(0, i32(grid.first_row));
     let t = at - floor(at);
     let south = mix(horizon(corner), horizon(corner + vec2(1, 0)), t.x);
     let north = mix(horizon(corner + vec2(0, 1)), horizon(corner + vec2(1, 1)), t.x);
-    // Heights from which the lower and the upper limb are just seen.
     let limbs = mix(south, north, t.y);
+    // Heights from which the lower and the upper limb are just seen.
     if position.z >= limbs.x { return 1.0; }
     if position.z <= limbs.y { return 0.0; }
     let u = clamp(2.0 * (position.z - limbs.y) / (limbs.x - limbs.y) - 1.0, -1.0, 1.0);

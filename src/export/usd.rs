@@ -17,7 +17,7 @@ use crate::class::ClassId;
 use crate::error::Result;
 use crate::scene::mesh::Icosphere;
 use crate::scene::rocks::Material;
-use crate::scene::sky::{DOME_RADIANCE, STAR_RADIANCE, SUN_IRRADIANCE_PER_INTENSITY, Star};
+use crate::scene::sky::{SUN_IRRADIANCE_PER_INTENSITY, Star};
 use layer::{Layer, Prim, Property, Value};
 
 /// Half the angle of the dome's hole around the sun, degrees.
@@ -54,7 +54,7 @@ fn layer(stage: &Stage<'_>) -> Layer {
     }
     let mut materials = Prim::new("Looks", "Scope");
     materials.children.extend(looks.iter().map(|(name, material)| surface(name, *material)));
-    materials.children.extend([emitter("StarDome", DOME_RADIANCE), emitter("Star", STAR_RADIANCE)]);
+    materials.children.extend([emitter("StarDome", stage.scene.sky.radiance), emitter("Star", stage.scene.sky.star_radiance)]);
     let [dome, stars] = sky(stage);
     world.children.extend([rocks, sun(stage), dome, stars, camera(stage), materials]);
     let knobs = serde_json::Value::Object(stage.knobs.clone()).to_string();

@@ -11,7 +11,7 @@ use std::path::Path;
 use serde_json::json;
 
 use super::distribution::{Distribution, Value};
-use super::{KNOBS, Kind, Knob, KnobInfo, Params, Scope};
+use super::{KNOBS, Kind, Knob, KnobInfo, Params, Scope, Stage};
 use crate::error::{Error, Result, nearest};
 use crate::random::Streams;
 
@@ -40,7 +40,8 @@ pub fn preset_description(name: &str) -> Option<&'static str> {
 /// What each knob is drawn from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Config {
-    settings: Vec<Distribution>,
+    /// What was set; the rest is the stage's.
+    settings: Vec<Option<Distribution>>,
     rules: Vec<RuleSetting>,
 }
 
@@ -70,13 +71,37 @@ impl Config {
     /// The defaults of the nominal stage.
     #[must_use]
     pub fn new() -> Self {
-        Self { settings: KNOBS.iter().map(|info| info.default.clone()).collect(), rules: Vec::new() }
+        Self { settings: vec![None; KNOBS.len()], rules: Vec::new() }
     }
 
-    /// What a knob is drawn from.
+    /// What a knob is drawn from on a stage.
+    #[must_use]
+    pub fn distribution_on(&self, stage: Stage, knob: Knob) -> &Distribution {
+        self.settings[knob as usize].as_ref().unwrap_or_else(|| knob.info().default_on(stage))
+    }
+
+    /// What a knob is drawn from; where there are several stages, on the first of them.
     #[must_use]
     pub fn distribution(&self, knob: Knob) -> &Distribution {
-        &self.settings[knob as usize]
+        self.distribution_on(self.stages()[0], knob)
+    }
+
+    /// The stages that frames may show.
+    #[must_use]
+    pub fn stages(&self) -> Vec<Stage> {
+        let names = self.distribution_on(Stage::Nominal, Knob::StageName).bounds();
+        let names: Vec<Value> = names.into_iter().collect();
+        let is_named = |name: &str| names.iter().any(|known| *known == Value::Text(name.to_owned().into()));
+        Stage::ALL.into_iter().filter(|(_, name)| is_named(name)).map(|(stage, _)| stage).collect()
+    }
+
+    /// The knobs that the stages have, with what they are drawn from on the first stage that has each.
+    fn rows(&self) -> impl Iterator<Item = (&'static KnobInfo, &Distribution)> {
+        let stages = self.stages();
+        Knob::ALL.into_iter().filter_map(move |knob| {
+            let stage = stages.iter().find(|stage| knob.info().is_of(**stage))?;
+            Some((knob.info(), self.distribution_on(*stage, knob)))
+        })
     }
 
     /// What was set of the rules for a dataset's frames, in the order in which it was.
@@ -224,7 +249,7 @@ impl Config {
     fn set(&mut self, info: &KnobInfo, distribution: Distribution, origin: &str) -> Result<()> {
         info.check(&distribution, origin)?;
         let place = KNOBS.iter().position(|row| row.name == info.name);
-        self.settings[place.expect("a row of the table")] = distribution;
+        self.settings[place.expect("a row of the table")] = Some(distribution);
         Ok(())
     }
 
@@ -233,8 +258,24 @@ impl Config {
     /// # Errors
     /// [`Error::Contradiction`].
     pub fn check(&self) -> Result<()> {
+        let stages = self.stages();
+        for (info, _) in KNOBS.iter().zip(&self.settings).filter(|(_, setting)| setting.is_some()) {
+            if !stages.iter().any(|stage| info.is_of(*stage)) {
+                return Err(Error::Contradiction(format!(
+                    "{} is set, and only the stage {} has it, while stage.name is {}; leave it out, or choose that \
+                     stage",
+                    info.name,
+                    info.stage.map_or("", Stage::name),
+                    self.distribution(Knob::StageName),
+                )));
+            }
+        }
+        stages.into_iter().try_for_each(|stage| self.check_on(stage))
+    }
+
+    fn check_on(&self, stage: Stage) -> Result<()> {
         let numbers = |knob: Knob| {
-            self.distribution(knob)
+            self.distribution_on(stage, knob)
                 .bounds()
                 .into_iter()
                 .filter_map(|bound| if let Value::Number(value) = bound { Some(value) } else { None })
@@ -261,12 +302,21 @@ impl Config {
     pub fn draw(&self, seed: u64) -> Result<Params> {
         self.check()?;
         let streams = Streams::new(seed);
-        let settings = KNOBS
-            .iter()
-            .zip(&self.settings)
-            .map(|(info, distribution)| match info.scope {
-                Scope::Frame => Distribution::Fixed(distribution.sample(&mut streams.stream(info.name, 0))),
-                Scope::Element(_) => distribution.with_ends(&mut streams.stream(info.name, ENDS)),
+        let drawn_once = |knob: Knob, distribution: &Distribution| {
+            Distribution::Fixed(distribution.sample(&mut streams.stream(knob.name(), 0)))
+        };
+        let named = drawn_once(Knob::StageName, self.distribution(Knob::StageName));
+        let stages = self.stages();
+        let stage = stages.iter().find(|stage| named == Distribution::Fixed(Value::Text(stage.name().into())));
+        let stage = *stage.unwrap_or(&stages[0]);
+        let settings = Knob::ALL
+            .into_iter()
+            .map(|knob| {
+                let distribution = self.distribution_on(stage, knob);
+                match knob.info().scope {
+                    Scope::Frame => drawn_once(knob, distribution),
+                    Scope::Element(_) => distribution.with_ends(&mut streams.stream(knob.name(), ENDS)),
+                }
             })
             .collect();
         Ok(Params { settings })
@@ -277,7 +327,7 @@ impl Config {
     pub fn to_toml(&self) -> String {
         let mut text = String::new();
         let mut section = "";
-        for (info, distribution) in KNOBS.iter().zip(&self.settings) {
+        for (info, distribution) in self.rows() {
             let (own_section, key) = info.name.split_once('.').unwrap_or(("", info.name));
             if own_section != section {
                 section = own_section;
@@ -293,21 +343,29 @@ impl Config {
         text
     }
 
-    /// What every knob is drawn from, by its dotted name.
+    /// What every knob of the stages is drawn from, by its dotted name. What frames of several stages draw from different
+    /// defaults is left to them.
     #[must_use]
     pub fn distributions_json(&self) -> serde_json::Map<String, serde_json::Value> {
-        let rows = KNOBS.iter().zip(&self.settings);
-        rows.map(|(info, from)| (info.name.to_owned(), from.to_json(info.kind == Kind::Integer))).collect()
+        let several = self.stages().len() > 1;
+        let is_set = |info: &KnobInfo| {
+            KNOBS.iter().zip(&self.settings).any(|(row, setting)| row.name == info.name && setting.is_some())
+        };
+        self.rows()
+            .filter(|(info, _)| !several || info.surface_default.is_none() || is_set(info))
+            .map(|(info, from)| (info.name.to_owned(), from.to_json(info.kind == Kind::Integer)))
+            .collect()
     }
 
     /// Every knob with what is known of it.
     #[must_use]
     pub fn to_json(&self) -> serde_json::Value {
-        let rows = KNOBS.iter().zip(&self.settings).map(|(info, distribution)| {
+        let stage = self.stages()[0];
+        let rows = self.rows().map(|(info, distribution)| {
             let mut row = json!({
                 "name": info.name,
                 "value": distribution.to_json(info.kind == Kind::Integer),
-                "default": info.default.to_json(info.kind == Kind::Integer),
+                "default": info.default_on(stage).to_json(info.kind == Kind::Integer),
                 "unit": info.unit,
                 "drawn_per": match info.scope { Scope::Frame => "frame", Scope::Element(element) => element },
                 "doc": info.doc,

@@ -8,13 +8,14 @@
 
 use std::ops::Range;
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::selection::{Frustum, Selection, ground_blocks};
 use super::shadow::{ASK_HORIZON, CASTER_CELLS};
 use crate::scene::Scene;
 use crate::scene::rocks::Rock;
+use crate::scene::terrain::Layout;
 
 /// A triangle counts as facing both ways if the sine of its tilt is below this: a device's arithmetic may differ from
 /// ours.
@@ -57,7 +58,7 @@ impl Facing {
             })
             .collect();
         let shaded = shaded_cells(scene, caster_grid);
-        let spans: Vec<[Range<u32>; 2]> = ground_blocks(scene.terrain.cells).collect();
+        let spans: Vec<[Range<u32>; 2]> = ground_blocks(&scene.terrain).collect();
         let ground = selection
             .blocks
             .par_iter()
@@ -110,25 +111,23 @@ fn by_side(rock: &Rock, level: usize, sun: Vec3) -> (Vec<[u32; 3]>, Vec<[u32; 3]
 /// A height that the ground around a rock does not fall below.
 fn lowest_ground_m(scene: &Scene, rock: &Rock) -> f32 {
     let terrain = &scene.terrain;
-    if rock.centre.truncate().abs().max_element() + rock.radius_m >= 0.5 * terrain.size_m {
+    let (centre, radius) = (rock.centre.truncate(), Vec2::splat(rock.radius_m));
+    let (low, high) = (centre - radius, centre + radius);
+    let corners = [low, high, Vec2::new(low.x, high.y), Vec2::new(high.x, low.y)];
+    if !corners.iter().all(|corner| terrain.contains(*corner)) {
         // Beyond its border there is no ground to be under.
         return f32::NEG_INFINITY;
     }
-    let cell =
-        |metres: f32| ((metres + 0.5 * terrain.size_m) / terrain.cell_m()).clamp(0.0, terrain.cells as f32);
-    let span = |centre: f32| {
-        (cell(centre - rock.radius_m) as usize)..=(cell(centre + rock.radius_m).ceil() as usize)
-    };
-    let row_len = terrain.cells as usize + 1;
-    let heights = span(rock.centre.y).flat_map(|row| {
-        span(rock.centre.x).map(move |column| terrain.vertices[row * row_len + column].position.z)
-    });
-    heights.fold(f32::INFINITY, f32::min)
+    terrain.lowest_over(low, high)
 }
 
-/// For each cell of the ground, whether any shadow can fall on it.
+/// For each cell of the ground, whether any shadow can fall on it. Of rings, which have relief everywhere, on all.
 fn shaded_cells(scene: &Scene, caster_grid: &[u32]) -> Vec<bool> {
-    let (cells, side) = (scene.terrain.cells as usize, CASTER_CELLS as usize);
+    let terrain = &scene.terrain;
+    if matches!(terrain.layout, Layout::Rings(_)) {
+        return vec![true; (terrain.columns * terrain.rows) as usize];
+    }
+    let (cells, side) = (terrain.columns as usize, CASTER_CELLS as usize);
     let mut shaded = vec![false; cells * cells];
     let per_cell = cells as f32 / side as f32;
     let span = |cell: usize| {
@@ -154,16 +153,14 @@ fn ground_triangles(
     shaded: &[bool],
 ) -> [Vec<[u32; 3]>; 2] {
     let terrain = &scene.terrain;
-    let row_len = terrain.cells + 1;
     let mut lists = [Vec::new(), Vec::new()];
     for row in rows.clone() {
         for column in columns.clone() {
-            let (sw, se) = (row * row_len + column, row * row_len + column + 1);
-            let corners = [sw, se, sw + row_len, se + row_len].map(|v| terrain.vertices[v as usize].position);
+            let corners = terrain.corners(column, row);
             let (low, high) =
                 corners.iter().fold((corners[0], corners[0]), |(low, high), p| (low.min(*p), high.max(*p)));
             if frustum.may_see_box(low, high) {
-                let list = usize::from(shaded[(row * terrain.cells + column) as usize]);
+                let list = usize::from(shaded[(row * terrain.columns + column) as usize]);
                 lists[list].extend(terrain.block_triangles(column..column + 1, row..row + 1));
             }
         }

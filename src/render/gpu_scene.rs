@@ -11,14 +11,19 @@ use super::RenderSettings;
 use super::facing::Facing;
 use super::resolve::{self, Packing};
 use super::selection::{Frustum, Selection, ground_blocks};
-use super::shaders::{CasterTile, FrameUniforms, Instance};
-use super::shadow::{self, HorizonMap};
+use super::horizon::{self, HorizonMap};
+use super::scene_pass::Variant;
+use super::shaders::{CasterTile, FrameUniforms, HorizonLevel, Instance, LatticeUniforms, ReliefUniforms};
+use super::shadow::{self, CasterGrids};
 use crate::class::ClassId;
-use crate::frame::Annotation;
+use crate::frame::{Annotation, Annotations};
 use crate::gpu::Gpu;
 use crate::scene::Scene;
 use crate::scene::mesh::{Icosphere, Vertex};
-use crate::scene::sky::{DOME_RADIANCE, STAR_RADIANCE};
+use crate::scene::lattice::Lattice;
+use crate::scene::photometry::Law;
+use crate::scene::relief::Relief;
+use crate::scene::terrain::Layout;
 
 /// Levels of the icospheres that dome and stars are drawn with.
 const DOME_LEVEL: usize = 4;
@@ -40,10 +45,12 @@ pub struct Draw {
 pub struct DrawList {
     /// Into the shadow atlas: fronts, backs.
     pub casters: [Vec<Draw>; 2],
-    /// Ground on which no shadow can fall, where it is told apart.
-    pub lit: Vec<Draw>,
-    /// Ground and rocks, near to far.
-    pub surfaces: Vec<Draw>,
+    /// Ground on which no shadow can fall, where it is told apart; near to far.
+    pub open_ground: Vec<Draw>,
+    /// Other ground, near to far.
+    pub ground: Vec<Draw>,
+    /// Rocks, near to far.
+    pub rocks: Vec<Draw>,
     /// Stars, then the dome.
     pub sky: Vec<Draw>,
 }
@@ -62,6 +69,10 @@ pub struct GpuScene {
     is_picked: bool,
     /// `FrameUniforms`.
     pub frame: Store,
+    /// `ReliefUniforms`.
+    pub relief: Store,
+    law: Law,
+    has_detail: bool,
     /// `Instance`s.
     pub instances: Store,
     /// `CasterTile`s.
@@ -78,10 +89,10 @@ pub struct GpuScene {
     pub uploaded_bytes: u64,
 }
 
-/// Index ranges of the ground's blocks, for a number of cells.
+/// Index ranges of the ground's blocks, for a number of columns and rows, and whether they are rings.
 #[derive(Debug)]
 struct GroundBlocks {
-    cells: u32,
+    cells: [u32; 3],
     blocks: Vec<Range<u32>>,
 }
 
@@ -151,6 +162,9 @@ impl Default for GpuScene {
             picked: Store::new("scene/picked_indices", BufferUsages::INDEX),
             is_picked: false,
             frame: Store::new("frame/uniforms", BufferUsages::UNIFORM),
+            relief: Store::new("frame/relief", BufferUsages::UNIFORM),
+            law: Law::Lambert,
+            has_detail: false,
             instances: Store::new("scene/instances", BufferUsages::STORAGE),
             tiles: Store::new("shadow/tiles", BufferUsages::STORAGE),
             caster_grid: Store::new("shadow/caster_grid", BufferUsages::STORAGE),
@@ -169,20 +183,25 @@ impl GpuScene {
         self.uploaded_bytes = 0;
         self.upload_indices(gpu, scene);
         let selection = Selection::new(scene, settings);
-        let horizon = HorizonMap::build(&scene.terrain, &scene.sun, &selection.seen_corners(scene));
+        let horizon = HorizonMap::build(&scene.terrain, &scene.sun, &selection.seen_boxes(scene));
         let casters = &selection.casters;
         let caster_grid = shadow::caster_grid(scene, casters, &horizon);
         let facing = pick_triangles.then(|| {
             let frustum = Frustum::new(&scene.camera.clip_from_world(settings.size));
             Facing::new(scene, &selection, &frustum, &caster_grid)
         });
-        self.upload_things(gpu, scene, &selection, facing.as_ref());
+        self.upload_things(gpu, scene, settings, &selection, facing.as_ref());
         let tiles: Vec<CasterTile> = casters.iter().map(|caster| caster.tile).collect();
         self.uploaded_bytes += self.tiles.write(gpu, &tiles);
         self.uploaded_bytes += self.caster_grid.write(gpu, &caster_grid);
         self.atlas_layer_px = shadow::layer_px(casters);
         let uniforms = frame_uniforms(scene, settings, &horizon, self.atlas_layer_px);
         self.uploaded_bytes += self.frame.write(gpu, &[uniforms]);
+        (self.law, self.has_detail) = (scene.photometry.law, scene.relief.is_some());
+        let relief = scene.relief.as_ref().map_or_else(Default::default, |relief| {
+            relief_uniforms(scene, relief, settings)
+        });
+        self.uploaded_bytes += self.relief.write(gpu, &[relief]);
         self.upload_horizon(gpu, &horizon);
     }
 
@@ -192,16 +211,24 @@ impl GpuScene {
         if self.is_picked { &self.picked } else { &self.indices }
     }
 
+    /// What the pipelines must be made for, to draw it with these annotations.
+    #[must_use]
+    pub(super) const fn variant(&self, annotations: Annotations) -> Variant {
+        Variant { annotations, law: self.law, detail: self.has_detail }
+    }
+
     /// Triangles drawn in the scene pass.
     #[must_use]
     pub fn drawn_triangles(&self) -> u64 {
         let count = |d: &Draw| u64::from(d.indices.end - d.indices.start) / 3 * d.instances.len() as u64;
-        [&self.draws.lit, &self.draws.surfaces, &self.draws.sky].into_iter().flatten().map(count).sum()
+        let draws = &self.draws;
+        [&draws.open_ground, &draws.ground, &draws.rocks, &draws.sky].into_iter().flatten().map(count).sum()
     }
 
-    /// The index buffer depends on the number of the ground's cells alone.
+    /// The index buffer depends on the ground's layout alone.
     fn upload_indices(&mut self, gpu: &Gpu, scene: &Scene) {
-        let cells = scene.terrain.cells;
+        let terrain = &scene.terrain;
+        let cells = [terrain.columns, terrain.rows, u32::from(matches!(terrain.layout, Layout::Rings(_)))];
         if self.ground.as_ref().is_some_and(|ground| ground.cells == cells) {
             return;
         }
@@ -213,7 +240,7 @@ impl GpuScene {
         };
         self.sphere_levels =
             Icosphere::shared().triangles.iter().map(|level| range(&mut level.iter().copied())).collect();
-        let blocks = ground_blocks(cells)
+        let blocks = ground_blocks(terrain)
             .map(|[columns, rows]| range(&mut scene.terrain.block_triangles(columns, rows)))
             .collect();
         self.ground = Some(GroundBlocks { cells, blocks });
@@ -221,7 +248,14 @@ impl GpuScene {
     }
 
     /// Vertices, instances and draws of ground, rocks and sky.
-    fn upload_things(&mut self, gpu: &Gpu, scene: &Scene, selection: &Selection, facing: Option<&Facing>) {
+    fn upload_things(
+        &mut self,
+        gpu: &Gpu,
+        scene: &Scene,
+        settings: &RenderSettings,
+        selection: &Selection,
+        facing: Option<&Facing>,
+    ) {
         let mut draws = DrawList::default();
         let mut picked = Picked::default();
         let sphere: Vec<Vertex> = Icosphere::shared().directions[..Icosphere::vertex_count(DOME_LEVEL)]
@@ -230,28 +264,33 @@ impl GpuScene {
             .collect();
         let ground_base = sphere.len();
         let mut rock_base = ground_base + scene.terrain.vertices.len();
+        let photometry = &scene.photometry;
+        let (soil_surge, rock_surge) = (photometry.soil.b_s0 as f32, photometry.rock_b_s0 as f32);
+        let at_normal = |surge: f32| photometry.at_normal(f64::from(surge)) as f32;
+        let focal_px = scene.camera.focal_px(settings.size[0]) as f32;
         // Ground.
         let mut instances = vec![Instance {
             scale: 1.0,
-            colour: scene.regolith.albedo,
+            colour: scene.regolith.albedo / at_normal(soil_surge),
+            surge: soil_surge,
             roughness: scene.regolith.roughness,
             class_id: ClassId::REGOLITH.0.into(),
             ..Default::default()
         }];
-        let mut surfaces: Vec<(f32, Draw)> = Vec::new();
-        let mut lit: Vec<(f32, Draw)> = Vec::new();
+        let (mut open_ground, mut ground, mut rocks) = (Vec::new(), Vec::new(), Vec::new());
         for (place, &(block, nearest_m)) in selection.blocks.iter().enumerate() {
             let draw = |indices| Draw { indices, base_vertex: ground_base as i32, instances: 0..1 };
             if let Some(facing) = facing {
                 let [open, shaded] = &facing.ground[place];
-                lit.push((nearest_m, draw(picked.add(open))));
-                surfaces.push((nearest_m, draw(picked.add(shaded))));
+                open_ground.push((nearest_m, draw(picked.add(open))));
+                ground.push((nearest_m, draw(picked.add(shaded))));
             } else {
                 let whole = self.ground.as_ref().map_or(0..0, |ground| ground.blocks[block].clone());
-                surfaces.push((nearest_m, draw(whole)));
+                ground.push((nearest_m, draw(whole)));
             }
         }
         // Rocks: an instance each; as many vertices as the finer of its two uses needs.
+        let rock_at_normal = at_normal(rock_surge);
         let mut uploads: Vec<(usize, &[Vertex])> = Vec::new();
         for (place, selected) in selection.rocks.iter().enumerate() {
             let rock = &scene.rocks[selected.rock];
@@ -270,27 +309,29 @@ impl GpuScene {
             if let Some(level) = selected.seen_level {
                 let indices =
                     triangles.map_or_else(|| self.sphere_levels[level].clone(), |t| picked.add(&t.seen));
-                surfaces.push((selected.nearest_m, draw(indices)));
+                rocks.push((selected.nearest_m, draw(indices)));
             }
+            let counts = scene.label_rule.counts(rock, scene.camera.eye, focal_px);
             instances.push(Instance {
                 origin: rock.centre,
                 scale: 1.0,
-                colour: rock.material.albedo,
+                colour: rock.material.albedo / rock_at_normal,
                 roughness: rock.material.roughness,
-                class_id: ClassId::ROCK.0.into(),
-                instance_id: rock.index + 1,
+                class_id: if counts { ClassId::ROCK } else { ClassId::REGOLITH }.0.into(),
+                instance_id: if counts { rock.index + 1 } else { 0 },
                 tile: selected.caster.map_or(0, |(tile, _)| tile as u32),
-                reserved: 0,
+                surge: rock_surge,
+                dust: scene.regolith.albedo / rock_at_normal,
+                dust_above: rock.dust_above,
             });
             let finest = selected.seen_level.max(selected.caster.map(|(_, level)| level)).unwrap_or(0);
             let vertices = &rock.vertices[..Icosphere::vertex_count(finest)];
             uploads.push((rock_base, vertices));
             rock_base += vertices.len();
         }
-        for (mut list, draws) in [(surfaces, &mut draws.surfaces), (lit, &mut draws.lit)] {
-            list.sort_by(|a, b| a.0.total_cmp(&b.0));
-            draws.extend(list.into_iter().map(|(_, draw)| draw));
-        }
+        draws.open_ground = near_to_far(open_ground);
+        draws.ground = near_to_far(ground);
+        draws.rocks = near_to_far(rocks);
         // Sky: stars before the dome that they cover.
         let in_sky = |origin, scale, colour| Instance {
             origin,
@@ -302,10 +343,10 @@ impl GpuScene {
         let first_star = instances.len() as u32;
         instances.extend(selection.stars.iter().map(|&star| {
             let star = scene.sky.stars[star];
-            in_sky(star.centre, star.radius_m, STAR_RADIANCE)
+            in_sky(star.centre, star.radius_m, scene.sky.star_radiance)
         }));
         let dome = instances.len() as u32;
-        instances.push(in_sky(scene.sky.centre, scene.sky.radius_m, DOME_RADIANCE));
+        instances.push(in_sky(scene.sky.centre, scene.sky.radius_m, scene.sky.radiance));
         for (level, range) in [(STAR_LEVEL, first_star..dome), (DOME_LEVEL, dome..dome + 1)] {
             draws.sky.push(Draw {
                 indices: self.sphere_levels[level].clone(),
@@ -328,11 +369,11 @@ impl GpuScene {
     }
 
     fn upload_horizon(&mut self, gpu: &Gpu, map: &HorizonMap) {
-        let [width, height] = map.size;
+        let (width, height) = (map.width, map.height());
         let fits = |texture: &wgpu::Texture| texture.width() >= width && texture.height() >= height;
         if !self.horizon.as_ref().is_some_and(|(texture, _)| fits(texture)) {
             let usage = TextureUsages::TEXTURE_BINDING | TextureUsages::COPY_DST;
-            self.horizon = Some(gpu.texture("shadow/horizon", map.size, TextureFormat::Rg32Float, usage));
+            self.horizon = Some(gpu.texture("shadow/horizon", [width, height], TextureFormat::Rg32Float, usage));
         }
         if let Some((texture, _)) = &self.horizon {
             let bytes: &[u8] = bytemuck::cast_slice(&map.heights_m);
@@ -358,6 +399,13 @@ fn frame_uniforms(
     let [sun_right, sun_up] = sun.right_and_up();
     let clip_from_offset = camera.clip_from_world(settings.size) * Mat4::from_translation(camera.eye);
     let packing = Packing::new(settings.size, settings.annotations);
+    let grids = CasterGrids::new(&scene.terrain);
+    let photometry = &scene.photometry;
+    // Of light from all around, taken as that from half way up.
+    let bounce_share = photometry.exitance(0.5) / 0.5 * photometry.at_normal(photometry.soil.b_s0);
+    let exitance = photometry.exitance(f64::from(sun.direction.z)) as f32;
+    let mut levels = [HorizonLevel::default(); horizon::MOST_LEVELS];
+    levels[..horizon.levels.len()].copy_from_slice(&horizon.levels);
     FrameUniforms {
         clip_from_offset,
         eye: camera.eye,
@@ -369,17 +417,23 @@ fn frame_uniforms(
         sun_right,
         atlas_width_px: shadow::ATLAS_PX as f32,
         sun_up,
-        horizon_step_m: horizon.step_m,
-        ground_radiance: scene.regolith.albedo * sun.irradiance * sun.direction.z / std::f32::consts::PI,
-        caster_cell_m: scene.terrain.size_m / shadow::CASTER_CELLS as f32,
-        sky_radiance: DOME_RADIANCE,
-        caster_cells: shadow::CASTER_CELLS,
-        horizon_origin: horizon.origin,
+        bounce_share: bounce_share as f32,
+        ground_radiance: scene.regolith.albedo * sun.irradiance * exitance / std::f32::consts::PI,
+        horizon_base_m: horizon.base_m,
+        sky_radiance: scene.sky.radiance,
+        caster_cells: grids.cells,
         horizon_towards: horizon.towards,
-        horizon_size: horizon.size,
-        caster_origin: glam::Vec2::splat(-0.5 * scene.terrain.size_m),
+        horizon_centre: horizon.centre,
+        caster_centre: grids.centre,
         picture_size_px: settings.size,
-        samples_per_side: settings.samples_per_side,
+        caster_half_m: grids.half_m,
+        caster_levels: grids.levels,
+        horizon_levels: horizon.levels.len() as u32,
+        hapke_w: photometry.soil.w as f32,
+        hapke_b: photometry.soil.b as f32,
+        hapke_c: photometry.soil.c as f32,
+        hapke_h_s: photometry.soil.h_s as f32,
+        hapke_tan_theta_bar: libm::tan(photometry.soil.theta_bar_deg.to_radians()) as f32,
         depth_scale_m: camera.near_m * camera.far_m / (camera.far_m - camera.near_m),
         depth_offset: camera.near_m / (camera.far_m - camera.near_m),
         depth_at: packing.start(Annotation::Depth),
@@ -388,6 +442,50 @@ fn frame_uniforms(
         hidden_at: packing.start(Annotation::Shadow),
         radiance_at: packing.start(Annotation::Hdr),
         coverage_at: packing.start(Annotation::Coverage),
-        reserved: 0,
+        horizon: levels,
     }
+}
+
+/// The draws by rising distance.
+fn near_to_far(mut list: Vec<(f32, Draw)>) -> Vec<Draw> {
+    list.sort_by(|a, b| a.0.total_cmp(&b.0));
+    list.into_iter().map(|(_, draw)| draw).collect()
+}
+
+fn relief_uniforms(scene: &Scene, relief: &Relief, settings: &RenderSettings) -> ReliefUniforms {
+    let uniforms = |lattice: &Lattice, amount: f32| LatticeUniforms {
+        turn: lattice.turn,
+        phase: lattice.phase,
+        base: lattice.base,
+        seed: lattice.seed,
+        amount,
+        cell_m: lattice.cell_m,
+        ..Default::default()
+    };
+    let view = match &scene.terrain.layout {
+        Layout::Rings(rings) => rings.view,
+        Layout::Square => return ReliefUniforms::default(),
+    };
+    let samples = (settings.size[0] * settings.samples_per_side) as f32;
+    let mut made = ReliefUniforms {
+        eye_from_centre: scene.camera.eye.truncate() - scene.terrain.centre,
+        eye_height_m: view.eye_height_m,
+        cell: view.cell as f32,
+        sample_angle: 2.0 * scene.camera.tan_half_fov / samples,
+        octaves: relief.octaves.len() as u32,
+        pit_lattices: relief.craters.lattices.len() as u32,
+        fresh_share: relief.craters.fresh_share,
+        ..Default::default()
+    };
+    for (slot, octave) in made.noise.iter_mut().zip(&relief.octaves) {
+        *slot = uniforms(&octave.lattice, octave.amplitude_m);
+    }
+    for (slot, pits) in made.pits.iter_mut().zip(&relief.craters.lattices) {
+        *slot = LatticeUniforms {
+            largest_m: pits.largest_m,
+            clods: pits.clods,
+            ..uniforms(&pits.lattice, pits.chance)
+        };
+    }
+    made
 }

@@ -6,15 +6,32 @@ use super::targets::{Plane, Targets, depth_state};
 use super::{BindLayouts, vertex_layout};
 use crate::frame::Annotations;
 use crate::gpu::Gpu;
+use crate::scene::photometry::Law;
 
 /// Pipelines of the pass.
 #[derive(Debug)]
 pub(super) struct ScenePass {
     modules: [wgpu::ShaderModule; 2],
     layouts: [wgpu::PipelineLayout; 2],
-    /// Lit ground, surfaces and sky, for each set of annotations that was asked for so far.
-    pipelines: Vec<(Annotations, [wgpu::RenderPipeline; 3])>,
+    /// Open ground, ground, rocks and sky, for each variant that was needed so far.
+    pipelines: Vec<(Variant, [wgpu::RenderPipeline; 4])>,
 }
+
+/// What pipelines are made for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Variant {
+    /// What is drawn.
+    pub(super) annotations: Annotations,
+    /// How it reflects.
+    pub(super) law: Law,
+    /// Whether ground and rocks have detail below their meshes.
+    pub(super) detail: bool,
+}
+
+/// The values of `DETAIL` in `surface.wgsl`.
+const NO_DETAIL: f64 = 0.0;
+const GROUND_DETAIL: f64 = 1.0;
+const ROCK_DETAIL: f64 = 2.0;
 
 impl ScenePass {
     /// Compiles the programs.
@@ -38,34 +55,34 @@ impl ScenePass {
         }
     }
 
-    /// Makes the pipelines that draw these annotations, unless they are there.
-    pub(super) fn prepare(&mut self, gpu: &Gpu, annotations: Annotations) {
-        if self.pipelines.iter().any(|(made, _)| *made == annotations) {
+    /// Makes the pipelines of a variant, unless they are there.
+    pub(super) fn prepare(&mut self, gpu: &Gpu, variant: Variant) {
+        if self.pipelines.iter().any(|(made, _)| *made == variant) {
             return;
         }
         let positions_and_normals = wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3];
         let positions = wgpu::vertex_attr_array![0 => Float32x3];
-        // The dome is seen from inside, the stars from outside.
+        let law = f64::from(variant.law as u32);
+        let surface = |open: f64, detail: f64| {
+            let detail = if variant.detail { detail } else { NO_DETAIL };
+            let constants = [("OPEN", open), ("LAW", law), ("DETAIL", detail)];
+            self.pipeline(
+                gpu,
+                0,
+                &constants,
+                variant.annotations,
+                &positions_and_normals,
+                Some(wgpu::Face::Back),
+            )
+        };
         let pipelines = [
-            self.pipeline(
-                gpu,
-                0,
-                &[("OPEN", 1.0)],
-                annotations,
-                &positions_and_normals,
-                Some(wgpu::Face::Back),
-            ),
-            self.pipeline(
-                gpu,
-                0,
-                &[("OPEN", 0.0)],
-                annotations,
-                &positions_and_normals,
-                Some(wgpu::Face::Back),
-            ),
-            self.pipeline(gpu, 1, &[], annotations, &positions, None),
+            surface(1.0, GROUND_DETAIL),
+            surface(0.0, GROUND_DETAIL),
+            surface(0.0, ROCK_DETAIL),
+            // The dome is seen from inside, the stars from outside.
+            self.pipeline(gpu, 1, &[], variant.annotations, &positions, None),
         ];
-        self.pipelines.push((annotations, pipelines));
+        self.pipelines.push((variant, pipelines));
     }
 
     fn pipeline(
@@ -149,13 +166,21 @@ impl ScenePass {
         for (index, group) in (0..).zip(groups) {
             pass.set_bind_group(index, group, &[]);
         }
-        let made = self.pipelines.iter().find(|(made, _)| *made == targets.annotations);
-        let [lit, surface, sky] = &made.expect("pipelines are prepared before they are used").1;
-        pass.set_pipeline(lit);
-        super::draw_all(&mut pass, scene, scene.thing_indices(), &scene.draws.lit);
-        pass.set_pipeline(surface);
-        super::draw_all(&mut pass, scene, scene.thing_indices(), &scene.draws.surfaces);
-        pass.set_pipeline(sky);
-        super::draw_all(&mut pass, scene, &scene.indices, &scene.draws.sky);
+        let made = self.pipelines.iter().find(|(made, _)| *made == scene.variant(targets.annotations));
+        let pipelines = &made.expect("pipelines are prepared before they are used").1;
+        let draws = &scene.draws;
+        let things = scene.thing_indices();
+        let lists = [
+            (&draws.open_ground, things),
+            (&draws.ground, things),
+            (&draws.rocks, things),
+            (&draws.sky, &scene.indices),
+        ];
+        // Rocks before the ground that they cover, all before the sky.
+        for place in [2, 0, 1, 3] {
+            let (list, indices) = lists[place];
+            pass.set_pipeline(&pipelines[place]);
+            super::draw_all(&mut pass, scene, indices, list);
+        }
     }
 }

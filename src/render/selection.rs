@@ -11,6 +11,7 @@ use super::RenderSettings;
 use super::shadow::{self, Caster};
 use crate::scene::Scene;
 use crate::scene::rocks::Rock;
+use crate::scene::terrain::Terrain;
 
 /// Largest distance of a caster's drawn outline from the authored one, texels of its tile.
 const CASTER_ERROR_PX: f32 = 0.25;
@@ -52,7 +53,7 @@ impl Selection {
         let frustum = Frustum::new(&camera.clip_from_world(settings.size));
         let pixel_angle = 1.0 / camera.focal_px(settings.size[0]) as f32;
         let casters = shadow::casters(scene, &frustum, settings.size);
-        let blocks = ground_blocks(scene.terrain.cells)
+        let blocks = ground_blocks(&scene.terrain)
             .enumerate()
             .filter_map(|(block, [columns, rows])| {
                 let (low, high) = block_bounds(scene, &columns, &rows);
@@ -90,38 +91,38 @@ impl Selection {
 }
 
 impl Selection {
-    /// Corners, seen from above, of boxes that hold all ground and rocks that may be seen; metres, world.
+    /// Corners, seen from above, of boxes that hold all ground and rocks that may be seen, each with a distance from the
+    /// ground's centre that nothing in it is nearer than; metres, world.
     #[must_use]
-    pub fn seen_corners(&self, scene: &Scene) -> Vec<Vec2> {
-        let spans: Vec<_> = ground_blocks(scene.terrain.cells).collect();
-        let row_len = scene.terrain.cells + 1;
-        let place = |column: u32, row: u32| {
-            scene.terrain.vertices[(row * row_len + column) as usize].position.truncate()
+    pub fn seen_boxes(&self, scene: &Scene) -> Vec<([Vec2; 4], f32)> {
+        let terrain = &scene.terrain;
+        let spans: Vec<_> = ground_blocks(terrain).collect();
+        let boxed = |low: Vec2, high: Vec2| {
+            let corners = [low, Vec2::new(high.x, low.y), Vec2::new(low.x, high.y), high];
+            (corners, terrain.centre.clamp(low, high).distance(terrain.centre))
         };
-        let blocks = self.blocks.iter().flat_map(|&(block, _)| {
+        let blocks = self.blocks.iter().map(|&(block, _)| {
             let [columns, rows] = &spans[block];
-            [columns.start, columns.end]
-                .into_iter()
-                .flat_map(move |column| [rows.start, rows.end].map(|row| place(column, row)))
-                .collect::<Vec<_>>()
+            let (low, high) = block_bounds(scene, columns, rows);
+            boxed(low.truncate(), high.truncate())
         });
         let seen = self.rocks.iter().filter(|rock| rock.seen_level.is_some());
-        let rocks = seen.flat_map(|selected| {
+        let rocks = seen.map(|selected| {
             let rock = &scene.rocks[selected.rock];
-            let (centre, radius_m) = (rock.centre.truncate(), rock.radius_m);
-            [Vec2::new(-1.0, -1.0), Vec2::new(1.0, -1.0), Vec2::new(-1.0, 1.0), Vec2::ONE]
-                .map(|corner| centre + radius_m * corner)
+            let (centre, radius_m) = (rock.centre.truncate(), Vec2::splat(rock.radius_m));
+            boxed(centre - radius_m, centre + radius_m)
         });
         blocks.chain(rocks).collect()
     }
 }
 
 /// Columns and rows of the ground's cells in each block.
-pub fn ground_blocks(cells: u32) -> impl Iterator<Item = [Range<u32>; 2]> {
-    let spans = move || {
+pub fn ground_blocks(terrain: &Terrain) -> impl Iterator<Item = [Range<u32>; 2]> + use<> {
+    let spans = |cells: u32| {
         (0..cells).step_by(BLOCK_CELLS as usize).map(move |first| first..(first + BLOCK_CELLS).min(cells))
     };
-    spans().flat_map(move |rows| spans().map(move |columns| [columns, rows.clone()]))
+    let (columns, rows) = (terrain.columns, terrain.rows);
+    spans(rows).flat_map(move |rows| spans(columns).map(move |columns| [columns, rows.clone()]))
 }
 
 /// The coarsest level of a rock's mesh that stays this close to the authored one.
@@ -131,8 +132,8 @@ fn coarsest_level(rock: &Rock, allowed_m: f32) -> usize {
 
 /// Lowest and highest corner of the box around a block of the ground.
 fn block_bounds(scene: &Scene, columns: &Range<u32>, rows: &Range<u32>) -> (Vec3, Vec3) {
-    let row_len = scene.terrain.cells as usize + 1;
     let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    let row_len = scene.terrain.columns as usize + 1;
     for row in rows.start..=rows.end {
         let first = row as usize * row_len;
         for vertex in &scene.terrain.vertices[first + columns.start as usize..=first + columns.end as usize] {

@@ -36,7 +36,7 @@ macro_rules! program {
 /// Depth of the casters seen from the sun.
 pub static SHADOW: Program = program!("shadow", "frame", "scene");
 /// Ground and rocks.
-pub static SURFACE: Program = program!("surface", "frame", "scene", "planes", "shadow_map", "brdf");
+pub static SURFACE: Program = program!("surface", "frame", "scene", "planes", "shadow_map", "brdf", "relief");
 /// Dome and stars.
 pub static SKY: Program = program!("sky", "frame", "scene", "planes");
 /// Samples to pixels.
@@ -110,17 +110,23 @@ shader_struct! {
         sun_right: Vec3,
         atlas_width_px: f32,
         sun_up: Vec3,
-        horizon_step_m: f32,
+        bounce_share: f32,
         ground_radiance: Vec3,
-        caster_cell_m: f32,
+        horizon_base_m: f32,
         sky_radiance: Vec3,
         caster_cells: u32,
-        horizon_origin: Vec2,
         horizon_towards: Vec2,
-        horizon_size: [u32; 2],
-        caster_origin: Vec2,
+        horizon_centre: Vec2,
+        caster_centre: Vec2,
         picture_size_px: [u32; 2],
-        samples_per_side: u32,
+        caster_half_m: f32,
+        caster_levels: u32,
+        horizon_levels: u32,
+        hapke_w: f32,
+        hapke_b: f32,
+        hapke_c: f32,
+        hapke_h_s: f32,
+        hapke_tan_theta_bar: f32,
         depth_scale_m: f32,
         depth_offset: f32,
         depth_at: u32,
@@ -129,7 +135,48 @@ shader_struct! {
         hidden_at: u32,
         radiance_at: u32,
         coverage_at: u32,
-        reserved: u32,
+        horizon: [HorizonLevel; 12],
+    }
+}
+
+shader_struct! {
+    /// Twin of `HorizonLevel` in `common/frame.wgsl`, where every field is explained.
+    HorizonLevel {
+        origin: Vec2,
+        step_m: f32,
+        first_row: u32,
+        size: [u32; 2],
+        reserved: [u32; 2],
+    }
+}
+
+shader_struct! {
+    /// Twin of `Lattice` in `common/relief.wgsl`, where every field is explained.
+    LatticeUniforms {
+        turn: Vec2,
+        phase: Vec2,
+        base: [i32; 2],
+        seed: u32,
+        amount: f32,
+        cell_m: f32,
+        largest_m: f32,
+        clods: f32,
+        reserved: f32,
+    }
+}
+
+shader_struct! {
+    /// Twin of `ReliefUniforms` in `common/relief.wgsl`, where every field is explained.
+    ReliefUniforms {
+        eye_from_centre: Vec2,
+        eye_height_m: f32,
+        cell: f32,
+        sample_angle: f32,
+        octaves: u32,
+        pit_lattices: u32,
+        fresh_share: f32,
+        noise: [LatticeUniforms; 20],
+        pits: [LatticeUniforms; 24],
     }
 }
 
@@ -143,7 +190,9 @@ shader_struct! {
         class_id: u32,
         instance_id: u32,
         tile: u32,
-        reserved: u32,
+        surge: f32,
+        dust: Vec3,
+        dust_above: f32,
     }
 }
 
@@ -211,6 +260,9 @@ mod tests {
     fn shared_structs_agree_with_the_shaders() {
         let layouts = [
             ("FrameUniforms", FrameUniforms::LAYOUT, size_of::<FrameUniforms>()),
+            ("HorizonLevel", HorizonLevel::LAYOUT, size_of::<HorizonLevel>()),
+            ("Lattice", LatticeUniforms::LAYOUT, size_of::<LatticeUniforms>()),
+            ("ReliefUniforms", ReliefUniforms::LAYOUT, size_of::<ReliefUniforms>()),
             ("Instance", Instance::LAYOUT, size_of::<Instance>()),
             ("CasterTile", CasterTile::LAYOUT, size_of::<CasterTile>()),
         ];
@@ -258,7 +310,7 @@ mod tests {
             for (_, variable) in parse(program).global_variables.iter() {
                 if let Some(binding) = &variable.binding {
                     let expected = match variable.name.as_deref().unwrap_or_default() {
-                        "frame" => 0,
+                        "frame" | "relief" => 0,
                         "instances" | "tiles" => 1,
                         _ => 2,
                     };

@@ -5,6 +5,7 @@
 use glam::camera::rh::proj::directx::perspective;
 use glam::{DVec3, Mat4, Vec2, Vec3};
 
+use super::rings::View;
 use super::terrain::Terrain;
 use crate::error::{Error, Result};
 use crate::params::{Knob, Params};
@@ -138,6 +139,35 @@ impl Camera {
         let aspect = width_px as f32 / height_px as f32;
         let fov_y = 2.0 * libm::atanf(self.tan_half_fov / aspect);
         perspective(fov_y, aspect, self.far_m, self.near_m) * self.view_from_world()
+    }
+}
+
+/// Least height of the eye that the ground's mesh is made for, metres.
+const LEAST_EYE_M: f32 = 0.5;
+/// What the sector of fine ground has beyond what a square picture shows, on each side, radians.
+const SECTOR_MARGIN: f64 = 0.12;
+
+/// What the rings of the surface stage are made for with these settings.
+#[must_use]
+pub fn ground_view(params: &Params) -> View {
+    let angles = [Knob::CameraPitchDeg, Knob::CameraYawDeg, Knob::CameraRollDeg].map(|k| params.number(k));
+    let camera = Camera::new(Vec3::ZERO, angles, params.number(Knob::CameraFovDeg), 1.0, 0.0);
+    let azimuth = angles[1].to_radians();
+    let ahead = Vec2::new(libm::sin(azimuth) as f32, libm::cos(azimuth) as f32);
+    // The widest azimuth of the picture's border; where it goes round below the eye, all around.
+    let mut half_sector = 0.0_f64;
+    for (across, up) in (-4..=4).flat_map(|i| [(i, -4), (i, 4), (-4, i), (4, i)]) {
+        let [across, up] = [across, up].map(|share: i32| share as f32 / 4.0 * camera.tan_half_fov);
+        let ray = (camera.forward + across * camera.right + up * camera.up).truncate();
+        let angle = libm::atan2(f64::from(ray.perp_dot(ahead)).abs(), f64::from(ray.dot(ahead)));
+        half_sector = half_sector.max(angle);
+    }
+    View {
+        eye_height_m: (params.number(Knob::CameraHeightM) as f32).max(LEAST_EYE_M),
+        azimuth,
+        half_sector: (half_sector + SECTOR_MARGIN).min(std::f64::consts::PI),
+        cell: 1e-3 * params.number(Knob::TerrainCellMrad),
+        radius_m: 0.5 * params.number(Knob::TerrainSizeM),
     }
 }
 

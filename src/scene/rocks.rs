@@ -1,8 +1,11 @@
-//! The boulders of the nominal stage: where they lie, how they are shaped, how deep they sit.
+//! The boulders: how they are shaped, how deep they sit, and where those of the nominal stage lie ([`lunar`] has those of
+//! the surface stage).
 //!
 //! Every rock is a function of (seed, its number) and of the ground under it, so that rocks can be built in any
 //! order and on any number of threads, and one rock more leaves all others as they are.
 //! Must not know: how many triangles of it are drawn.
+
+pub mod lunar;
 
 use glam::{Mat3, Vec2, Vec3};
 use rayon::prelude::*;
@@ -36,6 +39,8 @@ const WEDGE: (f64, f64) = (-90.0, 0.445);
 pub const EYE_CLEARANCE_M: f32 = 0.5;
 /// A rock's lowest point lies at least this fraction of its vertical extent under the ground there.
 const LEAST_BURIAL: f32 = 0.02;
+/// The `dust_above` of a rock without dust.
+const NO_DUST: f32 = 2.0;
 /// Bounds of the distance of the surface from the centre of the undisplaced unit sphere.
 const RADIUS_RANGE: [f32; 2] = [0.50, 1.85];
 
@@ -65,10 +70,12 @@ pub struct Rock {
     pub radius_m: f32,
     /// Lowest and highest vertex, metres from the centre.
     pub z_range_m: [f32; 2],
-    /// Radius of the undisplaced sphere before its axes were scaled, metres.
+    /// Of the nominal stage: radius of the undisplaced sphere before its axes were scaled; else half the diameter. Metres.
     pub base_scale_m: f32,
     /// How it reflects.
     pub material: Material,
+    /// Soil lies where the z of its normal is above this.
+    pub dust_above: f32,
     /// It was moved because it came too near to the eye.
     pub moved: bool,
 }
@@ -179,33 +186,46 @@ impl Rock {
             .map(|&u| Vertex { position: mesh_from_unit * (shape.radius(u) * u), normal: Vec3::Z })
             .collect();
         set_smooth_normals(&mut vertices, &sphere.triangles[level]);
-        let lowest =
-            vertices.iter().map(|v| v.position).min_by(|a, b| a.z.total_cmp(&b.z)).unwrap_or_default();
-        let highest_z = vertices.iter().map(|v| v.position.z).fold(f32::MIN, f32::max);
+        let mut rock = Self::of_vertices(k as u32, vertices, level, material);
+        rock.base_scale_m = placed.base_scale_m as f32;
+        let embedding = params.number(Knob::RocksEmbedding) as f32;
+        rock.place(terrain, eye, placed.place, embedding);
+        rock
+    }
+
+    /// A rock that lies nowhere yet.
+    fn of_vertices(index: u32, vertices: Vec<Vertex>, level: usize, material: Material) -> Self {
+        let z = || vertices.iter().map(|v| v.position.z);
+        let z_range_m = [z().fold(f32::MAX, f32::min), z().fold(f32::MIN, f32::max)];
         let radius_m = vertices.iter().map(|v| v.position.length_squared()).fold(0.0, f32::max).sqrt();
-        let mut rock = Self {
-            index: k as u32,
+        Self {
+            index,
             centre: Vec3::ZERO,
-            level_errors_m: sphere.level_errors_m(&vertices),
+            level_errors_m: Icosphere::shared().level_errors_m(&vertices),
             vertices,
             level,
             radius_m,
-            z_range_m: [lowest.z, highest_z],
-            base_scale_m: placed.base_scale_m as f32,
+            z_range_m,
+            base_scale_m: radius_m,
             material,
+            dust_above: NO_DUST,
             moved: false,
-        };
-        let embedding = params.number(Knob::RocksEmbedding) as f32;
-        rock.settle(terrain, placed.place, embedding, lowest);
-        if rock.distance_to(eye, EYE_CLEARANCE_M) < EYE_CLEARANCE_M {
-            // Straight away from the eye until the whole ball around the rock is clear of it.
-            let away = placed.place - eye.truncate();
-            let towards = if away.length() > 0.0 { away / away.length() } else { Vec2::Y };
-            let clear_m = 1.01 * (rock.radius_m + EYE_CLEARANCE_M);
-            rock.settle(terrain, eye.truncate() + clear_m * towards, embedding, lowest);
-            rock.moved = true;
         }
-        rock
+    }
+
+    /// Lays the rock on a place, and clear of the eye.
+    fn place(&mut self, terrain: &Terrain, eye: Vec3, place: Vec2, embedding: f32) {
+        let lowest = self.vertices.iter().map(|v| v.position).min_by(|a, b| a.z.total_cmp(&b.z));
+        let lowest = lowest.unwrap_or_default();
+        self.settle(terrain, place, embedding, lowest);
+        if self.distance_to(eye, EYE_CLEARANCE_M) < EYE_CLEARANCE_M {
+            // Straight away from the eye until the whole ball around the rock is clear of it.
+            let away = place - eye.truncate();
+            let towards = if away.length() > 0.0 { away / away.length() } else { Vec2::Y };
+            let clear_m = 1.01 * (self.radius_m + EYE_CLEARANCE_M);
+            self.settle(terrain, eye.truncate() + clear_m * towards, embedding, lowest);
+            self.moved = true;
+        }
     }
 
     /// Its triangles at a level not finer than the authored one.
@@ -257,7 +277,11 @@ impl Rock {
 /// Axis scales, tilt and heading: unit sphere to metres in world axes.
 fn draw_scale_and_rotation(draw: &mut Stream, base_scale_m: f64) -> Mat3 {
     let (sx, sy, sz) = (draw.uniform(0.78, 1.34), draw.uniform(0.78, 1.34), draw.uniform(0.50, 0.92));
-    let scale = [sx, sy, sz].map(|s| (s * base_scale_m) as f32);
+    rotated(draw, [sx, sy, sz].map(|s| (s * base_scale_m) as f32))
+}
+
+/// A scale along the axes, then a random heading and a small tilt.
+fn rotated(draw: &mut Stream, scale: [f32; 3]) -> Mat3 {
     let heading = draw.uniform(0.0, std::f64::consts::TAU);
     let tilt = (20.0_f64.to_radians() * draw.normal()).clamp(-1.5, 1.5);
     let tilt_axis = draw.uniform(0.0, std::f64::consts::TAU);

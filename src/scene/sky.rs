@@ -8,7 +8,7 @@ use glam::{DVec3, Vec3};
 use crate::params::{Knob, Params};
 use crate::random::Streams;
 
-/// Radiance of the dome, in the units of [`Sun::irradiance`].
+/// Radiance of the nominal stage's dome, in the units of [`Sun::irradiance`].
 pub const DOME_RADIANCE: Vec3 = Vec3::new(0.010, 0.010, 0.016);
 /// Radiance of a star.
 pub const STAR_RADIANCE: Vec3 = Vec3::new(4.0, 4.0, 4.2);
@@ -95,6 +95,10 @@ pub struct Sky {
     pub radius_m: f32,
     /// The stars.
     pub stars: Vec<Star>,
+    /// Radiance of the dome, in the units of [`Sun::irradiance`].
+    pub radiance: Vec3,
+    /// Radiance of a star.
+    pub star_radiance: Vec3,
 }
 
 impl Sky {
@@ -112,7 +116,13 @@ impl Sky {
                 Star { centre: centre + offset.as_vec3(), radius_m: draw.uniform(low, high) as f32 }
             })
             .collect();
-        Self { centre, radius_m: radius_m as f32, stars }
+        Self {
+            centre,
+            radius_m: radius_m as f32,
+            stars,
+            radiance: DOME_RADIANCE * params.number(Knob::SkyGlow) as f32,
+            star_radiance: STAR_RADIANCE * params.number(Knob::SkyStarGain) as f32,
+        }
     }
 }
 

@@ -1,7 +1,8 @@
-//! The ground of the nominal stage: a regular grid of heights from two noise layers and craters.
+//! The ground as a grid of vertices: the mesh, the rocks, the camera and the sun's horizon all ask it for heights.
 //!
-//! [`Terrain`] is the one source of the ground's height: the mesh, the rocks, the camera and the sun's horizon
-//! all ask it.
+//! The nominal stage has a square of equal cells, made here from two noise layers and craters. The surface stage has
+//! rings around the camera whose cells grow with the distance ([`super::rings`]), over the height function of
+//! [`super::relief`].
 //! Must not know: who asks.
 
 use glam::{Vec2, Vec3};
@@ -9,6 +10,8 @@ use rayon::prelude::*;
 
 use super::mesh::Vertex;
 use super::noise::Fbm;
+use super::relief::Relief;
+use super::rings::{Rings, View};
 use crate::params::{Knob, Params};
 use crate::random::Streams;
 
@@ -20,6 +23,9 @@ const FINE: (u32, f32) = (4, 0.045);
 const FINE_PER_BROAD: f32 = 0.7 / 3.2;
 /// Half the width of the square, as a fraction of the terrain's, in which crater centres lie: 383 of 460 m.
 const CRATER_SPREAD: f64 = 383.0 / 460.0;
+
+/// Rows and columns of rings whose heights are reckoned together.
+const TILE: (usize, usize) = (8, 24);
 
 /// A crater of the nominal stage.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,17 +55,46 @@ impl Crater {
     }
 }
 
-/// A square of ground, centred on the origin, split into equal cells of two triangles each.
+/// How the ground's grid lies over the plane.
+#[derive(Clone, Debug)]
+pub enum Layout {
+    /// Equal cells over a square that is centred on the origin.
+    Square,
+    /// Rings around a place.
+    Rings(Rings),
+}
+
+/// The ground: a grid of vertices, two triangles a cell.
 #[derive(Clone, Debug)]
 pub struct Terrain {
-    /// Side of the square, metres.
-    pub size_m: f32,
-    /// Cells along a side.
-    pub cells: u32,
-    /// `(cells + 1)^2` vertices, rows of rising y, in a row rising x.
+    /// How the grid lies over the plane.
+    pub layout: Layout,
+    /// Centre of the ground, metres.
+    pub centre: Vec2,
+    /// Half the side of the square that the ground fills or, for rings, lies within; metres.
+    pub half_extent_m: f32,
+    /// Cells along a row.
+    pub columns: u32,
+    /// Cells across the rows.
+    pub rows: u32,
+    /// `(columns + 1) x (rows + 1)` vertices, row by row. In a square the rows rise with y, and in a row the vertices with
+    /// x; of rings the rows are the rings from the inside out.
     pub vertices: Vec<Vertex>,
-    /// The craters that were cut into it.
+    /// The craters of the nominal stage that were cut into it.
     pub craters: Vec<Crater>,
+}
+
+/// A cell of the ground and a place within it.
+#[derive(Clone, Copy, Debug)]
+pub struct CellPlace {
+    /// Column of the cell.
+    pub column: u32,
+    /// Row of the cell.
+    pub row: u32,
+    /// Along the row, 0 to 1.
+    pub u: f32,
+    /// Across the rows, 0 to 1.
+    pub v: f32,
 }
 
 impl Terrain {
@@ -77,6 +112,72 @@ impl Terrain {
             amplitude_m * (broad.at_2d(p.into()) + FINE_PER_BROAD * fine.at_2d(p.into()))
                 + craters.iter().map(|crater| crater.height_at(p)).sum::<f32>()
         })
+    }
+
+    /// Rings around `centre` over a relief.
+    #[must_use]
+    pub fn rings(relief: &Relief, view: &View, centre: Vec2) -> Self {
+        let rings = Rings::new(view);
+        let (columns, rows) = (rings.columns(), rings.rows());
+        let row_len = columns as usize + 1;
+        let mut vertices =
+            vec![Vertex { position: Vec3::ZERO, normal: Vec3::Z }; row_len * (rows as usize + 1)];
+        vertices.par_chunks_mut(TILE.0 * row_len).enumerate().for_each(|(chunk, vertices)| {
+            let first_row = chunk * TILE.0;
+            let tile_rows = vertices.len() / row_len;
+            for first_column in (0..row_len).step_by(TILE.1) {
+                let columns = first_column..(first_column + TILE.1).min(row_len);
+                let offset = |column: usize, row: usize| rings.offset(column as u32, (first_row + row) as u32);
+                // A circle that holds the tile.
+                let middle = offset((columns.start + columns.end) / 2, tile_rows / 2);
+                let corners = [0, tile_rows - 1].into_iter().flat_map(|row| {
+                    [columns.start, (columns.start + columns.end) / 2, columns.end - 1]
+                        .map(|column| offset(column, row).distance(middle))
+                });
+                let radius_m = corners.fold(0.0, f32::max);
+                let finest_m = view.cell_m(rings.radii_m[first_row]);
+                let nearby = relief.nearby(middle, 1.01 * radius_m, finest_m);
+                for row in 0..tile_rows {
+                    let cell_m = view.cell_m(rings.radii_m[first_row + row]);
+                    for column in columns.clone() {
+                        let offset = offset(column, row);
+                        vertices[row * row_len + column].position =
+                            (centre + offset).extend(relief.height(offset, cell_m, &nearby));
+                    }
+                }
+            }
+            // Both ends of a ring are the same place.
+            for row in vertices.chunks_mut(row_len) {
+                row[row_len - 1].position = row[0].position;
+            }
+        });
+        let positions: Vec<Vec3> = vertices.iter().map(|vertex| vertex.position).collect();
+        let last_row = rows as usize;
+        vertices.par_chunks_mut(row_len).enumerate().for_each(|(row, vertices)| {
+            // In the middle the rings are one place: its slope is that of the ring around.
+            let (inner, outer) = (row.saturating_sub(1), (row.max(1) + 1).min(last_row));
+            for (column, vertex) in vertices.iter_mut().enumerate() {
+                let at = |column: usize, row: usize| positions[row * row_len + column];
+                let west = if column == 0 { columns as usize - 1 } else { column - 1 };
+                let east = if column == columns as usize { 1 } else { column + 1 };
+                let ring = row.max(1);
+                let normal = (at(east, ring) - at(west, ring)).cross(at(column, outer) - at(column, inner));
+                vertex.normal = normal / normal.length();
+            }
+            if row == 0 {
+                let sum: Vec3 = vertices.iter().map(|vertex| vertex.normal).sum();
+                vertices.iter_mut().for_each(|vertex| vertex.normal = sum / sum.length());
+            }
+        });
+        Self {
+            layout: Layout::Rings(rings),
+            centre,
+            half_extent_m: view.radius_m as f32,
+            columns,
+            rows,
+            vertices,
+            craters: Vec::new(),
+        }
     }
 
     /// A ground of any height function (metres from metres); `craters` is kept as a record.
@@ -113,29 +214,63 @@ impl Terrain {
                 vertex.normal = normal / normal.length();
             }
         });
-        Self { size_m, cells, vertices, craters }
+        Self {
+            layout: Layout::Square,
+            centre: Vec2::ZERO,
+            half_extent_m: 0.5 * size_m,
+            columns: cells,
+            rows: cells,
+            vertices,
+            craters,
+        }
     }
 
-    /// Side of a cell, metres.
+    /// Side of a cell of a square, metres.
     #[must_use]
     pub fn cell_m(&self) -> f32 {
-        self.size_m / self.cells as f32
+        2.0 * self.half_extent_m / self.columns as f32
     }
 
-    /// Ground height at a place, bilinear in its cell, metres. Outside the terrain: that of its border.
+    /// Whether there is ground at a place.
+    #[must_use]
+    pub fn contains(&self, p: Vec2) -> bool {
+        match &self.layout {
+            Layout::Square => p.abs().max_element() <= self.half_extent_m,
+            Layout::Rings(_) => p.distance_squared(self.centre) <= self.half_extent_m * self.half_extent_m,
+        }
+    }
+
+    /// Ground height at a place, bilinear in its cell, metres. Outside the ground: that of its border.
     #[must_use]
     pub fn height_at(&self, p: Vec2) -> f32 {
-        let (h, u, v) = self.cell_at(p);
-        let along = |a: f32, b: f32| a + (b - a) * u;
-        let (south, north) = (along(h[0], h[1]), along(h[2], h[3]));
-        south + (north - south) * v
+        let at = self.locate(p);
+        let [h00, h10, h01, h11] = self.corners(at.column, at.row).map(|corner| corner.z);
+        let along = |a: f32, b: f32| a + (b - a) * at.u;
+        let (south, north) = (along(h00, h10), along(h01, h11));
+        south + (north - south) * at.v
     }
 
-    /// Height of the drawn triangles at a place, metres. Outside the terrain: that of its border.
+    /// Height of the drawn triangles at a place, metres. Outside the ground: that of its border.
     #[must_use]
     pub fn surface_height_at(&self, p: Vec2) -> f32 {
-        let ([h00, h10, h01, h11], u, v) = self.cell_at(p);
-        if u >= v { h00 + (h10 - h00) * u + (h11 - h10) * v } else { h00 + (h01 - h00) * v + (h11 - h01) * u }
+        let at = self.locate(p);
+        let corners = self.corners(at.column, at.row);
+        match &self.layout {
+            Layout::Square => {
+                let ([h00, h10, h01, h11], u, v) = (corners.map(|corner| corner.z), at.u, at.v);
+                if u >= v {
+                    h00 + (h10 - h00) * u + (h11 - h10) * v
+                } else {
+                    h00 + (h01 - h00) * v + (h11 - h01) * u
+                }
+            }
+            Layout::Rings(_) => {
+                let [sw, se, nw, ne] = corners;
+                let diagonal = (ne - sw).truncate();
+                let right = at.row > 0 && diagonal.perp_dot(p - sw.truncate()) < 0.0;
+                plane_height(if right { [sw, se, ne] } else { [sw, ne, nw] }, p)
+            }
+        }
     }
 
     /// The two triangles of each cell of a block of cells, counter-clockwise seen from above; the cell's
@@ -145,29 +280,90 @@ impl Terrain {
         columns: std::ops::Range<u32>,
         rows: std::ops::Range<u32>,
     ) -> impl Iterator<Item = [u32; 3]> {
-        let row_len = self.cells + 1;
+        let row_len = self.columns + 1;
+        let is_rings = matches!(self.layout, Layout::Rings(_));
         rows.flat_map(move |row| {
             columns.clone().flat_map(move |column| {
                 let (sw, se) = (row * row_len + column, row * row_len + column + 1);
                 let (nw, ne) = (sw + row_len, se + row_len);
-                [[sw, se, ne], [sw, ne, nw]]
+                // The innermost row of rings is a fan: its cells are single triangles.
+                let fan = is_rings && row == 0;
+                [[sw, se, ne], [sw, ne, nw]].into_iter().skip(usize::from(fan))
             })
         })
     }
 
-    /// Heights of the corners (south-west, south-east, north-west, north-east) of the cell under a place, and
-    /// the place within it.
-    fn cell_at(&self, p: Vec2) -> ([f32; 4], f32, f32) {
-        let locate = |x: f32| {
-            let t = ((x / self.size_m + 0.5) * self.cells as f32).clamp(0.0, self.cells as f32);
-            let cell = (t as u32).min(self.cells - 1);
-            (cell as usize, t - cell as f32)
-        };
-        let ((column, u), (row, v)) = (locate(p.x), locate(p.y));
-        let row_len = self.cells as usize + 1;
-        let height = |dx: usize, dy: usize| self.vertices[(row + dy) * row_len + column + dx].position.z;
-        ([height(0, 0), height(1, 0), height(0, 1), height(1, 1)], u, v)
+    /// Every triangle of the ground.
+    pub fn triangles(&self) -> impl Iterator<Item = [u32; 3]> {
+        self.block_triangles(0..self.columns, 0..self.rows)
     }
+
+    /// Where the vertex at a column and a row of the grid lies.
+    #[must_use]
+    pub fn position(&self, column: u32, row: u32) -> Vec3 {
+        self.vertices[(row * (self.columns + 1) + column) as usize].position
+    }
+
+    /// Corners of a cell: south-west, south-east, north-west, north-east.
+    #[must_use]
+    pub fn corners(&self, column: u32, row: u32) -> [Vec3; 4] {
+        [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| self.position(column + dx, row + dy))
+    }
+
+    /// The cell under a place; outside the ground, the nearest on its border.
+    #[must_use]
+    pub fn locate(&self, p: Vec2) -> CellPlace {
+        match &self.layout {
+            Layout::Square => {
+                let size_m = 2.0 * self.half_extent_m;
+                let locate = |x: f32| {
+                    let t = ((x / size_m + 0.5) * self.columns as f32).clamp(0.0, self.columns as f32);
+                    let cell = (t as u32).min(self.columns - 1);
+                    (cell, t - cell as f32)
+                };
+                let ((column, u), (row, v)) = (locate(p.x), locate(p.y));
+                CellPlace { column, row, u, v }
+            }
+            Layout::Rings(rings) => rings.locate(p - self.centre),
+        }
+    }
+
+    /// A height that the ground over a box (its lowest and highest corner) does not fall below, metres. Without ground
+    /// there, infinity.
+    #[must_use]
+    pub fn lowest_over(&self, low: Vec2, high: Vec2) -> f32 {
+        let [columns, rows] = match &self.layout {
+            Layout::Square => {
+                let margin = 1e-3;
+                let span = |low: f32, high: f32| {
+                    let cell = |x: f32| (x + self.half_extent_m) / self.cell_m();
+                    let first = (cell(low) - margin).floor().clamp(0.0, self.columns as f32);
+                    let last = (cell(high) + margin).ceil().clamp(0.0, self.columns as f32);
+                    first as u32..last as u32 + 1
+                };
+                [span(low.x, high.x), span(low.y, high.y)]
+            }
+            Layout::Rings(rings) => rings.vertices_over(low - self.centre, high - self.centre),
+        };
+        let mut lowest = f32::INFINITY;
+        for row in rows {
+            let first = (row * (self.columns + 1)) as usize;
+            for vertex in &self.vertices[first + columns.start as usize..first + columns.end as usize] {
+                lowest = lowest.min(vertex.position.z);
+            }
+        }
+        lowest
+    }
+}
+
+/// Height of the plane through three points at a place.
+fn plane_height([a, b, c]: [Vec3; 3], p: Vec2) -> f32 {
+    let (ab, ac, ap) = ((b - a).truncate(), (c - a).truncate(), p - a.truncate());
+    let area = ab.perp_dot(ac);
+    if area.abs() < 1e-12 {
+        return a.z;
+    }
+    a.z + (ap.perp_dot(ac) * (b.z - a.z) + ab.perp_dot(ap) * (c.z - a.z)) / area
 }
 
 fn draw_craters(streams: &Streams, params: &Params) -> Vec<Crater> {

@@ -20,7 +20,13 @@ fn flat_scene(sun: Sun, rocks: Vec<Rock>, eye: Vec3, fov_deg: f64) -> Scene {
         terrain: Terrain::from_height(400.0, 100, Vec::new(), |_| 0.0),
         regolith: Material { albedo: Vec3::splat(0.2), roughness: 0.0 },
         rocks,
-        sky: Sky { centre: Vec3::ZERO, radius_m: 600.0, stars: Vec::new() },
+        sky: Sky {
+            centre: Vec3::ZERO,
+            radius_m: 600.0,
+            stars: Vec::new(),
+            radiance: DOME_RADIANCE,
+            star_radiance: DOME_RADIANCE,
+        },
         sun,
         camera: Camera::new(eye, [-90.0, 0.0, 0.0], fov_deg, 2000.0, 0.0),
     }

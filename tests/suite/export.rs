@@ -36,7 +36,7 @@ impl Subject {
 
     /// Instance, class and number of triangles of each part that a file must hold, in its order.
     fn expected(&self, detail: Detail) -> Vec<(u16, ClassId, usize)> {
-        let cells = self.scene.terrain.cells as usize;
+        let cells = self.scene.terrain.columns as usize;
         let mut expected = vec![(0, ClassId::REGOLITH, 2 * cells * cells)];
         let row = |rock: usize, level: usize| (rock as u16 + 1, ClassId::ROCK, 20_usize << (2 * level));
         match detail {

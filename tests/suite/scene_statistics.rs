@@ -107,7 +107,7 @@ const LARGE_BEYOND: f64 = 1.3 - 0.500_775;
 fn an_authored_scene_has_about_0_7_million_triangles() {
     let triangles = mean(SCENES.iter().map(|scene| {
         let rocks: usize = scene.rocks.iter().map(|rock| rock.triangles(rock.level).len()).sum();
-        2.0 * f64::from(scene.terrain.cells).powi(2) + rocks as f64
+        2.0 * f64::from(scene.terrain.columns).powi(2) + rocks as f64
     }));
     assert!((0.45e6..0.8e6).contains(&triangles), "{triangles}");
 }

@@ -80,8 +80,7 @@ impl Truth {
             normals.push([a.normal, b.normal, c.normal]);
             instances.push(instance);
         };
-        let cells = 0..scene.terrain.cells;
-        for triangle in scene.terrain.block_triangles(cells.clone(), cells) {
+        for triangle in scene.terrain.triangles() {
             add(&scene.terrain.vertices, triangle, Vec3::ZERO, 0);
         }
         let levels: Vec<(usize, usize)> = match drawn {

@@ -1,0 +1,237 @@
+// Slopes of the ground and of rocks below the size of the mesh's cells, down to that of a pixel. Twins:
+// `ReliefUniforms`, `LatticeUniforms` in src/render/shaders.rs; the height function is src/scene/relief.rs.
+
+// A square lattice over the plane, for places in metres from the centre of the ground.
+struct Lattice {
+    // Cosine and sine of its angle, divided by the side of a cell.
+    turn: vec2<f32>,
+    // Where in its cell the centre lies.
+    phase: vec2<f32>,
+    // The cell in which the centre lies.
+    base: vec2<i32>,
+    seed: u32,
+    // Of noise: its amplitude, metres. Of pits: the chance of a cell to have one.
+    amount: f32,
+    cell_m: f32,
+    // Largest diameter of a pit, metres.
+    largest_m: f32,
+    // Share of clods among the pits.
+    clods: f32,
+    reserved: f32,
+}
+
+struct ReliefUniforms {
+    // The eye, seen from above, metres from the centre of the ground.
+    eye_from_centre: vec2<f32>,
+    // Height of the eye that the mesh is made for, metres.
+    eye_height_m: f32,
+    // Angle that a cell of the mesh spans seen from there, radians.
+    cell: f32,
+    // Angle between two samples of the picture, radians.
+    sample_angle: f32,
+    octaves: u32,
+    pit_lattices: u32,
+    // Share of fresh craters.
+    fresh_share: f32,
+    noise: array<Lattice, 20>,
+    pits: array<Lattice, 24>,
+}
+
+@group(0) @binding(1) var<uniform> relief: ReliefUniforms;
+
+// Octaves of noise, and pairs of lattices of pits, that a place asks: those between the mesh and the pixel.
+const OCTAVES_ASKED: u32 = 7u;
+const PITS_ASKED: u32 = 6u;
+// These stand in src/scene/relief.rs and src/scene/craters.rs, where they are explained.
+const CELLS_LEAST: f32 = 3.0;
+const JITTER_CELLS: f32 = 0.17;
+const PROFILE_DEPTH: f32 = 0.114;
+const RIM: f32 = 0.02513;
+const CLOD_HEIGHT: f32 = 0.22;
+const SECOND_HASH: u32 = 0x68bc21ebu;
+
+// How much of something of this size the mesh shows.
+fn mesh_share(size_m: f32, cell_m: f32) -> f32 {
+    return clamp(size_m / (CELLS_LEAST * cell_m) - 1.0, 0.0, 1.0);
+}
+
+// How much of it the samples of the picture can show.
+fn sample_share(size_m: f32, sample_m: f32) -> f32 {
+    return clamp(0.5 * size_m / sample_m - 1.0, 0.0, 1.0);
+}
+
+// Twin of `lattice_hash` in src/scene/noise.rs.
+fn lattice_hash(x: i32, y: i32, z: i32, seed: u32) -> u32 {
+    var h = (u32(x) * 0x8da6b343u) ^ (u32(y) * 0xd8163841u) ^ (u32(z) * 0xcb1ab31fu) ^ seed;
+    h = (h ^ (h >> 16u)) * 0x7feb352du;
+    h = (h ^ (h >> 15u)) * 0x846ca68bu;
+    return h ^ (h >> 16u);
+}
+
+// Rise per metre along x and y that the mesh leaves out, at a place (metres from the centre) where samples of the
+// picture are `sample_m` apart on the ground.
+fn relief_slope(place: vec2<f32>, sample_m: f32) -> vec2<f32> {
+    let cell_m = relief.cell * sqrt(dot(place, place) + relief.eye_height_m * relief.eye_height_m);
+    var whole = 0u;
+    for (var i = 0u; i < 20u; i++) {
+        whole += u32(relief.noise[i].cell_m >= 2.0 * CELLS_LEAST * cell_m);
+    }
+    var slope = vec2(0.0);
+    for (var k = 0u; k < OCTAVES_ASKED; k++) {
+        let i = min(whole + k, relief.octaves - 1u);
+        let asked = whole + k < relief.octaves;
+        let size_m = relief.noise[i].cell_m;
+        let share = (1.0 - mesh_share(size_m, cell_m)) * sample_share(size_m, sample_m);
+        slope += select(0.0, share, asked) * noise_slope(i, place);
+    }
+    var pits_whole = 0u;
+    for (var i = 0u; i < 24u; i++) {
+        pits_whole += u32(0.5 * relief.pits[i].largest_m >= 2.0 * CELLS_LEAST * cell_m);
+    }
+    for (var k = 0u; k < PITS_ASKED; k++) {
+        let i = min(pits_whole + k, relief.pit_lattices - 1u);
+        let asked = pits_whole + k < relief.pit_lattices;
+        slope += select(vec2(0.0), pits_slope(i, place, cell_m, sample_m), asked);
+    }
+    return slope;
+}
+
+fn to_lattice(lattice: Lattice, place: vec2<f32>) -> vec2<f32> {
+    return vec2(
+        lattice.turn.x * place.x + lattice.turn.y * place.y,
+        lattice.turn.x * place.y - lattice.turn.y * place.x,
+    ) + lattice.phase;
+}
+
+// A slope per cell along the lattice's axes, as a slope per metre along x and y.
+fn slope_from_lattice(lattice: Lattice, slope: vec2<f32>) -> vec2<f32> {
+    return vec2(
+        lattice.turn.x * slope.x - lattice.turn.y * slope.y,
+        lattice.turn.y * slope.x + lattice.turn.x * slope.y,
+    );
+}
+
+fn lattice_gradient(cell: vec2<i32>, seed: u32) -> vec2<f32> {
+    let hash = lattice_hash(cell.x, cell.y, 0, seed);
+    return vec2(f32(hash & 0xffffu), f32(hash >> 16u)) * (1.0 / 32768.0) - 1.0;
+}
+
+// Slope of `gradient_noise_2d` (src/scene/noise.rs) on the lattice of an octave.
+fn noise_slope(octave: u32, place: vec2<f32>) -> vec2<f32> {
+    let lattice = relief.noise[octave];
+    let local = to_lattice(lattice, place);
+    let corner = floor(local);
+    let t = local - corner;
+    let cell = lattice.base + vec2<i32>(corner);
+    let g00 = lattice_gradient(cell, lattice.seed);
+    let g10 = lattice_gradient(cell + vec2(1, 0), lattice.seed);
+    let g01 = lattice_gradient(cell + vec2(0, 1), lattice.seed);
+    let g11 = lattice_gradient(cell + vec2(1, 1), lattice.seed);
+    let w = t * t * t * (t * (6.0 * t - 15.0) + 10.0);
+    let rise = 30.0 * t * t * (t * (t - 2.0) + 1.0);
+    let a = dot(g00, t);
+    let b = dot(g10, t - vec2(1.0, 0.0));
+    let c = dot(g01, t - vec2(0.0, 1.0));
+    let d = dot(g11, t - vec2(1.0, 1.0));
+    let gradient = mix(mix(g00, g10, w.x), mix(g01, g11, w.x), w.y)
+        + rise * vec2(mix(b - a, d - c, w.y), mix(c - a, d - b, w.x));
+    return lattice.amount * slope_from_lattice(lattice, gradient);
+}
+
+// Slope of the pits of a lattice whose cells touch a place. No pit reaches beyond the cells next to its own.
+fn pits_slope(index: u32, place: vec2<f32>, cell_m: f32, sample_m: f32) -> vec2<f32> {
+    let lattice = relief.pits[index];
+    let local = to_lattice(lattice, place);
+    let corner = floor(local - 0.5);
+    var slope = vec2(0.0);
+    for (var k = 0; k < 4; k++) {
+        let at = corner + vec2(f32(k & 1), f32(k >> 1u));
+        let cell = lattice.base + vec2<i32>(at);
+        let first = lattice_hash(cell.x, cell.y, 0, lattice.seed);
+        let second = lattice_hash(cell.x, cell.y, 0, lattice.seed ^ SECOND_HASH);
+        let jitter = (vec2(f32(second & 0x3ffu), f32((second >> 10u) & 0x3ffu)) / 512.0 - 1.0) * JITTER_CELLS + 0.5;
+        let diameter_m = 0.5 * lattice.largest_m * inverseSqrt(1.0 - 0.75 * f32(second >> 20u) / 4096.0);
+        let offset = local - at - jitter;
+        let cells = max(length(offset), 1.0e-6);
+        let r = 2.0 * cells * lattice.cell_m / diameter_m;
+        let age = f32(first >> 16u) / 65536.0;
+        let steepness = select(
+            crater_steepness(r, (age - lattice.clods) / (1.0 - lattice.clods)),
+            -8.0 * CLOD_HEIGHT * r * max(1.0 - r * r, 0.0),
+            age < lattice.clods,
+        );
+        let share = (1.0 - mesh_share(diameter_m, cell_m)) * sample_share(diameter_m, sample_m);
+        let there = f32(first & 0xffffu) / 65536.0 < lattice.amount;
+        slope += select(0.0, share * steepness, there) * offset / cells;
+    }
+    return lattice.cell_m * slope_from_lattice(lattice, slope);
+}
+
+// Rise per metre away from the centre of a crater of an age in [0, 1), at a distance in radii.
+fn crater_steepness(r: f32, age: f32) -> f32 {
+    let wear = (age - relief.fresh_share) / (1.0 - relief.fresh_share);
+    let fresh = 0.11 + 0.04 * (1.0 - age / max(relief.fresh_share, 1.0e-6));
+    // 0.12 to 0.02 evenly in the logarithm.
+    let depth = select(min(0.12 * exp2(-2.5849625 * wear), 0.1099), fresh, age < relief.fresh_share);
+    // The derivative of the polynomial inside the crest, of the ejecta's power law outside, faded out where the next
+    // cells begin.
+    let bowl = 0.0513832 + r * (-0.1504748 + r * (2.9375904 + r * (-5.661628 + r * 2.871354)));
+    let square = r * r;
+    let ejecta = -3.1906 * RIM / (square * square) * clamp((1.5 - r) / 0.4, 0.0, 1.0);
+    return 2.0 * depth / PROFILE_DEPTH * select(ejecta, bowl, r < 1.0);
+}
+
+// Octaves of a rock's texture, and the rise per metre of each.
+const ROCK_OCTAVES: i32 = 4;
+const ROCK_STEEPNESS: f32 = 0.30;
+
+// Slope of the texture of a rock at a place (metres from its centre) with samples this far apart, and in w its shade, mean 0.
+// Octaves are anchored in the rock; they come and go smoothly with the distance.
+fn rock_texture(place: vec3<f32>, sample_m: f32, seed: u32) -> vec4<f32> {
+    let finest = log2(2.0 * sample_m);
+    let first = ceil(finest);
+    var sum = vec4(0.0);
+    for (var k = 0; k < ROCK_OCTAVES; k++) {
+        let octave = first + f32(k);
+        let size_m = exp2(octave);
+        // The finest fades in, the coarsest out.
+        let share = min(min(octave - finest, 1.0), f32(ROCK_OCTAVES) - 1.0 - (octave - finest) + 1.0);
+        let noise = value_noise(place / size_m, seed + u32(i32(octave) + 64) * 0x9e3779b9u);
+        sum += clamp(share, 0.0, 1.0) * vec4(ROCK_STEEPNESS * noise.xyz, noise.w);
+    }
+    return sum;
+}
+
+// Gradient and value (mean 0, up to 1 either way) of value noise, trilinear with cubic weights.
+fn value_noise(p: vec3<f32>, seed: u32) -> vec4<f32> {
+    let corner = floor(p);
+    let t = p - corner;
+    let cell = vec3<i32>(corner);
+    let w = t * t * (3.0 - 2.0 * t);
+    let rise = 6.0 * t * (1.0 - t);
+    let low = vec4(
+        lattice_value(cell, seed),
+        lattice_value(cell + vec3(1, 0, 0), seed),
+        lattice_value(cell + vec3(0, 1, 0), seed),
+        lattice_value(cell + vec3(1, 1, 0), seed),
+    );
+    let high = vec4(
+        lattice_value(cell + vec3(0, 0, 1), seed),
+        lattice_value(cell + vec3(1, 0, 1), seed),
+        lattice_value(cell + vec3(0, 1, 1), seed),
+        lattice_value(cell + vec3(1, 1, 1), seed),
+    );
+    let z = mix(low, high, w.z);
+    let y = mix(z.xy, z.zw, w.y);
+    let dz = high - low;
+    return vec4(
+        rise.x * mix(z.y - z.x, z.w - z.z, w.y),
+        rise.y * mix(z.z - z.x, z.w - z.y, w.x),
+        rise.z * mix(mix(dz.x, dz.y, w.x), mix(dz.z, dz.w, w.x), w.y),
+        mix(y.x, y.y, w.x),
+    );
+}
+
+fn lattice_value(cell: vec3<i32>, seed: u32) -> f32 {
+    return f32(lattice_hash(cell.x, cell.y, cell.z, seed) >> 8u) * (2.0 / 16777216.0) - 1.0;
+}

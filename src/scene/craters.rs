@@ -1,0 +1,213 @@
+//! The craters of the surface stage: from decimetres (and, as pits, centimetres) to tens of metres, in equilibrium.
+//!
+//! Their numbers follow Trask's law N(>D) = 0.0794 D^-2 a square metre (Trask 1966, as in the CraterStats function
+//! file), their sections the profile of Yang et al. 2021 (GRL 48, 2021GL095537) scaled to a depth that age has worn.
+//! Craters of an octave of diameters lie on two lattices, at most one a cell: where and how large is a hash of the
+//! cell, so that nobody has to make a list of millions to know those around a place.
+//! Must not know: who asks. Twin of the slopes: `shaders/common/relief.wgsl`.
+
+use glam::Vec2;
+
+use super::lattice::Lattice;
+use super::noise::lattice_hash;
+use crate::random::Streams;
+
+/// Craters larger than 1 m in diameter a square metre, in equilibrium (Trask 1966).
+pub const TRASK_DENSITY: f64 = 0.0794;
+/// Largest diameter, metres.
+pub const LARGEST_M: f64 = 80.0;
+/// Octaves of diameters, each half the one before: from 80 m to 2 cm.
+pub const OCTAVES: u32 = 12;
+/// Lattices an octave.
+pub const LATTICES: u32 = 2;
+/// Largest diameter of an octave, cells of its lattice.
+pub const DIAMETER_CELLS: f64 = 0.44;
+/// Largest distance of a centre from the middle of its cell along an axis, cells.
+pub const JITTER_CELLS: f32 = 0.17;
+/// How far a crater changes the ground, in radii.
+pub const REACH_RADII: f32 = 2.5;
+/// Depth from crest to floor of the profile, diameters.
+pub const PROFILE_DEPTH: f32 = 0.114;
+/// Depths of the craters that are not fresh, diameters: from the youngest to the oldest, evenly in the logarithm. With 3 %
+/// of fresh ones the mean is 0.058 (Wu et al. 2021 found 0.061 at the site of Chang'e-4).
+pub const WORN_DEPTHS: [f32; 2] = [0.12, 0.02];
+/// Depths of fresh craters, diameters (Stopar et al. 2017: 0.11 to 0.17 for the small ones).
+pub const FRESH_DEPTHS: [f32; 2] = [0.11, 0.15];
+/// Clods stand on the lattices of craters up to this diameter, metres.
+pub const CLOD_LARGEST_M: f64 = 0.06;
+/// Height of a clod, diameters.
+pub const CLOD_HEIGHT: f32 = 0.22;
+/// Added to a lattice's seed for the second hash of a cell.
+pub const SECOND_HASH: u32 = 0x68bc_21eb;
+
+/// Inside the crest the profile is `RIM + (1 - r) p(r)`, r in radii, heights in diameters: a polynomial that follows
+/// Yang's curve for a diameter of 1 m within 0.0003.
+pub const BOWL: [f32; 5] = [-0.114_206_6, -0.062_823_4, -0.138_060_8, 0.841_136_2, -0.574_270_8];
+/// Height of the crest above the ground around, diameters.
+pub const RIM: f32 = 0.025_13;
+/// Exponent of the ejecta's thickness over the distance from the centre.
+pub const EJECTA_EXPONENT: f32 = -3.1906;
+
+/// A crater, or a clod.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pit {
+    /// Centre, metres from the centre of the ground.
+    pub offset: Vec2,
+    /// Diameter from crest to crest, metres.
+    pub diameter_m: f32,
+    /// Depth from crest to floor, diameters; negative for the height of a clod.
+    pub depth: f32,
+    /// What tells it from all others of the scene.
+    pub key: u64,
+}
+
+impl Pit {
+    /// Whether it is a crater that has not been worn.
+    #[must_use]
+    pub fn is_fresh(&self) -> bool {
+        self.depth >= FRESH_DEPTHS[0]
+    }
+
+    /// How far it changes the ground, metres.
+    #[must_use]
+    pub fn reach_m(&self) -> f32 {
+        0.5 * REACH_RADII * self.diameter_m
+    }
+
+    /// Height that it adds at a place (metres from the centre of the ground), metres.
+    #[must_use]
+    pub fn height_at(&self, offset: Vec2) -> f32 {
+        let radius_m = 0.5 * self.diameter_m;
+        let square = offset.distance_squared(self.offset) / (radius_m * radius_m);
+        if square >= REACH_RADII * REACH_RADII {
+            return 0.0;
+        }
+        if self.depth < 0.0 {
+            let rise = (1.0 - square).max(0.0);
+            return -self.depth * self.diameter_m * rise * rise;
+        }
+        self.diameter_m * (self.depth / PROFILE_DEPTH) * profile(square.sqrt())
+    }
+}
+
+/// The profile of a fresh crater: height in diameters at a distance in radii below [`REACH_RADII`], where it fades out.
+#[must_use]
+pub fn profile(r: f32) -> f32 {
+    if r < 1.0 {
+        let p = BOWL.iter().rev().fold(0.0, |sum, coefficient| sum * r + coefficient);
+        return RIM + (1.0 - r) * p;
+    }
+    // r^-3.1906, its fractional part by Pade's approximant of order 1: within 1 %.
+    let (x, a) = (r - 1.0, -3.0 - EJECTA_EXPONENT);
+    let bend = (1.0 + 0.5 * (1.0 - a) * x) / (1.0 + 0.5 * (1.0 + a) * x);
+    let fade = ((REACH_RADII - r) / 0.4).min(1.0);
+    RIM * bend / (r * r * r) * fade
+}
+
+/// One lattice of craters.
+#[derive(Clone, Copy, Debug)]
+pub struct PitLattice {
+    /// Where the cells are.
+    pub lattice: Lattice,
+    /// Largest diameter, metres; the smallest is half of it.
+    pub largest_m: f32,
+    /// Chance of a cell to have a crater.
+    pub chance: f32,
+    /// Share of clods.
+    pub clods: f32,
+}
+
+/// All craters of a scene.
+#[derive(Clone, Debug)]
+pub struct CraterField {
+    /// From the largest to the smallest.
+    pub lattices: Vec<PitLattice>,
+    /// Share of fresh craters.
+    pub fresh_share: f32,
+}
+
+impl CraterField {
+    /// The craters of these streams: `density` relative to equilibrium, for places around `centre`.
+    #[must_use]
+    pub fn new(streams: &Streams, density: f64, fresh_share: f64, clods: f64, centre: Vec2) -> Self {
+        let lattices = (0..OCTAVES * LATTICES)
+            .map(|k| {
+                let largest_m = LARGEST_M / f64::from(1_u32 << (k / LATTICES));
+                let cell_m = largest_m / DIAMETER_CELLS;
+                // Craters with diameters from half the largest to the largest: 4 - 1 parts of those beyond it.
+                let a_cell = 3.0 * TRASK_DENSITY / (largest_m * largest_m) * cell_m * cell_m;
+                PitLattice {
+                    lattice: Lattice::new(cell_m, centre, &mut streams.stream("craters.lattice", k.into())),
+                    largest_m: largest_m as f32,
+                    chance: (density * a_cell / f64::from(LATTICES)) as f32,
+                    clods: if largest_m <= CLOD_LARGEST_M { clods as f32 } else { 0.0 },
+                }
+            })
+            .collect();
+        Self { lattices, fresh_share: fresh_share as f32 }
+    }
+
+    /// Calls `give` with everything that can change the ground within a circle (metres from the centre of the ground) and
+    /// may be as large as `least_m`, always in the same order.
+    pub fn around(&self, offset: Vec2, radius_m: f32, least_m: f32, mut give: impl FnMut(Pit)) {
+        for lattice in self.lattices.iter().take_while(|lattice| lattice.largest_m > least_m) {
+            let reach = (radius_m + 0.5 * REACH_RADII * lattice.largest_m) / lattice.lattice.cell_m;
+            let margin = Vec2::splat(reach + JITTER_CELLS);
+            let local = lattice.lattice.local(offset);
+            let (low, high) = ((local - margin - 0.5).ceil(), (local + margin - 0.5).floor());
+            for y in low.y as i32..=high.y as i32 {
+                for x in low.x as i32..=high.x as i32 {
+                    if let Some(pit) = lattice.pit(x, y, self.fresh_share) {
+                        let reach_m = radius_m + pit.reach_m();
+                        if pit.diameter_m > least_m
+                            && pit.offset.distance_squared(offset) < reach_m * reach_m
+                        {
+                            give(pit);
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+impl PitLattice {
+    /// What the cell has; cells count from that of the lattice's base.
+    #[must_use]
+    pub fn pit(&self, x: i32, y: i32, fresh_share: f32) -> Option<Pit> {
+        let lattice = &self.lattice;
+        let (cell_x, cell_y) = (lattice.base[0].wrapping_add(x), lattice.base[1].wrapping_add(y));
+        let first = lattice_hash(cell_x, cell_y, 0, lattice.seed);
+        let share = |bits: u32, count: u32| bits as f32 / (1_u32 << count) as f32;
+        if share(first & 0xffff, 16) >= self.chance {
+            return None;
+        }
+        let second = lattice_hash(cell_x, cell_y, 0, lattice.seed ^ SECOND_HASH);
+        let jitter = |bits: u32| (2.0 * share(bits & 0x3ff, 10) - 1.0) * JITTER_CELLS + 0.5;
+        let local = Vec2::new(x as f32 + jitter(second), y as f32 + jitter(second >> 10));
+        // Inverse of the cumulative law within the octave.
+        let diameter_m = 0.5 * self.largest_m / (1.0 - 0.75 * share(second >> 20, 12)).sqrt();
+        let age = share(first >> 16, 16);
+        let depth = if age < self.clods {
+            -CLOD_HEIGHT
+        } else {
+            worn_depth((age - self.clods) / (1.0 - self.clods), fresh_share)
+        };
+        Some(Pit {
+            offset: lattice.offset(local),
+            diameter_m,
+            depth,
+            key: u64::from(first) << 32 | u64::from(second),
+        })
+    }
+}
+
+/// Depth from crest to floor, diameters, of a crater of an age in [0, 1).
+fn worn_depth(age: f32, fresh_share: f32) -> f32 {
+    if age < fresh_share {
+        return FRESH_DEPTHS[0] + (FRESH_DEPTHS[1] - FRESH_DEPTHS[0]) * (1.0 - age / fresh_share);
+    }
+    let wear = (age - fresh_share) / (1.0 - fresh_share);
+    // What is a hair as deep as a fresh one is not fresh.
+    (WORN_DEPTHS[0] * libm::powf(WORN_DEPTHS[1] / WORN_DEPTHS[0], wear)).min(FRESH_DEPTHS[0] - 1e-4)
+}

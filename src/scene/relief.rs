@@ -1,0 +1,192 @@
+//! The height function of the surface stage: hills to millimetres, craters, clods, aprons of soil around rocks.
+//!
+//! One function of place and footprint: what is smaller than the footprint allows is left out smoothly, so that a mesh
+//! may sample it at the size of its cells. The shader adds the slopes of what is left out down to the size of a pixel
+//! (`shaders/common/relief.wgsl`, the twin of the slopes here).
+//! Must not know: who asks.
+
+use glam::Vec2;
+
+use super::craters::{CraterField, Pit};
+use super::lattice::Lattice;
+use super::noise::{GRADIENT_NOISE_SIGMA, gradient_noise_2d, gradient_noise_difference};
+use crate::params::{Knob, Params};
+use crate::random::Streams;
+
+/// Octaves of hills and of undulation.
+const COARSE_OCTAVES: u32 = 5;
+/// First frequency of hills and of undulation, per metre.
+const HILLS: f64 = 0.004;
+const UNDULATION: f64 = 0.02;
+/// Standard deviation of hills and undulation, relative to their knobs.
+const COARSE_DEVIATION: f64 = 0.25;
+/// Longest wavelength of the fine relief, metres: half the shortest of the undulation.
+const FINE_LONGEST_M: f64 = 1.5625;
+/// Octaves of the fine relief: down to 6 mm.
+const FINE_OCTAVES: u32 = 9;
+/// Baseline of the slope that the fine relief is made for, metres.
+const SLOPE_BASELINE_M: f64 = 0.007;
+/// Median of the absolute value of a normal variable, in deviations.
+const MEDIAN_PER_DEVIATION: f64 = 0.674_489_75;
+/// A wave or a crater is left out of a mesh whose cells are this fraction of it or larger, and whole in one whose cells
+/// are half that large. Both stand in `relief.wgsl`.
+pub const CELLS_LEAST: f32 = 3.0;
+
+/// One octave of noise.
+#[derive(Clone, Copy, Debug)]
+pub struct Octave {
+    /// Where its lattice lies.
+    pub lattice: Lattice,
+    /// Factor on the noise, metres.
+    pub amplitude_m: f32,
+}
+
+/// An apron of soil around a rock.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Apron {
+    /// Centre of the rock, metres from the centre of the ground.
+    pub offset: Vec2,
+    /// Radius of the rock where it meets the ground, metres.
+    pub radius_m: f32,
+    /// Height of the soil against the rock, metres.
+    pub height_m: f32,
+}
+
+impl Apron {
+    /// How far it reaches, metres.
+    fn reach_m(&self) -> f32 {
+        2.0 * self.radius_m
+    }
+
+    fn height_at(&self, offset: Vec2) -> f32 {
+        let square = offset.distance_squared(self.offset) / self.reach_m().powi(2);
+        let fall = (1.0 - square).max(0.0);
+        self.height_m * fall * fall
+    }
+}
+
+/// The height function.
+#[derive(Clone, Debug)]
+pub struct Relief {
+    /// From the longest wavelength to the shortest.
+    pub octaves: Vec<Octave>,
+    /// Craters and clods.
+    pub craters: CraterField,
+    /// Aprons of soil.
+    pub aprons: Vec<Apron>,
+}
+
+/// What can change the ground somewhere.
+#[derive(Clone, Debug, Default)]
+pub struct Nearby {
+    pits: Vec<Pit>,
+    aprons: Vec<Apron>,
+}
+
+/// How much of something of this size a mesh with cells of this size shows.
+#[must_use]
+pub fn mesh_share(size_m: f32, cell_m: f32) -> f32 {
+    (size_m / (CELLS_LEAST * cell_m) - 1.0).clamp(0.0, 1.0)
+}
+
+impl Relief {
+    /// The relief of these settings, for places around `centre` (metres, world).
+    #[must_use]
+    pub fn new(streams: &Streams, params: &Params, centre: Vec2) -> Self {
+        let number = |knob| params.number(knob);
+        let mut octaves: Vec<(f64, f64, &str, u32)> = Vec::new();
+        for (knob, frequency, purpose) in [
+            (Knob::ReliefHillsM, HILLS, "relief.hills"),
+            (Knob::ReliefUndulationM, UNDULATION, "relief.undulation"),
+        ] {
+            // Each octave half as high as the one before: deviation of the sum of their squares.
+            let sum: f64 = (0..COARSE_OCTAVES).map(|k| 0.25_f64.powi(k as i32)).sum();
+            let first = COARSE_DEVIATION * number(knob) / (f64::from(GRADIENT_NOISE_SIGMA) * sum.sqrt());
+            octaves.extend((0..COARSE_OCTAVES).map(|k| {
+                let halving = f64::from(1_u32 << k);
+                (1.0 / (frequency * halving), first / halving, purpose, k)
+            }));
+        }
+        let (hurst, median_deg) = (number(Knob::ReliefHurst), number(Knob::ReliefSlopeDeg));
+        let fine = fine_octaves(hurst, median_deg);
+        octaves.extend((0..).zip(fine).map(|(k, (wavelength, amplitude))| {
+            (wavelength, amplitude, "relief.fine", k)
+        }));
+        octaves.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let octaves = octaves
+            .into_iter()
+            .map(|(wavelength_m, amplitude_m, purpose, k)| Octave {
+                lattice: Lattice::new(wavelength_m, centre, &mut streams.stream(purpose, k.into())),
+                amplitude_m: amplitude_m as f32,
+            })
+            .collect();
+        let craters = CraterField::new(
+            streams,
+            number(Knob::CratersDensity),
+            number(Knob::CratersFreshShare),
+            number(Knob::ReliefClods),
+            centre,
+        );
+        Self { octaves, craters, aprons: Vec::new() }
+    }
+
+    /// What can change the ground within a circle (metres from the centre), at a footprint or more.
+    #[must_use]
+    pub fn nearby(&self, offset: Vec2, radius_m: f32, cell_m: f32) -> Nearby {
+        let mut nearby = Nearby::default();
+        self.craters.around(offset, radius_m, CELLS_LEAST * cell_m, |pit| nearby.pits.push(pit));
+        nearby.aprons.extend(self.aprons.iter().copied().filter(|apron| {
+            let reach_m = radius_m + apron.reach_m();
+            apron.offset.distance_squared(offset) < reach_m * reach_m
+        }));
+        nearby
+    }
+
+    /// Height of a place (metres from the centre) for a mesh with cells of this size, metres. `nearby` must hold what
+    /// is near the place.
+    #[must_use]
+    pub fn height(&self, offset: Vec2, cell_m: f32, nearby: &Nearby) -> f32 {
+        let mut height_m = 0.0;
+        for octave in &self.octaves {
+            let share = mesh_share(octave.lattice.cell_m, cell_m);
+            if share == 0.0 {
+                break;
+            }
+            let (cell, t) = octave.lattice.cell(octave.lattice.local(offset));
+            height_m += share * octave.amplitude_m * gradient_noise_2d(cell, t, octave.lattice.seed);
+        }
+        for pit in &nearby.pits {
+            let share = mesh_share(pit.diameter_m, cell_m);
+            if share > 0.0 {
+                height_m += share * pit.height_at(offset);
+            }
+        }
+        height_m + nearby.aprons.iter().map(|apron| apron.height_at(offset)).sum::<f32>()
+    }
+
+    /// Height of a single place, as [`Self::height`].
+    #[must_use]
+    pub fn height_at(&self, offset: Vec2, cell_m: f32) -> f32 {
+        self.height(offset, cell_m, &self.nearby(offset, 0.0, cell_m))
+    }
+}
+
+/// Wavelength and amplitude, metres, of each octave of the fine relief: a power law with this Hurst exponent, as high as
+/// makes the median of the slope between places 7 mm apart what is wanted.
+fn fine_octaves(hurst: f64, median_deg: f64) -> Vec<(f64, f64)> {
+    let unit: Vec<(f64, f64)> = (0..FINE_OCTAVES)
+        .map(|k| {
+            let share = 1.0 / f64::from(1_u32 << k);
+            (FINE_LONGEST_M * share, libm::pow(share, hurst))
+        })
+        .collect();
+    let difference: f64 = unit
+        .iter()
+        .map(|(wavelength, amplitude)| {
+            (amplitude * gradient_noise_difference(SLOPE_BASELINE_M / wavelength)).powi(2)
+        })
+        .sum();
+    let wanted_m = SLOPE_BASELINE_M * libm::tan(median_deg.to_radians()) / MEDIAN_PER_DEVIATION;
+    let scale = wanted_m / difference.sqrt();
+    unit.into_iter().map(|(wavelength, amplitude)| (wavelength, scale * amplitude)).collect()
+}

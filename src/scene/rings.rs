@@ -1,0 +1,285 @@
+//! A grid of rings around a place whose cells are as wide as they are seen: the ground of the surface stage.
+//!
+//! Rings follow each other at the size of a cell, which grows with the distance from an eye above the centre; rays cut
+//! them into columns, close together over the sector that is looked at, further apart elsewhere. One regular grid, so
+//! that nothing has to be stitched, and no distance at which the detail changes by a step.
+//! Must not know: heights.
+
+use std::ops::Range;
+
+use glam::Vec2;
+
+use super::terrain::CellPlace;
+
+/// How fast columns widen outside the sector that is looked at, and how wide they become, relative to those within.
+const WIDENING: (f64, f64) = (1.12, 12.0);
+/// Bins of a whole turn that find a column.
+const TURN_BINS: usize = 2048;
+/// Bins of the distance (in its square's binary logarithm) that find a ring: so many an octave.
+const BINS_PER_OCTAVE_LOG2: u32 = 5;
+
+/// Rings and rays.
+#[derive(Clone, Debug)]
+pub struct Rings {
+    /// What it is made for.
+    pub view: View,
+    /// Unit vector along the middle of the sector that is looked at.
+    ahead: Vec2,
+    /// Radius of each ring, metres, rising from 0.
+    pub radii_m: Vec<f32>,
+    /// Direction of each ray, clockwise seen from above from straight behind to straight behind; unit.
+    pub rays: Vec<Vec2>,
+    /// Pseudo-angle of each ray (see [`pseudo_angle`]).
+    turns: Vec<f32>,
+    /// First ray at or after the start of each bin of the pseudo-angle.
+    turn_bins: Vec<u32>,
+    /// The same for rings; the first bin starts at the first ring after the centre.
+    radius_bins: Vec<u32>,
+}
+
+/// What the grid is made for.
+#[derive(Clone, Copy, Debug)]
+pub struct View {
+    /// Height of the eye above the centre, metres.
+    pub eye_height_m: f32,
+    /// Compass angle of the middle of the sector that is looked at, radians from +Y towards +X.
+    pub azimuth: f64,
+    /// Half of the sector, radians.
+    pub half_sector: f64,
+    /// Angle that a cell spans seen from the eye, radians.
+    pub cell: f64,
+    /// Radius of the outermost ring, metres.
+    pub radius_m: f64,
+}
+
+impl View {
+    /// Size of a cell at a distance from the centre, metres.
+    #[must_use]
+    pub fn cell_m(&self, distance_m: f32) -> f32 {
+        self.cell as f32 * (distance_m * distance_m + self.eye_height_m * self.eye_height_m).sqrt()
+    }
+}
+
+/// A number in [0, 4) that rises as a direction turns clockwise from -Y: where it meets a diamond. No function of it
+/// differs between machines, and it is as good as an angle to find a sector by.
+fn pseudo_angle(p: Vec2) -> f32 {
+    let sum = p.x.abs() + p.y.abs();
+    if sum == 0.0 {
+        return 0.0;
+    }
+    let (x, y) = (p.x / sum, p.y / sum);
+    // From -Y over -X, +Y and +X.
+    match (x < 0.0 || (x == 0.0 && y < 0.0), y < 0.0) {
+        (true, true) => -x,
+        (true, false) => 1.0 + y,
+        (false, false) => 2.0 + x,
+        (false, true) => 3.0 - y,
+    }
+    .min(3.999_999_8)
+}
+
+/// Bin of a squared radius: the leading bits of the number.
+fn radius_bin(squared_m2: f32, first: u32) -> usize {
+    ((squared_m2.to_bits() >> (23 - BINS_PER_OCTAVE_LOG2)).saturating_sub(first)) as usize
+}
+
+impl Rings {
+    /// The grid for a view.
+    #[must_use]
+    pub fn new(view: &View) -> Self {
+        let mut radii_m = vec![0.0_f32];
+        let mut radius_m = 0.0_f64;
+        while radius_m < view.radius_m {
+            radius_m += f64::from(view.cell_m(radius_m as f32));
+            radii_m.push(radius_m.min(view.radius_m) as f32);
+        }
+        let angles = angles(view);
+        let rays: Vec<Vec2> = angles
+            .iter()
+            .map(|angle| Vec2::new(libm::sin(*angle) as f32, libm::cos(*angle) as f32))
+            .collect();
+        // Both ends are the same ray, to the bit.
+        let (first, last) = (Vec2::new(0.0, -1.0), rays.len() - 1);
+        let mut rays = rays;
+        (rays[0], rays[last]) = (first, first);
+        let mut turns: Vec<f32> = rays.iter().map(|ray| pseudo_angle(*ray)).collect();
+        (turns[0], turns[last]) = (0.0, 4.0);
+        let turn_bins = (0..=TURN_BINS)
+            .map(|bin| {
+                let start = 4.0 * bin as f32 / TURN_BINS as f32;
+                turns.partition_point(|turn| *turn <= start).saturating_sub(1) as u32
+            })
+            .collect();
+        let first_bin = (radii_m[1] * radii_m[1]).to_bits() >> (23 - BINS_PER_OCTAVE_LOG2);
+        let bins = radius_bin(radii_m[radii_m.len() - 1].powi(2), first_bin) + 1;
+        let radius_bins = (0..=bins)
+            .map(|bin| {
+                let start = f32::from_bits((first_bin + bin as u32) << (23 - BINS_PER_OCTAVE_LOG2));
+                let below = radii_m.partition_point(|radius_m| radius_m * radius_m <= start);
+                if bin == 0 { 0 } else { below.saturating_sub(1) as u32 }
+            })
+            .collect();
+        let ahead = Vec2::new(libm::sin(view.azimuth) as f32, libm::cos(view.azimuth) as f32);
+        let turned = |ray: &Vec2| ray.x * Vec2::new(ahead.y, -ahead.x) + ray.y * ahead;
+        Self { view: *view, ahead, radii_m, rays: rays.iter().map(turned).collect(), turns, turn_bins, radius_bins }
+    }
+
+    /// Size of a cell at a distance from the centre, metres.
+    #[must_use]
+    pub fn cell_m(&self, distance_m: f32) -> f32 {
+        self.view.cell_m(distance_m)
+    }
+
+    /// Cells along a ring.
+    #[must_use]
+    pub fn columns(&self) -> u32 {
+        self.rays.len() as u32 - 1
+    }
+
+    /// Cells along a ray.
+    #[must_use]
+    pub fn rows(&self) -> u32 {
+        self.radii_m.len() as u32 - 1
+    }
+
+    /// Metres from the centre of the vertex at a column and a row.
+    #[must_use]
+    pub fn offset(&self, column: u32, row: u32) -> Vec2 {
+        self.radii_m[row as usize] * self.rays[column as usize]
+    }
+
+    /// In the frame of the rays: x to the right, y ahead.
+    fn local(&self, offset: Vec2) -> Vec2 {
+        Vec2::new(offset.x * self.ahead.y - offset.y * self.ahead.x, offset.dot(self.ahead))
+    }
+
+    /// The cell under a place, metres from the centre; beyond the last ring, the one inside it.
+    #[must_use]
+    pub fn locate(&self, offset: Vec2) -> CellPlace {
+        let (column, u) = self.column_at(pseudo_angle(self.local(offset)));
+        let (row, v) = self.row_at(offset.length_squared());
+        CellPlace { column, row, u, v }
+    }
+
+    fn column_at(&self, turn: f32) -> (u32, f32) {
+        let bin = (turn * (TURN_BINS as f32 / 4.0)) as usize;
+        let mut column = self.turn_bins[bin.min(TURN_BINS)] as usize;
+        while column + 2 < self.turns.len() && self.turns[column + 1] <= turn {
+            column += 1;
+        }
+        while column > 0 && self.turns[column] > turn {
+            column -= 1;
+        }
+        let (low, high) = (self.turns[column], self.turns[column + 1]);
+        (column as u32, ((turn - low) / (high - low)).clamp(0.0, 1.0))
+    }
+
+    fn row_at(&self, squared_m2: f32) -> (u32, f32) {
+        let last = self.radii_m.len() - 2;
+        let first_bin = (self.radii_m[1] * self.radii_m[1]).to_bits() >> (23 - BINS_PER_OCTAVE_LOG2);
+        let bin = radius_bin(squared_m2, first_bin).min(self.radius_bins.len() - 1);
+        let mut row = (self.radius_bins[bin] as usize).min(last);
+        while row < last && self.radii_m[row + 1] * self.radii_m[row + 1] <= squared_m2 {
+            row += 1;
+        }
+        while row > 0 && self.radii_m[row] * self.radii_m[row] > squared_m2 {
+            row -= 1;
+        }
+        let (low, high) = (self.radii_m[row], self.radii_m[row + 1]);
+        (row as u32, ((squared_m2.sqrt() - low) / (high - low)).clamp(0.0, 1.0))
+    }
+
+    /// Columns and rows of vertices whose cells hold all that lies in a box (its lowest and highest corner, metres from
+    /// the centre), and maybe more.
+    #[must_use]
+    pub fn vertices_over(&self, low: Vec2, high: Vec2) -> [Range<u32>; 2] {
+        let corners = [low, Vec2::new(high.x, low.y), Vec2::new(low.x, high.y), high];
+        let nearest = Vec2::ZERO.clamp(low, high);
+        let furthest = corners.iter().fold(0.0_f32, |furthest, corner| furthest.max(corner.length_squared()));
+        let first = self.row_at(nearest.length_squared()).0.saturating_sub(1);
+        let rows = first..(self.row_at(furthest).0 + 3).min(self.rows() + 1);
+        // A chord lies inside its arc: a cell more on each side.
+        let all = 0..self.columns() + 1;
+        if nearest == Vec2::ZERO {
+            return [all, rows];
+        }
+        let local = corners.map(|corner| self.local(corner));
+        let behind = local.iter().any(|p| p.y <= 0.0);
+        let across = local.iter().any(|p| p.x <= 0.0) && local.iter().any(|p| p.x >= 0.0);
+        if behind && across {
+            return [all, rows];
+        }
+        let columns = local.map(|p| self.column_at(pseudo_angle(p)).0);
+        let (first, last) = columns.iter().fold((u32::MAX, 0), |(a, b), c| (a.min(*c), b.max(*c)));
+        [first.saturating_sub(1)..(last + 3).min(self.columns() + 1), rows]
+    }
+}
+
+/// Angles of the rays, radians from straight ahead, clockwise, from -pi to pi.
+fn angles(view: &View) -> Vec<f64> {
+    let pi = std::f64::consts::PI;
+    let half = view.half_sector.min(pi);
+    let inner = (half / view.cell).ceil().max(1.0);
+    let mut side: Vec<f64> = (0..=inner as usize).map(|i| half * i as f64 / inner).collect();
+    if half < pi {
+        let mut outer = Vec::new();
+        let (mut angle, mut step) = (half, view.cell);
+        while angle < pi {
+            step = (step * WIDENING.0).min(WIDENING.1 * view.cell);
+            angle += step;
+            outer.push(angle);
+        }
+        let stretch = (pi - half) / (angle - half);
+        side.extend(outer.iter().map(|angle| half + (angle - half) * stretch));
+    }
+    side.iter().skip(1).rev().map(|angle| -angle).chain(side.iter().copied()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rings() -> Rings {
+        Rings::new(&View {
+            eye_height_m: 2.0,
+            azimuth: 0.7,
+            half_sector: 0.6,
+            cell: 0.02,
+            radius_m: 300.0,
+        })
+    }
+
+    #[test]
+    fn cells_are_as_large_as_they_are_seen() {
+        let rings = rings();
+        for pair in rings.radii_m[..rings.radii_m.len() - 1].windows(2) {
+            let expected = 0.02 * (pair[0] * pair[0] + 4.0).sqrt();
+            assert!((pair[1] - pair[0] - expected).abs() < 1e-3 * expected + 1e-4);
+        }
+        let ahead = Vec2::new(0.7_f32.sin(), 0.7_f32.cos());
+        for pair in rings.rays.windows(2).filter(|pair| pair.iter().all(|ray| ray.dot(ahead) > 0.6_f32.cos())) {
+            assert!((pair[0].angle_to(pair[1]) + 0.02).abs() < 1e-3, "clockwise, a cell apart");
+        }
+        assert_eq!(rings.rays[0], rings.rays[rings.rays.len() - 1]);
+        assert!((rings.rays[0] + ahead).length() < 1e-6);
+    }
+
+    #[test]
+    fn places_are_found_in_the_cells_that_hold_them() {
+        let rings = rings();
+        for i in 0..4000_u16 {
+            let (angle, radius) = (f32::from(i) * 0.37, 299.0 * (f32::from(i) / 4000.0).powi(3) + 1e-4);
+            let p = radius * Vec2::new(angle.sin(), angle.cos());
+            let at = rings.locate(p);
+            let (low, high) = (rings.radii_m[at.row as usize], rings.radii_m[at.row as usize + 1]);
+            assert!(radius >= low * 0.999 && radius <= high * 1.001, "{radius} in {low} to {high}");
+            let (left, right) = (rings.rays[at.column as usize], rings.rays[at.column as usize + 1]);
+            assert!(left.perp_dot(p) <= 1e-3 * radius && p.perp_dot(right) <= 1e-3 * radius, "{p} {left} {right}");
+            let box_m = Vec2::splat(0.1 * radius + 0.01);
+            let [columns, rows] = rings.vertices_over(p - box_m, p + box_m);
+            assert!(columns.contains(&at.column) && columns.contains(&(at.column + 1)));
+            assert!(rows.contains(&at.row) && rows.contains(&(at.row + 1)));
+        }
+        assert_eq!(rings.locate(Vec2::new(1e4, 0.0)).row, rings.rows() - 1);
+    }
+}
