@@ -135,7 +135,7 @@ knobs! {
         "Strength of the sun on a relative scale; the reference frame has 14000.";
     SunAngularDiameterDeg "sun.angular_diameter_deg" "deg" Number, Frame, number(0.53), [0.0, 5.0],
         "Angle that the sun's disc spans: how fast penumbrae widen.";
-    SunColor "sun.color" "" Rgb, Frame, Fixed(Value::Rgb([1.0, 0.97, 0.92])), [0.0, 4.0],
+    SunColor "sun.color" "" Rgb, Frame, Fixed(Value::Rgb([1.0, 0.97, 0.92])) => Fixed(Value::Rgb([1.0, 1.0, 1.0])), [0.0, 4.0],
         "Colour of the sun's light, linear RGB.";
     TerrainAmplitudeM "terrain.amplitude_m" "m" in Nominal Number, Frame, number(3.2), [0.0, 50.0],
         "Amplitude of the relief; its standard deviation is about a quarter of it.";
@@ -143,12 +143,12 @@ knobs! {
         "Side of the square of ground, centred on the origin.";
     TerrainCells "terrain.cells" "" in Nominal Integer, Frame, number(300.0), [10.0, 1000.0],
         "Cells along a side of the ground's grid, two triangles each.";
-    TerrainCellMrad "terrain.cell_mrad" "mrad" in Surface Number, Frame, number(8.0), [2.0, 50.0],
+    TerrainCellMrad "terrain.cell_mrad" "mrad" in Surface Number, Frame, number(10.0), [2.0, 50.0],
         "Angle that a cell of the ground's mesh spans seen from the camera; detail below it is in the shading.";
     ReliefHillsM "relief.hills_m" "m" in Surface Number, Frame, number(9.0), [0.0, 60.0],
-        "Amplitude of hills 250 m long and shorter; their standard deviation is about a quarter of it.";
+        "Amplitude of hills 250 m long and shorter; their standard deviation is about a sixth of it.";
     ReliefUndulationM "relief.undulation_m" "m" in Surface Number, Frame, number(2.4), [0.0, 20.0],
-        "Amplitude of waves 50 m long and shorter; their standard deviation is about a quarter of it.";
+        "Amplitude of waves 50 m long and shorter; their standard deviation is about a sixth of it.";
     ReliefSlopeDeg "relief.slope_deg" "deg" in Surface Number, Frame, number(10.0), [0.0, 25.0],
         "Median slope of the fine relief between places 7 mm apart (Guo et al. 2021: 10 at the site of Chang'e-4).";
     ReliefHurst "relief.hurst" "" in Surface Number, Frame, number(0.75), [0.4, 1.0],
@@ -159,9 +159,9 @@ knobs! {
         "Mean diffuse reflectance of the ground.";
     RegolithRoughness "regolith.roughness" "" Number, Frame, number(0.96), [0.0, 1.0],
         "Roughness of the ground's diffuse lobe; 0 is Lambert's.";
-    RegolithRedOverGreen "regolith.red_over_green" "" in Surface Number, Frame, number(1.06), [0.5, 2.0],
+    RegolithRedOverGreen "regolith.red_over_green" "" in Surface Number, Frame, number(1.05), [0.5, 2.0],
         "Colour of the soil: red over green, linear; lunar soil has 1.00 to 1.12.";
-    RegolithBlueOverGreen "regolith.blue_over_green" "" in Surface Number, Frame, number(0.84), [0.3, 2.0],
+    RegolithBlueOverGreen "regolith.blue_over_green" "" in Surface Number, Frame, number(0.88), [0.3, 2.0],
         "Colour of the soil: blue over green, linear; lunar soil has 0.72 to 0.95.";
     CratersCount "craters.count" "" in Nominal Integer, Frame, UniformInt { low: 6.0, high: 10.0 }, [0.0, 500.0],
         "Number of craters.";
@@ -247,7 +247,7 @@ knobs! {
         "How far the camera is turned clockwise about its line of sight.";
     CameraFovDeg "camera.fov_deg" "deg" Number, Frame, number(61.9275) => number(60.0), [5.0, 150.0],
         "Horizontal field of view; the default is a 20 mm lens before a sensor 24 mm wide.";
-    CameraExposureEv "camera.exposure_ev" "EV" Number, Frame, number(0.0), [-10.0, 10.0],
+    CameraExposureEv "camera.exposure_ev" "EV" Number, Frame, number(0.0) => number(1.9), [-10.0, 10.0],
         "Exposure relative to the reference frame's, in stops.";
     SkyStarCount "sky.star_count" "" Integer, Frame, number(220.0), [0.0, 20_000.0],
         "Number of stars.";

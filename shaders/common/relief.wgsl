@@ -41,7 +41,7 @@ struct ReliefUniforms {
 
 // Octaves of noise, and pairs of lattices of pits, that a place asks: those between the mesh and the pixel.
 const OCTAVES_ASKED: u32 = 7u;
-const PITS_ASKED: u32 = 6u;
+const PITS_ASKED: u32 = 4u;
 // These stand in src/scene/relief.rs and src/scene/craters.rs, where they are explained.
 const CELLS_LEAST: f32 = 3.0;
 const JITTER_CELLS: f32 = 0.17;
@@ -111,9 +111,11 @@ fn slope_from_lattice(lattice: Lattice, slope: vec2<f32>) -> vec2<f32> {
     );
 }
 
-fn lattice_gradient(cell: vec2<i32>, seed: u32) -> vec2<f32> {
+// Gradient and value of a corner.
+fn lattice_corner(cell: vec2<i32>, seed: u32) -> vec3<f32> {
     let hash = lattice_hash(cell.x, cell.y, 0, seed);
-    return vec2(f32(hash & 0xffffu), f32(hash >> 16u)) * (1.0 / 32768.0) - 1.0;
+    let value = f32((hash * 0x9e3779b1u) >> 16u) * (1.0 / 65536.0) - 0.5;
+    return vec3(vec2(f32(hash & 0xffffu), f32(hash >> 16u)) * (1.0 / 32768.0) - 1.0, value);
 }
 
 // Slope of `gradient_noise_2d` (src/scene/noise.rs) on the lattice of an octave.
@@ -123,17 +125,17 @@ fn noise_slope(octave: u32, place: vec2<f32>) -> vec2<f32> {
     let corner = floor(local);
     let t = local - corner;
     let cell = lattice.base + vec2<i32>(corner);
-    let g00 = lattice_gradient(cell, lattice.seed);
-    let g10 = lattice_gradient(cell + vec2(1, 0), lattice.seed);
-    let g01 = lattice_gradient(cell + vec2(0, 1), lattice.seed);
-    let g11 = lattice_gradient(cell + vec2(1, 1), lattice.seed);
+    let g00 = lattice_corner(cell, lattice.seed);
+    let g10 = lattice_corner(cell + vec2(1, 0), lattice.seed);
+    let g01 = lattice_corner(cell + vec2(0, 1), lattice.seed);
+    let g11 = lattice_corner(cell + vec2(1, 1), lattice.seed);
     let w = t * t * t * (t * (6.0 * t - 15.0) + 10.0);
     let rise = 30.0 * t * t * (t * (t - 2.0) + 1.0);
-    let a = dot(g00, t);
-    let b = dot(g10, t - vec2(1.0, 0.0));
-    let c = dot(g01, t - vec2(0.0, 1.0));
-    let d = dot(g11, t - vec2(1.0, 1.0));
-    let gradient = mix(mix(g00, g10, w.x), mix(g01, g11, w.x), w.y)
+    let a = dot(g00.xy, t) + g00.z;
+    let b = dot(g10.xy, t - vec2(1.0, 0.0)) + g10.z;
+    let c = dot(g01.xy, t - vec2(0.0, 1.0)) + g01.z;
+    let d = dot(g11.xy, t - vec2(1.0, 1.0)) + g11.z;
+    let gradient = mix(mix(g00.xy, g10.xy, w.x), mix(g01.xy, g11.xy, w.x), w.y)
         + rise * vec2(mix(b - a, d - c, w.y), mix(c - a, d - b, w.x));
     return lattice.amount * slope_from_lattice(lattice, gradient);
 }

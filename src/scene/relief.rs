@@ -18,14 +18,17 @@ const COARSE_OCTAVES: u32 = 5;
 /// First frequency of hills and of undulation, per metre.
 const HILLS: f64 = 0.004;
 const UNDULATION: f64 = 0.02;
-/// Standard deviation of hills and undulation, relative to their knobs.
-const COARSE_DEVIATION: f64 = 0.25;
+/// Standard deviation of hills and undulation, relative to their knobs: that of such a sum of octaves, each within about
+/// 1 of its mean, divided by the sum of their heights.
+const COARSE_DEVIATION: f64 = 0.17;
 /// Longest wavelength of the fine relief, metres: half the shortest of the undulation.
 const FINE_LONGEST_M: f64 = 1.5625;
 /// Octaves of the fine relief: down to 6 mm.
 const FINE_OCTAVES: u32 = 9;
 /// Baseline of the slope that the fine relief is made for, metres.
 const SLOPE_BASELINE_M: f64 = 0.007;
+/// Slope, degrees, that hills, craters and clods add at that baseline with their defaults: the fine relief has the rest.
+const OTHER_SLOPE_DEG: f64 = 3.6;
 /// Median of the absolute value of a normal variable, in deviations.
 const MEDIAN_PER_DEVIATION: f64 = 0.674_489_75;
 /// A wave or a crater is left out of a mesh whose cells are this fraction of it or larger, and whole in one whose cells
@@ -186,7 +189,9 @@ fn fine_octaves(hurst: f64, median_deg: f64) -> Vec<(f64, f64)> {
             (amplitude * gradient_noise_difference(SLOPE_BASELINE_M / wavelength)).powi(2)
         })
         .sum();
-    let wanted_m = SLOPE_BASELINE_M * libm::tan(median_deg.to_radians()) / MEDIAN_PER_DEVIATION;
+    let tangent = |degrees: f64| libm::tan(degrees.to_radians());
+    let rest = (tangent(median_deg).powi(2) - tangent(OTHER_SLOPE_DEG).powi(2)).max(0.0).sqrt();
+    let wanted_m = SLOPE_BASELINE_M * rest / MEDIAN_PER_DEVIATION;
     let scale = wanted_m / difference.sqrt();
     unit.into_iter().map(|(wavelength, amplitude)| (wavelength, scale * amplitude)).collect()
 }
