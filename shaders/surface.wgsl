@@ -48,19 +48,24 @@ fn fs_main(in: Varyings) -> SceneOut {
         let dusty = smoothstep(-0.08, 0.08, smooth_normal.z - instance.dust_above + 0.12 * texture.w);
         albedo = mix(instance.colour * (1.0 + 0.12 * texture.w), instance.dust, dusty);
     }
-    // What looks away from the eye behind a bump is not seen: the light is that of a surface just turned to it.
-    let cos_eye = max(dot(normal, to_eye), 0.02);
+    var cos_eye = max(dot(normal, to_eye), 0.0);
+    if DETAIL != 0u {
+        // A slope that looks away lies behind a bump that is not drawn: what is seen is just turned to the eye.
+        cos_eye = max(cos_eye, 0.02);
+    }
     let cos_light = max(dot(normal, frame.sun_direction), 0.0);
     var visible = 0.0;
-    var direct = 0.0;
     // A surface that is turned away from the sun hides it.
     let facet = cross(dpdx(in.offset), dpdy(in.offset));
-    if cos_light > 0.0 {
+    if dot(smooth_normal, frame.sun_direction) > 0.0 {
         visible = 1.0;
         if !OPEN {
             let facet_normal = normalize(select(-facet, facet, dot(facet, to_eye) > 0.0));
             visible = sun_visibility(frame.eye + in.offset, facet_normal, smooth_normal, pattern_turn(in.clip.xy));
         }
+    }
+    var direct = 0.0;
+    if cos_light > 0.0 {
         let cos_phase = dot(frame.sun_direction, to_eye);
         direct = visible * reflected(LAW, instance.roughness, instance.surge, cos_light, cos_eye, cos_phase);
     }

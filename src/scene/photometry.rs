@@ -61,6 +61,15 @@ pub struct Photometry {
     pub rock_b_s0: f64,
 }
 
+impl Default for Photometry {
+    /// The nominal stage's: a rough diffuse surface; of Hapke's parameters the set that fits most of the Moon at 643 nm.
+    fn default() -> Self {
+        let soil =
+            Hapke { w: 0.32357, b: 0.23955, c: 0.30452, b_s0: 1.80238, h_s: 0.07145, theta_bar_deg: 23.657 };
+        Self { law: Law::OrenNayar, soil, rock_b_s0: 0.85 }
+    }
+}
+
 impl Photometry {
     /// The laws of these settings.
     #[must_use]

@@ -40,7 +40,7 @@ pub const EYE_CLEARANCE_M: f32 = 0.5;
 /// A rock's lowest point lies at least this fraction of its vertical extent under the ground there.
 const LEAST_BURIAL: f32 = 0.02;
 /// The `dust_above` of a rock without dust.
-const NO_DUST: f32 = 2.0;
+pub const NO_DUST: f32 = 2.0;
 /// Bounds of the distance of the surface from the centre of the undisplaced unit sphere.
 const RADIUS_RANGE: [f32; 2] = [0.50, 1.85];
 

@@ -3,14 +3,17 @@
 use glam::{Vec2, Vec3};
 use regolith::class::ClassId;
 use regolith::render::resolve::encoded;
-use regolith::scene::Scene;
+use regolith::frame::Annotation;
+use regolith::render::RenderSettings;
+use regolith::scene::photometry::{Law, Photometry};
+use regolith::scene::{LabelRule, Scene};
 use regolith::scene::camera::Camera;
 use regolith::scene::mesh::{Icosphere, Vertex};
-use regolith::scene::rocks::{Material, Rock};
+use regolith::scene::rocks::{Material, NO_DUST, Rock};
 use regolith::scene::sky::{DOME_RADIANCE, Sky, Sun};
 use regolith::scene::terrain::Terrain;
 
-use crate::support::{render, scene};
+use crate::support::{render, renderer, scene};
 
 const PI: f32 = std::f32::consts::PI;
 
@@ -18,6 +21,9 @@ const PI: f32 = std::f32::consts::PI;
 fn flat_scene(sun: Sun, rocks: Vec<Rock>, eye: Vec3, fov_deg: f64) -> Scene {
     Scene {
         terrain: Terrain::from_height(400.0, 100, Vec::new(), |_| 0.0),
+        relief: None,
+        photometry: Photometry::default(),
+        label_rule: LabelRule::default(),
         regolith: Material { albedo: Vec3::splat(0.2), roughness: 0.0 },
         rocks,
         sky: Sky {
@@ -46,6 +52,7 @@ fn ball(centre: Vec3, radius_m: f32) -> Rock {
         z_range_m: [-radius_m, radius_m],
         base_scale_m: radius_m,
         material: Material { albedo: Vec3::splat(0.1), roughness: 0.0 },
+        dust_above: NO_DUST,
         moved: false,
     }
 }
@@ -227,4 +234,46 @@ fn flat_ground_at_grazing_sun_has_no_acne_and_no_leak_under_a_rock() {
         }
         assert!(lit_seen > 5000 && dark_seen > 100, "{lit_seen} lit, {dark_seen} dark");
     }
+}
+
+/// The shader's laws against those of the library, which the golden values check: level ground all around the camera, from
+/// straight down to grazing, at high and low sun.
+#[test]
+fn every_law_is_that_of_the_library() {
+    let mut worst = 0.0_f64;
+    for (law, _) in Law::ALL.into_iter().filter(|(law, _)| *law != Law::OrenNayar) {
+        for (elevation_deg, pitch_deg) in [(60.0, -80.0), (17.0, -20.0), (5.0, -35.0)] {
+            for yaw_deg in [0.0, 100.0, 180.0, 250.0] {
+                let sun = Sun::new(elevation_deg, 30.0, 0.0, Vec3::ONE);
+                let mut scene = flat_scene(sun, Vec::new(), Vec3::new(0.0, 0.0, 3.0), 60.0);
+                scene.photometry.law = law;
+                scene.sky.radiance = Vec3::ZERO;
+                scene.camera = Camera::new(scene.camera.eye, [pitch_deg, yaw_deg, 0.0], 60.0, 2000.0, 0.0);
+                let mut settings = RenderSettings::new([48, 48], 1).expect("settings");
+                settings.annotations = [Annotation::Hdr].into_iter().collect();
+                let frame = renderer().render(&scene, &settings).expect("a frame").0;
+                let focal = scene.camera.focal_px(48) as f32;
+                for (pixel, radiance) in frame.radiance.chunks_exact(3).enumerate() {
+                    if frame.class[pixel] != ClassId::REGOLITH.0 {
+                        continue;
+                    }
+                    let (x, y) = ((pixel % 48) as f32 - 23.5, (pixel / 48) as f32 - 23.5);
+                    let camera = &scene.camera;
+                    let ray = (camera.forward + x / focal * camera.right - y / focal * camera.up).normalize();
+                    let [mu0, mu, g] = [sun.direction.z, -ray.z, -ray.dot(sun.direction)].map(f64::from);
+                    let factor = match law {
+                        Law::Lambert => mu0,
+                        Law::LommelSeeliger => 2.0 * mu0 / (mu0 + mu),
+                        _ => {
+                            let soil = scene.photometry.soil;
+                            soil.radiance_factor(mu0, mu, g) / soil.radiance_factor(1.0, 1.0, 1.0)
+                        }
+                    };
+                    let expected = 0.2 * factor / std::f64::consts::PI;
+                    worst = worst.max((f64::from(radiance[0].to_f32()) / expected - 1.0).abs());
+                }
+            }
+        }
+    }
+    assert!((1e-6..0.01).contains(&worst), "off by {worst}");
 }

@@ -12,6 +12,7 @@ mod formats;
 mod golden;
 mod labels;
 mod scene_statistics;
+mod surface;
 mod support;
 mod truth;
 mod verify;

@@ -21,7 +21,7 @@ use regolith::render::RenderSettings;
 use regolith::render::selection::Selection;
 use regolith::scene::Scene;
 use regolith::scene::mesh::Vertex;
-use regolith::scene::sky::DOME_RADIANCE;
+use regolith::scene::photometry::Law;
 
 use crate::support::{renderer, scene};
 
@@ -31,7 +31,7 @@ const SUN_RAYS: usize = 64;
 /// One pixel in so many has its shadow checked.
 const SHADOW_STRIDE: usize = 7;
 
-const CASES: [(u64, &[&str]); 12] = [
+const CASES: [(u64, &[&str]); 16] = [
     (1, &[]),
     (2, &["sun.elevation_deg=5"]),
     (3, &["sun.azimuth_deg=0"]),
@@ -52,6 +52,10 @@ const CASES: [(u64, &[&str]); 12] = [
             "camera.pitch_deg=-1.9",
         ],
     ),
+    (21, &["stage.name=surface"]),
+    (22, &["stage.name=surface", "sun.elevation_deg=6", "rocks.coverage=0.03"]),
+    (23, &["stage.name=surface", "sun.elevation_deg=25", "sun.azimuth_deg=10", "camera.pitch_deg=-14"]),
+    (24, &["stage.name=surface", "camera.yaw_deg=77", "camera.roll_deg=5", "camera.height_m=1.5", "camera.x_m=150"]),
 ];
 
 /// Triangles with what the caster must tell of them.
@@ -163,6 +167,12 @@ fn cast_samples(scene: &Scene, truth: &Truth, samples: u32) -> Vec<Option<(Hit, 
         .collect()
 }
 
+/// Where rays at the sun start from: just above what is seen, by no more than 2 mm, and by less where the facets are that
+/// small.
+fn above(scene: &Scene, hit: &Hit, place: Vec3) -> Vec3 {
+    place + (1.5e-5 * place.distance(scene.camera.eye)).min(2e-3) * hit.facet_normal
+}
+
 /// What the caster sees at every pixel's centre.
 fn cast_picture(scene: &Scene, truth: &Truth) -> Vec<Option<(Hit, Vec3)>> {
     cast_samples(scene, truth, 1)
@@ -202,6 +212,23 @@ fn iou(a: &[u8], b: &[u8], class: u8) -> f64 {
     count(|a, b| a && b) / count(|a, b| a || b).max(1.0)
 }
 
+/// Share of the pixels at outlines that may fall to the other side: devices round the corners of triangles to 1/256 of a
+/// pixel, and an outline that moves by half of that crosses the centre of one pixel in so many along it.
+const ROUNDED_SHARE: f64 = 0.0015;
+
+/// A mask agrees with the truth on a class to an intersection over union of `least`; where a class is hardly more than
+/// outlines, to what rounding leaves of them.
+fn assert_agreement(name: &str, mask: &[u8], truth: &[u8], class: u8, least: f64) {
+    let iou = iou(mask, truth, class);
+    let differing = mask.iter().zip(truth).filter(|(a, b)| (**a == class) != (**b == class)).count();
+    let outline = (0..truth.len()).filter(|&p| !is_inside(p, |p| truth[p] == class)).count();
+    println!("{name}: IoU of class {class} {iou:.5}; {differing} pixels differ, {outline} at outlines");
+    assert!(
+        iou >= least || differing as f64 <= (ROUNDED_SHARE * outline as f64).max(1.0),
+        "{name}: IoU of class {class} is {iou}; {differing} pixels differ, {outline} are at outlines"
+    );
+}
+
 /// Whether all pixels around one are alike.
 fn is_inside<T: PartialEq>(pixel: usize, of: impl Fn(usize) -> T) -> bool {
     let side = SIDE as usize;
@@ -231,16 +258,20 @@ fn check(case: usize) {
     let seen = cast_picture(&scene, &drawn);
     let classes: Vec<u8> = seen.iter().map(class).collect();
     for class in ClassId::ALL {
-        let iou = iou(&frame.class, &classes, class.id.0);
-        println!("{name}: {} IoU with drawn {iou:.5}", class.name);
-        assert!(iou >= 0.999, "{name}: IoU of {} with the drawn triangles is {iou}", class.name);
+        assert_agreement(&name, &frame.class, &classes, class.id.0, 0.999);
     }
 
     let instance = |pixel: usize| seen[pixel].as_ref().map_or(0, |(hit, _)| hit.instance);
     let rocks: Vec<usize> = (0..seen.len()).filter(|&pixel| instance(pixel) > 0).collect();
     let agreeing = rocks.iter().filter(|&&pixel| frame.instances[pixel] == instance(pixel)).count();
     println!("{name}: instances {agreeing} of {}", rocks.len());
-    assert!(agreeing as f64 >= 0.999 * rocks.len() as f64, "{name}: {agreeing} of {}", rocks.len());
+    let outline = (0..seen.len()).filter(|&pixel| !is_inside(pixel, instance)).count();
+    let strays = (rocks.len() - agreeing) as f64;
+    assert!(
+        strays <= (0.001 * rocks.len() as f64).max(ROUNDED_SHARE * outline as f64),
+        "{name}: {agreeing} of {}, {outline} pixels are at outlines",
+        rocks.len()
+    );
 
     let (mut depths, mut angles, mut shadows) = (Vec::new(), Vec::new(), Vec::new());
     for (pixel, found) in seen.iter().enumerate() {
@@ -257,14 +288,16 @@ fn check(case: usize) {
         let lit_side =
             hit.facet_normal.dot(scene.sun.direction) > 0.0 && hit.normal.dot(scene.sun.direction) > 0.0;
         if pixel % SHADOW_STRIDE == 0 && lit_side {
-            shadows.push((pixel, *place + 2e-3 * hit.facet_normal));
+            shadows.push((pixel, above(&scene, hit, *place)));
         }
     }
     let (median, most, normal) =
         (quantile(depths.clone(), 0.5), quantile(depths, 0.999), quantile(angles, 0.5));
     println!("{name}: depth median {median:.1e}, 99.9 % {most:.1e}; normals median {normal:.3} deg");
     assert!(median < 1e-4 && most < 0.01, "{name}: depth median {median}, 99.9 % {most}");
-    assert!(normal < 1.0, "{name}: normals {normal} degrees");
+    // The surface stage's normals have the relief that its mesh leaves out.
+    let bound = if scene.relief.is_some() { 15.0 } else { 1.0 };
+    assert!(normal < bound, "{name}: normals {normal} degrees");
 
     let errors: Vec<f32> = shadows
         .par_iter()
@@ -306,9 +339,7 @@ fn check_majority(case: usize) {
     let truth = Truth::new(&scene, Some(&settings));
     let classes = majority_of_four(&scene, &cast_samples(&scene, &truth, 2));
     for class in ClassId::ALL {
-        let iou = iou(&frame.class, &classes, class.id.0);
-        println!("{name}: {} IoU of 4 samples {iou:.5}", class.name);
-        assert!(iou >= 0.999, "{name}: IoU of {} at 4 samples is {iou}", class.name);
+        assert_agreement(&name, &frame.class, &classes, class.id.0, 0.999);
     }
 }
 
@@ -320,7 +351,7 @@ fn ambient(scene: &Scene, normal: Vec3) -> Vec3 {
     let towards = sun.direction.truncate().normalize_or_zero();
     let facing = 0.5 + 0.5 * normal.truncate().dot(towards);
     let bounced = ground * (0.5 - 0.5 * normal.z) * (0.4 + 0.6 * facing);
-    std::f32::consts::PI * (bounced + DOME_RADIANCE * (0.5 + 0.5 * normal.z))
+    std::f32::consts::PI * (bounced + scene.sky.radiance * (0.5 + 0.5 * normal.z))
 }
 
 /// Radiance of Lambert surfaces: albedo / pi x irradiance x cosine, away from outlines and penumbrae.
@@ -329,6 +360,8 @@ fn check_radiance(case: usize) {
     let name = format!("seed {seed}, {set:?}");
     let mut scene = scene(seed, set);
     scene.regolith.roughness = 0.0;
+    // The meshes alone, without the relief and the dust that shading adds.
+    (scene.relief, scene.photometry.law) = (None, Law::Lambert);
     scene.rocks.iter_mut().for_each(|rock| rock.material.roughness = 0.0);
     let mut settings = RenderSettings::new([SIDE; 2], 1).expect("settings");
     settings.annotations = [Annotation::Hdr, Annotation::Instances].into_iter().collect();
@@ -346,7 +379,7 @@ fn check_radiance(case: usize) {
             let cos_light = hit.normal.dot(scene.sun.direction);
             let lit = cos_light > 0.02
                 && hit.facet_normal.dot(scene.sun.direction) > 0.0
-                && truth.hidden(&scene, *place + 2e-3 * hit.facet_normal, pixel as u64) == 0.0;
+                && truth.hidden(&scene, above(&scene, hit, *place), pixel as u64) == 0.0;
             let rock = hit.instance.checked_sub(1).map(|rock| &scene.rocks[usize::from(rock)]);
             let albedo = rock.map_or(scene.regolith, |rock| rock.material).albedo;
             let others = albedo * ambient(&scene, hit.normal) / std::f32::consts::PI;
@@ -391,7 +424,7 @@ fn contact_errors(case: usize) -> [Vec<f32>; 2] {
             if !lit_side || frame.instances[pixel] != hit.instance || (on_rock && pixel % SHADOW_STRIDE > 0) {
                 return None;
             }
-            let above = *place + 2e-3 * hit.facet_normal;
+            let above = above(&scene, hit, *place);
             let counts = on_rock
                 || (0..16).any(|i| {
                     let (sin, cos) = (std::f32::consts::TAU * i as f32 / 16.0).sin_cos();
@@ -436,5 +469,6 @@ macro_rules! cases {
 
 cases! {
     nominal 0, low_sun 1, sun_in_front 2, low_camera 3, wide_view 4, high_relief 5, low_sun_in_front 6, high_sun 7,
-    from_above 8, turned_camera 9, everything_extreme 10, near_boulder 11,
+    from_above 8, turned_camera 9, everything_extreme 10, near_boulder 11, surface 12, surface_low_sun 13,
+    surface_sun_in_front 14, surface_turned 15,
 }

@@ -1,0 +1,393 @@
+//! The surface stage against the published numbers: relief, craters, rocks, light.
+
+#![allow(clippy::print_stdout, reason = "figures for people who run it with --nocapture")]
+
+use glam::Vec2;
+use regolith::class::ClassId;
+use regolith::frame::{Annotation, Frame};
+use regolith::params::Knob;
+use regolith::random::Streams;
+use regolith::render::RenderSettings;
+use regolith::scene::craters::{Pit, TRASK_DENSITY, profile};
+use regolith::scene::relief::Relief;
+use regolith::scene::rocks::lunar::rocks_larger_than;
+use regolith::scene::{Scene, mesh};
+
+use crate::support::{params, renderer, scene};
+
+const SURFACE: &str = "stage.name=surface";
+
+fn relief(seed: u64, set: &[&str]) -> Relief {
+    let set: Vec<&str> = [SURFACE].iter().chain(set).copied().collect();
+    Relief::new(&Streams::new(seed), &params(seed, &set), Vec2::new(0.0, -90.0))
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+/// Spacing of the grid on which the height function is sampled, metres.
+const STEP_M: f32 = 0.005;
+/// Samples along its side.
+const SIDE: usize = 500;
+
+/// Heights of a square of 2.5 m, everything the function has.
+fn heights(relief: &Relief, corner: Vec2) -> Vec<f32> {
+    let half = 0.5 * STEP_M * SIDE as f32;
+    let nearby = relief.nearby(corner + half, 1.5 * half, 1e-4);
+    let place = |i: usize| corner + STEP_M * Vec2::new((i % SIDE) as f32, (i / SIDE) as f32);
+    (0..SIDE * SIDE).map(|i| relief.height(place(i), 1e-4, &nearby)).collect()
+}
+
+/// Median slope, degrees, between samples so many steps apart along x.
+fn median_slope_deg(heights: &[f32], steps: usize) -> f64 {
+    let rows = heights.chunks_exact(SIDE).step_by(3);
+    let rises = rows.flat_map(|row| row.iter().zip(&row[steps..]).map(|(a, b)| f64::from((b - a).abs())));
+    (median(rises.collect()) / (steps as f64 * f64::from(STEP_M))).atan().to_degrees()
+}
+
+/// Deviations from the plane that fits best, of windows of 125 mm.
+fn window_deviations_mm(heights: &[f32]) -> Vec<f64> {
+    const WINDOW: usize = 25;
+    let middle = (WINDOW as f64 - 1.0) / 2.0;
+    let spread: f64 = (0..WINDOW).map(|i| (i as f64 - middle).powi(2)).sum::<f64>() * WINDOW as f64;
+    let mut found = Vec::new();
+    for corner in (0..SIDE - WINDOW).step_by(WINDOW).flat_map(|y| {
+        (0..SIDE - WINDOW).step_by(WINDOW).map(move |x| y * SIDE + x)
+    }) {
+        let at = |i: usize| f64::from(heights[corner + (i / WINDOW) * SIDE + i % WINDOW]);
+        let offset = |i: usize| ((i % WINDOW) as f64 - middle, (i / WINDOW) as f64 - middle);
+        let all = 0..WINDOW * WINDOW;
+        let n = all.len() as f64;
+        let mean = all.clone().map(at).sum::<f64>() / n;
+        let along = |axis: fn((f64, f64)) -> f64| all.clone().map(|i| axis(offset(i)) * at(i)).sum::<f64>() / spread;
+        let (rise_x, rise_y) = (along(|o| o.0), along(|o| o.1));
+        let residual = |i: usize| at(i) - mean - rise_x * offset(i).0 - rise_y * offset(i).1;
+        found.push(1e3 * (all.clone().map(|i| residual(i).powi(2)).sum::<f64>() / n).sqrt());
+    }
+    found
+}
+
+/// Guo et al. 2021 (GRL 48, 2021GL094931): Hurst exponent 0.6 to 0.85, a median slope of 10 degrees at 7 mm, a median
+/// deviation of 4 mm in windows of 125 mm.
+#[test]
+fn ground_has_the_measured_relief() {
+    let (mut slopes_7mm, mut hursts, mut deviations) = (Vec::new(), Vec::new(), Vec::new());
+    for seed in 0..12 {
+        let relief = relief(seed, &[]);
+        let heights = heights(&relief, Vec2::new(3.0 * seed as f32, 4.0));
+        // 7 mm lie between one and two steps; the slope falls as the distance to the power H - 1.
+        let slopes: Vec<f64> = [1, 2, 4, 8, 16, 32].map(|steps| median_slope_deg(&heights, steps)).into();
+        slopes_7mm.push((slopes[0] * slopes[1]).sqrt());
+        // Fit of log(rise) over log(distance) between 5 and 160 mm.
+        let points = slopes.iter().enumerate().map(|(k, slope)| {
+            let distance = (1_u32 << k) as f64;
+            (distance.ln(), (slope.to_radians().tan() * distance).ln())
+        });
+        let points: Vec<(f64, f64)> = points.collect();
+        let mean = |of: fn(&(f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / points.len() as f64;
+        let (mx, my) = (mean(|p| p.0), mean(|p| p.1));
+        hursts.push(
+            points.iter().map(|p| (p.0 - mx) * (p.1 - my)).sum::<f64>()
+                / points.iter().map(|p| (p.0 - mx).powi(2)).sum::<f64>(),
+        );
+        deviations.extend(window_deviations_mm(&heights));
+    }
+    let (slope, hurst, deviation) = (median(slopes_7mm), median(hursts), median(deviations));
+    println!("slope at 7 mm {slope:.2} deg, Hurst exponent {hurst:.3}, deviation at 125 mm {deviation:.2} mm");
+    assert!((8.0..=12.0).contains(&slope), "{slope} degrees");
+    assert!((0.6..=0.85).contains(&hurst), "{hurst}");
+    assert!((2.5..=6.0).contains(&deviation), "{deviation} mm");
+}
+
+#[test]
+fn knobs_of_the_relief_do_what_they_say() {
+    for (deg, hurst) in [(7.0, 0.85), (13.0, 0.6)] {
+        let set = [format!("relief.slope_deg={deg}"), format!("relief.hurst={hurst}")];
+        let set: Vec<&str> = set.iter().map(String::as_str).collect();
+        let slopes = (0..6).map(|seed| {
+            let heights = heights(&relief(seed, &set), Vec2::new(5.0, 5.0));
+            (median_slope_deg(&heights, 1) * median_slope_deg(&heights, 2)).sqrt()
+        });
+        let slope = median(slopes.collect());
+        assert!((slope / deg - 1.0).abs() < 0.2, "{slope} degrees for {deg}");
+    }
+}
+
+/// What a coarser mesh leaves out is left out smoothly: the function changes little where the cell does.
+#[test]
+fn detail_fades_without_a_step() {
+    let relief = relief(4, &[]);
+    let mut worst = 0.0_f32;
+    for k in 0..400_u16 {
+        let place = Vec2::new(f32::from(k) * 0.37, f32::from(k % 17) * 1.3);
+        let cell_m = 0.01 * 1.02_f32.powi(i32::from(k));
+        let (fine, coarse) = (relief.height_at(place, cell_m), relief.height_at(place, 1.02 * cell_m));
+        worst = worst.max((fine - coarse).abs() / cell_m);
+    }
+    assert!(worst < 0.06, "a change of 2 % of the cell moves the ground by {worst} cells");
+}
+
+fn pits(seed: u64, set: &[&str], radius_m: f32, least_m: f32) -> Vec<Pit> {
+    let mut found = Vec::new();
+    relief(seed, set).craters.around(Vec2::ZERO, radius_m, least_m, |pit| {
+        if pit.offset.length() < radius_m && pit.depth > 0.0 {
+            found.push(pit);
+        }
+    });
+    found
+}
+
+/// Trask 1966: N(>D) = 0.0794 D^-2 a square metre; Wu et al. 2021: mean depth over diameter 0.061.
+#[test]
+fn craters_are_in_equilibrium() {
+    let mut counts = Vec::new();
+    let (mut depths, mut fresh) = (Vec::new(), 0.0);
+    for (radius_m, diameters) in
+        [(300.0_f32, [10.0_f32, 16.0, 25.0]), (60.0, [2.0, 3.2, 5.0]), (12.0, [0.3, 0.5, 0.9]), (4.0, [0.1, 0.15, 0.2])]
+    {
+        let mut found: Vec<Pit> = Vec::new();
+        for seed in 0..4 {
+            found.extend(pits(seed, &["relief.clods=0"], radius_m, diameters[0]));
+        }
+        let area_m2 = 4.0 * std::f64::consts::PI * f64::from(radius_m).powi(2);
+        for diameter_m in diameters {
+            let count = found.iter().filter(|pit| pit.diameter_m > diameter_m).count() as f64;
+            let expected = area_m2 * TRASK_DENSITY / f64::from(diameter_m).powi(2);
+            println!("{count} craters of more than {diameter_m} m, {expected:.0} expected");
+            assert!((count - expected).abs() < 3.3 * expected.sqrt() + 0.02 * expected, "{count} for {expected}");
+            counts.push((f64::from(diameter_m).ln(), (count / area_m2).ln()));
+        }
+        depths.extend(found.iter().map(|pit| f64::from(pit.depth)));
+        fresh += found.iter().filter(|pit| pit.is_fresh()).count() as f64;
+    }
+    let n = counts.len() as f64;
+    let (mx, my) = (counts.iter().map(|p| p.0).sum::<f64>() / n, counts.iter().map(|p| p.1).sum::<f64>() / n);
+    let slope = counts.iter().map(|p| (p.0 - mx) * (p.1 - my)).sum::<f64>()
+        / counts.iter().map(|p| (p.0 - mx).powi(2)).sum::<f64>();
+    let depth = depths.iter().sum::<f64>() / depths.len() as f64;
+    println!("slope {slope:.3}, mean depth {depth:.4}, fresh {:.4}", fresh / depths.len() as f64);
+    assert!((slope + 2.0).abs() < 0.1, "{slope}");
+    assert!((0.05..=0.07).contains(&depth), "{depth}");
+    assert!((0.02..=0.05).contains(&(fresh / depths.len() as f64)));
+}
+
+/// Yang et al. 2021, for a diameter of 1 m.
+#[test]
+fn crater_profile_has_its_published_values() {
+    for (r, height) in [(0.0, -0.0889), (0.5, -0.030), (1.0, 0.0251), (2.0, 0.0028)] {
+        assert!((profile(r) - height).abs() < 1e-3, "{} at {r} radii", profile(r));
+    }
+}
+
+#[test]
+fn more_craters_leave_the_others_where_they_were() {
+    let (few, many) = (pits(5, &["craters.density=0.6"], 40.0, 1.0), pits(5, &["craters.density=1.2"], 40.0, 1.0));
+    assert!(many.len() > few.len());
+    for pit in &few {
+        assert!(many.iter().any(|other| other.key == pit.key && other.offset == pit.offset));
+    }
+}
+
+/// The rocks near the camera, where all sizes are made, of many seeds.
+fn diameters(seeds: std::ops::Range<u64>, set: &[&str], radius_m: f32) -> Vec<f64> {
+    let set: Vec<&str> = [SURFACE, "camera.pitch_deg=-89", "craters.fresh_share=0"].iter().chain(set).copied().collect();
+    let mut found = Vec::new();
+    for seed in seeds {
+        let scene = scene(seed, &set);
+        let near = scene.rocks.iter().filter(|rock| {
+            !rock.moved && rock.centre.truncate().distance(scene.terrain.centre) < radius_m
+        });
+        found.extend(near.map(|rock| 2.0 * f64::from(rock.base_scale_m)));
+    }
+    found
+}
+
+/// Li and Wu 2018 from 10 cm up, the Surveyors' power law below; counts are Poisson's.
+#[test]
+fn rocks_follow_the_lunar_law() {
+    for (coverage, set) in [(0.008, "rocks.coverage=0.008"), (0.05, "rocks.coverage=0.05")] {
+        let radius_m = 12.0;
+        let mut found = diameters(0..20, &[set], radius_m);
+        let area_m2 = 20.0 * std::f64::consts::PI * f64::from(radius_m).powi(2);
+        let least_m = 0.10;
+        let expected = area_m2 * rocks_larger_than(least_m, coverage);
+        found.retain(|diameter| *diameter > least_m);
+        println!("coverage {coverage}: {} rocks of more than 10 cm, {expected:.0} expected", found.len());
+        assert!((found.len() as f64 - expected).abs() < 2.576 * expected.sqrt(), "{} for {expected}", found.len());
+        // Kolmogorov and Smirnov, at one in a hundred.
+        found.sort_by(f64::total_cmp);
+        let n = found.len() as f64;
+        let law = |diameter: f64| 1.0 - rocks_larger_than(diameter, coverage) / rocks_larger_than(least_m, coverage);
+        let distance = found.iter().enumerate().fold(0.0_f64, |worst, (i, diameter)| {
+            let i = i as f64;
+            worst.max((law(*diameter) - i / n).abs()).max(((i + 1.0) / n - law(*diameter)).abs())
+        });
+        assert!(distance * n.sqrt() < 1.63, "{distance} over {n} rocks");
+    }
+    // Values that REALISM of the law was tabled with: rocks of more than 10 cm on 100 m^2.
+    for (coverage, per_100_m2) in [(0.0021, 4.4), (0.005, 9.0), (0.01, 14.0), (0.05, 40.0), (0.1, 69.0)] {
+        let found = 100.0 * rocks_larger_than(0.1, coverage);
+        assert!((found / per_100_m2 - 1.0).abs() < 0.06, "{found} at {coverage}");
+    }
+}
+
+/// Tsuchiyama-like shape statistics: the height that stands out over the diameter, half of them within 0.41 to 0.57 (136
+/// scanned rocks of POLAR-digital).
+#[test]
+fn rocks_stand_out_by_about_half_their_diameter() {
+    let mut ratios = Vec::new();
+    for seed in 0..6 {
+        let scene = scene(seed, &[SURFACE]);
+        for rock in scene.rocks.iter().filter(|rock| rock.base_scale_m > 0.05) {
+            let top = rock.centre.z + rock.z_range_m[1];
+            let ground = scene.terrain.surface_height_at(rock.centre.truncate());
+            ratios.push(f64::from((top - ground) / (2.0 * rock.base_scale_m)));
+        }
+    }
+    ratios.sort_by(f64::total_cmp);
+    let at = |share: f64| ratios[(share * ratios.len() as f64) as usize];
+    println!("height over diameter {:.2}, {:.2}, {:.2}", at(0.25), at(0.5), at(0.75));
+    assert!((0.41..=0.57).contains(&at(0.5)), "{}", at(0.5));
+}
+
+#[test]
+fn rocks_lie_closer_around_fresh_craters() {
+    // Many fresh craters, few rocks elsewhere.
+    let (mut inside, mut inside_m2, mut outside, mut outside_m2) = (0.0, 0.0, 0.0, 0.0);
+    for seed in 0..8 {
+        let set = [SURFACE, "camera.height_m=12", "camera.pitch_deg=-60", "rocks.coverage=0.008"];
+        let scene = scene(seed, &set);
+        let mut fresh = Vec::new();
+        let relief = scene.relief.as_ref().expect("a relief");
+        relief.craters.around(Vec2::ZERO, 60.0, 2.0, |pit| {
+            if pit.is_fresh() {
+                fresh.push(pit);
+            }
+        });
+        // Sizes that are made everywhere within 40 m.
+        let large = |rock: &&regolith::scene::rocks::Rock| (0.09..0.12).contains(&(2.0 * rock.base_scale_m));
+        let ring = |place: Vec2| {
+            fresh.iter().any(|pit| {
+                let r = 2.0 * (place - scene.terrain.centre).distance(pit.offset) / pit.diameter_m;
+                (1.0..2.0).contains(&r)
+            })
+        };
+        for i in 0..40_000_u32 {
+            let place = Vec2::new((i % 200) as f32 - 100.0, (i / 200) as f32 - 100.0) * 0.4;
+            if place.length() < 35.0 && place.y > place.x.abs() {
+                let to = if ring(scene.terrain.centre + place) { &mut inside_m2 } else { &mut outside_m2 };
+                *to += 0.16;
+            }
+        }
+        for rock in scene.rocks.iter().filter(large) {
+            let place = rock.centre.truncate() - scene.terrain.centre;
+            if place.length() < 35.0 && place.y > place.x.abs() {
+                let to = if ring(rock.centre.truncate()) { &mut inside } else { &mut outside };
+                *to += 1.0;
+            }
+        }
+    }
+    println!("{inside} rocks on {inside_m2:.0} m2 of rings, {outside} on {outside_m2:.0} m2 elsewhere");
+    let ratio = (inside / inside_m2) / (outside / outside_m2);
+    assert!(ratio >= 3.0, "{ratio} times as many");
+}
+
+/// Ratio of the rocks' albedo to the soil's: median 1.2 to 1.5, a tenth to a quarter of them darker.
+#[test]
+fn rocks_are_brighter_and_darker_than_the_soil() {
+    let scene = scene(3, &[SURFACE, "rocks.coverage=0.03"]);
+    let soil = scene.regolith.albedo.y;
+    let ratios: Vec<f64> = scene.rocks.iter().map(|rock| f64::from(rock.material.albedo.y / soil)).collect();
+    let darker = ratios.iter().filter(|ratio| **ratio < 1.0).count() as f64 / ratios.len() as f64;
+    let middle = median(ratios);
+    println!("ratio {middle:.3}, darker {darker:.3}");
+    assert!((1.2..=1.5).contains(&middle) && (0.10..=0.25).contains(&darker), "{middle}, {darker}");
+}
+
+#[test]
+fn no_rock_floats_and_every_one_is_a_star_shaped_solid() {
+    for seed in 0..4 {
+        let scene = scene(seed, &[SURFACE]);
+        assert!(scene.rocks.len() > 500, "{}", scene.rocks.len());
+        for rock in &scene.rocks {
+            let lowest = rock.vertices.iter().map(|v| v.position + rock.centre).min_by(|a, b| a.z.total_cmp(&b.z));
+            let lowest = lowest.expect("vertices");
+            assert!(lowest.z < scene.terrain.surface_height_at(lowest.truncate()), "rock {} floats", rock.index);
+            assert_eq!(rock.vertices.len(), mesh::Icosphere::vertex_count(rock.level));
+        }
+    }
+}
+
+/// A rock is where it is from wherever it is looked at.
+#[test]
+fn turning_the_camera_moves_no_rock() {
+    let (ahead, aside) = (scene(6, &[SURFACE]), scene(6, &[SURFACE, "camera.yaw_deg=20"]));
+    let places = |scene: &Scene| -> Vec<[u32; 2]> {
+        scene.rocks.iter().map(|rock| rock.centre.truncate().to_array().map(f32::to_bits)).collect()
+    };
+    let (first, second) = (places(&ahead), places(&aside));
+    let shared = first.iter().filter(|place| second.contains(place)).count();
+    assert!(shared as f64 > 0.4 * first.len() as f64, "{shared} of {}", first.len());
+}
+
+fn frame(scene: &Scene, side: u32, annotations: &[Annotation]) -> Frame {
+    let mut settings = RenderSettings::new([side, side], 4).expect("settings");
+    settings.annotations = annotations.iter().copied().collect();
+    renderer().render(scene, &settings).unwrap_or_else(|error| panic!("{error}")).0
+}
+
+#[test]
+fn fifty_seeds_have_no_unlabelled_pixel() {
+    for seed in 0..50 {
+        let scene = scene(seed, &[SURFACE]);
+        let frame = frame(&scene, 128, &[]);
+        assert_eq!(frame.count(ClassId::UNLABELLED), 0, "seed {seed}");
+        let [regolith, sky] = [ClassId::REGOLITH, ClassId::SKY].map(|class| frame.coverage(class));
+        assert!(regolith > 0.3 && sky > 0.05, "seed {seed}: regolith {regolith}, sky {sky}");
+    }
+}
+
+/// Real skies over sunlit ground are 0 to 2 of 255.
+#[test]
+fn sky_is_black_and_shadows_are_dark() {
+    for seed in [1, 5] {
+        let scene = scene(seed, &[SURFACE]);
+        let frame = frame(&scene, 192, &[Annotation::Shadow, Annotation::Hdr]);
+        let (mut lit, mut dark) = (Vec::new(), Vec::new());
+        for (pixel, rgb) in frame.rgb.chunks_exact(3).enumerate() {
+            match (frame.class[pixel], frame.hidden[pixel]) {
+                (2, _) => assert!(rgb.iter().all(|value| *value <= 2), "seed {seed}: sky {rgb:?}"),
+                (0, 0) => lit.push(f64::from(frame.radiance[3 * pixel + 1].to_f32())),
+                (0, 255) => dark.push(f64::from(frame.radiance[3 * pixel + 1].to_f32())),
+                _ => {}
+            }
+        }
+        assert!(dark.len() > 20, "seed {seed}: {} pixels in shadow", dark.len());
+        let ratio = median(dark) / median(lit);
+        println!("seed {seed}: shadow {ratio:.4} of lit soil");
+        assert!(ratio < 0.01, "seed {seed}: cast shadows are {ratio} of lit soil");
+    }
+}
+
+/// A label rule is about the rock: it takes whole rocks out, and leaves the picture as it is.
+#[test]
+fn label_rules_take_whole_rocks_out() {
+    let all = scene(2, &[SURFACE]);
+    let few = scene(2, &[SURFACE, "label.min_pixels=30", "label.min_diameter_m=0.05"]);
+    let (before, after) = (frame(&all, 192, &[Annotation::Instances]), frame(&few, 192, &[Annotation::Instances]));
+    assert!(before.rgb == after.rgb, "the picture changes");
+    let mut kept = 0;
+    for label in &before.rocks {
+        let pixels = before.instances.iter().enumerate().filter(|(_, id)| **id == label.instance);
+        let pixels: Vec<usize> = pixels.map(|(pixel, _)| pixel).collect();
+        let still = pixels.iter().filter(|pixel| after.class[**pixel] == ClassId::ROCK.0).count();
+        // At the outline of a rock the votes of the samples may fall the other way.
+        assert!(still == 0 || 2 * still > pixels.len(), "rock {} is cut: {still} of {}", label.instance, pixels.len());
+        kept += u32::from(still > 0);
+    }
+    assert!(kept > 0 && (kept as usize) < before.rocks.len() / 2, "{kept} of {}", before.rocks.len());
+    assert_eq!(few.geometry_hash(), all.geometry_hash());
+    let _ = Knob::LabelMinPixels;
+}
