@@ -7,8 +7,8 @@ override LAW: u32;
 // What detail below the mesh there is: none, that of the ground, that of rocks.
 override DETAIL: u32;
 
-const GROUND_DETAIL: u32 = 1u;
-const ROCK_DETAIL: u32 = 2u;
+const RELIEF_DETAIL: u32 = 1u;
+const TEXTURE_DETAIL: u32 = 2u;
 
 struct Varyings {
     @builtin(position) clip: vec4<f32>,
@@ -36,12 +36,13 @@ fn fs_main(in: Varyings) -> SceneOut {
     let to_eye = -normalize(in.offset);
     var normal = smooth_normal;
     var albedo = instance.colour;
-    if DETAIL == GROUND_DETAIL {
+    if DETAIL == RELIEF_DETAIL {
         normal = ground_normal(in.offset, smooth_normal, to_eye);
     }
-    if DETAIL == ROCK_DETAIL {
+    if DETAIL == TEXTURE_DETAIL {
         let sample_m = relief.sample_angle * length(in.offset);
-        let texture = rock_texture(frame.eye + in.offset - instance.origin, sample_m, instance.instance_id);
+        let seed = bitcast<u32>(instance.origin.x);
+        let texture = solid_texture(frame.eye + in.offset - instance.origin, sample_m, seed);
         let across = texture.xyz - smooth_normal * dot(texture.xyz, smooth_normal);
         normal = normalize(smooth_normal - across);
         // Soil lies where the rock is level enough, with an edge that its texture frays.

@@ -87,7 +87,7 @@ struct ConfigArgs {
     /// Which stage's defaults to start from
     #[arg(long, value_name = "NAME", default_value = "nominal")]
     stage: String,
-    /// A named set of knobs; `--help` lists them
+    /// A named set of knobs, or several, separated by commas, the later over the earlier; `--help` lists them
     #[arg(long, value_name = "NAME")]
     preset: Option<String>,
     /// Knobs from a TOML file
@@ -136,7 +136,7 @@ impl PictureArgs {
 fn command() -> clap::Command {
     let presets: String = sampler::presets()
         .iter()
-        .map(|(name, _)| format!("  {name:<15} {}\n", sampler::preset_description(name).unwrap_or_default()))
+        .map(|(name, _)| format!("  {name:<22} {}\n", sampler::preset_description(name).unwrap_or_default()))
         .collect();
     let formats = dataset::formats_help();
     Cli::command()
@@ -170,8 +170,8 @@ impl ConfigArgs {
     fn build(&self) -> Result<Config> {
         let mut config = Config::new();
         config.set_stage(&self.stage)?;
-        if let Some(preset) = &self.preset {
-            config.apply_preset(preset)?;
+        for preset in self.preset.iter().flat_map(|names| names.split(',')) {
+            config.apply_preset(preset.trim())?;
         }
         if let Some(path) = &self.config {
             config.apply_file(path)?;

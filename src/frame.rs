@@ -19,11 +19,19 @@ pub enum Annotation {
     Hdr,
     /// Shares of the classes within a pixel.
     Coverage,
+    /// Slope of the ground.
+    Slope,
+    /// Insides and rims of craters.
+    Craters,
+    /// Angles of the light.
+    Angles,
+    /// Classes with craters and mountains told apart.
+    FiveClasses,
 }
 
 /// A set of [`Annotation`]s.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Annotations(u8);
+pub struct Annotations(u16);
 
 impl Annotations {
     /// The set with one more.
@@ -70,12 +78,22 @@ pub struct Frame {
     pub radiance: Vec<half::f16>,
     /// Samples of each class, three counts a pixel by class id.
     pub sample_counts: Vec<[u8; 3]>,
+    /// Slope of the ground over half a metre, degrees; NaN for what is no ground.
+    pub slope_deg: Vec<f32>,
+    /// 1 inside a crater, 2 on its rim, else 0.
+    pub craters: Vec<u8>,
+    /// Angle between the normal and the sun, degrees; NaN for the sky.
+    pub incidence_deg: Vec<f32>,
+    /// Angle at the place between the sun and the eye, degrees; NaN for the sky.
+    pub phase_deg: Vec<f32>,
+    /// Class id, with 3 for the inside of craters and 4 for far ground.
+    pub five_classes: Vec<u8>,
     /// The rocks that are seen, if instances were asked for.
     pub rocks: Vec<RockLabel>,
 }
 
 /// What is told of a rock in the picture.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct RockLabel {
     /// Its instance id.
     pub instance: u16,
@@ -86,6 +104,10 @@ pub struct RockLabel {
     pub exposed_px: u32,
     /// Smallest and largest column and row of its pixels: left, top, right, bottom, all included.
     pub box_px: [u32; 4],
+    /// Height of its top above the ground at its centre, metres.
+    pub height_m: f32,
+    /// Mean of its extents along two axes seen from above, metres.
+    pub diameter_m: f32,
 }
 
 impl RockLabel {
@@ -111,9 +133,11 @@ impl Frame {
     /// Bytes of all planes.
     #[must_use]
     pub fn bytes(&self) -> u64 {
-        let floats = self.depth_m.len() + self.normals.len();
+        let angles = self.slope_deg.len() + self.incidence_deg.len() + self.phase_deg.len();
+        let floats = self.depth_m.len() + self.normals.len() + angles;
         let halves = self.instances.len() + self.radiance.len();
         let bytes = self.rgb.len() + self.class.len() + self.hidden.len() + 3 * self.sample_counts.len();
+        let bytes = bytes + self.craters.len() + self.five_classes.len();
         (bytes + 2 * halves + 4 * floats) as u64
     }
 

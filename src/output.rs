@@ -23,8 +23,9 @@ use crate::error::{Error, Result, nearest};
 use crate::frame::{Annotation, Annotations, Frame};
 use edges::EdgePolicy;
 use encoders::{
-    camera_distance_npy, coverage_npy, hdr_exr, instances_json, instances_png, labels_json, mask_png,
-    meta_json, normals_npy, plane_distance_npy, preview_png, rgb_png, shadow_png,
+    camera_distance_npy, coverage_npy, craters_png, five_classes_json, five_classes_png,
+    five_classes_preview_png, hdr_exr, incidence_npy, instances_json, instances_png, labels_json, mask_png,
+    meta_json, normals_npy, phase_npy, plane_distance_npy, preview_png, rgb_png, shadow_png, slope_npy,
 };
 
 /// What the encoders work from.
@@ -117,7 +118,7 @@ pub struct Output {
 }
 
 /// Every output.
-pub static OUTPUTS: [Output; 10] = [
+pub static OUTPUTS: [Output; 14] = [
     Output { name: "rgb", default: true, needs: None, files: &[("rgb", "png", rgb_png)] },
     Output {
         name: "mask",
@@ -165,6 +166,34 @@ pub static OUTPUTS: [Output; 10] = [
         default: false,
         needs: Some(Annotation::Coverage),
         files: &[("semantic_coverage", "npy", coverage_npy)],
+    },
+    Output {
+        name: "slope",
+        default: false,
+        needs: Some(Annotation::Slope),
+        files: &[("slope", "npy", slope_npy)],
+    },
+    Output {
+        name: "craters",
+        default: false,
+        needs: Some(Annotation::Craters),
+        files: &[("craters", "png", craters_png)],
+    },
+    Output {
+        name: "angles",
+        default: false,
+        needs: Some(Annotation::Angles),
+        files: &[("incidence", "npy", incidence_npy), ("phase", "npy", phase_npy)],
+    },
+    Output {
+        name: "five_classes",
+        default: false,
+        needs: Some(Annotation::FiveClasses),
+        files: &[
+            ("five_classes", "png", five_classes_png),
+            ("five_classes_preview", "png", five_classes_preview_png),
+            ("five_classes_labels", "json", five_classes_json),
+        ],
     },
     Output { name: "meta", default: true, needs: None, files: &[("frame", "json", meta_json)] },
 ];
@@ -276,7 +305,12 @@ mod tests {
             hidden: vec![0, 10, 20, 30, 40, 255],
             radiance: (0..18).map(|i| half::f16::from_f32(i as f32 * 0.25)).collect(),
             sample_counts: vec![[4, 0, 0], [1, 3, 0], [0, 0, 4], [0, 2, 2], [0, 4, 0], [1, 1, 2]],
-            rocks: vec![RockLabel { instance: 300, visible_px: 1, exposed_px: 4, box_px: [1, 0, 1, 0] }],
+            rocks: vec![RockLabel { instance: 300, visible_px: 1, exposed_px: 4, box_px: [1, 0, 1, 0], height_m: 0.5, diameter_m: 1.25 }],
+            slope_deg: vec![1.0, f32::NAN, 3.0, 4.0, 5.0, 6.0],
+            craters: vec![0, 1, 2, 0, 0, 1],
+            incidence_deg: vec![10.0; 6],
+            phase_deg: vec![20.0; 6],
+            five_classes: vec![0, 1, 2, 3, 4, 0],
         }
     }
 
@@ -308,6 +342,10 @@ mod tests {
             serde_json::from_slice(&bytes("instance_segmentation_mapping_0007.json")).expect("JSON");
         assert_eq!(mapping["300"]["path"], "/World/Rocks/Rock_299");
         assert_eq!(mapping["300"]["occluded"], 0.75);
+        assert_eq!((&mapping["300"]["height_m"], &mapping["300"]["diameter_m"]), (&json!(0.5), &json!(1.25)));
+        assert!(floats("slope_0007.npy", "2, 3")[1].is_nan() && floats("phase_0007.npy", "2, 3")[0] == 20.0);
+        assert_eq!(decoded("craters_0007.png", LabelIds::Canonical).as_bytes(), frame().craters);
+        assert_eq!(decoded("five_classes_0007.png", LabelIds::Canonical).as_bytes(), frame().five_classes);
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("hdr.exr");
         std::fs::write(&path, bytes("hdr_0007.exr")).expect("written");

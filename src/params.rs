@@ -249,6 +249,28 @@ knobs! {
         "Horizontal field of view; the default is a 20 mm lens before a sensor 24 mm wide.";
     CameraExposureEv "camera.exposure_ev" "EV" Number, Frame, number(0.0) => number(1.9), [-10.0, 10.0],
         "Exposure relative to the reference frame's, in stops.";
+    SensorKind "sensor.kind" "" Text(&["off", "mono", "bayer"]), Frame, word("off"), [0.0, 0.0],
+        "Whether the picture is that of a sensor: without colour, or with a Bayer mosaic.";
+    SensorGroundLevel "sensor.ground_level" "" Number, Frame, number(0.0), [0.0, 0.95],
+        "Encoded level that the median of the sunlit ground is put at; 0 for the exposure of camera.exposure_ev.";
+    SensorGlare "sensor.glare" "" Number, Frame, number(0.01), [0.0, 0.3],
+        "Veiling glare: light spread over the whole picture, as a part of its mean (0.005 to 0.03).";
+    SensorVignetting "sensor.vignetting" "" Number, Frame, number(0.5), [0.0, 1.0],
+        "Share of the natural fall of light to the corners, cos^4 of the angle.";
+    SensorPsfPx "sensor.psf_px" "px" Number, Frame, number(0.47), [0.0, 5.0],
+        "Deviation of the picture of a point; 0.47 gives a contrast of 0.33 at the finest pattern, as PCAM's.";
+    SensorFullWellE "sensor.full_well_e" "e" Number, Frame, number(21_800.0), [100.0, 1_000_000.0],
+        "Electrons that a pixel holds before it clips (KAI-2020: 21 800).";
+    SensorReadNoiseE "sensor.read_noise_e" "e" Number, Frame, number(21.0), [0.0, 1000.0],
+        "Deviation that reading adds (KAI-2020: 21 to 22).";
+    SensorDarkE "sensor.dark_e" "e" Number, Frame, number(5.0), [0.0, 10_000.0],
+        "Electrons of an exposure that come without light.";
+    SensorDsnuE "sensor.dsnu_e" "e" Number, Frame, number(3.0), [0.0, 1000.0],
+        "Deviation of those from pixel to pixel, the same in every frame.";
+    SensorPrnu "sensor.prnu" "" Number, Frame, number(0.01), [0.0, 0.2],
+        "Relative deviation of the pixels' sensitivity, the same in every frame.";
+    SensorBits "sensor.bits" "" Integer, Frame, number(11.0), [4.0, 16.0],
+        "Bits of a reading.";
     SkyStarCount "sky.star_count" "" Integer, Frame, number(220.0), [0.0, 20_000.0],
         "Number of stars.";
     SkyStarGain "sky.star_gain" "" Number, Frame, number(1.0) => number(1e-5), [0.0, 100.0],
@@ -457,6 +479,8 @@ mod tests {
                 "deg" => "_deg",
                 "EV" => "_ev",
                 "mrad" => "_mrad",
+                "px" => "_px",
+                "e" => "_e",
                 other => panic!("{}: a new unit {other}", info.name),
             };
             assert!(info.name.ends_with(suffix), "{} is in {}", info.name, info.unit);
@@ -475,19 +499,25 @@ mod tests {
 
     #[test]
     fn every_knob_can_be_asked_as_its_kind() {
-        let params = Params::draw_default(1);
         let mut stream = crate::random::Streams::new(1).stream("test", 0);
-        for (knob, info) in Knob::ALL.into_iter().zip(&KNOBS) {
-            match (info.kind, info.scope) {
-                (Number | Integer, Element(_)) => assert!(params.sample(knob, &mut stream).is_finite()),
-                (Number, Frame) => assert!(params.number(knob).is_finite()),
-                (Integer, Frame) => assert_eq!(f64::from(params.count(knob)), params.number(knob)),
-                (Rgb, _) => assert_eq!(params.rgb(knob).len(), 3),
-                (Text(words), _) => assert!(words.contains(&params.text(knob))),
+        for (stage, name) in Stage::ALL {
+            let mut config = sampler::Config::new();
+            config.set_stage(name).expect("a stage");
+            let params = config.draw(1).expect("drawn");
+            assert_eq!(params.stage(), stage);
+            for (knob, info) in Knob::ALL.into_iter().zip(&KNOBS) {
+                match (info.kind, info.scope) {
+                    (Number | Integer, Element(_)) => assert!(params.sample(knob, &mut stream).is_finite()),
+                    (Number, Frame) => assert!(params.number(knob).is_finite()),
+                    (Integer, Frame) => assert_eq!(f64::from(params.count(knob)), params.number(knob)),
+                    (Rgb, _) => assert_eq!(params.rgb(knob).len(), 3),
+                    (Text(words), _) => assert!(words.contains(&params.text(knob))),
+                }
             }
+            let json = params.to_json();
+            assert_eq!(json.len(), KNOBS.iter().filter(|info| info.is_of(stage)).count());
         }
-        let json = params.to_json();
-        assert_eq!(json.len(), KNOBS.len());
+        let json = Params::draw_default(1).to_json();
         assert_eq!(json["rocks.scale_m"].to_string(), r#"{"uniform":[0.3,1.3]}"#);
         assert!(json["rocks.count"].is_u64() && json["sun.elevation_deg"] == 17.0);
     }

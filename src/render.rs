@@ -8,11 +8,13 @@
 
 pub mod facing;
 pub mod gpu_scene;
+pub mod hazards;
 pub mod horizon;
 mod labels;
 pub mod resolve;
 mod scene_pass;
 pub mod selection;
+pub mod sensor;
 pub mod shaders;
 pub mod shadow;
 mod shadow_pass;
@@ -143,6 +145,31 @@ impl Renderer {
     /// # Errors
     /// [`Error::SizeBeyondDevice`], [`Error::DeviceLost`] or [`Error::Device`].
     pub fn render(&mut self, scene: &Scene, settings: &RenderSettings) -> Result<(Frame, StageTimes)> {
+        let asked = settings.annotations;
+        let mut drawn = *settings;
+        drawn.annotations = hazards::drawn_for(asked);
+        if scene.sensor.is_some() {
+            drawn.annotations = drawn.annotations.with(Annotation::Hdr);
+        }
+        let (mut frame, mut times) = self.render_plain(scene, &drawn)?;
+        let rendered = Instant::now();
+        if let Some(sensor) = &scene.sensor {
+            sensor::expose(&mut frame, sensor, scene.camera.exposure_ev);
+            if !asked.contains(Annotation::Hdr) {
+                frame.radiance = Vec::new();
+            }
+            times.push(("sensor", milliseconds(rendered.elapsed())));
+        }
+        if hazards::any(asked) {
+            let start = Instant::now();
+            hazards::add(&mut frame, scene, asked);
+            times.push(("hazards", milliseconds(start.elapsed())));
+        }
+        Ok((frame, times))
+    }
+
+    /// A frame as the resolve makes it.
+    fn render_plain(&mut self, scene: &Scene, settings: &RenderSettings) -> Result<(Frame, StageTimes)> {
         let start = Instant::now();
         let (targets, packed) = match self.targets.take() {
             Some(kept) if kept.0.serve(settings) => kept,

@@ -14,6 +14,7 @@ pub mod photometry;
 pub mod relief;
 pub mod rings;
 pub mod rocks;
+pub mod sensor;
 pub mod sky;
 pub mod terrain;
 
@@ -28,6 +29,7 @@ use camera::Camera;
 use photometry::{Photometry, tinted};
 use relief::Relief;
 use rocks::{Material, Rock, lunar};
+use sensor::Sensor;
 use sky::{Sky, Sun};
 use terrain::Terrain;
 
@@ -55,6 +57,8 @@ pub struct Scene {
     pub sun: Sun,
     /// The rover's camera.
     pub camera: Camera,
+    /// What takes its picture; none for the plain one.
+    pub sensor: Option<Sensor>,
 }
 
 /// Which rocks are too small to count as rocks: a rule on the rock, not on the mask.
@@ -136,6 +140,7 @@ impl Scene {
                 min_diameter_m: params.number(Knob::LabelMinDiameterM) as f32,
             },
             sun: Sun::build(params),
+            sensor: Sensor::build(streams, params),
             regolith,
             rocks,
             relief,

@@ -184,22 +184,22 @@ fn crater_steepness(r: f32, age: f32) -> f32 {
 }
 
 // Octaves of a rock's texture, and the rise per metre of each.
-const ROCK_OCTAVES: i32 = 4;
-const ROCK_STEEPNESS: f32 = 0.30;
+const TEXTURE_OCTAVES: i32 = 4;
+const TEXTURE_STEEPNESS: f32 = 0.30;
 
 // Slope of the texture of a rock at a place (metres from its centre) with samples this far apart, and in w its shade, mean 0.
 // Octaves are anchored in the rock; they come and go smoothly with the distance.
-fn rock_texture(place: vec3<f32>, sample_m: f32, seed: u32) -> vec4<f32> {
+fn solid_texture(place: vec3<f32>, sample_m: f32, seed: u32) -> vec4<f32> {
     let finest = log2(2.0 * sample_m);
     let first = ceil(finest);
     var sum = vec4(0.0);
-    for (var k = 0; k < ROCK_OCTAVES; k++) {
+    for (var k = 0; k < TEXTURE_OCTAVES; k++) {
         let octave = first + f32(k);
         let size_m = exp2(octave);
         // The finest fades in, the coarsest out.
-        let share = min(min(octave - finest, 1.0), f32(ROCK_OCTAVES) - 1.0 - (octave - finest) + 1.0);
+        let share = min(min(octave - finest, 1.0), f32(TEXTURE_OCTAVES) - 1.0 - (octave - finest) + 1.0);
         let noise = value_noise(place / size_m, seed + u32(i32(octave) + 64) * 0x9e3779b9u);
-        sum += clamp(share, 0.0, 1.0) * vec4(ROCK_STEEPNESS * noise.xyz, noise.w);
+        sum += clamp(share, 0.0, 1.0) * vec4(TEXTURE_STEEPNESS * noise.xyz, noise.w);
     }
     return sum;
 }

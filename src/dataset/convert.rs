@@ -212,7 +212,15 @@ fn read_rocks(bytes: &[u8]) -> Result<Vec<RockLabel>> {
             let side = |place: usize| number(&row["box_px"][place]);
             let box_px = [side(0)?, side(1)?, side(2)?, side(3)?];
             // How much of it is hidden no layout asks for.
-            Some(RockLabel { instance: instance.parse().ok()?, visible_px, exposed_px: visible_px, box_px })
+            let metres = |name: &str| row[name].as_f64().unwrap_or(0.0) as f32;
+            Some(RockLabel {
+                instance: instance.parse().ok()?,
+                visible_px,
+                exposed_px: visible_px,
+                box_px,
+                height_m: metres("height_m"),
+                diameter_m: metres("diameter_m"),
+            })
         })
         .collect::<Option<Vec<_>>>()
         .ok_or_else(wrong)

@@ -72,9 +72,51 @@ pub(super) fn instances_json(source: &Source<'_>) -> Result<Vec<u8>> {
             "visible_px": rock.visible_px,
             "box_px": rock.box_px,
             "occluded": rock.occluded(),
+            "height_m": rock.height_m,
+            "diameter_m": rock.diameter_m,
         });
         (rock.instance.to_string(), row)
     });
+    json_bytes(&rows.collect::<serde_json::Map<_, _>>().into())
+}
+
+pub(super) fn slope_npy(source: &Source<'_>) -> Result<Vec<u8>> {
+    Ok(npy(source.frame, 1, &source.frame.slope_deg))
+}
+
+pub(super) fn incidence_npy(source: &Source<'_>) -> Result<Vec<u8>> {
+    Ok(npy(source.frame, 1, &source.frame.incidence_deg))
+}
+
+pub(super) fn phase_npy(source: &Source<'_>) -> Result<Vec<u8>> {
+    Ok(npy(source.frame, 1, &source.frame.phase_deg))
+}
+
+pub(super) fn craters_png(source: &Source<'_>) -> Result<Vec<u8>> {
+    png(source.frame, &source.frame.craters, ExtendedColorType::L8, FilterType::Up)
+}
+
+/// Id, name and colour of each of five classes: the first three as in the mask; the colours are those of the LuSNAR dataset.
+const FIVE_CLASSES: [(u8, &str, [u8; 3]); 5] = [
+    (0, "regolith", [0xbb, 0x46, 0x9c]),
+    (1, "rock", [0xe8, 0xfa, 0x50]),
+    (2, "sky", [0x22, 0xc9, 0xf8]),
+    (3, "crater", [0x78, 0x00, 0xc8]),
+    (4, "mountain", [0xad, 0x45, 0x1f]),
+];
+
+pub(super) fn five_classes_png(source: &Source<'_>) -> Result<Vec<u8>> {
+    png(source.frame, &source.frame.five_classes, ExtendedColorType::L8, FilterType::Up)
+}
+
+pub(super) fn five_classes_preview_png(source: &Source<'_>) -> Result<Vec<u8>> {
+    let colour = |id: &u8| FIVE_CLASSES.get(usize::from(*id)).map_or([0; 3], |(.., rgb)| *rgb);
+    let rgb: Vec<u8> = source.frame.five_classes.iter().flat_map(colour).collect();
+    png(source.frame, &rgb, ExtendedColorType::Rgb8, FilterType::Up)
+}
+
+pub(super) fn five_classes_json(_: &Source<'_>) -> Result<Vec<u8>> {
+    let rows = FIVE_CLASSES.iter().map(|(id, name, _)| (id.to_string(), json!({ "class": name })));
     json_bytes(&rows.collect::<serde_json::Map<_, _>>().into())
 }
 

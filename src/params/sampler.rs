@@ -26,8 +26,25 @@ macro_rules! preset_files {
 
 /// Name and TOML text of every preset that ships; the text starts with a comment that says what it is.
 #[must_use]
-pub const fn presets() -> [(&'static str, &'static str); 5] {
-    preset_files!["reference", "train_dr", "train_nodr", "train_full", "test_photoreal"]
+pub const fn presets() -> [(&'static str, &'static str); 16] {
+    preset_files![
+        "reference",
+        "train_dr",
+        "train_nodr",
+        "train_full",
+        "test_photoreal",
+        "surface_train_dr",
+        "surface_train_nodr",
+        "surface_train_full",
+        "surface_test_photoreal",
+        "sun_equatorial",
+        "sun_mid_latitude",
+        "sun_polar",
+        "camera_hasselblad",
+        "camera_navcam",
+        "camera_pcam",
+        "camera_colour"
+    ]
 }
 
 /// What a preset is, in a line: the comment that its text starts with.
@@ -438,7 +455,7 @@ mod tests {
             preset.check().unwrap_or_else(|error| panic!("{name}: {error}"));
             let mut read = Config::new();
             read.apply_toml(&preset.to_toml(), "listing").unwrap_or_else(|error| panic!("{name}: {error}"));
-            assert_eq!(read.settings, preset.settings);
+            assert_eq!(read.distributions_json(), preset.distributions_json());
             assert!(text.starts_with("# ") && preset != Config::new(), "{name}");
             assert!(preset_description(name).is_some_and(|line| line.len() > 20), "{name}");
         }
@@ -446,9 +463,35 @@ mod tests {
         let mut full = Config::new();
         full.apply_preset("train_full").expect("a preset");
         from_json.apply_json(&full.distributions_json(), "JSON").expect("read");
-        assert_eq!(from_json.settings, full.settings);
+        assert_eq!(from_json.distributions_json(), full.distributions_json());
         assert_eq!(preset_description("train"), None);
-        assert_eq!(Config::new().to_json().as_array().map(Vec::len), Some(KNOBS.len()));
+        let nominal = KNOBS.iter().filter(|info| info.is_of(Stage::Nominal)).count();
+        assert_eq!(Config::new().to_json().as_array().map(Vec::len), Some(nominal));
+    }
+
+    #[test]
+    fn each_stage_has_its_defaults_and_its_knobs() {
+        let surface = set("stage.name=surface").expect("a stage");
+        let params = surface.draw(3).expect("drawn");
+        assert_eq!((params.number(Knob::SunElevationDeg), params.number(Knob::CameraPitchDeg)), (13.0, -7.0));
+        assert!(params.to_json().contains_key("relief.hurst") && !params.to_json().contains_key("rocks.count"));
+        let message = set("relief.hurst=0.7").expect_err("another stage's").to_string();
+        assert!(message.contains("relief.hurst") && message.contains("surface"), "{message}");
+        // Both stages: each frame has the defaults of its own, unless they were set.
+        let mut both = set("stage.name={choice=[\"nominal\", \"surface\"]}").expect("both");
+        both.apply_set("relief.hurst=0.7").expect("one stage has it");
+        both.apply_set("camera.fov_deg=50").expect("both have it");
+        both.check().expect("nothing contradicts");
+        let drawn: Vec<Params> = (0..20).map(|seed| both.draw(seed).expect("drawn")).collect();
+        for params in &drawn {
+            let is_surface = params.stage() == Stage::Surface;
+            assert_eq!(params.number(Knob::SunElevationDeg), if is_surface { 13.0 } else { 17.0 });
+            assert_eq!(params.number(Knob::CameraFovDeg), 50.0);
+        }
+        assert!((4..=16).contains(&drawn.iter().filter(|p| p.stage() == Stage::Surface).count()));
+        let mut read = Config::new();
+        read.apply_json(&both.distributions_json(), "JSON").expect("read");
+        assert_eq!(read.distributions_json(), both.distributions_json());
     }
 
     #[test]

@@ -241,7 +241,7 @@ impl PackedFrame {
                     .map(|word| [word as u8, (word >> 8) as u8, (word >> 16) as u8])
                     .collect(),
                 class,
-                rocks: Vec::new(),
+                ..Frame::default()
             }
         })
     }

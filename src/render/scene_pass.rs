@@ -30,8 +30,8 @@ pub(super) struct Variant {
 
 /// The values of `DETAIL` in `surface.wgsl`.
 const NO_DETAIL: f64 = 0.0;
-const GROUND_DETAIL: f64 = 1.0;
-const ROCK_DETAIL: f64 = 2.0;
+const RELIEF_DETAIL: f64 = 1.0;
+const TEXTURE_DETAIL: f64 = 2.0;
 
 impl ScenePass {
     /// Compiles the programs.
@@ -76,9 +76,9 @@ impl ScenePass {
             )
         };
         let pipelines = [
-            surface(1.0, GROUND_DETAIL),
-            surface(0.0, GROUND_DETAIL),
-            surface(0.0, ROCK_DETAIL),
+            surface(1.0, RELIEF_DETAIL),
+            surface(0.0, RELIEF_DETAIL),
+            surface(0.0, TEXTURE_DETAIL),
             // The dome is seen from inside, the stars from outside.
             self.pipeline(gpu, 1, &[], variant.annotations, &positions, None),
         ];

@@ -234,6 +234,16 @@ impl Rock {
         &Icosphere::shared().triangles[level.min(self.level)]
     }
 
+    /// Mean of its extents along x and y, metres.
+    #[must_use]
+    pub fn diameter_m(&self) -> f32 {
+        let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+        for vertex in &self.vertices {
+            (low, high) = (low.min(vertex.position), high.max(vertex.position));
+        }
+        0.5 * ((high.x - low.x) + (high.y - low.y))
+    }
+
     /// Puts the rock on a place, with `embedding` of its height under the ground there, and deeper if its lowest
     /// point would not be under the ground.
     fn settle(&mut self, terrain: &Terrain, place: Vec2, embedding: f32, lowest: Vec3) {

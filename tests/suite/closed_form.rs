@@ -24,6 +24,7 @@ fn flat_scene(sun: Sun, rocks: Vec<Rock>, eye: Vec3, fov_deg: f64) -> Scene {
         relief: None,
         photometry: Photometry::default(),
         label_rule: LabelRule::default(),
+        sensor: None,
         regolith: Material { albedo: Vec3::splat(0.2), roughness: 0.0 },
         rocks,
         sky: Sky {

@@ -39,7 +39,7 @@ const OUTSIDE_MOST_M: f32 = 40.0;
 /// Fresh craters from this diameter on have rocks around them, metres.
 const CLUSTER_LEAST_M: f32 = 2.0;
 /// Share of the ground that these rocks cover at the rim; it falls with the cube of the distance, to 3 radii.
-const CLUSTER_COVERAGE: f64 = 0.08;
+const CLUSTER_COVERAGE: f64 = 0.12;
 /// The largest of them, in diameters of the crater.
 const CLUSTER_LARGEST: f64 = 0.06;
 /// Shapes that the smaller rocks share.

@@ -1,0 +1,322 @@
+//! What a sensor makes of a frame's linear radiance: the 8-bit picture with the marks of a real camera.
+//!
+//! In the order of the light: exposure, veiling glare, vignetting, the spread of points, colour filters, photons and
+//! electrons, reading, filling in of the colours, encoding. Labels are not touched: nothing here moves a thing in the picture.
+//! Every random number is a hash of pixel and frame, so that the same frame is the same to the bit for any number of
+//! threads.
+
+use rayon::prelude::*;
+
+use super::resolve::exposure;
+use crate::class::ClassId;
+use crate::frame::Frame;
+use crate::scene::noise::lattice_hash;
+use crate::scene::sensor::{Mosaic, Sensor};
+
+/// Seed of what does not change from frame to frame.
+const FIXED_PATTERN: u32 = 0x5e25_0a11;
+/// Weights of the channels in what a monochrome sensor sees: even, as a panchromatic one.
+const PANCHROMATIC: [f32; 3] = [1.0 / 3.0; 3];
+/// From so many electrons on, Poisson's distribution is taken as a normal one.
+const MANY: f64 = 40.0;
+
+/// Replaces the picture of `frame`, whose radiance must be there, by what `sensor` makes of it. `exposure_ev` is that of
+/// the camera, in stops.
+pub fn expose(frame: &mut Frame, sensor: &Sensor, exposure_ev: f32) {
+    let [width, height] = [frame.width as usize, frame.height as usize];
+    let channels = match sensor.mosaic {
+        Mosaic::Monochrome => 1,
+        Mosaic::Bayer => 3,
+    };
+    // What falls on the sensor: 1 fills a pixel.
+    let mut light: Vec<Vec<f32>> = (0..channels)
+        .map(|channel| {
+            let pixels = frame.radiance.par_chunks_exact(3);
+            pixels
+                .map(|rgb| match sensor.mosaic {
+                    Mosaic::Monochrome => (0..3).map(|c| PANCHROMATIC[c] * rgb[c].to_f32()).sum(),
+                    Mosaic::Bayer => rgb[channel].to_f32(),
+                })
+                .collect()
+        })
+        .collect();
+    let gain = gain(frame, sensor, &light, exposure(exposure_ev));
+    for plane in &mut light {
+        let mean = plane.iter().map(|value| f64::from(*value)).sum::<f64>() / plane.len() as f64;
+        let veil = (sensor.glare * mean) as f32;
+        let focal_px = frame.focal_px as f32;
+        plane.par_chunks_exact_mut(width).enumerate().for_each(|(y, row)| {
+            for (x, value) in row.iter_mut().enumerate() {
+                let (dx, dy) = (x as f32 + 0.5 - 0.5 * width as f32, y as f32 + 0.5 - 0.5 * height as f32);
+                let cos2 = 1.0 / (1.0 + (dx * dx + dy * dy) / (focal_px * focal_px));
+                let fall = 1.0 - sensor.vignetting as f32 * (1.0 - cos2 * cos2);
+                *value = gain * fall * (*value + veil);
+            }
+        });
+        *plane = spread(plane, width, height, sensor.psf_px);
+    }
+    let readings: Vec<f32> = (0..width * height)
+        .into_par_iter()
+        .map(|pixel| {
+            let (x, y) = (pixel % width, pixel / width);
+            let channel = if channels == 1 { 0 } else { filter(x, y) };
+            read(sensor, light[channel][pixel], x, y)
+        })
+        .collect();
+    frame.rgb.par_chunks_exact_mut(3).enumerate().for_each(|(pixel, rgb)| {
+        let colour = match sensor.mosaic {
+            Mosaic::Monochrome => [readings[pixel]; 3],
+            Mosaic::Bayer => filled_in(&readings, width, height, pixel % width, pixel / width),
+        };
+        for (value, linear) in rgb.iter_mut().zip(colour) {
+            *value = (255.0 * srgb(linear) + 0.5) as u8;
+        }
+    });
+}
+
+/// Factor from radiance to the fill of a pixel: the camera's exposure, or what puts the median of the sunlit ground at the
+/// chosen level. Ground is sunlit where it is brighter than a tenth of the brightest tenth of it.
+fn gain(frame: &Frame, sensor: &Sensor, light: &[Vec<f32>], fixed: f32) -> f32 {
+    if sensor.ground_level <= 0.0 {
+        return fixed;
+    }
+    let green = &light[light.len() / 2];
+    let ground = green.iter().zip(&frame.class).filter(|(_, class)| **class == ClassId::REGOLITH.0);
+    let mut values: Vec<f32> = ground.map(|(value, _)| *value).collect();
+    if values.is_empty() {
+        return fixed;
+    }
+    values.sort_by(f32::total_cmp);
+    let bright = values[values.len() * 9 / 10];
+    let lit = &values[values.partition_point(|value| *value < 0.1 * bright)..];
+    let median = lit[lit.len() / 2];
+    if median > 0.0 { linear(sensor.ground_level as f32) / median } else { fixed }
+}
+
+/// A plane convolved with a Gaussian of this deviation; the border repeats.
+fn spread(plane: &[f32], width: usize, height: usize, sigma_px: f64) -> Vec<f32> {
+    if sigma_px < 0.05 {
+        return plane.to_vec();
+    }
+    let reach = (3.0 * sigma_px).ceil() as isize;
+    let weights: Vec<f32> = (-reach..=reach)
+        .map(|i| libm::exp(-0.5 * (i as f64 / sigma_px) * (i as f64 / sigma_px)) as f32)
+        .collect();
+    let sum: f32 = weights.iter().sum();
+    let blurred = |at: &(dyn Fn(isize) -> f32 + Sync)| -> f32 {
+        (-reach..=reach).zip(&weights).map(|(i, weight)| weight * at(i)).sum::<f32>() / sum
+    };
+    let clamped = |at: isize, end: usize| at.clamp(0, end as isize - 1) as usize;
+    let rows: Vec<f32> = (0..plane.len())
+        .into_par_iter()
+        .map(|p| blurred(&|i| plane[p / width * width + clamped((p % width) as isize + i, width)]))
+        .collect();
+    (0..plane.len())
+        .into_par_iter()
+        .map(|p| blurred(&|i| rows[clamped((p / width) as isize + i, height) * width + p % width]))
+        .collect()
+}
+
+/// The filter of a pixel: 0 red, 1 green, 2 blue.
+const fn filter(x: usize, y: usize) -> usize {
+    (x % 2) + (y % 2)
+}
+
+/// A uniform number in (0, 1) and a normal one for a pixel.
+fn uniform(x: usize, y: usize, purpose: i32, seed: u32) -> f64 {
+    (f64::from(lattice_hash(x as i32, y as i32, purpose, seed)) + 0.5) / 4_294_967_296.0
+}
+
+fn normal(x: usize, y: usize, purpose: i32, seed: u32) -> f64 {
+    let (u, v) = (uniform(x, y, purpose, seed), uniform(x, y, purpose + 1, seed));
+    (-2.0 * libm::log(u)).sqrt() * libm::cos(std::f64::consts::TAU * v)
+}
+
+/// What is read from a pixel with this fill, 0 to 1, dark level taken off.
+fn read(sensor: &Sensor, fill: f32, x: usize, y: usize) -> f32 {
+    let sensitivity = 1.0 + sensor.prnu * normal(x, y, 0, FIXED_PATTERN);
+    let dark = sensor.dark_e + sensor.dsnu_e * normal(x, y, 2, FIXED_PATTERN);
+    let mean = (f64::from(fill) * sensor.full_well_e * sensitivity + dark).max(0.0);
+    let seed = sensor.noise_seed;
+    let counted = if mean > MANY {
+        mean + mean.sqrt() * normal(x, y, 4, seed)
+    } else {
+        poisson(mean, x, y, seed)
+    };
+    let electrons = counted.min(sensor.full_well_e + dark) + sensor.read_noise_e * normal(x, y, 6, seed);
+    let steps = f64::from((1_u32 << sensor.bits) - 1);
+    // The converter spans dark level to full well, with some room below for noise.
+    let reading = ((electrons - dark) / sensor.full_well_e * steps).round().clamp(-0.02 * steps, steps);
+    (reading / steps) as f32
+}
+
+/// Poisson's distribution by inversion.
+fn poisson(mean: f64, x: usize, y: usize, seed: u32) -> f64 {
+    let mut left = uniform(x, y, 8, seed);
+    let mut chance = libm::exp(-mean);
+    let mut count = 0.0;
+    while left > chance && count < 200.0 {
+        left -= chance;
+        count += 1.0;
+        chance *= mean / count;
+    }
+    count
+}
+
+/// The three colours of a pixel from the readings around it, bilinearly.
+fn filled_in(readings: &[f32], width: usize, height: usize, x: usize, y: usize) -> [f32; 3] {
+    let (mut sums, mut counts) = ([0.0_f32; 3], [0.0_f32; 3]);
+    let own = filter(x, y);
+    for (dx, dy) in (-1..=1).flat_map(|dy: isize| (-1..=1).map(move |dx: isize| (dx, dy))) {
+        let (px, py) = (x as isize + dx, y as isize + dy);
+        if px < 0 || py < 0 || px >= width as isize || py >= height as isize {
+            continue;
+        }
+        let (px, py) = (px as usize, py as usize);
+        let channel = filter(px, py);
+        if channel != own || (dx, dy) == (0, 0) {
+            sums[channel] += readings[py * width + px];
+            counts[channel] += 1.0;
+        }
+    }
+    [0, 1, 2].map(|channel| if counts[channel] > 0.0 { sums[channel] / counts[channel] } else { readings[y * width + x] })
+}
+
+/// The sRGB transfer function (IEC 61966-2-1), linear to encoded, within 0 to 1.
+fn srgb(x: f32) -> f32 {
+    let x = x.clamp(0.0, 1.0);
+    if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * libm::powf(x, 1.0 / 2.4) - 0.055 }
+}
+
+/// Its inverse.
+fn linear(x: f32) -> f32 {
+    if x <= 0.040_45 { x / 12.92 } else { libm::powf((x + 0.055) / 1.055, 2.4) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ideal(mosaic: Mosaic) -> Sensor {
+        Sensor {
+            mosaic,
+            ground_level: 0.0,
+            glare: 0.0,
+            vignetting: 0.0,
+            psf_px: 0.0,
+            full_well_e: 20_000.0,
+            read_noise_e: 0.0,
+            dark_e: 0.0,
+            dsnu_e: 0.0,
+            prnu: 0.0,
+            bits: 14,
+            noise_seed: 9,
+        }
+    }
+
+    fn readings(sensor: &Sensor, fill: f32) -> (f64, f64) {
+        let n = 60_000;
+        let values: Vec<f64> = (0..n).map(|i| f64::from(read(sensor, fill, i % 300, i / 300))).collect();
+        let mean = values.iter().sum::<f64>() / n as f64;
+        (mean, values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / n as f64)
+    }
+
+    /// EMVA 1288: variance over mean of the electrons is 1, of readings the gain.
+    #[test]
+    fn photon_transfer_has_the_slope_of_the_gain_and_the_floor_of_the_reading() {
+        let sensor = Sensor { read_noise_e: 15.0, dark_e: 30.0, ..ideal(Mosaic::Monochrome) };
+        let points: Vec<(f64, f64)> = [0.001, 0.01, 0.1, 0.2, 0.4, 0.6].map(|fill| readings(&sensor, fill)).into();
+        let n = points.len() as f64;
+        let mean = |of: fn(&(f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / n;
+        let (mx, my) = (mean(|p| p.0), mean(|p| p.1));
+        let slope = points.iter().map(|p| (p.0 - mx) * (p.1 - my)).sum::<f64>()
+            / points.iter().map(|p| (p.0 - mx).powi(2)).sum::<f64>();
+        assert!((slope * 20_000.0 - 1.0).abs() < 0.03, "gain {}", slope * 20_000.0);
+        let (dark_mean, dark_variance) = readings(&sensor, 0.0);
+        let floor_e = dark_variance.sqrt() * 20_000.0;
+        assert!(dark_mean.abs() < 1e-4, "{dark_mean}");
+        // Reading, shot noise of the dark electrons, and the steps of the converter.
+        let expected = (15.0_f64.powi(2) + 30.0 + (20_000.0 / 16_383.0_f64).powi(2) / 12.0).sqrt();
+        assert!((floor_e / expected - 1.0).abs() < 0.03, "{floor_e} for {expected}");
+    }
+
+    #[test]
+    fn few_photons_are_poissons() {
+        for mean in [0.5, 3.0, 20.0, 39.0] {
+            let counts: Vec<f64> = (0..40_000).map(|i| poisson(mean, i % 200, i / 200, 4)).collect();
+            let found = counts.iter().sum::<f64>() / counts.len() as f64;
+            let variance =
+                counts.iter().map(|count| (count - found).powi(2)).sum::<f64>() / counts.len() as f64;
+            assert!((found / mean - 1.0).abs() < 0.02 && (variance / mean - 1.0).abs() < 0.04, "{mean}");
+        }
+    }
+
+    fn frame(width: u32, height: u32, radiance: impl Fn(u32, u32) -> [f32; 3]) -> Frame {
+        let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+        Frame {
+            width,
+            height,
+            focal_px: 100.0,
+            rgb: vec![0; (3 * width * height) as usize],
+            class: vec![ClassId::REGOLITH.0; (width * height) as usize],
+            radiance: pixels.flat_map(|(x, y)| radiance(x, y)).map(half::f16::from_f32).collect(),
+            ..Default::default()
+        }
+    }
+
+    #[test]
+    fn an_ideal_sensor_shows_what_is_there() {
+        let sensor = Sensor { full_well_e: 1e9, ..ideal(Mosaic::Bayer) };
+        let mut even = frame(32, 32, |_, _| [0.4, 0.2, 0.1]);
+        expose(&mut even, &sensor, 0.0);
+        let expected = [0.4, 0.2, 0.1].map(|value| (255.0 * srgb(value) + 0.5) as u8);
+        for rgb in even.rgb.chunks_exact(3) {
+            assert!(rgb.iter().zip(expected).all(|(value, expected)| value.abs_diff(expected) <= 1), "{rgb:?}");
+        }
+        let mut grey = frame(32, 32, |_, _| [0.3, 0.3, 0.3]);
+        expose(&mut grey, &Sensor { mosaic: Mosaic::Monochrome, ..sensor }, 1.0);
+        assert!(grey.rgb.chunks_exact(3).all(|rgb| rgb[0] == rgb[1] && rgb[1] == rgb[2]));
+        assert!(grey.rgb[0].abs_diff((255.0 * srgb(0.6) + 0.5) as u8) <= 1);
+    }
+
+    #[test]
+    fn colours_bleed_at_edges_and_only_there() {
+        let sensor = Sensor { full_well_e: 1e9, ..ideal(Mosaic::Bayer) };
+        let mut edge = frame(40, 40, |x, _| if x < 20 { [0.05; 3] } else { [0.6; 3] });
+        expose(&mut edge, &sensor, 0.0);
+        let colour = |x: u32| {
+            let rgb = &edge.rgb[(3 * (20 * 40 + x)) as usize..][..3];
+            i32::from(rgb[0]) - i32::from(rgb[2])
+        };
+        assert!((18..22).any(|x| colour(x).abs() > 10), "an edge shows the mosaic");
+        assert!((3..17).chain(23..37).all(|x| colour(x).abs() <= 1));
+    }
+
+    #[test]
+    fn light_is_spread_veiled_and_falls_to_the_corners() {
+        let sensor = Sensor { full_well_e: 1e9, psf_px: 1.0, ..ideal(Mosaic::Monochrome) };
+        let mut plane = vec![0.0; 31 * 31];
+        plane[15 * 31 + 15] = 1.0;
+        let spread = spread(&plane, 31, 31, sensor.psf_px);
+        assert!((spread.iter().sum::<f32>() - 1.0).abs() < 1e-5);
+        assert!((spread[15 * 31 + 15] - 0.159).abs() < 0.003, "1 / (2 pi sigma^2)");
+        let mut veiled = frame(20, 20, |x, _| if x < 10 { [0.0; 3] } else { [0.5; 3] });
+        expose(&mut veiled, &Sensor { psf_px: 0.0, glare: 0.02, ..sensor }, 0.0);
+        // 2 % of the mean of 0.25.
+        assert_eq!(veiled.rgb[0], (255.0 * srgb(0.005) + 0.5) as u8);
+        let mut even = frame(101, 101, |_, _| [0.5; 3]);
+        expose(&mut even, &Sensor { psf_px: 0.0, vignetting: 1.0, ..sensor }, 0.0);
+        let cos2 = 1.0 / (1.0 + 2.0 * 50.0_f32.powi(2) / 100.0_f32.powi(2));
+        assert!(even.rgb[0].abs_diff((255.0 * srgb(0.5 * cos2 * cos2) + 0.5) as u8) <= 1);
+    }
+
+    #[test]
+    fn the_ground_is_put_at_its_level() {
+        let sensor = Sensor { ground_level: 0.45, full_well_e: 1e9, ..ideal(Mosaic::Monochrome) };
+        let mut scene = frame(40, 40, |x, y| [0.001 + 0.0004 * (x * y % 40) as f32; 3]);
+        expose(&mut scene, &sensor, 0.0);
+        let mut values: Vec<u8> = scene.rgb.chunks_exact(3).map(|rgb| rgb[0]).filter(|value| *value > 30).collect();
+        values.sort_unstable();
+        assert!(values[values.len() / 2].abs_diff(115) < 12, "{}", values[values.len() / 2]);
+    }
+}
