@@ -47,13 +47,14 @@ fn fs_main(in: Varyings) -> SceneOut {
         normal = normalize(smooth_normal - across);
         // Soil lies where the rock is level enough, with an edge that its texture frays.
         let dusty = smoothstep(-0.08, 0.08, smooth_normal.z - instance.dust_above + 0.12 * texture.w);
-        albedo = mix(instance.colour * (1.0 + 0.12 * texture.w), instance.dust, dusty);
+        albedo = mix(instance.colour * (1.0 + 0.30 * texture.w), instance.dust, dusty);
     }
-    var cos_eye = max(dot(normal, to_eye), 0.0);
     if DETAIL != 0u {
-        // A slope that looks away lies behind a bump that is not drawn: what is seen is just turned to the eye.
-        cos_eye = max(cos_eye, 0.02);
+        // A slope that looks away lies behind a bump that is not drawn: what is seen there is turned to the eye.
+        let least = 0.3 * max(dot(smooth_normal, to_eye), 0.05);
+        normal = normalize(normal + max(least - dot(normal, to_eye), 0.0) * to_eye);
     }
+    let cos_eye = max(dot(normal, to_eye), 0.0);
     let cos_light = max(dot(normal, frame.sun_direction), 0.0);
     var visible = 0.0;
     // A surface that is turned away from the sun hides it.

@@ -233,6 +233,10 @@ knobs! {
         "Rocks that would cover fewer pixels, nothing before them, count as regolith.";
     LabelMinDiameterM "label.min_diameter_m" "m" Number, Frame, number(0.0), [0.0, 10.0],
         "Rocks with a smaller diameter count as regolith.";
+    LabelCraterMinDiameterM "label.crater_min_diameter_m" "m" Number, Frame, number(0.5), [0.1, 100.0],
+        "Smaller craters are not marked as such.";
+    LabelCraterMinDepth "label.crater_min_depth" "" Number, Frame, number(0.04), [0.0, 0.5],
+        "Craters whose depth is a smaller part of their diameter are worn so much that they are not marked.";
     CameraXM "camera.x_m" "m" Number, Frame, number(0.0), [-2000.0, 2000.0],
         "Where the camera stands, to the right.";
     CameraYM "camera.y_m" "m" Number, Frame, number(-90.0), [-2000.0, 2000.0],
@@ -269,6 +273,8 @@ knobs! {
         "Deviation of those from pixel to pixel, the same in every frame.";
     SensorPrnu "sensor.prnu" "" Number, Frame, number(0.01), [0.0, 0.2],
         "Relative deviation of the pixels' sensitivity, the same in every frame.";
+    SensorBlackLevel "sensor.black_level" "" Number, Frame, number(0.003), [0.0, 0.2],
+        "Part of the full scale that becomes black, as published pictures are stretched: skies come to 0 to 2 of 255.";
     SensorBits "sensor.bits" "" Integer, Frame, number(11.0), [4.0, 16.0],
         "Bits of a reading.";
     SkyStarCount "sky.star_count" "" Integer, Frame, number(220.0), [0.0, 20_000.0],

@@ -61,13 +61,17 @@ pub struct Scene {
     pub sensor: Option<Sensor>,
 }
 
-/// Which rocks are too small to count as rocks: a rule on the rock, not on the mask.
+/// Which rocks are too small to count as rocks, and which craters are marked: rules on the things, not on the mask.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LabelRule {
     /// Those that would cover fewer pixels with nothing before them.
     pub min_pixels: f32,
     /// Those with a smaller diameter, metres.
     pub min_diameter_m: f32,
+    /// Smaller craters are not marked, metres.
+    pub crater_min_diameter_m: f32,
+    /// Nor are those with a smaller depth, diameters.
+    pub crater_min_depth: f32,
 }
 
 impl LabelRule {
@@ -138,6 +142,8 @@ impl Scene {
             label_rule: LabelRule {
                 min_pixels: params.number(Knob::LabelMinPixels) as f32,
                 min_diameter_m: params.number(Knob::LabelMinDiameterM) as f32,
+                crater_min_diameter_m: params.number(Knob::LabelCraterMinDiameterM) as f32,
+                crater_min_depth: params.number(Knob::LabelCraterMinDepth) as f32,
             },
             sun: Sun::build(params),
             sensor: Sensor::build(streams, params),

@@ -185,7 +185,7 @@ fn crater_steepness(r: f32, age: f32) -> f32 {
 
 // Octaves of a rock's texture, and the rise per metre of each.
 const TEXTURE_OCTAVES: i32 = 4;
-const TEXTURE_STEEPNESS: f32 = 0.30;
+const TEXTURE_STEEPNESS: f32 = 0.12;
 
 // Slope of the texture of a rock at a place (metres from its centre) with samples this far apart, and in w its shade, mean 0.
 // Octaves are anchored in the rock; they come and go smoothly with the distance.

@@ -15,8 +15,6 @@ use crate::scene::craters::Pit;
 const TILE_PX: usize = 16;
 /// Length over which the slope of the ground is taken, metres: about a rover's wheelbase.
 pub const SLOPE_BASELINE_M: f32 = 0.5;
-/// Smallest crater that is marked, metres.
-pub const CRATER_LEAST_M: f32 = 0.5;
 /// Where the rim ends, in radii from the centre.
 pub const RIM_RADII: f32 = 1.3;
 /// Ground that is further off than this is a mountain in the five-class mask, metres.
@@ -195,12 +193,21 @@ fn craters(scene: &Scene, width: usize, pixels: &[Option<Vec2>]) -> Vec<u8> {
 
 /// Centres and radii, metres, of the craters that reach into a circle.
 fn near_craters(scene: &Scene, middle: Vec2, radius_m: f32) -> Vec<(Vec2, f32)> {
-    let mut near: Vec<(Vec2, f32)> =
-        scene.terrain.craters.iter().map(|crater| (crater.centre, crater.radius_m)).collect();
+    let rule = &scene.label_rule;
+    let is_marked = |diameter_m: f32, depth: f32| {
+        diameter_m >= rule.crater_min_diameter_m && depth >= rule.crater_min_depth
+    };
+    let classic = scene.terrain.craters.iter().filter(|crater| {
+        let diameter_m = 2.0 * crater.radius_m;
+        is_marked(diameter_m, (crater.depth_m + crater.rim_m) / diameter_m)
+    });
+    let mut near: Vec<(Vec2, f32)> = classic.map(|crater| (crater.centre, crater.radius_m)).collect();
     if let Some(relief) = &scene.relief {
         let centre = scene.terrain.centre;
-        relief.craters.around(middle - centre, radius_m, CRATER_LEAST_M, |pit: Pit| {
-            near.push((centre + pit.offset, 0.5 * pit.diameter_m));
+        relief.craters.around(middle - centre, radius_m, rule.crater_min_diameter_m, |pit: Pit| {
+            if is_marked(pit.diameter_m, pit.depth) {
+                near.push((centre + pit.offset, 0.5 * pit.diameter_m));
+            }
         });
     }
     near

@@ -1,7 +1,7 @@
 //! What a sensor makes of a frame's linear radiance: the 8-bit picture with the marks of a real camera.
 //!
 //! In the order of the light: exposure, veiling glare, vignetting, the spread of points, colour filters, photons and
-//! electrons, reading, filling in of the colours, encoding. Labels are not touched: nothing here moves a thing in the picture.
+//! electrons, reading, filling in of the colours, black level, encoding. Labels are not touched: nothing here moves a thing in the picture.
 //! Every random number is a hash of pixel and frame, so that the same frame is the same to the bit for any number of
 //! threads.
 
@@ -69,7 +69,8 @@ pub fn expose(frame: &mut Frame, sensor: &Sensor, exposure_ev: f32) {
             Mosaic::Bayer => filled_in(&readings, width, height, pixel % width, pixel / width),
         };
         for (value, linear) in rgb.iter_mut().zip(colour) {
-            *value = (255.0 * srgb(linear) + 0.5) as u8;
+            let black = sensor.black_level as f32;
+            *value = (255.0 * srgb((linear - black) / (1.0 - black)) + 0.5) as u8;
         }
     });
 }
@@ -209,6 +210,7 @@ mod tests {
             dark_e: 0.0,
             dsnu_e: 0.0,
             prnu: 0.0,
+            black_level: 0.0,
             bits: 14,
             noise_seed: 9,
         }

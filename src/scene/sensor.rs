@@ -37,6 +37,8 @@ pub struct Sensor {
     pub dsnu_e: f64,
     /// Deviation of the pixels' sensitivity, relative, the same in every frame.
     pub prnu: f64,
+    /// Part of the full scale that becomes black.
+    pub black_level: f64,
     /// Bits of a reading.
     pub bits: u32,
     /// Seed of this frame's noise.
@@ -64,6 +66,7 @@ impl Sensor {
             dark_e: number(Knob::SensorDarkE),
             dsnu_e: number(Knob::SensorDsnuE),
             prnu: number(Knob::SensorPrnu),
+            black_level: number(Knob::SensorBlackLevel),
             bits: params.count(Knob::SensorBits),
             noise_seed: streams.stream("sensor.noise", 0).bits(),
         })

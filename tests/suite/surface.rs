@@ -392,3 +392,123 @@ fn label_rules_take_whole_rocks_out() {
     assert!(kept > 0 && (kept as usize) < before.rocks.len() / 2, "{kept} of {}", before.rocks.len());
     assert_eq!(few.geometry_hash(), all.geometry_hash());
 }
+
+/// The planes for planners against the scene itself.
+#[test]
+fn hazard_planes_are_those_of_the_scene() {
+    use regolith::render::hazards::{CRATER_INTERIOR, CRATER_RIM, FiveClasses, MOUNTAIN_FROM_M, SLOPE_BASELINE_M};
+    let scene = scene(11, &[SURFACE, "camera.pitch_deg=-15"]);
+    let asked = [
+        Annotation::Slope,
+        Annotation::Craters,
+        Annotation::Angles,
+        Annotation::FiveClasses,
+        Annotation::Depth,
+        Annotation::Normals,
+        Annotation::Instances,
+    ];
+    let frame = frame(&scene, 160, &asked);
+    let camera = &scene.camera;
+    let focal = camera.focal_px(160) as f32;
+    let mut craters = Vec::new();
+    let relief = scene.relief.as_ref().expect("a relief");
+    relief.craters.around(Vec2::ZERO, 100.0, scene.label_rule.crater_min_diameter_m, |pit| {
+        if pit.depth >= scene.label_rule.crater_min_depth {
+            craters.push((scene.terrain.centre + pit.offset, 0.5 * pit.diameter_m));
+        }
+    });
+    let mut seen = [0_u32; 5];
+    for pixel in 0..frame.class.len() {
+        seen[usize::from(frame.five_classes[pixel])] += 1;
+        let collapsed = match frame.five_classes[pixel] {
+            FiveClasses::CRATER | FiveClasses::MOUNTAIN => ClassId::REGOLITH.0,
+            id => id,
+        };
+        assert_eq!(collapsed, frame.class[pixel], "five classes collapse to three");
+        let (x, y) = ((pixel % 160) as f32 - 79.5, (pixel / 160) as f32 - 79.5);
+        let ray = camera.forward + x / focal * camera.right - y / focal * camera.up;
+        let place = camera.eye + frame.depth_m[pixel] * ray;
+        if frame.class[pixel] == ClassId::SKY.0 {
+            assert!(frame.slope_deg[pixel].is_nan() && frame.phase_deg[pixel].is_nan());
+            continue;
+        }
+        let phase = (-ray.normalize()).dot(scene.sun.direction).acos().to_degrees();
+        assert!((frame.phase_deg[pixel] - phase).abs() < 0.05, "{phase}");
+        let normal = glam::Vec3::from_slice(&frame.normals[3 * pixel..3 * pixel + 3]);
+        let incidence = normal.dot(scene.sun.direction).clamp(-1.0, 1.0).acos().to_degrees();
+        assert!((frame.incidence_deg[pixel] - incidence).abs() < 0.05, "{incidence}");
+        if frame.class[pixel] != ClassId::REGOLITH.0 {
+            assert_eq!(frame.craters[pixel], 0, "rocks are no craters");
+            continue;
+        }
+        let half = 0.5 * SLOPE_BASELINE_M;
+        let height = |x: f32, y: f32| scene.terrain.surface_height_at(place.truncate() + Vec2::new(x, y));
+        let rise = Vec2::new(height(half, 0.0) - height(-half, 0.0), height(0.0, half) - height(0.0, -half));
+        let slope = (rise / SLOPE_BASELINE_M).length().atan().to_degrees();
+        assert!((frame.slope_deg[pixel] - slope).abs() < 0.5, "{} and {slope}", frame.slope_deg[pixel]);
+        let nearest = craters
+            .iter()
+            .map(|(centre, radius)| place.truncate().distance(*centre) / radius)
+            .fold(f32::INFINITY, f32::min);
+        // Near, for the list's sake, and not where a rounding decides.
+        let is_near = place.distance(camera.eye) < 90.0;
+        if is_near && [1.0, 1.3].iter().all(|edge: &f32| (nearest - edge).abs() > 1e-3) {
+            let expected = if nearest < 1.0 { CRATER_INTERIOR } else if nearest < 1.3 { CRATER_RIM } else { 0 };
+            assert_eq!(frame.craters[pixel], expected, "{nearest} radii from a centre");
+        }
+        let far = frame.five_classes[pixel] == FiveClasses::MOUNTAIN;
+        assert!(!far || place.distance(camera.eye) >= MOUNTAIN_FROM_M * 0.999);
+    }
+    assert!(seen[0] > 1000 && seen[1] > 20 && seen[2] > 100 && seen[3] > 100, "{seen:?}");
+    for rock in &frame.rocks {
+        let of = &scene.rocks[usize::from(rock.instance) - 1];
+        assert!((rock.diameter_m / (2.0 * of.base_scale_m) - 1.0).abs() < 0.01, "{rock:?}");
+        assert!(rock.height_m > 0.1 * rock.diameter_m && rock.height_m < 1.2 * rock.diameter_m, "{rock:?}");
+    }
+}
+
+/// Contrast of a class in a band of 1 to 4 pixels, relative to its brightness: what blurring with 1 and with 4 pixels leaves
+/// between, over pixels whose surroundings are of that class.
+fn band_contrast(frame: &Frame, side: usize, class: u8, phases_deg: [f32; 2]) -> Option<f64> {
+    let value = |pixel: usize| f64::from(frame.radiance[3 * pixel + 1].to_f32());
+    let mean = |x: usize, y: usize, reach: usize| {
+        let span = |v: usize| v - reach..=v + reach;
+        let all = span(y).flat_map(|y| span(x).map(move |x| value(y * side + x)));
+        all.sum::<f64>() / ((2 * reach + 1) as f64).powi(2)
+    };
+    let (mut squares, mut sum, mut n) = (0.0, 0.0, 0.0);
+    for (y, x) in (4..side - 4).flat_map(|y| (4..side - 4).map(move |x| (y, x))) {
+        let alike = (y - 2..=y + 2).all(|y| (x - 2..=x + 2).all(|x| frame.class[y * side + x] == class));
+        let lit = (y - 2..=y + 2).all(|y| (x - 2..=x + 2).all(|x| frame.hidden[y * side + x] < 128));
+        let phase_deg = frame.phase_deg[y * side + x];
+        if alike && lit && phases_deg[0] <= phase_deg && phase_deg <= phases_deg[1] {
+            squares += (value(y * side + x) - mean(x, y, 2)).powi(2);
+            sum += value(y * side + x);
+            n += 1.0;
+        }
+    }
+    (n > 40.0).then(|| (squares / n).sqrt() / (sum / n))
+}
+
+/// Real frames of Chang'e-3: rocks have as much texture as soil in side light (0.85 to 1.1), and more with the sun behind the
+/// camera, where the relief of soil does not show (2 to 4).
+#[test]
+fn rocks_have_as_much_texture_as_soil_in_side_light() {
+    let ratio = |azimuth_deg: f64, elevation_deg: f64, phases_deg: [f32; 2]| {
+        let set = [format!("sun.azimuth_deg={azimuth_deg}"), format!("sun.elevation_deg={elevation_deg}")];
+        let mut ratios = Vec::new();
+        for seed in 0..SEEDS_OF_TEXTURE {
+            let scene =
+                scene(seed, &[SURFACE, "rocks.coverage=0.05", "camera.pitch_deg=-12", &set[0], &set[1]]);
+            let frame = frame(&scene, 256, &[Annotation::Hdr, Annotation::Shadow, Annotation::Angles]);
+            let [soil, rock] = [ClassId::REGOLITH, ClassId::ROCK].map(|class| band_contrast(&frame, 256, class.0, phases_deg));
+            ratios.extend(rock.zip(soil).map(|(rock, soil)| rock / soil));
+        }
+        println!("sun at {azimuth_deg}, {elevation_deg}: {} frames, median {:.2}", ratios.len(), median(ratios.clone()));
+        median(ratios)
+    };
+    let (side, behind) = (ratio(90.0, 20.0, [50.0, 180.0]), ratio(180.0, 30.0, [0.0, 25.0]));
+    assert!((0.8..=1.3).contains(&side), "side light: {side}");
+    assert!((1.5..=4.5).contains(&behind), "sun behind: {behind}");
+}
+const SEEDS_OF_TEXTURE: u64 = 20;
