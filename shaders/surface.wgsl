@@ -1,7 +1,8 @@
 // Ground and rocks: lit radiance and labels from one draw.
 
-// Draws ground on which no shadow can fall: what faces the sun sees all of it.
-override OPEN: bool;
+// What can shade what is drawn (by its place in `Shades`, src/render/shadow.rs): nothing, so that what faces the sun sees
+// all of it; other ground; rocks, and maybe ground.
+override SHADES: u32;
 // The law of reflection.
 override LAW: u32;
 // What detail below the mesh there is: none, that of the ground, that of rocks.
@@ -61,7 +62,10 @@ fn fs_main(in: Varyings) -> SceneOut {
     let facet = cross(dpdx(in.offset), dpdy(in.offset));
     if dot(smooth_normal, frame.sun_direction) > 0.0 {
         visible = 1.0;
-        if !OPEN {
+        if SHADES == 1u {
+            visible = horizon_visibility(frame.eye + in.offset);
+        }
+        if SHADES == 2u {
             let facet_normal = normalize(select(-facet, facet, dot(facet, to_eye) > 0.0));
             visible = sun_visibility(frame.eye + in.offset, facet_normal, smooth_normal, pattern_turn(in.clip.xy));
         }

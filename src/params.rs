@@ -143,7 +143,7 @@ knobs! {
         "Side of the square of ground, centred on the origin.";
     TerrainCells "terrain.cells" "" in Nominal Integer, Frame, number(300.0), [10.0, 1000.0],
         "Cells along a side of the ground's grid, two triangles each.";
-    TerrainCellMrad "terrain.cell_mrad" "mrad" in Surface Number, Frame, number(10.0), [2.0, 50.0],
+    TerrainCellMrad "terrain.cell_mrad" "mrad" in Surface Number, Frame, number(12.0), [2.0, 50.0],
         "Angle that a cell of the ground's mesh spans seen from the camera; detail below it is in the shading.";
     ReliefHillsM "relief.hills_m" "m" in Surface Number, Frame, number(9.0), [0.0, 60.0],
         "Amplitude of hills 250 m long and shorter; their standard deviation is about a sixth of it.";

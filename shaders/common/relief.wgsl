@@ -48,7 +48,7 @@ const JITTER_CELLS: f32 = 0.17;
 const PROFILE_DEPTH: f32 = 0.114;
 const RIM: f32 = 0.02513;
 const CLOD_HEIGHT: f32 = 0.22;
-const SECOND_HASH: u32 = 0x68bc21ebu;
+const SECOND_HASH: u32 = 0x2c1b3c6du;
 
 // How much of something of this size the mesh shows.
 fn mesh_share(size_m: f32, cell_m: f32) -> f32 {
@@ -145,42 +145,50 @@ fn pits_slope(index: u32, place: vec2<f32>, cell_m: f32, sample_m: f32) -> vec2<
     let lattice = relief.pits[index];
     let local = to_lattice(lattice, place);
     let corner = floor(local - 0.5);
+    let mesh_scale = 1.0 / (CELLS_LEAST * cell_m);
+    let sample_scale = 0.5 / sample_m;
+    let not_clods = 1.0 / (1.0 - lattice.clods);
     var slope = vec2(0.0);
     for (var k = 0; k < 4; k++) {
         let at = corner + vec2(f32(k & 1), f32(k >> 1u));
         let cell = lattice.base + vec2<i32>(at);
         let first = lattice_hash(cell.x, cell.y, 0, lattice.seed);
-        let second = lattice_hash(cell.x, cell.y, 0, lattice.seed ^ SECOND_HASH);
+        var second = (first ^ (first >> 15u)) * SECOND_HASH;
+        second ^= second >> 12u;
         let jitter = (vec2(f32(second & 0x3ffu), f32((second >> 10u) & 0x3ffu)) / 512.0 - 1.0) * JITTER_CELLS + 0.5;
-        let diameter_m = 0.5 * lattice.largest_m * inverseSqrt(1.0 - 0.75 * f32(second >> 20u) / 4096.0);
+        // One over the radius, metres.
+        let per_radius = 4.0 / lattice.largest_m * sqrt(1.0 - 0.75 * f32(second >> 20u) / 4096.0);
+        let diameter_m = 2.0 / per_radius;
         let offset = local - at - jitter;
-        let cells = max(length(offset), 1.0e-6);
-        let r = 2.0 * cells * lattice.cell_m / diameter_m;
+        let per_cells = inverseSqrt(max(dot(offset, offset), 1.0e-12));
+        let r = lattice.cell_m * per_radius / per_cells;
         let age = f32(first >> 16u) / 65536.0;
         let steepness = select(
-            crater_steepness(r, (age - lattice.clods) / (1.0 - lattice.clods)),
+            crater_steepness(r, (age - lattice.clods) * not_clods),
             -8.0 * CLOD_HEIGHT * r * max(1.0 - r * r, 0.0),
             age < lattice.clods,
         );
-        let share = (1.0 - mesh_share(diameter_m, cell_m)) * sample_share(diameter_m, sample_m);
+        let in_mesh = clamp(diameter_m * mesh_scale - 1.0, 0.0, 1.0);
+        let share = (1.0 - in_mesh) * clamp(diameter_m * sample_scale - 1.0, 0.0, 1.0);
         let there = f32(first & 0xffffu) / 65536.0 < lattice.amount;
-        slope += select(0.0, share * steepness, there) * offset / cells;
+        slope += select(0.0, share * steepness, there) * per_cells * offset;
     }
     return lattice.cell_m * slope_from_lattice(lattice, slope);
 }
 
 // Rise per metre away from the centre of a crater of an age in [0, 1), at a distance in radii.
 fn crater_steepness(r: f32, age: f32) -> f32 {
-    let wear = (age - relief.fresh_share) / (1.0 - relief.fresh_share);
-    let fresh = 0.11 + 0.04 * (1.0 - age / max(relief.fresh_share, 1.0e-6));
+    let fresh_share = relief.fresh_share;
+    let wear = (age - fresh_share) / (1.0 - fresh_share);
+    let fresh = 0.15 - 0.04 / max(fresh_share, 1.0e-6) * age;
     // 0.12 to 0.02 evenly in the logarithm.
-    let depth = select(min(0.12 * exp2(-2.5849625 * wear), 0.1099), fresh, age < relief.fresh_share);
+    let depth = select(min(0.12 * exp2(-2.5849625 * wear), 0.1099), fresh, age < fresh_share);
     // The derivative of the polynomial inside the crest, of the ejecta's power law outside, faded out where the next
     // cells begin.
     let bowl = 0.0513832 + r * (-0.1504748 + r * (2.9375904 + r * (-5.661628 + r * 2.871354)));
     let square = r * r;
-    let ejecta = -3.1906 * RIM / (square * square) * clamp((1.5 - r) / 0.4, 0.0, 1.0);
-    return 2.0 * depth / PROFILE_DEPTH * select(ejecta, bowl, r < 1.0);
+    let ejecta = -3.1906 * RIM / (square * square) * clamp((1.5 - r) * 2.5, 0.0, 1.0);
+    return 2.0 / PROFILE_DEPTH * depth * select(ejecta, bowl, r < 1.0);
 }
 
 // Octaves of a rock's texture, and the rise per metre of each.

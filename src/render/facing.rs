@@ -2,8 +2,8 @@
 //!
 //! A driver that rasterises on the CPU takes as long for a triangle that faces away as this takes for fifty. What is
 //! left out here could not have covered a sample, so that labels and picture are the same with and without.
-//! Such a driver also runs every branch of a shader: ground on which no shadow can fall is told apart, to be drawn by a
-//! program without any.
+//! Such a driver also runs every branch of a shader: ground on which no shadow can fall, or only that of other ground, is
+//! told apart, to be drawn by a program without the rest.
 //! Must not know: buffers.
 
 use std::ops::Range;
@@ -12,10 +12,9 @@ use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::selection::{Frustum, Selection, ground_blocks};
-use super::shadow::{ASK_HORIZON, CASTER_CELLS};
+use super::shadow::CasterGrids;
 use crate::scene::Scene;
 use crate::scene::rocks::Rock;
-use crate::scene::terrain::Layout;
 
 /// A triangle counts as facing both ways if the sine of its tilt is below this: a device's arithmetic may differ from
 /// ours.
@@ -37,8 +36,9 @@ pub struct RockTriangles {
 pub struct Facing {
     /// For each of [`Selection::rocks`].
     pub rocks: Vec<RockTriangles>,
-    /// For each of [`Selection::blocks`]: ground on which no shadow can fall, and the rest.
-    pub ground: Vec<[Vec<[u32; 3]>; 2]>,
+    /// For each of [`Selection::blocks`]: ground on which no shadow can fall, on which only that of ground can, and the
+    /// rest.
+    pub ground: Vec<[Vec<[u32; 3]>; 3]>,
 }
 
 impl Facing {
@@ -57,12 +57,12 @@ impl Facing {
                 RockTriangles { seen, fronts, backs }
             })
             .collect();
-        let shaded = shaded_cells(scene, caster_grid);
+        let grids = CasterGrids::new(&scene.terrain);
         let spans: Vec<[Range<u32>; 2]> = ground_blocks(&scene.terrain).collect();
         let ground = selection
             .blocks
             .par_iter()
-            .map(|&(block, _)| ground_triangles(scene, &spans[block], frustum, &shaded))
+            .map(|&(block, _)| ground_triangles(scene, &spans[block], frustum, &grids, caster_grid))
             .collect();
         Self { rocks, ground }
     }
@@ -80,12 +80,8 @@ fn seen_triangles(scene: &Scene, rock: &Rock, level: usize) -> Vec<[u32; 3]> {
     // Whatever lies below the lowest ground around the rock is under the ground.
     let buried_m = lowest_ground_m(scene, rock) - rock.centre.z;
     let triangles = rock.triangles(level).iter().filter(|triangle| {
-        let (normal, [a, b, c]) = normal(rock, triangle);
-        let to_eye = eye - a;
-        let facing = normal.dot(to_eye);
-        (facing > 0.0
-            || facing * facing < EDGE_ON * EDGE_ON * normal.length_squared() * to_eye.length_squared())
-            && a.z.max(b.z).max(c.z) > buried_m
+        let (_, [a, b, c]) = normal(rock, triangle);
+        may_face([a, b, c], eye - a) && a.z.max(b.z).max(c.z) > buried_m
     });
     triangles.copied().collect()
 }
@@ -121,49 +117,37 @@ fn lowest_ground_m(scene: &Scene, rock: &Rock) -> f32 {
     terrain.lowest_over(low, high)
 }
 
-/// For each cell of the ground, whether any shadow can fall on it. Of rings, which have relief everywhere, on all.
-fn shaded_cells(scene: &Scene, caster_grid: &[u32]) -> Vec<bool> {
-    let terrain = &scene.terrain;
-    if matches!(terrain.layout, Layout::Rings(_)) {
-        return vec![true; (terrain.columns * terrain.rows) as usize];
-    }
-    let (cells, side) = (terrain.columns as usize, CASTER_CELLS as usize);
-    let mut shaded = vec![false; cells * cells];
-    let per_cell = cells as f32 / side as f32;
-    let span = |cell: usize| {
-        let low = (cell as f32 * per_cell - 1e-3).max(0.0) as usize;
-        low..(((cell + 1) as f32 * per_cell + 1e-3).ceil() as usize).min(cells)
-    };
-    for (cell, starts) in caster_grid[..=side * side].windows(2).enumerate() {
-        let empty = starts[0] & ASK_HORIZON == 0 && starts[0] == starts[1] & !ASK_HORIZON;
-        if !empty {
-            for row in span(cell / side) {
-                shaded[row * cells..][span(cell % side)].fill(true);
-            }
-        }
-    }
-    shaded
-}
-
-/// The triangles of a block that may be seen: those on which no shadow can fall, and the rest.
+/// The triangles of a block that may be seen, by what can shade them: nothing, other ground, rocks.
 fn ground_triangles(
     scene: &Scene,
     [columns, rows]: &[Range<u32>; 2],
     frustum: &Frustum,
-    shaded: &[bool],
-) -> [Vec<[u32; 3]>; 2] {
+    grids: &CasterGrids,
+    caster_grid: &[u32],
+) -> [Vec<[u32; 3]>; 3] {
     let terrain = &scene.terrain;
-    let mut lists = [Vec::new(), Vec::new()];
+    let mut lists = [Vec::new(), Vec::new(), Vec::new()];
     for row in rows.clone() {
         for column in columns.clone() {
             let corners = terrain.corners(column, row);
             let (low, high) =
                 corners.iter().fold((corners[0], corners[0]), |(low, high), p| (low.min(*p), high.max(*p)));
             if frustum.may_see_box(low, high) {
-                let list = usize::from(shaded[(row * terrain.columns + column) as usize]);
-                lists[list].extend(terrain.block_triangles(column..column + 1, row..row + 1));
+                let shades = grids.shades_over(caster_grid, low.truncate(), high.truncate());
+                let triangles = terrain.block_triangles(column..column + 1, row..row + 1);
+                lists[shades as usize].extend(triangles.filter(|triangle| {
+                    let corners = triangle.map(|vertex| terrain.vertices[vertex as usize].position);
+                    may_face(corners, scene.camera.eye - corners[0])
+                }));
             }
         }
     }
     lists
+}
+
+/// Whether a triangle may face in the direction from its first corner.
+fn may_face([a, b, c]: [Vec3; 3], towards: Vec3) -> bool {
+    let normal = (b - a).cross(c - a);
+    let facing = normal.dot(towards);
+    facing > 0.0 || facing * facing < EDGE_ON * EDGE_ON * normal.length_squared() * towards.length_squared()
 }

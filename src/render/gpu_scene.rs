@@ -45,10 +45,9 @@ pub struct Draw {
 pub struct DrawList {
     /// Into the shadow atlas: fronts, backs.
     pub casters: [Vec<Draw>; 2],
-    /// Ground on which no shadow can fall, where it is told apart; near to far.
-    pub open_ground: Vec<Draw>,
-    /// Other ground, near to far.
-    pub ground: Vec<Draw>,
+    /// Ground on which no shadow can fall, and that on which only other ground's can, where they are told apart, and the
+    /// rest; each near to far.
+    pub ground: [Vec<Draw>; 3],
     /// Rocks, near to far.
     pub rocks: Vec<Draw>,
     /// Stars, then the dome.
@@ -222,7 +221,7 @@ impl GpuScene {
     pub fn drawn_triangles(&self) -> u64 {
         let count = |d: &Draw| u64::from(d.indices.end - d.indices.start) / 3 * d.instances.len() as u64;
         let draws = &self.draws;
-        [&draws.open_ground, &draws.ground, &draws.rocks, &draws.sky].into_iter().flatten().map(count).sum()
+        draws.ground.iter().chain([&draws.rocks, &draws.sky]).flatten().map(count).sum()
     }
 
     /// The index buffer depends on the ground's layout alone.
@@ -277,16 +276,16 @@ impl GpuScene {
             class_id: ClassId::REGOLITH.0.into(),
             ..Default::default()
         }];
-        let (mut open_ground, mut ground, mut rocks) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut ground, mut rocks) = ([const { Vec::new() }; 3], Vec::new());
         for (place, &(block, nearest_m)) in selection.blocks.iter().enumerate() {
             let draw = |indices| Draw { indices, base_vertex: ground_base as i32, instances: 0..1 };
             if let Some(facing) = facing {
-                let [open, shaded] = &facing.ground[place];
-                open_ground.push((nearest_m, draw(picked.add(open))));
-                ground.push((nearest_m, draw(picked.add(shaded))));
+                for (list, triangles) in ground.iter_mut().zip(&facing.ground[place]) {
+                    list.push((nearest_m, draw(picked.add(triangles))));
+                }
             } else {
                 let whole = self.ground.as_ref().map_or(0..0, |ground| ground.blocks[block].clone());
-                ground.push((nearest_m, draw(whole)));
+                ground[2].push((nearest_m, draw(whole)));
             }
         }
         // Rocks: an instance each; as many vertices as the finer of its two uses needs.
@@ -329,8 +328,7 @@ impl GpuScene {
             uploads.push((rock_base, vertices));
             rock_base += vertices.len();
         }
-        draws.open_ground = near_to_far(open_ground);
-        draws.ground = near_to_far(ground);
+        draws.ground = ground.map(near_to_far);
         draws.rocks = near_to_far(rocks);
         // Sky: stars before the dome that they cover.
         let in_sky = |origin, scale, colour| Instance {

@@ -2,6 +2,7 @@
 
 use super::gpu_scene::GpuScene;
 use super::shaders::{Program, SKY, SURFACE};
+use super::shadow::Shades;
 use super::targets::{Plane, Targets, depth_state};
 use super::{BindLayouts, vertex_layout};
 use crate::frame::Annotations;
@@ -13,8 +14,8 @@ use crate::scene::photometry::Law;
 pub(super) struct ScenePass {
     modules: [wgpu::ShaderModule; 2],
     layouts: [wgpu::PipelineLayout; 2],
-    /// Open ground, ground, rocks and sky, for each variant that was needed so far.
-    pipelines: Vec<(Variant, [wgpu::RenderPipeline; 4])>,
+    /// Ground by what can shade it, rocks and sky, for each variant that was needed so far.
+    pipelines: Vec<(Variant, [wgpu::RenderPipeline; 5])>,
 }
 
 /// What pipelines are made for.
@@ -63,9 +64,9 @@ impl ScenePass {
         let positions_and_normals = wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3];
         let positions = wgpu::vertex_attr_array![0 => Float32x3];
         let law = f64::from(variant.law as u32);
-        let surface = |open: f64, detail: f64| {
+        let surface = |shades: Shades, detail: f64| {
             let detail = if variant.detail { detail } else { NO_DETAIL };
-            let constants = [("OPEN", open), ("LAW", law), ("DETAIL", detail)];
+            let constants = [("SHADES", f64::from(shades as u32)), ("LAW", law), ("DETAIL", detail)];
             self.pipeline(
                 gpu,
                 0,
@@ -76,9 +77,10 @@ impl ScenePass {
             )
         };
         let pipelines = [
-            surface(1.0, RELIEF_DETAIL),
-            surface(0.0, RELIEF_DETAIL),
-            surface(0.0, TEXTURE_DETAIL),
+            surface(Shades::Nothing, RELIEF_DETAIL),
+            surface(Shades::Ground, RELIEF_DETAIL),
+            surface(Shades::Casters, RELIEF_DETAIL),
+            surface(Shades::Casters, TEXTURE_DETAIL),
             // The dome is seen from inside, the stars from outside.
             self.pipeline(gpu, 1, &[], variant.annotations, &positions, None),
         ];
@@ -170,14 +172,16 @@ impl ScenePass {
         let pipelines = &made.expect("pipelines are prepared before they are used").1;
         let draws = &scene.draws;
         let things = scene.thing_indices();
+        let [open, by_ground, by_rocks] = &draws.ground;
         let lists = [
-            (&draws.open_ground, things),
-            (&draws.ground, things),
+            (open, things),
+            (by_ground, things),
+            (by_rocks, things),
             (&draws.rocks, things),
             (&draws.sky, &scene.indices),
         ];
         // Rocks before the ground that they cover, all before the sky.
-        for place in [2, 0, 1, 3] {
+        for place in [3, 2, 1, 0, 4] {
             let (list, indices) = lists[place];
             pass.set_pipeline(&pipelines[place]);
             super::draw_all(&mut pass, scene, indices, list);

@@ -22,7 +22,7 @@ pub const ATLAS_PX: u32 = 4096;
 /// Cells along a side of the grid that finds the casters of a place, over a square of ground.
 pub const CASTER_CELLS: u32 = 512;
 /// The same for each of the grids over rings.
-const RING_CASTER_CELLS: u32 = 64;
+const RING_CASTER_CELLS: u32 = 192;
 /// Half the side of the innermost grid over rings, metres.
 const INNERMOST_M: f32 = 4.0;
 /// Set in the start of a cell's list if the ground may hide the sun from a place above the cell.
@@ -106,6 +106,17 @@ fn pack(casters: &mut [Caster]) -> bool {
     true
 }
 
+/// What can shade a place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shades {
+    /// Nothing.
+    Nothing,
+    /// Other ground.
+    Ground,
+    /// Rocks, and maybe ground.
+    Casters,
+}
+
 /// Square grids over the ground, each over twice the side of the one before: which casters a place asks.
 #[derive(Clone, Copy, Debug)]
 pub struct CasterGrids {
@@ -134,6 +145,40 @@ impl CasterGrids {
                 Self { centre, half_m: INNERMOST_M, cells: RING_CASTER_CELLS, levels }
             }
         }
+    }
+
+    /// What can shade the ground in a box (its lowest and highest corner, seen from above, metres).
+    #[must_use]
+    pub fn shades_over(&self, grid: &[u32], low: Vec2, high: Vec2) -> Shades {
+        let (from, to) = (low - self.centre, high - self.centre);
+        let nearest = Vec2::ZERO.clamp(from, to).abs().max_element();
+        let furthest = from.abs().max(to.abs()).max_element();
+        let mut found = Shades::Nothing;
+        for level in 0..self.levels {
+            let half_m = self.half_m * (1_u32 << level) as f32;
+            // A little more, for a device may choose the grid of a place at their borders otherwise than we.
+            let serves = (level == 0 || furthest * 1.001 >= 0.5 * half_m)
+                && (level + 1 == self.levels || nearest <= 1.001 * half_m);
+            if !serves {
+                continue;
+            }
+            let per_m = 0.5 * self.cells as f32 / half_m;
+            let place = |metres: f32| (metres + half_m) * per_m;
+            let first = |metres: f32| (place(metres) - 1e-3).floor().clamp(0.0, (self.cells - 1) as f32) as u32;
+            let last = |metres: f32| (place(metres) + 1e-3).floor().clamp(0.0, (self.cells - 1) as f32) as u32;
+            for row in first(from.y)..=last(to.y) {
+                for column in first(from.x)..=last(to.x) {
+                    let cell = ((level * self.cells + row) * self.cells + column) as usize;
+                    if grid[cell] & !ASK_HORIZON != grid[cell + 1] & !ASK_HORIZON {
+                        return Shades::Casters;
+                    }
+                    if grid[cell] & ASK_HORIZON != 0 {
+                        found = Shades::Ground;
+                    }
+                }
+            }
+        }
+        found
     }
 
     /// Cells of one grid.

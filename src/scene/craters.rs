@@ -37,8 +37,8 @@ pub const FRESH_DEPTHS: [f32; 2] = [0.11, 0.15];
 pub const CLOD_LARGEST_M: f64 = 0.06;
 /// Height of a clod, diameters.
 pub const CLOD_HEIGHT: f32 = 0.22;
-/// Added to a lattice's seed for the second hash of a cell.
-pub const SECOND_HASH: u32 = 0x68bc_21eb;
+/// Factor of the second hash of a cell, which is made of the first (a round of Wellons' hash).
+const SECOND_HASH: u32 = 0x2c1b_3c6d;
 
 /// Inside the crest the profile is `RIM + (1 - r) p(r)`, r in radii, heights in diameters: a polynomial that follows
 /// Yang's curve for a diameter of 1 m within 0.0003.
@@ -182,7 +182,8 @@ impl PitLattice {
         if share(first & 0xffff, 16) >= self.chance {
             return None;
         }
-        let second = lattice_hash(cell_x, cell_y, 0, lattice.seed ^ SECOND_HASH);
+        let second = (first ^ (first >> 15)).wrapping_mul(SECOND_HASH);
+        let second = second ^ (second >> 12);
         let jitter = |bits: u32| (2.0 * share(bits & 0x3ff, 10) - 1.0) * JITTER_CELLS + 0.5;
         let local = Vec2::new(x as f32 + jitter(second), y as f32 + jitter(second >> 10));
         // Inverse of the cumulative law within the octave.

@@ -4,10 +4,12 @@ use std::sync::LazyLock;
 
 use glam::Vec2;
 use regolith::class::ClassId;
+use regolith::frame::Annotation;
+use regolith::render::RenderSettings;
 use regolith::scene::Scene;
 use regolith::scene::mesh::Icosphere;
 
-use crate::support::{params, render, scene};
+use crate::support::{params, render, renderer, scene};
 
 const SEEDS: u64 = 200;
 const NEAR: usize = 12;
@@ -215,6 +217,7 @@ fn every_knob_is_live() {
                 "sensor.glare" | "sensor.prnu" => "0.2",
                 "label.min_pixels" => "9999",
                 "label.min_diameter_m" => "10",
+                "label.crater_min_diameter_m" => "100",
                 "relief.slope_deg" => "20",
                 _ if info.kind == Kind::Integer => "17",
                 _ if info.range[1] >= 5000.0 => "800",
@@ -236,8 +239,14 @@ fn every_knob_is_live() {
             let set = format!("{}={other}", info.name);
             let before = scene(31, &[&stage_name, needed]);
             let after = scene(31, &[&stage_name, needed, &set]);
-            let alive = after.geometry_hash() != before.geometry_hash()
-                || render(&after, 96, 1) != render(&before, 96, 1);
+            let frame = |scene: &Scene| {
+                let mut settings = RenderSettings::new([96, 96], 1).expect("settings");
+                if info.name.starts_with("label.crater") {
+                    settings.annotations = settings.annotations.with(Annotation::Craters);
+                }
+                renderer().render(scene, &settings).expect("a frame").0
+            };
+            let alive = after.geometry_hash() != before.geometry_hash() || frame(&after) != frame(&before);
             assert!(alive, "{name}: {set} changes nothing");
             asked += 1;
         }

@@ -49,7 +49,7 @@ const PROTOTYPE_LEVEL: usize = 3;
 /// Rocks that span more than this have a shape of their own, radians.
 const OWN_SHAPE_ANGLE: f32 = 0.03;
 /// Level of the mesh of a rock that spans at least this angle, radians.
-const LEVELS: [(f32, usize); 4] = [(0.25, 5), (0.08, 4), (0.012, 3), (0.004, 2)];
+const LEVELS: [(f32, usize); 4] = [(0.35, 5), (0.12, 4), (0.025, 3), (0.006, 2)];
 /// Planes that cut a rock.
 const PLANES: u32 = 8;
 /// Where they cut it, as a fraction of its extent.
