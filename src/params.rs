@@ -154,7 +154,7 @@ knobs! {
     ReliefHurst "relief.hurst" "" in Surface Number, Frame, number(0.75), [0.4, 1.0],
         "Hurst exponent of the fine relief: 1 is smooth when looked at closely (Guo et al. 2021: 0.6 to 0.85).";
     ReliefClods "relief.clods" "" in Surface Number, Frame, number(0.5), [0.0, 1.0],
-        "Share of clods among the pits and clods of up to 6 cm.";
+        "Share of clods among the pits and clods of up to 8 cm.";
     RegolithAlbedo "regolith.albedo" "" Number, Frame, number(0.205) => number(0.12), [0.0, 1.0],
         "Mean diffuse reflectance of the ground.";
     RegolithRoughness "regolith.roughness" "" Number, Frame, number(0.96), [0.0, 1.0],

@@ -260,10 +260,7 @@ impl Renderer {
             frame: group(
                 "frame",
                 &self.layouts.frame,
-                &[
-                    scene.frame.buffer().as_entire_binding(),
-                    scene.relief.buffer().as_entire_binding(),
-                ],
+                &[scene.frame.buffer().as_entire_binding(), scene.relief.buffer().as_entire_binding()],
             ),
             scene: group(
                 "scene",

@@ -39,9 +39,11 @@ struct ReliefUniforms {
 
 @group(0) @binding(1) var<uniform> relief: ReliefUniforms;
 
-// Octaves of noise, and pairs of lattices of pits, that a place asks: those between the mesh and the pixel.
+// Octaves of noise that a place asks: those between the mesh and the pixel.
 const OCTAVES_ASKED: u32 = 7u;
-const PITS_ASKED: u32 = 4u;
+// Lattices of pits that it asks: both of the first octave below the mesh, and one of the two of each of the next three,
+// for a pit costs far more than a wave.
+const PITS_ASKED: u32 = 5u;
 // These stand in src/scene/relief.rs and src/scene/craters.rs, where they are explained.
 const CELLS_LEAST: f32 = 3.0;
 const JITTER_CELLS: f32 = 0.17;
@@ -89,8 +91,9 @@ fn relief_slope(place: vec2<f32>, sample_m: f32) -> vec2<f32> {
         pits_whole += u32(0.5 * relief.pits[i].largest_m >= 2.0 * CELLS_LEAST * cell_m);
     }
     for (var k = 0u; k < PITS_ASKED; k++) {
-        let i = min(pits_whole + k, relief.pit_lattices - 1u);
-        let asked = pits_whole + k < relief.pit_lattices;
+        let wanted = pits_whole + select(2u * k - 2u, k, k < 2u);
+        let i = min(wanted, relief.pit_lattices - 1u);
+        let asked = wanted < relief.pit_lattices;
         slope += select(vec2(0.0), pits_slope(i, place, cell_m, sample_m), asked);
     }
     return slope;

@@ -54,7 +54,10 @@ fn layer(stage: &Stage<'_>) -> Layer {
     }
     let mut materials = Prim::new("Looks", "Scope");
     materials.children.extend(looks.iter().map(|(name, material)| surface(name, *material)));
-    materials.children.extend([emitter("StarDome", stage.scene.sky.radiance), emitter("Star", stage.scene.sky.star_radiance)]);
+    materials.children.extend([
+        emitter("StarDome", stage.scene.sky.radiance),
+        emitter("Star", stage.scene.sky.star_radiance),
+    ]);
     let [dome, stars] = sky(stage);
     world.children.extend([rocks, sun(stage), dome, stars, camera(stage), materials]);
     let knobs = serde_json::Value::Object(stage.knobs.clone()).to_string();

@@ -324,7 +324,8 @@ impl Config {
         };
         let named = drawn_once(Knob::StageName, self.distribution(Knob::StageName));
         let stages = self.stages();
-        let stage = stages.iter().find(|stage| named == Distribution::Fixed(Value::Text(stage.name().into())));
+        let stage =
+            stages.iter().find(|stage| named == Distribution::Fixed(Value::Text(stage.name().into())));
         let stage = *stage.unwrap_or(&stages[0]);
         let settings = Knob::ALL
             .into_iter()
@@ -474,7 +475,9 @@ mod tests {
         let surface = set("stage.name=surface").expect("a stage");
         let params = surface.draw(3).expect("drawn");
         assert_eq!((params.number(Knob::SunElevationDeg), params.number(Knob::CameraPitchDeg)), (13.0, -7.0));
-        assert!(params.to_json().contains_key("relief.hurst") && !params.to_json().contains_key("rocks.count"));
+        assert!(
+            params.to_json().contains_key("relief.hurst") && !params.to_json().contains_key("rocks.count")
+        );
         let message = set("relief.hurst=0.7").expect_err("another stage's").to_string();
         assert!(message.contains("relief.hurst") && message.contains("surface"), "{message}");
         // Both stages: each frame has the defaults of its own, unless they were set.

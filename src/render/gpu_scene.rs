@@ -9,18 +9,18 @@ use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 
 use super::RenderSettings;
 use super::facing::Facing;
-use super::resolve::{self, Packing};
-use super::selection::{Frustum, Selection, ground_blocks};
 use super::horizon::{self, HorizonMap};
+use super::resolve::{self, Packing};
 use super::scene_pass::Variant;
+use super::selection::{Frustum, Selection, ground_blocks};
 use super::shaders::{CasterTile, FrameUniforms, HorizonLevel, Instance, LatticeUniforms, ReliefUniforms};
 use super::shadow::{self, CasterGrids};
 use crate::class::ClassId;
 use crate::frame::{Annotation, Annotations};
 use crate::gpu::Gpu;
 use crate::scene::Scene;
-use crate::scene::mesh::{Icosphere, Vertex};
 use crate::scene::lattice::Lattice;
+use crate::scene::mesh::{Icosphere, Vertex};
 use crate::scene::photometry::Law;
 use crate::scene::relief::Relief;
 use crate::scene::terrain::Layout;
@@ -197,9 +197,10 @@ impl GpuScene {
         let uniforms = frame_uniforms(scene, settings, &horizon, self.atlas_layer_px);
         self.uploaded_bytes += self.frame.write(gpu, &[uniforms]);
         (self.law, self.has_detail) = (scene.photometry.law, scene.relief.is_some());
-        let relief = scene.relief.as_ref().map_or_else(Default::default, |relief| {
-            relief_uniforms(scene, relief, settings)
-        });
+        let relief = scene
+            .relief
+            .as_ref()
+            .map_or_else(Default::default, |relief| relief_uniforms(scene, relief, settings));
         self.uploaded_bytes += self.relief.write(gpu, &[relief]);
         self.upload_horizon(gpu, &horizon);
     }
@@ -371,7 +372,8 @@ impl GpuScene {
         let fits = |texture: &wgpu::Texture| texture.width() >= width && texture.height() >= height;
         if !self.horizon.as_ref().is_some_and(|(texture, _)| fits(texture)) {
             let usage = TextureUsages::TEXTURE_BINDING | TextureUsages::COPY_DST;
-            self.horizon = Some(gpu.texture("shadow/horizon", [width, height], TextureFormat::Rg32Float, usage));
+            self.horizon =
+                Some(gpu.texture("shadow/horizon", [width, height], TextureFormat::Rg32Float, usage));
         }
         if let Some((texture, _)) = &self.horizon {
             let bytes: &[u8] = bytemuck::cast_slice(&map.heights_m);

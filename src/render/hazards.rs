@@ -163,9 +163,8 @@ fn craters(scene: &Scene, width: usize, pixels: &[Option<Vec2>]) -> Vec<u8> {
         let rows = (band * TILE_PX)..((band + 1) * TILE_PX).min(height);
         for first in (0..width).step_by(TILE_PX) {
             let columns = first..(first + TILE_PX).min(width);
-            let tile = || {
-                rows.clone().flat_map(|row| columns.clone().map(move |column| row * width + column))
-            };
+            let tile =
+                || rows.clone().flat_map(|row| columns.clone().map(move |column| row * width + column));
             let (mut low, mut high) = (Vec2::INFINITY, Vec2::NEG_INFINITY);
             for place in tile().filter_map(|pixel| pixels[pixel]) {
                 (low, high) = (low.min(place), high.max(place));

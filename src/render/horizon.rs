@@ -86,9 +86,7 @@ impl HorizonMap {
         match &terrain.layout {
             Layout::Square => {
                 let side_m = 2.0 * reach_m * (towards.x.abs() + towards.y.abs());
-                steps_m.push(
-                    (terrain.cell_m() / SAMPLES_PER_CELL).max(side_m / (MOST_SAMPLES - 2) as f32),
-                );
+                steps_m.push((terrain.cell_m() / SAMPLES_PER_CELL).max(side_m / (MOST_SAMPLES - 2) as f32));
             }
             Layout::Rings(rings) => {
                 base_m = FINEST_M.max(reach_m / (1_u32 << (MOST_LEVELS - 1)) as f32);
@@ -106,12 +104,13 @@ impl HorizonMap {
         for (level, &step_m) in steps_m.iter().enumerate().rev() {
             let frame = Frame::new(terrain, sun, towards, step_m);
             let end_m = if steps_m.len() == 1 { FARTHEST_M } else { base_m * (1_u32 << level) as f32 };
-            let corners = boxes.iter().filter(|(_, nearest_m)| *nearest_m <= end_m).flat_map(|(corners, _)| {
-                corners.map(|corner| {
-                    let offset = corner - terrain.centre;
-                    terrain.centre + offset.clamp(Vec2::splat(-end_m), Vec2::splat(end_m))
-                })
-            });
+            let corners =
+                boxes.iter().filter(|(_, nearest_m)| *nearest_m <= end_m).flat_map(|(corners, _)| {
+                    corners.map(|corner| {
+                        let offset = corner - terrain.centre;
+                        terrain.centre + offset.clamp(Vec2::splat(-end_m), Vec2::splat(end_m))
+                    })
+                });
             let region = frame.region(corners);
             let grid = match grids.last() {
                 None => frame.first(region),
@@ -207,7 +206,8 @@ impl<'a> Frame<'a> {
         let fall_m = self.fall_m[0].max(1e-6);
         let reach = ((highest_m - lowest_m) / fall_m).ceil().min(self.samples as f32) as usize + 2;
         let last = (columns.end + reach).min(self.samples);
-        let bends = matches!(self.terrain.layout, Layout::Square).then(|| Bends::new(self.terrain, self.step_m));
+        let bends =
+            matches!(self.terrain.layout, Layout::Square).then(|| Bends::new(self.terrain, self.step_m));
         let start = |_| (last, [-1.0e9_f32; 2]);
         self.scan([columns, rows], start, bends.as_ref())
     }

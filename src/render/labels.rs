@@ -21,7 +21,8 @@ pub(super) fn rocks(scene: &Scene, settings: &RenderSettings, frame: &Frame) -> 
             visible_px: 0,
             exposed_px: 0,
             box_px: [u32::MAX, u32::MAX, 0, 0],
-            height_m: rock.centre.z + rock.z_range_m[1] - scene.terrain.surface_height_at(rock.centre.truncate()),
+            height_m: rock.centre.z + rock.z_range_m[1]
+                - scene.terrain.surface_height_at(rock.centre.truncate()),
             diameter_m: rock.diameter_m(),
         })
         .collect();

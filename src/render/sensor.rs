@@ -139,11 +139,8 @@ fn read(sensor: &Sensor, fill: f32, x: usize, y: usize) -> f32 {
     let dark = sensor.dark_e + sensor.dsnu_e * normal(x, y, 2, FIXED_PATTERN);
     let mean = (f64::from(fill) * sensor.full_well_e * sensitivity + dark).max(0.0);
     let seed = sensor.noise_seed;
-    let counted = if mean > MANY {
-        mean + mean.sqrt() * normal(x, y, 4, seed)
-    } else {
-        poisson(mean, x, y, seed)
-    };
+    let counted =
+        if mean > MANY { mean + mean.sqrt() * normal(x, y, 4, seed) } else { poisson(mean, x, y, seed) };
     let electrons = counted.min(sensor.full_well_e + dark) + sensor.read_noise_e * normal(x, y, 6, seed);
     let steps = f64::from((1_u32 << sensor.bits) - 1);
     // The converter spans dark level to full well, with some room below for noise.
@@ -180,7 +177,9 @@ fn filled_in(readings: &[f32], width: usize, height: usize, x: usize, y: usize) 
             counts[channel] += 1.0;
         }
     }
-    [0, 1, 2].map(|channel| if counts[channel] > 0.0 { sums[channel] / counts[channel] } else { readings[y * width + x] })
+    [0, 1, 2].map(|channel| {
+        if counts[channel] > 0.0 { sums[channel] / counts[channel] } else { readings[y * width + x] }
+    })
 }
 
 /// The sRGB transfer function (IEC 61966-2-1), linear to encoded, within 0 to 1.
@@ -195,6 +194,7 @@ fn linear(x: f32) -> f32 {
 }
 
 #[cfg(test)]
+#[allow(clippy::disallowed_methods, reason = "what is expected may be reckoned with std's functions")]
 mod tests {
     use super::*;
 
@@ -227,7 +227,8 @@ mod tests {
     #[test]
     fn photon_transfer_has_the_slope_of_the_gain_and_the_floor_of_the_reading() {
         let sensor = Sensor { read_noise_e: 15.0, dark_e: 30.0, ..ideal(Mosaic::Monochrome) };
-        let points: Vec<(f64, f64)> = [0.001, 0.01, 0.1, 0.2, 0.4, 0.6].map(|fill| readings(&sensor, fill)).into();
+        let points: Vec<(f64, f64)> =
+            [0.001, 0.01, 0.1, 0.2, 0.4, 0.6].map(|fill| readings(&sensor, fill)).into();
         let n = points.len() as f64;
         let mean = |of: fn(&(f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / n;
         let (mx, my) = (mean(|p| p.0), mean(|p| p.1));
@@ -273,7 +274,10 @@ mod tests {
         expose(&mut even, &sensor, 0.0);
         let expected = [0.4, 0.2, 0.1].map(|value| (255.0 * srgb(value) + 0.5) as u8);
         for rgb in even.rgb.chunks_exact(3) {
-            assert!(rgb.iter().zip(expected).all(|(value, expected)| value.abs_diff(expected) <= 1), "{rgb:?}");
+            assert!(
+                rgb.iter().zip(expected).all(|(value, expected)| value.abs_diff(expected) <= 1),
+                "{rgb:?}"
+            );
         }
         let mut grey = frame(32, 32, |_, _| [0.3, 0.3, 0.3]);
         expose(&mut grey, &Sensor { mosaic: Mosaic::Monochrome, ..sensor }, 1.0);
@@ -317,7 +321,8 @@ mod tests {
         let sensor = Sensor { ground_level: 0.45, full_well_e: 1e9, ..ideal(Mosaic::Monochrome) };
         let mut scene = frame(40, 40, |x, y| [0.001 + 0.0004 * (x * y % 40) as f32; 3]);
         expose(&mut scene, &sensor, 0.0);
-        let mut values: Vec<u8> = scene.rgb.chunks_exact(3).map(|rgb| rgb[0]).filter(|value| *value > 30).collect();
+        let mut values: Vec<u8> =
+            scene.rgb.chunks_exact(3).map(|rgb| rgb[0]).filter(|value| *value > 30).collect();
         values.sort_unstable();
         assert!(values[values.len() / 2].abs_diff(115) < 12, "{}", values[values.len() / 2]);
     }

@@ -52,7 +52,8 @@ pub fn casters(scene: &Scene, frustum: &Frustum, size_px: [u32; 2]) -> Vec<Caste
         .enumerate()
         .filter_map(|(index, rock)| {
             let drop_m = (rock.centre.z + rock.z_range_m[1] - lowest_ground_m).max(0.0);
-            let reach_m = (drop_m / sun.z.max(1e-3)).min(2.0 * (2.0 * scene.terrain.half_extent_m)) + rock.radius_m;
+            let reach_m =
+                (drop_m / sun.z.max(1e-3)).min(2.0 * (2.0 * scene.terrain.half_extent_m)) + rock.radius_m;
             let width_m = rock.radius_m + scene.sun.tan_half_angle() * reach_m;
             let end = rock.centre - reach_m * sun;
             if !frustum.may_see_swept_ball(rock.centre, end, width_m) {
@@ -164,8 +165,10 @@ impl CasterGrids {
             }
             let per_m = 0.5 * self.cells as f32 / half_m;
             let place = |metres: f32| (metres + half_m) * per_m;
-            let first = |metres: f32| (place(metres) - 1e-3).floor().clamp(0.0, (self.cells - 1) as f32) as u32;
-            let last = |metres: f32| (place(metres) + 1e-3).floor().clamp(0.0, (self.cells - 1) as f32) as u32;
+            let first =
+                |metres: f32| (place(metres) - 1e-3).floor().clamp(0.0, (self.cells - 1) as f32) as u32;
+            let last =
+                |metres: f32| (place(metres) + 1e-3).floor().clamp(0.0, (self.cells - 1) as f32) as u32;
             for row in first(from.y)..=last(to.y) {
                 for column in first(from.x)..=last(to.x) {
                     let cell = ((level * self.cells + row) * self.cells + column) as usize;

@@ -34,7 +34,7 @@ pub const WORN_DEPTHS: [f32; 2] = [0.12, 0.02];
 /// Depths of fresh craters, diameters (Stopar et al. 2017: 0.11 to 0.17 for the small ones).
 pub const FRESH_DEPTHS: [f32; 2] = [0.11, 0.15];
 /// Clods stand on the lattices of craters up to this diameter, metres.
-pub const CLOD_LARGEST_M: f64 = 0.06;
+pub const CLOD_LARGEST_M: f64 = 0.08;
 /// Height of a clod, diameters.
 pub const CLOD_HEIGHT: f32 = 0.22;
 /// Factor of the second hash of a cell, which is made of the first (a round of Wellons' hash).
@@ -159,8 +159,7 @@ impl CraterField {
                 for x in low.x as i32..=high.x as i32 {
                     if let Some(pit) = lattice.pit(x, y, self.fresh_share) {
                         let reach_m = radius_m + pit.reach_m();
-                        if pit.diameter_m > least_m
-                            && pit.offset.distance_squared(offset) < reach_m * reach_m
+                        if pit.diameter_m > least_m && pit.offset.distance_squared(offset) < reach_m * reach_m
                         {
                             give(pit);
                         }

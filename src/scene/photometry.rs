@@ -276,7 +276,8 @@ mod tests {
     fn level_ground_shows_the_contrast_of_a_panorama() {
         // Sun 17 degrees high, a look 10 degrees down: 13 times brighter away from the sun than towards it.
         let around: Vec<f64> = (0..=36).map(|k| at(&WAC, 73.0, 80.0, f64::from(k) * 5.0)).collect();
-        let (low, high) = around.iter().fold((f64::MAX, 0.0_f64), |(low, high), v| (low.min(*v), high.max(*v)));
+        let (low, high) =
+            around.iter().fold((f64::MAX, 0.0_f64), |(low, high), v| (low.min(*v), high.max(*v)));
         assert!((high / low / 13.0 - 1.0).abs() < 0.15, "{}", high / low);
     }
 

@@ -62,7 +62,7 @@ impl Apron {
     }
 
     fn height_at(&self, offset: Vec2) -> f32 {
-        let square = offset.distance_squared(self.offset) / self.reach_m().powi(2);
+        let square = offset.distance_squared(self.offset) / (self.reach_m() * self.reach_m());
         let fall = (1.0 - square).max(0.0);
         self.height_m * fall * fall
     }
@@ -103,7 +103,7 @@ impl Relief {
             (Knob::ReliefUndulationM, UNDULATION, "relief.undulation"),
         ] {
             // Each octave half as high as the one before: deviation of the sum of their squares.
-            let sum: f64 = (0..COARSE_OCTAVES).map(|k| 0.25_f64.powi(k as i32)).sum();
+            let sum: f64 = (0..COARSE_OCTAVES).map(|k| 1.0 / f64::from(1_u32 << (2 * k))).sum();
             let first = COARSE_DEVIATION * number(knob) / (f64::from(GRADIENT_NOISE_SIGMA) * sum.sqrt());
             octaves.extend((0..COARSE_OCTAVES).map(|k| {
                 let halving = f64::from(1_u32 << k);
@@ -112,9 +112,9 @@ impl Relief {
         }
         let (hurst, median_deg) = (number(Knob::ReliefHurst), number(Knob::ReliefSlopeDeg));
         let fine = fine_octaves(hurst, median_deg);
-        octaves.extend((0..).zip(fine).map(|(k, (wavelength, amplitude))| {
-            (wavelength, amplitude, "relief.fine", k)
-        }));
+        octaves.extend(
+            (0..).zip(fine).map(|(k, (wavelength, amplitude))| (wavelength, amplitude, "relief.fine", k)),
+        );
         octaves.sort_by(|a, b| b.0.total_cmp(&a.0));
         let octaves = octaves
             .into_iter()
@@ -186,11 +186,13 @@ fn fine_octaves(hurst: f64, median_deg: f64) -> Vec<(f64, f64)> {
     let difference: f64 = unit
         .iter()
         .map(|(wavelength, amplitude)| {
-            (amplitude * gradient_noise_difference(SLOPE_BASELINE_M / wavelength)).powi(2)
+            let difference = amplitude * gradient_noise_difference(SLOPE_BASELINE_M / wavelength);
+            difference * difference
         })
         .sum();
     let tangent = |degrees: f64| libm::tan(degrees.to_radians());
-    let rest = (tangent(median_deg).powi(2) - tangent(OTHER_SLOPE_DEG).powi(2)).max(0.0).sqrt();
+    let square = |x: f64| x * x;
+    let rest = (square(tangent(median_deg)) - square(tangent(OTHER_SLOPE_DEG))).max(0.0).sqrt();
     let wanted_m = SLOPE_BASELINE_M * rest / MEDIAN_PER_DEVIATION;
     let scale = wanted_m / difference.sqrt();
     unit.into_iter().map(|(wavelength, amplitude)| (wavelength, scale * amplitude)).collect()

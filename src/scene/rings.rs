@@ -111,7 +111,8 @@ impl Rings {
             })
             .collect();
         let first_bin = (radii_m[1] * radii_m[1]).to_bits() >> (23 - BINS_PER_OCTAVE_LOG2);
-        let bins = radius_bin(radii_m[radii_m.len() - 1].powi(2), first_bin) + 1;
+        let largest_m = radii_m[radii_m.len() - 1];
+        let bins = radius_bin(largest_m * largest_m, first_bin) + 1;
         let radius_bins = (0..=bins)
             .map(|bin| {
                 let start = f32::from_bits((first_bin + bin as u32) << (23 - BINS_PER_OCTAVE_LOG2));
@@ -121,7 +122,15 @@ impl Rings {
             .collect();
         let ahead = Vec2::new(libm::sin(view.azimuth) as f32, libm::cos(view.azimuth) as f32);
         let turned = |ray: &Vec2| ray.x * Vec2::new(ahead.y, -ahead.x) + ray.y * ahead;
-        Self { view: *view, ahead, radii_m, rays: rays.iter().map(turned).collect(), turns, turn_bins, radius_bins }
+        Self {
+            view: *view,
+            ahead,
+            radii_m,
+            rays: rays.iter().map(turned).collect(),
+            turns,
+            turn_bins,
+            radius_bins,
+        }
     }
 
     /// Size of a cell at a distance from the centre, metres.
@@ -236,17 +245,12 @@ fn angles(view: &View) -> Vec<f64> {
 }
 
 #[cfg(test)]
+#[allow(clippy::disallowed_methods, reason = "what is expected may be reckoned with std's functions")]
 mod tests {
     use super::*;
 
     fn rings() -> Rings {
-        Rings::new(&View {
-            eye_height_m: 2.0,
-            azimuth: 0.7,
-            half_sector: 0.6,
-            cell: 0.02,
-            radius_m: 300.0,
-        })
+        Rings::new(&View { eye_height_m: 2.0, azimuth: 0.7, half_sector: 0.6, cell: 0.02, radius_m: 300.0 })
     }
 
     #[test]
@@ -257,7 +261,8 @@ mod tests {
             assert!((pair[1] - pair[0] - expected).abs() < 1e-3 * expected + 1e-4);
         }
         let ahead = Vec2::new(0.7_f32.sin(), 0.7_f32.cos());
-        for pair in rings.rays.windows(2).filter(|pair| pair.iter().all(|ray| ray.dot(ahead) > 0.6_f32.cos())) {
+        for pair in rings.rays.windows(2).filter(|pair| pair.iter().all(|ray| ray.dot(ahead) > 0.6_f32.cos()))
+        {
             assert!((pair[0].angle_to(pair[1]) + 0.02).abs() < 1e-3, "clockwise, a cell apart");
         }
         assert_eq!(rings.rays[0], rings.rays[rings.rays.len() - 1]);
@@ -274,7 +279,10 @@ mod tests {
             let (low, high) = (rings.radii_m[at.row as usize], rings.radii_m[at.row as usize + 1]);
             assert!(radius >= low * 0.999 && radius <= high * 1.001, "{radius} in {low} to {high}");
             let (left, right) = (rings.rays[at.column as usize], rings.rays[at.column as usize + 1]);
-            assert!(left.perp_dot(p) <= 1e-3 * radius && p.perp_dot(right) <= 1e-3 * radius, "{p} {left} {right}");
+            assert!(
+                left.perp_dot(p) <= 1e-3 * radius && p.perp_dot(right) <= 1e-3 * radius,
+                "{p} {left} {right}"
+            );
             let box_m = Vec2::splat(0.1 * radius + 0.01);
             let [columns, rows] = rings.vertices_over(p - box_m, p + box_m);
             assert!(columns.contains(&at.column) && columns.contains(&(at.column + 1)));

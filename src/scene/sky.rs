@@ -14,8 +14,10 @@ pub const DOME_RADIANCE: Vec3 = Vec3::new(0.010, 0.010, 0.016);
 pub const STAR_RADIANCE: Vec3 = Vec3::new(4.0, 4.0, 4.2);
 /// How far inside the dome the stars hang, metres.
 const STAR_INSET_M: f64 = 18.0;
-/// Smallest and largest radius of a star, metres.
+/// Smallest and largest radius of a star on a dome of [`STAR_DOME_M`], metres; on another they span the same angle.
 pub const STAR_RADIUS_M: [f64; 2] = [0.5, 1.1];
+/// Radius of the dome that the stars' radii are given for, metres.
+pub const STAR_DOME_M: f64 = 600.0;
 /// Irradiance, on a surface that faces the sun, per unit of the intensity knob. Radiance 1 is what a picture at
 /// exposure 0 EV shows at the tone curve's middle; the factor was chosen with the tone curve on the reference
 /// frame.
@@ -112,7 +114,7 @@ impl Sky {
                 let (x, y, z) = (draw.normal(), draw.normal(), draw.normal());
                 let towards = DVec3::new(x, 0.85 * y.abs() + 0.15, 0.90 * z.abs() + 0.10);
                 let offset = (radius_m - STAR_INSET_M) / towards.length() * towards;
-                let [low, high] = STAR_RADIUS_M;
+                let [low, high] = STAR_RADIUS_M.map(|star_m| star_m * (radius_m / STAR_DOME_M));
                 Star { centre: centre + offset.as_vec3(), radius_m: draw.uniform(low, high) as f32 }
             })
             .collect();

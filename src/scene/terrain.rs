@@ -127,7 +127,8 @@ impl Terrain {
             let tile_rows = vertices.len() / row_len;
             for first_column in (0..row_len).step_by(TILE.1) {
                 let columns = first_column..(first_column + TILE.1).min(row_len);
-                let offset = |column: usize, row: usize| rings.offset(column as u32, (first_row + row) as u32);
+                let offset =
+                    |column: usize, row: usize| rings.offset(column as u32, (first_row + row) as u32);
                 // A circle that holds the tile.
                 let middle = offset((columns.start + columns.end) / 2, tile_rows / 2);
                 let corners = [0, tile_rows - 1].into_iter().flat_map(|row| {

@@ -2,16 +2,16 @@
 
 use glam::{Vec2, Vec3};
 use regolith::class::ClassId;
-use regolith::render::resolve::encoded;
 use regolith::frame::Annotation;
 use regolith::render::RenderSettings;
-use regolith::scene::photometry::{Law, Photometry};
-use regolith::scene::{LabelRule, Scene};
+use regolith::render::resolve::encoded;
 use regolith::scene::camera::Camera;
 use regolith::scene::mesh::{Icosphere, Vertex};
+use regolith::scene::photometry::{Law, Photometry};
 use regolith::scene::rocks::{Material, NO_DUST, Rock};
 use regolith::scene::sky::{DOME_RADIANCE, Sky, Sun};
 use regolith::scene::terrain::Terrain;
+use regolith::scene::{LabelRule, Scene};
 
 use crate::support::{render, renderer, scene};
 

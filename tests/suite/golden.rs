@@ -31,6 +31,23 @@ fn high_view_1001() {
     check("high_view_1001", 1001, &["camera.height_m=12", "camera.pitch_deg=-14", "craters.count=12"]);
 }
 
+#[test]
+fn surface_4() {
+    check("surface_4", 4, &["stage.name=surface"]);
+}
+
+#[test]
+fn surface_sensor_15() {
+    let set = [
+        "stage.name=surface",
+        "sensor.kind=bayer",
+        "sensor.ground_level=0.45",
+        "sun.azimuth_deg=70",
+        "camera.roll_deg=4",
+    ];
+    check("surface_sensor_15", 15, &set);
+}
+
 /// The picture on the README's first screen is what the program makes of the command under it, and it is what
 /// section 7 of the scene's specification asks for.
 #[test]

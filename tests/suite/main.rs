@@ -12,7 +12,7 @@ mod formats;
 mod golden;
 mod labels;
 mod scene_statistics;
-mod surface;
 mod support;
+mod surface;
 mod truth;
 mod verify;

@@ -214,11 +214,15 @@ fn every_knob_is_live() {
                 "sensor.kind" => "mono",
                 "sensor.read_noise_e" | "sensor.dark_e" | "sensor.dsnu_e" => "900",
                 "sensor.bits" => "5",
-                "sensor.glare" | "sensor.prnu" => "0.2",
+                "sensor.vignetting" => "1",
+                "sky.star_gain" if stage == Stage::Nominal => "0.02",
+                "sky.star_gain" => "1",
+                "sensor.glare" | "sensor.prnu" | "sensor.black_level" => "0.2",
                 "label.min_pixels" => "9999",
                 "label.min_diameter_m" => "10",
                 "label.crater_min_diameter_m" => "100",
                 "relief.slope_deg" => "20",
+                "relief.clods" => "0",
                 _ if info.kind == Kind::Integer => "17",
                 _ if info.range[1] >= 5000.0 => "800",
                 _ if info.range[1] >= 30.0 => "30",
@@ -233,7 +237,8 @@ fn every_knob_is_live() {
                 }
                 // Hapke's law takes no other roughness.
                 "regolith" | "rocks" if info.name.ends_with("roughness") => "photometry.law=oren_nayar",
-                "sky" if stage == Stage::Surface => "sky.star_gain=1",
+                "label" if stage == Stage::Nominal && info.name.contains("crater") => "craters.count=200",
+                "sky" if stage == Stage::Surface => "sky.star_count=5000",
                 _ => "camera.roll_deg=0",
             };
             let set = format!("{}={other}", info.name);

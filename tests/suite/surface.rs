@@ -52,15 +52,17 @@ fn window_deviations_mm(heights: &[f32]) -> Vec<f64> {
     let middle = (WINDOW as f64 - 1.0) / 2.0;
     let spread: f64 = (0..WINDOW).map(|i| (i as f64 - middle).powi(2)).sum::<f64>() * WINDOW as f64;
     let mut found = Vec::new();
-    for corner in (0..SIDE - WINDOW).step_by(WINDOW).flat_map(|y| {
-        (0..SIDE - WINDOW).step_by(WINDOW).map(move |x| y * SIDE + x)
-    }) {
+    for corner in (0..SIDE - WINDOW)
+        .step_by(WINDOW)
+        .flat_map(|y| (0..SIDE - WINDOW).step_by(WINDOW).map(move |x| y * SIDE + x))
+    {
         let at = |i: usize| f64::from(heights[corner + (i / WINDOW) * SIDE + i % WINDOW]);
         let offset = |i: usize| ((i % WINDOW) as f64 - middle, (i / WINDOW) as f64 - middle);
         let all = 0..WINDOW * WINDOW;
         let n = all.len() as f64;
         let mean = all.clone().map(at).sum::<f64>() / n;
-        let along = |axis: fn((f64, f64)) -> f64| all.clone().map(|i| axis(offset(i)) * at(i)).sum::<f64>() / spread;
+        let along =
+            |axis: fn((f64, f64)) -> f64| all.clone().map(|i| axis(offset(i)) * at(i)).sum::<f64>() / spread;
         let (rise_x, rise_y) = (along(|o| o.0), along(|o| o.1));
         let residual = |i: usize| at(i) - mean - rise_x * offset(i).0 - rise_y * offset(i).1;
         found.push(1e3 * (all.clone().map(|i| residual(i).powi(2)).sum::<f64>() / n).sqrt());
@@ -94,7 +96,9 @@ fn ground_has_the_measured_relief() {
         deviations.extend(window_deviations_mm(&heights));
     }
     let (slope, hurst, deviation) = (median(slopes_7mm), median(hursts), median(deviations));
-    println!("slope at 7 mm {slope:.2} deg, Hurst exponent {hurst:.3}, deviation at 125 mm {deviation:.2} mm");
+    println!(
+        "slope at 7 mm {slope:.2} deg, Hurst exponent {hurst:.3}, deviation at 125 mm {deviation:.2} mm"
+    );
     assert!((8.0..=12.0).contains(&slope), "{slope} degrees");
     assert!((0.6..=0.85).contains(&hurst), "{hurst}");
     assert!((2.5..=6.0).contains(&deviation), "{deviation} mm");
@@ -143,9 +147,12 @@ fn pits(seed: u64, set: &[&str], radius_m: f32, least_m: f32) -> Vec<Pit> {
 fn craters_are_in_equilibrium() {
     let mut counts = Vec::new();
     let (mut depths, mut fresh) = (Vec::new(), 0.0);
-    for (radius_m, diameters) in
-        [(300.0_f32, [10.0_f32, 16.0, 25.0]), (60.0, [2.0, 3.2, 5.0]), (12.0, [0.3, 0.5, 0.9]), (4.0, [0.1, 0.15, 0.2])]
-    {
+    for (radius_m, diameters) in [
+        (300.0_f32, [10.0_f32, 16.0, 25.0]),
+        (60.0, [2.0, 3.2, 5.0]),
+        (12.0, [0.3, 0.5, 0.9]),
+        (4.0, [0.1, 0.15, 0.2]),
+    ] {
         let mut found: Vec<Pit> = Vec::new();
         for seed in 0..4 {
             found.extend(pits(seed, &["relief.clods=0"], radius_m, diameters[0]));
@@ -155,7 +162,10 @@ fn craters_are_in_equilibrium() {
             let count = found.iter().filter(|pit| pit.diameter_m > diameter_m).count() as f64;
             let expected = area_m2 * TRASK_DENSITY / f64::from(diameter_m).powi(2);
             println!("{count} craters of more than {diameter_m} m, {expected:.0} expected");
-            assert!((count - expected).abs() < 3.3 * expected.sqrt() + 0.02 * expected, "{count} for {expected}");
+            assert!(
+                (count - expected).abs() < 3.3 * expected.sqrt() + 0.02 * expected,
+                "{count} for {expected}"
+            );
             counts.push((f64::from(diameter_m).ln(), (count / area_m2).ln()));
         }
         depths.extend(found.iter().map(|pit| f64::from(pit.depth)));
@@ -182,7 +192,8 @@ fn crater_profile_has_its_published_values() {
 
 #[test]
 fn more_craters_leave_the_others_where_they_were() {
-    let (few, many) = (pits(5, &["craters.density=0.6"], 40.0, 1.0), pits(5, &["craters.density=1.2"], 40.0, 1.0));
+    let (few, many) =
+        (pits(5, &["craters.density=0.6"], 40.0, 1.0), pits(5, &["craters.density=1.2"], 40.0, 1.0));
     assert!(many.len() > few.len());
     for pit in &few {
         assert!(many.iter().any(|other| other.key == pit.key && other.offset == pit.offset));
@@ -191,13 +202,15 @@ fn more_craters_leave_the_others_where_they_were() {
 
 /// The rocks near the camera, where all sizes are made, of many seeds.
 fn diameters(seeds: std::ops::Range<u64>, set: &[&str], radius_m: f32) -> Vec<f64> {
-    let set: Vec<&str> = [SURFACE, "camera.pitch_deg=-89", "craters.fresh_share=0"].iter().chain(set).copied().collect();
+    let set: Vec<&str> =
+        [SURFACE, "camera.pitch_deg=-89", "craters.fresh_share=0"].iter().chain(set).copied().collect();
     let mut found = Vec::new();
     for seed in seeds {
         let scene = scene(seed, &set);
-        let near = scene.rocks.iter().filter(|rock| {
-            !rock.moved && rock.centre.truncate().distance(scene.terrain.centre) < radius_m
-        });
+        let near = scene
+            .rocks
+            .iter()
+            .filter(|rock| !rock.moved && rock.centre.truncate().distance(scene.terrain.centre) < radius_m);
         found.extend(near.map(|rock| 2.0 * f64::from(rock.base_scale_m)));
     }
     found
@@ -214,11 +227,17 @@ fn rocks_follow_the_lunar_law() {
         let expected = area_m2 * rocks_larger_than(least_m, coverage);
         found.retain(|diameter| *diameter > least_m);
         println!("coverage {coverage}: {} rocks of more than 10 cm, {expected:.0} expected", found.len());
-        assert!((found.len() as f64 - expected).abs() < 2.576 * expected.sqrt(), "{} for {expected}", found.len());
+        assert!(
+            (found.len() as f64 - expected).abs() < 2.576 * expected.sqrt(),
+            "{} for {expected}",
+            found.len()
+        );
         // Kolmogorov and Smirnov, at one in a hundred.
         found.sort_by(f64::total_cmp);
         let n = found.len() as f64;
-        let law = |diameter: f64| 1.0 - rocks_larger_than(diameter, coverage) / rocks_larger_than(least_m, coverage);
+        let law = |diameter: f64| {
+            1.0 - rocks_larger_than(diameter, coverage) / rocks_larger_than(least_m, coverage)
+        };
         let distance = found.iter().enumerate().fold(0.0_f64, |worst, (i, diameter)| {
             let i = i as f64;
             worst.max((law(*diameter) - i / n).abs()).max(((i + 1.0) / n - law(*diameter)).abs())
@@ -310,9 +329,14 @@ fn no_rock_floats_and_every_one_is_a_star_shaped_solid() {
         let scene = scene(seed, &[SURFACE]);
         assert!(scene.rocks.len() > 500, "{}", scene.rocks.len());
         for rock in &scene.rocks {
-            let lowest = rock.vertices.iter().map(|v| v.position + rock.centre).min_by(|a, b| a.z.total_cmp(&b.z));
+            let lowest =
+                rock.vertices.iter().map(|v| v.position + rock.centre).min_by(|a, b| a.z.total_cmp(&b.z));
             let lowest = lowest.expect("vertices");
-            assert!(lowest.z < scene.terrain.surface_height_at(lowest.truncate()), "rock {} floats", rock.index);
+            assert!(
+                lowest.z < scene.terrain.surface_height_at(lowest.truncate()),
+                "rock {} floats",
+                rock.index
+            );
             assert_eq!(rock.vertices.len(), mesh::Icosphere::vertex_count(rock.level));
         }
     }
@@ -347,13 +371,14 @@ fn fifty_seeds_have_no_unlabelled_pixel() {
     }
 }
 
-/// Real skies over sunlit ground are 0 to 2 of 255.
+/// Real skies over sunlit ground are 0 to 2 of 255. Path tracing leaves cast shadows below 1 % of lit soil, and rock faces that
+/// the sun does not see at 1 to 8 %.
 #[test]
 fn sky_is_black_and_shadows_are_dark() {
     for seed in [1, 5] {
-        let scene = scene(seed, &[SURFACE]);
+        let scene = scene(seed, &[SURFACE, "rocks.coverage=0.04", "sun.azimuth_deg=100"]);
         let frame = frame(&scene, 192, &[Annotation::Shadow, Annotation::Hdr]);
-        let (mut lit, mut dark) = (Vec::new(), Vec::new());
+        let (mut lit, mut dark, mut unlit) = (Vec::new(), Vec::new(), Vec::new());
         for (pixel, rgb) in frame.rgb.chunks_exact(3).enumerate() {
             let (x, y) = (pixel % 192, pixel / 192);
             let near = |v: usize| v.saturating_sub(1)..=(v + 1).min(191);
@@ -363,12 +388,16 @@ fn sky_is_black_and_shadows_are_dark() {
                 (2, _) => assert!(rgb.iter().all(|value| *value <= 2), "seed {seed}: sky {rgb:?}"),
                 (0, 0) => lit.push(f64::from(frame.radiance[3 * pixel + 1].to_f32())),
                 (0, 255) => dark.push(f64::from(frame.radiance[3 * pixel + 1].to_f32())),
+                (1, 255) => unlit.push(f64::from(frame.radiance[3 * pixel + 1].to_f32())),
                 _ => {}
             }
         }
+        assert!(unlit.len() > 20, "seed {seed}: {} pixels of unlit rock", unlit.len());
         assert!(dark.len() > 20, "seed {seed}: {} pixels in shadow", dark.len());
-        let ratio = median(dark) / median(lit);
-        println!("seed {seed}: shadow {ratio:.4} of lit soil");
+        let lit = median(lit);
+        let (ratio, faces) = (median(dark) / lit, median(unlit) / lit);
+        println!("seed {seed}: shadow {ratio:.4} of lit soil, unlit faces of rocks {faces:.4}");
+        assert!((0.01..=0.08).contains(&faces), "seed {seed}: unlit faces are {faces} of lit soil");
         assert!(ratio < 0.01, "seed {seed}: cast shadows are {ratio} of lit soil");
     }
 }
@@ -378,7 +407,8 @@ fn sky_is_black_and_shadows_are_dark() {
 fn label_rules_take_whole_rocks_out() {
     let all = scene(2, &[SURFACE]);
     let few = scene(2, &[SURFACE, "label.min_pixels=30", "label.min_diameter_m=0.05"]);
-    let (before, after) = (frame(&all, 192, &[Annotation::Instances]), frame(&few, 192, &[Annotation::Instances]));
+    let (before, after) =
+        (frame(&all, 192, &[Annotation::Instances]), frame(&few, 192, &[Annotation::Instances]));
     assert!(before.rgb == after.rgb, "the picture changes");
     let mut kept = 0;
     for label in &before.rocks {
@@ -386,7 +416,12 @@ fn label_rules_take_whole_rocks_out() {
         let pixels: Vec<usize> = pixels.map(|(pixel, _)| pixel).collect();
         let still = pixels.iter().filter(|pixel| after.class[**pixel] == ClassId::ROCK.0).count();
         // At the outline of a rock the votes of the samples may fall the other way.
-        assert!(still == 0 || 2 * still > pixels.len(), "rock {} is cut: {still} of {}", label.instance, pixels.len());
+        assert!(
+            still == 0 || 2 * still > pixels.len(),
+            "rock {} is cut: {still} of {}",
+            label.instance,
+            pixels.len()
+        );
         kept += u32::from(still > 0);
     }
     assert!(kept > 0 && (kept as usize) < before.rocks.len() / 2, "{kept} of {}", before.rocks.len());
@@ -396,7 +431,9 @@ fn label_rules_take_whole_rocks_out() {
 /// The planes for planners against the scene itself.
 #[test]
 fn hazard_planes_are_those_of_the_scene() {
-    use regolith::render::hazards::{CRATER_INTERIOR, CRATER_RIM, FiveClasses, MOUNTAIN_FROM_M, SLOPE_BASELINE_M};
+    use regolith::render::hazards::{
+        CRATER_INTERIOR, CRATER_RIM, FiveClasses, MOUNTAIN_FROM_M, SLOPE_BASELINE_M,
+    };
     let scene = scene(11, &[SURFACE, "camera.pitch_deg=-15"]);
     let asked = [
         Annotation::Slope,
@@ -453,7 +490,13 @@ fn hazard_planes_are_those_of_the_scene() {
         // Near, for the list's sake, and not where a rounding decides.
         let is_near = place.distance(camera.eye) < 90.0;
         if is_near && [1.0, 1.3].iter().all(|edge: &f32| (nearest - edge).abs() > 1e-3) {
-            let expected = if nearest < 1.0 { CRATER_INTERIOR } else if nearest < 1.3 { CRATER_RIM } else { 0 };
+            let expected = if nearest < 1.0 {
+                CRATER_INTERIOR
+            } else if nearest < 1.3 {
+                CRATER_RIM
+            } else {
+                0
+            };
             assert_eq!(frame.craters[pixel], expected, "{nearest} radii from a centre");
         }
         let far = frame.five_classes[pixel] == FiveClasses::MOUNTAIN;
@@ -501,10 +544,15 @@ fn rocks_have_as_much_texture_as_soil_in_side_light() {
             let scene =
                 scene(seed, &[SURFACE, "rocks.coverage=0.05", "camera.pitch_deg=-12", &set[0], &set[1]]);
             let frame = frame(&scene, 256, &[Annotation::Hdr, Annotation::Shadow, Annotation::Angles]);
-            let [soil, rock] = [ClassId::REGOLITH, ClassId::ROCK].map(|class| band_contrast(&frame, 256, class.0, phases_deg));
+            let [soil, rock] = [ClassId::REGOLITH, ClassId::ROCK]
+                .map(|class| band_contrast(&frame, 256, class.0, phases_deg));
             ratios.extend(rock.zip(soil).map(|(rock, soil)| rock / soil));
         }
-        println!("sun at {azimuth_deg}, {elevation_deg}: {} frames, median {:.2}", ratios.len(), median(ratios.clone()));
+        println!(
+            "sun at {azimuth_deg}, {elevation_deg}: {} frames, median {:.2}",
+            ratios.len(),
+            median(ratios.clone())
+        );
         median(ratios)
     };
     let (side, behind) = (ratio(90.0, 20.0, [50.0, 180.0]), ratio(180.0, 30.0, [0.0, 25.0]));
@@ -512,3 +560,159 @@ fn rocks_have_as_much_texture_as_soil_in_side_light() {
     assert!((1.5..=4.5).contains(&behind), "sun behind: {behind}");
 }
 const SEEDS_OF_TEXTURE: u64 = 20;
+
+/// Fraction of a Gaussian rough surface that is in shadow, seen from above (Smith 1967, "Lunar surface roughness: shadowing and
+/// thermal emission", eq. 24): `slope` is the tangent of the deviation along a line, `mu` that of the sun's elevation.
+fn smith_shadow(slope: f64, mu: f64) -> f64 {
+    // Complementary error function (Abramowitz and Stegun, 7.1.26: within 1.5e-7).
+    let erfc = |x: f64| {
+        let t = 1.0 / (1.0 + 0.327_591_1 * x);
+        t * (0.254_829_592
+            + t * (-0.284_496_736 + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))))
+            * (-x * x).exp()
+    };
+    let v = mu / (std::f64::consts::SQRT_2 * slope);
+    let lambda = 0.5 * ((-v * v).exp() / (std::f64::consts::PI.sqrt() * v) - erfc(v));
+    1.0 - (1.0 - 0.5 * erfc(v)) / (1.0 + lambda)
+}
+
+#[test]
+fn smiths_formula_has_its_tabled_values() {
+    for (elevation, slope, expected) in
+        [(5.0, 10.0, 0.51), (10.0, 10.0, 0.22), (17.0, 15.0, 0.17), (30.0, 20.0, 0.07)]
+    {
+        let tan = |degrees: f64| degrees.to_radians().tan();
+        let found = smith_shadow(tan(slope), tan(elevation));
+        assert!((found - expected).abs() < 0.006, "{elevation}, {slope}: {found}");
+    }
+}
+
+/// A Gaussian surface (waves of random directions and phases) seen from straight above.
+#[test]
+fn rough_ground_is_in_shadow_as_often_as_smith_says() {
+    use regolith::scene::camera::Camera;
+    use regolith::scene::sky::Sun;
+    use regolith::scene::terrain::Terrain;
+    let (mut worst, mut worst_formula) = (0.0_f64, 0.0_f64);
+    for (slope_deg, elevations_deg) in [(10.0_f64, [5.0, 10.0, 17.0]), (20.0, [10.0, 17.0, 30.0])] {
+        let mut stream = Streams::new(1).stream("test.waves", slope_deg as u64);
+        // Wave numbers normal about 0: a Gaussian correlation, 7 m long.
+        let waves: Vec<[f64; 3]> = (0..300)
+            .map(|_| {
+                [stream.normal() * 0.2, stream.normal() * 0.2, stream.uniform(0.0, std::f64::consts::TAU)]
+            })
+            .collect();
+        // Towards the sun, along which the slope counts.
+        let towards = [60.0_f64.to_radians().sin(), 60.0_f64.to_radians().cos()];
+        let variance: f64 = waves.iter().map(|w| 0.5 * (w[0] * towards[0] + w[1] * towards[1]).powi(2)).sum();
+        let amplitude = slope_deg.to_radians().tan() / variance.sqrt();
+        let height = |p: Vec2| {
+            let p = p.as_dvec2();
+            let sum: f64 = waves.iter().map(|w| (w[0] * p.x + w[1] * p.y + w[2]).sin()).sum();
+            (amplitude * sum) as f32
+        };
+        let terrain = Terrain::from_height(400.0, 400, Vec::new(), height);
+        for elevation_deg in elevations_deg {
+            let mut scene = scene(1, &["rocks.count=0"]);
+            scene.rocks.clear();
+            scene.terrain = terrain.clone();
+            scene.sun = Sun::new(elevation_deg, 60.0, 0.0, glam::Vec3::ONE);
+            scene.camera =
+                Camera::new(glam::Vec3::new(0.0, 0.0, 2000.0), [-90.0, 0.0, 0.0], 8.0, 5000.0, 0.0);
+            scene.sky.radius_m = 4000.0;
+            let frame = frame(&scene, 256, &[Annotation::Shadow]);
+            let hidden = frame.hidden.iter().map(|value| f64::from(*value) / 255.0).sum::<f64>()
+                / frame.hidden.len() as f64;
+            // The slopes that this piece of the surface has along the sun's direction.
+            let seen = terrain.vertices.iter().filter(|v| v.position.truncate().abs().max_element() < 139.0);
+            let squares: Vec<f64> = seen
+                .map(|v| {
+                    f64::from(
+                        v.normal.truncate().dot(scene.sun.direction.truncate().normalize()) / v.normal.z,
+                    )
+                })
+                .map(|slope| slope * slope)
+                .collect();
+            let slope = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
+            let expected = smith_shadow(slope, elevation_deg.to_radians().tan());
+            // The same by marching from places of the surface towards the sun.
+            let towards = scene.sun.direction;
+            let is_hidden = |i: i32| {
+                let place = Vec2::new((i % 64 - 32) as f32, (i / 64 - 32) as f32) * 4.3;
+                let start = place.extend(terrain.surface_height_at(place) + 1e-3);
+                (1..1600).any(|step| {
+                    let at = start + 0.1 * step as f32 * towards / towards.truncate().length();
+                    terrain.surface_height_at(at.truncate()) > at.z
+                })
+            };
+            let marched = (0..4096).filter(|i| is_hidden(*i)).count() as f64 / 4096.0;
+            println!(
+                "slope {slope_deg}, sun {elevation_deg}: {hidden:.3} in shadow, marched {marched:.3}, Smith {expected:.3}"
+            );
+            worst = worst.max((hidden - marched).abs());
+            worst_formula = worst_formula.max((hidden - expected).abs());
+        }
+    }
+    assert!(worst < 0.02, "off by {worst}");
+    // Smith takes heights and slopes as independent from place to place; marching differs from him by as much.
+    assert!(worst_formula < 0.05, "off by {worst_formula} from Smith");
+}
+
+/// Slope of the power spectrum of ground in the picture, reported: real frames of Chang'e-3 have -1.6 to -2.2.
+#[test]
+fn ground_has_the_spectrum_of_a_photograph() {
+    const PATCH: usize = 64;
+    let mut slopes = Vec::new();
+    for seed in 0..6 {
+        let scene = scene(seed, &[SURFACE, "rocks.coverage=0", "camera.pitch_deg=-20", "camera.fov_deg=40"]);
+        let frame = frame(&scene, 384, &[]);
+        let value = |x: usize, y: usize| f64::from(frame.rgb[3 * (y * 384 + x) + 1]);
+        for (x0, y0) in [(40, 200), (160, 220), (280, 260), (100, 300)] {
+            // Hann window, mean taken off; transform along rows, then along columns.
+            let hann = |i: usize| 0.5 - 0.5 * (std::f64::consts::TAU * (i as f64 + 0.5) / PATCH as f64).cos();
+            let mean = (0..PATCH * PATCH).map(|i| value(x0 + i % PATCH, y0 + i / PATCH)).sum::<f64>()
+                / (PATCH * PATCH) as f64;
+            let mut plane: Vec<(f64, f64)> = (0..PATCH * PATCH)
+                .map(|i| {
+                    ((value(x0 + i % PATCH, y0 + i / PATCH) - mean) * hann(i % PATCH) * hann(i / PATCH), 0.0)
+                })
+                .collect();
+            for along in [1, PATCH] {
+                let before = plane.clone();
+                for line in 0..PATCH {
+                    let start = if along == 1 { line * PATCH } else { line };
+                    for k in 0..PATCH {
+                        let mut sum = (0.0, 0.0);
+                        for i in 0..PATCH {
+                            let (re, im) = before[start + i * along];
+                            let (sin, cos) =
+                                (-std::f64::consts::TAU * (i * k % PATCH) as f64 / PATCH as f64).sin_cos();
+                            sum = (sum.0 + re * cos - im * sin, sum.1 + re * sin + im * cos);
+                        }
+                        plane[start + k * along] = sum;
+                    }
+                }
+            }
+            let mut rings = vec![(0.0, 0.0); PATCH / 2];
+            for (i, (re, im)) in plane.iter().enumerate() {
+                let signed = |k: usize| if k < PATCH / 2 { k as f64 } else { k as f64 - PATCH as f64 };
+                let radius = signed(i % PATCH).hypot(signed(i / PATCH)).round() as usize;
+                if radius < PATCH / 2 {
+                    rings[radius] = (rings[radius].0 + re * re + im * im, rings[radius].1 + 1.0);
+                }
+            }
+            let points: Vec<(f64, f64)> =
+                (4..PATCH * 3 / 10).map(|k| ((k as f64).ln(), (rings[k].0 / rings[k].1).ln())).collect();
+            let n = points.len() as f64;
+            let (mx, my) =
+                (points.iter().map(|p| p.0).sum::<f64>() / n, points.iter().map(|p| p.1).sum::<f64>() / n);
+            slopes.push(
+                points.iter().map(|p| (p.0 - mx) * (p.1 - my)).sum::<f64>()
+                    / points.iter().map(|p| (p.0 - mx).powi(2)).sum::<f64>(),
+            );
+        }
+    }
+    let slope = median(slopes);
+    println!("spectrum of ground patches: {slope:.2}");
+    assert!((-3.0..=-1.2).contains(&slope), "{slope}");
+}

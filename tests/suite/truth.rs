@@ -55,7 +55,16 @@ const CASES: [(u64, &[&str]); 16] = [
     (21, &["stage.name=surface"]),
     (22, &["stage.name=surface", "sun.elevation_deg=6", "rocks.coverage=0.03"]),
     (23, &["stage.name=surface", "sun.elevation_deg=25", "sun.azimuth_deg=10", "camera.pitch_deg=-14"]),
-    (24, &["stage.name=surface", "camera.yaw_deg=77", "camera.roll_deg=5", "camera.height_m=1.5", "camera.x_m=150"]),
+    (
+        24,
+        &[
+            "stage.name=surface",
+            "camera.yaw_deg=77",
+            "camera.roll_deg=5",
+            "camera.height_m=1.5",
+            "camera.x_m=150",
+        ],
+    ),
 ];
 
 /// Triangles with what the caster must tell of them.
@@ -325,7 +334,14 @@ fn check(case: usize) {
     let authored = cast_picture(&scene, &Truth::new(&scene, None));
     let classes: Vec<u8> = authored.iter().map(class).collect();
     for class in ClassId::ALL {
-        assert_agreement(&format!("{name}, authored"), &frame.class, &classes, class.id.0, 0.98, COARSER_SHARE);
+        assert_agreement(
+            &format!("{name}, authored"),
+            &frame.class,
+            &classes,
+            class.id.0,
+            0.98,
+            COARSER_SHARE,
+        );
     }
     // A rock of about a pixel may have no pixel in the truth and one in the mask.
     let is_speck = |pixel: usize| {

@@ -120,8 +120,7 @@ impl Sight<'_> {
         }
         let along = offset.dot(self.ahead);
         let across = offset.perp_dot(self.ahead).abs();
-        let (sin, cos) =
-            (libm::sin(self.view.half_sector) as f32, libm::cos(self.view.half_sector) as f32);
+        let (sin, cos) = (libm::sin(self.view.half_sector) as f32, libm::cos(self.view.half_sector) as f32);
         // Distance to the ray that bounds the sector, outside of it.
         let outside_m = across * cos - along * sin;
         outside_m <= radius_m && (along >= -radius_m || cos < 0.0)
@@ -145,7 +144,8 @@ impl Sizes {
     fn new(low_m: f64, high_m: f64, coverage: f64) -> Self {
         let logs: Vec<f64> = (0..=Self::STEPS)
             .map(|i| {
-                libm::log(low_m) + (libm::log(high_m) - libm::log(low_m)) * f64::from(i) / f64::from(Self::STEPS)
+                libm::log(low_m)
+                    + (libm::log(high_m) - libm::log(low_m)) * f64::from(i) / f64::from(Self::STEPS)
             })
             .collect();
         let larger = logs.iter().map(|log| rocks_larger_than(libm::exp(*log), coverage)).collect();
@@ -262,7 +262,8 @@ fn cluster(streams: &Streams, pit: &Pit, coverage: f64, sight: &Sight<'_>, place
     if !sight.reaches(centre, 3.0 * radius_m as f32 + outside_m) {
         return;
     }
-    let nearest_m = f64::from((sight.distance_m(centre) - 3.0 * radius_m as f32).max(sight.view.eye_height_m));
+    let nearest_m =
+        f64::from((sight.distance_m(centre) - 3.0 * radius_m as f32).max(sight.view.eye_height_m));
     // Around a crater there are more rocks where there are more everywhere.
     let rim = CLUSTER_COVERAGE * (coverage / 0.008).min(1.0);
     let mut high_m = largest_m;
@@ -369,7 +370,8 @@ fn form(draw: &mut Stream, params: &Params, level: usize) -> Vec<Vec3> {
     for _ in 0..PLANES {
         let z = draw.uniform(-1.0, 1.0);
         let (angle, across) = (draw.uniform(0.0, std::f64::consts::TAU), (1.0 - z * z).sqrt());
-        let normal = Vec3::new((across * libm::cos(angle)) as f32, (across * libm::sin(angle)) as f32, z as f32);
+        let normal =
+            Vec3::new((across * libm::cos(angle)) as f32, (across * libm::sin(angle)) as f32, z as f32);
         let extent = positions[..coarse].iter().map(|p| p.dot(normal)).fold(0.0, f32::max);
         let cut = extent * draw.uniform(CUTS.0, CUTS.1) as f32;
         for p in &mut positions {
