@@ -22,6 +22,8 @@
 override SIDE: u32;
 // Whether any annotation is asked for: a driver that runs on the CPU takes its time for branches that are not taken.
 override ANNOTATED: bool;
+// Whether a lens distorts the picture: the samples are then those of a wider one.
+override DISTORTED: bool;
 
 const GROUP_WIDTH: u32 = 64u;
 const ROW_WIDTH: u32 = 1024u;
@@ -52,10 +54,8 @@ fn cs_main(@builtin(global_invocation_id) id: vec3<u32>) {
 
 fn mean_radiance(corner: vec2<u32>) -> vec3<f32> {
     var sum = vec3(0.0);
-    for (var y = 0u; y < SIDE; y++) {
-        for (var x = 0u; x < SIDE; x++) {
-            sum += textureLoad(radiance_samples, vec2<i32>(corner + vec2(x, y)), 0).rgb;
-        }
+    for (var i = 0u; i < SIDE * SIDE; i++) {
+        sum += textureLoad(radiance_samples, sample_at(corner, i), 0).rgb;
     }
     return sum / f32(SIDE * SIDE);
 }
@@ -65,9 +65,31 @@ fn encoded(radiance: vec3<f32>) -> vec3<u32> {
     return vec3<u32>(clamp(255.0 * display + 0.5, vec3(0.0), vec3(255.0)));
 }
 
-// Sample `i` of a pixel, in reading order.
+// Sample `i` of a pixel, in reading order: where it is drawn. A lens moves it, and whatever it carries with it.
 fn sample_at(corner: vec2<u32>, i: u32) -> vec2<i32> {
-    return vec2<i32>(corner + vec2(i % SIDE, i / SIDE));
+    let at = corner + vec2(i % SIDE, i / SIDE);
+    if !DISTORTED { return vec2<i32>(at); }
+    let middle = 0.5 * f32(SIDE) * vec2<f32>(frame.picture_size_px);
+    let point = undistorted((vec2<f32>(at) + 0.5 - middle) / frame.focal_samples);
+    let drawn = SIDE * frame.drawn_size_px;
+    let place = vec2<i32>(floor(point * frame.focal_samples + 0.5 * vec2<f32>(drawn)));
+    return clamp(place, vec2(0), vec2<i32>(drawn) - 1);
+}
+
+// Steps of the inverse, as in src/lens.rs, whose `undistort` this is.
+const STEPS: i32 = 24;
+
+// The point of the pinhole's picture that a lens shows at a place of the distorted one.
+fn undistorted(at: vec2<f32>) -> vec2<f32> {
+    var point = at;
+    for (var step = 0; step < STEPS; step++) {
+        let square = dot(point, point);
+        let radial = 1.0 + square * (frame.lens_k.x + square * (frame.lens_k.y + square * frame.lens_k.z));
+        let shift = 2.0 * point.x * point.y * frame.lens_p
+            + frame.lens_p.yx * (square + 2.0 * point * point);
+        point = (at - shift) / radial;
+    }
+    return point;
 }
 
 fn class_at(at: vec2<i32>) -> u32 {
@@ -85,7 +107,7 @@ fn depth_at(at: vec2<i32>) -> f32 {
 
 fn class_of_most(corner: vec2<u32>) -> u32 {
     let count = SIDE * SIDE;
-    let first = class_at(vec2<i32>(corner));
+    let first = class_at(sample_at(corner, 0u));
     var uniform_pixel = true;
     for (var i = 1u; i < count; i++) {
         uniform_pixel = uniform_pixel && class_at(sample_at(corner, i)) == first;

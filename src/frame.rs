@@ -3,6 +3,7 @@
 //! Must not know: how it was made.
 
 use crate::class::ClassId;
+use crate::lens::Lens;
 
 /// What can be asked for besides colour and class.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,6 +63,8 @@ pub struct Frame {
     pub height: u32,
     /// Focal length, pixels; the principal point is the middle of the picture.
     pub focal_px: f64,
+    /// How the lens distorted it.
+    pub lens: Lens,
     /// 8-bit sRGB, three bytes a pixel.
     pub rgb: Vec<u8>,
     /// Class id, one byte a pixel.

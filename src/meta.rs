@@ -86,6 +86,13 @@ impl FrameRecord<'_> {
             "fov_deg": camera.fov_deg(),
             "world_from_camera": camera.world_from_camera(),
             "world_from_camera_gl": camera.world_from_camera_gl(),
+            "distortion": {
+                "k1": camera.lens.k1,
+                "k2": camera.lens.k2,
+                "p1": camera.lens.p1,
+                "p2": camera.lens.p2,
+                "k3": camera.lens.k3,
+            },
             "near_m": camera.near_m,
             "far_m": camera.far_m,
             "exposure_ev": camera.exposure_ev,

@@ -251,6 +251,16 @@ knobs! {
         "How far the camera is turned clockwise about its line of sight.";
     CameraFovDeg "camera.fov_deg" "deg" Number, Frame, number(61.9275) => number(60.0), [5.0, 150.0],
         "Horizontal field of view; the default is a 20 mm lens before a sensor 24 mm wide.";
+    CameraK1 "camera.k1" "" Number, Frame, number(0.0), [-0.6, 0.6],
+        "Radial distortion of the lens (Brown and Conrady, as in OpenCV): negative for barrels.";
+    CameraK2 "camera.k2" "" Number, Frame, number(0.0), [-0.6, 0.6],
+        "Radial distortion, of the fourth power.";
+    CameraK3 "camera.k3" "" Number, Frame, number(0.0), [-0.6, 0.6],
+        "Radial distortion, of the sixth power.";
+    CameraP1 "camera.p1" "" Number, Frame, number(0.0), [-0.1, 0.1],
+        "Tangential distortion.";
+    CameraP2 "camera.p2" "" Number, Frame, number(0.0), [-0.1, 0.1],
+        "Tangential distortion.";
     CameraExposureEv "camera.exposure_ev" "EV" Number, Frame, number(0.0) => number(1.9), [-10.0, 10.0],
         "Exposure relative to the reference frame's, in stops.";
     SensorKind "sensor.kind" "" Text(&["off", "mono", "bayer"]), Frame, word("off"), [0.0, 0.0],

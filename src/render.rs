@@ -171,16 +171,23 @@ impl Renderer {
     /// A frame as the resolve makes it.
     fn render_plain(&mut self, scene: &Scene, settings: &RenderSettings) -> Result<(Frame, StageTimes)> {
         let start = Instant::now();
+        // What a lens brings onto the picture is drawn as a wider one without it, of which the resolve takes the samples.
+        let picture = settings;
+        let wide = (!scene.camera.lens.is_pinhole()).then(|| {
+            let (camera, size) = scene.camera.widened(picture.size);
+            (Scene { camera, ..scene.clone() }, RenderSettings { size, ..*picture })
+        });
+        let (scene, settings) = wide.as_ref().map_or((scene, picture), |(scene, settings)| (scene, settings));
         let (targets, packed) = match self.targets.take() {
-            Some(kept) if kept.0.serve(settings) => kept,
+            Some(kept) if kept.0.serve(settings) && kept.1.size == picture.size => kept,
             _ => {
                 let targets = Targets::new(&self.gpu, settings)?;
-                (targets, PackedFrame::new(&self.gpu, settings.size, settings.annotations))
+                (targets, PackedFrame::new(&self.gpu, picture.size, settings.annotations))
             }
         };
-        self.resolve_pass.prepare(&self.gpu, settings);
+        self.resolve_pass.prepare(&self.gpu, &targets, &packed);
         let (gpu, gpu_scene, pick_triangles) = (&self.gpu, &mut self.scene, self.pick_triangles);
-        gpu.guard(|| gpu_scene.upload(gpu, scene, settings, pick_triangles))?;
+        gpu.guard(|| gpu_scene.upload(gpu, scene, settings, picture.size, pick_triangles))?;
         self.scene_pass.prepare(&self.gpu, self.scene.variant(settings.annotations));
         self.shadow_pass.prepare(&self.gpu, self.scene.atlas_layer_px);
         self.gpu.check()?;
@@ -190,6 +197,7 @@ impl Renderer {
         let drawn = Instant::now();
         let mut frame = packed.read(&self.gpu)?;
         frame.focal_px = scene.camera.focal_px(settings.size[0]);
+        frame.lens = scene.camera.lens;
         let read = Instant::now();
         let mut times = vec![("upload", milliseconds(uploaded - start))];
         if let Some(timer) = &self.timer {
@@ -198,7 +206,7 @@ impl Renderer {
         times.extend([("gpu", milliseconds(drawn - uploaded)), ("readback", milliseconds(read - drawn))]);
         self.targets = Some((targets, packed));
         if settings.annotations.contains(Annotation::Instances) {
-            frame.rocks = labels::rocks(scene, settings, &frame);
+            frame.rocks = labels::rocks(scene, settings, picture.size, &frame);
             times.push(("labels", milliseconds(read.elapsed())));
         }
         Ok((frame, times))
@@ -233,6 +241,7 @@ impl Renderer {
             &groups.frame,
             &groups.resolve,
             targets,
+            packed,
             timer.map(|timer| timer.compute_pass(2)),
         );
         packed.copy(encoder);

@@ -35,6 +35,13 @@ struct FrameUniforms {
     caster_centre: vec2<f32>,
     // Pixels of the picture.
     picture_size_px: vec2<u32>,
+    // Pixels of what is drawn: more than the picture where a lens distorts it.
+    drawn_size_px: vec2<u32>,
+    // Tangential and radial coefficients of the lens.
+    lens_p: vec2<f32>,
+    lens_k: vec3<f32>,
+    // Focal length, samples.
+    focal_samples: f32,
     // Half the side of the first caster grid, metres; each further one is twice as wide.
     caster_half_m: f32,
     caster_levels: u32,

@@ -16,6 +16,7 @@ use super::plan::{Range, frame_seed};
 use crate::class::ClassId;
 use crate::error::{Error, Result};
 use crate::frame::{Annotation, Frame, RgbStatistics};
+use crate::lens::Lens;
 use crate::output::edges::EdgePolicy;
 use crate::output::writer::{self, Lines as _, Writer};
 use crate::output::{LabelIds, disk};
@@ -507,6 +508,8 @@ fn check_depth(
         std::array::from_fn(|r| number("world_from_camera", r, c))
     }));
     let eye = DVec3::from_array(std::array::from_fn(|r| number("world_from_camera", r, 3)));
+    let term = |name: &str| camera["distortion"][name].as_f64().unwrap_or(0.0);
+    let lens = Lens { k1: term("k1"), k2: term("k2"), k3: term("k3"), p1: term("p1"), p2: term("p2") };
     let settings =
         RenderSettings { annotations: [Annotation::Instances].into_iter().collect(), ..facts.settings };
     let (frame, _): (Frame, _) = renderer.render(scene, &settings)?;
@@ -528,7 +531,9 @@ fn check_depth(
             continue;
         }
         let centre = DVec3::new((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5, 1.0);
-        let point = (eye + axes * (depths[pixel] * (k.inverse() * centre))).as_vec3();
+        let across = k.inverse() * centre;
+        let [x, y] = lens.undistort([across.x, across.y]);
+        let point = (eye + axes * (depths[pixel] * DVec3::new(x, y, 1.0))).as_vec3();
         let pixel_m = depths[pixel] / k.x_axis.x;
         let allowed_m = DEPTH_TOLERANCE.0 + DEPTH_TOLERANCE.1 * depths[pixel] + DEPTH_TOLERANCE.2 * pixel_m;
         let rock = frame.instances[pixel].checked_sub(1).and_then(|i| scene.rocks.get(usize::from(i)));

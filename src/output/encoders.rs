@@ -40,7 +40,8 @@ pub(super) fn camera_distance_npy(source: &Source<'_>) -> Result<Vec<u8>> {
     let along_ray = |(pixel, depth_m): (u32, &f32)| {
         let x = f64::from(pixel % frame.width) + 0.5 - f64::from(frame.width) / 2.0;
         let y = f64::from(pixel / frame.width) + 0.5 - f64::from(frame.height) / 2.0;
-        (f64::from(*depth_m) * (1.0 + (x * x + y * y) / (frame.focal_px * frame.focal_px)).sqrt()) as f32
+        let [x, y] = frame.lens.undistort([x / frame.focal_px, y / frame.focal_px]);
+        (f64::from(*depth_m) * (1.0 + x * x + y * y).sqrt()) as f32
     };
     let distances: Vec<f32> = (0..).zip(&frame.depth_m).map(along_ray).collect();
     Ok(npy(frame, 1, &distances))

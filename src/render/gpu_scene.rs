@@ -178,7 +178,14 @@ impl Default for GpuScene {
 
 impl GpuScene {
     /// Chooses what is drawn of `scene` with these settings and writes it to the device.
-    pub fn upload(&mut self, gpu: &Gpu, scene: &Scene, settings: &RenderSettings, pick_triangles: bool) {
+    pub fn upload(
+        &mut self,
+        gpu: &Gpu,
+        scene: &Scene,
+        settings: &RenderSettings,
+        picture_size: [u32; 2],
+        pick_triangles: bool,
+    ) {
         self.uploaded_bytes = 0;
         self.upload_indices(gpu, scene);
         let selection = Selection::new(scene, settings);
@@ -194,7 +201,7 @@ impl GpuScene {
         self.uploaded_bytes += self.tiles.write(gpu, &tiles);
         self.uploaded_bytes += self.caster_grid.write(gpu, &caster_grid);
         self.atlas_layer_px = shadow::layer_px(casters);
-        let uniforms = frame_uniforms(scene, settings, &horizon, self.atlas_layer_px);
+        let uniforms = frame_uniforms(scene, settings, picture_size, &horizon, self.atlas_layer_px);
         self.uploaded_bytes += self.frame.write(gpu, &[uniforms]);
         (self.law, self.has_detail) = (scene.photometry.law, scene.relief.is_some());
         let relief = scene
@@ -392,13 +399,16 @@ impl GpuScene {
 fn frame_uniforms(
     scene: &Scene,
     settings: &RenderSettings,
+    picture_size: [u32; 2],
     horizon: &HorizonMap,
     atlas_layer_px: u32,
 ) -> FrameUniforms {
     let (camera, sun) = (&scene.camera, &scene.sun);
     let [sun_right, sun_up] = sun.right_and_up();
     let clip_from_offset = camera.clip_from_world(settings.size) * Mat4::from_translation(camera.eye);
-    let packing = Packing::new(settings.size, settings.annotations);
+    let packing = Packing::new(picture_size, settings.annotations);
+    let side = settings.samples_per_side;
+    let lens = camera.lens;
     let grids = CasterGrids::new(&scene.terrain);
     let photometry = &scene.photometry;
     // Of light from all around, taken as that from half way up.
@@ -425,7 +435,8 @@ fn frame_uniforms(
         horizon_towards: horizon.towards,
         horizon_centre: horizon.centre,
         caster_centre: grids.centre,
-        picture_size_px: settings.size,
+        picture_size_px: picture_size,
+        drawn_size_px: settings.size,
         caster_half_m: grids.half_m,
         caster_levels: grids.levels,
         horizon_levels: horizon.levels.len() as u32,
@@ -434,6 +445,9 @@ fn frame_uniforms(
         hapke_c: photometry.soil.c as f32,
         hapke_h_s: photometry.soil.h_s as f32,
         hapke_tan_theta_bar: libm::tan(photometry.soil.theta_bar_deg.to_radians()) as f32,
+        lens_k: [lens.k1 as f32, lens.k2 as f32, lens.k3 as f32],
+        focal_samples: (camera.focal_px(settings.size[0]) * f64::from(side)) as f32,
+        lens_p: glam::Vec2::new(lens.p1 as f32, lens.p2 as f32),
         depth_scale_m: camera.near_m * camera.far_m / (camera.far_m - camera.near_m),
         depth_offset: camera.near_m / (camera.far_m - camera.near_m),
         depth_at: packing.start(Annotation::Depth),

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use crate::class::ClassId;
 use crate::frame::{Annotation, Annotations, Frame};
+use crate::lens::Lens;
 use crate::scene::Scene;
 use crate::scene::craters::Pit;
 
@@ -123,6 +124,7 @@ struct Rays {
     right: Vec3,
     down: Vec3,
     focal_px: f32,
+    lens: Lens,
     width: usize,
     centre_px: Vec2,
 }
@@ -135,6 +137,7 @@ impl Rays {
             right: camera.right,
             down: -camera.up,
             focal_px: frame.focal_px as f32,
+            lens: frame.lens,
             width: frame.width as usize,
             centre_px: 0.5 * Vec2::new(frame.width as f32, frame.height as f32),
         }
@@ -143,7 +146,12 @@ impl Rays {
     fn at(&self, pixel: usize) -> Vec3 {
         let place = Vec2::new((pixel % self.width) as f32, (pixel / self.width) as f32) + 0.5;
         let across = (place - self.centre_px) / self.focal_px;
-        self.forward + across.x * self.right + across.y * self.down
+        let [x, y] = if self.lens.is_pinhole() {
+            across.to_array()
+        } else {
+            self.lens.undistort(across.as_dvec2().to_array()).map(|value| value as f32)
+        };
+        self.forward + x * self.right + y * self.down
     }
 }
 

@@ -3,7 +3,7 @@
 //! The first two are counted in the frame. The last needs what the rock would cover if it stood alone, which a small
 //! rasteriser finds at the pixels' centres from the triangles that were drawn.
 
-use glam::{Vec2, Vec3};
+use glam::{DVec2, Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::RenderSettings;
@@ -11,8 +11,14 @@ use super::selection::{SelectedRock, Selection};
 use crate::frame::{Frame, RockLabel};
 use crate::scene::Scene;
 
-/// The rocks that have a pixel in the frame, by rising instance id.
-pub(super) fn rocks(scene: &Scene, settings: &RenderSettings, frame: &Frame) -> Vec<RockLabel> {
+/// The rocks that have a pixel in the frame, by rising instance id. Scene and settings are those that were drawn, the size that
+/// of the picture.
+pub(super) fn rocks(
+    scene: &Scene,
+    settings: &RenderSettings,
+    picture_size: [u32; 2],
+    frame: &Frame,
+) -> Vec<RockLabel> {
     let mut seen: Vec<RockLabel> = scene
         .rocks
         .iter()
@@ -40,7 +46,7 @@ pub(super) fn rocks(scene: &Scene, settings: &RenderSettings, frame: &Frame) -> 
         .rocks
         .par_iter()
         .filter(|selected| seen[selected.rock].visible_px > 0)
-        .map(|selected| (selected.rock, exposed_px(scene, settings, selected)))
+        .map(|selected| (selected.rock, exposed_px(scene, settings, picture_size, selected)))
         .collect();
     for (rock, exposed_px) in exposed {
         seen[rock].exposed_px = exposed_px;
@@ -50,11 +56,16 @@ pub(super) fn rocks(scene: &Scene, settings: &RenderSettings, frame: &Frame) -> 
 }
 
 /// Pixels whose centre sees the rock, were it alone on its ground.
-fn exposed_px(scene: &Scene, settings: &RenderSettings, selected: &SelectedRock) -> u32 {
+fn exposed_px(
+    scene: &Scene,
+    settings: &RenderSettings,
+    picture_size: [u32; 2],
+    selected: &SelectedRock,
+) -> u32 {
     let rock = &scene.rocks[selected.rock];
     let camera = &scene.camera;
-    let [width, height] = settings.size;
-    let focal = camera.focal_px(width) as f32;
+    let [width, height] = picture_size;
+    let focal = camera.focal_px(settings.size[0]) as f32;
     let centre_px = 0.5 * Vec2::new(width as f32, height as f32);
     // Picture coordinates and inverse depth of every vertex; nothing for one behind the near plane.
     let projected: Vec<Option<Vec3>> = rock
@@ -64,8 +75,13 @@ fn exposed_px(scene: &Scene, settings: &RenderSettings, selected: &SelectedRock)
             let offset = rock.centre + vertex.position - camera.eye;
             let depth_m = offset.dot(camera.forward);
             (depth_m > camera.near_m).then(|| {
-                let across = Vec2::new(offset.dot(camera.right), -offset.dot(camera.up));
-                (centre_px + focal / depth_m * across).extend(1.0 / depth_m)
+                let across = Vec2::new(offset.dot(camera.right), -offset.dot(camera.up)) / depth_m;
+                let across = if camera.lens.is_pinhole() {
+                    across
+                } else {
+                    DVec2::from(camera.lens.distort(across.as_dvec2().to_array())).as_vec2()
+                };
+                (centre_px + focal * across).extend(1.0 / depth_m)
             })
         })
         .collect();
@@ -98,6 +114,11 @@ fn exposed_px(scene: &Scene, settings: &RenderSettings, selected: &SelectedRock)
             Vec2::new(first.x as f32 + (cell % columns) as f32, first.y as f32 + (cell / columns) as f32)
                 + 0.5;
         let across = (pixel - centre_px) / focal;
+        let across = if camera.lens.is_pinhole() {
+            across
+        } else {
+            DVec2::from(camera.lens.undistort(across.as_dvec2().to_array())).as_vec2()
+        };
         let ray = camera.forward + across.x * camera.right - across.y * camera.up;
         let place = camera.eye + ray / inverse_depth;
         count += u32::from(place.z > scene.terrain.surface_height_at(place.truncate()));

@@ -2,9 +2,9 @@
 
 use wgpu::BufferUsages;
 
+use super::BindLayouts;
 use super::shaders::RESOLVE;
 use super::targets::Targets;
-use super::{BindLayouts, RenderSettings};
 use crate::class::ClassId;
 use crate::frame::{Annotation, Annotations, Frame};
 use crate::gpu::Gpu;
@@ -43,13 +43,27 @@ pub fn encoded(radiance: f64) -> f64 {
 pub struct ResolvePass {
     module: wgpu::ShaderModule,
     layout: wgpu::PipelineLayout,
-    /// For each number of samples along a pixel's side that was needed so far, without and with annotations.
-    pipelines: Vec<((u32, bool), wgpu::ComputePipeline)>,
+    /// For each variant that was needed so far.
+    pipelines: Vec<(Variant, wgpu::ComputePipeline)>,
 }
 
-/// What a pipeline of the pass is made for: samples along a pixel's side, and whether there are annotations.
-fn variant(samples_per_side: u32, annotations: Annotations) -> (u32, bool) {
-    (samples_per_side, annotations != Annotations::default())
+/// What a pipeline of the pass is made for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Variant {
+    samples_per_side: u32,
+    annotated: bool,
+    distorted: bool,
+}
+
+impl Variant {
+    /// For samples of these targets and a picture of this size: smaller where a lens distorts it.
+    fn new(targets: &Targets, picture_size: [u32; 2]) -> Self {
+        Self {
+            samples_per_side: targets.samples_per_side,
+            annotated: targets.annotations != Annotations::default(),
+            distorted: targets.size != picture_size,
+        }
+    }
 }
 
 /// Where each plane of a frame lies in the packed result.
@@ -114,7 +128,8 @@ impl Packing {
 /// The packed result of one picture size.
 #[derive(Debug)]
 pub struct PackedFrame {
-    size: [u32; 2],
+    /// Pixels of the picture.
+    pub size: [u32; 2],
     packing: Packing,
     /// Written by the pass.
     pub buffer: wgpu::Buffer,
@@ -133,13 +148,12 @@ impl ResolvePass {
         Self { module: RESOLVE.compile(gpu), layout, pipelines: Vec::new() }
     }
 
-    /// Makes the pipeline for these settings, unless it is there.
-    pub fn prepare(&mut self, gpu: &Gpu, settings: &RenderSettings) {
-        let wanted = variant(settings.samples_per_side, settings.annotations);
+    /// Makes the pipeline for these targets and this picture, unless it is there.
+    pub fn prepare(&mut self, gpu: &Gpu, targets: &Targets, packed: &PackedFrame) {
+        let wanted = Variant::new(targets, packed.size);
         if self.pipelines.iter().any(|(made, _)| *made == wanted) {
             return;
         }
-        let (samples_per_side, annotated) = wanted;
         let pipeline = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some("resolve"),
             layout: Some(&self.layout),
@@ -149,8 +163,9 @@ impl ResolvePass {
                 constants: &[
                     ("TONE_KNEE", TONE_KNEE),
                     ("TONE_WHITE", TONE_WHITE),
-                    ("SIDE", f64::from(samples_per_side)),
-                    ("ANNOTATED", f64::from(u8::from(annotated))),
+                    ("SIDE", f64::from(wanted.samples_per_side)),
+                    ("ANNOTATED", f64::from(u8::from(wanted.annotated))),
+                    ("DISTORTED", f64::from(u8::from(wanted.distorted))),
                 ],
                 ..Default::default()
             },
@@ -166,18 +181,19 @@ impl ResolvePass {
         frame: &wgpu::BindGroup,
         own: &wgpu::BindGroup,
         targets: &Targets,
+        packed: &PackedFrame,
         timestamps: Option<wgpu::ComputePassTimestampWrites<'_>>,
     ) {
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
             label: Some("resolve"),
             timestamp_writes: timestamps,
         });
-        let wanted = variant(targets.samples_per_side, targets.annotations);
+        let wanted = Variant::new(targets, packed.size);
         let made = self.pipelines.iter().find(|(made, _)| *made == wanted);
         pass.set_pipeline(&made.expect("a pipeline is prepared before it is used").1);
         pass.set_bind_group(0, frame, &[]);
         pass.set_bind_group(2, own, &[]);
-        let groups = Packing::new(targets.size, targets.annotations).groups() as u32;
+        let groups = packed.packing.groups() as u32;
         let workgroups = groups.div_ceil(GROUP_WIDTH);
         pass.dispatch_workgroups(workgroups.min(ROW_WIDTH), workgroups.div_ceil(ROW_WIDTH), 1);
     }

@@ -8,6 +8,7 @@ use glam::{DVec3, Mat4, Vec2, Vec3};
 use super::rings::View;
 use super::terrain::Terrain;
 use crate::error::{Error, Result};
+use crate::lens::Lens;
 use crate::params::{Knob, Params};
 
 /// Distance of the near plane, metres.
@@ -34,6 +35,8 @@ pub struct Camera {
     pub far_m: f32,
     /// Exposure relative to the reference, in stops.
     pub exposure_ev: f32,
+    /// How its lens distorts.
+    pub lens: Lens,
 }
 
 impl Camera {
@@ -52,13 +55,26 @@ impl Camera {
                  and {MIN_CLEARANCE_M} m is the least; raise it, or lower terrain.amplitude_m"
             )));
         }
-        Ok(Self::new(
+        let mut camera = Self::new(
             eye,
             [Knob::CameraPitchDeg, Knob::CameraYawDeg, Knob::CameraRollDeg].map(|knob| params.number(knob)),
             params.number(Knob::CameraFovDeg),
             2.0 * params.number(Knob::SkyDomeRadiusM) as f32 + params.number(Knob::TerrainSizeM) as f32,
             params.number(Knob::CameraExposureEv) as f32,
-        ))
+        );
+        let [k1, k2, k3, p1, p2] =
+            [Knob::CameraK1, Knob::CameraK2, Knob::CameraK3, Knob::CameraP1, Knob::CameraP2]
+                .map(|knob| params.number(knob));
+        camera.lens = Lens { k1, k2, k3, p1, p2 };
+        let half = f64::from(camera.tan_half_fov);
+        if camera.lens.reach([half, half]).is_none() {
+            return Err(Error::Scene(format!(
+                "camera.k1 = {k1}, k2 = {k2}, k3 = {k3}, p1 = {p1}, p2 = {p2} fold the picture over within a field of \
+                 view of {:.1} degrees; use smaller ones, or a smaller camera.fov_deg",
+                camera.fov_deg()
+            )));
+        }
+        Ok(camera)
     }
 
     /// A camera at `eye` that looks along +Y, then is turned by pitch (up), yaw (compass, towards +X) and roll
@@ -81,6 +97,7 @@ impl Camera {
             near_m: NEAR_M,
             far_m,
             exposure_ev,
+            lens: Lens::default(),
         }
     }
 
@@ -94,6 +111,21 @@ impl Camera {
     #[must_use]
     pub fn focal_px(&self, width_px: u32) -> f64 {
         0.5 * f64::from(width_px) / f64::from(self.tan_half_fov)
+    }
+
+    /// The camera with a wider field of view whose picture holds all that the lens brings onto a picture of this size, and
+    /// the size of that picture; focal length in pixels and middle stay.
+    #[must_use]
+    pub fn widened(&self, [width_px, height_px]: [u32; 2]) -> (Self, [u32; 2]) {
+        let half_x = f64::from(self.tan_half_fov);
+        let reach = self.lens.reach([half_x, half_x * f64::from(height_px) / f64::from(width_px)]);
+        let reach = reach.unwrap_or([1.0; 2]);
+        // By whole pixels on each side, and one more for what rounding may ask.
+        let wide =
+            |side: u32, reach: f64| side + 2 * (libm::ceil(0.5 * f64::from(side) * (reach - 1.0)) as u32 + 1);
+        let size = [wide(width_px, reach[0]), wide(height_px, reach[1])];
+        let tan_half_fov = (half_x * f64::from(size[0]) / f64::from(width_px)) as f32;
+        (Self { tan_half_fov, ..*self }, size)
     }
 
     /// Intrinsic matrix for a picture of this size, pixels; pixel (u, v) has its centre at (u + 0.5, v + 0.5).

@@ -4,21 +4,22 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// Module and the modules of ours that it may use. A module may always use what is below its own folder.
-const MAY_USE: [(&str, &[&str]); 14] = [
+const MAY_USE: [(&str, &[&str]); 15] = [
     ("error", &[]),
     ("class", &[]),
     ("random", &[]),
-    ("frame", &["class"]),
+    ("lens", &[]),
+    ("frame", &["class", "lens"]),
     ("params", &["error", "random"]),
-    ("scene", &["params", "random", "class", "error"]),
+    ("scene", &["params", "random", "lens", "class", "error"]),
     ("gpu", &["error"]),
-    ("render", &["scene", "gpu", "frame", "class", "error"]),
-    ("output", &["frame", "class", "error"]),
+    ("render", &["scene", "gpu", "frame", "lens", "class", "error"]),
+    ("output", &["frame", "lens", "class", "error"]),
     ("remap", &["output", "class", "error"]),
     ("export", &["scene", "render", "output", "class", "error"]),
     ("meta", &["params", "scene", "render", "output", "frame", "class"]),
     ("bench", &["dataset", "params", "scene", "render", "output", "error", "Error"]),
-    ("dataset", &["params", "scene", "render", "output", "meta", "frame", "class", "error"]),
+    ("dataset", &["params", "scene", "render", "output", "meta", "frame", "lens", "class", "error"]),
 ];
 
 fn sources(folder: &Path, found: &mut Vec<PathBuf>) {

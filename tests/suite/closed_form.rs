@@ -278,3 +278,48 @@ fn every_law_is_that_of_the_library() {
     }
     assert!((1e-6..0.01).contains(&worst), "off by {worst}");
 }
+
+/// A barrel lens: every pixel of every plane is that of the pinhole's picture where the formula says, so that colour and
+/// labels move together.
+#[test]
+fn a_lens_moves_every_plane_by_the_formula() {
+    let asked = [Annotation::Depth, Annotation::Instances, Annotation::Hdr];
+    let take = |scene: &Scene| {
+        let mut settings = RenderSettings::new([200, 160], 1).expect("settings");
+        settings.annotations = asked.into_iter().collect();
+        renderer().render(scene, &settings).expect("a frame").0
+    };
+    for stage in ["nominal", "surface"] {
+        let stage = format!("stage.name={stage}");
+        let plain = scene(12, &[&stage]);
+        let bent =
+            scene(12, &[&stage, "camera.k1=-0.2", "camera.k2=0.03", "camera.p1=0.01", "camera.p2=-0.008"]);
+        let (straight, moved) = (take(&plain), take(&bent));
+        assert_eq!(plain.geometry_hash(), bent.geometry_hash());
+        let lens = bent.camera.lens;
+        let (focal, middle) = (straight.focal_px, [100.0, 80.0]);
+        let (mut compared, mut alike, mut furthest) = (0.0, 0.0, 0.0_f64);
+        for pixel in 0..200 * 160 {
+            let at = [(pixel % 200) as f64 + 0.5, (pixel / 200) as f64 + 0.5];
+            let across = [0, 1].map(|axis| (at[axis] - middle[axis]) / focal);
+            let point = lens.undistort(across);
+            let from = [0, 1].map(|axis| point[axis] * focal + middle[axis]);
+            let inside = from[0] >= 1.0 && from[0] < 199.0 && from[1] >= 1.0 && from[1] < 159.0;
+            let near_edge = from.iter().any(|value| (value - value.round()).abs() < 0.01);
+            if !inside || near_edge {
+                continue;
+            }
+            let source = from[1] as usize * 200 + from[0] as usize;
+            compared += 1.0;
+            furthest = furthest.max((from[0] - at[0]).hypot(from[1] - at[1]));
+            let same = moved.class[pixel] == straight.class[source]
+                && moved.instances[pixel] == straight.instances[source]
+                && (moved.depth_m[pixel] == straight.depth_m[source]
+                    || (moved.depth_m[pixel] / straight.depth_m[source] - 1.0).abs() < 1e-3);
+            alike += f64::from(u8::from(same));
+        }
+        assert!(compared > 20_000.0 && furthest > 5.0, "{compared} pixels, {furthest} px at most");
+        // The wider picture rounds its triangles' corners elsewhere.
+        assert!(alike / compared > 0.998, "{stage}: {alike} of {compared} are the source's");
+    }
+}

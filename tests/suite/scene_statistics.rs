@@ -223,6 +223,8 @@ fn every_knob_is_live() {
                 "label.crater_min_diameter_m" => "100",
                 "relief.slope_deg" => "20",
                 "relief.clods" => "0",
+                "camera.k1" | "camera.k2" | "camera.k3" => "0.2",
+                "camera.p1" | "camera.p2" => "0.05",
                 _ if info.kind == Kind::Integer => "17",
                 _ if info.range[1] >= 5000.0 => "800",
                 _ if info.range[1] >= 30.0 => "30",

@@ -1,0 +1,119 @@
+//! Distortion of a lens: where a straight line ends up on the picture.
+//!
+//! The model of Brown 1966 ("Decentering Distortion of Lenses") and Conrady in the form and with the names of OpenCV, on
+//! coordinates divided by the focal length from the principal point, x to the right and y down.
+//! Must not know: what is seen through it.
+
+/// Coefficients; all 0 is a pinhole.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Lens {
+    /// Radial, of the square of the distance from the axis; negative for barrels.
+    pub k1: f64,
+    /// Of its fourth power.
+    pub k2: f64,
+    /// Of its sixth power.
+    pub k3: f64,
+    /// Tangential.
+    pub p1: f64,
+    /// Tangential.
+    pub p2: f64,
+}
+
+/// Steps of the inverse. Stands in `resolve.wgsl` too.
+const STEPS: u32 = 24;
+
+impl Lens {
+    /// Whether it distorts at all.
+    #[must_use]
+    pub fn is_pinhole(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// Where a point of the pinhole's picture is on the distorted one.
+    #[must_use]
+    pub fn distort(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let (radial, [dx, dy]) = self.terms([x, y]);
+        [x * radial + dx, y * radial + dy]
+    }
+
+    /// The point of the pinhole's picture that is seen at a place of the distorted one.
+    #[must_use]
+    pub fn undistort(&self, at: [f64; 2]) -> [f64; 2] {
+        let mut point = at;
+        for _ in 0..STEPS {
+            let (radial, [dx, dy]) = self.terms(point);
+            point = [(at[0] - dx) / radial, (at[1] - dy) / radial];
+        }
+        point
+    }
+
+    /// Radial factor and tangential shift.
+    fn terms(&self, [x, y]: [f64; 2]) -> (f64, [f64; 2]) {
+        let square = x * x + y * y;
+        let radial = 1.0 + square * (self.k1 + square * (self.k2 + square * self.k3));
+        let shift = [
+            2.0 * self.p1 * x * y + self.p2 * (square + 2.0 * x * x),
+            self.p1 * (square + 2.0 * y * y) + 2.0 * self.p2 * x * y,
+        ];
+        (radial, shift)
+    }
+
+    /// How far the pinhole's picture must reach, in halves of a picture with these half extents, to fill the distorted one;
+    /// `None` if the lens folds the picture over within it.
+    #[must_use]
+    pub fn reach(&self, half: [f64; 2]) -> Option<[f64; 2]> {
+        let mut reach = [1.0_f64; 2];
+        for step in -16..=16 {
+            let share = f64::from(step) / 16.0;
+            for at in [[share, -1.0], [share, 1.0], [-1.0, share], [1.0, share]] {
+                let at = [at[0] * half[0], at[1] * half[1]];
+                let point = self.undistort(at);
+                let back = self.distort(point);
+                let off = (back[0] - at[0]).abs().max((back[1] - at[1]).abs());
+                if off.is_nan() || off > 1e-6 {
+                    return None;
+                }
+                reach = [0, 1].map(|axis| reach[axis].max(point[axis].abs() / half[axis]));
+            }
+        }
+        (reach[0].max(reach[1]) <= 3.0).then_some(reach)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LENS: Lens = Lens { k1: -0.25, k2: 0.06, k3: -0.005, p1: 0.002, p2: -0.001 };
+
+    #[test]
+    fn undistort_takes_distort_back() {
+        for i in 0..100 {
+            let point = [f64::from(i % 10) * 0.12 - 0.55, f64::from(i / 10) * 0.11 - 0.5];
+            let back = LENS.undistort(LENS.distort(point));
+            assert!((back[0] - point[0]).abs() < 1e-9 && (back[1] - point[1]).abs() < 1e-9, "{point:?}");
+        }
+        assert_eq!(Lens::default().distort([0.3, -0.2]), [0.3, -0.2]);
+    }
+
+    #[test]
+    fn a_point_goes_where_the_formula_says() {
+        let lens = Lens { k1: -0.2, k2: 0.05, p1: 0.01, ..Lens::default() };
+        let [x, y] = lens.distort([0.5, 0.25]);
+        let square = 0.3125;
+        let radial = 1.0 - 0.2 * square + 0.05 * square * square;
+        assert!((x - (0.5 * radial + 2.0 * 0.01 * 0.125)).abs() < 1e-12);
+        assert!((y - (0.25 * radial + 0.01 * (square + 2.0 * 0.0625))).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_barrel_sees_further_and_a_lens_that_folds_is_told() {
+        let reach = Lens { k1: -0.2, ..Lens::default() }.reach([0.6, 0.4]).expect("a lens");
+        assert!(reach[0] > 1.05 && reach[1] > 1.02, "{reach:?}");
+        assert_eq!(Lens { k1: -2.0, ..Lens::default() }.reach([0.8, 0.8]), None);
+        assert_eq!(
+            Lens { k1: 0.2, ..Lens::default() }.reach([0.6, 0.4]).map(|r| r[0] <= 1.0 + 1e-9),
+            Some(true)
+        );
+    }
+}
