@@ -139,9 +139,15 @@ fn killed_a_hundred_times_it_ends_with_the_same_bytes() {
 
     let mut draw = Streams::new(4).stream("test", 0);
     let (mut at_work, mut before) = (0, 0);
-    for _ in 0..KILLS {
+    for kill in 0..KILLS {
         let mut child = program(folder.path()).args(words("killed")).spawn().expect("started");
-        std::thread::sleep(Duration::from_secs_f64(draw.uniform(0.02, 2.0 * first_s)));
+        // Every other one at any moment, starting up too; the rest some moment after a frame was made.
+        if kill % 2 == 0 {
+            std::thread::sleep(Duration::from_secs_f64(draw.uniform(0.02, 1.5 * first_s)));
+        } else {
+            wait_until(|| lines_that_parse(&killed) > before);
+            std::thread::sleep(Duration::from_secs_f64(draw.uniform(0.0, 0.3 * first_s)));
+        }
         child.kill().expect("killed");
         let _ = child.wait();
         let there = lines_that_parse(&killed);
