@@ -218,7 +218,7 @@ impl<'a> Frame<'a> {
         let start = |row| {
             let place = self.place(end, row);
             let ground_m = self.ground_m(place);
-            (end, coarser.limbs_at(place, self.towards).map(|limb| limb.max(ground_m)))
+            (end, raised(coarser.limbs_at(place, self.towards), ground_m))
         };
         self.scan([columns.clone(), rows], start, None)
     }
@@ -248,7 +248,7 @@ impl<'a> Frame<'a> {
                         shaded.push(place);
                     }
                 }
-                limbs = limbs.map(|limb| limb.max(ground_m));
+                limbs = raised(limbs, ground_m);
             }
             shaded
         });
@@ -257,6 +257,12 @@ impl<'a> Frame<'a> {
         let offset = columns.start as f32 * self.towards + rows.start as f32 * self.across;
         Grid { origin: self.origin + self.step_m * offset, step_m: self.step_m, size, heights_m, shaded }
     }
+}
+
+/// The heights where ground stands at a place: what hides the lower limb from what lies beyond also tells how far the upper
+/// one is hidden. (Lower ground that lies nearer would hide neither, but would cut the penumbra short.)
+fn raised(limbs: [f32; 2], ground_m: f32) -> [f32; 2] {
+    if ground_m > limbs[0] { [ground_m; 2] } else { limbs }
 }
 
 impl Grid {

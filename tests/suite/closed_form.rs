@@ -323,3 +323,35 @@ fn a_lens_moves_every_plane_by_the_formula() {
         assert!(alike / compared > 0.998, "{stage}: {alike} of {compared} are the source's");
     }
 }
+
+/// The shadow of a wall of height h ends in a penumbra h x 0.0093 / sin^2(elevation) wide on level ground.
+#[test]
+fn the_penumbra_of_a_wall_has_its_width_at_every_elevation() {
+    let wall_m = 4.0_f32;
+    for elevation_deg in [5.0_f32, 10.0, 17.0, 30.0] {
+        let sun = Sun::new(f64::from(elevation_deg), 90.0, 0.53, Vec3::ONE);
+        let wall = |p: Vec2| if (-0.5..=0.0).contains(&p.x) { wall_m } else { 0.0 };
+        let width_m = wall_m * 0.53_f32.to_radians() / elevation_deg.to_radians().sin().powi(2);
+        let edge_m = -0.4 - wall_m / elevation_deg.to_radians().tan();
+        let eye = Vec3::new(edge_m, 0.0, 20.0);
+        let fov_deg = 2.0 * f64::from(1.5 * width_m / eye.z).atan().to_degrees();
+        let mut scene = flat_scene(sun, Vec::new(), eye, fov_deg);
+        scene.terrain = Terrain::from_height(200.0, 1000, Vec::new(), wall);
+        let mut settings = RenderSettings::new([256, 64], 1).expect("settings");
+        settings.annotations = [Annotation::Shadow].into_iter().collect();
+        let frame = renderer().render(&scene, &settings).expect("a frame").0;
+        // From the right, which is in shadow, to the left: where a tenth and nine tenths of the disc are hidden.
+        let hidden: Vec<f32> = (0..256).map(|x| f32::from(frame.hidden[32 * 256 + x]) / 255.0).collect();
+        let crossing = |level: f32| {
+            let x = (0..255).find(|&x| hidden[x] <= level && hidden[x + 1] > level).expect("a crossing");
+            x as f32 + (level - hidden[x]) / (hidden[x + 1] - hidden[x])
+        };
+        let measured_m = (crossing(0.9) - crossing(0.1)) * 3.0 * width_m / 256.0;
+        // Of a disc that a straight edge crosses, the middle 80 % of the area take 0.687 of the way.
+        let expected_m = 0.687 * width_m;
+        assert!(
+            (measured_m / expected_m - 1.0).abs() < 0.10,
+            "{elevation_deg} degrees: {measured_m} m for {expected_m} m"
+        );
+    }
+}

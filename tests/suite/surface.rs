@@ -244,7 +244,7 @@ fn rocks_follow_the_lunar_law() {
         });
         assert!(distance * n.sqrt() < 1.63, "{distance} over {n} rocks");
     }
-    // Values that REALISM of the law was tabled with: rocks of more than 10 cm on 100 m^2.
+    // Values tabled from the law: rocks of more than 10 cm on 100 m^2.
     for (coverage, per_100_m2) in [(0.0021, 4.4), (0.005, 9.0), (0.01, 14.0), (0.05, 40.0), (0.1, 69.0)] {
         let found = 100.0 * rocks_larger_than(0.1, coverage);
         assert!((found / per_100_m2 - 1.0).abs() < 0.06, "{found} at {coverage}");
