@@ -4,8 +4,7 @@
 override LAYER: f32;
 
 @vertex
-fn vs_main(@location(0) position: vec3<f32>, @builtin(instance_index) index: u32) -> @builtin(position) vec4<f32> {
-    let instance = instances[index];
+fn vs_main(@location(0) position: vec3<f32>) -> @builtin(position) vec4<f32> {
     let tile = tiles[instance.tile];
     let p = instance.scale * position / tile.half_extent_m;
     let across = vec2(dot(p, frame.sun_right), -dot(p, frame.sun_up));

@@ -16,23 +16,16 @@ struct Varyings {
     // Metres from the eye, world axes.
     @location(0) offset: vec3<f32>,
     @location(1) normal: vec3<f32>,
-    @location(2) @interpolate(flat, either) instance: u32,
 }
 
 @vertex
-fn vs_main(
-    @location(0) position: vec3<f32>,
-    @location(1) normal: vec3<f32>,
-    @builtin(instance_index) index: u32,
-) -> Varyings {
-    let instance = instances[index];
+fn vs_main(@location(0) position: vec3<f32>, @location(1) normal: vec3<f32>) -> Varyings {
     let offset = (instance.origin - frame.eye) + instance.scale * position;
-    return Varyings(frame.clip_from_offset * vec4(offset, 1.0), offset, normal, index);
+    return Varyings(frame.clip_from_offset * vec4(offset, 1.0), offset, normal);
 }
 
 @fragment
 fn fs_main(in: Varyings) -> SceneOut {
-    let instance = instances[in.instance];
     let smooth_normal = normalize(in.normal);
     let to_eye = -normalize(in.offset);
     var normal = smooth_normal;

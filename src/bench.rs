@@ -5,18 +5,20 @@
 //! Must not know: the command line.
 //! To add a case: a variant of [`Case`] with its arm in [`run`].
 
+use std::collections::VecDeque;
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use serde_json::{Map, Value, json};
 
-use crate::dataset;
 use crate::dataset::plan::{Plan, frame_seed};
+use crate::dataset::{self, Pace};
 use crate::error::Result;
 use crate::output::disk;
 use crate::params::Knob;
-use crate::render::{RenderSettings, Renderer, StageTimes};
+use crate::render::{Renderer, StageTimes};
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
 use crate::scene::sky::Sun;
@@ -58,7 +60,7 @@ impl Case {
 /// What a case came to.
 #[derive(Clone, Debug, Default)]
 pub struct Measured {
-    /// Milliseconds of each frame; for datasets from the end of one frame to that of the next.
+    /// Milliseconds from the end of one frame to that of the next.
     pub frames_ms: Vec<f64>,
     /// Milliseconds from the start of the first frame to the end of the last.
     pub total_ms: f64,
@@ -128,8 +130,8 @@ impl Measured {
 pub struct Setup {
     /// What is drawn.
     pub plan: Plan,
-    /// Threads that build scenes, and as many that encode, for datasets.
-    pub threads: usize,
+    /// How much is done at a time; threads are for datasets.
+    pub pace: Pace,
     /// Frames that count.
     pub frames: u64,
 }
@@ -139,89 +141,102 @@ pub struct Setup {
 /// # Errors
 /// Those of drawing and writing.
 pub fn run(case: Case, setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Measured> {
-    let Setup { plan, frames, .. } = setup;
     match case {
-        Case::Camera => moving(plan, *frames, true, renderer),
-        Case::StaticSun => moving(plan, *frames, false, renderer),
-        Case::Scene => scenes(plan, *frames, renderer),
+        Case::Camera => moving(setup, true, renderer),
+        Case::StaticSun => moving(setup, false, renderer),
+        Case::Scene => scenes(setup, renderer),
         Case::Dataset => dataset(setup, folder, renderer),
     }
 }
 
-/// Renders a frame that counts from `start` on.
+/// Renders scenes one after the other, several frames in flight, and measures from the end of one frame to that of the
+/// next. `next` gives the scene of a frame and what making it took.
 fn measure(
-    measured: &mut Measured,
-    start: Instant,
-    mut times: StageTimes,
-    scene: &Scene,
-    settings: &RenderSettings,
+    setup: &Setup,
     renderer: &mut Renderer,
-) -> Result<()> {
-    let (frame, render_times) = renderer.render(scene, settings)?;
-    times.extend(render_times);
-    measured.frames_ms.push(start.elapsed().as_secs_f64() * 1e3);
-    measured.stages.push(times);
-    measured.triangles.push(renderer.gpu_scene().drawn_triangles() as f64);
-    measured.upload_bytes.push(renderer.gpu_scene().uploaded_bytes as f64);
-    measured.readback_bytes = frame.bytes();
-    Ok(())
+    mut next: impl FnMut(u64) -> Result<(Arc<Scene>, StageTimes)>,
+) -> Result<Measured> {
+    let Setup { plan, pace, frames } = setup;
+    let mut measured = Measured::default();
+    let mut flying = VecDeque::new();
+    let (mut begun, mut last) = (Instant::now(), Instant::now());
+    let total = WARM_UP + frames;
+    let (mut submitted, mut finished) = (0, 0);
+    while finished < total {
+        if submitted < total && flying.len() < pace.frames_in_flight {
+            let (scene, times) = next(submitted)?;
+            let in_flight = renderer.submit(&scene, &plan.settings)?;
+            flying.push_back((scene, times, in_flight));
+            submitted += 1;
+        } else if let Some((scene, mut times, in_flight)) = flying.pop_front() {
+            measured.triangles.push(in_flight.drawn_triangles as f64);
+            measured.upload_bytes.push(in_flight.uploaded_bytes as f64);
+            let (frame, render_times) = renderer.finish(in_flight, &scene)?;
+            times.extend(render_times);
+            measured.frames_ms.push(last.elapsed().as_secs_f64() * 1e3);
+            measured.stages.push(times);
+            measured.readback_bytes = frame.bytes();
+            last = Instant::now();
+            finished += 1;
+            if finished == WARM_UP {
+                measured = Measured::default();
+                begun = last;
+            }
+        }
+    }
+    measured.total_ms = begun.elapsed().as_secs_f64() * 1e3;
+    Ok(measured)
 }
 
-fn moving(plan: &Plan, frames: u64, sun_moves: bool, renderer: &mut Renderer) -> Result<Measured> {
+fn moving(setup: &Setup, sun_moves: bool, renderer: &mut Renderer) -> Result<Measured> {
+    let plan = &setup.plan;
     let params = plan.config.draw(plan.base_seed)?;
-    let mut scene = Scene::build(plan.base_seed, &params)?;
-    let mut measured = Measured::default();
-    let (eye, sun) = (scene.camera.eye, scene.sun);
+    let still = Scene::build(plan.base_seed, &params)?;
+    let (eye, sun) = (still.camera.eye, still.sun);
     let angles = [Knob::CameraPitchDeg, Knob::CameraYawDeg, Knob::CameraRollDeg];
     let [pitch, yaw, roll] = angles.map(|knob| params.number(knob));
     let fov_deg = params.number(Knob::CameraFovDeg);
-    let mut begun = Instant::now();
-    for frame in 0..WARM_UP + frames {
-        if frame == WARM_UP {
-            measured = Measured::default();
-            begun = Instant::now();
-        }
+    // A scene for each frame that can be in flight, so that none is copied while frames are measured.
+    let mut scenes = vec![Arc::new(still); setup.pace.frames_in_flight + 1];
+    for scene in &mut scenes[1..] {
+        *scene = Arc::new(Scene::clone(scene));
+    }
+    measure(setup, renderer, |frame| {
         let turn = std::f64::consts::TAU * (frame % PERIOD) as f64 / PERIOD as f64;
         let start = Instant::now();
+        let kept = scenes.remove(0);
+        let mut scene = Arc::try_unwrap(kept).unwrap_or_else(|shared| Scene::clone(&shared));
         let mut place = eye;
         place.x += 2.0 * libm::sin(turn) as f32;
         place.z += scene.terrain.height_at(place.truncate()) - scene.terrain.height_at(eye.truncate());
         let angles = [pitch + libm::cos(turn), yaw + 8.0 * libm::sin(turn), roll];
-        let old = &scene.camera;
-        scene.camera = Camera::new(place, angles, fov_deg, old.far_m, old.exposure_ev);
+        let (far_m, exposure_ev) = (scene.camera.far_m, scene.camera.exposure_ev);
+        scene.camera = Camera::new(place, angles, fov_deg, far_m, exposure_ev);
         if sun_moves {
             let azimuth_deg = (sun.azimuth_deg + 30.0 * libm::sin(turn)).rem_euclid(360.0);
             scene.sun = Sun::new(sun.elevation_deg, azimuth_deg, sun.angular_diameter_deg, sun.irradiance);
         }
-        measure(&mut measured, start, StageTimes::new(), &scene, &plan.settings, renderer)?;
-    }
-    measured.total_ms = begun.elapsed().as_secs_f64() * 1e3;
-    Ok(measured)
+        let scene = Arc::new(scene);
+        scenes.push(Arc::clone(&scene));
+        Ok((scene, vec![("scene", start.elapsed().as_secs_f64() * 1e3)]))
+    })
 }
 
-fn scenes(plan: &Plan, frames: u64, renderer: &mut Renderer) -> Result<Measured> {
-    let mut measured = Measured::default();
-    let mut begun = Instant::now();
-    for frame in 0..WARM_UP + frames {
-        if frame == WARM_UP {
-            measured = Measured::default();
-            begun = Instant::now();
-        }
+fn scenes(setup: &Setup, renderer: &mut Renderer) -> Result<Measured> {
+    let plan = &setup.plan;
+    measure(setup, renderer, |frame| {
         let start = Instant::now();
         let seed = frame_seed(plan.base_seed, frame, 0);
         let scene = Scene::build(seed, &plan.config.draw(seed)?)?;
-        let times = vec![("scene", start.elapsed().as_secs_f64() * 1e3)];
-        measure(&mut measured, start, times, &scene, &plan.settings, renderer)?;
-    }
-    measured.total_ms = begun.elapsed().as_secs_f64() * 1e3;
-    Ok(measured)
+        Ok((Arc::new(scene), vec![("scene", start.elapsed().as_secs_f64() * 1e3)]))
+    })
 }
 
 fn dataset(setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Measured> {
     let mut measured = Measured::default();
     let (mut begun, mut last, mut done) = (Instant::now(), Instant::now(), 0);
     let indices = 0..WARM_UP + setup.frames;
-    dataset::make(&setup.plan, renderer, indices, setup.threads, &AtomicBool::new(false), |frame| {
+    dataset::make(&setup.plan, renderer, indices, setup.pace, &AtomicBool::new(false), |frame| {
         disk::write_all(folder, &frame.placed.files)?;
         done += 1;
         if done <= WARM_UP {
@@ -305,7 +320,7 @@ impl Curve {
 }
 
 /// What can be varied, in the order of the help.
-pub const SWEEPS: [&str; 4] = ["size", "samples", "rocks", "threads"];
+pub const SWEEPS: [&str; 5] = ["size", "samples", "rocks", "threads", "frames-in-flight"];
 
 /// The setups of a sweep: what is varied, and each of its values with the setup.
 ///
@@ -347,11 +362,20 @@ pub fn sweep(name: &str, setup: &Setup) -> Result<(&'static str, Vec<(f64, Setup
             }
             "rocks"
         }
+        "frames-in-flight" => {
+            for frames in 1..=4_usize {
+                with(frames as f64, &|setup| {
+                    setup.pace.frames_in_flight = frames;
+                    Ok(())
+                })?;
+            }
+            "frames in flight"
+        }
         _ => {
             let cores = std::thread::available_parallelism().map_or(1, usize::from);
             for threads in (0..).map(|power| 1_usize << power).take_while(|threads| *threads <= 2 * cores) {
                 with(threads as f64, &|setup| {
-                    setup.threads = threads;
+                    setup.pace.threads = threads;
                     Ok(())
                 })?;
             }

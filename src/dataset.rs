@@ -16,7 +16,7 @@ pub mod rules;
 pub mod summary;
 pub mod verify;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Mutex, PoisonError};
@@ -30,7 +30,7 @@ use crate::meta::FrameRecord;
 use crate::output::writer::{Placed, Sample};
 use crate::output::{self, Artifact, Source, disk};
 use crate::params::Params;
-use crate::render::{Renderer, StageTimes};
+use crate::render::{FRAMES_IN_FLIGHT, InFlight, Renderer, StageTimes};
 use crate::scene::Scene;
 use journal::Journal;
 use plan::{Plan, frame_seed};
@@ -98,40 +98,98 @@ fn build(plan: &Plan, index: u64, attempt: u32, redrawn: Vec<String>) -> Result<
     Ok(Built { index, attempt, seed, params, scene, times, redrawn })
 }
 
-/// Draws a frame, again and again until it keeps the rules. `built` may be the first attempt, if that could be built.
-fn draw(plan: &Plan, renderer: &mut Renderer, index: u64, mut built: Result<Built>) -> Result<Drawn> {
-    let (mut attempt, mut redrawn) = (0, Vec::new());
-    loop {
-        let broken = match built {
-            Ok(mut built) => {
-                let (frame, times) = renderer.render(&built.scene, &plan.settings)?;
-                built.times.extend(times);
-                match plan.rules.broken_by(&built.scene, &frame) {
-                    None => {
-                        let cost = Cost {
-                            triangles: renderer.gpu_scene().drawn_triangles(),
-                            uploaded_bytes: renderer.gpu_scene().uploaded_bytes,
-                            readback_bytes: frame.bytes(),
-                        };
-                        return Ok(Drawn { built, frame, adapter: renderer.gpu().info.clone(), cost });
-                    }
-                    Some(broken) => broken,
-                }
+/// An attempt at a frame.
+enum Attempt {
+    /// The device works on it.
+    Begun(Box<Built>, Box<InFlight>),
+    /// Its scene could not be built, and why.
+    Failed(rules::Broken),
+}
+
+impl Attempt {
+    fn begin(plan: &Plan, renderer: &mut Renderer, built: Result<Built>) -> Result<Self> {
+        match built {
+            Ok(built) => {
+                let in_flight = renderer.submit(&built.scene, &plan.settings)?;
+                Ok(Self::Begun(Box::new(built), Box::new(in_flight)))
             }
-            Err(Error::Scene(found)) => rules::Broken { rule: "scene".to_owned(), found },
-            Err(other) => return Err(other),
-        };
-        attempt += 1;
-        if attempt == plan.rules.attempts_max {
-            return Err(Error::RuleBroken {
-                index,
-                attempts: attempt,
-                rule: broken.rule,
-                found: broken.found,
-            });
+            Err(Error::Scene(found)) => Ok(Self::Failed(rules::Broken { rule: "scene".to_owned(), found })),
+            Err(other) => Err(other),
         }
-        redrawn.push(broken.rule);
-        built = build(plan, index, attempt, redrawn.clone());
+    }
+
+    /// Finishes the first attempt at a frame, and makes others until one keeps the rules.
+    fn settle(mut self, plan: &Plan, renderer: &mut Renderer, index: u64) -> Result<Drawn> {
+        let (mut attempt, mut redrawn) = (0, Vec::new());
+        loop {
+            let broken = match self {
+                Self::Failed(broken) => broken,
+                Self::Begun(mut built, in_flight) => {
+                    let mut cost = Cost {
+                        triangles: in_flight.drawn_triangles,
+                        uploaded_bytes: in_flight.uploaded_bytes,
+                        readback_bytes: 0,
+                    };
+                    let (frame, times) = renderer.finish(*in_flight, &built.scene)?;
+                    cost.readback_bytes = frame.bytes();
+                    built.times.extend(times);
+                    let Some(broken) = plan.rules.broken_by(&built.scene, &frame) else {
+                        let adapter = renderer.gpu().info.clone();
+                        return Ok(Drawn { built: *built, frame, adapter, cost });
+                    };
+                    broken
+                }
+            };
+            attempt += 1;
+            if attempt == plan.rules.attempts_max {
+                return Err(Error::RuleBroken {
+                    index,
+                    attempts: attempt,
+                    rule: broken.rule,
+                    found: broken.found,
+                });
+            }
+            redrawn.push(broken.rule);
+            self = Self::begin(plan, renderer, build(plan, index, attempt, redrawn.clone()))?;
+        }
+    }
+}
+
+/// Draws frames as their scenes come, several in flight, until no more come.
+fn draw_all(
+    plan: &Plan,
+    renderer: &mut Renderer,
+    frames_in_flight: usize,
+    scenes: &Receiver<(u64, Result<Built>)>,
+    frames: &SyncSender<Drawn>,
+    failure: &Failure,
+) {
+    let mut flying: VecDeque<(u64, Attempt)> = VecDeque::new();
+    loop {
+        // A scene that is there goes to the device before a frame is waited for.
+        let next = if flying.is_empty() {
+            scenes.recv().ok()
+        } else if flying.len() < frames_in_flight {
+            scenes.try_recv().ok()
+        } else {
+            None
+        };
+        if let Some((index, built)) = next {
+            // After a failure scenes are taken and left, so that nobody waits to be rid of them.
+            if !failure.occurred()
+                && let Some(attempt) = failure.keep(Attempt::begin(plan, renderer, built))
+            {
+                flying.push_back((index, attempt));
+            }
+        } else if let Some((index, attempt)) = flying.pop_front() {
+            if !failure.occurred()
+                && let Some(drawn) = failure.keep(attempt.settle(plan, renderer, index))
+            {
+                let _ = frames.send(drawn);
+            }
+        } else {
+            break;
+        }
     }
 }
 
@@ -209,8 +267,25 @@ fn milliseconds_json(times: &StageTimes) -> Value {
     rounded.collect::<Map<_, _>>().into()
 }
 
-/// Makes these frames and gives each, finished, to `sink`, in any order; `threads` build scenes and as many encode. Once `stop` is true no frame is begun any
-/// more, and those in flight are finished.
+/// How much is done at a time. No frame depends on it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Pace {
+    /// Threads that build scenes, and as many that encode.
+    pub threads: usize,
+    /// Frames that the device may have at a time.
+    pub frames_in_flight: usize,
+}
+
+impl Pace {
+    /// So many threads and [`FRAMES_IN_FLIGHT`].
+    #[must_use]
+    pub const fn of_threads(threads: usize) -> Self {
+        Self { threads, frames_in_flight: FRAMES_IN_FLIGHT }
+    }
+}
+
+/// Makes these frames and gives each, finished, to `sink`, in any order. Once `stop` is true no frame is begun any more,
+/// and those in flight are finished.
 ///
 /// # Errors
 /// The first that occurs: that of drawing, encoding or `sink`.
@@ -218,10 +293,11 @@ pub fn make(
     plan: &Plan,
     renderer: &mut Renderer,
     indices: impl Iterator<Item = u64> + Send,
-    threads: usize,
+    pace: Pace,
     stop: &AtomicBool,
     sink: impl FnMut(Finished) -> Result<()> + Send,
 ) -> Result<()> {
+    let threads = pace.threads;
     let failure = Failure::default();
     let indices = Mutex::new(indices);
     let (scenes, built) = sync_channel::<(u64, Result<Built>)>(SCENES_WAITING);
@@ -261,15 +337,7 @@ pub fn make(
                 }
             }
         });
-        for (index, built) in built {
-            if failure.occurred() {
-                continue;
-            }
-            match draw(plan, renderer, index, built) {
-                Ok(drawn) => drop(frames.send(drawn)),
-                Err(error) => drop(failure.keep::<()>(Err(error))),
-            }
-        }
+        draw_all(plan, renderer, pace.frames_in_flight, &built, &frames, failure);
         drop(frames);
     });
     failure.into_result()
@@ -350,7 +418,7 @@ pub fn run(
     plan: &Plan,
     renderer: &mut Renderer,
     journal: Journal,
-    threads: usize,
+    pace: Pace,
     stop: &AtomicBool,
     mut watch: impl FnMut(&Progress) + Send,
 ) -> Result<(Progress, journal::Settled)> {
@@ -364,7 +432,7 @@ pub fn run(
     let tag = journal::tag(plan.shard);
     let mut journal = journal;
     let mut written = Instant::now();
-    let result = make(plan, renderer, missing.into_iter(), threads, stop, |mut frame| {
+    let result = make(plan, renderer, missing.into_iter(), pace, stop, |mut frame| {
         let start = Instant::now();
         disk::write_all_tagged(&folder, &tag, &frame.placed.files)?;
         frame.times.push(("write", milliseconds_since(start)));
@@ -404,7 +472,7 @@ pub fn run(
 pub fn stream(
     plan: &Plan,
     renderer: &mut Renderer,
-    threads: usize,
+    pace: Pace,
     stop: &AtomicBool,
     mut sink: impl FnMut(&Placed, &Progress) -> Result<()> + Send,
 ) -> Result<Progress> {
@@ -415,7 +483,7 @@ pub fn stream(
     let mut waiting: BTreeMap<u64, Finished> = BTreeMap::new();
     let mut order = indices.clone();
     let mut next = order.next();
-    make(plan, renderer, indices, threads, stop, |frame| {
+    make(plan, renderer, indices, pace, stop, |frame| {
         waiting.insert(frame.index, frame);
         while let Some(frame) = next.and_then(|index| waiting.remove(&index)) {
             progress.add(&frame);

@@ -124,12 +124,13 @@ impl Gpu {
         }
     }
 
-    /// Waits until the device has done everything that was submitted, and checks it.
+    /// Waits until the device has done what was submitted with this index and before, and checks it.
     ///
     /// # Errors
     /// [`Error::DeviceLost`] or [`Error::Device`], also when the device does not answer for minutes.
-    pub fn wait(&self) -> Result<()> {
-        let poll = wgpu::PollType::Wait { submission_index: None, timeout: Some(FRAME_TIMEOUT) };
+    pub fn wait(&self, submission: &wgpu::SubmissionIndex) -> Result<()> {
+        let submission_index = Some(submission.clone());
+        let poll = wgpu::PollType::Wait { submission_index, timeout: Some(FRAME_TIMEOUT) };
         let outcome = self.guard(|| self.device.poll(poll))?;
         self.check()?;
         outcome.map(|_| ()).map_err(|e| Error::DeviceLost(e.to_string()))

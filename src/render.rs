@@ -30,9 +30,10 @@ use crate::frame::{Annotation, Annotations, Frame};
 use crate::gpu::Gpu;
 use crate::scene::Scene;
 use crate::scene::mesh::Vertex;
-use gpu_scene::{Draw, GpuScene};
+use gpu_scene::{Draw, GpuScene, InstanceSlot};
 use resolve::{PackedFrame, ResolvePass};
 use scene_pass::ScenePass;
+use shaders::Instance;
 use shadow_pass::ShadowPass;
 use targets::Targets;
 use timing::Timer;
@@ -78,7 +79,8 @@ impl RenderSettings {
 }
 
 /// Milliseconds of one frame's work, by stage, in order. `shadow`, `scene_pass` and `resolve` are measured by the
-/// device where it can, and left out where it cannot; `gpu` is the whole wait from recording to the last pass's end.
+/// device where it can, and left out where it cannot; `gpu` is all the time from recording to the last pass's end, with
+/// that of frames that the device had before it.
 pub type StageTimes = Vec<(&'static str, f64)>;
 
 /// Layouts of the bind groups: 0 frame, 1 scene, 2 the pass's own.
@@ -90,6 +92,33 @@ pub struct BindLayouts {
     resolve: wgpu::BindGroupLayout,
 }
 
+/// What a frame comes back in.
+#[derive(Debug)]
+struct Slot {
+    packed: PackedFrame,
+    timer: Option<Timer>,
+}
+
+/// Frames in flight that keep a device and the threads that feed it busy: it draws one while the next is made ready.
+pub const FRAMES_IN_FLIGHT: usize = 2;
+
+/// A frame that the device works on: from [`Renderer::submit`] to [`Renderer::finish`].
+#[derive(Debug)]
+pub struct InFlight {
+    asked: Annotations,
+    picture: RenderSettings,
+    /// Of a lens: what is drawn instead.
+    wide: Option<(Scene, RenderSettings)>,
+    slot: Slot,
+    submission: wgpu::SubmissionIndex,
+    upload_ms: f64,
+    uploaded: Instant,
+    /// Triangles of its scene pass.
+    pub drawn_triangles: u64,
+    /// Bytes that were written to the device for it.
+    pub uploaded_bytes: u64,
+}
+
 /// Renders scenes on one device.
 #[derive(Debug)]
 pub struct Renderer {
@@ -99,8 +128,9 @@ pub struct Renderer {
     scene_pass: ScenePass,
     resolve_pass: ResolvePass,
     scene: GpuScene,
-    targets: Option<(Targets, PackedFrame)>,
-    timer: Option<Timer>,
+    targets: Option<Targets>,
+    /// What frames that are not in flight any more came back in.
+    spare: Vec<Slot>,
     /// Whether triangles that cannot be seen are left out one by one (see [`facing`]); labels and picture are the same
     /// either way. At first, whether the device is a CPU: a GPU is faster without.
     pub pick_triangles: bool,
@@ -119,7 +149,7 @@ impl Renderer {
             resolve_pass: ResolvePass::new(&gpu, &layouts),
             scene: GpuScene::default(),
             targets: None,
-            timer: Timer::new(&gpu),
+            spare: Vec::new(),
             pick_triangles: gpu.info.device_type == wgpu::DeviceType::Cpu,
             layouts,
             gpu,
@@ -145,84 +175,113 @@ impl Renderer {
     /// # Errors
     /// [`Error::SizeBeyondDevice`], [`Error::DeviceLost`] or [`Error::Device`].
     pub fn render(&mut self, scene: &Scene, settings: &RenderSettings) -> Result<(Frame, StageTimes)> {
-        let asked = settings.annotations;
-        let mut drawn = *settings;
-        drawn.annotations = hazards::drawn_for(asked);
-        if scene.sensor.is_some() {
-            drawn.annotations = drawn.annotations.with(Annotation::Hdr);
-        }
-        let (mut frame, mut times) = self.render_plain(scene, &drawn)?;
-        let rendered = Instant::now();
-        if let Some(sensor) = &scene.sensor {
-            sensor::expose(&mut frame, sensor, scene.camera.exposure_ev);
-            if !asked.contains(Annotation::Hdr) {
-                frame.radiance = Vec::new();
-            }
-            times.push(("sensor", milliseconds(rendered.elapsed())));
-        }
-        if hazards::any(asked) {
-            let start = Instant::now();
-            hazards::add(&mut frame, scene, asked);
-            times.push(("hazards", milliseconds(start.elapsed())));
-        }
-        Ok((frame, times))
+        let in_flight = self.submit(scene, settings)?;
+        self.finish(in_flight, scene)
     }
 
-    /// A frame as the resolve makes it.
-    fn render_plain(&mut self, scene: &Scene, settings: &RenderSettings) -> Result<(Frame, StageTimes)> {
+    /// Sets the device to work on a frame, after those that it works on, and does not wait for it.
+    ///
+    /// # Errors
+    /// [`Error::SizeBeyondDevice`], [`Error::DeviceLost`] or [`Error::Device`].
+    pub fn submit(&mut self, scene: &Scene, settings: &RenderSettings) -> Result<InFlight> {
         let start = Instant::now();
+        let asked = settings.annotations;
+        let mut picture = *settings;
+        picture.annotations = hazards::drawn_for(asked);
+        if scene.sensor.is_some() {
+            picture.annotations = picture.annotations.with(Annotation::Hdr);
+        }
         // What a lens brings onto the picture is drawn as a wider one without it, of which the resolve takes the samples.
-        let picture = settings;
         let wide = (!scene.camera.lens.is_pinhole()).then(|| {
             let (camera, size) = scene.camera.widened(picture.size);
-            (Scene { camera, ..scene.clone() }, RenderSettings { size, ..*picture })
+            (Scene { camera, ..scene.clone() }, RenderSettings { size, ..picture })
         });
-        let (scene, settings) = wide.as_ref().map_or((scene, picture), |(scene, settings)| (scene, settings));
-        let (targets, packed) = match self.targets.take() {
-            Some(kept) if kept.0.serve(settings) && kept.1.size == picture.size => kept,
-            _ => {
-                let targets = Targets::new(&self.gpu, settings)?;
-                (targets, PackedFrame::new(&self.gpu, picture.size, settings.annotations))
-            }
+        let (scene, drawn) = wide.as_ref().map_or((scene, &picture), |(scene, drawn)| (scene, drawn));
+        let targets = match self.targets.take() {
+            Some(kept) if kept.serve(drawn) => kept,
+            _ => Targets::new(&self.gpu, drawn)?,
         };
-        self.resolve_pass.prepare(&self.gpu, &targets, &packed);
+        self.spare.retain(|slot| slot.packed.serves(picture.size, picture.annotations));
+        let slot = self.spare.pop().unwrap_or_else(|| Slot {
+            packed: PackedFrame::new(&self.gpu, picture.size, picture.annotations),
+            timer: Timer::new(&self.gpu),
+        });
+        self.resolve_pass.prepare(&self.gpu, &targets, &slot.packed);
         let (gpu, gpu_scene, pick_triangles) = (&self.gpu, &mut self.scene, self.pick_triangles);
-        gpu.guard(|| gpu_scene.upload(gpu, scene, settings, picture.size, pick_triangles))?;
-        self.scene_pass.prepare(&self.gpu, self.scene.variant(settings.annotations));
-        self.shadow_pass.prepare(&self.gpu, self.scene.atlas_layer_px);
+        gpu.guard(|| gpu_scene.upload(gpu, scene, drawn, picture.size, pick_triangles))?;
+        self.scene_pass.prepare(&self.gpu, self.scene.variant(drawn.annotations));
+        self.shadow_pass.prepare(&self.gpu, self.scene.atlas_px);
         self.gpu.check()?;
         let uploaded = Instant::now();
-        self.gpu.guard(|| self.submit_frame(&targets, &packed))?;
-        self.gpu.wait()?;
-        let drawn = Instant::now();
-        let mut frame = packed.read(&self.gpu)?;
-        frame.focal_px = scene.camera.focal_px(settings.size[0]);
-        frame.lens = scene.camera.lens;
+        let submission = self.gpu.guard(|| self.submit_frame(&targets, &slot))?;
+        self.targets = Some(targets);
+        Ok(InFlight {
+            asked,
+            picture,
+            wide,
+            slot,
+            submission,
+            upload_ms: milliseconds(uploaded - start),
+            uploaded,
+            drawn_triangles: self.scene.drawn_triangles(),
+            uploaded_bytes: self.scene.uploaded_bytes,
+        })
+    }
+
+    /// Waits for a frame of `scene` that was submitted. Frames may be finished in any order.
+    ///
+    /// # Errors
+    /// [`Error::DeviceLost`] or [`Error::Device`].
+    pub fn finish(&mut self, in_flight: InFlight, scene: &Scene) -> Result<(Frame, StageTimes)> {
+        let InFlight { asked, picture, wide, slot, submission, upload_ms, uploaded, .. } = in_flight;
+        let (drawn_scene, drawn) = wide.as_ref().map_or((scene, &picture), |(scene, drawn)| (scene, drawn));
+        self.gpu.wait(&submission)?;
+        let done = Instant::now();
+        let mut frame = slot.packed.read(&self.gpu, &submission)?;
+        frame.focal_px = drawn_scene.camera.focal_px(drawn.size[0]);
+        frame.lens = drawn_scene.camera.lens;
         let read = Instant::now();
-        let mut times = vec![("upload", milliseconds(uploaded - start))];
-        if let Some(timer) = &self.timer {
-            times.extend(timer.read(&self.gpu)?);
+        let mut times = vec![("upload", upload_ms)];
+        if let Some(timer) = &slot.timer {
+            times.extend(timer.read(&self.gpu, &submission)?);
         }
-        times.extend([("gpu", milliseconds(drawn - uploaded)), ("readback", milliseconds(read - drawn))]);
-        self.targets = Some((targets, packed));
-        if settings.annotations.contains(Annotation::Instances) {
-            frame.rocks = labels::rocks(scene, settings, picture.size, &frame);
-            times.push(("labels", milliseconds(read.elapsed())));
+        times.extend([("gpu", milliseconds(done - uploaded)), ("readback", milliseconds(read - done))]);
+        self.spare.push(slot);
+        let mut timed = |stage, work: &mut dyn FnMut(&mut Frame)| {
+            let start = Instant::now();
+            work(&mut frame);
+            times.push((stage, milliseconds(start.elapsed())));
+        };
+        if drawn.annotations.contains(Annotation::Instances) {
+            timed("labels", &mut |frame| {
+                frame.rocks = labels::rocks(drawn_scene, drawn, picture.size, frame);
+            });
+        }
+        if let Some(sensor) = &scene.sensor {
+            timed("sensor", &mut |frame| {
+                sensor::expose(frame, sensor, scene.camera.exposure_ev);
+                if !asked.contains(Annotation::Hdr) {
+                    frame.radiance = Vec::new();
+                }
+            });
+        }
+        if hazards::any(asked) {
+            timed("hazards", &mut |frame| hazards::add(frame, scene, asked));
         }
         Ok((frame, times))
     }
 
-    fn submit_frame(&self, targets: &Targets, packed: &PackedFrame) {
+    fn submit_frame(&self, targets: &Targets, slot: &Slot) -> wgpu::SubmissionIndex {
         let mut encoder =
             self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") });
-        self.record_frame(&mut encoder, targets, packed);
-        self.gpu.queue.submit([encoder.finish()]);
+        self.record_frame(&mut encoder, targets, slot);
+        self.gpu.queue.submit([encoder.finish()])
     }
 
     /// The frame: shadow atlas, scene, resolve, copy.
-    fn record_frame(&self, encoder: &mut wgpu::CommandEncoder, targets: &Targets, packed: &PackedFrame) {
+    fn record_frame(&self, encoder: &mut wgpu::CommandEncoder, targets: &Targets, slot: &Slot) {
+        let (packed, timer) = (&slot.packed, slot.timer.as_ref());
         let groups = self.bind_groups(targets, packed);
-        let timer = self.timer.as_ref();
         self.shadow_pass.record(
             encoder,
             &self.scene,
@@ -274,7 +333,7 @@ impl Renderer {
             scene: group(
                 "scene",
                 &self.layouts.scene,
-                &[scene.instances.buffer().as_entire_binding(), scene.tiles.buffer().as_entire_binding()],
+                &[scene.instances.first(size_of::<Instance>()), scene.tiles.buffer().as_entire_binding()],
             ),
             shadow: group(
                 "scene/shadow",
@@ -318,6 +377,11 @@ impl BindLayouts {
             })
         };
         let buffer = |ty| BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None };
+        let instance = BindingType::Buffer {
+            ty: wgpu::BufferBindingType::Uniform,
+            has_dynamic_offset: true,
+            min_binding_size: wgpu::BufferSize::new(size_of::<Instance>() as u64),
+        };
         let read = buffer(wgpu::BufferBindingType::Storage { read_only: true });
         let write = buffer(wgpu::BufferBindingType::Storage { read_only: false });
         let texture = |sample_type| BindingType::Texture {
@@ -334,7 +398,7 @@ impl BindLayouts {
                 drawing | ShaderStages::COMPUTE,
                 &[buffer(wgpu::BufferBindingType::Uniform); 2],
             ),
-            scene: group("scene", drawing, &[read, read]),
+            scene: group("scene", drawing, &[instance, read]),
             shadow: group("scene/shadow", ShaderStages::FRAGMENT, &[float, float, read]),
             resolve: group(
                 "resolve",
@@ -353,13 +417,22 @@ fn vertex_layout(attributes: &[wgpu::VertexAttribute]) -> wgpu::VertexBufferLayo
     }
 }
 
-fn draw_all(pass: &mut wgpu::RenderPass<'_>, scene: &GpuScene, indices: &gpu_scene::Store, draws: &[Draw]) {
+/// Draws a list. `group` is that of the scene, which each draw binds at its instance.
+fn draw_all(
+    pass: &mut wgpu::RenderPass<'_>,
+    group: &wgpu::BindGroup,
+    scene: &GpuScene,
+    indices: &gpu_scene::Store,
+    draws: &[Draw],
+) {
     pass.set_vertex_buffer(0, scene.vertices.buffer().slice(..));
     pass.set_index_buffer(indices.buffer().slice(..), wgpu::IndexFormat::Uint32);
-    for draw in draws {
-        if !draw.instances.is_empty() && !draw.indices.is_empty() {
-            pass.draw_indexed(draw.indices.clone(), draw.base_vertex, draw.instances.clone());
+    let mut bound = None;
+    for draw in draws.iter().filter(|draw| !draw.indices.is_empty()) {
+        if bound.replace(draw.instance) != Some(draw.instance) {
+            pass.set_bind_group(1, group, &[draw.instance * InstanceSlot::STRIDE]);
         }
+        pass.draw_indexed(draw.indices.clone(), draw.base_vertex, 0..1);
     }
 }
 

@@ -35,5 +35,6 @@ struct CasterTile {
     facet_m: f32,
 }
 
-@group(1) @binding(0) var<storage, read> instances: array<Instance>;
+// The one that is drawn: a uniform, so that no vertex and no fragment has to find it in a list.
+@group(1) @binding(0) var<uniform> instance: Instance;
 @group(1) @binding(1) var<storage, read> tiles: array<CasterTile>;

@@ -16,6 +16,8 @@
 const ASK_HORIZON: u32 = 0x80000000u;
 const SEARCH_TAPS: i32 = 8;
 const FILTER_TAPS: i32 = 20;
+// Radius of a filter that is not worth more than one tap, texels.
+const NARROW_PX: f32 = 0.5;
 const GOLDEN_ANGLE: f32 = 2.39996323;
 
 // Fraction of the sun's disc seen at a place (metres, world) of a surface. `facet_normal` is that of its triangle,
@@ -105,9 +107,12 @@ fn caster_visibility(
     let slope = vec2(rise.x, -rise.y) / texels_per_m;
     let plane = vec3(slope, along + behind * tile.facet_m - dot(slope, at));
 
+    // The filter is no wider than the search: where that is too narrow to matter there is no need for it. Both are loops,
+    // and have no shorter way beside them, because a driver that runs on the CPU takes its time for every way.
+    let search_taps = select(0, SEARCH_TAPS, search_px >= NARROW_PX);
     var blockers = 0.0;
     var height_m = 0.0;
-    for (var i = 0; i < SEARCH_TAPS; i++) {
+    for (var i = 0; i < search_taps; i++) {
         let tap = vec2<i32>(floor(at + search_px * disc_point(i, SEARCH_TAPS, turn)));
         let above = height_above(tile, tap, plane);
         if above > 0.0 {
@@ -120,14 +125,14 @@ fn caster_visibility(
         if blockers == f32(SEARCH_TAPS) { return 0.0; }
     }
     let filter_px = frame.sun_tan_half_angle * height_m / max(blockers, 1.0) * texels_per_m;
-    if filter_px < 0.5 {
-        return 1.0 - hidden(tile, at, plane);
-    }
+    let wide = filter_px >= NARROW_PX;
+    let taps = select(1, FILTER_TAPS, wide);
+    let radius_px = select(0.0, filter_px, wide);
     var hidden_sum = 0.0;
-    for (var i = 0; i < FILTER_TAPS; i++) {
-        hidden_sum += hidden(tile, at + filter_px * disc_point(i, FILTER_TAPS, turn), plane);
+    for (var i = 0; i < taps; i++) {
+        hidden_sum += hidden(tile, at + radius_px * disc_point(i, FILTER_TAPS, turn), plane);
     }
-    return 1.0 - hidden_sum / f32(FILTER_TAPS);
+    return 1.0 - hidden_sum / f32(taps);
 }
 
 // Point `i` of `count` spread evenly over the unit disc (Vogel 1979, "A better way to construct the sunflower head").

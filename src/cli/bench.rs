@@ -4,11 +4,12 @@ use std::path::PathBuf;
 
 use clap::Args;
 use regolith::bench::{self, Case, Curve, Measured, SWEEPS, Setup};
+use regolith::dataset::Pace;
 use regolith::dataset::plan::{Plan, Range, Shard};
 use regolith::dataset::rules::Rules;
 use regolith::gpu::Gpu;
 use regolith::output::{self, Artifact, disk, writer};
-use regolith::render::Renderer;
+use regolith::render::{FRAMES_IN_FLIGHT, Renderer};
 use regolith::{Error, Result};
 use serde_json::{Map, Value, json};
 
@@ -35,7 +36,11 @@ pub(super) struct BenchArgs {
     /// Threads that build scenes, and as many that encode, in the case dataset; as many as there are cores if not given
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     threads: Option<u16>,
-    /// Vary one thing: size, samples, rocks (the first of --cases) or threads (the case dataset); plots how cost grows
+    /// Frames that the device may have at a time
+    #[arg(long, value_name = "N", default_value_t = FRAMES_IN_FLIGHT as u8, value_parser = clap::value_parser!(u8).range(1..=16))]
+    frames_in_flight: u8,
+    /// Vary one thing: size, samples, rocks, frames-in-flight (the first of --cases) or threads (the case dataset); plots
+    /// how cost grows
     #[arg(long, value_name = "NAME", value_parser = SWEEPS)]
     sweep: Option<String>,
     /// File of the sweep's plot
@@ -99,7 +104,8 @@ fn setup(args: &BenchArgs) -> Result<Setup> {
         shard: Shard::WHOLE,
     };
     let threads = args.threads.map_or_else(super::dataset::cores, usize::from);
-    Ok(Setup { plan, threads, frames: args.frames })
+    let pace = Pace { threads, frames_in_flight: args.frames_in_flight.into() };
+    Ok(Setup { plan, pace, frames: args.frames })
 }
 
 /// Measures in a folder that goes away.
@@ -127,6 +133,7 @@ fn measure(args: &BenchArgs, cases: &[Case], setup: &Setup, renderer: &mut Rende
             "cores": super::dataset::cores(),
             "size": settings.size,
             "samples": settings.samples_per_side.pow(2),
+            "frames_in_flight": setup.pace.frames_in_flight,
             "stage": args.config.stage,
             "cases": cases,
             "peak_rss_bytes": bench::peak_rss_bytes(),

@@ -12,7 +12,7 @@ use regolith::class::ClassId;
 use regolith::dataset::journal::{self, Contents, Journal, Settled};
 use regolith::dataset::plan::{self, MAX_FRAMES, Plan, Range, frame_seed};
 use regolith::dataset::rules::Rules;
-use regolith::dataset::{self, Progress};
+use regolith::dataset::{self, Pace, Progress};
 use regolith::gpu::Gpu;
 use regolith::output;
 use regolith::output::webdataset::archive_end;
@@ -97,9 +97,9 @@ pub(super) fn run(args: &DatasetArgs) -> Result<()> {
         return dry_run(args, &plan);
     }
     let stop = stop_on_signals()?;
-    let threads = args.threads.map_or_else(cores, usize::from);
+    let pace = Pace::of_threads(args.threads.map_or_else(cores, usize::from));
     if args.out.as_os_str() == "-" {
-        return stream(args, &plan, threads, &stop);
+        return stream(args, &plan, pace, &stop);
     }
     let contents = Contents::of_plan(&plan);
     let done = Journal::check(&args.out, &contents, args.force)?;
@@ -119,7 +119,7 @@ pub(super) fn run(args: &DatasetArgs) -> Result<()> {
     let mut renderer = Renderer::new(gpu)?;
     super::inject_fault(&renderer);
     let mut meter = Meter::new(args.quiet);
-    let result = dataset::run(&plan, &mut renderer, journal, threads, &stop, |progress| meter.show(progress));
+    let result = dataset::run(&plan, &mut renderer, journal, pace, &stop, |progress| meter.show(progress));
     meter.finish();
     let (progress, settled) = result?;
     report(args, Some(&progress), &settled, start.elapsed().as_secs_f64())
@@ -174,7 +174,7 @@ pub(super) fn stop_on_signals() -> Result<Arc<AtomicBool>> {
 }
 
 /// Writes the archive of a WebDataset to standard output, in order.
-fn stream(args: &DatasetArgs, plan: &Plan, threads: usize, stop: &AtomicBool) -> Result<()> {
+fn stream(args: &DatasetArgs, plan: &Plan, pace: Pace, stop: &AtomicBool) -> Result<()> {
     if plan.format != "webdataset" || !plan.splits.is_empty() {
         return Err(Error::Usage(
             "--out - streams one archive: it needs --format webdataset and no --split".to_owned(),
@@ -194,7 +194,7 @@ fn stream(args: &DatasetArgs, plan: &Plan, threads: usize, stop: &AtomicBool) ->
         }
         result => result.map_err(|cause| Error::Write { path: "standard output".into(), cause }),
     };
-    let result = dataset::stream(plan, &mut renderer, threads, stop, |placed, progress| {
+    let result = dataset::stream(plan, &mut renderer, pace, stop, |placed, progress| {
         meter.show(progress);
         placed.files.iter().try_for_each(|file| write(&file.bytes))
     });

@@ -22,13 +22,18 @@ impl Readback {
         encoder.copy_buffer_to_buffer(source, 0, &self.buffer, 0, bytes);
     }
 
-    /// Waits for the submitted copy and gives what it brought to `read`.
+    /// Waits for the copy, which was submitted with this index, and gives what it brought to `read`.
     ///
     /// # Errors
     /// [`Error::DeviceLost`] or [`Error::Device`].
-    pub fn read<T>(&self, gpu: &Gpu, read: impl FnOnce(&[u8]) -> T) -> Result<T> {
+    pub fn read<T>(
+        &self,
+        gpu: &Gpu,
+        submission: &wgpu::SubmissionIndex,
+        read: impl FnOnce(&[u8]) -> T,
+    ) -> Result<T> {
         gpu.guard(|| self.buffer.map_async(wgpu::MapMode::Read, .., |_| {}))?;
-        gpu.wait()?;
+        gpu.wait(submission)?;
         let result = {
             let view = self.buffer.get_mapped_range(..).map_err(|e| Error::DeviceLost(e.to_string()))?;
             read(&view)

@@ -1,31 +1,42 @@
 //! Triangles that can be seen, picked one by one: for devices on which a triangle costs more than the picking.
 //!
-//! A driver that rasterises on the CPU takes as long for a triangle that faces away as this takes for fifty. What is
-//! left out here could not have covered a sample, so that labels and picture are the same with and without.
-//! Such a driver also runs every branch of a shader: ground on which no shadow can fall, or only that of other ground, is
-//! told apart, to be drawn by a program without the rest.
+//! A driver that rasterises on the CPU takes as long for a triangle that faces away, or that lies between the samples, as
+//! this takes for many. What is left out here could not have covered a sample, so that labels and picture are the same
+//! with and without.
+//! Such a driver also runs every branch of a shader: ground on which no shadow can fall, or only that of other ground, and
+//! rock that is turned from the sun are told apart, to be drawn by a program without the rest.
 //! Must not know: buffers.
 
 use std::ops::Range;
 
-use glam::{Vec2, Vec3};
+use glam::{Mat4, UVec2, Vec2, Vec3, Vec4, Vec4Swizzles};
 use rayon::prelude::*;
 
-use super::selection::{Frustum, Selection, ground_blocks};
+use super::RenderSettings;
+use super::selection::{Frustum, SelectedRock, Selection, ground_blocks};
+use super::shaders::CasterTile;
 use super::shadow::CasterGrids;
 use crate::scene::Scene;
+use crate::scene::mesh::Vertex;
 use crate::scene::rocks::Rock;
+use crate::scene::sky::Sun;
 
 /// A triangle counts as facing both ways if the sine of its tilt is below this: a device's arithmetic may differ from
 /// ours.
 const EDGE_ON: f32 = 1e-3;
+/// A triangle counts as covering a sample if it comes as near to it as this, samples; likewise.
+const MARGIN: f32 = 0.03;
+/// Normals are turned from the sun if the sine of their angle to its terminator is above this, for the same reason.
+const DARK: f32 = 1e-4;
 
-/// The triangles of a rock that matter, as lists of vertex indices.
+/// What is drawn of a rock: triangles as lists of indices into `vertices`.
 #[derive(Clone, Debug, Default)]
 pub struct RockTriangles {
-    /// Towards the eye and not under the ground.
-    pub seen: Vec<[u32; 3]>,
-    /// Towards the sun.
+    /// Those that the triangles need.
+    pub vertices: Vec<Vertex>,
+    /// What is seen: turned from the sun all over, and the rest.
+    pub seen: [Vec<[u32; 3]>; 2],
+    /// What the shadow atlas needs: towards the sun.
     pub fronts: Vec<[u32; 3]>,
     /// Away from the sun.
     pub backs: Vec<[u32; 3]>,
@@ -44,64 +55,153 @@ pub struct Facing {
 impl Facing {
     /// What matters of a selection. `caster_grid` is that of [`super::shadow::caster_grid`].
     #[must_use]
-    pub fn new(scene: &Scene, selection: &Selection, frustum: &Frustum, caster_grid: &[u32]) -> Self {
-        let rocks = selection
-            .rocks
-            .par_iter()
-            .map(|selected| {
-                let rock = &scene.rocks[selected.rock];
-                let seen = selected.seen_level.map_or(Vec::new(), |level| seen_triangles(scene, rock, level));
-                let (fronts, backs) = selected
-                    .caster
-                    .map_or_else(Default::default, |(_, level)| by_side(rock, level, scene.sun.direction));
-                RockTriangles { seen, fronts, backs }
-            })
-            .collect();
+    pub fn new(scene: &Scene, selection: &Selection, settings: &RenderSettings, caster_grid: &[u32]) -> Self {
+        let frustum = Frustum::new(&scene.camera.clip_from_world(settings.size));
+        let samples = Samples::of_picture(scene, settings);
+        let rocks = selection.rocks.par_iter().map(|selected| {
+            let mut triangles = RockTriangles::default();
+            triangles.choose(scene, selection, selected, &samples);
+            triangles
+        });
+        let rocks = rocks.collect();
         let grids = CasterGrids::new(&scene.terrain);
         let spans: Vec<[Range<u32>; 2]> = ground_blocks(&scene.terrain).collect();
         let ground = selection
             .blocks
             .par_iter()
-            .map(|&(block, _)| ground_triangles(scene, &spans[block], frustum, &grids, caster_grid))
+            .map(|&(block, _)| {
+                ground_triangles(scene, &spans[block], &frustum, &samples, &grids, caster_grid)
+            })
             .collect();
         Self { rocks, ground }
     }
 }
 
-/// The normal of a triangle, as long as twice its area, and its corners.
-fn normal(rock: &Rock, triangle: &[u32; 3]) -> (Vec3, [Vec3; 3]) {
-    let corners = triangle.map(|vertex| rock.vertices[vertex as usize].position);
-    let [a, b, c] = corners;
-    ((b - a).cross(c - a), corners)
+/// Where samples lie: what turns a place into coordinates in which they stand at every whole number and a half.
+#[derive(Clone, Copy, Debug)]
+struct Samples {
+    /// From metres, from the eye or the centre of a caster, to homogeneous coordinates.
+    from_offset: Mat4,
+    /// How many there are each way.
+    size: Vec2,
 }
 
-fn seen_triangles(scene: &Scene, rock: &Rock, level: usize) -> Vec<[u32; 3]> {
-    let eye = scene.camera.eye - rock.centre;
-    // Whatever lies below the lowest ground around the rock is under the ground.
-    let buried_m = lowest_ground_m(scene, rock) - rock.centre.z;
-    let triangles = rock.triangles(level).iter().filter(|triangle| {
-        let (_, [a, b, c]) = normal(rock, triangle);
-        may_face([a, b, c], eye - a) && a.z.max(b.z).max(c.z) > buried_m
-    });
-    triangles.copied().collect()
-}
+impl Samples {
+    fn of_picture(scene: &Scene, settings: &RenderSettings) -> Self {
+        let size = (UVec2::from(settings.size) * settings.samples_per_side).as_vec2();
+        let from_eye = scene.camera.clip_from_world(settings.size) * Mat4::from_translation(scene.camera.eye);
+        Self { from_offset: from_clip(size) * from_eye, size }
+    }
 
-fn by_side(rock: &Rock, level: usize, sun: Vec3) -> (Vec<[u32; 3]>, Vec<[u32; 3]>) {
-    let triangles = rock.triangles(level);
-    let (mut fronts, mut backs) =
-        (Vec::with_capacity(triangles.len() * 3 / 5), Vec::with_capacity(triangles.len() * 3 / 5));
-    for triangle in triangles {
-        let (normal, _) = normal(rock, triangle);
-        let facing = normal.dot(sun);
-        let edge_on = facing * facing < EDGE_ON * EDGE_ON * normal.length_squared();
-        if facing > 0.0 || edge_on {
-            fronts.push(*triangle);
+    /// Of a tile of the shadow atlas.
+    fn of_tile(tile: &CasterTile, sun: &Sun) -> Self {
+        let [right, up] = sun.right_and_up();
+        let size = Vec2::splat(tile.size_px);
+        let rows = Mat4::from_cols(right.extend(0.0), up.extend(0.0), sun.direction.extend(0.0), Vec4::W);
+        let scale = Mat4::from_scale(Vec3::splat(1.0 / tile.half_extent_m));
+        Self { from_offset: from_clip(size) * scale * rows.transpose(), size }
+    }
+
+    /// Coordinates of a place; none for one that is not before the eye.
+    fn place(&self, offset: Vec3) -> Vec2 {
+        let at = self.from_offset * offset.extend(1.0);
+        if at.w > 1e-6 { at.xy() / at.w } else { Vec2::NAN }
+    }
+
+    /// Whether a triangle may cover a sample.
+    fn may_be_covered(&self, [a, b, c]: [Vec2; 3]) -> bool {
+        // A place that is not before the eye makes the sums and what follows not a number, and no comparison true.
+        if !(a + b + c).is_finite() {
+            return true;
         }
-        if facing < 0.0 || edge_on {
-            backs.push(*triangle);
+        let first = (a.min(b).min(c) - (0.5 + MARGIN)).ceil().max(Vec2::ZERO);
+        let last = (a.max(b).max(c) - (0.5 - MARGIN)).floor().min(self.size - 1.0);
+        first.cmple(last).all()
+    }
+}
+
+/// From clip space to samples, rows running down.
+fn from_clip(size: Vec2) -> Mat4 {
+    let half = 0.5 * size;
+    let (x, y) = (Vec4::X * half.x, Vec4::Y * -half.y);
+    Mat4::from_cols(x, y, Vec4::Z, Vec4::new(half.x, half.y, 0.0, 1.0))
+}
+
+/// Coordinates of vertices, reckoned when they are first asked for.
+struct Places {
+    samples: Samples,
+    /// From the mesh's origin to that of the samples.
+    shift: Vec3,
+    known: Vec<Option<Vec2>>,
+}
+
+impl Places {
+    fn new(samples: Samples, shift: Vec3, vertices: &[Vertex]) -> Self {
+        Self { samples, shift, known: vec![None; vertices.len()] }
+    }
+
+    fn may_be_covered(&mut self, vertices: &[Vertex], triangle: [u32; 3]) -> bool {
+        let places = triangle.map(|vertex| {
+            let known = &mut self.known[vertex as usize];
+            *known.get_or_insert_with(|| self.samples.place(vertices[vertex as usize].position + self.shift))
+        });
+        self.samples.may_be_covered(places)
+    }
+}
+
+impl RockTriangles {
+    fn choose(&mut self, scene: &Scene, selection: &Selection, selected: &SelectedRock, samples: &Samples) {
+        let rock = &scene.rocks[selected.rock];
+        let sun = scene.sun.direction;
+        let eye = scene.camera.eye - rock.centre;
+        // Whatever lies below the lowest ground around the rock is under the ground.
+        let buried_m = lowest_ground_m(scene, rock) - rock.centre.z;
+        let vertices = &rock.vertices;
+        let mut seen = selected.seen_level.map(|_| Places::new(*samples, -eye, vertices));
+        let mut cast = selected.caster.map(|(caster, _)| {
+            let tile = &selection.casters[caster].tile;
+            Places::new(Samples::of_tile(tile, &scene.sun), Vec3::ZERO, vertices)
+        });
+        let mut place = vec![u32::MAX; vertices.len()];
+        // What is seen casts at the same level.
+        let level = selected.seen_level.or(selected.caster.map(|caster| caster.1)).unwrap_or(0);
+        for &triangle in rock.triangles(level) {
+            let corners = triangle.map(|vertex| vertices[vertex as usize]);
+            let [a, b, c] = corners.map(|corner| corner.position);
+            let normal = (b - a).cross(c - a);
+            let facing = normal.dot(sun);
+            let edge_on = facing * facing < EDGE_ON * EDGE_ON * normal.length_squared();
+            let covers = |places: &mut Option<Places>| {
+                places.as_mut().is_some_and(|places| places.may_be_covered(vertices, triangle))
+            };
+            let is_casting = covers(&mut cast);
+            let is_front = is_casting && (facing > 0.0 || edge_on);
+            let is_back = is_casting && (facing < 0.0 || edge_on);
+            let may_be_seen = may_face(normal, eye - a) && a.z.max(b.z).max(c.z) > buried_m;
+            let is_seen = may_be_seen && covers(&mut seen);
+            if !(is_seen || is_front || is_back) {
+                continue;
+            }
+            let triangle = triangle.map(|vertex| {
+                let place = &mut place[vertex as usize];
+                if *place == u32::MAX {
+                    *place = self.vertices.len() as u32;
+                    self.vertices.push(vertices[vertex as usize]);
+                }
+                *place
+            });
+            if is_seen {
+                let dark = corners.iter().all(|corner| corner.normal.dot(sun) < -DARK);
+                self.seen[usize::from(!dark)].push(triangle);
+            }
+            if is_front {
+                self.fronts.push(triangle);
+            }
+            if is_back {
+                self.backs.push(triangle);
+            }
         }
     }
-    (fronts, backs)
 }
 
 /// A height that the ground around a rock does not fall below.
@@ -122,32 +222,37 @@ fn ground_triangles(
     scene: &Scene,
     [columns, rows]: &[Range<u32>; 2],
     frustum: &Frustum,
+    samples: &Samples,
     grids: &CasterGrids,
     caster_grid: &[u32],
 ) -> [Vec<[u32; 3]>; 3] {
-    let terrain = &scene.terrain;
+    let (terrain, eye) = (&scene.terrain, scene.camera.eye);
     let mut lists = [Vec::new(), Vec::new(), Vec::new()];
     for row in rows.clone() {
         for column in columns.clone() {
             let corners = terrain.corners(column, row);
             let (low, high) =
                 corners.iter().fold((corners[0], corners[0]), |(low, high), p| (low.min(*p), high.max(*p)));
-            if frustum.may_see_box(low, high) {
+            if !frustum.may_see_box(low, high) {
+                continue;
+            }
+            let mut seen = terrain.block_triangles(column..column + 1, row..row + 1).filter(|triangle| {
+                let [a, b, c] = triangle.map(|vertex| terrain.vertices[vertex as usize].position - eye);
+                may_face((b - a).cross(c - a), -a)
+                    && samples.may_be_covered([a, b, c].map(|corner| samples.place(corner)))
+            });
+            if let Some(first) = seen.next() {
                 let shades = grids.shades_over(caster_grid, low.truncate(), high.truncate());
-                let triangles = terrain.block_triangles(column..column + 1, row..row + 1);
-                lists[shades as usize].extend(triangles.filter(|triangle| {
-                    let corners = triangle.map(|vertex| terrain.vertices[vertex as usize].position);
-                    may_face(corners, scene.camera.eye - corners[0])
-                }));
+                lists[shades as usize].push(first);
+                lists[shades as usize].extend(seen);
             }
         }
     }
     lists
 }
 
-/// Whether a triangle may face in the direction from its first corner.
-fn may_face([a, b, c]: [Vec3; 3], towards: Vec3) -> bool {
-    let normal = (b - a).cross(c - a);
+/// Whether a triangle with this normal, of any length, may face in the direction from a corner of it.
+fn may_face(normal: Vec3, towards: Vec3) -> bool {
     let facing = normal.dot(towards);
     facing > 0.0 || facing * facing < EDGE_ON * EDGE_ON * normal.length_squared() * towards.length_squared()
 }

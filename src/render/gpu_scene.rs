@@ -4,6 +4,7 @@
 
 use std::ops::Range;
 
+use bytemuck::{Pod, Zeroable};
 use glam::Mat4;
 use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 
@@ -12,7 +13,7 @@ use super::facing::Facing;
 use super::horizon::{self, HorizonMap};
 use super::resolve::{self, Packing};
 use super::scene_pass::Variant;
-use super::selection::{Frustum, Selection, ground_blocks};
+use super::selection::{Selection, ground_blocks};
 use super::shaders::{CasterTile, FrameUniforms, HorizonLevel, Instance, LatticeUniforms, ReliefUniforms};
 use super::shadow::{self, CasterGrids};
 use crate::class::ClassId;
@@ -36,8 +37,8 @@ pub struct Draw {
     pub indices: Range<u32>,
     /// First vertex of the mesh.
     pub base_vertex: i32,
-    /// Range in the instance buffer.
-    pub instances: Range<u32>,
+    /// Its slot in the instance buffer.
+    pub instance: u32,
 }
 
 /// The draws of a frame, in order.
@@ -48,8 +49,8 @@ pub struct DrawList {
     /// Ground on which no shadow can fall, and that on which only other ground's can, where they are told apart, and the
     /// rest; each near to far.
     pub ground: [Vec<Draw>; 3],
-    /// Rocks, near to far.
-    pub rocks: Vec<Draw>,
+    /// Rocks, turned from the sun all over where that is told apart, and the rest; each near to far.
+    pub rocks: [Vec<Draw>; 2],
     /// Stars, then the dome.
     pub sky: Vec<Draw>,
 }
@@ -72,14 +73,14 @@ pub struct GpuScene {
     pub relief: Store,
     law: Law,
     has_detail: bool,
-    /// `Instance`s.
+    /// `Instance`s, each in a slot of its own.
     pub instances: Store,
     /// `CasterTile`s.
     pub tiles: Store,
     /// Which casters a place must ask.
     pub caster_grid: Store,
-    /// Rows of each layer of the shadow atlas.
-    pub atlas_layer_px: u32,
+    /// Columns of the shadow atlas and rows of each of its layers.
+    pub atlas_px: [u32; 2],
     /// The ground's horizon, two heights a texel.
     pub horizon: Option<(wgpu::Texture, wgpu::TextureView)>,
     ground: Option<GroundBlocks>,
@@ -110,6 +111,26 @@ impl Picked {
     }
 }
 
+/// An instance at the distance from the next that bindings of uniforms need.
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[repr(C)]
+pub struct InstanceSlot {
+    instance: Instance,
+    unused: [[u32; 4]; 12],
+}
+
+impl InstanceSlot {
+    /// Bytes from one to the next: what WebGPU's default limits ask of every device.
+    pub const STRIDE: u32 = {
+        assert!(size_of::<Self>() == 256);
+        size_of::<Self>() as u32
+    };
+
+    fn new(instance: Instance) -> Self {
+        Self { instance, unused: Zeroable::zeroed() }
+    }
+}
+
 /// A buffer that grows when more is written than it holds.
 #[derive(Debug)]
 pub struct Store {
@@ -130,6 +151,13 @@ impl Store {
     #[must_use]
     pub fn buffer(&self) -> &wgpu::Buffer {
         self.buffer.as_ref().expect("a scene is uploaded before it is drawn")
+    }
+
+    /// Its first `bytes`, as a binding.
+    #[must_use]
+    pub fn first(&self, bytes: usize) -> wgpu::BindingResource<'_> {
+        let size = wgpu::BufferSize::new(bytes as u64);
+        wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: self.buffer(), offset: 0, size })
     }
 
     /// Makes room for `bytes`; what the buffer held may be lost.
@@ -164,10 +192,10 @@ impl Default for GpuScene {
             relief: Store::new("frame/relief", BufferUsages::UNIFORM),
             law: Law::Lambert,
             has_detail: false,
-            instances: Store::new("scene/instances", BufferUsages::STORAGE),
+            instances: Store::new("scene/instances", BufferUsages::UNIFORM),
             tiles: Store::new("shadow/tiles", BufferUsages::STORAGE),
             caster_grid: Store::new("shadow/caster_grid", BufferUsages::STORAGE),
-            atlas_layer_px: 0,
+            atlas_px: [0; 2],
             horizon: None,
             ground: None,
             sphere_levels: Vec::new(),
@@ -192,16 +220,13 @@ impl GpuScene {
         let horizon = HorizonMap::build(&scene.terrain, &scene.sun, &selection.seen_boxes(scene));
         let casters = &selection.casters;
         let caster_grid = shadow::caster_grid(scene, casters, &horizon);
-        let facing = pick_triangles.then(|| {
-            let frustum = Frustum::new(&scene.camera.clip_from_world(settings.size));
-            Facing::new(scene, &selection, &frustum, &caster_grid)
-        });
+        let facing = pick_triangles.then(|| Facing::new(scene, &selection, settings, &caster_grid));
         self.upload_things(gpu, scene, settings, &selection, facing.as_ref());
         let tiles: Vec<CasterTile> = casters.iter().map(|caster| caster.tile).collect();
         self.uploaded_bytes += self.tiles.write(gpu, &tiles);
         self.uploaded_bytes += self.caster_grid.write(gpu, &caster_grid);
-        self.atlas_layer_px = shadow::layer_px(casters);
-        let uniforms = frame_uniforms(scene, settings, picture_size, &horizon, self.atlas_layer_px);
+        self.atlas_px = shadow::atlas_px(casters);
+        let uniforms = frame_uniforms(scene, settings, picture_size, &horizon, self.atlas_px);
         self.uploaded_bytes += self.frame.write(gpu, &[uniforms]);
         (self.law, self.has_detail) = (scene.photometry.law, scene.relief.is_some());
         let relief = scene
@@ -227,9 +252,9 @@ impl GpuScene {
     /// Triangles drawn in the scene pass.
     #[must_use]
     pub fn drawn_triangles(&self) -> u64 {
-        let count = |d: &Draw| u64::from(d.indices.end - d.indices.start) / 3 * d.instances.len() as u64;
+        let count = |d: &Draw| u64::from(d.indices.end - d.indices.start) / 3;
         let draws = &self.draws;
-        draws.ground.iter().chain([&draws.rocks, &draws.sky]).flatten().map(count).sum()
+        draws.ground.iter().chain(&draws.rocks).chain([&draws.sky]).flatten().map(count).sum()
     }
 
     /// The index buffer depends on the ground's layout alone.
@@ -284,9 +309,9 @@ impl GpuScene {
             class_id: ClassId::REGOLITH.0.into(),
             ..Default::default()
         }];
-        let (mut ground, mut rocks) = ([const { Vec::new() }; 3], Vec::new());
+        let (mut ground, mut rocks) = ([const { Vec::new() }; 3], [const { Vec::new() }; 2]);
         for (place, &(block, nearest_m)) in selection.blocks.iter().enumerate() {
-            let draw = |indices| Draw { indices, base_vertex: ground_base as i32, instances: 0..1 };
+            let draw = |indices| Draw { indices, base_vertex: ground_base as i32, instance: 0 };
             if let Some(facing) = facing {
                 for (list, triangles) in ground.iter_mut().zip(&facing.ground[place]) {
                     list.push((nearest_m, draw(picked.add(triangles))));
@@ -296,27 +321,30 @@ impl GpuScene {
                 ground[2].push((nearest_m, draw(whole)));
             }
         }
-        // Rocks: an instance each; as many vertices as the finer of its two uses needs.
+        // Rocks: an instance each; as many vertices as the finer of its two uses needs, or as were picked.
         let rock_at_normal = at_normal(rock_surge);
         let mut uploads: Vec<(usize, &[Vertex])> = Vec::new();
         for (place, selected) in selection.rocks.iter().enumerate() {
             let rock = &scene.rocks[selected.rock];
             let instance = instances.len() as u32;
-            let draw =
-                |indices| Draw { indices, base_vertex: rock_base as i32, instances: instance..instance + 1 };
-            let triangles = facing.map(|facing| &facing.rocks[place]);
-            if let Some((_, level)) = selected.caster {
-                let whole = || self.sphere_levels[level].clone();
-                let sides = triangles
-                    .map_or_else(|| [whole(), whole()], |t| [picked.add(&t.fronts), picked.add(&t.backs)]);
-                for (list, indices) in draws.casters.iter_mut().zip(sides) {
-                    list.push(draw(indices));
-                }
+            let draw = |indices| Draw { indices, base_vertex: rock_base as i32, instance };
+            let (casts, seen, vertices) = if let Some(facing) = facing {
+                let chosen = &facing.rocks[place];
+                let casts = [&chosen.fronts, &chosen.backs].map(|triangles| picked.add(triangles));
+                let seen = [0, 1].map(|side| picked.add(&chosen.seen[side]));
+                (casts, seen, &chosen.vertices[..])
+            } else {
+                let (seen, casts) = (selected.seen_level, selected.caster.map(|(_, level)| level));
+                let whole =
+                    |level: Option<usize>| level.map_or(0..0, |level| self.sphere_levels[level].clone());
+                let vertices = &rock.vertices[..Icosphere::vertex_count(seen.max(casts).unwrap_or(0))];
+                ([whole(casts), whole(casts)], [0..0, whole(seen)], vertices)
+            };
+            for (list, indices) in draws.casters.iter_mut().zip(casts) {
+                list.push(draw(indices));
             }
-            if let Some(level) = selected.seen_level {
-                let indices =
-                    triangles.map_or_else(|| self.sphere_levels[level].clone(), |t| picked.add(&t.seen));
-                rocks.push((selected.nearest_m, draw(indices)));
+            for (list, indices) in rocks.iter_mut().zip(seen) {
+                list.push((selected.nearest_m, draw(indices)));
             }
             let counts = scene.label_rule.counts(rock, scene.camera.eye, focal_px);
             instances.push(Instance {
@@ -331,13 +359,11 @@ impl GpuScene {
                 dust: scene.regolith.albedo / rock_at_normal,
                 dust_above: rock.dust_above,
             });
-            let finest = selected.seen_level.max(selected.caster.map(|(_, level)| level)).unwrap_or(0);
-            let vertices = &rock.vertices[..Icosphere::vertex_count(finest)];
             uploads.push((rock_base, vertices));
             rock_base += vertices.len();
         }
         draws.ground = ground.map(near_to_far);
-        draws.rocks = near_to_far(rocks);
+        draws.rocks = rocks.map(near_to_far);
         // Sky: stars before the dome that they cover.
         let in_sky = |origin, scale, colour| Instance {
             origin,
@@ -354,11 +380,12 @@ impl GpuScene {
         let dome = instances.len() as u32;
         instances.push(in_sky(scene.sky.centre, scene.sky.radius_m, scene.sky.radiance));
         for (level, range) in [(STAR_LEVEL, first_star..dome), (DOME_LEVEL, dome..dome + 1)] {
-            draws.sky.push(Draw {
-                indices: self.sphere_levels[level].clone(),
+            let indices = &self.sphere_levels[level];
+            draws.sky.extend(range.map(|instance| Draw {
+                indices: indices.clone(),
                 base_vertex: 0,
-                instances: range,
-            });
+                instance,
+            }));
         }
         self.draws = draws;
         let stride = size_of::<Vertex>();
@@ -367,7 +394,8 @@ impl GpuScene {
         for (base, vertices) in uploads {
             self.uploaded_bytes += self.vertices.write_at(gpu, base * stride, vertices);
         }
-        self.uploaded_bytes += self.instances.write(gpu, &instances);
+        let slots: Vec<InstanceSlot> = instances.into_iter().map(InstanceSlot::new).collect();
+        self.uploaded_bytes += self.instances.write(gpu, &slots);
         self.is_picked = facing.is_some();
         if self.is_picked {
             self.uploaded_bytes += self.picked.write(gpu, picked.triangles.as_flattened());
@@ -401,7 +429,7 @@ fn frame_uniforms(
     settings: &RenderSettings,
     picture_size: [u32; 2],
     horizon: &HorizonMap,
-    atlas_layer_px: u32,
+    [atlas_width_px, atlas_layer_px]: [u32; 2],
 ) -> FrameUniforms {
     let (camera, sun) = (&scene.camera, &scene.sun);
     let [sun_right, sun_up] = sun.right_and_up();
@@ -425,7 +453,7 @@ fn frame_uniforms(
         sun_irradiance: sun.irradiance,
         atlas_layer_px: atlas_layer_px as f32,
         sun_right,
-        atlas_width_px: shadow::ATLAS_PX as f32,
+        atlas_width_px: atlas_width_px as f32,
         sun_up,
         bounce_share: bounce_share as f32,
         ground_radiance: scene.regolith.albedo * sun.irradiance * exitance / std::f32::consts::PI,

@@ -54,6 +54,8 @@ pub struct HorizonMap {
 /// The lattice of a grid over the whole ground, aligned with the sun.
 struct Frame<'a> {
     terrain: &'a Terrain,
+    /// The heights of a square ground.
+    square: Option<&'a Square>,
     towards: Vec2,
     across: Vec2,
     origin: Vec2,
@@ -100,9 +102,10 @@ impl HorizonMap {
                 }
             }
         }
+        let square = matches!(terrain.layout, Layout::Square).then(|| Square::new(terrain));
         let mut grids: Vec<Grid> = Vec::new();
         for (level, &step_m) in steps_m.iter().enumerate().rev() {
-            let frame = Frame::new(terrain, sun, towards, step_m);
+            let frame = Frame::new(terrain, square.as_ref(), sun, towards, step_m);
             let end_m = if steps_m.len() == 1 { FARTHEST_M } else { base_m * (1_u32 << level) as f32 };
             let corners =
                 boxes.iter().filter(|(_, nearest_m)| *nearest_m <= end_m).flat_map(|(corners, _)| {
@@ -162,7 +165,7 @@ impl HorizonMap {
 }
 
 impl<'a> Frame<'a> {
-    fn new(terrain: &'a Terrain, sun: &Sun, towards: Vec2, step_m: f32) -> Self {
+    fn new(terrain: &'a Terrain, square: Option<&'a Square>, sun: &Sun, towards: Vec2, step_m: f32) -> Self {
         let across = Vec2::new(-towards.y, towards.x);
         // The turned square that holds the ground.
         let side_m = 2.0 * terrain.half_extent_m * (towards.x.abs() + towards.y.abs());
@@ -173,7 +176,7 @@ impl<'a> Frame<'a> {
             let limb = (sun.elevation_deg + offset).clamp(LOWEST_LIMB_DEG, 89.9).to_radians();
             libm::tan(limb) as f32 * step_m
         });
-        Self { terrain, towards, across, origin, step_m, samples, fall_m }
+        Self { terrain, square, towards, across, origin, step_m, samples, fall_m }
     }
 
     /// Columns and rows of the samples around some places.
@@ -194,8 +197,13 @@ impl<'a> Frame<'a> {
         self.origin + row as f32 * self.step_m * self.across + column as f32 * self.step_m * self.towards
     }
 
+    /// Height of the ground at a place, far down where there is none.
     fn ground_m(&self, place: Vec2) -> f32 {
-        if self.terrain.contains(place) { self.terrain.surface_height_at(place) } else { f32::MIN }
+        match self.square {
+            Some(square) => square.height_at(place),
+            None if self.terrain.contains(place) => self.terrain.surface_height_at(place),
+            None => f32::MIN,
+        }
     }
 
     /// The coarsest grid: its rows begin where no ground further off is high enough to hide the sun.
@@ -206,8 +214,7 @@ impl<'a> Frame<'a> {
         let fall_m = self.fall_m[0].max(1e-6);
         let reach = ((highest_m - lowest_m) / fall_m).ceil().min(self.samples as f32) as usize + 2;
         let last = (columns.end + reach).min(self.samples);
-        let bends =
-            matches!(self.terrain.layout, Layout::Square).then(|| Bends::new(self.terrain, self.step_m));
+        let bends = self.square.map(|square| Bends::new(square, self.step_m));
         let start = |_| (last, [-1.0e9_f32; 2]);
         self.scan([columns, rows], start, bends.as_ref())
     }
@@ -284,6 +291,45 @@ impl Grid {
     }
 }
 
+/// The heights of a square ground, close together: the map asks for half a million of them.
+struct Square {
+    cells: usize,
+    cell_m: f32,
+    half_m: f32,
+    heights_m: Vec<f32>,
+}
+
+impl Square {
+    fn new(terrain: &Terrain) -> Self {
+        Self {
+            cells: terrain.columns as usize,
+            cell_m: terrain.cell_m(),
+            half_m: terrain.half_extent_m,
+            heights_m: terrain.vertices.iter().map(|vertex| vertex.position.z).collect(),
+        }
+    }
+
+    fn height(&self, column: usize, row: usize) -> f32 {
+        self.heights_m[row * (self.cells + 1) + column]
+    }
+
+    /// [`Terrain::surface_height_at`], or far down outside.
+    #[inline]
+    fn height_at(&self, place: Vec2) -> f32 {
+        if place.abs().max_element() > self.half_m {
+            return f32::MIN;
+        }
+        let at = (place + self.half_m) / self.cell_m;
+        let cell = |t: f32| (t as usize).min(self.cells - 1);
+        let (column, row) = (cell(at.x), cell(at.y));
+        let (u, v) = (at.x - column as f32, at.y - row as f32);
+        let south = &self.heights_m[row * (self.cells + 1) + column..][..self.cells + 3];
+        let (h00, h11) = (south[0], south[self.cells + 2]);
+        let (corner, near, far) = if u >= v { (south[1], u, v) } else { (south[self.cells + 1], v, u) };
+        h00 + (corner - h00) * near + (h11 - corner) * far
+    }
+}
+
 /// For each cell of a terrain, how far its ground may lie below the straight course between places a step apart.
 ///
 /// Along a line the ground is straight but for kinks where it crosses the triangles' edges; a kink by J (change of
@@ -297,10 +343,10 @@ struct Bends {
 }
 
 impl Bends {
-    fn new(terrain: &Terrain, step_m: f32) -> Self {
-        let (cells, row_len) = (terrain.columns as usize, terrain.columns as usize + 1);
+    fn new(square: &Square, step_m: f32) -> Self {
+        let (cells, row_len) = (square.cells, square.cells + 1);
         let last = row_len - 1;
-        let height = |column: usize, row: usize| terrain.vertices[row * row_len + column].position.z;
+        let height = |column: usize, row: usize| square.height(column, row);
         // Changes of slope at a vertex, times a cell: along both axes and the diagonal.
         let kinks_at = |column: usize, row: usize| {
             let (west, east) = (column.saturating_sub(1), (column + 1).min(last));
@@ -312,7 +358,7 @@ impl Bends {
         };
         // Largest over two cells each way: first along rows, then along columns.
         let wide = |at: usize, end: usize| at.saturating_sub(1)..=(at + 2).min(end);
-        let scale = 0.5 * step_m / terrain.cell_m();
+        let scale = 0.5 * step_m / square.cell_m;
         let rows: Vec<Vec<f32>> = (0..row_len)
             .into_par_iter()
             .map(|row| {
@@ -324,7 +370,7 @@ impl Bends {
             .into_par_iter()
             .map(|cell| wide(cell / cells, last).map(|row| rows[row][cell % cells]).fold(0.0, f32::max))
             .collect();
-        Self { cells, cell_m: terrain.cell_m(), half_m: terrain.half_extent_m, bends_m }
+        Self { cells, cell_m: square.cell_m, half_m: square.half_m, bends_m }
     }
 
     fn at(&self, place: Vec2) -> f32 {

@@ -213,6 +213,12 @@ impl PackedFrame {
         }
     }
 
+    /// Whether it serves a picture of this size with these annotations.
+    #[must_use]
+    pub fn serves(&self, size: [u32; 2], annotations: Annotations) -> bool {
+        (self.size, self.packing.annotations) == (size, annotations)
+    }
+
     /// Records the copy to where the program can read it.
     pub fn copy(&self, encoder: &mut wgpu::CommandEncoder) {
         self.readback.copy(encoder, &self.buffer, self.packing.bytes());
@@ -222,11 +228,11 @@ impl PackedFrame {
     ///
     /// # Errors
     /// [`crate::Error::DeviceLost`] or [`crate::Error::Device`].
-    pub fn read(&self, gpu: &Gpu) -> crate::Result<Frame> {
+    pub fn read(&self, gpu: &Gpu, submission: &wgpu::SubmissionIndex) -> crate::Result<Frame> {
         let [width, height] = self.size;
         let pixels = width as usize * height as usize;
         let classes_at = 12 * self.packing.groups() as usize;
-        self.readback.read(gpu, |bytes| {
+        self.readback.read(gpu, submission, |bytes| {
             let words = |annotation: Annotation| {
                 let range = self.packing.words(annotation).unwrap_or(0..0);
                 bytes[4 * range.start as usize..4 * range.end as usize]

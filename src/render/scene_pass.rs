@@ -15,7 +15,7 @@ pub(super) struct ScenePass {
     modules: [wgpu::ShaderModule; 2],
     layouts: [wgpu::PipelineLayout; 2],
     /// Ground by what can shade it, rocks and sky, for each variant that was needed so far.
-    pipelines: Vec<(Variant, [wgpu::RenderPipeline; 5])>,
+    pipelines: Vec<(Variant, [wgpu::RenderPipeline; 6])>,
 }
 
 /// What pipelines are made for.
@@ -80,6 +80,7 @@ impl ScenePass {
             surface(Shades::Nothing, RELIEF_DETAIL),
             surface(Shades::Ground, RELIEF_DETAIL),
             surface(Shades::Casters, RELIEF_DETAIL),
+            surface(Shades::Nothing, TEXTURE_DETAIL),
             surface(Shades::Casters, TEXTURE_DETAIL),
             // The dome is seen from inside, the stars from outside.
             self.pipeline(gpu, 1, &[], variant.annotations, &positions, None),
@@ -165,26 +166,28 @@ impl ScenePass {
             timestamp_writes: timestamps,
             ..Default::default()
         });
-        for (index, group) in (0..).zip(groups) {
-            pass.set_bind_group(index, group, &[]);
-        }
+        let [frame, instances, shadow] = groups;
+        pass.set_bind_group(0, frame, &[]);
+        pass.set_bind_group(2, shadow, &[]);
         let made = self.pipelines.iter().find(|(made, _)| *made == scene.variant(targets.annotations));
         let pipelines = &made.expect("pipelines are prepared before they are used").1;
         let draws = &scene.draws;
         let things = scene.thing_indices();
         let [open, by_ground, by_rocks] = &draws.ground;
+        let [dark, lit] = &draws.rocks;
         let lists = [
             (open, things),
             (by_ground, things),
             (by_rocks, things),
-            (&draws.rocks, things),
+            (dark, things),
+            (lit, things),
             (&draws.sky, &scene.indices),
         ];
         // Rocks before the ground that they cover, all before the sky.
-        for place in [3, 2, 1, 0, 4] {
+        for place in [4, 3, 2, 1, 0, 5] {
             let (list, indices) = lists[place];
             pass.set_pipeline(&pipelines[place]);
-            super::draw_all(&mut pass, scene, indices, list);
+            super::draw_all(&mut pass, instances, scene, indices, list);
         }
     }
 }

@@ -315,7 +315,7 @@ mod tests {
                 if let Some(binding) = &variable.binding {
                     let expected = match variable.name.as_deref().unwrap_or_default() {
                         "frame" | "relief" => 0,
-                        "instances" | "tiles" => 1,
+                        "instance" | "tiles" => 1,
                         _ => 2,
                     };
                     assert_eq!(binding.group, expected, "groups are 0 frame, 1 scene, 2 pass");

@@ -17,8 +17,10 @@ use crate::scene::terrain::{Layout, Terrain};
 const TEXELS_PER_PIXEL: f32 = 3.0;
 /// Smallest and largest side of a tile, texels; nor is it more than four times the picture's longer side.
 const TILE_PX: [u32; 2] = [16, 2048];
-/// Columns of the atlas and most rows of one of its layers, texels; all tiles shrink until they fit.
+/// Most columns of the atlas and most rows of one of its layers, texels; all tiles shrink until they fit.
 pub const ATLAS_PX: u32 = 4096;
+/// Fewest columns.
+const LEAST_ATLAS_PX: u32 = 512;
 /// Cells along a side of the grid that finds the casters of a place, over a square of ground.
 pub const CASTER_CELLS: u32 = 512;
 /// The same for each of the grids over rings.
@@ -80,21 +82,31 @@ pub fn casters(scene: &Scene, frustum: &Frustum, size_px: [u32; 2]) -> Vec<Caste
     casters
 }
 
-/// Rows of each of the atlas's layers that these casters need, in steps, so that scenes share atlases.
+/// Columns of the atlas, and rows of each of its layers, that these casters need, in steps, so that scenes share
+/// atlases.
 #[must_use]
-pub fn layer_px(casters: &[Caster]) -> u32 {
+pub fn atlas_px(casters: &[Caster]) -> [u32; 2] {
     let last_row = |caster: &Caster| (caster.tile.origin_px.y + caster.tile.size_px) as u32;
-    casters.iter().map(last_row).max().unwrap_or(1).next_multiple_of(512)
+    [width_px(casters), casters.iter().map(last_row).max().unwrap_or(1).next_multiple_of(128)]
+}
+
+/// Columns that make a layer of the atlas about as wide as it is high.
+fn width_px(casters: &[Caster]) -> u32 {
+    let sides = || casters.iter().map(|caster| caster.tile.size_px as u32);
+    let area: u64 = sides().map(|side| u64::from(side) * u64::from(side)).sum();
+    let width = (area.isqrt() as u32).max(sides().max().unwrap_or(0));
+    width.next_power_of_two().clamp(LEAST_ATLAS_PX, ATLAS_PX)
 }
 
 /// Places the tiles in shelves, largest first; `false` if they do not fit.
 fn pack(casters: &mut [Caster]) -> bool {
+    let width = width_px(casters);
     let mut order: Vec<usize> = (0..casters.len()).collect();
     order.sort_by_key(|&i| (std::cmp::Reverse(casters[i].tile.size_px as u32), i));
     let (mut x, mut y, mut shelf) = (0, 0, 0);
     for i in order {
         let size = casters[i].tile.size_px as u32;
-        if x + size > ATLAS_PX {
+        if x + size > width {
             (x, y, shelf) = (0, y + shelf, 0);
         }
         if y + size > ATLAS_PX {

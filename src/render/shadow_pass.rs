@@ -5,15 +5,15 @@ use wgpu::TextureUsages;
 use super::gpu_scene::GpuScene;
 use super::shaders::SHADOW;
 use super::targets::{DEPTH_FORMAT, depth_state};
-use super::{BindLayouts, shadow, vertex_layout};
+use super::{BindLayouts, vertex_layout};
 use crate::gpu::Gpu;
 
 /// Pipelines and atlas of the pass.
 #[derive(Debug)]
 pub(super) struct ShadowPass {
     layers: [wgpu::RenderPipeline; 2],
-    /// The atlas and the rows of a layer, of which it has two, fronts above backs.
-    atlas: Option<(u32, wgpu::TextureView)>,
+    /// The atlas, with its columns and the rows of a layer, of which it has two, fronts above backs.
+    atlas: Option<([u32; 2], wgpu::TextureView)>,
 }
 
 impl ShadowPass {
@@ -52,12 +52,12 @@ impl ShadowPass {
         Self { layers, atlas: None }
     }
 
-    /// Makes the atlas with layers of exactly so many rows, unless it is there. Not a larger one: places in the atlas
+    /// Makes the atlas with layers of exactly so many columns and rows, unless it is there. Not a larger one: places in the atlas
     /// would be rounded otherwise, and the frame would depend on those before it.
-    pub(super) fn prepare(&mut self, gpu: &Gpu, layer_px: u32) {
+    pub(super) fn prepare(&mut self, gpu: &Gpu, layer_px: [u32; 2]) {
         if self.atlas.as_ref().is_none_or(|(made, _)| *made != layer_px) {
             let usage = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
-            let size = [shadow::ATLAS_PX, 2 * layer_px];
+            let size = [layer_px[0], 2 * layer_px[1]];
             self.atlas = Some((layer_px, gpu.texture("shadow/atlas", size, DEPTH_FORMAT, usage).1));
         }
     }
@@ -92,12 +92,11 @@ impl ShadowPass {
             timestamp_writes: timestamps,
             ..Default::default()
         });
-        for (index, group) in (0..).zip(groups) {
-            pass.set_bind_group(index, group, &[]);
-        }
+        let [frame, instances] = groups;
+        pass.set_bind_group(0, frame, &[]);
         for (pipeline, draws) in self.layers.iter().zip(&scene.draws.casters) {
             pass.set_pipeline(pipeline);
-            super::draw_all(&mut pass, scene, scene.thing_indices(), draws);
+            super::draw_all(&mut pass, instances, scene, scene.thing_indices(), draws);
         }
     }
 }

@@ -59,9 +59,9 @@ impl Timer {
         self.readback.copy(encoder, &self.buffer, BYTES);
     }
 
-    pub(super) fn read(&self, gpu: &Gpu) -> Result<StageTimes> {
+    pub(super) fn read(&self, gpu: &Gpu, submission: &wgpu::SubmissionIndex) -> Result<StageTimes> {
         let to_ms = f64::from(gpu.queue.get_timestamp_period()) * 1e-6;
-        self.readback.read(gpu, |bytes| {
+        self.readback.read(gpu, submission, |bytes| {
             let ticks: Vec<u64> = bytes
                 .chunks_exact(8)
                 .map(|tick| u64::from_le_bytes(tick.try_into().unwrap_or_default()))
