@@ -272,7 +272,7 @@ knobs! {
     SensorVignetting "sensor.vignetting" "" Number, Frame, number(0.5), [0.0, 1.0],
         "Share of the natural fall of light to the corners, cos^4 of the angle.";
     SensorPsfPx "sensor.psf_px" "px" Number, Frame, number(0.47), [0.0, 5.0],
-        "Deviation of the picture of a point; 0.47 gives a contrast of 0.33 at the finest pattern, as PCAM's.";
+        "Deviation of the picture of a point, pixel included; 0.47 gives a contrast of 0.33 at the finest pattern, as PCAM's.";
     SensorFullWellE "sensor.full_well_e" "e" Number, Frame, number(21_800.0), [100.0, 1_000_000.0],
         "Electrons that a pixel holds before it clips (KAI-2020: 21 800).";
     SensorReadNoiseE "sensor.read_noise_e" "e" Number, Frame, number(21.0), [0.0, 1000.0],
