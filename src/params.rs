@@ -311,6 +311,8 @@ knobs! {
         "Radiance of the stars relative to the nominal stage's; at 1e-5 one is as faint as a bright star is by daylight.";
     SkyGlow "sky.glow" "" Number, Frame, number(1.0) => number(0.0), [0.0, 100.0],
         "Radiance of the dome relative to the nominal stage's; the Moon's sky has none.";
+    SkyEarthshine "sky.earthshine" "" Number, Frame, number(0.0), [0.0, 0.1],
+        "Light of the Earth on level ground over the sun's on a surface that faces it, even from all sides; a full Earth has 1.1e-4.";
     SkyDomeRadiusM "sky.dome_radius_m" "m" Number, Frame, number(600.0) => number(2000.0), [60.0, 5000.0],
         "Radius of the sky's dome around the camera.";
 }

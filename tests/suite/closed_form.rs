@@ -33,6 +33,7 @@ fn flat_scene(sun: Sun, rocks: Vec<Rock>, eye: Vec3, fov_deg: f64) -> Scene {
             stars: Vec::new(),
             radiance: DOME_RADIANCE,
             star_radiance: DOME_RADIANCE,
+            earthshine: Vec3::ZERO,
         },
         sun,
         camera: Camera::new(eye, [-90.0, 0.0, 0.0], fov_deg, 2000.0, 0.0),
@@ -317,6 +318,43 @@ fn opposition_surge_is_that_of_hapkes_law() {
         }
     }
     assert!((1e-6..0.02).contains(&worst), "off by {worst}");
+}
+
+/// A full Earth gives 1.1e-4 of the sun's light: at most 4e-4 of what ground has that a sun at 17 degrees shines on.
+#[test]
+fn earthshine_lights_what_the_sun_does_not() {
+    let dark_and_lit = |earthshine: &str| {
+        let shining = scene(1, &[earthshine, "sky.glow=0", "sun.elevation_deg=17"]);
+        let mut scene = flat_scene(
+            shining.sun,
+            vec![ball(Vec3::new(0.0, 0.0, 3.0), 2.0)],
+            Vec3::new(-8.0, 5.0, 30.0),
+            50.0,
+        );
+        scene.sky = shining.sky;
+        let mut settings = RenderSettings::new([64, 64], 1).expect("settings");
+        settings.annotations = [Annotation::Hdr, Annotation::Shadow].into_iter().collect();
+        let frame = renderer().render(&scene, &settings).expect("a frame").0;
+        [255, 0].map(|hidden| {
+            let pixels = (0..frame.class.len())
+                .filter(|p| frame.class[*p] == ClassId::REGOLITH.0 && frame.hidden[*p] == hidden);
+            let values: Vec<f64> = pixels.map(|p| f64::from(frame.radiance[3 * p + 1].to_f32())).collect();
+            assert!(values.len() > 20, "{} pixels", values.len());
+            values.iter().sum::<f64>() / values.len() as f64
+        })
+    };
+    let [dark, lit] = dark_and_lit("sky.earthshine=0");
+    // Where less than a 255th of the disc is seen there is a trace of sunlight.
+    assert!(dark < 1e-5 * lit, "{dark}, {lit}");
+    let without = dark;
+    for share in [1.1e-4, 0.05] {
+        let [shadow, still_lit] = dark_and_lit(&format!("sky.earthshine={share}"));
+        let dark = shadow - without;
+        let expected = share / 17.0_f64.to_radians().sin();
+        assert!((dark / lit / expected - 1.0).abs() < 0.01, "{} of lit ground, not {expected}", dark / lit);
+        assert!(((still_lit - lit) / dark - 1.0).abs() < 0.05 || share < 1e-3, "lit ground has it too");
+        assert!(share > 1e-3 || dark / lit < 4e-4);
+    }
 }
 
 /// A barrel lens: every pixel of every plane is that of the pinhole's picture where the formula says, so that colour and

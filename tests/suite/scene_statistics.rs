@@ -212,6 +212,7 @@ fn every_knob_is_live() {
                 "craters.radius_m" | "terrain.amplitude_m" | "craters.depth_m" => "12",
                 "photometry.law" => "lommel_seeliger",
                 "sensor.kind" => "mono",
+                "sky.earthshine" => "0.05",
                 "craters.law" => "classes",
                 "rocks.law" => "bands",
                 "sensor.read_noise_e" | "sensor.dark_e" | "sensor.dsnu_e" => "900",
