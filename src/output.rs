@@ -25,7 +25,8 @@ use edges::EdgePolicy;
 use encoders::{
     camera_distance_npy, coverage_npy, craters_png, five_classes_json, five_classes_png,
     five_classes_preview_png, hdr_exr, incidence_npy, instances_json, instances_png, labels_json, mask_png,
-    meta_json, normals_npy, phase_npy, plane_distance_npy, preview_png, rgb_png, shadow_png, slope_npy,
+    meta_json, normals_npy, phase_npy, plane_distance_npy, preview_png, rgb_png, rock_sizes_json,
+    rock_sizes_png, shadow_png, slope_npy,
 };
 
 /// What the encoders work from.
@@ -118,7 +119,7 @@ pub struct Output {
 }
 
 /// Every output.
-pub static OUTPUTS: [Output; 14] = [
+pub static OUTPUTS: [Output; 15] = [
     Output { name: "rgb", default: true, needs: None, files: &[("rgb", "png", rgb_png)] },
     Output {
         name: "mask",
@@ -194,6 +195,12 @@ pub static OUTPUTS: [Output; 14] = [
             ("five_classes_preview", "png", five_classes_preview_png),
             ("five_classes_labels", "json", five_classes_json),
         ],
+    },
+    Output {
+        name: "rock_sizes",
+        default: false,
+        needs: Some(Annotation::Instances),
+        files: &[("rock_sizes", "png", rock_sizes_png), ("rock_sizes_labels", "json", rock_sizes_json)],
     },
     Output { name: "meta", default: true, needs: None, files: &[("frame", "json", meta_json)] },
 ];
@@ -396,6 +403,22 @@ mod tests {
         let preview = decoded("preview_0007.png", LabelIds::Replicator);
         assert_eq!(preview.as_bytes()[..9], [170, 140, 110, 220, 45, 40, 70, 120, 205]);
         assert_eq!(preview.as_bytes()[15..], [0, 0, 0]);
+    }
+
+    #[test]
+    fn rocks_are_told_apart_by_size_in_colours_that_collapse_to_three() {
+        let colours = decoded("rock_sizes_0007.png", LabelIds::Canonical).into_rgb8().into_raw();
+        // Rock 300 is 1.25 m across; rock 2 is not in the list.
+        let expected = [[0, 0, 0], [0, 0, 255], [255, 0, 0], [255, 0, 0], [0, 255, 0], [0, 0, 0]];
+        assert_eq!(colours, expected.concat());
+        let labels: Value =
+            serde_json::from_slice(&encoded("rock_sizes_labels_0007.json", LabelIds::Canonical))
+                .expect("JSON");
+        for (rgb, id) in colours.chunks_exact(3).zip(&frame().class[..5]) {
+            let name = labels[format!("({}, {}, {}, 255)", rgb[0], rgb[1], rgb[2])]["class"].as_str();
+            let class = name.and_then(|name| name.split(',').next());
+            assert_eq!(class, ClassId(*id).class().map(|class| class.name));
+        }
     }
 
     #[test]

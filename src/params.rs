@@ -171,6 +171,14 @@ knobs! {
         "Depth of a crater's bowl below the ground around it.";
     CratersRimRatio "craters.rim_ratio" "" in Nominal Number, Element("crater"), uniform(0.18, 0.35), [0.0, 1.0],
         "Height of a crater's rim as a fraction of its depth.";
+    CratersLaw "craters.law" "" in Surface Text(&["equilibrium", "classes"]), Frame, word("equilibrium"), [0.0, 0.0],
+        "How many craters there are of more than 1.25 m: as impacts and wear leave them, or three counted classes.";
+    CratersBigCount "craters.big_count" "" in Surface Integer, Frame, number(7.0), [0.0, 100.0],
+        "With the law classes: craters of 14 to 40 m radius, on a square of 766 m around the origin.";
+    CratersMediumCount "craters.medium_count" "" in Surface Integer, Frame, number(42.0), [0.0, 1000.0],
+        "With the law classes: craters of 3 to 12 m radius, on the same square.";
+    CratersSmallCount "craters.small_count" "" in Surface Integer, Frame, number(240.0), [0.0, 5000.0],
+        "With the law classes: craters of 0.6 to 3 m radius, on the same square.";
     CratersDensity "craters.density" "" in Surface Number, Frame, number(1.0), [0.0, 1.6],
         "Number of craters relative to equilibrium, 0.0794 D^-2 of more than D metres a square metre (Trask 1966).";
     CratersFreshShare "craters.fresh_share" "" in Surface Number, Frame, number(0.03), [0.0, 1.0],
@@ -203,6 +211,16 @@ knobs! {
         "Where that boulder lies, to the right.";
     RocksHeroYM "rocks.hero_y_m" "m" in Nominal Number, Frame, number(-76.0), [-2000.0, 2000.0],
         "Where that boulder lies, ahead.";
+    RocksLaw "rocks.law" "" in Surface Text(&["lunar", "bands"]), Frame, word("lunar"), [0.0, 0.0],
+        "How many rocks there are: by the Moon's law of sizes and around fresh craters, or four counted bands.";
+    RocksPebbleCount "rocks.pebble_count" "" in Surface Integer, Frame, number(1300.0), [0.0, 20_000.0],
+        "With the law bands: rocks of 0.04 to 0.18 m radius, within 60 m ahead of the camera's nominal place (0, -90).";
+    RocksSmallCount "rocks.small_count" "" in Surface Integer, Frame, number(420.0), [0.0, 5000.0],
+        "With the law bands: rocks of 0.18 to 0.50 m radius, within 120 m ahead of that place.";
+    RocksMidCount "rocks.mid_count" "" in Surface Integer, Frame, number(95.0), [0.0, 2000.0],
+        "With the law bands: rocks of 0.50 to 1.40 m radius, within 200 m ahead of that place.";
+    RocksLargeCount "rocks.large_count" "" in Surface Integer, Frame, number(12.0), [0.0, 500.0],
+        "With the law bands: rocks of 1.6 to 3.4 m radius, within 320 m ahead of that place.";
     RocksCoverage "rocks.coverage" "" in Surface Number, Frame, number(0.008), [0.0, 0.1],
         "Share k of the ground under rocks, with F(>D) = k exp(-(0.5648 + 0.01285 / k) D) (Li and Wu 2018).";
     RocksExposed "rocks.exposed" "" in Surface Number, Element("rock"), uniform(0.35, 0.95), [0.05, 1.0],
@@ -272,7 +290,7 @@ knobs! {
     SensorVignetting "sensor.vignetting" "" Number, Frame, number(0.5), [0.0, 1.0],
         "Share of the natural fall of light to the corners, cos^4 of the angle.";
     SensorPsfPx "sensor.psf_px" "px" Number, Frame, number(0.47), [0.0, 5.0],
-        "Deviation of the picture of a point; 0.47 gives a contrast of 0.33 at the finest pattern, as PCAM's.";
+        "Deviation of the picture of a point, pixel included; 0.47 gives a contrast of 0.33 at the finest pattern, as PCAM's.";
     SensorFullWellE "sensor.full_well_e" "e" Number, Frame, number(21_800.0), [100.0, 1_000_000.0],
         "Electrons that a pixel holds before it clips (KAI-2020: 21 800).";
     SensorReadNoiseE "sensor.read_noise_e" "e" Number, Frame, number(21.0), [0.0, 1000.0],
@@ -293,6 +311,8 @@ knobs! {
         "Radiance of the stars relative to the nominal stage's; at 1e-5 one is as faint as a bright star is by daylight.";
     SkyGlow "sky.glow" "" Number, Frame, number(1.0) => number(0.0), [0.0, 100.0],
         "Radiance of the dome relative to the nominal stage's; the Moon's sky has none.";
+    SkyEarthshine "sky.earthshine" "" Number, Frame, number(0.0), [0.0, 0.1],
+        "Light of the Earth on level ground over the sun's on a surface that faces it, even from all sides; a full Earth has 1.1e-4.";
     SkyDomeRadiusM "sky.dome_radius_m" "m" Number, Frame, number(600.0) => number(2000.0), [60.0, 5000.0],
         "Radius of the sky's dome around the camera.";
 }

@@ -24,7 +24,7 @@ struct FrameUniforms {
     ground_radiance: vec3<f32>,
     // Distance from horizon_centre that the first grid of the horizon map serves, metres.
     horizon_base_m: f32,
-    // Radiance of the sky's dome.
+    // Radiance of the sky's dome, and of an even sky that gives the Earth's light.
     sky_radiance: vec3<f32>,
     // Cells along a side of each caster grid.
     caster_cells: u32,

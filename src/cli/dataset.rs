@@ -52,7 +52,7 @@ pub(super) struct DatasetArgs {
     config: ConfigArgs,
     #[command(flatten)]
     picture: PictureArgs,
-    /// What to write: of rgb, mask, preview (every 25th), depth, normals, instances, shadow, hdr, coverage, slope, craters, angles, five_classes, meta; or all
+    /// What to write: of rgb, mask, preview (every 25th), depth, normals, instances, shadow, hdr, coverage, slope, craters, angles, five_classes, rock_sizes, meta; or all
     /// [default: rgb,mask,preview, as far as the format holds them]
     #[arg(long, value_name = "LIST")]
     outputs: Option<String>,

@@ -27,7 +27,7 @@ pub(super) struct FrameArgs {
     config: ConfigArgs,
     #[command(flatten)]
     picture: PictureArgs,
-    /// What to write: of rgb, mask, preview, depth, normals, instances, shadow, hdr, coverage, slope, craters, angles, five_classes, meta; or all
+    /// What to write: of rgb, mask, preview, depth, normals, instances, shadow, hdr, coverage, slope, craters, angles, five_classes, rock_sizes, meta; or all
     #[arg(long, value_name = "LIST", default_value_t = output::default_list())]
     outputs: String,
     /// Allow writing into a folder that has other content

@@ -121,6 +121,45 @@ pub(super) fn five_classes_json(_: &Source<'_>) -> Result<Vec<u8>> {
     json_bytes(&rows.collect::<serde_json::Map<_, _>>().into())
 }
 
+/// Rocks from this diameter on are large in [`SIZED_CLASSES`], metres: the dataset that the colours come from states none, and
+/// half a metre is what a rover drives around.
+const LARGE_ROCK_M: f32 = 0.5;
+
+/// Name and colour of each class of rocks told apart by size: those of the Artificial Lunar Landscape dataset (Pessia and
+/// Ishigami). The part before the comma, or all of it, is the class in the mask.
+const SIZED_CLASSES: [(&str, [u8; 3]); 4] =
+    [("regolith", [0, 0, 0]), ("rock,small", [0, 255, 0]), ("rock,large", [0, 0, 255]), ("sky", [255, 0, 0])];
+
+pub(super) fn rock_sizes_png(source: &Source<'_>) -> Result<Vec<u8>> {
+    let frame = source.frame;
+    let large = |instance: u16| {
+        frame.rocks.iter().any(|rock| rock.instance == instance && rock.diameter_m >= LARGE_ROCK_M)
+    };
+    let most = frame.rocks.iter().map(|rock| rock.instance).max().unwrap_or(0);
+    let is_large: Vec<bool> = (0..=most).map(large).collect();
+    let rgb: Vec<u8> = frame
+        .class
+        .iter()
+        .zip(&frame.instances)
+        .flat_map(|(id, instance)| {
+            let row = match ClassId(*id) {
+                ClassId::SKY => 3,
+                ClassId::ROCK => 1 + usize::from(is_large.get(usize::from(*instance)) == Some(&true)),
+                _ => 0,
+            };
+            SIZED_CLASSES[row].1
+        })
+        .collect();
+    png(frame, &rgb, ExtendedColorType::Rgb8, FilterType::Up)
+}
+
+pub(super) fn rock_sizes_json(_: &Source<'_>) -> Result<Vec<u8>> {
+    let rows = SIZED_CLASSES
+        .iter()
+        .map(|(name, [r, g, b])| (format!("({r}, {g}, {b}, 255)"), json!({ "class": name })));
+    json_bytes(&rows.collect::<serde_json::Map<_, _>>().into())
+}
+
 pub(super) fn shadow_png(source: &Source<'_>) -> Result<Vec<u8>> {
     png(source.frame, &source.frame.hidden, ExtendedColorType::L8, FilterType::Up)
 }

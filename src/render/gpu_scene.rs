@@ -458,7 +458,7 @@ fn frame_uniforms(
         bounce_share: bounce_share as f32,
         ground_radiance: scene.regolith.albedo * sun.irradiance * exitance / std::f32::consts::PI,
         horizon_base_m: horizon.base_m,
-        sky_radiance: scene.sky.radiance,
+        sky_radiance: scene.sky.radiance + scene.sky.earthshine,
         caster_cells: grids.cells,
         horizon_towards: horizon.towards,
         horizon_centre: horizon.centre,

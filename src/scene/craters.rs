@@ -4,16 +4,28 @@
 //! file), their sections the profile of Yang et al. 2021 (GRL 48, 2021GL095537) scaled to a depth that age has worn.
 //! Craters of an octave of diameters lie on two lattices, at most one a cell: where and how large is a hash of the
 //! cell, so that nobody has to make a list of millions to know those around a place.
+//! Instead of those of more than [`UNCLASSED_M`] there may be three classes of counted craters, which are a list.
 //! Must not know: who asks. Twin of the slopes: `shaders/common/relief.wgsl`.
 
 use glam::Vec2;
 
 use super::lattice::Lattice;
 use super::noise::lattice_hash;
+use crate::params::{Knob, Params};
 use crate::random::Streams;
 
 /// Craters larger than 1 m in diameter a square metre, in equilibrium (Trask 1966).
 pub const TRASK_DENSITY: f64 = 0.0794;
+/// Counted craters: the knob of their number, the purpose of their streams, smallest and largest radius, metres.
+const CLASSES: [(Knob, &str, [f64; 2]); 3] = [
+    (Knob::CratersBigCount, "craters.big", [14.0, 40.0]),
+    (Knob::CratersMediumCount, "craters.medium", [3.0, 12.0]),
+    (Knob::CratersSmallCount, "craters.small", [0.6, 3.0]),
+];
+/// Half the side of the square around the origin in which their centres lie, metres: that of the nominal stage's.
+const CLASSES_HALF_M: f64 = 383.0;
+/// Where craters are counted by class, those up to this diameter are in equilibrium all the same, metres.
+pub const UNCLASSED_M: f64 = 1.25;
 /// Largest diameter, metres.
 pub const LARGEST_M: f64 = 80.0;
 /// Octaves of diameters, each half the one before: from 80 m to 2 cm.
@@ -122,52 +134,77 @@ pub struct PitLattice {
 pub struct CraterField {
     /// From the largest to the smallest.
     pub lattices: Vec<PitLattice>,
+    /// Craters that are counted by class, big ones first; none where all are in equilibrium.
+    pub listed: Vec<Pit>,
     /// Share of fresh craters.
     pub fresh_share: f32,
 }
 
 impl CraterField {
-    /// The craters of these streams: `density` relative to equilibrium, for places around `centre`.
+    /// The craters of these settings, for places around `centre` (metres, world).
     #[must_use]
-    pub fn new(streams: &Streams, density: f64, fresh_share: f64, clods: f64, centre: Vec2) -> Self {
+    pub fn new(streams: &Streams, params: &Params, centre: Vec2) -> Self {
+        let number = |knob| params.number(knob);
+        let (density, clods) = (number(Knob::CratersDensity), number(Knob::ReliefClods));
+        let fresh_share = number(Knob::CratersFreshShare) as f32;
+        let counted = params.text(Knob::CratersLaw) == "classes";
         let lattices = (0..OCTAVES * LATTICES)
             .map(|k| {
                 let largest_m = LARGEST_M / f64::from(1_u32 << (k / LATTICES));
                 let cell_m = largest_m / DIAMETER_CELLS;
                 // Craters with diameters from half the largest to the largest: 4 - 1 parts of those beyond it.
                 let a_cell = 3.0 * TRASK_DENSITY / (largest_m * largest_m) * cell_m * cell_m;
+                let chance = if counted && largest_m > UNCLASSED_M { 0.0 } else { density * a_cell };
                 PitLattice {
                     lattice: Lattice::new(cell_m, centre, &mut streams.stream("craters.lattice", k.into())),
                     largest_m: largest_m as f32,
-                    chance: (density * a_cell / f64::from(LATTICES)) as f32,
+                    chance: (chance / f64::from(LATTICES)) as f32,
                     clods: if largest_m <= CLOD_LARGEST_M { clods as f32 } else { 0.0 },
                 }
             })
             .collect();
-        Self { lattices, fresh_share: fresh_share as f32 }
+        let listed = if counted { classed(streams, params, fresh_share, centre) } else { Vec::new() };
+        Self { lattices, listed, fresh_share }
     }
 
     /// Calls `give` with everything that can change the ground within a circle (metres from the centre of the ground) and
     /// may be as large as `least_m`, always in the same order.
     pub fn around(&self, offset: Vec2, radius_m: f32, least_m: f32, mut give: impl FnMut(Pit)) {
-        for lattice in self.lattices.iter().take_while(|lattice| lattice.largest_m > least_m) {
+        let is_near = |pit: &Pit| {
+            let reach_m = radius_m + pit.reach_m();
+            pit.diameter_m > least_m && pit.offset.distance_squared(offset) < reach_m * reach_m
+        };
+        self.listed.iter().copied().filter(is_near).for_each(&mut give);
+        let wanted = self.lattices.iter().take_while(|lattice| lattice.largest_m > least_m);
+        for lattice in wanted.filter(|lattice| lattice.chance > 0.0) {
             let reach = (radius_m + 0.5 * REACH_RADII * lattice.largest_m) / lattice.lattice.cell_m;
             let margin = Vec2::splat(reach + JITTER_CELLS);
             let local = lattice.lattice.local(offset);
             let (low, high) = ((local - margin - 0.5).ceil(), (local + margin - 0.5).floor());
             for y in low.y as i32..=high.y as i32 {
                 for x in low.x as i32..=high.x as i32 {
-                    if let Some(pit) = lattice.pit(x, y, self.fresh_share) {
-                        let reach_m = radius_m + pit.reach_m();
-                        if pit.diameter_m > least_m && pit.offset.distance_squared(offset) < reach_m * reach_m
-                        {
-                            give(pit);
-                        }
+                    if let Some(pit) = lattice.pit(x, y, self.fresh_share).filter(is_near) {
+                        give(pit);
                     }
                 }
             }
         }
     }
+}
+
+/// The counted craters, each from a stream of its own; offsets are from `centre`.
+fn classed(streams: &Streams, params: &Params, fresh_share: f32, centre: Vec2) -> Vec<Pit> {
+    let of_class = |(class, (knob, purpose, radii_m)): (u64, (Knob, &'static str, [f64; 2]))| {
+        (0..u64::from(params.count(knob))).map(move |k| {
+            let mut draw = streams.stream(purpose, k);
+            let mut across = || draw.uniform(-CLASSES_HALF_M, CLASSES_HALF_M) as f32;
+            let place = Vec2::new(across(), across());
+            let diameter_m = 2.0 * draw.uniform(radii_m[0], radii_m[1]) as f32;
+            let depth = worn_depth(draw.unit() as f32, fresh_share);
+            Pit { offset: place - centre, diameter_m, depth, key: (class + 1) << 32 | k }
+        })
+    };
+    (0..).zip(CLASSES).flat_map(of_class).collect()
 }
 
 impl PitLattice {

@@ -123,13 +123,7 @@ impl Relief {
                 amplitude_m: amplitude_m as f32,
             })
             .collect();
-        let craters = CraterField::new(
-            streams,
-            number(Knob::CratersDensity),
-            number(Knob::CratersFreshShare),
-            number(Knob::ReliefClods),
-            centre,
-        );
+        let craters = CraterField::new(streams, params, centre);
         Self { octaves, craters, aprons: Vec::new() }
     }
 

@@ -25,7 +25,7 @@ pub struct Sensor {
     pub glare: f64,
     /// Share of the natural fall of light to the corners (cos^4 of the angle from the axis).
     pub vignetting: f64,
-    /// Standard deviation of a point's picture, pixels.
+    /// Standard deviation of a point's picture, pixels, the pixel's own width included: from 0.25 on.
     pub psf_px: f64,
     /// Electrons that a pixel holds; more are clipped. Radiance 1 at exposure 0 EV fills it.
     pub full_well_e: f64,

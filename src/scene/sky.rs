@@ -101,6 +101,8 @@ pub struct Sky {
     pub radiance: Vec3,
     /// Radiance of a star.
     pub star_radiance: Vec3,
+    /// Radiance of an even sky that gives as much light as the Earth does. Nothing in the picture shows it.
+    pub earthshine: Vec3,
 }
 
 impl Sky {
@@ -124,6 +126,9 @@ impl Sky {
             stars,
             radiance: DOME_RADIANCE * params.number(Knob::SkyGlow) as f32,
             star_radiance: STAR_RADIANCE * params.number(Knob::SkyStarGain) as f32,
+            // An even sky of radiance L gives level ground pi L.
+            earthshine: Sun::build(params).irradiance * params.number(Knob::SkyEarthshine) as f32
+                / std::f32::consts::PI,
         }
     }
 }

@@ -354,7 +354,7 @@ fn every_output_is_written_and_agrees_with_the_mask() {
     let folder = folder();
     let words = ["--seed", "42", "--size", "160", "--outputs", "all", "--edges", "ignore:2"];
     let printed = run_ok(folder.path(), &words);
-    assert_eq!(printed.lines().count(), 20, "{printed}");
+    assert_eq!(printed.lines().count(), 22, "{printed}");
     let out = folder.path().join("out");
     let open = |name: &str| image::open(out.join(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
     let mask = open("semantic_segmentation_0000.png").into_luma8();

@@ -33,6 +33,7 @@ fn flat_scene(sun: Sun, rocks: Vec<Rock>, eye: Vec3, fov_deg: f64) -> Scene {
             stars: Vec::new(),
             radiance: DOME_RADIANCE,
             star_radiance: DOME_RADIANCE,
+            earthshine: Vec3::ZERO,
         },
         sun,
         camera: Camera::new(eye, [-90.0, 0.0, 0.0], fov_deg, 2000.0, 0.0),
@@ -277,6 +278,83 @@ fn every_law_is_that_of_the_library() {
         }
     }
     assert!((1e-6..0.01).contains(&worst), "off by {worst}");
+}
+
+/// Hapke's ground over phases from 0 to 90 degrees, looked at from straight above and at 45 degrees; from above, the surge
+/// from 5 to 0 degrees (Buratti 1996, Shkuratov 1998: 1.3 to 1.5 for the Moon).
+#[test]
+fn opposition_surge_is_that_of_hapkes_law() {
+    let mut worst = 0.0_f64;
+    for (pitch_deg, limit_deg) in [(-89.999, 89.0), (-45.0, 90.0)] {
+        let look = |phase_deg: f64| {
+            // The sun moves from behind the camera over the zenith.
+            let elevation_deg = -pitch_deg + phase_deg;
+            let (elevation_deg, azimuth_deg) =
+                if elevation_deg <= 90.0 { (elevation_deg, 180.0) } else { (180.0 - elevation_deg, 0.0) };
+            let sun = Sun::new(elevation_deg, azimuth_deg, 0.0, Vec3::ONE);
+            let mut scene = flat_scene(sun, Vec::new(), Vec3::new(0.0, 0.0, 3.0), 6.0);
+            scene.photometry.law = Law::Hapke;
+            scene.sky.radiance = Vec3::ZERO;
+            scene.camera = Camera::new(scene.camera.eye, [pitch_deg, 0.0, 0.0], 6.0, 2000.0, 0.0);
+            let mut settings = RenderSettings::new([33, 33], 1).expect("settings");
+            settings.annotations = [Annotation::Hdr].into_iter().collect();
+            let frame = renderer().render(&scene, &settings).expect("a frame").0;
+            let found = f64::from(frame.radiance[3 * (16 * 33 + 16)].to_f32());
+            let [mu0, mu, g] =
+                [sun.direction.z, -scene.camera.forward.z, -scene.camera.forward.dot(sun.direction)]
+                    .map(f64::from);
+            let soil = scene.photometry.soil;
+            let factor = soil.radiance_factor(mu0, mu, g) / soil.radiance_factor(1.0, 1.0, 1.0);
+            (found, 0.2 * factor / std::f64::consts::PI)
+        };
+        for phase_deg in [0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 75.0, 90.0_f64] {
+            let (found, expected) = look(phase_deg.min(limit_deg));
+            worst = worst.max((found / expected - 1.0).abs());
+        }
+        // Seen from above the incidence hardly changes with the phase: what is left is the surge.
+        if pitch_deg < -89.0 {
+            let surge = look(0.0).0 / look(5.0).0;
+            assert!((1.3..=1.5).contains(&surge), "{surge}");
+        }
+    }
+    assert!((1e-6..0.02).contains(&worst), "off by {worst}");
+}
+
+/// A full Earth gives 1.1e-4 of the sun's light: at most 4e-4 of what ground has that a sun at 17 degrees shines on.
+#[test]
+fn earthshine_lights_what_the_sun_does_not() {
+    let dark_and_lit = |earthshine: &str| {
+        let shining = scene(1, &[earthshine, "sky.glow=0", "sun.elevation_deg=17"]);
+        let mut scene = flat_scene(
+            shining.sun,
+            vec![ball(Vec3::new(0.0, 0.0, 3.0), 2.0)],
+            Vec3::new(-8.0, 5.0, 30.0),
+            50.0,
+        );
+        scene.sky = shining.sky;
+        let mut settings = RenderSettings::new([64, 64], 1).expect("settings");
+        settings.annotations = [Annotation::Hdr, Annotation::Shadow].into_iter().collect();
+        let frame = renderer().render(&scene, &settings).expect("a frame").0;
+        [255, 0].map(|hidden| {
+            let pixels = (0..frame.class.len())
+                .filter(|p| frame.class[*p] == ClassId::REGOLITH.0 && frame.hidden[*p] == hidden);
+            let values: Vec<f64> = pixels.map(|p| f64::from(frame.radiance[3 * p + 1].to_f32())).collect();
+            assert!(values.len() > 20, "{} pixels", values.len());
+            values.iter().sum::<f64>() / values.len() as f64
+        })
+    };
+    let [dark, lit] = dark_and_lit("sky.earthshine=0");
+    // Where less than a 255th of the disc is seen there is a trace of sunlight.
+    assert!(dark < 1e-5 * lit, "{dark}, {lit}");
+    let without = dark;
+    for share in [1.1e-4, 0.05] {
+        let [shadow, still_lit] = dark_and_lit(&format!("sky.earthshine={share}"));
+        let dark = shadow - without;
+        let expected = share / 17.0_f64.to_radians().sin();
+        assert!((dark / lit / expected - 1.0).abs() < 0.01, "{} of lit ground, not {expected}", dark / lit);
+        assert!(((still_lit - lit) / dark - 1.0).abs() < 0.05 || share < 1e-3, "lit ground has it too");
+        assert!(share > 1e-3 || dark / lit < 4e-4);
+    }
 }
 
 /// A barrel lens: every pixel of every plane is that of the pinhole's picture where the formula says, so that colour and

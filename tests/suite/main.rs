@@ -14,5 +14,6 @@ mod labels;
 mod scene_statistics;
 mod support;
 mod surface;
+mod surface_light;
 mod truth;
 mod verify;

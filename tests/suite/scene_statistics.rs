@@ -212,6 +212,9 @@ fn every_knob_is_live() {
                 "craters.radius_m" | "terrain.amplitude_m" | "craters.depth_m" => "12",
                 "photometry.law" => "lommel_seeliger",
                 "sensor.kind" => "mono",
+                "sky.earthshine" => "0.05",
+                "craters.law" => "classes",
+                "rocks.law" => "bands",
                 "sensor.read_noise_e" | "sensor.dark_e" | "sensor.dsnu_e" => "900",
                 "sensor.bits" => "5",
                 "sensor.vignetting" => "1",
@@ -233,6 +236,10 @@ fn every_knob_is_live() {
             let section = info.name.split_once('.').map_or("", |(section, _)| section);
             let needed = match section {
                 "hapke" => "photometry.law=hapke",
+                "craters" if stage == Stage::Surface && info.name.ends_with("_count") => {
+                    "craters.law=classes"
+                }
+                "rocks" if stage == Stage::Surface && info.name.ends_with("_count") => "rocks.law=bands",
                 "sensor" if info.name != "sensor.kind" => "sensor.kind=bayer",
                 "rocks" if info.name.starts_with("rocks.hero_") && info.name != "rocks.hero_scale_m" => {
                     "rocks.hero_scale_m=2"

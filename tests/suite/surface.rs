@@ -716,3 +716,75 @@ fn ground_has_the_spectrum_of_a_photograph() {
     println!("spectrum of ground patches: {slope:.2}");
     assert!((-3.0..=-1.2).contains(&slope), "{slope}");
 }
+
+/// The three classes of craters: radii of 14 to 40, 3 to 12 and 0.6 to 3 m, as many as asked for, and no other larger than
+/// 1.25 m.
+#[test]
+fn craters_can_be_counted_by_class() {
+    let relief = relief(7, &["craters.law=classes", "craters.small_count=250"]);
+    let mut found: [u32; 3] = [0; 3];
+    let mut deepened = 0;
+    relief.craters.around(Vec2::ZERO, 1000.0, 1.25, |pit| {
+        let class = match 0.5 * pit.diameter_m {
+            r if (14.0..=40.0).contains(&r) => 0,
+            r if (3.0..=12.0).contains(&r) => 1,
+            r if (0.6..=3.0).contains(&r) => 2,
+            r => panic!("a radius of {r} m"),
+        };
+        found[class] += 1;
+        let place = pit.offset + Vec2::new(0.0, -90.0);
+        assert!(place.abs().max_element() <= 383.0, "a crater at {place}");
+        assert!((0.02..=0.15).contains(&pit.depth), "{}", pit.depth);
+        let without = {
+            let mut craters = relief.clone();
+            craters.craters.listed.retain(|other| other.key != pit.key);
+            craters.height_at(pit.offset, 0.05)
+        };
+        deepened +=
+            u32::from(relief.height_at(pit.offset, 0.05) < without - 0.5 * pit.depth * pit.diameter_m);
+    });
+    // Of the small ones a few of 1.2 to 1.25 m are below what was asked for.
+    let asked = relief.craters.listed.iter().filter(|pit| pit.diameter_m > 1.25).count() as u32;
+    assert_eq!((found[0], found[1], found[2]), (7, 42, asked - 49));
+    assert_eq!((relief.craters.listed.len(), deepened), (7 + 42 + 250, asked));
+}
+
+/// The four bands of rocks: radii of 1.6 to 3.4, 0.5 to 1.4, 0.18 to 0.5 and 0.04 to 0.18 m, as many as asked for.
+#[test]
+fn rocks_can_be_counted_by_band_and_more_of_one_move_no_other_thing() {
+    let bands = [
+        "rocks.law=bands",
+        "craters.law=classes",
+        "rocks.pebble_count=200",
+        "rocks.small_count=80",
+        "rocks.mid_count=30",
+    ];
+    let make = |more: &str| {
+        let set: Vec<&str> = [SURFACE].into_iter().chain(bands).chain([more]).collect();
+        scene(5, &set)
+    };
+    let few = make("rocks.large_count=12");
+    let count = |low: f32, high: f32| {
+        few.rocks.iter().filter(|rock| (low..=high).contains(&rock.base_scale_m)).count()
+    };
+    assert_eq!([count(1.6, 3.4), count(0.5, 1.4), count(0.18, 0.5), count(0.04, 0.18)], [12, 30, 80, 200]);
+    assert_eq!(few.rocks.len(), 322);
+    for more in
+        ["rocks.pebble_count=260", "rocks.mid_count=35", "craters.small_count=300", "craters.big_count=9"]
+    {
+        let many = make(more);
+        for rock in &few.rocks {
+            let same = many.rocks.iter().any(|other| {
+                other.centre.truncate() == rock.centre.truncate() && other.vertices == rock.vertices
+            });
+            assert!(same, "{more} moves rock {}", rock.index);
+        }
+        let listed = |scene: &Scene| scene.relief.as_ref().expect("a relief").craters.listed.clone();
+        let after = listed(&many);
+        assert!(listed(&few).iter().all(|pit| after.contains(pit)), "{more} moves a crater");
+        let added = many.rocks.len() + after.len() - few.rocks.len() - listed(&few).len();
+        assert!([60, 5, 60, 2].contains(&added), "{more} adds {added}");
+        let stars = |scene: &Scene| -> Vec<_> { scene.sky.stars.iter().map(|star| star.radius_m).collect() };
+        assert_eq!(stars(&few), stars(&many));
+    }
+}

@@ -1,5 +1,5 @@
-//! The rocks of the surface stage: the Moon's law of sizes, a scatter everywhere and clusters at fresh craters, angular
-//! shapes.
+//! The rocks of the surface stage: the Moon's law of sizes, a scatter everywhere and clusters at fresh craters, or four
+//! bands of counted rocks; angular shapes.
 //!
 //! Where rocks lie is a function of the seed and of the place on the Moon, octave by octave of their diameters, so that
 //! a rock is where it is from wherever it is looked at. Only those are made that can be seen, or throw a shadow that can.
@@ -58,6 +58,22 @@ const CUTS: (f64, f64) = (0.60, 0.90);
 const APRON_LEAST_M: f64 = 0.20;
 /// Height of the apron, diameters.
 const APRON_HEIGHTS: (f64, f64) = (0.02, 0.12);
+/// Counted rocks: the knob of their number, the purpose of their streams, smallest and largest radius and how far ahead of
+/// [`BANDS_FROM`] they lie, metres.
+const BANDS: [(Knob, &str, [f64; 2], f64); 4] = [
+    (Knob::RocksLargeCount, "rocks.band.large", [1.6, 3.4], 320.0),
+    (Knob::RocksMidCount, "rocks.band.mid", [0.50, 1.40], 200.0),
+    (Knob::RocksSmallCount, "rocks.band.small", [0.18, 0.50], 120.0),
+    (Knob::RocksPebbleCount, "rocks.band.pebble", [0.04, 0.18], 60.0),
+];
+/// The camera's nominal place, from which they lie ahead, metres.
+const BANDS_FROM: [f64; 2] = [0.0, -90.0];
+/// The nearest of them, metres ahead of it.
+const BANDS_NEAREST_M: f64 = 2.0;
+/// Half the width of the strip in which they lie, as a part of its length.
+const BANDS_HALF_WIDTH: f64 = 0.6;
+/// Told from the cells and craters that rocks of the law have.
+const BANDS_KEY: u64 = 0xb0a7_0000;
 /// Bounds of the ratio of a rock's albedo to the soil's.
 const RATIO_RANGE: [f64; 2] = [0.7, 2.5];
 
@@ -185,9 +201,12 @@ const fn rock_key(of: u64, octave: u32, k: u32) -> u64 {
     z ^ (z >> 31)
 }
 
-/// Where rocks lie, largest octave first.
+/// Where rocks lie, the largest octave or band first.
 #[must_use]
 pub fn place(streams: &Streams, params: &Params, relief: &Relief, view: &View, centre: Vec2) -> Vec<Placed> {
+    if params.text(Knob::RocksLaw) == "bands" {
+        return counted(streams, params);
+    }
     let coverage = params.number(Knob::RocksCoverage);
     if coverage <= 0.0 {
         return Vec::new();
@@ -209,6 +228,21 @@ pub fn place(streams: &Streams, params: &Params, relief: &Relief, view: &View, c
         }
     });
     placed
+}
+
+/// The rocks of the bands: as many as are asked for, each from a stream of its own, whether they are seen or not.
+fn counted(streams: &Streams, params: &Params) -> Vec<Placed> {
+    let of_band = |(band, (knob, purpose, radii_m, ahead_m)): (u32, (Knob, &'static str, [f64; 2], f64))| {
+        (0..params.count(knob)).map(move |k| {
+            let mut draw = streams.stream(purpose, k.into());
+            let half_width_m = BANDS_HALF_WIDTH * ahead_m;
+            let x = BANDS_FROM[0] + draw.uniform(-half_width_m, half_width_m);
+            let y = BANDS_FROM[1] + draw.uniform(BANDS_NEAREST_M, ahead_m);
+            let diameter_m = 2.0 * draw.uniform(radii_m[0], radii_m[1]);
+            Placed { place: Vec2::new(x as f32, y as f32), diameter_m, key: rock_key(BANDS_KEY, band, k) }
+        })
+    };
+    (0..).zip(BANDS).flat_map(of_band).collect()
 }
 
 /// The rocks of an octave that lie anywhere.
