@@ -114,9 +114,12 @@ impl Samples {
         if !(a + b + c).is_finite() {
             return true;
         }
-        let first = (a.min(b).min(c) - (0.5 + MARGIN)).ceil().max(Vec2::ZERO);
-        let last = (a.max(b).max(c) - (0.5 - MARGIN)).floor().min(self.size - 1.0);
-        first.cmple(last).all()
+        let low = (a.min(b).min(c) - (0.5 + MARGIN)).max(Vec2::ZERO);
+        let high = (a.max(b).max(c) - (0.5 - MARGIN)).min(self.size - 1.0);
+        // A whole number between the two, each way: without `ceil`, which older processors have no instruction for.
+        let (first, last) = (low.as_ivec2(), high.as_ivec2());
+        let holds = |low: f32, first: i32, last: i32| last >= first + i32::from(low > first as f32);
+        holds(low.x, first.x, last.x) && holds(low.y, first.y, last.y)
     }
 }
 

@@ -198,6 +198,7 @@ impl<'a> Frame<'a> {
     }
 
     /// Height of the ground at a place, far down where there is none.
+    #[inline(always)]
     fn ground_m(&self, place: Vec2) -> f32 {
         match self.square {
             Some(square) => square.height_at(place),
@@ -295,6 +296,7 @@ impl Grid {
 struct Square {
     cells: usize,
     cell_m: f32,
+    cells_per_m: f32,
     half_m: f32,
     heights_m: Vec<f32>,
 }
@@ -304,6 +306,7 @@ impl Square {
         Self {
             cells: terrain.columns as usize,
             cell_m: terrain.cell_m(),
+            cells_per_m: 1.0 / terrain.cell_m(),
             half_m: terrain.half_extent_m,
             heights_m: terrain.vertices.iter().map(|vertex| vertex.position.z).collect(),
         }
@@ -314,12 +317,12 @@ impl Square {
     }
 
     /// [`Terrain::surface_height_at`], or far down outside.
-    #[inline]
+    #[inline(always)]
     fn height_at(&self, place: Vec2) -> f32 {
         if place.abs().max_element() > self.half_m {
             return f32::MIN;
         }
-        let at = (place + self.half_m) / self.cell_m;
+        let at = (place + self.half_m) * self.cells_per_m;
         let cell = |t: f32| (t as usize).min(self.cells - 1);
         let (column, row) = (cell(at.x), cell(at.y));
         let (u, v) = (at.x - column as f32, at.y - row as f32);

@@ -1,8 +1,11 @@
 //! Value noise on an integer lattice and its fractal sums: the same bits on every machine.
 //!
 //! Only additions, multiplications and integer hashing, in a fixed order; no function whose result may differ
-//! between processors.
+//! between processors. Sums over many places are the same code, compiled for each width of vectors that processors
+//! have, and give the same bits as one place at a time.
 //! Must not know: what the noise is for.
+
+use fearless_simd::{Level, dispatch};
 
 /// Amplitude of each octave relative to the one before.
 const GAIN: f32 = 0.5;
@@ -23,49 +26,134 @@ pub struct Fbm {
 impl Fbm {
     /// The sum at a point of the plane, in [-1, 1]; its standard deviation is about 0.25.
     #[must_use]
-    pub fn at_2d(&self, p: [f32; 2]) -> f32 {
-        self.sum(|frequency, seed| value_noise_2d([p[0] * frequency, p[1] * frequency], seed))
+    pub fn at_2d(&self, [x, y]: [f32; 2]) -> f32 {
+        let mut sum = 0.0;
+        for Octave { gain, frequency, seed } in self.each() {
+            sum += gain * value_noise_2d([x * frequency, y * frequency], seed);
+        }
+        scaled(sum, self.total())
     }
 
     /// The sum at a point of space, in [-1, 1].
     #[must_use]
-    pub fn at_3d(&self, p: [f32; 3]) -> f32 {
-        self.sum(|frequency, seed| {
-            value_noise_3d([p[0] * frequency, p[1] * frequency, p[2] * frequency], seed)
-        })
+    pub fn at_3d(&self, [x, y, z]: [f32; 3]) -> f32 {
+        let mut sum = 0.0;
+        for Octave { gain, frequency, seed } in self.each() {
+            sum += gain * value_noise_3d([x * frequency, y * frequency, z * frequency], seed);
+        }
+        scaled(sum, self.total())
     }
 
-    #[inline]
-    fn sum(&self, noise: impl Fn(f32, u32) -> f32) -> f32 {
-        let (mut sum, mut total, mut gain, mut frequency) = (0.0, 0.0, 1.0, self.frequency);
-        for octave in 0..self.octaves {
-            let seed = self.seed.wrapping_add(octave.wrapping_mul(0x9e37_79b9));
-            sum += gain * noise(frequency, seed);
-            total += gain;
-            gain *= GAIN;
-            frequency *= self.lacunarity;
-        }
-        2.0 * (sum / total) - 1.0
+    /// [`Self::at_2d`] of every place of a line along x: `sums[i]` is that at `(x[i], y)`.
+    ///
+    /// # Panics
+    /// Unless there is a sum for every place.
+    pub fn along_x(&self, x: &[f32], y: f32, sums: &mut [f32]) {
+        assert_eq!(x.len(), sums.len(), "a sum for every place");
+        dispatch!(Level::new(), _simd => self.along_x_inlined(x, y, sums));
     }
+
+    /// [`Self::at_3d`] of many places, given by their coordinates.
+    ///
+    /// # Panics
+    /// Unless there is a sum for every place.
+    pub fn at_many_3d(&self, [x, y, z]: [&[f32]; 3], sums: &mut [f32]) {
+        assert!([y, z].map(<[f32]>::len) == [x.len(); 2] && sums.len() == x.len(), "a sum for every place");
+        dispatch!(Level::new(), _simd => self.at_many_3d_inlined([x, y, z], sums));
+    }
+
+    // What vectors are made of is inlined wholly: a closure would be compiled for the narrowest of them.
+    #[inline(always)]
+    fn along_x_inlined(&self, x: &[f32], y: f32, sums: &mut [f32]) {
+        sums.fill(0.0);
+        for Octave { gain, frequency, seed } in self.each() {
+            for (sum, x) in sums.iter_mut().zip(x) {
+                *sum += gain * value_noise_2d([x * frequency, y * frequency], seed);
+            }
+        }
+        let total = self.total();
+        for sum in sums {
+            *sum = scaled(*sum, total);
+        }
+    }
+
+    #[inline(always)]
+    fn at_many_3d_inlined(&self, [x, y, z]: [&[f32]; 3], sums: &mut [f32]) {
+        sums.fill(0.0);
+        for Octave { gain, frequency, seed } in self.each() {
+            for (((sum, x), y), z) in sums.iter_mut().zip(x).zip(y).zip(z) {
+                *sum += gain * value_noise_3d([x * frequency, y * frequency, z * frequency], seed);
+            }
+        }
+        let total = self.total();
+        for sum in sums {
+            *sum = scaled(*sum, total);
+        }
+    }
+
+    fn each(&self) -> impl Iterator<Item = Octave> {
+        let first = Octave { gain: 1.0, frequency: self.frequency, seed: self.seed };
+        let (octaves, lacunarity) = (self.octaves as usize, self.lacunarity);
+        let next = move |octave: &Octave| {
+            Some(Octave {
+                gain: GAIN * octave.gain,
+                frequency: lacunarity * octave.frequency,
+                seed: octave.seed.wrapping_add(0x9e37_79b9),
+            })
+        };
+        std::iter::successors(Some(first), next).take(octaves)
+    }
+
+    /// Sum of the amplitudes.
+    fn total(&self) -> f32 {
+        self.each().map(|octave| octave.gain).sum()
+    }
+}
+
+/// A term of a fractal sum.
+struct Octave {
+    gain: f32,
+    frequency: f32,
+    seed: u32,
+}
+
+/// A sum of octaves in [0, `total`), brought to [-1, 1).
+#[inline(always)]
+fn scaled(sum: f32, total: f32) -> f32 {
+    2.0 * (sum / total) - 1.0
 }
 
 /// 2-D value noise in [0, 1): lattice values blended bilinearly with cubic smoothstep weights.
 #[must_use]
-pub fn value_noise_2d(p: [f32; 2], seed: u32) -> f32 {
-    let ([x, y], [u, v]) = (p.map(floor), p.map(fraction).map(smoothstep));
-    let corner = |dx, dy| lattice_value(x.wrapping_add(dx), y.wrapping_add(dy), 0, seed);
-    lerp(lerp(corner(0, 0), corner(1, 0), u), lerp(corner(0, 1), corner(1, 1), u), v)
+#[inline(always)]
+pub fn value_noise_2d([px, py]: [f32; 2], seed: u32) -> f32 {
+    let (x, y) = (floor(px), floor(py));
+    let (u, v) = (smoothstep(px - x as f32), smoothstep(py - y as f32));
+    // The products of neighbours differ by the constants.
+    let (x, south) = ((x as u32).wrapping_mul(HASH_X), (y as u32).wrapping_mul(HASH_Y));
+    let north = south.wrapping_add(HASH_Y);
+    lerp(between(x, south ^ seed, u), between(x, north ^ seed, u), v)
+}
+
+/// Noise between two neighbours along x, given by their terms of the hash.
+#[inline(always)]
+fn between(x: u32, rest: u32, u: f32) -> f32 {
+    lerp(value_of(finished(x ^ rest)), value_of(finished(x.wrapping_add(HASH_X) ^ rest)), u)
 }
 
 /// 3-D value noise in [0, 1): lattice values blended trilinearly with cubic smoothstep weights.
 #[must_use]
-pub fn value_noise_3d(p: [f32; 3], seed: u32) -> f32 {
-    let ([x, y, z], [u, v, w]) = (p.map(floor), p.map(fraction).map(smoothstep));
-    let corner = |dx, dy, dz| lattice_value(x.wrapping_add(dx), y.wrapping_add(dy), z.wrapping_add(dz), seed);
-    let plane = |dz| {
-        lerp(lerp(corner(0, 0, dz), corner(1, 0, dz), u), lerp(corner(0, 1, dz), corner(1, 1, dz), u), v)
-    };
-    lerp(plane(0), plane(1), w)
+#[inline(always)]
+pub fn value_noise_3d([px, py, pz]: [f32; 3], seed: u32) -> f32 {
+    let (x, y, z) = (floor(px), floor(py), floor(pz));
+    let (u, v, w) = (smoothstep(px - x as f32), smoothstep(py - y as f32), smoothstep(pz - z as f32));
+    // The products of neighbours differ by the constants.
+    let (x, south) = ((x as u32).wrapping_mul(HASH_X), (y as u32).wrapping_mul(HASH_Y));
+    let (north, low) = (south.wrapping_add(HASH_Y), (z as u32).wrapping_mul(HASH_Z));
+    let (low, high) = (low ^ seed, low.wrapping_add(HASH_Z) ^ seed);
+    let below = lerp(between(x, south ^ low, u), between(x, north ^ low, u), v);
+    let above = lerp(between(x, south ^ high, u), between(x, north ^ high, u), v);
+    lerp(below, above, w)
 }
 
 /// Gradient noise of a place in a cell of the plane's lattice (`t` in [0, 1) along both axes), after Perlin 2002,
@@ -97,47 +185,81 @@ pub fn gradient_noise_difference(cells: f64) -> f64 {
     (level * (1.0 - libm::exp(-rise * rise / level))).sqrt()
 }
 
-/// Value of a lattice point, uniform in [0, 1) with 24 bits.
-fn lattice_value(x: i32, y: i32, z: i32, seed: u32) -> f32 {
-    (lattice_hash(x, y, z, seed) >> 8) as f32 * (1.0 / 16_777_216.0)
+/// Value of a lattice point with this hash, uniform in [0, 1) with 24 bits.
+#[inline(always)]
+fn value_of(hash: u32) -> f32 {
+    // Signed, for processors convert these faster; 24 bits are the same number either way.
+    (hash >> 8) as i32 as f32 * (1.0 / 16_777_216.0)
 }
+
+/// Factors of the coordinates in [`lattice_hash`].
+const HASH_X: u32 = 0x8da6_b343;
+const HASH_Y: u32 = 0xd816_3841;
+const HASH_Z: u32 = 0xcb1a_b31f;
 
 /// Hash of a lattice point: a linear form in the coordinates (odd constants, from Teschner et al. 2003,
 /// "Optimized Spatial Hashing", made odd 32-bit), then the 32-bit finaliser "lowbias32" of Chris Wellons
 /// (2018, hash-prospector).
 #[must_use]
 pub const fn lattice_hash(x: i32, y: i32, z: i32, seed: u32) -> u32 {
-    let mut h = (x as u32).wrapping_mul(0x8da6_b343)
-        ^ (y as u32).wrapping_mul(0xd816_3841)
-        ^ (z as u32).wrapping_mul(0xcb1a_b31f)
-        ^ seed;
+    let (x, y) = ((x as u32).wrapping_mul(HASH_X), (y as u32).wrapping_mul(HASH_Y));
+    finished(x ^ y ^ (z as u32).wrapping_mul(HASH_Z) ^ seed)
+}
+
+/// The finaliser of [`lattice_hash`].
+#[inline(always)]
+const fn finished(mut h: u32) -> u32 {
     h = (h ^ (h >> 16)).wrapping_mul(0x7feb_352d);
     h = (h ^ (h >> 15)).wrapping_mul(0x846c_a68b);
     h ^ (h >> 16)
 }
 
+#[inline(always)]
 fn smoothstep(t: f32) -> f32 {
     t * t * (3.0 - 2.0 * t)
 }
 
+#[inline(always)]
 fn lerp(a: f32, b: f32, t: f32) -> f32 {
     a + (b - a) * t
 }
 
 /// Largest integer not above `x`, for |x| < 2^31.
 #[must_use]
+#[inline(always)]
 pub fn floor(x: f32) -> i32 {
     let truncated = x as i32;
     truncated - i32::from(truncated as f32 > x)
 }
 
-fn fraction(x: f32) -> f32 {
-    x - floor(x) as f32
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn fraction(x: f32) -> f32 {
+        x - floor(x) as f32
+    }
+
+    fn lattice_value(x: i32, y: i32, z: i32, seed: u32) -> f32 {
+        value_of(lattice_hash(x, y, z, seed))
+    }
+
+    #[test]
+    fn many_places_have_the_bits_of_one_at_a_time() {
+        let fbm = Fbm { octaves: 4, frequency: 1.37, lacunarity: 2.05, seed: 77 };
+        // A length that no width of vectors divides.
+        let coordinate = |k: f32| (0..101).map(|i| k * (i as f32 - 50.3)).collect::<Vec<f32>>();
+        let [x, y, z] = [0.731, -1.93, 0.117].map(coordinate);
+        let mut sums = vec![f32::NAN; x.len()];
+        fbm.at_many_3d([&x, &y, &z], &mut sums);
+        for i in 0..x.len() {
+            assert_eq!(sums[i].to_bits(), fbm.at_3d([x[i], y[i], z[i]]).to_bits());
+        }
+        fbm.along_x(&x, -7.7, &mut sums);
+        for i in 0..x.len() {
+            assert_eq!(sums[i].to_bits(), fbm.at_2d([x[i], -7.7]).to_bits());
+        }
+    }
 
     /// Computed by hand-written Python integers from the definition in the docs, not by this code.
     #[test]

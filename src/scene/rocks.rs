@@ -183,7 +183,8 @@ impl Rock {
             draw_scale_and_rotation(&mut streams.stream("rocks.pose", k), placed.base_scale_m);
         let mut vertices: Vec<Vertex> = sphere.directions[..Icosphere::vertex_count(level)]
             .iter()
-            .map(|&u| Vertex { position: mesh_from_unit * (shape.radius(u) * u), normal: Vec3::Z })
+            .zip(shape.radii(&sphere.directions[..Icosphere::vertex_count(level)]))
+            .map(|(&u, radius)| Vertex { position: mesh_from_unit * (radius * u), normal: Vec3::Z })
             .collect();
         set_smooth_normals(&mut vertices, &sphere.triangles[level]);
         let mut rock = Self::of_vertices(k as u32, vertices, level, material);
@@ -338,16 +339,28 @@ impl Shape {
         }
     }
 
-    /// Distance of the surface from the centre in direction `u`, relative to the undisplaced sphere.
-    fn radius(&self, u: Vec3) -> f32 {
-        let p = self.domain_scale * u + self.domain_offset;
-        let noise = |fbm: &Fbm, zoom: f32| fbm.at_3d((zoom * p).into());
-        let crease = 1.0 - noise(&self.ridges.0, 1.7).abs();
-        let sum = self.lumps.1 * noise(&self.lumps.0, 1.0)
-            + self.ridges.1 * (2.0 * crease * crease - 1.0)
-            + self.bumps.1 * noise(&self.bumps.0, 3.0)
-            + self.grain.1 * noise(&self.grain.0, 7.0);
-        (1.0 + self.amplitude * sum).clamp(RADIUS_RANGE[0], RADIUS_RANGE[1])
+    /// Distance of the surface from the centre in each direction, relative to the undisplaced sphere.
+    fn radii(&self, directions: &[Vec3]) -> Vec<f32> {
+        let places: Vec<Vec3> =
+            directions.iter().map(|&u| self.domain_scale * u + self.domain_offset).collect();
+        let noise = |fbm: &Fbm, zoom: f32| {
+            let [x, y, z] = [0, 1, 2].map(|axis| places.iter().map(|p| zoom * p[axis]).collect::<Vec<f32>>());
+            let mut sums = vec![0.0; places.len()];
+            fbm.at_many_3d([&x, &y, &z], &mut sums);
+            sums
+        };
+        let (lumps, ridges) = (noise(&self.lumps.0, 1.0), noise(&self.ridges.0, 1.7));
+        let (bumps, grain) = (noise(&self.bumps.0, 3.0), noise(&self.grain.0, 7.0));
+        (0..places.len())
+            .map(|i| {
+                let crease = 1.0 - ridges[i].abs();
+                let sum = self.lumps.1 * lumps[i]
+                    + self.ridges.1 * (2.0 * crease * crease - 1.0)
+                    + self.bumps.1 * bumps[i]
+                    + self.grain.1 * grain[i];
+                (1.0 + self.amplitude * sum).clamp(RADIUS_RANGE[0], RADIUS_RANGE[1])
+            })
+            .collect()
     }
 }
 

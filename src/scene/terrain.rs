@@ -41,6 +41,12 @@ pub struct Crater {
 }
 
 impl Crater {
+    /// Whether it adds anything to the ground at this y, metres.
+    fn reaches(&self, y: f32) -> bool {
+        // It ends at 2.5 radii.
+        (y - self.centre.y).abs() < 2.51 * self.radius_m
+    }
+
     /// Height that the crater adds at a place, metres: a parabolic bowl and a Gaussian rim.
     #[must_use]
     pub fn height_at(&self, p: Vec2) -> f32 {
@@ -108,9 +114,15 @@ impl Terrain {
         let mut seeds = streams.stream("terrain.relief", 0);
         let layer = |(octaves, frequency), seed| Fbm { octaves, frequency, lacunarity: 2.0, seed };
         let (broad, fine) = (layer(BROAD, seeds.bits()), layer(FINE, seeds.bits()));
-        Self::from_height(size_m, cells, craters.clone(), |p| {
-            amplitude_m * (broad.at_2d(p.into()) + FINE_PER_BROAD * fine.at_2d(p.into()))
-                + craters.iter().map(|crater| crater.height_at(p)).sum::<f32>()
+        Self::from_rows(size_m, cells, craters.clone(), |x, y, heights| {
+            let mut finer = vec![0.0; x.len()];
+            broad.along_x(x, y, heights);
+            fine.along_x(x, y, &mut finer);
+            let near: Vec<&Crater> = craters.iter().filter(|crater| crater.reaches(y)).collect();
+            for ((height, finer), &x) in heights.iter_mut().zip(finer).zip(x) {
+                let sunk_m = near.iter().map(|crater| crater.height_at(Vec2::new(x, y))).sum::<f32>();
+                *height = amplitude_m * (*height + FINE_PER_BROAD * finer) + sunk_m;
+            }
         })
     }
 
@@ -189,16 +201,28 @@ impl Terrain {
         craters: Vec<Crater>,
         height_m: impl Fn(Vec2) -> f32 + Sync,
     ) -> Self {
+        Self::from_rows(size_m, cells, craters, |x, y, heights| {
+            for (height, &x) in heights.iter_mut().zip(x) {
+                *height = height_m(Vec2::new(x, y));
+            }
+        })
+    }
+
+    /// The same of a function that sets the heights of a line of places along x, at the coordinates `x` and at `y`.
+    fn from_rows(
+        size_m: f32,
+        cells: u32,
+        craters: Vec<Crater>,
+        set_heights: impl Fn(&[f32], f32, &mut [f32]) + Sync,
+    ) -> Self {
         let row_len = cells as usize + 1;
         let mut vertices = vec![Vertex { position: Vec3::ZERO, normal: Vec3::Z }; row_len * row_len];
-        let coordinate = |i: usize| (i as f32 / cells as f32 - 0.5) * size_m;
-        vertices.par_chunks_mut(row_len).enumerate().for_each(|(row, vertices)| {
-            for (column, vertex) in vertices.iter_mut().enumerate() {
-                let p = Vec2::new(coordinate(column), coordinate(row));
-                vertex.position = p.extend(height_m(p));
-            }
-        });
-        let heights: Vec<f32> = vertices.iter().map(|v| v.position.z).collect();
+        let coordinates: Vec<f32> = (0..row_len).map(|i| (i as f32 / cells as f32 - 0.5) * size_m).collect();
+        let mut heights = vec![0.0_f32; row_len * row_len];
+        heights
+            .par_chunks_mut(row_len)
+            .zip(&coordinates)
+            .for_each(|(row, &y)| set_heights(&coordinates, y, row));
         let cell_m = size_m / cells as f32;
         vertices.par_chunks_mut(row_len).enumerate().for_each(|(row, vertices)| {
             let height = |column: usize, row: usize| heights[row * row_len + column];
@@ -213,6 +237,7 @@ impl Terrain {
                 );
                 let normal = Vec3::new(-gradient.x, -gradient.y, 1.0);
                 vertex.normal = normal / normal.length();
+                vertex.position = Vec3::new(coordinates[column], coordinates[row], height(column, row));
             }
         });
         Self {

@@ -398,7 +398,8 @@ fn albedo_ratio(params: &Params, draw: &mut Stream) -> f64 {
 fn form(draw: &mut Stream, params: &Params, level: usize) -> Vec<Vec3> {
     let shape = Shape::draw(draw, params.number(Knob::RocksDisplacement));
     let directions = &Icosphere::shared().directions[..Icosphere::vertex_count(level)];
-    let mut positions: Vec<Vec3> = directions.iter().map(|&u| shape.radius(u) * u).collect();
+    let mut positions: Vec<Vec3> =
+        directions.iter().zip(shape.radii(directions)).map(|(&u, radius)| radius * u).collect();
     // Extents come from the first vertices, so that a plane cuts a form of any level alike.
     let coarse = Icosphere::vertex_count(level.min(2));
     for _ in 0..PLANES {

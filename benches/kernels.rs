@@ -1,0 +1,102 @@
+//! What the CPU does for a frame, kernel by kernel, each with its throughput: `cargo bench`.
+//!
+//! One thread. The scenes are those of fixed seeds with the default knobs.
+
+use std::hint::black_box;
+
+use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
+use regolith::frame::Frame;
+use regolith::output::edges::EdgePolicy;
+use regolith::output::{self, LabelIds, Source};
+use regolith::params::Params;
+use regolith::random::Streams;
+use regolith::scene::Scene;
+use regolith::scene::mesh::{Icosphere, set_smooth_normals};
+use regolith::scene::noise::Fbm;
+use regolith::scene::terrain::Terrain;
+use serde_json::Value;
+
+const SEED: u64 = 42;
+
+fn noise(c: &mut Criterion) {
+    let fbm = Fbm { octaves: 4, frequency: 1.1, lacunarity: 2.05, seed: 7 };
+    let directions = &Icosphere::shared().directions;
+    let [x, y, z] = [0, 1, 2].map(|axis| directions.iter().map(|d| d[axis]).collect::<Vec<f32>>());
+    let mut sums = vec![0.0; directions.len()];
+    let mut group = c.benchmark_group("noise");
+    group.throughput(Throughput::Elements(directions.len() as u64));
+    group.bench_function("fbm_3d_many", |b| b.iter(|| fbm.at_many_3d([&x, &y, &z], black_box(&mut sums))));
+    group.bench_function("fbm_3d_one_by_one", |b| {
+        b.iter(|| directions.iter().map(|d| fbm.at_3d((*d).into())).sum::<f32>());
+    });
+    group.finish();
+}
+
+fn geometry(c: &mut Criterion) {
+    let (streams, params) = (Streams::new(SEED), Params::draw_default(SEED));
+    let terrain = Terrain::build(&streams, &params);
+    let scene = Scene::build(SEED, &params).expect("the scene of the seed");
+    let mut group = c.benchmark_group("geometry");
+    group.throughput(Throughput::Elements(terrain.vertices.len() as u64));
+    group.bench_function("terrain", |b| b.iter(|| Terrain::build(&streams, black_box(&params))));
+    let vertices: usize = scene.rocks.iter().map(|rock| rock.vertices.len()).sum();
+    group.throughput(Throughput::Elements(vertices as u64));
+    group.bench_function("rocks", |b| {
+        let eye = scene.camera.eye;
+        b.iter(|| regolith::scene::rocks::build(&streams, black_box(&params), &terrain, eye));
+    });
+    let rock = scene.rocks.iter().max_by_key(|rock| rock.level).expect("a rock");
+    group.throughput(Throughput::Elements(rock.vertices.len() as u64));
+    group.bench_function("normals", |b| {
+        let copy = || rock.vertices.clone();
+        b.iter_batched_ref(
+            copy,
+            |v| set_smooth_normals(v, rock.triangles(rock.level)),
+            BatchSize::SmallInput,
+        );
+    });
+    group.throughput(Throughput::Elements((terrain.vertices.len() + vertices) as u64));
+    group.bench_function("scene", |b| b.iter(|| Scene::build(black_box(SEED), &params)));
+    group.finish();
+}
+
+/// A frame that compresses like a real one: a horizon, a coarse grain, blobs of rock.
+fn frame(side: u32) -> Frame {
+    let grain = Fbm { octaves: 5, frequency: 0.05, lacunarity: 2.0, seed: 3 };
+    let mut frame = Frame { width: side, height: side, ..Frame::default() };
+    for y in 0..side {
+        for x in 0..side {
+            let value = grain.at_2d([x as f32, y as f32]);
+            let sky = 3 * y < side;
+            let grey = if sky { 0 } else { (110.0 + 90.0 * value) as u8 };
+            frame.rgb.extend([grey, grey, grey.saturating_sub(4)]);
+            frame.class.push(if sky { 2 } else { u8::from(value > 0.3) });
+        }
+    }
+    frame
+}
+
+fn encode(c: &mut Criterion) {
+    let frame = frame(512);
+    let source =
+        Source { frame: &frame, meta: &Value::Null, label_ids: LabelIds::Canonical, edges: EdgePolicy::Hard };
+    let mut group = c.benchmark_group("encode");
+    for (name, bytes) in [("rgb", frame.rgb.len()), ("mask", frame.class.len())] {
+        let outputs = output::parse_outputs(name).expect("a known output");
+        group.throughput(Throughput::Bytes(bytes as u64));
+        group.bench_function(name, |b| b.iter(|| output::encode(black_box(&source), &outputs)));
+    }
+    group.finish();
+}
+
+/// Everything on one thread, so that figures do not depend on the number of cores.
+fn on_one_thread(_: &mut Criterion) {
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(1)
+        .use_current_thread()
+        .build_global()
+        .expect("the first pool");
+}
+
+criterion_group!(benches, on_one_thread, noise, geometry, encode);
+criterion_main!(benches);
