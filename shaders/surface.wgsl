@@ -75,8 +75,21 @@ fn fs_main(in: Varyings) -> SceneOut {
         let cos_phase = dot(frame.sun_direction, to_eye);
         direct = visible * reflected(LAW, instance.roughness, instance.surge, cos_light, cos_eye, cos_phase);
     }
-    let bounced = ground_bounce(frame.ground_radiance, normal, frame.horizon_towards)
-        + sky_light(frame.sky_radiance, normal);
+    var bounced = sky_light(frame.sky_radiance, normal);
+    if LAW == HAPKE {
+        if DETAIL == RELIEF_DETAIL {
+            // What lies in the shadow of ground has the same shadow around it.
+            var sunlit = 1.0;
+            if SHADES != 0u && visible < 1.0 {
+                sunlit = horizon_visibility(frame.eye + in.offset);
+            }
+            bounced += bounce_on_ground(frame.ground_radiance, normal, frame.horizon_towards, sunlit);
+        } else {
+            bounced += bounce_on_rock(frame.ground_radiance, normal, frame.horizon_towards);
+        }
+    } else {
+        bounced += ground_bounce(frame.ground_radiance, normal, frame.horizon_towards);
+    }
     let radiance = albedo * (direct * frame.sun_irradiance + frame.bounce_share * bounced / PI);
     return SceneOut(vec4(radiance, 1.0), instance.class_id, vec4(normal, 1.0), instance.instance_id, 1.0 - visible);
 }
