@@ -5,6 +5,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable
+from functools import partial
 
 import blender
 import gltf_stage
@@ -32,19 +33,18 @@ def check_case(report: Report, number: int, case: Case) -> None:
         blender.check(export(case, usd[number % len(usd)], drawn=True), frame, report)
 
 
-def check_fill(report: Report, number: int, case: Case) -> None:
+def check_fill(report: Report, case: Case) -> None:
     """One scene: the light within its shadows."""
-    del number
     import path_tracer
 
     path_tracer.check(case, report)
 
 
-def guarded(check: Callable[[Report, int, Case], None], report: Report, number: int, case: Case) -> None:
+def guarded(report: Report, name: str, check: Callable[[], None]) -> None:
     """A scene whose check stumbles is a row that fails; the others still run."""
-    report.case = case.name
+    report.case = name
     try:
-        check(report, number, case)
+        check()
     except Exception as error:  # whatever a reader of files throws
         traceback.print_exc()
         report.none("the check ran", [f"{type(error).__name__}: {error}"], "yes")
@@ -57,10 +57,10 @@ def main() -> int:
     listed = formats()
     report.none("formats listed, each with its check", sorted(set(listed) - CHECKED_FORMATS), " ".join(listed))
     for number, case in enumerate(CASES):
-        guarded(check_case, report, number, case)
+        guarded(report, case.name, partial(check_case, report, number, case))
     if importlib.util.find_spec("mitsuba"):
-        for number, case in enumerate(FILL_CASES):
-            guarded(check_fill, report, number, case)
+        for case in FILL_CASES:
+            guarded(report, case.name, partial(check_fill, report, case))
     else:
         print("!!! MITSUBA DID NOT RUN: PyPI has no wheel of it for this machine !!!", file=sys.stderr)
     report.print()

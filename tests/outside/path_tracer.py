@@ -35,7 +35,10 @@ FACTOR = 1.5
 
 
 class Scaled(mi.BSDF):
-    """A law of reflection times a colour, which may exceed 1: a rock's albedo scales the law as a whole."""
+    """A law of reflection times a colour, which may exceed 1: a rock's albedo scales the law as a whole.
+
+    Its methods are those that the tracer asks of every law, with the tracer's own types.
+    """
 
     def __init__(self, props: mi.Properties) -> None:
         mi.BSDF.__init__(self, props)
@@ -43,17 +46,17 @@ class Scaled(mi.BSDF):
         self.m_components = [self.law.flags(index) for index in range(self.law.component_count())]
         self.m_flags = self.law.flags()
 
-    def sample(self, ctx, si, sample1, sample2, active=True):  # noqa: ANN001, ANN201: the tracer's own types
+    def sample(self, ctx, si, sample1, sample2, active=True):
         drawn, weight = self.law.sample(ctx, si, sample1, sample2, active)
         return drawn, weight * self.colour.eval(si, active)
 
-    def eval(self, ctx, si, wo, active=True):  # noqa: ANN001, ANN201
+    def eval(self, ctx, si, wo, active=True):
         return self.law.eval(ctx, si, wo, active) * self.colour.eval(si, active)
 
-    def pdf(self, ctx, si, wo, active=True):  # noqa: ANN001, ANN201
+    def pdf(self, ctx, si, wo, active=True):
         return self.law.pdf(ctx, si, wo, active)
 
-    def eval_pdf(self, ctx, si, wo, active=True):  # noqa: ANN001, ANN201
+    def eval_pdf(self, ctx, si, wo, active=True):
         value, density = self.law.eval_pdf(ctx, si, wo, active)
         return value * self.colour.eval(si, active), density
 
