@@ -50,26 +50,35 @@ fn fs_main(in: Varyings) -> SceneOut {
     }
     let cos_eye = max(dot(normal, to_eye), 0.0);
     let cos_light = max(dot(normal, frame.sun_direction), 0.0);
-    var visible = 0.0;
+    let place = frame.eye + in.offset;
     // A surface that is turned away from the sun hides it.
+    let faces_sun = dot(smooth_normal, frame.sun_direction) > 0.0;
+    // How much of the sun's disc other ground leaves.
+    var open = 1.0;
+    if SHADES == 1u { open = horizon_visibility(place); }
+    var visible = select(0.0, open, faces_sun);
     let facet = cross(dpdx(in.offset), dpdy(in.offset));
-    if dot(smooth_normal, frame.sun_direction) > 0.0 {
-        visible = 1.0;
-        if SHADES == 1u {
-            visible = horizon_visibility(frame.eye + in.offset);
-        }
-        if SHADES == 2u {
-            let facet_normal = normalize(select(-facet, facet, dot(facet, to_eye) > 0.0));
-            visible = sun_visibility(frame.eye + in.offset, facet_normal, smooth_normal, pattern_turn(in.clip.xy));
-        }
+    if SHADES == 2u && faces_sun {
+        let facet_normal = normalize(select(-facet, facet, dot(facet, to_eye) > 0.0));
+        visible = sun_visibility(place, facet_normal, smooth_normal, pattern_turn(in.clip.xy));
     }
     var direct = 0.0;
     if cos_light > 0.0 {
         let cos_phase = dot(frame.sun_direction, to_eye);
         direct = visible * reflected(LAW, instance.roughness, instance.surge, cos_light, cos_eye, cos_phase);
     }
-    let bounced = ground_bounce(frame.ground_radiance, normal, frame.horizon_towards)
-        + sky_light(frame.sky_radiance, normal);
+    var bounced = sky_light(frame.sky_radiance, normal);
+    if LAW == HAPKE {
+        if DETAIL == RELIEF_DETAIL {
+            // What lies in the shadow of ground has the same shadow around it.
+            if SHADES == 2u && visible < 1.0 { open = horizon_visibility(place); }
+            bounced += bounce_on_ground(frame.ground_radiance, normal, frame.horizon_towards, open);
+        } else {
+            bounced += bounce_on_rock(frame.ground_radiance, normal, frame.horizon_towards);
+        }
+    } else {
+        bounced += ground_bounce(frame.ground_radiance, normal, frame.horizon_towards);
+    }
     let radiance = albedo * (direct * frame.sun_irradiance + frame.bounce_share * bounced / PI);
     return SceneOut(vec4(radiance, 1.0), instance.class_id, vec4(normal, 1.0), instance.instance_id, 1.0 - visible);
 }

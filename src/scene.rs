@@ -5,6 +5,7 @@
 //! To add an element: a file in `scene/` with its `build`, one line in [`Scene::build`], one in
 //! [`Scene::hash_geometry`], and a class in `class.rs` if it is a new one.
 
+pub mod bounce;
 pub mod camera;
 pub mod craters;
 pub mod lattice;

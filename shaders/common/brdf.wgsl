@@ -28,6 +28,29 @@ fn ground_bounce(ground: vec3<f32>, normal: vec3<f32>, towards_sun: vec2<f32>) -
     return PI * ground * 0.5 * (1.0 - normal.z) * mix(0.4, 1.0, facing);
 }
 
+// The same where the ground reflects by Hapke's law, brightest as seen along the sun's light (src/scene/bounce.rs).
+fn bounce_on_rock(ground: vec3<f32>, normal: vec3<f32>, towards_sun: vec2<f32>) -> vec3<f32> {
+    let z = max(normal.z, -0.6);
+    let root = dot(azimuth_powers(normal, towards_sun) * frame.bounce_on_rock, vec4(1.0, z, z * z, z * z * z));
+    return PI * ground * 0.5 * (1.0 - normal.z) * root * root;
+}
+
+// Onto ground, of which the part `sunlit` of what lies around and no higher is lit; what rises above it is.
+fn bounce_on_ground(ground: vec3<f32>, normal: vec3<f32>, towards_sun: vec2<f32>, sunlit: f32) -> vec3<f32> {
+    let sine = sqrt(max(1.0 - normal.z * normal.z, 0.0));
+    let powers = azimuth_powers(normal, towards_sun);
+    let in_sun = dot(powers * frame.bounce_on_ground, vec3(1.0, sine, sine * sine));
+    let in_shadow = dot(powers * frame.bounce_in_shadow, vec3(1.0, sine, sine * sine));
+    return PI * ground * mix(in_shadow * in_shadow, in_sun * in_sun, sunlit);
+}
+
+// Powers 0 to 3 of the cosine of a normal's azimuth from the sun's.
+fn azimuth_powers(normal: vec3<f32>, towards_sun: vec2<f32>) -> vec4<f32> {
+    let across = inverseSqrt(max(1.0 - normal.z * normal.z, 1.0e-6));
+    let u = clamp(dot(normal.xy, towards_sun) * across, -1.0, 1.0);
+    return vec4(1.0, u, u * u, u * u * u);
+}
+
 // Irradiance of an even sky of radiance `sky`.
 fn sky_light(sky: vec3<f32>, normal: vec3<f32>) -> vec3<f32> {
     return PI * sky * 0.5 * (1.0 + normal.z);

@@ -28,6 +28,10 @@ struct FrameUniforms {
     sky_radiance: vec3<f32>,
     // Cells along a side of each caster grid.
     caster_cells: u32,
+    // Polynomials for the light that sunlit ground bounces under Hapke's law (src/scene/bounce.rs).
+    bounce_on_rock: mat4x4<f32>,
+    bounce_on_ground: mat3x4<f32>,
+    bounce_in_shadow: mat3x4<f32>,
     // Horizontal unit vector towards the sun: the direction of the horizon map's columns.
     horizon_towards: vec2<f32>,
     // Centres of the horizon map's grids and of the caster grids, metres, world.

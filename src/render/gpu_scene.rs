@@ -20,6 +20,7 @@ use crate::class::ClassId;
 use crate::frame::{Annotation, Annotations};
 use crate::gpu::Gpu;
 use crate::scene::Scene;
+use crate::scene::bounce::{Bounce, rms_slope};
 use crate::scene::lattice::Lattice;
 use crate::scene::mesh::{Icosphere, Vertex};
 use crate::scene::photometry::Law;
@@ -439,9 +440,8 @@ fn frame_uniforms(
     let lens = camera.lens;
     let grids = CasterGrids::new(&scene.terrain);
     let photometry = &scene.photometry;
-    // Of light from all around, taken as that from half way up.
-    let bounce_share = photometry.exitance(0.5) / 0.5 * photometry.at_normal(photometry.soil.b_s0);
     let exitance = photometry.exitance(f64::from(sun.direction.z)) as f32;
+    let bounce = Bounce::new(photometry, rms_slope(&scene.terrain), f64::from(sun.direction.z));
     let mut levels = [HorizonLevel::default(); horizon::MOST_LEVELS];
     levels[..horizon.levels.len()].copy_from_slice(&horizon.levels);
     FrameUniforms {
@@ -455,9 +455,12 @@ fn frame_uniforms(
         sun_right,
         atlas_width_px: atlas_width_px as f32,
         sun_up,
-        bounce_share: bounce_share as f32,
+        bounce_share: photometry.diffuse_reflectance() as f32,
         ground_radiance: scene.regolith.albedo * sun.irradiance * exitance / std::f32::consts::PI,
         horizon_base_m: horizon.base_m,
+        bounce_on_rock: bounce.on_rock,
+        bounce_on_ground: bounce.on_ground,
+        bounce_in_shadow: bounce.in_shadow,
         sky_radiance: scene.sky.radiance + scene.sky.earthshine,
         caster_cells: grids.cells,
         horizon_towards: horizon.towards,

@@ -106,6 +106,13 @@ impl Photometry {
         }
     }
 
+    /// Part of even light from all around that the ground's law reflects before it is divided by what it gives at normal
+    /// incidence; taken as that of light from half way up.
+    #[must_use]
+    pub fn diffuse_reflectance(&self) -> f64 {
+        self.exitance(0.5) / 0.5 * self.at_normal(self.soil.b_s0)
+    }
+
     /// Light that level ground of unit albedo sends off in all directions, as a part of the sun's irradiance on a surface
     /// that faces it; `cos_light` is the sine of the sun's elevation.
     #[must_use]

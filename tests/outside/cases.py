@@ -43,6 +43,31 @@ CASES = [
 ]
 
 
+def fill_case(seed: int, elevation_deg: float, azimuth_deg: float, coverage: float) -> Case:
+    """A surface stage with rocks and their shadows before the camera.
+
+    Its pixels are wide, so that the mesh has the relief that a frame with one sample a pixel shows; soil on the rocks is
+    off, for exports have one albedo a rock.
+    """
+    knobs = (
+        "stage.name=surface",
+        f"sun.elevation_deg={elevation_deg}",
+        f"sun.azimuth_deg={azimuth_deg}",
+        f"rocks.coverage={coverage}",
+        "rocks.dust=0",
+        "terrain.size_m=120",
+        "terrain.cell_mrad=10",
+        "camera.y_m=0",
+        "camera.height_m=1.5",
+        "camera.pitch_deg=-14",
+        "camera.fov_deg=90",
+    )
+    return Case(f"seed {seed}, sun {elevation_deg} deg", seed, (128, 128), knobs)
+
+
+FILL_CASES = [fill_case(9, 10, 75, 0.03), fill_case(3, 20, 60, 0.03), fill_case(5, 40, 45, 0.08)]
+
+
 @dataclass(frozen=True)
 class Frame:
     """The planes of a frame (arrays H x W) and its record."""

@@ -1,15 +1,17 @@
-"""What this renderer writes, in the hands of usd-core, trimesh, Embree and Blender. Run through check.sh."""
+"""What this renderer writes, in the hands of usd-core, trimesh, Embree, Blender and Mitsuba. Run through check.sh."""
 
 import importlib.util
 import sys
 import time
 import traceback
+from collections.abc import Callable
+from functools import partial
 
 import blender
 import gltf_stage
 import pixels
 import usd_stage
-from cases import CASES, Case, export, formats, render, soup
+from cases import CASES, FILL_CASES, Case, export, formats, render, soup
 from report import Report
 
 USD_FORMATS = ("usda", "usdc")
@@ -18,7 +20,6 @@ CHECKED_FORMATS = {"npz", "glb", *USD_FORMATS}
 
 def check_case(report: Report, number: int, case: Case) -> None:
     """One scene: every format, as authored and as drawn, then its pixels."""
-    report.case = case.name
     frame = render(case, samples=1)
     usd = [extension for extension in USD_FORMATS if extension in formats()]
     for drawn in (False, True):
@@ -32,10 +33,18 @@ def check_case(report: Report, number: int, case: Case) -> None:
         blender.check(export(case, usd[number % len(usd)], drawn=True), frame, report)
 
 
-def guarded(report: Report, number: int, case: Case) -> None:
+def check_fill(report: Report, case: Case) -> None:
+    """One scene: the light within its shadows."""
+    import path_tracer
+
+    path_tracer.check(case, report)
+
+
+def guarded(report: Report, name: str, check: Callable[[], None]) -> None:
     """A scene whose check stumbles is a row that fails; the others still run."""
+    report.case = name
     try:
-        check_case(report, number, case)
+        check()
     except Exception as error:  # whatever a reader of files throws
         traceback.print_exc()
         report.none("the check ran", [f"{type(error).__name__}: {error}"], "yes")
@@ -48,7 +57,12 @@ def main() -> int:
     listed = formats()
     report.none("formats listed, each with its check", sorted(set(listed) - CHECKED_FORMATS), " ".join(listed))
     for number, case in enumerate(CASES):
-        guarded(report, number, case)
+        guarded(report, case.name, partial(check_case, report, number, case))
+    if importlib.util.find_spec("mitsuba"):
+        for case in FILL_CASES:
+            guarded(report, case.name, partial(check_fill, report, case))
+    else:
+        print("!!! MITSUBA DID NOT RUN: PyPI has no wheel of it for this machine !!!", file=sys.stderr)
     report.print()
     failed = len(report.failed())
     print(f"{len(report.rows) - failed} of {len(report.rows)} hold; {time.monotonic() - start:.0f} s")

@@ -1,0 +1,190 @@
+"""Light within shadows: frames of the surface stage against the same triangles, path-traced with Hapke's law.
+
+The tracer is Eradiate's fork of Mitsuba 3 (PyPI: eradiate-mitsuba), whose plugin `hapke` is a program of its own. It follows
+light over several bounces between all triangles; a frame has an estimate of the first bounce from level ground. Compared
+are medians over pixels that the frame's own planes sort, as parts of the median of sunlit soil.
+
+Of the frame's shading the tracer lacks the fine texture of rocks, which averages out, and what little relief is left
+between the mesh and the pixels (`fill_case` in cases.py). What a frame leaves out is light from rocks: where a sunlit rock
+looks into a shadow, that shadow is darker in the frame.
+"""
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from cases import REGOLITH, ROCK, WORK, Case, Frame, Soup, export, render, soup
+from report import Report
+
+mi.set_variant("llvm_ad_rgb")
+
+# Irradiance per unit of the intensity knob: see src/scene/sky.rs.
+IRRADIANCE_PER_INTENSITY = 1.66e-3
+GREEN = 1
+# Light from the sun, over at most two surfaces between, to the eye.
+LONGEST_PATH = 4
+# Paths a pixel, and at most so many pixels of a kind; in the light one bounce says nearly all.
+PATHS = {"lit": 32, "dark": 1024}
+MOST_PIXELS = 600
+# Fewer pixels of a kind than this say nothing about it.
+ENOUGH_PIXELS = 40
+# Largest factor between the two medians within shadows, either way.
+FACTOR = 1.5
+
+
+class Scaled(mi.BSDF):
+    """A law of reflection times a colour, which may exceed 1: a rock's albedo scales the law as a whole.
+
+    Its methods are those that the tracer asks of every law, with the tracer's own types.
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        mi.BSDF.__init__(self, props)
+        self.law, self.colour = props["law"], props["colour"]
+        self.m_components = [self.law.flags(index) for index in range(self.law.component_count())]
+        self.m_flags = self.law.flags()
+
+    def sample(self, ctx, si, sample1, sample2, active=True):
+        drawn, weight = self.law.sample(ctx, si, sample1, sample2, active)
+        return drawn, weight * self.colour.eval(si, active)
+
+    def eval(self, ctx, si, wo, active=True):
+        return self.law.eval(ctx, si, wo, active) * self.colour.eval(si, active)
+
+    def pdf(self, ctx, si, wo, active=True):
+        return self.law.pdf(ctx, si, wo, active)
+
+    def eval_pdf(self, ctx, si, wo, active=True):
+        value, density = self.law.eval_pdf(ctx, si, wo, active)
+        return value * self.colour.eval(si, active), density
+
+
+mi.register_bsdf("scaled", Scaled)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Pixels of a kind."""
+
+    name: str
+    where: np.ndarray
+    paths: int
+
+
+def hapke(knobs: dict, surge: str) -> tuple[dict, float]:
+    """The law with these knobs, and its radiance factor at normal incidence and zero phase, which the albedo means.
+
+    The plugin's c is the weight of the backward lobe, from 0 to 1 (Hapke 2012: from -1 to 1).
+    """
+    law = {
+        "type": "hapke",
+        "w": knobs["hapke.w"],
+        "b": knobs["hapke.b"],
+        "c": (1 + knobs["hapke.c"]) / 2,
+        "theta": knobs["hapke.theta_bar_deg"],
+        "B_0": knobs[surge],
+        "h": knobs["hapke.h_s"],
+    }
+    upright = dr.zeros(mi.SurfaceInteraction3f)
+    upright.wi = mi.Vector3f(0, 0, 1)
+    radiance = mi.load_dict(law).eval(mi.BSDFContext(), upright, upright.wi)
+    return law, np.pi * float(radiance[GREEN][0])
+
+
+def mesh(name: str, stage: Soup, where: np.ndarray, eye: np.ndarray, law: dict, at_normal: float) -> mi.Mesh:
+    """Triangles of the stage, from the eye, with the law times the albedo of their instance."""
+    scaled = {"type": "scaled", "law": law, "colour": {"type": "mesh_attribute", "name": "face_colour"}}
+    props = mi.Properties()
+    props["reflection"] = mi.load_dict({"type": "twosided", "law": scaled})
+    used, triangles = np.unique(stage.triangles[where], return_inverse=True)
+    built = mi.Mesh(name, len(used), int(where.sum()), has_vertex_normals=True, props=props)
+    params = mi.traverse(built)
+    params["vertex_positions"] = mi.Float((stage.vertices[used] - eye).ravel().astype(np.float32))
+    params["vertex_normals"] = mi.Float(stage.arrays["normals"][used].ravel())
+    params["faces"] = mi.UInt32(triangles.ravel().astype(np.uint32))
+    params.update()
+    built.add_attribute("face_colour", 3, (stage.arrays["albedo"][stage.instances[where]] / at_normal).ravel())
+    return built
+
+
+def stage_of(case: Case, frame: Frame) -> mi.Scene:
+    """What the frame draws, around its eye; the sun is a point, for penumbrae are not looked at."""
+    stage, knobs = soup(export(case, "npz", drawn=True)), frame.record["knobs"]
+    eye = frame.pose[:3, 3]
+    ground = stage.instances == 0
+    irradiance = [IRRADIANCE_PER_INTENSITY * knobs["sun.intensity"] * channel for channel in knobs["sun.color"]]
+    return mi.load_dict(
+        {
+            "type": "scene",
+            # Builds the tree in a third of the time.
+            "kd_clip": False,
+            "ground": mesh("ground", stage, ground, eye, *hapke(knobs, "hapke.b_s0")),
+            "rocks": mesh("rocks", stage, ~ground, eye, *hapke(knobs, "hapke.rock_b_s0")),
+            "sun": {
+                "type": "directional",
+                "direction": (-frame.sun).tolist(),
+                "irradiance": {"type": "rgb", "value": irradiance},
+            },
+        }
+    )
+
+
+def traced(stage: mi.Scene, frame: Frame, pixels: np.ndarray, paths: int) -> np.ndarray:
+    """Radiance (green) of pixels (rows of v, u), each the mean over its square."""
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(1, len(pixels) * paths)
+    within = sampler.next_2d()
+    v, u = (mi.Float(np.repeat(pixels[:, axis], paths).astype(np.float32)) for axis in (0, 1))
+    world = mi.Matrix3f((frame.pose[:3, :3] @ np.linalg.inv(frame.k)).tolist())
+    ray = mi.RayDifferential3f(mi.Point3f(0), dr.normalize(world @ mi.Vector3f(u + within.x, v + within.y, 1)))
+    integrator = mi.load_dict({"type": "path", "max_depth": LONGEST_PATH, "rr_depth": LONGEST_PATH + 1})
+    radiance, _, _ = integrator.sample(stage, sampler, ray)
+    return np.array(radiance[GREEN]).reshape(-1, paths).mean(1)
+
+
+def all_around(plane: np.ndarray) -> np.ndarray:
+    """Where the eight neighbours of a pixel have its value; nowhere at the edge of the picture."""
+    height, width = plane.shape
+    same = np.zeros(plane.shape, bool)
+    middle = plane[1:-1, 1:-1]
+    shifts = [(dy, dx) for dy in range(3) for dx in range(3)]
+    same[1:-1, 1:-1] = np.all([plane[y : height - 2 + y, x : width - 2 + x] == middle for y, x in shifts], 0)
+    return same
+
+
+def kinds(frame: Frame) -> list[Kind]:
+    """The frame's own planes sort its pixels."""
+    inside = all_around(frame.instances) & all_around(frame.classes)
+    soil, rock = inside & (frame.classes == REGOLITH), inside & (frame.classes == ROCK)
+    dark = all_around(frame.hidden) & (frame.hidden == 1)
+    facing = frame.normals @ frame.sun
+    return [
+        Kind("sunlit soil", soil & (frame.hidden == 0), PATHS["lit"]),
+        Kind("unlit faces of rocks", rock & (frame.hidden == 1) & (facing < 0), PATHS["dark"]),
+        Kind("soil in shadow", soil & dark, PATHS["dark"]),
+    ]
+
+
+def check(case: Case, report: Report) -> None:
+    """One scene."""
+    frame = render(case, samples=1)
+    radiance = np.array(mi.Bitmap(str(WORK / f"frame_{case.seed}_1" / "hdr_0000.exr")))[..., GREEN].astype(float)
+    stage = stage_of(case, frame)
+    lit_ours = lit_theirs = np.nan
+    for kind in kinds(frame):
+        pixels = np.argwhere(kind.where)
+        report.at_least(f"tracer: {kind.name}, pixels", len(pixels), ENOUGH_PIXELS)
+        if len(pixels) < ENOUGH_PIXELS:
+            continue
+        pixels = pixels[:: -(-len(pixels) // MOST_PIXELS)]
+        ours = np.median(radiance[pixels[:, 0], pixels[:, 1]])
+        theirs = np.median(traced(stage, frame, pixels, kind.paths))
+        if np.isnan(lit_ours):
+            lit_ours, lit_theirs = ours, theirs
+            report.at_most(f"tracer: {kind.name}, radiance off", abs(ours / theirs - 1), 0.03)
+            continue
+        ours, theirs = ours / lit_ours, theirs / lit_theirs
+        what = f"tracer: {kind.name} {ours:.4f} of sunlit soil, traced {theirs:.4f}: factor"
+        report.at_most(what, max(ours / theirs, theirs / ours), FACTOR)
