@@ -207,7 +207,8 @@ mod tests {
 
     fn at<const N: usize>(polynomial: &Polynomial<N>, cosine: f64, height_or_sine: f64) -> f64 {
         let value = |line: &[f32]| line.iter().rev().fold(0.0, |sum, c| sum * cosine + f64::from(*c));
-        polynomial.iter().rev().fold(0.0, |sum, line| sum * height_or_sine + value(line)).powi(2)
+        let root = polynomial.iter().rev().fold(0.0, |sum, line| sum * height_or_sine + value(line));
+        root * root
     }
 
     fn soil_and_rock_alike() -> Photometry {
