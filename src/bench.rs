@@ -197,10 +197,9 @@ fn moving(setup: &Setup, sun_moves: bool, renderer: &mut Renderer) -> Result<Mea
     let [pitch, yaw, roll] = angles.map(|knob| params.number(knob));
     let fov_deg = params.number(Knob::CameraFovDeg);
     // A scene for each frame that can be in flight, so that none is copied while frames are measured.
-    let mut scenes = vec![Arc::new(still); setup.pace.frames_in_flight + 1];
-    for scene in &mut scenes[1..] {
-        *scene = Arc::new(Scene::clone(scene));
-    }
+    let mut scenes: Vec<Arc<Scene>> =
+        (0..setup.pace.frames_in_flight).map(|_| Arc::new(still.clone())).collect();
+    scenes.push(Arc::new(still));
     measure(setup, renderer, |frame| {
         let turn = std::f64::consts::TAU * (frame % PERIOD) as f64 / PERIOD as f64;
         let start = Instant::now();

@@ -12,13 +12,17 @@ struct Instance {
     roughness: f32,
     class_id: u32,
     instance_id: u32,
-    // Index of the shadow tile of a caster.
-    tile: u32,
     // Height of the opposition surge.
     surge: f32,
+    // Of a caster, half the side of its shadow tile, metres.
+    tile_half_extent_m: f32,
     // Reflectance of the soil that lies on it, and from which z of the normal on.
     dust: vec3<f32>,
     dust_above: f32,
+    // Corner and side of the tile, texels.
+    tile_origin_px: vec2<f32>,
+    tile_size_px: f32,
+    reserved: f32,
 }
 
 // Where in the shadow atlas a caster is drawn.

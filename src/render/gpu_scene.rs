@@ -117,7 +117,7 @@ impl Picked {
 #[repr(C)]
 pub struct InstanceSlot {
     instance: Instance,
-    unused: [[u32; 4]; 12],
+    unused: [[u32; 4]; 11],
 }
 
 impl InstanceSlot {
@@ -348,6 +348,8 @@ impl GpuScene {
                 list.push((selected.nearest_m, draw(indices)));
             }
             let counts = scene.label_rule.counts(rock, scene.camera.eye, focal_px);
+            let tile =
+                selected.caster.map_or_else(Default::default, |(tile, _)| selection.casters[tile].tile);
             instances.push(Instance {
                 origin: rock.centre,
                 scale: 1.0,
@@ -355,10 +357,13 @@ impl GpuScene {
                 roughness: rock.material.roughness,
                 class_id: if counts { ClassId::ROCK } else { ClassId::REGOLITH }.0.into(),
                 instance_id: if counts { rock.index + 1 } else { 0 },
-                tile: selected.caster.map_or(0, |(tile, _)| tile as u32),
                 surge: rock_surge,
+                tile_half_extent_m: tile.half_extent_m,
                 dust: scene.regolith.albedo / rock_at_normal,
                 dust_above: rock.dust_above,
+                tile_origin_px: tile.origin_px,
+                tile_size_px: tile.size_px,
+                reserved: 0.0,
             });
             uploads.push((rock_base, vertices));
             rock_base += vertices.len();

@@ -196,10 +196,13 @@ shader_struct! {
         roughness: f32,
         class_id: u32,
         instance_id: u32,
-        tile: u32,
         surge: f32,
+        tile_half_extent_m: f32,
         dust: Vec3,
         dust_above: f32,
+        tile_origin_px: Vec2,
+        tile_size_px: f32,
+        reserved: f32,
     }
 }
 

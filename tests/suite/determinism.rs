@@ -1,7 +1,7 @@
 //! Same seed and knobs: same bytes, whatever ran before and on however many threads.
 
-use regolith::frame::Annotation;
-use regolith::render::RenderSettings;
+use regolith::frame::{Annotation, Frame};
+use regolith::render::{InFlight, RenderSettings};
 
 use crate::support::{folder, json, program, render, renderer, run_ok, scene};
 
@@ -69,6 +69,29 @@ fn what_was_rendered_before_leaves_no_trace() {
     let alone = render(&first, 128, 4);
     render(&other, 200, 1);
     assert!(alone == render(&first, 128, 4));
+}
+
+#[test]
+fn frames_in_flight_have_the_bytes_of_frames_one_at_a_time() {
+    let scenes = [
+        scene(3, &[]),
+        scene(4, &["sun.azimuth_deg=300", "terrain.cells=120"]),
+        scene(5, &["camera.k1=-0.1", "rocks.count=300"]),
+        scene(6, &["stage.name=surface", "sensor.kind=bayer", "terrain.cell_mrad=30"]),
+    ];
+    let mut settings = RenderSettings::new([160, 112], 4).expect("settings");
+    settings.annotations =
+        [Annotation::Depth, Annotation::Instances, Annotation::Shadow].into_iter().collect();
+    let mut renderer = renderer();
+    let alone: Vec<Frame> =
+        scenes.iter().map(|scene| renderer.render(scene, &settings).expect("a frame").0).collect();
+    let flying: Vec<InFlight> =
+        scenes.iter().map(|scene| renderer.submit(scene, &settings).expect("submitted")).collect();
+    // The last first: each waits for its own.
+    for (index, in_flight) in flying.into_iter().enumerate().rev() {
+        let frame = renderer.finish(in_flight, &scenes[index]).expect("a frame").0;
+        assert!(frame == alone[index], "frame {index}");
+    }
 }
 
 #[test]
