@@ -143,39 +143,32 @@ fn noise_slope(octave: u32, place: vec2<f32>) -> vec2<f32> {
     return lattice.amount * slope_from_lattice(lattice, gradient);
 }
 
-// Slope of the pits of a lattice whose cells touch a place. No pit reaches beyond the cells next to its own.
+// Slope of the pits of a lattice. Here none reaches beyond its own cell: its centre is at most JITTER_CELLS off the middle,
+// its radius at most 0.22 cells, and 1.5 radii away it has faded out.
 fn pits_slope(index: u32, place: vec2<f32>, cell_m: f32, sample_m: f32) -> vec2<f32> {
     let lattice = relief.pits[index];
     let local = to_lattice(lattice, place);
-    let corner = floor(local - 0.5);
-    let mesh_scale = 1.0 / (CELLS_LEAST * cell_m);
-    let sample_scale = 0.5 / sample_m;
-    let not_clods = 1.0 / (1.0 - lattice.clods);
-    var slope = vec2(0.0);
-    for (var k = 0; k < 4; k++) {
-        let at = corner + vec2(f32(k & 1), f32(k >> 1u));
-        let cell = lattice.base + vec2<i32>(at);
-        let first = lattice_hash(cell.x, cell.y, 0, lattice.seed);
-        var second = (first ^ (first >> 15u)) * SECOND_HASH;
-        second ^= second >> 12u;
-        let jitter = (vec2(f32(second & 0x3ffu), f32((second >> 10u) & 0x3ffu)) / 512.0 - 1.0) * JITTER_CELLS + 0.5;
-        // One over the radius, metres.
-        let per_radius = 4.0 / lattice.largest_m * sqrt(1.0 - 0.75 * f32(second >> 20u) / 4096.0);
-        let diameter_m = 2.0 / per_radius;
-        let offset = local - at - jitter;
-        let per_cells = inverseSqrt(max(dot(offset, offset), 1.0e-12));
-        let r = lattice.cell_m * per_radius / per_cells;
-        let age = f32(first >> 16u) / 65536.0;
-        let steepness = select(
-            crater_steepness(r, (age - lattice.clods) * not_clods),
-            -8.0 * CLOD_HEIGHT * r * max(1.0 - r * r, 0.0),
-            age < lattice.clods,
-        );
-        let in_mesh = clamp(diameter_m * mesh_scale - 1.0, 0.0, 1.0);
-        let share = (1.0 - in_mesh) * clamp(diameter_m * sample_scale - 1.0, 0.0, 1.0);
-        let there = f32(first & 0xffffu) / 65536.0 < lattice.amount;
-        slope += select(0.0, share * steepness, there) * per_cells * offset;
-    }
+    let corner = floor(local);
+    let cell = lattice.base + vec2<i32>(corner);
+    let first = lattice_hash(cell.x, cell.y, 0, lattice.seed);
+    var second = (first ^ (first >> 15u)) * SECOND_HASH;
+    second ^= second >> 12u;
+    let jitter = (vec2(f32(second & 0x3ffu), f32((second >> 10u) & 0x3ffu)) / 512.0 - 1.0) * JITTER_CELLS + 0.5;
+    // One over the radius, metres.
+    let per_radius = 4.0 / lattice.largest_m * sqrt(1.0 - 0.75 * f32(second >> 20u) / 4096.0);
+    let diameter_m = 2.0 / per_radius;
+    let offset = local - corner - jitter;
+    let per_cells = inverseSqrt(max(dot(offset, offset), 1.0e-12));
+    let r = lattice.cell_m * per_radius / per_cells;
+    let age = f32(first >> 16u) / 65536.0;
+    let steepness = select(
+        crater_steepness(r, (age - lattice.clods) / (1.0 - lattice.clods)),
+        -8.0 * CLOD_HEIGHT * r * max(1.0 - r * r, 0.0),
+        age < lattice.clods,
+    );
+    let share = (1.0 - mesh_share(diameter_m, cell_m)) * sample_share(diameter_m, sample_m);
+    let there = f32(first & 0xffffu) / 65536.0 < lattice.amount;
+    let slope = select(0.0, share * steepness, there) * per_cells * offset;
     return lattice.cell_m * slope_from_lattice(lattice, slope);
 }
 
