@@ -11,6 +11,7 @@ pub mod gpu_scene;
 pub mod hazards;
 pub mod horizon;
 mod labels;
+pub mod relief;
 pub mod resolve;
 mod scene_pass;
 pub mod selection;
@@ -30,10 +31,10 @@ use crate::frame::{Annotation, Annotations, Frame};
 use crate::gpu::Gpu;
 use crate::scene::Scene;
 use crate::scene::mesh::Vertex;
-use gpu_scene::{Draw, GpuScene, InstanceSlot};
+use gpu_scene::{Draw, GpuScene, slot_stride};
 use resolve::{PackedFrame, ResolvePass};
 use scene_pass::ScenePass;
-use shaders::Instance;
+use shaders::{Instance, ReliefUniforms};
 use shadow_pass::ShadowPass;
 use targets::Targets;
 use timing::Timer;
@@ -209,7 +210,7 @@ impl Renderer {
         self.resolve_pass.prepare(&self.gpu, &targets, &slot.packed);
         let (gpu, gpu_scene, pick_triangles) = (&self.gpu, &mut self.scene, self.pick_triangles);
         gpu.guard(|| gpu_scene.upload(gpu, scene, drawn, picture.size, pick_triangles))?;
-        self.scene_pass.prepare(&self.gpu, self.scene.variant(drawn.annotations));
+        self.scene_pass.prepare(&self.gpu, self.scene.variant(drawn.annotations), &self.scene.draws);
         self.shadow_pass.prepare(&self.gpu, self.scene.atlas_px);
         self.gpu.check()?;
         let uploaded = Instant::now();
@@ -328,12 +329,16 @@ impl Renderer {
             frame: group(
                 "frame",
                 &self.layouts.frame,
-                &[scene.frame.buffer().as_entire_binding(), scene.relief.buffer().as_entire_binding()],
+                &[scene.frame.buffer().as_entire_binding()],
             ),
             scene: group(
                 "scene",
                 &self.layouts.scene,
-                &[scene.instances.first(size_of::<Instance>()), scene.tiles.buffer().as_entire_binding()],
+                &[
+                    scene.instances.first(size_of::<Instance>()),
+                    scene.tiles.buffer().as_entire_binding(),
+                    scene.relief.first(size_of::<ReliefUniforms>()),
+                ],
             ),
             shadow: group(
                 "scene/shadow",
@@ -377,11 +382,12 @@ impl BindLayouts {
             })
         };
         let buffer = |ty| BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None };
-        let instance = BindingType::Buffer {
+        let slot = |bytes: usize| BindingType::Buffer {
             ty: wgpu::BufferBindingType::Uniform,
             has_dynamic_offset: true,
-            min_binding_size: wgpu::BufferSize::new(size_of::<Instance>() as u64),
+            min_binding_size: wgpu::BufferSize::new(bytes as u64),
         };
+        let (instance, relief) = (slot(size_of::<Instance>()), slot(size_of::<ReliefUniforms>()));
         let read = buffer(wgpu::BufferBindingType::Storage { read_only: true });
         let write = buffer(wgpu::BufferBindingType::Storage { read_only: false });
         let texture = |sample_type| BindingType::Texture {
@@ -396,9 +402,9 @@ impl BindLayouts {
             frame: group(
                 "frame",
                 drawing | ShaderStages::COMPUTE,
-                &[buffer(wgpu::BufferBindingType::Uniform); 2],
+                &[buffer(wgpu::BufferBindingType::Uniform)],
             ),
-            scene: group("scene", drawing, &[instance, read]),
+            scene: group("scene", drawing, &[instance, read, relief]),
             shadow: group("scene/shadow", ShaderStages::FRAGMENT, &[float, float, read]),
             resolve: group(
                 "resolve",
@@ -417,7 +423,7 @@ fn vertex_layout(attributes: &[wgpu::VertexAttribute]) -> wgpu::VertexBufferLayo
     }
 }
 
-/// Draws a list. `group` is that of the scene, which each draw binds at its instance.
+/// Draws a list. `group` is that of the scene, which each draw binds at its instance and its relief.
 fn draw_all(
     pass: &mut wgpu::RenderPass<'_>,
     group: &wgpu::BindGroup,
@@ -429,8 +435,10 @@ fn draw_all(
     pass.set_index_buffer(indices.buffer().slice(..), wgpu::IndexFormat::Uint32);
     let mut bound = None;
     for draw in draws.iter().filter(|draw| !draw.indices.is_empty()) {
-        if bound.replace(draw.instance) != Some(draw.instance) {
-            pass.set_bind_group(1, group, &[draw.instance * InstanceSlot::STRIDE]);
+        let offsets =
+            [draw.instance * slot_stride::<Instance>(), draw.relief * slot_stride::<ReliefUniforms>()];
+        if bound.replace(offsets) != Some(offsets) {
+            pass.set_bind_group(1, group, &offsets);
         }
         pass.draw_indexed(draw.indices.clone(), draw.base_vertex, 0..1);
     }

@@ -17,7 +17,8 @@ struct Lattice {
     largest_m: f32,
     // Share of clods among the pits.
     clods: f32,
-    reserved: f32,
+    // Of pits: where cells of the mesh are larger than a sixth of this many largest diameters they are left out.
+    asked: f32,
 }
 
 struct ReliefUniforms {
@@ -29,21 +30,22 @@ struct ReliefUniforms {
     cell: f32,
     // Angle between two samples of the picture, radians.
     sample_angle: f32,
-    octaves: u32,
-    pit_lattices: u32,
     // Share of fresh craters.
     fresh_share: f32,
-    noise: array<Lattice, 20>,
-    pits: array<Lattice, 24>,
+    reserved: vec2<f32>,
+    // Those that some place of the draw asks, coarse to fine; the rest adds nothing.
+    noise: array<Lattice, 12>,
+    pits: array<Lattice, 12>,
 }
 
-@group(0) @binding(1) var<uniform> relief: ReliefUniforms;
+// That of the draw (src/render/relief.rs).
+@group(1) @binding(2) var<uniform> relief: ReliefUniforms;
 
-// Octaves of noise that a place asks: those between the mesh and the pixel.
-const OCTAVES_ASKED: u32 = 7u;
-// Lattices of pits that it asks: both of the first octave below the mesh, and one of the two of each of the next three,
-// for a pit costs far more than a wave.
-const PITS_ASKED: u32 = 5u;
+// How many waves and lattices of pits are summed up.
+override WAVES: u32 = 12u;
+override PITS: u32 = 12u;
+// Waves that a place asks, from the first that the mesh does not show whole.
+const WAVES_ASKED: u32 = 7u;
 // These stand in src/scene/relief.rs and src/scene/craters.rs, where they are explained.
 const CELLS_LEAST: f32 = 3.0;
 const JITTER_CELLS: f32 = 0.17;
@@ -74,29 +76,41 @@ fn lattice_hash(x: i32, y: i32, z: i32, seed: u32) -> u32 {
 // picture are `sample_m` apart on the ground.
 fn relief_slope(place: vec2<f32>, sample_m: f32) -> vec2<f32> {
     let cell_m = relief.cell * sqrt(dot(place, place) + relief.eye_height_m * relief.eye_height_m);
-    var whole = 0u;
-    for (var i = 0u; i < 20u; i++) {
-        whole += u32(relief.noise[i].cell_m >= 2.0 * CELLS_LEAST * cell_m);
-    }
-    var slope = vec2(0.0);
-    for (var k = 0u; k < OCTAVES_ASKED; k++) {
-        let i = min(whole + k, relief.octaves - 1u);
-        let asked = whole + k < relief.octaves;
-        let size_m = relief.noise[i].cell_m;
-        let share = (1.0 - mesh_share(size_m, cell_m)) * sample_share(size_m, sample_m);
-        slope += select(0.0, share, asked) * noise_slope(i, place);
-    }
-    var pits_whole = 0u;
-    for (var i = 0u; i < 24u; i++) {
-        pits_whole += u32(0.5 * relief.pits[i].largest_m >= 2.0 * CELLS_LEAST * cell_m);
-    }
-    for (var k = 0u; k < PITS_ASKED; k++) {
-        let wanted = pits_whole + select(2u * k - 2u, k, k < 2u);
-        let i = min(wanted, relief.pit_lattices - 1u);
-        let asked = wanted < relief.pit_lattices;
-        slope += select(vec2(0.0), pits_slope(i, place, cell_m, sample_m), asked);
-    }
+    // One by one: what lies at a place that is reckoned, a driver that runs on the CPU fetches for each sample by itself.
+    var slope = wave_slope(0u, place, cell_m, sample_m);
+    slope += wave_slope(1u, place, cell_m, sample_m);
+    slope += wave_slope(2u, place, cell_m, sample_m);
+    slope += wave_slope(3u, place, cell_m, sample_m);
+    slope += wave_slope(4u, place, cell_m, sample_m);
+    if WAVES > 5u { slope += wave_slope(5u, place, cell_m, sample_m); }
+    if WAVES > 6u { slope += wave_slope(6u, place, cell_m, sample_m); }
+    if WAVES > 7u { slope += wave_slope(7u, place, cell_m, sample_m); }
+    if WAVES > 8u { slope += wave_slope(8u, place, cell_m, sample_m); }
+    if WAVES > 9u { slope += wave_slope(9u, place, cell_m, sample_m); }
+    if WAVES > 10u { slope += wave_slope(10u, place, cell_m, sample_m); }
+    if WAVES > 11u { slope += wave_slope(11u, place, cell_m, sample_m); }
+    slope += pits_slope(0u, place, cell_m, sample_m);
+    slope += pits_slope(1u, place, cell_m, sample_m);
+    slope += pits_slope(2u, place, cell_m, sample_m);
+    slope += pits_slope(3u, place, cell_m, sample_m);
+    slope += pits_slope(4u, place, cell_m, sample_m);
+    slope += pits_slope(5u, place, cell_m, sample_m);
+    slope += pits_slope(6u, place, cell_m, sample_m);
+    if PITS > 7u { slope += pits_slope(7u, place, cell_m, sample_m); }
+    if PITS > 8u { slope += pits_slope(8u, place, cell_m, sample_m); }
+    if PITS > 9u { slope += pits_slope(9u, place, cell_m, sample_m); }
+    if PITS > 10u { slope += pits_slope(10u, place, cell_m, sample_m); }
+    if PITS > 11u { slope += pits_slope(11u, place, cell_m, sample_m); }
     return slope;
+}
+
+// Slope of a wave, as far as the mesh leaves it out and the samples can show it.
+fn wave_slope(k: u32, place: vec2<f32>, cell_m: f32, sample_m: f32) -> vec2<f32> {
+    let size_m = relief.noise[k].cell_m;
+    var asked = true;
+    if k >= WAVES_ASKED { asked = relief.noise[k - WAVES_ASKED].cell_m >= 2.0 * CELLS_LEAST * cell_m; }
+    let share = (1.0 - mesh_share(size_m, cell_m)) * sample_share(size_m, sample_m);
+    return select(0.0, share, asked) * noise_slope(k, place);
 }
 
 fn to_lattice(lattice: Lattice, place: vec2<f32>) -> vec2<f32> {
@@ -167,7 +181,8 @@ fn pits_slope(index: u32, place: vec2<f32>, cell_m: f32, sample_m: f32) -> vec2<
         age < lattice.clods,
     );
     let share = (1.0 - mesh_share(diameter_m, cell_m)) * sample_share(diameter_m, sample_m);
-    let there = f32(first & 0xffffu) / 65536.0 < lattice.amount;
+    let asked = lattice.asked * lattice.largest_m >= 2.0 * CELLS_LEAST * cell_m;
+    let there = asked && f32(first & 0xffffu) / 65536.0 < lattice.amount;
     let slope = select(0.0, share * steepness, there) * per_cells * offset;
     return lattice.cell_m * slope_from_lattice(lattice, slope);
 }

@@ -4,7 +4,6 @@
 
 use std::ops::Range;
 
-use bytemuck::{Pod, Zeroable};
 use glam::Mat4;
 use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 
@@ -14,17 +13,16 @@ use super::horizon::{self, HorizonMap};
 use super::resolve::{self, Packing};
 use super::scene_pass::Variant;
 use super::selection::{Selection, ground_blocks};
-use super::shaders::{CasterTile, FrameUniforms, HorizonLevel, Instance, LatticeUniforms, ReliefUniforms};
+use super::relief::{BlockRelief, SIZES};
+use super::shaders::{CasterTile, FrameUniforms, HorizonLevel, Instance, ReliefUniforms};
 use super::shadow::{self, CasterGrids};
 use crate::class::ClassId;
 use crate::frame::{Annotation, Annotations};
 use crate::gpu::Gpu;
 use crate::scene::Scene;
 use crate::scene::bounce::{Bounce, rms_slope};
-use crate::scene::lattice::Lattice;
 use crate::scene::mesh::{Icosphere, Vertex};
 use crate::scene::photometry::Law;
-use crate::scene::relief::Relief;
 use crate::scene::terrain::Layout;
 
 /// Levels of the icospheres that dome and stars are drawn with.
@@ -40,6 +38,8 @@ pub struct Draw {
     pub base_vertex: i32,
     /// Its slot in the instance buffer.
     pub instance: u32,
+    /// Its slot among the reliefs below the mesh.
+    pub relief: u32,
 }
 
 /// The draws of a frame, in order.
@@ -48,8 +48,8 @@ pub struct DrawList {
     /// Into the shadow atlas: fronts, backs.
     pub casters: [Vec<Draw>; 2],
     /// Ground on which no shadow can fall, and that on which only other ground's can, where they are told apart, and the
-    /// rest; each near to far.
-    pub ground: [Vec<Draw>; 3],
+    /// rest; each by the size of its relief below the mesh (its place in [`SIZES`]), near to far.
+    pub ground: [[Vec<Draw>; SIZES.len()]; 3],
     /// Rocks, turned from the sun all over where that is told apart, and the rest; each near to far.
     pub rocks: [Vec<Draw>; 2],
     /// Stars, then the dome.
@@ -70,7 +70,7 @@ pub struct GpuScene {
     is_picked: bool,
     /// `FrameUniforms`.
     pub frame: Store,
-    /// `ReliefUniforms`.
+    /// `ReliefUniforms`, each in a slot of its own.
     pub relief: Store,
     law: Law,
     has_detail: bool,
@@ -112,24 +112,21 @@ impl Picked {
     }
 }
 
-/// An instance at the distance from the next that bindings of uniforms need.
-#[derive(Clone, Copy, Debug, Pod, Zeroable)]
-#[repr(C)]
-pub struct InstanceSlot {
-    instance: Instance,
-    unused: [[u32; 4]; 11],
+/// Bytes from one of several uniforms in a buffer to the next: by WebGPU's default limits, bindings start at multiples of
+/// 256.
+#[must_use]
+pub const fn slot_stride<T>() -> u32 {
+    size_of::<T>().next_multiple_of(256) as u32
 }
 
-impl InstanceSlot {
-    /// Bytes from one to the next: what WebGPU's default limits ask of every device.
-    pub const STRIDE: u32 = {
-        assert!(size_of::<Self>() == 256);
-        size_of::<Self>() as u32
-    };
-
-    fn new(instance: Instance) -> Self {
-        Self { instance, unused: Zeroable::zeroed() }
+/// Uniforms, each in its slot.
+fn slots<T: bytemuck::NoUninit>(uniforms: &[T]) -> Vec<u8> {
+    let stride = slot_stride::<T>() as usize;
+    let mut bytes = vec![0; stride * uniforms.len()];
+    for (slot, uniforms) in bytes.chunks_exact_mut(stride).zip(uniforms) {
+        slot[..size_of::<T>()].copy_from_slice(bytemuck::bytes_of(uniforms));
     }
+    bytes
 }
 
 /// A buffer that grows when more is written than it holds.
@@ -190,7 +187,7 @@ impl Default for GpuScene {
             picked: Store::new("scene/picked_indices", BufferUsages::INDEX),
             is_picked: false,
             frame: Store::new("frame/uniforms", BufferUsages::UNIFORM),
-            relief: Store::new("frame/relief", BufferUsages::UNIFORM),
+            relief: Store::new("scene/relief", BufferUsages::UNIFORM),
             law: Law::Lambert,
             has_detail: false,
             instances: Store::new("scene/instances", BufferUsages::UNIFORM),
@@ -222,7 +219,10 @@ impl GpuScene {
         let casters = &selection.casters;
         let caster_grid = shadow::caster_grid(scene, casters, &horizon);
         let facing = pick_triangles.then(|| Facing::new(scene, &selection, settings, &caster_grid));
-        self.upload_things(gpu, scene, settings, &selection, facing.as_ref());
+        let reliefs = BlockRelief::of_blocks(scene, &selection, settings);
+        let uniforms: Vec<ReliefUniforms> = reliefs.iter().map(|relief| relief.uniforms).collect();
+        self.uploaded_bytes += self.relief.write(gpu, &slots(&uniforms));
+        self.upload_things(gpu, scene, settings, &selection, &reliefs, facing.as_ref());
         let tiles: Vec<CasterTile> = casters.iter().map(|caster| caster.tile).collect();
         self.uploaded_bytes += self.tiles.write(gpu, &tiles);
         self.uploaded_bytes += self.caster_grid.write(gpu, &caster_grid);
@@ -230,11 +230,6 @@ impl GpuScene {
         let uniforms = frame_uniforms(scene, settings, picture_size, &horizon, self.atlas_px);
         self.uploaded_bytes += self.frame.write(gpu, &[uniforms]);
         (self.law, self.has_detail) = (scene.photometry.law, scene.relief.is_some());
-        let relief = scene
-            .relief
-            .as_ref()
-            .map_or_else(Default::default, |relief| relief_uniforms(scene, relief, settings));
-        self.uploaded_bytes += self.relief.write(gpu, &[relief]);
         self.upload_horizon(gpu, &horizon);
     }
 
@@ -255,7 +250,7 @@ impl GpuScene {
     pub fn drawn_triangles(&self) -> u64 {
         let count = |d: &Draw| u64::from(d.indices.end - d.indices.start) / 3;
         let draws = &self.draws;
-        draws.ground.iter().chain(&draws.rocks).chain([&draws.sky]).flatten().map(count).sum()
+        draws.ground.iter().flatten().chain(&draws.rocks).chain([&draws.sky]).flatten().map(count).sum()
     }
 
     /// The index buffer depends on the ground's layout alone.
@@ -287,6 +282,7 @@ impl GpuScene {
         scene: &Scene,
         settings: &RenderSettings,
         selection: &Selection,
+        reliefs: &[BlockRelief],
         facing: Option<&Facing>,
     ) {
         let mut draws = DrawList::default();
@@ -310,16 +306,26 @@ impl GpuScene {
             class_id: ClassId::REGOLITH.0.into(),
             ..Default::default()
         }];
-        let (mut ground, mut rocks) = ([const { Vec::new() }; 3], [const { Vec::new() }; 2]);
+        let mut ground = [const { [const { Vec::new() }; SIZES.len()] }; 3];
+        let mut rocks = [const { Vec::new() }; 2];
         for (place, &(block, nearest_m)) in selection.blocks.iter().enumerate() {
-            let draw = |indices| Draw { indices, base_vertex: ground_base as i32, instance: 0 };
+            // The first relief is that of what is not ground; where the mesh shows all there are no others.
+            let relief = if reliefs.len() > 1 { place + 1 } else { 0 };
+            let size = reliefs[relief].size;
+            let draw = |indices| Draw {
+                indices,
+                base_vertex: ground_base as i32,
+                instance: 0,
+                relief: relief as u32,
+            };
             if let Some(facing) = facing {
-                for (list, triangles) in ground.iter_mut().zip(&facing.ground[place]) {
-                    list.push((nearest_m, draw(picked.add(triangles))));
+                let lists = ground.iter_mut().zip(&facing.ground[place]);
+                for (lists, triangles) in lists.filter(|(_, triangles)| !triangles.is_empty()) {
+                    lists[size].push((nearest_m, draw(picked.add(triangles))));
                 }
             } else {
                 let whole = self.ground.as_ref().map_or(0..0, |ground| ground.blocks[block].clone());
-                ground[2].push((nearest_m, draw(whole)));
+                ground[2][size].push((nearest_m, draw(whole)));
             }
         }
         // Rocks: an instance each; as many vertices as the finer of its two uses needs, or as were picked.
@@ -328,7 +334,7 @@ impl GpuScene {
         for (place, selected) in selection.rocks.iter().enumerate() {
             let rock = &scene.rocks[selected.rock];
             let instance = instances.len() as u32;
-            let draw = |indices| Draw { indices, base_vertex: rock_base as i32, instance };
+            let draw = |indices| Draw { indices, base_vertex: rock_base as i32, instance, relief: 0 };
             let (casts, seen, vertices) = if let Some(facing) = facing {
                 let chosen = &facing.rocks[place];
                 let casts = [&chosen.fronts, &chosen.backs].map(|triangles| picked.add(triangles));
@@ -368,7 +374,7 @@ impl GpuScene {
             uploads.push((rock_base, vertices));
             rock_base += vertices.len();
         }
-        draws.ground = ground.map(near_to_far);
+        draws.ground = ground.map(|lists| lists.map(near_to_far));
         draws.rocks = rocks.map(near_to_far);
         // Sky: stars before the dome that they cover.
         let in_sky = |origin, scale, colour| Instance {
@@ -391,6 +397,7 @@ impl GpuScene {
                 indices: indices.clone(),
                 base_vertex: 0,
                 instance,
+                relief: 0,
             }));
         }
         self.draws = draws;
@@ -400,8 +407,7 @@ impl GpuScene {
         for (base, vertices) in uploads {
             self.uploaded_bytes += self.vertices.write_at(gpu, base * stride, vertices);
         }
-        let slots: Vec<InstanceSlot> = instances.into_iter().map(InstanceSlot::new).collect();
-        self.uploaded_bytes += self.instances.write(gpu, &slots);
+        self.uploaded_bytes += self.instances.write(gpu, &slots(&instances));
         self.is_picked = facing.is_some();
         if self.is_picked {
             self.uploaded_bytes += self.picked.write(gpu, picked.triangles.as_flattened());
@@ -500,42 +506,4 @@ fn frame_uniforms(
 fn near_to_far(mut list: Vec<(f32, Draw)>) -> Vec<Draw> {
     list.sort_by(|a, b| a.0.total_cmp(&b.0));
     list.into_iter().map(|(_, draw)| draw).collect()
-}
-
-fn relief_uniforms(scene: &Scene, relief: &Relief, settings: &RenderSettings) -> ReliefUniforms {
-    let uniforms = |lattice: &Lattice, amount: f32| LatticeUniforms {
-        turn: lattice.turn,
-        phase: lattice.phase,
-        base: lattice.base,
-        seed: lattice.seed,
-        amount,
-        cell_m: lattice.cell_m,
-        ..Default::default()
-    };
-    let view = match &scene.terrain.layout {
-        Layout::Rings(rings) => rings.view,
-        Layout::Square => return ReliefUniforms::default(),
-    };
-    let samples = (settings.size[0] * settings.samples_per_side) as f32;
-    let mut made = ReliefUniforms {
-        eye_from_centre: scene.camera.eye.truncate() - scene.terrain.centre,
-        eye_height_m: view.eye_height_m,
-        cell: view.cell as f32,
-        sample_angle: 2.0 * scene.camera.tan_half_fov / samples,
-        octaves: relief.octaves.len() as u32,
-        pit_lattices: relief.craters.lattices.len() as u32,
-        fresh_share: relief.craters.fresh_share,
-        ..Default::default()
-    };
-    for (slot, octave) in made.noise.iter_mut().zip(&relief.octaves) {
-        *slot = uniforms(&octave.lattice, octave.amplitude_m);
-    }
-    for (slot, pits) in made.pits.iter_mut().zip(&relief.craters.lattices) {
-        *slot = LatticeUniforms {
-            largest_m: pits.largest_m,
-            clods: pits.clods,
-            ..uniforms(&pits.lattice, pits.chance)
-        };
-    }
-    made
 }

@@ -1,6 +1,7 @@
 //! The scene pass: ground, rocks, sky. Every draw writes every plane: colour and class cannot disagree.
 
-use super::gpu_scene::GpuScene;
+use super::gpu_scene::{Draw, DrawList, GpuScene};
+use super::relief::SIZES;
 use super::shaders::{Program, SKY, SURFACE};
 use super::shadow::Shades;
 use super::targets::{Plane, Targets, depth_state};
@@ -14,8 +15,18 @@ use crate::scene::photometry::Law;
 pub(super) struct ScenePass {
     modules: [wgpu::ShaderModule; 2],
     layouts: [wgpu::PipelineLayout; 2],
-    /// Ground by what can shade it, rocks and sky, for each variant that was needed so far.
-    pipelines: Vec<(Variant, [wgpu::RenderPipeline; 6])>,
+    /// For each variant that was needed so far.
+    pipelines: Vec<(Variant, Pipelines)>,
+}
+
+/// What draws a frame.
+#[derive(Debug)]
+struct Pipelines {
+    /// Ground by what can shade it, for each size of the relief below the mesh that was needed so far.
+    ground: [Option<[wgpu::RenderPipeline; 3]>; SIZES.len()],
+    /// Rocks that are turned from the sun, and the rest.
+    rocks: [wgpu::RenderPipeline; 2],
+    sky: wgpu::RenderPipeline,
 }
 
 /// What pipelines are made for.
@@ -56,36 +67,57 @@ impl ScenePass {
         }
     }
 
-    /// Makes the pipelines of a variant, unless they are there.
-    pub(super) fn prepare(&mut self, gpu: &Gpu, variant: Variant) {
-        if self.pipelines.iter().any(|(made, _)| *made == variant) {
-            return;
+    /// Makes the pipelines that draw a scene, unless they are there.
+    pub(super) fn prepare(&mut self, gpu: &Gpu, variant: Variant, draws: &DrawList) {
+        let known = self.pipelines.iter().position(|(made, _)| *made == variant);
+        let place = known.unwrap_or_else(|| {
+            let surface = |shades| self.surface(gpu, variant, shades, TEXTURE_DETAIL, 0);
+            let pipelines = Pipelines {
+                ground: [const { None }; SIZES.len()],
+                rocks: [surface(Shades::Nothing), surface(Shades::Casters)],
+                // The dome is seen from inside, the stars from outside.
+                sky: self.pipeline(
+                    gpu,
+                    1,
+                    &[],
+                    variant.annotations,
+                    &wgpu::vertex_attr_array![0 => Float32x3],
+                    None,
+                ),
+            };
+            self.pipelines.push((variant, pipelines));
+            self.pipelines.len() - 1
+        });
+        for size in 0..SIZES.len() {
+            let is_drawn = draws.ground.iter().any(|lists| !lists[size].is_empty());
+            if is_drawn && self.pipelines[place].1.ground[size].is_none() {
+                let surface = |shades| self.surface(gpu, variant, shades, RELIEF_DETAIL, size);
+                let made = [Shades::Nothing, Shades::Ground, Shades::Casters].map(surface);
+                self.pipelines[place].1.ground[size] = Some(made);
+            }
         }
-        let positions_and_normals = wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3];
-        let positions = wgpu::vertex_attr_array![0 => Float32x3];
-        let law = f64::from(variant.law as u32);
-        let surface = |shades: Shades, detail: f64| {
-            let detail = if variant.detail { detail } else { NO_DETAIL };
-            let constants = [("SHADES", f64::from(shades as u32)), ("LAW", law), ("DETAIL", detail)];
-            self.pipeline(
-                gpu,
-                0,
-                &constants,
-                variant.annotations,
-                &positions_and_normals,
-                Some(wgpu::Face::Back),
-            )
-        };
-        let pipelines = [
-            surface(Shades::Nothing, RELIEF_DETAIL),
-            surface(Shades::Ground, RELIEF_DETAIL),
-            surface(Shades::Casters, RELIEF_DETAIL),
-            surface(Shades::Nothing, TEXTURE_DETAIL),
-            surface(Shades::Casters, TEXTURE_DETAIL),
-            // The dome is seen from inside, the stars from outside.
-            self.pipeline(gpu, 1, &[], variant.annotations, &positions, None),
+    }
+
+    fn surface(
+        &self,
+        gpu: &Gpu,
+        variant: Variant,
+        shades: Shades,
+        detail: f64,
+        size: usize,
+    ) -> wgpu::RenderPipeline {
+        let detail = if variant.detail { detail } else { NO_DETAIL };
+        let [waves, pits] = SIZES[size].map(|number| number as f64);
+        let constants = [
+            ("SHADES", f64::from(shades as u32)),
+            ("LAW", f64::from(variant.law as u32)),
+            ("DETAIL", detail),
+            ("WAVES", waves),
+            ("PITS", pits),
         ];
-        self.pipelines.push((variant, pipelines));
+        let positions_and_normals = wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3];
+        let culled = Some(wgpu::Face::Back);
+        self.pipeline(gpu, 0, &constants, variant.annotations, &positions_and_normals, culled)
     }
 
     fn pipeline(
@@ -172,22 +204,22 @@ impl ScenePass {
         let made = self.pipelines.iter().find(|(made, _)| *made == scene.variant(targets.annotations));
         let pipelines = &made.expect("pipelines are prepared before they are used").1;
         let draws = &scene.draws;
-        let things = scene.thing_indices();
-        let [open, by_ground, by_rocks] = &draws.ground;
-        let [dark, lit] = &draws.rocks;
-        let lists = [
-            (open, things),
-            (by_ground, things),
-            (by_rocks, things),
-            (dark, things),
-            (lit, things),
-            (&draws.sky, &scene.indices),
-        ];
-        // Rocks before the ground that they cover, all before the sky.
-        for place in [4, 3, 2, 1, 0, 5] {
-            let (list, indices) = lists[place];
-            pass.set_pipeline(&pipelines[place]);
+        let mut draw = |pipeline: &wgpu::RenderPipeline, indices, list: &[Draw]| {
+            pass.set_pipeline(pipeline);
             super::draw_all(&mut pass, instances, scene, indices, list);
+        };
+        // Rocks before the ground that they cover, all before the sky.
+        for (pipeline, list) in pipelines.rocks.iter().zip(&draws.rocks).rev() {
+            draw(pipeline, scene.thing_indices(), list);
         }
+        for (shades, lists) in draws.ground.iter().enumerate().rev() {
+            // Those with much relief are near.
+            for (pipelines, list) in pipelines.ground.iter().zip(lists).rev() {
+                if let Some(pipelines) = pipelines {
+                    draw(&pipelines[shades], scene.thing_indices(), list);
+                }
+            }
+        }
+        draw(&pipelines.sky, &scene.indices, &draws.sky);
     }
 }

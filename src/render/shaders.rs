@@ -168,7 +168,7 @@ shader_struct! {
         cell_m: f32,
         largest_m: f32,
         clods: f32,
-        reserved: f32,
+        asked: f32,
     }
 }
 
@@ -179,11 +179,10 @@ shader_struct! {
         eye_height_m: f32,
         cell: f32,
         sample_angle: f32,
-        octaves: u32,
-        pit_lattices: u32,
         fresh_share: f32,
-        noise: [LatticeUniforms; 20],
-        pits: [LatticeUniforms; 24],
+        reserved: [f32; 2],
+        noise: [LatticeUniforms; 12],
+        pits: [LatticeUniforms; 12],
     }
 }
 
@@ -320,8 +319,8 @@ mod tests {
             for (_, variable) in parse(program).global_variables.iter() {
                 if let Some(binding) = &variable.binding {
                     let expected = match variable.name.as_deref().unwrap_or_default() {
-                        "frame" | "relief" => 0,
-                        "instance" | "tiles" => 1,
+                        "frame" => 0,
+                        "instance" | "tiles" | "relief" => 1,
                         _ => 2,
                     };
                     assert_eq!(binding.group, expected, "groups are 0 frame, 1 scene, 2 pass");
