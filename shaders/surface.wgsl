@@ -1,4 +1,4 @@
-// Ground and rocks: lit radiance and labels from one draw.
+// Ground and rocks: lit radiance and labels of the samples that show them, from one draw.
 
 // What can shade what is drawn (by its place in `Shades`, src/render/shadow.rs): nothing, so that what faces the sun sees
 // all of it; other ground; rocks, and maybe ground.
@@ -8,40 +8,33 @@ override LAW: u32;
 // What detail below the mesh there is: none, that of the ground, that of rocks.
 override DETAIL: u32;
 
+// Whether it is one of many, so that each sample must look up which.
+override OF_MANY: bool;
+
 const RELIEF_DETAIL: u32 = 1u;
 const TEXTURE_DETAIL: u32 = 2u;
 
-struct Varyings {
-    @builtin(position) clip: vec4<f32>,
-    // Metres from the eye, world axes.
-    @location(0) offset: vec3<f32>,
-    @location(1) normal: vec3<f32>,
-}
-
-@vertex
-fn vs_main(@location(0) position: vec3<f32>, @location(1) normal: vec3<f32>) -> Varyings {
-    let offset = (instance.origin - frame.eye) + instance.scale * position;
-    return Varyings(frame.clip_from_offset * vec4(offset, 1.0), offset, normal);
-}
-
 @fragment
-fn fs_main(in: Varyings) -> SceneOut {
-    let smooth_normal = normalize(in.normal);
-    let to_eye = -normalize(in.offset);
+fn fs_main(@builtin(position) sample: vec4<f32>) -> SceneOut {
+    let seen = seen_at(sample.xy);
+    var thing = instance;
+    if OF_MANY { thing = instances[seen.slot].thing; }
+    let smooth_normal = seen.normal;
+    let to_eye = -normalize(seen.offset);
     var normal = smooth_normal;
-    var albedo = instance.colour;
+    var albedo = thing.colour;
     if DETAIL == RELIEF_DETAIL {
-        normal = ground_normal(in.offset, smooth_normal, to_eye);
+        normal = ground_normal(seen.offset, smooth_normal, to_eye);
     }
     if DETAIL == TEXTURE_DETAIL {
-        let sample_m = relief.sample_angle * length(in.offset);
-        let seed = bitcast<u32>(instance.origin.x);
-        let texture = solid_texture(frame.eye + in.offset - instance.origin, sample_m, seed);
+        let sample_m = relief.sample_angle * length(seen.offset);
+        let seed = bitcast<u32>(thing.origin.x);
+        let texture = solid_texture(frame.eye + seen.offset - thing.origin, sample_m, seed);
         let across = texture.xyz - smooth_normal * dot(texture.xyz, smooth_normal);
         normal = normalize(smooth_normal - across);
         // Soil lies where the rock is level enough, with an edge that its texture frays.
-        let dusty = smoothstep(-0.08, 0.08, smooth_normal.z - instance.dust_above + 0.12 * texture.w);
-        albedo = mix(instance.colour * (1.0 + 0.30 * texture.w), instance.dust, dusty);
+        let dusty = smoothstep(-0.08, 0.08, smooth_normal.z - thing.dust_above + 0.12 * texture.w);
+        albedo = mix(thing.colour * (1.0 + 0.30 * texture.w), thing.dust, dusty);
     }
     if DETAIL != 0u {
         // A slope that looks away lies behind a bump that is not drawn: what is seen there is turned to the eye.
@@ -50,22 +43,20 @@ fn fs_main(in: Varyings) -> SceneOut {
     }
     let cos_eye = max(dot(normal, to_eye), 0.0);
     let cos_light = max(dot(normal, frame.sun_direction), 0.0);
-    let place = frame.eye + in.offset;
+    let place = frame.eye + seen.offset;
     // A surface that is turned away from the sun hides it.
     let faces_sun = dot(smooth_normal, frame.sun_direction) > 0.0;
     // How much of the sun's disc other ground leaves.
     var open = 1.0;
     if SHADES == 1u { open = horizon_visibility(place); }
     var visible = select(0.0, open, faces_sun);
-    let facet = cross(dpdx(in.offset), dpdy(in.offset));
     if SHADES == 2u && faces_sun {
-        let facet_normal = normalize(select(-facet, facet, dot(facet, to_eye) > 0.0));
-        visible = sun_visibility(place, facet_normal, smooth_normal, pattern_turn(in.clip.xy));
+        visible = sun_visibility(place, seen.facet_normal, smooth_normal, pattern_turn(sample.xy));
     }
     var direct = 0.0;
     if cos_light > 0.0 {
         let cos_phase = dot(frame.sun_direction, to_eye);
-        direct = visible * reflected(LAW, instance.roughness, instance.surge, cos_light, cos_eye, cos_phase);
+        direct = visible * reflected(LAW, thing.roughness, thing.surge, cos_light, cos_eye, cos_phase);
     }
     var bounced = sky_light(frame.sky_radiance, normal);
     if LAW == HAPKE {
@@ -80,7 +71,7 @@ fn fs_main(in: Varyings) -> SceneOut {
         bounced += ground_bounce(frame.ground_radiance, normal, frame.horizon_towards);
     }
     let radiance = albedo * (direct * frame.sun_irradiance + frame.bounce_share * bounced / PI);
-    return SceneOut(vec4(radiance, 1.0), instance.class_id, vec4(normal, 1.0), instance.instance_id, 1.0 - visible);
+    return SceneOut(vec4(radiance, 1.0), thing.class_id, vec4(normal, 1.0), thing.instance_id, 1.0 - visible);
 }
 
 // The normal of the ground with the relief that its mesh leaves out.

@@ -80,7 +80,8 @@ impl Gpu {
         };
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("regolith/device"),
-            required_features: adapter.features() & Features::TIMESTAMP_QUERY,
+            required_features: Features::DEPTH32FLOAT_STENCIL8
+                | (adapter.features() & Features::TIMESTAMP_QUERY),
             required_limits,
             memory_hints: wgpu::MemoryHints::Performance,
             ..Default::default()

@@ -1,7 +1,7 @@
 //! From a scene to a frame.
 //!
 //! [`Renderer`] holds what lasts: pipelines, targets, buffers. A frame is [`Renderer::record_frame`]: shadow
-//! atlas, scene pass, resolve, copy, in one function.
+//! atlas, visibility, scene pass, resolve, copy, in one function.
 //! Must not know: knobs, files.
 //! To add a pass: a file here with its struct (`new`, `record`), its WGSL in `shaders.rs`, a line in
 //! [`Renderer::record_frame`].
@@ -21,6 +21,7 @@ pub mod shadow;
 mod shadow_pass;
 pub mod targets;
 mod timing;
+mod visibility_pass;
 
 use std::time::Instant;
 
@@ -38,6 +39,7 @@ use shaders::{Instance, ReliefUniforms};
 use shadow_pass::ShadowPass;
 use targets::Targets;
 use timing::Timer;
+use visibility_pass::VisibilityPass;
 
 /// What concerns the picture but not the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -79,7 +81,7 @@ impl RenderSettings {
     }
 }
 
-/// Milliseconds of one frame's work, by stage, in order. `shadow`, `scene_pass` and `resolve` are measured by the
+/// Milliseconds of one frame's work, by stage, in order. `shadow`, `visibility`, `scene_pass` and `resolve` are measured by the
 /// device where it can, and left out where it cannot; `gpu` is all the time from recording to the last pass's end, with
 /// that of frames that the device had before it.
 pub type StageTimes = Vec<(&'static str, f64)>;
@@ -89,7 +91,7 @@ pub type StageTimes = Vec<(&'static str, f64)>;
 pub struct BindLayouts {
     frame: wgpu::BindGroupLayout,
     scene: wgpu::BindGroupLayout,
-    shadow: wgpu::BindGroupLayout,
+    light: wgpu::BindGroupLayout,
     resolve: wgpu::BindGroupLayout,
 }
 
@@ -126,6 +128,7 @@ pub struct Renderer {
     gpu: Gpu,
     layouts: BindLayouts,
     shadow_pass: ShadowPass,
+    visibility_pass: VisibilityPass,
     scene_pass: ScenePass,
     resolve_pass: ResolvePass,
     scene: GpuScene,
@@ -146,6 +149,7 @@ impl Renderer {
         let layouts = BindLayouts::new(&gpu);
         let renderer = Self {
             shadow_pass: ShadowPass::new(&gpu, &layouts),
+            visibility_pass: VisibilityPass::new(&gpu, &layouts),
             scene_pass: ScenePass::new(&gpu, &layouts),
             resolve_pass: ResolvePass::new(&gpu, &layouts),
             scene: GpuScene::default(),
@@ -210,7 +214,7 @@ impl Renderer {
         self.resolve_pass.prepare(&self.gpu, &targets, &slot.packed);
         let (gpu, gpu_scene, pick_triangles) = (&self.gpu, &mut self.scene, self.pick_triangles);
         gpu.guard(|| gpu_scene.upload(gpu, scene, drawn, picture.size, pick_triangles))?;
-        self.scene_pass.prepare(&self.gpu, self.scene.variant(drawn.annotations), &self.scene.draws);
+        self.scene_pass.prepare(&self.gpu, self.scene.variant(drawn.annotations), &self.scene);
         self.shadow_pass.prepare(&self.gpu, self.scene.atlas_px);
         self.gpu.check()?;
         let uploaded = Instant::now();
@@ -279,7 +283,7 @@ impl Renderer {
         self.gpu.queue.submit([encoder.finish()])
     }
 
-    /// The frame: shadow atlas, scene, resolve, copy.
+    /// The frame: shadow atlas, what is seen, light on it, resolve, copy.
     fn record_frame(&self, encoder: &mut wgpu::CommandEncoder, targets: &Targets, slot: &Slot) {
         let (packed, timer) = (&slot.packed, slot.timer.as_ref());
         let groups = self.bind_groups(targets, packed);
@@ -289,12 +293,19 @@ impl Renderer {
             [&groups.frame, &groups.scene],
             timer.map(|timer| timer.render_pass(0)),
         );
+        self.visibility_pass.record(
+            encoder,
+            &self.scene,
+            [&groups.frame, &groups.scene],
+            targets,
+            timer.map(|timer| timer.render_pass(1)),
+        );
         self.scene_pass.record(
             encoder,
             &self.scene,
-            [&groups.frame, &groups.scene, &groups.shadow],
+            [&groups.frame, &groups.scene, &groups.light],
             targets,
-            timer.map(|timer| timer.render_pass(1)),
+            timer.map(|timer| timer.render_pass(2)),
         );
         self.resolve_pass.record(
             encoder,
@@ -302,7 +313,7 @@ impl Renderer {
             &groups.resolve,
             targets,
             packed,
-            timer.map(|timer| timer.compute_pass(2)),
+            timer.map(|timer| timer.compute_pass(3)),
         );
         packed.copy(encoder);
         if let Some(timer) = timer {
@@ -326,11 +337,7 @@ impl Renderer {
         };
         let view = wgpu::BindingResource::TextureView;
         BindGroups {
-            frame: group(
-                "frame",
-                &self.layouts.frame,
-                &[scene.frame.buffer().as_entire_binding()],
-            ),
+            frame: group("frame", &self.layouts.frame, &[scene.frame.buffer().as_entire_binding()]),
             scene: group(
                 "scene",
                 &self.layouts.scene,
@@ -340,10 +347,13 @@ impl Renderer {
                     scene.relief.first(size_of::<ReliefUniforms>()),
                 ],
             ),
-            shadow: group(
-                "scene/shadow",
-                &self.layouts.shadow,
+            light: group(
+                "light",
+                &self.layouts.light,
                 &[
+                    view(&targets.visible),
+                    view(&targets.depth),
+                    scene.instances.buffer().as_entire_binding(),
                     view(self.shadow_pass.atlas()),
                     view(horizon),
                     scene.caster_grid.buffer().as_entire_binding(),
@@ -360,7 +370,7 @@ impl Renderer {
 struct BindGroups {
     frame: wgpu::BindGroup,
     scene: wgpu::BindGroup,
-    shadow: wgpu::BindGroup,
+    light: wgpu::BindGroup,
     resolve: wgpu::BindGroup,
 }
 
@@ -405,7 +415,7 @@ impl BindLayouts {
                 &[buffer(wgpu::BufferBindingType::Uniform)],
             ),
             scene: group("scene", drawing, &[instance, read, relief]),
-            shadow: group("scene/shadow", ShaderStages::FRAGMENT, &[float, float, read]),
+            light: group("light", ShaderStages::FRAGMENT, &[uint, float, read, float, float, read]),
             resolve: group(
                 "resolve",
                 ShaderStages::COMPUTE,
@@ -423,7 +433,7 @@ fn vertex_layout(attributes: &[wgpu::VertexAttribute]) -> wgpu::VertexBufferLayo
     }
 }
 
-/// Draws a list. `group` is that of the scene, which each draw binds at its instance and its relief.
+/// Draws a list. `group` is that of the scene, which each draw binds at its instance.
 fn draw_all(
     pass: &mut wgpu::RenderPass<'_>,
     group: &wgpu::BindGroup,
@@ -435,10 +445,8 @@ fn draw_all(
     pass.set_index_buffer(indices.buffer().slice(..), wgpu::IndexFormat::Uint32);
     let mut bound = None;
     for draw in draws.iter().filter(|draw| !draw.indices.is_empty()) {
-        let offsets =
-            [draw.instance * slot_stride::<Instance>(), draw.relief * slot_stride::<ReliefUniforms>()];
-        if bound.replace(offsets) != Some(offsets) {
-            pass.set_bind_group(1, group, &offsets);
+        if bound.replace(draw.instance) != Some(draw.instance) {
+            pass.set_bind_group(1, group, &[draw.instance * slot_stride::<Instance>(), 0]);
         }
         pass.draw_indexed(draw.indices.clone(), draw.base_vertex, 0..1);
     }

@@ -3,6 +3,9 @@
 struct FrameUniforms {
     // From metres relative to the eye (world axes) to clip space; depth is reversed: 1 near, 0 far.
     clip_from_offset: mat4x4<f32>,
+    // From (1, column, row) of a sample, its middle at a half, to the place a metre along the axis that it shows, metres
+    // relative to the eye (world axes).
+    ray_from_sample: mat3x4<f32>,
     eye: vec3<f32>,
     // Factor on radiance before the tone curve.
     exposure: f32,

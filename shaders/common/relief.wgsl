@@ -44,8 +44,6 @@ struct ReliefUniforms {
 // How many waves and lattices of pits are summed up.
 override WAVES: u32 = 12u;
 override PITS: u32 = 12u;
-// Waves that a place asks, from the first that the mesh does not show whole.
-const WAVES_ASKED: u32 = 7u;
 // These stand in src/scene/relief.rs and src/scene/craters.rs, where they are explained.
 const CELLS_LEAST: f32 = 3.0;
 const JITTER_CELLS: f32 = 0.17;
@@ -77,40 +75,42 @@ fn lattice_hash(x: i32, y: i32, z: i32, seed: u32) -> u32 {
 fn relief_slope(place: vec2<f32>, sample_m: f32) -> vec2<f32> {
     let cell_m = relief.cell * sqrt(dot(place, place) + relief.eye_height_m * relief.eye_height_m);
     // One by one: what lies at a place that is reckoned, a driver that runs on the CPU fetches for each sample by itself.
-    var slope = wave_slope(0u, place, cell_m, sample_m);
-    slope += wave_slope(1u, place, cell_m, sample_m);
-    slope += wave_slope(2u, place, cell_m, sample_m);
-    slope += wave_slope(3u, place, cell_m, sample_m);
-    slope += wave_slope(4u, place, cell_m, sample_m);
-    if WAVES > 5u { slope += wave_slope(5u, place, cell_m, sample_m); }
-    if WAVES > 6u { slope += wave_slope(6u, place, cell_m, sample_m); }
-    if WAVES > 7u { slope += wave_slope(7u, place, cell_m, sample_m); }
-    if WAVES > 8u { slope += wave_slope(8u, place, cell_m, sample_m); }
-    if WAVES > 9u { slope += wave_slope(9u, place, cell_m, sample_m); }
-    if WAVES > 10u { slope += wave_slope(10u, place, cell_m, sample_m); }
-    if WAVES > 11u { slope += wave_slope(11u, place, cell_m, sample_m); }
-    slope += pits_slope(0u, place, cell_m, sample_m);
-    slope += pits_slope(1u, place, cell_m, sample_m);
-    slope += pits_slope(2u, place, cell_m, sample_m);
-    slope += pits_slope(3u, place, cell_m, sample_m);
-    slope += pits_slope(4u, place, cell_m, sample_m);
-    slope += pits_slope(5u, place, cell_m, sample_m);
-    slope += pits_slope(6u, place, cell_m, sample_m);
-    if PITS > 7u { slope += pits_slope(7u, place, cell_m, sample_m); }
-    if PITS > 8u { slope += pits_slope(8u, place, cell_m, sample_m); }
-    if PITS > 9u { slope += pits_slope(9u, place, cell_m, sample_m); }
-    if PITS > 10u { slope += pits_slope(10u, place, cell_m, sample_m); }
-    if PITS > 11u { slope += pits_slope(11u, place, cell_m, sample_m); }
+    var slope = wave_slope(relief.noise[0], true, place, cell_m, sample_m);
+    slope += wave_slope(relief.noise[1], true, place, cell_m, sample_m);
+    slope += wave_slope(relief.noise[2], true, place, cell_m, sample_m);
+    slope += wave_slope(relief.noise[3], true, place, cell_m, sample_m);
+    slope += wave_slope(relief.noise[4], true, place, cell_m, sample_m);
+    if WAVES > 5u { slope += wave_slope(relief.noise[5], true, place, cell_m, sample_m); }
+    if WAVES > 6u { slope += wave_slope(relief.noise[6], true, place, cell_m, sample_m); }
+    if WAVES > 7u { slope += wave_slope(relief.noise[7], asks_wave(relief.noise[0].cell_m, cell_m), place, cell_m, sample_m); }
+    if WAVES > 8u { slope += wave_slope(relief.noise[8], asks_wave(relief.noise[1].cell_m, cell_m), place, cell_m, sample_m); }
+    if WAVES > 9u { slope += wave_slope(relief.noise[9], asks_wave(relief.noise[2].cell_m, cell_m), place, cell_m, sample_m); }
+    if WAVES > 10u { slope += wave_slope(relief.noise[10], asks_wave(relief.noise[3].cell_m, cell_m), place, cell_m, sample_m); }
+    if WAVES > 11u { slope += wave_slope(relief.noise[11], asks_wave(relief.noise[4].cell_m, cell_m), place, cell_m, sample_m); }
+    slope += pits_slope(relief.pits[0], place, cell_m, sample_m);
+    slope += pits_slope(relief.pits[1], place, cell_m, sample_m);
+    slope += pits_slope(relief.pits[2], place, cell_m, sample_m);
+    slope += pits_slope(relief.pits[3], place, cell_m, sample_m);
+    slope += pits_slope(relief.pits[4], place, cell_m, sample_m);
+    slope += pits_slope(relief.pits[5], place, cell_m, sample_m);
+    slope += pits_slope(relief.pits[6], place, cell_m, sample_m);
+    if PITS > 7u { slope += pits_slope(relief.pits[7], place, cell_m, sample_m); }
+    if PITS > 8u { slope += pits_slope(relief.pits[8], place, cell_m, sample_m); }
+    if PITS > 9u { slope += pits_slope(relief.pits[9], place, cell_m, sample_m); }
+    if PITS > 10u { slope += pits_slope(relief.pits[10], place, cell_m, sample_m); }
+    if PITS > 11u { slope += pits_slope(relief.pits[11], place, cell_m, sample_m); }
     return slope;
 }
 
+// Whether a place asks a wave, from the size of the one seven before it, which the mesh must show whole: seven are asked.
+fn asks_wave(size_m: f32, cell_m: f32) -> bool {
+    return size_m >= 2.0 * CELLS_LEAST * cell_m;
+}
+
 // Slope of a wave, as far as the mesh leaves it out and the samples can show it.
-fn wave_slope(k: u32, place: vec2<f32>, cell_m: f32, sample_m: f32) -> vec2<f32> {
-    let size_m = relief.noise[k].cell_m;
-    var asked = true;
-    if k >= WAVES_ASKED { asked = relief.noise[k - WAVES_ASKED].cell_m >= 2.0 * CELLS_LEAST * cell_m; }
-    let share = (1.0 - mesh_share(size_m, cell_m)) * sample_share(size_m, sample_m);
-    return select(0.0, share, asked) * noise_slope(k, place);
+fn wave_slope(lattice: Lattice, asked: bool, place: vec2<f32>, cell_m: f32, sample_m: f32) -> vec2<f32> {
+    let share = (1.0 - mesh_share(lattice.cell_m, cell_m)) * sample_share(lattice.cell_m, sample_m);
+    return select(0.0, share, asked) * noise_slope(lattice, place);
 }
 
 fn to_lattice(lattice: Lattice, place: vec2<f32>) -> vec2<f32> {
@@ -136,8 +136,7 @@ fn lattice_corner(cell: vec2<i32>, seed: u32) -> vec3<f32> {
 }
 
 // Slope of `gradient_noise_2d` (src/scene/noise.rs) on the lattice of an octave.
-fn noise_slope(octave: u32, place: vec2<f32>) -> vec2<f32> {
-    let lattice = relief.noise[octave];
+fn noise_slope(lattice: Lattice, place: vec2<f32>) -> vec2<f32> {
     let local = to_lattice(lattice, place);
     let corner = floor(local);
     let t = local - corner;
@@ -159,8 +158,7 @@ fn noise_slope(octave: u32, place: vec2<f32>) -> vec2<f32> {
 
 // Slope of the pits of a lattice. Here none reaches beyond its own cell: its centre is at most JITTER_CELLS off the middle,
 // its radius at most 0.22 cells, and 1.5 radii away it has faded out.
-fn pits_slope(index: u32, place: vec2<f32>, cell_m: f32, sample_m: f32) -> vec2<f32> {
-    let lattice = relief.pits[index];
+fn pits_slope(lattice: Lattice, place: vec2<f32>, cell_m: f32, sample_m: f32) -> vec2<f32> {
     let local = to_lattice(lattice, place);
     let corner = floor(local);
     let cell = lattice.base + vec2<i32>(corner);

@@ -22,7 +22,8 @@ struct Instance {
     // Corner and side of the tile, texels.
     tile_origin_px: vec2<f32>,
     tile_size_px: f32,
-    reserved: f32,
+    // Its place among the instances.
+    slot: u32,
 }
 
 // Where in the shadow atlas a caster is drawn.

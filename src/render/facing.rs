@@ -49,7 +49,32 @@ pub struct Facing {
     pub rocks: Vec<RockTriangles>,
     /// For each of [`Selection::blocks`]: ground on which no shadow can fall, on which only that of ground can, and the
     /// rest.
-    pub ground: Vec<[Vec<[u32; 3]>; 3]>,
+    pub ground: Vec<[GroundTriangles; 3]>,
+}
+
+/// What is drawn of a block of ground.
+#[derive(Clone, Debug)]
+pub struct GroundTriangles {
+    /// Lists of indices.
+    pub triangles: Vec<[u32; 3]>,
+    /// Lowest and highest place of their corners, samples.
+    pub bounds: [Vec2; 2],
+}
+
+impl GroundTriangles {
+    const NONE: Self =
+        Self { triangles: Vec::new(), bounds: [Vec2::splat(f32::INFINITY), Vec2::splat(f32::NEG_INFINITY)] };
+
+    fn add(&mut self, triangle: [u32; 3], places: [Vec2; 3]) {
+        self.triangles.push(triangle);
+        let [low, high] = &mut self.bounds;
+        for place in places {
+            // One that is not before the eye may be anywhere.
+            let (least, most) =
+                if place.is_finite() { (place, place) } else { (Vec2::NEG_INFINITY, Vec2::INFINITY) };
+            (*low, *high) = (low.min(least), high.max(most));
+        }
+    }
 }
 
 impl Facing {
@@ -228,9 +253,9 @@ fn ground_triangles(
     samples: &Samples,
     grids: &CasterGrids,
     caster_grid: &[u32],
-) -> [Vec<[u32; 3]>; 3] {
+) -> [GroundTriangles; 3] {
     let (terrain, eye) = (&scene.terrain, scene.camera.eye);
-    let mut lists = [Vec::new(), Vec::new(), Vec::new()];
+    let mut lists = [GroundTriangles::NONE; 3];
     for row in rows.clone() {
         for column in columns.clone() {
             let corners = terrain.corners(column, row);
@@ -239,15 +264,19 @@ fn ground_triangles(
             if !frustum.may_see_box(low, high) {
                 continue;
             }
-            let mut seen = terrain.block_triangles(column..column + 1, row..row + 1).filter(|triangle| {
+            let mut shades = None;
+            for triangle in terrain.block_triangles(column..column + 1, row..row + 1) {
                 let [a, b, c] = triangle.map(|vertex| terrain.vertices[vertex as usize].position - eye);
-                may_face((b - a).cross(c - a), -a)
-                    && samples.may_be_covered([a, b, c].map(|corner| samples.place(corner)))
-            });
-            if let Some(first) = seen.next() {
-                let shades = grids.shades_over(caster_grid, low.truncate(), high.truncate());
-                lists[shades as usize].push(first);
-                lists[shades as usize].extend(seen);
+                if !may_face((b - a).cross(c - a), -a) {
+                    continue;
+                }
+                let places = [a, b, c].map(|corner| samples.place(corner));
+                if samples.may_be_covered(places) {
+                    let shades = *shades.get_or_insert_with(|| {
+                        grids.shades_over(caster_grid, low.truncate(), high.truncate())
+                    });
+                    lists[shades as usize].add(triangle, places);
+                }
             }
         }
     }

@@ -4,18 +4,18 @@
 
 use std::ops::Range;
 
-use glam::Mat4;
+use glam::{Mat4, UVec2, Vec2};
 use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 
 use super::RenderSettings;
 use super::facing::Facing;
 use super::horizon::{self, HorizonMap};
+use super::relief::Bands;
 use super::resolve::{self, Packing};
 use super::scene_pass::Variant;
 use super::selection::{Selection, ground_blocks};
-use super::relief::{BlockRelief, SIZES};
 use super::shaders::{CasterTile, FrameUniforms, HorizonLevel, Instance, ReliefUniforms};
-use super::shadow::{self, CasterGrids};
+use super::shadow::{self, CasterGrids, Shades};
 use crate::class::ClassId;
 use crate::frame::{Annotation, Annotations};
 use crate::gpu::Gpu;
@@ -38,8 +38,6 @@ pub struct Draw {
     pub base_vertex: i32,
     /// Its slot in the instance buffer.
     pub instance: u32,
-    /// Its slot among the reliefs below the mesh.
-    pub relief: u32,
 }
 
 /// The draws of a frame, in order.
@@ -47,13 +45,57 @@ pub struct Draw {
 pub struct DrawList {
     /// Into the shadow atlas: fronts, backs.
     pub casters: [Vec<Draw>; 2],
-    /// Ground on which no shadow can fall, and that on which only other ground's can, where they are told apart, and the
-    /// rest; each by the size of its relief below the mesh (its place in [`SIZES`]), near to far.
-    pub ground: [[Vec<Draw>; SIZES.len()]; 3],
-    /// Rocks, turned from the sun all over where that is told apart, and the rest; each near to far.
-    pub rocks: [Vec<Draw>; 2],
-    /// Stars, then the dome.
-    pub sky: Vec<Draw>,
+    /// What is seen, by how it is lit, in the order in which it is drawn: near things before what they may cover.
+    pub seen: Vec<Seen>,
+}
+
+/// What is lit by one draw of the scene pass.
+#[derive(Clone, Debug)]
+pub struct Seen {
+    /// How.
+    pub lit: Lit,
+    /// Its slot among the reliefs below the mesh.
+    pub relief: u32,
+    /// What shows it.
+    pub draws: Vec<Draw>,
+    /// Lowest and highest place that it may cover, samples; may lie outside the picture.
+    pub bounds: [Vec2; 2],
+}
+
+/// By which program samples are lit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Lit {
+    /// Ground that these things can shade, with a relief below the mesh of this size (its place in [`super::relief::SIZES`]).
+    Ground {
+        /// What can shade it.
+        shades: Shades,
+        /// Size of the relief.
+        size: usize,
+    },
+    /// Rocks that these things can shade.
+    Rocks {
+        /// What can shade them.
+        shades: Shades,
+    },
+    /// Dome and stars.
+    Sky,
+}
+
+impl Seen {
+    /// Something that may be anywhere on the picture.
+    const fn anywhere(lit: Lit, draws: Vec<Draw>) -> Self {
+        Self { lit, relief: 0, draws, bounds: [Vec2::NEG_INFINITY, Vec2::INFINITY] }
+    }
+
+    /// Left, top, width and height of what it may cover of a picture of this many samples.
+    #[must_use]
+    pub fn within(&self, sample_size: [u32; 2]) -> [u32; 4] {
+        let size = UVec2::from(sample_size);
+        let [low, high] = self.bounds.map(|place| place.clamp(Vec2::ZERO, size.as_vec2()));
+        let (low, high) = ((low - 1.0).max(Vec2::ZERO).as_uvec2(), (high + 2.0).as_uvec2().min(size));
+        let extent = high.saturating_sub(low);
+        [low.x, low.y, extent.x, extent.y]
+    }
 }
 
 /// Everything of a scene that lies on the device. Buffers are kept and grow from frame to frame.
@@ -190,7 +232,7 @@ impl Default for GpuScene {
             relief: Store::new("scene/relief", BufferUsages::UNIFORM),
             law: Law::Lambert,
             has_detail: false,
-            instances: Store::new("scene/instances", BufferUsages::UNIFORM),
+            instances: Store::new("scene/instances", BufferUsages::UNIFORM.union(BufferUsages::STORAGE)),
             tiles: Store::new("shadow/tiles", BufferUsages::STORAGE),
             caster_grid: Store::new("shadow/caster_grid", BufferUsages::STORAGE),
             atlas_px: [0; 2],
@@ -219,10 +261,10 @@ impl GpuScene {
         let casters = &selection.casters;
         let caster_grid = shadow::caster_grid(scene, casters, &horizon);
         let facing = pick_triangles.then(|| Facing::new(scene, &selection, settings, &caster_grid));
-        let reliefs = BlockRelief::of_blocks(scene, &selection, settings);
-        let uniforms: Vec<ReliefUniforms> = reliefs.iter().map(|relief| relief.uniforms).collect();
-        self.uploaded_bytes += self.relief.write(gpu, &slots(&uniforms));
-        self.upload_things(gpu, scene, settings, &selection, &reliefs, facing.as_ref());
+        let bands = Bands::new(scene, &selection, settings);
+        let reliefs: Vec<ReliefUniforms> = bands.bands.iter().map(|band| band.uniforms).collect();
+        self.uploaded_bytes += self.relief.write(gpu, &slots(&reliefs));
+        self.upload_things(gpu, scene, settings, &selection, &bands, facing.as_ref());
         let tiles: Vec<CasterTile> = casters.iter().map(|caster| caster.tile).collect();
         self.uploaded_bytes += self.tiles.write(gpu, &tiles);
         self.uploaded_bytes += self.caster_grid.write(gpu, &caster_grid);
@@ -249,8 +291,7 @@ impl GpuScene {
     #[must_use]
     pub fn drawn_triangles(&self) -> u64 {
         let count = |d: &Draw| u64::from(d.indices.end - d.indices.start) / 3;
-        let draws = &self.draws;
-        draws.ground.iter().flatten().chain(&draws.rocks).chain([&draws.sky]).flatten().map(count).sum()
+        self.draws.seen.iter().flat_map(|seen| &seen.draws).map(count).sum()
     }
 
     /// The index buffer depends on the ground's layout alone.
@@ -282,7 +323,7 @@ impl GpuScene {
         scene: &Scene,
         settings: &RenderSettings,
         selection: &Selection,
-        reliefs: &[BlockRelief],
+        bands: &Bands,
         facing: Option<&Facing>,
     ) {
         let mut draws = DrawList::default();
@@ -306,35 +347,47 @@ impl GpuScene {
             class_id: ClassId::REGOLITH.0.into(),
             ..Default::default()
         }];
-        let mut ground = [const { [const { Vec::new() }; SIZES.len()] }; 3];
-        let mut rocks = [const { Vec::new() }; 2];
-        for (place, &(block, nearest_m)) in selection.blocks.iter().enumerate() {
-            // The first relief is that of what is not ground; where the mesh shows all there are no others.
-            let relief = if reliefs.len() > 1 { place + 1 } else { 0 };
-            let size = reliefs[relief].size;
-            let draw = |indices| Draw {
-                indices,
-                base_vertex: ground_base as i32,
-                instance: 0,
-                relief: relief as u32,
+        // By what can shade it, for each band.
+        let mut ground: Vec<[Seen; 3]> = bands
+            .bands
+            .iter()
+            .enumerate()
+            .map(|(relief, band)| {
+                [Shades::Nothing, Shades::Ground, Shades::Casters].map(|shades| Seen {
+                    lit: Lit::Ground { shades, size: band.size },
+                    relief: relief as u32,
+                    draws: Vec::new(),
+                    bounds: [Vec2::INFINITY, Vec2::NEG_INFINITY],
+                })
+            })
+            .collect();
+        let mut blocks: Vec<(usize, &(usize, f32))> = selection.blocks.iter().enumerate().collect();
+        blocks.sort_by(|a, b| a.1.1.total_cmp(&b.1.1));
+        for (place, &(block, _)) in blocks {
+            let band = bands.of_block(block);
+            let mut add = |shades: usize, indices, bounds: [Vec2; 2]| {
+                let seen = &mut ground[band][shades];
+                seen.draws.push(Draw { indices, base_vertex: ground_base as i32, instance: 0 });
+                seen.bounds = [seen.bounds[0].min(bounds[0]), seen.bounds[1].max(bounds[1])];
             };
             if let Some(facing) = facing {
-                let lists = ground.iter_mut().zip(&facing.ground[place]);
-                for (lists, triangles) in lists.filter(|(_, triangles)| !triangles.is_empty()) {
-                    lists[size].push((nearest_m, draw(picked.add(triangles))));
+                for (shades, chosen) in facing.ground[place].iter().enumerate() {
+                    if !chosen.triangles.is_empty() {
+                        add(shades, picked.add(&chosen.triangles), chosen.bounds);
+                    }
                 }
-            } else {
-                let whole = self.ground.as_ref().map_or(0..0, |ground| ground.blocks[block].clone());
-                ground[2][size].push((nearest_m, draw(whole)));
+            } else if let Some(known) = &self.ground {
+                add(2, known.blocks[block].clone(), [Vec2::NEG_INFINITY, Vec2::INFINITY]);
             }
         }
+        let mut rocks = [const { Vec::new() }; 2];
         // Rocks: an instance each; as many vertices as the finer of its two uses needs, or as were picked.
         let rock_at_normal = at_normal(rock_surge);
         let mut uploads: Vec<(usize, &[Vertex])> = Vec::new();
         for (place, selected) in selection.rocks.iter().enumerate() {
             let rock = &scene.rocks[selected.rock];
             let instance = instances.len() as u32;
-            let draw = |indices| Draw { indices, base_vertex: rock_base as i32, instance, relief: 0 };
+            let draw = |indices| Draw { indices, base_vertex: rock_base as i32, instance };
             let (casts, seen, vertices) = if let Some(facing) = facing {
                 let chosen = &facing.rocks[place];
                 let casts = [&chosen.fronts, &chosen.backs].map(|triangles| picked.add(triangles));
@@ -369,13 +422,17 @@ impl GpuScene {
                 dust_above: rock.dust_above,
                 tile_origin_px: tile.origin_px,
                 tile_size_px: tile.size_px,
-                reserved: 0.0,
+                slot: 0,
             });
             uploads.push((rock_base, vertices));
             rock_base += vertices.len();
         }
-        draws.ground = ground.map(|lists| lists.map(near_to_far));
-        draws.rocks = rocks.map(near_to_far);
+        // Rocks before the ground that they cover, all before the sky.
+        let [dark, lit] = rocks.map(near_to_far);
+        for (shades, list) in [(Shades::Casters, lit), (Shades::Nothing, dark)] {
+            draws.seen.push(Seen::anywhere(Lit::Rocks { shades }, list));
+        }
+        draws.seen.extend(ground.into_iter().flatten());
         // Sky: stars before the dome that they cover.
         let in_sky = |origin, scale, colour| Instance {
             origin,
@@ -391,15 +448,17 @@ impl GpuScene {
         }));
         let dome = instances.len() as u32;
         instances.push(in_sky(scene.sky.centre, scene.sky.radius_m, scene.sky.radiance));
+        for (slot, instance) in (0..).zip(&mut instances) {
+            instance.slot = slot;
+        }
+        let mut sky = Vec::new();
         for (level, range) in [(STAR_LEVEL, first_star..dome), (DOME_LEVEL, dome..dome + 1)] {
             let indices = &self.sphere_levels[level];
-            draws.sky.extend(range.map(|instance| Draw {
-                indices: indices.clone(),
-                base_vertex: 0,
-                instance,
-                relief: 0,
-            }));
+            sky.extend(range.map(|instance| Draw { indices: indices.clone(), base_vertex: 0, instance }));
         }
+        draws.seen.push(Seen::anywhere(Lit::Sky, sky));
+        draws.seen.retain(|seen| seen.draws.iter().any(|draw| !draw.indices.is_empty()));
+        assert!(draws.seen.len() < 256, "the stencil tells them apart");
         self.draws = draws;
         let stride = size_of::<Vertex>();
         self.vertices.reserve(gpu, rock_base * stride);
@@ -457,6 +516,7 @@ fn frame_uniforms(
     levels[..horizon.levels.len()].copy_from_slice(&horizon.levels);
     FrameUniforms {
         clip_from_offset,
+        ray_from_sample: ray_from_sample(scene, settings),
         eye: camera.eye,
         exposure: resolve::exposure(camera.exposure_ev),
         sun_direction: sun.direction,
@@ -506,4 +566,15 @@ fn frame_uniforms(
 fn near_to_far(mut list: Vec<(f32, Draw)>) -> Vec<Draw> {
     list.sort_by(|a, b| a.0.total_cmp(&b.0));
     list.into_iter().map(|(_, draw)| draw).collect()
+}
+
+/// Places a metre along the axis that samples show, metres from the eye: of sample (0, 0), and how it moves with a column
+/// and a row.
+fn ray_from_sample(scene: &Scene, settings: &RenderSettings) -> [[f32; 4]; 3] {
+    let camera = &scene.camera;
+    let width = (settings.size[0] * settings.samples_per_side) as f32;
+    let aspect = settings.size[0] as f32 / settings.size[1] as f32;
+    let sample = 2.0 * camera.tan_half_fov / width;
+    let corner = camera.forward - camera.tan_half_fov * (camera.right - camera.up / aspect);
+    [corner, sample * camera.right, -sample * camera.up].map(|v| v.extend(0.0).into())
 }

@@ -1,14 +1,14 @@
-//! What each block of ground shows of the relief below its mesh: waves and pits between the size of its cells and the
+//! What each band of ground shows of the relief below its mesh: waves and pits between the size of its cells and the
 //! distance of samples.
 //!
-//! Each draw of ground has uniforms of its own with just those, at fixed places: a driver that runs on the CPU would
+//! Each has uniforms of its own with just those, at fixed places: a driver that runs on the CPU would
 //! fetch what lies at a place that depends on the sample once for each sample.
 //! Must not know: buffers.
 
 use std::ops::Range;
 
 use super::RenderSettings;
-use super::selection::{Selection, ground_blocks};
+use super::selection::{BLOCK_CELLS, Selection, ground_blocks};
 use super::shaders::{LatticeUniforms, ReliefUniforms};
 use crate::scene::Scene;
 use crate::scene::craters::LATTICES;
@@ -31,47 +31,75 @@ const FACING_MARGIN: f32 = 1.15;
 /// The least that a facet counts as facing the eye; it stands in `surface.wgsl`.
 const LEAST_FACING: f32 = 0.04;
 
-/// Numbers of waves and of lattices of pits that a program sums up: that of a block is the first that has enough.
+/// Bands of a picture; the values of its stencil are to tell them apart.
+const MOST_BANDS: usize = 40;
+
+/// Numbers of waves and of lattices of pits that a program sums up: that of a band is the first that has enough.
 pub const SIZES: [[usize; 2]; 3] = [[5, 7], [6, 7], [12, 12]];
 
-/// The relief of a block.
+/// The relief of a band of ground: of rows of blocks.
 #[derive(Clone, Copy, Debug)]
-pub struct BlockRelief {
+pub struct Band {
     /// What the program is given.
     pub uniforms: ReliefUniforms,
     /// Place in [`SIZES`].
     pub size: usize,
 }
 
-impl BlockRelief {
-    /// That of each of [`Selection::blocks`], or of none where the mesh shows all; and before them one without waves and
-    /// pits.
+/// The bands of a picture.
+#[derive(Clone, Debug)]
+pub struct Bands {
+    /// First one without waves and pits, for rocks, and for ground of which the mesh shows all.
+    pub bands: Vec<Band>,
+    /// Rows of blocks in a band; none where there is but the first.
+    rows: Option<usize>,
+    /// Blocks in a row.
+    columns: usize,
+}
+
+impl Bands {
+    /// The bands of what is selected.
     #[must_use]
-    pub fn of_blocks(scene: &Scene, selection: &Selection, settings: &RenderSettings) -> Vec<Self> {
-        let (Some(relief), Layout::Rings(rings)) = (&scene.relief, &scene.terrain.layout) else {
-            return vec![Self { uniforms: ReliefUniforms::default(), size: 0 }];
+    pub fn new(scene: &Scene, selection: &Selection, settings: &RenderSettings) -> Self {
+        let terrain = &scene.terrain;
+        let columns = terrain.columns.div_ceil(BLOCK_CELLS) as usize;
+        let (Some(relief), Layout::Rings(rings)) = (&scene.relief, &terrain.layout) else {
+            let bands = vec![Band { uniforms: ReliefUniforms::default(), size: 0 }];
+            return Self { bands, rows: None, columns };
         };
         let samples = (settings.size[0] * settings.samples_per_side) as f32;
         let common = ReliefUniforms {
-            eye_from_centre: scene.camera.eye.truncate() - scene.terrain.centre,
+            eye_from_centre: scene.camera.eye.truncate() - terrain.centre,
             eye_height_m: rings.view.eye_height_m,
             cell: rings.view.cell as f32,
             sample_angle: 2.0 * scene.camera.tan_half_fov / samples,
             fresh_share: relief.craters.fresh_share,
             ..Default::default()
         };
-        let spans: Vec<[Range<u32>; 2]> = ground_blocks(&scene.terrain).collect();
-        let blocks = selection.blocks.iter().map(|&(block, nearest_m)| {
-            let [columns, rows] = &spans[block];
-            let facing = most_facing(scene, columns, rows);
-            let sample_m = common.sample_angle * nearest_m / facing.sqrt();
-            Self::of_block(relief, common, cells_m(rings, rows), sample_m / MARGIN)
+        let rows = (terrain.rows.div_ceil(BLOCK_CELLS) as usize).div_ceil(MOST_BANDS);
+        let spans: Vec<[Range<u32>; 2]> = ground_blocks(terrain).collect();
+        let bands = spans.chunks(rows * columns).enumerate().map(|(band, blocks)| {
+            let place = band * rows * columns;
+            let seen = selection.blocks.iter().filter_map(|(block, _)| blocks.get(block.checked_sub(place)?));
+            let sample_m = seen.map(|span| least_sample_m(scene, span)).fold(f32::INFINITY, f32::min);
+            let ends = blocks[0][1].start..blocks[blocks.len() - 1][1].end;
+            let sample_m = common.sample_angle * sample_m / MARGIN;
+            Band::new(relief, common, cells_m(rings, &ends), sample_m)
         });
-        std::iter::once(Self { uniforms: common, size: 0 }).chain(blocks).collect()
+        let bands = std::iter::once(Band { uniforms: common, size: 0 }).chain(bands).collect();
+        Self { bands, rows: Some(rows), columns }
     }
 
+    /// The band of a block, by its place in [`ground_blocks`].
+    #[must_use]
+    pub fn of_block(&self, block: usize) -> usize {
+        self.rows.map_or(0, |rows| 1 + block / self.columns / rows)
+    }
+}
+
+impl Band {
     /// That of ground with cells of these sizes, and samples as far apart as this or more, metres.
-    fn of_block(
+    fn new(
         relief: &Relief,
         common: ReliefUniforms,
         [smallest_m, largest_m]: [f32; 2],
@@ -114,7 +142,8 @@ impl BlockRelief {
             };
             pits += 1;
         }
-        let size = SIZES.iter().position(|[most_waves, most_pits]| waves <= *most_waves && pits <= *most_pits);
+        let size =
+            SIZES.iter().position(|[most_waves, most_pits]| waves <= *most_waves && pits <= *most_pits);
         Self { uniforms, size: size.unwrap_or(SIZES.len() - 1) }
     }
 }
@@ -126,16 +155,21 @@ fn cells_m(rings: &Rings, rows: &Range<u32>) -> [f32; 2] {
     [rings.cell_m(nearest_m) / MARGIN, rings.cell_m(rings.radii_m[rows.end as usize]) * MARGIN]
 }
 
-/// Cosine of the angle to the eye that no place of a block exceeds.
-fn most_facing(scene: &Scene, columns: &Range<u32>, rows: &Range<u32>) -> f32 {
+/// Least distance of samples on a block for an angle of 1 between them, metres.
+fn least_sample_m(scene: &Scene, [columns, rows]: &[Range<u32>; 2]) -> f32 {
     let (terrain, eye) = (&scene.terrain, scene.camera.eye);
     let row_len = terrain.columns as usize + 1;
-    let facing = (rows.start..=rows.end).flat_map(|row| {
+    let square = (rows.start..=rows.end).flat_map(|row| {
         let first = row as usize * row_len;
         let vertices = &terrain.vertices[first + columns.start as usize..=first + columns.end as usize];
-        vertices.iter().map(|vertex| vertex.normal.dot((eye - vertex.position).normalize()))
+        vertices.iter().map(|vertex| {
+            let to_eye = eye - vertex.position;
+            let square = to_eye.length_squared();
+            let facing = (FACING_MARGIN * vertex.normal.dot(to_eye) / square.sqrt()).clamp(LEAST_FACING, 1.0);
+            square / facing
+        })
     });
-    (FACING_MARGIN * facing.fold(0.0, f32::max)).clamp(LEAST_FACING, 1.0)
+    square.fold(f32::INFINITY, f32::min).sqrt()
 }
 
 fn lattice_uniforms(lattice: &Lattice, amount: f32) -> LatticeUniforms {

@@ -1,11 +1,11 @@
-//! The scene pass: ground, rocks, sky. Every draw writes every plane: colour and class cannot disagree.
+//! The scene pass: light on what the samples show. One draw for all samples that are lit alike writes every plane: colour
+//! and class cannot disagree.
 
-use super::gpu_scene::{Draw, DrawList, GpuScene};
+use super::BindLayouts;
+use super::gpu_scene::{GpuScene, Lit, slot_stride};
 use super::relief::SIZES;
-use super::shaders::{Program, SKY, SURFACE};
-use super::shadow::Shades;
-use super::targets::{Plane, Targets, depth_state};
-use super::{BindLayouts, vertex_layout};
+use super::shaders::{ReliefUniforms, SKY, SURFACE};
+use super::targets::{DEPTH_FORMAT, Plane, Targets};
 use crate::frame::Annotations;
 use crate::gpu::Gpu;
 use crate::scene::photometry::Law;
@@ -13,20 +13,11 @@ use crate::scene::photometry::Law;
 /// Pipelines of the pass.
 #[derive(Debug)]
 pub(super) struct ScenePass {
-    modules: [wgpu::ShaderModule; 2],
-    layouts: [wgpu::PipelineLayout; 2],
-    /// For each variant that was needed so far.
-    pipelines: Vec<(Variant, Pipelines)>,
-}
-
-/// What draws a frame.
-#[derive(Debug)]
-struct Pipelines {
-    /// Ground by what can shade it, for each size of the relief below the mesh that was needed so far.
-    ground: [Option<[wgpu::RenderPipeline; 3]>; SIZES.len()],
-    /// Rocks that are turned from the sun, and the rest.
-    rocks: [wgpu::RenderPipeline; 2],
-    sky: wgpu::RenderPipeline,
+    surface: wgpu::ShaderModule,
+    sky: wgpu::ShaderModule,
+    layout: wgpu::PipelineLayout,
+    /// For each way of lighting of each variant that was needed so far.
+    pipelines: Vec<((Variant, Lit), wgpu::RenderPipeline)>,
 }
 
 /// What pipelines are made for.
@@ -49,110 +40,76 @@ impl ScenePass {
     /// Compiles the programs.
     #[must_use]
     pub(super) fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
-        let layout = |program: &Program, groups: &[Option<&wgpu::BindGroupLayout>]| {
-            gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-                label: Some(program.name),
-                bind_group_layouts: groups,
-                immediate_size: 0,
-            })
-        };
-        let common = [Some(&layouts.frame), Some(&layouts.scene)];
-        Self {
-            modules: [SURFACE.compile(gpu), SKY.compile(gpu)],
-            layouts: [
-                layout(&SURFACE, &[common[0], common[1], Some(&layouts.shadow)]),
-                layout(&SKY, &common),
-            ],
-            pipelines: Vec::new(),
-        }
+        let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some("scene"),
+            bind_group_layouts: &[Some(&layouts.frame), Some(&layouts.scene), Some(&layouts.light)],
+            immediate_size: 0,
+        });
+        Self { surface: SURFACE.compile(gpu), sky: SKY.compile(gpu), layout, pipelines: Vec::new() }
     }
 
-    /// Makes the pipelines that draw a scene, unless they are there.
-    pub(super) fn prepare(&mut self, gpu: &Gpu, variant: Variant, draws: &DrawList) {
-        let known = self.pipelines.iter().position(|(made, _)| *made == variant);
-        let place = known.unwrap_or_else(|| {
-            let surface = |shades| self.surface(gpu, variant, shades, TEXTURE_DETAIL, 0);
-            let pipelines = Pipelines {
-                ground: [const { None }; SIZES.len()],
-                rocks: [surface(Shades::Nothing), surface(Shades::Casters)],
-                // The dome is seen from inside, the stars from outside.
-                sky: self.pipeline(
-                    gpu,
-                    1,
-                    &[],
-                    variant.annotations,
-                    &wgpu::vertex_attr_array![0 => Float32x3],
-                    None,
-                ),
-            };
-            self.pipelines.push((variant, pipelines));
-            self.pipelines.len() - 1
-        });
-        for size in 0..SIZES.len() {
-            let is_drawn = draws.ground.iter().any(|lists| !lists[size].is_empty());
-            if is_drawn && self.pipelines[place].1.ground[size].is_none() {
-                let surface = |shades| self.surface(gpu, variant, shades, RELIEF_DETAIL, size);
-                let made = [Shades::Nothing, Shades::Ground, Shades::Casters].map(surface);
-                self.pipelines[place].1.ground[size] = Some(made);
+    /// Makes the pipelines that a scene needs, unless they are there.
+    pub(super) fn prepare(&mut self, gpu: &Gpu, variant: Variant, scene: &GpuScene) {
+        for seen in &scene.draws.seen {
+            let wanted = (variant, seen.lit);
+            if !self.pipelines.iter().any(|(made, _)| *made == wanted) {
+                self.pipelines.push((wanted, self.pipeline(gpu, variant, seen.lit)));
             }
         }
     }
 
-    fn surface(
-        &self,
-        gpu: &Gpu,
-        variant: Variant,
-        shades: Shades,
-        detail: f64,
-        size: usize,
-    ) -> wgpu::RenderPipeline {
-        let detail = if variant.detail { detail } else { NO_DETAIL };
-        let [waves, pits] = SIZES[size].map(|number| number as f64);
-        let constants = [
-            ("SHADES", f64::from(shades as u32)),
-            ("LAW", f64::from(variant.law as u32)),
-            ("DETAIL", detail),
-            ("WAVES", waves),
-            ("PITS", pits),
-        ];
-        let positions_and_normals = wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3];
-        let culled = Some(wgpu::Face::Back);
-        self.pipeline(gpu, 0, &constants, variant.annotations, &positions_and_normals, culled)
-    }
-
-    fn pipeline(
-        &self,
-        gpu: &Gpu,
-        program: usize,
-        constants: &[(&str, f64)],
-        annotations: Annotations,
-        attributes: &[wgpu::VertexAttribute],
-        cull_mode: Option<wgpu::Face>,
-    ) -> wgpu::RenderPipeline {
-        let module = &self.modules[program];
+    fn pipeline(&self, gpu: &Gpu, variant: Variant, lit: Lit) -> wgpu::RenderPipeline {
+        let surface = |shades, detail, size: usize, of_many: bool| {
+            let [waves, pits] = SIZES[size].map(|number| number as f64);
+            vec![
+                ("SHADES", f64::from(shades as u32)),
+                ("LAW", f64::from(variant.law as u32)),
+                ("DETAIL", if variant.detail { detail } else { NO_DETAIL }),
+                ("WAVES", waves),
+                ("PITS", pits),
+                ("OF_MANY", f64::from(u8::from(of_many))),
+            ]
+        };
+        let (label, module, constants) = match lit {
+            Lit::Ground { shades, size } => {
+                (SURFACE.name, &self.surface, surface(shades, RELIEF_DETAIL, size, false))
+            }
+            Lit::Rocks { shades } => (SURFACE.name, &self.surface, surface(shades, TEXTURE_DETAIL, 0, true)),
+            Lit::Sky => (SKY.name, &self.sky, Vec::new()),
+        };
         let targets = Plane::ALL.map(|plane| {
-            plane.is_drawn(annotations).then(|| wgpu::ColorTargetState {
+            plane.is_drawn(variant.annotations).then(|| wgpu::ColorTargetState {
                 format: plane.format(),
                 blend: None,
                 write_mask: wgpu::ColorWrites::ALL,
             })
         });
+        let equal = wgpu::StencilFaceState { compare: wgpu::CompareFunction::Equal, ..Default::default() };
         gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-            label: Some([SURFACE.name, SKY.name][program]),
-            layout: Some(&self.layouts[program]),
+            label: Some(label),
+            layout: Some(&self.layout),
             vertex: wgpu::VertexState {
                 module,
                 entry_point: Some("vs_main"),
                 compilation_options: wgpu::PipelineCompilationOptions::default(),
-                buffers: &[Some(vertex_layout(attributes))],
+                buffers: &[],
             },
-            primitive: wgpu::PrimitiveState { cull_mode, ..Default::default() },
-            depth_stencil: Some(depth_state()),
+            primitive: wgpu::PrimitiveState::default(),
+            depth_stencil: Some(wgpu::DepthStencilState {
+                format: DEPTH_FORMAT,
+                depth_write_enabled: Some(false),
+                depth_compare: Some(wgpu::CompareFunction::Always),
+                stencil: wgpu::StencilState { front: equal, back: equal, read_mask: !0, write_mask: 0 },
+                bias: wgpu::DepthBiasState::default(),
+            }),
             multisample: wgpu::MultisampleState::default(),
             fragment: Some(wgpu::FragmentState {
                 module,
                 entry_point: Some("fs_main"),
-                compilation_options: wgpu::PipelineCompilationOptions { constants, ..Default::default() },
+                compilation_options: wgpu::PipelineCompilationOptions {
+                    constants: &constants,
+                    ..Default::default()
+                },
                 targets: &targets,
             }),
             multiview_mask: None,
@@ -187,39 +144,28 @@ impl ScenePass {
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("scene"),
             color_attachments: &attachments,
+            // Both are only read.
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                view: &targets.depth,
-                depth_ops: Some(wgpu::Operations {
-                    load: wgpu::LoadOp::Clear(0.0),
-                    store: wgpu::StoreOp::Store,
-                }),
+                view: &targets.depth_stencil,
+                depth_ops: None,
                 stencil_ops: None,
             }),
             timestamp_writes: timestamps,
             ..Default::default()
         });
-        let [frame, instances, shadow] = groups;
+        let [frame, instances, light] = groups;
         pass.set_bind_group(0, frame, &[]);
-        pass.set_bind_group(2, shadow, &[]);
-        let made = self.pipelines.iter().find(|(made, _)| *made == scene.variant(targets.annotations));
-        let pipelines = &made.expect("pipelines are prepared before they are used").1;
-        let draws = &scene.draws;
-        let mut draw = |pipeline: &wgpu::RenderPipeline, indices, list: &[Draw]| {
-            pass.set_pipeline(pipeline);
-            super::draw_all(&mut pass, instances, scene, indices, list);
-        };
-        // Rocks before the ground that they cover, all before the sky.
-        for (pipeline, list) in pipelines.rocks.iter().zip(&draws.rocks).rev() {
-            draw(pipeline, scene.thing_indices(), list);
+        pass.set_bind_group(2, light, &[]);
+        let variant = scene.variant(targets.annotations);
+        // The value of the stencil is the place in the list.
+        for (value, seen) in (1..).zip(&scene.draws.seen) {
+            let made = self.pipelines.iter().find(|(made, _)| *made == (variant, seen.lit));
+            pass.set_pipeline(&made.expect("pipelines are prepared before they are used").1);
+            pass.set_stencil_reference(value);
+            pass.set_bind_group(1, instances, &[0, seen.relief * slot_stride::<ReliefUniforms>()]);
+            let [x, y, width, height] = seen.within(targets.sample_size());
+            pass.set_scissor_rect(x, y, width, height);
+            pass.draw(0..3, 0..1);
         }
-        for (shades, lists) in draws.ground.iter().enumerate().rev() {
-            // Those with much relief are near.
-            for (pipelines, list) in pipelines.ground.iter().zip(lists).rev() {
-                if let Some(pipelines) = pipelines {
-                    draw(&pipelines[shades], scene.thing_indices(), list);
-                }
-            }
-        }
-        draw(&pipelines.sky, &scene.indices, &draws.sky);
     }
 }

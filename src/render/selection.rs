@@ -16,7 +16,7 @@ use crate::scene::terrain::Terrain;
 /// Largest distance of a caster's drawn outline from the authored one, texels of its tile.
 const CASTER_ERROR_PX: f32 = 0.25;
 /// Cells along a side of a block of ground that is culled as one.
-const BLOCK_CELLS: u32 = 30;
+pub const BLOCK_CELLS: u32 = 30;
 
 /// What is drawn for one picture.
 #[derive(Clone, Debug)]

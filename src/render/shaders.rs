@@ -35,15 +35,18 @@ macro_rules! program {
 
 /// Depth of the casters seen from the sun.
 pub static SHADOW: Program = program!("shadow", "frame", "scene");
-/// Ground and rocks.
-pub static SURFACE: Program = program!("surface", "frame", "scene", "planes", "shadow_map", "brdf", "relief");
-/// Dome and stars.
-pub static SKY: Program = program!("sky", "frame", "scene", "planes");
+/// Which thing each sample shows.
+pub static VISIBILITY: Program = program!("visibility", "frame", "scene", "octahedron");
+/// Light on ground and rocks.
+pub static SURFACE: Program =
+    program!("surface", "frame", "scene", "octahedron", "seen", "planes", "shadow_map", "brdf", "relief");
+/// Light of dome and stars.
+pub static SKY: Program = program!("sky", "frame", "scene", "octahedron", "seen", "planes");
 /// Samples to pixels.
 pub static RESOLVE: Program = program!("resolve", "frame", "tone");
 
 /// Every program.
-pub static PROGRAMS: [&Program; 4] = [&SHADOW, &SURFACE, &SKY, &RESOLVE];
+pub static PROGRAMS: [&Program; 5] = [&SHADOW, &VISIBILITY, &SURFACE, &SKY, &RESOLVE];
 
 impl Program {
     /// The joined text.
@@ -101,6 +104,7 @@ shader_struct! {
     /// Twin of `FrameUniforms` in `common/frame.wgsl`, where every field is explained.
     FrameUniforms {
         clip_from_offset: Mat4,
+        ray_from_sample: [[f32; 4]; 3],
         eye: Vec3,
         exposure: f32,
         sun_direction: Vec3,
@@ -201,7 +205,7 @@ shader_struct! {
         dust_above: f32,
         tile_origin_px: Vec2,
         tile_size_px: f32,
-        reserved: f32,
+        slot: u32,
     }
 }
 

@@ -4,7 +4,7 @@ use wgpu::TextureUsages;
 
 use super::gpu_scene::GpuScene;
 use super::shaders::SHADOW;
-use super::targets::{DEPTH_FORMAT, depth_state};
+use super::targets::{ATLAS_FORMAT, depth_state};
 use super::{BindLayouts, vertex_layout};
 use crate::gpu::Gpu;
 
@@ -40,7 +40,7 @@ impl ShadowPass {
                     buffers: &[Some(vertex_layout(&wgpu::vertex_attr_array![0 => Float32x3]))],
                 },
                 primitive: wgpu::PrimitiveState { cull_mode: Some(cull), ..Default::default() },
-                depth_stencil: Some(depth_state()),
+                depth_stencil: Some(depth_state(ATLAS_FORMAT)),
                 multisample: wgpu::MultisampleState::default(),
                 fragment: None,
                 multiview_mask: None,
@@ -58,7 +58,7 @@ impl ShadowPass {
         if self.atlas.as_ref().is_none_or(|(made, _)| *made != layer_px) {
             let usage = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
             let size = [layer_px[0], 2 * layer_px[1]];
-            self.atlas = Some((layer_px, gpu.texture("shadow/atlas", size, DEPTH_FORMAT, usage).1));
+            self.atlas = Some((layer_px, gpu.texture("shadow/atlas", size, ATLAS_FORMAT, usage).1));
         }
     }
 

@@ -68,17 +68,28 @@ impl Plane {
     }
 }
 
-/// Format of the depth of the scene pass and of the shadow atlas; reversed in both: cleared to 0, the far end.
-pub const DEPTH_FORMAT: TextureFormat = TextureFormat::Depth32Float;
+/// Format of what the visibility pass draws (`visibility.wgsl`).
+pub const VISIBLE_FORMAT: TextureFormat = TextureFormat::Rgba32Uint;
+/// Format of the depth of the shadow atlas, and of that of the samples, whose stencil says by which draw of the scene pass
+/// a sample is lit. Reversed in both: cleared to 0, the far end.
+pub const ATLAS_FORMAT: TextureFormat = TextureFormat::Depth32Float;
+/// See [`ATLAS_FORMAT`].
+pub const DEPTH_FORMAT: TextureFormat = TextureFormat::Depth32FloatStencil8;
 
-/// Depth state of every pass: reversed, the nearer wins, of two as near the first.
+/// Depth state of the passes that draw things: reversed, the nearer wins, of two as near the first. The stencil, where there
+/// is one, takes the pass's reference.
 #[must_use]
-pub fn depth_state() -> wgpu::DepthStencilState {
+pub fn depth_state(format: TextureFormat) -> wgpu::DepthStencilState {
+    let taken = wgpu::StencilFaceState { pass_op: wgpu::StencilOperation::Replace, ..Default::default() };
     wgpu::DepthStencilState {
-        format: DEPTH_FORMAT,
+        format,
         depth_write_enabled: Some(true),
         depth_compare: Some(wgpu::CompareFunction::Greater),
-        stencil: wgpu::StencilState::default(),
+        stencil: if format.has_stencil_aspect() {
+            wgpu::StencilState { front: taken, back: taken, read_mask: !0, write_mask: !0 }
+        } else {
+            wgpu::StencilState::default()
+        },
         bias: wgpu::DepthBiasState::default(),
     }
 }
@@ -94,7 +105,11 @@ pub struct Targets {
     pub annotations: Annotations,
     /// One view a plane, as in [`Plane::ALL`]; of a single sample where the plane is not drawn.
     pub planes: [wgpu::TextureView; Plane::ALL.len()],
-    /// Depth of the samples.
+    /// What the samples show.
+    pub visible: wgpu::TextureView,
+    /// Depth and stencil of the samples.
+    pub depth_stencil: wgpu::TextureView,
+    /// Their depth alone, to be read.
     pub depth: wgpu::TextureView,
 }
 
@@ -129,6 +144,7 @@ impl Targets {
         let sample_size = size.map(|side| side * samples_per_side);
         let usage = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
         let texture = |label: &str, size, format| gpu.texture(label, size, format, usage).1;
+        let (depth, depth_stencil) = gpu.texture("scene/depth", sample_size, DEPTH_FORMAT, usage);
         Ok(Self {
             size,
             samples_per_side,
@@ -137,8 +153,19 @@ impl Targets {
                 let size = if plane.is_drawn(annotations) { sample_size } else { [1, 1] };
                 texture(&format!("scene/{plane:?}"), size, plane.format())
             }),
-            depth: texture("scene/depth", sample_size, DEPTH_FORMAT),
+            visible: texture("scene/visible", sample_size, VISIBLE_FORMAT),
+            depth_stencil,
+            depth: depth.create_view(&wgpu::TextureViewDescriptor {
+                aspect: wgpu::TextureAspect::DepthOnly,
+                ..Default::default()
+            }),
         })
+    }
+
+    /// Columns and rows of samples.
+    #[must_use]
+    pub fn sample_size(&self) -> [u32; 2] {
+        self.size.map(|side| side * self.samples_per_side)
     }
 
     /// Whether they serve these settings.

@@ -8,7 +8,7 @@ use crate::gpu::Gpu;
 use crate::gpu::readback::Readback;
 
 /// The passes that are timed, in the order of their indices.
-const PASSES: [&str; 3] = ["shadow", "scene_pass", "resolve"];
+const PASSES: [&str; 4] = ["shadow", "visibility", "scene_pass", "resolve"];
 const QUERIES: u32 = 2 * PASSES.len() as u32;
 const BYTES: u64 = 8 * QUERIES as u64;
 

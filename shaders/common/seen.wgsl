@@ -1,0 +1,41 @@
+// What the samples show, as the visibility pass left it. Programs that include this draw it as one triangle over all of the
+// picture; the stencil says which samples are theirs.
+
+@group(2) @binding(0) var visible_map: texture_2d<u32>;
+// Depth, bound as plain numbers: GLSL cannot load from a depth texture.
+@group(2) @binding(1) var depth_map: texture_2d<f32>;
+@group(2) @binding(2) var<storage, read> instances: array<InstanceSlot>;
+
+struct InstanceSlot {
+    thing: Instance,
+    unused: array<vec4<u32>, 11>,
+}
+
+struct Seen {
+    // Metres from the eye, world axes.
+    offset: vec3<f32>,
+    // The smooth one, and that of the triangle, towards the eye.
+    normal: vec3<f32>,
+    facet_normal: vec3<f32>,
+    // Place among the instances.
+    slot: u32,
+}
+
+@vertex
+fn vs_main(@builtin(vertex_index) corner: u32) -> @builtin(position) vec4<f32> {
+    return vec4(f32(4u * (corner & 1u)) - 1.0, f32(2u * (corner & 2u)) - 1.0, 0.0, 1.0);
+}
+
+// At the middle of a sample.
+fn seen_at(sample: vec2<f32>) -> Seen {
+    let at = vec2<i32>(sample);
+    let packed = textureLoad(visible_map, at, 0);
+    let distance_m = frame.depth_scale_m / (textureLoad(depth_map, at, 0).r + frame.depth_offset);
+    let ray = frame.ray_from_sample * vec3(1.0, sample);
+    return Seen(
+        distance_m * ray.xyz,
+        from_octahedron(bitcast<vec2<f32>>(packed.xy)),
+        from_octahedron(unpack2x16snorm(packed.z)),
+        packed.w,
+    );
+}

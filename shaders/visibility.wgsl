@@ -1,0 +1,25 @@
+// What each sample shows: which thing, and how its surface lies there. Light falls on it in the next pass.
+//
+// Not in the same draw, because triangles are small: a device shades 2 x 2 samples at a time, a driver that runs on the
+// CPU 4 x 4, as often as triangles touch them.
+
+struct Varyings {
+    @builtin(position) clip: vec4<f32>,
+    // Metres from the eye, world axes.
+    @location(0) offset: vec3<f32>,
+    @location(1) normal: vec3<f32>,
+}
+
+@vertex
+fn vs_main(@location(0) position: vec3<f32>, @location(1) normal: vec3<f32>) -> Varyings {
+    let offset = (instance.origin - frame.eye) + instance.scale * position;
+    return Varyings(frame.clip_from_offset * vec4(offset, 1.0), offset, normal);
+}
+
+// Read by `seen_at` in common/seen.wgsl.
+@fragment
+fn fs_main(in: Varyings) -> @location(0) vec4<u32> {
+    let facet = cross(dpdx(in.offset), dpdy(in.offset));
+    let to_eye = select(-facet, facet, dot(facet, in.offset) < 0.0);
+    return vec4(bitcast<vec2<u32>>(octahedron(in.normal)), pack2x16snorm(octahedron(to_eye)), instance.slot);
+}
