@@ -15,9 +15,14 @@ const RELIEF_DETAIL: u32 = 1u;
 const TEXTURE_DETAIL: u32 = 2u;
 
 @fragment
-fn fs_main(@builtin(position) sample: vec4<f32>) -> SceneOut {
-    let seen = seen_at(sample.xy);
-    var thing = instance;
+fn fs_main(in: Corner) -> SceneOut {
+    light = light_from(in);
+    let seen = seen_at(in.clip.xy);
+    var thing = Instance();
+    thing.colour = light.colour;
+    thing.roughness = light.roughness;
+    thing.surge = light.surge;
+    thing.class_id = light.class_id;
     if OF_MANY { thing = instances[seen.slot].thing; }
     let smooth_normal = seen.normal;
     let to_eye = -normalize(seen.offset);
@@ -27,9 +32,9 @@ fn fs_main(@builtin(position) sample: vec4<f32>) -> SceneOut {
         normal = ground_normal(seen.offset, smooth_normal, to_eye);
     }
     if DETAIL == TEXTURE_DETAIL {
-        let sample_m = relief.sample_angle * length(seen.offset);
+        let sample_m = light.sample_angle * length(seen.offset);
         let seed = bitcast<u32>(thing.origin.x);
-        let texture = solid_texture(frame.eye + seen.offset - thing.origin, sample_m, seed);
+        let texture = solid_texture(light.eye + seen.offset - thing.origin, sample_m, seed);
         let across = texture.xyz - smooth_normal * dot(texture.xyz, smooth_normal);
         normal = normalize(smooth_normal - across);
         // Soil lies where the rock is level enough, with an edge that its texture frays.
@@ -42,35 +47,35 @@ fn fs_main(@builtin(position) sample: vec4<f32>) -> SceneOut {
         normal = normalize(normal + max(least - dot(normal, to_eye), 0.0) * to_eye);
     }
     let cos_eye = max(dot(normal, to_eye), 0.0);
-    let cos_light = max(dot(normal, frame.sun_direction), 0.0);
-    let place = frame.eye + seen.offset;
+    let cos_light = max(dot(normal, light.sun_direction), 0.0);
+    let place = light.eye + seen.offset;
     // A surface that is turned away from the sun hides it.
-    let faces_sun = dot(smooth_normal, frame.sun_direction) > 0.0;
+    let faces_sun = dot(smooth_normal, light.sun_direction) > 0.0;
     // How much of the sun's disc other ground leaves.
     var open = 1.0;
     if SHADES == 1u { open = horizon_visibility(place); }
     var visible = select(0.0, open, faces_sun);
     if SHADES == 2u && faces_sun {
-        visible = sun_visibility(place, seen.facet_normal, smooth_normal, pattern_turn(sample.xy));
+        visible = sun_visibility(place, seen.facet_normal, smooth_normal, pattern_turn(in.clip.xy));
     }
     var direct = 0.0;
     if cos_light > 0.0 {
-        let cos_phase = dot(frame.sun_direction, to_eye);
+        let cos_phase = dot(light.sun_direction, to_eye);
         direct = visible * reflected(LAW, thing.roughness, thing.surge, cos_light, cos_eye, cos_phase);
     }
-    var bounced = sky_light(frame.sky_radiance, normal);
+    var bounced = sky_light(light.sky_radiance, normal);
     if LAW == HAPKE {
         if DETAIL == RELIEF_DETAIL {
             // What lies in the shadow of ground has the same shadow around it.
             if SHADES == 2u && visible < 1.0 { open = horizon_visibility(place); }
-            bounced += bounce_on_ground(frame.ground_radiance, normal, frame.horizon_towards, open);
+            bounced += bounce_on_ground(light.ground_radiance, normal, light.horizon_towards, open);
         } else {
-            bounced += bounce_on_rock(frame.ground_radiance, normal, frame.horizon_towards);
+            bounced += bounce_on_rock(light.ground_radiance, normal, light.horizon_towards);
         }
     } else {
-        bounced += ground_bounce(frame.ground_radiance, normal, frame.horizon_towards);
+        bounced += ground_bounce(light.ground_radiance, normal, light.horizon_towards);
     }
-    let radiance = albedo * (direct * frame.sun_irradiance + frame.bounce_share * bounced / PI);
+    let radiance = albedo * (direct * light.sun_irradiance + light.bounce_share * bounced / PI);
     return SceneOut(vec4(radiance, 1.0), thing.class_id, vec4(normal, 1.0), thing.instance_id, 1.0 - visible);
 }
 
@@ -78,8 +83,8 @@ fn fs_main(@builtin(position) sample: vec4<f32>) -> SceneOut {
 fn ground_normal(offset: vec3<f32>, smooth_normal: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
     let facing = clamp(dot(smooth_normal, to_eye), 0.04, 1.0);
     // Samples lie further apart in depth than across: the mean of the two, in the logarithm.
-    let sample_m = relief.sample_angle * length(offset) * inverseSqrt(facing);
-    let slope = relief_slope(relief.eye_from_centre + offset.xy, sample_m);
+    let sample_m = light.sample_angle * length(offset) * inverseSqrt(facing);
+    let slope = relief_slope(light.eye_from_centre + offset.xy, sample_m);
     let z = max(smooth_normal.z, 0.1);
     return normalize(vec3(smooth_normal.xy / z - slope, 1.0));
 }

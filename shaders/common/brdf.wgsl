@@ -81,7 +81,7 @@ fn hapke(surge_height: f32, cos_light: f32, cos_eye: f32, cos_phase: f32) -> f32
     let mu = clamp(cos_eye, LEAST_COSINE, 1.0);
     let g = clamp(cos_phase, -1.0, 1.0);
     // Roughness.
-    let tan_bar = max(frame.hapke_tan_theta_bar, 1.0e-4);
+    let tan_bar = max(light.hapke_tan_theta_bar, 1.0e-4);
     let chi = inverseSqrt(1.0 + PI * tan_bar * tan_bar);
     let sin0 = sqrt(1.0 - mu0 * mu0);
     let sin1 = sqrt(1.0 - mu * mu);
@@ -109,19 +109,19 @@ fn hapke(surge_height: f32, cos_light: f32, cos_eye: f32, cos_phase: f32) -> f32
     let nearer = select(mu0 / eta_light, mu / eta_eye, light_leads);
     let shadowing = effective / eta_eye * (mu0 / eta_light) * chi / (1.0 - f + f * chi * nearer);
     // Grains.
-    let b = frame.hapke_b;
+    let b = light.hapke_b;
     let square = b * b;
     let back = (1.0 - square) * pow(1.0 - 2.0 * b * g + square, -1.5);
     let forth = (1.0 - square) * pow(1.0 + 2.0 * b * g + square, -1.5);
-    let phase = 0.5 * (1.0 + frame.hapke_c) * back + 0.5 * (1.0 - frame.hapke_c) * forth;
+    let phase = 0.5 * (1.0 + light.hapke_c) * back + 0.5 * (1.0 - light.hapke_c) * forth;
     let tan_half_phase = sqrt((1.0 - g) / max(1.0 + g, 1.0e-9));
-    let surge = 1.0 + surge_height / (1.0 + tan_half_phase / frame.hapke_h_s);
-    return 0.25 * frame.hapke_w * effective0 / (effective0 + effective)
+    let surge = 1.0 + surge_height / (1.0 + tan_half_phase / light.hapke_h_s);
+    return 0.25 * light.hapke_w * effective0 / (effective0 + effective)
         * (phase * surge + chandrasekhar(effective0) * chandrasekhar(effective) - 1.0) * shadowing;
 }
 
 fn chandrasekhar(x: f32) -> f32 {
-    let gamma = sqrt(1.0 - frame.hapke_w);
+    let gamma = sqrt(1.0 - light.hapke_w);
     let r0 = (1.0 - gamma) / (1.0 + gamma);
-    return 1.0 / (1.0 - frame.hapke_w * x * (r0 + 0.5 * (1.0 - 2.0 * r0 * x) * log((1.0 + x) / x)));
+    return 1.0 / (1.0 - light.hapke_w * x * (r0 + 0.5 * (1.0 - 2.0 * r0 * x) * log((1.0 + x) / x)));
 }

@@ -73,7 +73,7 @@ fn lattice_hash(x: i32, y: i32, z: i32, seed: u32) -> u32 {
 // Rise per metre along x and y that the mesh leaves out, at a place (metres from the centre) where samples of the
 // picture are `sample_m` apart on the ground.
 fn relief_slope(place: vec2<f32>, sample_m: f32) -> vec2<f32> {
-    let cell_m = relief.cell * sqrt(dot(place, place) + relief.eye_height_m * relief.eye_height_m);
+    let cell_m = light.cell * sqrt(dot(place, place) + light.eye_height_m * light.eye_height_m);
     // One by one: what lies at a place that is reckoned, a driver that runs on the CPU fetches for each sample by itself.
     var slope = wave_slope(relief.noise[0], true, place, cell_m, sample_m);
     slope += wave_slope(relief.noise[1], true, place, cell_m, sample_m);
@@ -187,7 +187,7 @@ fn pits_slope(lattice: Lattice, place: vec2<f32>, cell_m: f32, sample_m: f32) ->
 
 // Rise per metre away from the centre of a crater of an age in [0, 1), at a distance in radii.
 fn crater_steepness(r: f32, age: f32) -> f32 {
-    let fresh_share = relief.fresh_share;
+    let fresh_share = light.fresh_share;
     let wear = (age - fresh_share) / (1.0 - fresh_share);
     let fresh = 0.15 - 0.04 / max(fresh_share, 1.0e-6) * age;
     // 0.12 to 0.02 evenly in the logarithm.

@@ -21,19 +21,14 @@ struct Seen {
     slot: u32,
 }
 
-@vertex
-fn vs_main(@builtin(vertex_index) corner: u32) -> @builtin(position) vec4<f32> {
-    return vec4(f32(4u * (corner & 1u)) - 1.0, f32(2u * (corner & 2u)) - 1.0, 0.0, 1.0);
-}
-
 // At the middle of a sample.
 fn seen_at(sample: vec2<f32>) -> Seen {
     let at = vec2<i32>(sample);
     let packed = textureLoad(visible_map, at, 0);
-    let distance_m = frame.depth_scale_m / (textureLoad(depth_map, at, 0).r + frame.depth_offset);
-    let ray = frame.ray_from_sample * vec3(1.0, sample);
+    let distance_m = light.depth_scale_m / (textureLoad(depth_map, at, 0).r + light.depth_offset);
+    let ray = light.ray_corner + sample.x * light.ray_right + sample.y * light.ray_down;
     return Seen(
-        distance_m * ray.xyz,
+        distance_m * ray,
         from_octahedron(bitcast<vec2<f32>>(packed.xy)),
         from_octahedron(unpack2x16snorm(packed.z)),
         packed.w,

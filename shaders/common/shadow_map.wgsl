@@ -23,22 +23,22 @@ const GOLDEN_ANGLE: f32 = 2.39996323;
 // Fraction of the sun's disc seen at a place (metres, world) of a surface. `facet_normal` is that of its triangle,
 // `normal` the smooth one. `turn` in [0, 1) turns the pattern of the taps.
 fn sun_visibility(position: vec3<f32>, facet_normal: vec3<f32>, normal: vec3<f32>, turn: f32) -> f32 {
-    let facing = dot(facet_normal, frame.sun_direction);
+    let facing = dot(facet_normal, light.sun_direction);
     // How the facet's plane rises along the sun per metre across it.
-    let across = vec2(dot(facet_normal, frame.sun_right), dot(facet_normal, frame.sun_up));
+    let across = vec2(dot(facet_normal, light.sun_right), dot(facet_normal, light.sun_up));
     let rise = -across / select(min(facing, -0.15), max(facing, 0.15), facing > 0.0);
     // Where the smooth surface faces the sun and the facet hardly does, the facet lies behind the surface that it
     // stands for (the shadow terminator: Hanika 2021, "Hacking the Shadow Terminator", Ray Tracing Gems II): by up
     // to this share of its length.
-    let excess = clamp(3.0 * (dot(normal, frame.sun_direction) - facing), 0.0, 1.0);
+    let excess = clamp(3.0 * (dot(normal, light.sun_direction) - facing), 0.0, 1.0);
     let behind = 0.5 * excess * (1.0 - smoothstep(0.0, 0.1, facing));
-    let cells = i32(frame.caster_cells);
+    let cells = i32(light.caster_cells);
     // The finest grid that holds the place.
-    let from_centre = abs(position.xy - frame.caster_centre);
-    let out = log2(max(max(from_centre.x, from_centre.y), 1.0e-3) / frame.caster_half_m);
-    let level = clamp(i32(ceil(out)), 0, i32(frame.caster_levels) - 1);
-    let half_m = frame.caster_half_m * exp2(f32(level));
-    let origin = frame.caster_centre - half_m;
+    let from_centre = abs(position.xy - light.caster_centre);
+    let out = log2(max(max(from_centre.x, from_centre.y), 1.0e-3) / light.caster_half_m);
+    let level = clamp(i32(ceil(out)), 0, i32(light.caster_levels) - 1);
+    let half_m = light.caster_half_m * exp2(f32(level));
+    let origin = light.caster_centre - half_m;
     let cell_m = 2.0 * half_m / f32(cells);
     // What juts out over the border of the ground has the neighbours of its border.
     let cell = clamp(vec2<i32>(floor((position.xy - origin) / cell_m)), vec2(0), vec2(cells - 1));
@@ -57,10 +57,10 @@ fn sun_visibility(position: vec3<f32>, facet_normal: vec3<f32>, normal: vec3<f32
 
 // Fraction of the disc that stands above the ground's horizon. The horizon is taken as straight across the disc.
 fn horizon_visibility(position: vec3<f32>) -> f32 {
-    let out = log2(max(distance(position.xy, frame.horizon_centre), 1.0e-3) / frame.horizon_base_m);
-    let grid = frame.horizon[clamp(i32(ceil(out)), 0, i32(frame.horizon_levels) - 1)];
+    let out = log2(max(distance(position.xy, light.horizon_centre), 1.0e-3) / light.horizon_base_m);
+    let grid = frame.horizon[clamp(i32(ceil(out)), 0, i32(light.horizon_levels) - 1)];
     let offset = (position.xy - grid.origin) / grid.step_m;
-    let towards = frame.horizon_towards;
+    let towards = light.horizon_towards;
     let limit = vec2<f32>(grid.size) - 1.001;
     // Columns run towards the sun, rows across.
     let at = clamp(vec2(dot(offset, towards), dot(offset, vec2(-towards.y, towards.x))), vec2(0.0), limit);
@@ -93,11 +93,11 @@ fn caster_visibility(
 ) -> f32 {
     let offset = position - tiles[caster].centre;
     let half_extent_m = tiles[caster].half_extent_m;
-    let across = vec2(dot(offset, frame.sun_right), dot(offset, frame.sun_up));
-    let along = dot(offset, frame.sun_direction);
+    let across = vec2(dot(offset, light.sun_right), dot(offset, light.sun_up));
+    let along = dot(offset, light.sun_direction);
     let reach = half_extent_m - along;
     if reach <= 0.0 { return 1.0; }
-    let search_m = frame.sun_tan_half_angle * reach;
+    let search_m = light.sun_tan_half_angle * reach;
     if any(abs(across) > vec2(half_extent_m + search_m)) { return 1.0; }
     let tile = tiles[caster];
     let texels_per_m = 0.5 * tile.size_px / tile.half_extent_m;
@@ -124,7 +124,7 @@ fn caster_visibility(
         if blockers == 0.0 { return 1.0; }
         if blockers == f32(SEARCH_TAPS) { return 0.0; }
     }
-    let filter_px = frame.sun_tan_half_angle * height_m / max(blockers, 1.0) * texels_per_m;
+    let filter_px = light.sun_tan_half_angle * height_m / max(blockers, 1.0) * texels_per_m;
     let wide = filter_px >= NARROW_PX;
     let taps = select(1, FILTER_TAPS, wide);
     let radius_px = select(0.0, filter_px, wide);
@@ -168,6 +168,6 @@ fn caster_middle(tile: CasterTile, texel: vec2<i32>) -> f32 {
     let at = vec2<i32>(tile.origin_px) + texel;
     let front = textureLoad(shadow_atlas, at, 0).r;
     if front == 0.0 { return -1.0e9; }
-    let back = textureLoad(shadow_atlas, at + vec2(0, i32(frame.atlas_layer_px)), 0).r;
+    let back = textureLoad(shadow_atlas, at + vec2(0, i32(light.atlas_layer_px)), 0).r;
     return (front + back - 1.0) * tile.half_extent_m;
 }

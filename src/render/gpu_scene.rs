@@ -54,6 +54,8 @@ pub struct DrawList {
 pub struct Seen {
     /// How.
     pub lit: Lit,
+    /// The slot of the instance that it is, unless each sample tells.
+    pub instance: u32,
     /// Its slot among the reliefs below the mesh.
     pub relief: u32,
     /// What shows it.
@@ -83,8 +85,8 @@ pub enum Lit {
 
 impl Seen {
     /// Something that may be anywhere on the picture.
-    const fn anywhere(lit: Lit, draws: Vec<Draw>) -> Self {
-        Self { lit, relief: 0, draws, bounds: [Vec2::NEG_INFINITY, Vec2::INFINITY] }
+    const fn anywhere(lit: Lit, instance: u32, draws: Vec<Draw>) -> Self {
+        Self { lit, instance, relief: 0, draws, bounds: [Vec2::NEG_INFINITY, Vec2::INFINITY] }
     }
 
     /// Left, top, width and height of what it may cover of a picture of this many samples.
@@ -355,6 +357,7 @@ impl GpuScene {
             .map(|(relief, band)| {
                 [Shades::Nothing, Shades::Ground, Shades::Casters].map(|shades| Seen {
                     lit: Lit::Ground { shades, size: band.size },
+                    instance: 0,
                     relief: relief as u32,
                     draws: Vec::new(),
                     bounds: [Vec2::INFINITY, Vec2::NEG_INFINITY],
@@ -430,7 +433,7 @@ impl GpuScene {
         // Rocks before the ground that they cover, all before the sky.
         let [dark, lit] = rocks.map(near_to_far);
         for (shades, list) in [(Shades::Casters, lit), (Shades::Nothing, dark)] {
-            draws.seen.push(Seen::anywhere(Lit::Rocks { shades }, list));
+            draws.seen.push(Seen::anywhere(Lit::Rocks { shades }, 0, list));
         }
         draws.seen.extend(ground.into_iter().flatten());
         // Sky: stars before the dome that they cover.
@@ -451,12 +454,11 @@ impl GpuScene {
         for (slot, instance) in (0..).zip(&mut instances) {
             instance.slot = slot;
         }
-        let mut sky = Vec::new();
         for (level, range) in [(STAR_LEVEL, first_star..dome), (DOME_LEVEL, dome..dome + 1)] {
-            let indices = &self.sphere_levels[level];
-            sky.extend(range.map(|instance| Draw { indices: indices.clone(), base_vertex: 0, instance }));
+            let (instance, indices) = (range.start, &self.sphere_levels[level]);
+            let draw = |instance| Draw { indices: indices.clone(), base_vertex: 0, instance };
+            draws.seen.push(Seen::anywhere(Lit::Sky, instance, range.map(draw).collect()));
         }
-        draws.seen.push(Seen::anywhere(Lit::Sky, sky));
         draws.seen.retain(|seen| seen.draws.iter().any(|draw| !draw.indices.is_empty()));
         assert!(draws.seen.len() < 256, "the stencil tells them apart");
         self.draws = draws;

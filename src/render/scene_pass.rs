@@ -4,7 +4,7 @@
 use super::BindLayouts;
 use super::gpu_scene::{GpuScene, Lit, slot_stride};
 use super::relief::SIZES;
-use super::shaders::{ReliefUniforms, SKY, SURFACE};
+use super::shaders::{Instance, ReliefUniforms, SKY, SURFACE};
 use super::targets::{DEPTH_FORMAT, Plane, Targets};
 use crate::frame::Annotations;
 use crate::gpu::Gpu;
@@ -162,7 +162,9 @@ impl ScenePass {
             let made = self.pipelines.iter().find(|(made, _)| *made == (variant, seen.lit));
             pass.set_pipeline(&made.expect("pipelines are prepared before they are used").1);
             pass.set_stencil_reference(value);
-            pass.set_bind_group(1, instances, &[0, seen.relief * slot_stride::<ReliefUniforms>()]);
+            let slots =
+                [seen.instance * slot_stride::<Instance>(), seen.relief * slot_stride::<ReliefUniforms>()];
+            pass.set_bind_group(1, instances, &slots);
             let [x, y, width, height] = seen.within(targets.sample_size());
             pass.set_scissor_rect(x, y, width, height);
             pass.draw(0..3, 0..1);

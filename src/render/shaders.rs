@@ -38,10 +38,20 @@ pub static SHADOW: Program = program!("shadow", "frame", "scene");
 /// Which thing each sample shows.
 pub static VISIBILITY: Program = program!("visibility", "frame", "scene", "octahedron");
 /// Light on ground and rocks.
-pub static SURFACE: Program =
-    program!("surface", "frame", "scene", "octahedron", "seen", "planes", "shadow_map", "brdf", "relief");
+pub static SURFACE: Program = program!(
+    "surface",
+    "frame",
+    "scene",
+    "light",
+    "octahedron",
+    "seen",
+    "planes",
+    "shadow_map",
+    "brdf",
+    "relief"
+);
 /// Light of dome and stars.
-pub static SKY: Program = program!("sky", "frame", "scene", "octahedron", "seen", "planes");
+pub static SKY: Program = program!("sky", "frame", "scene", "light", "relief", "planes");
 /// Samples to pixels.
 pub static RESOLVE: Program = program!("resolve", "frame", "tone");
 
