@@ -352,7 +352,6 @@ impl Renderer {
                 &self.layouts.light,
                 &[
                     view(&targets.visible),
-                    view(&targets.depth),
                     scene.instances.buffer().as_entire_binding(),
                     view(self.shadow_pass.atlas()),
                     view(horizon),
@@ -415,7 +414,7 @@ impl BindLayouts {
                 &[buffer(wgpu::BufferBindingType::Uniform)],
             ),
             scene: group("scene", drawing, &[instance, read, relief]),
-            light: group("light", ShaderStages::FRAGMENT, &[uint, float, read, float, float, read]),
+            light: group("light", ShaderStages::FRAGMENT, &[uint, read, float, float, read]),
             resolve: group(
                 "resolve",
                 ShaderStages::COMPUTE,

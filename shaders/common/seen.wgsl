@@ -2,9 +2,7 @@
 // picture; the stencil says which samples are theirs.
 
 @group(2) @binding(0) var visible_map: texture_2d<u32>;
-// Depth, bound as plain numbers: GLSL cannot load from a depth texture.
-@group(2) @binding(1) var depth_map: texture_2d<f32>;
-@group(2) @binding(2) var<storage, read> instances: array<InstanceSlot>;
+@group(2) @binding(1) var<storage, read> instances: array<InstanceSlot>;
 
 struct InstanceSlot {
     thing: Instance,
@@ -25,12 +23,12 @@ struct Seen {
 fn seen_at(sample: vec2<f32>) -> Seen {
     let at = vec2<i32>(sample);
     let packed = textureLoad(visible_map, at, 0);
-    let distance_m = light.depth_scale_m / (textureLoad(depth_map, at, 0).r + light.depth_offset);
+    let distance_m = light.depth_scale_m / (bitcast<f32>(packed.w) + light.depth_offset);
     let ray = light.ray_corner + sample.x * light.ray_right + sample.y * light.ray_down;
     return Seen(
         distance_m * ray,
-        from_octahedron(bitcast<vec2<f32>>(packed.xy)),
+        from_octahedron(vec2<f32>(packed.xy & vec2(0xffffffu)) * (2.0 / 16777215.0) - 1.0),
         from_octahedron(unpack2x16snorm(packed.z)),
-        packed.w,
+        (packed.x >> 24u) | ((packed.y >> 24u) << 8u),
     );
 }

@@ -7,11 +7,11 @@
 // shadow maps": Woo 1992, Graphics Gems III, "The Shadow Depth Map Revisited").
 
 // Depth, bound as plain numbers: GLSL cannot load from a depth texture.
-@group(2) @binding(3) var shadow_atlas: texture_2d<f32>;
-@group(2) @binding(4) var horizon_map: texture_2d<f32>;
+@group(2) @binding(2) var shadow_atlas: texture_2d<f32>;
+@group(2) @binding(3) var horizon_map: texture_2d<f32>;
 // First the start of each cell's list (and the end of the last), then the lists: indices of tiles. A start has the
 // highest bit set where the horizon map is to be asked too.
-@group(2) @binding(5) var<storage, read> caster_grid: array<u32>;
+@group(2) @binding(4) var<storage, read> caster_grid: array<u32>;
 
 const ASK_HORIZON: u32 = 0x80000000u;
 const SEARCH_TAPS: i32 = 8;

@@ -210,15 +210,25 @@ impl Store {
         }
     }
 
-    fn write_at<T: bytemuck::NoUninit>(&self, gpu: &Gpu, offset: usize, data: &[T]) -> u64 {
-        let bytes: &[u8] = bytemuck::cast_slice(data);
-        gpu.queue.write_buffer(self.buffer(), offset as u64, bytes);
-        bytes.len() as u64
+    fn write<T: bytemuck::NoUninit>(&mut self, gpu: &Gpu, data: &[T]) -> u64 {
+        self.write_parts(gpu, &[data])
     }
 
-    fn write<T: bytemuck::NoUninit>(&mut self, gpu: &Gpu, data: &[T]) -> u64 {
-        self.reserve(gpu, std::mem::size_of_val(data));
-        self.write_at(gpu, 0, data)
+    /// Writes one after the other.
+    fn write_parts<T: bytemuck::NoUninit>(&mut self, gpu: &Gpu, parts: &[&[T]]) -> u64 {
+        let bytes: usize = parts.iter().map(|part| size_of_val(*part)).sum();
+        self.reserve(gpu, bytes);
+        let size = wgpu::BufferSize::new(bytes as u64);
+        // There is no view where something is wrong with the device, which it says itself.
+        if let Some(mut view) = size.and_then(|size| gpu.queue.write_buffer_with(self.buffer(), 0, size)) {
+            let mut start = 0;
+            for part in parts {
+                let part: &[u8] = bytemuck::cast_slice(part);
+                view.slice(start..start + part.len()).copy_from_slice(part);
+                start += part.len();
+            }
+        }
+        bytes as u64
     }
 }
 
@@ -386,7 +396,7 @@ impl GpuScene {
         let mut rocks = [const { Vec::new() }; 2];
         // Rocks: an instance each; as many vertices as the finer of its two uses needs, or as were picked.
         let rock_at_normal = at_normal(rock_surge);
-        let mut uploads: Vec<(usize, &[Vertex])> = Vec::new();
+        let mut uploads: Vec<&[Vertex]> = vec![&sphere, &scene.terrain.vertices];
         for (place, selected) in selection.rocks.iter().enumerate() {
             let rock = &scene.rocks[selected.rock];
             let instance = instances.len() as u32;
@@ -427,7 +437,7 @@ impl GpuScene {
                 tile_size_px: tile.size_px,
                 slot: 0,
             });
-            uploads.push((rock_base, vertices));
+            uploads.push(vertices);
             rock_base += vertices.len();
         }
         // Rocks before the ground that they cover, all before the sky.
@@ -462,12 +472,7 @@ impl GpuScene {
         draws.seen.retain(|seen| seen.draws.iter().any(|draw| !draw.indices.is_empty()));
         assert!(draws.seen.len() < 256, "the stencil tells them apart");
         self.draws = draws;
-        let stride = size_of::<Vertex>();
-        self.vertices.reserve(gpu, rock_base * stride);
-        uploads.extend([(0, &sphere[..]), (ground_base, &scene.terrain.vertices[..])]);
-        for (base, vertices) in uploads {
-            self.uploaded_bytes += self.vertices.write_at(gpu, base * stride, vertices);
-        }
+        self.uploaded_bytes += self.vertices.write_parts(gpu, &uploads);
         self.uploaded_bytes += self.instances.write(gpu, &slots(&instances));
         self.is_picked = facing.is_some();
         if self.is_picked {
