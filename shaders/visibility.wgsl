@@ -21,8 +21,8 @@ fn vs_main(@location(0) position: vec3<f32>, @location(1) normal: vec3<f32>) -> 
 fn fs_main(in: Varyings) -> @location(0) vec4<u32> {
     let facet = cross(dpdx(in.offset), dpdy(in.offset));
     let to_eye = select(-facet, facet, dot(facet, in.offset) < 0.0);
-    // The normal in 24 bits each way, beside the two bytes of the slot.
+    // The normal in 24 bits each way, beside the two bytes of the slot; one over the metres along the axis.
     let normal = vec2<u32>((0.5 + 0.5 * octahedron(in.normal)) * 16777215.0 + 0.5);
     let slot = vec2(instance.slot & 0xffu, instance.slot >> 8u);
-    return vec4(normal | (slot << vec2(24u)), pack2x16snorm(octahedron(to_eye)), bitcast<u32>(in.clip.z));
+    return vec4(normal | (slot << vec2(24u)), pack2x16snorm(octahedron(to_eye)), bitcast<u32>(in.clip.w));
 }

@@ -26,8 +26,6 @@ struct Light {
     hapke_c: f32,
     hapke_h_s: f32,
     hapke_tan_theta_bar: f32,
-    depth_scale_m: f32,
-    depth_offset: f32,
     ray_corner: vec3<f32>,
     ray_right: vec3<f32>,
     ray_down: vec3<f32>,
@@ -75,8 +73,8 @@ fn vs_main(@builtin(vertex_index) corner: u32) -> Corner {
         vec4(frame.ray_from_sample[0].xyz, frame.eye.x),
         vec4(frame.ray_from_sample[1].xyz, frame.eye.y),
         vec4(frame.ray_from_sample[2].xyz, frame.eye.z),
-        vec4(frame.sun_direction, frame.depth_scale_m),
-        vec4(frame.sun_right, frame.depth_offset),
+        vec4(frame.sun_direction, frame.atlas_layer_px),
+        vec4(frame.sun_right, f32(instance.class_id)),
         vec4(frame.sun_up, frame.sun_tan_half_angle),
         vec4(frame.sun_irradiance, frame.bounce_share),
         vec4(frame.ground_radiance, frame.caster_half_m),
@@ -90,8 +88,8 @@ fn vs_main(@builtin(vertex_index) corner: u32) -> Corner {
         vec4(
             relief.sample_angle,
             relief.fresh_share,
-            f32(instance.class_id) + 256.0 * frame.atlas_layer_px,
-            f32(frame.horizon_levels + 16u * frame.caster_levels + 256u * frame.caster_cells),
+            f32(frame.horizon_levels + 16u * frame.caster_levels),
+            f32(frame.caster_cells),
         ),
     );
 }
@@ -103,9 +101,7 @@ fn light_from(in: Corner) -> Light {
     out.ray_down = in.c.xyz;
     out.eye = vec3(in.a.w, in.b.w, in.c.w);
     out.sun_direction = in.d.xyz;
-    out.depth_scale_m = in.d.w;
     out.sun_right = in.e.xyz;
-    out.depth_offset = in.e.w;
     out.sun_up = in.f.xyz;
     out.sun_tan_half_angle = in.f.w;
     out.sun_irradiance = in.g.xyz;
@@ -130,12 +126,11 @@ fn light_from(in: Corner) -> Light {
     out.cell = in.n.w;
     out.sample_angle = in.o.x;
     out.fresh_share = in.o.y;
-    let class_and_layer = u32(in.o.z);
-    out.class_id = class_and_layer & 0xffu;
-    out.atlas_layer_px = class_and_layer >> 8u;
-    let counts = u32(in.o.w);
-    out.horizon_levels = counts & 0xfu;
-    out.caster_levels = (counts >> 4u) & 0xfu;
-    out.caster_cells = counts >> 8u;
+    out.atlas_layer_px = u32(in.d.w);
+    out.class_id = u32(in.e.w);
+    let levels = u32(in.o.z);
+    out.horizon_levels = levels & 0xfu;
+    out.caster_levels = levels >> 4u;
+    out.caster_cells = u32(in.o.w);
     return out;
 }

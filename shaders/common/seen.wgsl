@@ -23,10 +23,9 @@ struct Seen {
 fn seen_at(sample: vec2<f32>) -> Seen {
     let at = vec2<i32>(sample);
     let packed = textureLoad(visible_map, at, 0);
-    let distance_m = light.depth_scale_m / (bitcast<f32>(packed.w) + light.depth_offset);
     let ray = light.ray_corner + sample.x * light.ray_right + sample.y * light.ray_down;
     return Seen(
-        distance_m * ray,
+        ray / bitcast<f32>(packed.w),
         from_octahedron(vec2<f32>(packed.xy & vec2(0xffffffu)) * (2.0 / 16777215.0) - 1.0),
         from_octahedron(unpack2x16snorm(packed.z)),
         (packed.x >> 24u) | ((packed.y >> 24u) << 8u),
