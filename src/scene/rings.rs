@@ -165,12 +165,27 @@ impl Rings {
     /// The cell under a place, metres from the centre; beyond the last ring, the one inside it.
     #[must_use]
     pub fn locate(&self, offset: Vec2) -> CellPlace {
-        let (column, u) = self.column_at(pseudo_angle(self.local(offset)));
-        let (row, v) = self.row_at(offset.length_squared());
-        CellPlace { column, row, u, v }
+        let (turn, squared_m2) = (pseudo_angle(self.local(offset)), offset.length_squared());
+        let (column, row) = (self.column_of(turn), self.row_of(squared_m2));
+        let share = |x: f32, low: f32, high: f32| ((x - low) / (high - low)).clamp(0.0, 1.0);
+        CellPlace {
+            column: column as u32,
+            row: row as u32,
+            u: share(turn, self.turns[column], self.turns[column + 1]),
+            v: share(squared_m2.sqrt(), self.radii_m[row], self.radii_m[row + 1]),
+        }
     }
 
-    fn column_at(&self, turn: f32) -> (u32, f32) {
+    /// Column and row of that cell alone.
+    #[must_use]
+    #[inline]
+    pub fn cell(&self, offset: Vec2) -> [u32; 2] {
+        let turn = pseudo_angle(self.local(offset));
+        [self.column_of(turn) as u32, self.row_of(offset.length_squared()) as u32]
+    }
+
+    #[inline]
+    fn column_of(&self, turn: f32) -> usize {
         let bin = (turn * (TURN_BINS as f32 / 4.0)) as usize;
         let mut column = self.turn_bins[bin.min(TURN_BINS)] as usize;
         while column + 2 < self.turns.len() && self.turns[column + 1] <= turn {
@@ -179,11 +194,11 @@ impl Rings {
         while column > 0 && self.turns[column] > turn {
             column -= 1;
         }
-        let (low, high) = (self.turns[column], self.turns[column + 1]);
-        (column as u32, ((turn - low) / (high - low)).clamp(0.0, 1.0))
+        column
     }
 
-    fn row_at(&self, squared_m2: f32) -> (u32, f32) {
+    #[inline]
+    fn row_of(&self, squared_m2: f32) -> usize {
         let last = self.radii_m.len() - 2;
         let first_bin = (self.radii_m[1] * self.radii_m[1]).to_bits() >> (23 - BINS_PER_OCTAVE_LOG2);
         let bin = radius_bin(squared_m2, first_bin).min(self.radius_bins.len() - 1);
@@ -194,8 +209,7 @@ impl Rings {
         while row > 0 && self.radii_m[row] * self.radii_m[row] > squared_m2 {
             row -= 1;
         }
-        let (low, high) = (self.radii_m[row], self.radii_m[row + 1]);
-        (row as u32, ((squared_m2.sqrt() - low) / (high - low)).clamp(0.0, 1.0))
+        row
     }
 
     /// Columns and rows of vertices whose cells hold all that lies in a box (its lowest and highest corner, metres from
@@ -205,8 +219,8 @@ impl Rings {
         let corners = [low, Vec2::new(high.x, low.y), Vec2::new(low.x, high.y), high];
         let nearest = Vec2::ZERO.clamp(low, high);
         let furthest = corners.iter().fold(0.0_f32, |furthest, corner| furthest.max(corner.length_squared()));
-        let first = self.row_at(nearest.length_squared()).0.saturating_sub(1);
-        let rows = first..(self.row_at(furthest).0 + 3).min(self.rows() + 1);
+        let first = (self.row_of(nearest.length_squared()) as u32).saturating_sub(1);
+        let rows = first..(self.row_of(furthest) as u32 + 3).min(self.rows() + 1);
         // A chord lies inside its arc: a cell more on each side.
         let all = 0..self.columns() + 1;
         if nearest == Vec2::ZERO {
@@ -218,7 +232,7 @@ impl Rings {
         if behind && across {
             return [all, rows];
         }
-        let columns = local.map(|p| self.column_at(pseudo_angle(p)).0);
+        let columns = local.map(|p| self.column_of(pseudo_angle(p)) as u32);
         let (first, last) = columns.iter().fold((u32::MAX, 0), |(a, b), c| (a.min(*c), b.max(*c)));
         [first.saturating_sub(1)..(last + 3).min(self.columns() + 1), rows]
     }

@@ -279,21 +279,22 @@ impl Terrain {
     /// Height of the drawn triangles at a place, metres. Outside the ground: that of its border.
     #[must_use]
     pub fn surface_height_at(&self, p: Vec2) -> f32 {
-        let at = self.locate(p);
-        let corners = self.corners(at.column, at.row);
         match &self.layout {
             Layout::Square => {
-                let ([h00, h10, h01, h11], u, v) = (corners.map(|corner| corner.z), at.u, at.v);
+                let at = self.locate(p);
+                let [h00, h10, h01, h11] = self.corners(at.column, at.row).map(|corner| corner.z);
+                let (u, v) = (at.u, at.v);
                 if u >= v {
                     h00 + (h10 - h00) * u + (h11 - h10) * v
                 } else {
                     h00 + (h01 - h00) * v + (h11 - h01) * u
                 }
             }
-            Layout::Rings(_) => {
-                let [sw, se, nw, ne] = corners;
+            Layout::Rings(rings) => {
+                let [column, row] = rings.cell(p - self.centre);
+                let [sw, se, nw, ne] = self.corners(column, row);
                 let diagonal = (ne - sw).truncate();
-                let right = at.row > 0 && diagonal.perp_dot(p - sw.truncate()) < 0.0;
+                let right = row > 0 && diagonal.perp_dot(p - sw.truncate()) < 0.0;
                 plane_height(if right { [sw, se, ne] } else { [sw, ne, nw] }, p)
             }
         }
@@ -333,7 +334,8 @@ impl Terrain {
     /// Corners of a cell: south-west, south-east, north-west, north-east.
     #[must_use]
     pub fn corners(&self, column: u32, row: u32) -> [Vec3; 4] {
-        [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| self.position(column + dx, row + dy))
+        let at = |dx, dy| self.position(column + dx, row + dy);
+        [at(0, 0), at(1, 0), at(0, 1), at(1, 1)]
     }
 
     /// The cell under a place; outside the ground, the nearest on its border.
