@@ -66,7 +66,7 @@ pub struct Measured {
     pub total_ms: f64,
     /// Milliseconds of work by stage, of each frame.
     pub stages: Vec<StageTimes>,
-    /// Triangles drawn in the scene pass, of each frame.
+    /// Triangles drawn of what is seen, of each frame.
     pub triangles: Vec<f64>,
     /// Bytes written to the device, of each frame.
     pub upload_bytes: Vec<f64>,

@@ -63,7 +63,7 @@ struct Drawn {
 /// What drawing a frame took of the device.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Cost {
-    /// Triangles of the scene pass.
+    /// Triangles drawn of what is seen.
     pub triangles: u64,
     /// Bytes written to the device.
     pub uploaded_bytes: u64,

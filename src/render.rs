@@ -116,7 +116,7 @@ pub struct InFlight {
     submission: wgpu::SubmissionIndex,
     upload_ms: f64,
     uploaded: Instant,
-    /// Triangles of its scene pass.
+    /// Triangles drawn of what is seen in it.
     pub drawn_triangles: u64,
     /// Bytes that were written to the device for it.
     pub uploaded_bytes: u64,

@@ -299,7 +299,7 @@ impl GpuScene {
         Variant { annotations, law: self.law, detail: self.has_detail }
     }
 
-    /// Triangles drawn in the scene pass.
+    /// Triangles drawn of what is seen.
     #[must_use]
     pub fn drawn_triangles(&self) -> u64 {
         let count = |d: &Draw| u64::from(d.indices.end - d.indices.start) / 3;

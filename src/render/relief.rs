@@ -183,3 +183,74 @@ fn lattice_uniforms(lattice: &Lattice, amount: f32) -> LatticeUniforms {
         ..Default::default()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::params::sampler::Config;
+    use crate::scene::relief::mesh_share;
+
+    /// Twin of the function in `relief.wgsl`.
+    fn sample_share(size_m: f32, sample_m: f32) -> f32 {
+        (0.5 * size_m / sample_m - 1.0).clamp(0.0, 1.0)
+    }
+
+    #[test]
+    fn a_band_has_all_that_its_vertices_ask() {
+        let mut config = Config::new();
+        config.set_stage("surface").expect("a stage");
+        let (mut waves, mut pits) = (0, 0);
+        for (seed, size) in [(3, [512, 512]), (11, [160, 90])] {
+            let scene = Scene::build(seed, &config.draw(seed).expect("drawn")).expect("built");
+            let settings = RenderSettings::new(size, 4).expect("settings");
+            let selection = Selection::new(&scene, &settings);
+            let bands = Bands::new(&scene, &selection, &settings);
+            let spans: Vec<_> = ground_blocks(&scene.terrain).collect();
+            let relief = scene.relief.as_ref().expect("a relief");
+            let sample_angle = bands.bands[0].uniforms.sample_angle;
+            let row_len = scene.terrain.columns as usize + 1;
+            for &(block, _) in &selection.blocks {
+                let band = &bands.bands[bands.of_block(block)];
+                let has = |list: &[LatticeUniforms], lattice: &Lattice| {
+                    list.iter().any(|slot| slot.seed == lattice.seed && slot.cell_m == lattice.cell_m)
+                };
+                let [columns, rows] = spans[block].clone();
+                let places = rows.flat_map(|row| columns.clone().step_by(7).map(move |column| (row, column)));
+                for (row, column) in places {
+                    let vertex = scene.terrain.vertices[row as usize * row_len + column as usize];
+                    let to_eye = scene.camera.eye - vertex.position;
+                    let facing = vertex.normal.dot(to_eye.normalize()).clamp(LEAST_FACING, 1.0);
+                    let sample_m = sample_angle * to_eye.length() / facing.sqrt();
+                    let offset = vertex.position.truncate() - scene.terrain.centre;
+                    let Layout::Rings(rings) = &scene.terrain.layout else { unreachable!() };
+                    let cell_m = rings.cell_m(offset.length());
+                    let first = relief
+                        .octaves
+                        .partition_point(|octave| octave.lattice.cell_m >= 2.0 * CELLS_LEAST * cell_m);
+                    for octave in relief.octaves.iter().skip(first).take(OCTAVES_ASKED) {
+                        let size_m = octave.lattice.cell_m;
+                        if mesh_share(size_m, cell_m) < 1.0 && sample_share(size_m, sample_m) > 0.0 {
+                            waves += 1;
+                            assert!(has(&band.uniforms.noise, &octave.lattice), "a wave of {size_m} m");
+                        }
+                    }
+                    let lattices = &relief.craters.lattices;
+                    let whole =
+                        lattices.partition_point(|pits| 0.5 * pits.largest_m >= 2.0 * CELLS_LEAST * cell_m);
+                    for index in [whole, whole + 1, whole + 2, whole + 4, whole + 6] {
+                        let Some(wanted) = lattices.get(index) else { continue };
+                        if sample_share(wanted.largest_m, sample_m) > 0.0 {
+                            pits += 1;
+                            assert!(
+                                has(&band.uniforms.pits, &wanted.lattice),
+                                "pits of {} m",
+                                wanted.largest_m
+                            );
+                        }
+                    }
+                }
+            }
+        }
+        assert!(waves > 50_000 && pits > 50_000, "{waves} waves, {pits} pits");
+    }
+}

@@ -316,7 +316,7 @@ mod tests {
     }
 
     #[test]
-    fn geometry_programs_write_every_plane_and_know_no_class() {
+    fn programs_that_light_write_every_plane_and_none_knows_a_class() {
         for program in [&SURFACE, &SKY] {
             let module = parse(program);
             let entry = module.entry_points.iter().find(|e| e.name == "fs_main").expect("fs_main");
