@@ -4,7 +4,7 @@
 
 use std::ops::Range;
 
-use glam::{Mat4, UVec2, Vec2};
+use glam::{Mat4, UVec2, Vec2, Vec3};
 use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 
 use super::RenderSettings;
@@ -83,12 +83,31 @@ pub enum Lit {
     Sky,
 }
 
-impl Seen {
-    /// Something that may be anywhere on the picture.
-    const fn anywhere(lit: Lit, instance: u32, draws: Vec<Draw>) -> Self {
-        Self { lit, instance, relief: 0, draws, bounds: [Vec2::NEG_INFINITY, Vec2::INFINITY] }
-    }
+/// Bounds of nothing, and of what may be anywhere.
+const NOWHERE: [Vec2; 2] = [Vec2::INFINITY, Vec2::NEG_INFINITY];
+const ANYWHERE: [Vec2; 2] = [Vec2::NEG_INFINITY, Vec2::INFINITY];
 
+fn union(a: [Vec2; 2], b: [Vec2; 2]) -> [Vec2; 2] {
+    [a[0].min(b[0]), a[1].max(b[1])]
+}
+
+/// Where a ball may be on the picture, samples.
+fn ball_bounds(scene: &Scene, settings: &RenderSettings, centre: Vec3, radius_m: f32) -> [Vec2; 2] {
+    let camera = &scene.camera;
+    let offset = centre - camera.eye;
+    let ahead_m = offset.dot(camera.forward);
+    if ahead_m <= radius_m + camera.near_m {
+        return ANYWHERE;
+    }
+    let focal = (camera.focal_px(settings.size[0]) * f64::from(settings.samples_per_side)) as f32;
+    let middle = 0.5 * (UVec2::from(settings.size) * settings.samples_per_side).as_vec2();
+    let at = Vec2::new(offset.dot(camera.right), -offset.dot(camera.up));
+    let (near, far) = (focal / (ahead_m - radius_m), focal / (ahead_m + radius_m));
+    let (low, high) = (at - radius_m, at + radius_m);
+    [middle + (low * near).min(low * far), middle + (high * near).max(high * far)]
+}
+
+impl Seen {
     /// Left, top, width and height of what it may cover of a picture of this many samples.
     #[must_use]
     pub fn within(&self, sample_size: [u32; 2]) -> [u32; 4] {
@@ -370,7 +389,7 @@ impl GpuScene {
                     instance: 0,
                     relief: relief as u32,
                     draws: Vec::new(),
-                    bounds: [Vec2::INFINITY, Vec2::NEG_INFINITY],
+                    bounds: NOWHERE,
                 })
             })
             .collect();
@@ -381,7 +400,7 @@ impl GpuScene {
             let mut add = |shades: usize, indices, bounds: [Vec2; 2]| {
                 let seen = &mut ground[band][shades];
                 seen.draws.push(Draw { indices, base_vertex: ground_base as i32, instance: 0 });
-                seen.bounds = [seen.bounds[0].min(bounds[0]), seen.bounds[1].max(bounds[1])];
+                seen.bounds = union(seen.bounds, bounds);
             };
             if let Some(facing) = facing {
                 for (shades, chosen) in facing.ground[place].iter().enumerate() {
@@ -390,10 +409,11 @@ impl GpuScene {
                     }
                 }
             } else if let Some(known) = &self.ground {
-                add(2, known.blocks[block].clone(), [Vec2::NEG_INFINITY, Vec2::INFINITY]);
+                add(2, known.blocks[block].clone(), ANYWHERE);
             }
         }
         let mut rocks = [const { Vec::new() }; 2];
+        let mut rock_bounds = [NOWHERE; 2];
         // Rocks: an instance each; as many vertices as the finer of its two uses needs, or as were picked.
         let rock_at_normal = at_normal(rock_surge);
         let mut uploads: Vec<&[Vertex]> = vec![&sphere, &scene.terrain.vertices];
@@ -416,8 +436,12 @@ impl GpuScene {
             for (list, indices) in draws.casters.iter_mut().zip(casts) {
                 list.push(draw(indices));
             }
-            for (list, indices) in rocks.iter_mut().zip(seen) {
-                list.push((selected.nearest_m, draw(indices)));
+            let bounds = ball_bounds(scene, settings, rock.centre, rock.radius_m);
+            for ((list, around), indices) in rocks.iter_mut().zip(&mut rock_bounds).zip(seen) {
+                if !indices.is_empty() {
+                    list.push((selected.nearest_m, draw(indices)));
+                    *around = union(*around, bounds);
+                }
             }
             let counts = scene.label_rule.counts(rock, scene.camera.eye, focal_px);
             let tile =
@@ -441,10 +465,14 @@ impl GpuScene {
             rock_base += vertices.len();
         }
         // Rocks before the ground that they cover, all before the sky.
-        let [dark, lit] = rocks.map(near_to_far);
-        for (shades, list) in [(Shades::Casters, lit), (Shades::Nothing, dark)] {
-            draws.seen.push(Seen::anywhere(Lit::Rocks { shades }, 0, list));
-        }
+        let lit_rocks = [Shades::Nothing, Shades::Casters].into_iter().zip(rocks).zip(rock_bounds).rev();
+        draws.seen.extend(lit_rocks.map(|((shades, list), bounds)| Seen {
+            lit: Lit::Rocks { shades },
+            instance: 0,
+            relief: 0,
+            draws: near_to_far(list),
+            bounds,
+        }));
         draws.seen.extend(ground.into_iter().flatten());
         // Sky: stars before the dome that they cover.
         let in_sky = |origin, scale, colour| Instance {
@@ -467,7 +495,13 @@ impl GpuScene {
         for (level, range) in [(STAR_LEVEL, first_star..dome), (DOME_LEVEL, dome..dome + 1)] {
             let (instance, indices) = (range.start, &self.sphere_levels[level]);
             let draw = |instance| Draw { indices: indices.clone(), base_vertex: 0, instance };
-            draws.seen.push(Seen::anywhere(Lit::Sky, instance, range.map(draw).collect()));
+            draws.seen.push(Seen {
+                lit: Lit::Sky,
+                instance,
+                relief: 0,
+                draws: range.map(draw).collect(),
+                bounds: ANYWHERE,
+            });
         }
         draws.seen.retain(|seen| seen.draws.iter().any(|draw| !draw.indices.is_empty()));
         assert!(draws.seen.len() < 256, "the stencil tells them apart");
