@@ -35,6 +35,8 @@ struct Light {
     cell: f32,
     sample_angle: f32,
     fresh_share: f32,
+    waves: u32,
+    pits: u32,
     // Those of the `Instance` (common/scene.wgsl), where all samples of the draw show one.
     colour: vec3<f32>,
     roughness: f32,
@@ -89,7 +91,7 @@ fn vs_main(@builtin(vertex_index) corner: u32) -> Corner {
             relief.sample_angle,
             relief.fresh_share,
             f32(frame.horizon_levels + 16u * frame.caster_levels),
-            f32(frame.caster_cells),
+            f32(relief.waves + 16u * relief.pit_lattices + 256u * frame.caster_cells),
         ),
     );
 }
@@ -131,6 +133,9 @@ fn light_from(in: Corner) -> Light {
     let levels = u32(in.o.z);
     out.horizon_levels = levels & 0xfu;
     out.caster_levels = levels >> 4u;
-    out.caster_cells = u32(in.o.w);
+    let counts = u32(in.o.w);
+    out.waves = counts & 0xfu;
+    out.pits = (counts >> 4u) & 0xfu;
+    out.caster_cells = counts >> 8u;
     return out;
 }

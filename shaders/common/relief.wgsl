@@ -32,8 +32,9 @@ struct ReliefUniforms {
     sample_angle: f32,
     // Share of fresh craters.
     fresh_share: f32,
-    reserved: vec2<f32>,
-    // Those that some place of the draw asks, coarse to fine; the rest adds nothing.
+    // How many of the following some place of the draw asks, coarse to fine.
+    waves: u32,
+    pit_lattices: u32,
     noise: array<Lattice, 12>,
     pits: array<Lattice, 12>,
 }
@@ -41,9 +42,6 @@ struct ReliefUniforms {
 // That of the draw (src/render/relief.rs).
 @group(1) @binding(2) var<uniform> relief: ReliefUniforms;
 
-// How many waves and lattices of pits are summed up.
-override WAVES: u32 = 12u;
-override PITS: u32 = 12u;
 // These stand in src/scene/relief.rs and src/scene/craters.rs, where they are explained.
 const CELLS_LEAST: f32 = 3.0;
 const JITTER_CELLS: f32 = 0.17;
@@ -74,43 +72,16 @@ fn lattice_hash(x: i32, y: i32, z: i32, seed: u32) -> u32 {
 // picture are `sample_m` apart on the ground.
 fn relief_slope(place: vec2<f32>, sample_m: f32) -> vec2<f32> {
     let cell_m = light.cell * sqrt(dot(place, place) + light.eye_height_m * light.eye_height_m);
-    // One by one: what lies at a place that is reckoned, a driver that runs on the CPU fetches for each sample by itself.
-    var slope = wave_slope(relief.noise[0], true, place, cell_m, sample_m);
-    slope += wave_slope(relief.noise[1], true, place, cell_m, sample_m);
-    slope += wave_slope(relief.noise[2], true, place, cell_m, sample_m);
-    slope += wave_slope(relief.noise[3], true, place, cell_m, sample_m);
-    slope += wave_slope(relief.noise[4], true, place, cell_m, sample_m);
-    if WAVES > 5u { slope += wave_slope(relief.noise[5], true, place, cell_m, sample_m); }
-    if WAVES > 6u { slope += wave_slope(relief.noise[6], true, place, cell_m, sample_m); }
-    if WAVES > 7u { slope += wave_slope(relief.noise[7], asks_wave(relief.noise[0].cell_m, cell_m), place, cell_m, sample_m); }
-    if WAVES > 8u { slope += wave_slope(relief.noise[8], asks_wave(relief.noise[1].cell_m, cell_m), place, cell_m, sample_m); }
-    if WAVES > 9u { slope += wave_slope(relief.noise[9], asks_wave(relief.noise[2].cell_m, cell_m), place, cell_m, sample_m); }
-    if WAVES > 10u { slope += wave_slope(relief.noise[10], asks_wave(relief.noise[3].cell_m, cell_m), place, cell_m, sample_m); }
-    if WAVES > 11u { slope += wave_slope(relief.noise[11], asks_wave(relief.noise[4].cell_m, cell_m), place, cell_m, sample_m); }
-    slope += pits_slope(relief.pits[0], place, cell_m, sample_m);
-    slope += pits_slope(relief.pits[1], place, cell_m, sample_m);
-    slope += pits_slope(relief.pits[2], place, cell_m, sample_m);
-    slope += pits_slope(relief.pits[3], place, cell_m, sample_m);
-    slope += pits_slope(relief.pits[4], place, cell_m, sample_m);
-    slope += pits_slope(relief.pits[5], place, cell_m, sample_m);
-    slope += pits_slope(relief.pits[6], place, cell_m, sample_m);
-    if PITS > 7u { slope += pits_slope(relief.pits[7], place, cell_m, sample_m); }
-    if PITS > 8u { slope += pits_slope(relief.pits[8], place, cell_m, sample_m); }
-    if PITS > 9u { slope += pits_slope(relief.pits[9], place, cell_m, sample_m); }
-    if PITS > 10u { slope += pits_slope(relief.pits[10], place, cell_m, sample_m); }
-    if PITS > 11u { slope += pits_slope(relief.pits[11], place, cell_m, sample_m); }
+    var slope = vec2(0.0);
+    for (var k = 0u; k < light.waves; k++) {
+        let wave = relief.noise[k];
+        let share = (1.0 - mesh_share(wave.cell_m, cell_m)) * sample_share(wave.cell_m, sample_m);
+        slope += share * noise_slope(wave, place);
+    }
+    for (var k = 0u; k < light.pits; k++) {
+        slope += pits_slope(relief.pits[k], place, cell_m, sample_m);
+    }
     return slope;
-}
-
-// Whether a place asks a wave, from the size of the one seven before it, which the mesh must show whole: seven are asked.
-fn asks_wave(size_m: f32, cell_m: f32) -> bool {
-    return size_m >= 2.0 * CELLS_LEAST * cell_m;
-}
-
-// Slope of a wave, as far as the mesh leaves it out and the samples can show it.
-fn wave_slope(lattice: Lattice, asked: bool, place: vec2<f32>, cell_m: f32, sample_m: f32) -> vec2<f32> {
-    let share = (1.0 - mesh_share(lattice.cell_m, cell_m)) * sample_share(lattice.cell_m, sample_m);
-    return select(0.0, share, asked) * noise_slope(lattice, place);
 }
 
 fn to_lattice(lattice: Lattice, place: vec2<f32>) -> vec2<f32> {

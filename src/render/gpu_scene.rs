@@ -14,7 +14,7 @@ use super::relief::Bands;
 use super::resolve::{self, Packing};
 use super::scene_pass::Variant;
 use super::selection::{Selection, ground_blocks};
-use super::shaders::{CasterTile, FrameUniforms, HorizonLevel, Instance, ReliefUniforms};
+use super::shaders::{CasterTile, FrameUniforms, HorizonLevel, Instance};
 use super::shadow::{self, CasterGrids, Shades};
 use crate::class::ClassId;
 use crate::frame::{Annotation, Annotations};
@@ -67,12 +67,10 @@ pub struct Seen {
 /// By which program samples are lit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Lit {
-    /// Ground that these things can shade, with a relief below the mesh of this size (its place in [`super::relief::SIZES`]).
+    /// Ground that these things can shade.
     Ground {
         /// What can shade it.
         shades: Shades,
-        /// Size of the relief.
-        size: usize,
     },
     /// Rocks that these things can shade.
     Rocks {
@@ -293,8 +291,7 @@ impl GpuScene {
         let caster_grid = shadow::caster_grid(scene, casters, &horizon);
         let facing = pick_triangles.then(|| Facing::new(scene, &selection, settings, &caster_grid));
         let bands = Bands::new(scene, &selection, settings);
-        let reliefs: Vec<ReliefUniforms> = bands.bands.iter().map(|band| band.uniforms).collect();
-        self.uploaded_bytes += self.relief.write(gpu, &slots(&reliefs));
+        self.uploaded_bytes += self.relief.write(gpu, &slots(&bands.bands));
         self.upload_things(gpu, scene, settings, &selection, &bands, facing.as_ref());
         let tiles: Vec<CasterTile> = casters.iter().map(|caster| caster.tile).collect();
         self.uploaded_bytes += self.tiles.write(gpu, &tiles);
@@ -383,9 +380,9 @@ impl GpuScene {
             .bands
             .iter()
             .enumerate()
-            .map(|(relief, band)| {
+            .map(|(relief, _)| {
                 [Shades::Nothing, Shades::Ground, Shades::Casters].map(|shades| Seen {
-                    lit: Lit::Ground { shades, size: band.size },
+                    lit: Lit::Ground { shades },
                     instance: 0,
                     relief: relief as u32,
                     draws: Vec::new(),

@@ -1,8 +1,7 @@
 //! What each band of ground shows of the relief below its mesh: waves and pits between the size of its cells and the
 //! distance of samples.
 //!
-//! Each has uniforms of its own with just those, at fixed places: a driver that runs on the CPU would
-//! fetch what lies at a place that depends on the sample once for each sample.
+//! Each has uniforms of its own with just those, so that no sample sums up what it cannot show.
 //! Must not know: buffers.
 
 use std::ops::Range;
@@ -17,8 +16,6 @@ use crate::scene::relief::{CELLS_LEAST, Relief};
 use crate::scene::rings::Rings;
 use crate::scene::terrain::Layout;
 
-/// Octaves of waves that a place shows, from the first that the mesh does not show whole.
-const OCTAVES_ASKED: usize = 7;
 /// Of the first lattice of each octave of pits, how much smaller than the mesh's limit its largest may be: that of three
 /// octaves after the first.
 const FIRST_LATTICES_ASKED: f32 = 8.0;
@@ -34,23 +31,11 @@ const LEAST_FACING: f32 = 0.04;
 /// Bands of a picture; the values of its stencil are to tell them apart.
 const MOST_BANDS: usize = 40;
 
-/// Numbers of waves and of lattices of pits that a program sums up: that of a band is the first that has enough.
-pub const SIZES: [[usize; 2]; 3] = [[5, 7], [6, 7], [12, 12]];
-
-/// The relief of a band of ground: of rows of blocks.
-#[derive(Clone, Copy, Debug)]
-pub struct Band {
-    /// What the program is given.
-    pub uniforms: ReliefUniforms,
-    /// Place in [`SIZES`].
-    pub size: usize,
-}
-
 /// The bands of a picture.
 #[derive(Clone, Debug)]
 pub struct Bands {
     /// First one without waves and pits, for rocks, and for ground of which the mesh shows all.
-    pub bands: Vec<Band>,
+    pub bands: Vec<ReliefUniforms>,
     /// Rows of blocks in a band; none where there is but the first.
     rows: Option<usize>,
     /// Blocks in a row.
@@ -64,7 +49,7 @@ impl Bands {
         let terrain = &scene.terrain;
         let columns = terrain.columns.div_ceil(BLOCK_CELLS) as usize;
         let (Some(relief), Layout::Rings(rings)) = (&scene.relief, &terrain.layout) else {
-            let bands = vec![Band { uniforms: ReliefUniforms::default(), size: 0 }];
+            let bands = vec![ReliefUniforms::default()];
             return Self { bands, rows: None, columns };
         };
         let samples = (settings.size[0] * settings.samples_per_side) as f32;
@@ -78,15 +63,15 @@ impl Bands {
         };
         let rows = (terrain.rows.div_ceil(BLOCK_CELLS) as usize).div_ceil(MOST_BANDS);
         let spans: Vec<[Range<u32>; 2]> = ground_blocks(terrain).collect();
-        let bands = spans.chunks(rows * columns).enumerate().map(|(band, blocks)| {
-            let place = band * rows * columns;
+        let bands = spans.chunks(rows * columns).enumerate().map(|(number, blocks)| {
+            let place = number * rows * columns;
             let seen = selection.blocks.iter().filter_map(|(block, _)| blocks.get(block.checked_sub(place)?));
             let sample_m = seen.map(|span| least_sample_m(scene, span)).fold(f32::INFINITY, f32::min);
             let ends = blocks[0][1].start..blocks[blocks.len() - 1][1].end;
             let sample_m = common.sample_angle * sample_m / MARGIN;
-            Band::new(relief, common, cells_m(rings, &ends), sample_m)
+            band(relief, common, cells_m(rings, &ends), sample_m)
         });
-        let bands = std::iter::once(Band { uniforms: common, size: 0 }).chain(bands).collect();
+        let bands = std::iter::once(common).chain(bands).collect();
         Self { bands, rows: Some(rows), columns }
     }
 
@@ -97,55 +82,49 @@ impl Bands {
     }
 }
 
-impl Band {
-    /// That of ground with cells of these sizes, and samples as far apart as this or more, metres.
-    fn new(
-        relief: &Relief,
-        common: ReliefUniforms,
-        [smallest_m, largest_m]: [f32; 2],
-        sample_m: f32,
-    ) -> Self {
-        let mut uniforms = common;
-        let is_shown = |size_m: f32| size_m > 2.0 * sample_m;
-        // What is this large the mesh shows whole: everywhere, somewhere.
-        let (whole_m, some_whole_m) = (2.0 * CELLS_LEAST * largest_m, 2.0 * CELLS_LEAST * smallest_m);
-        let octaves = &relief.octaves;
-        let whole = |size_m: f32| octaves.partition_point(|octave| octave.lattice.cell_m >= size_m);
-        let end = (whole(some_whole_m) + OCTAVES_ASKED).min(octaves.len());
-        let shown =
-            octaves[whole(whole_m).min(end)..end].iter().take_while(|octave| is_shown(octave.lattice.cell_m));
-        let mut waves = 0;
-        for (slot, octave) in uniforms.noise.iter_mut().zip(shown) {
-            *slot = lattice_uniforms(&octave.lattice, octave.amplitude_m);
-            waves += 1;
-        }
-        // Of the first octave that is not whole both lattices are asked, of the next ones the first.
-        let mut pits = 0;
-        let lattices = relief.craters.lattices.iter().enumerate().filter_map(|(index, pits)| {
-            let asked = match (index as u32 / LATTICES, index as u32 % LATTICES) {
-                (0, _) => NO_LIMIT,
-                (_, 0) => FIRST_LATTICES_ASKED,
-                _ => 1.0,
-            };
-            // The smallest pits of a lattice are half as large as its largest.
-            let is_asked = asked * pits.largest_m >= 2.0 * CELLS_LEAST * smallest_m;
-            let is_below_mesh = 0.5 * pits.largest_m < whole_m;
-            let is_there = pits.chance > 0.0;
-            (is_asked && is_below_mesh && is_there && is_shown(pits.largest_m)).then_some((pits, asked))
-        });
-        for (slot, (lattice, asked)) in uniforms.pits.iter_mut().zip(lattices) {
-            *slot = LatticeUniforms {
-                largest_m: lattice.largest_m,
-                clods: lattice.clods,
-                asked,
-                ..lattice_uniforms(&lattice.lattice, lattice.chance)
-            };
-            pits += 1;
-        }
-        let size =
-            SIZES.iter().position(|[most_waves, most_pits]| waves <= *most_waves && pits <= *most_pits);
-        Self { uniforms, size: size.unwrap_or(SIZES.len() - 1) }
+/// The relief of ground with cells of these sizes, and samples as far apart as this or more, metres. What there is no room
+/// for is the finest.
+fn band(
+    relief: &Relief,
+    common: ReliefUniforms,
+    [smallest_m, largest_m]: [f32; 2],
+    sample_m: f32,
+) -> ReliefUniforms {
+    let mut uniforms = common;
+    let is_shown = |size_m: f32| size_m > 2.0 * sample_m;
+    // What is this large the mesh shows whole everywhere.
+    let whole_m = 2.0 * CELLS_LEAST * largest_m;
+    let octaves = relief.octaves.iter().filter(|octave| {
+        let size_m = octave.lattice.cell_m;
+        size_m < whole_m && is_shown(size_m)
+    });
+    for (slot, octave) in uniforms.noise.iter_mut().zip(octaves) {
+        *slot = lattice_uniforms(&octave.lattice, octave.amplitude_m);
+        uniforms.waves += 1;
     }
+    // Of the first octave that is not whole both lattices are asked, of the next ones the first.
+    let lattices = relief.craters.lattices.iter().enumerate().filter_map(|(index, pits)| {
+        let asked = match (index as u32 / LATTICES, index as u32 % LATTICES) {
+            (0, _) => NO_LIMIT,
+            (_, 0) => FIRST_LATTICES_ASKED,
+            _ => 1.0,
+        };
+        let is_asked = asked * pits.largest_m >= 2.0 * CELLS_LEAST * smallest_m;
+        // The smallest pits of a lattice are half as large as its largest.
+        let is_below_mesh = 0.5 * pits.largest_m < whole_m;
+        let is_there = pits.chance > 0.0;
+        (is_asked && is_below_mesh && is_there && is_shown(pits.largest_m)).then_some((pits, asked))
+    });
+    for (slot, (lattice, asked)) in uniforms.pits.iter_mut().zip(lattices) {
+        *slot = LatticeUniforms {
+            largest_m: lattice.largest_m,
+            clods: lattice.clods,
+            asked,
+            ..lattice_uniforms(&lattice.lattice, lattice.chance)
+        };
+        uniforms.pit_lattices += 1;
+    }
+    uniforms
 }
 
 /// Size of the smallest and of the largest of the cells of these rows, metres.
@@ -207,7 +186,7 @@ mod tests {
             let bands = Bands::new(&scene, &selection, &settings);
             let spans: Vec<_> = ground_blocks(&scene.terrain).collect();
             let relief = scene.relief.as_ref().expect("a relief");
-            let sample_angle = bands.bands[0].uniforms.sample_angle;
+            let sample_angle = bands.bands[0].sample_angle;
             let row_len = scene.terrain.columns as usize + 1;
             for &(block, _) in &selection.blocks {
                 let band = &bands.bands[bands.of_block(block)];
@@ -227,11 +206,11 @@ mod tests {
                     let first = relief
                         .octaves
                         .partition_point(|octave| octave.lattice.cell_m >= 2.0 * CELLS_LEAST * cell_m);
-                    for octave in relief.octaves.iter().skip(first).take(OCTAVES_ASKED) {
+                    for octave in relief.octaves.iter().skip(first) {
                         let size_m = octave.lattice.cell_m;
                         if mesh_share(size_m, cell_m) < 1.0 && sample_share(size_m, sample_m) > 0.0 {
                             waves += 1;
-                            assert!(has(&band.uniforms.noise, &octave.lattice), "a wave of {size_m} m");
+                            assert!(has(&band.noise, &octave.lattice), "a wave of {size_m} m");
                         }
                     }
                     let lattices = &relief.craters.lattices;
@@ -241,11 +220,7 @@ mod tests {
                         let Some(wanted) = lattices.get(index) else { continue };
                         if sample_share(wanted.largest_m, sample_m) > 0.0 {
                             pits += 1;
-                            assert!(
-                                has(&band.uniforms.pits, &wanted.lattice),
-                                "pits of {} m",
-                                wanted.largest_m
-                            );
+                            assert!(has(&band.pits, &wanted.lattice), "pits of {} m", wanted.largest_m);
                         }
                     }
                 }

@@ -3,7 +3,6 @@
 
 use super::BindLayouts;
 use super::gpu_scene::{GpuScene, Lit, slot_stride};
-use super::relief::SIZES;
 use super::shaders::{Instance, ReliefUniforms, SKY, SURFACE};
 use super::targets::{DEPTH_FORMAT, Plane, Targets};
 use crate::frame::Annotations;
@@ -59,22 +58,17 @@ impl ScenePass {
     }
 
     fn pipeline(&self, gpu: &Gpu, variant: Variant, lit: Lit) -> wgpu::RenderPipeline {
-        let surface = |shades, detail, size: usize, of_many: bool| {
-            let [waves, pits] = SIZES[size].map(|number| number as f64);
+        let surface = |shades, detail, of_many: bool| {
             vec![
                 ("SHADES", f64::from(shades as u32)),
                 ("LAW", f64::from(variant.law as u32)),
                 ("DETAIL", if variant.detail { detail } else { NO_DETAIL }),
-                ("WAVES", waves),
-                ("PITS", pits),
                 ("OF_MANY", f64::from(u8::from(of_many))),
             ]
         };
         let (label, module, constants) = match lit {
-            Lit::Ground { shades, size } => {
-                (SURFACE.name, &self.surface, surface(shades, RELIEF_DETAIL, size, false))
-            }
-            Lit::Rocks { shades } => (SURFACE.name, &self.surface, surface(shades, TEXTURE_DETAIL, 0, true)),
+            Lit::Ground { shades } => (SURFACE.name, &self.surface, surface(shades, RELIEF_DETAIL, false)),
+            Lit::Rocks { shades } => (SURFACE.name, &self.surface, surface(shades, TEXTURE_DETAIL, true)),
             Lit::Sky => (SKY.name, &self.sky, Vec::new()),
         };
         let targets = Plane::ALL.map(|plane| {

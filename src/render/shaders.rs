@@ -194,7 +194,8 @@ shader_struct! {
         cell: f32,
         sample_angle: f32,
         fresh_share: f32,
-        reserved: [f32; 2],
+        waves: u32,
+        pit_lattices: u32,
         noise: [LatticeUniforms; 12],
         pits: [LatticeUniforms; 12],
     }
