@@ -7,7 +7,6 @@ override SHADES: u32;
 override LAW: u32;
 // What detail below the mesh there is: none, that of the ground, that of rocks.
 override DETAIL: u32;
-
 // Whether it is one of many, so that each sample must look up which.
 override OF_MANY: bool;
 
@@ -32,7 +31,7 @@ fn fs_main(in: Corner) -> SceneOut {
         normal = ground_normal(seen.offset, smooth_normal, to_eye);
     }
     if DETAIL == TEXTURE_DETAIL {
-        let sample_m = light.sample_angle * length(seen.offset);
+        let sample_m = light.relief.sample_angle * length(seen.offset);
         let seed = bitcast<u32>(thing.origin.x);
         let texture = solid_texture(light.eye + seen.offset - thing.origin, sample_m, seed);
         let across = texture.xyz - smooth_normal * dot(texture.xyz, smooth_normal);
@@ -53,10 +52,13 @@ fn fs_main(in: Corner) -> SceneOut {
     let faces_sun = dot(smooth_normal, light.sun_direction) > 0.0;
     // How much of the sun's disc other ground leaves.
     var open = 1.0;
-    if SHADES == 1u { open = horizon_visibility(place); }
+    var cell = GridCell();
+    if SHADES == 2u { cell = grid_cell(place); }
+    if SHADES == 1u || cell.asks_horizon { open = horizon_visibility(place); }
     var visible = select(0.0, open, faces_sun);
     if SHADES == 2u && faces_sun {
-        visible = sun_visibility(place, seen.facet_normal, smooth_normal, pattern_turn(in.clip.xy));
+        let turn = pattern_turn(in.clip.xy);
+        visible = visibility_past_casters(cell, open, place, seen.facet_normal, smooth_normal, turn);
     }
     var direct = 0.0;
     if cos_light > 0.0 {
@@ -67,7 +69,6 @@ fn fs_main(in: Corner) -> SceneOut {
     if LAW == HAPKE {
         if DETAIL == RELIEF_DETAIL {
             // What lies in the shadow of ground has the same shadow around it.
-            if SHADES == 2u && visible < 1.0 { open = horizon_visibility(place); }
             bounced += bounce_on_ground(light.ground_radiance, normal, light.horizon_towards, open);
         } else {
             bounced += bounce_on_rock(light.ground_radiance, normal, light.horizon_towards);
@@ -83,8 +84,8 @@ fn fs_main(in: Corner) -> SceneOut {
 fn ground_normal(offset: vec3<f32>, smooth_normal: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
     let facing = clamp(dot(smooth_normal, to_eye), 0.04, 1.0);
     // Samples lie further apart in depth than across: the mean of the two, in the logarithm.
-    let sample_m = light.sample_angle * length(offset) * inverseSqrt(facing);
-    let slope = relief_slope(light.eye_from_centre + offset.xy, sample_m);
+    let sample_m = light.relief.sample_angle * length(offset) * inverseSqrt(facing);
+    let slope = relief_slope(light.relief.eye_from_centre + offset.xy, sample_m);
     let z = max(smooth_normal.z, 0.1);
     return normalize(vec3(smooth_normal.xy / z - slope, 1.0));
 }

@@ -31,6 +31,7 @@ use crate::error::{Error, Result};
 use crate::frame::{Annotation, Annotations, Frame};
 use crate::gpu::Gpu;
 use crate::scene::Scene;
+use crate::scene::camera::Camera;
 use crate::scene::mesh::Vertex;
 use gpu_scene::{Draw, GpuScene, slot_stride};
 use resolve::{PackedFrame, ResolvePass};
@@ -78,6 +79,22 @@ impl RenderSettings {
             }),
             _ => Err(Error::Usage(format!("--samples {samples}: allowed are 1, 4 (2 x 2) and 16 (4 x 4)"))),
         }
+    }
+
+    /// Columns and rows of samples.
+    #[must_use]
+    pub fn sample_size(&self) -> [u32; 2] {
+        self.size.map(|side| side * self.samples_per_side)
+    }
+
+    /// Tangent of the angle between two samples in the middle of the picture.
+    fn sample_angle(&self, camera: &Camera) -> f32 {
+        2.0 * camera.tan_half_fov / self.sample_size()[0] as f32
+    }
+
+    /// Focal length, samples.
+    fn focal_samples(&self, camera: &Camera) -> f32 {
+        (camera.focal_px(self.size[0]) * f64::from(self.samples_per_side)) as f32
     }
 }
 

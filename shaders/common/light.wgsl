@@ -29,14 +29,7 @@ struct Light {
     ray_corner: vec3<f32>,
     ray_right: vec3<f32>,
     ray_down: vec3<f32>,
-    // Those of `ReliefUniforms` (common/relief.wgsl).
-    eye_from_centre: vec2<f32>,
-    eye_height_m: f32,
-    cell: f32,
-    sample_angle: f32,
-    fresh_share: f32,
-    waves: u32,
-    pits: u32,
+    relief: ReliefView,
     // Those of the `Instance` (common/scene.wgsl), where all samples of the draw show one.
     colour: vec3<f32>,
     roughness: f32,
@@ -85,13 +78,13 @@ fn vs_main(@builtin(vertex_index) corner: u32) -> Corner {
         vec4(frame.caster_centre, frame.hapke_w, frame.hapke_b),
         vec4(frame.hapke_c, frame.hapke_h_s, frame.hapke_tan_theta_bar, instance.surge),
         vec4(instance.colour, instance.roughness),
-        vec4(relief.eye_from_centre, relief.eye_height_m, relief.cell),
+        vec4(relief.view.eye_from_centre, relief.view.eye_height_m, relief.view.cell),
         // Whole numbers below 2^24 come through as they are.
         vec4(
-            relief.sample_angle,
-            relief.fresh_share,
+            relief.view.sample_angle,
+            relief.view.fresh_share,
             f32(frame.horizon_levels + 16u * frame.caster_levels),
-            f32(relief.waves + 16u * relief.pit_lattices + 256u * frame.caster_cells),
+            f32(relief.view.waves + 16u * relief.view.pit_lattices + 256u * frame.caster_cells),
         ),
     );
 }
@@ -123,19 +116,13 @@ fn light_from(in: Corner) -> Light {
     out.surge = in.l.w;
     out.colour = in.m.xyz;
     out.roughness = in.m.w;
-    out.eye_from_centre = in.n.xy;
-    out.eye_height_m = in.n.z;
-    out.cell = in.n.w;
-    out.sample_angle = in.o.x;
-    out.fresh_share = in.o.y;
     out.atlas_layer_px = u32(in.d.w);
     out.class_id = u32(in.e.w);
     let levels = u32(in.o.z);
     out.horizon_levels = levels & 0xfu;
     out.caster_levels = levels >> 4u;
     let counts = u32(in.o.w);
-    out.waves = counts & 0xfu;
-    out.pits = (counts >> 4u) & 0xfu;
+    out.relief = ReliefView(in.n.xy, in.n.z, in.n.w, in.o.x, in.o.y, counts & 0xfu, (counts >> 4u) & 0xfu);
     out.caster_cells = counts >> 8u;
     return out;
 }

@@ -1,5 +1,5 @@
 // Slopes of the ground and of rocks below the size of the mesh's cells, down to that of a pixel. Twins:
-// `ReliefUniforms`, `LatticeUniforms` in src/render/shaders.rs; the height function is src/scene/relief.rs.
+// `ReliefUniforms`, `ReliefView`, `LatticeUniforms` in src/render/shaders.rs; the height function is src/scene/relief.rs.
 
 // A square lattice over the plane, for places in metres from the centre of the ground.
 struct Lattice {
@@ -21,7 +21,8 @@ struct Lattice {
     asked: f32,
 }
 
-struct ReliefUniforms {
+// What of the relief a draw shows, and to whom.
+struct ReliefView {
     // The eye, seen from above, metres from the centre of the ground.
     eye_from_centre: vec2<f32>,
     // Height of the eye that the mesh is made for, metres.
@@ -32,9 +33,14 @@ struct ReliefUniforms {
     sample_angle: f32,
     // Share of fresh craters.
     fresh_share: f32,
-    // How many of the following some place of the draw asks, coarse to fine.
+    // How many waves and lattices of pits some place of the draw asks.
     waves: u32,
     pit_lattices: u32,
+}
+
+struct ReliefUniforms {
+    view: ReliefView,
+    // Coarse to fine.
     noise: array<Lattice, 12>,
     pits: array<Lattice, 12>,
 }
@@ -71,14 +77,14 @@ fn lattice_hash(x: i32, y: i32, z: i32, seed: u32) -> u32 {
 // Rise per metre along x and y that the mesh leaves out, at a place (metres from the centre) where samples of the
 // picture are `sample_m` apart on the ground.
 fn relief_slope(place: vec2<f32>, sample_m: f32) -> vec2<f32> {
-    let cell_m = light.cell * sqrt(dot(place, place) + light.eye_height_m * light.eye_height_m);
+    let cell_m = light.relief.cell * sqrt(dot(place, place) + light.relief.eye_height_m * light.relief.eye_height_m);
     var slope = vec2(0.0);
-    for (var k = 0u; k < light.waves; k++) {
+    for (var k = 0u; k < light.relief.waves; k++) {
         let wave = relief.noise[k];
         let share = (1.0 - mesh_share(wave.cell_m, cell_m)) * sample_share(wave.cell_m, sample_m);
         slope += share * noise_slope(wave, place);
     }
-    for (var k = 0u; k < light.pits; k++) {
+    for (var k = 0u; k < light.relief.pit_lattices; k++) {
         slope += pits_slope(relief.pits[k], place, cell_m, sample_m);
     }
     return slope;
@@ -158,7 +164,7 @@ fn pits_slope(lattice: Lattice, place: vec2<f32>, cell_m: f32, sample_m: f32) ->
 
 // Rise per metre away from the centre of a crater of an age in [0, 1), at a distance in radii.
 fn crater_steepness(r: f32, age: f32) -> f32 {
-    let fresh_share = light.fresh_share;
+    let fresh_share = light.relief.fresh_share;
     let wear = (age - fresh_share) / (1.0 - fresh_share);
     let fresh = 0.15 - 0.04 / max(fresh_share, 1.0e-6) * age;
     // 0.12 to 0.02 evenly in the logarithm.

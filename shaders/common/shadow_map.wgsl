@@ -20,20 +20,18 @@ const FILTER_TAPS: i32 = 20;
 const NARROW_PX: f32 = 0.5;
 const GOLDEN_ANGLE: f32 = 2.39996323;
 
-// Fraction of the sun's disc seen at a place (metres, world) of a surface. `facet_normal` is that of its triangle,
-// `normal` the smooth one. `turn` in [0, 1) turns the pattern of the taps.
-fn sun_visibility(position: vec3<f32>, facet_normal: vec3<f32>, normal: vec3<f32>, turn: f32) -> f32 {
-    let facing = dot(facet_normal, light.sun_direction);
-    // How the facet's plane rises along the sun per metre across it.
-    let across = vec2(dot(facet_normal, light.sun_right), dot(facet_normal, light.sun_up));
-    let rise = -across / select(min(facing, -0.15), max(facing, 0.15), facing > 0.0);
-    // Where the smooth surface faces the sun and the facet hardly does, the facet lies behind the surface that it
-    // stands for (the shadow terminator: Hanika 2021, "Hacking the Shadow Terminator", Ray Tracing Gems II): by up
-    // to this share of its length.
-    let excess = clamp(3.0 * (dot(normal, light.sun_direction) - facing), 0.0, 1.0);
-    let behind = 0.5 * excess * (1.0 - smoothstep(0.0, 0.1, facing));
+// What a place must ask.
+struct GridCell {
+    // Its casters, from and up to which place in the grid.
+    first: u32,
+    end: u32,
+    // Whether other ground may hide some of the sun.
+    asks_horizon: bool,
+}
+
+// The cell of the finest grid that holds a place (metres, world).
+fn grid_cell(position: vec3<f32>) -> GridCell {
     let cells = i32(light.caster_cells);
-    // The finest grid that holds the place.
     let from_centre = abs(position.xy - light.caster_centre);
     let out = log2(max(max(from_centre.x, from_centre.y), 1.0e-3) / light.caster_half_m);
     let level = clamp(i32(ceil(out)), 0, i32(light.caster_levels) - 1);
@@ -45,11 +43,31 @@ fn sun_visibility(position: vec3<f32>, facet_normal: vec3<f32>, normal: vec3<f32
     let index = u32((level * cells + cell.y) * cells + cell.x);
     let start = caster_grid[index];
     let end = caster_grid[index + 1u] & ~ASK_HORIZON;
-    var visible = 1.0;
-    if (start & ASK_HORIZON) != 0u {
-        visible = horizon_visibility(position);
-    }
-    for (var i = start & ~ASK_HORIZON; i < end && visible > 0.0; i++) {
+    return GridCell(start & ~ASK_HORIZON, end, (start & ASK_HORIZON) != 0u);
+}
+
+// Fraction of the sun's disc seen past the casters of a cell at a place (metres, world) of a surface, from which other
+// ground leaves `open`. `facet_normal` is that of its triangle, `normal` the smooth one. `turn` in [0, 1) turns the pattern
+// of the taps.
+fn visibility_past_casters(
+    cell: GridCell,
+    open: f32,
+    position: vec3<f32>,
+    facet_normal: vec3<f32>,
+    normal: vec3<f32>,
+    turn: f32,
+) -> f32 {
+    let facing = dot(facet_normal, light.sun_direction);
+    // How the facet's plane rises along the sun per metre across it.
+    let across = vec2(dot(facet_normal, light.sun_right), dot(facet_normal, light.sun_up));
+    let rise = -across / select(min(facing, -0.15), max(facing, 0.15), facing > 0.0);
+    // Where the smooth surface faces the sun and the facet hardly does, the facet lies behind the surface that it
+    // stands for (the shadow terminator: Hanika 2021, "Hacking the Shadow Terminator", Ray Tracing Gems II): by up
+    // to this share of its length.
+    let excess = clamp(3.0 * (dot(normal, light.sun_direction) - facing), 0.0, 1.0);
+    let behind = 0.5 * excess * (1.0 - smoothstep(0.0, 0.1, facing));
+    var visible = open;
+    for (var i = cell.first; i < cell.end && visible > 0.0; i++) {
         visible *= caster_visibility(caster_grid[i], position, rise, behind, turn);
     }
     return visible;

@@ -132,11 +132,11 @@ const SIZED_CLASSES: [(&str, [u8; 3]); 4] =
 
 pub(super) fn rock_sizes_png(source: &Source<'_>) -> Result<Vec<u8>> {
     let frame = source.frame;
-    let large = |instance: u16| {
-        frame.rocks.iter().any(|rock| rock.instance == instance && rock.diameter_m >= LARGE_ROCK_M)
-    };
     let most = frame.rocks.iter().map(|rock| rock.instance).max().unwrap_or(0);
-    let is_large: Vec<bool> = (0..=most).map(large).collect();
+    let mut is_large = vec![false; usize::from(most) + 1];
+    for rock in &frame.rocks {
+        is_large[usize::from(rock.instance)] = rock.diameter_m >= LARGE_ROCK_M;
+    }
     let rgb: Vec<u8> = frame
         .class
         .iter()

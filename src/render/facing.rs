@@ -13,7 +13,7 @@ use glam::{Mat4, UVec2, Vec2, Vec3, Vec4, Vec4Swizzles};
 use rayon::prelude::*;
 
 use super::RenderSettings;
-use super::selection::{Frustum, SelectedRock, Selection, ground_blocks};
+use super::selection::{Bounds, Frustum, SelectedRock, Selection, ground_blocks};
 use super::shaders::CasterTile;
 use super::shadow::CasterGrids;
 use crate::scene::Scene;
@@ -57,23 +57,16 @@ pub struct Facing {
 pub struct GroundTriangles {
     /// Lists of indices.
     pub triangles: Vec<[u32; 3]>,
-    /// Lowest and highest place of their corners, samples.
-    pub bounds: [Vec2; 2],
+    /// Where they may be on the picture.
+    pub bounds: Bounds,
 }
 
 impl GroundTriangles {
-    const NONE: Self =
-        Self { triangles: Vec::new(), bounds: [Vec2::splat(f32::INFINITY), Vec2::splat(f32::NEG_INFINITY)] };
+    const NONE: Self = Self { triangles: Vec::new(), bounds: Bounds::NOWHERE };
 
     fn add(&mut self, triangle: [u32; 3], places: [Vec2; 3]) {
         self.triangles.push(triangle);
-        let [low, high] = &mut self.bounds;
-        for place in places {
-            // One that is not before the eye may be anywhere.
-            let (least, most) =
-                if place.is_finite() { (place, place) } else { (Vec2::NEG_INFINITY, Vec2::INFINITY) };
-            (*low, *high) = (low.min(least), high.max(most));
-        }
+        self.bounds = places.map(Bounds::of_place).into_iter().fold(self.bounds, Bounds::union);
     }
 }
 
@@ -113,7 +106,7 @@ struct Samples {
 
 impl Samples {
     fn of_picture(scene: &Scene, settings: &RenderSettings) -> Self {
-        let size = (UVec2::from(settings.size) * settings.samples_per_side).as_vec2();
+        let size = UVec2::from(settings.sample_size()).as_vec2();
         let from_eye = scene.camera.clip_from_world(settings.size) * Mat4::from_translation(scene.camera.eye);
         Self { from_offset: from_clip(size) * from_eye, size }
     }

@@ -4,7 +4,7 @@
 
 use std::ops::Range;
 
-use glam::{Mat4, UVec2, Vec2, Vec3};
+use glam::Mat4;
 use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 
 use super::RenderSettings;
@@ -13,7 +13,7 @@ use super::horizon::{self, HorizonMap};
 use super::relief::Bands;
 use super::resolve::{self, Packing};
 use super::scene_pass::Variant;
-use super::selection::{Selection, ground_blocks};
+use super::selection::{Bounds, Selection, ground_blocks};
 use super::shaders::{CasterTile, FrameUniforms, HorizonLevel, Instance};
 use super::shadow::{self, CasterGrids, Shades};
 use crate::class::ClassId;
@@ -60,8 +60,8 @@ pub struct Seen {
     pub relief: u32,
     /// What shows it.
     pub draws: Vec<Draw>,
-    /// Lowest and highest place that it may cover, samples; may lie outside the picture.
-    pub bounds: [Vec2; 2],
+    /// Where it may be on the picture.
+    pub bounds: Bounds,
 }
 
 /// By which program samples are lit.
@@ -79,42 +79,6 @@ pub enum Lit {
     },
     /// Dome and stars.
     Sky,
-}
-
-/// Bounds of nothing, and of what may be anywhere.
-const NOWHERE: [Vec2; 2] = [Vec2::INFINITY, Vec2::NEG_INFINITY];
-const ANYWHERE: [Vec2; 2] = [Vec2::NEG_INFINITY, Vec2::INFINITY];
-
-fn union(a: [Vec2; 2], b: [Vec2; 2]) -> [Vec2; 2] {
-    [a[0].min(b[0]), a[1].max(b[1])]
-}
-
-/// Where a ball may be on the picture, samples.
-fn ball_bounds(scene: &Scene, settings: &RenderSettings, centre: Vec3, radius_m: f32) -> [Vec2; 2] {
-    let camera = &scene.camera;
-    let offset = centre - camera.eye;
-    let ahead_m = offset.dot(camera.forward);
-    if ahead_m <= radius_m + camera.near_m {
-        return ANYWHERE;
-    }
-    let focal = (camera.focal_px(settings.size[0]) * f64::from(settings.samples_per_side)) as f32;
-    let middle = 0.5 * (UVec2::from(settings.size) * settings.samples_per_side).as_vec2();
-    let at = Vec2::new(offset.dot(camera.right), -offset.dot(camera.up));
-    let (near, far) = (focal / (ahead_m - radius_m), focal / (ahead_m + radius_m));
-    let (low, high) = (at - radius_m, at + radius_m);
-    [middle + (low * near).min(low * far), middle + (high * near).max(high * far)]
-}
-
-impl Seen {
-    /// Left, top, width and height of what it may cover of a picture of this many samples.
-    #[must_use]
-    pub fn within(&self, sample_size: [u32; 2]) -> [u32; 4] {
-        let size = UVec2::from(sample_size);
-        let [low, high] = self.bounds.map(|place| place.clamp(Vec2::ZERO, size.as_vec2()));
-        let (low, high) = ((low - 1.0).max(Vec2::ZERO).as_uvec2(), (high + 2.0).as_uvec2().min(size));
-        let extent = high.saturating_sub(low);
-        [low.x, low.y, extent.x, extent.y]
-    }
 }
 
 /// Everything of a scene that lies on the device. Buffers are kept and grow from frame to frame.
@@ -376,17 +340,14 @@ impl GpuScene {
             ..Default::default()
         }];
         // By what can shade it, for each band.
-        let mut ground: Vec<[Seen; 3]> = bands
-            .bands
-            .iter()
-            .enumerate()
-            .map(|(relief, _)| {
+        let mut ground: Vec<[Seen; 3]> = (0..bands.bands.len() as u32)
+            .map(|relief| {
                 [Shades::Nothing, Shades::Ground, Shades::Casters].map(|shades| Seen {
                     lit: Lit::Ground { shades },
                     instance: 0,
-                    relief: relief as u32,
+                    relief,
                     draws: Vec::new(),
-                    bounds: NOWHERE,
+                    bounds: Bounds::NOWHERE,
                 })
             })
             .collect();
@@ -394,10 +355,10 @@ impl GpuScene {
         blocks.sort_by(|a, b| a.1.1.total_cmp(&b.1.1));
         for (place, &(block, _)) in blocks {
             let band = bands.of_block(block);
-            let mut add = |shades: usize, indices, bounds: [Vec2; 2]| {
+            let mut add = |shades: usize, indices, bounds: Bounds| {
                 let seen = &mut ground[band][shades];
                 seen.draws.push(Draw { indices, base_vertex: ground_base as i32, instance: 0 });
-                seen.bounds = union(seen.bounds, bounds);
+                seen.bounds = seen.bounds.union(bounds);
             };
             if let Some(facing) = facing {
                 for (shades, chosen) in facing.ground[place].iter().enumerate() {
@@ -406,11 +367,11 @@ impl GpuScene {
                     }
                 }
             } else if let Some(known) = &self.ground {
-                add(2, known.blocks[block].clone(), ANYWHERE);
+                add(Shades::Casters as usize, known.blocks[block].clone(), Bounds::ANYWHERE);
             }
         }
         let mut rocks = [const { Vec::new() }; 2];
-        let mut rock_bounds = [NOWHERE; 2];
+        let mut rock_bounds = [Bounds::NOWHERE; 2];
         // Rocks: an instance each; as many vertices as the finer of its two uses needs, or as were picked.
         let rock_at_normal = at_normal(rock_surge);
         let mut uploads: Vec<&[Vertex]> = vec![&sphere, &scene.terrain.vertices];
@@ -433,11 +394,11 @@ impl GpuScene {
             for (list, indices) in draws.casters.iter_mut().zip(casts) {
                 list.push(draw(indices));
             }
-            let bounds = ball_bounds(scene, settings, rock.centre, rock.radius_m);
+            let bounds = Bounds::of_ball(scene, settings, rock.centre, rock.radius_m);
             for ((list, around), indices) in rocks.iter_mut().zip(&mut rock_bounds).zip(seen) {
                 if !indices.is_empty() {
                     list.push((selected.nearest_m, draw(indices)));
-                    *around = union(*around, bounds);
+                    *around = around.union(bounds);
                 }
             }
             let counts = scene.label_rule.counts(rock, scene.camera.eye, focal_px);
@@ -497,7 +458,7 @@ impl GpuScene {
                 instance,
                 relief: 0,
                 draws: range.map(draw).collect(),
-                bounds: ANYWHERE,
+                bounds: Bounds::ANYWHERE,
             });
         }
         draws.seen.retain(|seen| seen.draws.iter().any(|draw| !draw.indices.is_empty()));
@@ -544,7 +505,6 @@ fn frame_uniforms(
     let [sun_right, sun_up] = sun.right_and_up();
     let clip_from_offset = camera.clip_from_world(settings.size) * Mat4::from_translation(camera.eye);
     let packing = Packing::new(picture_size, settings.annotations);
-    let side = settings.samples_per_side;
     let lens = camera.lens;
     let grids = CasterGrids::new(&scene.terrain);
     let photometry = &scene.photometry;
@@ -586,7 +546,7 @@ fn frame_uniforms(
         hapke_h_s: photometry.soil.h_s as f32,
         hapke_tan_theta_bar: libm::tan(photometry.soil.theta_bar_deg.to_radians()) as f32,
         lens_k: [lens.k1 as f32, lens.k2 as f32, lens.k3 as f32],
-        focal_samples: (camera.focal_px(settings.size[0]) * f64::from(side)) as f32,
+        focal_samples: settings.focal_samples(camera),
         lens_p: glam::Vec2::new(lens.p1 as f32, lens.p2 as f32),
         depth_scale_m: camera.near_m * camera.far_m / (camera.far_m - camera.near_m),
         depth_offset: camera.near_m / (camera.far_m - camera.near_m),
@@ -610,9 +570,8 @@ fn near_to_far(mut list: Vec<(f32, Draw)>) -> Vec<Draw> {
 /// and a row.
 fn ray_from_sample(scene: &Scene, settings: &RenderSettings) -> [[f32; 4]; 3] {
     let camera = &scene.camera;
-    let width = (settings.size[0] * settings.samples_per_side) as f32;
     let aspect = settings.size[0] as f32 / settings.size[1] as f32;
-    let sample = 2.0 * camera.tan_half_fov / width;
+    let sample = settings.sample_angle(camera);
     let corner = camera.forward - camera.tan_half_fov * (camera.right - camera.up / aspect);
     [corner, sample * camera.right, -sample * camera.up].map(|v| v.extend(0.0).into())
 }

@@ -8,7 +8,7 @@ use std::ops::Range;
 
 use super::RenderSettings;
 use super::selection::{BLOCK_CELLS, Selection, ground_blocks};
-use super::shaders::{LatticeUniforms, ReliefUniforms};
+use super::shaders::{LatticeUniforms, ReliefUniforms, ReliefView};
 use crate::scene::Scene;
 use crate::scene::craters::LATTICES;
 use crate::scene::lattice::Lattice;
@@ -52,12 +52,11 @@ impl Bands {
             let bands = vec![ReliefUniforms::default()];
             return Self { bands, rows: None, columns };
         };
-        let samples = (settings.size[0] * settings.samples_per_side) as f32;
-        let common = ReliefUniforms {
+        let view = ReliefView {
             eye_from_centre: scene.camera.eye.truncate() - terrain.centre,
             eye_height_m: rings.view.eye_height_m,
             cell: rings.view.cell as f32,
-            sample_angle: 2.0 * scene.camera.tan_half_fov / samples,
+            sample_angle: settings.sample_angle(&scene.camera),
             fresh_share: relief.craters.fresh_share,
             ..Default::default()
         };
@@ -68,10 +67,10 @@ impl Bands {
             let seen = selection.blocks.iter().filter_map(|(block, _)| blocks.get(block.checked_sub(place)?));
             let sample_m = seen.map(|span| least_sample_m(scene, span)).fold(f32::INFINITY, f32::min);
             let ends = blocks[0][1].start..blocks[blocks.len() - 1][1].end;
-            let sample_m = common.sample_angle * sample_m / MARGIN;
-            band(relief, common, cells_m(rings, &ends), sample_m)
+            let sample_m = view.sample_angle * sample_m / MARGIN;
+            band(relief, view, cells_m(rings, &ends), sample_m)
         });
-        let bands = std::iter::once(common).chain(bands).collect();
+        let bands = std::iter::once(ReliefUniforms { view, ..Default::default() }).chain(bands).collect();
         Self { bands, rows: Some(rows), columns }
     }
 
@@ -86,11 +85,11 @@ impl Bands {
 /// for is the finest.
 fn band(
     relief: &Relief,
-    common: ReliefUniforms,
+    view: ReliefView,
     [smallest_m, largest_m]: [f32; 2],
     sample_m: f32,
 ) -> ReliefUniforms {
-    let mut uniforms = common;
+    let mut uniforms = ReliefUniforms { view, ..Default::default() };
     let is_shown = |size_m: f32| size_m > 2.0 * sample_m;
     // What is this large the mesh shows whole everywhere.
     let whole_m = 2.0 * CELLS_LEAST * largest_m;
@@ -100,7 +99,7 @@ fn band(
     });
     for (slot, octave) in uniforms.noise.iter_mut().zip(octaves) {
         *slot = lattice_uniforms(&octave.lattice, octave.amplitude_m);
-        uniforms.waves += 1;
+        uniforms.view.waves += 1;
     }
     // Of the first octave that is not whole both lattices are asked, of the next ones the first.
     let lattices = relief.craters.lattices.iter().enumerate().filter_map(|(index, pits)| {
@@ -122,7 +121,7 @@ fn band(
             asked,
             ..lattice_uniforms(&lattice.lattice, lattice.chance)
         };
-        uniforms.pit_lattices += 1;
+        uniforms.view.pit_lattices += 1;
     }
     uniforms
 }
@@ -186,7 +185,7 @@ mod tests {
             let bands = Bands::new(&scene, &selection, &settings);
             let spans: Vec<_> = ground_blocks(&scene.terrain).collect();
             let relief = scene.relief.as_ref().expect("a relief");
-            let sample_angle = bands.bands[0].sample_angle;
+            let sample_angle = bands.bands[0].view.sample_angle;
             let row_len = scene.terrain.columns as usize + 1;
             for &(block, _) in &selection.blocks {
                 let band = &bands.bands[bands.of_block(block)];

@@ -5,7 +5,7 @@
 
 use std::ops::Range;
 
-use glam::{Mat4, Vec2, Vec3, Vec4};
+use glam::{Mat4, UVec2, Vec2, Vec3, Vec4};
 
 use super::RenderSettings;
 use super::shadow::{self, Caster};
@@ -142,6 +142,59 @@ fn block_bounds(scene: &Scene, columns: &Range<u32>, rows: &Range<u32>) -> (Vec3
         }
     }
     (low, high)
+}
+
+/// A rectangle of the picture outside of which something is not seen, samples; it may reach beyond the picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bounds {
+    low: Vec2,
+    high: Vec2,
+}
+
+impl Bounds {
+    /// Of nothing.
+    pub const NOWHERE: Self = Self { low: Vec2::INFINITY, high: Vec2::NEG_INFINITY };
+    /// Of what may be anywhere.
+    pub const ANYWHERE: Self = Self { low: Vec2::NEG_INFINITY, high: Vec2::INFINITY };
+
+    /// Of what is seen at a place; not a number is one that is not before the eye and may be anywhere.
+    #[must_use]
+    pub fn of_place(place: Vec2) -> Self {
+        if place.is_finite() { Self { low: place, high: place } } else { Self::ANYWHERE }
+    }
+
+    /// Of a ball in the world.
+    #[must_use]
+    pub fn of_ball(scene: &Scene, settings: &RenderSettings, centre: Vec3, radius_m: f32) -> Self {
+        let camera = &scene.camera;
+        let offset = centre - camera.eye;
+        let ahead_m = offset.dot(camera.forward);
+        if ahead_m <= radius_m + camera.near_m {
+            return Self::ANYWHERE;
+        }
+        let focal = settings.focal_samples(camera);
+        let middle = 0.5 * UVec2::from(settings.sample_size()).as_vec2();
+        let at = Vec2::new(offset.dot(camera.right), -offset.dot(camera.up));
+        let (near, far) = (focal / (ahead_m - radius_m), focal / (ahead_m + radius_m));
+        let (low, high) = (at - radius_m, at + radius_m);
+        Self { low: middle + (low * near).min(low * far), high: middle + (high * near).max(high * far) }
+    }
+
+    /// Of both.
+    #[must_use]
+    pub fn union(self, other: Self) -> Self {
+        Self { low: self.low.min(other.low), high: self.high.max(other.high) }
+    }
+
+    /// Left, top, width and height of what it covers, and a sample around, of a picture of this many samples.
+    #[must_use]
+    pub fn within(self, sample_size: [u32; 2]) -> [u32; 4] {
+        let size = UVec2::from(sample_size);
+        let [low, high] = [self.low, self.high].map(|place| place.clamp(Vec2::ZERO, size.as_vec2()));
+        let (low, high) = ((low - 1.0).max(Vec2::ZERO).as_uvec2(), (high + 2.0).as_uvec2().min(size));
+        let extent = high.saturating_sub(low);
+        [low.x, low.y, extent.x, extent.y]
+    }
 }
 
 /// The six planes that bound what the camera sees. Tests may say yes for a thing just outside, never no for one

@@ -187,8 +187,8 @@ shader_struct! {
 }
 
 shader_struct! {
-    /// Twin of `ReliefUniforms` in `common/relief.wgsl`, where every field is explained.
-    ReliefUniforms {
+    /// Twin of `ReliefView` in `common/relief.wgsl`, where every field is explained.
+    ReliefView {
         eye_from_centre: Vec2,
         eye_height_m: f32,
         cell: f32,
@@ -196,6 +196,13 @@ shader_struct! {
         fresh_share: f32,
         waves: u32,
         pit_lattices: u32,
+    }
+}
+
+shader_struct! {
+    /// Twin of `ReliefUniforms` in `common/relief.wgsl`, where every field is explained.
+    ReliefUniforms {
+        view: ReliefView,
         noise: [LatticeUniforms; 12],
         pits: [LatticeUniforms; 12],
     }
@@ -286,6 +293,7 @@ mod tests {
             ("FrameUniforms", FrameUniforms::LAYOUT, size_of::<FrameUniforms>()),
             ("HorizonLevel", HorizonLevel::LAYOUT, size_of::<HorizonLevel>()),
             ("Lattice", LatticeUniforms::LAYOUT, size_of::<LatticeUniforms>()),
+            ("ReliefView", ReliefView::LAYOUT, size_of::<ReliefView>()),
             ("ReliefUniforms", ReliefUniforms::LAYOUT, size_of::<ReliefUniforms>()),
             ("Instance", Instance::LAYOUT, size_of::<Instance>()),
             ("CasterTile", CasterTile::LAYOUT, size_of::<CasterTile>()),
@@ -347,10 +355,10 @@ mod tests {
     #[test]
     fn a_line_of_the_joined_text_is_found_in_its_file() {
         let text = SURFACE.text();
-        let line = text.lines().position(|l| l.contains("fn sun_visibility")).expect("the function") + 1;
+        let line = text.lines().position(|l| l.contains("fn grid_cell")).expect("the function") + 1;
         let (file, line) = SURFACE.locate(line);
         assert_eq!(file, "common/shadow_map.wgsl");
         let own = SURFACE.files.iter().find(|f| f.0 == file).expect("the file").1;
-        assert!(own.lines().nth(line - 1).is_some_and(|l| l.contains("fn sun_visibility")));
+        assert!(own.lines().nth(line - 1).is_some_and(|l| l.contains("fn grid_cell")));
     }
 }

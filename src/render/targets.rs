@@ -101,6 +101,8 @@ pub struct Targets {
     pub size: [u32; 2],
     /// Samples along a side of a pixel.
     pub samples_per_side: u32,
+    /// Columns and rows of samples.
+    pub sample_size: [u32; 2],
     /// What is asked for.
     pub annotations: Annotations,
     /// One view a plane, as in [`Plane::ALL`]; of a single sample where the plane is not drawn.
@@ -141,13 +143,14 @@ impl Targets {
             let limit = mebibytes(limits.max_storage_buffer_binding_size);
             return Err(too_large(format!("{} in one buffer", mebibytes(packed_bytes)), limit));
         }
-        let sample_size = size.map(|side| side * samples_per_side);
+        let sample_size = settings.sample_size();
         let usage = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
         let texture = |label: &str, size, format| gpu.texture(label, size, format, usage).1;
         let (depth, depth_stencil) = gpu.texture("scene/depth", sample_size, DEPTH_FORMAT, usage);
         Ok(Self {
             size,
             samples_per_side,
+            sample_size,
             annotations,
             planes: Plane::ALL.map(|plane| {
                 let size = if plane.is_drawn(annotations) { sample_size } else { [1, 1] };
@@ -160,12 +163,6 @@ impl Targets {
                 ..Default::default()
             }),
         })
-    }
-
-    /// Columns and rows of samples.
-    #[must_use]
-    pub fn sample_size(&self) -> [u32; 2] {
-        self.size.map(|side| side * self.samples_per_side)
     }
 
     /// Whether they serve these settings.
