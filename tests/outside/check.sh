@@ -19,7 +19,7 @@ export PYTHONDONTWRITEBYTECODE=1 REGOLITH_BINARY=$binary REGOLITH_OUTSIDE=$targe
 fail() { echo "tests/outside: $*" >&2; exit 1; }
 
 [ -x "$binary" ] || fail "$binary is missing: cargo build --release"
-newer=$(find "$root/src" "$root/shaders" "$root/assets/presets" -newer "$binary" -type f | head -1)
+newer=$(find "$root/src" "$root/shaders" "$root/assets/presets" -newer "$binary" -type f -print -quit)
 [ -z "$newer" ] || fail "$binary is older than $newer: cargo build --release"
 
 python=${PYTHON:-$(command -v python3.11 || command -v python3)} || fail "no python3"
