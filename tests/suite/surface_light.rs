@@ -117,6 +117,46 @@ fn soil_has_the_colour_of_the_moon_and_a_monochrome_sensor_none() {
     assert!(grey("sensor.kind=mono") && !grey("sensor.kind=bayer"));
 }
 
+/// Part of the boundary between rock and soil has almost no contrast in frames of Chang'e-3: the two differ by less than 10 % at
+/// 15 % or more of the rocks' outermost pixels (counted where rock and soil are sunlit). With suns of the middle latitudes, where
+/// it landed: in low light from the side the faces of rocks are turned to the sun and soil is not, and fewer pixels are alike.
+#[test]
+fn part_of_the_boundary_of_rocks_has_almost_no_contrast() {
+    const SIDE: usize = 512;
+    const SEEDS: u64 = 12;
+    let (mut alike, mut sunlit, mut outermost) = (0.0, 0.0, 0.0);
+    for seed in 0..SEEDS {
+        let share = (seed as f64 + 0.5) / SEEDS as f64;
+        let elevation = format!("sun.elevation_deg={}", 15.0 + 30.0 * share);
+        // By the golden angle: spread evenly, and in no step with the elevation.
+        let azimuth = format!("sun.azimuth_deg={}", (137.508 * seed as f64) % 360.0);
+        let frame = frame(
+            &surface(seed, &[&elevation, &azimuth]),
+            SIDE as u32,
+            &[Annotation::Hdr, Annotation::Shadow],
+        );
+        let is_sunlit = |pixel: usize| frame.hidden[pixel] < 128;
+        for pixel in (0..SIDE * SIDE).filter(|pixel| frame.class[*pixel] == ClassId::ROCK.0) {
+            let (y, x) = (pixel / SIDE, pixel % SIDE);
+            let soil: Vec<usize> = [(y, x.wrapping_sub(1)), (y, x + 1), (y.wrapping_sub(1), x), (y + 1, x)]
+                .into_iter()
+                .filter(|(y, x)| *y < SIDE && *x < SIDE)
+                .map(|(y, x)| y * SIDE + x)
+                .filter(|neighbour| frame.class[*neighbour] == REGOLITH)
+                .collect();
+            outermost += f64::from(u8::from(!soil.is_empty()));
+            if soil.is_empty() || !is_sunlit(pixel) || !soil.iter().all(|pixel| is_sunlit(*pixel)) {
+                continue;
+            }
+            let around = soil.iter().map(|pixel| green(&frame, *pixel)).sum::<f64>() / soil.len() as f64;
+            sunlit += 1.0;
+            alike += f64::from(u8::from((green(&frame, pixel) / around - 1.0).abs() < 0.1));
+        }
+    }
+    println!("{outermost} pixels, {sunlit} of them sunlit, {alike} of them with less contrast than 10 %");
+    assert!(sunlit > 5000.0 && alike / sunlit >= 0.15, "{alike} of {sunlit}");
+}
+
 /// Real frames clip up to 3 % of the ground (1.8 % and 0 in two of Chang'e-3's) and have skies of 0 to 2 of 255.
 #[test]
 fn a_sensor_clips_little_and_keeps_the_sky_black() {
