@@ -17,7 +17,7 @@ use super::selection::{Bounds, Frustum, SelectedRock, Selection, ground_blocks};
 use super::shaders::CasterTile;
 use super::shadow::CasterGrids;
 use crate::scene::Scene;
-use crate::scene::mesh::Vertex;
+use crate::scene::mesh::{Icosphere, Vertex};
 use crate::scene::rocks::Rock;
 use crate::scene::sky::Sun;
 
@@ -76,9 +76,9 @@ impl Facing {
     pub fn new(scene: &Scene, selection: &Selection, settings: &RenderSettings, caster_grid: &[u32]) -> Self {
         let frustum = Frustum::new(&scene.camera.clip_from_world(settings.size));
         let samples = Samples::of_picture(scene, settings);
-        let rocks = selection.rocks.par_iter().map(|selected| {
+        let rocks = selection.rocks.par_iter().map_init(Scratch::default, |scratch, selected| {
             let mut triangles = RockTriangles::default();
-            triangles.choose(scene, selection, selected, &samples);
+            triangles.choose(scene, selection, selected, &samples, scratch);
             triangles
         });
         let rocks = rocks.collect();
@@ -126,14 +126,11 @@ impl Samples {
         if at.w > 1e-6 { at.xy() / at.w } else { Vec2::NAN }
     }
 
-    /// Whether a triangle may cover a sample.
-    fn may_be_covered(&self, [a, b, c]: [Vec2; 3]) -> bool {
-        // A place that is not before the eye makes the sums and what follows not a number, and no comparison true.
-        if !(a + b + c).is_finite() {
-            return true;
-        }
-        let low = (a.min(b).min(c) - (0.5 + MARGIN)).max(Vec2::ZERO);
-        let high = (a.max(b).max(c) - (0.5 - MARGIN)).min(self.size - 1.0);
+    /// Whether a triangle may cover a sample, whose corners have these extents.
+    fn may_be_covered(&self, [a, b, c]: [Vec4; 3]) -> bool {
+        let least = a.min(b).min(c);
+        let low = (least.xy() - (0.5 + MARGIN)).max(Vec2::ZERO);
+        let high = (-least.zw() - (0.5 - MARGIN)).min(self.size - 1.0);
         // A whole number between the two, each way: without `ceil`, which older processors have no instruction for.
         let (first, last) = (low.as_ivec2(), high.as_ivec2());
         let holds = |low: f32, first: i32, last: i32| last >= first + i32::from(low > first as f32);
@@ -148,58 +145,80 @@ fn from_clip(size: Vec2) -> Mat4 {
     Mat4::from_cols(x, y, Vec4::Z, Vec4::new(half.x, half.y, 0.0, 1.0))
 }
 
-/// Coordinates of vertices, reckoned when they are first asked for.
-struct Places {
-    samples: Samples,
-    /// From the mesh's origin to that of the samples.
-    shift: Vec3,
-    known: Vec<Option<Vec2>>,
+/// The coordinates of a corner and their opposites: the least of three corners' tell their extent both ways. A place that is
+/// not before the eye may be anywhere.
+fn extent(place: Vec2) -> Vec4 {
+    if place.is_nan() { Vec4::NEG_INFINITY } else { place.extend(-place.x).extend(-place.y) }
 }
 
-impl Places {
-    fn new(samples: Samples, shift: Vec3, vertices: &[Vertex]) -> Self {
-        Self { samples, shift, known: vec![None; vertices.len()] }
+/// What is kept from rock to rock, for its memory.
+#[derive(Default)]
+struct Scratch {
+    seen: Vec<Vec4>,
+    cast: Vec<Vec4>,
+    place: Vec<u32>,
+}
+
+/// Which triangles of a mesh may cover samples.
+struct Coverage<'a> {
+    samples: Samples,
+    /// Of each vertex.
+    extents: &'a [Vec4],
+}
+
+impl<'a> Coverage<'a> {
+    /// `shift` leads from the mesh's origin to that of the samples.
+    fn new(samples: Samples, shift: Vec3, vertices: &[Vertex], extents: &'a mut Vec<Vec4>) -> Self {
+        extents.clear();
+        extents.extend(vertices.iter().map(|vertex| extent(samples.place(vertex.position + shift))));
+        Self { samples, extents }
     }
 
-    fn may_be_covered(&mut self, vertices: &[Vertex], triangle: [u32; 3]) -> bool {
-        let places = triangle.map(|vertex| {
-            let known = &mut self.known[vertex as usize];
-            *known.get_or_insert_with(|| self.samples.place(vertices[vertex as usize].position + self.shift))
-        });
-        self.samples.may_be_covered(places)
+    fn may_have(&self, triangle: [u32; 3]) -> bool {
+        self.samples.may_be_covered(triangle.map(|vertex| self.extents[vertex as usize]))
     }
 }
 
 impl RockTriangles {
-    fn choose(&mut self, scene: &Scene, selection: &Selection, selected: &SelectedRock, samples: &Samples) {
+    fn choose(
+        &mut self,
+        scene: &Scene,
+        selection: &Selection,
+        selected: &SelectedRock,
+        samples: &Samples,
+        scratch: &mut Scratch,
+    ) {
         let rock = &scene.rocks[selected.rock];
         let sun = scene.sun.direction;
         let eye = scene.camera.eye - rock.centre;
         // Whatever lies below the lowest ground around the rock is under the ground.
         let buried_m = lowest_ground_m(scene, rock) - rock.centre.z;
-        let vertices = &rock.vertices;
-        let mut seen = selected.seen_level.map(|_| Places::new(*samples, -eye, vertices));
-        let mut cast = selected.caster.map(|(caster, _)| {
-            let tile = &selection.casters[caster].tile;
-            Places::new(Samples::of_tile(tile, &scene.sun), Vec3::ZERO, vertices)
-        });
-        let mut place = vec![u32::MAX; vertices.len()];
         // What is seen casts at the same level.
         let level = selected.seen_level.or(selected.caster.map(|caster| caster.1)).unwrap_or(0);
+        let vertices = &rock.vertices[..Icosphere::vertex_count(level.min(rock.level))];
+        let Scratch { seen, cast, place } = scratch;
+        let seen = selected.seen_level.map(|_| Coverage::new(*samples, -eye, vertices, seen));
+        let cast = selected.caster.map(|(caster, _)| {
+            let tile = &selection.casters[caster].tile;
+            Coverage::new(Samples::of_tile(tile, &scene.sun), Vec3::ZERO, vertices, cast)
+        });
+        place.clear();
+        place.resize(vertices.len(), u32::MAX);
+        let covers = |coverage: &Option<Coverage<'_>>, triangle| {
+            coverage.as_ref().is_some_and(|coverage| coverage.may_have(triangle))
+        };
         for &triangle in rock.triangles(level) {
             let corners = triangle.map(|vertex| vertices[vertex as usize]);
             let [a, b, c] = corners.map(|corner| corner.position);
             let normal = (b - a).cross(c - a);
             let facing = normal.dot(sun);
             let edge_on = facing * facing < EDGE_ON * EDGE_ON * normal.length_squared();
-            let covers = |places: &mut Option<Places>| {
-                places.as_mut().is_some_and(|places| places.may_be_covered(vertices, triangle))
-            };
-            let is_casting = covers(&mut cast);
-            let is_front = is_casting && (facing > 0.0 || edge_on);
+            let is_casting = covers(&cast, triangle);
+            let is_above = a.z.max(b.z).max(c.z) > buried_m;
+            // What leaves the rock towards the sun under the ground is in the shadow of the ground.
+            let is_front = is_casting && is_above && (facing > 0.0 || edge_on);
             let is_back = is_casting && (facing < 0.0 || edge_on);
-            let may_be_seen = may_face(normal, eye - a) && a.z.max(b.z).max(c.z) > buried_m;
-            let is_seen = may_be_seen && covers(&mut seen);
+            let is_seen = is_above && may_face(normal, eye - a) && covers(&seen, triangle);
             if !(is_seen || is_front || is_back) {
                 continue;
             }
@@ -264,7 +283,7 @@ fn ground_triangles(
                     continue;
                 }
                 let places = [a, b, c].map(|corner| samples.place(corner));
-                if samples.may_be_covered(places) {
+                if samples.may_be_covered(places.map(extent)) {
                     let shades = *shades.get_or_insert_with(|| {
                         grids.shades_over(caster_grid, low.truncate(), high.truncate())
                     });

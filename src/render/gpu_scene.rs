@@ -93,6 +93,8 @@ pub struct GpuScene {
     /// Triangles that were picked for this frame.
     picked: Store,
     is_picked: bool,
+    /// Those triangles, kept for their memory.
+    picked_triangles: Picked,
     /// `FrameUniforms`.
     pub frame: Store,
     /// `ReliefUniforms`, each in a slot of its own.
@@ -123,7 +125,7 @@ struct GroundBlocks {
 }
 
 /// Triangles that are picked for a frame.
-#[derive(Default)]
+#[derive(Debug, Default)]
 struct Picked {
     triangles: Vec<[u32; 3]>,
 }
@@ -221,6 +223,7 @@ impl Default for GpuScene {
             indices: Store::new("scene/indices", BufferUsages::INDEX),
             picked: Store::new("scene/picked_indices", BufferUsages::INDEX),
             is_picked: false,
+            picked_triangles: Picked::default(),
             frame: Store::new("frame/uniforms", BufferUsages::UNIFORM),
             relief: Store::new("scene/relief", BufferUsages::UNIFORM),
             law: Law::Lambert,
@@ -319,7 +322,8 @@ impl GpuScene {
         facing: Option<&Facing>,
     ) {
         let mut draws = DrawList::default();
-        let mut picked = Picked::default();
+        let mut picked = std::mem::take(&mut self.picked_triangles);
+        picked.triangles.clear();
         let sphere: Vec<Vertex> = Icosphere::shared().directions[..Icosphere::vertex_count(DOME_LEVEL)]
             .iter()
             .map(|&d| Vertex { position: d, normal: d })
@@ -470,6 +474,7 @@ impl GpuScene {
         if self.is_picked {
             self.uploaded_bytes += self.picked.write(gpu, picked.triangles.as_flattened());
         }
+        self.picked_triangles = picked;
     }
 
     fn upload_horizon(&mut self, gpu: &Gpu, map: &HorizonMap) {

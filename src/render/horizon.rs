@@ -144,8 +144,8 @@ impl HorizonMap {
                 size: grid.size.map(|side| side as u32),
                 reserved: [0; 2],
             });
-            if grid.size[0] == width {
-                map.heights_m.extend(grid.heights_m);
+            if map.heights_m.is_empty() && grid.size[0] == width {
+                map.heights_m = grid.heights_m;
             } else {
                 for row in grid.heights_m.chunks(grid.size[0]) {
                     map.heights_m.extend(row);
