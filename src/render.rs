@@ -454,11 +454,11 @@ fn draw_all(
     pass: &mut wgpu::RenderPass<'_>,
     group: &wgpu::BindGroup,
     scene: &GpuScene,
-    indices: &gpu_scene::Store,
+    (indices, format): (&gpu_scene::Store, wgpu::IndexFormat),
     draws: &[Draw],
 ) {
     pass.set_vertex_buffer(0, scene.vertices.buffer().slice(..));
-    pass.set_index_buffer(indices.buffer().slice(..), wgpu::IndexFormat::Uint32);
+    pass.set_index_buffer(indices.buffer().slice(..), format);
     let mut bound = None;
     for draw in draws.iter().filter(|draw| !draw.indices.is_empty()) {
         if bound.replace(draw.instance) != Some(draw.instance) {

@@ -29,17 +29,51 @@ const MARGIN: f32 = 0.03;
 /// Normals are turned from the sun if the sine of their angle to its terminator is above this, for the same reason.
 const DARK: f32 = 1e-4;
 
-/// What is drawn of a rock: triangles as lists of indices into `vertices`.
+/// A triangle by the places of its corners among the vertices that are kept of its mesh.
+pub type Triangle = [u16; 3];
+
+/// Vertices that are kept of a mesh, which has fewer than 2^16.
+#[derive(Clone, Debug, Default)]
+struct Kept {
+    vertices: Vec<Vertex>,
+    /// For each vertex of the mesh, its place among those, or [`Kept::NOT`].
+    places: Vec<u16>,
+}
+
+impl Kept {
+    const NOT: u16 = u16::MAX;
+
+    /// None yet of a mesh of so many.
+    fn restart(&mut self, count: usize) {
+        self.vertices.clear();
+        self.places.clear();
+        self.places.resize(count, Self::NOT);
+    }
+
+    /// Keeps the corners of a triangle.
+    fn keep(&mut self, triangle: [u32; 3], vertex: impl Fn(u32) -> Vertex) -> Triangle {
+        triangle.map(|corner| {
+            let place = &mut self.places[corner as usize];
+            if *place == Self::NOT {
+                *place = self.vertices.len() as u16;
+                self.vertices.push(vertex(corner));
+            }
+            *place
+        })
+    }
+}
+
+/// What is drawn of a rock.
 #[derive(Clone, Debug, Default)]
 pub struct RockTriangles {
     /// Those that the triangles need.
     pub vertices: Vec<Vertex>,
     /// What is seen: turned from the sun all over, and the rest.
-    pub seen: [Vec<[u32; 3]>; 2],
+    pub seen: [Vec<Triangle>; 2],
     /// What the shadow atlas needs: towards the sun.
-    pub fronts: Vec<[u32; 3]>,
+    pub fronts: Vec<Triangle>,
     /// Away from the sun.
-    pub backs: Vec<[u32; 3]>,
+    pub backs: Vec<Triangle>,
 }
 
 /// The triangles of a selection that matter.
@@ -47,16 +81,24 @@ pub struct RockTriangles {
 pub struct Facing {
     /// For each of [`Selection::rocks`].
     pub rocks: Vec<RockTriangles>,
-    /// For each of [`Selection::blocks`]: ground on which no shadow can fall, on which only that of ground can, and the
-    /// rest.
-    pub ground: Vec<[GroundTriangles; 3]>,
+    /// For each of [`Selection::blocks`].
+    pub ground: Vec<BlockTriangles>,
 }
 
 /// What is drawn of a block of ground.
 #[derive(Clone, Debug)]
+pub struct BlockTriangles {
+    /// Those that the triangles need.
+    pub vertices: Vec<Vertex>,
+    /// Ground on which no shadow can fall, on which only that of ground can, and the rest.
+    pub by_shades: [GroundTriangles; 3],
+}
+
+/// Triangles of a block of ground.
+#[derive(Clone, Debug)]
 pub struct GroundTriangles {
-    /// Lists of indices.
-    pub triangles: Vec<[u32; 3]>,
+    /// Them.
+    pub triangles: Vec<Triangle>,
     /// Where they may be on the picture.
     pub bounds: Bounds,
 }
@@ -64,7 +106,7 @@ pub struct GroundTriangles {
 impl GroundTriangles {
     const NONE: Self = Self { triangles: Vec::new(), bounds: Bounds::NOWHERE };
 
-    fn add(&mut self, triangle: [u32; 3], places: [Vec2; 3]) {
+    fn add(&mut self, triangle: Triangle, places: [Vec2; 3]) {
         self.triangles.push(triangle);
         self.bounds = places.map(Bounds::of_place).into_iter().fold(self.bounds, Bounds::union);
     }
@@ -87,8 +129,8 @@ impl Facing {
         let ground = selection
             .blocks
             .par_iter()
-            .map(|&(block, _)| {
-                ground_triangles(scene, &spans[block], &frustum, &samples, &grids, caster_grid)
+            .map_init(Kept::default, |kept, &(block, _)| {
+                ground_triangles(scene, &spans[block], &frustum, &samples, &grids, caster_grid, kept)
             })
             .collect();
         Self { rocks, ground }
@@ -156,7 +198,7 @@ fn extent(place: Vec2) -> Vec4 {
 struct Scratch {
     seen: Vec<Vec4>,
     cast: Vec<Vec4>,
-    place: Vec<u32>,
+    kept: Kept,
 }
 
 /// Which triangles of a mesh may cover samples.
@@ -196,14 +238,13 @@ impl RockTriangles {
         // What is seen casts at the same level.
         let level = selected.seen_level.or(selected.caster.map(|caster| caster.1)).unwrap_or(0);
         let vertices = &rock.vertices[..Icosphere::vertex_count(level.min(rock.level))];
-        let Scratch { seen, cast, place } = scratch;
+        let Scratch { seen, cast, kept } = scratch;
         let seen = selected.seen_level.map(|_| Coverage::new(*samples, -eye, vertices, seen));
         let cast = selected.caster.map(|(caster, _)| {
             let tile = &selection.casters[caster].tile;
             Coverage::new(Samples::of_tile(tile, &scene.sun), Vec3::ZERO, vertices, cast)
         });
-        place.clear();
-        place.resize(vertices.len(), u32::MAX);
+        kept.restart(vertices.len());
         let covers = |coverage: &Option<Coverage<'_>>, triangle| {
             coverage.as_ref().is_some_and(|coverage| coverage.may_have(triangle))
         };
@@ -222,14 +263,7 @@ impl RockTriangles {
             if !(is_seen || is_front || is_back) {
                 continue;
             }
-            let triangle = triangle.map(|vertex| {
-                let place = &mut place[vertex as usize];
-                if *place == u32::MAX {
-                    *place = self.vertices.len() as u32;
-                    self.vertices.push(vertices[vertex as usize]);
-                }
-                *place
-            });
+            let triangle = kept.keep(triangle, |vertex| vertices[vertex as usize]);
             if is_seen {
                 let dark = corners.iter().all(|corner| corner.normal.dot(sun) < -DARK);
                 self.seen[usize::from(!dark)].push(triangle);
@@ -241,6 +275,7 @@ impl RockTriangles {
                 self.backs.push(triangle);
             }
         }
+        self.vertices = kept.vertices.clone();
     }
 }
 
@@ -265,9 +300,16 @@ fn ground_triangles(
     samples: &Samples,
     grids: &CasterGrids,
     caster_grid: &[u32],
-) -> [GroundTriangles; 3] {
+    kept: &mut Kept,
+) -> BlockTriangles {
     let (terrain, eye) = (&scene.terrain, scene.camera.eye);
-    let mut lists = [GroundTriangles::NONE; 3];
+    let mut by_shades = [GroundTriangles::NONE; 3];
+    // Vertices by their place in the block.
+    let (row_len, block_row_len) = (terrain.columns + 1, columns.len() as u32 + 1);
+    let first = rows.start * row_len + columns.start;
+    let in_block = |vertex: u32| (vertex - first) / row_len * block_row_len + (vertex - first) % row_len;
+    let in_terrain = |vertex: u32| first + vertex / block_row_len * row_len + vertex % block_row_len;
+    kept.restart((block_row_len as usize) * (rows.len() + 1));
     for row in rows.clone() {
         for column in columns.clone() {
             let corners = terrain.corners(column, row);
@@ -287,12 +329,14 @@ fn ground_triangles(
                     let shades = *shades.get_or_insert_with(|| {
                         grids.shades_over(caster_grid, low.truncate(), high.truncate())
                     });
-                    lists[shades as usize].add(triangle, places);
+                    let triangle = kept
+                        .keep(triangle.map(in_block), |vertex| terrain.vertices[in_terrain(vertex) as usize]);
+                    by_shades[shades as usize].add(triangle, places);
                 }
             }
         }
     }
-    lists
+    BlockTriangles { vertices: kept.vertices.clone(), by_shades }
 }
 
 /// Whether a triangle with this normal, of any length, may face in the direction from a corner of it.

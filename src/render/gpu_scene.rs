@@ -5,10 +5,10 @@
 use std::ops::Range;
 
 use glam::Mat4;
-use wgpu::{BufferUsages, TextureFormat, TextureUsages};
+use wgpu::{BufferUsages, IndexFormat, TextureFormat, TextureUsages};
 
 use super::RenderSettings;
-use super::facing::Facing;
+use super::facing::{Facing, Triangle};
 use super::horizon::{self, HorizonMap};
 use super::relief::Bands;
 use super::resolve::{self, Packing};
@@ -127,12 +127,12 @@ struct GroundBlocks {
 /// Triangles that are picked for a frame.
 #[derive(Debug, Default)]
 struct Picked {
-    triangles: Vec<[u32; 3]>,
+    triangles: Vec<Triangle>,
 }
 
 impl Picked {
     /// Adds triangles and gives the range of their indices.
-    fn add(&mut self, triangles: &[[u32; 3]]) -> Range<u32> {
+    fn add(&mut self, triangles: &[Triangle]) -> Range<u32> {
         let start = 3 * self.triangles.len() as u32;
         self.triangles.extend(triangles);
         start..start + 3 * triangles.len() as u32
@@ -270,10 +270,16 @@ impl GpuScene {
         self.upload_horizon(gpu, &horizon);
     }
 
-    /// The indices of ground, rocks and casters; the sky's are whole meshes.
+    /// The indices of ground, rocks and casters.
     #[must_use]
-    pub const fn thing_indices(&self) -> &Store {
-        if self.is_picked { &self.picked } else { &self.indices }
+    pub const fn thing_indices(&self) -> (&Store, IndexFormat) {
+        if self.is_picked { (&self.picked, IndexFormat::Uint16) } else { self.whole_indices() }
+    }
+
+    /// The indices of whole meshes, which those of the sky are.
+    #[must_use]
+    pub const fn whole_indices(&self) -> (&Store, IndexFormat) {
+        (&self.indices, IndexFormat::Uint32)
     }
 
     /// What the pipelines must be made for, to draw it with these annotations.
@@ -328,8 +334,14 @@ impl GpuScene {
             .iter()
             .map(|&d| Vertex { position: d, normal: d })
             .collect();
-        let ground_base = sphere.len();
-        let mut rock_base = ground_base + scene.terrain.vertices.len();
+        let mut uploads: Vec<&[Vertex]> = vec![&sphere];
+        let mut next_vertex = sphere.len();
+        let mut upload = |vertices| {
+            uploads.push(vertices);
+            let first = next_vertex;
+            next_vertex += vertices.len();
+            first as i32
+        };
         let photometry = &scene.photometry;
         let (soil_surge, rock_surge) = (photometry.soil.b_s0 as f32, photometry.rock_b_s0 as f32);
         let at_normal = |surge: f32| photometry.at_normal(f64::from(surge)) as f32;
@@ -357,32 +369,33 @@ impl GpuScene {
             .collect();
         let mut blocks: Vec<(usize, &(usize, f32))> = selection.blocks.iter().enumerate().collect();
         blocks.sort_by(|a, b| a.1.1.total_cmp(&b.1.1));
+        let whole_ground = if facing.is_none() { upload(&scene.terrain.vertices) } else { 0 };
         for (place, &(block, _)) in blocks {
             let band = bands.of_block(block);
-            let mut add = |shades: usize, indices, bounds: Bounds| {
+            let mut add = |shades: usize, indices, base_vertex, bounds: Bounds| {
                 let seen = &mut ground[band][shades];
-                seen.draws.push(Draw { indices, base_vertex: ground_base as i32, instance: 0 });
+                seen.draws.push(Draw { indices, base_vertex, instance: 0 });
                 seen.bounds = seen.bounds.union(bounds);
             };
             if let Some(facing) = facing {
-                for (shades, chosen) in facing.ground[place].iter().enumerate() {
+                let block = &facing.ground[place];
+                let base = upload(&block.vertices);
+                for (shades, chosen) in block.by_shades.iter().enumerate() {
                     if !chosen.triangles.is_empty() {
-                        add(shades, picked.add(&chosen.triangles), chosen.bounds);
+                        add(shades, picked.add(&chosen.triangles), base, chosen.bounds);
                     }
                 }
             } else if let Some(known) = &self.ground {
-                add(Shades::Casters as usize, known.blocks[block].clone(), Bounds::ANYWHERE);
+                add(Shades::Casters as usize, known.blocks[block].clone(), whole_ground, Bounds::ANYWHERE);
             }
         }
         let mut rocks = [const { Vec::new() }; 2];
         let mut rock_bounds = [Bounds::NOWHERE; 2];
         // Rocks: an instance each; as many vertices as the finer of its two uses needs, or as were picked.
         let rock_at_normal = at_normal(rock_surge);
-        let mut uploads: Vec<&[Vertex]> = vec![&sphere, &scene.terrain.vertices];
         for (place, selected) in selection.rocks.iter().enumerate() {
             let rock = &scene.rocks[selected.rock];
             let instance = instances.len() as u32;
-            let draw = |indices| Draw { indices, base_vertex: rock_base as i32, instance };
             let (casts, seen, vertices) = if let Some(facing) = facing {
                 let chosen = &facing.rocks[place];
                 let casts = [&chosen.fronts, &chosen.backs].map(|triangles| picked.add(triangles));
@@ -395,6 +408,8 @@ impl GpuScene {
                 let vertices = &rock.vertices[..Icosphere::vertex_count(seen.max(casts).unwrap_or(0))];
                 ([whole(casts), whole(casts)], [0..0, whole(seen)], vertices)
             };
+            let base_vertex = upload(vertices);
+            let draw = |indices| Draw { indices, base_vertex, instance };
             for (list, indices) in draws.casters.iter_mut().zip(casts) {
                 list.push(draw(indices));
             }
@@ -423,8 +438,6 @@ impl GpuScene {
                 tile_size_px: tile.size_px,
                 slot: 0,
             });
-            uploads.push(vertices);
-            rock_base += vertices.len();
         }
         // Rocks before the ground that they cover, all before the sky.
         let lit_rocks = [Shades::Nothing, Shades::Casters].into_iter().zip(rocks).zip(rock_bounds).rev();
@@ -472,6 +485,10 @@ impl GpuScene {
         self.uploaded_bytes += self.instances.write(gpu, &slots(&instances));
         self.is_picked = facing.is_some();
         if self.is_picked {
+            // What is written has a whole number of words.
+            if !picked.triangles.len().is_multiple_of(2) {
+                picked.triangles.push([0; 3]);
+            }
             self.uploaded_bytes += self.picked.write(gpu, picked.triangles.as_flattened());
         }
         self.picked_triangles = picked;

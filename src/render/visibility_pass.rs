@@ -89,7 +89,7 @@ impl VisibilityPass {
         pass.set_bind_group(0, frame, &[]);
         for (value, seen) in (1..).zip(&scene.draws.seen) {
             let (pipeline, indices) = if seen.lit == Lit::Sky {
-                (&self.sky, &scene.indices)
+                (&self.sky, scene.whole_indices())
             } else {
                 (&self.things, scene.thing_indices())
             };
