@@ -255,11 +255,10 @@ impl RockTriangles {
             let facing = normal.dot(sun);
             let edge_on = facing * facing < EDGE_ON * EDGE_ON * normal.length_squared();
             let is_casting = covers(&cast, triangle);
-            let is_above = a.z.max(b.z).max(c.z) > buried_m;
-            // What leaves the rock towards the sun under the ground is in the shadow of the ground.
-            let is_front = is_casting && is_above && (facing > 0.0 || edge_on);
+            let is_front = is_casting && (facing > 0.0 || edge_on);
             let is_back = is_casting && (facing < 0.0 || edge_on);
-            let is_seen = is_above && may_face(normal, eye - a) && covers(&seen, triangle);
+            let may_be_seen = may_face(normal, eye - a) && a.z.max(b.z).max(c.z) > buried_m;
+            let is_seen = may_be_seen && covers(&seen, triangle);
             if !(is_seen || is_front || is_back) {
                 continue;
             }

@@ -94,17 +94,25 @@ impl Selection {
     /// Corners, seen from above, of boxes that hold all ground and rocks that may be seen, each with a distance from the
     /// ground's centre that nothing in it is nearer than; metres, world.
     #[must_use]
-    pub fn seen_boxes(&self, scene: &Scene) -> Vec<([Vec2; 4], f32)> {
+    pub fn seen_boxes(&self, scene: &Scene, settings: &RenderSettings) -> Vec<([Vec2; 4], f32)> {
         let terrain = &scene.terrain;
+        let frustum = Frustum::new(&scene.camera.clip_from_world(settings.size));
         let spans: Vec<_> = ground_blocks(terrain).collect();
         let boxed = |low: Vec2, high: Vec2| {
             let corners = [low, Vec2::new(high.x, low.y), Vec2::new(low.x, high.y), high];
             (corners, terrain.centre.clamp(low, high).distance(terrain.centre))
         };
-        let blocks = self.blocks.iter().map(|&(block, _)| {
+        let blocks = self.blocks.iter().filter_map(|&(block, _)| {
             let [columns, rows] = &spans[block];
-            let (low, high) = block_bounds(scene, columns, rows);
-            boxed(low.truncate(), high.truncate())
+            let (mut low, mut high) = block_bounds(scene, columns, rows);
+            // Where rays are few, at the back of rings, a block may reach around the eye: of such a one, the cells that may
+            // be seen.
+            if (high - low).length_squared()
+                > scene.camera.eye.clamp(low, high).distance_squared(scene.camera.eye)
+            {
+                (low, high) = cells_that_may_be_seen(scene, columns, rows, &frustum)?;
+            }
+            Some(boxed(low.truncate(), high.truncate()))
         });
         let seen = self.rocks.iter().filter(|rock| rock.seen_level.is_some());
         let rocks = seen.map(|selected| {
@@ -142,6 +150,23 @@ fn block_bounds(scene: &Scene, columns: &Range<u32>, rows: &Range<u32>) -> (Vec3
         }
     }
     (low, high)
+}
+
+/// Lowest and highest corner of the box around those cells of a block of the ground that may be seen, if there are any.
+fn cells_that_may_be_seen(
+    scene: &Scene,
+    columns: &Range<u32>,
+    rows: &Range<u32>,
+    frustum: &Frustum,
+) -> Option<(Vec3, Vec3)> {
+    rows.clone()
+        .flat_map(|row| columns.clone().map(move |column| (column, row)))
+        .map(|(column, row)| {
+            let corners = scene.terrain.corners(column, row);
+            corners.iter().fold((corners[0], corners[0]), |(low, high), p| (low.min(*p), high.max(*p)))
+        })
+        .filter(|(low, high)| frustum.may_see_box(*low, *high))
+        .reduce(|(low, high), (cell_low, cell_high)| (low.min(cell_low), high.max(cell_high)))
 }
 
 /// A rectangle of the picture outside of which something is not seen, samples; it may reach beyond the picture.
