@@ -6,6 +6,7 @@ mod bench;
 mod convert;
 mod dataset;
 mod frame;
+mod progress;
 mod remap;
 mod stage;
 mod verify;

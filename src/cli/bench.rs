@@ -13,6 +13,7 @@ use regolith::render::{FRAMES_IN_FLIGHT, Renderer};
 use regolith::{Error, Result};
 use serde_json::{Map, Value, json};
 
+use super::progress::note;
 use super::{ConfigArgs, PictureArgs, print};
 
 #[derive(Args, Debug)]
@@ -204,9 +205,4 @@ fn sweep(args: &BenchArgs, name: &str, case: Case, setup: &Setup, renderer: &mut
         text.push_str(&format!("{value:<20}{ms:>12.1}\n"));
     }
     print(&format!("{text}{}\n", path.display()))
-}
-
-#[expect(clippy::print_stderr, reason = "messages to people go to stderr")]
-fn note(text: std::fmt::Arguments<'_>) {
-    eprintln!("{text}");
 }

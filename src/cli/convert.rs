@@ -3,12 +3,12 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
 use regolith::Result;
 use regolith::dataset::convert::Conversion;
 use serde_json::json;
 
 use super::print;
+use super::progress::Meter;
 
 #[derive(Args, Debug)]
 pub(super) struct ConvertArgs {
@@ -34,11 +34,11 @@ pub(super) struct ConvertArgs {
 pub(super) fn run(args: &ConvertArgs) -> Result<()> {
     let conversion = Conversion::new(&args.folder, &args.format)?;
     let stop = super::dataset::stop_on_signals()?;
-    let bar = if args.quiet { ProgressBar::hidden() } else { ProgressBar::new(conversion.frames()) };
-    let style = ProgressStyle::with_template("{bar:32} {pos}/{len} frames, {eta} left");
-    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
-    let result = conversion.run(&args.folder, &args.out, args.force, &stop, |done| bar.set_position(done));
-    bar.finish_and_clear();
+    let mut meter = Meter::new(args.quiet, "frames");
+    let result = conversion.run(&args.folder, &args.out, args.force, &stop, |found, made| {
+        meter.show([found, made, conversion.frames()], "");
+    });
+    meter.finish();
     let settled = result?;
     if args.json {
         let summary = json!({

@@ -1,13 +1,12 @@
 //! Datasets: `dataset`.
 
-use std::io::{IsTerminal as _, Write as _};
+use std::io::Write as _;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use clap::Args;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use regolith::class::ClassId;
 use regolith::dataset::journal::{self, Contents, Journal, Settled};
 use regolith::dataset::plan::{self, MAX_FRAMES, Plan, Range, frame_seed};
@@ -21,10 +20,9 @@ use regolith::render::Renderer;
 use regolith::{Error, Result};
 use serde_json::{Value, json};
 
+use super::progress::{Meter, duration, note};
 use super::{ConfigArgs, PictureArgs, print};
 
-/// Seconds between plain lines of progress.
-const PLAIN_SECONDS: u64 = 5;
 /// Frames that a dry run tells of, unless fewer are asked for.
 const DRY_FRAMES: u64 = 5;
 
@@ -118,8 +116,9 @@ pub(super) fn run(args: &DatasetArgs) -> Result<()> {
     }
     let mut renderer = Renderer::new(gpu)?;
     super::inject_fault(&renderer);
-    let mut meter = Meter::new(args.quiet);
-    let result = dataset::run(&plan, &mut renderer, journal, pace, &stop, |progress| meter.show(progress));
+    let mut meter = Meter::new(args.quiet, "frames");
+    let result =
+        dataset::run(&plan, &mut renderer, journal, pace, &stop, |progress| show(&mut meter, progress));
     meter.finish();
     let (progress, settled) = result?;
     report(args, Some(&progress), &settled, start.elapsed().as_secs_f64())
@@ -183,7 +182,7 @@ fn stream(args: &DatasetArgs, plan: &Plan, pace: Pace, stop: &AtomicBool) -> Res
     let gpu = Gpu::open(args.picture.adapter.as_deref())?;
     let mut renderer = Renderer::new(gpu)?;
     super::inject_fault(&renderer);
-    let mut meter = Meter::new(args.quiet);
+    let mut meter = Meter::new(args.quiet, "frames");
     let (start, closed) = (Instant::now(), AtomicBool::new(false));
     let write = |bytes: &[u8]| match std::io::stdout().lock().write_all(bytes) {
         Err(cause) if cause.kind() == std::io::ErrorKind::BrokenPipe => {
@@ -195,7 +194,7 @@ fn stream(args: &DatasetArgs, plan: &Plan, pace: Pace, stop: &AtomicBool) -> Res
         result => result.map_err(|cause| Error::Write { path: "standard output".into(), cause }),
     };
     let result = dataset::stream(plan, &mut renderer, pace, stop, |placed, progress| {
-        meter.show(progress);
+        show(&mut meter, progress);
         placed.files.iter().try_for_each(|file| write(&file.bytes))
     });
     meter.finish();
@@ -347,70 +346,9 @@ fn report(args: &DatasetArgs, run: Option<&Progress>, settled: &Settled, seconds
     Ok(())
 }
 
-#[expect(clippy::print_stderr, reason = "messages to people go to stderr")]
-fn note(text: std::fmt::Arguments<'_>) {
-    eprintln!("{text}");
-}
-
-fn duration(seconds: f64) -> String {
-    let whole = seconds as u64;
-    match whole {
-        0..60 => format!("{seconds:.1} s"),
-        60..3600 => format!("{} min {:02} s", whole / 60, whole % 60),
-        _ => format!("{} h {:02} min", whole / 3600, whole % 3600 / 60),
-    }
-}
-
-/// Shows how far a run has come: a bar on a terminal, else a line every few seconds.
-struct Meter {
-    bar: Option<ProgressBar>,
-    quiet: bool,
-    start: Instant,
-    shown: Instant,
-}
-
-impl Meter {
-    fn new(quiet: bool) -> Self {
-        let bar = (!quiet && std::io::stderr().is_terminal()).then(|| {
-            let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
-            let style = "{bar:32} {pos}/{len} frames, {msg}, {eta} left";
-            bar.set_style(
-                ProgressStyle::with_template(style).unwrap_or_else(|_| ProgressStyle::default_bar()),
-            );
-            bar.enable_steady_tick(Duration::from_millis(250));
-            bar
-        });
-        Self { bar, quiet, start: Instant::now(), shown: Instant::now() }
-    }
-
-    fn show(&mut self, progress: &Progress) {
-        let seconds = self.start.elapsed().as_secs_f64();
-        let rate = progress.made as f64 / seconds.max(1e-3);
-        let redrawn =
-            if progress.redraws > 0 { format!(", {} drawn again", progress.redraws) } else { String::new() };
-        if let Some(bar) = &self.bar {
-            if bar.length().is_none() {
-                bar.set_length(progress.wanted);
-                bar.set_position(progress.found);
-                bar.reset_eta();
-            }
-            bar.set_position(progress.found + progress.made);
-            bar.set_message(format!("{rate:.2} frames/s{redrawn}"));
-        } else if !self.quiet && self.shown.elapsed().as_secs() >= PLAIN_SECONDS && progress.made > 0 {
-            self.shown = Instant::now();
-            let left = (progress.wanted - progress.found - progress.made) as f64 / rate.max(1e-9);
-            note(format_args!(
-                "{}/{} frames, {rate:.2} frames/s{redrawn}, {} left",
-                progress.found + progress.made,
-                progress.wanted,
-                duration(left)
-            ));
-        }
-    }
-
-    fn finish(&self) {
-        if let Some(bar) = &self.bar {
-            bar.finish_and_clear();
-        }
-    }
+/// Tells how far a run has come.
+fn show(meter: &mut Meter, progress: &Progress) {
+    let redrawn =
+        if progress.redraws > 0 { format!(", {} drawn again", progress.redraws) } else { String::new() };
+    meter.show([progress.found, progress.made, progress.wanted], &redrawn);
 }

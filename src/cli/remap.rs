@@ -3,13 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
 use regolith::output::disk;
 use regolith::remap::{self, Remapped};
 use regolith::{Error, Result};
 use serde_json::json;
 
 use super::print;
+use super::progress::{Meter, note};
 
 #[derive(Args, Debug)]
 pub(super) struct RemapArgs {
@@ -37,15 +37,13 @@ pub(super) fn run(args: &RemapArgs) -> Result<()> {
         return Err(Error::Usage("--out is the folder of the masks themselves; give another".to_owned()));
     }
     disk::check_content(&args.out, args.force, |_| false)?;
-    let bar = if args.quiet { ProgressBar::hidden() } else { ProgressBar::new(pairs.len() as u64) };
-    let style = ProgressStyle::with_template("{bar:32} {pos}/{len} masks, {eta} left");
-    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+    let mut meter = Meter::new(args.quiet, "masks");
     let mut all = Remapped::default();
-    for pair in &pairs {
+    for (made, pair) in (1..).zip(&pairs) {
         all.add(remap::remap(&args.folder, pair, &args.out)?);
-        bar.inc(1);
+        meter.show([0, made, pairs.len() as u64], "");
     }
-    bar.finish_and_clear();
+    meter.finish();
     if args.json {
         return print(&format!("{:#}\n", json!(all)));
     }
@@ -56,7 +54,6 @@ pub(super) fn run(args: &RemapArgs) -> Result<()> {
     Ok(())
 }
 
-#[expect(clippy::print_stderr, reason = "messages to people go to stderr")]
 fn tell(args: &RemapArgs, all: &Remapped) {
     let total: u64 = all.pixels.values().sum();
     let shares: Vec<String> = all
@@ -64,12 +61,15 @@ fn tell(args: &RemapArgs, all: &Remapped) {
         .iter()
         .map(|(class, pixels)| format!("{class} {:.1} %", 100.0 * *pixels as f64 / total.max(1) as f64))
         .collect();
-    eprintln!("{} masks in {}: {}", all.masks, args.out.display(), shares.join(", "));
+    note(format_args!("{} masks in {}: {}", all.masks, args.out.display(), shares.join(", ")));
     if !all.unknown_names.is_empty() {
         let names: Vec<&str> = all.unknown_names.iter().map(String::as_str).collect();
-        eprintln!("names that are no class became 255: {}", names.join(", "));
+        note(format_args!("names that are no class became 255: {}", names.join(", ")));
     }
     for mask in &all.empty_masks {
-        eprintln!("warning: {} has become nothing but 255: none of its ids is a class's", mask.display());
+        note(format_args!(
+            "warning: {} has become nothing but 255: none of its ids is a class's",
+            mask.display()
+        ));
     }
 }

@@ -1,16 +1,15 @@
 //! Check-up of a dataset: `verify`.
 
-use std::io::IsTerminal as _;
 use std::path::PathBuf;
 
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
 use regolith::dataset::verify::{self, CHECKS, Report};
 use regolith::gpu::Gpu;
 use regolith::render::Renderer;
 use regolith::{Error, Result};
 
 use super::print;
+use super::progress::Meter;
 
 /// Problems that are printed; JSON has all.
 const SHOWN: usize = 40;
@@ -34,17 +33,10 @@ pub(super) struct VerifyArgs {
 }
 
 pub(super) fn run(args: &VerifyArgs) -> Result<()> {
-    let bar = if args.quiet || !std::io::stderr().is_terminal() {
-        ProgressBar::hidden()
-    } else {
-        ProgressBar::new_spinner()
-    };
-    bar.set_style(
-        ProgressStyle::with_template("{pos} frames checked")
-            .unwrap_or_else(|_| ProgressStyle::default_spinner()),
-    );
-    let mut report = verify::check(&args.folder, |frames| bar.set_position(frames))?;
-    bar.finish_and_clear();
+    let mut meter = Meter::new(args.quiet, "frames");
+    let report = verify::check(&args.folder, |checked, wanted| meter.show([0, checked, wanted], ""));
+    meter.finish();
+    let mut report = report?;
     if args.rerender > 0 && report.frames > 0 {
         let mut renderer = Renderer::new(Gpu::open(args.adapter.as_deref())?)?;
         verify::check_rendering(&args.folder, &mut renderer, args.rerender, &mut report)?;

@@ -83,7 +83,8 @@ impl Conversion {
         self.manifest.get("n_completed").and_then(Value::as_u64).unwrap_or_default()
     }
 
-    /// Converts what `out` lacks, and settles it. `watch` is told how many frames are there.
+    /// Converts what `out` lacks, and settles it. `watch` is told how many frames were there, and how many
+    /// were added.
     ///
     /// # Errors
     /// [`Error::Stopped`] once `stop` is true; those of reading and writing. The same call goes on with what is there.
@@ -93,10 +94,11 @@ impl Conversion {
         out: &Path,
         force: bool,
         stop: &AtomicBool,
-        mut watch: impl FnMut(u64),
+        mut watch: impl FnMut(u64, u64),
     ) -> Result<Settled> {
         let mut journal = Journal::open(out, &self.contents, force)?;
         let tag = journal::tag(Shard::WHOLE);
+        let found = journal.done().len() as u64;
         let mut chunk = Vec::new();
         let mut convert_chunk = |chunk: &mut Vec<Map<String, Value>>| -> Result<()> {
             let made: Vec<Result<(Map<String, Value>, Placed)>> =
@@ -106,7 +108,7 @@ impl Conversion {
                 disk::write_all_tagged(out, &tag, &placed.files)?;
                 journal.record(index_of(&line).unwrap_or_default(), &line)?;
             }
-            watch(journal.done().len() as u64);
+            watch(found, journal.done().len() as u64 - found);
             if stop.load(Ordering::Relaxed) {
                 journal.write_manifest("stopped")?;
                 return Err(Error::Stopped { done: journal.done().len() as u64, wanted: self.frames() });

@@ -147,11 +147,12 @@ impl<'a> Facts<'a> {
     }
 }
 
-/// Checks a dataset: everything that needs no rendering. `watch` is told how many frames are checked.
+/// Checks a dataset: everything that needs no rendering. `watch` is told how many frames are checked, and of how
+/// many.
 ///
 /// # Errors
 /// [`Error::Dataset`] if there is none; what is wrong with one is in the report.
-pub fn check(folder: &Path, mut watch: impl FnMut(u64)) -> Result<Report> {
+pub fn check(folder: &Path, mut watch: impl FnMut(u64, u64)) -> Result<Report> {
     let manifest = open(folder)?;
     let facts = facts(folder, &manifest)?;
     let mut report = Report::default();
@@ -165,7 +166,7 @@ pub fn check(folder: &Path, mut watch: impl FnMut(u64)) -> Result<Report> {
         let parts: Vec<Report> = chunk.par_iter().map(|line| check_frame(&facts, line)).collect();
         parts.into_iter().for_each(|part| report.add(part));
         chunk.clear();
-        watch(report.frames);
+        watch(report.frames, facts.range.count);
     };
     let read = Book::new(folder).for_each(&mut |line| {
         let index = index_of(&line);
