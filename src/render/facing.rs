@@ -13,7 +13,7 @@ use glam::{Mat4, UVec2, Vec2, Vec3, Vec4, Vec4Swizzles};
 use rayon::prelude::*;
 
 use super::RenderSettings;
-use super::selection::{Bounds, Frustum, SelectedRock, Selection, ground_blocks};
+use super::selection::{Bounds, Frustum, SelectedRock, Selection, cell_bounds, ground_blocks};
 use super::shaders::CasterTile;
 use super::shadow::CasterGrids;
 use crate::scene::Scene;
@@ -116,7 +116,6 @@ impl Facing {
     /// What matters of a selection. `caster_grid` is that of [`super::shadow::caster_grid`].
     #[must_use]
     pub fn new(scene: &Scene, selection: &Selection, settings: &RenderSettings, caster_grid: &[u32]) -> Self {
-        let frustum = Frustum::new(&scene.camera.clip_from_world(settings.size));
         let samples = Samples::of_picture(scene, settings);
         let rocks = selection.rocks.par_iter().map_init(Scratch::default, |scratch, selected| {
             let mut triangles = RockTriangles::default();
@@ -130,7 +129,15 @@ impl Facing {
             .blocks
             .par_iter()
             .map_init(Kept::default, |kept, &(block, _)| {
-                ground_triangles(scene, &spans[block], &frustum, &samples, &grids, caster_grid, kept)
+                ground_triangles(
+                    scene,
+                    &spans[block],
+                    &selection.frustum,
+                    &samples,
+                    &grids,
+                    caster_grid,
+                    kept,
+                )
             })
             .collect();
         Self { rocks, ground }
@@ -311,9 +318,7 @@ fn ground_triangles(
     kept.restart((block_row_len as usize) * (rows.len() + 1));
     for row in rows.clone() {
         for column in columns.clone() {
-            let corners = terrain.corners(column, row);
-            let (low, high) =
-                corners.iter().fold((corners[0], corners[0]), |(low, high), p| (low.min(*p), high.max(*p)));
+            let (low, high) = cell_bounds(scene, column, row);
             if !frustum.may_see_box(low, high) {
                 continue;
             }

@@ -253,7 +253,7 @@ impl GpuScene {
         self.uploaded_bytes = 0;
         self.upload_indices(gpu, scene);
         let selection = Selection::new(scene, settings);
-        let horizon = HorizonMap::build(&scene.terrain, &scene.sun, &selection.seen_boxes(scene, settings));
+        let horizon = HorizonMap::build(&scene.terrain, &scene.sun, &selection.seen_boxes(scene));
         let casters = &selection.casters;
         let caster_grid = shadow::caster_grid(scene, casters, &horizon);
         let facing = pick_triangles.then(|| Facing::new(scene, &selection, settings, &caster_grid));

@@ -30,6 +30,8 @@ pub struct Selection {
     pub stars: Vec<usize>,
     /// Rocks whose shadow may be seen.
     pub casters: Vec<Caster>,
+    /// What the camera sees.
+    pub frustum: Frustum,
 }
 
 /// A rock that is drawn.
@@ -86,7 +88,7 @@ impl Selection {
                 frustum.may_see_ball(scene.sky.stars[star].centre, scene.sky.stars[star].radius_m)
             })
             .collect();
-        Self { blocks, rocks, stars, casters }
+        Self { blocks, rocks, stars, casters, frustum }
     }
 }
 
@@ -94,23 +96,20 @@ impl Selection {
     /// Corners, seen from above, of boxes that hold all ground and rocks that may be seen, each with a distance from the
     /// ground's centre that nothing in it is nearer than; metres, world.
     #[must_use]
-    pub fn seen_boxes(&self, scene: &Scene, settings: &RenderSettings) -> Vec<([Vec2; 4], f32)> {
+    pub fn seen_boxes(&self, scene: &Scene) -> Vec<([Vec2; 4], f32)> {
         let terrain = &scene.terrain;
-        let frustum = Frustum::new(&scene.camera.clip_from_world(settings.size));
         let spans: Vec<_> = ground_blocks(terrain).collect();
         let boxed = |low: Vec2, high: Vec2| {
             let corners = [low, Vec2::new(high.x, low.y), Vec2::new(low.x, high.y), high];
             (corners, terrain.centre.clamp(low, high).distance(terrain.centre))
         };
-        let blocks = self.blocks.iter().filter_map(|&(block, _)| {
+        let blocks = self.blocks.iter().filter_map(|&(block, nearest_m)| {
             let [columns, rows] = &spans[block];
             let (mut low, mut high) = block_bounds(scene, columns, rows);
             // Where rays are few, at the back of rings, a block may reach around the eye: of such a one, the cells that may
             // be seen.
-            if (high - low).length_squared()
-                > scene.camera.eye.clamp(low, high).distance_squared(scene.camera.eye)
-            {
-                (low, high) = cells_that_may_be_seen(scene, columns, rows, &frustum)?;
+            if low.distance(high) > nearest_m {
+                (low, high) = cells_that_may_be_seen(scene, columns, rows, &self.frustum)?;
             }
             Some(boxed(low.truncate(), high.truncate()))
         });
@@ -152,6 +151,12 @@ fn block_bounds(scene: &Scene, columns: &Range<u32>, rows: &Range<u32>) -> (Vec3
     (low, high)
 }
 
+/// The same of one of its cells.
+pub(super) fn cell_bounds(scene: &Scene, column: u32, row: u32) -> (Vec3, Vec3) {
+    let corners = scene.terrain.corners(column, row);
+    corners.iter().fold((corners[0], corners[0]), |(low, high), p| (low.min(*p), high.max(*p)))
+}
+
 /// Lowest and highest corner of the box around those cells of a block of the ground that may be seen, if there are any.
 fn cells_that_may_be_seen(
     scene: &Scene,
@@ -161,10 +166,7 @@ fn cells_that_may_be_seen(
 ) -> Option<(Vec3, Vec3)> {
     rows.clone()
         .flat_map(|row| columns.clone().map(move |column| (column, row)))
-        .map(|(column, row)| {
-            let corners = scene.terrain.corners(column, row);
-            corners.iter().fold((corners[0], corners[0]), |(low, high), p| (low.min(*p), high.max(*p)))
-        })
+        .map(|(column, row)| cell_bounds(scene, column, row))
         .filter(|(low, high)| frustum.may_see_box(*low, *high))
         .reduce(|(low, high), (cell_low, cell_high)| (low.min(cell_low), high.max(cell_high)))
 }
