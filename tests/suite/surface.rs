@@ -132,6 +132,34 @@ fn detail_fades_without_a_step() {
     assert!(worst < 0.06, "a change of 2 % of the cell moves the ground by {worst} cells");
 }
 
+/// A camera that drives ahead makes another mesh, which shows the same ground: no swimming. In pixels of a picture 512 wide.
+#[test]
+fn ground_does_not_swim_as_the_camera_drives() {
+    let (first, second) = (scene(6, &[SURFACE]), scene(6, &[SURFACE, "camera.y_m=-89.75"]));
+    assert_ne!(first.camera.eye, second.camera.eye);
+    let focal_px = first.camera.focal_px(512);
+    let mut shifts_px = Vec::new();
+    for k in 0..4000_u32 {
+        // Evenly in the logarithm of the distance, from 4 to 400 m, over 40 degrees.
+        let distance_m = 4.0 * 100.0_f64.powf(f64::from(k) / 4000.0);
+        let angle = (f64::from(k % 41) - 20.0).to_radians();
+        let offset = distance_m * glam::DVec2::new(angle.sin(), angle.cos());
+        let place = first.camera.eye.truncate() + offset.as_vec2();
+        let [a, b] = [&first, &second].map(|scene| f64::from(scene.terrain.surface_height_at(place)));
+        shifts_px.push((a - b).abs() * focal_px / distance_m);
+    }
+    shifts_px.sort_by(f64::total_cmp);
+    let [median, most] = [shifts_px.len() / 2, shifts_px.len() * 99 / 100].map(|place| shifts_px[place]);
+    println!(
+        "the ground moves by {median:.3} px in the median, 99 % by up to {most:.3}, all {:.3}",
+        shifts_px[3999]
+    );
+    assert!(
+        median < 0.05 && most < 0.25,
+        "the ground moves by {median} px in the median, 99 % by up to {most}"
+    );
+}
+
 fn pits(seed: u64, set: &[&str], radius_m: f32, least_m: f32) -> Vec<Pit> {
     let mut found = Vec::new();
     relief(seed, set).craters.around(Vec2::ZERO, radius_m, least_m, |pit| {
