@@ -227,8 +227,9 @@ fn matches(info: &AdapterInfo, wanted: &str) -> bool {
     (wanted == "cpu" && is_cpu(info)) || describe(info).to_lowercase().contains(&wanted)
 }
 
-/// GL does not say that llvmpipe is a CPU driver, so its name has to.
-fn is_cpu(info: &AdapterInfo) -> bool {
+/// Whether an adapter rasterises on the CPU. GL does not say that llvmpipe does, so its name has to.
+#[must_use]
+pub fn is_cpu(info: &AdapterInfo) -> bool {
     info.device_type == DeviceType::Cpu || info.name.contains("llvmpipe") || info.name.contains("softpipe")
 }
 

@@ -19,6 +19,7 @@ pub mod sensor;
 pub mod shaders;
 pub mod shadow;
 mod shadow_pass;
+mod shadow_raster;
 pub mod targets;
 mod timing;
 mod visibility_pass;
@@ -29,17 +30,17 @@ use wgpu::{BindingType, ShaderStages, TextureSampleType};
 
 use crate::error::{Error, Result};
 use crate::frame::{Annotation, Annotations, Frame};
-use crate::gpu::Gpu;
+use crate::gpu::{Gpu, is_cpu};
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
 use crate::scene::mesh::Vertex;
-use gpu_scene::{Draw, GpuScene, slot_stride};
+use gpu_scene::{Draw, GpuScene, Ways, slot_stride};
 use resolve::{PackedFrame, ResolvePass};
 use scene_pass::ScenePass;
 use shaders::{Instance, ReliefUniforms};
 use shadow_pass::ShadowPass;
 use targets::Targets;
-use timing::Timer;
+use timing::{Pass, Timer};
 use visibility_pass::VisibilityPass;
 
 /// What concerns the picture but not the scene.
@@ -99,7 +100,7 @@ impl RenderSettings {
 }
 
 /// Milliseconds of one frame's work, by stage, in order. `shadow`, `visibility`, `scene_pass` and `resolve` are measured by the
-/// device where it can, and left out where it cannot; `gpu` is all the time from recording to the last pass's end, with
+/// device where it can, and left out where it cannot (`shadow` by this program where it draws the shadow map itself); `gpu` is all the time from recording to the last pass's end, with
 /// that of frames that the device had before it.
 pub type StageTimes = Vec<(&'static str, f64)>;
 
@@ -108,6 +109,7 @@ pub type StageTimes = Vec<(&'static str, f64)>;
 pub struct BindLayouts {
     frame: wgpu::BindGroupLayout,
     scene: wgpu::BindGroupLayout,
+    layers: wgpu::BindGroupLayout,
     light: wgpu::BindGroupLayout,
     resolve: wgpu::BindGroupLayout,
 }
@@ -132,6 +134,8 @@ pub struct InFlight {
     slot: Slot,
     submission: wgpu::SubmissionIndex,
     upload_ms: f64,
+    /// If this program drew the shadow map: how long it took.
+    shadow_map_ms: Option<f64>,
     uploaded: Instant,
     /// Triangles drawn of what is seen in it.
     pub drawn_triangles: u64,
@@ -155,6 +159,9 @@ pub struct Renderer {
     /// Whether triangles that cannot be seen are left out one by one (see [`facing`]); labels and picture are the same
     /// either way. At first, whether the device is a CPU: a GPU is faster without.
     pub pick_triangles: bool,
+    /// Whether this program draws the shadow map (see [`shadow_raster`]) instead of the device; labels are the same either
+    /// way. At first likewise.
+    pub own_shadow_map: bool,
 }
 
 impl Renderer {
@@ -172,7 +179,8 @@ impl Renderer {
             scene: GpuScene::default(),
             targets: None,
             spare: Vec::new(),
-            pick_triangles: gpu.info.device_type == wgpu::DeviceType::Cpu,
+            pick_triangles: is_cpu(&gpu.info),
+            own_shadow_map: is_cpu(&gpu.info),
             layouts,
             gpu,
         };
@@ -229,10 +237,16 @@ impl Renderer {
             timer: Timer::new(&self.gpu),
         });
         self.resolve_pass.prepare(&self.gpu, &targets, &slot.packed);
-        let (gpu, gpu_scene, pick_triangles) = (&self.gpu, &mut self.scene, self.pick_triangles);
-        gpu.guard(|| gpu_scene.upload(gpu, scene, drawn, picture.size, pick_triangles))?;
+        let ways = Ways { pick_triangles: self.pick_triangles, own_shadow_map: self.own_shadow_map };
+        let (gpu, gpu_scene) = (&self.gpu, &mut self.scene);
+        gpu.guard(|| gpu_scene.upload(gpu, scene, drawn, picture.size, ways))?;
         self.scene_pass.prepare(&self.gpu, self.scene.variant(drawn.annotations), &self.scene);
-        self.shadow_pass.prepare(&self.gpu, self.scene.atlas_px);
+        self.shadow_pass.prepare(
+            &self.gpu,
+            &self.layouts,
+            self.scene.atlas_px,
+            self.scene.shadow_map(),
+        );
         self.gpu.check()?;
         let uploaded = Instant::now();
         let submission = self.gpu.guard(|| self.submit_frame(&targets, &slot))?;
@@ -243,7 +257,8 @@ impl Renderer {
             wide,
             slot,
             submission,
-            upload_ms: milliseconds(uploaded - start),
+            upload_ms: milliseconds(uploaded - start) - self.scene.shadow_map_ms.unwrap_or(0.0),
+            shadow_map_ms: self.scene.shadow_map_ms,
             uploaded,
             drawn_triangles: self.scene.drawn_triangles(),
             uploaded_bytes: self.scene.uploaded_bytes,
@@ -255,7 +270,8 @@ impl Renderer {
     /// # Errors
     /// [`Error::DeviceLost`] or [`Error::Device`].
     pub fn finish(&mut self, in_flight: InFlight, scene: &Scene) -> Result<(Frame, StageTimes)> {
-        let InFlight { asked, picture, wide, slot, submission, upload_ms, uploaded, .. } = in_flight;
+        let InFlight { asked, picture, wide, slot, submission, upload_ms, shadow_map_ms, uploaded, .. } =
+            in_flight;
         let (drawn_scene, drawn) = wide.as_ref().map_or((scene, &picture), |(scene, drawn)| (scene, drawn));
         self.gpu.wait(&submission)?;
         let done = Instant::now();
@@ -264,8 +280,9 @@ impl Renderer {
         frame.lens = drawn_scene.camera.lens;
         let read = Instant::now();
         let mut times = vec![("upload", upload_ms)];
+        times.extend(shadow_map_ms.map(|ms| ("shadow", ms)));
         if let Some(timer) = &slot.timer {
-            times.extend(timer.read(&self.gpu, &submission)?);
+            times.extend(timer.read(&self.gpu, &submission, first_pass(shadow_map_ms))?);
         }
         times.extend([("gpu", milliseconds(done - uploaded)), ("readback", milliseconds(read - done))]);
         self.spare.push(slot);
@@ -308,21 +325,21 @@ impl Renderer {
             encoder,
             &self.scene,
             [&groups.frame, &groups.scene],
-            timer.map(|timer| timer.render_pass(0)),
+            timer.map(|timer| timer.render_passes(Pass::Shadow)),
         );
         self.visibility_pass.record(
             encoder,
             &self.scene,
             [&groups.frame, &groups.scene],
             targets,
-            timer.map(|timer| timer.render_pass(1)),
+            timer.map(|timer| timer.render_pass(Pass::Visibility)),
         );
         self.scene_pass.record(
             encoder,
             &self.scene,
             [&groups.frame, &groups.scene, &groups.light],
             targets,
-            timer.map(|timer| timer.render_pass(2)),
+            timer.map(|timer| timer.render_pass(Pass::Scene)),
         );
         self.resolve_pass.record(
             encoder,
@@ -330,11 +347,11 @@ impl Renderer {
             &groups.resolve,
             targets,
             packed,
-            timer.map(|timer| timer.compute_pass(3)),
+            timer.map(|timer| timer.compute_pass(Pass::Resolve)),
         );
         packed.copy(encoder);
         if let Some(timer) = timer {
-            timer.copy(encoder);
+            timer.copy(encoder, first_pass(self.scene.shadow_map_ms));
         }
     }
 
@@ -370,7 +387,7 @@ impl Renderer {
                 &[
                     view(&targets.visible),
                     scene.instances.buffer().as_entire_binding(),
-                    view(self.shadow_pass.atlas()),
+                    view(self.shadow_pass.map()),
                     view(horizon),
                     scene.caster_grid.buffer().as_entire_binding(),
                 ],
@@ -431,6 +448,7 @@ impl BindLayouts {
                 &[buffer(wgpu::BufferBindingType::Uniform)],
             ),
             scene: group("scene", drawing, &[instance, read, relief]),
+            layers: group("layers", ShaderStages::FRAGMENT, &[float]),
             light: group("light", ShaderStages::FRAGMENT, &[uint, read, float, float, read]),
             resolve: group(
                 "resolve",
@@ -439,6 +457,11 @@ impl BindLayouts {
             ),
         }
     }
+}
+
+/// The first pass that the device is given, for a shadow map that this program drew in so long, if it did.
+const fn first_pass(shadow_map_ms: Option<f64>) -> Pass {
+    if shadow_map_ms.is_some() { Pass::Visibility } else { Pass::Shadow }
 }
 
 fn vertex_layout(attributes: &[wgpu::VertexAttribute]) -> wgpu::VertexBufferLayout<'_> {

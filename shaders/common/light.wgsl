@@ -20,7 +20,6 @@ struct Light {
     caster_levels: u32,
     caster_cells: u32,
     horizon_levels: u32,
-    atlas_layer_px: u32,
     hapke_w: f32,
     hapke_b: f32,
     hapke_c: f32,
@@ -68,7 +67,7 @@ fn vs_main(@builtin(vertex_index) corner: u32) -> Corner {
         vec4(frame.ray_from_sample[0].xyz, frame.eye.x),
         vec4(frame.ray_from_sample[1].xyz, frame.eye.y),
         vec4(frame.ray_from_sample[2].xyz, frame.eye.z),
-        vec4(frame.sun_direction, frame.atlas_layer_px),
+        vec4(frame.sun_direction, 0.0),
         vec4(frame.sun_right, f32(instance.class_id)),
         vec4(frame.sun_up, frame.sun_tan_half_angle),
         vec4(frame.sun_irradiance, frame.bounce_share),
@@ -116,7 +115,6 @@ fn light_from(in: Corner) -> Light {
     out.surge = in.l.w;
     out.colour = in.m.xyz;
     out.roughness = in.m.w;
-    out.atlas_layer_px = u32(in.d.w);
     out.class_id = u32(in.e.w);
     let levels = u32(in.o.z);
     out.horizon_levels = levels & 0xfu;

@@ -1,13 +1,12 @@
 // How much of the sun's disc is seen from a place.
 //
 // Two maps answer. The horizon map says for the ground how high a place must lie to see each limb of the sun
-// past all the ground between. The atlas holds, for each caster, its front and its back seen from the sun; its
-// middle (half way between the two) is what casts, so that neither side shadows itself and no light leaks in
+// past all the ground between. The shadow map is an atlas of the casters: of each, the middle between its front and its
+// back as seen from the sun. That is what casts, so that neither side shadows itself and no light leaks in
 // where it stands on the ground: a bias of half the thickness of the thing, which needs no tuning ("midpoint
 // shadow maps": Woo 1992, Graphics Gems III, "The Shadow Depth Map Revisited").
 
-// Depth, bound as plain numbers: GLSL cannot load from a depth texture.
-@group(2) @binding(2) var shadow_atlas: texture_2d<f32>;
+@group(2) @binding(2) var shadow_map: texture_2d<f32>;
 @group(2) @binding(3) var horizon_map: texture_2d<f32>;
 // First the start of each cell's list (and the end of the last), then the lists: indices of tiles. A start has the
 // highest bit set where the horizon map is to be asked too.
@@ -183,9 +182,5 @@ fn height_above(tile: CasterTile, texel: vec2<i32>, plane: vec3<f32>) -> f32 {
 fn caster_middle(tile: CasterTile, texel: vec2<i32>) -> f32 {
     let size = i32(tile.size_px);
     if any(texel < vec2(0)) || any(texel >= vec2(size)) { return -1.0e9; }
-    let at = vec2<i32>(tile.origin_px) + texel;
-    let front = textureLoad(shadow_atlas, at, 0).r;
-    if front == 0.0 { return -1.0e9; }
-    let back = textureLoad(shadow_atlas, at + vec2(0, i32(light.atlas_layer_px)), 0).r;
-    return (front + back - 1.0) * tile.half_extent_m;
+    return textureLoad(shadow_map, vec2<i32>(tile.origin_px) + texel, 0).r * tile.half_extent_m;
 }

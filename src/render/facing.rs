@@ -14,12 +14,10 @@ use rayon::prelude::*;
 
 use super::RenderSettings;
 use super::selection::{Bounds, Frustum, SelectedRock, Selection, cell_bounds, ground_blocks};
-use super::shaders::CasterTile;
 use super::shadow::CasterGrids;
 use crate::scene::Scene;
 use crate::scene::mesh::{Icosphere, Vertex};
 use crate::scene::rocks::Rock;
-use crate::scene::sky::Sun;
 
 /// A triangle counts as facing both ways if the sine of its tilt is below this: a device's arithmetic may differ from
 /// ours.
@@ -70,10 +68,6 @@ pub struct RockTriangles {
     pub vertices: Vec<Vertex>,
     /// What is seen: turned from the sun all over, and the rest.
     pub seen: [Vec<Triangle>; 2],
-    /// What the shadow atlas needs: towards the sun.
-    pub fronts: Vec<Triangle>,
-    /// Away from the sun.
-    pub backs: Vec<Triangle>,
 }
 
 /// The triangles of a selection that matter.
@@ -119,7 +113,7 @@ impl Facing {
         let samples = Samples::of_picture(scene, settings);
         let rocks = selection.rocks.par_iter().map_init(Scratch::default, |scratch, selected| {
             let mut triangles = RockTriangles::default();
-            triangles.choose(scene, selection, selected, &samples, scratch);
+            triangles.choose(scene, selected, &samples, scratch);
             triangles
         });
         let rocks = rocks.collect();
@@ -147,7 +141,7 @@ impl Facing {
 /// Where samples lie: what turns a place into coordinates in which they stand at every whole number and a half.
 #[derive(Clone, Copy, Debug)]
 struct Samples {
-    /// From metres, from the eye or the centre of a caster, to homogeneous coordinates.
+    /// From metres from the eye to homogeneous coordinates.
     from_offset: Mat4,
     /// How many there are each way.
     size: Vec2,
@@ -158,15 +152,6 @@ impl Samples {
         let size = UVec2::from(settings.sample_size()).as_vec2();
         let from_eye = scene.camera.clip_from_world(settings.size) * Mat4::from_translation(scene.camera.eye);
         Self { from_offset: from_clip(size) * from_eye, size }
-    }
-
-    /// Of a tile of the shadow atlas.
-    fn of_tile(tile: &CasterTile, sun: &Sun) -> Self {
-        let [right, up] = sun.right_and_up();
-        let size = Vec2::splat(tile.size_px);
-        let rows = Mat4::from_cols(right.extend(0.0), up.extend(0.0), sun.direction.extend(0.0), Vec4::W);
-        let scale = Mat4::from_scale(Vec3::splat(1.0 / tile.half_extent_m));
-        Self { from_offset: from_clip(size) * scale * rows.transpose(), size }
     }
 
     /// Coordinates of a place; none for one that is not before the eye.
@@ -203,82 +188,34 @@ fn extent(place: Vec2) -> Vec4 {
 /// What is kept from rock to rock, for its memory.
 #[derive(Default)]
 struct Scratch {
-    seen: Vec<Vec4>,
-    cast: Vec<Vec4>,
+    /// Of each vertex.
+    extents: Vec<Vec4>,
     kept: Kept,
 }
 
-/// Which triangles of a mesh may cover samples.
-struct Coverage<'a> {
-    samples: Samples,
-    /// Of each vertex.
-    extents: &'a [Vec4],
-}
-
-impl<'a> Coverage<'a> {
-    /// `shift` leads from the mesh's origin to that of the samples.
-    fn new(samples: Samples, shift: Vec3, vertices: &[Vertex], extents: &'a mut Vec<Vec4>) -> Self {
-        extents.clear();
-        extents.extend(vertices.iter().map(|vertex| extent(samples.place(vertex.position + shift))));
-        Self { samples, extents }
-    }
-
-    fn may_have(&self, triangle: [u32; 3]) -> bool {
-        self.samples.may_be_covered(triangle.map(|vertex| self.extents[vertex as usize]))
-    }
-}
-
 impl RockTriangles {
-    fn choose(
-        &mut self,
-        scene: &Scene,
-        selection: &Selection,
-        selected: &SelectedRock,
-        samples: &Samples,
-        scratch: &mut Scratch,
-    ) {
+    fn choose(&mut self, scene: &Scene, selected: &SelectedRock, samples: &Samples, scratch: &mut Scratch) {
+        let Some(level) = selected.seen_level else { return };
         let rock = &scene.rocks[selected.rock];
         let sun = scene.sun.direction;
         let eye = scene.camera.eye - rock.centre;
         // Whatever lies below the lowest ground around the rock is under the ground.
         let buried_m = lowest_ground_m(scene, rock) - rock.centre.z;
-        // What is seen casts at the same level.
-        let level = selected.seen_level.or(selected.caster.map(|caster| caster.1)).unwrap_or(0);
         let vertices = &rock.vertices[..Icosphere::vertex_count(level.min(rock.level))];
-        let Scratch { seen, cast, kept } = scratch;
-        let seen = selected.seen_level.map(|_| Coverage::new(*samples, -eye, vertices, seen));
-        let cast = selected.caster.map(|(caster, _)| {
-            let tile = &selection.casters[caster].tile;
-            Coverage::new(Samples::of_tile(tile, &scene.sun), Vec3::ZERO, vertices, cast)
-        });
+        let Scratch { extents, kept } = scratch;
+        extents.clear();
+        extents.extend(vertices.iter().map(|vertex| extent(samples.place(vertex.position - eye))));
         kept.restart(vertices.len());
-        let covers = |coverage: &Option<Coverage<'_>>, triangle| {
-            coverage.as_ref().is_some_and(|coverage| coverage.may_have(triangle))
-        };
         for &triangle in rock.triangles(level) {
             let corners = triangle.map(|vertex| vertices[vertex as usize]);
             let [a, b, c] = corners.map(|corner| corner.position);
-            let normal = (b - a).cross(c - a);
-            let facing = normal.dot(sun);
-            let edge_on = facing * facing < EDGE_ON * EDGE_ON * normal.length_squared();
-            let is_casting = covers(&cast, triangle);
-            let is_front = is_casting && (facing > 0.0 || edge_on);
-            let is_back = is_casting && (facing < 0.0 || edge_on);
-            let may_be_seen = may_face(normal, eye - a) && a.z.max(b.z).max(c.z) > buried_m;
-            let is_seen = may_be_seen && covers(&seen, triangle);
-            if !(is_seen || is_front || is_back) {
-                continue;
-            }
-            let triangle = kept.keep(triangle, |vertex| vertices[vertex as usize]);
-            if is_seen {
+            let may_be_seen = may_face((b - a).cross(c - a), eye - a)
+                && a.z.max(b.z).max(c.z) > buried_m
+                && samples.may_be_covered(triangle.map(|vertex| extents[vertex as usize]));
+            if may_be_seen {
                 let dark = corners.iter().all(|corner| corner.normal.dot(sun) < -DARK);
+                let triangle = kept.keep(triangle, |vertex| vertices[vertex as usize]);
                 self.seen[usize::from(!dark)].push(triangle);
-            }
-            if is_front {
-                self.fronts.push(triangle);
-            }
-            if is_back {
-                self.backs.push(triangle);
             }
         }
         self.vertices = kept.vertices.clone();

@@ -3,6 +3,7 @@
 //! The draw list is made anew for each frame from a [`Selection`], near things first.
 
 use std::ops::Range;
+use std::time::Instant;
 
 use glam::Mat4;
 use wgpu::{BufferUsages, IndexFormat, TextureFormat, TextureUsages};
@@ -16,6 +17,7 @@ use super::scene_pass::Variant;
 use super::selection::{Bounds, Selection, ground_blocks};
 use super::shaders::{CasterTile, FrameUniforms, HorizonLevel, Instance};
 use super::shadow::{self, CasterGrids, Shades};
+use super::shadow_raster;
 use crate::class::ClassId;
 use crate::frame::{Annotation, Annotations};
 use crate::gpu::Gpu;
@@ -43,8 +45,8 @@ pub struct Draw {
 /// The draws of a frame, in order.
 #[derive(Clone, Debug, Default)]
 pub struct DrawList {
-    /// Into the shadow atlas: fronts, backs.
-    pub casters: [Vec<Draw>; 2],
+    /// Into the layers of the shadow atlas: whole meshes.
+    pub casters: Vec<Draw>,
     /// What is seen, by how it is lit, in the order in which it is drawn: near things before what they may cover.
     pub seen: Vec<Seen>,
 }
@@ -107,8 +109,12 @@ pub struct GpuScene {
     pub tiles: Store,
     /// Which casters a place must ask.
     pub caster_grid: Store,
-    /// Columns of the shadow atlas and rows of each of its layers.
+    /// Columns and rows of the shadow map and of each of the layers that it is made of.
     pub atlas_px: [u32; 2],
+    /// The map, if this program drew it; kept for its memory.
+    shadow_map: Vec<f32>,
+    /// If this program drew it: how long it took.
+    pub shadow_map_ms: Option<f64>,
     /// The ground's horizon, two heights a texel.
     pub horizon: Option<(wgpu::Texture, wgpu::TextureView)>,
     ground: Option<GroundBlocks>,
@@ -137,6 +143,15 @@ impl Picked {
         self.triangles.extend(triangles);
         start..start + 3 * triangles.len() as u32
     }
+}
+
+/// What is left to this program, which a device could do.
+#[derive(Clone, Copy, Debug)]
+pub struct Ways {
+    /// Triangles that cannot be seen are left out one by one ([`super::facing`]).
+    pub pick_triangles: bool,
+    /// The shadow map is drawn ([`super::shadow_raster`]).
+    pub own_shadow_map: bool,
 }
 
 /// Bytes from one of several uniforms in a buffer to the next: by WebGPU's default limits, bindings start at multiples of
@@ -232,6 +247,8 @@ impl Default for GpuScene {
             tiles: Store::new("shadow/tiles", BufferUsages::STORAGE),
             caster_grid: Store::new("shadow/caster_grid", BufferUsages::STORAGE),
             atlas_px: [0; 2],
+            shadow_map: Vec::new(),
+            shadow_map_ms: None,
             horizon: None,
             ground: None,
             sphere_levels: Vec::new(),
@@ -248,7 +265,7 @@ impl GpuScene {
         scene: &Scene,
         settings: &RenderSettings,
         picture_size: [u32; 2],
-        pick_triangles: bool,
+        ways: Ways,
     ) {
         self.uploaded_bytes = 0;
         self.upload_indices(gpu, scene);
@@ -256,27 +273,40 @@ impl GpuScene {
         let horizon = HorizonMap::build(&scene.terrain, &scene.sun, &selection.seen_boxes(scene));
         let casters = &selection.casters;
         let caster_grid = shadow::caster_grid(scene, casters, &horizon);
-        let facing = pick_triangles.then(|| Facing::new(scene, &selection, settings, &caster_grid));
+        let facing = ways.pick_triangles.then(|| Facing::new(scene, &selection, settings, &caster_grid));
         let bands = Bands::new(scene, &selection, settings);
         self.uploaded_bytes += self.relief.write(gpu, &slots(&bands.bands));
-        self.upload_things(gpu, scene, settings, &selection, &bands, facing.as_ref());
+        self.upload_things(gpu, scene, settings, &selection, &bands, facing.as_ref(), !ways.own_shadow_map);
         let tiles: Vec<CasterTile> = casters.iter().map(|caster| caster.tile).collect();
         self.uploaded_bytes += self.tiles.write(gpu, &tiles);
         self.uploaded_bytes += self.caster_grid.write(gpu, &caster_grid);
         self.atlas_px = shadow::atlas_px(casters);
+        self.shadow_map_ms = None;
+        if ways.own_shadow_map {
+            let start = Instant::now();
+            shadow_raster::draw(scene, &selection, &mut self.shadow_map);
+            self.shadow_map_ms = Some(super::milliseconds(start.elapsed()));
+            self.uploaded_bytes += size_of_val(&self.shadow_map[..]) as u64;
+        }
         let uniforms = frame_uniforms(scene, settings, picture_size, &horizon, self.atlas_px);
         self.uploaded_bytes += self.frame.write(gpu, &[uniforms]);
         (self.law, self.has_detail) = (scene.photometry.law, scene.relief.is_some());
         self.upload_horizon(gpu, &horizon);
     }
 
-    /// The indices of ground, rocks and casters.
+    /// The shadow map, unless the device is to draw it.
+    #[must_use]
+    pub fn shadow_map(&self) -> Option<&[f32]> {
+        self.shadow_map_ms.map(|_| &self.shadow_map[..])
+    }
+
+    /// The indices of ground and rocks that are seen.
     #[must_use]
     pub const fn thing_indices(&self) -> (&Store, IndexFormat) {
         if self.is_picked { (&self.picked, IndexFormat::Uint16) } else { self.whole_indices() }
     }
 
-    /// The indices of whole meshes, which those of the sky are.
+    /// The indices of whole meshes, which casters and those of the sky are.
     #[must_use]
     pub const fn whole_indices(&self) -> (&Store, IndexFormat) {
         (&self.indices, IndexFormat::Uint32)
@@ -326,6 +356,7 @@ impl GpuScene {
         selection: &Selection,
         bands: &Bands,
         facing: Option<&Facing>,
+        draw_casters: bool,
     ) {
         let mut draws = DrawList::default();
         let mut picked = std::mem::take(&mut self.picked_triangles);
@@ -391,32 +422,27 @@ impl GpuScene {
         }
         let mut rocks = [const { Vec::new() }; 2];
         let mut rock_bounds = [Bounds::NOWHERE; 2];
-        // Rocks: an instance each; as many vertices as the finer of its two uses needs, or as were picked.
+        // Rocks: an instance each; as many vertices as were picked, and of whole meshes as the finer of its uses needs.
         let rock_at_normal = at_normal(rock_surge);
         for (place, selected) in selection.rocks.iter().enumerate() {
             let rock = &scene.rocks[selected.rock];
             let instance = instances.len() as u32;
-            let (casts, seen, vertices) = if let Some(facing) = facing {
+            let casts = selected.caster.map(|(_, level)| level).filter(|_| draw_casters);
+            let whole_level = selected.seen_level.filter(|_| facing.is_none()).max(casts);
+            let whole = |level: Option<usize>| level.map_or(0..0, |level| self.sphere_levels[level].clone());
+            let whole_base = whole_level.map_or(0, |level| upload(&rock.vertices[..Icosphere::vertex_count(level)]));
+            let draw = |indices, base_vertex| Draw { indices, base_vertex, instance };
+            draws.casters.push(draw(whole(casts), whole_base));
+            let (seen, base) = if let Some(facing) = facing {
                 let chosen = &facing.rocks[place];
-                let casts = [&chosen.fronts, &chosen.backs].map(|triangles| picked.add(triangles));
-                let seen = [0, 1].map(|side| picked.add(&chosen.seen[side]));
-                (casts, seen, &chosen.vertices[..])
+                (chosen.seen.each_ref().map(|triangles| picked.add(triangles)), upload(&chosen.vertices))
             } else {
-                let (seen, casts) = (selected.seen_level, selected.caster.map(|(_, level)| level));
-                let whole =
-                    |level: Option<usize>| level.map_or(0..0, |level| self.sphere_levels[level].clone());
-                let vertices = &rock.vertices[..Icosphere::vertex_count(seen.max(casts).unwrap_or(0))];
-                ([whole(casts), whole(casts)], [0..0, whole(seen)], vertices)
+                ([0..0, whole(selected.seen_level)], whole_base)
             };
-            let base_vertex = upload(vertices);
-            let draw = |indices| Draw { indices, base_vertex, instance };
-            for (list, indices) in draws.casters.iter_mut().zip(casts) {
-                list.push(draw(indices));
-            }
             let bounds = Bounds::of_ball(scene, settings, rock.centre, rock.radius_m);
             for ((list, around), indices) in rocks.iter_mut().zip(&mut rock_bounds).zip(seen) {
                 if !indices.is_empty() {
-                    list.push((selected.nearest_m, draw(indices)));
+                    list.push((selected.nearest_m, draw(indices, base)));
                     *around = around.union(bounds);
                 }
             }

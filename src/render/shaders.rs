@@ -35,6 +35,8 @@ macro_rules! program {
 
 /// Depth of the casters seen from the sun.
 pub static SHADOW: Program = program!("shadow", "frame", "scene");
+/// The shadow map from the two layers of that.
+pub static MIDDLE: Program = program!("middle", "frame");
 /// Which thing each sample shows.
 pub static VISIBILITY: Program = program!("visibility", "frame", "scene", "octahedron");
 /// Light on ground and rocks.
@@ -56,7 +58,7 @@ pub static SKY: Program = program!("sky", "frame", "scene", "light", "relief", "
 pub static RESOLVE: Program = program!("resolve", "frame", "tone");
 
 /// Every program.
-pub static PROGRAMS: [&Program; 5] = [&SHADOW, &VISIBILITY, &SURFACE, &SKY, &RESOLVE];
+pub static PROGRAMS: [&Program; 6] = [&SHADOW, &MIDDLE, &VISIBILITY, &SURFACE, &SKY, &RESOLVE];
 
 impl Program {
     /// The joined text.

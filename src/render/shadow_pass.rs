@@ -1,19 +1,34 @@
-//! The shadow-map pass: depth only, fronts of all casters in one layer of the atlas, backs in the other.
+//! The shadow-map pass: depth of all casters, fronts in one layer of an atlas and backs in the other, and of the two the map.
+//! A device that is a CPU is given the map as [`super::shadow_raster`] draws it.
 
-use wgpu::TextureUsages;
+use wgpu::{TextureFormat, TextureUsages};
 
 use super::gpu_scene::GpuScene;
-use super::shaders::SHADOW;
+use super::shaders::{MIDDLE, SHADOW};
 use super::targets::{ATLAS_FORMAT, depth_state};
 use super::{BindLayouts, vertex_layout};
 use crate::gpu::Gpu;
 
-/// Pipelines and atlas of the pass.
+/// Format of the map.
+const MAP_FORMAT: TextureFormat = TextureFormat::R32Float;
+
+/// Pipelines of the pass, and what it draws.
 #[derive(Debug)]
 pub(super) struct ShadowPass {
     layers: [wgpu::RenderPipeline; 2],
-    /// The atlas, with its columns and the rows of a layer, of which it has two, fronts above backs.
-    atlas: Option<([u32; 2], wgpu::TextureView)>,
+    middle: wgpu::RenderPipeline,
+    map: Option<Map>,
+}
+
+/// The map, and the layers that it is made of.
+#[derive(Debug)]
+struct Map {
+    /// Columns and rows of the map and of each layer.
+    size_px: [u32; 2],
+    texture: wgpu::Texture,
+    view: wgpu::TextureView,
+    /// Unless the map is given: fronts above backs, and how the pass reads them.
+    drawn: Option<(wgpu::TextureView, wgpu::BindGroup)>,
 }
 
 impl ShadowPass {
@@ -49,54 +64,142 @@ impl ShadowPass {
         };
         let layers =
             [layer("shadow/fronts", 0.0, wgpu::Face::Back), layer("shadow/backs", 1.0, wgpu::Face::Front)];
-        Self { layers, atlas: None }
+        Self { layers, middle: middle(gpu, layouts), map: None }
     }
 
-    /// Makes the atlas with layers of exactly so many columns and rows, unless it is there. Not a larger one: places in the atlas
-    /// would be rounded otherwise, and the frame would depend on those before it.
-    pub(super) fn prepare(&mut self, gpu: &Gpu, layer_px: [u32; 2]) {
-        if self.atlas.as_ref().is_none_or(|(made, _)| *made != layer_px) {
-            let usage = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
-            let size = [layer_px[0], 2 * layer_px[1]];
-            self.atlas = Some((layer_px, gpu.texture("shadow/atlas", size, ATLAS_FORMAT, usage).1));
+    /// Makes the map with exactly so many columns and rows, unless it is there, and writes `given` to it. Not a larger one:
+    /// places in it would be rounded otherwise, and the frame would depend on those before it.
+    pub(super) fn prepare(
+        &mut self,
+        gpu: &Gpu,
+        layouts: &BindLayouts,
+        size_px: [u32; 2],
+        given: Option<&[f32]>,
+    ) {
+        let serves = |map: &Map| map.size_px == size_px && map.drawn.is_none() == given.is_some();
+        if !self.map.as_ref().is_some_and(serves) {
+            self.map = Some(Map::new(gpu, layouts, size_px, given.is_some()));
+        }
+        if let (Some(map), Some(heights)) = (&self.map, given) {
+            let [width, height] = size_px;
+            let layout = wgpu::TexelCopyBufferLayout {
+                offset: 0,
+                bytes_per_row: Some(4 * width),
+                rows_per_image: None,
+            };
+            let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
+            gpu.queue.write_texture(map.texture.as_image_copy(), bytemuck::cast_slice(heights), layout, size);
         }
     }
 
-    /// The atlas.
+    /// The map.
     ///
     /// # Panics
     /// Before [`Self::prepare`].
-    pub(super) fn atlas(&self) -> &wgpu::TextureView {
-        &self.atlas.as_ref().expect("an atlas is prepared before it is used").1
+    pub(super) fn map(&self) -> &wgpu::TextureView {
+        &self.map.as_ref().expect("a map is prepared before it is used").view
     }
 
-    /// Records the pass.
+    /// Records the pass, unless the map was given. `timestamps` are those of its start and of its end.
     pub(super) fn record(
         &self,
         encoder: &mut wgpu::CommandEncoder,
         scene: &GpuScene,
         groups: [&wgpu::BindGroup; 2],
-        timestamps: Option<wgpu::RenderPassTimestampWrites<'_>>,
+        timestamps: Option<[wgpu::RenderPassTimestampWrites<'_>; 2]>,
     ) {
+        let Some(Map { view, drawn: Some((layers, layers_group)), .. }) = &self.map else { return };
+        let [start, end] = timestamps.map_or([None, None], |both| both.map(Some));
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("shadow"),
             color_attachments: &[],
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                view: self.atlas(),
+                view: layers,
                 depth_ops: Some(wgpu::Operations {
                     load: wgpu::LoadOp::Clear(0.0),
                     store: wgpu::StoreOp::Store,
                 }),
                 stencil_ops: None,
             }),
-            timestamp_writes: timestamps,
+            timestamp_writes: start,
             ..Default::default()
         });
         let [frame, instances] = groups;
         pass.set_bind_group(0, frame, &[]);
-        for (pipeline, draws) in self.layers.iter().zip(&scene.draws.casters) {
+        for pipeline in &self.layers {
             pass.set_pipeline(pipeline);
-            super::draw_all(&mut pass, instances, scene, scene.thing_indices(), draws);
+            super::draw_all(&mut pass, instances, scene, scene.whole_indices(), &scene.draws.casters);
         }
+        drop(pass);
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("shadow/map"),
+            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                view,
+                depth_slice: None,
+                resolve_target: None,
+                ops: wgpu::Operations {
+                    load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT),
+                    store: wgpu::StoreOp::Store,
+                },
+            })],
+            timestamp_writes: end,
+            ..Default::default()
+        });
+        pass.set_pipeline(&self.middle);
+        pass.set_bind_group(0, frame, &[]);
+        pass.set_bind_group(2, layers_group, &[]);
+        pass.draw(0..3, 0..1);
     }
+}
+
+impl Map {
+    fn new(gpu: &Gpu, layouts: &BindLayouts, size_px: [u32; 2], is_given: bool) -> Self {
+        let filled = if is_given { TextureUsages::COPY_DST } else { TextureUsages::RENDER_ATTACHMENT };
+        let usage = filled | TextureUsages::TEXTURE_BINDING;
+        let (texture, view) = gpu.texture("shadow/map", size_px, MAP_FORMAT, usage);
+        let drawn = (!is_given).then(|| {
+            let size = [size_px[0], 2 * size_px[1]];
+            let (_, layers) = gpu.texture("shadow/layers", size, ATLAS_FORMAT, usage);
+            let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some("shadow/layers"),
+                layout: &layouts.layers,
+                entries: &[wgpu::BindGroupEntry {
+                    binding: 0,
+                    resource: wgpu::BindingResource::TextureView(&layers),
+                }],
+            });
+            (layers, group)
+        });
+        Self { size_px, texture, view, drawn }
+    }
+}
+
+fn middle(gpu: &Gpu, layouts: &BindLayouts) -> wgpu::RenderPipeline {
+    let module = MIDDLE.compile(gpu);
+    let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some("shadow/map/layout"),
+        bind_group_layouts: &[Some(&layouts.frame), None, Some(&layouts.layers)],
+        immediate_size: 0,
+    });
+    gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some("shadow/map"),
+        layout: Some(&layout),
+        vertex: wgpu::VertexState {
+            module: &module,
+            entry_point: Some("vs_main"),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            buffers: &[],
+        },
+        primitive: wgpu::PrimitiveState::default(),
+        depth_stencil: None,
+        multisample: wgpu::MultisampleState::default(),
+        fragment: Some(wgpu::FragmentState {
+            module: &module,
+            entry_point: Some("fs_main"),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            targets: &[Some(MAP_FORMAT.into())],
+        }),
+        multiview_mask: None,
+        cache: None,
+    })
 }

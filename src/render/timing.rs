@@ -7,9 +7,25 @@ use crate::error::Result;
 use crate::gpu::Gpu;
 use crate::gpu::readback::Readback;
 
-/// The passes that are timed, in the order of their indices.
-const PASSES: [&str; 4] = ["shadow", "visibility", "scene_pass", "resolve"];
-const QUERIES: u32 = 2 * PASSES.len() as u32;
+/// The passes that are timed, in their order.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Pass {
+    Shadow,
+    Visibility,
+    Scene,
+    Resolve,
+}
+
+impl Pass {
+    const ALL: [(Self, &str); 4] = [
+        (Self::Shadow, "shadow"),
+        (Self::Visibility, "visibility"),
+        (Self::Scene, "scene_pass"),
+        (Self::Resolve, "resolve"),
+    ];
+}
+
+const QUERIES: u32 = 2 * Pass::ALL.len() as u32;
 const BYTES: u64 = 8 * QUERIES as u64;
 
 /// Timestamps at the start and end of every pass.
@@ -38,38 +54,55 @@ impl Timer {
         })
     }
 
-    pub(super) const fn render_pass(&self, pass: u32) -> wgpu::RenderPassTimestampWrites<'_> {
+    /// Of a stage that is two passes.
+    pub(super) fn render_passes(&self, pass: Pass) -> [wgpu::RenderPassTimestampWrites<'_>; 2] {
+        let both = self.render_pass(pass);
+        [
+            wgpu::RenderPassTimestampWrites { end_of_pass_write_index: None, ..both.clone() },
+            wgpu::RenderPassTimestampWrites { beginning_of_pass_write_index: None, ..both },
+        ]
+    }
+
+    pub(super) const fn render_pass(&self, pass: Pass) -> wgpu::RenderPassTimestampWrites<'_> {
         wgpu::RenderPassTimestampWrites {
             query_set: &self.queries,
-            beginning_of_pass_write_index: Some(2 * pass),
-            end_of_pass_write_index: Some(2 * pass + 1),
+            beginning_of_pass_write_index: Some(2 * pass as u32),
+            end_of_pass_write_index: Some(2 * pass as u32 + 1),
         }
     }
 
-    pub(super) const fn compute_pass(&self, pass: u32) -> wgpu::ComputePassTimestampWrites<'_> {
+    pub(super) const fn compute_pass(&self, pass: Pass) -> wgpu::ComputePassTimestampWrites<'_> {
         wgpu::ComputePassTimestampWrites {
             query_set: &self.queries,
-            beginning_of_pass_write_index: Some(2 * pass),
-            end_of_pass_write_index: Some(2 * pass + 1),
+            beginning_of_pass_write_index: Some(2 * pass as u32),
+            end_of_pass_write_index: Some(2 * pass as u32 + 1),
         }
     }
 
-    pub(super) fn copy(&self, encoder: &mut wgpu::CommandEncoder) {
-        encoder.resolve_query_set(&self.queries, 0..QUERIES, &self.buffer, 0);
+    /// Records the copy of the times to where the program can read them. `first` is the first pass that was recorded: a device
+    /// waits for ever for one that was not.
+    pub(super) fn copy(&self, encoder: &mut wgpu::CommandEncoder, first: Pass) {
+        encoder.resolve_query_set(&self.queries, 2 * first as u32..QUERIES, &self.buffer, 0);
         self.readback.copy(encoder, &self.buffer, BYTES);
     }
 
-    pub(super) fn read(&self, gpu: &Gpu, submission: &wgpu::SubmissionIndex) -> Result<StageTimes> {
+    /// Waits for the times, from that of the pass which was recorded first.
+    pub(super) fn read(
+        &self,
+        gpu: &Gpu,
+        submission: &wgpu::SubmissionIndex,
+        first: Pass,
+    ) -> Result<StageTimes> {
         let to_ms = f64::from(gpu.queue.get_timestamp_period()) * 1e-6;
         self.readback.read(gpu, submission, |bytes| {
             let ticks: Vec<u64> = bytes
                 .chunks_exact(8)
                 .map(|tick| u64::from_le_bytes(tick.try_into().unwrap_or_default()))
                 .collect();
-            PASSES
+            Pass::ALL[first as usize..]
                 .iter()
                 .zip(ticks.chunks_exact(2))
-                .map(|(&name, pair)| (name, pair[1].saturating_sub(pair[0]) as f64 * to_ms))
+                .map(|(&(_, name), pair)| (name, pair[1].saturating_sub(pair[0]) as f64 * to_ms))
                 .collect()
         })
     }
