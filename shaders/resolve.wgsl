@@ -17,6 +17,8 @@
 // Depth, bound as plain numbers: GLSL cannot load from a depth texture.
 @group(2) @binding(5) var depth_samples: texture_2d<f32>;
 @group(2) @binding(6) var<storage, read_write> packed_words: array<u32>;
+// Samples are not loaded: see common/shadow_map.wgsl.
+@group(2) @binding(7) var nearest: sampler;
 
 // Samples along a side of a pixel: a constant, so that the loops over them unroll.
 override SIDE: u32;
@@ -25,12 +27,16 @@ override ANNOTATED: bool;
 // Whether a lens distorts the picture: the samples are then those of a wider one.
 override DISTORTED: bool;
 
+// From a sample to the next, in textures over which coordinates run from 0 to 1.
+var<private> step: vec2<f32>;
+
 const GROUP_WIDTH: u32 = 64u;
 const ROW_WIDTH: u32 = 1024u;
 
 @compute @workgroup_size(64)
 fn cs_main(@builtin(global_invocation_id) id: vec3<u32>) {
     let pixels = frame.picture_size_px.x * frame.picture_size_px.y;
+    step = 1.0 / vec2<f32>(SIDE * frame.drawn_size_px);
     let groups = (pixels + 3u) / 4u;
     let group = id.y * ROW_WIDTH * GROUP_WIDTH + id.x;
     if group >= groups { return; }
@@ -55,7 +61,7 @@ fn cs_main(@builtin(global_invocation_id) id: vec3<u32>) {
 fn mean_radiance(corner: vec2<u32>) -> vec3<f32> {
     var sum = vec3(0.0);
     for (var i = 0u; i < SIDE * SIDE; i++) {
-        sum += textureLoad(radiance_samples, sample_at(corner, i), 0).rgb;
+        sum += textureSampleLevel(radiance_samples, nearest, middle(sample_at(corner, i)), 0.0).rgb;
     }
     return sum / f32(SIDE * SIDE);
 }
@@ -92,20 +98,44 @@ fn undistorted(at: vec2<f32>) -> vec2<f32> {
     return point;
 }
 
+fn middle(at: vec2<i32>) -> vec2<f32> {
+    return (vec2<f32>(at) + 0.5) * step;
+}
+
+// Whole numbers are gathered, which are the only thing that they can be but loaded: of the four the last is at the place.
 fn class_at(at: vec2<i32>) -> u32 {
-    return textureLoad(class_samples, at, 0).r;
+    return textureGather(0, class_samples, nearest, (vec2<f32>(at) + 1.0) * step).w;
 }
 
 fn instance_at(at: vec2<i32>) -> u32 {
-    return textureLoad(instance_samples, at, 0).r;
+    return textureGather(0, instance_samples, nearest, (vec2<f32>(at) + 1.0) * step).w;
 }
 
 // Reversed: the larger is the nearer.
 fn depth_at(at: vec2<i32>) -> f32 {
-    return textureLoad(depth_samples, at, 0).r;
+    return textureSampleLevel(depth_samples, nearest, middle(at), 0.0).r;
 }
 
 fn class_of_most(corner: vec2<u32>) -> u32 {
+    if SIDE == 2u && !DISTORTED {
+        // All four at once, in reading order.
+        let meet = vec2<f32>(corner + 1u) * step;
+        let classes = textureGather(0, class_samples, nearest, meet).wzxy;
+        if all(classes == classes.xxxx) { return classes.x; }
+        let depths = textureGather(0, depth_samples, nearest, meet).wzxy;
+        var best = 0u;
+        var best_votes = 0u;
+        var best_depth = 0.0;
+        for (var i = 0u; i < 4u; i++) {
+            let votes = dot(vec4<u32>(classes == vec4(classes[i])), vec4(1u));
+            if votes > best_votes || (votes == best_votes && depths[i] > best_depth) {
+                best = classes[i];
+                best_votes = votes;
+                best_depth = depths[i];
+            }
+        }
+        return best;
+    }
     let count = SIDE * SIDE;
     let first = class_at(sample_at(corner, 0u));
     var uniform_pixel = true;
@@ -186,8 +216,8 @@ fn annotate(pixel: u32, corner: vec2<u32>, class_id: u32, radiance: vec3<f32>) {
         if class_at(at) != class_id || instance_at(at) != instance_id { continue; }
         samples += 1.0;
         depth += depth_at(at);
-        hidden += textureLoad(hidden_samples, at, 0).r;
-        normal += textureLoad(normal_samples, at, 0).xyz;
+        hidden += textureSampleLevel(hidden_samples, nearest, middle(at), 0.0).r;
+        normal += textureSampleLevel(normal_samples, nearest, middle(at), 0.0).xyz;
     }
     if frame.depth_at != NOT_ASKED {
         let metres = frame.depth_scale_m / (depth / samples + frame.depth_offset);

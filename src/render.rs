@@ -19,7 +19,7 @@ pub mod sensor;
 pub mod shaders;
 pub mod shadow;
 mod shadow_pass;
-mod shadow_raster;
+pub mod shadow_raster;
 pub mod targets;
 mod timing;
 mod visibility_pass;
@@ -148,6 +148,8 @@ pub struct InFlight {
 pub struct Renderer {
     gpu: Gpu,
     layouts: BindLayouts,
+    /// Takes texels as they are.
+    nearest: wgpu::Sampler,
     shadow_pass: ShadowPass,
     visibility_pass: VisibilityPass,
     scene_pass: ScenePass,
@@ -172,6 +174,9 @@ impl Renderer {
     pub fn new(gpu: Gpu) -> Result<Self> {
         let layouts = BindLayouts::new(&gpu);
         let renderer = Self {
+            nearest: gpu
+                .device
+                .create_sampler(&wgpu::SamplerDescriptor { label: Some("nearest"), ..Default::default() }),
             shadow_pass: ShadowPass::new(&gpu, &layouts),
             visibility_pass: VisibilityPass::new(&gpu, &layouts),
             scene_pass: ScenePass::new(&gpu, &layouts),
@@ -390,11 +395,13 @@ impl Renderer {
                     view(self.shadow_pass.map()),
                     view(horizon),
                     scene.caster_grid.buffer().as_entire_binding(),
+                    wgpu::BindingResource::Sampler(&self.nearest),
                 ],
             ),
             resolve: group("resolve", &self.layouts.resolve, &{
                 let planes = targets.planes.iter().chain([&targets.depth]).map(view);
-                planes.chain([packed.buffer.as_entire_binding()]).collect::<Vec<_>>()
+                let own = [packed.buffer.as_entire_binding(), wgpu::BindingResource::Sampler(&self.nearest)];
+                planes.chain(own).collect::<Vec<_>>()
             }),
         }
     }
@@ -440,6 +447,7 @@ impl BindLayouts {
         };
         let float = texture(TextureSampleType::Float { filterable: false });
         let uint = texture(TextureSampleType::Uint);
+        let nearest = BindingType::Sampler(wgpu::SamplerBindingType::NonFiltering);
         let drawing = ShaderStages::VERTEX_FRAGMENT;
         Self {
             frame: group(
@@ -449,11 +457,11 @@ impl BindLayouts {
             ),
             scene: group("scene", drawing, &[instance, read, relief]),
             layers: group("layers", ShaderStages::FRAGMENT, &[float]),
-            light: group("light", ShaderStages::FRAGMENT, &[uint, read, float, float, read]),
+            light: group("light", ShaderStages::FRAGMENT, &[uint, read, float, float, read, nearest]),
             resolve: group(
                 "resolve",
                 ShaderStages::COMPUTE,
-                &[float, uint, float, uint, float, float, write],
+                &[float, uint, float, uint, float, float, write, nearest],
             ),
         }
     }

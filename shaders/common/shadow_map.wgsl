@@ -11,6 +11,9 @@
 // First the start of each cell's list (and the end of the last), then the lists: indices of tiles. A start has the
 // highest bit set where the horizon map is to be asked too.
 @group(2) @binding(4) var<storage, read> caster_grid: array<u32>;
+// Texels of the maps are sampled, four at once where that many are asked for, and not loaded: a device that is a CPU reckons
+// with a level of detail for each lane of a load, which takes several times as long.
+@group(2) @binding(5) var nearest: sampler;
 
 const ASK_HORIZON: u32 = 0x80000000u;
 const SEARCH_TAPS: i32 = 8;
@@ -81,11 +84,14 @@ fn horizon_visibility(position: vec3<f32>) -> f32 {
     let limit = vec2<f32>(grid.size) - 1.001;
     // Columns run towards the sun, rows across.
     let at = clamp(vec2(dot(offset, towards), dot(offset, vec2(-towards.y, towards.x))), vec2(0.0), limit);
-    let corner = vec2<i32>(floor(at)) + vec2(0, i32(grid.first_row));
-    let t = at - floor(at);
-    let south = mix(horizon(corner), horizon(corner + vec2(1, 0)), t.x);
-    let north = mix(horizon(corner + vec2(0, 1)), horizon(corner + vec2(1, 1)), t.x);
-    let limbs = mix(south, north, t.y);
+    let corner = floor(at);
+    let t = at - corner;
+    // Where the four meet.
+    let meet = (corner + vec2(1.0, 1.0 + f32(grid.first_row))) / vec2<f32>(textureDimensions(horizon_map));
+    let limbs = vec2(
+        bilinear(textureGather(0, horizon_map, nearest, meet), t),
+        bilinear(textureGather(1, horizon_map, nearest, meet), t),
+    );
     // Heights from which the lower and the upper limb are just seen.
     if position.z >= limbs.x { return 1.0; }
     if position.z <= limbs.y { return 0.0; }
@@ -94,8 +100,9 @@ fn horizon_visibility(position: vec3<f32>) -> f32 {
     return 0.5 + (u * sqrt(1.0 - u * u) + asin(u)) / 3.14159265;
 }
 
-fn horizon(at: vec2<i32>) -> vec2<f32> {
-    return textureLoad(horizon_map, at, 0).xy;
+// Between four texels as they are gathered: from the one at (0, 1) around by (1, 1) and (1, 0) to (0, 0).
+fn bilinear(texels: vec4<f32>, t: vec2<f32>) -> f32 {
+    return mix(mix(texels.w, texels.z, t.x), mix(texels.x, texels.y, t.x), t.y);
 }
 
 // Fraction of the disc not hidden by one caster: the mean height of what hides the disc gives the width of the
@@ -117,6 +124,7 @@ fn caster_visibility(
     let search_m = light.sun_tan_half_angle * reach;
     if any(abs(across) > vec2(half_extent_m + search_m)) { return 1.0; }
     let tile = tiles[caster];
+    let map_texel = 1.0 / vec2<f32>(textureDimensions(shadow_map));
     let texels_per_m = 0.5 * tile.size_px / tile.half_extent_m;
     let at = vec2(across.x, -across.y) * texels_per_m + vec2(0.5 * tile.size_px);
     let search_px = search_m * texels_per_m;
@@ -130,8 +138,8 @@ fn caster_visibility(
     var blockers = 0.0;
     var height_m = 0.0;
     for (var i = 0; i < search_taps; i++) {
-        let tap = vec2<i32>(floor(at + search_px * disc_point(i, SEARCH_TAPS, turn)));
-        let above = height_above(tile, tap, plane);
+        let tap = at + search_px * disc_point(i, SEARCH_TAPS, turn);
+        let above = height_above(tile, floor(tap), plane, map_texel);
         if above > 0.0 {
             blockers += 1.0;
             height_m += above;
@@ -147,7 +155,7 @@ fn caster_visibility(
     let radius_px = select(0.0, filter_px, wide);
     var hidden_sum = 0.0;
     for (var i = 0; i < taps; i++) {
-        hidden_sum += hidden(tile, at + radius_px * disc_point(i, FILTER_TAPS, turn), plane);
+        hidden_sum += hidden(tile, at + radius_px * disc_point(i, FILTER_TAPS, turn), plane, map_texel);
     }
     return 1.0 - hidden_sum / f32(taps);
 }
@@ -159,28 +167,21 @@ fn disc_point(i: i32, count: i32, turn: f32) -> vec2<f32> {
 }
 
 // Share of the four texels around a place (in texels of the tile) in which the caster stands above the plane.
-fn hidden(tile: CasterTile, at: vec2<f32>, plane: vec3<f32>) -> f32 {
+fn hidden(tile: CasterTile, at: vec2<f32>, plane: vec3<f32>, map_texel: vec2<f32>) -> f32 {
     let corner = floor(at - 0.5);
-    let t = at - 0.5 - corner;
-    let texel = vec2<i32>(corner);
-    let south = mix(blocks(tile, texel, plane), blocks(tile, texel + vec2(1, 0), plane), t.x);
-    let north = mix(blocks(tile, texel + vec2(0, 1), plane), blocks(tile, texel + vec2(1, 1), plane), t.x);
-    return mix(south, north, t.y);
+    let middles = textureGather(0, shadow_map, nearest, (tile.origin_px + corner + 1.0) * map_texel);
+    let columns = corner.x + vec4(0.0, 1.0, 1.0, 0.0);
+    let rows = corner.y + vec4(1.0, 1.0, 0.0, 0.0);
+    let in_tile = (min(columns, rows) >= vec4(0.0)) & (max(columns, rows) < vec4(tile.size_px));
+    let heights = middles * tile.half_extent_m - (plane.z + plane.x * (columns + 0.5) + plane.y * (rows + 0.5));
+    return bilinear(select(vec4(0.0), vec4(1.0), in_tile & (heights > vec4(0.0))), at - 0.5 - corner);
 }
 
-fn blocks(tile: CasterTile, texel: vec2<i32>, plane: vec3<f32>) -> f32 {
-    return select(0.0, 1.0, height_above(tile, texel, plane) > 0.0);
-}
-
-// Height of the middle of the caster above a plane, metres along the sun.
-fn height_above(tile: CasterTile, texel: vec2<i32>, plane: vec3<f32>) -> f32 {
-    return caster_middle(tile, texel) - plane.z - dot(plane.xy, vec2<f32>(texel) + 0.5);
-}
-
-// Height along the sun, metres from the caster's centre, of the middle of the caster; far below it where the
-// caster is not.
-fn caster_middle(tile: CasterTile, texel: vec2<i32>) -> f32 {
-    let size = i32(tile.size_px);
-    if any(texel < vec2(0)) || any(texel >= vec2(size)) { return -1.0e9; }
-    return textureLoad(shadow_map, vec2<i32>(tile.origin_px) + texel, 0).r * tile.half_extent_m;
+// Height of the middle of the caster above a plane at a texel of the tile, metres along the sun; far below it where the caster
+// is not.
+fn height_above(tile: CasterTile, texel: vec2<f32>, plane: vec3<f32>, map_texel: vec2<f32>) -> f32 {
+    let middle = textureSampleLevel(shadow_map, nearest, (tile.origin_px + texel + 0.5) * map_texel, 0.0).r;
+    let in_tile = all(texel >= vec2(0.0)) && all(texel < vec2(tile.size_px));
+    let height = middle * tile.half_extent_m - plane.z - dot(plane.xy, texel + 0.5);
+    return select(-1.0e9, height, in_tile);
 }

@@ -9,7 +9,8 @@ use crate::gpu::Gpu;
 /// Pipelines of the pass.
 #[derive(Debug)]
 pub(super) struct VisibilityPass {
-    /// Of things, which are seen from outside, and of the sky, whose dome is seen from inside.
+    /// Of things, which are seen from outside, and of the sky, whose dome is seen from inside; of it nothing is written but depth
+    /// and stencil.
     things: wgpu::RenderPipeline,
     sky: wgpu::RenderPipeline,
 }
@@ -25,7 +26,7 @@ impl VisibilityPass {
             immediate_size: 0,
         });
         let attributes = wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3];
-        let pipeline = |cull_mode| {
+        let pipeline = |entry_point, cull_mode, write_mask| {
             gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
                 label: Some(VISIBILITY.name),
                 layout: Some(&layout),
@@ -40,15 +41,18 @@ impl VisibilityPass {
                 multisample: wgpu::MultisampleState::default(),
                 fragment: Some(wgpu::FragmentState {
                     module: &module,
-                    entry_point: Some("fs_main"),
+                    entry_point: Some(entry_point),
                     compilation_options: wgpu::PipelineCompilationOptions::default(),
-                    targets: &[Some(VISIBLE_FORMAT.into())],
+                    targets: &[Some(wgpu::ColorTargetState { write_mask, ..VISIBLE_FORMAT.into() })],
                 }),
                 multiview_mask: None,
                 cache: None,
             })
         };
-        Self { things: pipeline(Some(wgpu::Face::Back)), sky: pipeline(None) }
+        Self {
+            things: pipeline("fs_main", Some(wgpu::Face::Back), wgpu::ColorWrites::ALL),
+            sky: pipeline("fs_sky", None, wgpu::ColorWrites::empty()),
+        }
     }
 
     /// Records the pass.
