@@ -7,6 +7,7 @@
 //! [`Renderer::record_frame`].
 
 pub mod facing;
+pub mod footprint;
 pub mod gpu_scene;
 pub mod hazards;
 pub mod horizon;

@@ -10,6 +10,7 @@ use wgpu::{BufferUsages, IndexFormat, TextureFormat, TextureUsages};
 
 use super::RenderSettings;
 use super::facing::{Facing, Triangle};
+use super::footprint::Footprint;
 use super::horizon::{self, HorizonMap};
 use super::relief::Bands;
 use super::resolve::{self, Packing};
@@ -270,7 +271,7 @@ impl GpuScene {
         self.uploaded_bytes = 0;
         self.upload_indices(gpu, scene);
         let selection = Selection::new(scene, settings);
-        let horizon = HorizonMap::build(&scene.terrain, &scene.sun, &selection.seen_boxes(scene));
+        let horizon = HorizonMap::build(&scene.terrain, &scene.sun, &Footprint::new(scene, &selection.frustum));
         let casters = &selection.casters;
         let caster_grid = shadow::caster_grid(scene, casters, &horizon);
         let facing = ways.pick_triangles.then(|| Facing::new(scene, &selection, settings, &caster_grid));

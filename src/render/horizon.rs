@@ -10,9 +10,12 @@
 //! to grid, with samples as far apart as the cells there; where a finer grid ends towards the sun it goes on from the
 //! coarser.
 
+use std::ops::Range;
+
 use glam::Vec2;
 use rayon::prelude::*;
 
+use super::footprint::Footprint;
 use super::shaders::HorizonLevel;
 use crate::scene::sky::Sun;
 use crate::scene::terrain::{Layout, Terrain};
@@ -25,6 +28,11 @@ const SAMPLES_PER_RING_CELL: f32 = 2.0;
 const MOST_SAMPLES: u32 = 2048;
 /// Distance that the finest grid over rings serves, metres.
 const FINEST_M: f32 = 5.0;
+/// How far ground may stand out of what a coarser grid knows of it, steps of the grid: a grid begins so far beyond what is
+/// asked for that this throws no shadow into it. With twice as much a picture stays the same to the bit.
+const DETAIL_STEPS: f32 = 4.5;
+/// But no more samples than this.
+const MOST_BEYOND: f32 = 256.0;
 /// Beyond everything, metres.
 const FARTHEST_M: f32 = 1e9;
 /// Most grids. Stands in `common/frame.wgsl` too.
@@ -65,6 +73,14 @@ struct Frame<'a> {
     fall_m: [f32; 2],
 }
 
+/// Which samples of a grid are asked for.
+struct Region {
+    columns: Range<usize>,
+    rows: Range<usize>,
+    /// Of each row, the columns.
+    spans: Vec<Range<usize>>,
+}
+
 /// One grid while it is made.
 struct Grid {
     origin: Vec2,
@@ -75,11 +91,10 @@ struct Grid {
 }
 
 impl HorizonMap {
-    /// The map of a ground and a sun over regions, given by the corners of boxes in the world with their distance from
-    /// the ground's centre: what is seen. Samples lie where they would in a map of the whole ground, and have the values
-    /// that they would have there.
+    /// The map of a ground and a sun over the part of it that is asked for: what is seen. Samples lie where they would in a map
+    /// of the whole ground, and of a square have the values that they would have there.
     #[must_use]
-    pub fn build(terrain: &Terrain, sun: &Sun, boxes: &[([Vec2; 4], f32)]) -> Self {
+    pub fn build(terrain: &Terrain, sun: &Sun, footprint: &Footprint) -> Self {
         let azimuth = sun.azimuth_deg.to_radians();
         let towards = Vec2::new(libm::sin(azimuth) as f32, libm::cos(azimuth) as f32);
         let reach_m = terrain.half_extent_m;
@@ -107,17 +122,13 @@ impl HorizonMap {
         for (level, &step_m) in steps_m.iter().enumerate().rev() {
             let frame = Frame::new(terrain, square.as_ref(), sun, towards, step_m);
             let end_m = if steps_m.len() == 1 { FARTHEST_M } else { base_m * (1_u32 << level) as f32 };
-            let corners =
-                boxes.iter().filter(|(_, nearest_m)| *nearest_m <= end_m).flat_map(|(corners, _)| {
-                    corners.map(|corner| {
-                        let offset = corner - terrain.centre;
-                        terrain.centre + offset.clamp(Vec2::splat(-end_m), Vec2::splat(end_m))
-                    })
-                });
-            let region = frame.region(corners);
+            // What only a finer grid of several shows is told apart from the coarser by this much.
+            let detail_m = if steps_m.len() == 1 { 0.0 } else { DETAIL_STEPS * step_m };
+            let beyond = (detail_m / frame.fall_m[0].max(1e-6)).min(MOST_BEYOND).ceil();
+            let region = frame.region(&footprint.within(terrain.centre, end_m), beyond);
             let grid = match grids.last() {
-                None => frame.first(region),
-                Some(coarser) => frame.within(region, coarser),
+                None => frame.first(&region),
+                Some(coarser) => frame.within(&region, coarser),
             };
             grids.push(grid);
         }
@@ -179,18 +190,41 @@ impl<'a> Frame<'a> {
         Self { terrain, square, towards, across, origin, step_m, samples, fall_m }
     }
 
-    /// Columns and rows of the samples around some places.
-    fn region(&self, corners: impl Iterator<Item = Vec2>) -> [std::ops::Range<usize>; 2] {
-        let (mut low, mut high) = (Vec2::INFINITY, Vec2::NEG_INFINITY);
-        for corner in corners {
+    /// The samples around a part of the ground, and so many further towards the sun.
+    fn region(&self, footprint: &Footprint, beyond: f32) -> Region {
+        let at = |corner: &Vec2| {
             let offset = (corner - self.origin) / self.step_m;
-            let at = Vec2::new(offset.dot(self.towards), offset.dot(self.across));
-            (low, high) = (low.min(at), high.max(at));
-        }
+            Vec2::new(offset.dot(self.towards), offset.dot(self.across))
+        };
+        let corners: Vec<Vec2> = footprint.corners.iter().map(at).collect();
         let first = |at: f32| (at.floor() - 1.0).clamp(0.0, (self.samples - 2) as f32) as usize;
         let end = |at: f32| (at.ceil() + 2.0).clamp(2.0, self.samples as f32) as usize;
-        let [columns, rows] = [first(low.x)..end(high.x), first(low.y)..end(high.y)];
-        [columns.start..columns.end.max(columns.start + 2), rows.start..rows.end.max(rows.start + 2)]
+        let samples = |low: f32, high: f32| first(low)..end(high).max(first(low) + 2);
+        let lowest = corners.iter().copied().reduce(Vec2::min).unwrap_or_default();
+        let highest = corners.iter().copied().reduce(Vec2::max).unwrap_or_default();
+        let rows = samples(lowest.y, highest.y);
+        let spans = rows
+            .clone()
+            .map(|row| {
+                // Over as many rows to both sides as a place between two rows, or between two of a finer grid, may ask.
+                let (south, north) = (row as f32 - 3.0, row as f32 + 3.0);
+                let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
+                for (from, to) in corners.iter().zip(corners.iter().cycle().skip(1)) {
+                    let rise = to.y - from.y;
+                    let share = |y: f32| if rise == 0.0 { 0.0 } else { (y - from.y) / rise };
+                    let (a, b) = (share(south), share(north));
+                    let (a, b) = (a.min(b).max(0.0), a.max(b).min(1.0));
+                    let apart = rise == 0.0 && !(south..=north).contains(&from.y);
+                    if !apart && a <= b {
+                        for x in [a, b, 0.0, 1.0].map(|t| from.x + (to.x - from.x) * t.clamp(a, b)) {
+                            (low, high) = (low.min(x), high.max(x));
+                        }
+                    }
+                }
+                if low <= high { samples(low, high + beyond) } else { 0..0 }
+            })
+            .collect();
+        Region { columns: samples(lowest.x, highest.x + beyond), rows, spans }
     }
 
     fn place(&self, column: usize, row: usize) -> Vec2 {
@@ -208,46 +242,47 @@ impl<'a> Frame<'a> {
     }
 
     /// The coarsest grid: its rows begin where no ground further off is high enough to hide the sun.
-    fn first(&self, [columns, rows]: [std::ops::Range<usize>; 2]) -> Grid {
+    fn first(&self, region: &Region) -> Grid {
         let heights = self.terrain.vertices.iter().map(|vertex| vertex.position.z);
         let (lowest_m, highest_m) =
             heights.fold((f32::MAX, f32::MIN), |(low, high), z| (low.min(z), high.max(z)));
         let fall_m = self.fall_m[0].max(1e-6);
         let reach = ((highest_m - lowest_m) / fall_m).ceil().min(self.samples as f32) as usize + 2;
-        let last = (columns.end + reach).min(self.samples);
         let bends = self.square.map(|square| Bends::new(square, self.step_m));
-        let start = |_| (last, [-1.0e9_f32; 2]);
-        self.scan([columns, rows], start, bends.as_ref())
+        let start = |_, end: usize| ((end + reach).min(self.samples), [-1.0e9_f32; 2]);
+        self.scan(region, start, bends.as_ref())
     }
 
     /// A grid whose rows go on from a coarser one.
-    fn within(&self, [columns, rows]: [std::ops::Range<usize>; 2], coarser: &Grid) -> Grid {
-        let end = columns.end;
-        let start = |row| {
+    fn within(&self, region: &Region, coarser: &Grid) -> Grid {
+        let start = |row, end| {
             let place = self.place(end, row);
             let ground_m = self.ground_m(place);
             (end, raised(coarser.limbs_at(place, self.towards), ground_m))
         };
-        self.scan([columns.clone(), rows], start, None)
+        self.scan(region, start, None)
     }
 
-    /// Runs along every row from the column and with the heights that `start` gives for it.
+    /// Runs along every row of a region, from the column and with the heights that `start` gives for it and the end of its span.
     fn scan(
         &self,
-        [columns, rows]: [std::ops::Range<usize>; 2],
-        start: impl Fn(usize) -> (usize, [f32; 2]) + Sync,
+        Region { columns, rows, spans }: &Region,
+        start: impl Fn(usize, usize) -> (usize, [f32; 2]) + Sync,
         bends: Option<&Bends>,
     ) -> Grid {
         let mut heights_m = vec![[f32::MIN; 2]; columns.len() * rows.len()];
-        let lines = heights_m.par_chunks_mut(columns.len()).zip(rows.clone());
-        let shaded = lines.map(|(heights, row)| {
-            let (last, mut limbs) = start(row);
+        let lines = heights_m.par_chunks_mut(columns.len()).zip(rows.clone()).zip(spans);
+        let shaded = lines.map(|((heights, row), span)| {
             let mut shaded = Vec::new();
-            for column in (columns.start..last).rev() {
+            if span.is_empty() {
+                return shaded;
+            }
+            let (last, mut limbs) = start(row, span.end);
+            for column in (span.start..last).rev() {
                 limbs = [limbs[0] - self.fall_m[0], limbs[1] - self.fall_m[1]];
                 let place = self.place(column, row);
                 let ground_m = self.ground_m(place);
-                if columns.contains(&column) {
+                if span.contains(&column) {
                     heights[column - columns.start] = limbs;
                     if let Some(bends) = bends
                         && ground_m > f32::MIN
@@ -395,7 +430,7 @@ mod tests {
         let sun = Sun::new(17.0, 90.0, 0.53, Vec3::ONE);
         let corners =
             [Vec2::splat(-100.0), Vec2::splat(100.0), Vec2::new(-100.0, 100.0), Vec2::new(100.0, -100.0)];
-        let map = HorizonMap::build(&terrain, &sun, &[(corners, 0.0)]);
+        let map = HorizonMap::build(&terrain, &sun, &Footprint::around(corners.into_iter()));
         let level = map.levels[0];
         // Beyond 13 m the shadow of the ridge has met the ground.
         for x in [-5.0_f32, -8.0, -12.0] {

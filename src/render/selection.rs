@@ -92,37 +92,6 @@ impl Selection {
     }
 }
 
-impl Selection {
-    /// Corners, seen from above, of boxes that hold all ground and rocks that may be seen, each with a distance from the
-    /// ground's centre that nothing in it is nearer than; metres, world.
-    #[must_use]
-    pub fn seen_boxes(&self, scene: &Scene) -> Vec<([Vec2; 4], f32)> {
-        let terrain = &scene.terrain;
-        let spans: Vec<_> = ground_blocks(terrain).collect();
-        let boxed = |low: Vec2, high: Vec2| {
-            let corners = [low, Vec2::new(high.x, low.y), Vec2::new(low.x, high.y), high];
-            (corners, terrain.centre.clamp(low, high).distance(terrain.centre))
-        };
-        let blocks = self.blocks.iter().filter_map(|&(block, nearest_m)| {
-            let [columns, rows] = &spans[block];
-            let (mut low, mut high) = block_bounds(scene, columns, rows);
-            // Where rays are few, at the back of rings, a block may reach around the eye: of such a one, the cells that may
-            // be seen.
-            if low.distance(high) > nearest_m {
-                (low, high) = cells_that_may_be_seen(scene, columns, rows, &self.frustum)?;
-            }
-            Some(boxed(low.truncate(), high.truncate()))
-        });
-        let seen = self.rocks.iter().filter(|rock| rock.seen_level.is_some());
-        let rocks = seen.map(|selected| {
-            let rock = &scene.rocks[selected.rock];
-            let (centre, radius_m) = (rock.centre.truncate(), Vec2::splat(rock.radius_m));
-            boxed(centre - radius_m, centre + radius_m)
-        });
-        blocks.chain(rocks).collect()
-    }
-}
-
 /// Columns and rows of the ground's cells in each block.
 pub fn ground_blocks(terrain: &Terrain) -> impl Iterator<Item = [Range<u32>; 2]> + use<> {
     let spans = |cells: u32| {
@@ -155,20 +124,6 @@ fn block_bounds(scene: &Scene, columns: &Range<u32>, rows: &Range<u32>) -> (Vec3
 pub(super) fn cell_bounds(scene: &Scene, column: u32, row: u32) -> (Vec3, Vec3) {
     let corners = scene.terrain.corners(column, row);
     corners.iter().fold((corners[0], corners[0]), |(low, high), p| (low.min(*p), high.max(*p)))
-}
-
-/// Lowest and highest corner of the box around those cells of a block of the ground that may be seen, if there are any.
-fn cells_that_may_be_seen(
-    scene: &Scene,
-    columns: &Range<u32>,
-    rows: &Range<u32>,
-    frustum: &Frustum,
-) -> Option<(Vec3, Vec3)> {
-    rows.clone()
-        .flat_map(|row| columns.clone().map(move |column| (column, row)))
-        .map(|(column, row)| cell_bounds(scene, column, row))
-        .filter(|(low, high)| frustum.may_see_box(*low, *high))
-        .reduce(|(low, high), (cell_low, cell_high)| (low.min(cell_low), high.max(cell_high)))
 }
 
 /// A rectangle of the picture outside of which something is not seen, samples; it may reach beyond the picture.
@@ -239,6 +194,12 @@ impl Frustum {
         let row = |i| clip_from_world.row(i);
         let planes = [row(3) + row(0), row(3) - row(0), row(3) + row(1), row(3) - row(1), row(3) - row(2)];
         Self { planes: planes.map(|plane| plane / plane.truncate().length()) }
+    }
+
+    /// The planes, except the far one: normals inward, unit; distance in w.
+    #[must_use]
+    pub const fn planes(&self) -> [Vec4; 5] {
+        self.planes
     }
 
     fn may_see(&self, furthest_inside: impl Fn(Vec4) -> f32) -> bool {

@@ -1,0 +1,139 @@
+//! Where what may be seen can lie, as seen from above.
+//!
+//! Must not know: buffers.
+
+use glam::{DMat3, DVec3, DVec4, Vec2};
+
+use super::selection::Frustum;
+use crate::scene::Scene;
+
+/// A convex polygon on the map.
+#[derive(Clone, Debug, Default)]
+pub struct Footprint {
+    /// Counterclockwise, metres, world.
+    pub corners: Vec<Vec2>,
+}
+
+impl Footprint {
+    /// Of all ground and rocks within a frustum.
+    #[must_use]
+    pub fn new(scene: &Scene, frustum: &Frustum) -> Self {
+        let terrain = &scene.terrain;
+        let ground = terrain.vertices.iter().map(|vertex| (vertex.position.z, vertex.position.z));
+        let rocks = scene.rocks.iter().map(|rock| (rock.centre.z - rock.radius_m, rock.centre.z + rock.radius_m));
+        let (lowest_m, highest_m) = ground
+            .chain(rocks)
+            .fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), z| (low.min(z.0), high.max(z.1)));
+        // Rocks may jut out over the border of the ground.
+        let widest_m = scene.rocks.iter().map(|rock| rock.radius_m).fold(0.0, f32::max);
+        let (centre, reach_m) = (terrain.centre, terrain.half_extent_m + widest_m);
+        let side = |normal: DVec3, offset_m: f32| normal.extend(f64::from(offset_m));
+        let planes: Vec<DVec4> = [
+            side(DVec3::Z, -lowest_m),
+            side(DVec3::NEG_Z, highest_m),
+            side(DVec3::X, reach_m - centre.x),
+            side(DVec3::NEG_X, reach_m + centre.x),
+            side(DVec3::Y, reach_m - centre.y),
+            side(DVec3::NEG_Y, reach_m + centre.y),
+        ]
+        .into_iter()
+        .chain(frustum.planes().map(|plane| plane.as_dvec4()))
+        .collect();
+        Self::around(corners(&planes).map(|corner| corner.truncate().as_vec2()))
+    }
+
+    /// The least that holds some places (the monotone chain of Andrew 1979, "Another efficient algorithm for convex hulls in two
+    /// dimensions").
+    pub fn around(places: impl Iterator<Item = Vec2>) -> Self {
+        let mut places: Vec<Vec2> = places.collect();
+        places.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
+        places.dedup();
+        let half = |places: &mut dyn Iterator<Item = Vec2>| {
+            let mut chain: Vec<Vec2> = Vec::new();
+            for place in places {
+                while let [.., a, b] = chain[..]
+                    && (b - a).perp_dot(place - a) <= 0.0
+                {
+                    chain.pop();
+                }
+                chain.push(place);
+            }
+            // The last is the first of the other half.
+            if chain.len() > 1 {
+                chain.pop();
+            }
+            chain
+        };
+        let mut corners = half(&mut places.iter().copied());
+        if places.len() > 1 {
+            corners.extend(half(&mut places.iter().rev().copied()));
+        }
+        Self { corners }
+    }
+
+    /// The part within a square around a place.
+    #[must_use]
+    pub fn within(&self, centre: Vec2, half_m: f32) -> Self {
+        let mut corners = self.corners.clone();
+        for normal in [Vec2::X, Vec2::NEG_X, Vec2::Y, Vec2::NEG_Y] {
+            let inside_m = |corner: Vec2| half_m - (corner - centre).dot(normal);
+            let next = corners.iter().cycle().skip(1);
+            corners = corners
+                .iter()
+                .zip(next)
+                .flat_map(|(&from, &to)| {
+                    let (a, b) = (inside_m(from), inside_m(to));
+                    let crosses = (a < 0.0) != (b < 0.0);
+                    [(a >= 0.0).then_some(from), crosses.then(|| from + (to - from) * (a / (a - b)))]
+                })
+                .flatten()
+                .collect();
+        }
+        Self { corners }
+    }
+}
+
+/// Where three of some planes meet (normals inward, distance in w) and no other cuts it off.
+fn corners(planes: &[DVec4]) -> impl Iterator<Item = DVec3> {
+    let count = planes.len();
+    let triples =
+        (0..count).flat_map(move |a| (0..a).flat_map(move |b| (0..b).map(move |c| [a, b, c])));
+    triples.filter_map(move |triple| {
+        let [a, b, c] = triple.map(|plane| planes[plane]);
+        let normals = DMat3::from_cols(a.truncate(), b.truncate(), c.truncate()).transpose();
+        if normals.determinant().abs() < 1e-9 {
+            return None;
+        }
+        let corner = -(normals.inverse() * DVec3::new(a.w, b.w, c.w));
+        let slack_m = 1e-4 + 1e-6 * corner.length();
+        planes.iter().all(|plane| plane.dot(corner.extend(1.0)) >= -slack_m).then_some(corner)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hull_and_its_part_in_a_square() {
+        let places = [(0.0, 0.0), (4.0, 0.0), (2.0, 1.0), (4.0, 4.0), (0.0, 4.0), (2.0, 0.0), (0.0, 0.0)];
+        let hull = Footprint::around(places.iter().map(|&(x, y)| Vec2::new(x, y)));
+        let square = [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)].map(|(x, y)| Vec2::new(x, y));
+        assert_eq!(hull.corners, square);
+        let part = hull.within(Vec2::new(4.0, 4.0), 1.0);
+        assert_eq!(Footprint::around(part.corners.into_iter()).corners.len(), 4);
+        assert!(hull.within(Vec2::splat(9.0), 1.0).corners.is_empty());
+    }
+
+    #[test]
+    fn corners_of_a_cube_that_a_plane_cuts() {
+        let mut planes: Vec<DVec4> = [DVec3::X, DVec3::Y, DVec3::Z]
+            .into_iter()
+            .flat_map(|axis| [axis.extend(1.0), (-axis).extend(1.0)])
+            .collect();
+        assert_eq!(corners(&planes).count(), 8);
+        // One corner less, and a triangle in its place.
+        planes.push(DVec4::new(-1.0, -1.0, -1.0, 2.0));
+        assert_eq!(corners(&planes).count(), 10);
+    }
+}
