@@ -12,6 +12,7 @@
 
 use std::ops::Range;
 
+use fearless_simd::{Level, dispatch};
 use glam::Vec2;
 use rayon::prelude::*;
 
@@ -232,12 +233,36 @@ impl<'a> Frame<'a> {
     }
 
     /// Height of the ground at a place, far down where there is none.
-    #[inline(always)]
     fn ground_m(&self, place: Vec2) -> f32 {
-        match self.square {
-            Some(square) => square.height_at(place),
-            None if self.terrain.contains(place) => self.terrain.surface_height_at(place),
-            None => f32::MIN,
+        if self.terrain.contains(place) { self.terrain.surface_height_at(place) } else { f32::MIN }
+    }
+
+    /// Height of the ground at samples of a row.
+    fn ground_along(&self, row: usize, columns: Range<usize>) -> Vec<f32> {
+        let Some(square) = self.square else {
+            return columns.map(|column| self.ground_m(self.place(column, row))).collect();
+        };
+        let mut heights_m = vec![0.0; columns.len()];
+        dispatch!(Level::new(), _simd => self.heights_along(square, row, columns.start, &mut heights_m));
+        heights_m
+    }
+
+    // In three turns, of which the first and the last are the same for many samples at once; see `scene/noise.rs`.
+    #[inline(always)]
+    fn heights_along(&self, square: &Square, row: usize, first: usize, heights_m: &mut [f32]) {
+        const AT_ONCE: usize = 64;
+        let start = self.origin + row as f32 * self.step_m * self.across;
+        for (turn, heights_m) in heights_m.chunks_mut(AT_ONCE).enumerate() {
+            let first = (first + turn * AT_ONCE) as u32;
+            let mut cells = [0; AT_ONCE];
+            let (mut u, mut v) = ([0.0; AT_ONCE], [0.0; AT_ONCE]);
+            for (i, ((cell, u), v)) in (0..).zip(cells.iter_mut().zip(&mut u).zip(&mut v)) {
+                let place = start + (first + i) as f32 * self.step_m * self.towards;
+                (*cell, [*u, *v]) = square.cell_at(place);
+            }
+            for (height_m, ((cell, u), v)) in heights_m.iter_mut().zip(cells.iter().zip(&u).zip(&v)) {
+                *height_m = square.height_in(*cell, *u, *v);
+            }
         }
     }
 
@@ -278,17 +303,17 @@ impl<'a> Frame<'a> {
                 return shaded;
             }
             let (last, mut limbs) = start(row, span.end);
-            for column in (span.start..last).rev() {
+            let ground_m = self.ground_along(row, span.start..last);
+            for (column, ground_m) in (span.start..last).zip(ground_m).rev() {
                 limbs = [limbs[0] - self.fall_m[0], limbs[1] - self.fall_m[1]];
-                let place = self.place(column, row);
-                let ground_m = self.ground_m(place);
                 if span.contains(&column) {
                     heights[column - columns.start] = limbs;
                     if let Some(bends) = bends
                         && ground_m > f32::MIN
-                        && ground_m - limbs[0] <= bends.at(place)
+                        && ground_m - limbs[0] <= bends.largest_m
+                        && ground_m - limbs[0] <= bends.at(self.place(column, row))
                     {
-                        shaded.push(place);
+                        shaded.push(self.place(column, row));
                     }
                 }
                 limbs = raised(limbs, ground_m);
@@ -351,17 +376,26 @@ impl Square {
         self.heights_m[row * (self.cells + 1) + column]
     }
 
-    /// [`Terrain::surface_height_at`], or far down outside.
+    /// The first vertex of the cell under a place, [`Self::OUTSIDE`] where there is none, and where in it the place lies.
     #[inline(always)]
-    fn height_at(&self, place: Vec2) -> f32 {
-        if place.abs().max_element() > self.half_m {
+    fn cell_at(&self, place: Vec2) -> (u32, [f32; 2]) {
+        let last = self.cells as i32 - 1;
+        let at = (place + self.half_m) * self.cells_per_m;
+        let (column, row) = ((at.x as i32).min(last), (at.y as i32).min(last));
+        let inside = place.x.abs().max(place.y.abs()) <= self.half_m;
+        let vertex = (row * (last + 2) + column) as u32;
+        (if inside { vertex } else { Self::OUTSIDE }, [at.x - column as f32, at.y - row as f32])
+    }
+
+    const OUTSIDE: u32 = u32::MAX;
+
+    /// [`Terrain::surface_height_at`] a place of a cell, or far down outside.
+    #[inline(always)]
+    fn height_in(&self, vertex: u32, u: f32, v: f32) -> f32 {
+        if vertex == Self::OUTSIDE {
             return f32::MIN;
         }
-        let at = (place + self.half_m) * self.cells_per_m;
-        let cell = |t: f32| (t as usize).min(self.cells - 1);
-        let (column, row) = (cell(at.x), cell(at.y));
-        let (u, v) = (at.x - column as f32, at.y - row as f32);
-        let south = &self.heights_m[row * (self.cells + 1) + column..][..self.cells + 3];
+        let south = &self.heights_m[vertex as usize..][..self.cells + 3];
         let (h00, h11) = (south[0], south[self.cells + 2]);
         let (corner, near, far) = if u >= v { (south[1], u, v) } else { (south[self.cells + 1], v, u) };
         h00 + (corner - h00) * near + (h11 - corner) * far
@@ -378,6 +412,8 @@ struct Bends {
     cell_m: f32,
     half_m: f32,
     bends_m: Vec<f32>,
+    /// The largest of all.
+    largest_m: f32,
 }
 
 impl Bends {
@@ -404,11 +440,12 @@ impl Bends {
                 (0..cells).map(|column| wide(column, last).map(|c| kinks[c]).fold(0.0, f32::max)).collect()
             })
             .collect();
-        let bends_m = (0..cells * cells)
+        let bends_m: Vec<f32> = (0..cells * cells)
             .into_par_iter()
             .map(|cell| wide(cell / cells, last).map(|row| rows[row][cell % cells]).fold(0.0, f32::max))
             .collect();
-        Self { cells, cell_m: square.cell_m, half_m: square.half_m, bends_m }
+        let largest_m = bends_m.iter().copied().fold(0.0, f32::max);
+        Self { cells, cell_m: square.cell_m, half_m: square.half_m, bends_m, largest_m }
     }
 
     fn at(&self, place: Vec2) -> f32 {
