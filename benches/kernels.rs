@@ -10,6 +10,11 @@ use regolith::output::edges::EdgePolicy;
 use regolith::output::{self, LabelIds, Source};
 use regolith::params::Params;
 use regolith::random::Streams;
+use regolith::render::facing::{BlockTriangles, Facing, RockTriangles};
+use regolith::render::footprint::Footprint;
+use regolith::render::horizon::HorizonMap;
+use regolith::render::selection::{SelectedRock, Selection};
+use regolith::render::{RenderSettings, shadow, shadow_raster};
 use regolith::scene::Scene;
 use regolith::scene::mesh::{Icosphere, set_smooth_normals};
 use regolith::scene::noise::Fbm;
@@ -60,6 +65,45 @@ fn geometry(c: &mut Criterion) {
     group.finish();
 }
 
+/// What is reckoned for a picture of a scene before the device is given anything.
+fn picture(c: &mut Criterion) {
+    let scene = Scene::build(SEED, &Params::draw_default(SEED)).expect("the scene of the seed");
+    let settings = RenderSettings::new([512, 512], 4).expect("settings");
+    let selection = Selection::new(&scene, &settings);
+    let footprint = Footprint::new(&scene, &selection.frustum);
+    let horizon = HorizonMap::build(&scene.terrain, &scene.sun, &footprint);
+    let grid = shadow::caster_grid(&scene, &selection.casters, &horizon);
+    let facing = Facing::new(&scene, &selection, &settings, &grid);
+    let mut map = Vec::new();
+    let mut group = c.benchmark_group("picture");
+    group.bench_function("selection", |b| b.iter(|| Selection::new(black_box(&scene), &settings)));
+    group.throughput(Throughput::Elements(horizon.heights_m.len() as u64));
+    group.bench_function("horizon_map", |b| {
+        b.iter(|| HorizonMap::build(&scene.terrain, black_box(&scene.sun), &footprint));
+    });
+    group.throughput(Throughput::Elements(selection.casters.len() as u64));
+    group.bench_function("caster_grid", |b| {
+        b.iter(|| shadow::caster_grid(black_box(&scene), &selection.casters, &horizon));
+    });
+    let cast = |rock: &SelectedRock| {
+        rock.caster.map_or(0, |(_, level)| scene.rocks[rock.rock].triangles(level).len())
+    };
+    group.throughput(Throughput::Elements(selection.rocks.iter().map(cast).sum::<usize>() as u64));
+    group.bench_function("shadow_map", |b| {
+        b.iter(|| shadow_raster::draw(black_box(&scene), &selection, &mut map));
+    });
+    let seen = |rock: &RockTriangles| rock.seen.iter().map(Vec::len).sum::<usize>();
+    let on_ground =
+        |block: &BlockTriangles| block.by_shades.iter().map(|kind| kind.triangles.len()).sum::<usize>();
+    let triangles =
+        facing.rocks.iter().map(seen).sum::<usize>() + facing.ground.iter().map(on_ground).sum::<usize>();
+    group.throughput(Throughput::Elements(triangles as u64));
+    group.bench_function("triangles", |b| {
+        b.iter(|| Facing::new(black_box(&scene), &selection, &settings, &grid));
+    });
+    group.finish();
+}
+
 /// A frame that compresses like a real one: a horizon, a coarse grain, blobs of rock.
 fn frame(side: u32) -> Frame {
     let grain = Fbm { octaves: 5, frequency: 0.05, lacunarity: 2.0, seed: 3 };
@@ -98,5 +142,5 @@ fn on_one_thread(_: &mut Criterion) {
         .expect("the first pool");
 }
 
-criterion_group!(benches, on_one_thread, noise, geometry, encode);
+criterion_group!(benches, on_one_thread, noise, geometry, picture, encode);
 criterion_main!(benches);

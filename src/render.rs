@@ -247,12 +247,7 @@ impl Renderer {
         let (gpu, gpu_scene) = (&self.gpu, &mut self.scene);
         gpu.guard(|| gpu_scene.upload(gpu, scene, drawn, picture.size, ways))?;
         self.scene_pass.prepare(&self.gpu, self.scene.variant(drawn.annotations), &self.scene);
-        self.shadow_pass.prepare(
-            &self.gpu,
-            &self.layouts,
-            self.scene.atlas_px,
-            self.scene.shadow_map(),
-        );
+        self.shadow_pass.prepare(&self.gpu, &self.layouts, self.scene.atlas_px, self.scene.shadow_map());
         self.gpu.check()?;
         let uploaded = Instant::now();
         let submission = self.gpu.guard(|| self.submit_frame(&targets, &slot))?;

@@ -20,7 +20,8 @@ impl Footprint {
     pub fn new(scene: &Scene, frustum: &Frustum) -> Self {
         let terrain = &scene.terrain;
         let ground = terrain.vertices.iter().map(|vertex| (vertex.position.z, vertex.position.z));
-        let rocks = scene.rocks.iter().map(|rock| (rock.centre.z - rock.radius_m, rock.centre.z + rock.radius_m));
+        let rocks =
+            scene.rocks.iter().map(|rock| (rock.centre.z - rock.radius_m, rock.centre.z + rock.radius_m));
         let (lowest_m, highest_m) = ground
             .chain(rocks)
             .fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), z| (low.min(z.0), high.max(z.1)));
@@ -96,8 +97,7 @@ impl Footprint {
 /// Where three of some planes meet (normals inward, distance in w) and no other cuts it off.
 fn corners(planes: &[DVec4]) -> impl Iterator<Item = DVec3> {
     let count = planes.len();
-    let triples =
-        (0..count).flat_map(move |a| (0..a).flat_map(move |b| (0..b).map(move |c| [a, b, c])));
+    let triples = (0..count).flat_map(move |a| (0..a).flat_map(move |b| (0..b).map(move |c| [a, b, c])));
     triples.filter_map(move |triple| {
         let [a, b, c] = triple.map(|plane| planes[plane]);
         let normals = DMat3::from_cols(a.truncate(), b.truncate(), c.truncate()).transpose();

@@ -271,7 +271,8 @@ impl GpuScene {
         self.uploaded_bytes = 0;
         self.upload_indices(gpu, scene);
         let selection = Selection::new(scene, settings);
-        let horizon = HorizonMap::build(&scene.terrain, &scene.sun, &Footprint::new(scene, &selection.frustum));
+        let horizon =
+            HorizonMap::build(&scene.terrain, &scene.sun, &Footprint::new(scene, &selection.frustum));
         let casters = &selection.casters;
         let caster_grid = shadow::caster_grid(scene, casters, &horizon);
         let facing = ways.pick_triangles.then(|| Facing::new(scene, &selection, settings, &caster_grid));
@@ -431,7 +432,8 @@ impl GpuScene {
             let casts = selected.caster.map(|(_, level)| level).filter(|_| draw_casters);
             let whole_level = selected.seen_level.filter(|_| facing.is_none()).max(casts);
             let whole = |level: Option<usize>| level.map_or(0..0, |level| self.sphere_levels[level].clone());
-            let whole_base = whole_level.map_or(0, |level| upload(&rock.vertices[..Icosphere::vertex_count(level)]));
+            let whole_base =
+                whole_level.map_or(0, |level| upload(&rock.vertices[..Icosphere::vertex_count(level)]));
             let draw = |indices, base_vertex| Draw { indices, base_vertex, instance };
             draws.casters.push(draw(whole(casts), whole_base));
             let (seen, base) = if let Some(facing) = facing {

@@ -5,8 +5,10 @@
 //! texels; a driver takes several times as long for one as this does, and takes them one after the other.
 //! Must not know: buffers.
 
+use std::cell::RefCell;
+
 use fearless_simd::prelude::*;
-use fearless_simd::{Level, dispatch, f32x4, i32x4};
+use fearless_simd::{Level, dispatch, f32x4, f32x8, i32x8};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -23,34 +25,65 @@ const PARTS: i32 = 1 << PARTS_BITS;
 const PARTS_BITS: i32 = 8;
 /// Texels that a triangle may span for 32 bits to hold its area, in parts.
 const SPAN_PX: i32 = 64;
-/// Texels that are drawn at once.
-const LANES: usize = 4;
+/// Columns and rows of texels that are drawn at once.
+const WIDTH: usize = 4;
+const HEIGHT: usize = 2;
+
+thread_local! {
+    /// Kept for its memory.
+    static CANVAS: RefCell<Canvas> = RefCell::default();
+}
 
 /// Draws the map of a selection's casters: a row after the other, of [`shadow::atlas_px`]. What lies between the tiles stays as
 /// it was.
 pub fn draw(scene: &Scene, selection: &Selection, map: &mut Vec<f32>) {
     let [width, height] = shadow::atlas_px(&selection.casters).map(|side| side as usize);
     map.resize(width * height, NO_CASTER);
-    let casting: Vec<_> = selection.rocks.iter().filter_map(|rock| Some((rock.rock, rock.caster?))).collect();
-    let tiles: Vec<_> = casting
-        .par_iter()
-        .map_init(Canvas::default, |canvas, &(rock, (caster, level))| {
-            let rock = &scene.rocks[rock];
-            let tile = &selection.casters[caster].tile;
-            let vertices = &rock.vertices[..Icosphere::vertex_count(level.min(rock.level))];
-            canvas.project(tile, scene, vertices);
-            let triangles = rock.triangles(level);
-            dispatch!(Level::new(), simd => canvas.draw(simd, triangles));
-            (tile, canvas.middles())
+    let tiles: Vec<&CasterTile> = selection.casters.iter().map(|caster| &caster.tile).collect();
+    let mut rows = rows_of(&tiles, map, width);
+    let casting: Vec<_> = selection
+        .rocks
+        .iter()
+        .filter_map(|selected| {
+            let (caster, level) = selected.caster?;
+            Some((&scene.rocks[selected.rock], tiles[caster], level, std::mem::take(&mut rows[caster])))
         })
         .collect();
-    for (tile, middles) in tiles {
-        let [column, row] = tile.origin_px.to_array().map(|texel| texel as usize);
-        let size = tile.size_px as usize;
-        for (line, texels) in (row..).zip(middles.chunks_exact(size)) {
-            map[line * width + column..][..size].copy_from_slice(texels);
+    casting.into_par_iter().for_each(|(rock, tile, level, rows)| {
+        let vertices = &rock.vertices[..Icosphere::vertex_count(level.min(rock.level))];
+        let triangles = rock.triangles(level);
+        CANVAS.with_borrow_mut(|canvas| {
+            canvas.project(tile, scene, vertices);
+            dispatch!(Level::new(), simd => canvas.draw(simd, triangles));
+            canvas.write_middles(rows);
+        });
+    });
+}
+
+/// The rows of each tile in the map.
+fn rows_of<'a>(tiles: &[&CasterTile], map: &'a mut [f32], width: usize) -> Vec<Vec<&'a mut [f32]>> {
+    let place = |tile: usize| tiles[tile].origin_px.to_array().map(|texel| texel as usize);
+    let size = |tile: usize| tiles[tile].size_px as usize;
+    let mut order: Vec<usize> = (0..tiles.len()).collect();
+    order.sort_by_key(|&tile| (place(tile)[1], place(tile)[0]));
+    let mut rows: Vec<Vec<&mut [f32]>> =
+        (0..tiles.len()).map(|tile| Vec::with_capacity(size(tile))).collect();
+    let mut lines = map.chunks_exact_mut(width).enumerate();
+    // Tiles stand on shelves.
+    for shelf in order.chunk_by(|&a, &b| place(a)[1] == place(b)[1]) {
+        let first = place(shelf[0])[1];
+        let end = first + shelf.iter().map(|&tile| size(tile)).max().unwrap_or(0);
+        for (line, texels) in lines.by_ref().skip_while(|(line, _)| *line < first).take(end - first) {
+            let (mut rest, mut column) = (texels, 0);
+            for &tile in shelf.iter().filter(|&&tile| line < first + size(tile)) {
+                let (_, from_tile) = rest.split_at_mut(place(tile)[0] - column);
+                let (own, behind) = from_tile.split_at_mut(size(tile));
+                rows[tile].push(own);
+                (rest, column) = (behind, place(tile)[0] + size(tile));
+            }
         }
     }
+    rows
 }
 
 /// A vertex in a tile: parts of a texel from the middle of the first, depth from 0 at the far end to 1.
@@ -76,10 +109,10 @@ impl Canvas {
     /// Clears the layers and finds the places of a caster's vertices.
     fn project(&mut self, tile: &CasterTile, scene: &Scene, vertices: &[Vertex]) {
         self.size = tile.size_px as usize;
-        self.stride = self.size + LANES;
+        self.stride = self.size + WIDTH;
         for layer in &mut self.layers {
             layer.clear();
-            layer.resize(self.stride * self.size, 0.0);
+            layer.resize(self.stride * (self.size + HEIGHT), 0.0);
         }
         let [right, up] = scene.sun.right_and_up();
         let (right, down, towards) = (right, -up, scene.sun.direction);
@@ -102,24 +135,26 @@ impl Canvas {
     // Inlined wholly, for each width of vectors; see `scene/noise.rs`.
     #[inline(always)]
     fn draw<S: Simd>(&mut self, simd: S, triangles: &[[u32; 3]]) {
-        let [fronts, backs] = &mut self.layers;
+        let layers = &mut self.layers;
         for triangle in triangles {
             let [a, b, c] = triangle.map(|corner| self.corners[corner as usize]);
             // The middles of texels between the lowest and the highest corner.
             let columns = middles_between(a.x, b.x, c.x, self.size);
             let rows = middles_between(a.y, b.y, c.y, self.size);
-            if columns.0 > columns.1 || rows.0 > rows.1 {
+            let (width, height) = (columns.1 - columns.0, rows.1 - rows.0);
+            if (width | height) < 0 {
                 continue;
             }
-            let spans = columns.1 - columns.0 <= SPAN_PX && rows.1 - rows.0 <= SPAN_PX;
-            let twice_area = i64::from(b.x - a.x) * i64::from(c.y - a.y)
-                - i64::from(b.y - a.y) * i64::from(c.x - a.x);
+            let spans = (width | height) < SPAN_PX;
+            let twice_area =
+                i64::from(b.x - a.x) * i64::from(c.y - a.y) - i64::from(b.y - a.y) * i64::from(c.x - a.x);
+            if twice_area == 0 {
+                continue;
+            }
             // Rows run down: what faces the sun runs the other way round.
-            let (layer, triangle) = match twice_area {
-                0 => continue,
-                ..0 => (&mut *fronts, [a, c, b]),
-                _ => (&mut *backs, [a, b, c]),
-            };
+            let is_front = twice_area < 0;
+            let triangle = if is_front { [a, c, b] } else { [a, b, c] };
+            let layer = &mut layers[usize::from(!is_front)];
             let twice_area = twice_area.abs() as f32;
             if spans {
                 fill(simd, layer, self.stride, triangle, twice_area, columns, rows);
@@ -129,15 +164,14 @@ impl Canvas {
         }
     }
 
-    /// Half way between the layers, half extents of the tile from the caster's centre.
-    fn middles(&self) -> Vec<f32> {
-        let [fronts, backs] = &self.layers;
-        let mut middles = Vec::with_capacity(self.size * self.size);
-        for (fronts, backs) in fronts.chunks_exact(self.stride).zip(backs.chunks_exact(self.stride)) {
-            let both = fronts[..self.size].iter().zip(&backs[..self.size]);
-            middles.extend(both.map(|(front, back)| if *front == 0.0 { NO_CASTER } else { front + back - 1.0 }));
+    /// Writes what is half way between the layers: half extents of the tile from the caster's centre.
+    fn write_middles(&self, rows: Vec<&mut [f32]>) {
+        let [fronts, backs] = self.layers.each_ref().map(|layer| layer.chunks_exact(self.stride));
+        for (row, (fronts, backs)) in rows.into_iter().zip(fronts.zip(backs)) {
+            for (middle, (front, back)) in row.iter_mut().zip(fronts.iter().zip(backs)) {
+                *middle = if *front == 0.0 { NO_CASTER } else { front + back - 1.0 };
+            }
         }
-        middles
     }
 }
 
@@ -180,36 +214,48 @@ fn fill<S: Simd>(
 ) {
     // Opposite of a, b, c: their shares in a place are as its distances from these.
     let edges = [Edge::new(b, c), Edge::new(c, a), Edge::new(a, b)];
-    let mut at_row = edges.map(|edge| {
+    // Four texels of a row and the four below them.
+    let (lane_columns, lane_rows) = (
+        i32x8::from_slice(simd, &[0, 1, 2, 3, 0, 1, 2, 3]),
+        i32x8::from_slice(simd, &[0, 0, 0, 0, 1, 1, 1, 1]),
+    );
+    // No closures: what vectors are made of is inlined wholly.
+    let mut at_row = [i32x8::splat(simd, 0); 3];
+    let (mut to_right, mut down) = ([0; 3], [0; 3]);
+    for (i, edge) in edges.iter().enumerate() {
         let (x, y) = (columns.0 * PARTS - edge.from.x, rows.0 * PARTS - edge.from.y);
         let first = edge.x * y - edge.y * x - edge.owed;
-        let step = edge.y * PARTS;
-        i32x4::from_slice(simd, &[first, first - step, first - 2 * step, first - 3 * step])
-    });
-    let to_right = edges.map(|edge| i32x4::splat(simd, LANES as i32 * edge.y * PARTS));
-    let down = edges.map(|edge| i32x4::splat(simd, edge.x * PARTS));
-    let (per_b, per_c) = ((b.depth - a.depth) / twice_area, (c.depth - a.depth) / twice_area);
+        at_row[i] = lane_rows * (edge.x * PARTS) - lane_columns * (edge.y * PARTS) + first;
+        to_right[i] = WIDTH as i32 * edge.y * PARTS;
+        down[i] = HEIGHT as i32 * edge.x * PARTS;
+    }
+    let per_area = 1.0 / twice_area;
+    let (per_b, per_c) = ((b.depth - a.depth) * per_area, (c.depth - a.depth) * per_area);
     let depth = a.depth + edges[1].owed as f32 * per_b + edges[2].owed as f32 * per_c;
-    let [depth, per_b, per_c] = [depth, per_b, per_c].map(|number| f32x4::splat(simd, number));
-    let (zero, nowhere) = (i32x4::splat(simd, 0), f32x4::splat(simd, 0.0));
-    for row in rows.0..=rows.1 {
+    let nowhere = f32x8::splat(simd, 0.0);
+    let (mut row, end) = (rows.0 as usize, rows.1 as usize + 1);
+    while row < end {
         let mut at = at_row;
-        let line = &mut layer[row as usize * stride..][..stride];
-        let mut column = columns.0 as usize;
-        while column as i32 <= columns.1 {
-            let inside = (at[0] | at[1] | at[2]).simd_ge(zero);
-            let here = depth + at[1].to_float::<f32x4<S>>() * per_b + at[2].to_float::<f32x4<S>>() * per_c;
-            let texels = &mut line[column..column + LANES];
-            let deepest = inside.select(here, nowhere).max(f32x4::from_slice(simd, texels));
-            deepest.store_slice(texels);
-            column += LANES;
-            for (at, step) in at.iter_mut().zip(to_right) {
-                *at -= step;
+        let (upper, lower) = layer[row * stride..][..HEIGHT * stride].split_at_mut(stride);
+        let (mut column, end) = (columns.0 as usize, columns.1 as usize + 1);
+        while column < end {
+            let texels = column..column + WIDTH;
+            let (upper, lower) = (&mut upper[texels.clone()], &mut lower[texels]);
+            let inside = (at[0] | at[1] | at[2]).simd_ge(0);
+            let here = at[1].to_float::<f32x8<S>>() * per_b + at[2].to_float::<f32x8<S>>() * per_c + depth;
+            let there = f32x4::from_slice(simd, upper).combine(f32x4::from_slice(simd, lower));
+            let (above, below) = inside.select(here, nowhere).max(there).split();
+            above.store_slice(upper);
+            below.store_slice(lower);
+            for i in 0..3 {
+                at[i] -= to_right[i];
             }
+            column += WIDTH;
         }
-        for (at, step) in at_row.iter_mut().zip(down) {
-            *at += step;
+        for i in 0..3 {
+            at_row[i] += down[i];
         }
+        row += HEIGHT;
     }
 }
 
