@@ -18,6 +18,7 @@ use rayon::prelude::*;
 
 use super::footprint::Footprint;
 use super::shaders::HorizonLevel;
+use crate::scene::noise::floor;
 use crate::scene::sky::Sun;
 use crate::scene::terrain::{Layout, Terrain};
 
@@ -381,7 +382,7 @@ impl Square {
     fn cell_at(&self, place: Vec2) -> (u32, [f32; 2]) {
         let last = self.cells as i32 - 1;
         let at = (place + self.half_m) * self.cells_per_m;
-        let (column, row) = ((at.x as i32).min(last), (at.y as i32).min(last));
+        let (column, row) = (floor(at.x).clamp(0, last), floor(at.y).clamp(0, last));
         let inside = place.x.abs().max(place.y.abs()) <= self.half_m;
         let vertex = (row * (last + 2) + column) as u32;
         (if inside { vertex } else { Self::OUTSIDE }, [at.x - column as f32, at.y - row as f32])

@@ -17,6 +17,7 @@ use super::shaders::CasterTile;
 use super::shadow;
 use crate::scene::Scene;
 use crate::scene::mesh::{Icosphere, Vertex};
+use crate::scene::noise::floor;
 
 /// Height where a tile shows no caster, half extents of the tile. Stands in `middle.wgsl` too.
 const NO_CASTER: f32 = -1.0e9;
@@ -118,8 +119,7 @@ impl Canvas {
         let (right, down, towards) = (right, -up, scene.sun.direction);
         let half = 0.5 / tile.half_extent_m;
         let texels = tile.size_px;
-        // Never below 0, so that dropping the fraction rounds down.
-        let part = |place: f32| (place * PARTS as f32 + 0.5) as i32 - PARTS / 2;
+        let part = |place: f32| floor(place * PARTS as f32 + 0.5) - PARTS / 2;
         let corner = |vertex: &Vertex| {
             let p: Vec3 = half * vertex.position;
             Corner {

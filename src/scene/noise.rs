@@ -224,12 +224,15 @@ fn lerp(a: f32, b: f32, t: f32) -> f32 {
     a + (b - a) * t
 }
 
-/// Largest integer not above `x`, for |x| < 2^31.
+/// Largest integer not above `x`, for |x| < 2^22: beyond, numbers have no fraction left that noise could be made of.
+///
+/// By a sum that has no room for fractions. A cast, with its rules for what does not fit, is made one lane after the other.
 #[must_use]
 #[inline(always)]
 pub fn floor(x: f32) -> i32 {
-    let truncated = x as i32;
-    truncated - i32::from(truncated as f32 > x)
+    const NO_FRACTIONS: f32 = 12_582_912.0; // 1.5 times 2^23
+    let nearest = (x + NO_FRACTIONS).to_bits().wrapping_sub(NO_FRACTIONS.to_bits()) as i32;
+    nearest - i32::from(nearest as f32 > x)
 }
 
 #[cfg(test)]
@@ -242,6 +245,20 @@ mod tests {
 
     fn lattice_value(x: i32, y: i32, z: i32, seed: u32) -> f32 {
         value_of(lattice_hash(x, y, z, seed))
+    }
+
+    #[test]
+    fn floor_is_the_largest_integer_not_above() {
+        let most = 4_194_303.75_f32;
+        for x in
+            [0.0, -0.0, 0.5, -0.5, 1.0, -1.0, 2.5, -2.5, 0.999_999_94, -1e-30, 1e-30, most, -most, 77.499_996]
+        {
+            assert_eq!(floor(x), f64::from(x).floor() as i32, "{x}");
+        }
+        for i in -100_000..100_000 {
+            let x = i as f32 * 0.377;
+            assert_eq!(floor(x), f64::from(x).floor() as i32, "{x}");
+        }
     }
 
     #[test]
