@@ -30,7 +30,9 @@ fn noise(c: &mut Criterion) {
     let mut sums = vec![0.0; directions.len()];
     let mut group = c.benchmark_group("noise");
     group.throughput(Throughput::Elements(directions.len() as u64));
-    group.bench_function("fbm_3d_many", |b| b.iter(|| fbm.at_many_3d([&x, &y, &z], black_box(&mut sums))));
+    group.bench_function("fbm_3d_many", |b| {
+        b.iter(|| fbm.at_many_3d([&x, &y, &z], 1.0, black_box(&mut sums)))
+    });
     group.bench_function("fbm_3d_one_by_one", |b| {
         b.iter(|| directions.iter().map(|d| fbm.at_3d((*d).into())).sum::<f32>());
     });

@@ -53,13 +53,13 @@ impl Fbm {
         dispatch!(Level::new(), _simd => self.along_x_inlined(x, y, sums));
     }
 
-    /// [`Self::at_3d`] of many places, given by their coordinates.
+    /// [`Self::at_3d`] of many places, given by their coordinates, of which each is taken times `zoom`.
     ///
     /// # Panics
     /// Unless there is a sum for every place.
-    pub fn at_many_3d(&self, [x, y, z]: [&[f32]; 3], sums: &mut [f32]) {
+    pub fn at_many_3d(&self, [x, y, z]: [&[f32]; 3], zoom: f32, sums: &mut [f32]) {
         assert!([y, z].map(<[f32]>::len) == [x.len(); 2] && sums.len() == x.len(), "a sum for every place");
-        dispatch!(Level::new(), _simd => self.at_many_3d_inlined([x, y, z], sums));
+        dispatch!(Level::new(), _simd => self.at_many_3d_inlined([x, y, z], zoom, sums));
     }
 
     // What vectors are made of is inlined wholly: a closure would be compiled for the narrowest of them.
@@ -78,11 +78,12 @@ impl Fbm {
     }
 
     #[inline(always)]
-    fn at_many_3d_inlined(&self, [x, y, z]: [&[f32]; 3], sums: &mut [f32]) {
+    fn at_many_3d_inlined(&self, [x, y, z]: [&[f32]; 3], zoom: f32, sums: &mut [f32]) {
         sums.fill(0.0);
         for Octave { gain, frequency, seed } in self.each() {
             for (((sum, x), y), z) in sums.iter_mut().zip(x).zip(y).zip(z) {
-                *sum += gain * value_noise_3d([x * frequency, y * frequency, z * frequency], seed);
+                let place = [zoom * x * frequency, zoom * y * frequency, zoom * z * frequency];
+                *sum += gain * value_noise_3d(place, seed);
             }
         }
         let total = self.total();
@@ -268,7 +269,7 @@ mod tests {
         let coordinate = |k: f32| (0..101).map(|i| k * (i as f32 - 50.3)).collect::<Vec<f32>>();
         let [x, y, z] = [0.731, -1.93, 0.117].map(coordinate);
         let mut sums = vec![f32::NAN; x.len()];
-        fbm.at_many_3d([&x, &y, &z], &mut sums);
+        fbm.at_many_3d([&x, &y, &z], 1.0, &mut sums);
         for i in 0..x.len() {
             assert_eq!(sums[i].to_bits(), fbm.at_3d([x[i], y[i], z[i]]).to_bits());
         }

@@ -341,17 +341,18 @@ impl Shape {
 
     /// Distance of the surface from the centre in each direction, relative to the undisplaced sphere.
     fn radii(&self, directions: &[Vec3]) -> Vec<f32> {
-        let places: Vec<Vec3> =
-            directions.iter().map(|&u| self.domain_scale * u + self.domain_offset).collect();
+        let [x, y, z] = [0, 1, 2].map(|axis| {
+            let (scale, offset) = (self.domain_scale[axis], self.domain_offset[axis]);
+            directions.iter().map(|u| scale * u[axis] + offset).collect::<Vec<f32>>()
+        });
         let noise = |fbm: &Fbm, zoom: f32| {
-            let [x, y, z] = [0, 1, 2].map(|axis| places.iter().map(|p| zoom * p[axis]).collect::<Vec<f32>>());
-            let mut sums = vec![0.0; places.len()];
-            fbm.at_many_3d([&x, &y, &z], &mut sums);
+            let mut sums = vec![0.0; directions.len()];
+            fbm.at_many_3d([&x, &y, &z], zoom, &mut sums);
             sums
         };
         let (lumps, ridges) = (noise(&self.lumps.0, 1.0), noise(&self.ridges.0, 1.7));
         let (bumps, grain) = (noise(&self.bumps.0, 3.0), noise(&self.grain.0, 7.0));
-        (0..places.len())
+        (0..directions.len())
             .map(|i| {
                 let crease = 1.0 - ridges[i].abs();
                 let sum = self.lumps.1 * lumps[i]
