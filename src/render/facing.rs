@@ -19,9 +19,10 @@ use crate::scene::Scene;
 use crate::scene::mesh::{Icosphere, Vertex};
 use crate::scene::rocks::Rock;
 
-/// A triangle counts as facing both ways if the sine of its tilt is below this: a device's arithmetic may differ from
-/// ours.
-const EDGE_ON: f32 = 1e-3;
+/// A triangle counts as facing both ways if it is thinner than this, samples: a device's arithmetic may differ from ours.
+const EDGE_ON: f32 = 0.01;
+/// To which numbers are added that are to lose their fractions: 1.5 times 2^23.
+const NO_FRACTIONS: f32 = 12_582_912.0;
 /// A triangle counts as covering a sample if it comes as near to it as this, samples; likewise.
 const MARGIN: f32 = 0.03;
 /// Normals are turned from the sun if the sine of their angle to its terminator is above this, for the same reason.
@@ -143,15 +144,16 @@ impl Facing {
 struct Samples {
     /// From metres from the eye to homogeneous coordinates.
     from_offset: Mat4,
-    /// How many there are each way.
-    size: Vec2,
+    /// The last each way, twice.
+    last: Vec4,
 }
 
 impl Samples {
     fn of_picture(scene: &Scene, settings: &RenderSettings) -> Self {
         let size = UVec2::from(settings.sample_size()).as_vec2();
         let from_eye = scene.camera.clip_from_world(settings.size) * Mat4::from_translation(scene.camera.eye);
-        Self { from_offset: from_clip(size) * from_eye, size }
+        let last = size - 1.0;
+        Self { from_offset: from_clip(size) * from_eye, last: last.extend(last.x).extend(last.y) }
     }
 
     /// Coordinates of a place; none for one that is not before the eye.
@@ -160,15 +162,19 @@ impl Samples {
         if at.w > 1e-6 { at.xy() / at.w } else { Vec2::NAN }
     }
 
-    /// Whether a triangle may cover a sample, whose corners have these extents.
-    fn may_be_covered(&self, [a, b, c]: [Vec4; 3]) -> bool {
+    /// Whether a triangle may show: it may face the eye and cover a sample. From the extents of its corners.
+    fn may_show(&self, [a, b, c]: [Vec4; 3]) -> bool {
         let least = a.min(b).min(c);
-        let low = (least.xy() - (0.5 + MARGIN)).max(Vec2::ZERO);
-        let high = (-least.zw() - (0.5 - MARGIN)).min(self.size - 1.0);
-        // A whole number between the two, each way: without `ceil`, which older processors have no instruction for.
-        let (first, last) = (low.as_ivec2(), high.as_ivec2());
-        let holds = |low: f32, first: i32, last: i32| last >= first + i32::from(low > first as f32);
-        holds(low.x, first.x, last.x) && holds(low.y, first.y, last.y)
+        let span = -(least.zw() + least.xy());
+        let (ab, ac) = (b.xy() - a.xy(), c.xy() - a.xy());
+        // Rows run down: above 0 is what runs the wrong way round. What may be anywhere is no number here.
+        let turned_away = ab.perp_dot(ac) > EDGE_ON * (span.x + span.y);
+        // Whether there is a whole number between the two, each way.
+        let low = (least - (0.5 + MARGIN)).max(Vec4::ZERO);
+        let high = (-least.zwzw() - (0.5 - MARGIN)).min(self.last);
+        let nearest = (high + NO_FRACTIONS) - NO_FRACTIONS;
+        let last = nearest - Vec4::select(nearest.cmpgt(high), Vec4::ONE, Vec4::ZERO);
+        !turned_away && last.cmpge(low).bitmask() & 0b11 == 0b11
     }
 }
 
@@ -209,10 +215,8 @@ impl RockTriangles {
         for &triangle in rock.triangles(level) {
             let corners = triangle.map(|vertex| vertices[vertex as usize]);
             let [a, b, c] = corners.map(|corner| corner.position);
-            let may_be_seen = may_face((b - a).cross(c - a), eye - a)
-                && a.z.max(b.z).max(c.z) > buried_m
-                && samples.may_be_covered(triangle.map(|vertex| extents[vertex as usize]));
-            if may_be_seen {
+            let may_show = samples.may_show(triangle.map(|vertex| extents[vertex as usize]));
+            if may_show && a.z.max(b.z).max(c.z) > buried_m {
                 let dark = corners.iter().all(|corner| corner.normal.dot(sun) < -DARK);
                 let triangle = kept.keep(triangle, |vertex| vertices[vertex as usize]);
                 self.seen[usize::from(!dark)].push(triangle);
@@ -261,12 +265,9 @@ fn ground_triangles(
             }
             let mut shades = None;
             for triangle in terrain.block_triangles(column..column + 1, row..row + 1) {
-                let [a, b, c] = triangle.map(|vertex| terrain.vertices[vertex as usize].position - eye);
-                if !may_face((b - a).cross(c - a), -a) {
-                    continue;
-                }
-                let places = [a, b, c].map(|corner| samples.place(corner));
-                if samples.may_be_covered(places.map(extent)) {
+                let places =
+                    triangle.map(|vertex| samples.place(terrain.vertices[vertex as usize].position - eye));
+                if samples.may_show(places.map(extent)) {
                     let shades = *shades.get_or_insert_with(|| {
                         grids.shades_over(caster_grid, low.truncate(), high.truncate())
                     });
@@ -278,10 +279,4 @@ fn ground_triangles(
         }
     }
     BlockTriangles { vertices: kept.vertices.clone(), by_shades }
-}
-
-/// Whether a triangle with this normal, of any length, may face in the direction from a corner of it.
-fn may_face(normal: Vec3, towards: Vec3) -> bool {
-    let facing = normal.dot(towards);
-    facing > 0.0 || facing * facing < EDGE_ON * EDGE_ON * normal.length_squared() * towards.length_squared()
 }
