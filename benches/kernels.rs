@@ -74,7 +74,7 @@ fn picture(c: &mut Criterion) {
     let selection = Selection::new(&scene, &settings);
     let footprint = Footprint::new(&scene, &selection.frustum);
     let horizon = HorizonMap::build(&scene.terrain, &scene.sun, &footprint);
-    let grid = shadow::caster_grid(&scene, &selection.casters, &horizon);
+    let grid = shadow::caster_grid(&scene, &selection.casters, &horizon, &footprint);
     let facing = Facing::new(&scene, &selection, &settings, &grid);
     let mut map = Vec::new();
     let mut group = c.benchmark_group("picture");
@@ -85,7 +85,7 @@ fn picture(c: &mut Criterion) {
     });
     group.throughput(Throughput::Elements(selection.casters.len() as u64));
     group.bench_function("caster_grid", |b| {
-        b.iter(|| shadow::caster_grid(black_box(&scene), &selection.casters, &horizon));
+        b.iter(|| shadow::caster_grid(black_box(&scene), &selection.casters, &horizon, &footprint));
     });
     let cast = |rock: &SelectedRock| {
         rock.caster.map_or(0, |(_, level)| scene.rocks[rock.rock].triangles(level).len())

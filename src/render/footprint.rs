@@ -72,6 +72,29 @@ impl Footprint {
         Self { corners }
     }
 
+    /// The same polygon in other coordinates.
+    #[must_use]
+    pub fn mapped(&self, map: impl Fn(Vec2) -> Vec2) -> Self {
+        Self { corners: self.corners.iter().map(|&corner| map(corner)).collect() }
+    }
+
+    /// The least and the greatest x of the part between two y, if there is one.
+    #[must_use]
+    pub fn span(&self, south: f32, north: f32) -> Option<[f32; 2]> {
+        let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
+        for (from, to) in self.corners.iter().zip(self.corners.iter().cycle().skip(1)) {
+            let rise = to.y - from.y;
+            let share = |y: f32| if rise == 0.0 { 0.0 } else { ((y - from.y) / rise).clamp(0.0, 1.0) };
+            // What part of the side lies between the two; of one that runs along x all or nothing.
+            let reaches = from.y.min(to.y) <= north && from.y.max(to.y) >= south;
+            let ends = if rise == 0.0 { [0.0, 1.0] } else { [share(south), share(north)] };
+            for x in ends.map(|t| from.x + (to.x - from.x) * t).into_iter().filter(|_| reaches) {
+                (low, high) = (low.min(x), high.max(x));
+            }
+        }
+        (low <= high).then_some([low, high])
+    }
+
     /// The part within a square around a place.
     #[must_use]
     pub fn within(&self, centre: Vec2, half_m: f32) -> Self {
@@ -123,6 +146,12 @@ mod tests {
         let part = hull.within(Vec2::new(4.0, 4.0), 1.0);
         assert_eq!(Footprint::around(part.corners.into_iter()).corners.len(), 4);
         assert!(hull.within(Vec2::splat(9.0), 1.0).corners.is_empty());
+        let triangle =
+            Footprint::around([(0.0, 0.0), (4.0, 0.0), (0.0, 4.0)].iter().map(|&(x, y)| Vec2::new(x, y)));
+        assert_eq!(triangle.span(1.0, 2.0), Some([0.0, 3.0]));
+        assert_eq!(triangle.span(-1.0, 0.0), Some([0.0, 4.0]));
+        assert_eq!(triangle.span(-1.0, 9.0), Some([0.0, 4.0]));
+        assert_eq!(triangle.span(4.5, 9.0), None);
     }
 
     #[test]

@@ -271,10 +271,10 @@ impl GpuScene {
         self.uploaded_bytes = 0;
         self.upload_indices(gpu, scene);
         let selection = Selection::new(scene, settings);
-        let horizon =
-            HorizonMap::build(&scene.terrain, &scene.sun, &Footprint::new(scene, &selection.frustum));
+        let footprint = Footprint::new(scene, &selection.frustum);
+        let horizon = HorizonMap::build(&scene.terrain, &scene.sun, &footprint);
         let casters = &selection.casters;
-        let caster_grid = shadow::caster_grid(scene, casters, &horizon);
+        let caster_grid = shadow::caster_grid(scene, casters, &horizon, &footprint);
         let facing = ways.pick_triangles.then(|| Facing::new(scene, &selection, settings, &caster_grid));
         let bands = Bands::new(scene, &selection, settings);
         self.uploaded_bytes += self.relief.write(gpu, &slots(&bands.bands));

@@ -197,11 +197,11 @@ impl<'a> Frame<'a> {
 
     /// The samples around a part of the ground, and so many further towards the sun.
     fn region(&self, footprint: &Footprint, beyond: f32) -> Region {
-        let at = |corner: &Vec2| {
+        let footprint = footprint.mapped(|corner| {
             let offset = (corner - self.origin) / self.step_m;
             Vec2::new(offset.dot(self.towards), offset.dot(self.across))
-        };
-        let corners: Vec<Vec2> = footprint.corners.iter().map(at).collect();
+        });
+        let corners = &footprint.corners;
         let first = |at: f32| (at.floor() - 1.0).clamp(0.0, (self.samples - 2) as f32) as usize;
         let end = |at: f32| (at.ceil() + 2.0).clamp(2.0, self.samples as f32) as usize;
         let samples = |low: f32, high: f32| first(low)..end(high).max(first(low) + 2);
@@ -212,21 +212,8 @@ impl<'a> Frame<'a> {
             .clone()
             .map(|row| {
                 // Over as many rows to both sides as a place between two rows, or between two of a finer grid, may ask.
-                let (south, north) = (row as f32 - 3.0, row as f32 + 3.0);
-                let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
-                for (from, to) in corners.iter().zip(corners.iter().cycle().skip(1)) {
-                    let rise = to.y - from.y;
-                    let share = |y: f32| if rise == 0.0 { 0.0 } else { (y - from.y) / rise };
-                    let (a, b) = (share(south), share(north));
-                    let (a, b) = (a.min(b).max(0.0), a.max(b).min(1.0));
-                    let apart = rise == 0.0 && !(south..=north).contains(&from.y);
-                    if !apart && a <= b {
-                        for x in [a, b, 0.0, 1.0].map(|t| from.x + (to.x - from.x) * t.clamp(a, b)) {
-                            (low, high) = (low.min(x), high.max(x));
-                        }
-                    }
-                }
-                if low <= high { samples(low, high + beyond) } else { 0..0 }
+                let span = footprint.span(row as f32 - 3.0, row as f32 + 3.0);
+                span.map_or(0..0, |[low, high]| samples(low, high + beyond))
             })
             .collect();
         Region { columns: samples(lowest.x, highest.x + beyond), rows, spans }

@@ -4,8 +4,12 @@
 //! resolution follows the size of a pixel where its shadow comes nearest to the eye. The ground casts by a map of
 //! heights ([`super::horizon`]) instead, which needs no bias at grazing sun.
 
-use glam::{Vec2, Vec3};
+use std::ops::Range;
 
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+
+use super::footprint::Footprint;
 use super::horizon::HorizonMap;
 use super::selection::Frustum;
 use super::shaders::CasterTile;
@@ -208,19 +212,26 @@ impl CasterGrids {
     }
 }
 
-/// For each cell of the grids, the casters whose shadow can fall on a place above it: first the start of each cell's
+/// For each cell of the grids that lies in a footprint, the casters whose shadow can fall on a place above it: first the start of each cell's
 /// list (and the end of the last), with [`ASK_HORIZON`] where the horizon map is to be asked too, then the lists.
 #[must_use]
-pub fn caster_grid(scene: &Scene, casters: &[Caster], horizon: &HorizonMap) -> Vec<u32> {
+pub fn caster_grid(
+    scene: &Scene,
+    casters: &[Caster],
+    horizon: &HorizonMap,
+    footprint: &Footprint,
+) -> Vec<u32> {
     let grids = CasterGrids::new(&scene.terrain);
     let total = grids.cells_in_all();
-    let mut lists: Vec<(u32, u32)> = Vec::new();
-    for level in 0..grids.levels {
-        let mut cells = CasterCells::new(&scene.terrain, &grids, level);
+    let of_level = |level| {
+        let mut list: Vec<(u32, u32)> = Vec::new();
+        let mut cells = CasterCells::new(&scene.terrain, &grids, level, footprint);
         for (index, caster) in casters.iter().enumerate() {
-            cells.shaded_by(scene, caster, |cell| lists.push((cell, index as u32)));
+            cells.shaded_by(scene, caster, |cell| list.push((cell, index as u32)));
         }
-    }
+        list
+    };
+    let lists: Vec<(u32, u32)> = (0..grids.levels).into_par_iter().flat_map_iter(of_level).collect();
     // By cell; within a cell the casters keep their order.
     let mut counts = vec![0_u32; total];
     for &(cell, _) in &lists {
@@ -229,7 +240,7 @@ pub fn caster_grid(scene: &Scene, casters: &[Caster], horizon: &HorizonMap) -> V
     // Rings have relief everywhere.
     let mut asks = vec![grids.levels > 1; total];
     if grids.levels == 1 {
-        let (cells, side) = (CasterCells::new(&scene.terrain, &grids, 0), grids.cells as usize);
+        let (cells, side) = (CasterCells::new(&scene.terrain, &grids, 0, footprint), grids.cells as usize);
         for place in &horizon.shaded {
             let at = |metres: f32, axis: usize| cells.place(metres, axis).min(side - 1);
             let margin = Vec2::splat(1.5 * horizon.levels[0].step_m);
@@ -268,13 +279,15 @@ struct CasterCells<'a> {
     /// Cells from here to as far from the other side are those of the grid before.
     inner: usize,
     lowest_m: Vec<f32>,
+    /// Of each row, the columns that are asked for.
+    spans: Vec<Range<usize>>,
 }
 
 impl<'a> CasterCells<'a> {
-    fn new(terrain: &'a Terrain, grids: &CasterGrids, level: u32) -> Self {
+    fn new(terrain: &'a Terrain, grids: &CasterGrids, level: u32, footprint: &Footprint) -> Self {
         let half_m = grids.half_m * (1_u32 << level) as f32;
         let cells = grids.cells as usize;
-        Self {
+        let mut made = Self {
             terrain,
             cells,
             cell_m: 2.0 * half_m / grids.cells as f32,
@@ -282,7 +295,22 @@ impl<'a> CasterCells<'a> {
             first: level as usize * grids.cells_each(),
             inner: if level == 0 { cells } else { cells / 4 },
             lowest_m: vec![f32::NAN; grids.cells_each()],
-        }
+            spans: Vec::new(),
+        };
+        made.spans = (0..cells).map(|row| made.span(row, footprint)).collect();
+        made
+    }
+
+    /// Columns of a row that a footprint touches, and one to each side; on the border of the ground, those next to what juts out
+    /// over it.
+    fn span(&self, row: usize, footprint: &Footprint) -> Range<usize> {
+        let north = |row: usize| self.origin.y + row as f32 * self.cell_m;
+        let south_m = if row == 0 { f32::MIN } else { north(row - 1) };
+        let north_m = if row + 1 == self.cells { f32::MAX } else { north(row + 2) };
+        footprint.span(south_m, north_m).map_or(0..0, |[low, high]| {
+            let last = self.place(high + self.cell_m, 0).min(self.cells - 1);
+            self.place(low - self.cell_m, 0).min(last)..last + 1
+        })
     }
 
     /// Column (axis 0) or row (axis 1) of a coordinate, which may lie outside.
@@ -312,7 +340,8 @@ impl<'a> CasterCells<'a> {
         let (low, high) = (start.min(end) - widest_m, start.max(end) + widest_m);
         let inner = self.inner..self.cells - self.inner.min(self.cells);
         for row in self.place(low.y, 1)..(self.place(high.y, 1) + 1).min(self.cells) {
-            for column in self.place(low.x, 0)..(self.place(high.x, 0) + 1).min(self.cells) {
+            let span = self.spans[row].clone();
+            for column in self.place(low.x, 0).max(span.start)..(self.place(high.x, 0) + 1).min(span.end) {
                 if inner.contains(&row) && inner.contains(&column) {
                     continue;
                 }
