@@ -278,11 +278,6 @@ impl GpuScene {
         let facing = ways.pick_triangles.then(|| Facing::new(scene, &selection, settings, &caster_grid));
         let bands = Bands::new(scene, &selection, settings);
         self.uploaded_bytes += self.relief.write(gpu, &slots(&bands.bands));
-        self.upload_things(gpu, scene, settings, &selection, &bands, facing.as_ref(), !ways.own_shadow_map);
-        let tiles: Vec<CasterTile> = casters.iter().map(|caster| caster.tile).collect();
-        self.uploaded_bytes += self.tiles.write(gpu, &tiles);
-        self.uploaded_bytes += self.caster_grid.write(gpu, &caster_grid);
-        self.atlas_px = shadow::atlas_px(casters);
         self.shadow_map_ms = None;
         if ways.own_shadow_map {
             let start = Instant::now();
@@ -290,6 +285,11 @@ impl GpuScene {
             self.shadow_map_ms = Some(super::milliseconds(start.elapsed()));
             self.uploaded_bytes += size_of_val(&self.shadow_map[..]) as u64;
         }
+        self.upload_things(gpu, scene, settings, &selection, &bands, facing.as_ref());
+        let tiles: Vec<CasterTile> = casters.iter().map(|caster| caster.tile).collect();
+        self.uploaded_bytes += self.tiles.write(gpu, &tiles);
+        self.uploaded_bytes += self.caster_grid.write(gpu, &caster_grid);
+        self.atlas_px = shadow::atlas_px(casters);
         let uniforms = frame_uniforms(scene, settings, picture_size, &horizon, self.atlas_px);
         self.uploaded_bytes += self.frame.write(gpu, &[uniforms]);
         (self.law, self.has_detail) = (scene.photometry.law, scene.relief.is_some());
@@ -358,7 +358,6 @@ impl GpuScene {
         selection: &Selection,
         bands: &Bands,
         facing: Option<&Facing>,
-        draw_casters: bool,
     ) {
         let mut draws = DrawList::default();
         let mut picked = std::mem::take(&mut self.picked_triangles);
@@ -429,7 +428,7 @@ impl GpuScene {
         for (place, selected) in selection.rocks.iter().enumerate() {
             let rock = &scene.rocks[selected.rock];
             let instance = instances.len() as u32;
-            let casts = selected.caster.map(|(_, level)| level).filter(|_| draw_casters);
+            let casts = selected.caster.map(|(_, level)| level).filter(|_| self.shadow_map_ms.is_none());
             let whole_level = selected.seen_level.filter(|_| facing.is_none()).max(casts);
             let whole = |level: Option<usize>| level.map_or(0..0, |level| self.sphere_levels[level].clone());
             let whole_base =

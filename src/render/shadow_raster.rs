@@ -284,3 +284,82 @@ fn fill_wide(
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::noise::lattice_hash;
+
+    const SIZE: usize = 48;
+
+    /// A layer with one triangle, drawn in either way.
+    fn layer(corners: [Corner; 3], wide: bool) -> Vec<f32> {
+        let stride = SIZE + WIDTH;
+        let mut layer = vec![0.0; stride * (SIZE + HEIGHT)];
+        let [a, b, c] = corners;
+        let (columns, rows) = (middles_between(a.x, b.x, c.x, SIZE), middles_between(a.y, b.y, c.y, SIZE));
+        let twice_area = (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x);
+        if columns.0 > columns.1 || rows.0 > rows.1 || twice_area == 0 {
+            return layer;
+        }
+        let corners = if twice_area < 0 { [a, c, b] } else { corners };
+        let twice_area = twice_area.abs() as f32;
+        if wide {
+            fill_wide(&mut layer, stride, corners, twice_area, columns, rows);
+        } else {
+            dispatch!(Level::new(), simd => fill(simd, &mut layer, stride, corners, twice_area, columns, rows));
+        }
+        layer
+    }
+
+    fn random_corner(number: i32) -> Corner {
+        let random = |axis, end: u32| (lattice_hash(number, axis, 0, 7) % end) as i32;
+        let parts = SIZE as u32 * PARTS as u32;
+        // Every other on a middle, where edges meet places.
+        let snap = |part: i32| if number % 2 == 0 { part } else { part & !(PARTS - 1) };
+        Corner {
+            x: snap(random(0, parts)),
+            y: snap(random(1, parts)),
+            depth: random(2, 1000) as f32 / 1000.0 + 0.01,
+        }
+    }
+
+    #[test]
+    fn many_texels_at_once_are_those_one_by_one() {
+        let mut covered = 0;
+        for number in 0..400 {
+            let corners = [0, 1, 2].map(|corner| random_corner(3 * number + corner));
+            let (narrow, wide) = (layer(corners, false), layer(corners, true));
+            for (a, b) in narrow.iter().zip(&wide) {
+                assert_eq!(*a == 0.0, *b == 0.0, "triangle {number}");
+                assert!((a - b).abs() < 1e-5, "triangle {number}: {a} for {b}");
+                covered += u32::from(*a > 0.0);
+            }
+        }
+        assert!(covered > 10_000, "{covered}");
+    }
+
+    #[test]
+    fn triangles_around_a_corner_cover_every_texel_once() {
+        for number in 0..100 {
+            let place = |x: i32, y: i32| Corner { x: x * PARTS, y: y * PARTS, depth: 0.5 };
+            let last = SIZE as i32 - 1;
+            let Corner { x, y, .. } = random_corner(number);
+            let middle = Corner { x: x.min(last * PARTS), y: y.min(last * PARTS), depth: 0.5 };
+            let around = [place(0, 0), place(last, 0), place(last, last), place(0, last)];
+            let mut times = vec![0; (SIZE + WIDTH) * (SIZE + HEIGHT)];
+            for side in 0..4 {
+                let drawn = layer([middle, around[side], around[(side + 1) % 4]], false);
+                for (times, depth) in times.iter_mut().zip(drawn) {
+                    assert!(depth == 0.0 || (depth - 0.5).abs() < 1e-6, "{depth}");
+                    *times += u32::from(depth > 0.0);
+                }
+            }
+            // Of the square's own border the upper and the left side are its.
+            for row in 0..SIZE - 1 {
+                let line = &times[row * (SIZE + WIDTH)..][..SIZE - 1];
+                assert!(line.iter().all(|&times| times == 1), "corner {number}, row {row}: {line:?}");
+            }
+        }
+    }
+}

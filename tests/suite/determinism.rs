@@ -127,3 +127,39 @@ fn leaving_out_what_cannot_be_seen_changes_no_label_and_no_colour() {
         assert!(picked.rgb == whole.rgb, "seed {seed}: colours");
     }
 }
+
+#[test]
+fn a_shadow_map_drawn_here_is_that_of_the_device() {
+    let mut settings = RenderSettings::new([192, 192], 4).expect("settings");
+    settings.annotations =
+        [Annotation::Depth, Annotation::Normals, Annotation::Instances, Annotation::Shadow]
+            .into_iter()
+            .collect();
+    let mut renderer = renderer();
+    assert!(renderer.own_shadow_map, "the device of the tests is a CPU");
+    for (seed, set) in [
+        (1, &[][..]),
+        (2, &["sun.elevation_deg=3", "sun.azimuth_deg=10"]),
+        (5, &["sun.elevation_deg=12", "sun.angular_diameter_deg=3", "camera.yaw_deg=120"]),
+        (7, &["rocks.hero_scale_m=4", "rocks.hero_x_m=0", "rocks.hero_y_m=-80"]),
+        (8, &["stage.name=surface", "sun.elevation_deg=8"]),
+    ] {
+        let scene = scene(seed, set);
+        let here = renderer.render(&scene, &settings).expect("a frame").0;
+        renderer.own_shadow_map = false;
+        let there = renderer.render(&scene, &settings).expect("a frame").0;
+        renderer.own_shadow_map = true;
+        assert!(here.class == there.class && here.instances == there.instances, "seed {seed}: labels");
+        assert!(here.depth_m == there.depth_m && here.normals == there.normals, "seed {seed}: geometry");
+        let apart = |here: &[u8], there: &[u8]| {
+            here.iter().zip(there).filter(|(a, b)| a.abs_diff(**b) > 1).count() as f64 / here.len() as f64
+        };
+        let (hidden, rgb) = (apart(&here.hidden, &there.hidden), apart(&here.rgb, &there.rgb));
+        // Where the places of corners are rounded the other way, a texel of an outline may differ.
+        assert!(
+            hidden < 1e-3 && rgb < 1e-3,
+            "seed {seed}: {hidden} of the shadows, {rgb} of the colours differ"
+        );
+        assert!(here.hidden.contains(&255), "seed {seed}: there are shadows");
+    }
+}
