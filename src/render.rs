@@ -178,7 +178,7 @@ impl Renderer {
             nearest: gpu
                 .device
                 .create_sampler(&wgpu::SamplerDescriptor { label: Some("nearest"), ..Default::default() }),
-            shadow_pass: ShadowPass::new(&gpu, &layouts),
+            shadow_pass: ShadowPass::default(),
             visibility_pass: VisibilityPass::new(&gpu, &layouts),
             scene_pass: ScenePass::new(&gpu, &layouts),
             resolve_pass: ResolvePass::new(&gpu, &layouts),
@@ -326,7 +326,7 @@ impl Renderer {
             encoder,
             &self.scene,
             [&groups.frame, &groups.scene],
-            timer.map(|timer| timer.render_passes(Pass::Shadow)),
+            timer.map(|timer| timer.both_passes(Pass::Shadow)),
         );
         self.visibility_pass.record(
             encoder,
@@ -443,6 +443,11 @@ impl BindLayouts {
         };
         let float = texture(TextureSampleType::Float { filterable: false });
         let uint = texture(TextureSampleType::Uint);
+        let map = BindingType::StorageTexture {
+            access: wgpu::StorageTextureAccess::WriteOnly,
+            format: shadow_pass::MAP_FORMAT,
+            view_dimension: wgpu::TextureViewDimension::D2,
+        };
         let nearest = BindingType::Sampler(wgpu::SamplerBindingType::NonFiltering);
         let drawing = ShaderStages::VERTEX_FRAGMENT;
         Self {
@@ -452,7 +457,7 @@ impl BindLayouts {
                 &[buffer(wgpu::BufferBindingType::Uniform)],
             ),
             scene: group("scene", drawing, &[instance, read, relief]),
-            layers: group("layers", ShaderStages::FRAGMENT, &[float]),
+            layers: group("layers", ShaderStages::COMPUTE, &[float, map]),
             light: group("light", ShaderStages::FRAGMENT, &[uint, read, float, float, read, nearest]),
             resolve: group(
                 "resolve",

@@ -36,7 +36,7 @@ macro_rules! program {
 /// Depth of the casters seen from the sun.
 pub static SHADOW: Program = program!("shadow", "frame", "scene");
 /// The shadow map from the two layers of that.
-pub static MIDDLE: Program = program!("middle", "frame");
+pub static MIDDLE: Program = program!("middle",);
 /// Which thing each sample shows.
 pub static VISIBILITY: Program = program!("visibility", "frame", "scene", "octahedron");
 /// Light on ground and rocks.

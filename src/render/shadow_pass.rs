@@ -10,14 +10,23 @@ use super::{BindLayouts, vertex_layout};
 use crate::gpu::Gpu;
 
 /// Format of the map.
-const MAP_FORMAT: TextureFormat = TextureFormat::R32Float;
+pub(super) const MAP_FORMAT: TextureFormat = TextureFormat::R32Float;
 
-/// Pipelines of the pass, and what it draws.
-#[derive(Debug)]
+/// Columns and rows of texels that a group of invocations makes of the map; they stand in `middle.wgsl` too.
+const GROUP_PX: u32 = 8;
+
+/// What the pass draws, and with what.
+#[derive(Debug, Default)]
 pub(super) struct ShadowPass {
-    layers: [wgpu::RenderPipeline; 2],
-    middle: wgpu::RenderPipeline,
+    /// Once a map was to be drawn.
+    pipelines: Option<Pipelines>,
     map: Option<Map>,
+}
+
+#[derive(Debug)]
+struct Pipelines {
+    layers: [wgpu::RenderPipeline; 2],
+    middle: wgpu::ComputePipeline,
 }
 
 /// The map, and the layers that it is made of.
@@ -27,14 +36,92 @@ struct Map {
     size_px: [u32; 2],
     texture: wgpu::Texture,
     view: wgpu::TextureView,
-    /// Unless the map is given: fronts above backs, and how the pass reads them.
+    /// Unless the map is given: fronts above backs, and how the map is made of them.
     drawn: Option<(wgpu::TextureView, wgpu::BindGroup)>,
 }
 
 impl ShadowPass {
-    /// Compiles the pass.
-    #[must_use]
-    pub(super) fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
+    /// Makes the map with exactly so many columns and rows, unless it is there, and writes `given` to it. Not a larger one:
+    /// places in it would be rounded otherwise, and the frame would depend on those before it.
+    pub(super) fn prepare(
+        &mut self,
+        gpu: &Gpu,
+        layouts: &BindLayouts,
+        size_px: [u32; 2],
+        given: Option<&[f32]>,
+    ) {
+        let serves = |map: &Map| map.size_px == size_px && map.drawn.is_none() == given.is_some();
+        if !self.map.as_ref().is_some_and(serves) {
+            self.map = Some(Map::new(gpu, layouts, size_px, given.is_some()));
+        }
+        if given.is_none() {
+            self.pipelines.get_or_insert_with(|| Pipelines::new(gpu, layouts));
+        }
+        if let (Some(map), Some(heights)) = (&self.map, given) {
+            let [width, height] = size_px;
+            let layout = wgpu::TexelCopyBufferLayout {
+                offset: 0,
+                bytes_per_row: Some(4 * width),
+                rows_per_image: None,
+            };
+            let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
+            gpu.queue.write_texture(map.texture.as_image_copy(), bytemuck::cast_slice(heights), layout, size);
+        }
+    }
+
+    /// The map.
+    ///
+    /// # Panics
+    /// Before [`Self::prepare`].
+    pub(super) fn map(&self) -> &wgpu::TextureView {
+        &self.map.as_ref().expect("a map is prepared before it is used").view
+    }
+
+    /// Records the pass, unless the map was given. `timestamps` are those of its start and of its end.
+    pub(super) fn record(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        scene: &GpuScene,
+        groups: [&wgpu::BindGroup; 2],
+        timestamps: Option<(wgpu::RenderPassTimestampWrites<'_>, wgpu::ComputePassTimestampWrites<'_>)>,
+    ) {
+        let Some(Map { size_px, drawn: Some((layers, making)), .. }) = &self.map else { return };
+        let pipelines = self.pipelines.as_ref().expect("a pass is prepared before it is recorded");
+        let (start, end) = timestamps.unzip();
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("shadow"),
+            color_attachments: &[],
+            depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
+                view: layers,
+                depth_ops: Some(wgpu::Operations {
+                    load: wgpu::LoadOp::Clear(0.0),
+                    store: wgpu::StoreOp::Store,
+                }),
+                stencil_ops: None,
+            }),
+            timestamp_writes: start,
+            ..Default::default()
+        });
+        let [frame, instances] = groups;
+        pass.set_bind_group(0, frame, &[]);
+        for pipeline in &pipelines.layers {
+            pass.set_pipeline(pipeline);
+            super::draw_all(&mut pass, instances, scene, scene.whole_indices(), &scene.draws.casters);
+        }
+        drop(pass);
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+            label: Some("shadow/map"),
+            timestamp_writes: end,
+        });
+        pass.set_pipeline(&pipelines.middle);
+        pass.set_bind_group(2, making, &[]);
+        let [columns, rows] = size_px.map(|side| side.div_ceil(GROUP_PX));
+        pass.dispatch_workgroups(columns, rows, 1);
+    }
+}
+
+impl Pipelines {
+    fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
         let module = SHADOW.compile(gpu);
         let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("shadow/layout"),
@@ -64,142 +151,45 @@ impl ShadowPass {
         };
         let layers =
             [layer("shadow/fronts", 0.0, wgpu::Face::Back), layer("shadow/backs", 1.0, wgpu::Face::Front)];
-        Self { layers, middle: middle(gpu, layouts), map: None }
-    }
-
-    /// Makes the map with exactly so many columns and rows, unless it is there, and writes `given` to it. Not a larger one:
-    /// places in it would be rounded otherwise, and the frame would depend on those before it.
-    pub(super) fn prepare(
-        &mut self,
-        gpu: &Gpu,
-        layouts: &BindLayouts,
-        size_px: [u32; 2],
-        given: Option<&[f32]>,
-    ) {
-        let serves = |map: &Map| map.size_px == size_px && map.drawn.is_none() == given.is_some();
-        if !self.map.as_ref().is_some_and(serves) {
-            self.map = Some(Map::new(gpu, layouts, size_px, given.is_some()));
-        }
-        if let (Some(map), Some(heights)) = (&self.map, given) {
-            let [width, height] = size_px;
-            let layout = wgpu::TexelCopyBufferLayout {
-                offset: 0,
-                bytes_per_row: Some(4 * width),
-                rows_per_image: None,
-            };
-            let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
-            gpu.queue.write_texture(map.texture.as_image_copy(), bytemuck::cast_slice(heights), layout, size);
-        }
-    }
-
-    /// The map.
-    ///
-    /// # Panics
-    /// Before [`Self::prepare`].
-    pub(super) fn map(&self) -> &wgpu::TextureView {
-        &self.map.as_ref().expect("a map is prepared before it is used").view
-    }
-
-    /// Records the pass, unless the map was given. `timestamps` are those of its start and of its end.
-    pub(super) fn record(
-        &self,
-        encoder: &mut wgpu::CommandEncoder,
-        scene: &GpuScene,
-        groups: [&wgpu::BindGroup; 2],
-        timestamps: Option<[wgpu::RenderPassTimestampWrites<'_>; 2]>,
-    ) {
-        let Some(Map { view, drawn: Some((layers, layers_group)), .. }) = &self.map else { return };
-        let [start, end] = timestamps.map_or([None, None], |both| both.map(Some));
-        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some("shadow"),
-            color_attachments: &[],
-            depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                view: layers,
-                depth_ops: Some(wgpu::Operations {
-                    load: wgpu::LoadOp::Clear(0.0),
-                    store: wgpu::StoreOp::Store,
-                }),
-                stencil_ops: None,
-            }),
-            timestamp_writes: start,
-            ..Default::default()
+        let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some("shadow/map/layout"),
+            bind_group_layouts: &[None, None, Some(&layouts.layers)],
+            immediate_size: 0,
         });
-        let [frame, instances] = groups;
-        pass.set_bind_group(0, frame, &[]);
-        for pipeline in &self.layers {
-            pass.set_pipeline(pipeline);
-            super::draw_all(&mut pass, instances, scene, scene.whole_indices(), &scene.draws.casters);
-        }
-        drop(pass);
-        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+        let middle = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some("shadow/map"),
-            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                view,
-                depth_slice: None,
-                resolve_target: None,
-                ops: wgpu::Operations {
-                    load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT),
-                    store: wgpu::StoreOp::Store,
-                },
-            })],
-            timestamp_writes: end,
-            ..Default::default()
+            layout: Some(&layout),
+            module: &MIDDLE.compile(gpu),
+            entry_point: Some("cs_main"),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            cache: None,
         });
-        pass.set_pipeline(&self.middle);
-        pass.set_bind_group(0, frame, &[]);
-        pass.set_bind_group(2, layers_group, &[]);
-        pass.draw(0..3, 0..1);
+        Self { layers, middle }
     }
 }
 
 impl Map {
     fn new(gpu: &Gpu, layouts: &BindLayouts, size_px: [u32; 2], is_given: bool) -> Self {
-        let filled = if is_given { TextureUsages::COPY_DST } else { TextureUsages::RENDER_ATTACHMENT };
-        let usage = filled | TextureUsages::TEXTURE_BINDING;
-        let (texture, view) = gpu.texture("shadow/map", size_px, MAP_FORMAT, usage);
+        let filled = if is_given { TextureUsages::COPY_DST } else { TextureUsages::STORAGE_BINDING };
+        let (texture, view) =
+            gpu.texture("shadow/map", size_px, MAP_FORMAT, filled | TextureUsages::TEXTURE_BINDING);
         let drawn = (!is_given).then(|| {
             let size = [size_px[0], 2 * size_px[1]];
+            let usage = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
             let (_, layers) = gpu.texture("shadow/layers", size, ATLAS_FORMAT, usage);
-            let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: Some("shadow/layers"),
+            let making = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some("shadow/map"),
                 layout: &layouts.layers,
-                entries: &[wgpu::BindGroupEntry {
-                    binding: 0,
-                    resource: wgpu::BindingResource::TextureView(&layers),
-                }],
+                entries: &[
+                    wgpu::BindGroupEntry {
+                        binding: 0,
+                        resource: wgpu::BindingResource::TextureView(&layers),
+                    },
+                    wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::TextureView(&view) },
+                ],
             });
-            (layers, group)
+            (layers, making)
         });
         Self { size_px, texture, view, drawn }
     }
-}
-
-fn middle(gpu: &Gpu, layouts: &BindLayouts) -> wgpu::RenderPipeline {
-    let module = MIDDLE.compile(gpu);
-    let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-        label: Some("shadow/map/layout"),
-        bind_group_layouts: &[Some(&layouts.frame), None, Some(&layouts.layers)],
-        immediate_size: 0,
-    });
-    gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-        label: Some("shadow/map"),
-        layout: Some(&layout),
-        vertex: wgpu::VertexState {
-            module: &module,
-            entry_point: Some("vs_main"),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
-            buffers: &[],
-        },
-        primitive: wgpu::PrimitiveState::default(),
-        depth_stencil: None,
-        multisample: wgpu::MultisampleState::default(),
-        fragment: Some(wgpu::FragmentState {
-            module: &module,
-            entry_point: Some("fs_main"),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
-            targets: &[Some(MAP_FORMAT.into())],
-        }),
-        multiview_mask: None,
-        cache: None,
-    })
 }

@@ -54,13 +54,18 @@ impl Timer {
         })
     }
 
-    /// Of a stage that is two passes.
-    pub(super) fn render_passes(&self, pass: Pass) -> [wgpu::RenderPassTimestampWrites<'_>; 2] {
-        let both = self.render_pass(pass);
-        [
-            wgpu::RenderPassTimestampWrites { end_of_pass_write_index: None, ..both.clone() },
-            wgpu::RenderPassTimestampWrites { beginning_of_pass_write_index: None, ..both },
-        ]
+    /// Of a stage that is two passes, the start of one and the end of the other.
+    pub(super) fn both_passes(
+        &self,
+        pass: Pass,
+    ) -> (wgpu::RenderPassTimestampWrites<'_>, wgpu::ComputePassTimestampWrites<'_>) {
+        (
+            wgpu::RenderPassTimestampWrites { end_of_pass_write_index: None, ..self.render_pass(pass) },
+            wgpu::ComputePassTimestampWrites {
+                beginning_of_pass_write_index: None,
+                ..self.compute_pass(pass)
+            },
+        )
     }
 
     pub(super) const fn render_pass(&self, pass: Pass) -> wgpu::RenderPassTimestampWrites<'_> {
