@@ -101,8 +101,8 @@ impl RenderSettings {
 }
 
 /// Milliseconds of one frame's work, by stage, in order. `shadow`, `visibility`, `scene_pass` and `resolve` are measured by the
-/// device where it can, and left out where it cannot (`shadow` by this program where it draws the shadow map itself); `gpu` is all the time from recording to the last pass's end, with
-/// that of frames that the device had before it.
+/// device where it can, and left out where it cannot (`shadow` by this program, where it draws the shadow map itself); `gpu` is
+/// all the time from recording to the last pass's end, with that of frames that the device had before it.
 pub type StageTimes = Vec<(&'static str, f64)>;
 
 /// Layouts of the bind groups: 0 frame, 1 scene, 2 the pass's own.
