@@ -28,7 +28,7 @@ override ANNOTATED: bool;
 override DISTORTED: bool;
 
 // From a sample to the next, in textures over which coordinates run from 0 to 1.
-var<private> step: vec2<f32>;
+var<private> sample_step: vec2<f32>;
 
 const GROUP_WIDTH: u32 = 64u;
 const ROW_WIDTH: u32 = 1024u;
@@ -36,7 +36,7 @@ const ROW_WIDTH: u32 = 1024u;
 @compute @workgroup_size(64)
 fn cs_main(@builtin(global_invocation_id) id: vec3<u32>) {
     let pixels = frame.picture_size_px.x * frame.picture_size_px.y;
-    step = 1.0 / vec2<f32>(SIDE * frame.drawn_size_px);
+    sample_step = 1.0 / vec2<f32>(SIDE * frame.drawn_size_px);
     let groups = (pixels + 3u) / 4u;
     let group = id.y * ROW_WIDTH * GROUP_WIDTH + id.x;
     if group >= groups { return; }
@@ -99,16 +99,16 @@ fn undistorted(at: vec2<f32>) -> vec2<f32> {
 }
 
 fn middle(at: vec2<i32>) -> vec2<f32> {
-    return (vec2<f32>(at) + 0.5) * step;
+    return (vec2<f32>(at) + 0.5) * sample_step;
 }
 
 // Whole numbers are gathered, which are the only thing that they can be but loaded: of the four the last is at the place.
 fn class_at(at: vec2<i32>) -> u32 {
-    return textureGather(0, class_samples, nearest, (vec2<f32>(at) + 1.0) * step).w;
+    return textureGather(0, class_samples, nearest, (vec2<f32>(at) + 1.0) * sample_step).w;
 }
 
 fn instance_at(at: vec2<i32>) -> u32 {
-    return textureGather(0, instance_samples, nearest, (vec2<f32>(at) + 1.0) * step).w;
+    return textureGather(0, instance_samples, nearest, (vec2<f32>(at) + 1.0) * sample_step).w;
 }
 
 // Reversed: the larger is the nearer.
@@ -119,7 +119,7 @@ fn depth_at(at: vec2<i32>) -> f32 {
 fn class_of_most(corner: vec2<u32>) -> u32 {
     if SIDE == 2u && !DISTORTED {
         // All four at once, in reading order.
-        let meet = vec2<f32>(corner + 1u) * step;
+        let meet = vec2<f32>(corner + 1u) * sample_step;
         let classes = textureGather(0, class_samples, nearest, meet).wzxy;
         if all(classes == classes.xxxx) { return classes.x; }
         let depths = textureGather(0, depth_samples, nearest, meet).wzxy;

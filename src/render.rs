@@ -159,12 +159,9 @@ pub struct Renderer {
     targets: Option<Targets>,
     /// What frames that are not in flight any more came back in.
     spare: Vec<Slot>,
-    /// Whether triangles that cannot be seen are left out one by one (see [`facing`]); labels and picture are the same
-    /// either way. At first, whether the device is a CPU: a GPU is faster without.
-    pub pick_triangles: bool,
-    /// Whether this program draws the shadow map (see [`shadow_raster`]) instead of the device; labels are the same either
-    /// way. At first likewise.
-    pub own_shadow_map: bool,
+    /// What this program does itself; labels are the same either way. At first all of it if the device is a CPU, else nothing: a
+    /// GPU is faster without.
+    pub ways: Ways,
 }
 
 impl Renderer {
@@ -185,8 +182,7 @@ impl Renderer {
             scene: GpuScene::default(),
             targets: None,
             spare: Vec::new(),
-            pick_triangles: is_cpu(&gpu.info),
-            own_shadow_map: is_cpu(&gpu.info),
+            ways: Ways { pick_triangles: is_cpu(&gpu.info), own_shadow_map: is_cpu(&gpu.info) },
             layouts,
             gpu,
         };
@@ -243,8 +239,7 @@ impl Renderer {
             timer: Timer::new(&self.gpu),
         });
         self.resolve_pass.prepare(&self.gpu, &targets, &slot.packed);
-        let ways = Ways { pick_triangles: self.pick_triangles, own_shadow_map: self.own_shadow_map };
-        let (gpu, gpu_scene) = (&self.gpu, &mut self.scene);
+        let (gpu, gpu_scene, ways) = (&self.gpu, &mut self.scene, self.ways);
         gpu.guard(|| gpu_scene.upload(gpu, scene, drawn, picture.size, ways))?;
         self.scene_pass.prepare(&self.gpu, self.scene.variant(drawn.annotations), &self.scene);
         self.shadow_pass.prepare(&self.gpu, &self.layouts, self.scene.atlas_px, self.scene.shadow_map());

@@ -17,12 +17,11 @@ use super::selection::{Bounds, Frustum, SelectedRock, Selection, cell_bounds, gr
 use super::shadow::CasterGrids;
 use crate::scene::Scene;
 use crate::scene::mesh::{Icosphere, Vertex};
+use crate::scene::noise::NO_FRACTIONS;
 use crate::scene::rocks::Rock;
 
 /// A triangle counts as facing both ways if it is thinner than this, samples: a device's arithmetic may differ from ours.
 const EDGE_ON: f32 = 0.01;
-/// To which numbers are added that are to lose their fractions: 1.5 times 2^23.
-const NO_FRACTIONS: f32 = 12_582_912.0;
 /// A triangle counts as covering a sample if it comes as near to it as this, samples; likewise.
 const MARGIN: f32 = 0.03;
 /// Normals are turned from the sun if the sine of their angle to its terminator is above this, for the same reason.

@@ -19,12 +19,11 @@ impl Footprint {
     #[must_use]
     pub fn new(scene: &Scene, frustum: &Frustum) -> Self {
         let terrain = &scene.terrain;
-        let ground = terrain.vertices.iter().map(|vertex| (vertex.position.z, vertex.position.z));
-        let rocks =
-            scene.rocks.iter().map(|rock| (rock.centre.z - rock.radius_m, rock.centre.z + rock.radius_m));
-        let (lowest_m, highest_m) = ground
-            .chain(rocks)
-            .fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), z| (low.min(z.0), high.max(z.1)));
+        let [mut lowest_m, mut highest_m] = terrain.z_range_m;
+        for rock in &scene.rocks {
+            lowest_m = lowest_m.min(rock.centre.z - rock.radius_m);
+            highest_m = highest_m.max(rock.centre.z + rock.radius_m);
+        }
         // Rocks may jut out over the border of the ground.
         let widest_m = scene.rocks.iter().map(|rock| rock.radius_m).fold(0.0, f32::max);
         let (centre, reach_m) = (terrain.centre, terrain.half_extent_m + widest_m);

@@ -149,7 +149,7 @@ impl Picked {
 /// What is left to this program, which a device could do.
 #[derive(Clone, Copy, Debug)]
 pub struct Ways {
-    /// Triangles that cannot be seen are left out one by one ([`super::facing`]).
+    /// Triangles that cannot be seen are left out one by one ([`super::facing`]): no plane changes by a bit.
     pub pick_triangles: bool,
     /// The shadow map is drawn ([`super::shadow_raster`]).
     pub own_shadow_map: bool,

@@ -259,9 +259,7 @@ impl<'a> Frame<'a> {
 
     /// The coarsest grid: its rows begin where no ground further off is high enough to hide the sun.
     fn first(&self, region: &Region) -> Grid {
-        let heights = self.terrain.vertices.iter().map(|vertex| vertex.position.z);
-        let (lowest_m, highest_m) =
-            heights.fold((f32::MAX, f32::MIN), |(low, high), z| (low.min(z), high.max(z)));
+        let [lowest_m, highest_m] = self.terrain.z_range_m;
         let fall_m = self.fall_m[0].max(1e-6);
         let reach = ((highest_m - lowest_m) / fall_m).ceil().min(self.samples as f32) as usize + 2;
         let bends = self.square.map(|square| Bends::new(square, self.step_m));

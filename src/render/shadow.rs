@@ -50,7 +50,7 @@ pub struct Caster {
 pub fn casters(scene: &Scene, frustum: &Frustum, size_px: [u32; 2]) -> Vec<Caster> {
     let pixel_angle = 1.0 / scene.camera.focal_px(size_px[0]) as f32;
     let largest_px = (4 * size_px[0].max(size_px[1])).clamp(TILE_PX[0], TILE_PX[1]);
-    let lowest_ground_m = scene.terrain.vertices.iter().map(|v| v.position.z).fold(f32::MAX, f32::min);
+    let [lowest_ground_m, _] = scene.terrain.z_range_m;
     let sun = scene.sun.direction;
     let mut casters: Vec<Caster> = scene
         .rocks

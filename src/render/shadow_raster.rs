@@ -135,31 +135,14 @@ impl Canvas {
     // Inlined wholly, for each width of vectors; see `scene/noise.rs`.
     #[inline(always)]
     fn draw<S: Simd>(&mut self, simd: S, triangles: &[[u32; 3]]) {
-        let layers = &mut self.layers;
         for triangle in triangles {
-            let [a, b, c] = triangle.map(|corner| self.corners[corner as usize]);
-            // The middles of texels between the lowest and the highest corner.
-            let columns = middles_between(a.x, b.x, c.x, self.size);
-            let rows = middles_between(a.y, b.y, c.y, self.size);
-            let (width, height) = (columns.1 - columns.0, rows.1 - rows.0);
-            if (width | height) < 0 {
-                continue;
-            }
-            let spans = (width | height) < SPAN_PX;
-            let twice_area =
-                i64::from(b.x - a.x) * i64::from(c.y - a.y) - i64::from(b.y - a.y) * i64::from(c.x - a.x);
-            if twice_area == 0 {
-                continue;
-            }
-            // Rows run down: what faces the sun runs the other way round.
-            let is_front = twice_area < 0;
-            let triangle = if is_front { [a, c, b] } else { [a, b, c] };
-            let layer = &mut layers[usize::from(!is_front)];
-            let twice_area = twice_area.abs() as f32;
-            if spans {
-                fill(simd, layer, self.stride, triangle, twice_area, columns, rows);
+            let corners = triangle.map(|corner| self.corners[corner as usize]);
+            let Some(facet) = Facet::new(corners, self.size) else { continue };
+            let layer = &mut self.layers[usize::from(!facet.is_front)];
+            if facet.is_small() {
+                facet.fill(simd, layer, self.stride);
             } else {
-                fill_wide(layer, self.stride, triangle, twice_area, columns, rows);
+                facet.fill_wide(layer, self.stride);
             }
         }
     }
@@ -201,85 +184,115 @@ impl Edge {
     }
 }
 
-/// Draws a small triangle into a layer.
-#[inline(always)]
-fn fill<S: Simd>(
-    simd: S,
-    layer: &mut [f32],
-    stride: usize,
-    [a, b, c]: [Corner; 3],
-    twice_area: f32,
+/// A triangle that may cover texels.
+struct Facet {
+    /// Whether it faces the sun.
+    is_front: bool,
+    /// Opposite of its corners: their shares in a place are as its distances from these.
+    edges: [Edge; 3],
+    /// Depth of the first corner, and by how much the others differ, for each unit of distance.
+    depth: f32,
+    per_b: f32,
+    per_c: f32,
+    /// First and last of the texels around it.
     columns: (i32, i32),
     rows: (i32, i32),
-) {
-    // Opposite of a, b, c: their shares in a place are as its distances from these.
-    let edges = [Edge::new(b, c), Edge::new(c, a), Edge::new(a, b)];
-    // Four texels of a row and the four below them.
-    let (lane_columns, lane_rows) = (
-        i32x8::from_slice(simd, &[0, 1, 2, 3, 0, 1, 2, 3]),
-        i32x8::from_slice(simd, &[0, 0, 0, 0, 1, 1, 1, 1]),
-    );
-    // No closures: what vectors are made of is inlined wholly.
-    let mut at_row = [i32x8::splat(simd, 0); 3];
-    let (mut to_right, mut down) = ([0; 3], [0; 3]);
-    for (i, edge) in edges.iter().enumerate() {
-        let (x, y) = (columns.0 * PARTS - edge.from.x, rows.0 * PARTS - edge.from.y);
-        let first = edge.x * y - edge.y * x - edge.owed;
-        at_row[i] = lane_rows * (edge.x * PARTS) - lane_columns * (edge.y * PARTS) + first;
-        to_right[i] = WIDTH as i32 * edge.y * PARTS;
-        down[i] = HEIGHT as i32 * edge.x * PARTS;
-    }
-    let per_area = 1.0 / twice_area;
-    let (per_b, per_c) = ((b.depth - a.depth) * per_area, (c.depth - a.depth) * per_area);
-    let depth = a.depth + edges[1].owed as f32 * per_b + edges[2].owed as f32 * per_c;
-    let nowhere = f32x8::splat(simd, 0.0);
-    let (mut row, end) = (rows.0 as usize, rows.1 as usize + 1);
-    while row < end {
-        let mut at = at_row;
-        let (upper, lower) = layer[row * stride..][..HEIGHT * stride].split_at_mut(stride);
-        let (mut column, end) = (columns.0 as usize, columns.1 as usize + 1);
-        while column < end {
-            let texels = column..column + WIDTH;
-            let (upper, lower) = (&mut upper[texels.clone()], &mut lower[texels]);
-            let inside = (at[0] | at[1] | at[2]).simd_ge(0);
-            let here = at[1].to_float::<f32x8<S>>() * per_b + at[2].to_float::<f32x8<S>>() * per_c + depth;
-            let there = f32x4::from_slice(simd, upper).combine(f32x4::from_slice(simd, lower));
-            let (above, below) = inside.select(here, nowhere).max(there).split();
-            above.store_slice(upper);
-            below.store_slice(lower);
-            for i in 0..3 {
-                at[i] -= to_right[i];
-            }
-            column += WIDTH;
-        }
-        for i in 0..3 {
-            at_row[i] += down[i];
-        }
-        row += HEIGHT;
-    }
 }
 
-/// The same for a triangle of any size.
-fn fill_wide(
-    layer: &mut [f32],
-    stride: usize,
-    [a, b, c]: [Corner; 3],
-    twice_area: f32,
-    columns: (i32, i32),
-    rows: (i32, i32),
-) {
-    let edges = [Edge::new(b, c), Edge::new(c, a), Edge::new(a, b)];
-    let (per_b, per_c) = ((b.depth - a.depth) / twice_area, (c.depth - a.depth) / twice_area);
-    for row in rows.0..=rows.1 {
-        for column in columns.0..=columns.1 {
-            let [from_a, from_b, from_c] = edges.map(|edge| {
-                let (x, y) = (column * PARTS - edge.from.x, row * PARTS - edge.from.y);
-                i64::from(edge.x) * i64::from(y) - i64::from(edge.y) * i64::from(x)
-            });
-            let inside = |distance: i64, edge: &Edge| distance >= i64::from(edge.owed);
-            if inside(from_a, &edges[0]) && inside(from_b, &edges[1]) && inside(from_c, &edges[2]) {
-                let texel = &mut layer[row as usize * stride + column as usize];
-                *texel = texel.max(a.depth + from_b as f32 * per_b + from_c as f32 * per_c);
+impl Facet {
+    /// Of a triangle in a tile of `size` texels each way; none where no middle of a texel lies between its corners.
+    #[inline(always)]
+    fn new([a, b, c]: [Corner; 3], size: usize) -> Option<Self> {
+        let columns = middles_between(a.x, b.x, c.x, size);
+        let rows = middles_between(a.y, b.y, c.y, size);
+        let twice_area =
+            i64::from(b.x - a.x) * i64::from(c.y - a.y) - i64::from(b.y - a.y) * i64::from(c.x - a.x);
+        if ((columns.1 - columns.0) | (rows.1 - rows.0)) < 0 || twice_area == 0 {
+            return None;
+        }
+        // Rows run down: what faces the sun runs the other way round.
+        let is_front = twice_area < 0;
+        let (b, c) = if is_front { (c, b) } else { (b, c) };
+        let per_area = 1.0 / twice_area.abs() as f32;
+        Some(Self {
+            is_front,
+            edges: [Edge::new(b, c), Edge::new(c, a), Edge::new(a, b)],
+            depth: a.depth,
+            per_b: (b.depth - a.depth) * per_area,
+            per_c: (c.depth - a.depth) * per_area,
+            columns,
+            rows,
+        })
+    }
+
+    /// Whether 32 bits hold its distances.
+    #[inline(always)]
+    fn is_small(&self) -> bool {
+        ((self.columns.1 - self.columns.0) | (self.rows.1 - self.rows.0)) < SPAN_PX
+    }
+
+    /// Draws it into a layer, if it is small.
+    #[inline(always)]
+    fn fill<S: Simd>(&self, simd: S, layer: &mut [f32], stride: usize) {
+        let Self { edges, per_b, per_c, columns, rows, .. } = *self;
+        // Four texels of a row and the four below them.
+        let (lane_columns, lane_rows) = (
+            i32x8::from_slice(simd, &[0, 1, 2, 3, 0, 1, 2, 3]),
+            i32x8::from_slice(simd, &[0, 0, 0, 0, 1, 1, 1, 1]),
+        );
+        // No closures: what vectors are made of is inlined wholly.
+        let mut at_row = [i32x8::splat(simd, 0); 3];
+        let (mut to_right, mut down) = ([0; 3], [0; 3]);
+        for (i, edge) in edges.iter().enumerate() {
+            let (x, y) = (columns.0 * PARTS - edge.from.x, rows.0 * PARTS - edge.from.y);
+            let first = edge.x * y - edge.y * x - edge.owed;
+            at_row[i] = lane_rows * (edge.x * PARTS) - lane_columns * (edge.y * PARTS) + first;
+            to_right[i] = WIDTH as i32 * edge.y * PARTS;
+            down[i] = HEIGHT as i32 * edge.x * PARTS;
+        }
+        let depth = self.depth + edges[1].owed as f32 * per_b + edges[2].owed as f32 * per_c;
+        let nowhere = f32x8::splat(simd, 0.0);
+        let (mut row, end) = (rows.0 as usize, rows.1 as usize + 1);
+        while row < end {
+            let mut at = at_row;
+            let (upper, lower) = layer[row * stride..][..HEIGHT * stride].split_at_mut(stride);
+            let (mut column, end) = (columns.0 as usize, columns.1 as usize + 1);
+            while column < end {
+                let texels = column..column + WIDTH;
+                let (upper, lower) = (&mut upper[texels.clone()], &mut lower[texels]);
+                let inside = (at[0] | at[1] | at[2]).simd_ge(0);
+                let here =
+                    at[1].to_float::<f32x8<S>>() * per_b + at[2].to_float::<f32x8<S>>() * per_c + depth;
+                let there = f32x4::from_slice(simd, upper).combine(f32x4::from_slice(simd, lower));
+                let (above, below) = inside.select(here, nowhere).max(there).split();
+                above.store_slice(upper);
+                below.store_slice(lower);
+                for i in 0..3 {
+                    at[i] -= to_right[i];
+                }
+                column += WIDTH;
+            }
+            for i in 0..3 {
+                at_row[i] += down[i];
+            }
+            row += HEIGHT;
+        }
+    }
+
+    /// The same of any size.
+    fn fill_wide(&self, layer: &mut [f32], stride: usize) {
+        for row in self.rows.0..=self.rows.1 {
+            for column in self.columns.0..=self.columns.1 {
+                let distances = self.edges.map(|edge| {
+                    let (x, y) = (column * PARTS - edge.from.x, row * PARTS - edge.from.y);
+                    i64::from(edge.x) * i64::from(y) - i64::from(edge.y) * i64::from(x)
+                });
+                if distances.iter().zip(&self.edges).all(|(distance, edge)| *distance >= i64::from(edge.owed))
+                {
+                    let texel = &mut layer[row as usize * stride + column as usize];
+                    let [_, of_b, of_c] = distances.map(|distance| distance as f32);
+                    *texel = texel.max(self.depth + of_b * self.per_b + of_c * self.per_c);
+                }
             }
         }
     }
@@ -296,18 +309,11 @@ mod tests {
     fn layer(corners: [Corner; 3], wide: bool) -> Vec<f32> {
         let stride = SIZE + WIDTH;
         let mut layer = vec![0.0; stride * (SIZE + HEIGHT)];
-        let [a, b, c] = corners;
-        let (columns, rows) = (middles_between(a.x, b.x, c.x, SIZE), middles_between(a.y, b.y, c.y, SIZE));
-        let twice_area = (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x);
-        if columns.0 > columns.1 || rows.0 > rows.1 || twice_area == 0 {
-            return layer;
-        }
-        let corners = if twice_area < 0 { [a, c, b] } else { corners };
-        let twice_area = twice_area.abs() as f32;
+        let Some(facet) = Facet::new(corners, SIZE) else { return layer };
         if wide {
-            fill_wide(&mut layer, stride, corners, twice_area, columns, rows);
+            facet.fill_wide(&mut layer, stride);
         } else {
-            dispatch!(Level::new(), simd => fill(simd, &mut layer, stride, corners, twice_area, columns, rows));
+            dispatch!(Level::new(), simd => facet.fill(simd, &mut layer, stride));
         }
         layer
     }

@@ -225,13 +225,15 @@ fn lerp(a: f32, b: f32, t: f32) -> f32 {
     a + (b - a) * t
 }
 
+/// Added to a number below 2^22 either way, it leaves no room for fractions: 1.5 times 2^23.
+pub const NO_FRACTIONS: f32 = 12_582_912.0;
+
 /// Largest integer not above `x`, for |x| < 2^22: beyond, numbers have no fraction left that noise could be made of.
 ///
 /// By a sum that has no room for fractions. A cast, with its rules for what does not fit, is made one lane after the other.
 #[must_use]
 #[inline(always)]
 pub fn floor(x: f32) -> i32 {
-    const NO_FRACTIONS: f32 = 12_582_912.0; // 1.5 times 2^23
     let nearest = (x + NO_FRACTIONS).to_bits().wrapping_sub(NO_FRACTIONS.to_bits()) as i32;
     nearest - i32::from(nearest as f32 > x)
 }

@@ -79,6 +79,8 @@ pub struct Terrain {
     pub centre: Vec2,
     /// Half the side of the square that the ground fills or, for rings, lies within; metres.
     pub half_extent_m: f32,
+    /// Lowest and highest vertex, metres.
+    pub z_range_m: [f32; 2],
     /// Cells along a row.
     pub columns: u32,
     /// Cells across the rows.
@@ -186,6 +188,7 @@ impl Terrain {
             layout: Layout::Rings(rings),
             centre,
             half_extent_m: view.radius_m as f32,
+            z_range_m: z_range_m(&vertices),
             columns,
             rows,
             vertices,
@@ -244,6 +247,7 @@ impl Terrain {
             layout: Layout::Square,
             centre: Vec2::ZERO,
             half_extent_m: 0.5 * size_m,
+            z_range_m: z_range_m(&vertices),
             columns: cells,
             rows: cells,
             vertices,
@@ -382,6 +386,11 @@ impl Terrain {
         }
         lowest
     }
+}
+
+fn z_range_m(vertices: &[Vertex]) -> [f32; 2] {
+    let heights = vertices.iter().map(|vertex| vertex.position.z);
+    heights.fold([f32::MAX, f32::MIN], |[low, high], z| [low.min(z), high.max(z)])
 }
 
 /// Height of the plane through three points at a place.

@@ -114,12 +114,12 @@ fn leaving_out_what_cannot_be_seen_changes_no_label_and_no_colour() {
     ] {
         let scene = scene(seed, set);
         let mut renderer = renderer();
-        assert!(renderer.pick_triangles, "the device of the tests is a CPU");
+        assert!(renderer.ways.pick_triangles, "the device of the tests is a CPU");
         let picked = renderer.render(&scene, &settings(192)).expect("a frame").0;
         let triangles = renderer.gpu_scene().drawn_triangles();
-        renderer.pick_triangles = false;
+        renderer.ways.pick_triangles = false;
         let whole = renderer.render(&scene, &settings(192)).expect("a frame").0;
-        renderer.pick_triangles = true;
+        renderer.ways.pick_triangles = true;
         assert!(renderer.gpu_scene().drawn_triangles() > triangles, "seed {seed}: nothing was left out");
         assert!(picked.class == whole.class && picked.instances == whole.instances, "seed {seed}: labels");
         assert!(picked.depth_m == whole.depth_m && picked.normals == whole.normals, "seed {seed}: geometry");
@@ -136,7 +136,7 @@ fn a_shadow_map_drawn_here_is_that_of_the_device() {
             .into_iter()
             .collect();
     let mut renderer = renderer();
-    assert!(renderer.own_shadow_map, "the device of the tests is a CPU");
+    assert!(renderer.ways.own_shadow_map, "the device of the tests is a CPU");
     for (seed, set) in [
         (1, &[][..]),
         (2, &["sun.elevation_deg=3", "sun.azimuth_deg=10"]),
@@ -146,9 +146,9 @@ fn a_shadow_map_drawn_here_is_that_of_the_device() {
     ] {
         let scene = scene(seed, set);
         let here = renderer.render(&scene, &settings).expect("a frame").0;
-        renderer.own_shadow_map = false;
+        renderer.ways.own_shadow_map = false;
         let there = renderer.render(&scene, &settings).expect("a frame").0;
-        renderer.own_shadow_map = true;
+        renderer.ways.own_shadow_map = true;
         assert!(here.class == there.class && here.instances == there.instances, "seed {seed}: labels");
         assert!(here.depth_m == there.depth_m && here.normals == there.normals, "seed {seed}: geometry");
         let apart = |here: &[u8], there: &[u8]| {
