@@ -14,8 +14,8 @@
 @group(2) @binding(2) var normal_samples: texture_2d<f32>;
 @group(2) @binding(3) var instance_samples: texture_2d<u32>;
 @group(2) @binding(4) var hidden_samples: texture_2d<f32>;
-// Depth, bound as plain numbers: GLSL cannot load from a depth texture.
-@group(2) @binding(5) var depth_samples: texture_2d<f32>;
+// What the visibility pass left, of which one over the metres along the axis is read here.
+@group(2) @binding(5) var visible_samples: texture_2d<u32>;
 @group(2) @binding(6) var<storage, read_write> packed_words: array<u32>;
 // Samples are not loaded: see common/shadow_map.wgsl.
 @group(2) @binding(7) var nearest: sampler;
@@ -111,9 +111,9 @@ fn instance_at(at: vec2<i32>) -> u32 {
     return textureGather(0, instance_samples, nearest, (vec2<f32>(at) + 1.0) * sample_step).w;
 }
 
-// Reversed: the larger is the nearer.
-fn depth_at(at: vec2<i32>) -> f32 {
-    return textureSampleLevel(depth_samples, nearest, middle(at), 0.0).r;
+// One over the metres along the axis: the larger is the nearer.
+fn nearness_at(at: vec2<i32>) -> f32 {
+    return bitcast<f32>(textureGather(3, visible_samples, nearest, (vec2<f32>(at) + 1.0) * sample_step).w);
 }
 
 fn class_of_most(corner: vec2<u32>) -> u32 {
@@ -122,16 +122,16 @@ fn class_of_most(corner: vec2<u32>) -> u32 {
         let meet = vec2<f32>(corner + 1u) * sample_step;
         let classes = textureGather(0, class_samples, nearest, meet).wzxy;
         if all(classes == classes.xxxx) { return classes.x; }
-        let depths = textureGather(0, depth_samples, nearest, meet).wzxy;
+        let nearness = bitcast<vec4<f32>>(textureGather(3, visible_samples, nearest, meet).wzxy);
         var best = 0u;
         var best_votes = 0u;
-        var best_depth = 0.0;
+        var best_nearness = 0.0;
         for (var i = 0u; i < 4u; i++) {
             let votes = dot(vec4<u32>(classes == vec4(classes[i])), vec4(1u));
-            if votes > best_votes || (votes == best_votes && depths[i] > best_depth) {
+            if votes > best_votes || (votes == best_votes && nearness[i] > best_nearness) {
                 best = classes[i];
                 best_votes = votes;
-                best_depth = depths[i];
+                best_nearness = nearness[i];
             }
         }
         return best;
@@ -145,19 +145,19 @@ fn class_of_most(corner: vec2<u32>) -> u32 {
     if uniform_pixel { return first; }
     var best = first;
     var best_votes = 0u;
-    var best_depth = 0.0;
+    var best_nearness = 0.0;
     for (var i = 0u; i < count; i++) {
         let at = sample_at(corner, i);
         let candidate = class_at(at);
-        let depth = depth_at(at);
+        let nearness = nearness_at(at);
         var votes = 0u;
         for (var j = 0u; j < count; j++) {
             votes += u32(class_at(sample_at(corner, j)) == candidate);
         }
-        if votes > best_votes || (votes == best_votes && depth > best_depth) {
+        if votes > best_votes || (votes == best_votes && nearness > best_nearness) {
             best = candidate;
             best_votes = votes;
-            best_depth = depth;
+            best_nearness = nearness;
         }
     }
     return best;
@@ -168,21 +168,21 @@ fn instance_of_most(corner: vec2<u32>, class_id: u32) -> u32 {
     let count = SIDE * SIDE;
     var best = 0u;
     var best_votes = 0u;
-    var best_depth = 0.0;
+    var best_nearness = 0.0;
     for (var i = 0u; i < count; i++) {
         let at = sample_at(corner, i);
         if class_at(at) != class_id { continue; }
         let candidate = instance_at(at);
-        let depth = depth_at(at);
+        let nearness = nearness_at(at);
         var votes = 0u;
         for (var j = 0u; j < count; j++) {
             let other = sample_at(corner, j);
             votes += u32(class_at(other) == class_id && instance_at(other) == candidate);
         }
-        if votes > best_votes || (votes == best_votes && depth > best_depth) {
+        if votes > best_votes || (votes == best_votes && nearness > best_nearness) {
             best = candidate;
             best_votes = votes;
-            best_depth = depth;
+            best_nearness = nearness;
         }
     }
     return best;
@@ -208,19 +208,19 @@ fn annotate(pixel: u32, corner: vec2<u32>, class_id: u32, radiance: vec3<f32>) {
     // Where no instances are drawn the texture holds a single 0, and every load gives it.
     let instance_id = instance_of_most(corner, class_id);
     var samples = 0.0;
-    var depth = 0.0;
+    var nearness = 0.0;
     var hidden = 0.0;
     var normal = vec3(0.0);
     for (var i = 0u; i < count; i++) {
         let at = sample_at(corner, i);
         if class_at(at) != class_id || instance_at(at) != instance_id { continue; }
         samples += 1.0;
-        depth += depth_at(at);
+        nearness += nearness_at(at);
         hidden += textureSampleLevel(hidden_samples, nearest, middle(at), 0.0).r;
         normal += textureSampleLevel(normal_samples, nearest, middle(at), 0.0).xyz;
     }
     if frame.depth_at != NOT_ASKED {
-        let metres = frame.depth_scale_m / (depth / samples + frame.depth_offset);
+        let metres = samples / nearness;
         packed_words[frame.depth_at + pixel] = bitcast<u32>(metres);
     }
     if frame.normals_at != NOT_ASKED {

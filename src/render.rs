@@ -6,12 +6,14 @@
 //! To add a pass: a file here with its struct (`new`, `record`), its WGSL in `shaders.rs`, a line in
 //! [`Renderer::record_frame`].
 
-pub mod facing;
+pub mod facets;
 pub mod footprint;
 pub mod gpu_scene;
 pub mod hazards;
 pub mod horizon;
 mod labels;
+pub mod lit;
+pub mod raster;
 pub mod relief;
 pub mod resolve;
 mod scene_pass;
@@ -24,6 +26,7 @@ pub mod shadow_raster;
 pub mod targets;
 mod timing;
 mod visibility_pass;
+pub mod visibility_raster;
 
 use std::time::Instant;
 
@@ -101,8 +104,8 @@ impl RenderSettings {
 }
 
 /// Milliseconds of one frame's work, by stage, in order. `shadow`, `visibility`, `scene_pass` and `resolve` are measured by the
-/// device where it can, and left out where it cannot (`shadow` by this program, where it draws the shadow map itself); `gpu` is
-/// all the time from recording to the last pass's end, with that of frames that the device had before it.
+/// device where it can, and left out where it cannot (`shadow` and `visibility` by this program, where it draws these itself);
+/// `gpu` is all the time from recording to the last pass's end, with that of frames that the device had before it.
 pub type StageTimes = Vec<(&'static str, f64)>;
 
 /// Layouts of the bind groups: 0 frame, 1 scene, 2 the pass's own.
@@ -135,8 +138,8 @@ pub struct InFlight {
     slot: Slot,
     submission: wgpu::SubmissionIndex,
     upload_ms: f64,
-    /// If this program drew the shadow map: how long it took.
-    shadow_map_ms: Option<f64>,
+    /// If this program drew shadow map and visibility: how long each took.
+    drawn_here_ms: Option<[f64; 2]>,
     uploaded: Instant,
     /// Triangles drawn of what is seen in it.
     pub drawn_triangles: u64,
@@ -176,13 +179,13 @@ impl Renderer {
                 .device
                 .create_sampler(&wgpu::SamplerDescriptor { label: Some("nearest"), ..Default::default() }),
             shadow_pass: ShadowPass::default(),
-            visibility_pass: VisibilityPass::new(&gpu, &layouts),
+            visibility_pass: VisibilityPass::default(),
             scene_pass: ScenePass::new(&gpu, &layouts),
             resolve_pass: ResolvePass::new(&gpu, &layouts),
             scene: GpuScene::default(),
             targets: None,
             spare: Vec::new(),
-            ways: Ways { pick_triangles: is_cpu(&gpu.info), own_shadow_map: is_cpu(&gpu.info) },
+            ways: Ways { draw_here: is_cpu(&gpu.info), by_shades: true },
             layouts,
             gpu,
         };
@@ -230,8 +233,8 @@ impl Renderer {
         });
         let (scene, drawn) = wide.as_ref().map_or((scene, &picture), |(scene, drawn)| (scene, drawn));
         let targets = match self.targets.take() {
-            Some(kept) if kept.serve(drawn) => kept,
-            _ => Targets::new(&self.gpu, drawn)?,
+            Some(kept) if kept.serve(drawn, self.ways.draw_here) => kept,
+            _ => Targets::new(&self.gpu, drawn, self.ways.draw_here)?,
         };
         self.spare.retain(|slot| slot.packed.serves(picture.size, picture.annotations));
         let slot = self.spare.pop().unwrap_or_else(|| Slot {
@@ -241,8 +244,12 @@ impl Renderer {
         self.resolve_pass.prepare(&self.gpu, &targets, &slot.packed);
         let (gpu, gpu_scene, ways) = (&self.gpu, &mut self.scene, self.ways);
         gpu.guard(|| gpu_scene.upload(gpu, scene, drawn, picture.size, ways))?;
-        self.scene_pass.prepare(&self.gpu, self.scene.variant(drawn.annotations), &self.scene);
+        self.scene_pass.prepare(&self.gpu, self.scene.variant(&targets), &self.scene);
         self.shadow_pass.prepare(&self.gpu, &self.layouts, self.scene.atlas_px, self.scene.shadow_map());
+        match self.scene.visible() {
+            Some(visible) => targets.give(&self.gpu, visible),
+            None => self.visibility_pass.prepare(&self.gpu, &self.layouts),
+        }
         self.gpu.check()?;
         let uploaded = Instant::now();
         let submission = self.gpu.guard(|| self.submit_frame(&targets, &slot))?;
@@ -253,10 +260,10 @@ impl Renderer {
             wide,
             slot,
             submission,
-            upload_ms: milliseconds(uploaded - start) - self.scene.shadow_map_ms.unwrap_or(0.0),
-            shadow_map_ms: self.scene.shadow_map_ms,
+            upload_ms: milliseconds(uploaded - start) - self.scene.drawn_here_ms.unwrap_or_default().iter().sum::<f64>(),
+            drawn_here_ms: self.scene.drawn_here_ms,
             uploaded,
-            drawn_triangles: self.scene.drawn_triangles(),
+            drawn_triangles: self.scene.drawn_triangles,
             uploaded_bytes: self.scene.uploaded_bytes,
         })
     }
@@ -266,7 +273,7 @@ impl Renderer {
     /// # Errors
     /// [`Error::DeviceLost`] or [`Error::Device`].
     pub fn finish(&mut self, in_flight: InFlight, scene: &Scene) -> Result<(Frame, StageTimes)> {
-        let InFlight { asked, picture, wide, slot, submission, upload_ms, shadow_map_ms, uploaded, .. } =
+        let InFlight { asked, picture, wide, slot, submission, upload_ms, drawn_here_ms, uploaded, .. } =
             in_flight;
         let (drawn_scene, drawn) = wide.as_ref().map_or((scene, &picture), |(scene, drawn)| (scene, drawn));
         self.gpu.wait(&submission)?;
@@ -276,9 +283,11 @@ impl Renderer {
         frame.lens = drawn_scene.camera.lens;
         let read = Instant::now();
         let mut times = vec![("upload", upload_ms)];
-        times.extend(shadow_map_ms.map(|ms| ("shadow", ms)));
+        if let Some([shadow_ms, visibility_ms]) = drawn_here_ms {
+            times.extend([("shadow", shadow_ms), ("visibility", visibility_ms)]);
+        }
         if let Some(timer) = &slot.timer {
-            times.extend(timer.read(&self.gpu, &submission, first_pass(shadow_map_ms))?);
+            times.extend(timer.read(&self.gpu, &submission, first_pass(drawn_here_ms))?);
         }
         times.extend([("gpu", milliseconds(done - uploaded)), ("readback", milliseconds(read - done))]);
         self.spare.push(slot);
@@ -323,13 +332,15 @@ impl Renderer {
             [&groups.frame, &groups.scene],
             timer.map(|timer| timer.both_passes(Pass::Shadow)),
         );
-        self.visibility_pass.record(
-            encoder,
-            &self.scene,
-            [&groups.frame, &groups.scene],
-            targets,
-            timer.map(|timer| timer.render_pass(Pass::Visibility)),
-        );
+        if !targets.is_given {
+            self.visibility_pass.record(
+                encoder,
+                &self.scene,
+                [&groups.frame, &groups.scene],
+                targets,
+                timer.map(|timer| timer.render_pass(Pass::Visibility)),
+            );
+        }
         self.scene_pass.record(
             encoder,
             &self.scene,
@@ -347,7 +358,7 @@ impl Renderer {
         );
         packed.copy(encoder);
         if let Some(timer) = timer {
-            timer.copy(encoder, first_pass(self.scene.shadow_map_ms));
+            timer.copy(encoder, first_pass(self.scene.drawn_here_ms));
         }
     }
 
@@ -381,7 +392,7 @@ impl Renderer {
                 "light",
                 &self.layouts.light,
                 &[
-                    view(&targets.visible),
+                    view(&targets.visible.1),
                     scene.instances.buffer().as_entire_binding(),
                     view(self.shadow_pass.map()),
                     view(horizon),
@@ -390,7 +401,7 @@ impl Renderer {
                 ],
             ),
             resolve: group("resolve", &self.layouts.resolve, &{
-                let planes = targets.planes.iter().chain([&targets.depth]).map(view);
+                let planes = targets.planes.iter().chain([&targets.visible.1]).map(view);
                 let own = [packed.buffer.as_entire_binding(), wgpu::BindingResource::Sampler(&self.nearest)];
                 planes.chain(own).collect::<Vec<_>>()
             }),
@@ -457,15 +468,15 @@ impl BindLayouts {
             resolve: group(
                 "resolve",
                 ShaderStages::COMPUTE,
-                &[float, uint, float, uint, float, float, write, nearest],
+                &[float, uint, float, uint, float, uint, write, nearest],
             ),
         }
     }
 }
 
-/// The first pass that the device is given, for a shadow map that this program drew in so long, if it did.
-const fn first_pass(shadow_map_ms: Option<f64>) -> Pass {
-    if shadow_map_ms.is_some() { Pass::Visibility } else { Pass::Shadow }
+/// The first pass that the device is given, if this program drew others before it in so long.
+const fn first_pass(drawn_here_ms: Option<[f64; 2]>) -> Pass {
+    if drawn_here_ms.is_some() { Pass::Scene } else { Pass::Shadow }
 }
 
 fn vertex_layout(attributes: &[wgpu::VertexAttribute]) -> wgpu::VertexBufferLayout<'_> {
@@ -481,11 +492,10 @@ fn draw_all(
     pass: &mut wgpu::RenderPass<'_>,
     group: &wgpu::BindGroup,
     scene: &GpuScene,
-    (indices, format): (&gpu_scene::Store, wgpu::IndexFormat),
     draws: &[Draw],
 ) {
     pass.set_vertex_buffer(0, scene.vertices.buffer().slice(..));
-    pass.set_index_buffer(indices.buffer().slice(..), format);
+    pass.set_index_buffer(scene.indices.buffer().slice(..), wgpu::IndexFormat::Uint32);
     let mut bound = None;
     for draw in draws.iter().filter(|draw| !draw.indices.is_empty()) {
         if bound.replace(draw.instance) != Some(draw.instance) {

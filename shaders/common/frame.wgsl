@@ -60,10 +60,6 @@ struct FrameUniforms {
     hapke_c: f32,
     hapke_h_s: f32,
     hapke_tan_theta_bar: f32,
-    // What the depth of the pixel is reckoned from: with reversed depth d, metres along the axis are
-    // depth_scale_m / (d + depth_offset).
-    depth_scale_m: f32,
-    depth_offset: f32,
     // Where each annotation starts in the packed result, words; NOT_ASKED where nobody wants it.
     depth_at: u32,
     normals_at: u32,
@@ -71,6 +67,7 @@ struct FrameUniforms {
     hidden_at: u32,
     radiance_at: u32,
     coverage_at: u32,
+    reserved: vec2<u32>,
     horizon: array<HorizonLevel, 12>,
 }
 

@@ -132,7 +132,7 @@ fn summarise(args: &FrameArgs, renderer: &Renderer, meta: &Value, times: &StageT
     if args.verbose {
         let scene = renderer.gpu_scene();
         eprintln!("adapter: {}", gpu::describe(&renderer.gpu().info));
-        eprintln!("drawn: {} triangles, {} bytes uploaded", scene.drawn_triangles(), scene.uploaded_bytes);
+        eprintln!("drawn: {} triangles, {} bytes uploaded", scene.drawn_triangles, scene.uploaded_bytes);
         let stages: Vec<String> = times.iter().map(|(name, ms)| format!("{name} {ms:.1}")).collect();
         eprintln!("milliseconds: {}", stages.join(", "));
     }

@@ -6,12 +6,13 @@ use std::ops::Range;
 use std::time::Instant;
 
 use glam::Mat4;
-use wgpu::{BufferUsages, IndexFormat, TextureFormat, TextureUsages};
+use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 
 use super::RenderSettings;
-use super::facing::{Facing, Triangle};
+use super::facets::Facets;
 use super::footprint::Footprint;
 use super::horizon::{self, HorizonMap};
+use super::lit::{Group, Groups, Lit};
 use super::relief::Bands;
 use super::resolve::{self, Packing};
 use super::scene_pass::Variant;
@@ -19,8 +20,10 @@ use super::selection::{Bounds, Selection, ground_blocks};
 use super::shaders::{CasterTile, FrameUniforms, HorizonLevel, Instance};
 use super::shadow::{self, CasterGrids, Shades};
 use super::shadow_raster;
+use super::targets::Targets;
+use super::visibility_raster::Visible;
 use crate::class::ClassId;
-use crate::frame::{Annotation, Annotations};
+use crate::frame::Annotation;
 use crate::gpu::Gpu;
 use crate::scene::Scene;
 use crate::scene::bounce::{Bounce, rms_slope};
@@ -28,9 +31,10 @@ use crate::scene::mesh::{Icosphere, Vertex};
 use crate::scene::photometry::Law;
 use crate::scene::terrain::Layout;
 
-/// Levels of the icospheres that dome and stars are drawn with.
-const DOME_LEVEL: usize = 4;
-const STAR_LEVEL: usize = 1;
+/// Level of the icosphere that the dome is drawn with.
+pub const DOME_LEVEL: usize = 4;
+/// Level of the icospheres that stars are drawn with.
+pub const STAR_LEVEL: usize = 1;
 
 /// One indexed draw.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -55,33 +59,18 @@ pub struct DrawList {
 /// What is lit by one draw of the scene pass.
 #[derive(Clone, Debug)]
 pub struct Seen {
+    /// Its number among those of the picture.
+    pub group: Group,
     /// How.
     pub lit: Lit,
     /// The slot of the instance that it is, unless each sample tells.
     pub instance: u32,
     /// Its slot among the reliefs below the mesh.
     pub relief: u32,
-    /// What shows it.
+    /// What shows it, if the device is to draw that.
     pub draws: Vec<Draw>,
-    /// Where it may be on the picture.
+    /// Where it may be on the picture; nowhere if nothing shows it.
     pub bounds: Bounds,
-}
-
-/// By which program samples are lit.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Lit {
-    /// Ground that these things can shade.
-    Ground {
-        /// What can shade it.
-        shades: Shades,
-    },
-    /// Rocks that these things can shade.
-    Rocks {
-        /// What can shade them.
-        shades: Shades,
-    },
-    /// Dome and stars.
-    Sky,
 }
 
 /// Everything of a scene that lies on the device. Buffers are kept and grow from frame to frame.
@@ -93,11 +82,6 @@ pub struct GpuScene {
     pub vertices: Store,
     /// Triangles of the icosphere's levels, then of the ground's blocks.
     pub indices: Store,
-    /// Triangles that were picked for this frame.
-    picked: Store,
-    is_picked: bool,
-    /// Those triangles, kept for their memory.
-    picked_triangles: Picked,
     /// `FrameUniforms`.
     pub frame: Store,
     /// `ReliefUniforms`, each in a slot of its own.
@@ -112,10 +96,15 @@ pub struct GpuScene {
     pub caster_grid: Store,
     /// Columns and rows of the shadow map and of each of the layers that it is made of.
     pub atlas_px: [u32; 2],
-    /// The map, if this program drew it; kept for its memory.
+    /// If this program draws the map: it; kept for its memory.
     shadow_map: Vec<f32>,
-    /// If this program drew it: how long it took.
-    pub shadow_map_ms: Option<f64>,
+    /// If this program finds what samples show: of what, and it; kept for their memory.
+    facets: Facets,
+    visible: Visible,
+    /// If this program drew both: how long each took.
+    pub drawn_here_ms: Option<[f64; 2]>,
+    /// Triangles drawn of what is seen.
+    pub drawn_triangles: u64,
     /// The ground's horizon, two heights a texel.
     pub horizon: Option<(wgpu::Texture, wgpu::TextureView)>,
     ground: Option<GroundBlocks>,
@@ -131,28 +120,14 @@ struct GroundBlocks {
     blocks: Vec<Range<u32>>,
 }
 
-/// Triangles that are picked for a frame.
-#[derive(Debug, Default)]
-struct Picked {
-    triangles: Vec<Triangle>,
-}
-
-impl Picked {
-    /// Adds triangles and gives the range of their indices.
-    fn add(&mut self, triangles: &[Triangle]) -> Range<u32> {
-        let start = 3 * self.triangles.len() as u32;
-        self.triangles.extend(triangles);
-        start..start + 3 * triangles.len() as u32
-    }
-}
-
 /// What is left to this program, which a device could do.
 #[derive(Clone, Copy, Debug)]
 pub struct Ways {
-    /// Triangles that cannot be seen are left out one by one ([`super::facing`]): no plane changes by a bit.
-    pub pick_triangles: bool,
-    /// The shadow map is drawn ([`super::shadow_raster`]).
-    pub own_shadow_map: bool,
+    /// Shadow map ([`super::shadow_raster`]) and visibility ([`super::visibility_raster`]) are drawn by this program.
+    pub draw_here: bool,
+    /// What is drawn so is told apart by what can shade it, to be lit by programs that do no more than that: no plane changes
+    /// by a bit.
+    pub by_shades: bool,
 }
 
 /// Bytes from one of several uniforms in a buffer to the next: by WebGPU's default limits, bindings start at multiples of
@@ -237,9 +212,6 @@ impl Default for GpuScene {
             draws: DrawList::default(),
             vertices: Store::new("scene/vertices", BufferUsages::VERTEX),
             indices: Store::new("scene/indices", BufferUsages::INDEX),
-            picked: Store::new("scene/picked_indices", BufferUsages::INDEX),
-            is_picked: false,
-            picked_triangles: Picked::default(),
             frame: Store::new("frame/uniforms", BufferUsages::UNIFORM),
             relief: Store::new("scene/relief", BufferUsages::UNIFORM),
             law: Law::Lambert,
@@ -249,7 +221,10 @@ impl Default for GpuScene {
             caster_grid: Store::new("shadow/caster_grid", BufferUsages::STORAGE),
             atlas_px: [0; 2],
             shadow_map: Vec::new(),
-            shadow_map_ms: None,
+            facets: Facets::default(),
+            visible: Visible::default(),
+            drawn_here_ms: None,
+            drawn_triangles: 0,
             horizon: None,
             ground: None,
             sphere_levels: Vec::new(),
@@ -269,23 +244,38 @@ impl GpuScene {
         ways: Ways,
     ) {
         self.uploaded_bytes = 0;
-        self.upload_indices(gpu, scene);
         let selection = Selection::new(scene, settings);
         let footprint = Footprint::new(scene, &selection.frustum);
         let horizon = HorizonMap::build(&scene.terrain, &scene.sun, &footprint);
         let casters = &selection.casters;
         let caster_grid = shadow::caster_grid(scene, casters, &horizon, &footprint);
-        let facing = ways.pick_triangles.then(|| Facing::new(scene, &selection, settings, &caster_grid));
         let bands = Bands::new(scene, &selection, settings);
         self.uploaded_bytes += self.relief.write(gpu, &slots(&bands.bands));
-        self.shadow_map_ms = None;
-        if ways.own_shadow_map {
+        let slots = Slots { selection: &selection };
+        self.uploaded_bytes += self.instances.write(gpu, &self::slots(&instances(scene, settings, slots)));
+        let mut seen = all_groups(&bands, slots);
+        self.drawn_here_ms = None;
+        if ways.draw_here {
             let start = Instant::now();
             shadow_raster::draw(scene, &selection, &mut self.shadow_map);
-            self.shadow_map_ms = Some(super::milliseconds(start.elapsed()));
-            self.uploaded_bytes += size_of_val(&self.shadow_map[..]) as u64;
+            let between = Instant::now();
+            self.facets.find(scene, &selection, settings, &caster_grid, &bands, ways.by_shades);
+            self.visible.draw(&self.facets, Groups::new(bands.bands.len()), settings.sample_size());
+            let ms = |from: Instant, to: Instant| super::milliseconds(to - from);
+            self.drawn_here_ms = Some([ms(start, between), ms(between, Instant::now())]);
+            for mesh in self.facets.meshes() {
+                for (group, bounds) in mesh.groups.iter().zip(mesh.bounds) {
+                    let bounds_so_far = &mut seen[usize::from(*group)].bounds;
+                    *bounds_so_far = bounds_so_far.union(bounds);
+                }
+            }
+            self.drawn_triangles = self.facets.meshes().iter().map(|mesh| mesh.facets.len() as u64).sum();
+            self.draws = DrawList { casters: Vec::new(), seen };
+            self.uploaded_bytes += size_of_val(&self.shadow_map[..]) as u64 + self.visible.bytes();
+        } else {
+            self.upload_draws(gpu, scene, settings, &bands, slots, seen);
         }
-        self.upload_things(gpu, scene, settings, &selection, &bands, facing.as_ref());
+        self.draws.seen.retain(|seen| seen.bounds != Bounds::NOWHERE);
         let tiles: Vec<CasterTile> = casters.iter().map(|caster| caster.tile).collect();
         self.uploaded_bytes += self.tiles.write(gpu, &tiles);
         self.uploaded_bytes += self.caster_grid.write(gpu, &caster_grid);
@@ -299,32 +289,20 @@ impl GpuScene {
     /// The shadow map, unless the device is to draw it.
     #[must_use]
     pub fn shadow_map(&self) -> Option<&[f32]> {
-        self.shadow_map_ms.map(|_| &self.shadow_map[..])
+        self.drawn_here_ms.map(|_| &self.shadow_map[..])
     }
 
-    /// The indices of ground and rocks that are seen.
+    /// What the samples show, unless the device is to find it.
     #[must_use]
-    pub const fn thing_indices(&self) -> (&Store, IndexFormat) {
-        if self.is_picked { (&self.picked, IndexFormat::Uint16) } else { self.whole_indices() }
+    pub fn visible(&self) -> Option<&Visible> {
+        self.drawn_here_ms.map(|_| &self.visible)
     }
 
-    /// The indices of whole meshes, which casters and those of the sky are.
+    /// What the pipelines must be made for, to draw it on these targets.
     #[must_use]
-    pub const fn whole_indices(&self) -> (&Store, IndexFormat) {
-        (&self.indices, IndexFormat::Uint32)
-    }
-
-    /// What the pipelines must be made for, to draw it with these annotations.
-    #[must_use]
-    pub(super) const fn variant(&self, annotations: Annotations) -> Variant {
-        Variant { annotations, law: self.law, detail: self.has_detail }
-    }
-
-    /// Triangles drawn of what is seen.
-    #[must_use]
-    pub fn drawn_triangles(&self) -> u64 {
-        let count = |d: &Draw| u64::from(d.indices.end - d.indices.start) / 3;
-        self.draws.seen.iter().flat_map(|seen| &seen.draws).map(count).sum()
+    pub(super) const fn variant(&self, targets: &Targets) -> Variant {
+        let (annotations, is_given) = (targets.annotations, targets.is_given);
+        Variant { annotations, law: self.law, detail: self.has_detail, is_given }
     }
 
     /// The index buffer depends on the ground's layout alone.
@@ -349,19 +327,18 @@ impl GpuScene {
         self.uploaded_bytes += self.indices.write(gpu, triangles.as_flattened());
     }
 
-    /// Vertices, instances and draws of ground, rocks and sky.
-    fn upload_things(
+    /// Vertices, indices and draws of ground, rocks and sky, whole meshes, for `seen`: all groups.
+    fn upload_draws(
         &mut self,
         gpu: &Gpu,
         scene: &Scene,
         settings: &RenderSettings,
-        selection: &Selection,
         bands: &Bands,
-        facing: Option<&Facing>,
+        slots: Slots<'_>,
+        mut seen: Vec<Seen>,
     ) {
-        let mut draws = DrawList::default();
-        let mut picked = std::mem::take(&mut self.picked_triangles);
-        picked.triangles.clear();
+        self.upload_indices(gpu, scene);
+        let selection = slots.selection;
         let sphere: Vec<Vertex> = Icosphere::shared().directions[..Icosphere::vertex_count(DOME_LEVEL)]
             .iter()
             .map(|&d| Vertex { position: d, normal: d })
@@ -374,152 +351,50 @@ impl GpuScene {
             next_vertex += vertices.len();
             first as i32
         };
-        let photometry = &scene.photometry;
-        let (soil_surge, rock_surge) = (photometry.soil.b_s0 as f32, photometry.rock_b_s0 as f32);
-        let at_normal = |surge: f32| photometry.at_normal(f64::from(surge)) as f32;
-        let focal_px = scene.camera.focal_px(settings.size[0]) as f32;
-        // Ground.
-        let mut instances = vec![Instance {
-            scale: 1.0,
-            colour: scene.regolith.albedo / at_normal(soil_surge),
-            surge: soil_surge,
-            roughness: scene.regolith.roughness,
-            class_id: ClassId::REGOLITH.0.into(),
-            ..Default::default()
-        }];
-        // By what can shade it, for each band.
-        let mut ground: Vec<[Seen; 3]> = (0..bands.bands.len() as u32)
-            .map(|relief| {
-                [Shades::Nothing, Shades::Ground, Shades::Casters].map(|shades| Seen {
-                    lit: Lit::Ground { shades },
-                    instance: 0,
-                    relief,
-                    draws: Vec::new(),
-                    bounds: Bounds::NOWHERE,
-                })
-            })
-            .collect();
-        let mut blocks: Vec<(usize, &(usize, f32))> = selection.blocks.iter().enumerate().collect();
-        blocks.sort_by(|a, b| a.1.1.total_cmp(&b.1.1));
-        let whole_ground = if facing.is_none() { upload(&scene.terrain.vertices) } else { 0 };
-        for (place, &(block, _)) in blocks {
-            let band = bands.of_block(block);
-            let mut add = |shades: usize, indices, base_vertex, bounds: Bounds| {
-                let seen = &mut ground[band][shades];
-                seen.draws.push(Draw { indices, base_vertex, instance: 0 });
-                seen.bounds = seen.bounds.union(bounds);
-            };
-            if let Some(facing) = facing {
-                let block = &facing.ground[place];
-                let base = upload(&block.vertices);
-                for (shades, chosen) in block.by_shades.iter().enumerate() {
-                    if !chosen.triangles.is_empty() {
-                        add(shades, picked.add(&chosen.triangles), base, chosen.bounds);
-                    }
-                }
-            } else if let Some(known) = &self.ground {
-                add(Shades::Casters as usize, known.blocks[block].clone(), whole_ground, Bounds::ANYWHERE);
-            }
-        }
-        let mut rocks = [const { Vec::new() }; 2];
-        let mut rock_bounds = [Bounds::NOWHERE; 2];
-        // Rocks: an instance each; as many vertices as were picked, and of whole meshes as the finer of its uses needs.
-        let rock_at_normal = at_normal(rock_surge);
-        for (place, selected) in selection.rocks.iter().enumerate() {
-            let rock = &scene.rocks[selected.rock];
-            let instance = instances.len() as u32;
-            let casts = selected.caster.map(|(_, level)| level).filter(|_| self.shadow_map_ms.is_none());
-            let whole_level = selected.seen_level.filter(|_| facing.is_none()).max(casts);
-            let whole = |level: Option<usize>| level.map_or(0..0, |level| self.sphere_levels[level].clone());
-            let whole_base =
-                whole_level.map_or(0, |level| upload(&rock.vertices[..Icosphere::vertex_count(level)]));
-            let draw = |indices, base_vertex| Draw { indices, base_vertex, instance };
-            draws.casters.push(draw(whole(casts), whole_base));
-            let (seen, base) = if let Some(facing) = facing {
-                let chosen = &facing.rocks[place];
-                (chosen.seen.each_ref().map(|triangles| picked.add(triangles)), upload(&chosen.vertices))
-            } else {
-                ([0..0, whole(selected.seen_level)], whole_base)
-            };
-            let bounds = Bounds::of_ball(scene, settings, rock.centre, rock.radius_m);
-            for ((list, around), indices) in rocks.iter_mut().zip(&mut rock_bounds).zip(seen) {
-                if !indices.is_empty() {
-                    list.push((selected.nearest_m, draw(indices, base)));
-                    *around = around.union(bounds);
-                }
-            }
-            let counts = scene.label_rule.counts(rock, scene.camera.eye, focal_px);
-            let tile =
-                selected.caster.map_or_else(Default::default, |(tile, _)| selection.casters[tile].tile);
-            instances.push(Instance {
-                origin: rock.centre,
-                scale: 1.0,
-                colour: rock.material.albedo / rock_at_normal,
-                roughness: rock.material.roughness,
-                class_id: if counts { ClassId::ROCK } else { ClassId::REGOLITH }.0.into(),
-                instance_id: if counts { rock.index + 1 } else { 0 },
-                surge: rock_surge,
-                tile_half_extent_m: tile.half_extent_m,
-                dust: scene.regolith.albedo / rock_at_normal,
-                dust_above: rock.dust_above,
-                tile_origin_px: tile.origin_px,
-                tile_size_px: tile.size_px,
-                slot: 0,
-            });
-        }
-        // Rocks before the ground that they cover, all before the sky.
-        let lit_rocks = [Shades::Nothing, Shades::Casters].into_iter().zip(rocks).zip(rock_bounds).rev();
-        draws.seen.extend(lit_rocks.map(|((shades, list), bounds)| Seen {
-            lit: Lit::Rocks { shades },
-            instance: 0,
-            relief: 0,
-            draws: near_to_far(list),
-            bounds,
-        }));
-        draws.seen.extend(ground.into_iter().flatten());
-        // Sky: stars before the dome that they cover.
-        let in_sky = |origin, scale, colour| Instance {
-            origin,
-            scale,
-            colour,
-            class_id: ClassId::SKY.0.into(),
-            ..Default::default()
+        let mut show = |group: Group, draw: Draw, bounds: Bounds| {
+            let seen = &mut seen[usize::from(group)];
+            seen.draws.push(draw);
+            seen.bounds = seen.bounds.union(bounds);
         };
-        let first_star = instances.len() as u32;
-        instances.extend(selection.stars.iter().map(|&star| {
-            let star = scene.sky.stars[star];
-            in_sky(star.centre, star.radius_m, scene.sky.star_radiance)
-        }));
-        let dome = instances.len() as u32;
-        instances.push(in_sky(scene.sky.centre, scene.sky.radius_m, scene.sky.radiance));
-        for (slot, instance) in (0..).zip(&mut instances) {
-            instance.slot = slot;
-        }
-        for (level, range) in [(STAR_LEVEL, first_star..dome), (DOME_LEVEL, dome..dome + 1)] {
-            let (instance, indices) = (range.start, &self.sphere_levels[level]);
-            let draw = |instance| Draw { indices: indices.clone(), base_vertex: 0, instance };
-            draws.seen.push(Seen {
-                lit: Lit::Sky,
-                instance,
-                relief: 0,
-                draws: range.map(draw).collect(),
-                bounds: Bounds::ANYWHERE,
-            });
-        }
-        draws.seen.retain(|seen| seen.draws.iter().any(|draw| !draw.indices.is_empty()));
-        assert!(draws.seen.len() < 256, "the stencil tells them apart");
-        self.draws = draws;
-        self.uploaded_bytes += self.vertices.write_parts(gpu, &uploads);
-        self.uploaded_bytes += self.instances.write(gpu, &slots(&instances));
-        self.is_picked = facing.is_some();
-        if self.is_picked {
-            // What is written has a whole number of words.
-            if !picked.triangles.len().is_multiple_of(2) {
-                picked.triangles.push([0; 3]);
+        let base_vertex = upload(&scene.terrain.vertices);
+        if let Some(known) = &self.ground {
+            for (_, block) in near_to_far(selection.blocks.iter().map(|&(block, near_m)| (near_m, block))) {
+                let group = Groups::ground(bands.of_block(block), Shades::Casters);
+                let indices = known.blocks[block].clone();
+                show(group, Draw { indices, base_vertex, instance: Slots::GROUND }, Bounds::ANYWHERE);
             }
-            self.uploaded_bytes += self.picked.write(gpu, picked.triangles.as_flattened());
         }
-        self.picked_triangles = picked;
+        // As many vertices as the finer of a rock's uses needs.
+        let mut casters = Vec::new();
+        let mut seen_rocks = Vec::new();
+        for (place, selected) in selection.rocks.iter().enumerate() {
+            let casts = selected.caster.map(|(_, level)| level);
+            let Some(finer) = selected.seen_level.max(casts) else { continue };
+            let rock = &scene.rocks[selected.rock];
+            let base_vertex = upload(&rock.vertices[..Icosphere::vertex_count(finer.min(rock.level))]);
+            let draw = |level: usize| {
+                let (indices, instance) = (self.sphere_levels[level].clone(), Slots::rock(place));
+                Draw { indices, base_vertex, instance }
+            };
+            casters.extend(casts.map(draw));
+            let bounds = Bounds::of_ball(scene, settings, rock.centre, rock.radius_m);
+            seen_rocks.extend(selected.seen_level.map(|level| (selected.nearest_m, (draw(level), bounds))));
+        }
+        for (_, (draw, bounds)) in near_to_far(seen_rocks.into_iter()) {
+            show(Groups::rocks(Shades::Casters), draw, bounds);
+        }
+        let groups = Groups::new(bands.bands.len());
+        let sky = [(groups.stars(), STAR_LEVEL, slots.stars()), (groups.dome(), DOME_LEVEL, slots.dome())];
+        for (group, level, instances) in sky {
+            for instance in instances {
+                let indices = self.sphere_levels[level].clone();
+                show(group, Draw { indices, base_vertex: 0, instance }, Bounds::ANYWHERE);
+            }
+        }
+        let triangles = |draw: &Draw| u64::from(draw.indices.end - draw.indices.start) / 3;
+        self.drawn_triangles = seen.iter().flat_map(|seen| &seen.draws).map(triangles).sum();
+        self.draws = DrawList { casters, seen };
+        self.uploaded_bytes += self.vertices.write_parts(gpu, &uploads);
     }
 
     fn upload_horizon(&mut self, gpu: &Gpu, map: &HorizonMap) {
@@ -542,6 +417,107 @@ impl GpuScene {
             self.uploaded_bytes += bytes.len() as u64;
         }
     }
+}
+
+/// Where the instances of a picture stand: ground, rocks, stars, dome.
+#[derive(Clone, Copy, Debug)]
+pub struct Slots<'a> {
+    selection: &'a Selection,
+}
+
+impl Slots<'_> {
+    /// Of the ground.
+    pub const GROUND: u32 = 0;
+
+    /// Of the rock at a place in [`Selection::rocks`].
+    #[must_use]
+    pub const fn rock(place: usize) -> u32 {
+        place as u32 + 1
+    }
+
+    fn stars(self) -> Range<u32> {
+        let first = Self::rock(self.selection.rocks.len());
+        first..first + self.selection.stars.len() as u32
+    }
+
+    fn dome(self) -> Range<u32> {
+        let dome = self.stars().end;
+        dome..dome + 1
+    }
+}
+
+/// The things of a picture, by their slots.
+fn instances(scene: &Scene, settings: &RenderSettings, slots: Slots<'_>) -> Vec<Instance> {
+    let selection = slots.selection;
+    let photometry = &scene.photometry;
+    let (soil_surge, rock_surge) = (photometry.soil.b_s0 as f32, photometry.rock_b_s0 as f32);
+    let at_normal = |surge: f32| photometry.at_normal(f64::from(surge)) as f32;
+    let focal_px = scene.camera.focal_px(settings.size[0]) as f32;
+    let mut instances = vec![Instance {
+        scale: 1.0,
+        colour: scene.regolith.albedo / at_normal(soil_surge),
+        surge: soil_surge,
+        roughness: scene.regolith.roughness,
+        class_id: ClassId::REGOLITH.0.into(),
+        ..Default::default()
+    }];
+    let rock_at_normal = at_normal(rock_surge);
+    instances.extend(selection.rocks.iter().map(|selected| {
+        let rock = &scene.rocks[selected.rock];
+        let counts = scene.label_rule.counts(rock, scene.camera.eye, focal_px);
+        let tile = selected.caster.map_or_else(Default::default, |(tile, _)| selection.casters[tile].tile);
+        Instance {
+            origin: rock.centre,
+            scale: 1.0,
+            colour: rock.material.albedo / rock_at_normal,
+            roughness: rock.material.roughness,
+            class_id: if counts { ClassId::ROCK } else { ClassId::REGOLITH }.0.into(),
+            instance_id: if counts { rock.index + 1 } else { 0 },
+            surge: rock_surge,
+            tile_half_extent_m: tile.half_extent_m,
+            dust: scene.regolith.albedo / rock_at_normal,
+            dust_above: rock.dust_above,
+            tile_origin_px: tile.origin_px,
+            tile_size_px: tile.size_px,
+            slot: 0,
+        }
+    }));
+    let in_sky = |origin, scale, colour| Instance {
+        origin,
+        scale,
+        colour,
+        class_id: ClassId::SKY.0.into(),
+        ..Default::default()
+    };
+    instances.extend(selection.stars.iter().map(|&star| {
+        let star = scene.sky.stars[star];
+        in_sky(star.centre, star.radius_m, scene.sky.star_radiance)
+    }));
+    instances.push(in_sky(scene.sky.centre, scene.sky.radius_m, scene.sky.radiance));
+    for (slot, instance) in (0..).zip(&mut instances) {
+        instance.slot = slot;
+    }
+    instances
+}
+
+/// All groups of a picture, by their numbers, of which nothing is shown yet.
+fn all_groups(bands: &Bands, slots: Slots<'_>) -> Vec<Seen> {
+    let groups = Groups::new(bands.bands.len());
+    let instance = |group| match group {
+        _ if group == groups.stars() => slots.stars().start,
+        _ if group == groups.dome() => slots.dome().start,
+        // Of rocks, each sample tells which.
+        _ => Slots::GROUND,
+    };
+    let all = (0..).zip(groups.all()).map(|(group, (lit, band))| Seen {
+        group,
+        lit,
+        instance: instance(group),
+        relief: band as u32,
+        draws: Vec::new(),
+        bounds: Bounds::NOWHERE,
+    });
+    all.collect()
 }
 
 fn frame_uniforms(
@@ -598,22 +574,22 @@ fn frame_uniforms(
         lens_k: [lens.k1 as f32, lens.k2 as f32, lens.k3 as f32],
         focal_samples: settings.focal_samples(camera),
         lens_p: glam::Vec2::new(lens.p1 as f32, lens.p2 as f32),
-        depth_scale_m: camera.near_m * camera.far_m / (camera.far_m - camera.near_m),
-        depth_offset: camera.near_m / (camera.far_m - camera.near_m),
         depth_at: packing.start(Annotation::Depth),
         normals_at: packing.start(Annotation::Normals),
         instances_at: packing.start(Annotation::Instances),
         hidden_at: packing.start(Annotation::Shadow),
         radiance_at: packing.start(Annotation::Hdr),
         coverage_at: packing.start(Annotation::Coverage),
+        reserved: [0; 2],
         horizon: levels,
     }
 }
 
-/// The draws by rising distance.
-fn near_to_far(mut list: Vec<(f32, Draw)>) -> Vec<Draw> {
+/// Things by rising distance.
+pub fn near_to_far<T>(things: impl Iterator<Item = (f32, T)>) -> Vec<(f32, T)> {
+    let mut list: Vec<_> = things.collect();
     list.sort_by(|a, b| a.0.total_cmp(&b.0));
-    list.into_iter().map(|(_, draw)| draw).collect()
+    list
 }
 
 /// Places a metre along the axis that samples show, metres from the eye: of sample (0, 0), and how it moves with a column

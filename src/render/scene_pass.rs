@@ -2,9 +2,10 @@
 //! and class cannot disagree.
 
 use super::BindLayouts;
-use super::gpu_scene::{GpuScene, Lit, slot_stride};
+use super::gpu_scene::{GpuScene, slot_stride};
+use super::lit::Lit;
 use super::shaders::{Instance, ReliefUniforms, SKY, SURFACE};
-use super::targets::{DEPTH_FORMAT, Plane, Targets};
+use super::targets::{DEPTH_FORMAT, GIVEN_FORMAT, Plane, Targets};
 use crate::frame::Annotations;
 use crate::gpu::Gpu;
 use crate::scene::photometry::Law;
@@ -28,6 +29,8 @@ pub(super) struct Variant {
     pub(super) law: Law,
     /// Whether ground and rocks have detail below their meshes.
     pub(super) detail: bool,
+    /// Whether the device was given what the samples show: their stencil has no depth beside it then.
+    pub(super) is_given: bool,
 }
 
 /// The values of `DETAIL` in `surface.wgsl`.
@@ -90,7 +93,7 @@ impl ScenePass {
             },
             primitive: wgpu::PrimitiveState::default(),
             depth_stencil: Some(wgpu::DepthStencilState {
-                format: DEPTH_FORMAT,
+                format: if variant.is_given { GIVEN_FORMAT } else { DEPTH_FORMAT },
                 depth_write_enabled: Some(false),
                 depth_compare: Some(wgpu::CompareFunction::Always),
                 stencil: wgpu::StencilState { front: equal, back: equal, read_mask: !0, write_mask: 0 },
@@ -138,9 +141,9 @@ impl ScenePass {
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("scene"),
             color_attachments: &attachments,
-            // Both are only read.
+            // It is only read.
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                view: &targets.depth_stencil,
+                view: &targets.depth_stencil.1,
                 depth_ops: None,
                 stencil_ops: None,
             }),
@@ -150,12 +153,11 @@ impl ScenePass {
         let [frame, instances, light] = groups;
         pass.set_bind_group(0, frame, &[]);
         pass.set_bind_group(2, light, &[]);
-        let variant = scene.variant(targets.annotations);
-        // The value of the stencil is the place in the list.
-        for (value, seen) in (1..).zip(&scene.draws.seen) {
+        let variant = scene.variant(targets);
+        for seen in &scene.draws.seen {
             let made = self.pipelines.iter().find(|(made, _)| *made == (variant, seen.lit));
             pass.set_pipeline(&made.expect("pipelines are prepared before they are used").1);
-            pass.set_stencil_reference(value);
+            pass.set_stencil_reference(u32::from(seen.group) + 1);
             let slots =
                 [seen.instance * slot_stride::<Instance>(), seen.relief * slot_stride::<ReliefUniforms>()];
             pass.set_bind_group(1, instances, &slots);

@@ -139,10 +139,11 @@ impl Bounds {
     /// Of what may be anywhere.
     pub const ANYWHERE: Self = Self { low: Vec2::NEG_INFINITY, high: Vec2::INFINITY };
 
-    /// Of what is seen at a place; not a number is one that is not before the eye and may be anywhere.
+    /// Of samples from a column and a row to others, with them.
     #[must_use]
-    pub fn of_place(place: Vec2) -> Self {
-        if place.is_finite() { Self { low: place, high: place } } else { Self::ANYWHERE }
+    pub fn of_samples(columns: (i32, i32), rows: (i32, i32)) -> Self {
+        let at = |column: i32, row: i32| Vec2::new(column as f32, row as f32);
+        Self { low: at(columns.0, rows.0), high: at(columns.1, rows.1) }
     }
 
     /// Of a ball in the world.
@@ -176,6 +177,12 @@ impl Bounds {
         let (low, high) = ((low - 1.0).max(Vec2::ZERO).as_uvec2(), (high + 2.0).as_uvec2().min(size));
         let extent = high.saturating_sub(low);
         [low.x, low.y, extent.x, extent.y]
+    }
+}
+
+impl Default for Bounds {
+    fn default() -> Self {
+        Self::NOWHERE
     }
 }
 

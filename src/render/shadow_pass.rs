@@ -106,7 +106,7 @@ impl ShadowPass {
         pass.set_bind_group(0, frame, &[]);
         for pipeline in &pipelines.layers {
             pass.set_pipeline(pipeline);
-            super::draw_all(&mut pass, instances, scene, scene.whole_indices(), &scene.draws.casters);
+            super::draw_all(&mut pass, instances, scene, &scene.draws.casters);
         }
         drop(pass);
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {

@@ -1,34 +1,24 @@
 //! The shadow map drawn by this program: for devices that are a CPU themselves.
 //!
-//! Twin of `shadow.wgsl` and `middle.wgsl`, by the rules of the devices: corners in 1/256 of a texel, a texel is covered where
-//! its middle is, and of two triangles that meet there one covers it. The facets of casters are smaller than four
-//! texels; a driver takes several times as long for one as this does, and takes them one after the other.
+//! Twin of `shadow.wgsl` and `middle.wgsl`.
 //! Must not know: buffers.
 
 use std::cell::RefCell;
 
 use fearless_simd::prelude::*;
-use fearless_simd::{Level, dispatch, f32x4, f32x8, i32x8};
+use fearless_simd::{Level, dispatch, f32x4, f32x8, mask32x8};
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::raster::{HEIGHT, Outline, Paint, Place, Turn, WIDTH};
 use super::selection::Selection;
 use super::shaders::CasterTile;
 use super::shadow;
 use crate::scene::Scene;
 use crate::scene::mesh::{Icosphere, Vertex};
-use crate::scene::noise::floor;
 
 /// Height where a tile shows no caster, half extents of the tile. Stands in `middle.wgsl` too.
 const NO_CASTER: f32 = -1.0e9;
-/// Parts of a texel that corners are rounded to.
-const PARTS: i32 = 1 << PARTS_BITS;
-const PARTS_BITS: i32 = 8;
-/// Texels that a triangle may span for 32 bits to hold its area, in parts.
-const SPAN_PX: i32 = 64;
-/// Columns and rows of texels that are drawn at once.
-const WIDTH: usize = 4;
-const HEIGHT: usize = 2;
 
 thread_local! {
     /// Kept for its memory.
@@ -87,11 +77,10 @@ fn rows_of<'a>(tiles: &[&CasterTile], map: &'a mut [f32], width: usize) -> Vec<V
     rows
 }
 
-/// A vertex in a tile: parts of a texel from the middle of the first, depth from 0 at the far end to 1.
+/// A vertex in a tile, with its depth: 0 at the far end to 1.
 #[derive(Clone, Copy, Debug)]
 struct Corner {
-    x: i32,
-    y: i32,
+    place: Place,
     depth: f32,
 }
 
@@ -99,7 +88,7 @@ struct Corner {
 #[derive(Debug, Default)]
 struct Canvas {
     size: usize,
-    /// Texels from one row of a layer to the next: some more than there are columns.
+    /// Texels from one row of a layer to the next.
     stride: usize,
     /// Greatest depth of what faces the sun, and of what faces away; 0 where there is none.
     layers: [Vec<f32>; 2],
@@ -119,14 +108,10 @@ impl Canvas {
         let (right, down, towards) = (right, -up, scene.sun.direction);
         let half = 0.5 / tile.half_extent_m;
         let texels = tile.size_px;
-        let part = |place: f32| floor(place * PARTS as f32 + 0.5) - PARTS / 2;
         let corner = |vertex: &Vertex| {
             let p: Vec3 = half * vertex.position;
-            Corner {
-                x: part((0.5 + p.dot(right)) * texels),
-                y: part((0.5 + p.dot(down)) * texels),
-                depth: 0.5 + p.dot(towards),
-            }
+            let place = Place::from_px((0.5 + p.dot(right)) * texels, (0.5 + p.dot(down)) * texels);
+            Corner { place, depth: 0.5 + p.dot(towards) }
         };
         self.corners.clear();
         self.corners.extend(vertices.iter().map(corner));
@@ -137,13 +122,7 @@ impl Canvas {
     fn draw<S: Simd>(&mut self, simd: S, triangles: &[[u32; 3]]) {
         for triangle in triangles {
             let corners = triangle.map(|corner| self.corners[corner as usize]);
-            let Some(facet) = Facet::new(corners, self.size) else { continue };
-            let layer = &mut self.layers[usize::from(!facet.is_front)];
-            if facet.is_small() {
-                facet.fill(simd, layer, self.stride);
-            } else {
-                facet.fill_wide(layer, self.stride);
-            }
+            draw_triangle(simd, corners, &mut self.layers, self.size);
         }
     }
 
@@ -158,143 +137,34 @@ impl Canvas {
     }
 }
 
-/// The first and the last of `size` texels whose middles lie between three places.
+/// Draws a triangle into the layer of what faces as it does, of a tile of so many texels each way.
 #[inline(always)]
-fn middles_between(a: i32, b: i32, c: i32, size: usize) -> (i32, i32) {
-    let (low, high) = (a.min(b).min(c), a.max(b).max(c));
-    (((low + PARTS - 1) >> PARTS_BITS).max(0), (high >> PARTS_BITS).min(size as i32 - 1))
+fn draw_triangle<S: Simd>(simd: S, [a, b, c]: [Corner; 3], layers: &mut [Vec<f32>; 2], size: usize) {
+    let Some(turn) = Turn::of([a.place, b.place, c.place]) else { return };
+    let corners = if turn == Turn::Front { [a, b, c] } else { [a, c, b] };
+    let places = corners.map(|corner| corner.place);
+    let Some(outline) = Outline::new(places, size, 0..size as i32) else { return };
+    let depth = outline.linear(corners.map(|corner| corner.depth));
+    outline.fill(simd, 0, size + WIDTH, &mut Depth { layer: &mut layers[turn as usize], depth });
 }
 
-/// The line from a corner to another: how far beside it a place is, times its length; above 0 on the triangle's side.
-#[derive(Clone, Copy)]
-struct Edge {
-    from: Corner,
-    x: i32,
-    y: i32,
-    /// What is taken off so that 0 is on the triangle's side: 0 or 1. A place on the line belongs to the triangle below it, or
-    /// to that on its right.
-    owed: i32,
+/// Raises a layer to the depth of a triangle.
+struct Depth<'a> {
+    layer: &'a mut [f32],
+    depth: [f32; 3],
 }
 
-impl Edge {
+impl<S: Simd> Paint<S> for Depth<'_> {
     #[inline(always)]
-    fn new(from: Corner, to: Corner) -> Self {
-        let (x, y) = (to.x - from.x, to.y - from.y);
-        Self { from, x, y, owed: i32::from(!(y < 0 || (y == 0 && x > 0))) }
-    }
-}
-
-/// A triangle that may cover texels.
-struct Facet {
-    /// Whether it faces the sun.
-    is_front: bool,
-    /// Opposite of its corners: their shares in a place are as its distances from these.
-    edges: [Edge; 3],
-    /// Depth of the first corner, and by how much the others differ, for each unit of distance.
-    depth: f32,
-    per_b: f32,
-    per_c: f32,
-    /// First and last of the texels around it.
-    columns: (i32, i32),
-    rows: (i32, i32),
-}
-
-impl Facet {
-    /// Of a triangle in a tile of `size` texels each way; none where no middle of a texel lies between its corners.
-    #[inline(always)]
-    fn new([a, b, c]: [Corner; 3], size: usize) -> Option<Self> {
-        let columns = middles_between(a.x, b.x, c.x, size);
-        let rows = middles_between(a.y, b.y, c.y, size);
-        let twice_area =
-            i64::from(b.x - a.x) * i64::from(c.y - a.y) - i64::from(b.y - a.y) * i64::from(c.x - a.x);
-        if ((columns.1 - columns.0) | (rows.1 - rows.0)) < 0 || twice_area == 0 {
-            return None;
-        }
-        // Rows run down: what faces the sun runs the other way round.
-        let is_front = twice_area < 0;
-        let (b, c) = if is_front { (c, b) } else { (b, c) };
-        let per_area = 1.0 / twice_area.abs() as f32;
-        Some(Self {
-            is_front,
-            edges: [Edge::new(b, c), Edge::new(c, a), Edge::new(a, b)],
-            depth: a.depth,
-            per_b: (b.depth - a.depth) * per_area,
-            per_c: (c.depth - a.depth) * per_area,
-            columns,
-            rows,
-        })
-    }
-
-    /// Whether 32 bits hold its distances.
-    #[inline(always)]
-    fn is_small(&self) -> bool {
-        ((self.columns.1 - self.columns.0) | (self.rows.1 - self.rows.0)) < SPAN_PX
-    }
-
-    /// Draws it into a layer, if it is small.
-    #[inline(always)]
-    fn fill<S: Simd>(&self, simd: S, layer: &mut [f32], stride: usize) {
-        let Self { edges, per_b, per_c, columns, rows, .. } = *self;
-        // Four texels of a row and the four below them.
-        let (lane_columns, lane_rows) = (
-            i32x8::from_slice(simd, &[0, 1, 2, 3, 0, 1, 2, 3]),
-            i32x8::from_slice(simd, &[0, 0, 0, 0, 1, 1, 1, 1]),
-        );
-        // No closures: what vectors are made of is inlined wholly.
-        let mut at_row = [i32x8::splat(simd, 0); 3];
-        let (mut to_right, mut down) = ([0; 3], [0; 3]);
-        for (i, edge) in edges.iter().enumerate() {
-            let (x, y) = (columns.0 * PARTS - edge.from.x, rows.0 * PARTS - edge.from.y);
-            let first = edge.x * y - edge.y * x - edge.owed;
-            at_row[i] = lane_rows * (edge.x * PARTS) - lane_columns * (edge.y * PARTS) + first;
-            to_right[i] = WIDTH as i32 * edge.y * PARTS;
-            down[i] = HEIGHT as i32 * edge.x * PARTS;
-        }
-        let depth = self.depth + edges[1].owed as f32 * per_b + edges[2].owed as f32 * per_c;
-        let nowhere = f32x8::splat(simd, 0.0);
-        let (mut row, end) = (rows.0 as usize, rows.1 as usize + 1);
-        while row < end {
-            let mut at = at_row;
-            let (upper, lower) = layer[row * stride..][..HEIGHT * stride].split_at_mut(stride);
-            let (mut column, end) = (columns.0 as usize, columns.1 as usize + 1);
-            while column < end {
-                let texels = column..column + WIDTH;
-                let (upper, lower) = (&mut upper[texels.clone()], &mut lower[texels]);
-                let inside = (at[0] | at[1] | at[2]).simd_ge(0);
-                let here =
-                    at[1].to_float::<f32x8<S>>() * per_b + at[2].to_float::<f32x8<S>>() * per_c + depth;
-                let there = f32x4::from_slice(simd, upper).combine(f32x4::from_slice(simd, lower));
-                let (above, below) = inside.select(here, nowhere).max(there).split();
-                above.store_slice(upper);
-                below.store_slice(lower);
-                for i in 0..3 {
-                    at[i] -= to_right[i];
-                }
-                column += WIDTH;
-            }
-            for i in 0..3 {
-                at_row[i] += down[i];
-            }
-            row += HEIGHT;
-        }
-    }
-
-    /// The same of any size.
-    fn fill_wide(&self, layer: &mut [f32], stride: usize) {
-        for row in self.rows.0..=self.rows.1 {
-            for column in self.columns.0..=self.columns.1 {
-                let distances = self.edges.map(|edge| {
-                    let (x, y) = (column * PARTS - edge.from.x, row * PARTS - edge.from.y);
-                    i64::from(edge.x) * i64::from(y) - i64::from(edge.y) * i64::from(x)
-                });
-                if distances.iter().zip(&self.edges).all(|(distance, edge)| *distance >= i64::from(edge.owed))
-                {
-                    let texel = &mut layer[row as usize * stride + column as usize];
-                    let [_, of_b, of_c] = distances.map(|distance| distance as f32);
-                    *texel = texel.max(self.depth + of_b * self.per_b + of_c * self.per_c);
-                }
-            }
-        }
+    fn paint(&mut self, simd: S, [upper, lower]: [usize; 2], inside: mask32x8<S>, b: f32x8<S>, c: f32x8<S>) {
+        let (above, below) = self.layer.split_at_mut(lower);
+        let (above, below) = (&mut above[upper..upper + WIDTH], &mut below[..WIDTH]);
+        let [at_0, per_b, per_c] = self.depth;
+        let here = b * per_b + c * per_c + at_0;
+        let there = f32x4::from_slice(simd, above).combine(f32x4::from_slice(simd, below));
+        let (first, second) = inside.select(here, f32x8::splat(simd, 0.0)).max(there).split();
+        first.store_slice(above);
+        second.store_slice(below);
     }
 }
 

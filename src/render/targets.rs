@@ -7,6 +7,7 @@ use wgpu::{TextureFormat, TextureUsages};
 
 use super::RenderSettings;
 use super::resolve::Packing;
+use super::visibility_raster::Visible;
 use crate::class::ClassId;
 use crate::error::{Error, Result};
 use crate::frame::{Annotation, Annotations};
@@ -75,6 +76,8 @@ pub const VISIBLE_FORMAT: TextureFormat = TextureFormat::Rgba32Uint;
 pub const ATLAS_FORMAT: TextureFormat = TextureFormat::Depth32Float;
 /// See [`ATLAS_FORMAT`].
 pub const DEPTH_FORMAT: TextureFormat = TextureFormat::Depth32FloatStencil8;
+/// Format of the stencil of samples whose visibility is given, and not drawn by the device: it needs no depth.
+pub const GIVEN_FORMAT: TextureFormat = TextureFormat::Stencil8;
 
 /// Depth state of the passes that draw things: reversed, the nearer wins, of two as near the first. The stencil, where there
 /// is one, takes the pass's reference.
@@ -108,19 +111,19 @@ pub struct Targets {
     /// One view a plane, as in [`Plane::ALL`]; of a single sample where the plane is not drawn.
     pub planes: [wgpu::TextureView; Plane::ALL.len()],
     /// What the samples show.
-    pub visible: wgpu::TextureView,
-    /// Depth and stencil of the samples.
-    pub depth_stencil: wgpu::TextureView,
-    /// Their depth alone, to be read.
-    pub depth: wgpu::TextureView,
+    pub visible: (wgpu::Texture, wgpu::TextureView),
+    /// Depth and stencil of the samples; if [`Self::is_given`], their stencil alone.
+    pub depth_stencil: (wgpu::Texture, wgpu::TextureView),
+    /// Whether the device is given what the samples show.
+    pub is_given: bool,
 }
 
 impl Targets {
-    /// Textures for a picture of this size.
+    /// Textures for a picture of this size. `is_given` tells whether the device is given what the samples show.
     ///
     /// # Errors
     /// [`Error::SizeBeyondDevice`].
-    pub fn new(gpu: &Gpu, settings: &RenderSettings) -> Result<Self> {
+    pub fn new(gpu: &Gpu, settings: &RenderSettings, is_given: bool) -> Result<Self> {
         let &RenderSettings { size, samples_per_side, annotations, .. } = settings;
         let limits = gpu.device.limits();
         let [width, height] = size;
@@ -144,9 +147,20 @@ impl Targets {
             return Err(too_large(format!("{} in one buffer", mebibytes(packed_bytes)), limit));
         }
         let sample_size = settings.sample_size();
-        let usage = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
-        let texture = |label: &str, size, format| gpu.texture(label, size, format, usage).1;
-        let (depth, depth_stencil) = gpu.texture("scene/depth", sample_size, DEPTH_FORMAT, usage);
+        let drawn = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
+        let texture = |label: &str, size, format, usage| gpu.texture(label, size, format, usage);
+        let (visible, stencil) = if is_given {
+            let given = TextureUsages::COPY_DST;
+            (
+                texture("scene/visible", sample_size, VISIBLE_FORMAT, given | TextureUsages::TEXTURE_BINDING),
+                texture("scene/stencil", sample_size, GIVEN_FORMAT, given | TextureUsages::RENDER_ATTACHMENT),
+            )
+        } else {
+            (
+                texture("scene/visible", sample_size, VISIBLE_FORMAT, drawn),
+                texture("scene/depth", sample_size, DEPTH_FORMAT, TextureUsages::RENDER_ATTACHMENT),
+            )
+        };
         Ok(Self {
             size,
             samples_per_side,
@@ -154,22 +168,35 @@ impl Targets {
             annotations,
             planes: Plane::ALL.map(|plane| {
                 let size = if plane.is_drawn(annotations) { sample_size } else { [1, 1] };
-                texture(&format!("scene/{plane:?}"), size, plane.format())
+                texture(&format!("scene/{plane:?}"), size, plane.format(), drawn).1
             }),
-            visible: texture("scene/visible", sample_size, VISIBLE_FORMAT),
-            depth_stencil,
-            depth: depth.create_view(&wgpu::TextureViewDescriptor {
-                aspect: wgpu::TextureAspect::DepthOnly,
-                ..Default::default()
-            }),
+            visible,
+            depth_stencil: stencil,
+            is_given,
         })
+    }
+
+    /// Writes what the samples show, if the device is given it.
+    pub(super) fn give(&self, gpu: &Gpu, visible: &Visible) {
+        let [width, height] = self.sample_size;
+        let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
+        let write = |texture: &wgpu::Texture, bytes: &[u8], per_sample: u32| {
+            let layout = wgpu::TexelCopyBufferLayout {
+                offset: 0,
+                bytes_per_row: Some(per_sample * width),
+                rows_per_image: None,
+            };
+            gpu.queue.write_texture(texture.as_image_copy(), bytes, layout, size);
+        };
+        write(&self.visible.0, bytemuck::cast_slice(&visible.samples), 16);
+        write(&self.depth_stencil.0, &visible.stencil, 1);
     }
 
     /// Whether they serve these settings.
     #[must_use]
-    pub fn serve(&self, settings: &RenderSettings) -> bool {
-        (self.size, self.samples_per_side, self.annotations)
-            == (settings.size, settings.samples_per_side, settings.annotations)
+    pub fn serve(&self, settings: &RenderSettings, is_given: bool) -> bool {
+        (self.size, self.samples_per_side, self.annotations, self.is_given)
+            == (settings.size, settings.samples_per_side, settings.annotations, is_given)
     }
 }
 

@@ -1,24 +1,30 @@
 //! The visibility pass: which thing each sample shows, and by which draw of the scene pass it is lit.
+//! A device that is a CPU is given it as [`super::visibility_raster`] draws it.
 
-use super::gpu_scene::{GpuScene, Lit};
+use super::gpu_scene::GpuScene;
+use super::lit::Lit;
 use super::shaders::VISIBILITY;
 use super::targets::{DEPTH_FORMAT, Targets, VISIBLE_FORMAT, depth_state};
 use super::{BindLayouts, vertex_layout};
 use crate::gpu::Gpu;
 
-/// Pipelines of the pass.
-#[derive(Debug)]
+/// What the pass draws with.
+#[derive(Debug, Default)]
 pub(super) struct VisibilityPass {
+    /// Once the pass was to be drawn.
+    pipelines: Option<Pipelines>,
+}
+
+#[derive(Debug)]
+struct Pipelines {
     /// Of things, which are seen from outside, and of the sky, whose dome is seen from inside; of it nothing is written but depth
     /// and stencil.
     things: wgpu::RenderPipeline,
     sky: wgpu::RenderPipeline,
 }
 
-impl VisibilityPass {
-    /// Compiles the pass.
-    #[must_use]
-    pub(super) fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
+impl Pipelines {
+    fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
         let module = VISIBILITY.compile(gpu);
         let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some(VISIBILITY.name),
@@ -54,6 +60,13 @@ impl VisibilityPass {
             sky: pipeline("fs_sky", None, wgpu::ColorWrites::empty()),
         }
     }
+}
+
+impl VisibilityPass {
+    /// Compiles the pass, unless it is there.
+    pub(super) fn prepare(&mut self, gpu: &Gpu, layouts: &BindLayouts) {
+        self.pipelines.get_or_insert_with(|| Pipelines::new(gpu, layouts));
+    }
 
     /// Records the pass.
     pub(super) fn record(
@@ -67,7 +80,7 @@ impl VisibilityPass {
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("visibility"),
             color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                view: &targets.visible,
+                view: &targets.visible.1,
                 depth_slice: None,
                 resolve_target: None,
                 ops: wgpu::Operations {
@@ -76,10 +89,10 @@ impl VisibilityPass {
                 },
             })],
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                view: &targets.depth_stencil,
+                view: &targets.depth_stencil.1,
                 depth_ops: Some(wgpu::Operations {
                     load: wgpu::LoadOp::Clear(0.0),
-                    store: wgpu::StoreOp::Store,
+                    store: wgpu::StoreOp::Discard,
                 }),
                 stencil_ops: Some(wgpu::Operations {
                     load: wgpu::LoadOp::Clear(0),
@@ -89,17 +102,14 @@ impl VisibilityPass {
             timestamp_writes: timestamps,
             ..Default::default()
         });
+        let pipelines = self.pipelines.as_ref().expect("a pass is prepared before it is recorded");
         let [frame, instances] = groups;
         pass.set_bind_group(0, frame, &[]);
-        for (value, seen) in (1..).zip(&scene.draws.seen) {
-            let (pipeline, indices) = if seen.lit == Lit::Sky {
-                (&self.sky, scene.whole_indices())
-            } else {
-                (&self.things, scene.thing_indices())
-            };
+        for seen in &scene.draws.seen {
+            let pipeline = if seen.lit == Lit::Sky { &pipelines.sky } else { &pipelines.things };
             pass.set_pipeline(pipeline);
-            pass.set_stencil_reference(value);
-            super::draw_all(&mut pass, instances, scene, indices, &seen.draws);
+            pass.set_stencil_reference(u32::from(seen.group) + 1);
+            super::draw_all(&mut pass, instances, scene, &seen.draws);
         }
     }
 }

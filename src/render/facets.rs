@@ -1,0 +1,469 @@
+//! The triangles that may be seen, as they lie on the samples of a picture: what [`super::visibility_raster`] draws.
+//!
+//! A driver that runs on the CPU runs every branch of a shader: ground on which no shadow can fall, or only that of other
+//! ground, and rock that is turned from the sun are told apart, to be lit by a program without the rest.
+//! Must not know: buffers.
+
+use std::ops::Range;
+
+use glam::{Mat4, UVec2, Vec2, Vec3};
+use rayon::prelude::*;
+
+use super::RenderSettings;
+use super::gpu_scene::{DOME_LEVEL, STAR_LEVEL, Slots, near_to_far};
+use super::lit::{Group, Groups};
+use super::raster::{self, FURTHEST_PX, Place, Turn, texels_between};
+use super::relief::Bands;
+use super::selection::{Bounds, SelectedRock, Selection, cell_bounds, ground_blocks};
+use super::shadow::{CasterGrids, Shades};
+use crate::scene::Scene;
+use crate::scene::mesh::{Icosphere, Vertex};
+use crate::scene::noise::floor;
+use crate::scene::rocks::Rock;
+
+/// Normals are turned from the sun if the sine of their angle to its terminator is above this: a device's arithmetic may
+/// differ from ours.
+const DARK: f32 = 1e-4;
+
+/// A vertex on the picture.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Corner {
+    /// Among the samples.
+    pub place: Place,
+    /// One over the metres along the axis; 0 of one that has no place: not before the lens, or far beside the picture.
+    pub inverse_w: f32,
+    /// Its normal times that: linear over the picture.
+    pub normal_per_w: Vec3,
+}
+
+/// A triangle that may cover samples. Its corners run counter-clockwise as it is seen.
+#[derive(Clone, Copy, Debug)]
+pub struct Facet {
+    /// By their places in [`Mesh::corners`].
+    pub corners: [u32; 3],
+    /// Its own normal, towards the eye, packed as `visibility.wgsl` does.
+    pub facing: u32,
+    /// First and last row of samples that it may cover.
+    pub rows: [u16; 2],
+    /// Which of the mesh's groups it is of.
+    pub part: u8,
+}
+
+/// Parts of a mesh that are lit in different ways.
+const PARTS: usize = 3;
+
+/// A mesh on the picture.
+#[derive(Debug, Default)]
+pub struct Mesh {
+    /// Slot of its instance.
+    pub slot: u32,
+    /// Groups of its parts.
+    pub groups: [Group; PARTS],
+    /// Where its parts may be.
+    pub bounds: [Bounds; PARTS],
+    /// Its vertices, and what clipping added.
+    pub corners: Vec<Corner>,
+    /// Its triangles.
+    pub facets: Vec<Facet>,
+    /// First and last row of samples that it may cover.
+    pub rows: [u16; 2],
+}
+
+/// What a mesh is of.
+#[derive(Clone, Copy, Debug)]
+enum Source {
+    Rock(usize),
+    Block(usize),
+    Stars,
+    Dome,
+}
+
+/// The meshes of a picture, in the order in which they are drawn; kept for their memory.
+#[derive(Debug, Default)]
+pub struct Facets {
+    meshes: Vec<Mesh>,
+    used: usize,
+}
+
+impl Facets {
+    /// Finds those of a selection. `caster_grid` is that of [`super::shadow::caster_grid`]. Unless `by_shades`, all is lit as if
+    /// it could be shaded by anything.
+    pub fn find(
+        &mut self,
+        scene: &Scene,
+        selection: &Selection,
+        settings: &RenderSettings,
+        caster_grid: &[u32],
+        bands: &Bands,
+        by_shades: bool,
+    ) {
+        let groups = Groups::new(bands.bands.len());
+        let of = Picture {
+            scene,
+            samples: Samples::new(scene, settings),
+            sun: if by_shades { scene.sun.direction } else { Vec3::ZERO },
+            grids: by_shades.then(|| CasterGrids::new(&scene.terrain)),
+            caster_grid,
+        };
+        let seen = selection.rocks.iter().enumerate().filter(|(_, rock)| rock.seen_level.is_some());
+        let rocks = near_to_far(seen.map(|(place, rock)| (rock.nearest_m, place)));
+        let blocks = selection.blocks.iter().enumerate();
+        let blocks = near_to_far(blocks.map(|(place, &(_, nearest_m))| (nearest_m, place)));
+        let sources: Vec<Source> = (rocks.iter().map(|&(_, place)| Source::Rock(place)))
+            .chain(blocks.iter().map(|&(_, place)| Source::Block(place)))
+            .chain([Source::Stars, Source::Dome])
+            .collect();
+        self.used = sources.len();
+        if self.meshes.len() < self.used {
+            self.meshes.resize_with(self.used, Mesh::default);
+        }
+        let spans: Vec<[Range<u32>; 2]> = ground_blocks(&scene.terrain).collect();
+        self.meshes.par_iter_mut().zip(sources).for_each(|(mesh, source)| match source {
+            Source::Rock(place) => {
+                let parts = [Shades::Nothing, Shades::Casters, Shades::Casters].map(Groups::rocks);
+                mesh.restart(Slots::rock(place), parts);
+                mesh.add_rock(&of, &selection.rocks[place]);
+            }
+            Source::Block(place) => {
+                let (block, _) = selection.blocks[place];
+                let band = bands.of_block(block);
+                let parts = [Shades::Nothing, Shades::Ground, Shades::Casters];
+                mesh.restart(Slots::GROUND, parts.map(|shades| Groups::ground(band, shades)));
+                mesh.add_block(&of, selection, &spans[block]);
+            }
+            Source::Stars => {
+                mesh.restart(0, [groups.stars(); PARTS]);
+                for &star in &selection.stars {
+                    let star = &scene.sky.stars[star];
+                    mesh.add_sphere(&of, STAR_LEVEL, star.centre, star.radius_m);
+                }
+            }
+            Source::Dome => {
+                mesh.restart(0, [groups.dome(); PARTS]);
+                mesh.add_sphere(&of, DOME_LEVEL, scene.sky.centre, scene.sky.radius_m);
+            }
+        });
+    }
+
+    /// The meshes, near ones before what they may cover.
+    #[must_use]
+    pub fn meshes(&self) -> &[Mesh] {
+        &self.meshes[..self.used]
+    }
+}
+
+/// Of what the facets are looked for.
+struct Picture<'a> {
+    scene: &'a Scene,
+    samples: Samples,
+    /// Towards the sun; zero if nothing is to be told to be turned from it.
+    sun: Vec3,
+    grids: Option<CasterGrids>,
+    caster_grid: &'a [u32],
+}
+
+/// Where samples lie: as a device reckons it.
+#[derive(Clone, Copy, Debug)]
+struct Samples {
+    clip_from_offset: Mat4,
+    half_size: Vec2,
+    /// The same, parts of a sample.
+    half_parts: [i32; 2],
+    size: [usize; 2],
+    near_m: f32,
+    /// How far beside the lens's axis a place may be, of what is as far as the picture's border: nothing is drawn beyond.
+    reach: Vec2,
+}
+
+/// A vertex before it has a place: homogeneous coordinates among the samples.
+#[derive(Clone, Copy, Debug)]
+struct Homogeneous {
+    at: Vec2,
+    w: f32,
+    normal: Vec3,
+    /// Its place among the corners, if it has one.
+    corner: Option<u32>,
+}
+
+impl Samples {
+    fn new(scene: &Scene, settings: &RenderSettings) -> Self {
+        let size = settings.sample_size();
+        let camera = &scene.camera;
+        let half_size = 0.5 * UVec2::from(size).as_vec2();
+        Self {
+            clip_from_offset: camera.clip_from_world(settings.size) * Mat4::from_translation(camera.eye),
+            half_size,
+            half_parts: size.map(|side| side as i32 * (raster::PARTS / 2)),
+            size: size.map(|side| side as usize),
+            near_m: camera.near_m,
+            reach: FURTHEST_PX / half_size,
+        }
+    }
+
+    /// Of a vertex, by its offset from the eye.
+    #[inline]
+    fn corner(&self, offset: Vec3, normal: Vec3) -> Corner {
+        let clip = self.clip_from_offset * offset.extend(1.0);
+        let (at, w) = (Vec2::new(clip.x, -clip.y), clip.w);
+        if w >= self.near_m && at.abs().cmple(self.reach * w).all() {
+            self.projected(at, w, normal)
+        } else {
+            Corner::default()
+        }
+    }
+
+    /// Of what is before the lens and not far beside the picture, rows running down.
+    #[inline]
+    fn projected(&self, at: Vec2, w: f32, normal: Vec3) -> Corner {
+        let inverse_w = 1.0 / w;
+        let at = at * inverse_w * self.half_size + self.half_size;
+        let Vec2 { x, y } = at - self.half_size;
+        let Place { x, y } = Place::from_px(x, y);
+        let [right, down] = self.half_parts;
+        let place = Place { x: x + right, y: y + down };
+        Corner { place, inverse_w, normal_per_w: inverse_w * normal }
+    }
+
+    /// What of a triangle is before the lens and not far beside the picture: a convex polygon, or nothing.
+    ///
+    /// An edge that two triangles share is cut alike: from the end that stays to the one that goes (Sutherland and Hodgman
+    /// 1974, "Reentrant polygon clipping").
+    fn clipped(&self, triangle: [Homogeneous; 3]) -> Vec<Homogeneous> {
+        let reach = self.reach;
+        let inside: [&dyn Fn(&Homogeneous) -> f32; 5] = [
+            &|v| v.w - self.near_m,
+            &|v| reach.x * v.w - v.at.x,
+            &|v| reach.x * v.w + v.at.x,
+            &|v| reach.y * v.w - v.at.y,
+            &|v| reach.y * v.w + v.at.y,
+        ];
+        let mut polygon = triangle.to_vec();
+        for distance in inside {
+            let corners = std::mem::take(&mut polygon);
+            for (i, from) in corners.iter().enumerate() {
+                let to = &corners[(i + 1) % corners.len()];
+                let (of_from, of_to) = (distance(from), distance(to));
+                if of_from >= 0.0 {
+                    polygon.push(*from);
+                }
+                if (of_from >= 0.0) != (of_to >= 0.0) {
+                    let (stays, goes, t) = if of_from >= 0.0 {
+                        (from, to, of_from / (of_from - of_to))
+                    } else {
+                        (to, from, of_to / (of_to - of_from))
+                    };
+                    polygon.push(Homogeneous {
+                        at: stays.at + t * (goes.at - stays.at),
+                        w: stays.w + t * (goes.w - stays.w),
+                        normal: stays.normal + t * (goes.normal - stays.normal),
+                        corner: None,
+                    });
+                }
+            }
+        }
+        polygon
+    }
+}
+
+/// From which sides a mesh is seen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Sides {
+    Outside,
+    Both,
+}
+
+impl Mesh {
+    fn restart(&mut self, slot: u32, groups: [Group; PARTS]) {
+        (self.slot, self.groups) = (slot, groups);
+        self.bounds = [Bounds::NOWHERE; PARTS];
+        self.rows = [u16::MAX, 0];
+        self.corners.clear();
+        self.facets.clear();
+    }
+
+    fn add_rock(&mut self, of: &Picture<'_>, selected: &SelectedRock) {
+        let Some(level) = selected.seen_level else { return };
+        let rock = &of.scene.rocks[selected.rock];
+        let origin = rock.centre - of.scene.camera.eye;
+        // Whatever lies below the lowest ground around the rock is under the ground.
+        let buried_m = lowest_ground_m(of.scene, rock) - rock.centre.z;
+        let vertices = &rock.vertices[..Icosphere::vertex_count(level.min(rock.level))];
+        let corner = |v: &Vertex| of.samples.corner(origin + v.position, v.normal);
+        self.corners.extend(vertices.iter().map(corner));
+        for &triangle in rock.triangles(level) {
+            let corners = triangle.map(|vertex| &vertices[vertex as usize]);
+            let part = || {
+                let [a, b, c] = corners.map(|corner| corner.position.z);
+                let dark = corners.iter().all(|corner| corner.normal.dot(of.sun) < -DARK);
+                (a.max(b).max(c) > buried_m).then_some(usize::from(!dark))
+            };
+            let vertex = |v: u32| (origin + vertices[v as usize].position, vertices[v as usize].normal);
+            self.add(&of.samples, triangle, Sides::Outside, part, vertex);
+        }
+    }
+
+    /// Of a block of ground.
+    fn add_block(&mut self, of: &Picture<'_>, selection: &Selection, [columns, rows]: &[Range<u32>; 2]) {
+        let (terrain, eye) = (&of.scene.terrain, of.scene.camera.eye);
+        // Vertices by their place in the block.
+        let (row_len, block_row_len) = (terrain.columns + 1, columns.len() as u32 + 1);
+        let first = rows.start * row_len + columns.start;
+        let in_block = |vertex: u32| (vertex - first) / row_len * block_row_len + (vertex - first) % row_len;
+        let vertex = |place: u32| {
+            let of_terrain = first + place / block_row_len * row_len + place % block_row_len;
+            let vertex = &terrain.vertices[of_terrain as usize];
+            (vertex.position - eye, vertex.normal)
+        };
+        for row in rows.start..=rows.end {
+            let first = (row * row_len + columns.start) as usize;
+            let vertices = &terrain.vertices[first..first + block_row_len as usize];
+            self.corners.extend(vertices.iter().map(|v| of.samples.corner(v.position - eye, v.normal)));
+        }
+        for row in rows.clone() {
+            for column in columns.clone() {
+                let (low, high) = cell_bounds(of.scene, column, row);
+                if !selection.frustum.may_see_box(low, high) {
+                    continue;
+                }
+                let mut shades = None;
+                for triangle in terrain.block_triangles(column..column + 1, row..row + 1) {
+                    let part = || {
+                        Some(*shades.get_or_insert_with(|| {
+                            let over = |grids: &CasterGrids| {
+                                grids.shades_over(of.caster_grid, low.truncate(), high.truncate())
+                            };
+                            of.grids.as_ref().map_or(Shades::Casters, over)
+                        }) as usize)
+                    };
+                    self.add(&of.samples, triangle.map(in_block), Sides::Outside, part, vertex);
+                }
+            }
+        }
+    }
+
+    /// Of the sky, which is seen from inside too.
+    fn add_sphere(&mut self, of: &Picture<'_>, level: usize, centre: Vec3, radius_m: f32) {
+        let sphere = Icosphere::shared();
+        let first = self.corners.len() as u32;
+        let origin = centre - of.scene.camera.eye;
+        let directions = &sphere.directions[..Icosphere::vertex_count(level)];
+        let vertex = |d: &Vec3| (origin + radius_m * *d, *d);
+        self.corners.extend(directions.iter().map(|d| {
+            let (offset, normal) = vertex(d);
+            of.samples.corner(offset, normal)
+        }));
+        for triangle in &sphere.triangles[level] {
+            let triangle = triangle.map(|vertex| first + vertex);
+            let vertex = |place: u32| vertex(&directions[(place - first) as usize]);
+            self.add(&of.samples, triangle, Sides::Both, || Some(0), vertex);
+        }
+    }
+
+    /// Adds what may be seen of a triangle. `part` tells of which part it is, if of any; `vertex` the offset of a corner from
+    /// the eye, and its normal.
+    #[inline]
+    fn add(
+        &mut self,
+        samples: &Samples,
+        triangle: [u32; 3],
+        sides: Sides,
+        part: impl FnOnce() -> Option<usize>,
+        vertex: impl Fn(u32) -> (Vec3, Vec3),
+    ) {
+        let is_placed = |corner: u32| self.corners[corner as usize].inverse_w > 0.0;
+        if triangle.iter().all(|&corner| is_placed(corner)) {
+            let Some((triangle, texels)) = self.shown(samples, triangle, sides) else { return };
+            if let Some(part) = part() {
+                self.push(triangle, texels, part, facing(triangle.map(&vertex)));
+            }
+            return;
+        }
+        let homogeneous = triangle.map(|corner| {
+            let (offset, normal) = vertex(corner);
+            let clip = samples.clip_from_offset * offset.extend(1.0);
+            let corner = is_placed(corner).then_some(corner);
+            Homogeneous { at: Vec2::new(clip.x, -clip.y), w: clip.w, normal, corner }
+        });
+        if homogeneous.iter().all(|v| v.w < samples.near_m) {
+            return;
+        }
+        let polygon: Vec<u32> = samples
+            .clipped(homogeneous)
+            .into_iter()
+            .map(|v| {
+                v.corner.unwrap_or_else(|| {
+                    self.corners.push(samples.projected(v.at, v.w, v.normal));
+                    self.corners.len() as u32 - 1
+                })
+            })
+            .collect();
+        let shown: Vec<_> = (2..polygon.len())
+            .filter_map(|i| self.shown(samples, [polygon[0], polygon[i - 1], polygon[i]], sides))
+            .collect();
+        if shown.is_empty() {
+            return;
+        }
+        if let Some(part) = part() {
+            let facing = facing(triangle.map(vertex));
+            for (triangle, texels) in shown {
+                self.push(triangle, texels, part, facing);
+            }
+        }
+    }
+
+    /// A triangle, as it is seen counter-clockwise, and the columns and rows of samples around it; none if it covers no sample.
+    #[inline]
+    fn shown(&self, samples: &Samples, [a, b, c]: [u32; 3], sides: Sides) -> Option<([u32; 3], [(i32, i32); 2])> {
+        let places = [a, b, c].map(|corner| self.corners[corner as usize].place);
+        let texels = texels_between(places, samples.size)?;
+        match (Turn::of(places)?, sides) {
+            (Turn::Front, _) => Some(([a, b, c], texels)),
+            (Turn::Back, Sides::Both) => Some(([a, c, b], texels)),
+            (Turn::Back, Sides::Outside) => None,
+        }
+    }
+
+    #[inline]
+    fn push(&mut self, corners: [u32; 3], [columns, rows]: [(i32, i32); 2], part: usize, facing: u32) {
+        let own = Bounds::of_samples(columns, rows);
+        self.bounds[part] = self.bounds[part].union(own);
+        let rows = [rows.0 as u16, rows.1 as u16];
+        self.rows = [self.rows[0].min(rows[0]), self.rows[1].max(rows[1])];
+        self.facets.push(Facet { corners, facing, rows, part: part as u8 });
+    }
+}
+
+/// A height that the ground around a rock does not fall below.
+fn lowest_ground_m(scene: &Scene, rock: &Rock) -> f32 {
+    let terrain = &scene.terrain;
+    let (centre, radius) = (rock.centre.truncate(), Vec2::splat(rock.radius_m));
+    let (low, high) = (centre - radius, centre + radius);
+    let corners = [low, high, Vec2::new(low.x, high.y), Vec2::new(high.x, low.y)];
+    if !corners.iter().all(|corner| terrain.contains(*corner)) {
+        // Beyond its border there is no ground to be under.
+        return f32::NEG_INFINITY;
+    }
+    terrain.lowest_over(low, high)
+}
+
+/// The normal of a triangle towards the eye, packed; of its corners' offsets from the eye.
+#[inline]
+fn facing([a, b, c]: [(Vec3, Vec3); 3]) -> u32 {
+    let normal = (b.0 - a.0).cross(c.0 - a.0);
+    let towards = if normal.dot(a.0) < 0.0 { normal } else { -normal };
+    // `pack2x16snorm` of WGSL.
+    let half = |x: f32| floor(0.5 + 32_767.0 * x.clamp(-1.0, 1.0)) as u32 & 0xffff;
+    let [x, y] = octahedron(towards).into();
+    half(x) | (half(y) << 16)
+}
+
+/// A direction as two numbers. Twin: `octahedron` in `common/octahedron.wgsl`.
+#[inline]
+fn octahedron(v: Vec3) -> Vec2 {
+    let p = v.truncate() / v.abs().element_sum().max(1e-30);
+    if v.z >= 0.0 {
+        return p;
+    }
+    let folded = 1.0 - Vec2::new(p.y, p.x).abs();
+    Vec2::select(p.cmpge(Vec2::ZERO), folded, -folded)
+}

@@ -1,0 +1,103 @@
+//! By which draw of the scene pass a sample is lit.
+//!
+//! Samples that are lit alike are a group. The visibility pass draws groups in their order, near things before what they may
+//! cover, and leaves one more than the group's number in the stencil.
+
+use super::shadow::Shades;
+
+/// By which program samples are lit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Lit {
+    /// Ground that these things can shade.
+    Ground {
+        /// What can shade it.
+        shades: Shades,
+    },
+    /// Rocks that these things can shade.
+    Rocks {
+        /// What can shade them.
+        shades: Shades,
+    },
+    /// Dome and stars.
+    Sky,
+}
+
+/// A group by its number.
+pub type Group = u8;
+
+/// The groups of a picture: rocks, ground, stars, dome.
+#[derive(Clone, Copy, Debug)]
+pub struct Groups {
+    /// Bands of the ground, which have a relief each.
+    bands: usize,
+}
+
+impl Groups {
+    /// Those of a picture with so many bands of ground.
+    ///
+    /// # Panics
+    /// If the stencil cannot tell them apart.
+    #[must_use]
+    pub fn new(bands: usize) -> Self {
+        let groups = Self { bands };
+        assert!(groups.dome() < Group::MAX, "the stencil tells {bands} bands apart");
+        groups
+    }
+
+    /// Rocks that these things can shade.
+    #[must_use]
+    pub const fn rocks(shades: Shades) -> Group {
+        match shades {
+            Shades::Ground | Shades::Casters => 0,
+            Shades::Nothing => 1,
+        }
+    }
+
+    /// Ground of a band that these things can shade.
+    #[must_use]
+    pub const fn ground(band: usize, shades: Shades) -> Group {
+        (2 + 3 * band) as Group + shades as Group
+    }
+
+    /// Stars.
+    #[must_use]
+    pub const fn stars(self) -> Group {
+        (2 + 3 * self.bands) as Group
+    }
+
+    /// The dome.
+    #[must_use]
+    pub const fn dome(self) -> Group {
+        self.stars() + 1
+    }
+
+    /// By what program each is lit, and which band it is of.
+    pub fn all(self) -> impl Iterator<Item = (Lit, usize)> {
+        let rocks = [Shades::Casters, Shades::Nothing].map(|shades| (Lit::Rocks { shades }, 0));
+        let ground = |band| {
+            [Shades::Nothing, Shades::Ground, Shades::Casters].map(|shades| (Lit::Ground { shades }, band))
+        };
+        rocks.into_iter().chain((0..self.bands).flat_map(ground)).chain([(Lit::Sky, 0); 2])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn groups_stand_in_the_order_of_their_numbers() {
+        let groups = Groups::new(4);
+        let all: Vec<_> = groups.all().collect();
+        for shades in [Shades::Nothing, Shades::Casters] {
+            assert_eq!(all[usize::from(Groups::rocks(shades))], (Lit::Rocks { shades }, 0));
+        }
+        for band in 0..4 {
+            for shades in [Shades::Nothing, Shades::Ground, Shades::Casters] {
+                assert_eq!(all[usize::from(Groups::ground(band, shades))], (Lit::Ground { shades }, band));
+            }
+        }
+        assert_eq!(all[usize::from(groups.stars())], (Lit::Sky, 0));
+        assert_eq!(usize::from(groups.dome()), all.len() - 1);
+    }
+}

@@ -1,0 +1,286 @@
+//! What each sample shows, found by this program: for devices that are a CPU themselves.
+//!
+//! Twin of `visibility.wgsl`. The picture is drawn in bands of rows, each by one thread and small enough to stay near to it.
+//! Must not know: buffers.
+
+use std::cell::RefCell;
+use std::ops::Range;
+
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, dispatch, f32x4, f32x8, i32x8, mask32x8, u32x4, u32x8};
+use rayon::prelude::*;
+
+use super::facets::{Corner, Facets, Mesh};
+use super::lit::{Group, Groups};
+use super::raster::{HEIGHT, Outline, Paint, WIDTH};
+
+/// Rows of a band.
+const BAND_ROWS: usize = 32;
+/// Where the group of a sample ends in its [`Sheet::things`], and the slot of its instance begins.
+const SLOT_AT: u32 = Group::BITS;
+
+thread_local! {
+    /// Kept for its memory.
+    static SHEET: RefCell<Sheet> = RefCell::default();
+}
+
+/// What the samples of a picture show, a row after the other.
+#[derive(Debug, Default)]
+pub struct Visible {
+    /// What `visibility.wgsl` writes; 0 for the sky.
+    pub samples: Vec<[u32; 4]>,
+    /// One more than the group by which a sample is lit; 0 where nothing is.
+    pub stencil: Vec<u8>,
+}
+
+impl Visible {
+    /// How much it is.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        (size_of_val(&self.samples[..]) + self.stencil.len()) as u64
+    }
+
+    /// Draws the facets of a picture of this many columns and rows of samples.
+    pub fn draw(&mut self, facets: &Facets, groups: Groups, sample_size: [u32; 2]) {
+        let [width, height] = sample_size.map(|side| side as usize);
+        self.samples.resize(width * height, [0; 4]);
+        self.stencil.resize(width * height, 0);
+        let bands = self.samples.par_chunks_mut(BAND_ROWS * width);
+        let stencils = self.stencil.par_chunks_mut(BAND_ROWS * width);
+        bands.zip(stencils).enumerate().for_each(|(band, (samples, stencil))| {
+            let first = band * BAND_ROWS;
+            let rows = first as i32..(first + BAND_ROWS).min(height) as i32;
+            SHEET.with_borrow_mut(|sheet| {
+                sheet.restart(width, rows.len());
+                dispatch!(Level::new(), simd => sheet.draw(simd, facets.meshes(), groups, width, &rows));
+                let lines = samples.chunks_exact_mut(width).zip(stencil.chunks_exact_mut(width));
+                for (row, (samples, stencil)) in lines.enumerate() {
+                    let row = &sheet.rows(row, width);
+                    dispatch!(Level::new(), _simd => row.write(groups, samples, stencil));
+                }
+            });
+        });
+    }
+}
+
+/// What the samples of a band show.
+#[derive(Debug, Default)]
+struct Sheet {
+    /// Samples from one row to the next.
+    stride: usize,
+    /// One over the metres along the axis; 0 where there is nothing yet.
+    inverse_w: Vec<f32>,
+    /// The two numbers of the normal, in 24 bits each.
+    normal_x: Vec<u32>,
+    normal_y: Vec<u32>,
+    /// The facet's own normal, packed.
+    facing: Vec<u32>,
+    /// One more than the group, and the slot of the instance above; 0 where there is nothing.
+    things: Vec<u32>,
+}
+
+/// A row of a sheet.
+struct Row<'a> {
+    inverse_w: &'a [f32],
+    normal_x: &'a [u32],
+    normal_y: &'a [u32],
+    facing: &'a [u32],
+    things: &'a [u32],
+}
+
+impl Sheet {
+    fn restart(&mut self, width: usize, rows: usize) {
+        self.stride = width + WIDTH;
+        let texels = self.stride * (rows + HEIGHT);
+        self.inverse_w.clear();
+        self.inverse_w.resize(texels, 0.0);
+        self.things.clear();
+        self.things.resize(texels, 0);
+        // Only what lies where a thing was drawn is read of these.
+        for plane in [&mut self.normal_x, &mut self.normal_y, &mut self.facing] {
+            plane.resize(texels, 0);
+        }
+    }
+
+    // Inlined wholly, for each width of vectors; see `scene/noise.rs`.
+    #[inline(always)]
+    fn draw<S: Simd>(&mut self, simd: S, meshes: &[Mesh], groups: Groups, width: usize, rows: &Range<i32>) {
+        let is_beside =
+            |[first, last]: [u16; 2]| i32::from(last) < rows.start || i32::from(first) >= rows.end;
+        for mesh in meshes {
+            if is_beside(mesh.rows) {
+                continue;
+            }
+            for facet in &mesh.facets {
+                if is_beside(facet.rows) {
+                    continue;
+                }
+                let corners = facet.corners.map(|corner| mesh.corners[corner as usize]);
+                let places = corners.map(|corner| corner.place);
+                let Some(outline) = Outline::new(places, width, rows.clone()) else { continue };
+                let group = mesh.groups[usize::from(facet.part)];
+                let thing = (u32::from(group) + 1) | (mesh.slot << SLOT_AT);
+                let inverse_w = outline.linear(corners.map(|corner| corner.inverse_w));
+                let (first, stride) = (rows.start, self.stride);
+                if group < groups.stars() {
+                    let mut brush = ThingBrush::new(self, &outline, corners, inverse_w, facet.facing, thing);
+                    outline.fill(simd, first, stride, &mut brush);
+                } else {
+                    outline.fill(simd, first, stride, &mut SkyBrush { sheet: self, inverse_w, thing });
+                }
+            }
+        }
+    }
+
+    fn rows(&self, row: usize, width: usize) -> Row<'_> {
+        let range = row * self.stride..row * self.stride + width;
+        Row {
+            inverse_w: &self.inverse_w[range.clone()],
+            normal_x: &self.normal_x[range.clone()],
+            normal_y: &self.normal_y[range.clone()],
+            facing: &self.facing[range.clone()],
+            things: &self.things[range],
+        }
+    }
+}
+
+impl Row<'_> {
+    // As above.
+    #[inline(always)]
+    fn write(&self, groups: Groups, samples: &mut [[u32; 4]], stencil: &mut [u8]) {
+        let count = samples.len();
+        let (inverse_w, things) = (&self.inverse_w[..count], &self.things[..count]);
+        let (normal_x, normal_y, facing) =
+            (&self.normal_x[..count], &self.normal_y[..count], &self.facing[..count]);
+        let things_end = u32::from(groups.stars()) + 1;
+        for i in 0..count {
+            let thing = things[i];
+            let (value, slot) = (thing & u32::from(Group::MAX), thing >> SLOT_AT);
+            // Nothing of the sky is read.
+            let is_thing = 0_u32.wrapping_sub(u32::from(value.wrapping_sub(1) < things_end - 1));
+            let packed = [
+                normal_x[i] | ((slot & 0xff) << 24),
+                normal_y[i] | ((slot >> 8) << 24),
+                facing[i],
+                inverse_w[i].to_bits(),
+            ];
+            samples[i] = packed.map(|word| word & is_thing);
+            stencil[i] = value as u8;
+        }
+    }
+}
+
+/// Paints what is nearer than what is there.
+struct ThingBrush<'a> {
+    sheet: &'a mut Sheet,
+    inverse_w: [f32; 3],
+    normal: [[f32; 3]; 3],
+    facing: u32,
+    thing: u32,
+}
+
+impl<'a> ThingBrush<'a> {
+    #[inline(always)]
+    fn new(
+        sheet: &'a mut Sheet,
+        outline: &Outline,
+        corners: [Corner; 3],
+        inverse_w: [f32; 3],
+        facing: u32,
+        thing: u32,
+    ) -> Self {
+        let normals = corners.map(|corner| corner.normal_per_w);
+        let normal = [
+            outline.linear(normals.map(|n| n.x)),
+            outline.linear(normals.map(|n| n.y)),
+            outline.linear(normals.map(|n| n.z)),
+        ];
+        Self { sheet, inverse_w, normal, facing, thing }
+    }
+}
+
+impl<S: Simd> Paint<S> for ThingBrush<'_> {
+    #[inline(always)]
+    fn paint(&mut self, simd: S, texels: [usize; 2], inside: mask32x8<S>, b: f32x8<S>, c: f32x8<S>) {
+        let here = linear(self.inverse_w, b, c);
+        let there = load(simd, &self.sheet.inverse_w, texels);
+        let nearer = inside & here.simd_gt(there);
+        if !nearer.any_true() {
+            return;
+        }
+        store(&mut self.sheet.inverse_w, texels, nearer.select(here, there));
+        let (x, y, z) = (linear(self.normal[0], b, c), linear(self.normal[1], b, c), linear(self.normal[2], b, c));
+        // Twin: `octahedron` in `common/octahedron.wgsl`. Of any length, so that nothing is to be divided by 1/w.
+        let length = (x.abs() + y.abs() + z.abs()).max(f32x8::splat(simd, 1e-30));
+        let (x, y) = (x / length, y / length);
+        let one = f32x8::splat(simd, 1.0);
+        let (over_x, over_y) = ((one - y.abs()).copysign(x), (one - x.abs()).copysign(y));
+        let is_below = z.simd_lt(0.0);
+        let (x, y) = (is_below.select(over_x, x), is_below.select(over_y, y));
+        let plane = &mut self.sheet.normal_x;
+        paint_words(simd, plane, texels, nearer, in_24_bits(x));
+        let plane = &mut self.sheet.normal_y;
+        paint_words(simd, plane, texels, nearer, in_24_bits(y));
+        paint_words(simd, &mut self.sheet.facing, texels, nearer, u32x8::splat(simd, self.facing));
+        paint_words(simd, &mut self.sheet.things, texels, nearer, u32x8::splat(simd, self.thing));
+    }
+}
+
+/// The same of the sky, which has no normal.
+struct SkyBrush<'a> {
+    sheet: &'a mut Sheet,
+    inverse_w: [f32; 3],
+    thing: u32,
+}
+
+impl<S: Simd> Paint<S> for SkyBrush<'_> {
+    #[inline(always)]
+    fn paint(&mut self, simd: S, texels: [usize; 2], inside: mask32x8<S>, b: f32x8<S>, c: f32x8<S>) {
+        let here = linear(self.inverse_w, b, c);
+        let there = load(simd, &self.sheet.inverse_w, texels);
+        let nearer = inside & here.simd_gt(there);
+        store(&mut self.sheet.inverse_w, texels, nearer.select(here, there));
+        paint_words(simd, &mut self.sheet.things, texels, nearer, u32x8::splat(simd, self.thing));
+    }
+}
+
+/// See [`Outline::linear`].
+#[inline(always)]
+fn linear<S: Simd>([at_0, per_b, per_c]: [f32; 3], b: f32x8<S>, c: f32x8<S>) -> f32x8<S> {
+    b * per_b + c * per_c + at_0
+}
+
+/// From [-1, 1], as `visibility.wgsl` packs it.
+#[inline(always)]
+fn in_24_bits<S: Simd>(x: f32x8<S>) -> u32x8<S> {
+    ((x * 0.5 + 0.5) * 16_777_215.0 + 0.5).to_int::<i32x8<S>>().bitcast()
+}
+
+#[inline(always)]
+fn load<S: Simd>(simd: S, plane: &[f32], [upper, lower]: [usize; 2]) -> f32x8<S> {
+    let [upper, lower] = [upper, lower].map(|at| &plane[at..at + WIDTH]);
+    f32x4::from_slice(simd, upper).combine(f32x4::from_slice(simd, lower))
+}
+
+#[inline(always)]
+fn store<S: Simd>(plane: &mut [f32], [upper, lower]: [usize; 2], values: f32x8<S>) {
+    let (above, below) = values.split();
+    above.store_slice(&mut plane[upper..upper + WIDTH]);
+    below.store_slice(&mut plane[lower..lower + WIDTH]);
+}
+
+/// Replaces those of eight words that are chosen.
+#[inline(always)]
+fn paint_words<S: Simd>(
+    simd: S,
+    plane: &mut [u32],
+    [upper, lower]: [usize; 2],
+    chosen: mask32x8<S>,
+    words: u32x8<S>,
+) {
+    let there = u32x4::from_slice(simd, &plane[upper..upper + WIDTH])
+        .combine(u32x4::from_slice(simd, &plane[lower..lower + WIDTH]));
+    let (above, below) = chosen.select(words, there).split();
+    above.store_slice(&mut plane[upper..upper + WIDTH]);
+    below.store_slice(&mut plane[lower..lower + WIDTH]);
+}
