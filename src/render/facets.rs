@@ -30,6 +30,8 @@ const DARK: f32 = 1e-4;
 pub struct Corner {
     /// Among the samples.
     pub place: Place,
+    /// The same before it is rounded, samples from the middle of the first.
+    pub at: Vec2,
     /// One over the metres along the axis; 0 of one that has no place: not before the lens, or far beside the picture.
     pub inverse_w: f32,
     /// Its normal times that: linear over the picture.
@@ -217,11 +219,11 @@ impl Samples {
     fn projected(&self, at: Vec2, w: f32, normal: Vec3) -> Corner {
         let inverse_w = 1.0 / w;
         let at = at * inverse_w * self.half_size + self.half_size;
-        let Vec2 { x, y } = at - self.half_size;
-        let Place { x, y } = Place::from_px(x, y);
+        // Counted from near the middle, so that all that is in reach can be rounded.
+        let Place { x, y } = Place::rounded(at - 0.5 - self.half_size);
         let [right, down] = self.half_parts;
         let place = Place { x: x + right, y: y + down };
-        Corner { place, inverse_w, normal_per_w: inverse_w * normal }
+        Corner { place, at: at - 0.5, inverse_w, normal_per_w: inverse_w * normal }
     }
 
     /// What of a triangle is before the lens and not far beside the picture: a convex polygon, or nothing.

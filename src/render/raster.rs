@@ -8,6 +8,7 @@ use std::ops::Range;
 
 use fearless_simd::prelude::*;
 use fearless_simd::{f32x8, i32x8, mask32x8};
+use glam::Vec2;
 
 use crate::scene::noise::floor;
 
@@ -33,20 +34,37 @@ pub struct Place {
 }
 
 impl Place {
-    /// From texels, of which the first has its middle at a half.
+    /// From texels from the middle of the first.
     #[must_use]
     #[inline(always)]
-    pub fn from_px(x: f32, y: f32) -> Self {
-        let part = |place: f32| floor((place - 0.5) * PARTS as f32 + 0.5);
-        Self { x: part(x), y: part(y) }
+    pub fn rounded(at: Vec2) -> Self {
+        let part = |place: f32| floor(place * PARTS as f32 + 0.5);
+        Self { x: part(at.x), y: part(at.y) }
     }
 }
 
 /// What texels are painted with.
 pub trait Paint<S: Simd> {
     /// Paints those of eight texels that are `inside` a triangle: four of a row from place `texels[0]` of a buffer on, and four
-    /// of the next from `texels[1]`. `b` and `c` are proportional to the shares of the second and the third corner.
-    fn paint(&mut self, simd: S, texels: [usize; 2], inside: mask32x8<S>, b: f32x8<S>, c: f32x8<S>);
+    /// of the next from `texels[1]`. `x` and `y` are how far they are from the first texel of its [`Outline`].
+    fn paint(&mut self, simd: S, texels: [usize; 2], inside: mask32x8<S>, x: f32x8<S>, y: f32x8<S>);
+}
+
+/// A number that is linear over a triangle: what it is at the first texel of its outline, and what each column and each row adds.
+#[derive(Clone, Copy, Debug)]
+pub struct Plane {
+    first: f32,
+    per_column: f32,
+    per_row: f32,
+}
+
+impl Plane {
+    /// At eight texels, as [`Paint::paint`] is given them.
+    #[must_use]
+    #[inline(always)]
+    pub fn at<S: Simd>(&self, x: f32x8<S>, y: f32x8<S>) -> f32x8<S> {
+        x * self.per_column + y * self.per_row + self.first
+    }
 }
 
 /// The line from a corner to another: how far beside it a place is, times its length; above 0 on the triangle's side.
@@ -80,8 +98,6 @@ impl Edge {
 pub struct Outline {
     /// Opposite of its corners: their shares in a place are as its distances from these.
     edges: [Edge; 3],
-    /// What distances are divided by to be shares.
-    per_area: f32,
     /// First and last of the columns around it.
     pub columns: (i32, i32),
     /// First and last of the rows.
@@ -146,19 +162,29 @@ impl Outline {
         if ((columns.1 - columns.0) | (rows.1 - rows.0)) < 0 {
             return None;
         }
-        // Counter-clockwise, and rows run down: the area is below 0.
-        let per_area = -1.0 / twice_area(a, b, c) as f32;
         // They run clockwise here.
-        Some(Self { edges: [Edge::new(c, b), Edge::new(a, c), Edge::new(b, a)], per_area, columns, rows, is_small })
+        Some(Self { edges: [Edge::new(c, b), Edge::new(a, c), Edge::new(b, a)], columns, rows, is_small })
     }
 
-    /// How a number that is linear over the triangle is made of the distances that a [`Paint`] is given: what it is at 0, and
-    /// what each unit of the second corner's and of the third's adds.
+    /// Numbers that are linear over the triangle, from those at its corners and where these are, texels from the middle of the
+    /// first, before they are rounded: what is far away and seen at a grazing angle differs much over a part of a texel.
     #[must_use]
     #[inline(always)]
-    pub fn linear(&self, [a, b, c]: [f32; 3]) -> [f32; 3] {
-        let (per_b, per_c) = ((b - a) * self.per_area, (c - a) * self.per_area);
-        [a + self.edges[1].owed as f32 * per_b + self.edges[2].owed as f32 * per_c, per_b, per_c]
+    pub fn planes<const N: usize>(&self, [a, b, c]: [Vec2; 3], values: [[f32; N]; 3]) -> [Plane; N] {
+        let (to_b, to_c) = (b - a, c - a);
+        let twice_area = to_b.perp_dot(to_c);
+        // What is too thin to run the same way before its corners are rounded has no slope to speak of.
+        let per_area = if twice_area < 0.0 { 1.0 / twice_area } else { 0.0 };
+        let (x, y) = (self.columns.0 as f32 - a.x, self.rows.0 as f32 - a.y);
+        let mut planes = [Plane { first: 0.0, per_column: 0.0, per_row: 0.0 }; N];
+        let [of_a, of_b, of_c] = values;
+        for (i, plane) in planes.iter_mut().enumerate() {
+            let (more_b, more_c) = (of_b[i] - of_a[i], of_c[i] - of_a[i]);
+            let per_column = (more_b * to_c.y - more_c * to_b.y) * per_area;
+            let per_row = (more_c * to_b.x - more_b * to_c.x) * per_area;
+            *plane = Plane { first: of_a[i] + x * per_column + y * per_row, per_column, per_row };
+        }
+        planes
     }
 
     /// Paints it into a buffer of which row 0 is `first_row` and each takes `stride`.
@@ -176,6 +202,7 @@ impl Outline {
         let Self { edges, columns, rows, .. } = *self;
         // Four texels of a row and the four below them.
         let (lane_columns, lane_rows) = lanes(simd);
+        let (lane_x, mut y) = (lane_columns.to_float::<f32x8<S>>(), lane_rows.to_float::<f32x8<S>>());
         // No closures: what vectors are made of is inlined wholly.
         let mut at_row = [i32x8::splat(simd, 0); 3];
         let (mut to_right, mut down) = ([0; 3], [0; 3]);
@@ -189,20 +216,23 @@ impl Outline {
         let (mut row, end) = (rows.0, rows.1 + 1);
         while row < end {
             let mut at = at_row;
+            let mut x = lane_x;
             let upper = (row - first_row) as usize * stride;
             let (mut column, end) = (columns.0 as usize, columns.1 as usize + 1);
             while column < end {
                 let texels = [upper + column, upper + stride + column];
                 let inside = (at[0] | at[1] | at[2]).simd_ge(0);
-                target.paint(simd, texels, inside, at[1].to_float(), at[2].to_float());
+                target.paint(simd, texels, inside, x, y);
                 for i in 0..3 {
                     at[i] -= to_right[i];
                 }
+                x += WIDTH as f32;
                 column += WIDTH;
             }
             for i in 0..3 {
                 at_row[i] += down[i];
             }
+            y += HEIGHT as f32;
             row += HEIGHT as i32;
         }
     }
@@ -211,7 +241,6 @@ impl Outline {
     #[inline(always)]
     fn fill_wide<S: Simd>(&self, simd: S, first_row: i32, stride: usize, target: &mut impl Paint<S>) {
         let (lane_columns, lane_rows) = lanes(simd);
-        let [_, b, c] = &self.edges;
         let mut row = self.rows.0;
         while row <= self.rows.1 {
             // What is below the last row is painted with it, but not of this triangle's band.
@@ -221,20 +250,13 @@ impl Outline {
             let is_lower = lane_rows.simd_gt(0);
             let low = is_lower.select(i32x8::splat(simd, spans[1].0), i32x8::splat(simd, spans[0].0));
             let high = is_lower.select(i32x8::splat(simd, spans[1].1), i32x8::splat(simd, spans[0].1));
-            let (from_column, from_row) = (lane_columns.to_float::<f32x8<S>>(), lane_rows.to_float::<f32x8<S>>());
+            let y = (lane_rows + (row - self.rows.0)).to_float::<f32x8<S>>();
             let mut column = first;
             while column <= last {
                 let columns = lane_columns + column;
                 let inside = columns.simd_ge(low) & columns.simd_le(high);
                 let texels = [upper + column as usize, upper + stride + column as usize];
-                let per_part = PARTS as f32;
-                let at_b = (b.distance(column, row) - i64::from(b.owed)) as f32
-                    + from_row * (b.x as f32 * per_part)
-                    - from_column * (b.y as f32 * per_part);
-                let at_c = (c.distance(column, row) - i64::from(c.owed)) as f32
-                    + from_row * (c.x as f32 * per_part)
-                    - from_column * (c.y as f32 * per_part);
-                target.paint(simd, texels, inside, at_b, at_c);
+                target.paint(simd, texels, inside, (columns - self.columns.0).to_float(), y);
                 column += WIDTH as i32;
             }
             row += HEIGHT as i32;
@@ -268,4 +290,140 @@ fn lanes<S: Simd>(simd: S) -> (i32x8<S>, i32x8<S>) {
         i32x8::from_slice(simd, &[0, 1, 2, 3, 0, 1, 2, 3]),
         i32x8::from_slice(simd, &[0, 0, 0, 0, 1, 1, 1, 1]),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::noise::lattice_hash;
+    use fearless_simd::{Level, dispatch};
+
+    const SIZE: usize = 48;
+
+    /// How often each texel was painted, and the sum of what it was painted with.
+    struct Sheet {
+        times: Vec<u32>,
+        sums: Vec<f32>,
+        value: Plane,
+    }
+
+    impl<S: Simd> Paint<S> for Sheet {
+        fn paint(&mut self, _simd: S, texels: [usize; 2], inside: mask32x8<S>, x: f32x8<S>, y: f32x8<S>) {
+            let value = self.value.at(x, y);
+            for lane in (0..WIDTH * HEIGHT).filter(|&lane| inside.test(lane)) {
+                let texel = texels[lane / WIDTH] + lane % WIDTH;
+                self.times[texel] += 1;
+                self.sums[texel] += value[lane];
+            }
+        }
+    }
+
+    const STRIDE: usize = SIZE + WIDTH;
+
+    /// Paints triangles with values at their corners, whichever way round they run, each way of filling.
+    fn painted(triangles: &[([Place; 3], [f32; 3])], rows: Range<i32>, wide: bool) -> Sheet {
+        let texels = STRIDE * (SIZE + HEIGHT);
+        let value = Plane { first: 0.0, per_column: 0.0, per_row: 0.0 };
+        let mut sheet = Sheet { times: vec![0; texels], sums: vec![0.0; texels], value };
+        for &([a, b, c], [at_a, at_b, at_c]) in triangles {
+            let (places, values) = match Turn::of([a, b, c]) {
+                Some(Turn::Front) => ([a, b, c], [at_a, at_b, at_c]),
+                Some(Turn::Back) => ([a, c, b], [at_a, at_c, at_b]),
+                None => continue,
+            };
+            let Some(outline) = Outline::new(places, SIZE, rows.clone()) else { continue };
+            let at = places.map(|p| Vec2::new(p.x as f32, p.y as f32) / PARTS as f32);
+            [sheet.value] = outline.planes(at, values.map(|value| [value]));
+            let sheet = &mut sheet;
+            if wide {
+                dispatch!(Level::new(), simd => outline.fill_wide(simd, rows.start, STRIDE, sheet));
+            } else {
+                dispatch!(Level::new(), simd => outline.fill_small(simd, rows.start, STRIDE, sheet));
+            }
+        }
+        sheet
+    }
+
+    const ALL: Range<i32> = 0..SIZE as i32;
+
+    fn random(number: i32, axis: i32, end: u32) -> i32 {
+        (lattice_hash(number, axis, 0, 7) % end) as i32
+    }
+
+    fn random_place(number: i32) -> Place {
+        let parts = SIZE as u32 * PARTS as u32;
+        // Every other on a middle, where edges meet places.
+        let snap = |part: i32| if number % 2 == 0 { part } else { part & !(PARTS - 1) };
+        Place { x: snap(random(number, 0, parts)), y: snap(random(number, 1, parts)) }
+    }
+
+    #[test]
+    fn a_triangle_covers_the_texels_whose_middles_are_in_it_and_its_values_are_linear() {
+        let mut covered = 0;
+        for number in 0..400 {
+            let [a, b, c] = [0, 1, 2].map(|corner| random_place(3 * number + corner));
+            // A plane over the texels.
+            let value = |x: f64, y: f64| 3.0 + 0.25 * x - 0.5 * y;
+            let values = [a, b, c]
+                .map(|p| value(f64::from(p.x) / f64::from(PARTS), f64::from(p.y) / f64::from(PARTS)) as f32);
+            for wide in [false, true] {
+                let sheet = painted(&[([a, b, c], values)], ALL, wide);
+                for row in 0..SIZE {
+                    for column in 0..SIZE {
+                        let at = Place { x: column as i32 * PARTS, y: row as i32 * PARTS };
+                        let sides = [(a, b), (b, c), (c, a)].map(|(from, to)| twice_area(from, to, at).signum());
+                        let texel = row * STRIDE + column;
+                        match (sides.contains(&1), sides.contains(&-1)) {
+                            (true, true) => assert_eq!(sheet.times[texel], 0, "triangle {number}: {at:?}"),
+                            _ if sides.contains(&0) => {}
+                            _ => {
+                                assert_eq!(sheet.times[texel], 1, "triangle {number}: {at:?}");
+                                let expected = value(column as f64, row as f64);
+                                let found = f64::from(sheet.sums[texel]);
+                                assert!((found - expected).abs() < 1e-3, "{number}: {found} for {expected}");
+                                covered += 1;
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        assert!(covered > 20_000, "{covered}");
+    }
+
+    #[test]
+    fn triangles_around_a_corner_cover_every_texel_once() {
+        let place = |x: i32, y: i32| Place { x: x * PARTS, y: y * PARTS };
+        let last = SIZE as i32 - 1;
+        let around = [place(0, 0), place(last, 0), place(last, last), place(0, last)];
+        for number in 0..100 {
+            let Place { x, y } = random_place(number);
+            let middle = Place { x: x.min(last * PARTS), y: y.min(last * PARTS) };
+            let fan = [0, 1, 2, 3].map(|side| ([middle, around[side], around[(side + 1) % 4]], [0.0; 3]));
+            for wide in [false, true] {
+                let sheet = painted(&fan, ALL, wide);
+                // Of the square's own border the upper and the left side are its.
+                for row in 0..SIZE - 1 {
+                    let line = &sheet.times[row * STRIDE..][..SIZE - 1];
+                    assert!(line.iter().all(|&times| times == 1), "corner {number}, row {row}: {line:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn bands_of_rows_cover_what_the_whole_does() {
+        for number in 0..100 {
+            let places = [0, 1, 2].map(|corner| random_place(3 * number + corner));
+            let triangle = [(places, [1.0; 3])];
+            for wide in [false, true] {
+                let whole = painted(&triangle, ALL, wide);
+                for first in (0..SIZE).step_by(8) {
+                    let band = painted(&triangle, first as i32..first as i32 + 8, wide);
+                    let rows = |sheet: &Sheet, first: usize| sheet.times[first * STRIDE..][..8 * STRIDE].to_vec();
+                    assert_eq!(rows(&band, 0), rows(&whole, first), "triangle {number}, row {first}");
+                }
+            }
+        }
+    }
 }

@@ -7,10 +7,10 @@ use std::cell::RefCell;
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, dispatch, f32x4, f32x8, mask32x8};
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::raster::{HEIGHT, Outline, Paint, Place, Turn, WIDTH};
+use super::raster::{HEIGHT, Outline, Paint, Place, Plane, Turn, WIDTH};
 use super::selection::Selection;
 use super::shaders::CasterTile;
 use super::shadow;
@@ -81,6 +81,8 @@ fn rows_of<'a>(tiles: &[&CasterTile], map: &'a mut [f32], width: usize) -> Vec<V
 #[derive(Clone, Copy, Debug)]
 struct Corner {
     place: Place,
+    /// The same before it is rounded, texels.
+    at: Vec2,
     depth: f32,
 }
 
@@ -110,8 +112,8 @@ impl Canvas {
         let texels = tile.size_px;
         let corner = |vertex: &Vertex| {
             let p: Vec3 = half * vertex.position;
-            let place = Place::from_px((0.5 + p.dot(right)) * texels, (0.5 + p.dot(down)) * texels);
-            Corner { place, depth: 0.5 + p.dot(towards) }
+            let at = (0.5 + Vec2::new(p.dot(right), p.dot(down))) * texels - 0.5;
+            Corner { place: Place::rounded(at), at, depth: 0.5 + p.dot(towards) }
         };
         self.corners.clear();
         self.corners.extend(vertices.iter().map(corner));
@@ -144,98 +146,25 @@ fn draw_triangle<S: Simd>(simd: S, [a, b, c]: [Corner; 3], layers: &mut [Vec<f32
     let corners = if turn == Turn::Front { [a, b, c] } else { [a, c, b] };
     let places = corners.map(|corner| corner.place);
     let Some(outline) = Outline::new(places, size, 0..size as i32) else { return };
-    let depth = outline.linear(corners.map(|corner| corner.depth));
+    let [depth] = outline.planes(corners.map(|corner| corner.at), corners.map(|corner| [corner.depth]));
     outline.fill(simd, 0, size + WIDTH, &mut Depth { layer: &mut layers[turn as usize], depth });
 }
 
 /// Raises a layer to the depth of a triangle.
 struct Depth<'a> {
     layer: &'a mut [f32],
-    depth: [f32; 3],
+    depth: Plane,
 }
 
 impl<S: Simd> Paint<S> for Depth<'_> {
     #[inline(always)]
-    fn paint(&mut self, simd: S, [upper, lower]: [usize; 2], inside: mask32x8<S>, b: f32x8<S>, c: f32x8<S>) {
+    fn paint(&mut self, simd: S, [upper, lower]: [usize; 2], inside: mask32x8<S>, x: f32x8<S>, y: f32x8<S>) {
         let (above, below) = self.layer.split_at_mut(lower);
         let (above, below) = (&mut above[upper..upper + WIDTH], &mut below[..WIDTH]);
-        let [at_0, per_b, per_c] = self.depth;
-        let here = b * per_b + c * per_c + at_0;
+        let here = self.depth.at(x, y);
         let there = f32x4::from_slice(simd, above).combine(f32x4::from_slice(simd, below));
         let (first, second) = inside.select(here, f32x8::splat(simd, 0.0)).max(there).split();
         first.store_slice(above);
         second.store_slice(below);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::scene::noise::lattice_hash;
-
-    const SIZE: usize = 48;
-
-    /// A layer with one triangle, drawn in either way.
-    fn layer(corners: [Corner; 3], wide: bool) -> Vec<f32> {
-        let stride = SIZE + WIDTH;
-        let mut layer = vec![0.0; stride * (SIZE + HEIGHT)];
-        let Some(facet) = Facet::new(corners, SIZE) else { return layer };
-        if wide {
-            facet.fill_wide(&mut layer, stride);
-        } else {
-            dispatch!(Level::new(), simd => facet.fill(simd, &mut layer, stride));
-        }
-        layer
-    }
-
-    fn random_corner(number: i32) -> Corner {
-        let random = |axis, end: u32| (lattice_hash(number, axis, 0, 7) % end) as i32;
-        let parts = SIZE as u32 * PARTS as u32;
-        // Every other on a middle, where edges meet places.
-        let snap = |part: i32| if number % 2 == 0 { part } else { part & !(PARTS - 1) };
-        Corner {
-            x: snap(random(0, parts)),
-            y: snap(random(1, parts)),
-            depth: random(2, 1000) as f32 / 1000.0 + 0.01,
-        }
-    }
-
-    #[test]
-    fn many_texels_at_once_are_those_one_by_one() {
-        let mut covered = 0;
-        for number in 0..400 {
-            let corners = [0, 1, 2].map(|corner| random_corner(3 * number + corner));
-            let (narrow, wide) = (layer(corners, false), layer(corners, true));
-            for (a, b) in narrow.iter().zip(&wide) {
-                assert_eq!(*a == 0.0, *b == 0.0, "triangle {number}");
-                assert!((a - b).abs() < 1e-5, "triangle {number}: {a} for {b}");
-                covered += u32::from(*a > 0.0);
-            }
-        }
-        assert!(covered > 10_000, "{covered}");
-    }
-
-    #[test]
-    fn triangles_around_a_corner_cover_every_texel_once() {
-        for number in 0..100 {
-            let place = |x: i32, y: i32| Corner { x: x * PARTS, y: y * PARTS, depth: 0.5 };
-            let last = SIZE as i32 - 1;
-            let Corner { x, y, .. } = random_corner(number);
-            let middle = Corner { x: x.min(last * PARTS), y: y.min(last * PARTS), depth: 0.5 };
-            let around = [place(0, 0), place(last, 0), place(last, last), place(0, last)];
-            let mut times = vec![0; (SIZE + WIDTH) * (SIZE + HEIGHT)];
-            for side in 0..4 {
-                let drawn = layer([middle, around[side], around[(side + 1) % 4]], false);
-                for (times, depth) in times.iter_mut().zip(drawn) {
-                    assert!(depth == 0.0 || (depth - 0.5).abs() < 1e-6, "{depth}");
-                    *times += u32::from(depth > 0.0);
-                }
-            }
-            // Of the square's own border the upper and the left side are its.
-            for row in 0..SIZE - 1 {
-                let line = &times[row * (SIZE + WIDTH)..][..SIZE - 1];
-                assert!(line.iter().all(|&times| times == 1), "corner {number}, row {row}: {line:?}");
-            }
-        }
     }
 }

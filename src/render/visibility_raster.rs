@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use super::facets::{Corner, Facets, Mesh};
 use super::lit::{Group, Groups};
-use super::raster::{HEIGHT, Outline, Paint, WIDTH};
+use super::raster::{HEIGHT, Outline, Paint, Plane, WIDTH};
 
 /// Rows of a band.
 const BAND_ROWS: usize = 32;
@@ -120,12 +120,16 @@ impl Sheet {
                 let Some(outline) = Outline::new(places, width, rows.clone()) else { continue };
                 let group = mesh.groups[usize::from(facet.part)];
                 let thing = (u32::from(group) + 1) | (mesh.slot << SLOT_AT);
-                let inverse_w = outline.linear(corners.map(|corner| corner.inverse_w));
+                let at = corners.map(|corner| corner.at);
                 let (first, stride) = (rows.start, self.stride);
                 if group < groups.stars() {
-                    let mut brush = ThingBrush::new(self, &outline, corners, inverse_w, facet.facing, thing);
+                    let values = corners.map(|Corner { inverse_w, normal_per_w: n, .. }| [inverse_w, n.x, n.y, n.z]);
+                    let [inverse_w, x, y, z] = outline.planes(at, values);
+                    let normal = [x, y, z];
+                    let mut brush = ThingBrush { sheet: self, inverse_w, normal, facing: facet.facing, thing };
                     outline.fill(simd, first, stride, &mut brush);
                 } else {
+                    let [inverse_w] = outline.planes(at, corners.map(|corner| [corner.inverse_w]));
                     outline.fill(simd, first, stride, &mut SkyBrush { sheet: self, inverse_w, thing });
                 }
             }
@@ -173,43 +177,24 @@ impl Row<'_> {
 /// Paints what is nearer than what is there.
 struct ThingBrush<'a> {
     sheet: &'a mut Sheet,
-    inverse_w: [f32; 3],
-    normal: [[f32; 3]; 3],
+    inverse_w: Plane,
+    normal: [Plane; 3],
     facing: u32,
     thing: u32,
 }
 
-impl<'a> ThingBrush<'a> {
-    #[inline(always)]
-    fn new(
-        sheet: &'a mut Sheet,
-        outline: &Outline,
-        corners: [Corner; 3],
-        inverse_w: [f32; 3],
-        facing: u32,
-        thing: u32,
-    ) -> Self {
-        let normals = corners.map(|corner| corner.normal_per_w);
-        let normal = [
-            outline.linear(normals.map(|n| n.x)),
-            outline.linear(normals.map(|n| n.y)),
-            outline.linear(normals.map(|n| n.z)),
-        ];
-        Self { sheet, inverse_w, normal, facing, thing }
-    }
-}
-
 impl<S: Simd> Paint<S> for ThingBrush<'_> {
     #[inline(always)]
-    fn paint(&mut self, simd: S, texels: [usize; 2], inside: mask32x8<S>, b: f32x8<S>, c: f32x8<S>) {
-        let here = linear(self.inverse_w, b, c);
+    fn paint(&mut self, simd: S, texels: [usize; 2], inside: mask32x8<S>, x: f32x8<S>, y: f32x8<S>) {
+        let here = self.inverse_w.at(x, y);
         let there = load(simd, &self.sheet.inverse_w, texels);
         let nearer = inside & here.simd_gt(there);
         if !nearer.any_true() {
             return;
         }
         store(&mut self.sheet.inverse_w, texels, nearer.select(here, there));
-        let (x, y, z) = (linear(self.normal[0], b, c), linear(self.normal[1], b, c), linear(self.normal[2], b, c));
+        let [of_x, of_y, of_z] = &self.normal;
+        let (x, y, z) = (of_x.at(x, y), of_y.at(x, y), of_z.at(x, y));
         // Twin: `octahedron` in `common/octahedron.wgsl`. Of any length, so that nothing is to be divided by 1/w.
         let length = (x.abs() + y.abs() + z.abs()).max(f32x8::splat(simd, 1e-30));
         let (x, y) = (x / length, y / length);
@@ -229,25 +214,19 @@ impl<S: Simd> Paint<S> for ThingBrush<'_> {
 /// The same of the sky, which has no normal.
 struct SkyBrush<'a> {
     sheet: &'a mut Sheet,
-    inverse_w: [f32; 3],
+    inverse_w: Plane,
     thing: u32,
 }
 
 impl<S: Simd> Paint<S> for SkyBrush<'_> {
     #[inline(always)]
-    fn paint(&mut self, simd: S, texels: [usize; 2], inside: mask32x8<S>, b: f32x8<S>, c: f32x8<S>) {
-        let here = linear(self.inverse_w, b, c);
+    fn paint(&mut self, simd: S, texels: [usize; 2], inside: mask32x8<S>, x: f32x8<S>, y: f32x8<S>) {
+        let here = self.inverse_w.at(x, y);
         let there = load(simd, &self.sheet.inverse_w, texels);
         let nearer = inside & here.simd_gt(there);
         store(&mut self.sheet.inverse_w, texels, nearer.select(here, there));
         paint_words(simd, &mut self.sheet.things, texels, nearer, u32x8::splat(simd, self.thing));
     }
-}
-
-/// See [`Outline::linear`].
-#[inline(always)]
-fn linear<S: Simd>([at_0, per_b, per_c]: [f32; 3], b: f32x8<S>, c: f32x8<S>) -> f32x8<S> {
-    b * per_b + c * per_c + at_0
 }
 
 /// From [-1, 1], as `visibility.wgsl` packs it.
