@@ -43,26 +43,26 @@ pub struct Corner {
 pub struct Facet {
     /// By their places in [`Mesh::corners`].
     pub corners: [u32; 3],
-    /// Its own normal, towards the eye, packed as `visibility.wgsl` does.
+    /// Its own normal, towards the eye, packed as `visibility.wgsl` does; 0 where no rock can shade it, for nothing asks for it.
     pub facing: u32,
     /// First and last row of samples that it may cover.
     pub rows: [u16; 2],
-    /// Which of the mesh's groups it is of.
-    pub part: u8,
+    /// What can shade it.
+    pub shades: Shades,
 }
 
-/// Parts of a mesh that are lit in different ways.
-const PARTS: usize = 3;
+/// For each of [`Shades`].
+const SHADES: usize = 3;
 
 /// A mesh on the picture.
 #[derive(Debug, Default)]
 pub struct Mesh {
     /// Slot of its instance.
     pub slot: u32,
-    /// Groups of its parts.
-    pub groups: [Group; PARTS],
-    /// Where its parts may be.
-    pub bounds: [Bounds; PARTS],
+    /// The groups of its facets, by what can shade them.
+    pub groups: [Group; SHADES],
+    /// Where these may be.
+    pub bounds: [Bounds; SHADES],
     /// Its vertices, and what clipping added.
     pub corners: Vec<Corner>,
     /// Its triangles.
@@ -122,26 +122,26 @@ impl Facets {
         let spans: Vec<[Range<u32>; 2]> = ground_blocks(&scene.terrain).collect();
         self.meshes.par_iter_mut().zip(sources).for_each(|(mesh, source)| match source {
             Source::Rock(place) => {
-                let parts = [Shades::Nothing, Shades::Casters, Shades::Casters].map(Groups::rocks);
-                mesh.restart(Slots::rock(place), parts);
+                let groups = [Shades::Nothing, Shades::Ground, Shades::Casters].map(Groups::rocks);
+                mesh.restart(Slots::rock(place), groups);
                 mesh.add_rock(&of, &selection.rocks[place]);
             }
             Source::Block(place) => {
                 let (block, _) = selection.blocks[place];
                 let band = bands.of_block(block);
-                let parts = [Shades::Nothing, Shades::Ground, Shades::Casters];
-                mesh.restart(Slots::GROUND, parts.map(|shades| Groups::ground(band, shades)));
+                let all = [Shades::Nothing, Shades::Ground, Shades::Casters];
+                mesh.restart(Slots::GROUND, all.map(|shades| Groups::ground(band, shades)));
                 mesh.add_block(&of, selection, &spans[block]);
             }
             Source::Stars => {
-                mesh.restart(0, [groups.stars(); PARTS]);
+                mesh.restart(0, [groups.stars(); SHADES]);
                 for &star in &selection.stars {
                     let star = &scene.sky.stars[star];
                     mesh.add_sphere(&of, STAR_LEVEL, star.centre, star.radius_m);
                 }
             }
             Source::Dome => {
-                mesh.restart(0, [groups.dome(); PARTS]);
+                mesh.restart(0, [groups.dome(); SHADES]);
                 mesh.add_sphere(&of, DOME_LEVEL, scene.sky.centre, scene.sky.radius_m);
             }
         });
@@ -275,9 +275,9 @@ enum Sides {
 }
 
 impl Mesh {
-    fn restart(&mut self, slot: u32, groups: [Group; PARTS]) {
+    fn restart(&mut self, slot: u32, groups: [Group; SHADES]) {
         (self.slot, self.groups) = (slot, groups);
-        self.bounds = [Bounds::NOWHERE; PARTS];
+        self.bounds = [Bounds::NOWHERE; SHADES];
         self.rows = [u16::MAX, 0];
         self.corners.clear();
         self.facets.clear();
@@ -294,13 +294,13 @@ impl Mesh {
         self.corners.extend(vertices.iter().map(corner));
         for &triangle in rock.triangles(level) {
             let corners = triangle.map(|vertex| &vertices[vertex as usize]);
-            let part = || {
+            let shades = || {
                 let [a, b, c] = corners.map(|corner| corner.position.z);
                 let dark = corners.iter().all(|corner| corner.normal.dot(of.sun) < -DARK);
-                (a.max(b).max(c) > buried_m).then_some(usize::from(!dark))
+                (a.max(b).max(c) > buried_m).then_some(if dark { Shades::Nothing } else { Shades::Casters })
             };
             let vertex = |v: u32| (origin + vertices[v as usize].position, vertices[v as usize].normal);
-            self.add(&of.samples, triangle, Sides::Outside, part, vertex);
+            self.add(&of.samples, triangle, Sides::Outside, shades, vertex);
         }
     }
 
@@ -327,17 +327,17 @@ impl Mesh {
                 if !selection.frustum.may_see_box(low, high) {
                     continue;
                 }
-                let mut shades = None;
+                let mut of_cell = None;
                 for triangle in terrain.block_triangles(column..column + 1, row..row + 1) {
-                    let part = || {
-                        Some(*shades.get_or_insert_with(|| {
+                    let shades = || {
+                        Some(*of_cell.get_or_insert_with(|| {
                             let over = |grids: &CasterGrids| {
                                 grids.shades_over(of.caster_grid, low.truncate(), high.truncate())
                             };
                             of.grids.as_ref().map_or(Shades::Casters, over)
-                        }) as usize)
+                        }))
                     };
-                    self.add(&of.samples, triangle.map(in_block), Sides::Outside, part, vertex);
+                    self.add(&of.samples, triangle.map(in_block), Sides::Outside, shades, vertex);
                 }
             }
         }
@@ -357,26 +357,27 @@ impl Mesh {
         for triangle in &sphere.triangles[level] {
             let triangle = triangle.map(|vertex| first + vertex);
             let vertex = |place: u32| vertex(&directions[(place - first) as usize]);
-            self.add(&of.samples, triangle, Sides::Both, || Some(0), vertex);
+            self.add(&of.samples, triangle, Sides::Both, || Some(Shades::Nothing), vertex);
         }
     }
 
-    /// Adds what may be seen of a triangle. `part` tells of which part it is, if of any; `vertex` the offset of a corner from
-    /// the eye, and its normal.
+    /// Adds what may be seen of a triangle. `shades` tells what can shade it, unless something hides it; `vertex` the offset of
+    /// a corner from the eye, and its normal.
     #[inline]
     fn add(
         &mut self,
         samples: &Samples,
         triangle: [u32; 3],
         sides: Sides,
-        part: impl FnOnce() -> Option<usize>,
+        shades: impl FnOnce() -> Option<Shades>,
         vertex: impl Fn(u32) -> (Vec3, Vec3),
     ) {
         let is_placed = |corner: u32| self.corners[corner as usize].inverse_w > 0.0;
         if triangle.iter().all(|&corner| is_placed(corner)) {
             let Some((triangle, texels)) = self.shown(samples, triangle, sides) else { return };
-            if let Some(part) = part() {
-                self.push(triangle, texels, part, facing(triangle.map(&vertex)));
+            if let Some(shades) = shades() {
+                let facing = || facing(triangle.map(&vertex));
+                self.push(triangle, texels, shades, facing);
             }
             return;
         }
@@ -405,10 +406,9 @@ impl Mesh {
         if shown.is_empty() {
             return;
         }
-        if let Some(part) = part() {
-            let facing = facing(triangle.map(vertex));
-            for (triangle, texels) in shown {
-                self.push(triangle, texels, part, facing);
+        if let Some(shades) = shades() {
+            for (corners, texels) in shown {
+                self.push(corners, texels, shades, || facing(triangle.map(&vertex)));
             }
         }
     }
@@ -426,12 +426,19 @@ impl Mesh {
     }
 
     #[inline]
-    fn push(&mut self, corners: [u32; 3], [columns, rows]: [(i32, i32); 2], part: usize, facing: u32) {
-        let own = Bounds::of_samples(columns, rows);
-        self.bounds[part] = self.bounds[part].union(own);
+    fn push(
+        &mut self,
+        corners: [u32; 3],
+        [columns, rows]: [(i32, i32); 2],
+        shades: Shades,
+        facing: impl FnOnce() -> u32,
+    ) {
+        let bounds = &mut self.bounds[shades as usize];
+        *bounds = bounds.union(Bounds::of_samples(columns, rows));
+        let facing = if shades == Shades::Casters { facing() } else { 0 };
         let rows = [rows.0 as u16, rows.1 as u16];
         self.rows = [self.rows[0].min(rows[0]), self.rows[1].max(rows[1])];
-        self.facets.push(Facet { corners, facing, rows, part: part as u8 });
+        self.facets.push(Facet { corners, facing, rows, shades });
     }
 }
 

@@ -20,7 +20,7 @@ use super::selection::{Bounds, Selection, ground_blocks};
 use super::shaders::{CasterTile, FrameUniforms, HorizonLevel, Instance};
 use super::shadow::{self, CasterGrids, Shades};
 use super::shadow_raster;
-use super::targets::Targets;
+use super::targets::{Background, Targets};
 use super::visibility_raster::Visible;
 use crate::class::ClassId;
 use crate::frame::Annotation;
@@ -101,6 +101,8 @@ pub struct GpuScene {
     /// If this program finds what samples show: of what, and it; kept for their memory.
     facets: Facets,
     visible: Visible,
+    /// If this program found the dome in every sample that shows nothing else: it, and it is not drawn.
+    pub background: Option<Background>,
     /// If this program drew both: how long each took.
     pub drawn_here_ms: Option<[f64; 2]>,
     /// Triangles drawn of what is seen.
@@ -223,6 +225,7 @@ impl Default for GpuScene {
             shadow_map: Vec::new(),
             facets: Facets::default(),
             visible: Visible::default(),
+            background: None,
             drawn_here_ms: None,
             drawn_triangles: 0,
             horizon: None,
@@ -254,13 +257,14 @@ impl GpuScene {
         let slots = Slots { selection: &selection };
         self.uploaded_bytes += self.instances.write(gpu, &self::slots(&instances(scene, settings, slots)));
         let mut seen = all_groups(&bands, slots);
-        self.drawn_here_ms = None;
+        (self.drawn_here_ms, self.background) = (None, None);
         if ways.draw_here {
             let start = Instant::now();
             shadow_raster::draw(scene, &selection, &mut self.shadow_map);
             let between = Instant::now();
+            let groups = Groups::new(bands.bands.len());
             self.facets.find(scene, &selection, settings, &caster_grid, &bands, ways.by_shades);
-            self.visible.draw(&self.facets, Groups::new(bands.bands.len()), settings.sample_size());
+            self.visible.draw(&self.facets, groups, settings.sample_size());
             let ms = |from: Instant, to: Instant| super::milliseconds(to - from);
             self.drawn_here_ms = Some([ms(start, between), ms(between, Instant::now())]);
             for mesh in self.facets.meshes() {
@@ -268,6 +272,10 @@ impl GpuScene {
                     let bounds_so_far = &mut seen[usize::from(*group)].bounds;
                     *bounds_so_far = bounds_so_far.union(bounds);
                 }
+            }
+            if !self.visible.has_holes {
+                self.background = Some(Background { radiance: scene.sky.radiance, class: ClassId::SKY });
+                seen[usize::from(groups.dome())].bounds = Bounds::NOWHERE;
             }
             self.drawn_triangles = self.facets.meshes().iter().map(|mesh| mesh.facets.len() as u64).sum();
             self.draws = DrawList { casters: Vec::new(), seen };

@@ -132,7 +132,7 @@ impl ScenePass {
                     depth_slice: None,
                     resolve_target: None,
                     ops: wgpu::Operations {
-                        load: wgpu::LoadOp::Clear(plane.cleared()),
+                        load: wgpu::LoadOp::Clear(plane.cleared(scene.background.as_ref())),
                         store: wgpu::StoreOp::Store,
                     },
                 })

@@ -3,6 +3,7 @@
 //! To add an annotation: a variant of [`Plane`], its arms here, a field in `shaders/common/planes.wgsl` and its
 //! value in `surface.wgsl` and `sky.wgsl`, its rule in `resolve.wgsl`.
 
+use glam::Vec3;
 use wgpu::{TextureFormat, TextureUsages};
 
 use super::RenderSettings;
@@ -43,12 +44,15 @@ impl Plane {
         }
     }
 
-    /// What it holds before anything is drawn.
+    /// What it holds before anything is drawn: nothing, or what shows `background` wherever nothing else is drawn.
     #[must_use]
-    pub const fn cleared(self) -> wgpu::Color {
+    pub fn cleared(self, background: Option<&Background>) -> wgpu::Color {
+        let [r, g, b] = background.map_or([0.0; 3], |background| background.radiance.as_dvec3().to_array());
+        let class = background.map_or(ClassId::UNLABELLED, |background| background.class);
         match self {
+            Self::Radiance if background.is_some() => wgpu::Color { r, g, b, a: 1.0 },
             Self::Radiance | Self::Normal | Self::Instance | Self::Hidden => wgpu::Color::TRANSPARENT,
-            Self::Class => wgpu::Color { r: ClassId::UNLABELLED.0 as f64, g: 0.0, b: 0.0, a: 0.0 },
+            Self::Class => wgpu::Color { r: class.0.into(), g: 0.0, b: 0.0, a: 0.0 },
         }
     }
 
@@ -67,6 +71,15 @@ impl Plane {
             Self::Hidden => any(&[Annotation::Shadow]),
         }
     }
+}
+
+/// What is seen, unlit, wherever nothing else is.
+#[derive(Clone, Copy, Debug)]
+pub struct Background {
+    /// Its radiance.
+    pub radiance: Vec3,
+    /// Its class.
+    pub class: ClassId,
 }
 
 /// Format of what the visibility pass draws (`visibility.wgsl`).

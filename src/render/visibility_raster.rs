@@ -31,6 +31,8 @@ pub struct Visible {
     pub samples: Vec<[u32; 4]>,
     /// One more than the group by which a sample is lit; 0 where nothing is.
     pub stencil: Vec<u8>,
+    /// Whether there is such a sample.
+    pub has_holes: bool,
 }
 
 impl Visible {
@@ -47,7 +49,7 @@ impl Visible {
         self.stencil.resize(width * height, 0);
         let bands = self.samples.par_chunks_mut(BAND_ROWS * width);
         let stencils = self.stencil.par_chunks_mut(BAND_ROWS * width);
-        bands.zip(stencils).enumerate().for_each(|(band, (samples, stencil))| {
+        let bands = bands.zip(stencils).enumerate().map(|(band, (samples, stencil))| {
             let first = band * BAND_ROWS;
             let rows = first as i32..(first + BAND_ROWS).min(height) as i32;
             SHEET.with_borrow_mut(|sheet| {
@@ -59,7 +61,9 @@ impl Visible {
                     dispatch!(Level::new(), _simd => row.write(groups, samples, stencil));
                 }
             });
+            stencil.contains(&0)
         });
+        self.has_holes = bands.reduce(|| false, |a, b| a || b);
     }
 }
 
@@ -118,7 +122,7 @@ impl Sheet {
                 let corners = facet.corners.map(|corner| mesh.corners[corner as usize]);
                 let places = corners.map(|corner| corner.place);
                 let Some(outline) = Outline::new(places, width, rows.clone()) else { continue };
-                let group = mesh.groups[usize::from(facet.part)];
+                let group = mesh.groups[facet.shades as usize];
                 let thing = (u32::from(group) + 1) | (mesh.slot << SLOT_AT);
                 let at = corners.map(|corner| corner.at);
                 let (first, stride) = (rows.start, self.stride);
