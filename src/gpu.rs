@@ -5,6 +5,7 @@
 //! Must not know: the Moon.
 
 pub mod readback;
+pub mod staging;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError};

@@ -34,6 +34,7 @@ use wgpu::{BindingType, ShaderStages, TextureSampleType};
 
 use crate::error::{Error, Result};
 use crate::frame::{Annotation, Annotations, Frame};
+use crate::gpu::staging::Staging;
 use crate::gpu::{Gpu, is_cpu};
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
@@ -122,6 +123,8 @@ pub struct BindLayouts {
 #[derive(Debug)]
 struct Slot {
     packed: PackedFrame,
+    /// What the device is given of what samples show, if it is.
+    staging: Option<Staging>,
     timer: Option<Timer>,
 }
 
@@ -232,23 +235,24 @@ impl Renderer {
             (Scene { camera, ..scene.clone() }, RenderSettings { size, ..picture })
         });
         let (scene, drawn) = wide.as_ref().map_or((scene, &picture), |(scene, drawn)| (scene, drawn));
-        let targets = match self.targets.take() {
+        let mut targets = match self.targets.take() {
             Some(kept) if kept.serve(drawn, self.ways.draw_here) => kept,
             _ => Targets::new(&self.gpu, drawn, self.ways.draw_here)?,
         };
         self.spare.retain(|slot| slot.packed.serves(picture.size, picture.annotations));
-        let slot = self.spare.pop().unwrap_or_else(|| Slot {
+        let mut slot = self.spare.pop().unwrap_or_else(|| Slot {
             packed: PackedFrame::new(&self.gpu, picture.size, picture.annotations),
+            staging: None,
             timer: Timer::new(&self.gpu),
         });
         self.resolve_pass.prepare(&self.gpu, &targets, &slot.packed);
         let (gpu, gpu_scene, ways) = (&self.gpu, &mut self.scene, self.ways);
         gpu.guard(|| gpu_scene.upload(gpu, scene, drawn, picture.size, ways))?;
+        self.scene.give_visible(&self.gpu, scene, &mut targets, &mut slot.staging)?;
         self.scene_pass.prepare(&self.gpu, self.scene.variant(&targets), &self.scene);
         self.shadow_pass.prepare(&self.gpu, &self.layouts, self.scene.atlas_px, self.scene.shadow_map());
-        match self.scene.visible() {
-            Some(visible) => targets.give(&self.gpu, visible),
-            None => self.visibility_pass.prepare(&self.gpu, &self.layouts),
+        if !targets.is_given {
+            self.visibility_pass.prepare(&self.gpu, &self.layouts);
         }
         self.gpu.check()?;
         let uploaded = Instant::now();

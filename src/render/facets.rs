@@ -80,11 +80,15 @@ enum Source {
     Dome,
 }
 
+/// How many of these are of the sky; they are the last.
+const SKY_MESHES: usize = 2;
+
 /// The meshes of a picture, in the order in which they are drawn; kept for their memory.
 #[derive(Debug, Default)]
 pub struct Facets {
     meshes: Vec<Mesh>,
     used: usize,
+    groups: Groups,
 }
 
 impl Facets {
@@ -100,6 +104,7 @@ impl Facets {
         by_shades: bool,
     ) {
         let groups = Groups::new(bands.bands.len());
+        self.groups = groups;
         let of = Picture {
             scene,
             samples: Samples::new(scene, settings),
@@ -145,6 +150,21 @@ impl Facets {
                 mesh.add_sphere(&of, DOME_LEVEL, scene.sky.centre, scene.sky.radius_m);
             }
         });
+    }
+
+    /// The groups that they are of.
+    #[must_use]
+    pub const fn groups(&self) -> Groups {
+        self.groups
+    }
+
+    /// Rows of samples that may show anything but the sky.
+    #[must_use]
+    pub fn rows_of_things(&self) -> Range<u32> {
+        let things = &self.meshes()[..self.used.saturating_sub(SKY_MESHES)];
+        let first = things.iter().map(|mesh| mesh.rows[0]).min().unwrap_or(u16::MAX);
+        let last = things.iter().map(|mesh| mesh.rows[1]).max().unwrap_or(0);
+        if first <= last { first.into()..u32::from(last) + 1 } else { 0..0 }
     }
 
     /// The meshes, near ones before what they may cover.

@@ -21,10 +21,12 @@ use super::shaders::{CasterTile, FrameUniforms, HorizonLevel, Instance};
 use super::shadow::{self, CasterGrids, Shades};
 use super::shadow_raster;
 use super::targets::{Background, Targets};
-use super::visibility_raster::Visible;
+use super::visibility_raster::Stencil;
 use crate::class::ClassId;
 use crate::frame::Annotation;
+use crate::error::Result;
 use crate::gpu::Gpu;
+use crate::gpu::staging::Staging;
 use crate::scene::Scene;
 use crate::scene::bounce::{Bounce, rms_slope};
 use crate::scene::mesh::{Icosphere, Vertex};
@@ -100,7 +102,7 @@ pub struct GpuScene {
     shadow_map: Vec<f32>,
     /// If this program finds what samples show: of what, and it; kept for their memory.
     facets: Facets,
-    visible: Visible,
+    stencil: Stencil,
     /// If this program found the dome in every sample that shows nothing else: it, and it is not drawn.
     pub background: Option<Background>,
     /// If this program drew both: how long each took.
@@ -224,7 +226,7 @@ impl Default for GpuScene {
             atlas_px: [0; 2],
             shadow_map: Vec::new(),
             facets: Facets::default(),
-            visible: Visible::default(),
+            stencil: Stencil::default(),
             background: None,
             drawn_here_ms: None,
             drawn_triangles: 0,
@@ -262,9 +264,7 @@ impl GpuScene {
             let start = Instant::now();
             shadow_raster::draw(scene, &selection, &mut self.shadow_map);
             let between = Instant::now();
-            let groups = Groups::new(bands.bands.len());
             self.facets.find(scene, &selection, settings, &caster_grid, &bands, ways.by_shades);
-            self.visible.draw(&self.facets, groups, settings.sample_size());
             let ms = |from: Instant, to: Instant| super::milliseconds(to - from);
             self.drawn_here_ms = Some([ms(start, between), ms(between, Instant::now())]);
             for mesh in self.facets.meshes() {
@@ -273,13 +273,9 @@ impl GpuScene {
                     *bounds_so_far = bounds_so_far.union(bounds);
                 }
             }
-            if !self.visible.has_holes {
-                self.background = Some(Background { radiance: scene.sky.radiance, class: ClassId::SKY });
-                seen[usize::from(groups.dome())].bounds = Bounds::NOWHERE;
-            }
             self.drawn_triangles = self.facets.meshes().iter().map(|mesh| mesh.facets.len() as u64).sum();
             self.draws = DrawList { casters: Vec::new(), seen };
-            self.uploaded_bytes += size_of_val(&self.shadow_map[..]) as u64 + self.visible.bytes();
+            self.uploaded_bytes += size_of_val(&self.shadow_map[..]) as u64;
         } else {
             self.upload_draws(gpu, scene, settings, &bands, slots, seen);
         }
@@ -300,10 +296,26 @@ impl GpuScene {
         self.drawn_here_ms.map(|_| &self.shadow_map[..])
     }
 
-    /// What the samples show, unless the device is to find it.
-    #[must_use]
-    pub fn visible(&self) -> Option<&Visible> {
-        self.drawn_here_ms.map(|_| &self.visible)
+    /// Draws what the samples show of the scene that was uploaded last and gives it to the device, unless that is to draw it.
+    ///
+    /// # Errors
+    /// [`crate::Error::DeviceLost`] or [`crate::Error::Device`].
+    pub(super) fn give_visible(
+        &mut self,
+        gpu: &Gpu,
+        scene: &Scene,
+        targets: &mut Targets,
+        staging: &mut Option<Staging>,
+    ) -> Result<()> {
+        let Some([_, visibility_ms]) = &mut self.drawn_here_ms else { return Ok(()) };
+        let start = Instant::now();
+        self.uploaded_bytes += targets.give(gpu, staging, &self.facets, &mut self.stencil)?;
+        if !self.stencil.has_holes {
+            self.background = Some(Background { radiance: scene.sky.radiance, class: ClassId::SKY });
+            self.draws.seen.retain(|seen| seen.group != self.facets.groups().dome());
+        }
+        *visibility_ms += super::milliseconds(start.elapsed());
+        Ok(())
     }
 
     /// What the pipelines must be made for, to draw it on these targets.

@@ -26,7 +26,7 @@ pub enum Lit {
 pub type Group = u8;
 
 /// The groups of a picture: rocks, ground, stars, dome.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Groups {
     /// Bands of the ground, which have a relief each.
     bands: usize,

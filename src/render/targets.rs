@@ -3,16 +3,20 @@
 //! To add an annotation: a variant of [`Plane`], its arms here, a field in `shaders/common/planes.wgsl` and its
 //! value in `surface.wgsl` and `sky.wgsl`, its rule in `resolve.wgsl`.
 
+use std::ops::Range;
+
 use glam::Vec3;
 use wgpu::{TextureFormat, TextureUsages};
 
 use super::RenderSettings;
 use super::resolve::Packing;
-use super::visibility_raster::Visible;
+use super::facets::Facets;
+use super::visibility_raster::Stencil;
 use crate::class::ClassId;
 use crate::error::{Error, Result};
 use crate::frame::{Annotation, Annotations};
 use crate::gpu::Gpu;
+use crate::gpu::staging::{PAGE, Page, Staging};
 
 /// What a sample of the scene pass carries. The location in `SceneOut` is the place in [`Plane::ALL`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -129,7 +133,12 @@ pub struct Targets {
     pub depth_stencil: (wgpu::Texture, wgpu::TextureView),
     /// Whether the device is given what the samples show.
     pub is_given: bool,
+    /// If so: rows of samples that were given last; 0 is in all others.
+    given_rows: Range<u32>,
 }
+
+/// Most bytes that the device is given at once.
+const STAGING_BYTES: u32 = 128 << 20;
 
 impl Targets {
     /// Textures for a picture of this size. `is_given` tells whether the device is given what the samples show.
@@ -186,23 +195,56 @@ impl Targets {
             visible,
             depth_stencil: stencil,
             is_given,
+            given_rows: 0..0,
         })
     }
 
-    /// Writes what the samples show, if the device is given it.
-    pub(super) fn give(&self, gpu: &Gpu, visible: &Visible) {
+    /// Draws what the samples show and gives it to the device; how many bytes. `staging` is kept from frame to frame.
+    ///
+    /// # Errors
+    /// [`Error::DeviceLost`] or [`Error::Device`].
+    pub(super) fn give(
+        &mut self,
+        gpu: &Gpu,
+        staging: &mut Option<Staging>,
+        facets: &Facets,
+        stencil: &mut Stencil,
+    ) -> Result<u64> {
         let [width, height] = self.sample_size;
-        let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
-        let write = |texture: &wgpu::Texture, bytes: &[u8], per_sample: u32| {
-            let layout = wgpu::TexelCopyBufferLayout {
-                offset: 0,
-                bytes_per_row: Some(per_sample * width),
-                rows_per_image: None,
-            };
-            gpu.queue.write_texture(texture.as_image_copy(), bytes, layout, size);
+        let row_bytes = VISIBLE_FORMAT.block_copy_size(None).unwrap_or(0) * width;
+        let rows_at_once = (STAGING_BYTES / row_bytes.next_multiple_of(PAGE as u32)).clamp(1, height);
+        let staging = match staging.take() {
+            Some(kept) if kept.serves(row_bytes, rows_at_once) => staging.insert(kept),
+            _ => staging.insert(Staging::new(gpu, "scene/staging", row_bytes, rows_at_once)),
         };
-        write(&self.visible.0, bytemuck::cast_slice(&visible.samples), 16);
-        write(&self.depth_stencil.0, &visible.stencil, 1);
+        let row_pages = staging.row_pages;
+        // Where something was shown last there may be nothing but the sky now.
+        let things = facets.rows_of_things();
+        let before = std::mem::replace(&mut self.given_rows, things.clone());
+        let all = [things, before].into_iter().filter(|rows| !rows.is_empty());
+        let all = all.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end)).unwrap_or(0..0);
+        stencil.restart(self.sample_size);
+        for first in (0..height).step_by(rows_at_once as usize) {
+            let rows = first..height.min(first + rows_at_once);
+            let given = all.start.max(rows.start)..all.end.min(rows.end);
+            let mut draw = |pages: &mut dyn Iterator<Item = Page<'_>>| {
+                stencil.draw(facets, width as usize, &rows, &given, (pages, row_pages));
+            };
+            if given.is_empty() {
+                draw(&mut std::iter::empty());
+            } else {
+                staging.write(gpu, draw)?;
+                staging.copy(gpu, &self.visible.0, given)?;
+            }
+        }
+        let layout =
+            wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(width), rows_per_image: None };
+        let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
+        gpu.guard(|| {
+            let texture = self.depth_stencil.0.as_image_copy();
+            gpu.queue.write_texture(texture, &stencil.values, layout, size);
+        })?;
+        Ok(u64::from(row_bytes) * all.len() as u64 + stencil.values.len() as u64)
     }
 
     /// Whether they serve these settings.

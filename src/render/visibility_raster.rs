@@ -1,7 +1,7 @@
 //! What each sample shows, found by this program: for devices that are a CPU themselves.
 //!
 //! Twin of `visibility.wgsl`. The picture is drawn in bands of rows, each by one thread and small enough to stay near to it.
-//! Must not know: buffers.
+//! Must not know: what becomes of it.
 
 use std::cell::RefCell;
 use std::ops::Range;
@@ -13,6 +13,7 @@ use rayon::prelude::*;
 use super::facets::{Corner, Facets, Mesh};
 use super::lit::{Group, Groups};
 use super::raster::{HEIGHT, Outline, Paint, Plane, WIDTH};
+use crate::gpu::staging::{PAGE, Page};
 
 /// Rows of a band.
 const BAND_ROWS: usize = 32;
@@ -24,46 +25,67 @@ thread_local! {
     static SHEET: RefCell<Sheet> = RefCell::default();
 }
 
-/// What the samples of a picture show, a row after the other.
+/// One more than the group by which each sample is lit, a row after the other; 0 where nothing is.
 #[derive(Debug, Default)]
-pub struct Visible {
-    /// What `visibility.wgsl` writes; 0 for the sky.
-    pub samples: Vec<[u32; 4]>,
-    /// One more than the group by which a sample is lit; 0 where nothing is.
-    pub stencil: Vec<u8>,
-    /// Whether there is such a sample.
+pub struct Stencil {
+    /// Them.
+    pub values: Vec<u8>,
+    /// Whether there is a sample that shows nothing.
     pub has_holes: bool,
 }
 
-impl Visible {
-    /// How much it is.
-    #[must_use]
-    pub fn bytes(&self) -> u64 {
-        (size_of_val(&self.samples[..]) + self.stencil.len()) as u64
+impl Stencil {
+    /// Of a picture of this many columns and rows of samples, of which none is drawn yet.
+    pub fn restart(&mut self, [width, height]: [u32; 2]) {
+        self.values.resize(width as usize * height as usize, 0);
+        self.has_holes = false;
     }
 
-    /// Draws the facets of a picture of this many columns and rows of samples.
-    pub fn draw(&mut self, facets: &Facets, groups: Groups, sample_size: [u32; 2]) {
-        let [width, height] = sample_size.map(|side| side as usize);
-        self.samples.resize(width * height, [0; 4]);
-        self.stencil.resize(width * height, 0);
-        let bands = self.samples.par_chunks_mut(BAND_ROWS * width);
-        let stencils = self.stencil.par_chunks_mut(BAND_ROWS * width);
-        let bands = bands.zip(stencils).enumerate().map(|(band, (samples, stencil))| {
-            let first = band * BAND_ROWS;
-            let rows = first as i32..(first + BAND_ROWS).min(height) as i32;
+    /// Draws rows of a picture. Of `given`, some of these rows, it writes what `visibility.wgsl` does to as many rows of pages.
+    pub fn draw(
+        &mut self,
+        facets: &Facets,
+        width: usize,
+        rows: &Range<u32>,
+        given: &Range<u32>,
+        (pages, row_pages): (&mut dyn Iterator<Item = Page<'_>>, usize),
+    ) {
+        let groups = facets.groups();
+        let [rows, given] = [rows, given].map(|rows| rows.start as usize..rows.end as usize);
+        let stencil = &mut self.values[rows.start * width..rows.end * width];
+        let bands = rows.step_by(BAND_ROWS).zip(stencil.chunks_mut(BAND_ROWS * width));
+        let bands: Vec<_> = bands
+            .map(|(first, stencil)| {
+                let rows = first..first + stencil.len() / width;
+                let given = rows.start.max(given.start)..rows.end.min(given.end);
+                let pages: Vec<Page<'_>> = pages.take(given.len() * row_pages).collect();
+                (rows, stencil, given, pages)
+            })
+            .collect();
+        let draw = |(rows, stencil, given, pages): (Range<usize>, &mut [u8], Range<usize>, Vec<Page<'_>>)| {
             SHEET.with_borrow_mut(|sheet| {
                 sheet.restart(width, rows.len());
-                dispatch!(Level::new(), simd => sheet.draw(simd, facets.meshes(), groups, width, &rows));
-                let lines = samples.chunks_exact_mut(width).zip(stencil.chunks_exact_mut(width));
-                for (row, (samples, stencil)) in lines.enumerate() {
-                    let row = &sheet.rows(row, width);
-                    dispatch!(Level::new(), _simd => row.write(groups, samples, stencil));
+                let of_picture = rows.start as i32..rows.end as i32;
+                dispatch!(Level::new(), simd => sheet.draw(simd, facets.meshes(), groups, width, &of_picture));
+                for (row, stencil) in stencil.chunks_exact_mut(width).enumerate() {
+                    sheet.row(row, width).stencil(stencil);
                 }
+                let mut line = std::mem::take(&mut sheet.line);
+                line.resize(width, [0; 4]);
+                let mut pages = pages.into_iter();
+                for row in given {
+                    let row = sheet.row(row - rows.start, width);
+                    dispatch!(Level::new(), _simd => row.samples(groups, &mut line));
+                    let bytes = bytemuck::cast_slice(&line).chunks(PAGE);
+                    for (page, bytes) in pages.by_ref().take(row_pages).zip(bytes) {
+                        wgpu::WriteOnly::<[u8]>::from(page).slice(..bytes.len()).copy_from_slice(bytes);
+                    }
+                }
+                sheet.line = line;
             });
             stencil.contains(&0)
-        });
-        self.has_holes = bands.reduce(|| false, |a, b| a || b);
+        };
+        self.has_holes |= bands.into_par_iter().map(draw).reduce(|| false, |a, b| a || b);
     }
 }
 
@@ -81,6 +103,8 @@ struct Sheet {
     facing: Vec<u32>,
     /// One more than the group, and the slot of the instance above; 0 where there is nothing.
     things: Vec<u32>,
+    /// A row as it is given.
+    line: Vec<[u32; 4]>,
 }
 
 /// A row of a sheet.
@@ -140,7 +164,7 @@ impl Sheet {
         }
     }
 
-    fn rows(&self, row: usize, width: usize) -> Row<'_> {
+    fn row(&self, row: usize, width: usize) -> Row<'_> {
         let range = row * self.stride..row * self.stride + width;
         Row {
             inverse_w: &self.inverse_w[range.clone()],
@@ -153,27 +177,30 @@ impl Sheet {
 }
 
 impl Row<'_> {
+    fn stencil(&self, values: &mut [u8]) {
+        for (value, thing) in values.iter_mut().zip(self.things) {
+            *value = *thing as u8;
+        }
+    }
+
     // As above.
     #[inline(always)]
-    fn write(&self, groups: Groups, samples: &mut [[u32; 4]], stencil: &mut [u8]) {
+    fn samples(&self, groups: Groups, samples: &mut [[u32; 4]]) {
         let count = samples.len();
         let (inverse_w, things) = (&self.inverse_w[..count], &self.things[..count]);
         let (normal_x, normal_y, facing) =
             (&self.normal_x[..count], &self.normal_y[..count], &self.facing[..count]);
-        let things_end = u32::from(groups.stars()) + 1;
         for i in 0..count {
-            let thing = things[i];
-            let (value, slot) = (thing & u32::from(Group::MAX), thing >> SLOT_AT);
+            let (value, slot) = (things[i] & u32::from(Group::MAX), things[i] >> SLOT_AT);
             // Nothing of the sky is read.
-            let is_thing = 0_u32.wrapping_sub(u32::from(value.wrapping_sub(1) < things_end - 1));
+            let is_thing = value.wrapping_sub(1) < u32::from(groups.stars());
             let packed = [
                 normal_x[i] | ((slot & 0xff) << 24),
                 normal_y[i] | ((slot >> 8) << 24),
                 facing[i],
                 inverse_w[i].to_bits(),
             ];
-            samples[i] = packed.map(|word| word & is_thing);
-            stencil[i] = value as u8;
+            samples[i] = packed.map(|word| if is_thing { word } else { 0 });
         }
     }
 }
