@@ -11,7 +11,10 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use wgpu::{AdapterInfo, Backend, Backends, DeviceType, Features, InstanceDescriptor, InstanceFlags, Limits};
+use wgpu::{
+    AdapterInfo, Backend, Backends, DeviceType, DownlevelFlags, Features, InstanceDescriptor, InstanceFlags,
+    Limits,
+};
 
 use crate::error::{Error, Result};
 
@@ -27,6 +30,8 @@ pub struct Gpu {
     pub queue: wgpu::Queue,
     /// Which adapter it is.
     pub info: AdapterInfo,
+    /// Whether stencils can be written to it.
+    pub takes_stencils: bool,
     trouble: Arc<Mutex<Option<Error>>>,
 }
 
@@ -107,7 +112,9 @@ impl Gpu {
             // A loss explains the errors around it, so it replaces them.
             *on_loss.lock().unwrap_or_else(PoisonError::into_inner) = Some(Error::DeviceLost(message));
         });
-        Ok(Self { device, queue, info, trouble })
+        let flags = adapter.get_downlevel_capabilities().flags;
+        let takes_stencils = flags.contains(DownlevelFlags::DEPTH_TEXTURE_AND_BUFFER_COPIES);
+        Ok(Self { device, queue, info, takes_stencils, trouble })
     }
 
     /// The first thing that went wrong on the device since the last call.

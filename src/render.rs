@@ -39,7 +39,7 @@ use crate::gpu::{Gpu, is_cpu};
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
 use crate::scene::mesh::Vertex;
-use gpu_scene::{Draw, GpuScene, Ways, slot_stride};
+use gpu_scene::{Draw, DrawnHere, GpuScene, Ways, slot_stride};
 use resolve::{PackedFrame, ResolvePass};
 use scene_pass::ScenePass;
 use shaders::{Instance, ReliefUniforms};
@@ -141,8 +141,8 @@ pub struct InFlight {
     slot: Slot,
     submission: wgpu::SubmissionIndex,
     upload_ms: f64,
-    /// If this program drew shadow map and visibility: how long each took.
-    drawn_here_ms: Option<[f64; 2]>,
+    /// What this program drew of it.
+    drawn_here: DrawnHere,
     uploaded: Instant,
     /// Triangles drawn of what is seen in it.
     pub drawn_triangles: u64,
@@ -188,7 +188,11 @@ impl Renderer {
             scene: GpuScene::default(),
             targets: None,
             spare: Vec::new(),
-            ways: Ways { draw_here: is_cpu(&gpu.info), by_shades: true },
+            ways: Ways {
+                own_shadow_map: is_cpu(&gpu.info),
+                own_visibility: is_cpu(&gpu.info) && gpu.takes_stencils,
+                by_shades: true,
+            },
             layouts,
             gpu,
         };
@@ -236,8 +240,8 @@ impl Renderer {
         });
         let (scene, drawn) = wide.as_ref().map_or((scene, &picture), |(scene, drawn)| (scene, drawn));
         let mut targets = match self.targets.take() {
-            Some(kept) if kept.serve(drawn, self.ways.draw_here) => kept,
-            _ => Targets::new(&self.gpu, drawn, self.ways.draw_here)?,
+            Some(kept) if kept.serve(drawn, self.ways.own_visibility) => kept,
+            _ => Targets::new(&self.gpu, drawn, self.ways.own_visibility)?,
         };
         self.spare.retain(|slot| slot.packed.serves(picture.size, picture.annotations));
         let mut slot = self.spare.pop().unwrap_or_else(|| Slot {
@@ -258,14 +262,17 @@ impl Renderer {
         let uploaded = Instant::now();
         let submission = self.gpu.guard(|| self.submit_frame(&targets, &slot))?;
         self.targets = Some(targets);
+        let DrawnHere { shadow_map_ms, visibility_ms } = self.scene.drawn_here;
         Ok(InFlight {
             asked,
             picture,
             wide,
             slot,
             submission,
-            upload_ms: milliseconds(uploaded - start) - self.scene.drawn_here_ms.unwrap_or_default().iter().sum::<f64>(),
-            drawn_here_ms: self.scene.drawn_here_ms,
+            upload_ms: milliseconds(uploaded - start)
+                - shadow_map_ms.unwrap_or_default()
+                - visibility_ms.unwrap_or_default(),
+            drawn_here: self.scene.drawn_here,
             uploaded,
             drawn_triangles: self.scene.drawn_triangles,
             uploaded_bytes: self.scene.uploaded_bytes,
@@ -277,7 +284,7 @@ impl Renderer {
     /// # Errors
     /// [`Error::DeviceLost`] or [`Error::Device`].
     pub fn finish(&mut self, in_flight: InFlight, scene: &Scene) -> Result<(Frame, StageTimes)> {
-        let InFlight { asked, picture, wide, slot, submission, upload_ms, drawn_here_ms, uploaded, .. } =
+        let InFlight { asked, picture, wide, slot, submission, upload_ms, drawn_here, uploaded, .. } =
             in_flight;
         let (drawn_scene, drawn) = wide.as_ref().map_or((scene, &picture), |(scene, drawn)| (scene, drawn));
         self.gpu.wait(&submission)?;
@@ -287,11 +294,10 @@ impl Renderer {
         frame.lens = drawn_scene.camera.lens;
         let read = Instant::now();
         let mut times = vec![("upload", upload_ms)];
-        if let Some([shadow_ms, visibility_ms]) = drawn_here_ms {
-            times.extend([("shadow", shadow_ms), ("visibility", visibility_ms)]);
-        }
+        times.extend(drawn_here.shadow_map_ms.map(|ms| ("shadow", ms)));
+        times.extend(drawn_here.visibility_ms.map(|ms| ("visibility", ms)));
         if let Some(timer) = &slot.timer {
-            times.extend(timer.read(&self.gpu, &submission, first_pass(drawn_here_ms))?);
+            times.extend(timer.read(&self.gpu, &submission, by_device(drawn_here))?);
         }
         times.extend([("gpu", milliseconds(done - uploaded)), ("readback", milliseconds(read - done))]);
         self.spare.push(slot);
@@ -362,7 +368,7 @@ impl Renderer {
         );
         packed.copy(encoder);
         if let Some(timer) = timer {
-            timer.copy(encoder, first_pass(self.scene.drawn_here_ms));
+            timer.copy(encoder, by_device(self.scene.drawn_here));
         }
     }
 
@@ -478,9 +484,13 @@ impl BindLayouts {
     }
 }
 
-/// The first pass that the device is given, if this program drew others before it in so long.
-const fn first_pass(drawn_here_ms: Option<[f64; 2]>) -> Pass {
-    if drawn_here_ms.is_some() { Pass::Scene } else { Pass::Shadow }
+/// Tells of each pass whether the device is given it, and not this program.
+fn by_device(drawn_here: DrawnHere) -> impl Fn(Pass) -> bool {
+    move |pass| match pass {
+        Pass::Shadow => drawn_here.shadow_map_ms.is_none(),
+        Pass::Visibility => drawn_here.visibility_ms.is_none(),
+        Pass::Scene | Pass::Resolve => true,
+    }
 }
 
 fn vertex_layout(attributes: &[wgpu::VertexAttribute]) -> wgpu::VertexBufferLayout<'_> {
@@ -492,12 +502,7 @@ fn vertex_layout(attributes: &[wgpu::VertexAttribute]) -> wgpu::VertexBufferLayo
 }
 
 /// Draws a list. `group` is that of the scene, which each draw binds at its instance.
-fn draw_all(
-    pass: &mut wgpu::RenderPass<'_>,
-    group: &wgpu::BindGroup,
-    scene: &GpuScene,
-    draws: &[Draw],
-) {
+fn draw_all(pass: &mut wgpu::RenderPass<'_>, group: &wgpu::BindGroup, scene: &GpuScene, draws: &[Draw]) {
     pass.set_vertex_buffer(0, scene.vertices.buffer().slice(..));
     pass.set_index_buffer(scene.indices.buffer().slice(..), wgpu::IndexFormat::Uint32);
     let mut bound = None;

@@ -48,7 +48,11 @@ impl Staging {
     ///
     /// # Errors
     /// [`Error::DeviceLost`] or [`Error::Device`].
-    pub fn write<T>(&mut self, gpu: &Gpu, write: impl FnOnce(&mut dyn Iterator<Item = Page<'_>>) -> T) -> Result<T> {
+    pub fn write<T>(
+        &mut self,
+        gpu: &Gpu,
+        write: impl FnOnce(&mut dyn Iterator<Item = Page<'_>>) -> T,
+    ) -> Result<T> {
         if let Some(copied) = self.copied.take() {
             gpu.guard(|| self.buffer.map_async(wgpu::MapMode::Write, .., |_| {}))?;
             gpu.wait(&copied)?;

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use super::RenderSettings;
 use super::gpu_scene::{DOME_LEVEL, STAR_LEVEL, Slots, near_to_far};
 use super::lit::{Group, Groups};
-use super::raster::{self, FURTHEST_PX, Place, Turn, texels_between};
+use super::raster::{self, FURTHEST_PX, Place, Plane, Turn, texels_between};
 use super::relief::Bands;
 use super::selection::{Bounds, SelectedRock, Selection, cell_bounds, ground_blocks};
 use super::shadow::{CasterGrids, Shades};
@@ -38,6 +38,15 @@ pub struct Corner {
     pub normal_per_w: Vec3,
 }
 
+impl Corner {
+    /// What of it is linear over the picture.
+    #[inline(always)]
+    pub fn per_w(self) -> [f32; 4] {
+        let Vec3 { x, y, z } = self.normal_per_w;
+        [self.inverse_w, x, y, z]
+    }
+}
+
 /// A triangle that may cover samples. Its corners run counter-clockwise as it is seen.
 #[derive(Clone, Copy, Debug)]
 pub struct Facet {
@@ -49,6 +58,8 @@ pub struct Facet {
     pub rows: [u16; 2],
     /// What can shade it.
     pub shades: Shades,
+    /// Of a piece of a triangle that was clipped, its place in [`Mesh::clipped`]: the piece may be thin and its corners far away.
+    pub clipped: Option<u32>,
 }
 
 /// For each of [`Shades`].
@@ -67,6 +78,8 @@ pub struct Mesh {
     pub corners: Vec<Corner>,
     /// Its triangles.
     pub facets: Vec<Facet>,
+    /// Of triangles that were clipped: one over the metres along the axis, and the normal times that, from the first sample on.
+    pub clipped: Vec<[Plane; 4]>,
     /// First and last row of samples that it may cover.
     pub rows: [u16; 2],
 }
@@ -246,6 +259,29 @@ impl Samples {
         Corner { place, at: at - 0.5, inverse_w, normal_per_w: inverse_w * normal }
     }
 
+    /// What is linear over the picture of a triangle, wherever its corners are: one over the metres along the axis, and the normal
+    /// times that (Olano and Greer 1997, "Triangle Scan Conversion using 2D Homogeneous Coordinates", section 3). None of a
+    /// triangle that is seen edge-on.
+    fn planes(&self, triangle: [Homogeneous; 3]) -> Option<[Plane; 4]> {
+        let half = self.half_size.as_dvec2();
+        let [a, b, c] = triangle.map(|v| {
+            let (at, w) = (v.at.as_dvec2(), f64::from(v.w));
+            (at * half + w * (half - 0.5)).extend(w)
+        });
+        let (of_a, of_b, of_c) = (b.cross(c), c.cross(a), a.cross(b));
+        let volume = a.dot(of_a);
+        let plane = |values: [f32; 3]| {
+            let [at_a, at_b, at_c] = values.map(f64::from);
+            let [per_column, per_row, first] =
+                ((at_a * of_a + at_b * of_b + at_c * of_c) / volume).as_vec3().to_array();
+            Plane { first, per_column, per_row }
+        };
+        let normals = triangle.map(|v| v.normal);
+        let axes = [|n: Vec3| n.x, |n: Vec3| n.y, |n: Vec3| n.z];
+        let [x, y, z] = axes.map(|axis| plane(normals.map(axis)));
+        (volume != 0.0).then_some([plane([1.0; 3]), x, y, z])
+    }
+
     /// What of a triangle is before the lens and not far beside the picture: a convex polygon, or nothing.
     ///
     /// An edge that two triangles share is cut alike: from the end that stays to the one that goes (Sutherland and Hodgman
@@ -301,6 +337,7 @@ impl Mesh {
         self.rows = [u16::MAX, 0];
         self.corners.clear();
         self.facets.clear();
+        self.clipped.clear();
     }
 
     fn add_rock(&mut self, of: &Picture<'_>, selected: &SelectedRock) {
@@ -397,7 +434,7 @@ impl Mesh {
             let Some((triangle, texels)) = self.shown(samples, triangle, sides) else { return };
             if let Some(shades) = shades() {
                 let facing = || facing(triangle.map(&vertex));
-                self.push(triangle, texels, shades, facing);
+                self.push(triangle, texels, shades, facing, None);
             }
             return;
         }
@@ -426,16 +463,23 @@ impl Mesh {
         if shown.is_empty() {
             return;
         }
-        if let Some(shades) = shades() {
+        if let (Some(planes), Some(shades)) = (samples.planes(homogeneous), shades()) {
+            let clipped = Some(self.clipped.len() as u32);
+            self.clipped.push(planes);
             for (corners, texels) in shown {
-                self.push(corners, texels, shades, || facing(triangle.map(&vertex)));
+                self.push(corners, texels, shades, || facing(triangle.map(&vertex)), clipped);
             }
         }
     }
 
     /// A triangle, as it is seen counter-clockwise, and the columns and rows of samples around it; none if it covers no sample.
     #[inline]
-    fn shown(&self, samples: &Samples, [a, b, c]: [u32; 3], sides: Sides) -> Option<([u32; 3], [(i32, i32); 2])> {
+    fn shown(
+        &self,
+        samples: &Samples,
+        [a, b, c]: [u32; 3],
+        sides: Sides,
+    ) -> Option<([u32; 3], [(i32, i32); 2])> {
         let places = [a, b, c].map(|corner| self.corners[corner as usize].place);
         let texels = texels_between(places, samples.size)?;
         match (Turn::of(places)?, sides) {
@@ -452,13 +496,14 @@ impl Mesh {
         [columns, rows]: [(i32, i32); 2],
         shades: Shades,
         facing: impl FnOnce() -> u32,
+        clipped: Option<u32>,
     ) {
         let bounds = &mut self.bounds[shades as usize];
         *bounds = bounds.union(Bounds::of_samples(columns, rows));
         let facing = if shades == Shades::Casters { facing() } else { 0 };
         let rows = [rows.0 as u16, rows.1 as u16];
         self.rows = [self.rows[0].min(rows[0]), self.rows[1].max(rows[1])];
-        self.facets.push(Facet { corners, facing, rows, shades });
+        self.facets.push(Facet { corners, facing, rows, shades, clipped });
     }
 }
 

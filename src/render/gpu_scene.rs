@@ -23,8 +23,8 @@ use super::shadow_raster;
 use super::targets::{Background, Targets};
 use super::visibility_raster::Stencil;
 use crate::class::ClassId;
-use crate::frame::Annotation;
 use crate::error::Result;
+use crate::frame::Annotation;
 use crate::gpu::Gpu;
 use crate::gpu::staging::Staging;
 use crate::scene::Scene;
@@ -105,8 +105,8 @@ pub struct GpuScene {
     stencil: Stencil,
     /// If this program found the dome in every sample that shows nothing else: it, and it is not drawn.
     pub background: Option<Background>,
-    /// If this program drew both: how long each took.
-    pub drawn_here_ms: Option<[f64; 2]>,
+    /// What this program drew.
+    pub drawn_here: DrawnHere,
     /// Triangles drawn of what is seen.
     pub drawn_triangles: u64,
     /// The ground's horizon, two heights a texel.
@@ -127,11 +127,22 @@ struct GroundBlocks {
 /// What is left to this program, which a device could do.
 #[derive(Clone, Copy, Debug)]
 pub struct Ways {
-    /// Shadow map ([`super::shadow_raster`]) and visibility ([`super::visibility_raster`]) are drawn by this program.
-    pub draw_here: bool,
+    /// The shadow map is drawn by this program ([`super::shadow_raster`]).
+    pub own_shadow_map: bool,
+    /// What samples show is drawn by this program ([`super::visibility_raster`]).
+    pub own_visibility: bool,
     /// What is drawn so is told apart by what can shade it, to be lit by programs that do no more than that: no plane changes
     /// by a bit.
     pub by_shades: bool,
+}
+
+/// What this program drew of a frame, and how long each took, milliseconds.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct DrawnHere {
+    /// The shadow map.
+    pub shadow_map_ms: Option<f64>,
+    /// What samples show.
+    pub visibility_ms: Option<f64>,
 }
 
 /// Bytes from one of several uniforms in a buffer to the next: by WebGPU's default limits, bindings start at multiples of
@@ -228,7 +239,7 @@ impl Default for GpuScene {
             facets: Facets::default(),
             stencil: Stencil::default(),
             background: None,
-            drawn_here_ms: None,
+            drawn_here: DrawnHere::default(),
             drawn_triangles: 0,
             horizon: None,
             ground: None,
@@ -259,26 +270,30 @@ impl GpuScene {
         let slots = Slots { selection: &selection };
         self.uploaded_bytes += self.instances.write(gpu, &self::slots(&instances(scene, settings, slots)));
         let mut seen = all_groups(&bands, slots);
-        (self.drawn_here_ms, self.background) = (None, None);
-        if ways.draw_here {
+        (self.drawn_here, self.background) = (DrawnHere::default(), None);
+        self.draws = DrawList::default();
+        if ways.own_shadow_map {
             let start = Instant::now();
             shadow_raster::draw(scene, &selection, &mut self.shadow_map);
-            let between = Instant::now();
+            self.drawn_here.shadow_map_ms = Some(super::milliseconds(start.elapsed()));
+            self.uploaded_bytes += size_of_val(&self.shadow_map[..]) as u64;
+        }
+        if ways.own_visibility {
+            let start = Instant::now();
             self.facets.find(scene, &selection, settings, &caster_grid, &bands, ways.by_shades);
-            let ms = |from: Instant, to: Instant| super::milliseconds(to - from);
-            self.drawn_here_ms = Some([ms(start, between), ms(between, Instant::now())]);
             for mesh in self.facets.meshes() {
                 for (group, bounds) in mesh.groups.iter().zip(mesh.bounds) {
-                    let bounds_so_far = &mut seen[usize::from(*group)].bounds;
-                    *bounds_so_far = bounds_so_far.union(bounds);
+                    let seen = &mut seen[usize::from(*group)];
+                    seen.bounds = seen.bounds.union(bounds);
                 }
             }
             self.drawn_triangles = self.facets.meshes().iter().map(|mesh| mesh.facets.len() as u64).sum();
-            self.draws = DrawList { casters: Vec::new(), seen };
-            self.uploaded_bytes += size_of_val(&self.shadow_map[..]) as u64;
-        } else {
-            self.upload_draws(gpu, scene, settings, &bands, slots, seen);
+            self.drawn_here.visibility_ms = Some(super::milliseconds(start.elapsed()));
         }
+        if !(ways.own_shadow_map && ways.own_visibility) {
+            self.upload_draws(gpu, scene, settings, &bands, slots, &mut seen);
+        }
+        self.draws.seen = seen;
         self.draws.seen.retain(|seen| seen.bounds != Bounds::NOWHERE);
         let tiles: Vec<CasterTile> = casters.iter().map(|caster| caster.tile).collect();
         self.uploaded_bytes += self.tiles.write(gpu, &tiles);
@@ -293,7 +308,7 @@ impl GpuScene {
     /// The shadow map, unless the device is to draw it.
     #[must_use]
     pub fn shadow_map(&self) -> Option<&[f32]> {
-        self.drawn_here_ms.map(|_| &self.shadow_map[..])
+        self.drawn_here.shadow_map_ms.map(|_| &self.shadow_map[..])
     }
 
     /// Draws what the samples show of the scene that was uploaded last and gives it to the device, unless that is to draw it.
@@ -307,7 +322,7 @@ impl GpuScene {
         targets: &mut Targets,
         staging: &mut Option<Staging>,
     ) -> Result<()> {
-        let Some([_, visibility_ms]) = &mut self.drawn_here_ms else { return Ok(()) };
+        let Some(visibility_ms) = &mut self.drawn_here.visibility_ms else { return Ok(()) };
         let start = Instant::now();
         self.uploaded_bytes += targets.give(gpu, staging, &self.facets, &mut self.stencil)?;
         if !self.stencil.has_holes {
@@ -347,7 +362,8 @@ impl GpuScene {
         self.uploaded_bytes += self.indices.write(gpu, triangles.as_flattened());
     }
 
-    /// Vertices, indices and draws of ground, rocks and sky, whole meshes, for `seen`: all groups.
+    /// Vertices, indices and draws of what the device is to draw, whole meshes: casters, and ground, rocks and sky for `seen`, all
+    /// groups.
     fn upload_draws(
         &mut self,
         gpu: &Gpu,
@@ -355,7 +371,7 @@ impl GpuScene {
         settings: &RenderSettings,
         bands: &Bands,
         slots: Slots<'_>,
-        mut seen: Vec<Seen>,
+        seen: &mut [Seen],
     ) {
         self.upload_indices(gpu, scene);
         let selection = slots.selection;
@@ -376,44 +392,49 @@ impl GpuScene {
             seen.draws.push(draw);
             seen.bounds = seen.bounds.union(bounds);
         };
-        let base_vertex = upload(&scene.terrain.vertices);
-        if let Some(known) = &self.ground {
-            for (_, block) in near_to_far(selection.blocks.iter().map(|&(block, near_m)| (near_m, block))) {
-                let group = Groups::ground(bands.of_block(block), Shades::Casters);
-                let indices = known.blocks[block].clone();
-                show(group, Draw { indices, base_vertex, instance: Slots::GROUND }, Bounds::ANYWHERE);
-            }
-        }
+        let DrawnHere { shadow_map_ms, visibility_ms } = self.drawn_here;
+        let (draws_casters, draws_seen) = (shadow_map_ms.is_none(), visibility_ms.is_none());
         // As many vertices as the finer of a rock's uses needs.
-        let mut casters = Vec::new();
         let mut seen_rocks = Vec::new();
         for (place, selected) in selection.rocks.iter().enumerate() {
-            let casts = selected.caster.map(|(_, level)| level);
-            let Some(finer) = selected.seen_level.max(casts) else { continue };
+            let casts = selected.caster.map(|(_, level)| level).filter(|_| draws_casters);
+            let shows = selected.seen_level.filter(|_| draws_seen);
+            let Some(finer) = shows.max(casts) else { continue };
             let rock = &scene.rocks[selected.rock];
             let base_vertex = upload(&rock.vertices[..Icosphere::vertex_count(finer.min(rock.level))]);
             let draw = |level: usize| {
                 let (indices, instance) = (self.sphere_levels[level].clone(), Slots::rock(place));
                 Draw { indices, base_vertex, instance }
             };
-            casters.extend(casts.map(draw));
+            self.draws.casters.extend(casts.map(draw));
             let bounds = Bounds::of_ball(scene, settings, rock.centre, rock.radius_m);
-            seen_rocks.extend(selected.seen_level.map(|level| (selected.nearest_m, (draw(level), bounds))));
+            seen_rocks.extend(shows.map(|level| (selected.nearest_m, (draw(level), bounds))));
         }
-        for (_, (draw, bounds)) in near_to_far(seen_rocks.into_iter()) {
-            show(Groups::rocks(Shades::Casters), draw, bounds);
-        }
-        let groups = Groups::new(bands.bands.len());
-        let sky = [(groups.stars(), STAR_LEVEL, slots.stars()), (groups.dome(), DOME_LEVEL, slots.dome())];
-        for (group, level, instances) in sky {
-            for instance in instances {
-                let indices = self.sphere_levels[level].clone();
-                show(group, Draw { indices, base_vertex: 0, instance }, Bounds::ANYWHERE);
+        if draws_seen {
+            for (_, (draw, bounds)) in near_to_far(seen_rocks.into_iter()) {
+                show(Groups::rocks(Shades::Casters), draw, bounds);
             }
+            let base_vertex = upload(&scene.terrain.vertices);
+            if let Some(known) = &self.ground {
+                let blocks = selection.blocks.iter().map(|&(block, nearest_m)| (nearest_m, block));
+                for (_, block) in near_to_far(blocks) {
+                    let group = Groups::ground(bands.of_block(block), Shades::Casters);
+                    let indices = known.blocks[block].clone();
+                    show(group, Draw { indices, base_vertex, instance: Slots::GROUND }, Bounds::ANYWHERE);
+                }
+            }
+            let groups = Groups::new(bands.bands.len());
+            let sky =
+                [(groups.stars(), STAR_LEVEL, slots.stars()), (groups.dome(), DOME_LEVEL, slots.dome())];
+            for (group, level, instances) in sky {
+                for instance in instances {
+                    let indices = self.sphere_levels[level].clone();
+                    show(group, Draw { indices, base_vertex: 0, instance }, Bounds::ANYWHERE);
+                }
+            }
+            let triangles = |draw: &Draw| u64::from(draw.indices.end - draw.indices.start) / 3;
+            self.drawn_triangles = seen.iter().flat_map(|seen| &seen.draws).map(triangles).sum();
         }
-        let triangles = |draw: &Draw| u64::from(draw.indices.end - draw.indices.start) / 3;
-        self.drawn_triangles = seen.iter().flat_map(|seen| &seen.draws).map(triangles).sum();
-        self.draws = DrawList { casters, seen };
         self.uploaded_bytes += self.vertices.write_parts(gpu, &uploads);
     }
 

@@ -50,12 +50,16 @@ pub trait Paint<S: Simd> {
     fn paint(&mut self, simd: S, texels: [usize; 2], inside: mask32x8<S>, x: f32x8<S>, y: f32x8<S>);
 }
 
-/// A number that is linear over a triangle: what it is at the first texel of its outline, and what each column and each row adds.
+/// A number that is linear over the texels: what it is at the first, that of the buffer or that of an [`Outline`], and what each
+/// column and each row adds.
 #[derive(Clone, Copy, Debug)]
 pub struct Plane {
-    first: f32,
-    per_column: f32,
-    per_row: f32,
+    /// At the first.
+    pub first: f32,
+    /// What a column adds.
+    pub per_column: f32,
+    /// What a row adds.
+    pub per_row: f32,
 }
 
 impl Plane {
@@ -187,6 +191,14 @@ impl Outline {
         planes
     }
 
+    /// A number that is known from the first texel of the buffer on.
+    #[must_use]
+    #[inline(always)]
+    pub fn from_here(&self, plane: Plane) -> Plane {
+        let (column, row) = (self.columns.0 as f32, self.rows.0 as f32);
+        Plane { first: plane.first + column * plane.per_column + row * plane.per_row, ..plane }
+    }
+
     /// Paints it into a buffer of which row 0 is `first_row` and each takes `stride`.
     #[inline(always)]
     pub fn fill<S: Simd>(&self, simd: S, first_row: i32, stride: usize, target: &mut impl Paint<S>) {
@@ -244,7 +256,8 @@ impl Outline {
         let mut row = self.rows.0;
         while row <= self.rows.1 {
             // What is below the last row is painted with it, but not of this triangle's band.
-            let spans = [self.span(row), if row < self.rows.1 { self.span(row + 1) } else { (i32::MAX, i32::MIN) }];
+            let spans =
+                [self.span(row), if row < self.rows.1 { self.span(row + 1) } else { (i32::MAX, i32::MIN) }];
             let (first, last) = (spans[0].0.min(spans[1].0), spans[0].1.max(spans[1].1));
             let upper = (row - first_row) as usize * stride;
             let is_lower = lane_rows.simd_gt(0);
@@ -286,10 +299,7 @@ impl Outline {
 /// Columns and rows of eight texels.
 #[inline(always)]
 fn lanes<S: Simd>(simd: S) -> (i32x8<S>, i32x8<S>) {
-    (
-        i32x8::from_slice(simd, &[0, 1, 2, 3, 0, 1, 2, 3]),
-        i32x8::from_slice(simd, &[0, 0, 0, 0, 1, 1, 1, 1]),
-    )
+    (i32x8::from_slice(simd, &[0, 1, 2, 3, 0, 1, 2, 3]), i32x8::from_slice(simd, &[0, 0, 0, 0, 1, 1, 1, 1]))
 }
 
 #[cfg(test)]
@@ -371,7 +381,8 @@ mod tests {
                 for row in 0..SIZE {
                     for column in 0..SIZE {
                         let at = Place { x: column as i32 * PARTS, y: row as i32 * PARTS };
-                        let sides = [(a, b), (b, c), (c, a)].map(|(from, to)| twice_area(from, to, at).signum());
+                        let sides =
+                            [(a, b), (b, c), (c, a)].map(|(from, to)| twice_area(from, to, at).signum());
                         let texel = row * STRIDE + column;
                         match (sides.contains(&1), sides.contains(&-1)) {
                             (true, true) => assert_eq!(sheet.times[texel], 0, "triangle {number}: {at:?}"),
@@ -420,7 +431,8 @@ mod tests {
                 let whole = painted(&triangle, ALL, wide);
                 for first in (0..SIZE).step_by(8) {
                     let band = painted(&triangle, first as i32..first as i32 + 8, wide);
-                    let rows = |sheet: &Sheet, first: usize| sheet.times[first * STRIDE..][..8 * STRIDE].to_vec();
+                    let rows =
+                        |sheet: &Sheet, first: usize| sheet.times[first * STRIDE..][..8 * STRIDE].to_vec();
                     assert_eq!(rows(&band, 0), rows(&whole, first), "triangle {number}, row {first}");
                 }
             }

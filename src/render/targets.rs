@@ -9,8 +9,8 @@ use glam::Vec3;
 use wgpu::{TextureFormat, TextureUsages};
 
 use super::RenderSettings;
-use super::resolve::Packing;
 use super::facets::Facets;
+use super::resolve::Packing;
 use super::visibility_raster::Stencil;
 use crate::class::ClassId;
 use crate::error::{Error, Result};

@@ -26,7 +26,9 @@ impl Pass {
 }
 
 const QUERIES: u32 = 2 * Pass::ALL.len() as u32;
-const BYTES: u64 = 8 * QUERIES as u64;
+/// Bytes from the times of one pass to those of the next: queries are resolved to multiples of this.
+const PASS_BYTES: u64 = wgpu::QUERY_RESOLVE_BUFFER_ALIGNMENT;
+const BYTES: u64 = PASS_BYTES * Pass::ALL.len() as u64;
 
 /// Timestamps at the start and end of every pass.
 #[derive(Debug)]
@@ -84,30 +86,33 @@ impl Timer {
         }
     }
 
-    /// Records the copy of the times to where the program can read them. `first` is the first pass that was recorded: a device
-    /// waits for ever for one that was not.
-    pub(super) fn copy(&self, encoder: &mut wgpu::CommandEncoder, first: Pass) {
-        encoder.resolve_query_set(&self.queries, 2 * first as u32..QUERIES, &self.buffer, 0);
+    /// Records the copy of the times to where the program can read them. `is_recorded` tells of each pass whether it was recorded:
+    /// a device waits for ever for one that was not.
+    pub(super) fn copy(&self, encoder: &mut wgpu::CommandEncoder, is_recorded: impl Fn(Pass) -> bool) {
+        for (pass, _) in Pass::ALL.into_iter().filter(|(pass, _)| is_recorded(*pass)) {
+            let queries = 2 * pass as u32..2 * pass as u32 + 2;
+            encoder.resolve_query_set(&self.queries, queries, &self.buffer, PASS_BYTES * pass as u64);
+        }
         self.readback.copy(encoder, &self.buffer, BYTES);
     }
 
-    /// Waits for the times, from that of the pass which was recorded first.
+    /// Waits for the times of the passes that were recorded.
     pub(super) fn read(
         &self,
         gpu: &Gpu,
         submission: &wgpu::SubmissionIndex,
-        first: Pass,
+        is_recorded: impl Fn(Pass) -> bool,
     ) -> Result<StageTimes> {
         let to_ms = f64::from(gpu.queue.get_timestamp_period()) * 1e-6;
         self.readback.read(gpu, submission, |bytes| {
-            let ticks: Vec<u64> = bytes
-                .chunks_exact(8)
-                .map(|tick| u64::from_le_bytes(tick.try_into().unwrap_or_default()))
-                .collect();
-            Pass::ALL[first as usize..]
-                .iter()
-                .zip(ticks.chunks_exact(2))
-                .map(|(&(_, name), pair)| (name, pair[1].saturating_sub(pair[0]) as f64 * to_ms))
+            let tick = |at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap_or_default());
+            Pass::ALL
+                .into_iter()
+                .filter(|(pass, _)| is_recorded(*pass))
+                .map(|(pass, name)| {
+                    let at = PASS_BYTES as usize * pass as usize;
+                    (name, tick(at + 8).saturating_sub(tick(at)) as f64 * to_ms)
+                })
                 .collect()
         })
     }

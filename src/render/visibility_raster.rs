@@ -148,16 +148,17 @@ impl Sheet {
                 let Some(outline) = Outline::new(places, width, rows.clone()) else { continue };
                 let group = mesh.groups[facet.shades as usize];
                 let thing = (u32::from(group) + 1) | (mesh.slot << SLOT_AT);
-                let at = corners.map(|corner| corner.at);
                 let (first, stride) = (rows.start, self.stride);
+                let [inverse_w, x, y, z] = match facet.clipped {
+                    Some(clipped) => mesh.clipped[clipped as usize].map(|plane| outline.from_here(plane)),
+                    None => outline.planes(corners.map(|corner| corner.at), corners.map(Corner::per_w)),
+                };
                 if group < groups.stars() {
-                    let values = corners.map(|Corner { inverse_w, normal_per_w: n, .. }| [inverse_w, n.x, n.y, n.z]);
-                    let [inverse_w, x, y, z] = outline.planes(at, values);
                     let normal = [x, y, z];
-                    let mut brush = ThingBrush { sheet: self, inverse_w, normal, facing: facet.facing, thing };
+                    let mut brush =
+                        ThingBrush { sheet: self, inverse_w, normal, facing: facet.facing, thing };
                     outline.fill(simd, first, stride, &mut brush);
                 } else {
-                    let [inverse_w] = outline.planes(at, corners.map(|corner| [corner.inverse_w]));
                     outline.fill(simd, first, stride, &mut SkyBrush { sheet: self, inverse_w, thing });
                 }
             }

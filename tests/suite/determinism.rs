@@ -1,6 +1,7 @@
 //! Same seed and knobs: same bytes, whatever ran before and on however many threads.
 
 use regolith::frame::{Annotation, Frame};
+use regolith::render::gpu_scene::Ways;
 use regolith::render::{InFlight, RenderSettings};
 
 use crate::support::{folder, json, program, render, renderer, run_ok, scene};
@@ -136,7 +137,8 @@ fn telling_apart_what_can_shade_changes_no_label_and_no_colour() {
 #[test]
 fn what_is_drawn_here_is_what_the_device_draws() {
     let mut renderer = renderer();
-    assert!(renderer.ways.draw_here, "the device of the tests is a CPU");
+    let ways = renderer.ways;
+    assert!(ways.own_shadow_map && ways.own_visibility, "the device of the tests is a CPU");
     for (seed, set) in [
         (1, &[][..]),
         (2, &["sun.elevation_deg=3", "sun.azimuth_deg=10"]),
@@ -150,9 +152,18 @@ fn what_is_drawn_here_is_what_the_device_draws() {
         let scene = scene(seed, set);
         let settings = all_planes(192);
         let here = renderer.render(&scene, &settings).expect("a frame").0;
-        renderer.ways.draw_here = false;
+        renderer.ways = Ways { own_shadow_map: false, own_visibility: false, ..ways };
         let there = renderer.render(&scene, &settings).expect("a frame").0;
-        renderer.ways.draw_here = true;
+        for (own_shadow_map, own_visibility) in [(true, false), (false, true)] {
+            renderer.ways = Ways { own_shadow_map, own_visibility, ..ways };
+            let mixed = renderer.render(&scene, &settings).expect("a frame").0;
+            let alike = if own_visibility { &here } else { &there };
+            assert!(
+                mixed.class == alike.class && mixed.depth_m == alike.depth_m,
+                "seed {seed}: a way of each"
+            );
+        }
+        renderer.ways = ways;
         // Where the places of corners are rounded the other way, a sample of an outline or a texel of a shadow may differ, and
         // with it all that is reckoned of it.
         let labels = share(&here.class, &there.class, |a, b| a != b)
@@ -162,7 +173,10 @@ fn what_is_drawn_here_is_what_the_device_draws() {
         let hidden = share(&here.hidden, &there.hidden, |a, b| a.abs_diff(b) > 2);
         let rgb = share(&here.rgb, &there.rgb, |a, b| a.abs_diff(b) > 2);
         assert!(labels < 1e-4, "seed {seed}: {labels} of the labels differ");
-        assert!(depth < 1e-4 && normals < 1e-4, "seed {seed}: {depth} of depths, {normals} of normals differ");
+        assert!(
+            depth < 1e-4 && normals < 1e-4,
+            "seed {seed}: {depth} of depths, {normals} of normals differ"
+        );
         assert!(hidden < 5e-4 && rgb < 5e-4, "seed {seed}: {hidden} of shadows, {rgb} of colours differ");
     }
 }
