@@ -10,10 +10,12 @@ use regolith::output::edges::EdgePolicy;
 use regolith::output::{self, LabelIds, Source};
 use regolith::params::Params;
 use regolith::random::Streams;
-use regolith::render::facing::{BlockTriangles, Facing, RockTriangles};
+use regolith::render::facets::Facets;
 use regolith::render::footprint::Footprint;
 use regolith::render::horizon::HorizonMap;
+use regolith::render::relief::Bands;
 use regolith::render::selection::{SelectedRock, Selection};
+use regolith::render::visibility_raster::Stencil;
 use regolith::render::{RenderSettings, shadow, shadow_raster};
 use regolith::scene::Scene;
 use regolith::scene::mesh::{Icosphere, set_smooth_normals};
@@ -75,7 +77,8 @@ fn picture(c: &mut Criterion) {
     let footprint = Footprint::new(&scene, &selection.frustum);
     let horizon = HorizonMap::build(&scene.terrain, &scene.sun, &footprint);
     let grid = shadow::caster_grid(&scene, &selection.casters, &horizon, &footprint);
-    let facing = Facing::new(&scene, &selection, &settings, &grid);
+    let bands = Bands::new(&scene, &selection, &settings);
+    let (mut facets, mut stencil) = (Facets::default(), Stencil::default());
     let mut map = Vec::new();
     let mut group = c.benchmark_group("picture");
     group.bench_function("selection", |b| b.iter(|| Selection::new(black_box(&scene), &settings)));
@@ -94,14 +97,20 @@ fn picture(c: &mut Criterion) {
     group.bench_function("shadow_map", |b| {
         b.iter(|| shadow_raster::draw(black_box(&scene), &selection, &mut map));
     });
-    let seen = |rock: &RockTriangles| rock.seen.iter().map(Vec::len).sum::<usize>();
-    let on_ground =
-        |block: &BlockTriangles| block.by_shades.iter().map(|kind| kind.triangles.len()).sum::<usize>();
-    let triangles =
-        facing.rocks.iter().map(seen).sum::<usize>() + facing.ground.iter().map(on_ground).sum::<usize>();
+    facets.find(&scene, &selection, &settings, &grid, &bands, true);
+    let triangles = facets.meshes().iter().map(|mesh| mesh.facets.len()).sum::<usize>();
     group.throughput(Throughput::Elements(triangles as u64));
-    group.bench_function("triangles", |b| {
-        b.iter(|| Facing::new(black_box(&scene), &selection, &settings, &grid));
+    group.bench_function("facets", |b| {
+        b.iter(|| facets.find(black_box(&scene), &selection, &settings, &grid, &bands, true));
+    });
+    let [width, height] = settings.sample_size();
+    group.throughput(Throughput::Elements(u64::from(width) * u64::from(height)));
+    group.bench_function("visibility", |b| {
+        b.iter(|| {
+            stencil.restart([width, height]);
+            let nowhere = (&mut std::iter::empty() as &mut dyn Iterator<Item = _>, 0);
+            stencil.draw(black_box(&facets), width as usize, &(0..height), &(0..0), nowhere);
+        });
     });
     group.finish();
 }

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use super::RenderSettings;
 use super::gpu_scene::{DOME_LEVEL, STAR_LEVEL, Slots, near_to_far};
 use super::lit::{Group, Groups};
-use super::raster::{self, FURTHEST_PX, Place, Plane, Turn, texels_between};
+use super::raster::{self, FURTHEST_PX, Place, Plane, Span, Turn, texels_between};
 use super::relief::Bands;
 use super::selection::{Bounds, SelectedRock, Selection, cell_bounds, ground_blocks};
 use super::shadow::{CasterGrids, Shades};
@@ -474,12 +474,7 @@ impl Mesh {
 
     /// A triangle, as it is seen counter-clockwise, and the columns and rows of samples around it; none if it covers no sample.
     #[inline]
-    fn shown(
-        &self,
-        samples: &Samples,
-        [a, b, c]: [u32; 3],
-        sides: Sides,
-    ) -> Option<([u32; 3], [(i32, i32); 2])> {
+    fn shown(&self, samples: &Samples, [a, b, c]: [u32; 3], sides: Sides) -> Option<([u32; 3], Span)> {
         let places = [a, b, c].map(|corner| self.corners[corner as usize].place);
         let texels = texels_between(places, samples.size)?;
         match (Turn::of(places)?, sides) {
@@ -493,7 +488,7 @@ impl Mesh {
     fn push(
         &mut self,
         corners: [u32; 3],
-        [columns, rows]: [(i32, i32); 2],
+        [columns, rows]: Span,
         shades: Shades,
         facing: impl FnOnce() -> u32,
         clipped: Option<u32>,
@@ -540,4 +535,110 @@ fn octahedron(v: Vec3) -> Vec2 {
     }
     let folded = 1.0 - Vec2::new(p.y, p.x).abs();
     Vec2::select(p.cmpge(Vec2::ZERO), folded, -folded)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::raster::{HEIGHT, Outline, Paint, WIDTH};
+    use crate::scene::camera::Camera;
+    use fearless_simd::prelude::*;
+    use fearless_simd::{Level, dispatch, f32x8, mask32x8};
+
+    const SIZE: [usize; 2] = [96, 64];
+
+    fn samples(pitch_deg: f64) -> Samples {
+        let size = SIZE.map(|side| side as u32);
+        let camera = Camera::new(Vec3::ZERO, [pitch_deg, 0.0, 0.0], 80.0, 2000.0, 0.0);
+        let half_size = 0.5 * UVec2::from(size).as_vec2();
+        Samples {
+            clip_from_offset: camera.clip_from_world(size),
+            half_size,
+            half_parts: size.map(|side| side as i32 * (raster::PARTS / 2)),
+            size: SIZE,
+            near_m: camera.near_m,
+            reach: FURTHEST_PX / half_size,
+        }
+    }
+
+    /// A mesh of these triangles.
+    fn mesh(samples: &Samples, vertices: &[Vec3], triangles: &[[u32; 3]]) -> Mesh {
+        let mut mesh = Mesh::default();
+        mesh.corners.extend(vertices.iter().map(|&v| samples.corner(v, Vec3::Z)));
+        for &triangle in triangles {
+            let vertex = |v: u32| (vertices[v as usize], Vec3::Z);
+            mesh.add(samples, triangle, Sides::Both, || Some(Shades::Nothing), vertex);
+        }
+        mesh
+    }
+
+    struct Count {
+        times: Vec<u32>,
+        inverse_w: Vec<f32>,
+        plane: Plane,
+    }
+
+    impl<S: Simd> Paint<S> for Count {
+        fn paint(&mut self, _: S, texels: [usize; 2], inside: mask32x8<S>, x: f32x8<S>, y: f32x8<S>) {
+            let inverse_w = self.plane.at(x, y);
+            for lane in (0..WIDTH * HEIGHT).filter(|&lane| inside.test(lane)) {
+                let texel = texels[lane / WIDTH] + lane % WIDTH;
+                self.times[texel] += 1;
+                self.inverse_w[texel] = inverse_w[lane];
+            }
+        }
+    }
+
+    /// Ground a metre below the eye that reaches behind it and far beside the picture: every sample below the horizon shows it
+    /// once, as far away as the ray meets it.
+    #[test]
+    fn what_reaches_behind_the_lens_is_cut_without_a_seam() {
+        let far_m = 1.0e5;
+        let corner = |x: f32, y: f32| Vec3::new(x * far_m, y * far_m, -1.0);
+        let vertices =
+            [corner(-1.0, -1.3), corner(1.1, -1.0), corner(1.0, 1.2), corner(-0.9, 1.0), Vec3::NEG_Z];
+        let triangles = [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]];
+        let stride = SIZE[0] + WIDTH;
+        for pitch_deg in [-70.0, -20.0, 0.0] {
+            let samples = samples(pitch_deg);
+            let mesh = mesh(&samples, &vertices, &triangles);
+            assert!(!mesh.clipped.is_empty());
+            let texels = stride * (SIZE[1] + HEIGHT);
+            let plane = Plane { first: 0.0, per_column: 0.0, per_row: 0.0 };
+            let mut count = Count { times: vec![0; texels], inverse_w: vec![0.0; texels], plane };
+            for facet in &mesh.facets {
+                let corners = facet.corners.map(|corner| mesh.corners[corner as usize]);
+                let places = corners.map(|corner| corner.place);
+                let outline = Outline::new(places, SIZE[0], 0..SIZE[1] as i32).expect("it covers a sample");
+                let planes = facet.clipped.map(|at| mesh.clipped[at as usize].map(|p| outline.from_here(p)));
+                [count.plane, ..] = planes.unwrap_or_else(|| {
+                    outline.planes(corners.map(|corner| corner.at), corners.map(Corner::per_w))
+                });
+                let count = &mut count;
+                dispatch!(Level::new(), simd => outline.fill(simd, 0, stride, count));
+            }
+            let place_of = samples.clip_from_offset.as_dmat4().inverse();
+            let mut shown = 0;
+            for row in 0..SIZE[1] {
+                for column in 0..SIZE[0] {
+                    let at = glam::DVec2::new(column as f64 + 0.5, row as f64 + 0.5)
+                        / samples.half_size.as_dvec2();
+                    let near = place_of * glam::DVec4::new(at.x - 1.0, 1.0 - at.y, 1.0, 1.0);
+                    let ray = near.truncate() / near.w;
+                    // Metres along the axis of the place on the ray that lies a metre down.
+                    let expected = -ray.z / f64::from(samples.near_m);
+                    let texel = row * stride + column;
+                    if expected > 1e-3 {
+                        assert_eq!(count.times[texel], 1, "pitch {pitch_deg}, sample {column}, {row}");
+                        let found = f64::from(count.inverse_w[texel]);
+                        assert!((found / expected - 1.0).abs() < 1e-5, "{found} for {expected}");
+                        shown += 1;
+                    } else if expected < 0.0 {
+                        assert_eq!(count.times[texel], 0, "pitch {pitch_deg}, sample {column}, {row}");
+                    }
+                }
+            }
+            assert!(shown > 2000, "{shown}");
+        }
+    }
 }

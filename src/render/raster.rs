@@ -144,10 +144,13 @@ fn middles_between(a: i32, b: i32, c: i32, first: i32, end: i32) -> (i32, i32) {
     (((low + PARTS - 1) >> PARTS_BITS).max(first), (high >> PARTS_BITS).min(end - 1))
 }
 
-/// First and last column and row of the texels of a buffer whose middles lie between three corners, if there are any.
+/// First and last of some columns, and of some rows.
+pub type Span = [(i32, i32); 2];
+
+/// The texels of a buffer whose middles lie between three corners, if there are any.
 #[must_use]
 #[inline(always)]
-pub fn texels_between([a, b, c]: [Place; 3], [width, height]: [usize; 2]) -> Option<[(i32, i32); 2]> {
+pub fn texels_between([a, b, c]: [Place; 3], [width, height]: [usize; 2]) -> Option<Span> {
     let columns = middles_between(a.x, b.x, c.x, 0, width as i32);
     let rows = middles_between(a.y, b.y, c.y, 0, height as i32);
     (((columns.1 - columns.0) | (rows.1 - rows.0)) >= 0).then_some([columns, rows])
