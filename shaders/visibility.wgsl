@@ -1,7 +1,7 @@
 // What each sample shows: which thing, and how its surface lies there. Light falls on it in the next pass.
 //
 // Not in the same draw, because triangles are small: a device shades 2 x 2 samples at a time, a driver that runs on the
-// CPU 4 x 4, as often as triangles touch them.
+// CPU 4 x 4, as often as triangles touch them. Twin, for such a driver: src/render/visibility_raster.rs.
 
 struct Varyings {
     @builtin(position) clip: vec4<f32>,
