@@ -43,8 +43,8 @@ impl Staging {
         row_pages == self.row_pages && self.buffer.size() == (row_pages * PAGE) as u64 * u64::from(rows)
     }
 
-    /// Waits until the device has copied what was written last, which it must be set to, and lets `write` write anew: to the pages of the first row, then
-    /// those of the next.
+    /// Waits until the device has copied what was written last, which it must be set to, and lets `write` write anew: to the pages
+    /// of the first row, then to those of the next.
     ///
     /// # Errors
     /// [`Error::DeviceLost`] or [`Error::Device`].

@@ -215,7 +215,11 @@ impl Targets {
         let rows_at_once = (STAGING_BYTES / row_bytes.next_multiple_of(PAGE as u32)).clamp(1, height);
         let staging = match staging.take() {
             Some(kept) if kept.serves(row_bytes, rows_at_once) => staging.insert(kept),
-            _ => staging.insert(Staging::new(gpu, "scene/staging", row_bytes, rows_at_once)),
+            _ => {
+                let made = gpu.guard(|| Staging::new(gpu, "scene/staging", row_bytes, rows_at_once))?;
+                gpu.check()?;
+                staging.insert(made)
+            }
         };
         let row_pages = staging.row_pages;
         // Where something was shown last there may be nothing but the sky now.
