@@ -138,7 +138,7 @@ pub struct Targets {
 }
 
 /// Most bytes that the device is given at once.
-const STAGING_BYTES: u32 = 128 << 20;
+const STAGING_BYTES: u32 = 32 << 20;
 
 impl Targets {
     /// Textures for a picture of this size. `is_given` tells whether the device is given what the samples show.

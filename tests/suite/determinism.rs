@@ -134,6 +134,19 @@ fn telling_apart_what_can_shade_changes_no_label_and_no_colour() {
     assert!(told_apart >= 10, "only {told_apart} groups more");
 }
 
+/// What samples show is given to the device in parts where it is much, here two.
+#[test]
+fn a_large_picture_drawn_here_has_the_labels_that_the_device_draws() {
+    let (scene, settings) = (scene(11, &[]), RenderSettings::new([1024, 1024], 4).expect("settings"));
+    let mut renderer = renderer();
+    let here = renderer.render(&scene, &settings).expect("a frame").0;
+    renderer.ways.own_visibility = false;
+    let there = renderer.render(&scene, &settings).expect("a frame").0;
+    renderer.ways.own_visibility = true;
+    let labels = share(&here.class, &there.class, |a, b| a != b);
+    assert!(labels < 1e-5, "{labels} of the labels differ");
+}
+
 #[test]
 fn what_is_drawn_here_is_what_the_device_draws() {
     let mut renderer = renderer();
