@@ -192,6 +192,18 @@ impl Gpu {
             texture.create_view(&wgpu::TextureViewDescriptor { label: Some(label), ..Default::default() });
         (texture, view)
     }
+
+    /// Writes texels, row by row, from the first on: so many columns and rows.
+    pub fn write_texels<T: bytemuck::NoUninit>(&self, texture: &wgpu::Texture, size: [u32; 2], texels: &[T]) {
+        let [width, height] = size;
+        let layout = wgpu::TexelCopyBufferLayout {
+            offset: 0,
+            bytes_per_row: Some(width * size_of::<T>() as u32),
+            rows_per_image: None,
+        };
+        let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
+        self.queue.write_texture(texture.as_image_copy(), bytemuck::cast_slice(texels), layout, size);
+    }
 }
 
 /// Every adapter that can be used, best first.

@@ -17,15 +17,11 @@ use crate::class::ClassId;
 use crate::error::Result;
 use crate::scene::mesh::Icosphere;
 use crate::scene::rocks::Material;
-use crate::scene::sky::{SUN_IRRADIANCE_PER_INTENSITY, Star};
+use crate::scene::sky::{DOME_LEVEL, STAR_LEVEL, SUN_IRRADIANCE_PER_INTENSITY, Star};
 use layer::{Layer, Prim, Property, Value};
 
 /// Half the angle of the dome's hole around the sun, degrees.
 const HOLE_DEG: f64 = 34.0;
-/// Level of the icosphere that the dome is.
-const DOME_LEVEL: usize = 4;
-/// Level of the icosphere that a star is.
-const STAR_LEVEL: usize = 1;
 /// Width of the camera's film, millimetres.
 const APERTURE_MM: f64 = 24.0;
 

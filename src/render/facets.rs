@@ -10,16 +10,17 @@ use glam::{Mat4, UVec2, Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::RenderSettings;
-use super::gpu_scene::{DOME_LEVEL, STAR_LEVEL, Slots, near_to_far};
 use super::lit::{Group, Groups};
-use super::raster::{self, FURTHEST_PX, Place, Plane, Span, Turn, texels_between};
+use super::raster::{self, FURTHEST_PX, Outline, Place, Plane, Span, Turn, texels_between};
 use super::relief::Bands;
-use super::selection::{Bounds, SelectedRock, Selection, cell_bounds, ground_blocks};
+use super::selection::{Bounds, SelectedRock, Selection, Slots, cell_bounds, ground_blocks, near_to_far};
 use super::shadow::{CasterGrids, Shades};
 use crate::scene::Scene;
+use crate::scene::camera::Camera;
 use crate::scene::mesh::{Icosphere, Vertex};
 use crate::scene::noise::floor;
 use crate::scene::rocks::Rock;
+use crate::scene::sky::{DOME_LEVEL, STAR_LEVEL};
 
 /// Normals are turned from the sun if the sine of their angle to its terminator is above this: a device's arithmetic may
 /// differ from ours.
@@ -38,15 +39,6 @@ pub struct Corner {
     pub normal_per_w: Vec3,
 }
 
-impl Corner {
-    /// What of it is linear over the picture.
-    #[inline(always)]
-    pub fn per_w(self) -> [f32; 4] {
-        let Vec3 { x, y, z } = self.normal_per_w;
-        [self.inverse_w, x, y, z]
-    }
-}
-
 /// A triangle that may cover samples. Its corners run counter-clockwise as it is seen.
 #[derive(Clone, Copy, Debug)]
 pub struct Facet {
@@ -63,7 +55,7 @@ pub struct Facet {
 }
 
 /// For each of [`Shades`].
-const SHADES: usize = 3;
+const SHADES: usize = Shades::ALL.len();
 
 /// A mesh on the picture.
 #[derive(Debug, Default)]
@@ -120,7 +112,7 @@ impl Facets {
         self.groups = groups;
         let of = Picture {
             scene,
-            samples: Samples::new(scene, settings),
+            samples: Samples::new(&scene.camera, settings),
             sun: if by_shades { scene.sun.direction } else { Vec3::ZERO },
             grids: by_shades.then(|| CasterGrids::new(&scene.terrain)),
             caster_grid,
@@ -140,15 +132,14 @@ impl Facets {
         let spans: Vec<[Range<u32>; 2]> = ground_blocks(&scene.terrain).collect();
         self.meshes.par_iter_mut().zip(sources).for_each(|(mesh, source)| match source {
             Source::Rock(place) => {
-                let groups = [Shades::Nothing, Shades::Ground, Shades::Casters].map(Groups::rocks);
+                let groups = Shades::ALL.map(Groups::rocks);
                 mesh.restart(Slots::rock(place), groups);
                 mesh.add_rock(&of, &selection.rocks[place]);
             }
             Source::Block(place) => {
                 let (block, _) = selection.blocks[place];
                 let band = bands.of_block(block);
-                let all = [Shades::Nothing, Shades::Ground, Shades::Casters];
-                mesh.restart(Slots::GROUND, all.map(|shades| Groups::ground(band, shades)));
+                mesh.restart(Slots::GROUND, Shades::ALL.map(|shades| Groups::ground(band, shades)));
                 mesh.add_block(&of, selection, &spans[block]);
             }
             Source::Stars => {
@@ -198,13 +189,14 @@ struct Picture<'a> {
 }
 
 /// Where samples lie: as a device reckons it.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 struct Samples {
     clip_from_offset: Mat4,
     half_size: Vec2,
     /// The same, parts of a sample.
     half_parts: [i32; 2],
-    size: [usize; 2],
+    width: usize,
+    rows: Range<i32>,
     near_m: f32,
     /// How far beside the lens's axis a place may be, of what is as far as the picture's border: nothing is drawn beyond.
     reach: Vec2,
@@ -221,25 +213,31 @@ struct Homogeneous {
 }
 
 impl Samples {
-    fn new(scene: &Scene, settings: &RenderSettings) -> Self {
+    fn new(camera: &Camera, settings: &RenderSettings) -> Self {
         let size = settings.sample_size();
-        let camera = &scene.camera;
         let half_size = 0.5 * UVec2::from(size).as_vec2();
         Self {
             clip_from_offset: camera.clip_from_world(settings.size) * Mat4::from_translation(camera.eye),
             half_size,
             half_parts: size.map(|side| side as i32 * (raster::PARTS / 2)),
-            size: size.map(|side| side as usize),
+            width: size[0] as usize,
+            rows: 0..size[1] as i32,
             near_m: camera.near_m,
             reach: FURTHEST_PX / half_size,
         }
     }
 
+    /// Homogeneous coordinates of an offset from the eye, rows running down.
+    #[inline]
+    fn clip(&self, offset: Vec3) -> (Vec2, f32) {
+        let clip = self.clip_from_offset * offset.extend(1.0);
+        (Vec2::new(clip.x, -clip.y), clip.w)
+    }
+
     /// Of a vertex, by its offset from the eye.
     #[inline]
     fn corner(&self, offset: Vec3, normal: Vec3) -> Corner {
-        let clip = self.clip_from_offset * offset.extend(1.0);
-        let (at, w) = (Vec2::new(clip.x, -clip.y), clip.w);
+        let (at, w) = self.clip(offset);
         if w >= self.near_m && at.abs().cmple(self.reach * w).all() {
             self.projected(at, w, normal)
         } else {
@@ -331,6 +329,26 @@ enum Sides {
 }
 
 impl Mesh {
+    /// The corners of one of its facets.
+    #[must_use]
+    #[inline(always)]
+    pub fn corners_of(&self, facet: &Facet) -> [Corner; 3] {
+        facet.corners.map(|corner| self.corners[corner as usize])
+    }
+
+    /// One over the metres along the axis, and the normal times that, over the outline of a facet with these corners.
+    #[must_use]
+    #[inline(always)]
+    pub fn planes(&self, facet: &Facet, corners: [Corner; 3], outline: &Outline) -> [Plane; 4] {
+        facet.clipped.map_or_else(
+            || {
+                let values = |Corner { inverse_w, normal_per_w: n, .. }| [inverse_w, n.x, n.y, n.z];
+                outline.planes(corners.map(|corner| corner.at), corners.map(values))
+            },
+            |clipped| self.clipped[clipped as usize].map(|plane| outline.from_here(plane)),
+        )
+    }
+
     fn restart(&mut self, slot: u32, groups: [Group; SHADES]) {
         (self.slot, self.groups) = (slot, groups);
         self.bounds = [Bounds::NOWHERE; SHADES];
@@ -440,9 +458,8 @@ impl Mesh {
         }
         let homogeneous = triangle.map(|corner| {
             let (offset, normal) = vertex(corner);
-            let clip = samples.clip_from_offset * offset.extend(1.0);
-            let corner = is_placed(corner).then_some(corner);
-            Homogeneous { at: Vec2::new(clip.x, -clip.y), w: clip.w, normal, corner }
+            let (at, w) = samples.clip(offset);
+            Homogeneous { at, w, normal, corner: is_placed(corner).then_some(corner) }
         });
         if homogeneous.iter().all(|v| v.w < samples.near_m) {
             return;
@@ -476,7 +493,7 @@ impl Mesh {
     #[inline]
     fn shown(&self, samples: &Samples, [a, b, c]: [u32; 3], sides: Sides) -> Option<([u32; 3], Span)> {
         let places = [a, b, c].map(|corner| self.corners[corner as usize].place);
-        let texels = texels_between(places, samples.size)?;
+        let texels = texels_between(places, samples.width, &samples.rows)?;
         match (Turn::of(places)?, sides) {
             (Turn::Front, _) => Some(([a, b, c], texels)),
             (Turn::Back, Sides::Both) => Some(([a, c, b], texels)),
@@ -540,25 +557,15 @@ fn octahedron(v: Vec3) -> Vec2 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::render::raster::{HEIGHT, Outline, Paint, WIDTH};
-    use crate::scene::camera::Camera;
-    use fearless_simd::prelude::*;
-    use fearless_simd::{Level, dispatch, f32x8, mask32x8};
+    use crate::render::raster::{Counted, WIDTH};
+    use fearless_simd::{Level, dispatch};
 
     const SIZE: [usize; 2] = [96, 64];
 
     fn samples(pitch_deg: f64) -> Samples {
-        let size = SIZE.map(|side| side as u32);
         let camera = Camera::new(Vec3::ZERO, [pitch_deg, 0.0, 0.0], 80.0, 2000.0, 0.0);
-        let half_size = 0.5 * UVec2::from(size).as_vec2();
-        Samples {
-            clip_from_offset: camera.clip_from_world(size),
-            half_size,
-            half_parts: size.map(|side| side as i32 * (raster::PARTS / 2)),
-            size: SIZE,
-            near_m: camera.near_m,
-            reach: FURTHEST_PX / half_size,
-        }
+        let settings = RenderSettings::new(SIZE.map(|side| side as u32), 1).expect("settings");
+        Samples::new(&camera, &settings)
     }
 
     /// A mesh of these triangles.
@@ -570,23 +577,6 @@ mod tests {
             mesh.add(samples, triangle, Sides::Both, || Some(Shades::Nothing), vertex);
         }
         mesh
-    }
-
-    struct Count {
-        times: Vec<u32>,
-        inverse_w: Vec<f32>,
-        plane: Plane,
-    }
-
-    impl<S: Simd> Paint<S> for Count {
-        fn paint(&mut self, _: S, texels: [usize; 2], inside: mask32x8<S>, x: f32x8<S>, y: f32x8<S>) {
-            let inverse_w = self.plane.at(x, y);
-            for lane in (0..WIDTH * HEIGHT).filter(|&lane| inside.test(lane)) {
-                let texel = texels[lane / WIDTH] + lane % WIDTH;
-                self.times[texel] += 1;
-                self.inverse_w[texel] = inverse_w[lane];
-            }
-        }
     }
 
     /// Ground a metre below the eye that reaches behind it and far beside the picture: every sample below the horizon shows it
@@ -603,17 +593,12 @@ mod tests {
             let samples = samples(pitch_deg);
             let mesh = mesh(&samples, &vertices, &triangles);
             assert!(!mesh.clipped.is_empty());
-            let texels = stride * (SIZE[1] + HEIGHT);
-            let plane = Plane { first: 0.0, per_column: 0.0, per_row: 0.0 };
-            let mut count = Count { times: vec![0; texels], inverse_w: vec![0.0; texels], plane };
+            let mut count = Counted::new(SIZE);
             for facet in &mesh.facets {
-                let corners = facet.corners.map(|corner| mesh.corners[corner as usize]);
+                let corners = mesh.corners_of(facet);
                 let places = corners.map(|corner| corner.place);
-                let outline = Outline::new(places, SIZE[0], 0..SIZE[1] as i32).expect("it covers a sample");
-                let planes = facet.clipped.map(|at| mesh.clipped[at as usize].map(|p| outline.from_here(p)));
-                [count.plane, ..] = planes.unwrap_or_else(|| {
-                    outline.planes(corners.map(|corner| corner.at), corners.map(Corner::per_w))
-                });
+                let outline = Outline::new(places, SIZE[0], &samples.rows).expect("it covers a sample");
+                [count.value, ..] = mesh.planes(facet, corners, &outline);
                 let count = &mut count;
                 dispatch!(Level::new(), simd => outline.fill(simd, 0, stride, count));
             }
@@ -630,7 +615,7 @@ mod tests {
                     let texel = row * stride + column;
                     if expected > 1e-3 {
                         assert_eq!(count.times[texel], 1, "pitch {pitch_deg}, sample {column}, {row}");
-                        let found = f64::from(count.inverse_w[texel]);
+                        let found = f64::from(count.values[texel]);
                         assert!((found / expected - 1.0).abs() < 1e-5, "{found} for {expected}");
                         shown += 1;
                     } else if expected < 0.0 {

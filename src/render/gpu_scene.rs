@@ -16,7 +16,7 @@ use super::lit::{Group, Groups, Lit};
 use super::relief::Bands;
 use super::resolve::{self, Packing};
 use super::scene_pass::Variant;
-use super::selection::{Bounds, Selection, ground_blocks};
+use super::selection::{Bounds, Selection, Slots, ground_blocks, near_to_far};
 use super::shaders::{CasterTile, FrameUniforms, HorizonLevel, Instance};
 use super::shadow::{self, CasterGrids, Shades};
 use super::shadow_raster;
@@ -31,12 +31,8 @@ use crate::scene::Scene;
 use crate::scene::bounce::{Bounce, rms_slope};
 use crate::scene::mesh::{Icosphere, Vertex};
 use crate::scene::photometry::Law;
+use crate::scene::sky::{DOME_LEVEL, STAR_LEVEL};
 use crate::scene::terrain::Layout;
-
-/// Level of the icosphere that the dome is drawn with.
-pub const DOME_LEVEL: usize = 4;
-/// Level of the icospheres that stars are drawn with.
-pub const STAR_LEVEL: usize = 1;
 
 /// One indexed draw.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -267,7 +263,7 @@ impl GpuScene {
         let caster_grid = shadow::caster_grid(scene, casters, &horizon, &footprint);
         let bands = Bands::new(scene, &selection, settings);
         self.uploaded_bytes += self.relief.write(gpu, &slots(&bands.bands));
-        let slots = Slots { selection: &selection };
+        let slots = selection.slots();
         self.uploaded_bytes += self.instances.write(gpu, &self::slots(&instances(scene, settings, slots)));
         let mut seen = all_groups(&bands, slots);
         (self.drawn_here, self.background) = (DrawnHere::default(), None);
@@ -374,7 +370,7 @@ impl GpuScene {
         seen: &mut [Seen],
     ) {
         self.upload_indices(gpu, scene);
-        let selection = slots.selection;
+        let selection = slots.selection();
         let sphere: Vec<Vertex> = Icosphere::shared().directions[..Icosphere::vertex_count(DOME_LEVEL)]
             .iter()
             .map(|&d| Vertex { position: d, normal: d })
@@ -447,49 +443,15 @@ impl GpuScene {
                 Some(gpu.texture("shadow/horizon", [width, height], TextureFormat::Rg32Float, usage));
         }
         if let Some((texture, _)) = &self.horizon {
-            let bytes: &[u8] = bytemuck::cast_slice(&map.heights_m);
-            let layout = wgpu::TexelCopyBufferLayout {
-                offset: 0,
-                bytes_per_row: Some(8 * width),
-                rows_per_image: None,
-            };
-            let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
-            gpu.queue.write_texture(texture.as_image_copy(), bytes, layout, size);
-            self.uploaded_bytes += bytes.len() as u64;
+            gpu.write_texels(texture, [width, height], &map.heights_m);
+            self.uploaded_bytes += size_of_val(&map.heights_m[..]) as u64;
         }
-    }
-}
-
-/// Where the instances of a picture stand: ground, rocks, stars, dome.
-#[derive(Clone, Copy, Debug)]
-pub struct Slots<'a> {
-    selection: &'a Selection,
-}
-
-impl Slots<'_> {
-    /// Of the ground.
-    pub const GROUND: u32 = 0;
-
-    /// Of the rock at a place in [`Selection::rocks`].
-    #[must_use]
-    pub const fn rock(place: usize) -> u32 {
-        place as u32 + 1
-    }
-
-    fn stars(self) -> Range<u32> {
-        let first = Self::rock(self.selection.rocks.len());
-        first..first + self.selection.stars.len() as u32
-    }
-
-    fn dome(self) -> Range<u32> {
-        let dome = self.stars().end;
-        dome..dome + 1
     }
 }
 
 /// The things of a picture, by their slots.
 fn instances(scene: &Scene, settings: &RenderSettings, slots: Slots<'_>) -> Vec<Instance> {
-    let selection = slots.selection;
+    let selection = slots.selection();
     let photometry = &scene.photometry;
     let (soil_surge, rock_surge) = (photometry.soil.b_s0 as f32, photometry.rock_b_s0 as f32);
     let at_normal = |surge: f32| photometry.at_normal(f64::from(surge)) as f32;
@@ -624,13 +586,6 @@ fn frame_uniforms(
         reserved: [0; 2],
         horizon: levels,
     }
-}
-
-/// Things by rising distance.
-pub fn near_to_far<T>(things: impl Iterator<Item = (f32, T)>) -> Vec<(f32, T)> {
-    let mut list: Vec<_> = things.collect();
-    list.sort_by(|a, b| a.0.total_cmp(&b.0));
-    list
 }
 
 /// Places a metre along the axis that samples show, metres from the eye: of sample (0, 0), and how it moves with a column

@@ -74,9 +74,7 @@ impl Groups {
     /// By what program each is lit, and which band it is of.
     pub fn all(self) -> impl Iterator<Item = (Lit, usize)> {
         let rocks = [Shades::Casters, Shades::Nothing].map(|shades| (Lit::Rocks { shades }, 0));
-        let ground = |band| {
-            [Shades::Nothing, Shades::Ground, Shades::Casters].map(|shades| (Lit::Ground { shades }, band))
-        };
+        let ground = |band| Shades::ALL.map(|shades| (Lit::Ground { shades }, band));
         rocks.into_iter().chain((0..self.bands).flat_map(ground)).chain([(Lit::Sky, 0); 2])
     }
 }
@@ -93,7 +91,7 @@ mod tests {
             assert_eq!(all[usize::from(Groups::rocks(shades))], (Lit::Rocks { shades }, 0));
         }
         for band in 0..4 {
-            for shades in [Shades::Nothing, Shades::Ground, Shades::Casters] {
+            for shades in Shades::ALL {
                 assert_eq!(all[usize::from(Groups::ground(band, shades))], (Lit::Ground { shades }, band));
             }
         }

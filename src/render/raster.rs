@@ -7,7 +7,7 @@
 use std::ops::Range;
 
 use fearless_simd::prelude::*;
-use fearless_simd::{f32x8, i32x8, mask32x8};
+use fearless_simd::{f32x4, f32x8, i32x8, mask32x8};
 use glam::Vec2;
 
 use crate::scene::noise::floor;
@@ -147,12 +147,12 @@ fn middles_between(a: i32, b: i32, c: i32, first: i32, end: i32) -> (i32, i32) {
 /// First and last of some columns, and of some rows.
 pub type Span = [(i32, i32); 2];
 
-/// The texels of a buffer whose middles lie between three corners, if there are any.
+/// The texels whose middles lie between three corners, of so many columns and of some rows, if there are any.
 #[must_use]
 #[inline(always)]
-pub fn texels_between([a, b, c]: [Place; 3], [width, height]: [usize; 2]) -> Option<Span> {
+pub fn texels_between([a, b, c]: [Place; 3], width: usize, rows: &Range<i32>) -> Option<Span> {
     let columns = middles_between(a.x, b.x, c.x, 0, width as i32);
-    let rows = middles_between(a.y, b.y, c.y, 0, height as i32);
+    let rows = middles_between(a.y, b.y, c.y, rows.start, rows.end);
     (((columns.1 - columns.0) | (rows.1 - rows.0)) >= 0).then_some([columns, rows])
 }
 
@@ -161,14 +161,10 @@ impl Outline {
     /// texel lies between its corners.
     #[must_use]
     #[inline(always)]
-    pub fn new([a, b, c]: [Place; 3], width: usize, rows: Range<i32>) -> Option<Self> {
+    pub fn new([a, b, c]: [Place; 3], width: usize, rows: &Range<i32>) -> Option<Self> {
+        let [columns, rows] = texels_between([a, b, c], width, rows)?;
         let span = |a: i32, b: i32, c: i32| a.max(b).max(c) - a.min(b).min(c);
         let is_small = span(a.x, b.x, c.x).max(span(a.y, b.y, c.y)) < SPAN_PX * PARTS;
-        let columns = middles_between(a.x, b.x, c.x, 0, width as i32);
-        let rows = middles_between(a.y, b.y, c.y, rows.start, rows.end);
-        if ((columns.1 - columns.0) | (rows.1 - rows.0)) < 0 {
-            return None;
-        }
         // They run clockwise here.
         Some(Self { edges: [Edge::new(c, b), Edge::new(a, c), Edge::new(b, a)], columns, rows, is_small })
     }
@@ -299,10 +295,58 @@ impl Outline {
     }
 }
 
+/// The eight texels of a plane that a [`Paint`] is given.
+#[inline(always)]
+pub fn load<S: Simd>(simd: S, plane: &[f32], [upper, lower]: [usize; 2]) -> f32x8<S> {
+    let [upper, lower] = [upper, lower].map(|at| &plane[at..at + WIDTH]);
+    f32x4::from_slice(simd, upper).combine(f32x4::from_slice(simd, lower))
+}
+
+/// Writes them.
+#[inline(always)]
+pub fn store<S: Simd>(plane: &mut [f32], [upper, lower]: [usize; 2], values: f32x8<S>) {
+    let (above, below) = values.split();
+    above.store_slice(&mut plane[upper..upper + WIDTH]);
+    below.store_slice(&mut plane[lower..lower + WIDTH]);
+}
+
 /// Columns and rows of eight texels.
 #[inline(always)]
 fn lanes<S: Simd>(simd: S) -> (i32x8<S>, i32x8<S>) {
     (i32x8::from_slice(simd, &[0, 1, 2, 3, 0, 1, 2, 3]), i32x8::from_slice(simd, &[0, 0, 0, 0, 1, 1, 1, 1]))
+}
+
+/// Counts what is painted.
+#[cfg(test)]
+pub(super) struct Counted {
+    /// How often each texel was.
+    pub(super) times: Vec<u32>,
+    /// With what it was last.
+    pub(super) values: Vec<f32>,
+    /// What it is painted with.
+    pub(super) value: Plane,
+}
+
+#[cfg(test)]
+impl Counted {
+    /// A buffer of this many columns and rows that nothing was painted into.
+    pub(super) fn new([width, height]: [usize; 2]) -> Self {
+        let texels = (width + WIDTH) * (height + HEIGHT);
+        let value = Plane { first: 0.0, per_column: 0.0, per_row: 0.0 };
+        Self { times: vec![0; texels], values: vec![0.0; texels], value }
+    }
+}
+
+#[cfg(test)]
+impl<S: Simd> Paint<S> for Counted {
+    fn paint(&mut self, _: S, texels: [usize; 2], inside: mask32x8<S>, x: f32x8<S>, y: f32x8<S>) {
+        let value = self.value.at(x, y);
+        for lane in (0..WIDTH * HEIGHT).filter(|&lane| inside.test(lane)) {
+            let texel = texels[lane / WIDTH] + lane % WIDTH;
+            self.times[texel] += 1;
+            self.values[texel] = value[lane];
+        }
+    }
 }
 
 #[cfg(test)]
@@ -313,38 +357,18 @@ mod tests {
 
     const SIZE: usize = 48;
 
-    /// How often each texel was painted, and the sum of what it was painted with.
-    struct Sheet {
-        times: Vec<u32>,
-        sums: Vec<f32>,
-        value: Plane,
-    }
-
-    impl<S: Simd> Paint<S> for Sheet {
-        fn paint(&mut self, _simd: S, texels: [usize; 2], inside: mask32x8<S>, x: f32x8<S>, y: f32x8<S>) {
-            let value = self.value.at(x, y);
-            for lane in (0..WIDTH * HEIGHT).filter(|&lane| inside.test(lane)) {
-                let texel = texels[lane / WIDTH] + lane % WIDTH;
-                self.times[texel] += 1;
-                self.sums[texel] += value[lane];
-            }
-        }
-    }
-
     const STRIDE: usize = SIZE + WIDTH;
 
     /// Paints triangles with values at their corners, whichever way round they run, each way of filling.
-    fn painted(triangles: &[([Place; 3], [f32; 3])], rows: Range<i32>, wide: bool) -> Sheet {
-        let texels = STRIDE * (SIZE + HEIGHT);
-        let value = Plane { first: 0.0, per_column: 0.0, per_row: 0.0 };
-        let mut sheet = Sheet { times: vec![0; texels], sums: vec![0.0; texels], value };
+    fn painted(triangles: &[([Place; 3], [f32; 3])], rows: Range<i32>, wide: bool) -> Counted {
+        let mut sheet = Counted::new([SIZE, SIZE]);
         for &([a, b, c], [at_a, at_b, at_c]) in triangles {
             let (places, values) = match Turn::of([a, b, c]) {
                 Some(Turn::Front) => ([a, b, c], [at_a, at_b, at_c]),
                 Some(Turn::Back) => ([a, c, b], [at_a, at_c, at_b]),
                 None => continue,
             };
-            let Some(outline) = Outline::new(places, SIZE, rows.clone()) else { continue };
+            let Some(outline) = Outline::new(places, SIZE, &rows) else { continue };
             let at = places.map(|p| Vec2::new(p.x as f32, p.y as f32) / PARTS as f32);
             [sheet.value] = outline.planes(at, values.map(|value| [value]));
             let sheet = &mut sheet;
@@ -393,7 +417,7 @@ mod tests {
                             _ => {
                                 assert_eq!(sheet.times[texel], 1, "triangle {number}: {at:?}");
                                 let expected = value(column as f64, row as f64);
-                                let found = f64::from(sheet.sums[texel]);
+                                let found = f64::from(sheet.values[texel]);
                                 assert!((found - expected).abs() < 1e-3, "{number}: {found} for {expected}");
                                 covered += 1;
                             }
@@ -435,7 +459,7 @@ mod tests {
                 for first in (0..SIZE).step_by(8) {
                     let band = painted(&triangle, first as i32..first as i32 + 8, wide);
                     let rows =
-                        |sheet: &Sheet, first: usize| sheet.times[first * STRIDE..][..8 * STRIDE].to_vec();
+                        |sheet: &Counted, first: usize| sheet.times[first * STRIDE..][..8 * STRIDE].to_vec();
                     assert_eq!(rows(&band, 0), rows(&whole, first), "triangle {number}, row {first}");
                 }
             }

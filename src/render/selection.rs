@@ -90,6 +90,56 @@ impl Selection {
             .collect();
         Self { blocks, rocks, stars, casters, frustum }
     }
+
+    /// Where its instances stand.
+    #[must_use]
+    pub const fn slots(&self) -> Slots<'_> {
+        Slots { selection: self }
+    }
+}
+
+/// Where the instances of a picture stand: ground, rocks, stars, dome.
+#[derive(Clone, Copy, Debug)]
+pub struct Slots<'a> {
+    selection: &'a Selection,
+}
+
+impl<'a> Slots<'a> {
+    /// What they are of.
+    #[must_use]
+    pub const fn selection(self) -> &'a Selection {
+        self.selection
+    }
+
+    /// Of the ground.
+    pub const GROUND: u32 = 0;
+
+    /// Of the rock at a place in [`Selection::rocks`].
+    #[must_use]
+    pub const fn rock(place: usize) -> u32 {
+        place as u32 + 1
+    }
+
+    /// Of the stars.
+    #[must_use]
+    pub fn stars(self) -> Range<u32> {
+        let first = Self::rock(self.selection.rocks.len());
+        first..first + self.selection.stars.len() as u32
+    }
+
+    /// Of the dome, the last.
+    #[must_use]
+    pub fn dome(self) -> Range<u32> {
+        let dome = self.stars().end;
+        dome..dome + 1
+    }
+}
+
+/// Things by rising distance.
+pub fn near_to_far<T>(things: impl Iterator<Item = (f32, T)>) -> Vec<(f32, T)> {
+    let mut list: Vec<_> = things.collect();
+    list.sort_by(|a, b| a.0.total_cmp(&b.0));
+    list
 }
 
 /// Columns and rows of the ground's cells in each block.

@@ -134,6 +134,11 @@ pub enum Shades {
     Casters,
 }
 
+impl Shades {
+    /// Every one, by its number.
+    pub const ALL: [Self; 3] = [Self::Nothing, Self::Ground, Self::Casters];
+}
+
 /// Square grids over the ground, each over twice the side of the one before: which casters a place asks.
 #[derive(Clone, Copy, Debug)]
 pub struct CasterGrids {

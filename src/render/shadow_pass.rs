@@ -58,14 +58,7 @@ impl ShadowPass {
             self.pipelines.get_or_insert_with(|| Pipelines::new(gpu, layouts));
         }
         if let (Some(map), Some(heights)) = (&self.map, given) {
-            let [width, height] = size_px;
-            let layout = wgpu::TexelCopyBufferLayout {
-                offset: 0,
-                bytes_per_row: Some(4 * width),
-                rows_per_image: None,
-            };
-            let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
-            gpu.queue.write_texture(map.texture.as_image_copy(), bytemuck::cast_slice(heights), layout, size);
+            gpu.write_texels(&map.texture, size_px, heights);
         }
     }
 

@@ -6,11 +6,11 @@
 use std::cell::RefCell;
 
 use fearless_simd::prelude::*;
-use fearless_simd::{Level, dispatch, f32x4, f32x8, mask32x8};
+use fearless_simd::{Level, dispatch, f32x8, mask32x8};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::raster::{HEIGHT, Outline, Paint, Place, Plane, Turn, WIDTH};
+use super::raster::{HEIGHT, Outline, Paint, Place, Plane, Turn, WIDTH, load, store};
 use super::selection::Selection;
 use super::shaders::CasterTile;
 use super::shadow;
@@ -145,7 +145,7 @@ fn draw_triangle<S: Simd>(simd: S, [a, b, c]: [Corner; 3], layers: &mut [Vec<f32
     let Some(turn) = Turn::of([a.place, b.place, c.place]) else { return };
     let corners = if turn == Turn::Front { [a, b, c] } else { [a, c, b] };
     let places = corners.map(|corner| corner.place);
-    let Some(outline) = Outline::new(places, size, 0..size as i32) else { return };
+    let Some(outline) = Outline::new(places, size, &(0..size as i32)) else { return };
     let [depth] = outline.planes(corners.map(|corner| corner.at), corners.map(|corner| [corner.depth]));
     outline.fill(simd, 0, size + WIDTH, &mut Depth { layer: &mut layers[turn as usize], depth });
 }
@@ -158,13 +158,9 @@ struct Depth<'a> {
 
 impl<S: Simd> Paint<S> for Depth<'_> {
     #[inline(always)]
-    fn paint(&mut self, simd: S, [upper, lower]: [usize; 2], inside: mask32x8<S>, x: f32x8<S>, y: f32x8<S>) {
-        let (above, below) = self.layer.split_at_mut(lower);
-        let (above, below) = (&mut above[upper..upper + WIDTH], &mut below[..WIDTH]);
-        let here = self.depth.at(x, y);
-        let there = f32x4::from_slice(simd, above).combine(f32x4::from_slice(simd, below));
-        let (first, second) = inside.select(here, f32x8::splat(simd, 0.0)).max(there).split();
-        first.store_slice(above);
-        second.store_slice(below);
+    fn paint(&mut self, simd: S, texels: [usize; 2], inside: mask32x8<S>, x: f32x8<S>, y: f32x8<S>) {
+        let here = inside.select(self.depth.at(x, y), f32x8::splat(simd, 0.0));
+        let there = load(simd, self.layer, texels);
+        store(self.layer, texels, here.max(there));
     }
 }

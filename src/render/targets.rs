@@ -241,13 +241,7 @@ impl Targets {
                 staging.copy(gpu, &self.visible.0, given)?;
             }
         }
-        let layout =
-            wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(width), rows_per_image: None };
-        let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
-        gpu.guard(|| {
-            let texture = self.depth_stencil.0.as_image_copy();
-            gpu.queue.write_texture(texture, &stencil.values, layout, size);
-        })?;
+        gpu.guard(|| gpu.write_texels(&self.depth_stencil.0, self.sample_size, &stencil.values))?;
         Ok(u64::from(row_bytes) * all.len() as u64 + stencil.values.len() as u64)
     }
 

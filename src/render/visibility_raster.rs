@@ -7,12 +7,12 @@ use std::cell::RefCell;
 use std::ops::Range;
 
 use fearless_simd::prelude::*;
-use fearless_simd::{Level, dispatch, f32x4, f32x8, i32x8, mask32x8, u32x4, u32x8};
+use fearless_simd::{Level, dispatch, f32x8, i32x8, mask32x8, u32x4, u32x8};
 use rayon::prelude::*;
 
-use super::facets::{Corner, Facets, Mesh};
+use super::facets::{Facets, Mesh};
 use super::lit::{Group, Groups};
-use super::raster::{HEIGHT, Outline, Paint, Plane, WIDTH};
+use super::raster::{HEIGHT, Outline, Paint, Plane, WIDTH, load, store};
 use crate::gpu::staging::{PAGE, Page};
 
 /// Rows of a band.
@@ -143,16 +143,13 @@ impl Sheet {
                 if is_beside(facet.rows) {
                     continue;
                 }
-                let corners = facet.corners.map(|corner| mesh.corners[corner as usize]);
+                let corners = mesh.corners_of(facet);
                 let places = corners.map(|corner| corner.place);
-                let Some(outline) = Outline::new(places, width, rows.clone()) else { continue };
+                let Some(outline) = Outline::new(places, width, rows) else { continue };
                 let group = mesh.groups[facet.shades as usize];
                 let thing = (u32::from(group) + 1) | (mesh.slot << SLOT_AT);
                 let (first, stride) = (rows.start, self.stride);
-                let [inverse_w, x, y, z] = match facet.clipped {
-                    Some(clipped) => mesh.clipped[clipped as usize].map(|plane| outline.from_here(plane)),
-                    None => outline.planes(corners.map(|corner| corner.at), corners.map(Corner::per_w)),
-                };
+                let [inverse_w, x, y, z] = mesh.planes(facet, corners, &outline);
                 if group < groups.stars() {
                     let normal = [x, y, z];
                     let mut brush =
@@ -163,6 +160,25 @@ impl Sheet {
                 }
             }
         }
+    }
+
+    /// Shows a thing where it is nearer than what is there, and tells where that is.
+    #[inline(always)]
+    fn come_nearer<S: Simd>(
+        &mut self,
+        simd: S,
+        texels: [usize; 2],
+        inside: mask32x8<S>,
+        inverse_w: f32x8<S>,
+        thing: u32,
+    ) -> mask32x8<S> {
+        let there = load(simd, &self.inverse_w, texels);
+        let nearer = inside & inverse_w.simd_gt(there);
+        if nearer.any_true() {
+            store(&mut self.inverse_w, texels, nearer.select(inverse_w, there));
+            paint_words(simd, &mut self.things, texels, nearer, u32x8::splat(simd, thing));
+        }
+        nearer
     }
 
     fn row(&self, row: usize, width: usize) -> Row<'_> {
@@ -218,13 +234,10 @@ struct ThingBrush<'a> {
 impl<S: Simd> Paint<S> for ThingBrush<'_> {
     #[inline(always)]
     fn paint(&mut self, simd: S, texels: [usize; 2], inside: mask32x8<S>, x: f32x8<S>, y: f32x8<S>) {
-        let here = self.inverse_w.at(x, y);
-        let there = load(simd, &self.sheet.inverse_w, texels);
-        let nearer = inside & here.simd_gt(there);
+        let nearer = self.sheet.come_nearer(simd, texels, inside, self.inverse_w.at(x, y), self.thing);
         if !nearer.any_true() {
             return;
         }
-        store(&mut self.sheet.inverse_w, texels, nearer.select(here, there));
         let [of_x, of_y, of_z] = &self.normal;
         let (x, y, z) = (of_x.at(x, y), of_y.at(x, y), of_z.at(x, y));
         // Twin: `octahedron` in `common/octahedron.wgsl`. Of any length, so that nothing is to be divided by 1/w.
@@ -239,7 +252,6 @@ impl<S: Simd> Paint<S> for ThingBrush<'_> {
         let plane = &mut self.sheet.normal_y;
         paint_words(simd, plane, texels, nearer, in_24_bits(y));
         paint_words(simd, &mut self.sheet.facing, texels, nearer, u32x8::splat(simd, self.facing));
-        paint_words(simd, &mut self.sheet.things, texels, nearer, u32x8::splat(simd, self.thing));
     }
 }
 
@@ -253,11 +265,7 @@ struct SkyBrush<'a> {
 impl<S: Simd> Paint<S> for SkyBrush<'_> {
     #[inline(always)]
     fn paint(&mut self, simd: S, texels: [usize; 2], inside: mask32x8<S>, x: f32x8<S>, y: f32x8<S>) {
-        let here = self.inverse_w.at(x, y);
-        let there = load(simd, &self.sheet.inverse_w, texels);
-        let nearer = inside & here.simd_gt(there);
-        store(&mut self.sheet.inverse_w, texels, nearer.select(here, there));
-        paint_words(simd, &mut self.sheet.things, texels, nearer, u32x8::splat(simd, self.thing));
+        self.sheet.come_nearer(simd, texels, inside, self.inverse_w.at(x, y), self.thing);
     }
 }
 
@@ -265,19 +273,6 @@ impl<S: Simd> Paint<S> for SkyBrush<'_> {
 #[inline(always)]
 fn in_24_bits<S: Simd>(x: f32x8<S>) -> u32x8<S> {
     ((x * 0.5 + 0.5) * 16_777_215.0 + 0.5).to_int::<i32x8<S>>().bitcast()
-}
-
-#[inline(always)]
-fn load<S: Simd>(simd: S, plane: &[f32], [upper, lower]: [usize; 2]) -> f32x8<S> {
-    let [upper, lower] = [upper, lower].map(|at| &plane[at..at + WIDTH]);
-    f32x4::from_slice(simd, upper).combine(f32x4::from_slice(simd, lower))
-}
-
-#[inline(always)]
-fn store<S: Simd>(plane: &mut [f32], [upper, lower]: [usize; 2], values: f32x8<S>) {
-    let (above, below) = values.split();
-    above.store_slice(&mut plane[upper..upper + WIDTH]);
-    below.store_slice(&mut plane[lower..lower + WIDTH]);
 }
 
 /// Replaces those of eight words that are chosen.

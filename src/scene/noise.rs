@@ -226,7 +226,7 @@ fn lerp(a: f32, b: f32, t: f32) -> f32 {
 }
 
 /// Added to a number below 2^22 either way, it leaves no room for fractions: 1.5 times 2^23.
-pub const NO_FRACTIONS: f32 = 12_582_912.0;
+const NO_FRACTIONS: f32 = 12_582_912.0;
 
 /// Largest integer not above `x`, for |x| < 2^22: beyond, numbers have no fraction left that noise could be made of.
 ///

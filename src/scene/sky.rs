@@ -12,6 +12,10 @@ use crate::random::Streams;
 pub const DOME_RADIANCE: Vec3 = Vec3::new(0.010, 0.010, 0.016);
 /// Radiance of a star.
 pub const STAR_RADIANCE: Vec3 = Vec3::new(4.0, 4.0, 4.2);
+/// Level of the icosphere that the dome is.
+pub const DOME_LEVEL: usize = 4;
+/// Level of the icosphere that a star is.
+pub const STAR_LEVEL: usize = 1;
 /// How far inside the dome the stars hang, metres.
 const STAR_INSET_M: f64 = 18.0;
 /// Smallest and largest radius of a star on a dome of [`STAR_DOME_M`], metres; on another they span the same angle.
