@@ -15,11 +15,13 @@ use regolith::render::footprint::Footprint;
 use regolith::render::horizon::HorizonMap;
 use regolith::render::relief::Bands;
 use regolith::render::selection::{SelectedRock, Selection};
+use regolith::render::shadow_raster::ShadowMap;
 use regolith::render::visibility_raster::Stencil;
-use regolith::render::{RenderSettings, shadow, shadow_raster};
+use regolith::render::{RenderSettings, shadow};
 use regolith::scene::Scene;
 use regolith::scene::mesh::{Icosphere, set_smooth_normals};
 use regolith::scene::noise::Fbm;
+use regolith::scene::sky::Sun;
 use regolith::scene::terrain::Terrain;
 use serde_json::Value;
 
@@ -57,7 +59,7 @@ fn geometry(c: &mut Criterion) {
     let rock = scene.rocks.iter().max_by_key(|rock| rock.level).expect("a rock");
     group.throughput(Throughput::Elements(rock.vertices.len() as u64));
     group.bench_function("normals", |b| {
-        let copy = || rock.vertices.clone();
+        let copy = || rock.vertices.to_vec();
         b.iter_batched_ref(
             copy,
             |v| set_smooth_normals(v, rock.triangles(rock.level)),
@@ -75,16 +77,18 @@ fn picture(c: &mut Criterion) {
     let settings = RenderSettings::new([512, 512], 4).expect("settings");
     let selection = Selection::new(&scene, &settings);
     let footprint = Footprint::new(&scene, &selection.frustum);
-    let horizon = HorizonMap::build(&scene.terrain, &scene.sun, &footprint);
+    let mut horizon = HorizonMap::default();
+    horizon.make(&scene.terrain, &scene.sun, &footprint);
     let grid = shadow::caster_grid(&scene, &selection.casters, &horizon, &footprint);
     let bands = Bands::new(&scene, &selection, &settings);
     let (mut facets, mut stencil) = (Facets::default(), Stencil::default());
-    let mut map = Vec::new();
+    let mut map = ShadowMap::default();
     let mut group = c.benchmark_group("picture");
     group.bench_function("selection", |b| b.iter(|| Selection::new(black_box(&scene), &settings)));
     group.throughput(Throughput::Elements(horizon.heights_m.len() as u64));
     group.bench_function("horizon_map", |b| {
-        b.iter(|| HorizonMap::build(&scene.terrain, black_box(&scene.sun), &footprint));
+        let mut map = HorizonMap::default();
+        b.iter(|| map.make(&scene.terrain, black_box(&scene.sun), &footprint));
     });
     group.throughput(Throughput::Elements(selection.casters.len() as u64));
     group.bench_function("caster_grid", |b| {
@@ -94,9 +98,14 @@ fn picture(c: &mut Criterion) {
         rock.caster.map_or(0, |(_, level)| scene.rocks[rock.rock].triangles(level).len())
     };
     group.throughput(Throughput::Elements(selection.rocks.iter().map(cast).sum::<usize>() as u64));
+    let mut later = scene.clone();
+    let Sun { elevation_deg, azimuth_deg, angular_diameter_deg, irradiance, .. } = scene.sun;
+    later.sun = Sun::new(elevation_deg, azimuth_deg + 1.0, angular_diameter_deg, irradiance);
     group.bench_function("shadow_map", |b| {
-        b.iter(|| shadow_raster::draw(black_box(&scene), &selection, &mut map));
+        let mut suns = [&scene, &later].into_iter().cycle();
+        b.iter(|| map.draw(black_box(suns.next().unwrap_or(&scene)), &selection));
     });
+    group.bench_function("shadow_map_same_sun", |b| b.iter(|| map.draw(black_box(&scene), &selection)));
     facets.find(&scene, &selection, &settings, &grid, &bands, true);
     let triangles = facets.meshes().iter().map(|mesh| mesh.facets.len()).sum::<usize>();
     group.throughput(Throughput::Elements(triangles as u64));

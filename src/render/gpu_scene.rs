@@ -19,7 +19,7 @@ use super::scene_pass::Variant;
 use super::selection::{Bounds, Selection, Slots, ground_blocks, near_to_far};
 use super::shaders::{CasterTile, FrameUniforms, HorizonLevel, Instance};
 use super::shadow::{self, CasterGrids, Shades};
-use super::shadow_raster;
+use super::shadow_raster::ShadowMap;
 use super::targets::{Background, Targets};
 use super::visibility_raster::Stencil;
 use crate::class::ClassId;
@@ -94,8 +94,8 @@ pub struct GpuScene {
     pub caster_grid: Store,
     /// Columns and rows of the shadow map and of each of the layers that it is made of.
     pub atlas_px: [u32; 2],
-    /// If this program draws the map: it; kept for its memory.
-    shadow_map: Vec<f32>,
+    /// If this program draws the map: it.
+    shadow_map: ShadowMap,
     /// If this program finds what samples show: of what, and it; kept for their memory.
     facets: Facets,
     stencil: Stencil,
@@ -105,7 +105,9 @@ pub struct GpuScene {
     pub drawn_here: DrawnHere,
     /// Triangles drawn of what is seen.
     pub drawn_triangles: u64,
-    /// The ground's horizon, two heights a texel.
+    /// The ground's horizon; kept for its memory.
+    horizon_map: HorizonMap,
+    /// The same on the device, two heights a texel.
     pub horizon: Option<(wgpu::Texture, wgpu::TextureView)>,
     ground: Option<GroundBlocks>,
     sphere_levels: Vec<Range<u32>>,
@@ -231,12 +233,13 @@ impl Default for GpuScene {
             tiles: Store::new("shadow/tiles", BufferUsages::STORAGE),
             caster_grid: Store::new("shadow/caster_grid", BufferUsages::STORAGE),
             atlas_px: [0; 2],
-            shadow_map: Vec::new(),
+            shadow_map: ShadowMap::default(),
             facets: Facets::default(),
             stencil: Stencil::default(),
             background: None,
             drawn_here: DrawnHere::default(),
             drawn_triangles: 0,
+            horizon_map: HorizonMap::default(),
             horizon: None,
             ground: None,
             sphere_levels: Vec::new(),
@@ -258,7 +261,8 @@ impl GpuScene {
         self.uploaded_bytes = 0;
         let selection = Selection::new(scene, settings);
         let footprint = Footprint::new(scene, &selection.frustum);
-        let horizon = HorizonMap::build(&scene.terrain, &scene.sun, &footprint);
+        let mut horizon = std::mem::take(&mut self.horizon_map);
+        horizon.make(&scene.terrain, &scene.sun, &footprint);
         let casters = &selection.casters;
         let caster_grid = shadow::caster_grid(scene, casters, &horizon, &footprint);
         let bands = Bands::new(scene, &selection, settings);
@@ -270,9 +274,9 @@ impl GpuScene {
         self.draws = DrawList::default();
         if ways.own_shadow_map {
             let start = Instant::now();
-            shadow_raster::draw(scene, &selection, &mut self.shadow_map);
+            self.shadow_map.draw(scene, &selection);
             self.drawn_here.shadow_map_ms = Some(super::milliseconds(start.elapsed()));
-            self.uploaded_bytes += size_of_val(&self.shadow_map[..]) as u64;
+            self.uploaded_bytes += size_of_val(self.shadow_map.texels()) as u64;
         }
         if ways.own_visibility {
             let start = Instant::now();
@@ -299,12 +303,13 @@ impl GpuScene {
         self.uploaded_bytes += self.frame.write(gpu, &[uniforms]);
         (self.law, self.has_detail) = (scene.photometry.law, scene.relief.is_some());
         self.upload_horizon(gpu, &horizon);
+        self.horizon_map = horizon;
     }
 
     /// The shadow map, unless the device is to draw it.
     #[must_use]
     pub fn shadow_map(&self) -> Option<&[f32]> {
-        self.drawn_here.shadow_map_ms.map(|_| &self.shadow_map[..])
+        self.drawn_here.shadow_map_ms.map(|_| self.shadow_map.texels())
     }
 
     /// Draws what the samples show of the scene that was uploaded last and gives it to the device, unless that is to draw it.

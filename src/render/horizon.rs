@@ -12,13 +12,13 @@
 
 use std::ops::Range;
 
-use fearless_simd::{Level, dispatch};
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, dispatch, f32x8, i32x8};
 use glam::Vec2;
 use rayon::prelude::*;
 
 use super::footprint::Footprint;
 use super::shaders::HorizonLevel;
-use crate::scene::noise::floor;
 use crate::scene::sky::Sun;
 use crate::scene::terrain::{Layout, Terrain};
 
@@ -43,8 +43,11 @@ pub const MOST_LEVELS: usize = 12;
 /// Lowest limb that is reckoned with, degrees.
 const LOWEST_LIMB_DEG: f64 = 0.01;
 
-/// The map: its grids, the finest first.
-#[derive(Clone, Debug)]
+/// Rows that are run along at once.
+const LANES: usize = 8;
+
+/// The map: its grids, the finest first. Made again and again for its memory.
+#[derive(Clone, Debug, Default)]
 pub struct HorizonMap {
     /// Horizontal unit vector towards the sun, along the rows.
     pub towards: Vec2,
@@ -60,6 +63,8 @@ pub struct HorizonMap {
     pub heights_m: Vec<[f32; 2]>,
     /// Of a square: places, metres, within a step of which the ground may hide any of the sun from what lies on it or above.
     pub shaded: Vec<Vec2>,
+    /// Memory of grids that were made.
+    spare: Vec<Vec<[f32; 2]>>,
 }
 
 /// The lattice of a grid over the whole ground, aligned with the sun.
@@ -94,10 +99,9 @@ struct Grid {
 }
 
 impl HorizonMap {
-    /// The map of a ground and a sun over the part of it that is asked for: what is seen. Samples lie where they would in a map
-    /// of the whole ground, and of a square have the values that they would have there.
-    #[must_use]
-    pub fn build(terrain: &Terrain, sun: &Sun, footprint: &Footprint) -> Self {
+    /// Becomes that of a ground and a sun over the part of it that is asked for: what is seen. Samples lie where they would in a
+    /// map of the whole ground, and of a square have the values that they would have there.
+    pub fn make(&mut self, terrain: &Terrain, sun: &Sun, footprint: &Footprint) {
         let azimuth = sun.azimuth_deg.to_radians();
         let towards = Vec2::new(libm::sin(azimuth) as f32, libm::cos(azimuth) as f32);
         let reach_m = terrain.half_extent_m;
@@ -131,46 +135,44 @@ impl HorizonMap {
             // A finer grid asks for the places that it begins at.
             let asked = if level == 0 { 0.0 } else { (finer_m / step_m).ceil() + 2.0 };
             let region = frame.region(&footprint.within(terrain.centre, end_m), asked);
+            let memory = self.spare.pop().unwrap_or_default();
             let grid = match grids.last() {
-                None => frame.first(&region),
-                Some(coarser) => frame.within(&region, coarser, beyond as usize),
+                None => frame.first(&region, memory),
+                Some(coarser) => frame.within(&region, memory, coarser, beyond as usize),
             };
             grids.push(grid);
         }
         grids.reverse();
-        Self::joined(grids, towards, terrain.centre, base_m)
+        (self.towards, self.centre, self.base_m) = (towards, terrain.centre, base_m);
+        self.join(grids);
     }
 
-    fn joined(grids: Vec<Grid>, towards: Vec2, centre: Vec2, base_m: f32) -> Self {
+    /// Puts the grids below each other.
+    fn join(&mut self, grids: Vec<Grid>) {
         let width = grids.iter().map(|grid| grid.size[0]).max().unwrap_or(2);
-        let mut map = Self {
-            towards,
-            centre,
-            base_m,
-            levels: Vec::new(),
-            width: width as u32,
-            heights_m: Vec::new(),
-            shaded: Vec::new(),
-        };
-        for grid in grids {
-            map.levels.push(HorizonLevel {
+        self.width = width as u32;
+        self.levels.clear();
+        self.heights_m.clear();
+        self.shaded.clear();
+        for mut grid in grids {
+            self.levels.push(HorizonLevel {
                 origin: grid.origin,
                 step_m: grid.step_m,
-                first_row: (map.heights_m.len() / width) as u32,
+                first_row: (self.heights_m.len() / width) as u32,
                 size: grid.size.map(|side| side as u32),
                 reserved: [0; 2],
             });
-            if map.heights_m.is_empty() && grid.size[0] == width {
-                map.heights_m = grid.heights_m;
+            if self.heights_m.is_empty() && grid.size[0] == width {
+                std::mem::swap(&mut self.heights_m, &mut grid.heights_m);
             } else {
                 for row in grid.heights_m.chunks(grid.size[0]) {
-                    map.heights_m.extend(row);
-                    map.heights_m.resize(map.heights_m.len() + width - row.len(), [0.0; 2]);
+                    self.heights_m.extend(row);
+                    self.heights_m.resize(self.heights_m.len() + width - row.len(), [0.0; 2]);
                 }
             }
-            map.shaded.extend(grid.shaded);
+            self.shaded.extend(grid.shaded);
+            self.spare.push(grid.heights_m);
         }
-        map
     }
 
     /// Rows of [`Self::heights_m`].
@@ -228,93 +230,149 @@ impl<'a> Frame<'a> {
         if self.terrain.contains(place) { self.terrain.surface_height_at(place) } else { f32::MIN }
     }
 
-    /// Height of the ground at samples of a row.
-    fn ground_along(&self, row: usize, columns: Range<usize>) -> Vec<f32> {
-        let Some(square) = self.square else {
-            return columns.map(|column| self.ground_m(self.place(column, row))).collect();
-        };
-        let mut heights_m = vec![0.0; columns.len()];
-        dispatch!(Level::new(), _simd => self.heights_along(square, row, columns.start, &mut heights_m));
-        heights_m
-    }
-
-    // In three turns, of which the first and the last are the same for many samples at once; see `scene/noise.rs`.
+    /// Height of the ground at a column of some rows, which begin at `from`, and of a square its cell.
     #[inline(always)]
-    fn heights_along(&self, square: &Square, row: usize, first: usize, heights_m: &mut [f32]) {
-        const AT_ONCE: usize = 64;
-        let start = self.origin + row as f32 * self.step_m * self.across;
-        for (turn, heights_m) in heights_m.chunks_mut(AT_ONCE).enumerate() {
-            let first = (first + turn * AT_ONCE) as u32;
-            let mut cells = [0; AT_ONCE];
-            let (mut u, mut v) = ([0.0; AT_ONCE], [0.0; AT_ONCE]);
-            for (i, ((cell, u), v)) in (0..).zip(cells.iter_mut().zip(&mut u).zip(&mut v)) {
-                let place = start + (first + i) as f32 * self.step_m * self.towards;
-                (*cell, [*u, *v]) = square.cell_at(place);
-            }
-            for (height_m, ((cell, u), v)) in heights_m.iter_mut().zip(cells.iter().zip(&u).zip(&v)) {
-                *height_m = square.height_in(*cell, *u, *v);
-            }
+    fn ground_across<S: Simd>(
+        &self,
+        simd: S,
+        from: [f32x8<S>; 2],
+        rows: usize,
+        column: usize,
+    ) -> (f32x8<S>, i32x8<S>) {
+        let along = column as f32 * self.step_m * self.towards;
+        let (x, y) = (from[0] + along.x, from[1] + along.y);
+        if let Some(square) = self.square {
+            return square.heights_at(simd, x, y);
         }
+        let (mut heights_m, mut at) = ([f32::MIN; LANES], [[0.0; LANES]; 2]);
+        x.store_slice(&mut at[0]);
+        y.store_slice(&mut at[1]);
+        for lane in 0..rows {
+            heights_m[lane] = self.ground_m(Vec2::new(at[0][lane], at[1][lane]));
+        }
+        (f32x8::from_slice(simd, &heights_m), i32x8::splat(simd, 0))
     }
 
     /// The coarsest grid: its rows begin where no ground further off is high enough to hide the sun.
-    fn first(&self, region: &Region) -> Grid {
+    fn first(&self, region: &Region, memory: Vec<[f32; 2]>) -> Grid {
         let [lowest_m, highest_m] = self.terrain.z_range_m;
         let fall_m = self.fall_m[0].max(1e-6);
         let reach = ((highest_m - lowest_m) / fall_m).ceil().min(self.samples as f32) as usize + 2;
         let bends = self.square.map(|square| Bends::new(square, self.step_m));
         let start = |_, end: usize| ((end + reach).min(self.samples), [-1.0e9_f32; 2]);
-        self.scan(region, start, bends.as_ref())
+        self.scan(region, memory, start, bends.as_ref())
     }
 
     /// A grid whose rows go on from a coarser one, so many samples before what is asked for.
-    fn within(&self, region: &Region, coarser: &Grid, beyond: usize) -> Grid {
+    fn within(&self, region: &Region, memory: Vec<[f32; 2]>, coarser: &Grid, beyond: usize) -> Grid {
         let start = |row, end| {
             let end = end + beyond;
             let place = self.place(end, row);
             let ground_m = self.ground_m(place);
             (end, raised(coarser.limbs_at(place, self.towards), ground_m))
         };
-        self.scan(region, start, None)
+        self.scan(region, memory, start, None)
     }
 
     /// Runs along every row of a region, from the column and with the heights that `start` gives for it and the end of its span.
     fn scan(
         &self,
-        Region { columns, rows, spans }: &Region,
+        region: &Region,
+        mut heights_m: Vec<[f32; 2]>,
         start: impl Fn(usize, usize) -> (usize, [f32; 2]) + Sync,
         bends: Option<&Bends>,
     ) -> Grid {
-        let mut heights_m = vec![[f32::MIN; 2]; columns.len() * rows.len()];
-        let lines = heights_m.par_chunks_mut(columns.len()).zip(rows.clone()).zip(spans);
-        let shaded = lines.map(|((heights, row), span)| {
-            let mut shaded = Vec::new();
-            if span.is_empty() {
-                return shaded;
-            }
-            let (last, mut limbs) = start(row, span.end);
-            let ground_m = self.ground_along(row, span.start..last);
-            for (column, ground_m) in (span.start..last).zip(ground_m).rev() {
-                limbs = [limbs[0] - self.fall_m[0], limbs[1] - self.fall_m[1]];
-                if span.contains(&column) {
-                    heights[column - columns.start] = limbs;
-                    if let Some(bends) = bends
-                        && ground_m > f32::MIN
-                        && ground_m - limbs[0] <= bends.largest_m
-                        && ground_m - limbs[0] <= bends.at(self.place(column, row))
-                    {
-                        shaded.push(self.place(column, row));
-                    }
-                }
-                limbs = raised(limbs, ground_m);
-            }
-            shaded
+        let Region { columns, rows, spans } = region;
+        let width = columns.len();
+        heights_m.clear();
+        heights_m.resize(width * rows.len(), [f32::MIN; 2]);
+        let lines = heights_m.par_chunks_mut(LANES * width).zip(spans.par_chunks(LANES)).enumerate();
+        let shaded = lines.map(|(chunk, (heights_m, spans))| {
+            let first_row = rows.start + chunk * LANES;
+            let starts: Vec<_> = (first_row..).zip(spans).map(|(row, span)| start(row, span.end)).collect();
+            let lines = Lines { first_row, first_column: columns.start, spans, starts: &starts };
+            dispatch!(Level::new(), simd => self.scan_lines(simd, &lines, heights_m, bends))
         });
         let shaded = shaded.collect::<Vec<_>>().into_iter().flatten().collect();
-        let size = [columns.len(), rows.len()];
         let offset = columns.start as f32 * self.towards + rows.start as f32 * self.across;
-        Grid { origin: self.origin + self.step_m * offset, step_m: self.step_m, size, heights_m, shaded }
+        let origin = self.origin + self.step_m * offset;
+        Grid { origin, step_m: self.step_m, size: [width, rows.len()], heights_m, shaded }
     }
+
+    // Inlined wholly, for each width of vectors; see `scene/noise.rs`.
+    #[inline(always)]
+    fn scan_lines<S: Simd>(
+        &self,
+        simd: S,
+        lines: &Lines<'_>,
+        heights_m: &mut [[f32; 2]],
+        bends: Option<&Bends>,
+    ) -> Vec<Vec2> {
+        let Lines { first_row, first_column, spans, starts } = *lines;
+        let (rows, width) = (spans.len(), heights_m.len() / spans.len());
+        // Of each row: where it begins, the column and the heights that it is run along from.
+        let (mut from, mut last, mut limbs) = ([[0.0; LANES]; 2], [0.0; LANES], [[0.0; LANES]; 2]);
+        let (mut first, mut end) = (usize::MAX, 0);
+        for row in 0..rows {
+            let begin = self.origin + (first_row + row) as f32 * self.step_m * self.across;
+            (from[0][row], from[1][row]) = (begin.x, begin.y);
+            if spans[row].is_empty() {
+                continue;
+            }
+            let (start, at_start) = starts[row];
+            (last[row], limbs[0][row], limbs[1][row]) = (start as f32, at_start[0], at_start[1]);
+            (first, end) = (first.min(spans[row].start), end.max(start));
+        }
+        let from = [f32x8::from_slice(simd, &from[0]), f32x8::from_slice(simd, &from[1])];
+        let last = f32x8::from_slice(simd, &last);
+        let (mut lower, mut upper) = (f32x8::from_slice(simd, &limbs[0]), f32x8::from_slice(simd, &limbs[1]));
+        let mut shaded = Vec::new();
+        let mut column = end;
+        while column > first {
+            column -= 1;
+            let (ground, cell) = self.ground_across(simd, from, rows, column);
+            let begun = last.simd_gt(column as f32);
+            lower = begun.select(lower - self.fall_m[0], lower);
+            upper = begun.select(upper - self.fall_m[1], upper);
+            lower.store_slice(&mut limbs[0]);
+            upper.store_slice(&mut limbs[1]);
+            for row in 0..rows {
+                if spans[row].contains(&column) {
+                    heights_m[row * width + column - first_column] = [limbs[0][row], limbs[1][row]];
+                }
+            }
+            if let Some(bends) = bends {
+                let (on_ground, above) = (ground.simd_gt(f32::MIN), ground - lower);
+                if (on_ground & above.simd_le(bends.largest_m)).any_true() {
+                    let mut cells = [0; LANES];
+                    cell.store_slice(&mut cells);
+                    let bends_m = cells.map(|cell| bends.bends_m[cell as usize]);
+                    let is_shaded = on_ground & above.simd_le(f32x8::from_slice(simd, &bends_m));
+                    let mut left = is_shaded.to_bitmask();
+                    while left != 0 {
+                        let row = left.trailing_zeros() as usize;
+                        left &= left - 1;
+                        if spans.get(row).is_some_and(|span| span.contains(&column)) {
+                            shaded.push(self.place(column, first_row + row));
+                        }
+                    }
+                }
+            }
+            // As `raised`.
+            let stands_out = begun & ground.simd_gt(lower);
+            lower = stands_out.select(ground, lower);
+            upper = stands_out.select(ground, upper);
+        }
+        shaded
+    }
+}
+
+/// Rows that are run along at once: which, of which columns, and from where with which heights.
+struct Lines<'a> {
+    first_row: usize,
+    first_column: usize,
+    spans: &'a [Range<usize>],
+    starts: &'a [(usize, [f32; 2])],
 }
 
 /// The heights where ground stands at a place: what hides the lower limb from what lies beyond also tells how far the upper
@@ -362,33 +420,41 @@ impl Square {
         }
     }
 
-    fn height(&self, column: usize, row: usize) -> f32 {
-        self.heights_m[row * (self.cells + 1) + column]
+    /// Heights of its vertices in a row.
+    fn row(&self, row: usize) -> &[f32] {
+        &self.heights_m[row * (self.cells + 1)..][..self.cells + 1]
     }
 
-    /// The first vertex of the cell under a place, [`Self::OUTSIDE`] where there is none, and where in it the place lies.
+    /// [`Terrain::surface_height_at`] places, or far down outside, and their cells, by the first vertex of each.
     #[inline(always)]
-    fn cell_at(&self, place: Vec2) -> (u32, [f32; 2]) {
-        let last = self.cells as i32 - 1;
-        let at = (place + self.half_m) * self.cells_per_m;
-        let (column, row) = (floor(at.x).clamp(0, last), floor(at.y).clamp(0, last));
-        let inside = place.x.abs().max(place.y.abs()) <= self.half_m;
-        let vertex = (row * (last + 2) + column) as u32;
-        (if inside { vertex } else { Self::OUTSIDE }, [at.x - column as f32, at.y - row as f32])
-    }
-
-    const OUTSIDE: u32 = u32::MAX;
-
-    /// [`Terrain::surface_height_at`] a place of a cell, or far down outside.
-    #[inline(always)]
-    fn height_in(&self, vertex: u32, u: f32, v: f32) -> f32 {
-        if vertex == Self::OUTSIDE {
-            return f32::MIN;
+    fn heights_at<S: Simd>(&self, simd: S, x: f32x8<S>, y: f32x8<S>) -> (f32x8<S>, i32x8<S>) {
+        let last = (self.cells - 1) as f32;
+        let zero = f32x8::splat(simd, 0.0);
+        let (at_x, at_y) = ((x + self.half_m) * self.cells_per_m, (y + self.half_m) * self.cells_per_m);
+        let column = at_x.floor().max(zero).min(f32x8::splat(simd, last));
+        let row = at_y.floor().max(zero).min(f32x8::splat(simd, last));
+        let (u, v) = (at_x - column, at_y - row);
+        let row_len = self.cells as i32 + 1;
+        let vertex = row.to_int::<i32x8<S>>() * row_len + column.to_int::<i32x8<S>>();
+        let is_east = u.simd_ge(v);
+        let corner = vertex + is_east.select(i32x8::splat(simd, 1), i32x8::splat(simd, row_len));
+        let (mut of_vertex, mut of_corner) = ([0; LANES], [0; LANES]);
+        vertex.store_slice(&mut of_vertex);
+        corner.store_slice(&mut of_corner);
+        let mut heights_m = [[0.0; LANES]; 3];
+        for lane in 0..LANES {
+            let (vertex, corner) = (of_vertex[lane] as usize, of_corner[lane] as usize);
+            heights_m[0][lane] = self.heights_m[vertex];
+            heights_m[1][lane] = self.heights_m[corner];
+            heights_m[2][lane] = self.heights_m[vertex + self.cells + 2];
         }
-        let south = &self.heights_m[vertex as usize..][..self.cells + 3];
-        let (h00, h11) = (south[0], south[self.cells + 2]);
-        let (corner, near, far) = if u >= v { (south[1], u, v) } else { (south[self.cells + 1], v, u) };
-        h00 + (corner - h00) * near + (h11 - corner) * far
+        let h00 = f32x8::from_slice(simd, &heights_m[0]);
+        let corner = f32x8::from_slice(simd, &heights_m[1]);
+        let h11 = f32x8::from_slice(simd, &heights_m[2]);
+        let (near, far) = (is_east.select(u, v), is_east.select(v, u));
+        let is_inside = x.abs().max(y.abs()).simd_le(self.half_m);
+        let height = h00 + (corner - h00) * near + (h11 - corner) * far;
+        (is_inside.select(height, f32x8::splat(simd, f32::MIN)), vertex)
     }
 }
 
@@ -398,9 +464,7 @@ impl Square {
 /// slope) within a step of length s takes it at most J s / 4 off the straight line. Two axes make twice that; the three
 /// kinds of edges are added up over the cells around.
 struct Bends {
-    cells: usize,
-    cell_m: f32,
-    half_m: f32,
+    /// Of each cell, by its first vertex.
     bends_m: Vec<f32>,
     /// The largest of all.
     largest_m: f32,
@@ -408,39 +472,53 @@ struct Bends {
 
 impl Bends {
     fn new(square: &Square, step_m: f32) -> Self {
-        let (cells, row_len) = (square.cells, square.cells + 1);
-        let last = row_len - 1;
-        let height = |column: usize, row: usize| square.height(column, row);
-        // Changes of slope at a vertex, times a cell: along both axes and the diagonal.
-        let kinks_at = |column: usize, row: usize| {
-            let (west, east) = (column.saturating_sub(1), (column + 1).min(last));
-            let (south, north) = (row.saturating_sub(1), (row + 1).min(last));
-            let middle = 2.0 * height(column, row);
-            (height(west, row) + height(east, row) - middle).abs()
-                + (height(column, south) + height(column, north) - middle).abs()
-                + (height(west, south) + height(east, north) - middle).abs()
-        };
-        // Largest over two cells each way: first along rows, then along columns.
-        let wide = |at: usize, end: usize| at.saturating_sub(1)..=(at + 2).min(end);
+        let cells = square.cells;
         let scale = 0.5 * step_m / square.cell_m;
-        let rows: Vec<Vec<f32>> = (0..row_len)
-            .into_par_iter()
-            .map(|row| {
-                let kinks: Vec<f32> = (0..row_len).map(|column| scale * kinks_at(column, row)).collect();
-                (0..cells).map(|column| wide(column, last).map(|c| kinks[c]).fold(0.0, f32::max)).collect()
-            })
-            .collect();
-        let bends_m: Vec<f32> = (0..cells * cells)
-            .into_par_iter()
-            .map(|cell| wide(cell / cells, last).map(|row| rows[row][cell % cells]).fold(0.0, f32::max))
-            .collect();
+        // Largest over two cells each way: first along rows, then along columns.
+        let mut along = vec![0.0; cells * (cells + 1)];
+        along.par_chunks_exact_mut(cells).enumerate().for_each(|(row, along)| {
+            let rows = [row.saturating_sub(1), row, (row + 1).min(cells)].map(|row| square.row(row));
+            dispatch!(Level::new(), _simd => Self::along_row(rows, scale, along));
+        });
+        let mut bends_m = vec![0.0; (cells + 1) * (cells + 1)];
+        bends_m.par_chunks_exact_mut(cells + 1).take(cells).enumerate().for_each(|(row, bends_m)| {
+            for row in row.saturating_sub(1)..=(row + 2).min(cells) {
+                dispatch!(Level::new(), _simd => raise(bends_m, &along[row * cells..][..cells]));
+            }
+        });
         let largest_m = bends_m.iter().copied().fold(0.0, f32::max);
-        Self { cells, cell_m: square.cell_m, half_m: square.half_m, bends_m, largest_m }
+        Self { bends_m, largest_m }
     }
 
-    fn at(&self, place: Vec2) -> f32 {
-        let cell = |metres: f32| (((metres + self.half_m) / self.cell_m) as usize).min(self.cells - 1);
-        self.bends_m[cell(place.y) * self.cells + cell(place.x)]
+    /// Largest kinks around each cell of a row, from the heights to its south, along it and to its north.
+    #[inline(always)]
+    fn along_row([south, here, north]: [&[f32]; 3], scale: f32, along: &mut [f32]) {
+        let last = along.len();
+        // Changes of slope at a vertex, times a cell: along both axes and the diagonal.
+        let kinks = |west: usize, column: usize, east: usize| {
+            let middle = 2.0 * here[column];
+            scale
+                * ((here[west] + here[east] - middle).abs()
+                    + (south[column] + north[column] - middle).abs()
+                    + (south[west] + north[east] - middle).abs())
+        };
+        let mut of_row = vec![0.0; last + 1];
+        for column in 1..last {
+            of_row[column] = kinks(column - 1, column, column + 1);
+        }
+        (of_row[0], of_row[last]) = (kinks(0, 0, 1), kinks(last - 1, last, last));
+        along.copy_from_slice(&of_row[1..]);
+        raise(along, &of_row);
+        raise(&mut along[1..], &of_row);
+        raise(along, &of_row[2..]);
+    }
+}
+
+/// Raises numbers to those of a row; what is longer stays.
+#[inline(always)]
+fn raise(numbers: &mut [f32], row: &[f32]) {
+    for (number, other) in numbers.iter_mut().zip(row) {
+        *number = if *other > *number { *other } else { *number };
     }
 }
 
@@ -457,7 +535,8 @@ mod tests {
         let sun = Sun::new(17.0, 90.0, 0.53, Vec3::ONE);
         let corners =
             [Vec2::splat(-100.0), Vec2::splat(100.0), Vec2::new(-100.0, 100.0), Vec2::new(100.0, -100.0)];
-        let map = HorizonMap::build(&terrain, &sun, &Footprint::around(corners.into_iter()));
+        let mut map = HorizonMap::default();
+        map.make(&terrain, &sun, &Footprint::around(corners.into_iter()));
         let level = map.levels[0];
         // Beyond 13 m the shadow of the ridge has met the ground.
         for x in [-5.0_f32, -8.0, -12.0] {

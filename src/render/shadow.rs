@@ -68,7 +68,7 @@ pub fn casters(scene: &Scene, frustum: &Frustum, size_px: [u32; 2]) -> Vec<Caste
             let nearest_m = (distance_to_segment(scene.camera.eye, rock.centre, end) - width_m).max(0.5);
             let texel_m = nearest_m * pixel_angle / TEXELS_PER_PIXEL;
             // A margin of a texel on each side keeps the outline inside the tile.
-            let side_px = (2.0 * rock.radius_m / texel_m).ceil() as u32 + 2;
+            let side_px = in_steps((2.0 * rock.radius_m / texel_m).ceil() as u32 + 2);
             let half_extent_m = rock.radius_m * 1.02;
             let size_px = side_px.clamp(TILE_PX[0], largest_px) as f32;
             // The icosahedron's edge spans 63 degrees of the sphere, and each level halves it.
@@ -84,6 +84,12 @@ pub fn casters(scene: &Scene, frustum: &Frustum, size_px: [u32; 2]) -> Vec<Caste
         }
     }
     casters
+}
+
+/// Not smaller, and one of eight sizes to each that is twice as large: a tile stays what it is while the camera hardly moves.
+const fn in_steps(side_px: u32) -> u32 {
+    let step_px = side_px.next_power_of_two() / 16;
+    if step_px == 0 { side_px } else { side_px.next_multiple_of(step_px) }
 }
 
 /// Columns of the atlas, and rows of each of its layers, that these casters need, in steps, so that scenes share

@@ -1,9 +1,14 @@
 //! The shadow map drawn by this program: for devices that are a CPU themselves.
 //!
+//! What a tile holds depends on nothing but its mesh, its size and the sun: where the picture before had such a one it is copied.
+//! A picture is the same whatever was drawn before it.
+//!
 //! Twin of `shadow.wgsl` and `middle.wgsl`.
 //! Must not know: buffers.
 
 use std::cell::RefCell;
+use std::collections::HashMap;
+use std::sync::{Arc, Weak};
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, dispatch, f32x8, mask32x8};
@@ -25,30 +30,99 @@ thread_local! {
     static CANVAS: RefCell<Canvas> = RefCell::default();
 }
 
-/// Draws the map of a selection's casters: a row after the other, of [`shadow::atlas_px`]. What lies between the tiles stays as
-/// it was.
-pub fn draw(scene: &Scene, selection: &Selection, map: &mut Vec<f32>) {
-    let [width, height] = shadow::atlas_px(&selection.casters).map(|side| side as usize);
-    map.resize(width * height, NO_CASTER);
-    let tiles: Vec<&CasterTile> = selection.casters.iter().map(|caster| &caster.tile).collect();
-    let mut rows = rows_of(&tiles, map, width);
-    let casting: Vec<_> = selection
-        .rocks
-        .iter()
-        .filter_map(|selected| {
-            let (caster, level) = selected.caster?;
-            Some((&scene.rocks[selected.rock], tiles[caster], level, std::mem::take(&mut rows[caster])))
-        })
-        .collect();
-    casting.into_par_iter().for_each(|(rock, tile, level, rows)| {
-        let vertices = &rock.vertices[..Icosphere::vertex_count(level.min(rock.level))];
-        let triangles = rock.triangles(level);
-        CANVAS.with_borrow_mut(|canvas| {
-            canvas.project(tile, scene, vertices);
-            dispatch!(Level::new(), simd => canvas.draw(simd, triangles));
-            canvas.write_middles(rows);
+/// The map of the picture that was drawn last, and that of the one before, whose memory the next is drawn in.
+#[derive(Debug, Default)]
+pub struct ShadowMap {
+    last: Sheet,
+    spare: Sheet,
+}
+
+/// A map, and of what each of its tiles is.
+#[derive(Debug, Default)]
+struct Sheet {
+    width: usize,
+    texels: Vec<f32>,
+    sun_direction: Vec3,
+    /// By the address of the mesh.
+    tiles: HashMap<usize, Tile>,
+}
+
+/// What a tile holds and where it is.
+#[derive(Clone, Debug)]
+struct Tile {
+    /// Keeps the mesh's address from being given to another, but not the mesh.
+    mesh: Weak<Vec<Vertex>>,
+    level: usize,
+    place: CasterTile,
+}
+
+impl ShadowMap {
+    /// A row after the other, of [`shadow::atlas_px`].
+    #[must_use]
+    pub fn texels(&self) -> &[f32] {
+        &self.last.texels
+    }
+
+    /// Draws the map of a selection's casters. What lies between the tiles is any number.
+    pub fn draw(&mut self, scene: &Scene, selection: &Selection) {
+        let Self { last, spare } = self;
+        std::mem::swap(last, spare);
+        let (map, before) = (last, &*spare);
+        let [width, height] = shadow::atlas_px(&selection.casters).map(|side| side as usize);
+        (map.width, map.sun_direction) = (width, scene.sun.direction);
+        map.texels.resize(width * height, NO_CASTER);
+        map.tiles.clear();
+        let tiles: Vec<&CasterTile> = selection.casters.iter().map(|caster| &caster.tile).collect();
+        let mut rows = rows_of(&tiles, &mut map.texels, width);
+        let casting: Vec<_> = selection
+            .rocks
+            .iter()
+            .filter_map(|selected| {
+                let (caster, level) = selected.caster?;
+                let rock = &scene.rocks[selected.rock];
+                let tile = Tile {
+                    mesh: Arc::downgrade(&rock.vertices),
+                    level: level.min(rock.level),
+                    place: *tiles[caster],
+                };
+                map.tiles.insert(tile.mesh.as_ptr().addr(), tile.clone());
+                Some((rock, tile, std::mem::take(&mut rows[caster])))
+            })
+            .collect();
+        casting.into_par_iter().for_each(|(rock, tile, rows)| {
+            if let Some(alike) = before.alike(&tile, scene) {
+                for (row, drawn) in rows.into_iter().zip(before.rows(alike)) {
+                    row.copy_from_slice(drawn);
+                }
+                return;
+            }
+            let vertices = &rock.vertices[..Icosphere::vertex_count(tile.level)];
+            CANVAS.with_borrow_mut(|canvas| {
+                canvas.project(&tile.place, scene, vertices);
+                dispatch!(Level::new(), simd => canvas.draw(simd, rock.triangles(tile.level)));
+                canvas.write_middles(rows);
+            });
         });
-    });
+    }
+}
+
+impl Sheet {
+    /// The tile that holds the same as another is to, if there is one.
+    fn alike(&self, tile: &Tile, scene: &Scene) -> Option<&CasterTile> {
+        let known = self.tiles.get(&tile.mesh.as_ptr().addr())?;
+        let (old, new) = (&known.place, &tile.place);
+        let is_alike = self.sun_direction == scene.sun.direction
+            && known.level == tile.level
+            && (old.size_px, old.half_extent_m) == (new.size_px, new.half_extent_m);
+        is_alike.then_some(old)
+    }
+
+    /// The rows of a tile.
+    fn rows(&self, tile: &CasterTile) -> impl Iterator<Item = &[f32]> {
+        let [column, row] = tile.origin_px.to_array().map(|texel| texel as usize);
+        let size = tile.size_px as usize;
+        (row..row + size).map(move |row| &self.texels[row * self.width + column..][..size])
+    }
 }
 
 /// The rows of each tile in the map.
@@ -162,5 +236,55 @@ impl<S: Simd> Paint<S> for Depth<'_> {
         let here = inside.select(self.depth.at(x, y), f32x8::splat(simd, 0.0));
         let there = load(simd, self.layer, texels);
         store(self.layer, texels, here.max(there));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::params::Params;
+    use crate::render::RenderSettings;
+    use crate::scene::sky::Sun;
+
+    /// The texels of each caster's tile.
+    fn tiles(map: &ShadowMap, selection: &Selection) -> Vec<Vec<f32>> {
+        let rows = |tile: &CasterTile| map.last.rows(tile).flatten().copied().collect();
+        selection.casters.iter().map(|caster| rows(&caster.tile)).collect()
+    }
+
+    #[test]
+    fn tiles_are_the_same_whatever_was_drawn_before() {
+        let mut scene = Scene::build(42, &Params::draw_default(42)).expect("the scene of the seed");
+        let settings = RenderSettings::new([256, 256], 1).expect("settings");
+        let mut map = ShadowMap::default();
+        let mut copied = Vec::new();
+        let still = scene.clone();
+        for change in 0..5 {
+            match change {
+                0 => {}
+                // Nothing moves; then the camera; then the sun; then a rock takes another's place.
+                1 => {}
+                2 => scene.camera.eye.x += 0.5,
+                3 => scene.sun = Sun { direction: Vec3::new(0.3, 0.9, 0.31).normalize(), ..scene.sun },
+                _ => {
+                    scene.rocks[0].vertices =
+                        Arc::new(scene.rocks[0].vertices.iter().rev().copied().collect())
+                }
+            }
+            let selection = Selection::new(&scene, &settings);
+            map.draw(&scene, &selection);
+            let mut fresh = ShadowMap::default();
+            fresh.draw(&scene, &selection);
+            assert_eq!(tiles(&map, &selection), tiles(&fresh, &selection), "change {change}");
+            let before = |tile: &&Tile| map.spare.alike(tile, &scene).is_some();
+            copied.push((map.last.tiles.values().filter(before).count(), map.last.tiles.len()));
+        }
+        let [first, again, camera, sun, rock] = copied[..] else { panic!("five pictures") };
+        assert_eq!(first.0, 0);
+        assert_eq!(again.0, again.1);
+        assert!(camera.0 > camera.1 / 2 && camera.0 < camera.1, "{camera:?}");
+        assert_eq!(sun.0, 0);
+        assert_eq!(rock.0, rock.1 - 1);
+        assert!(Arc::ptr_eq(&still.rocks[1].vertices, &scene.rocks[1].vertices), "copies share meshes");
     }
 }

@@ -7,6 +7,8 @@
 
 pub mod lunar;
 
+use std::sync::Arc;
+
 use glam::{Mat3, Vec2, Vec3};
 use rayon::prelude::*;
 
@@ -60,8 +62,8 @@ pub struct Rock {
     pub index: u32,
     /// Origin of its vertices in the world, metres.
     pub centre: Vec3,
-    /// Displaced icosphere of level [`Self::level`], metres from the centre, world axes.
-    pub vertices: Vec<Vertex>,
+    /// Displaced icosphere of level [`Self::level`], metres from the centre, world axes. Copies of a rock share it.
+    pub vertices: Arc<Vec<Vertex>>,
     /// Level of the authored icosphere.
     pub level: usize,
     /// Per level, how far a surface drawn at that level may lie off the authored one, metres.
@@ -203,7 +205,7 @@ impl Rock {
             index,
             centre: Vec3::ZERO,
             level_errors_m: Icosphere::shared().level_errors_m(&vertices),
-            vertices,
+            vertices: Arc::new(vertices),
             level,
             radius_m,
             z_range_m,
@@ -239,7 +241,7 @@ impl Rock {
     #[must_use]
     pub fn diameter_m(&self) -> f32 {
         let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-        for vertex in &self.vertices {
+        for vertex in self.vertices.iter() {
             (low, high) = (low.min(vertex.position), high.max(vertex.position));
         }
         0.5 * ((high.x - low.x) + (high.y - low.y))

@@ -49,7 +49,7 @@ fn ball(centre: Vec3, radius_m: f32) -> Rock {
         centre,
         level: Icosphere::MAX_LEVEL,
         level_errors_m: sphere.level_errors_m(&vertices),
-        vertices,
+        vertices: vertices.into(),
         radius_m,
         z_range_m: [-radius_m, radius_m],
         base_scale_m: radius_m,
