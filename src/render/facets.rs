@@ -6,14 +6,16 @@
 
 use std::ops::Range;
 
-use glam::{Mat4, UVec2, Vec2, Vec3};
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, dispatch, i32x8};
+use glam::{BVec2, Mat4, UVec2, Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::RenderSettings;
 use super::lit::{Group, Groups};
 use super::raster::{self, FURTHEST_PX, Outline, Place, Plane, Span, Turn, texels_between};
 use super::relief::Bands;
-use super::selection::{Bounds, SelectedRock, Selection, Slots, cell_bounds, ground_blocks, near_to_far};
+use super::selection::{BLOCK_CELLS, Bounds, SelectedRock, Selection, Slots, ground_blocks, near_to_far};
 use super::shadow::{CasterGrids, Shades};
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
@@ -68,6 +70,8 @@ pub struct Mesh {
     pub bounds: [Bounds; SHADES],
     /// Its vertices, and what clipping added.
     pub corners: Vec<Corner>,
+    /// Whether all of its vertices have places.
+    is_placed: bool,
     /// Its triangles.
     pub facets: Vec<Facet>,
     /// Of triangles that were clipped: one over the metres along the axis, and the normal times that, from the first sample on.
@@ -140,7 +144,7 @@ impl Facets {
                 let (block, _) = selection.blocks[place];
                 let band = bands.of_block(block);
                 mesh.restart(Slots::GROUND, Shades::ALL.map(|shades| Groups::ground(band, shades)));
-                mesh.add_block(&of, selection, &spans[block]);
+                mesh.add_block(&of, &spans[block]);
             }
             Source::Stars => {
                 mesh.restart(0, [groups.stars(); SHADES]);
@@ -186,6 +190,17 @@ struct Picture<'a> {
     sun: Vec3,
     grids: Option<CasterGrids>,
     caster_grid: &'a [u32],
+}
+
+impl Picture<'_> {
+    /// What can shade a cell of the ground.
+    fn shades_over_cell(&self, column: u32, row: u32) -> Shades {
+        let Some(grids) = &self.grids else { return Shades::Casters };
+        let corners = self.scene.terrain.corners(column, row).map(Vec3::truncate);
+        let (low, high) =
+            corners.iter().fold((corners[0], corners[0]), |(low, high), p| (low.min(*p), high.max(*p)));
+        grids.shades_over(self.caster_grid, low, high)
+    }
 }
 
 /// Where samples lie: as a device reckons it.
@@ -321,6 +336,26 @@ impl Samples {
     }
 }
 
+/// Triangles that are sifted at once: those of a row of a block of ground, and more of a rock.
+const AT_ONCE: usize = 256;
+const _: () = assert!(AT_ONCE >= 2 * BLOCK_CELLS as usize, "a row of a block has two triangles a cell");
+
+/// How many of them are looked at at a time.
+const LANES: usize = 8;
+
+/// Numbers of some of [`AT_ONCE`] triangles.
+struct Sifted {
+    /// More than can be, to be written to and not counted.
+    numbers: [u16; AT_ONCE + LANES],
+    count: usize,
+}
+
+impl Sifted {
+    fn get(&self) -> &[u16] {
+        &self.numbers[..self.count]
+    }
+}
+
 /// From which sides a mesh is seen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Sides {
@@ -367,53 +402,63 @@ impl Mesh {
         let vertices = &rock.vertices[..Icosphere::vertex_count(level.min(rock.level))];
         let corner = |v: &Vertex| of.samples.corner(origin + v.position, v.normal);
         self.corners.extend(vertices.iter().map(corner));
-        for &triangle in rock.triangles(level) {
-            let corners = triangle.map(|vertex| &vertices[vertex as usize]);
-            let shades = || {
-                let [a, b, c] = corners.map(|corner| corner.position.z);
-                let dark = corners.iter().all(|corner| corner.normal.dot(of.sun) < -DARK);
-                (a.max(b).max(c) > buried_m).then_some(if dark { Shades::Nothing } else { Shades::Casters })
-            };
-            let vertex = |v: u32| (origin + vertices[v as usize].position, vertices[v as usize].normal);
-            self.add(&of.samples, triangle, Sides::Outside, shades, vertex);
+        self.is_placed = self.corners.iter().all(|corner| corner.inverse_w > 0.0);
+        let vertex = |v: u32| (origin + vertices[v as usize].position, vertices[v as usize].normal);
+        for triangles in rock.triangles(level).chunks(AT_ONCE) {
+            for &number in self.sifted(&of.samples, triangles).get() {
+                let triangle = triangles[usize::from(number)];
+                let corners = triangle.map(|vertex| &vertices[vertex as usize]);
+                let shades = || {
+                    let [a, b, c] = corners.map(|corner| corner.position.z);
+                    let dark = corners.iter().all(|corner| corner.normal.dot(of.sun) < -DARK);
+                    let shades = if dark { Shades::Nothing } else { Shades::Casters };
+                    (a.max(b).max(c) > buried_m).then_some(shades)
+                };
+                self.add(&of.samples, triangle, Sides::Outside, shades, vertex);
+            }
         }
     }
 
     /// Of a block of ground.
-    fn add_block(&mut self, of: &Picture<'_>, selection: &Selection, [columns, rows]: &[Range<u32>; 2]) {
+    fn add_block(&mut self, of: &Picture<'_>, [columns, rows]: &[Range<u32>; 2]) {
         let (terrain, eye) = (&of.scene.terrain, of.scene.camera.eye);
         // Vertices by their place in the block.
         let (row_len, block_row_len) = (terrain.columns + 1, columns.len() as u32 + 1);
-        let first = rows.start * row_len + columns.start;
-        let in_block = |vertex: u32| (vertex - first) / row_len * block_row_len + (vertex - first) % row_len;
-        let vertex = |place: u32| {
-            let of_terrain = first + place / block_row_len * row_len + place % block_row_len;
-            let vertex = &terrain.vertices[of_terrain as usize];
-            (vertex.position - eye, vertex.normal)
-        };
         for row in rows.start..=rows.end {
             let first = (row * row_len + columns.start) as usize;
             let vertices = &terrain.vertices[first..first + block_row_len as usize];
             self.corners.extend(vertices.iter().map(|v| of.samples.corner(v.position - eye, v.normal)));
         }
+        self.is_placed = self.corners.iter().all(|corner| corner.inverse_w > 0.0);
         for row in rows.clone() {
-            for column in columns.clone() {
-                let (low, high) = cell_bounds(of.scene, column, row);
-                if !selection.frustum.may_see_box(low, high) {
-                    continue;
-                }
-                let mut of_cell = None;
-                for triangle in terrain.block_triangles(column..column + 1, row..row + 1) {
-                    let shades = || {
-                        Some(*of_cell.get_or_insert_with(|| {
-                            let over = |grids: &CasterGrids| {
-                                grids.shades_over(of.caster_grid, low.truncate(), high.truncate())
-                            };
-                            of.grids.as_ref().map_or(Shades::Casters, over)
-                        }))
-                    };
-                    self.add(&of.samples, triangle.map(in_block), Sides::Outside, shades, vertex);
-                }
+            let (south, first) = (row * row_len + columns.start, (row - rows.start) * block_row_len);
+            let in_block = |vertex: u32| {
+                let (beyond, is_north) = (vertex - south, vertex >= south + row_len);
+                first + if is_north { beyond - row_len + block_row_len } else { beyond }
+            };
+            let vertex = |place: u32| {
+                let (beyond, is_north) = (place - first, place >= first + block_row_len);
+                let of_terrain = south + if is_north { beyond - block_row_len + row_len } else { beyond };
+                let vertex = &terrain.vertices[of_terrain as usize];
+                (vertex.position - eye, vertex.normal)
+            };
+            let triangles: Vec<[u32; 3]> = terrain
+                .block_triangles(columns.clone(), row..row + 1)
+                .map(|triangle| triangle.map(in_block))
+                .collect();
+            let per_cell = triangles.len() / columns.len();
+            let mut of_cell = None;
+            for &number in self.sifted(&of.samples, &triangles).get() {
+                let column = columns.start + (usize::from(number) / per_cell) as u32;
+                let shades = || match of_cell {
+                    Some((known, shades)) if known == column => Some(shades),
+                    _ => {
+                        let shades = of.shades_over_cell(column, row);
+                        of_cell = Some((column, shades));
+                        Some(shades)
+                    }
+                };
+                self.add(&of.samples, triangles[usize::from(number)], Sides::Outside, shades, vertex);
             }
         }
     }
@@ -433,6 +478,47 @@ impl Mesh {
             let triangle = triangle.map(|vertex| first + vertex);
             let vertex = |place: u32| vertex(&directions[(place - first) as usize]);
             self.add(&of.samples, triangle, Sides::Both, || Some(Shades::Nothing), vertex);
+        }
+    }
+
+    /// Which of some triangles of what is seen from outside may be seen. Most may not, and no telling which: there is no branch.
+    fn sifted(&self, samples: &Samples, triangles: &[[u32; 3]]) -> Sifted {
+        let mut sifted = Sifted { numbers: [0; AT_ONCE + LANES], count: 0 };
+        if self.is_placed {
+            dispatch!(Level::new(), simd => self.sift(simd, samples, triangles, &mut sifted));
+        } else {
+            for (place, number) in sifted.numbers.iter_mut().zip(0..triangles.len()) {
+                *place = number as u16;
+            }
+            sifted.count = triangles.len();
+        }
+        sifted
+    }
+
+    // Inlined wholly, for each width of vectors; see `scene/noise.rs`.
+    #[inline(always)]
+    fn sift<S: Simd>(&self, simd: S, samples: &Samples, triangles: &[[u32; 3]], sifted: &mut Sifted) {
+        let mut number = 0;
+        while number < triangles.len() {
+            let eight = &triangles[number..triangles.len().min(number + LANES)];
+            let (mut x, mut y) = ([[0; LANES]; 3], [[0; LANES]; 3]);
+            for (lane, triangle) in eight.iter().enumerate() {
+                for (i, &corner) in triangle.iter().enumerate() {
+                    let Place { x: column, y: row } = self.corners[corner as usize].place;
+                    (x[i][lane], y[i][lane]) = (column, row);
+                }
+            }
+            let [a, b, c] = &x;
+            let x = [i32x8::from_slice(simd, a), i32x8::from_slice(simd, b), i32x8::from_slice(simd, c)];
+            let [a, b, c] = &y;
+            let y = [i32x8::from_slice(simd, a), i32x8::from_slice(simd, b), i32x8::from_slice(simd, c)];
+            // Those that are not there have no area.
+            let kept = raster::may_cover(simd, x, y, samples.width, &samples.rows).to_bitmask();
+            for lane in 0..LANES {
+                sifted.numbers[sifted.count] = (number + lane) as u16;
+                sifted.count += (kept >> lane & 1) as usize;
+            }
+            number += LANES;
         }
     }
 
@@ -461,7 +547,12 @@ impl Mesh {
             let (at, w) = samples.clip(offset);
             Homogeneous { at, w, normal, corner: is_placed(corner).then_some(corner) }
         });
-        if homogeneous.iter().all(|v| v.w < samples.near_m) {
+        // Wholly behind the lens or beside the picture.
+        let beside: [fn(&Homogeneous) -> f32; 4] =
+            [|v| v.w - v.at.x, |v| v.w + v.at.x, |v| v.w - v.at.y, |v| v.w + v.at.y];
+        if homogeneous.iter().all(|v| v.w < samples.near_m)
+            || beside.iter().any(|inside| homogeneous.iter().all(|v| inside(v) < 0.0))
+        {
             return;
         }
         let polygon: Vec<u32> = samples
@@ -547,11 +638,9 @@ fn facing([a, b, c]: [(Vec3, Vec3); 3]) -> u32 {
 #[inline]
 fn octahedron(v: Vec3) -> Vec2 {
     let p = v.truncate() / v.abs().element_sum().max(1e-30);
-    if v.z >= 0.0 {
-        return p;
-    }
     let folded = 1.0 - Vec2::new(p.y, p.x).abs();
-    Vec2::select(p.cmpge(Vec2::ZERO), folded, -folded)
+    let folded = Vec2::select(p.cmpge(Vec2::ZERO), folded, -folded);
+    Vec2::select(BVec2::splat(v.z >= 0.0), p, folded)
 }
 
 #[cfg(test)]

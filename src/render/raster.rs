@@ -156,6 +156,32 @@ pub fn texels_between([a, b, c]: [Place; 3], width: usize, rows: &Range<i32>) ->
     (((columns.1 - columns.0) | (rows.1 - rows.0)) >= 0).then_some([columns, rows])
 }
 
+/// Whether triangles, eight at once by the places of their corners, may be seen from their fronts and cover texels of so many
+/// columns and of some rows. One that spans more than a few texels may be found to and yet not be.
+#[must_use]
+#[inline(always)]
+pub fn may_cover<S: Simd>(
+    simd: S,
+    x: [i32x8<S>; 3],
+    y: [i32x8<S>; 3],
+    width: usize,
+    rows: &Range<i32>,
+) -> mask32x8<S> {
+    let (low_x, high_x) = (x[0].min(x[1]).min(x[2]), x[0].max(x[1]).max(x[2]));
+    let (low_y, high_y) = (y[0].min(y[1]).min(y[2]), y[0].max(y[1]).max(y[2]));
+    let splat = |number: i32| i32x8::splat(simd, number);
+    // As `middles_between`.
+    let first_column = ((low_x + (PARTS - 1)) >> PARTS_BITS as u32).max(splat(0));
+    let last_column = (high_x >> PARTS_BITS as u32).min(splat(width as i32 - 1));
+    let first_row = ((low_y + (PARTS - 1)) >> PARTS_BITS as u32).max(splat(rows.start));
+    let last_row = (high_y >> PARTS_BITS as u32).min(splat(rows.end - 1));
+    let covers = last_column.simd_ge(first_column) & last_row.simd_ge(first_row);
+    // As `twice_area`, which may not fit where they are large.
+    let twice_area = (x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0]);
+    let is_large = (high_x - low_x).max(high_y - low_y).simd_ge(SPAN_PX * PARTS);
+    covers & (is_large | twice_area.simd_lt(0))
+}
+
 impl Outline {
     /// Of a triangle that is seen from its front, in a buffer of so many columns, and rows of them; none where no middle of a
     /// texel lies between its corners.

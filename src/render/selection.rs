@@ -170,12 +170,6 @@ fn block_bounds(scene: &Scene, columns: &Range<u32>, rows: &Range<u32>) -> (Vec3
     (low, high)
 }
 
-/// The same of one of its cells.
-pub(super) fn cell_bounds(scene: &Scene, column: u32, row: u32) -> (Vec3, Vec3) {
-    let corners = scene.terrain.corners(column, row);
-    corners.iter().fold((corners[0], corners[0]), |(low, high), p| (low.min(*p), high.max(*p)))
-}
-
 /// A rectangle of the picture outside of which something is not seen, samples; it may reach beyond the picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
