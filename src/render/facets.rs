@@ -6,14 +6,15 @@
 
 use std::ops::Range;
 
-use fearless_simd::prelude::*;
-use fearless_simd::{Level, dispatch, i32x8};
+use fearless_simd::{Level, dispatch};
 use glam::{BVec2, Mat4, UVec2, Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::RenderSettings;
 use super::lit::{Group, Groups};
-use super::raster::{self, FURTHEST_PX, Outline, Place, Plane, Span, Turn, texels_between};
+use super::raster::{
+    self, AT_ONCE, FURTHEST_PX, Outline, Place, Plane, Sides, Sifted, Span, Turn, texels_between,
+};
 use super::relief::Bands;
 use super::selection::{BLOCK_CELLS, Bounds, SelectedRock, Selection, Slots, ground_blocks, near_to_far};
 use super::shadow::{CasterGrids, Shades};
@@ -336,32 +337,8 @@ impl Samples {
     }
 }
 
-/// Triangles that are sifted at once: those of a row of a block of ground, and more of a rock.
-const AT_ONCE: usize = 256;
-const _: () = assert!(AT_ONCE >= 2 * BLOCK_CELLS as usize, "a row of a block has two triangles a cell");
-
-/// How many of them are looked at at a time.
-const LANES: usize = 8;
-
-/// Numbers of some of [`AT_ONCE`] triangles.
-struct Sifted {
-    /// More than can be, to be written to and not counted.
-    numbers: [u16; AT_ONCE + LANES],
-    count: usize,
-}
-
-impl Sifted {
-    fn get(&self) -> &[u16] {
-        &self.numbers[..self.count]
-    }
-}
-
-/// From which sides a mesh is seen.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Sides {
-    Outside,
-    Both,
-}
+// A row of a block of ground has two triangles a cell.
+const _: () = assert!(AT_ONCE >= 2 * BLOCK_CELLS as usize);
 
 impl Mesh {
     /// The corners of one of its facets.
@@ -405,7 +382,7 @@ impl Mesh {
         self.is_placed = self.corners.iter().all(|corner| corner.inverse_w > 0.0);
         let vertex = |v: u32| (origin + vertices[v as usize].position, vertices[v as usize].normal);
         for triangles in rock.triangles(level).chunks(AT_ONCE) {
-            for &number in self.sifted(&of.samples, triangles).get() {
+            for &number in self.sifted(&of.samples, triangles).numbers() {
                 let triangle = triangles[usize::from(number)];
                 let corners = triangle.map(|vertex| &vertices[vertex as usize]);
                 let shades = || {
@@ -448,7 +425,7 @@ impl Mesh {
                 .collect();
             let per_cell = triangles.len() / columns.len();
             let mut of_cell = None;
-            for &number in self.sifted(&of.samples, &triangles).get() {
+            for &number in self.sifted(&of.samples, &triangles).numbers() {
                 let column = columns.start + (usize::from(number) / per_cell) as u32;
                 let shades = || match of_cell {
                     Some((known, shades)) if known == column => Some(shades),
@@ -481,45 +458,15 @@ impl Mesh {
         }
     }
 
-    /// Which of some triangles of what is seen from outside may be seen. Most may not, and no telling which: there is no branch.
+    /// Which of some triangles of what is seen from outside may be seen.
     fn sifted(&self, samples: &Samples, triangles: &[[u32; 3]]) -> Sifted {
-        let mut sifted = Sifted { numbers: [0; AT_ONCE + LANES], count: 0 };
-        if self.is_placed {
-            dispatch!(Level::new(), simd => self.sift(simd, samples, triangles, &mut sifted));
-        } else {
-            for (place, number) in sifted.numbers.iter_mut().zip(0..triangles.len()) {
-                *place = number as u16;
-            }
-            sifted.count = triangles.len();
+        if !self.is_placed {
+            return Sifted::all(triangles.len());
         }
-        sifted
-    }
-
-    // Inlined wholly, for each width of vectors; see `scene/noise.rs`.
-    #[inline(always)]
-    fn sift<S: Simd>(&self, simd: S, samples: &Samples, triangles: &[[u32; 3]], sifted: &mut Sifted) {
-        let mut number = 0;
-        while number < triangles.len() {
-            let eight = &triangles[number..triangles.len().min(number + LANES)];
-            let (mut x, mut y) = ([[0; LANES]; 3], [[0; LANES]; 3]);
-            for (lane, triangle) in eight.iter().enumerate() {
-                for (i, &corner) in triangle.iter().enumerate() {
-                    let Place { x: column, y: row } = self.corners[corner as usize].place;
-                    (x[i][lane], y[i][lane]) = (column, row);
-                }
-            }
-            let [a, b, c] = &x;
-            let x = [i32x8::from_slice(simd, a), i32x8::from_slice(simd, b), i32x8::from_slice(simd, c)];
-            let [a, b, c] = &y;
-            let y = [i32x8::from_slice(simd, a), i32x8::from_slice(simd, b), i32x8::from_slice(simd, c)];
-            // Those that are not there have no area.
-            let kept = raster::may_cover(simd, x, y, samples.width, &samples.rows).to_bitmask();
-            for lane in 0..LANES {
-                sifted.numbers[sifted.count] = (number + lane) as u16;
-                sifted.count += (kept >> lane & 1) as usize;
-            }
-            number += LANES;
-        }
+        let place_of = |corner: u32| self.corners[corner as usize].place;
+        dispatch!(Level::new(), simd => {
+            Sifted::new(simd, triangles, place_of, Sides::Outside, samples.width, &samples.rows)
+        })
     }
 
     /// Adds what may be seen of a triangle. `shades` tells what can shade it, unless something hides it; `vertex` the offset of

@@ -156,14 +156,88 @@ pub fn texels_between([a, b, c]: [Place; 3], width: usize, rows: &Range<i32>) ->
     (((columns.1 - columns.0) | (rows.1 - rows.0)) >= 0).then_some([columns, rows])
 }
 
-/// Whether triangles, eight at once by the places of their corners, may be seen from their fronts and cover texels of so many
-/// columns and of some rows. One that spans more than a few texels may be found to and yet not be.
-#[must_use]
+/// Triangles that are sifted at once.
+pub const AT_ONCE: usize = 256;
+/// How many of them are looked at at a time.
+const LANES: usize = 8;
+
+/// From which sides triangles are seen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sides {
+    /// From their fronts.
+    Outside,
+    /// From their backs too.
+    Both,
+}
+
+/// Numbers of some of [`AT_ONCE`] triangles.
+#[derive(Clone, Debug)]
+pub struct Sifted {
+    /// More than can be, to be written to and not counted.
+    numbers: [u16; AT_ONCE + LANES],
+    count: usize,
+}
+
+impl Sifted {
+    /// All of so many.
+    #[must_use]
+    pub fn all(count: usize) -> Self {
+        Self { numbers: std::array::from_fn(|number| number as u16), count }
+    }
+
+    /// Those that are seen and may cover texels of so many columns and of some rows. One that spans more than a few texels may be
+    /// taken for one that does and yet not do it.
+    ///
+    /// Most do not, and there is no telling which: here is no branch.
+    #[must_use]
+    #[inline(always)]
+    pub fn new<S: Simd>(
+        simd: S,
+        triangles: &[[u32; 3]],
+        place_of: impl Fn(u32) -> Place,
+        sides: Sides,
+        width: usize,
+        rows: &Range<i32>,
+    ) -> Self {
+        let mut sifted = Self { numbers: [0; AT_ONCE + LANES], count: 0 };
+        let mut number = 0;
+        while number < triangles.len() {
+            // What is not there has no area.
+            let (mut x, mut y) = ([[0; LANES]; 3], [[0; LANES]; 3]);
+            for (lane, triangle) in triangles[number..].iter().take(LANES).enumerate() {
+                for i in 0..3 {
+                    let place = place_of(triangle[i]);
+                    (x[i][lane], y[i][lane]) = (place.x, place.y);
+                }
+            }
+            let [a, b, c] = &x;
+            let x = [i32x8::from_slice(simd, a), i32x8::from_slice(simd, b), i32x8::from_slice(simd, c)];
+            let [a, b, c] = &y;
+            let y = [i32x8::from_slice(simd, a), i32x8::from_slice(simd, b), i32x8::from_slice(simd, c)];
+            let kept = may_cover(simd, x, y, sides, width, rows).to_bitmask();
+            for lane in 0..LANES {
+                sifted.numbers[sifted.count] = (number + lane) as u16;
+                sifted.count += (kept >> lane & 1) as usize;
+            }
+            number += LANES;
+        }
+        sifted
+    }
+
+    /// By rising number.
+    #[must_use]
+    pub fn numbers(&self) -> &[u16] {
+        &self.numbers[..self.count]
+    }
+}
+
+/// Whether triangles, by the places of their corners, are kept by [`Sifted::new`].
 #[inline(always)]
-pub fn may_cover<S: Simd>(
+fn may_cover<S: Simd>(
     simd: S,
     x: [i32x8<S>; 3],
     y: [i32x8<S>; 3],
+    sides: Sides,
     width: usize,
     rows: &Range<i32>,
 ) -> mask32x8<S> {
@@ -179,7 +253,11 @@ pub fn may_cover<S: Simd>(
     // As `twice_area`, which may not fit where they are large.
     let twice_area = (x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0]);
     let is_large = (high_x - low_x).max(high_y - low_y).simd_ge(SPAN_PX * PARTS);
-    covers & (is_large | twice_area.simd_lt(0))
+    let is_seen = match sides {
+        Sides::Outside => twice_area.simd_lt(0),
+        Sides::Both => twice_area.simd_lt(0) | twice_area.simd_gt(0),
+    };
+    covers & (is_large | is_seen)
 }
 
 impl Outline {

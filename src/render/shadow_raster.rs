@@ -15,7 +15,7 @@ use fearless_simd::{Level, dispatch, f32x8, mask32x8};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::raster::{HEIGHT, Outline, Paint, Place, Plane, Turn, WIDTH, load, store};
+use super::raster::{AT_ONCE, HEIGHT, Outline, Paint, Place, Plane, Sides, Sifted, Turn, WIDTH, load, store};
 use super::selection::Selection;
 use super::shaders::CasterTile;
 use super::shadow;
@@ -196,9 +196,14 @@ impl Canvas {
     // Inlined wholly, for each width of vectors; see `scene/noise.rs`.
     #[inline(always)]
     fn draw<S: Simd>(&mut self, simd: S, triangles: &[[u32; 3]]) {
-        for triangle in triangles {
-            let corners = triangle.map(|corner| self.corners[corner as usize]);
-            draw_triangle(simd, corners, &mut self.layers, self.size);
+        let Self { size, layers, corners, .. } = self;
+        let rows = 0..*size as i32;
+        let place_of = |corner: u32| corners[corner as usize].place;
+        for triangles in triangles.chunks(AT_ONCE) {
+            for &number in Sifted::new(simd, triangles, place_of, Sides::Both, *size, &rows).numbers() {
+                let corners = triangles[usize::from(number)].map(|corner| corners[corner as usize]);
+                draw_triangle(simd, corners, layers, *size);
+            }
         }
     }
 
