@@ -159,7 +159,7 @@ pub fn texels_between([a, b, c]: [Place; 3], width: usize, rows: &Range<i32>) ->
 /// Triangles that are sifted at once.
 pub const AT_ONCE: usize = 256;
 /// How many of them are looked at at a time.
-const LANES: usize = 8;
+pub const LANES: usize = 8;
 
 /// From which sides triangles are seen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -210,11 +210,7 @@ impl Sifted {
                     (x[i][lane], y[i][lane]) = (place.x, place.y);
                 }
             }
-            let [a, b, c] = &x;
-            let x = [i32x8::from_slice(simd, a), i32x8::from_slice(simd, b), i32x8::from_slice(simd, c)];
-            let [a, b, c] = &y;
-            let y = [i32x8::from_slice(simd, a), i32x8::from_slice(simd, b), i32x8::from_slice(simd, c)];
-            let kept = may_cover(simd, x, y, sides, width, rows).to_bitmask();
+            let kept = may_cover(simd, three(simd, &x), three(simd, &y), sides, width, rows).to_bitmask();
             for lane in 0..LANES {
                 sifted.numbers[sifted.count] = (number + lane) as u16;
                 sifted.count += (kept >> lane & 1) as usize;
@@ -314,42 +310,13 @@ impl Outline {
 
     #[inline(always)]
     fn fill_small<S: Simd>(&self, simd: S, first_row: i32, stride: usize, target: &mut impl Paint<S>) {
-        let Self { edges, columns, rows, .. } = *self;
-        // Four texels of a row and the four below them.
-        let (lane_columns, lane_rows) = lanes(simd);
-        let (lane_x, mut y) = (lane_columns.to_float::<f32x8<S>>(), lane_rows.to_float::<f32x8<S>>());
-        // No closures: what vectors are made of is inlined wholly.
-        let mut at_row = [i32x8::splat(simd, 0); 3];
-        let (mut to_right, mut down) = ([0; 3], [0; 3]);
-        for (i, edge) in edges.iter().enumerate() {
+        let (columns, rows) = (self.columns, self.rows);
+        let steps = self.edges.map(|edge| {
             let (x, y) = (columns.0 * PARTS - edge.from.x, rows.0 * PARTS - edge.from.y);
             let first = edge.x * y - edge.y * x - edge.owed;
-            at_row[i] = lane_rows * (edge.x * PARTS) - lane_columns * (edge.y * PARTS) + first;
-            to_right[i] = WIDTH as i32 * edge.y * PARTS;
-            down[i] = HEIGHT as i32 * edge.x * PARTS;
-        }
-        let (mut row, end) = (rows.0, rows.1 + 1);
-        while row < end {
-            let mut at = at_row;
-            let mut x = lane_x;
-            let upper = (row - first_row) as usize * stride;
-            let (mut column, end) = (columns.0 as usize, columns.1 as usize + 1);
-            while column < end {
-                let texels = [upper + column, upper + stride + column];
-                let inside = (at[0] | at[1] | at[2]).simd_ge(0);
-                target.paint(simd, texels, inside, x, y);
-                for i in 0..3 {
-                    at[i] -= to_right[i];
-                }
-                x += WIDTH as f32;
-                column += WIDTH;
-            }
-            for i in 0..3 {
-                at_row[i] += down[i];
-            }
-            y += HEIGHT as f32;
-            row += HEIGHT as i32;
-        }
+            [first, -edge.y * PARTS, edge.x * PARTS]
+        });
+        fill_blocks(simd, steps, [columns, rows], (first_row, stride), target);
     }
 
     /// The same of any size.
@@ -397,6 +364,182 @@ impl Outline {
         }
         (first, last)
     }
+}
+
+/// Paints the texels of a span, of a buffer of which row 0 is `first_row` and each takes `stride`, that are on the triangle's side
+/// of its edges. Of these: the distance at the first texel, and what each column and each row adds.
+#[inline(always)]
+fn fill_blocks<S: Simd>(
+    simd: S,
+    edges: [[i32; 3]; 3],
+    [columns, rows]: Span,
+    (first_row, stride): (i32, usize),
+    target: &mut impl Paint<S>,
+) {
+    // Four texels of a row and the four below them.
+    let (lane_columns, lane_rows) = lanes(simd);
+    let (lane_x, mut y) = (lane_columns.to_float::<f32x8<S>>(), lane_rows.to_float::<f32x8<S>>());
+    // No closures: what vectors are made of is inlined wholly.
+    let mut at_row = [i32x8::splat(simd, 0); 3];
+    let (mut to_right, mut down) = ([0; 3], [0; 3]);
+    for (i, [first, per_column, per_row]) in edges.into_iter().enumerate() {
+        at_row[i] = lane_rows * per_row + lane_columns * per_column + first;
+        to_right[i] = WIDTH as i32 * per_column;
+        down[i] = HEIGHT as i32 * per_row;
+    }
+    let (mut row, end) = (rows.0, rows.1 + 1);
+    while row < end {
+        let mut at = at_row;
+        let mut x = lane_x;
+        let upper = (row - first_row) as usize * stride;
+        let (mut column, end) = (columns.0 as usize, columns.1 as usize + 1);
+        while column < end {
+            let texels = [upper + column, upper + stride + column];
+            let inside = (at[0] | at[1] | at[2]).simd_ge(0);
+            target.paint(simd, texels, inside, x, y);
+            for i in 0..3 {
+                at[i] += to_right[i];
+            }
+            x += WIDTH as f32;
+            column += WIDTH;
+        }
+        for i in 0..3 {
+            at_row[i] += down[i];
+        }
+        y += HEIGHT as f32;
+        row += HEIGHT as i32;
+    }
+}
+
+/// Corners of eight triangles: each number of all of them together.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Corners {
+    /// Their places.
+    pub x: [[i32; LANES]; 3],
+    /// See `x`.
+    pub y: [[i32; LANES]; 3],
+    /// The same before they are rounded, texels from the middle of the first.
+    pub at_x: [[f32; LANES]; 3],
+    /// See `at_x`.
+    pub at_y: [[f32; LANES]; 3],
+    /// A number that is linear over the triangle.
+    pub value: [[f32; LANES]; 3],
+}
+
+/// Eight triangles that are seen from either side, set up together: what [`Outline`] is one by one.
+#[derive(Clone, Copy, Debug)]
+pub struct Outlines {
+    edges: [[[i32; LANES]; 3]; 3],
+    columns: [[i32; LANES]; 2],
+    rows: [[i32; LANES]; 2],
+    plane: [[f32; LANES]; 3],
+    fronts: u64,
+    small: u64,
+}
+
+impl Outlines {
+    /// Of triangles that have an area and a span, in a buffer of so many columns and rows.
+    #[must_use]
+    #[inline(always)]
+    pub fn new<S: Simd>(simd: S, corners: &Corners, size: usize) -> Self {
+        let Corners { x, y, at_x, at_y, value } = corners;
+        let splat = |number: i32| i32x8::splat(simd, number);
+        let ([ax, bx, cx], [ay, by, cy]) = (three(simd, x), three(simd, y));
+        let (low_x, high_x) = (ax.min(bx).min(cx), ax.max(bx).max(cx));
+        let (low_y, high_y) = (ay.min(by).min(cy), ay.max(by).max(cy));
+        let last = splat(size as i32 - 1);
+        let columns = [
+            ((low_x + (PARTS - 1)) >> PARTS_BITS as u32).max(splat(0)),
+            (high_x >> PARTS_BITS as u32).min(last),
+        ];
+        let rows = [
+            ((low_y + (PARTS - 1)) >> PARTS_BITS as u32).max(splat(0)),
+            (high_y >> PARTS_BITS as u32).min(last),
+        ];
+        let is_small = (high_x - low_x).max(high_y - low_y).simd_lt(SPAN_PX * PARTS);
+        let is_front = ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax)).simd_lt(0);
+        // Counter-clockwise.
+        let (bx, cx) = (is_front.select(bx, cx), is_front.select(cx, bx));
+        let (by, cy) = (is_front.select(by, cy), is_front.select(cy, by));
+        let mut made = Self {
+            edges: [[[0; LANES]; 3]; 3],
+            columns: [[0; LANES]; 2],
+            rows: [[0; LANES]; 2],
+            plane: [[0.0; LANES]; 3],
+            fronts: is_front.to_bitmask(),
+            small: is_small.to_bitmask(),
+        };
+        let ends = [[cx, cy, bx, by], [ax, ay, cx, cy], [bx, by, ax, ay]];
+        let (one, none) = (splat(1), splat(0));
+        for (edge, [from_x, from_y, to_x, to_y]) in made.edges.iter_mut().zip(ends) {
+            let (along_x, along_y) = (to_x - from_x, to_y - from_y);
+            let (x, y) = (columns[0] * PARTS - from_x, rows[0] * PARTS - from_y);
+            let is_owned = along_y.simd_lt(0) | (along_y.simd_eq(0) & along_x.simd_gt(0));
+            (along_x * y - along_y * x - is_owned.select(none, one)).store_slice(&mut edge[0]);
+            (along_y * -PARTS).store_slice(&mut edge[1]);
+            (along_x * PARTS).store_slice(&mut edge[2]);
+        }
+        // As `Outline::planes`.
+        let ([ax, bx, cx], [ay, by, cy]) = (three_floats(simd, at_x), three_floats(simd, at_y));
+        let [of_a, of_b, of_c] = three_floats(simd, value);
+        let (bx, cx) = (is_front.select(bx, cx), is_front.select(cx, bx));
+        let (by, cy) = (is_front.select(by, cy), is_front.select(cy, by));
+        let (of_b, of_c) = (is_front.select(of_b, of_c), is_front.select(of_c, of_b));
+        let (to_bx, to_by, to_cx, to_cy) = (bx - ax, by - ay, cx - ax, cy - ay);
+        let twice_area = to_bx * to_cy - to_by * to_cx;
+        let (one, zero) = (f32x8::splat(simd, 1.0), f32x8::splat(simd, 0.0));
+        let per_area = twice_area.simd_lt(0.0).select(one / twice_area, zero);
+        let (x, y) = (columns[0].to_float::<f32x8<S>>() - ax, rows[0].to_float::<f32x8<S>>() - ay);
+        let (more_b, more_c) = (of_b - of_a, of_c - of_a);
+        let per_column = (more_b * to_cy - more_c * to_by) * per_area;
+        let per_row = (more_c * to_bx - more_b * to_cx) * per_area;
+        (of_a + x * per_column + y * per_row).store_slice(&mut made.plane[0]);
+        per_column.store_slice(&mut made.plane[1]);
+        per_row.store_slice(&mut made.plane[2]);
+        for i in 0..2 {
+            columns[i].store_slice(&mut made.columns[i]);
+            rows[i].store_slice(&mut made.rows[i]);
+        }
+        made
+    }
+
+    /// Whether one of them is small enough for this.
+    #[must_use]
+    #[inline(always)]
+    pub fn is_small(&self, lane: usize) -> bool {
+        self.small >> lane & 1 != 0
+    }
+
+    /// The side of it that is seen, and the number that is linear over it.
+    #[must_use]
+    #[inline(always)]
+    pub fn seen(&self, lane: usize) -> (Turn, Plane) {
+        let [first, per_column, per_row] = [self.plane[0][lane], self.plane[1][lane], self.plane[2][lane]];
+        let turn = if self.fronts >> lane & 1 == 0 { Turn::Back } else { Turn::Front };
+        (turn, Plane { first, per_column, per_row })
+    }
+
+    /// Paints one of them into a buffer of which each row takes `stride`.
+    #[inline(always)]
+    pub fn fill<S: Simd>(&self, simd: S, lane: usize, stride: usize, target: &mut impl Paint<S>) {
+        let mut edges = [[0; 3]; 3];
+        for (edge, of_all) in edges.iter_mut().zip(&self.edges) {
+            *edge = [of_all[0][lane], of_all[1][lane], of_all[2][lane]];
+        }
+        let columns = (self.columns[0][lane], self.columns[1][lane]);
+        let rows = (self.rows[0][lane], self.rows[1][lane]);
+        fill_blocks(simd, edges, [columns, rows], (0, stride), target);
+    }
+}
+
+#[inline(always)]
+fn three<S: Simd>(simd: S, [a, b, c]: &[[i32; LANES]; 3]) -> [i32x8<S>; 3] {
+    [i32x8::from_slice(simd, a), i32x8::from_slice(simd, b), i32x8::from_slice(simd, c)]
+}
+
+#[inline(always)]
+fn three_floats<S: Simd>(simd: S, [a, b, c]: &[[f32; LANES]; 3]) -> [f32x8<S>; 3] {
+    [f32x8::from_slice(simd, a), f32x8::from_slice(simd, b), f32x8::from_slice(simd, c)]
 }
 
 /// The eight texels of a plane that a [`Paint`] is given.

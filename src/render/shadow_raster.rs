@@ -15,7 +15,10 @@ use fearless_simd::{Level, dispatch, f32x8, mask32x8};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::raster::{AT_ONCE, HEIGHT, Outline, Paint, Place, Plane, Sides, Sifted, Turn, WIDTH, load, store};
+use super::raster::{
+    AT_ONCE, Corners, HEIGHT, LANES, Outline, Outlines, Paint, Place, Plane, Sides, Sifted, Turn, WIDTH,
+    load, store,
+};
 use super::selection::Selection;
 use super::shaders::CasterTile;
 use super::shadow;
@@ -200,9 +203,28 @@ impl Canvas {
         let rows = 0..*size as i32;
         let place_of = |corner: u32| corners[corner as usize].place;
         for triangles in triangles.chunks(AT_ONCE) {
-            for &number in Sifted::new(simd, triangles, place_of, Sides::Both, *size, &rows).numbers() {
-                let corners = triangles[usize::from(number)].map(|corner| corners[corner as usize]);
-                draw_triangle(simd, corners, layers, *size);
+            let sifted = Sifted::new(simd, triangles, place_of, Sides::Both, *size, &rows);
+            for eight in sifted.numbers().chunks(LANES) {
+                let mut of_eight = Corners::default();
+                for (lane, &number) in eight.iter().enumerate() {
+                    for (i, &corner) in triangles[usize::from(number)].iter().enumerate() {
+                        let Corner { place, at, depth } = corners[corner as usize];
+                        (of_eight.x[i][lane], of_eight.y[i][lane]) = (place.x, place.y);
+                        (of_eight.at_x[i][lane], of_eight.at_y[i][lane]) = (at.x, at.y);
+                        of_eight.value[i][lane] = depth;
+                    }
+                }
+                let outlines = Outlines::new(simd, &of_eight, *size);
+                for (lane, &number) in eight.iter().enumerate() {
+                    if outlines.is_small(lane) {
+                        let (turn, depth) = outlines.seen(lane);
+                        let layer = &mut layers[turn as usize];
+                        outlines.fill(simd, lane, *size + WIDTH, &mut Depth { layer, depth });
+                    } else {
+                        let corners = triangles[usize::from(number)].map(|corner| corners[corner as usize]);
+                        draw_triangle(simd, corners, layers, *size);
+                    }
+                }
             }
         }
     }
