@@ -42,6 +42,16 @@ pub struct Corner {
     pub normal_per_w: Vec3,
 }
 
+impl Corner {
+    /// What is linear over the picture: one over the metres along the axis, and the normal times that.
+    #[must_use]
+    #[inline(always)]
+    pub fn values(&self) -> [f32; 4] {
+        let [x, y, z] = self.normal_per_w.to_array();
+        [self.inverse_w, x, y, z]
+    }
+}
+
 /// A triangle that may cover samples. Its corners run counter-clockwise as it is seen.
 #[derive(Clone, Copy, Debug)]
 pub struct Facet {
@@ -353,10 +363,7 @@ impl Mesh {
     #[inline(always)]
     pub fn planes(&self, facet: &Facet, corners: [Corner; 3], outline: &Outline) -> [Plane; 4] {
         facet.clipped.map_or_else(
-            || {
-                let values = |Corner { inverse_w, normal_per_w: n, .. }| [inverse_w, n.x, n.y, n.z];
-                outline.planes(corners.map(|corner| corner.at), corners.map(values))
-            },
+            || outline.planes(corners.map(|corner| corner.at), corners.map(|corner| corner.values())),
             |clipped| self.clipped[clipped as usize].map(|plane| outline.from_here(plane)),
         )
     }

@@ -412,8 +412,8 @@ fn fill_blocks<S: Simd>(
 }
 
 /// Corners of eight triangles: each number of all of them together.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Corners {
+#[derive(Clone, Copy, Debug)]
+pub struct Corners<const N: usize> {
     /// Their places.
     pub x: [[i32; LANES]; 3],
     /// See `x`.
@@ -422,39 +422,58 @@ pub struct Corners {
     pub at_x: [[f32; LANES]; 3],
     /// See `at_x`.
     pub at_y: [[f32; LANES]; 3],
-    /// A number that is linear over the triangle.
-    pub value: [[f32; LANES]; 3],
+    /// Numbers that are linear over the triangle.
+    pub values: [[[f32; LANES]; 3]; N],
+}
+
+impl<const N: usize> Corners<N> {
+    /// None yet.
+    #[must_use]
+    #[inline(always)]
+    pub const fn none() -> Self {
+        let (places, numbers) = ([[0; LANES]; 3], [[0.0; LANES]; 3]);
+        Self { x: places, y: places, at_x: numbers, at_y: numbers, values: [numbers; N] }
+    }
+
+    /// Sets a corner of one of them.
+    #[inline(always)]
+    pub fn set(&mut self, lane: usize, corner: usize, place: Place, at: Vec2, values: [f32; N]) {
+        (self.x[corner][lane], self.y[corner][lane]) = (place.x, place.y);
+        (self.at_x[corner][lane], self.at_y[corner][lane]) = (at.x, at.y);
+        for i in 0..N {
+            self.values[i][corner][lane] = values[i];
+        }
+    }
 }
 
 /// Eight triangles that are seen from either side, set up together: what [`Outline`] is one by one.
 #[derive(Clone, Copy, Debug)]
-pub struct Outlines {
+pub struct Outlines<const N: usize> {
     edges: [[[i32; LANES]; 3]; 3],
     columns: [[i32; LANES]; 2],
     rows: [[i32; LANES]; 2],
-    plane: [[f32; LANES]; 3],
+    planes: [[[f32; LANES]; 3]; N],
     fronts: u64,
     small: u64,
 }
 
-impl Outlines {
-    /// Of triangles that have an area and a span, in a buffer of so many columns and rows.
+impl<const N: usize> Outlines<N> {
+    /// Of triangles that have an area and a span, in a buffer of so many columns, and rows of them.
     #[must_use]
     #[inline(always)]
-    pub fn new<S: Simd>(simd: S, corners: &Corners, size: usize) -> Self {
-        let Corners { x, y, at_x, at_y, value } = corners;
+    pub fn new<S: Simd>(simd: S, corners: &Corners<N>, width: usize, rows: &Range<i32>) -> Self {
+        let Corners { x, y, at_x, at_y, values } = corners;
         let splat = |number: i32| i32x8::splat(simd, number);
         let ([ax, bx, cx], [ay, by, cy]) = (three(simd, x), three(simd, y));
         let (low_x, high_x) = (ax.min(bx).min(cx), ax.max(bx).max(cx));
         let (low_y, high_y) = (ay.min(by).min(cy), ay.max(by).max(cy));
-        let last = splat(size as i32 - 1);
         let columns = [
             ((low_x + (PARTS - 1)) >> PARTS_BITS as u32).max(splat(0)),
-            (high_x >> PARTS_BITS as u32).min(last),
+            (high_x >> PARTS_BITS as u32).min(splat(width as i32 - 1)),
         ];
         let rows = [
-            ((low_y + (PARTS - 1)) >> PARTS_BITS as u32).max(splat(0)),
-            (high_y >> PARTS_BITS as u32).min(last),
+            ((low_y + (PARTS - 1)) >> PARTS_BITS as u32).max(splat(rows.start)),
+            (high_y >> PARTS_BITS as u32).min(splat(rows.end - 1)),
         ];
         let is_small = (high_x - low_x).max(high_y - low_y).simd_lt(SPAN_PX * PARTS);
         let is_front = ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax)).simd_lt(0);
@@ -465,7 +484,7 @@ impl Outlines {
             edges: [[[0; LANES]; 3]; 3],
             columns: [[0; LANES]; 2],
             rows: [[0; LANES]; 2],
-            plane: [[0.0; LANES]; 3],
+            planes: [[[0.0; LANES]; 3]; N],
             fronts: is_front.to_bitmask(),
             small: is_small.to_bitmask(),
         };
@@ -481,21 +500,23 @@ impl Outlines {
         }
         // As `Outline::planes`.
         let ([ax, bx, cx], [ay, by, cy]) = (three_floats(simd, at_x), three_floats(simd, at_y));
-        let [of_a, of_b, of_c] = three_floats(simd, value);
         let (bx, cx) = (is_front.select(bx, cx), is_front.select(cx, bx));
         let (by, cy) = (is_front.select(by, cy), is_front.select(cy, by));
-        let (of_b, of_c) = (is_front.select(of_b, of_c), is_front.select(of_c, of_b));
         let (to_bx, to_by, to_cx, to_cy) = (bx - ax, by - ay, cx - ax, cy - ay);
         let twice_area = to_bx * to_cy - to_by * to_cx;
         let (one, zero) = (f32x8::splat(simd, 1.0), f32x8::splat(simd, 0.0));
         let per_area = twice_area.simd_lt(0.0).select(one / twice_area, zero);
         let (x, y) = (columns[0].to_float::<f32x8<S>>() - ax, rows[0].to_float::<f32x8<S>>() - ay);
-        let (more_b, more_c) = (of_b - of_a, of_c - of_a);
-        let per_column = (more_b * to_cy - more_c * to_by) * per_area;
-        let per_row = (more_c * to_bx - more_b * to_cx) * per_area;
-        (of_a + x * per_column + y * per_row).store_slice(&mut made.plane[0]);
-        per_column.store_slice(&mut made.plane[1]);
-        per_row.store_slice(&mut made.plane[2]);
+        for (plane, values) in made.planes.iter_mut().zip(values) {
+            let [of_a, of_b, of_c] = three_floats(simd, values);
+            let (of_b, of_c) = (is_front.select(of_b, of_c), is_front.select(of_c, of_b));
+            let (more_b, more_c) = (of_b - of_a, of_c - of_a);
+            let per_column = (more_b * to_cy - more_c * to_by) * per_area;
+            let per_row = (more_c * to_bx - more_b * to_cx) * per_area;
+            (of_a + x * per_column + y * per_row).store_slice(&mut plane[0]);
+            per_column.store_slice(&mut plane[1]);
+            per_row.store_slice(&mut plane[2]);
+        }
         for i in 0..2 {
             columns[i].store_slice(&mut made.columns[i]);
             rows[i].store_slice(&mut made.rows[i]);
@@ -510,25 +531,41 @@ impl Outlines {
         self.small >> lane & 1 != 0
     }
 
-    /// The side of it that is seen, and the number that is linear over it.
+    /// The side of it that is seen.
     #[must_use]
     #[inline(always)]
-    pub fn seen(&self, lane: usize) -> (Turn, Plane) {
-        let [first, per_column, per_row] = [self.plane[0][lane], self.plane[1][lane], self.plane[2][lane]];
-        let turn = if self.fronts >> lane & 1 == 0 { Turn::Back } else { Turn::Front };
-        (turn, Plane { first, per_column, per_row })
+    pub fn turn(&self, lane: usize) -> Turn {
+        if self.fronts >> lane & 1 == 0 { Turn::Back } else { Turn::Front }
     }
 
-    /// Paints one of them into a buffer of which each row takes `stride`.
+    /// The numbers that are linear over it.
+    #[must_use]
     #[inline(always)]
-    pub fn fill<S: Simd>(&self, simd: S, lane: usize, stride: usize, target: &mut impl Paint<S>) {
+    pub fn planes(&self, lane: usize) -> [Plane; N] {
+        let mut planes = [Plane { first: 0.0, per_column: 0.0, per_row: 0.0 }; N];
+        for (plane, of_all) in planes.iter_mut().zip(&self.planes) {
+            *plane = Plane { first: of_all[0][lane], per_column: of_all[1][lane], per_row: of_all[2][lane] };
+        }
+        planes
+    }
+
+    /// Paints one of them, as [`Outline::fill`] does.
+    #[inline(always)]
+    pub fn fill<S: Simd>(
+        &self,
+        simd: S,
+        lane: usize,
+        first_row: i32,
+        stride: usize,
+        target: &mut impl Paint<S>,
+    ) {
         let mut edges = [[0; 3]; 3];
         for (edge, of_all) in edges.iter_mut().zip(&self.edges) {
             *edge = [of_all[0][lane], of_all[1][lane], of_all[2][lane]];
         }
         let columns = (self.columns[0][lane], self.columns[1][lane]);
         let rows = (self.rows[0][lane], self.rows[1][lane]);
-        fill_blocks(simd, edges, [columns, rows], (0, stride), target);
+        fill_blocks(simd, edges, [columns, rows], (first_row, stride), target);
     }
 }
 

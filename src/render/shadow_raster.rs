@@ -205,21 +205,19 @@ impl Canvas {
         for triangles in triangles.chunks(AT_ONCE) {
             let sifted = Sifted::new(simd, triangles, place_of, Sides::Both, *size, &rows);
             for eight in sifted.numbers().chunks(LANES) {
-                let mut of_eight = Corners::default();
+                let mut of_eight = Corners::none();
                 for (lane, &number) in eight.iter().enumerate() {
                     for (i, &corner) in triangles[usize::from(number)].iter().enumerate() {
                         let Corner { place, at, depth } = corners[corner as usize];
-                        (of_eight.x[i][lane], of_eight.y[i][lane]) = (place.x, place.y);
-                        (of_eight.at_x[i][lane], of_eight.at_y[i][lane]) = (at.x, at.y);
-                        of_eight.value[i][lane] = depth;
+                        of_eight.set(lane, i, place, at, [depth]);
                     }
                 }
-                let outlines = Outlines::new(simd, &of_eight, *size);
+                let outlines = Outlines::new(simd, &of_eight, *size, &rows);
                 for (lane, &number) in eight.iter().enumerate() {
                     if outlines.is_small(lane) {
-                        let (turn, depth) = outlines.seen(lane);
-                        let layer = &mut layers[turn as usize];
-                        outlines.fill(simd, lane, *size + WIDTH, &mut Depth { layer, depth });
+                        let [depth] = outlines.planes(lane);
+                        let layer = &mut layers[outlines.turn(lane) as usize];
+                        outlines.fill(simd, lane, 0, *size + WIDTH, &mut Depth { layer, depth });
                     } else {
                         let corners = triangles[usize::from(number)].map(|corner| corners[corner as usize]);
                         draw_triangle(simd, corners, layers, *size);

@@ -10,9 +10,9 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Level, dispatch, f32x8, i32x8, mask32x8, u32x4, u32x8};
 use rayon::prelude::*;
 
-use super::facets::{Facets, Mesh};
+use super::facets::{Facet, Facets, Mesh};
 use super::lit::{Group, Groups};
-use super::raster::{HEIGHT, Outline, Paint, Plane, WIDTH, load, store};
+use super::raster::{Corners, HEIGHT, LANES, Outline, Outlines, Paint, Plane, WIDTH, load, store};
 use crate::gpu::staging::{PAGE, Page};
 
 /// Rows of a band.
@@ -139,46 +139,67 @@ impl Sheet {
             if is_beside(mesh.rows) {
                 continue;
             }
-            for facet in &mesh.facets {
+            let mut eight = [0; LANES];
+            let mut count = 0;
+            for (number, facet) in mesh.facets.iter().enumerate() {
                 if is_beside(facet.rows) {
                     continue;
                 }
-                let corners = mesh.corners_of(facet);
-                let places = corners.map(|corner| corner.place);
-                let Some(outline) = Outline::new(places, width, rows) else { continue };
-                let group = mesh.groups[facet.shades as usize];
-                let thing = (u32::from(group) + 1) | (mesh.slot << SLOT_AT);
-                let (first, stride) = (rows.start, self.stride);
-                let [inverse_w, x, y, z] = mesh.planes(facet, corners, &outline);
-                if group < groups.stars() {
-                    let normal = [x, y, z];
-                    let mut brush =
-                        ThingBrush { sheet: self, inverse_w, normal, facing: facet.facing, thing };
-                    outline.fill(simd, first, stride, &mut brush);
-                } else {
-                    outline.fill(simd, first, stride, &mut SkyBrush { sheet: self, inverse_w, thing });
+                eight[count] = number;
+                count += 1;
+                if count == LANES {
+                    self.draw_eight(simd, mesh, &eight, groups, width, rows);
+                    count = 0;
                 }
             }
+            self.draw_eight(simd, mesh, &eight[..count], groups, width, rows);
         }
     }
 
-    /// Shows a thing where it is nearer than what is there, and tells where that is.
+    /// Draws up to eight facets, by their numbers.
     #[inline(always)]
-    fn come_nearer<S: Simd>(
+    fn draw_eight<S: Simd>(
         &mut self,
         simd: S,
-        texels: [usize; 2],
-        inside: mask32x8<S>,
-        inverse_w: f32x8<S>,
-        thing: u32,
-    ) -> mask32x8<S> {
-        let there = load(simd, &self.inverse_w, texels);
-        let nearer = inside & inverse_w.simd_gt(there);
-        if nearer.any_true() {
-            store(&mut self.inverse_w, texels, nearer.select(inverse_w, there));
-            paint_words(simd, &mut self.things, texels, nearer, u32x8::splat(simd, thing));
+        mesh: &Mesh,
+        numbers: &[usize],
+        groups: Groups,
+        width: usize,
+        rows: &Range<i32>,
+    ) {
+        let mut of_eight = Corners::none();
+        for (lane, &number) in numbers.iter().enumerate() {
+            let corners = mesh.corners_of(&mesh.facets[number]);
+            for i in 0..3 {
+                of_eight.set(lane, i, corners[i].place, corners[i].at, corners[i].values());
+            }
         }
-        nearer
+        let outlines = Outlines::new(simd, &of_eight, width, rows);
+        let (first, stride) = (rows.start, self.stride);
+        for (lane, &number) in numbers.iter().enumerate() {
+            let facet = &mesh.facets[number];
+            if outlines.is_small(lane) && facet.clipped.is_none() {
+                let mut brush = self.brush(mesh, facet, groups, outlines.planes(lane));
+                outlines.fill(simd, lane, first, stride, &mut brush);
+                continue;
+            }
+            let corners = mesh.corners_of(facet);
+            let places = corners.map(|corner| corner.place);
+            let Some(outline) = Outline::new(places, width, rows) else { continue };
+            let planes = mesh.planes(facet, corners, &outline);
+            outline.fill(simd, first, stride, &mut self.brush(mesh, facet, groups, planes));
+        }
+    }
+
+    /// What a facet is painted with.
+    #[inline(always)]
+    fn brush(&mut self, mesh: &Mesh, facet: &Facet, groups: Groups, planes: [Plane; 4]) -> Brush<'_> {
+        let group = mesh.groups[facet.shades as usize];
+        let thing = (u32::from(group) + 1) | (mesh.slot << SLOT_AT);
+        let [inverse_w, x, y, z] = planes;
+        // The sky has no normal.
+        let normal = (group < groups.stars()).then_some([x, y, z]);
+        Brush { sheet: self, inverse_w, normal, facing: facet.facing, thing }
     }
 
     fn row(&self, row: usize, width: usize) -> Row<'_> {
@@ -223,22 +244,26 @@ impl Row<'_> {
 }
 
 /// Paints what is nearer than what is there.
-struct ThingBrush<'a> {
+struct Brush<'a> {
     sheet: &'a mut Sheet,
     inverse_w: Plane,
-    normal: [Plane; 3],
+    normal: Option<[Plane; 3]>,
     facing: u32,
     thing: u32,
 }
 
-impl<S: Simd> Paint<S> for ThingBrush<'_> {
+impl<S: Simd> Paint<S> for Brush<'_> {
     #[inline(always)]
     fn paint(&mut self, simd: S, texels: [usize; 2], inside: mask32x8<S>, x: f32x8<S>, y: f32x8<S>) {
-        let nearer = self.sheet.come_nearer(simd, texels, inside, self.inverse_w.at(x, y), self.thing);
+        let inverse_w = self.inverse_w.at(x, y);
+        let there = load(simd, &self.sheet.inverse_w, texels);
+        let nearer = inside & inverse_w.simd_gt(there);
         if !nearer.any_true() {
             return;
         }
-        let [of_x, of_y, of_z] = &self.normal;
+        store(&mut self.sheet.inverse_w, texels, nearer.select(inverse_w, there));
+        paint_words(simd, &mut self.sheet.things, texels, nearer, u32x8::splat(simd, self.thing));
+        let Some([of_x, of_y, of_z]) = &self.normal else { return };
         let (x, y, z) = (of_x.at(x, y), of_y.at(x, y), of_z.at(x, y));
         // Twin: `octahedron` in `common/octahedron.wgsl`. Of any length, so that nothing is to be divided by 1/w.
         let length = (x.abs() + y.abs() + z.abs()).max(f32x8::splat(simd, 1e-30));
@@ -252,20 +277,6 @@ impl<S: Simd> Paint<S> for ThingBrush<'_> {
         let plane = &mut self.sheet.normal_y;
         paint_words(simd, plane, texels, nearer, in_24_bits(y));
         paint_words(simd, &mut self.sheet.facing, texels, nearer, u32x8::splat(simd, self.facing));
-    }
-}
-
-/// The same of the sky, which has no normal.
-struct SkyBrush<'a> {
-    sheet: &'a mut Sheet,
-    inverse_w: Plane,
-    thing: u32,
-}
-
-impl<S: Simd> Paint<S> for SkyBrush<'_> {
-    #[inline(always)]
-    fn paint(&mut self, simd: S, texels: [usize; 2], inside: mask32x8<S>, x: f32x8<S>, y: f32x8<S>) {
-        self.sheet.come_nearer(simd, texels, inside, self.inverse_w.at(x, y), self.thing);
     }
 }
 
