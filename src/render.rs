@@ -226,6 +226,10 @@ impl Renderer {
     /// # Errors
     /// [`Error::SizeBeyondDevice`], [`Error::DeviceLost`] or [`Error::Device`].
     pub fn submit(&mut self, scene: &Scene, settings: &RenderSettings) -> Result<InFlight> {
+        self.try_submit(scene, settings).inspect_err(|_| self.scene.forget())
+    }
+
+    fn try_submit(&mut self, scene: &Scene, settings: &RenderSettings) -> Result<InFlight> {
         let start = Instant::now();
         let asked = settings.annotations;
         let mut picture = *settings;

@@ -19,6 +19,8 @@ pub mod sensor;
 pub mod sky;
 pub mod terrain;
 
+use std::sync::Arc;
+
 use bytemuck::bytes_of;
 use glam::{Vec2, Vec3};
 use twox_hash::XxHash3_128;
@@ -40,8 +42,8 @@ const REGOLITH_TINT: [f64; 3] = [0.22, 0.205, 0.19];
 /// Everything that a frame shows.
 #[derive(Clone, Debug)]
 pub struct Scene {
-    /// The ground.
-    pub terrain: Terrain,
+    /// The ground. Copies of a scene share it.
+    pub terrain: Arc<Terrain>,
     /// Of the surface stage: the height function that the ground was sampled from.
     pub relief: Option<Relief>,
     /// How the ground reflects.
@@ -151,7 +153,7 @@ impl Scene {
             regolith,
             rocks,
             relief,
-            terrain,
+            terrain: Arc::new(terrain),
             camera,
         }
     }

@@ -73,7 +73,7 @@ struct FrameUniforms {
 
 // A grid of the horizon map.
 struct HorizonLevel {
-    // World place of sample (0, 0), metres.
+    // World place that samples are counted from, metres.
     origin: vec2<f32>,
     // Distance between two samples, metres.
     step_m: f32,
@@ -81,7 +81,8 @@ struct HorizonLevel {
     first_row: u32,
     // Samples along and across.
     size: vec2<u32>,
-    reserved: vec2<u32>,
+    // Column and row of the first of them.
+    first: vec2<f32>,
 }
 
 const NOT_ASKED: u32 = 0xffffffffu;

@@ -82,8 +82,10 @@ fn horizon_visibility(position: vec3<f32>) -> f32 {
     let offset = (position.xy - grid.origin) / grid.step_m;
     let towards = light.horizon_towards;
     let limit = vec2<f32>(grid.size) - 1.001;
-    // Columns run towards the sun, rows across.
-    let at = clamp(vec2(dot(offset, towards), dot(offset, vec2(-towards.y, towards.x))), vec2(0.0), limit);
+    // Columns run towards the sun, rows across. What is taken off are whole numbers: where between samples a place lies does
+    // not depend on which the map begins with.
+    let counted = vec2(dot(offset, towards), dot(offset, vec2(-towards.y, towards.x)));
+    let at = clamp(counted - grid.first, vec2(0.0), limit);
     let corner = floor(at);
     let t = at - corner;
     // Where the four meet.

@@ -262,7 +262,7 @@ impl GpuScene {
         let selection = Selection::new(scene, settings);
         let footprint = Footprint::new(scene, &selection.frustum);
         let mut horizon = std::mem::take(&mut self.horizon_map);
-        horizon.make(&scene.terrain, &scene.sun, &footprint);
+        let is_new = horizon.make(&scene.terrain, &scene.sun, &footprint);
         let casters = &selection.casters;
         let caster_grid = shadow::caster_grid(scene, casters, &horizon, &footprint);
         let bands = Bands::new(scene, &selection, settings);
@@ -302,7 +302,7 @@ impl GpuScene {
         let uniforms = frame_uniforms(scene, settings, picture_size, &horizon, self.atlas_px);
         self.uploaded_bytes += self.frame.write(gpu, &[uniforms]);
         (self.law, self.has_detail) = (scene.photometry.law, scene.relief.is_some());
-        self.upload_horizon(gpu, &horizon);
+        self.upload_horizon(gpu, &horizon, is_new);
         self.horizon_map = horizon;
     }
 
@@ -439,18 +439,24 @@ impl GpuScene {
         self.uploaded_bytes += self.vertices.write_parts(gpu, &uploads);
     }
 
-    fn upload_horizon(&mut self, gpu: &Gpu, map: &HorizonMap) {
+    fn upload_horizon(&mut self, gpu: &Gpu, map: &HorizonMap, is_new: bool) {
         let (width, height) = (map.width, map.height());
         let fits = |texture: &wgpu::Texture| texture.width() >= width && texture.height() >= height;
-        if !self.horizon.as_ref().is_some_and(|(texture, _)| fits(texture)) {
+        let is_there = self.horizon.as_ref().is_some_and(|(texture, _)| fits(texture));
+        if !is_there {
             let usage = TextureUsages::TEXTURE_BINDING | TextureUsages::COPY_DST;
             self.horizon =
                 Some(gpu.texture("shadow/horizon", [width, height], TextureFormat::Rg32Float, usage));
         }
-        if let Some((texture, _)) = &self.horizon {
+        if let Some((texture, _)) = self.horizon.as_ref().filter(|_| is_new || !is_there) {
             gpu.write_texels(texture, [width, height], &map.heights_m);
             self.uploaded_bytes += size_of_val(&map.heights_m[..]) as u64;
         }
+    }
+
+    /// After an error: what was written to the device may not be there.
+    pub fn forget(&mut self) {
+        self.horizon = None;
     }
 }
 

@@ -11,6 +11,7 @@
 //! coarser.
 
 use std::ops::Range;
+use std::sync::{Arc, Weak};
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, dispatch, f32x8, i32x8};
@@ -46,7 +47,7 @@ const LOWEST_LIMB_DEG: f64 = 0.01;
 /// Rows that are run along at once.
 const LANES: usize = 8;
 
-/// The map: its grids, the finest first. Made again and again for its memory.
+/// The map: its grids, the finest first. Made again and again for its memory, and for what stays as it was.
 #[derive(Clone, Debug, Default)]
 pub struct HorizonMap {
     /// Horizontal unit vector towards the sun, along the rows.
@@ -65,6 +66,17 @@ pub struct HorizonMap {
     pub shaded: Vec<Vec2>,
     /// Memory of grids that were made.
     spare: Vec<Vec<[f32; 2]>>,
+    made_of: Option<MadeOf>,
+}
+
+/// What a map is of.
+#[derive(Clone, Debug)]
+struct MadeOf {
+    /// Keeps the ground's address from being given to another, but not the ground.
+    terrain: Weak<Terrain>,
+    sun: Sun,
+    /// Whether it is of all of the ground.
+    is_whole: bool,
 }
 
 /// The lattice of a grid over the whole ground, aligned with the sun.
@@ -92,6 +104,7 @@ struct Region {
 /// One grid while it is made.
 struct Grid {
     origin: Vec2,
+    first: Vec2,
     step_m: f32,
     size: [usize; 2],
     heights_m: Vec<[f32; 2]>,
@@ -100,8 +113,31 @@ struct Grid {
 
 impl HorizonMap {
     /// Becomes that of a ground and a sun over the part of it that is asked for: what is seen. Samples lie where they would in a
-    /// map of the whole ground, and of a square have the values that they would have there.
-    pub fn make(&mut self, terrain: &Terrain, sun: &Sun, footprint: &Footprint) {
+    /// map of the whole ground, and of a square have the values that they would have there: where a square and its sun are what
+    /// they were it becomes that map, once. Tells whether it changed.
+    pub fn make(&mut self, terrain: &Arc<Terrain>, sun: &Sun, footprint: &Footprint) -> bool {
+        let known = self.made_of.take().filter(|known| {
+            matches!(terrain.layout, Layout::Square)
+                && known.terrain.ptr_eq(&Arc::downgrade(terrain))
+                && known.sun == *sun
+        });
+        let (is_same, was_whole) = (known.is_some(), known.is_some_and(|known| known.is_whole));
+        self.made_of = Some(MadeOf { terrain: Arc::downgrade(terrain), sun: *sun, is_whole: is_same });
+        if was_whole {
+            return false;
+        }
+        if is_same {
+            let beyond = 2.0 * terrain.half_extent_m;
+            let corners = [Vec2::ONE, Vec2::NEG_ONE, Vec2::new(1.0, -1.0), Vec2::new(-1.0, 1.0)];
+            let corners = corners.into_iter().map(|corner| terrain.centre + beyond * corner);
+            self.make_over(terrain, sun, &Footprint::around(corners));
+        } else {
+            self.make_over(terrain, sun, footprint);
+        }
+        true
+    }
+
+    fn make_over(&mut self, terrain: &Terrain, sun: &Sun, footprint: &Footprint) {
         let azimuth = sun.azimuth_deg.to_radians();
         let towards = Vec2::new(libm::sin(azimuth) as f32, libm::cos(azimuth) as f32);
         let reach_m = terrain.half_extent_m;
@@ -160,7 +196,7 @@ impl HorizonMap {
                 step_m: grid.step_m,
                 first_row: (self.heights_m.len() / width) as u32,
                 size: grid.size.map(|side| side as u32),
-                reserved: [0; 2],
+                first: grid.first,
             });
             if self.heights_m.is_empty() && grid.size[0] == width {
                 std::mem::swap(&mut self.heights_m, &mut grid.heights_m);
@@ -294,9 +330,14 @@ impl<'a> Frame<'a> {
             dispatch!(Level::new(), simd => self.scan_lines(simd, &lines, heights_m, bends))
         });
         let shaded = shaded.collect::<Vec<_>>().into_iter().flatten().collect();
-        let offset = columns.start as f32 * self.towards + rows.start as f32 * self.across;
-        let origin = self.origin + self.step_m * offset;
-        Grid { origin, step_m: self.step_m, size: [width, rows.len()], heights_m, shaded }
+        let first = Vec2::new(columns.start as f32, rows.start as f32);
+        // What is finer than a square's samples is counted from nearby.
+        let (origin, first) = if self.square.is_some() {
+            (self.origin, first)
+        } else {
+            (self.origin + self.step_m * (first.x * self.towards + first.y * self.across), Vec2::ZERO)
+        };
+        Grid { origin, first, step_m: self.step_m, size: [width, rows.len()], heights_m, shaded }
     }
 
     // Inlined wholly, for each width of vectors; see `scene/noise.rs`.
@@ -382,7 +423,7 @@ fn raised(limbs: [f32; 2], ground_m: f32) -> [f32; 2] {
 }
 
 impl Grid {
-    /// Heights for both limbs at a place, bilinear.
+    /// Heights for both limbs at a place, bilinear; of a grid over rings.
     fn limbs_at(&self, place: Vec2, towards: Vec2) -> [f32; 2] {
         let offset = (place - self.origin) / self.step_m;
         let limit = Vec2::new(self.size[0] as f32, self.size[1] as f32) - 1.001;
@@ -536,18 +577,51 @@ mod tests {
         let corners =
             [Vec2::splat(-100.0), Vec2::splat(100.0), Vec2::new(-100.0, 100.0), Vec2::new(100.0, -100.0)];
         let mut map = HorizonMap::default();
-        map.make(&terrain, &sun, &Footprint::around(corners.into_iter()));
+        map.make(&Arc::new(terrain), &sun, &Footprint::around(corners.into_iter()));
         let level = map.levels[0];
         // Beyond 13 m the shadow of the ridge has met the ground.
         for x in [-5.0_f32, -8.0, -12.0] {
             let column = ((x - level.origin.x) / level.step_m).round();
             let row = (level.size[1] / 2) as usize;
             let at = level.origin.x + column * level.step_m;
-            let [lower, upper] = map.heights_m[row * map.width as usize + column as usize];
+            let [lower, upper] = map.heights_m[row * map.width as usize + (column - level.first.x) as usize];
             for (height, limb_deg) in [(lower, 17.0 - 0.265), (upper, 17.0 + 0.265)] {
                 let expected = 4.0 + at * f64::to_radians(limb_deg).tan() as f32;
                 assert!((height - expected).abs() < 0.15, "x = {at}: {height} m for {expected} m");
             }
         }
+    }
+    #[test]
+    fn the_map_of_all_of_the_ground_has_the_values_of_its_parts() {
+        let height =
+            |p: Vec2| 3.0 * (0.05 * p.x).sin() * (0.04 * p.y).cos() + 0.4 * (0.9 * p.x + 0.3 * p.y).sin();
+        let terrain = Arc::new(Terrain::from_height(100.0, 100, Vec::new(), height));
+        let sun = Sun::new(8.0, 230.0, 0.53, Vec3::ONE);
+        let part = |x: f32| {
+            let corners = [(0.0, 0.0), (20.0, 5.0), (15.0, 30.0)];
+            Footprint::around(corners.into_iter().map(move |(dx, y)| Vec2::new(x + dx, y)))
+        };
+        let mut map = HorizonMap::default();
+        assert!(map.make(&terrain, &sun, &part(0.0)));
+        let of_part = map.clone();
+        assert!(map.make(&terrain, &sun, &part(-3.0)), "all of it");
+        assert!(!map.make(&terrain, &sun, &part(9.0)), "which it has");
+        let (part_level, level) = (of_part.levels[0], map.levels[0]);
+        assert_eq!((level.origin, level.step_m), (part_level.origin, part_level.step_m));
+        let mut compared = 0;
+        for (i, known) in of_part.heights_m.iter().enumerate().filter(|(_, known)| known[0] > f32::MIN) {
+            let at = [i % of_part.width as usize, i / of_part.width as usize];
+            let first = part_level.first - level.first;
+            let (column, row) = (at[0] + first.x as usize, at[1] + first.y as usize);
+            let whole = map.heights_m[row * map.width as usize + column];
+            // Where nothing stands between a place and the sun both are far down, at what the rows begin with.
+            assert!(whole == *known || whole[0].max(known[0]) < -1e8, "{whole:?} for {known:?}");
+            compared += 1;
+        }
+        assert!(compared > 1000, "{compared}");
+        let low_sun = Sun::new(5.0, 230.0, 0.53, Vec3::ONE);
+        assert!(map.make(&terrain, &low_sun, &part(0.0)), "another sun");
+        assert!(map.make(&Arc::new(Terrain::clone(&terrain)), &low_sun, &part(0.0)), "another ground");
+        assert!(map.levels[0].size[0] < level.size[0], "a part again");
     }
 }

@@ -168,7 +168,7 @@ shader_struct! {
         step_m: f32,
         first_row: u32,
         size: [u32; 2],
-        reserved: [u32; 2],
+        first: Vec2,
     }
 }
 

@@ -28,7 +28,7 @@ pub const STAR_DOME_M: f64 = 600.0;
 pub const SUN_IRRADIANCE_PER_INTENSITY: f32 = 1.66e-3;
 
 /// The distant sun: the only light there is, apart from the dome's own glow.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sun {
     /// Unit vector from the scene towards the sun.
     pub direction: Vec3,

@@ -20,7 +20,7 @@ const PI: f32 = std::f32::consts::PI;
 /// Flat Lambert ground of albedo 0.2 under a white sun, seen from straight above; `rocks` on it.
 fn flat_scene(sun: Sun, rocks: Vec<Rock>, eye: Vec3, fov_deg: f64) -> Scene {
     Scene {
-        terrain: Terrain::from_height(400.0, 100, Vec::new(), |_| 0.0),
+        terrain: Terrain::from_height(400.0, 100, Vec::new(), |_| 0.0).into(),
         relief: None,
         photometry: Photometry::default(),
         label_rule: LabelRule::default(),
@@ -414,7 +414,7 @@ fn the_penumbra_of_a_wall_has_its_width_at_every_elevation() {
         let eye = Vec3::new(edge_m, 0.0, 20.0);
         let fov_deg = 2.0 * f64::from(1.5 * width_m / eye.z).atan().to_degrees();
         let mut scene = flat_scene(sun, Vec::new(), eye, fov_deg);
-        scene.terrain = Terrain::from_height(200.0, 1000, Vec::new(), wall);
+        scene.terrain = Terrain::from_height(200.0, 1000, Vec::new(), wall).into();
         let mut settings = RenderSettings::new([256, 64], 1).expect("settings");
         settings.annotations = [Annotation::Shadow].into_iter().collect();
         let frame = renderer().render(&scene, &settings).expect("a frame").0;

@@ -639,11 +639,11 @@ fn rough_ground_is_in_shadow_as_often_as_smith_says() {
             let sum: f64 = waves.iter().map(|w| (w[0] * p.x + w[1] * p.y + w[2]).sin()).sum();
             (amplitude * sum) as f32
         };
-        let terrain = Terrain::from_height(400.0, 400, Vec::new(), height);
+        let terrain = Arc::new(Terrain::from_height(400.0, 400, Vec::new(), height));
         for elevation_deg in elevations_deg {
             let mut scene = scene(1, &["rocks.count=0"]);
             scene.rocks.clear();
-            scene.terrain = terrain.clone();
+            scene.terrain = Arc::clone(&terrain);
             scene.sun = Sun::new(elevation_deg, 60.0, 0.0, glam::Vec3::ONE);
             scene.camera =
                 Camera::new(glam::Vec3::new(0.0, 0.0, 2000.0), [-90.0, 0.0, 0.0], 8.0, 5000.0, 0.0);
