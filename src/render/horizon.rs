@@ -544,8 +544,8 @@ impl Bends {
                     + (south[west] + north[east] - middle).abs())
         };
         let mut of_row = vec![0.0; last + 1];
-        for column in 1..last {
-            of_row[column] = kinks(column - 1, column, column + 1);
+        for (column, kink) in of_row.iter_mut().enumerate().take(last).skip(1) {
+            *kink = kinks(column - 1, column, column + 1);
         }
         (of_row[0], of_row[last]) = (kinks(0, 0, 1), kinks(last - 1, last, last));
         along.copy_from_slice(&of_row[1..]);

@@ -440,8 +440,8 @@ impl<const N: usize> Corners<N> {
     pub fn set(&mut self, lane: usize, corner: usize, place: Place, at: Vec2, values: [f32; N]) {
         (self.x[corner][lane], self.y[corner][lane]) = (place.x, place.y);
         (self.at_x[corner][lane], self.at_y[corner][lane]) = (at.x, at.y);
-        for i in 0..N {
-            self.values[i][corner][lane] = values[i];
+        for (of_all, value) in self.values.iter_mut().zip(values) {
+            of_all[corner][lane] = value;
         }
     }
 }

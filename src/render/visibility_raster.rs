@@ -170,8 +170,8 @@ impl Sheet {
         let mut of_eight = Corners::none();
         for (lane, &number) in numbers.iter().enumerate() {
             let corners = mesh.corners_of(&mesh.facets[number]);
-            for i in 0..3 {
-                of_eight.set(lane, i, corners[i].place, corners[i].at, corners[i].values());
+            for (i, corner) in corners.iter().enumerate() {
+                of_eight.set(lane, i, corner.place, corner.at, corner.values());
             }
         }
         let outlines = Outlines::new(simd, &of_eight, width, rows);

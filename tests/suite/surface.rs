@@ -2,6 +2,8 @@
 
 #![allow(clippy::print_stdout, reason = "figures for people who run it with --nocapture")]
 
+use std::sync::Arc;
+
 use glam::Vec2;
 use regolith::class::ClassId;
 use regolith::frame::{Annotation, Frame};
