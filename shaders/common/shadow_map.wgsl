@@ -82,14 +82,15 @@ fn horizon_visibility(position: vec3<f32>) -> f32 {
     let offset = (position.xy - grid.origin) / grid.step_m;
     let towards = light.horizon_towards;
     let limit = vec2<f32>(grid.size) - 1.001;
-    // Columns run towards the sun, rows across. What is taken off are whole numbers: where between samples a place lies does
-    // not depend on which the map begins with.
+    // Columns run towards the sun, rows across. Where between samples a place lies must not depend, by a rounding, on which of
+    // them the map begins with.
     let counted = vec2(dot(offset, towards), dot(offset, vec2(-towards.y, towards.x)));
-    let at = clamp(counted - grid.first, vec2(0.0), limit);
+    let at = clamp(counted, grid.first, grid.first + limit);
     let corner = floor(at);
     let t = at - corner;
     // Where the four meet.
-    let meet = (corner + vec2(1.0, 1.0 + f32(grid.first_row))) / vec2<f32>(textureDimensions(horizon_map));
+    let texel = corner - grid.first + vec2(1.0, 1.0 + f32(grid.first_row));
+    let meet = texel / vec2<f32>(textureDimensions(horizon_map));
     let limbs = vec2(
         bilinear(textureGather(0, horizon_map, nearest, meet), t),
         bilinear(textureGather(1, horizon_map, nearest, meet), t),

@@ -3,6 +3,7 @@
 use regolith::frame::{Annotation, Frame};
 use regolith::render::gpu_scene::Ways;
 use regolith::render::{InFlight, RenderSettings};
+use regolith::scene::Scene;
 
 use crate::support::{folder, json, program, render, renderer, run_ok, scene};
 
@@ -132,6 +133,42 @@ fn telling_apart_what_can_shade_changes_no_label_and_no_colour() {
         assert!(apart.rgb == alike.rgb, "seed {seed}: colours");
     }
     assert!(told_apart >= 10, "only {told_apart} groups more");
+}
+
+/// Where the sun stands still and the camera moves, tiles of the shadow map are kept, and the horizon map of all of the ground.
+#[test]
+fn a_frame_is_the_same_whatever_was_drawn_before_it() {
+    let mut renderer = renderer();
+    let (mut settings, other) = (all_planes(192), scene(3, &[]));
+    settings.annotations = settings.annotations.with(Annotation::Hdr);
+    for (seed, set) in [
+        (1, &[][..]),
+        (2, &["sun.elevation_deg=3", "sun.azimuth_deg=10"]),
+        (5, &["sun.elevation_deg=1", "sun.angular_diameter_deg=3", "camera.yaw_deg=120"]),
+        (7, &["stage.name=surface", "sun.elevation_deg=8"]),
+    ] {
+        let mut moving = scene(seed, set);
+        let mut in_a_row: Vec<(Scene, Frame)> = Vec::new();
+        for _ in 0..3 {
+            let frame = renderer.render(&moving, &settings).expect("a frame").0;
+            in_a_row.push((moving.clone(), frame));
+            moving.camera.eye.x += 0.4;
+        }
+        for (step, (scene, kept)) in in_a_row.iter().enumerate() {
+            renderer.render(&other, &settings).expect("a frame");
+            let alone = renderer.render(scene, &settings).expect("a frame").0;
+            assert!(
+                alone.class == kept.class && alone.instances == kept.instances,
+                "seed {seed}, {step}: labels"
+            );
+            assert!(
+                alone.depth_m == kept.depth_m && alone.normals == kept.normals,
+                "seed {seed}, {step}: geometry"
+            );
+            assert!(alone.hidden == kept.hidden, "seed {seed}, {step}: shadows");
+            assert!(alone.radiance == kept.radiance && alone.rgb == kept.rgb, "seed {seed}, {step}: colours");
+        }
+    }
 }
 
 /// What samples show is given to the device in parts where it is much, here two.
