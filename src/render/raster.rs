@@ -749,4 +749,86 @@ mod tests {
             }
         }
     }
+    /// Three corners, with three places that stand close together and three that may stand anywhere.
+    fn triangles() -> Vec<[Place; 3]> {
+        let near = |number: i32, corner: i32| {
+            let middle = random_place(number);
+            let beside = |axis: i32| random(3 * number + corner, axis, 3 * PARTS as u32) - PARTS;
+            Place { x: middle.x + beside(2), y: middle.y + beside(3) }
+        };
+        (0..600)
+            .map(|number| {
+                [0, 1, 2].map(|corner| {
+                    if number % 3 == 0 { random_place(3 * number + corner) } else { near(number, corner) }
+                })
+            })
+            .collect()
+    }
+
+    #[test]
+    fn what_is_sifted_out_covers_no_texel_or_is_turned_away() {
+        let triangles = triangles();
+        let places = triangles.as_flattened();
+        let corners: Vec<[u32; 3]> =
+            (0..triangles.len() as u32).map(|number| [3 * number, 3 * number + 1, 3 * number + 2]).collect();
+        let rows = 9..33;
+        for sides in [Sides::Outside, Sides::Both] {
+            let (mut kept, mut dropped) = (0, 0);
+            for (chunk, triangles) in triangles.chunks(AT_ONCE).zip(corners.chunks(AT_ONCE)) {
+                let place_of = |corner: u32| places[corner as usize];
+                let sifted = dispatch!(Level::new(), simd => Sifted::new(simd, triangles, place_of, sides, SIZE, &rows));
+                for (number, &triangle) in chunk.iter().enumerate() {
+                    let turn = Turn::of(triangle);
+                    let is_seen = turn == Some(Turn::Front) || (turn.is_some() && sides == Sides::Both);
+                    let is_drawn = is_seen && texels_between(triangle, SIZE, &rows).is_some();
+                    assert_eq!(sifted.numbers().contains(&(number as u16)), is_drawn, "{triangle:?}");
+                    (kept, dropped) = (kept + u32::from(is_drawn), dropped + u32::from(!is_drawn));
+                }
+            }
+            assert!(kept > 50 && dropped > 50, "{kept} and {dropped}");
+        }
+    }
+
+    #[test]
+    fn eight_triangles_are_painted_as_one_by_one() {
+        let rows = 9..33;
+        let drawn = |triangle: &[Place; 3]| {
+            Turn::of(*triangle).is_some() && texels_between(*triangle, SIZE, &rows).is_some()
+        };
+        let triangles: Vec<[Place; 3]> = triangles().into_iter().filter(drawn).collect();
+        let value = |corner: usize| 0.3 + 0.7 * corner as f32;
+        // Not quite where they are rounded to.
+        let unrounded = |place: Place| Vec2::new(place.x as f32 + 0.3, place.y as f32 - 0.2) / PARTS as f32;
+        let mut painted = 0;
+        for eight in triangles.chunks(LANES) {
+            let mut corners = Corners::none();
+            for (lane, triangle) in eight.iter().enumerate() {
+                for (i, &place) in triangle.iter().enumerate() {
+                    corners.set(lane, i, place, unrounded(place), [value(i), -value(i)]);
+                }
+            }
+            dispatch!(Level::new(), simd => {
+                let outlines = Outlines::new(simd, &corners, SIZE, &rows);
+                for (lane, &[a, b, c]) in eight.iter().enumerate() {
+                    assert!(outlines.is_small(lane));
+                    let turn = outlines.turn(lane);
+                    assert_eq!(Some(turn), Turn::of([a, b, c]));
+                    let [second, third] = if turn == Turn::Front { [1, 2] } else { [2, 1] };
+                    let order = [0, second, third];
+                    let places = order.map(|i| [a, b, c][i]);
+                    let outline = Outline::new(places, SIZE, &rows).expect("it covers texels");
+                    let planes = outline.planes(places.map(unrounded), order.map(|i| [value(i), -value(i)]));
+                    for (one, of_eight) in planes.into_iter().zip(outlines.planes(lane)) {
+                        let (mut alone, mut together) = (Counted::new([SIZE, SIZE]), Counted::new([SIZE, SIZE]));
+                        (alone.value, together.value) = (one, of_eight);
+                        outline.fill(simd, rows.start, STRIDE, &mut alone);
+                        outlines.fill(simd, lane, rows.start, STRIDE, &mut together);
+                        assert!(alone.times == together.times && alone.values == together.values);
+                        painted += alone.times.iter().sum::<u32>();
+                    }
+                }
+            });
+        }
+        assert!(painted > 1000, "{painted}");
+    }
 }
