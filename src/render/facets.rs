@@ -372,9 +372,17 @@ impl Mesh {
         (self.slot, self.groups) = (slot, groups);
         self.bounds = [Bounds::NOWHERE; SHADES];
         self.rows = [u16::MAX, 0];
+        self.is_placed = true;
         self.corners.clear();
         self.facets.clear();
         self.clipped.clear();
+    }
+
+    /// Adds vertices.
+    fn extend(&mut self, corners: impl Iterator<Item = Corner>) {
+        let first = self.corners.len();
+        self.corners.extend(corners);
+        self.is_placed &= self.corners[first..].iter().all(|corner| corner.inverse_w > 0.0);
     }
 
     fn add_rock(&mut self, of: &Picture<'_>, selected: &SelectedRock) {
@@ -385,8 +393,7 @@ impl Mesh {
         let buried_m = lowest_ground_m(of.scene, rock) - rock.centre.z;
         let vertices = &rock.vertices[..Icosphere::vertex_count(level.min(rock.level))];
         let corner = |v: &Vertex| of.samples.corner(origin + v.position, v.normal);
-        self.corners.extend(vertices.iter().map(corner));
-        self.is_placed = self.corners.iter().all(|corner| corner.inverse_w > 0.0);
+        self.extend(vertices.iter().map(corner));
         let vertex = |v: u32| (origin + vertices[v as usize].position, vertices[v as usize].normal);
         for triangles in rock.triangles(level).chunks(AT_ONCE) {
             for &number in self.sifted(&of.samples, triangles).numbers() {
@@ -411,19 +418,17 @@ impl Mesh {
         for row in rows.start..=rows.end {
             let first = (row * row_len + columns.start) as usize;
             let vertices = &terrain.vertices[first..first + block_row_len as usize];
-            self.corners.extend(vertices.iter().map(|v| of.samples.corner(v.position - eye, v.normal)));
+            self.extend(vertices.iter().map(|v| of.samples.corner(v.position - eye, v.normal)));
         }
-        self.is_placed = self.corners.iter().all(|corner| corner.inverse_w > 0.0);
         for row in rows.clone() {
             let (south, first) = (row * row_len + columns.start, (row - rows.start) * block_row_len);
             let in_block = |vertex: u32| {
-                let (beyond, is_north) = (vertex - south, vertex >= south + row_len);
-                first + if is_north { beyond - row_len + block_row_len } else { beyond }
+                let skipped = if vertex >= south + row_len { row_len - block_row_len } else { 0 };
+                first + (vertex - south - skipped)
             };
             let vertex = |place: u32| {
-                let (beyond, is_north) = (place - first, place >= first + block_row_len);
-                let of_terrain = south + if is_north { beyond - block_row_len + row_len } else { beyond };
-                let vertex = &terrain.vertices[of_terrain as usize];
+                let skipped = if place >= first + block_row_len { row_len - block_row_len } else { 0 };
+                let vertex = &terrain.vertices[(south + (place - first) + skipped) as usize];
                 (vertex.position - eye, vertex.normal)
             };
             let triangles: Vec<[u32; 3]> = terrain
@@ -454,7 +459,7 @@ impl Mesh {
         let origin = centre - of.scene.camera.eye;
         let directions = &sphere.directions[..Icosphere::vertex_count(level)];
         let vertex = |d: &Vec3| (origin + radius_m * *d, *d);
-        self.corners.extend(directions.iter().map(|d| {
+        self.extend(directions.iter().map(|d| {
             let (offset, normal) = vertex(d);
             of.samples.corner(offset, normal)
         }));

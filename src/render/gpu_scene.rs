@@ -261,10 +261,9 @@ impl GpuScene {
         self.uploaded_bytes = 0;
         let selection = Selection::new(scene, settings);
         let footprint = Footprint::new(scene, &selection.frustum);
-        let mut horizon = std::mem::take(&mut self.horizon_map);
-        let is_new = horizon.make(&scene.terrain, &scene.sun, &footprint);
+        let is_new = self.horizon_map.make(&scene.terrain, &scene.sun, &footprint);
         let casters = &selection.casters;
-        let caster_grid = shadow::caster_grid(scene, casters, &horizon, &footprint);
+        let caster_grid = shadow::caster_grid(scene, casters, &self.horizon_map, &footprint);
         let bands = Bands::new(scene, &selection, settings);
         self.uploaded_bytes += self.relief.write(gpu, &slots(&bands.bands));
         let slots = selection.slots();
@@ -299,11 +298,10 @@ impl GpuScene {
         self.uploaded_bytes += self.tiles.write(gpu, &tiles);
         self.uploaded_bytes += self.caster_grid.write(gpu, &caster_grid);
         self.atlas_px = shadow::atlas_px(casters);
-        let uniforms = frame_uniforms(scene, settings, picture_size, &horizon, self.atlas_px);
+        let uniforms = frame_uniforms(scene, settings, picture_size, &self.horizon_map, self.atlas_px);
         self.uploaded_bytes += self.frame.write(gpu, &[uniforms]);
         (self.law, self.has_detail) = (scene.photometry.law, scene.relief.is_some());
-        self.upload_horizon(gpu, &horizon, is_new);
-        self.horizon_map = horizon;
+        self.upload_horizon(gpu, is_new);
     }
 
     /// The shadow map, unless the device is to draw it.
@@ -439,7 +437,8 @@ impl GpuScene {
         self.uploaded_bytes += self.vertices.write_parts(gpu, &uploads);
     }
 
-    fn upload_horizon(&mut self, gpu: &Gpu, map: &HorizonMap, is_new: bool) {
+    fn upload_horizon(&mut self, gpu: &Gpu, is_new: bool) {
+        let map = &self.horizon_map;
         let (width, height) = (map.width, map.height());
         let fits = |texture: &wgpu::Texture| texture.width() >= width && texture.height() >= height;
         let is_there = self.horizon.as_ref().is_some_and(|(texture, _)| fits(texture));

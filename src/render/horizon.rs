@@ -325,9 +325,8 @@ impl<'a> Frame<'a> {
         let lines = heights_m.par_chunks_mut(LANES * width).zip(spans.par_chunks(LANES)).enumerate();
         let shaded = lines.map(|(chunk, (heights_m, spans))| {
             let first_row = rows.start + chunk * LANES;
-            let starts: Vec<_> = (first_row..).zip(spans).map(|(row, span)| start(row, span.end)).collect();
-            let lines = Lines { first_row, first_column: columns.start, spans, starts: &starts };
-            dispatch!(Level::new(), simd => self.scan_lines(simd, &lines, heights_m, bends))
+            let lines = Lines { first_row, first_column: columns.start, spans };
+            dispatch!(Level::new(), simd => self.scan_lines(simd, &lines, heights_m, &start, bends))
         });
         let shaded = shaded.collect::<Vec<_>>().into_iter().flatten().collect();
         let first = Vec2::new(columns.start as f32, rows.start as f32);
@@ -347,9 +346,10 @@ impl<'a> Frame<'a> {
         simd: S,
         lines: &Lines<'_>,
         heights_m: &mut [[f32; 2]],
+        start: &impl Fn(usize, usize) -> (usize, [f32; 2]),
         bends: Option<&Bends>,
     ) -> Vec<Vec2> {
-        let Lines { first_row, first_column, spans, starts } = *lines;
+        let Lines { first_row, first_column, spans } = *lines;
         let (rows, width) = (spans.len(), heights_m.len() / spans.len());
         // Of each row: where it begins, the column and the heights that it is run along from.
         let (mut from, mut last, mut limbs) = ([[0.0; LANES]; 2], [0.0; LANES], [[0.0; LANES]; 2]);
@@ -360,9 +360,9 @@ impl<'a> Frame<'a> {
             if spans[row].is_empty() {
                 continue;
             }
-            let (start, at_start) = starts[row];
-            (last[row], limbs[0][row], limbs[1][row]) = (start as f32, at_start[0], at_start[1]);
-            (first, end) = (first.min(spans[row].start), end.max(start));
+            let (begun_at, at_start) = start(first_row + row, spans[row].end);
+            (last[row], limbs[0][row], limbs[1][row]) = (begun_at as f32, at_start[0], at_start[1]);
+            (first, end) = (first.min(spans[row].start), end.max(begun_at));
         }
         let from = [f32x8::from_slice(simd, &from[0]), f32x8::from_slice(simd, &from[1])];
         let last = f32x8::from_slice(simd, &last);
@@ -408,12 +408,11 @@ impl<'a> Frame<'a> {
     }
 }
 
-/// Rows that are run along at once: which, of which columns, and from where with which heights.
+/// Rows that are run along at once: which, and of which columns.
 struct Lines<'a> {
     first_row: usize,
     first_column: usize,
     spans: &'a [Range<usize>],
-    starts: &'a [(usize, [f32; 2])],
 }
 
 /// The heights where ground stands at a place: what hides the lower limb from what lies beyond also tells how far the upper
@@ -591,6 +590,7 @@ mod tests {
             }
         }
     }
+
     #[test]
     fn the_map_of_all_of_the_ground_has_the_values_of_its_parts() {
         let height =

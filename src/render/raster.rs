@@ -210,7 +210,8 @@ impl Sifted {
                     (x[i][lane], y[i][lane]) = (place.x, place.y);
                 }
             }
-            let kept = may_cover(simd, three(simd, &x), three(simd, &y), sides, width, rows).to_bitmask();
+            let extents = Extents::new(simd, three(simd, &x), three(simd, &y), width, rows);
+            let kept = extents.may_cover(sides).to_bitmask();
             for lane in 0..LANES {
                 sifted.numbers[sifted.count] = (number + lane) as u16;
                 sifted.count += (kept >> lane & 1) as usize;
@@ -227,33 +228,49 @@ impl Sifted {
     }
 }
 
-/// Whether triangles, by the places of their corners, are kept by [`Sifted::new`].
-#[inline(always)]
-fn may_cover<S: Simd>(
-    simd: S,
-    x: [i32x8<S>; 3],
-    y: [i32x8<S>; 3],
-    sides: Sides,
-    width: usize,
-    rows: &Range<i32>,
-) -> mask32x8<S> {
-    let (low_x, high_x) = (x[0].min(x[1]).min(x[2]), x[0].max(x[1]).max(x[2]));
-    let (low_y, high_y) = (y[0].min(y[1]).min(y[2]), y[0].max(y[1]).max(y[2]));
-    let splat = |number: i32| i32x8::splat(simd, number);
-    // As `middles_between`.
-    let first_column = ((low_x + (PARTS - 1)) >> PARTS_BITS as u32).max(splat(0));
-    let last_column = (high_x >> PARTS_BITS as u32).min(splat(width as i32 - 1));
-    let first_row = ((low_y + (PARTS - 1)) >> PARTS_BITS as u32).max(splat(rows.start));
-    let last_row = (high_y >> PARTS_BITS as u32).min(splat(rows.end - 1));
-    let covers = last_column.simd_ge(first_column) & last_row.simd_ge(first_row);
-    // As `twice_area`, which may not fit where they are large.
-    let twice_area = (x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0]);
-    let is_large = (high_x - low_x).max(high_y - low_y).simd_ge(SPAN_PX * PARTS);
-    let is_seen = match sides {
-        Sides::Outside => twice_area.simd_lt(0),
-        Sides::Both => twice_area.simd_lt(0) | twice_area.simd_gt(0),
-    };
-    covers & (is_large | is_seen)
+/// What [`texels_between`] and [`twice_area`] tell, of eight triangles.
+struct Extents<S: Simd> {
+    /// First and last of the columns.
+    columns: [i32x8<S>; 2],
+    /// First and last of the rows.
+    rows: [i32x8<S>; 2],
+    /// Whether 32 bits hold the area.
+    is_small: mask32x8<S>,
+    /// Of those that are small.
+    twice_area: i32x8<S>,
+}
+
+impl<S: Simd> Extents<S> {
+    #[inline(always)]
+    fn new(simd: S, x: [i32x8<S>; 3], y: [i32x8<S>; 3], width: usize, rows: &Range<i32>) -> Self {
+        let (low_x, high_x) = (x[0].min(x[1]).min(x[2]), x[0].max(x[1]).max(x[2]));
+        let (low_y, high_y) = (y[0].min(y[1]).min(y[2]), y[0].max(y[1]).max(y[2]));
+        Self {
+            columns: Self::middles_between(simd, low_x, high_x, 0, width as i32),
+            rows: Self::middles_between(simd, low_y, high_y, rows.start, rows.end),
+            is_small: (high_x - low_x).max(high_y - low_y).simd_lt(SPAN_PX * PARTS),
+            twice_area: (x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0]),
+        }
+    }
+
+    #[inline(always)]
+    fn middles_between(simd: S, low: i32x8<S>, high: i32x8<S>, first: i32, end: i32) -> [i32x8<S>; 2] {
+        [
+            ((low + (PARTS - 1)) >> PARTS_BITS as u32).max(i32x8::splat(simd, first)),
+            (high >> PARTS_BITS as u32).min(i32x8::splat(simd, end - 1)),
+        ]
+    }
+
+    /// Whether they are kept by [`Sifted::new`].
+    #[inline(always)]
+    fn may_cover(&self, sides: Sides) -> mask32x8<S> {
+        let covers = self.columns[1].simd_ge(self.columns[0]) & self.rows[1].simd_ge(self.rows[0]);
+        let is_seen = match sides {
+            Sides::Outside => self.twice_area.simd_lt(0),
+            Sides::Both => self.twice_area.simd_lt(0) | self.twice_area.simd_gt(0),
+        };
+        covers & (is_seen | !self.is_small)
+    }
 }
 
 impl Outline {
@@ -463,20 +480,10 @@ impl<const N: usize> Outlines<N> {
     #[inline(always)]
     pub fn new<S: Simd>(simd: S, corners: &Corners<N>, width: usize, rows: &Range<i32>) -> Self {
         let Corners { x, y, at_x, at_y, values } = corners;
-        let splat = |number: i32| i32x8::splat(simd, number);
-        let ([ax, bx, cx], [ay, by, cy]) = (three(simd, x), three(simd, y));
-        let (low_x, high_x) = (ax.min(bx).min(cx), ax.max(bx).max(cx));
-        let (low_y, high_y) = (ay.min(by).min(cy), ay.max(by).max(cy));
-        let columns = [
-            ((low_x + (PARTS - 1)) >> PARTS_BITS as u32).max(splat(0)),
-            (high_x >> PARTS_BITS as u32).min(splat(width as i32 - 1)),
-        ];
-        let rows = [
-            ((low_y + (PARTS - 1)) >> PARTS_BITS as u32).max(splat(rows.start)),
-            (high_y >> PARTS_BITS as u32).min(splat(rows.end - 1)),
-        ];
-        let is_small = (high_x - low_x).max(high_y - low_y).simd_lt(SPAN_PX * PARTS);
-        let is_front = ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax)).simd_lt(0);
+        let (x, y) = (three(simd, x), three(simd, y));
+        let Extents { columns, rows, is_small, twice_area } = Extents::new(simd, x, y, width, rows);
+        let is_front = twice_area.simd_lt(0);
+        let ([ax, bx, cx], [ay, by, cy]) = (x, y);
         // Counter-clockwise.
         let (bx, cx) = (is_front.select(bx, cx), is_front.select(cx, bx));
         let (by, cy) = (is_front.select(by, cy), is_front.select(cy, by));
@@ -489,7 +496,7 @@ impl<const N: usize> Outlines<N> {
             small: is_small.to_bitmask(),
         };
         let ends = [[cx, cy, bx, by], [ax, ay, cx, cy], [bx, by, ax, ay]];
-        let (one, none) = (splat(1), splat(0));
+        let (one, none) = (i32x8::splat(simd, 1), i32x8::splat(simd, 0));
         for (edge, [from_x, from_y, to_x, to_y]) in made.edges.iter_mut().zip(ends) {
             let (along_x, along_y) = (to_x - from_x, to_y - from_y);
             let (x, y) = (columns[0] * PARTS - from_x, rows[0] * PARTS - from_y);

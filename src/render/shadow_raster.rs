@@ -286,9 +286,8 @@ mod tests {
         let still = scene.clone();
         for change in 0..5 {
             match change {
-                0 => {}
                 // Nothing moves; then the camera; then the sun; then a rock takes another's place.
-                1 => {}
+                0 | 1 => {}
                 2 => scene.camera.eye.x += 0.5,
                 3 => scene.sun = Sun { direction: Vec3::new(0.3, 0.9, 0.31).normalize(), ..scene.sun },
                 _ => {
