@@ -1,7 +1,7 @@
 // Ground and rocks: lit radiance and labels of the samples that show them, from one draw.
 
 // What can shade what is drawn (by its place in `Shades`, src/render/shadow.rs): nothing, so that what faces the sun sees
-// all of it; other ground; rocks, and maybe ground.
+// all of it; other ground; rocks; both.
 override SHADES: u32;
 // The law of reflection.
 override LAW: u32;
@@ -10,6 +10,8 @@ override DETAIL: u32;
 // Whether it is one of many, so that each sample must look up which.
 override OF_MANY: bool;
 
+const BY_GROUND: u32 = 1u;
+const BY_CASTERS: u32 = 2u;
 const RELIEF_DETAIL: u32 = 1u;
 const TEXTURE_DETAIL: u32 = 2u;
 
@@ -53,12 +55,13 @@ fn fs_main(in: Corner) -> SceneOut {
     // How much of the sun's disc other ground leaves.
     var open = 1.0;
     var cell = GridCell();
-    if SHADES == 2u { cell = grid_cell(place); }
-    if SHADES == 1u || cell.asks_horizon { open = horizon_visibility(place); }
+    if (SHADES & BY_CASTERS) != 0u { cell = grid_cell(place); }
+    if SHADES == BY_GROUND || (SHADES == (BY_GROUND | BY_CASTERS) && cell.asks_horizon) { open = horizon_visibility(place); }
     var visible = select(0.0, open, faces_sun);
-    if SHADES == 2u && faces_sun {
-        let turn = pattern_turn(in.clip.xy);
-        visible = visibility_past_casters(cell, open, place, seen.facet_normal, smooth_normal, turn);
+    if (SHADES & BY_CASTERS) != 0u && faces_sun {
+        let turn = 6.2831853 * pattern_turn(in.clip.xy);
+        let spoke = vec2(cos(turn), sin(turn));
+        visible = visibility_past_casters(cell, open, place, seen.facet_normal, smooth_normal, spoke);
     }
     var direct = 0.0;
     if cos_light > 0.0 {

@@ -42,4 +42,5 @@ struct CasterTile {
 
 // The one that is drawn: a uniform, so that no vertex and no fragment has to find it in a list.
 @group(1) @binding(0) var<uniform> instance: Instance;
-@group(1) @binding(1) var<storage, read> tiles: array<CasterTile>;
+// `CasterTile`s, each in two fetches.
+@group(1) @binding(1) var<storage, read> tiles: array<array<vec4<f32>, 2>>;

@@ -15,12 +15,16 @@
 // with a level of detail for each lane of a load, which takes several times as long.
 @group(2) @binding(5) var nearest: sampler;
 
+const COS_GOLDEN_ANGLE: f32 = -0.73736888;
+const SIN_GOLDEN_ANGLE: f32 = 0.67549029;
+// Whether the ground is made of rings, each with grids over twice the one before.
+override RINGS: bool;
+
 const ASK_HORIZON: u32 = 0x80000000u;
 const SEARCH_TAPS: i32 = 8;
 const FILTER_TAPS: i32 = 20;
 // Radius of a filter that is not worth more than one tap, texels.
 const NARROW_PX: f32 = 0.5;
-const GOLDEN_ANGLE: f32 = 2.39996323;
 
 // What a place must ask.
 struct GridCell {
@@ -34,10 +38,13 @@ struct GridCell {
 // The cell of the finest grid that holds a place (metres, world).
 fn grid_cell(position: vec3<f32>) -> GridCell {
     let cells = i32(light.caster_cells);
-    let from_centre = abs(position.xy - light.caster_centre);
-    let out = log2(max(max(from_centre.x, from_centre.y), 1.0e-3) / light.caster_half_m);
-    let level = clamp(i32(ceil(out)), 0, i32(light.caster_levels) - 1);
-    let half_m = light.caster_half_m * exp2(f32(level));
+    var level = 0;
+    var half_m = light.caster_half_m;
+    if RINGS {
+        let from_centre = abs(position.xy - light.caster_centre);
+        level = finest(max(from_centre.x, from_centre.y), half_m, light.caster_levels);
+        half_m *= exp2(f32(level));
+    }
     let origin = light.caster_centre - half_m;
     let cell_m = 2.0 * half_m / f32(cells);
     // What juts out over the border of the ground has the neighbours of its border.
@@ -46,6 +53,11 @@ fn grid_cell(position: vec3<f32>) -> GridCell {
     let start = caster_grid[index];
     let end = caster_grid[index + 1u] & ~ASK_HORIZON;
     return GridCell(start & ~ASK_HORIZON, end, (start & ASK_HORIZON) != 0u);
+}
+
+// Of grids that each reach twice as far as the one before, the first that reaches so far.
+fn finest(distance_m: f32, first_reach_m: f32, levels: u32) -> i32 {
+    return clamp(i32(ceil(log2(max(distance_m, 1.0e-3) / first_reach_m))), 0, i32(levels) - 1);
 }
 
 // Fraction of the sun's disc seen past the casters of a cell at a place (metres, world) of a surface, from which other
@@ -57,7 +69,7 @@ fn visibility_past_casters(
     position: vec3<f32>,
     facet_normal: vec3<f32>,
     normal: vec3<f32>,
-    turn: f32,
+    first_spoke: vec2<f32>,
 ) -> f32 {
     let facing = dot(facet_normal, light.sun_direction);
     // How the facet's plane rises along the sun per metre across it.
@@ -70,15 +82,18 @@ fn visibility_past_casters(
     let behind = 0.5 * excess * (1.0 - smoothstep(0.0, 0.1, facing));
     var visible = open;
     for (var i = cell.first; i < cell.end && visible > 0.0; i++) {
-        visible *= caster_visibility(caster_grid[i], position, rise, behind, turn);
+        visible *= caster_visibility(caster_grid[i], position, rise, behind, first_spoke);
     }
     return visible;
 }
 
 // Fraction of the disc that stands above the ground's horizon. The horizon is taken as straight across the disc.
 fn horizon_visibility(position: vec3<f32>) -> f32 {
-    let out = log2(max(distance(position.xy, light.horizon_centre), 1.0e-3) / light.horizon_base_m);
-    let grid = frame.horizon[clamp(i32(ceil(out)), 0, i32(light.horizon_levels) - 1)];
+    var level = 0;
+    if RINGS {
+        level = finest(distance(position.xy, light.horizon_centre), light.horizon_base_m, light.horizon_levels);
+    }
+    let grid = frame.horizon[level];
     let offset = (position.xy - grid.origin) / grid.step_m;
     let towards = light.horizon_towards;
     let limit = vec2<f32>(grid.size) - 1.001;
@@ -116,17 +131,19 @@ fn caster_visibility(
     position: vec3<f32>,
     rise: vec2<f32>,
     behind: f32,
-    turn: f32,
+    first_spoke: vec2<f32>,
 ) -> f32 {
-    let offset = position - tiles[caster].centre;
-    let half_extent_m = tiles[caster].half_extent_m;
+    let ball = tiles[caster][0];
+    let offset = position - ball.xyz;
+    let half_extent_m = ball.w;
     let across = vec2(dot(offset, light.sun_right), dot(offset, light.sun_up));
     let along = dot(offset, light.sun_direction);
     let reach = half_extent_m - along;
     if reach <= 0.0 { return 1.0; }
     let search_m = light.sun_tan_half_angle * reach;
     if any(abs(across) > vec2(half_extent_m + search_m)) { return 1.0; }
-    let tile = tiles[caster];
+    let place = tiles[caster][1];
+    let tile = CasterTile(ball.xyz, half_extent_m, place.xy, place.z, place.w);
     let map_texel = 1.0 / vec2<f32>(textureDimensions(shadow_map));
     let texels_per_m = 0.5 * tile.size_px / tile.half_extent_m;
     let at = vec2(across.x, -across.y) * texels_per_m + vec2(0.5 * tile.size_px);
@@ -140,8 +157,10 @@ fn caster_visibility(
     let search_taps = select(0, SEARCH_TAPS, search_px >= NARROW_PX);
     var blockers = 0.0;
     var height_m = 0.0;
+    var spoke = first_spoke;
     for (var i = 0; i < search_taps; i++) {
-        let tap = at + search_px * disc_point(i, SEARCH_TAPS, turn);
+        let tap = at + search_px * sqrt((f32(i) + 0.5) / f32(SEARCH_TAPS)) * spoke;
+        spoke = next_spoke(spoke);
         let above = height_above(tile, floor(tap), plane, map_texel);
         if above > 0.0 {
             blockers += 1.0;
@@ -157,16 +176,22 @@ fn caster_visibility(
     let taps = select(1, FILTER_TAPS, wide);
     let radius_px = select(0.0, filter_px, wide);
     var hidden_sum = 0.0;
+    spoke = first_spoke;
     for (var i = 0; i < taps; i++) {
-        hidden_sum += hidden(tile, at + radius_px * disc_point(i, FILTER_TAPS, turn), plane, map_texel);
+        let tap = at + radius_px * sqrt((f32(i) + 0.5) / f32(FILTER_TAPS)) * spoke;
+        hidden_sum += hidden(tile, tap, plane, map_texel);
+        spoke = next_spoke(spoke);
     }
     return 1.0 - hidden_sum / f32(taps);
 }
 
-// Point `i` of `count` spread evenly over the unit disc (Vogel 1979, "A better way to construct the sunflower head").
-fn disc_point(i: i32, count: i32, turn: f32) -> vec2<f32> {
-    let angle = GOLDEN_ANGLE * f32(i) + 6.2831853 * turn;
-    return sqrt((f32(i) + 0.5) / f32(count)) * vec2(cos(angle), sin(angle));
+// The next of the directions in which points lie that are spread evenly over a disc, a golden angle on (Vogel 1979, "A better way
+// to construct the sunflower head").
+fn next_spoke(spoke: vec2<f32>) -> vec2<f32> {
+    return vec2(
+        COS_GOLDEN_ANGLE * spoke.x - SIN_GOLDEN_ANGLE * spoke.y,
+        SIN_GOLDEN_ANGLE * spoke.x + COS_GOLDEN_ANGLE * spoke.y,
+    );
 }
 
 // Share of the four texels around a place (in texels of the tile) in which the caster stands above the plane.

@@ -204,13 +204,17 @@ struct Picture<'a> {
 }
 
 impl Picture<'_> {
+    /// What can shade what lies in a box, as seen from above.
+    fn shades_over(&self, low: Vec2, high: Vec2) -> Shades {
+        self.grids.map_or(Shades::Both, |grids| grids.shades_over(self.caster_grid, low, high))
+    }
+
     /// What can shade a cell of the ground.
     fn shades_over_cell(&self, column: u32, row: u32) -> Shades {
-        let Some(grids) = &self.grids else { return Shades::Casters };
         let corners = self.scene.terrain.corners(column, row).map(Vec3::truncate);
         let (low, high) =
             corners.iter().fold((corners[0], corners[0]), |(low, high), p| (low.min(*p), high.max(*p)));
-        grids.shades_over(self.caster_grid, low, high)
+        self.shades_over(low, high)
     }
 }
 
@@ -392,6 +396,8 @@ impl Mesh {
         // Whatever lies below the lowest ground around the rock is under the ground.
         let buried_m = lowest_ground_m(of.scene, rock) - rock.centre.z;
         let vertices = &rock.vertices[..Icosphere::vertex_count(level.min(rock.level))];
+        let (middle, reach) = (rock.centre.truncate(), Vec2::splat(rock.radius_m));
+        let lit_shades = of.shades_over(middle - reach, middle + reach);
         let corner = |v: &Vertex| of.samples.corner(origin + v.position, v.normal);
         self.extend(vertices.iter().map(corner));
         let vertex = |v: u32| (origin + vertices[v as usize].position, vertices[v as usize].normal);
@@ -402,7 +408,7 @@ impl Mesh {
                 let shades = || {
                     let [a, b, c] = corners.map(|corner| corner.position.z);
                     let dark = corners.iter().all(|corner| corner.normal.dot(of.sun) < -DARK);
-                    let shades = if dark { Shades::Nothing } else { Shades::Casters };
+                    let shades = if dark { Shades::Nothing } else { lit_shades };
                     (a.max(b).max(c) > buried_m).then_some(shades)
                 };
                 self.add(&of.samples, triangle, Sides::Outside, shades, vertex);
@@ -562,7 +568,7 @@ impl Mesh {
     ) {
         let bounds = &mut self.bounds[shades as usize];
         *bounds = bounds.union(Bounds::of_samples(columns, rows));
-        let facing = if shades == Shades::Casters { facing() } else { 0 };
+        let facing = if shades.has_casters() { facing() } else { 0 };
         let rows = [rows.0 as u16, rows.1 as u16];
         self.rows = [self.rows[0].min(rows[0]), self.rows[1].max(rows[1])];
         self.facets.push(Facet { corners, facing, rows, shades, clipped });

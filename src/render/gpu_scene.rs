@@ -85,6 +85,7 @@ pub struct GpuScene {
     /// `ReliefUniforms`, each in a slot of its own.
     pub relief: Store,
     law: Law,
+    has_rings: bool,
     has_detail: bool,
     /// `Instance`s, each in a slot of its own.
     pub instances: Store,
@@ -228,6 +229,7 @@ impl Default for GpuScene {
             frame: Store::new("frame/uniforms", BufferUsages::UNIFORM),
             relief: Store::new("scene/relief", BufferUsages::UNIFORM),
             law: Law::Lambert,
+            has_rings: false,
             has_detail: false,
             instances: Store::new("scene/instances", BufferUsages::UNIFORM.union(BufferUsages::STORAGE)),
             tiles: Store::new("shadow/tiles", BufferUsages::STORAGE),
@@ -301,6 +303,7 @@ impl GpuScene {
         let uniforms = frame_uniforms(scene, settings, picture_size, &self.horizon_map, self.atlas_px);
         self.uploaded_bytes += self.frame.write(gpu, &[uniforms]);
         (self.law, self.has_detail) = (scene.photometry.law, scene.relief.is_some());
+        self.has_rings = matches!(scene.terrain.layout, Layout::Rings(_));
         self.upload_horizon(gpu, is_new);
     }
 
@@ -336,7 +339,8 @@ impl GpuScene {
     #[must_use]
     pub(super) const fn variant(&self, targets: &Targets) -> Variant {
         let (annotations, is_given) = (targets.annotations, targets.is_given);
-        Variant { annotations, law: self.law, detail: self.has_detail, is_given }
+        let (law, rings, detail) = (self.law, self.has_rings, self.has_detail);
+        Variant { annotations, law, rings, detail, is_given }
     }
 
     /// The index buffer depends on the ground's layout alone.
@@ -411,13 +415,13 @@ impl GpuScene {
         }
         if draws_seen {
             for (_, (draw, bounds)) in near_to_far(seen_rocks.into_iter()) {
-                show(Groups::rocks(Shades::Casters), draw, bounds);
+                show(Groups::rocks(Shades::Both), draw, bounds);
             }
             let base_vertex = upload(&scene.terrain.vertices);
             if let Some(known) = &self.ground {
                 let blocks = selection.blocks.iter().map(|&(block, nearest_m)| (nearest_m, block));
                 for (_, block) in near_to_far(blocks) {
-                    let group = Groups::ground(bands.of_block(block), Shades::Casters);
+                    let group = Groups::ground(bands.of_block(block), Shades::Both);
                     let indices = known.blocks[block].clone();
                     show(group, Draw { indices, base_vertex, instance: Slots::GROUND }, Bounds::ANYWHERE);
                 }

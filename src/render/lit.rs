@@ -48,21 +48,22 @@ impl Groups {
     #[must_use]
     pub const fn rocks(shades: Shades) -> Group {
         match shades {
-            Shades::Ground | Shades::Casters => 0,
-            Shades::Nothing => 1,
+            Shades::Ground | Shades::Both => 0,
+            Shades::Casters => 1,
+            Shades::Nothing => 2,
         }
     }
 
     /// Ground of a band that these things can shade.
     #[must_use]
     pub const fn ground(band: usize, shades: Shades) -> Group {
-        (2 + 3 * band) as Group + shades as Group
+        (3 + 4 * band) as Group + shades as Group
     }
 
     /// Stars.
     #[must_use]
     pub const fn stars(self) -> Group {
-        (2 + 3 * self.bands) as Group
+        (3 + 4 * self.bands) as Group
     }
 
     /// The dome.
@@ -73,7 +74,7 @@ impl Groups {
 
     /// By what program each is lit, and which band it is of.
     pub fn all(self) -> impl Iterator<Item = (Lit, usize)> {
-        let rocks = [Shades::Casters, Shades::Nothing].map(|shades| (Lit::Rocks { shades }, 0));
+        let rocks = [Shades::Both, Shades::Casters, Shades::Nothing].map(|shades| (Lit::Rocks { shades }, 0));
         let ground = |band| Shades::ALL.map(|shades| (Lit::Ground { shades }, band));
         rocks.into_iter().chain((0..self.bands).flat_map(ground)).chain([(Lit::Sky, 0); 2])
     }
@@ -87,7 +88,7 @@ mod tests {
     fn groups_stand_in_the_order_of_their_numbers() {
         let groups = Groups::new(4);
         let all: Vec<_> = groups.all().collect();
-        for shades in [Shades::Nothing, Shades::Casters] {
+        for shades in [Shades::Nothing, Shades::Casters, Shades::Both] {
             assert_eq!(all[usize::from(Groups::rocks(shades))], (Lit::Rocks { shades }, 0));
         }
         for band in 0..4 {

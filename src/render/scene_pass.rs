@@ -27,6 +27,8 @@ pub(super) struct Variant {
     pub(super) annotations: Annotations,
     /// How it reflects.
     pub(super) law: Law,
+    /// Whether the ground is made of rings.
+    pub(super) rings: bool,
     /// Whether ground and rocks have detail below their meshes.
     pub(super) detail: bool,
     /// Whether the device was given what the samples show: their stencil has no depth beside it then.
@@ -64,6 +66,7 @@ impl ScenePass {
         let surface = |shades, detail, of_many: bool| {
             vec![
                 ("SHADES", f64::from(shades as u32)),
+                ("RINGS", f64::from(u8::from(variant.rings))),
                 ("LAW", f64::from(variant.law as u32)),
                 ("DETAIL", if variant.detail { detail } else { NO_DETAIL }),
                 ("OF_MANY", f64::from(u8::from(of_many))),

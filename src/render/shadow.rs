@@ -136,13 +136,21 @@ pub enum Shades {
     Nothing,
     /// Other ground.
     Ground,
-    /// Rocks, and maybe ground.
+    /// Rocks.
     Casters,
+    /// Rocks and other ground.
+    Both,
 }
 
 impl Shades {
     /// Every one, by its number.
-    pub const ALL: [Self; 3] = [Self::Nothing, Self::Ground, Self::Casters];
+    pub const ALL: [Self; 4] = [Self::Nothing, Self::Ground, Self::Casters, Self::Both];
+
+    /// Whether rocks are among it.
+    #[must_use]
+    pub const fn has_casters(self) -> bool {
+        matches!(self, Self::Casters | Self::Both)
+    }
 }
 
 /// Square grids over the ground, each over twice the side of the one before: which casters a place asks.
@@ -175,13 +183,13 @@ impl CasterGrids {
         }
     }
 
-    /// What can shade the ground in a box (its lowest and highest corner, seen from above, metres).
+    /// What can shade what lies in a box (its lowest and highest corner, seen from above, metres).
     #[must_use]
     pub fn shades_over(&self, grid: &[u32], low: Vec2, high: Vec2) -> Shades {
         let (from, to) = (low - self.centre, high - self.centre);
         let nearest = Vec2::ZERO.clamp(from, to).abs().max_element();
         let furthest = from.abs().max(to.abs()).max_element();
-        let mut found = Shades::Nothing;
+        let (mut has_casters, mut asks_horizon) = (false, false);
         for level in 0..self.levels {
             let half_m = self.half_m * (1_u32 << level) as f32;
             // A little more, for a device may choose the grid of a place at their borders otherwise than we.
@@ -199,16 +207,17 @@ impl CasterGrids {
             for row in first(from.y)..=last(to.y) {
                 for column in first(from.x)..=last(to.x) {
                     let cell = ((level * self.cells + row) * self.cells + column) as usize;
-                    if grid[cell] & !ASK_HORIZON != grid[cell + 1] & !ASK_HORIZON {
-                        return Shades::Casters;
-                    }
-                    if grid[cell] & ASK_HORIZON != 0 {
-                        found = Shades::Ground;
-                    }
+                    has_casters |= grid[cell] & !ASK_HORIZON != grid[cell + 1] & !ASK_HORIZON;
+                    asks_horizon |= grid[cell] & ASK_HORIZON != 0;
                 }
             }
         }
-        found
+        match (has_casters, asks_horizon) {
+            (false, false) => Shades::Nothing,
+            (false, true) => Shades::Ground,
+            (true, false) => Shades::Casters,
+            (true, true) => Shades::Both,
+        }
     }
 
     /// Cells of one grid.
