@@ -26,7 +26,7 @@ fn fs_main(in: Corner) -> SceneOut {
     thing.class_id = light.class_id;
     if OF_MANY { thing = instances[seen.slot].thing; }
     let smooth_normal = seen.normal;
-    let to_eye = -normalize(seen.offset);
+    let to_eye = -unit(seen.offset);
     var normal = smooth_normal;
     var albedo = thing.colour;
     if DETAIL == RELIEF_DETAIL {
@@ -37,7 +37,7 @@ fn fs_main(in: Corner) -> SceneOut {
         let seed = bitcast<u32>(thing.origin.x);
         let texture = solid_texture(light.eye + seen.offset - thing.origin, sample_m, seed);
         let across = texture.xyz - smooth_normal * dot(texture.xyz, smooth_normal);
-        normal = normalize(smooth_normal - across);
+        normal = unit(smooth_normal - across);
         // Soil lies where the rock is level enough, with an edge that its texture frays.
         let dusty = smoothstep(-0.08, 0.08, smooth_normal.z - thing.dust_above + 0.12 * texture.w);
         albedo = mix(thing.colour * (1.0 + 0.30 * texture.w), thing.dust, dusty);
@@ -45,7 +45,7 @@ fn fs_main(in: Corner) -> SceneOut {
     if DETAIL != 0u {
         // A slope that looks away lies behind a bump that is not drawn: what is seen there is turned to the eye.
         let least = 0.3 * max(dot(smooth_normal, to_eye), 0.05);
-        normal = normalize(normal + max(least - dot(normal, to_eye), 0.0) * to_eye);
+        normal = unit(normal + max(least - dot(normal, to_eye), 0.0) * to_eye);
     }
     let cos_eye = max(dot(normal, to_eye), 0.0);
     let cos_light = max(dot(normal, light.sun_direction), 0.0);
@@ -79,7 +79,7 @@ fn fs_main(in: Corner) -> SceneOut {
     } else {
         bounced += ground_bounce(light.ground_radiance, normal, light.horizon_towards);
     }
-    let radiance = albedo * (direct * light.sun_irradiance + light.bounce_share * bounced / PI);
+    let radiance = albedo * (direct * light.sun_irradiance + (PER_PI * light.bounce_share) * bounced);
     return SceneOut(vec4(radiance, 1.0), thing.class_id, vec4(normal, 1.0), thing.instance_id, 1.0 - visible);
 }
 
@@ -90,7 +90,7 @@ fn ground_normal(offset: vec3<f32>, smooth_normal: vec3<f32>, to_eye: vec3<f32>)
     let sample_m = light.relief.sample_angle * length(offset) * inverseSqrt(facing);
     let slope = relief_slope(light.relief.eye_from_centre + offset.xy, sample_m);
     let z = max(smooth_normal.z, 0.1);
-    return normalize(vec3(smooth_normal.xy / z - slope, 1.0));
+    return unit(vec3(smooth_normal.xy * (1.0 / z) - slope, 1.0));
 }
 
 // A number in [0, 1) that differs between neighbouring samples (Jimenez 2014, "Next Generation Post Processing in

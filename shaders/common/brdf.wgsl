@@ -1,6 +1,8 @@
 // Diffuse reflection of rough surfaces.
 
 const PI: f32 = 3.14159265;
+// Divisions are many times as long as products for a driver that runs on the CPU.
+const PER_PI: f32 = 0.31830989;
 
 // Reflected radiance per unit of irradiance x cosine, of a surface of unit albedo: Fujii's form of Oren and
 // Nayar's lobe, normalised ("FON" in Portsmouth, Kutz and Hill 2025, "EON: A practical energy-preserving rough
@@ -13,8 +15,7 @@ fn rough_diffuse(material_roughness: f32, cos_light: f32, cos_eye: f32, light_do
     let roughness = 0.5 * material_roughness;
     let s = light_dot_eye - cos_light * cos_eye;
     let s_over_t = select(s, s / max(max(cos_light, cos_eye), 1.0e-4), s > 0.0);
-    let a = 1.0 / (1.0 + (0.5 - 2.0 / (3.0 * PI)) * roughness);
-    return a * (1.0 + roughness * s_over_t) / PI;
+    return (1.0 + roughness * s_over_t) / (PI + (0.5 * PI - 2.0 / 3.0) * roughness);
 }
 
 // Irradiance, on a surface of this normal, of light that sunlit ground around it bounces (radiance `ground`).
@@ -66,10 +67,10 @@ const HAPKE: u32 = 3u;
 // of a colour that is divided by what the law gives at normal incidence and zero phase). From the cosines of incidence,
 // emission and phase.
 fn reflected(law: u32, roughness: f32, surge: f32, cos_light: f32, cos_eye: f32, cos_phase: f32) -> f32 {
-    if law == HAPKE { return hapke(surge, cos_light, cos_eye, cos_phase) / PI; }
-    if law == LOMMEL_SEELIGER { return 2.0 * cos_light / (PI * max(cos_light + cos_eye, 1.0e-4)); }
+    if law == HAPKE { return PER_PI * hapke(surge, cos_light, cos_eye, cos_phase); }
+    if law == LOMMEL_SEELIGER { return (2.0 * PER_PI) * cos_light / max(cos_light + cos_eye, 1.0e-4); }
     if law == OREN_NAYAR { return cos_light * rough_diffuse(roughness, cos_light, cos_eye, cos_phase); }
-    return cos_light / PI;
+    return PER_PI * cos_light;
 }
 
 // Largest angle from the normal that Hapke's shadowing is reckoned at: its terms run away at 90 degrees.
@@ -89,30 +90,35 @@ fn hapke(surge_height: f32, cos_light: f32, cos_eye: f32, cos_phase: f32) -> f32
     let half_square = 0.5 * (1.0 - cos_azimuth);
     let cot0 = mu0 / (max(sin0, 1.0e-6) * tan_bar);
     let cot1 = mu / (max(sin1, 1.0e-6) * tan_bar);
-    let e1_light = exp(-2.0 / PI * cot0);
-    let e2_light = exp(-cot0 * cot0 / PI);
-    let e1_eye = exp(-2.0 / PI * cot1);
-    let e2_eye = exp(-cot1 * cot1 / PI);
+    let e1_light = exp((-2.0 * PER_PI) * cot0);
+    let e2_light = exp(-PER_PI * cot0 * cot0);
+    let e1_eye = exp((-2.0 * PER_PI) * cot1);
+    let e2_eye = exp(-PER_PI * cot1 * cot1);
     let eta_light = chi * (mu0 + sin0 * tan_bar * e2_light / (2.0 - e1_light));
     let eta_eye = chi * (mu + sin1 * tan_bar * e2_eye / (2.0 - e1_eye));
     let f = exp(-2.0 * sqrt((1.0 - cos_azimuth) / max(1.0 + cos_azimuth, 1.0e-9)));
-    let share = acos(cos_azimuth) / PI;
+    let share = PER_PI * acos(cos_azimuth);
     // The larger of the two angles leads.
     let light_leads = mu0 <= mu;
     let below = 2.0 - select(e1_eye, e1_light, light_leads) - share * select(e1_light, e1_eye, light_leads);
     let lead = select(e2_eye, e2_light, light_leads);
     let other = select(e2_light, e2_eye, light_leads);
-    let own = (lead - half_square * other) / below;
-    let across = (cos_azimuth * lead + half_square * other) / below;
+    let per_below = 1.0 / below;
+    let own = (lead - half_square * other) * per_below;
+    let across = (cos_azimuth * lead + half_square * other) * per_below;
     let effective0 = max(chi * (mu0 + sin0 * tan_bar * select(across, own, light_leads)), 1.0e-6);
     let effective = max(chi * (mu + sin1 * tan_bar * select(own, across, light_leads)), 1.0e-6);
-    let nearer = select(mu0 / eta_light, mu / eta_eye, light_leads);
-    let shadowing = effective / eta_eye * (mu0 / eta_light) * chi / (1.0 - f + f * chi * nearer);
+    let per_eta_eye = 1.0 / eta_eye;
+    let lit_share = mu0 / eta_light;
+    let nearer = select(lit_share, mu * per_eta_eye, light_leads);
+    let shadowing = effective * per_eta_eye * lit_share * chi / (1.0 - f + f * chi * nearer);
     // Grains.
     let b = light.hapke_b;
     let square = b * b;
-    let back = (1.0 - square) * pow(1.0 - 2.0 * b * g + square, -1.5);
-    let forth = (1.0 - square) * pow(1.0 + 2.0 * b * g + square, -1.5);
+    let back_root = inverseSqrt(1.0 - 2.0 * b * g + square);
+    let forth_root = inverseSqrt(1.0 + 2.0 * b * g + square);
+    let back = (1.0 - square) * back_root * back_root * back_root;
+    let forth = (1.0 - square) * forth_root * forth_root * forth_root;
     let phase = 0.5 * (1.0 + light.hapke_c) * back + 0.5 * (1.0 - light.hapke_c) * forth;
     let tan_half_phase = sqrt((1.0 - g) / max(1.0 + g, 1.0e-9));
     let surge = 1.0 + surge_height / (1.0 + tan_half_phase / light.hapke_h_s);
@@ -123,5 +129,5 @@ fn hapke(surge_height: f32, cos_light: f32, cos_eye: f32, cos_phase: f32) -> f32
 fn chandrasekhar(x: f32) -> f32 {
     let gamma = sqrt(1.0 - light.hapke_w);
     let r0 = (1.0 - gamma) / (1.0 + gamma);
-    return 1.0 / (1.0 - light.hapke_w * x * (r0 + 0.5 * (1.0 - 2.0 * r0 * x) * log((1.0 + x) / x)));
+    return 1.0 / (1.0 - light.hapke_w * x * (r0 + 0.5 * (1.0 - 2.0 * r0 * x) * log(1.0 + 1.0 / x)));
 }

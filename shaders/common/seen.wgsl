@@ -25,9 +25,9 @@ fn seen_at(sample: vec2<f32>) -> Seen {
     let packed = textureLoad(visible_map, at, 0);
     let ray = light.ray_corner + sample.x * light.ray_right + sample.y * light.ray_down;
     return Seen(
-        ray / bitcast<f32>(packed.w),
+        ray * (1.0 / bitcast<f32>(packed.w)),
         from_octahedron(vec2<f32>(packed.xy & vec2(0xffffffu)) * (2.0 / 16777215.0) - 1.0),
-        from_octahedron(unpack2x16snorm(packed.z)),
+        from_octahedron(vec2<f32>((bitcast<vec2<i32>>(vec2(packed.z << 16u, packed.z)) >> vec2(16u))) * (1.0 / 32767.0)),
         (packed.x >> 24u) | ((packed.y >> 24u) << 8u),
     );
 }

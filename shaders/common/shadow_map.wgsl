@@ -46,9 +46,9 @@ fn grid_cell(position: vec3<f32>) -> GridCell {
         half_m *= exp2(f32(level));
     }
     let origin = light.caster_centre - half_m;
-    let cell_m = 2.0 * half_m / f32(cells);
+    let cells_per_m = 0.5 * f32(cells) / half_m;
     // What juts out over the border of the ground has the neighbours of its border.
-    let cell = clamp(vec2<i32>(floor((position.xy - origin) / cell_m)), vec2(0), vec2(cells - 1));
+    let cell = clamp(vec2<i32>(floor((position.xy - origin) * cells_per_m)), vec2(0), vec2(cells - 1));
     let index = u32((level * cells + cell.y) * cells + cell.x);
     let start = caster_grid[index];
     let end = caster_grid[index + 1u] & ~ASK_HORIZON;
@@ -74,12 +74,13 @@ fn visibility_past_casters(
     let facing = dot(facet_normal, light.sun_direction);
     // How the facet's plane rises along the sun per metre across it.
     let across = vec2(dot(facet_normal, light.sun_right), dot(facet_normal, light.sun_up));
-    let rise = -across / select(min(facing, -0.15), max(facing, 0.15), facing > 0.0);
+    let rise = -across * (1.0 / select(min(facing, -0.15), max(facing, 0.15), facing > 0.0));
     // Where the smooth surface faces the sun and the facet hardly does, the facet lies behind the surface that it
     // stands for (the shadow terminator: Hanika 2021, "Hacking the Shadow Terminator", Ray Tracing Gems II): by up
     // to this share of its length.
     let excess = clamp(3.0 * (dot(normal, light.sun_direction) - facing), 0.0, 1.0);
-    let behind = 0.5 * excess * (1.0 - smoothstep(0.0, 0.1, facing));
+    let turned = clamp(10.0 * facing, 0.0, 1.0);
+    let behind = 0.5 * excess * (1.0 - turned * turned * (3.0 - 2.0 * turned));
     var visible = open;
     for (var i = cell.first; i < cell.end && visible > 0.0; i++) {
         visible *= caster_visibility(caster_grid[i], position, rise, behind, first_spoke);
@@ -94,7 +95,7 @@ fn horizon_visibility(position: vec3<f32>) -> f32 {
         level = finest(distance(position.xy, light.horizon_centre), light.horizon_base_m, light.horizon_levels);
     }
     let grid = frame.horizon[level];
-    let offset = (position.xy - grid.origin) / grid.step_m;
+    let offset = (position.xy - grid.origin) * (1.0 / grid.step_m);
     let towards = light.horizon_towards;
     let limit = vec2<f32>(grid.size) - 1.001;
     // Columns run towards the sun, rows across. Where between samples a place lies must not depend, by a rounding, on which of
@@ -115,7 +116,7 @@ fn horizon_visibility(position: vec3<f32>) -> f32 {
     if position.z <= limbs.y { return 0.0; }
     let u = clamp(2.0 * (position.z - limbs.y) / (limbs.x - limbs.y) - 1.0, -1.0, 1.0);
     // Area of a unit disc beyond a chord.
-    return 0.5 + (u * sqrt(1.0 - u * u) + asin(u)) / 3.14159265;
+    return 0.5 + (u * sqrt(1.0 - u * u) + asin(u)) * (1.0 / 3.14159265);
 }
 
 // Between four texels as they are gathered: from the one at (0, 1) around by (1, 1) and (1, 0) to (0, 0).
@@ -145,11 +146,12 @@ fn caster_visibility(
     let place = tiles[caster][1];
     let tile = CasterTile(ball.xyz, half_extent_m, place.xy, place.z, place.w);
     let map_texel = 1.0 / vec2<f32>(textureDimensions(shadow_map));
-    let texels_per_m = 0.5 * tile.size_px / tile.half_extent_m;
+    let m_per_texel = 2.0 * half_extent_m / tile.size_px;
+    let texels_per_m = 1.0 / m_per_texel;
     let at = vec2(across.x, -across.y) * texels_per_m + vec2(0.5 * tile.size_px);
     let search_px = search_m * texels_per_m;
     // The facet's plane over the tile: height at texel (0, 0) and rise per texel.
-    let slope = vec2(rise.x, -rise.y) / texels_per_m;
+    let slope = vec2(rise.x, -rise.y) * m_per_texel;
     let plane = vec3(slope, along + behind * tile.facet_m - dot(slope, at));
 
     // The filter is no wider than the search: where that is too narrow to matter there is no need for it. Both are loops,
