@@ -19,6 +19,7 @@
 @group(2) @binding(6) var<storage, read_write> packed_words: array<u32>;
 // Samples are not loaded: see common/shadow_map.wgsl.
 @group(2) @binding(7) var nearest: sampler;
+@group(2) @binding(8) var<storage, read> listed_workgroups: array<u32>;
 
 // Samples along a side of a pixel: a constant, so that the loops over them unroll.
 override SIDE: u32;
@@ -27,6 +28,9 @@ override ANNOTATED: bool;
 // Whether a lens distorts the picture: the samples are then those of a wider one.
 override DISTORTED: bool;
 
+// Whether it is the pixels of some workgroups alone that are resolved: of those that are listed.
+override LISTED: bool;
+
 // From a sample to the next, in textures over which coordinates run from 0 to 1.
 var<private> sample_step: vec2<f32>;
 
@@ -34,11 +38,13 @@ const GROUP_WIDTH: u32 = 64u;
 const ROW_WIDTH: u32 = 1024u;
 
 @compute @workgroup_size(64)
-fn cs_main(@builtin(global_invocation_id) id: vec3<u32>) {
+fn cs_main(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) invocation: u32) {
     let pixels = frame.picture_size_px.x * frame.picture_size_px.y;
     sample_step = 1.0 / vec2<f32>(SIDE * frame.drawn_size_px);
     let groups = (pixels + 3u) / 4u;
-    let group = id.y * ROW_WIDTH * GROUP_WIDTH + id.x;
+    var workgroup = id.y * ROW_WIDTH + id.x;
+    if LISTED { workgroup = listed_workgroups[workgroup]; }
+    let group = workgroup * GROUP_WIDTH + invocation;
     if group >= groups { return; }
     var bytes: array<vec3<u32>, 4>;
     var classes = 0u;

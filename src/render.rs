@@ -27,6 +27,7 @@ pub mod targets;
 mod timing;
 mod visibility_pass;
 pub mod visibility_raster;
+pub mod work;
 
 use std::time::Instant;
 
@@ -257,6 +258,8 @@ impl Renderer {
         let (gpu, gpu_scene, ways) = (&self.gpu, &mut self.scene, self.ways);
         gpu.guard(|| gpu_scene.upload(gpu, scene, drawn, picture.size, ways))?;
         self.scene.give_visible(&self.gpu, scene, &mut targets, &mut slot.staging)?;
+        let shown = self.scene.shown(&targets).filter(|_| wide.is_none());
+        self.scene.uploaded_bytes += slot.packed.choose(&self.gpu, shown);
         self.scene_pass.prepare(&self.gpu, self.scene.variant(&targets), &self.scene);
         self.shadow_pass.prepare(&self.gpu, &self.layouts, self.scene.atlas_px, self.scene.shadow_map());
         if !targets.is_given {
@@ -416,7 +419,11 @@ impl Renderer {
             ),
             resolve: group("resolve", &self.layouts.resolve, &{
                 let planes = targets.planes.iter().chain([&targets.visible.1]).map(view);
-                let own = [packed.buffer.as_entire_binding(), wgpu::BindingResource::Sampler(&self.nearest)];
+                let own = [
+                    packed.buffer.as_entire_binding(),
+                    wgpu::BindingResource::Sampler(&self.nearest),
+                    packed.list.as_entire_binding(),
+                ];
                 planes.chain(own).collect::<Vec<_>>()
             }),
         }
@@ -482,7 +489,7 @@ impl BindLayouts {
             resolve: group(
                 "resolve",
                 ShaderStages::COMPUTE,
-                &[float, uint, float, uint, float, uint, write, nearest],
+                &[float, uint, float, uint, float, uint, write, nearest, read],
             ),
         }
     }

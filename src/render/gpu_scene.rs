@@ -22,6 +22,7 @@ use super::shadow::{self, CasterGrids, Shades};
 use super::shadow_raster::ShadowMap;
 use super::targets::{Background, Targets};
 use super::visibility_raster::Stencil;
+use super::work::Shown;
 use crate::class::ClassId;
 use crate::error::Result;
 use crate::frame::Annotation;
@@ -333,6 +334,16 @@ impl GpuScene {
         }
         *visibility_ms += super::milliseconds(start.elapsed());
         Ok(())
+    }
+
+    /// What samples show, if this program drew it and there are none that show nothing.
+    #[must_use]
+    pub(super) fn shown(&self, targets: &Targets) -> Option<Shown<'_>> {
+        self.background.as_ref().map(|_| Shown {
+            stencil: &self.stencil.values,
+            dome: self.facets.groups().dome() + 1,
+            samples_per_side: targets.samples_per_side as usize,
+        })
     }
 
     /// What the pipelines must be made for, to draw it on these targets.

@@ -5,6 +5,7 @@ use wgpu::BufferUsages;
 use super::BindLayouts;
 use super::shaders::RESOLVE;
 use super::targets::Targets;
+use super::work::{Shown, Work};
 use crate::class::ClassId;
 use crate::frame::{Annotation, Annotations, Frame};
 use crate::gpu::Gpu;
@@ -14,9 +15,10 @@ use crate::gpu::readback::Readback;
 pub const TONE_KNEE: f64 = 0.85;
 /// Display-linear value that endless light comes to: 249 of 255 after sRGB encoding.
 pub const TONE_WHITE: f64 = 0.947_307;
-/// Workgroups in a row of the dispatch, and invocations in a workgroup; both stand in `resolve.wgsl` too.
+/// Workgroups in a row of the dispatch; stands in `resolve.wgsl` too.
 const ROW_WIDTH: u32 = 1024;
-const GROUP_WIDTH: u32 = 64;
+/// Invocations in a workgroup, each of four pixels; both stand in `resolve.wgsl` too.
+pub const GROUP_WIDTH: u32 = 64;
 
 /// Factor on radiance at an exposure in stops.
 #[must_use]
@@ -53,15 +55,18 @@ struct Variant {
     samples_per_side: u32,
     annotated: bool,
     distorted: bool,
+    listed: bool,
 }
 
 impl Variant {
     /// For samples of these targets and a picture of this size: smaller where a lens distorts it.
     fn new(targets: &Targets, picture_size: [u32; 2]) -> Self {
+        let distorted = targets.size != picture_size;
         Self {
             samples_per_side: targets.samples_per_side,
             annotated: targets.annotations != Annotations::default(),
-            distorted: targets.size != picture_size,
+            distorted,
+            listed: targets.is_given && !distorted,
         }
     }
 }
@@ -134,6 +139,10 @@ pub struct PackedFrame {
     /// Written by the pass.
     pub buffer: wgpu::Buffer,
     readback: Readback,
+    /// What the pass works on.
+    work: Work,
+    /// Workgroups by their numbers, for [`Self::work`].
+    pub list: wgpu::Buffer,
 }
 
 impl ResolvePass {
@@ -166,6 +175,7 @@ impl ResolvePass {
                     ("SIDE", f64::from(wanted.samples_per_side)),
                     ("ANNOTATED", f64::from(u8::from(wanted.annotated))),
                     ("DISTORTED", f64::from(u8::from(wanted.distorted))),
+                    ("LISTED", f64::from(u8::from(wanted.listed))),
                 ],
                 ..Default::default()
             },
@@ -193,10 +203,20 @@ impl ResolvePass {
         pass.set_pipeline(&made.expect("a pipeline is prepared before it is used").1);
         pass.set_bind_group(0, frame, &[]);
         pass.set_bind_group(2, own, &[]);
-        let groups = packed.packing.groups() as u32;
-        let workgroups = groups.div_ceil(GROUP_WIDTH);
-        pass.dispatch_workgroups(workgroups.min(ROW_WIDTH), workgroups.div_ceil(ROW_WIDTH), 1);
+        let [columns, rows] = dispatched(packed.work.resolved.len());
+        pass.dispatch_workgroups(columns, rows, 1);
     }
+}
+
+/// Columns and rows of a dispatch of so many workgroups and maybe some more.
+fn dispatched(workgroups: usize) -> [u32; 2] {
+    let count = workgroups as u32;
+    [count.min(ROW_WIDTH), count.div_ceil(ROW_WIDTH)]
+}
+
+/// How long a list of so many is with those that are dispatched for none of them.
+fn list_len(workgroups: usize) -> u64 {
+    dispatched(workgroups).map(u64::from).iter().product()
 }
 
 impl PackedFrame {
@@ -204,13 +224,31 @@ impl PackedFrame {
     #[must_use]
     pub fn new(gpu: &Gpu, size: [u32; 2], annotations: Annotations) -> Self {
         let packing = Packing::new(size, annotations);
+        let all = Work::new(size, None).resolved.len();
         let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
         Self {
             size,
             packing,
             buffer: gpu.buffer("resolve/packed", packing.bytes(), usage),
             readback: Readback::new(gpu, "resolve/readback", packing.bytes()),
+            work: Work::default(),
+            list: gpu.buffer(
+                "resolve/list",
+                4 * list_len(all),
+                BufferUsages::STORAGE | BufferUsages::COPY_DST,
+            ),
         }
+    }
+
+    /// Chooses what is resolved, all of it unless it is known what the samples of an undistorted picture show; how many bytes the
+    /// device is given.
+    pub fn choose(&mut self, gpu: &Gpu, shown: Option<Shown<'_>>) -> u64 {
+        self.work = Work::new(self.size, shown);
+        // Beyond the last of the list there are none of the picture.
+        let mut list = self.work.resolved.clone();
+        list.resize(list_len(list.len()) as usize, u32::MAX / GROUP_WIDTH);
+        gpu.queue.write_buffer(&self.list, 0, bytemuck::cast_slice(&list));
+        4 * list.len() as u64
     }
 
     /// Whether it serves a picture of this size with these annotations.
@@ -244,7 +282,7 @@ impl PackedFrame {
                 if *class == ClassId::SKY.0 { f32::INFINITY } else { f32::from_bits(word) }
             };
             let half = |bits: u32| half::f16::from_bits(bits as u16);
-            Frame {
+            let mut frame = Frame {
                 width,
                 height,
                 focal_px: 0.0,
@@ -264,7 +302,17 @@ impl PackedFrame {
                     .collect(),
                 class,
                 ..Frame::default()
-            }
+            };
+            let work = &self.work;
+            work.spread(&mut frame.rgb, 3);
+            work.spread(&mut frame.class, 1);
+            work.spread(&mut frame.depth_m, 1);
+            work.spread(&mut frame.normals, 3);
+            work.spread(&mut frame.instances, 1);
+            work.spread(&mut frame.hidden, 1);
+            work.spread(&mut frame.radiance, 3);
+            work.spread(&mut frame.sample_counts, 1);
+            frame
         })
     }
 }
