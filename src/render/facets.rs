@@ -100,6 +100,9 @@ enum Source {
     Dome,
 }
 
+/// Most meshes that a thread takes at a time: they take very different times.
+const AT_A_TIME: usize = 4;
+
 /// How many of these are of the sky; they are the last.
 const SKY_MESHES: usize = 2;
 
@@ -145,7 +148,8 @@ impl Facets {
             self.meshes.resize_with(self.used, Mesh::default);
         }
         let spans: Vec<[Range<u32>; 2]> = ground_blocks(&scene.terrain).collect();
-        self.meshes.par_iter_mut().zip(sources).for_each(|(mesh, source)| match source {
+        let meshes = self.meshes.par_iter_mut().zip(sources).with_max_len(AT_A_TIME);
+        meshes.for_each(|(mesh, source)| match source {
             Source::Rock(place) => {
                 let groups = Shades::ALL.map(Groups::rocks);
                 mesh.restart(Slots::rock(place), groups);

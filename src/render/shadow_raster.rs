@@ -92,7 +92,8 @@ impl ShadowMap {
                 Some((rock, tile, std::mem::take(&mut rows[caster])))
             })
             .collect();
-        casting.into_par_iter().for_each(|(rock, tile, rows)| {
+        // Tiles and their meshes are of very different sizes.
+        casting.into_par_iter().with_max_len(1).for_each(|(rock, tile, rows)| {
             if let Some(alike) = before.alike(&tile, scene) {
                 for (row, drawn) in rows.into_iter().zip(before.rows(alike)) {
                     row.copy_from_slice(drawn);

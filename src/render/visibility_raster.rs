@@ -85,7 +85,7 @@ impl Stencil {
             });
             stencil.contains(&0)
         };
-        self.has_holes |= bands.into_par_iter().map(draw).reduce(|| false, |a, b| a || b);
+        self.has_holes |= bands.into_par_iter().with_max_len(1).map(draw).reduce(|| false, |a, b| a || b);
     }
 }
 
