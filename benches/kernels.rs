@@ -6,6 +6,7 @@ use std::hint::black_box;
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use regolith::frame::Frame;
+use regolith::gpu::staging::{PAGE, Page};
 use regolith::output::edges::EdgePolicy;
 use regolith::output::{self, LabelIds, Source};
 use regolith::params::Params;
@@ -15,7 +16,7 @@ use regolith::render::footprint::Footprint;
 use regolith::render::horizon::HorizonMap;
 use regolith::render::relief::Bands;
 use regolith::render::selection::{SelectedRock, Selection};
-use regolith::render::shadow_raster::ShadowMap;
+use regolith::render::shadow_raster::{self, ShadowMap};
 use regolith::render::visibility_raster::Stencil;
 use regolith::render::{RenderSettings, shadow};
 use regolith::scene::Scene;
@@ -82,7 +83,6 @@ fn picture(c: &mut Criterion) {
     let grid = shadow::caster_grid(&scene, &selection.casters, &horizon, &footprint);
     let bands = Bands::new(&scene, &selection, &settings);
     let (mut facets, mut stencil) = (Facets::default(), Stencil::default());
-    let mut map = ShadowMap::default();
     let mut later = scene.clone();
     let Sun { elevation_deg, azimuth_deg, angular_diameter_deg, irradiance, .. } = scene.sun;
     later.sun = Sun::new(elevation_deg, azimuth_deg + 1.0, angular_diameter_deg, irradiance);
@@ -103,10 +103,10 @@ fn picture(c: &mut Criterion) {
     };
     group.throughput(Throughput::Elements(selection.rocks.iter().map(cast).sum::<usize>() as u64));
     group.bench_function("shadow_map", |b| {
-        let mut suns = [&scene, &later].into_iter().cycle();
-        b.iter(|| map.draw(black_box(suns.next().unwrap_or(&scene)), &selection));
+        let tiles = ShadowMap::default().place(&scene, &mut selection.clone());
+        let mut room = vec![[0; PAGE]; shadow_raster::parts(&tiles).1 / PAGE];
+        b.iter(|| shadow_raster::draw(black_box(&scene), &tiles, &mut room.iter_mut().map(Page::from_mut)));
     });
-    group.bench_function("shadow_map_same_sun", |b| b.iter(|| map.draw(black_box(&scene), &selection)));
     facets.find(&scene, &selection, &settings, &grid, &bands, true);
     let triangles = facets.meshes().iter().map(|mesh| mesh.facets.len()).sum::<usize>();
     group.throughput(Throughput::Elements(triangles as u64));

@@ -6,6 +6,7 @@
 //! To add a pass: a file here with its struct (`new`, `record`), its WGSL in `shaders.rs`, a line in
 //! [`Renderer::record_frame`].
 
+pub mod atlas;
 pub mod facets;
 pub mod footprint;
 pub mod gpu_scene;
@@ -124,8 +125,9 @@ pub struct BindLayouts {
 #[derive(Debug)]
 struct Slot {
     packed: PackedFrame,
-    /// What the device is given of what samples show, if it is.
-    staging: Option<Staging>,
+    /// What the device is given of the shadow map and of what samples show, if it is.
+    given_shadow_map: Option<Staging>,
+    given_visible: Option<Staging>,
     timer: Option<Timer>,
 }
 
@@ -251,17 +253,19 @@ impl Renderer {
         self.spare.retain(|slot| slot.packed.serves(picture.size, picture.annotations));
         let mut slot = self.spare.pop().unwrap_or_else(|| Slot {
             packed: PackedFrame::new(&self.gpu, picture.size, picture.annotations),
-            staging: None,
+            given_shadow_map: None,
+            given_visible: None,
             timer: Timer::new(&self.gpu),
         });
         self.resolve_pass.prepare(&self.gpu, &targets, &slot.packed);
         let (gpu, gpu_scene, ways) = (&self.gpu, &mut self.scene, self.ways);
         gpu.guard(|| gpu_scene.upload(gpu, scene, drawn, picture.size, ways))?;
-        self.scene.give_visible(&self.gpu, scene, &mut targets, &mut slot.staging)?;
+        self.shadow_pass.prepare(&self.gpu, &self.layouts, self.scene.atlas_px, ways.own_shadow_map);
+        self.scene.give_shadow_map(&self.gpu, scene, &self.shadow_pass, &mut slot.given_shadow_map)?;
+        self.scene.give_visible(&self.gpu, scene, &mut targets, &mut slot.given_visible)?;
         let shown = self.scene.shown(&targets).filter(|_| wide.is_none());
         self.scene.uploaded_bytes += slot.packed.choose(&self.gpu, shown);
         self.scene_pass.prepare(&self.gpu, self.scene.variant(&targets), &self.scene);
-        self.shadow_pass.prepare(&self.gpu, &self.layouts, self.scene.atlas_px, self.scene.shadow_map());
         if !targets.is_given {
             self.visibility_pass.prepare(&self.gpu, &self.layouts);
         }

@@ -1,50 +1,100 @@
 //! Bytes from memory to textures of the device, without a copy on the way.
 
-use std::ops::Range;
-
 use crate::error::{Error, Result};
 use crate::gpu::Gpu;
 
-/// Bytes that are handed out as one; each row begins with some of its own.
+/// Rows of texels begin at multiples of this, bytes.
+pub const ROW_ALIGNMENT: usize = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as usize;
+
+/// Bytes that are handed out as one.
 pub const PAGE: usize = 4096;
-const _: () = assert!(PAGE.is_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as usize));
 
 /// A part of the room, which may be written on any thread.
 pub type Page<'a> = wgpu::WriteOnly<'a, [u8; PAGE]>;
 
-/// A buffer that the program writes rows of texels into and the device copies from.
+/// Writes to pages, one after the other.
+#[derive(Debug)]
+pub struct Writer<'a> {
+    pages: std::vec::IntoIter<Page<'a>>,
+    /// What is left of the page that was begun.
+    rest: wgpu::WriteOnly<'a, [u8]>,
+}
+
+impl<'a> Writer<'a> {
+    /// To these pages.
+    #[must_use]
+    pub fn new(pages: Vec<Page<'a>>) -> Self {
+        Self { pages: pages.into_iter(), rest: wgpu::WriteOnly::default() }
+    }
+
+    /// Writes a row, and leaves what is between it and the next, which begins so many bytes after it.
+    pub fn row(&mut self, row: &[u8], row_bytes: usize) {
+        let mut written = 0;
+        while written < row_bytes {
+            if self.rest.is_empty() {
+                let Some(page) = self.pages.next() else { return };
+                self.rest = page.into();
+            }
+            let end = row_bytes.min(written + self.rest.len());
+            let mut there = self.rest.split_off(..end - written).unwrap_or_default();
+            let bytes = &row[written.min(row.len())..end.min(row.len())];
+            there.slice(..bytes.len()).copy_from_slice(bytes);
+            written = end;
+        }
+    }
+}
+
+/// A buffer that the program writes texels into and the device copies from.
 #[derive(Debug)]
 pub struct Staging {
     buffer: wgpu::Buffer,
-    /// Pages of a row.
-    pub row_pages: usize,
     /// The copy that was made from it last, until it is written again.
     copied: Option<wgpu::SubmissionIndex>,
 }
 
+/// A part of a texture, and where its texels stand.
+#[derive(Clone, Copy, Debug)]
+pub struct Part {
+    /// Of the first texel.
+    pub offset_bytes: usize,
+    /// From a row to the next: a multiple of [`ROW_ALIGNMENT`].
+    pub row_bytes: usize,
+    /// Column and row of the texture where it begins.
+    pub corner: [u32; 2],
+    /// Columns and rows.
+    pub size: [u32; 2],
+}
+
 impl Staging {
-    /// Room for so many rows of so many bytes.
-    #[must_use]
-    pub fn new(gpu: &Gpu, label: &str, row_bytes: u32, rows: u32) -> Self {
-        let row_pages = (row_bytes as usize).div_ceil(PAGE);
-        let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some(label),
-            size: (row_pages * PAGE) as u64 * u64::from(rows),
-            usage: wgpu::BufferUsages::MAP_WRITE | wgpu::BufferUsages::COPY_SRC,
-            mapped_at_creation: true,
-        });
-        Self { buffer, row_pages, copied: None }
+    /// Keeps one that has room for so many bytes, or makes it so.
+    ///
+    /// # Errors
+    /// [`Error::DeviceLost`] or [`Error::Device`], as where the device has not so much memory.
+    pub fn with_room<'a>(
+        kept: &'a mut Option<Self>,
+        gpu: &Gpu,
+        label: &str,
+        bytes: usize,
+    ) -> Result<&'a mut Self> {
+        let serves = |staging: &Self| staging.buffer.size() >= bytes as u64;
+        match kept.take().filter(serves) {
+            Some(staging) => Ok(kept.insert(staging)),
+            None => {
+                let descriptor = wgpu::BufferDescriptor {
+                    label: Some(label),
+                    size: bytes.next_multiple_of(PAGE) as u64,
+                    usage: wgpu::BufferUsages::MAP_WRITE | wgpu::BufferUsages::COPY_SRC,
+                    mapped_at_creation: true,
+                };
+                let buffer = gpu.guard(|| gpu.device.create_buffer(&descriptor))?;
+                gpu.check()?;
+                Ok(kept.insert(Self { buffer, copied: None }))
+            }
+        }
     }
 
-    /// Whether it is made for so many rows of so many bytes.
-    #[must_use]
-    pub fn serves(&self, row_bytes: u32, rows: u32) -> bool {
-        let row_pages = (row_bytes as usize).div_ceil(PAGE);
-        row_pages == self.row_pages && self.buffer.size() == (row_pages * PAGE) as u64 * u64::from(rows)
-    }
-
-    /// Waits until the device has copied what was written last, which it must be set to, and lets `write` write anew: to the pages
-    /// of the first row, then to those of the next.
+    /// Waits until the device has copied what was written last, which it must be set to, and lets `write` write anew, from the
+    /// first page on.
     ///
     /// # Errors
     /// [`Error::DeviceLost`] or [`Error::Device`].
@@ -66,24 +116,27 @@ impl Staging {
         Ok(result)
     }
 
-    /// Sets the device to copy its first rows to these rows of a texture.
+    /// Sets the device to copy parts of a texture.
     ///
     /// # Errors
     /// [`Error::DeviceLost`] or [`Error::Device`].
-    pub fn copy(&mut self, gpu: &Gpu, texture: &wgpu::Texture, rows: Range<u32>) -> Result<()> {
+    pub fn copy(&mut self, gpu: &Gpu, texture: &wgpu::Texture, parts: &[Part]) -> Result<()> {
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let layout = wgpu::TexelCopyBufferLayout {
-            offset: 0,
-            bytes_per_row: Some((self.row_pages * PAGE) as u32),
-            rows_per_image: None,
-        };
-        let to = wgpu::TexelCopyTextureInfo {
-            origin: wgpu::Origin3d { x: 0, y: rows.start, z: 0 },
-            ..texture.as_image_copy()
-        };
-        let size =
-            wgpu::Extent3d { width: texture.width(), height: rows.len() as u32, depth_or_array_layers: 1 };
-        encoder.copy_buffer_to_texture(wgpu::TexelCopyBufferInfo { buffer: &self.buffer, layout }, to, size);
+        for part in parts {
+            let layout = wgpu::TexelCopyBufferLayout {
+                offset: part.offset_bytes as u64,
+                bytes_per_row: Some(part.row_bytes as u32),
+                rows_per_image: None,
+            };
+            let ([x, y], [width, height]) = (part.corner, part.size);
+            let to = wgpu::TexelCopyTextureInfo {
+                origin: wgpu::Origin3d { x, y, z: 0 },
+                ..texture.as_image_copy()
+            };
+            let from = wgpu::TexelCopyBufferInfo { buffer: &self.buffer, layout };
+            let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
+            encoder.copy_buffer_to_texture(from, to, size);
+        }
         self.copied = Some(gpu.guard(|| gpu.queue.submit([encoder.finish()]))?);
         Ok(())
     }

@@ -19,7 +19,8 @@ use super::scene_pass::Variant;
 use super::selection::{Bounds, Selection, Slots, ground_blocks, near_to_far};
 use super::shaders::{CasterTile, FrameUniforms, HorizonLevel, Instance};
 use super::shadow::{self, CasterGrids, Shades};
-use super::shadow_raster::ShadowMap;
+use super::shadow_pass::ShadowPass;
+use super::shadow_raster::{self, NewTile, ShadowMap};
 use super::targets::{Background, Targets};
 use super::visibility_raster::Stencil;
 use super::work::Shown;
@@ -96,8 +97,9 @@ pub struct GpuScene {
     pub caster_grid: Store,
     /// Columns and rows of the shadow map and of each of the layers that it is made of.
     pub atlas_px: [u32; 2],
-    /// If this program draws the map: it.
+    /// If this program draws the map: what the device has of it, and what it is to be given.
     shadow_map: ShadowMap,
+    new_tiles: Vec<NewTile>,
     /// If this program finds what samples show: of what, and it; kept for their memory.
     facets: Facets,
     stencil: Stencil,
@@ -123,6 +125,9 @@ struct GroundBlocks {
     cells: [u32; 3],
     blocks: Vec<Range<u32>>,
 }
+
+/// What the room for new tiles of the shadow map is a multiple of, bytes: frames differ a little in what they need.
+const TILES_BYTES: usize = 1 << 20;
 
 /// What is left to this program, which a device could do.
 #[derive(Clone, Copy, Debug)]
@@ -237,6 +242,7 @@ impl Default for GpuScene {
             caster_grid: Store::new("shadow/caster_grid", BufferUsages::STORAGE),
             atlas_px: [0; 2],
             shadow_map: ShadowMap::default(),
+            new_tiles: Vec::new(),
             facets: Facets::default(),
             stencil: Stencil::default(),
             background: None,
@@ -262,7 +268,17 @@ impl GpuScene {
         ways: Ways,
     ) {
         self.uploaded_bytes = 0;
-        let selection = Selection::new(scene, settings);
+        let mut selection = Selection::new(scene, settings);
+        self.drawn_here = DrawnHere::default();
+        if ways.own_shadow_map {
+            let start = Instant::now();
+            self.new_tiles = self.shadow_map.place(scene, &mut selection);
+            self.atlas_px = self.shadow_map.size_px();
+            self.drawn_here.shadow_map_ms = Some(super::milliseconds(start.elapsed()));
+        } else {
+            self.shadow_map = ShadowMap::default();
+            self.atlas_px = shadow::atlas_px(&selection.casters);
+        }
         let footprint = Footprint::new(scene, &selection.frustum);
         let is_new = self.horizon_map.make(&scene.terrain, &scene.sun, &footprint);
         let casters = &selection.casters;
@@ -272,14 +288,8 @@ impl GpuScene {
         let slots = selection.slots();
         self.uploaded_bytes += self.instances.write(gpu, &self::slots(&instances(scene, settings, slots)));
         let mut seen = all_groups(&bands, slots);
-        (self.drawn_here, self.background) = (DrawnHere::default(), None);
+        self.background = None;
         self.draws = DrawList::default();
-        if ways.own_shadow_map {
-            let start = Instant::now();
-            self.shadow_map.draw(scene, &selection);
-            self.drawn_here.shadow_map_ms = Some(super::milliseconds(start.elapsed()));
-            self.uploaded_bytes += size_of_val(self.shadow_map.texels()) as u64;
-        }
         if ways.own_visibility {
             let start = Instant::now();
             self.facets.find(scene, &selection, settings, &caster_grid, &bands, ways.by_shades);
@@ -300,7 +310,6 @@ impl GpuScene {
         let tiles: Vec<CasterTile> = casters.iter().map(|caster| caster.tile).collect();
         self.uploaded_bytes += self.tiles.write(gpu, &tiles);
         self.uploaded_bytes += self.caster_grid.write(gpu, &caster_grid);
-        self.atlas_px = shadow::atlas_px(casters);
         let uniforms = frame_uniforms(scene, settings, picture_size, &self.horizon_map, self.atlas_px);
         self.uploaded_bytes += self.frame.write(gpu, &[uniforms]);
         (self.law, self.has_detail) = (scene.photometry.law, scene.relief.is_some());
@@ -308,10 +317,30 @@ impl GpuScene {
         self.upload_horizon(gpu, is_new);
     }
 
-    /// The shadow map, unless the device is to draw it.
-    #[must_use]
-    pub fn shadow_map(&self) -> Option<&[f32]> {
-        self.drawn_here.shadow_map_ms.map(|_| self.shadow_map.texels())
+    /// Draws what is new in the shadow map of the scene that was uploaded last and gives it to the device, unless that is to draw
+    /// it.
+    ///
+    /// # Errors
+    /// [`crate::Error::DeviceLost`] or [`crate::Error::Device`].
+    pub(super) fn give_shadow_map(
+        &mut self,
+        gpu: &Gpu,
+        scene: &Scene,
+        pass: &ShadowPass,
+        staging: &mut Option<Staging>,
+    ) -> Result<()> {
+        let Some(shadow_map_ms) = &mut self.drawn_here.shadow_map_ms else { return Ok(()) };
+        let start = Instant::now();
+        let (parts, bytes) = shadow_raster::parts(&self.new_tiles);
+        if bytes > 0 {
+            let room = bytes.next_multiple_of(TILES_BYTES);
+            let staging = Staging::with_room(staging, gpu, "shadow/staging", room)?;
+            staging.write(gpu, |room| shadow_raster::draw(scene, &self.new_tiles, room))?;
+            staging.copy(gpu, pass.texture(), &parts)?;
+        }
+        self.uploaded_bytes += bytes as u64;
+        *shadow_map_ms += super::milliseconds(start.elapsed());
+        Ok(())
     }
 
     /// Draws what the samples show of the scene that was uploaded last and gives it to the device, unless that is to draw it.
@@ -471,6 +500,7 @@ impl GpuScene {
     /// After an error: what was written to the device may not be there.
     pub fn forget(&mut self) {
         self.horizon = None;
+        self.shadow_map = ShadowMap::default();
     }
 }
 

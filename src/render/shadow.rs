@@ -6,9 +6,10 @@
 
 use std::ops::Range;
 
-use glam::{Vec2, Vec3};
+use glam::{UVec2, Vec2, Vec3};
 use rayon::prelude::*;
 
+use super::atlas::Atlas;
 use super::footprint::Footprint;
 use super::horizon::HorizonMap;
 use super::selection::Frustum;
@@ -108,25 +109,25 @@ fn width_px(casters: &[Caster]) -> u32 {
     width.next_power_of_two().clamp(LEAST_ATLAS_PX, ATLAS_PX)
 }
 
-/// Places the tiles in shelves, largest first; `false` if they do not fit.
+/// Places the tiles, largest first; `false` if they do not fit.
 fn pack(casters: &mut [Caster]) -> bool {
-    let width = width_px(casters);
+    let mut atlas = Atlas::new([width_px(casters), ATLAS_PX]);
+    largest_first(casters).into_iter().all(|caster| {
+        let tile = &mut casters[caster].tile;
+        let room = atlas.place(tile.size_px as u32);
+        if let Some(room) = room {
+            tile.origin_px = UVec2::from(room.corner).as_vec2();
+        }
+        room.is_some()
+    })
+}
+
+/// Casters by their numbers, those with the largest tiles first.
+#[must_use]
+pub fn largest_first(casters: &[Caster]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..casters.len()).collect();
-    order.sort_by_key(|&i| (std::cmp::Reverse(casters[i].tile.size_px as u32), i));
-    let (mut x, mut y, mut shelf) = (0, 0, 0);
-    for i in order {
-        let size = casters[i].tile.size_px as u32;
-        if x + size > width {
-            (x, y, shelf) = (0, y + shelf, 0);
-        }
-        if y + size > ATLAS_PX {
-            return false;
-        }
-        casters[i].tile.origin_px = Vec2::new(x as f32, y as f32);
-        shelf = shelf.max(size);
-        x += size;
-    }
-    true
+    order.sort_by_key(|&caster| std::cmp::Reverse(casters[caster].tile.size_px as u32));
+    order
 }
 
 /// What can shade a place.
@@ -399,33 +400,4 @@ fn distance_to_segment(point: Vec3, a: Vec3, b: Vec3) -> f32 {
     let ab = b - a;
     let t = ((point - a).dot(ab) / ab.length_squared().max(f32::MIN_POSITIVE)).clamp(0.0, 1.0);
     point.distance(a + t * ab)
-}
-
-#[cfg(test)]
-#[allow(clippy::disallowed_methods, reason = "what is expected may be reckoned with std's functions")]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn tiles_do_not_overlap_and_lie_in_the_atlas() {
-        let mut casters: Vec<Caster> = (0..200)
-            .map(|i| Caster {
-                rock: i,
-                tile: CasterTile { size_px: (16 + (i * 37) % 150) as f32, ..Default::default() },
-                reach_m: 0.0,
-            })
-            .collect();
-        assert!(pack(&mut casters));
-        for (i, a) in casters.iter().enumerate() {
-            let far = a.tile.origin_px + a.tile.size_px;
-            assert!(far.max_element() <= ATLAS_PX as f32);
-            for b in &casters[i + 1..] {
-                let apart = |axis: usize| {
-                    a.tile.origin_px[axis] + a.tile.size_px <= b.tile.origin_px[axis]
-                        || b.tile.origin_px[axis] + b.tile.size_px <= a.tile.origin_px[axis]
-                };
-                assert!(apart(0) || apart(1));
-            }
-        }
-    }
 }

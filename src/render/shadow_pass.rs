@@ -41,25 +41,24 @@ struct Map {
 }
 
 impl ShadowPass {
-    /// Makes the map with exactly so many columns and rows, unless it is there, and writes `given` to it. Not a larger one:
+    /// Makes the map with exactly so many columns and rows, unless it is there. Not a larger one: if the device is to draw it,
     /// places in it would be rounded otherwise, and the frame would depend on those before it.
-    pub(super) fn prepare(
-        &mut self,
-        gpu: &Gpu,
-        layouts: &BindLayouts,
-        size_px: [u32; 2],
-        given: Option<&[f32]>,
-    ) {
-        let serves = |map: &Map| map.size_px == size_px && map.drawn.is_none() == given.is_some();
+    pub(super) fn prepare(&mut self, gpu: &Gpu, layouts: &BindLayouts, size_px: [u32; 2], is_given: bool) {
+        let serves = |map: &Map| map.size_px == size_px && map.drawn.is_none() == is_given;
         if !self.map.as_ref().is_some_and(serves) {
-            self.map = Some(Map::new(gpu, layouts, size_px, given.is_some()));
+            self.map = Some(Map::new(gpu, layouts, size_px, is_given));
         }
-        if given.is_none() {
+        if !is_given {
             self.pipelines.get_or_insert_with(|| Pipelines::new(gpu, layouts));
         }
-        if let (Some(map), Some(heights)) = (&self.map, given) {
-            gpu.write_texels(&map.texture, size_px, heights);
-        }
+    }
+
+    /// The map, which parts may be copied to if it is given.
+    ///
+    /// # Panics
+    /// Before [`Self::prepare`].
+    pub(super) fn texture(&self) -> &wgpu::Texture {
+        &self.map.as_ref().expect("a map is prepared before it is used").texture
     }
 
     /// The map.

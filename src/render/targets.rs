@@ -16,7 +16,7 @@ use crate::class::ClassId;
 use crate::error::{Error, Result};
 use crate::frame::{Annotation, Annotations};
 use crate::gpu::Gpu;
-use crate::gpu::staging::{PAGE, Page, Staging};
+use crate::gpu::staging::{PAGE, Page, Part, Staging};
 
 /// What a sample of the scene pass carries. The location in `SceneOut` is the place in [`Plane::ALL`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -211,17 +211,12 @@ impl Targets {
         stencil: &mut Stencil,
     ) -> Result<u64> {
         let [width, height] = self.sample_size;
-        let row_bytes = VISIBLE_FORMAT.block_copy_size(None).unwrap_or(0) * width;
-        let rows_at_once = (STAGING_BYTES / row_bytes.next_multiple_of(PAGE as u32)).clamp(1, height);
-        let staging = match staging.take() {
-            Some(kept) if kept.serves(row_bytes, rows_at_once) => staging.insert(kept),
-            _ => {
-                let made = gpu.guard(|| Staging::new(gpu, "scene/staging", row_bytes, rows_at_once))?;
-                gpu.check()?;
-                staging.insert(made)
-            }
-        };
-        let row_pages = staging.row_pages;
+        let row_bytes = VISIBLE_FORMAT.block_copy_size(None).unwrap_or(0) as usize * width as usize;
+        // Rows are given out to threads, and so begin with pages.
+        let row_bytes = row_bytes.next_multiple_of(PAGE);
+        let rows_at_once = (STAGING_BYTES / row_bytes as u32).clamp(1, height);
+        let bytes = row_bytes * rows_at_once as usize;
+        let staging = Staging::with_room(staging, gpu, "scene/staging", bytes)?;
         // Where something was shown last there may be nothing but the sky now.
         let things = facets.rows_of_things();
         let before = std::mem::replace(&mut self.given_rows, things.clone());
@@ -232,17 +227,19 @@ impl Targets {
             let rows = first..height.min(first + rows_at_once);
             let given = all.start.max(rows.start)..all.end.min(rows.end);
             let mut draw = |pages: &mut dyn Iterator<Item = Page<'_>>| {
-                stencil.draw(facets, width as usize, &rows, &given, (pages, row_pages));
+                stencil.draw(facets, width as usize, &rows, &given, (pages, row_bytes));
             };
             if given.is_empty() {
                 draw(&mut std::iter::empty());
             } else {
                 staging.write(gpu, draw)?;
-                staging.copy(gpu, &self.visible.0, given)?;
+                let size = [width, given.len() as u32];
+                let part = Part { offset_bytes: 0, row_bytes, corner: [0, given.start], size };
+                staging.copy(gpu, &self.visible.0, &[part])?;
             }
         }
         gpu.guard(|| gpu.write_texels(&self.depth_stencil.0, self.sample_size, &stencil.values))?;
-        Ok(u64::from(row_bytes) * all.len() as u64 + stencil.values.len() as u64)
+        Ok(row_bytes as u64 * all.len() as u64 + stencil.values.len() as u64)
     }
 
     /// Whether they serve these settings.

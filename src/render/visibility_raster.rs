@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use super::facets::{Facet, Facets, Mesh};
 use super::lit::{Group, Groups};
 use super::raster::{Corners, HEIGHT, LANES, Outline, Outlines, Paint, Plane, WIDTH, load, store};
-use crate::gpu::staging::{PAGE, Page};
+use crate::gpu::staging::{PAGE, Page, Writer};
 
 /// Rows of a band.
 const BAND_ROWS: usize = 32;
@@ -41,14 +41,15 @@ impl Stencil {
         self.has_holes = false;
     }
 
-    /// Draws rows of a picture. Of `given`, some of these rows, it writes what `visibility.wgsl` does to as many rows of pages.
+    /// Draws rows of a picture. Of `given`, some of these rows, it writes what `visibility.wgsl` does, so many bytes from
+    /// one to the next.
     pub fn draw(
         &mut self,
         facets: &Facets,
         width: usize,
         rows: &Range<u32>,
         given: &Range<u32>,
-        (pages, row_pages): (&mut dyn Iterator<Item = Page<'_>>, usize),
+        (pages, row_bytes): (&mut dyn Iterator<Item = Page<'_>>, usize),
     ) {
         let groups = facets.groups();
         let [rows, given] = [rows, given].map(|rows| rows.start as usize..rows.end as usize);
@@ -58,7 +59,7 @@ impl Stencil {
             .map(|(first, stencil)| {
                 let rows = first..first + stencil.len() / width;
                 let given = rows.start.max(given.start)..rows.end.min(given.end);
-                let pages: Vec<Page<'_>> = pages.take(given.len() * row_pages).collect();
+                let pages: Vec<Page<'_>> = pages.take(given.len() * row_bytes / PAGE).collect();
                 (rows, stencil, given, pages)
             })
             .collect();
@@ -72,14 +73,11 @@ impl Stencil {
                 }
                 let mut line = std::mem::take(&mut sheet.line);
                 line.resize(width, [0; 4]);
-                let mut pages = pages.into_iter();
+                let mut written = Writer::new(pages);
                 for row in given {
                     let row = sheet.row(row - rows.start, width);
                     dispatch!(Level::new(), _simd => row.samples(groups, &mut line));
-                    let bytes = bytemuck::cast_slice(&line).chunks(PAGE);
-                    for (page, bytes) in pages.by_ref().take(row_pages).zip(bytes) {
-                        wgpu::WriteOnly::<[u8]>::from(page).slice(..bytes.len()).copy_from_slice(bytes);
-                    }
+                    written.row(bytemuck::cast_slice(&line), row_bytes);
                 }
                 sheet.line = line;
             });
