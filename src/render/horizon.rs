@@ -67,6 +67,8 @@ pub struct HorizonMap {
     /// Memory of grids that were made.
     spare: Vec<Vec<[f32; 2]>>,
     made_of: Option<MadeOf>,
+    /// The last ground that was a square.
+    square: Square,
 }
 
 /// What a map is of.
@@ -137,7 +139,7 @@ impl HorizonMap {
         true
     }
 
-    fn make_over(&mut self, terrain: &Terrain, sun: &Sun, footprint: &Footprint) {
+    fn make_over(&mut self, terrain: &Arc<Terrain>, sun: &Sun, footprint: &Footprint) {
         let azimuth = sun.azimuth_deg.to_radians();
         let towards = Vec2::new(libm::sin(azimuth) as f32, libm::cos(azimuth) as f32);
         let reach_m = terrain.half_extent_m;
@@ -146,7 +148,9 @@ impl HorizonMap {
         match &terrain.layout {
             Layout::Square => {
                 let side_m = 2.0 * reach_m * (towards.x.abs() + towards.y.abs());
-                steps_m.push((terrain.cell_m() / SAMPLES_PER_CELL).max(side_m / (MOST_SAMPLES - 2) as f32));
+                let step_m = (terrain.cell_m() / SAMPLES_PER_CELL).max(side_m / (MOST_SAMPLES - 2) as f32);
+                self.square.become_of(terrain, step_m);
+                steps_m.push(step_m);
             }
             Layout::Rings(rings) => {
                 base_m = FINEST_M.max(reach_m / (1_u32 << (MOST_LEVELS - 1)) as f32);
@@ -160,10 +164,10 @@ impl HorizonMap {
                 }
             }
         }
-        let square = matches!(terrain.layout, Layout::Square).then(|| Square::new(terrain));
+        let square = matches!(terrain.layout, Layout::Square).then_some(&self.square);
         let mut grids: Vec<Grid> = Vec::new();
         for (level, &step_m) in steps_m.iter().enumerate().rev() {
-            let frame = Frame::new(terrain, square.as_ref(), sun, towards, step_m);
+            let frame = Frame::new(terrain, square, sun, towards, step_m);
             let end_m = if steps_m.len() == 1 { FARTHEST_M } else { base_m * (1_u32 << level) as f32 };
             // As many steps before what is asked for as ground that stands out by its detail throws shadows.
             let beyond = (DETAIL_STEPS * step_m / frame.fall_m[0].max(1e-6)).min(MOST_BEYOND).ceil();
@@ -294,9 +298,8 @@ impl<'a> Frame<'a> {
         let [lowest_m, highest_m] = self.terrain.z_range_m;
         let fall_m = self.fall_m[0].max(1e-6);
         let reach = ((highest_m - lowest_m) / fall_m).ceil().min(self.samples as f32) as usize + 2;
-        let bends = self.square.map(|square| Bends::new(square, self.step_m));
         let start = |_, end: usize| ((end + reach).min(self.samples), [-1.0e9_f32; 2]);
-        self.scan(region, memory, start, bends.as_ref())
+        self.scan(region, memory, start, self.square.map(|square| &square.bends))
     }
 
     /// A grid whose rows go on from a coarser one, so many samples before what is asked for.
@@ -320,10 +323,10 @@ impl<'a> Frame<'a> {
     ) -> Grid {
         let Region { columns, rows, spans } = region;
         let width = columns.len();
-        heights_m.clear();
         heights_m.resize(width * rows.len(), [f32::MIN; 2]);
         let lines = heights_m.par_chunks_mut(LANES * width).zip(spans.par_chunks(LANES)).enumerate();
         let shaded = lines.map(|(chunk, (heights_m, spans))| {
+            heights_m.fill([f32::MIN; 2]);
             let first_row = rows.start + chunk * LANES;
             let lines = Lines { first_row, first_column: columns.start, spans };
             dispatch!(Level::new(), simd => self.scan_lines(simd, &lines, heights_m, &start, bends))
@@ -440,24 +443,39 @@ impl Grid {
     }
 }
 
-/// The heights of a square ground, close together: the map asks for half a million of them.
+/// The heights of a square ground, close together: the map asks for half a million of them. Kept from map to map.
+#[derive(Clone, Debug, Default)]
 struct Square {
+    /// Keeps the ground's address from being given to another, but not the ground.
+    of: Weak<Terrain>,
     cells: usize,
     cell_m: f32,
     cells_per_m: f32,
     half_m: f32,
     heights_m: Vec<f32>,
+    /// For the steps of a map.
+    bends: Bends,
 }
 
 impl Square {
-    fn new(terrain: &Terrain) -> Self {
-        Self {
-            cells: terrain.columns as usize,
-            cell_m: terrain.cell_m(),
-            cells_per_m: 1.0 / terrain.cell_m(),
-            half_m: terrain.half_extent_m,
-            heights_m: terrain.vertices.iter().map(|vertex| vertex.position.z).collect(),
+    /// Becomes that of a ground and the steps of a map, unless it is.
+    fn become_of(&mut self, terrain: &Arc<Terrain>, step_m: f32) {
+        let is_same = self.of.ptr_eq(&Arc::downgrade(terrain));
+        if is_same && self.bends.step_m == step_m {
+            return;
         }
+        if !is_same {
+            self.of = Arc::downgrade(terrain);
+            self.cells = terrain.columns as usize;
+            self.cell_m = terrain.cell_m();
+            self.cells_per_m = 1.0 / terrain.cell_m();
+            self.half_m = terrain.half_extent_m;
+            let heights_m = terrain.vertices.par_iter().map(|vertex| vertex.position.z);
+            heights_m.collect_into_vec(&mut self.heights_m);
+        }
+        let mut bends = std::mem::take(&mut self.bends);
+        bends.become_of(self, step_m);
+        self.bends = bends;
     }
 
     /// Heights of its vertices in a row.
@@ -503,31 +521,40 @@ impl Square {
 /// Along a line the ground is straight but for kinks where it crosses the triangles' edges; a kink by J (change of
 /// slope) within a step of length s takes it at most J s / 4 off the straight line. Two axes make twice that; the three
 /// kinds of edges are added up over the cells around.
+#[derive(Clone, Debug, Default)]
 struct Bends {
+    step_m: f32,
     /// Of each cell, by its first vertex.
     bends_m: Vec<f32>,
     /// The largest of all.
     largest_m: f32,
+    /// The largest along each row; for its memory.
+    along: Vec<f32>,
 }
 
 impl Bends {
-    fn new(square: &Square, step_m: f32) -> Self {
+    fn become_of(&mut self, square: &Square, step_m: f32) {
         let cells = square.cells;
         let scale = 0.5 * step_m / square.cell_m;
         // Largest over two cells each way: first along rows, then along columns.
-        let mut along = vec![0.0; cells * (cells + 1)];
+        let along = &mut self.along;
+        along.resize(cells * (cells + 1), 0.0);
         along.par_chunks_exact_mut(cells).enumerate().for_each(|(row, along)| {
             let rows = [row.saturating_sub(1), row, (row + 1).min(cells)].map(|row| square.row(row));
             dispatch!(Level::new(), _simd => Self::along_row(rows, scale, along));
         });
-        let mut bends_m = vec![0.0; (cells + 1) * (cells + 1)];
-        bends_m.par_chunks_exact_mut(cells + 1).take(cells).enumerate().for_each(|(row, bends_m)| {
+        // No cell begins with the last row or column.
+        self.bends_m.resize((cells + 1) * (cells + 1), 0.0);
+        let rows = self.bends_m.par_chunks_exact_mut(cells + 1).take(cells).enumerate();
+        let largest_m = rows.map(|(row, bends_m)| {
+            bends_m.fill(0.0);
             for row in row.saturating_sub(1)..=(row + 2).min(cells) {
                 dispatch!(Level::new(), _simd => raise(bends_m, &along[row * cells..][..cells]));
             }
+            bends_m.iter().copied().fold(0.0, f32::max)
         });
-        let largest_m = bends_m.iter().copied().fold(0.0, f32::max);
-        Self { bends_m, largest_m }
+        self.largest_m = largest_m.reduce(|| 0.0, f32::max);
+        self.step_m = step_m;
     }
 
     /// Largest kinks around each cell of a row, from the heights to its south, along it and to its north.

@@ -32,6 +32,8 @@ pub const CASTER_CELLS: u32 = 512;
 const RING_CASTER_CELLS: u32 = 192;
 /// Half the side of the innermost grid over rings, metres.
 const INNERMOST_M: f32 = 4.0;
+/// Rows of a grid that are looked at by one thread.
+const BAND_ROWS: usize = 32;
 /// Set in the start of a cell's list if the ground may hide the sun from a place above the cell.
 pub const ASK_HORIZON: u32 = 1 << 31;
 
@@ -233,8 +235,8 @@ impl CasterGrids {
     }
 }
 
-/// For each cell of the grids that lies in a footprint, the casters whose shadow can fall on a place above it: first the start of each cell's
-/// list (and the end of the last), with [`ASK_HORIZON`] where the horizon map is to be asked too, then the lists.
+/// For each cell of the grids that lies in a footprint, the casters whose shadow can fall on a place above it: first the start of
+/// each cell's list (and the end of the last), with [`ASK_HORIZON`] where the horizon map is to be asked too, then the lists.
 #[must_use]
 pub fn caster_grid(
     scene: &Scene,
@@ -243,69 +245,94 @@ pub fn caster_grid(
     footprint: &Footprint,
 ) -> Vec<u32> {
     let grids = CasterGrids::new(&scene.terrain);
-    let total = grids.cells_in_all();
-    let of_level = |level| {
-        let mut list: Vec<(u32, u32)> = Vec::new();
-        let mut cells = CasterCells::new(&scene.terrain, &grids, level, footprint);
-        for (index, caster) in casters.iter().enumerate() {
-            cells.shaded_by(scene, caster, |cell| list.push((cell, index as u32)));
-        }
-        list
+    let bands = (0..grids.levels)
+        .flat_map(|level| (0..grids.cells as usize).step_by(BAND_ROWS).map(move |row| (level, row)));
+    let lists_of = |(level, first): (u32, usize)| {
+        let rows = first..(first + BAND_ROWS).min(grids.cells as usize);
+        CasterCells::new(&scene.terrain, &grids, level, rows, footprint).lists(scene, casters)
     };
-    let lists: Vec<(u32, u32)> = (0..grids.levels).into_par_iter().flat_map_iter(of_level).collect();
-    // By cell; within a cell the casters keep their order.
-    let mut counts = vec![0_u32; total];
-    for &(cell, _) in &lists {
-        counts[cell as usize] += 1;
+    let bands: Vec<_> = bands.collect();
+    let (lists, asks) = rayon::join(
+        || bands.into_par_iter().with_max_len(1).map(lists_of).collect::<Vec<Lists>>(),
+        || asks_horizon(&grids, horizon),
+    );
+    let first = grids.cells_in_all() + 1;
+    let mut grid = vec![0; first + lists.iter().map(|lists| lists.casters.len()).sum::<usize>()];
+    let (mut starts, mut rest) = grid.split_at_mut(first);
+    let (mut start, mut asks) = (first as u32, asks.as_slice());
+    let mut parts = Vec::new();
+    for lists in &lists {
+        let (own, others) = starts.split_at_mut(lists.counts.len());
+        let (listed, behind) = rest.split_at_mut(lists.casters.len());
+        let (ask, not_yet) = asks.split_at(lists.counts.len());
+        parts.push((lists, start, own, ask, listed));
+        start += lists.casters.len() as u32;
+        (starts, rest, asks) = (others, behind, not_yet);
     }
-    // Rings have relief everywhere.
-    let mut asks = vec![grids.levels > 1; total];
-    if grids.levels == 1 {
-        let (cells, side) = (CasterCells::new(&scene.terrain, &grids, 0, footprint), grids.cells as usize);
-        for place in &horizon.shaded {
-            let at = |metres: f32, axis: usize| cells.place(metres, axis).min(side - 1);
-            let margin = Vec2::splat(1.5 * horizon.levels[0].step_m);
-            let (low, high) = (*place - margin, *place + margin);
-            for row in at(low.y, 1)..=at(high.y, 1) {
-                asks[row * side + at(low.x, 0)..=row * side + at(high.x, 0)].fill(true);
-            }
+    starts[0] = start;
+    parts.into_par_iter().for_each(|(lists, mut start, starts, asks, listed)| {
+        for ((place, count), ask) in starts.iter_mut().zip(&lists.counts).zip(asks) {
+            *place = if *ask { start | ASK_HORIZON } else { start };
+            start += count;
         }
-    }
-    let first = (total + 1) as u32;
-    let mut grid = Vec::with_capacity(first as usize + lists.len());
-    let mut start = first;
-    for (count, asks) in counts.iter_mut().zip(asks) {
-        grid.push(if asks { start | ASK_HORIZON } else { start });
-        let end = start + *count;
-        *count = start;
-        start = end;
-    }
-    grid.push(start);
-    grid.resize(start as usize, 0);
-    for (cell, index) in lists {
-        grid[counts[cell as usize] as usize] = index;
-        counts[cell as usize] += 1;
-    }
+        listed.copy_from_slice(&lists.casters);
+    });
     grid
 }
 
-/// The geometry of one of the grids.
+/// Of each cell, whether the ground may hide any of the sun above it.
+fn asks_horizon(grids: &CasterGrids, horizon: &HorizonMap) -> Vec<bool> {
+    // Rings have relief everywhere.
+    let mut asks = vec![grids.levels > 1; grids.cells_in_all()];
+    if grids.levels == 1 {
+        let side = grids.cells as usize;
+        let (origin, cell_m) = (grids.centre - grids.half_m, 2.0 * grids.half_m / grids.cells as f32);
+        let margin = Vec2::splat(1.5 * horizon.levels[0].step_m);
+        for place in &horizon.shaded {
+            let cell = |place: Vec2| {
+                let at = ((place - origin) / cell_m).clamp(Vec2::ZERO, Vec2::splat(grids.cells as f32));
+                [at.x, at.y].map(|at| (at as usize).min(side - 1))
+            };
+            let (low, high) = (cell(*place - margin), cell(*place + margin));
+            for row in low[1]..=high[1] {
+                asks[row * side + low[0]..=row * side + high[0]].fill(true);
+            }
+        }
+    }
+    asks
+}
+
+/// The lists of some cells, one after the other.
+struct Lists {
+    /// How many casters each cell has.
+    counts: Vec<u32>,
+    /// Casters by their numbers.
+    casters: Vec<u32>,
+}
+
+/// Some rows of one of the grids.
 struct CasterCells<'a> {
     terrain: &'a Terrain,
     cells: usize,
     cell_m: f32,
     origin: Vec2,
-    /// Cells of the grids before.
-    first: usize,
+    rows: Range<usize>,
     /// Cells from here to as far from the other side are those of the grid before.
     inner: usize,
+    /// Of each of its cells, a height that its ground does not fall below, once that is known.
     lowest_m: Vec<f32>,
     /// Of each row, the columns that are asked for.
     spans: Vec<Range<usize>>,
 }
 
 impl<'a> CasterCells<'a> {
-    fn new(terrain: &'a Terrain, grids: &CasterGrids, level: u32, footprint: &Footprint) -> Self {
+    fn new(
+        terrain: &'a Terrain,
+        grids: &CasterGrids,
+        level: u32,
+        rows: Range<usize>,
+        footprint: &Footprint,
+    ) -> Self {
         let half_m = grids.half_m * (1_u32 << level) as f32;
         let cells = grids.cells as usize;
         let mut made = Self {
@@ -313,12 +340,12 @@ impl<'a> CasterCells<'a> {
             cells,
             cell_m: 2.0 * half_m / grids.cells as f32,
             origin: grids.centre - half_m,
-            first: level as usize * grids.cells_each(),
             inner: if level == 0 { cells } else { cells / 4 },
-            lowest_m: vec![f32::NAN; grids.cells_each()],
+            lowest_m: vec![f32::NAN; rows.len() * cells],
             spans: Vec::new(),
+            rows: rows.clone(),
         };
-        made.spans = (0..cells).map(|row| made.span(row, footprint)).collect();
+        made.spans = rows.map(|row| made.span(row, footprint)).collect();
         made
     }
 
@@ -339,8 +366,35 @@ impl<'a> CasterCells<'a> {
         ((metres - self.origin[axis]) / self.cell_m).clamp(0.0, self.cells as f32) as usize
     }
 
-    /// Gives every cell that the shadow of a caster can touch above the ground.
-    fn shaded_by(&mut self, scene: &Scene, caster: &Caster, mut give: impl FnMut(u32)) {
+    /// The casters of each cell, in their order.
+    fn lists(mut self, scene: &Scene, casters: &[Caster]) -> Lists {
+        let mut found: Vec<(u32, u32)> = Vec::new();
+        for (number, caster) in (0..).zip(casters) {
+            self.shaded_by(scene, caster, |cell| found.push((cell as u32, number)));
+        }
+        let mut counts = vec![0; self.rows.len() * self.cells];
+        for &(cell, _) in &found {
+            counts[cell as usize] += 1;
+        }
+        let mut ends: Vec<u32> = counts
+            .iter()
+            .scan(0, |end, count| {
+                let start = *end;
+                *end += count;
+                Some(start)
+            })
+            .collect();
+        let mut casters = vec![0; found.len()];
+        for (cell, number) in found {
+            let end = &mut ends[cell as usize];
+            casters[*end as usize] = number;
+            *end += 1;
+        }
+        Lists { counts, casters }
+    }
+
+    /// Gives every one of the cells, counted from the first, that the shadow of a caster can touch above the ground.
+    fn shaded_by(&mut self, scene: &Scene, caster: &Caster, mut give: impl FnMut(usize)) {
         let sun = &scene.sun;
         let away = -sun.direction.truncate();
         // The steepness of the rays that reach furthest: those of the lower limb.
@@ -360,8 +414,9 @@ impl<'a> CasterCells<'a> {
         let widest_m = extent_m + penumbra * caster.reach_m;
         let (low, high) = (start.min(end) - widest_m, start.max(end) + widest_m);
         let inner = self.inner..self.cells - self.inner.min(self.cells);
-        for row in self.place(low.y, 1)..(self.place(high.y, 1) + 1).min(self.cells) {
-            let span = self.spans[row].clone();
+        let rows = self.place(low.y, 1).max(self.rows.start)..(self.place(high.y, 1) + 1).min(self.rows.end);
+        for row in rows {
+            let span = self.spans[row - self.rows.start].clone();
             for column in self.place(low.x, 0).max(span.start)..(self.place(high.x, 0) + 1).min(span.end) {
                 if inner.contains(&row) && inner.contains(&column) {
                     continue;
@@ -379,7 +434,7 @@ impl<'a> CasterCells<'a> {
                 // The highest ray that can have passed the rock falls below the ground somewhere.
                 let ray_m = top_m - (nearest_m - extent_m).max(0.0) * steepness;
                 if ray_m >= self.lowest_ground_m(column, row) {
-                    give((self.first + row * self.cells + column) as u32);
+                    give((row - self.rows.start) * self.cells + column);
                 }
             }
         }
@@ -387,7 +442,7 @@ impl<'a> CasterCells<'a> {
 
     /// A height that the ground of a cell does not fall below.
     fn lowest_ground_m(&mut self, column: usize, row: usize) -> f32 {
-        let known = &mut self.lowest_m[row * self.cells + column];
+        let known = &mut self.lowest_m[(row - self.rows.start) * self.cells + column];
         if known.is_nan() {
             let low = Vec2::new(column as f32, row as f32) * self.cell_m + self.origin;
             *known = self.terrain.lowest_over(low, low + self.cell_m);
