@@ -229,7 +229,7 @@ impl Renderer {
     /// # Errors
     /// [`Error::SizeBeyondDevice`], [`Error::DeviceLost`] or [`Error::Device`].
     pub fn submit(&mut self, scene: &Scene, settings: &RenderSettings) -> Result<InFlight> {
-        self.try_submit(scene, settings).inspect_err(|_| self.scene.forget())
+        rayon::scope(|_| self.try_submit(scene, settings)).inspect_err(|_| self.scene.forget())
     }
 
     fn try_submit(&mut self, scene: &Scene, settings: &RenderSettings) -> Result<InFlight> {
