@@ -198,9 +198,15 @@ impl Rock {
 
     /// A rock that lies nowhere yet.
     fn of_vertices(index: u32, vertices: Vec<Vertex>, level: usize, material: Material) -> Self {
-        let z = || vertices.iter().map(|v| v.position.z);
-        let z_range_m = [z().fold(f32::MAX, f32::min), z().fold(f32::MIN, f32::max)];
-        let radius_m = vertices.iter().map(|v| v.position.length_squared()).fold(0.0, f32::max).sqrt();
+        // `f32::min` asks for more than a comparison.
+        let (mut z_range_m, mut square) = ([f32::MAX, f32::MIN], 0.0);
+        for Vertex { position, .. } in &vertices {
+            z_range_m[0] = if position.z < z_range_m[0] { position.z } else { z_range_m[0] };
+            z_range_m[1] = if position.z > z_range_m[1] { position.z } else { z_range_m[1] };
+            let here = position.length_squared();
+            square = if here > square { here } else { square };
+        }
+        let radius_m = square.sqrt();
         Self {
             index,
             centre: Vec3::ZERO,
@@ -218,7 +224,7 @@ impl Rock {
 
     /// Lays the rock on a place, and clear of the eye.
     fn place(&mut self, terrain: &Terrain, eye: Vec3, place: Vec2, embedding: f32) {
-        let lowest = self.vertices.iter().map(|v| v.position).min_by(|a, b| a.z.total_cmp(&b.z));
+        let lowest = self.vertices.iter().map(|v| v.position).find(|place| place.z == self.z_range_m[0]);
         let lowest = lowest.unwrap_or_default();
         self.settle(terrain, place, embedding, lowest);
         if self.distance_to(eye, EYE_CLEARANCE_M) < EYE_CLEARANCE_M {
