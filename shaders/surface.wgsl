@@ -56,7 +56,9 @@ fn fs_main(in: Corner) -> SceneOut {
     var open = 1.0;
     var cell = GridCell();
     if (SHADES & BY_CASTERS) != 0u { cell = grid_cell(place); }
-    if SHADES == BY_GROUND || (SHADES == (BY_GROUND | BY_CASTERS) && cell.asks_horizon) { open = horizon_visibility(place); }
+    if SHADES == BY_GROUND || (SHADES == (BY_GROUND | BY_CASTERS) && cell.asks_horizon) {
+        open = horizon_visibility(place);
+    }
     var visible = select(0.0, open, faces_sun);
     if (SHADES & BY_CASTERS) != 0u && faces_sun {
         let turn = 6.2831853 * pattern_turn(in.clip.xy);

@@ -229,6 +229,7 @@ impl Renderer {
     /// # Errors
     /// [`Error::SizeBeyondDevice`], [`Error::DeviceLost`] or [`Error::Device`].
     pub fn submit(&mut self, scene: &Scene, settings: &RenderSettings) -> Result<InFlight> {
+        // On a thread of the pool: from any other each part that many threads share would first have to be taken by one of them.
         rayon::scope(|_| self.try_submit(scene, settings)).inspect_err(|_| self.scene.forget())
     }
 

@@ -27,7 +27,13 @@ fn seen_at(sample: vec2<f32>) -> Seen {
     return Seen(
         ray * (1.0 / bitcast<f32>(packed.w)),
         from_octahedron(vec2<f32>(packed.xy & vec2(0xffffffu)) * (2.0 / 16777215.0) - 1.0),
-        from_octahedron(vec2<f32>((bitcast<vec2<i32>>(vec2(packed.z << 16u, packed.z)) >> vec2(16u))) * (1.0 / 32767.0)),
+        from_octahedron(signed_halves(packed.z)),
         (packed.x >> 24u) | ((packed.y >> 24u) << 8u),
     );
+}
+
+// As `unpack2x16snorm`, of what `pack2x16snorm` packs, without a division.
+fn signed_halves(packed: u32) -> vec2<f32> {
+    let halves = bitcast<vec2<i32>>(vec2(packed << 16u, packed)) >> vec2(16u);
+    return vec2<f32>(halves) * (1.0 / 32767.0);
 }
