@@ -264,8 +264,8 @@ impl Renderer {
         self.shadow_pass.prepare(&self.gpu, &self.layouts, self.scene.atlas_px, ways.own_shadow_map);
         self.scene.give_shadow_map(&self.gpu, scene, &self.shadow_pass, &mut slot.given_shadow_map)?;
         self.scene.give_visible(&self.gpu, scene, &mut targets, &mut slot.given_visible)?;
-        let shown = self.scene.shown(&targets).filter(|_| wide.is_none());
-        self.scene.uploaded_bytes += slot.packed.choose(&self.gpu, shown);
+        let shown = self.scene.shown(&targets);
+        self.scene.uploaded_bytes += slot.packed.choose(&self.gpu, &targets, shown);
         self.scene_pass.prepare(&self.gpu, self.scene.variant(&targets), &self.scene);
         if !targets.is_given {
             self.visibility_pass.prepare(&self.gpu, &self.layouts);

@@ -8,6 +8,7 @@ pub const ROW_ALIGNMENT: usize = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as usize;
 
 /// Bytes that are handed out as one.
 pub const PAGE: usize = 4096;
+const _: () = assert!(PAGE.is_multiple_of(ROW_ALIGNMENT));
 
 /// A part of the room, which may be written on any thread.
 pub type Page<'a> = wgpu::WriteOnly<'a, [u8; PAGE]>;

@@ -242,8 +242,12 @@ impl PackedFrame {
 
     /// Chooses what is resolved, all of it unless it is known what the samples of an undistorted picture show; how many bytes the
     /// device is given.
-    pub fn choose(&mut self, gpu: &Gpu, shown: Option<Shown<'_>>) -> u64 {
-        self.work = Work::new(self.size, shown);
+    pub fn choose(&mut self, gpu: &Gpu, targets: &Targets, shown: Option<Shown<'_>>) -> u64 {
+        let is_listed = Variant::new(targets, self.size).listed;
+        self.work = Work::new(self.size, shown.filter(|_| is_listed));
+        if !is_listed {
+            return 0;
+        }
         // Beyond the last of the list there are none of the picture.
         let mut list = self.work.resolved.clone();
         list.resize(list_len(list.len()) as usize, u32::MAX / GROUP_WIDTH);

@@ -287,19 +287,21 @@ fn asks_horizon(grids: &CasterGrids, horizon: &HorizonMap) -> Vec<bool> {
     if grids.levels == 1 {
         let side = grids.cells as usize;
         let (origin, cell_m) = (grids.centre - grids.half_m, 2.0 * grids.half_m / grids.cells as f32);
+        let at = |metres: f32, axis: usize| place(metres - origin[axis], cell_m, side).min(side - 1);
         let margin = Vec2::splat(1.5 * horizon.levels[0].step_m);
         for place in &horizon.shaded {
-            let cell = |place: Vec2| {
-                let at = ((place - origin) / cell_m).clamp(Vec2::ZERO, Vec2::splat(grids.cells as f32));
-                [at.x, at.y].map(|at| (at as usize).min(side - 1))
-            };
-            let (low, high) = (cell(*place - margin), cell(*place + margin));
-            for row in low[1]..=high[1] {
-                asks[row * side + low[0]..=row * side + high[0]].fill(true);
+            let (low, high) = (*place - margin, *place + margin);
+            for row in at(low.y, 1)..=at(high.y, 1) {
+                asks[row * side + at(low.x, 0)..=row * side + at(high.x, 0)].fill(true);
             }
         }
     }
     asks
+}
+
+/// Column or row that lies so far from where the first of `cells` begins; one beyond the last for what lies beyond.
+fn place(metres: f32, cell_m: f32, cells: usize) -> usize {
+    (metres / cell_m).clamp(0.0, cells as f32) as usize
 }
 
 /// The lists of some cells, one after the other.
@@ -363,7 +365,7 @@ impl<'a> CasterCells<'a> {
 
     /// Column (axis 0) or row (axis 1) of a coordinate, which may lie outside.
     fn place(&self, metres: f32, axis: usize) -> usize {
-        ((metres - self.origin[axis]) / self.cell_m).clamp(0.0, self.cells as f32) as usize
+        place(metres - self.origin[axis], self.cell_m, self.cells)
     }
 
     /// The casters of each cell, in their order.
@@ -455,4 +457,33 @@ fn distance_to_segment(point: Vec3, a: Vec3, b: Vec3) -> f32 {
     let ab = b - a;
     let t = ((point - a).dot(ab) / ab.length_squared().max(f32::MIN_POSITIVE)).clamp(0.0, 1.0);
     point.distance(a + t * ab)
+}
+
+#[cfg(test)]
+#[allow(clippy::disallowed_methods, reason = "what is expected may be reckoned with std's functions")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tiles_do_not_overlap_and_lie_in_the_atlas() {
+        let mut casters: Vec<Caster> = (0..200)
+            .map(|i| Caster {
+                rock: i,
+                tile: CasterTile { size_px: (16 + (i * 37) % 150) as f32, ..Default::default() },
+                reach_m: 0.0,
+            })
+            .collect();
+        assert!(pack(&mut casters));
+        for (i, a) in casters.iter().enumerate() {
+            let far = a.tile.origin_px + a.tile.size_px;
+            assert!(far.max_element() <= ATLAS_PX as f32);
+            for b in &casters[i + 1..] {
+                let apart = |axis: usize| {
+                    a.tile.origin_px[axis] + a.tile.size_px <= b.tile.origin_px[axis]
+                        || b.tile.origin_px[axis] + b.tile.size_px <= a.tile.origin_px[axis]
+                };
+                assert!(apart(0) || apart(1));
+            }
+        }
+    }
 }

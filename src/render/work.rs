@@ -4,8 +4,6 @@
 //! them is resolved, and its values stand for all.
 //! Must not know: what the planes are.
 
-use std::ops::Range;
-
 /// Pixels of a workgroup, in reading order: four for each of its invocations.
 const PIXELS: usize = 4 * super::resolve::GROUP_WIDTH as usize;
 
@@ -72,13 +70,12 @@ impl Work {
         if plane.is_empty() {
             return;
         }
-        let range = |number: u32, count: usize| -> Range<usize> {
-            let start = number as usize * PIXELS * values_per_pixel;
-            start..count.min(start + PIXELS * values_per_pixel)
-        };
-        let resolved = plane[range(*first, plane.len())].to_vec();
+        let values = PIXELS * values_per_pixel;
+        let end = plane.len().min((*first as usize + 1) * values);
+        let resolved = plane[*first as usize * values..end].to_vec();
         for number in others {
-            let alike = &mut plane[range(*number, usize::MAX).start..];
+            let alike = &mut plane[*number as usize * values..];
+            // The last workgroup may not be full.
             let count = alike.len().min(resolved.len());
             alike[..count].copy_from_slice(&resolved[..count]);
         }
