@@ -42,8 +42,9 @@ use crate::scene::Scene;
 use crate::scene::camera::Camera;
 use crate::scene::mesh::Vertex;
 use gpu_scene::{Draw, DrawnHere, GpuScene, Ways, slot_stride};
+use lit::Lit;
 use resolve::{PackedFrame, ResolvePass};
-use scene_pass::ScenePass;
+use scene_pass::{ScenePass, Variant};
 use shaders::{Instance, ReliefUniforms};
 use shadow_pass::ShadowPass;
 use targets::Targets;
@@ -258,21 +259,37 @@ impl Renderer {
             given_visible: None,
             timer: Timer::new(&self.gpu),
         });
-        self.resolve_pass.prepare(&self.gpu, &targets, &slot.packed);
-        let (gpu, gpu_scene, ways) = (&self.gpu, &mut self.scene, self.ways);
-        gpu.guard(|| gpu_scene.upload(gpu, scene, drawn, picture.size, ways))?;
-        self.shadow_pass.prepare(&self.gpu, &self.layouts, self.scene.atlas_px, ways.own_shadow_map);
-        self.scene.give_shadow_map(&self.gpu, scene, &self.shadow_pass, &mut slot.given_shadow_map)?;
-        self.scene.give_visible(&self.gpu, scene, &mut targets, &mut slot.given_visible)?;
+        // A program takes longer to compile than it saves in a frame: the first is lit by as few as can be, which are compiled while
+        // it is made ready.
+        let variant = Variant::new(scene, &targets);
+        let is_first = !self.scene_pass.has(variant);
+        let ways = Ways { by_shades: self.ways.by_shades && !is_first, ..self.ways };
+        let Self { gpu, layouts, scene: gpu_scene, shadow_pass, scene_pass, resolve_pass, .. } = self;
+        let resolved = resolve::Variant::new(&targets, slot.packed.size);
+        let (made_ready, ()) = rayon::join(
+            || {
+                gpu.guard(|| gpu_scene.upload(gpu, scene, drawn, picture.size, ways))?;
+                shadow_pass.prepare(gpu, layouts, gpu_scene.atlas_px, ways.own_shadow_map);
+                gpu_scene.give_shadow_map(gpu, scene, shadow_pass, &mut slot.given_shadow_map)?;
+                gpu_scene.give_visible(gpu, scene, &mut targets, &mut slot.given_visible)
+            },
+            || {
+                resolve_pass.prepare(gpu, resolved);
+                if is_first {
+                    scene_pass.prepare(gpu, variant, Lit::BY_ANYTHING);
+                }
+            },
+        );
+        made_ready?;
         let shown = self.scene.shown(&targets);
         self.scene.uploaded_bytes += slot.packed.choose(&self.gpu, &targets, shown);
-        self.scene_pass.prepare(&self.gpu, self.scene.variant(&targets), &self.scene);
+        self.scene_pass.prepare(&self.gpu, variant, self.scene.draws.seen.iter().map(|seen| seen.lit));
         if !targets.is_given {
             self.visibility_pass.prepare(&self.gpu, &self.layouts);
         }
         self.gpu.check()?;
         let uploaded = Instant::now();
-        let submission = self.gpu.guard(|| self.submit_frame(&targets, &slot))?;
+        let submission = self.gpu.guard(|| self.submit_frame(variant, &targets, &slot))?;
         self.targets = Some(targets);
         let DrawnHere { shadow_map_ms, visibility_ms } = self.scene.drawn_here;
         Ok(InFlight {
@@ -337,15 +354,21 @@ impl Renderer {
         Ok((frame, times))
     }
 
-    fn submit_frame(&self, targets: &Targets, slot: &Slot) -> wgpu::SubmissionIndex {
+    fn submit_frame(&self, variant: Variant, targets: &Targets, slot: &Slot) -> wgpu::SubmissionIndex {
         let mut encoder =
             self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") });
-        self.record_frame(&mut encoder, targets, slot);
+        self.record_frame(&mut encoder, variant, targets, slot);
         self.gpu.queue.submit([encoder.finish()])
     }
 
     /// The frame: shadow atlas, what is seen, light on it, resolve, copy.
-    fn record_frame(&self, encoder: &mut wgpu::CommandEncoder, targets: &Targets, slot: &Slot) {
+    fn record_frame(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        variant: Variant,
+        targets: &Targets,
+        slot: &Slot,
+    ) {
         let (packed, timer) = (&slot.packed, slot.timer.as_ref());
         let groups = self.bind_groups(targets, packed);
         self.shadow_pass.record(
@@ -367,6 +390,7 @@ impl Renderer {
             encoder,
             &self.scene,
             [&groups.frame, &groups.scene, &groups.light],
+            variant,
             targets,
             timer.map(|timer| timer.render_pass(Pass::Scene)),
         );

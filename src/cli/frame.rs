@@ -54,23 +54,20 @@ pub(super) fn run(args: &FrameArgs) -> Result<()> {
     let (label_ids, edges) = (args.picture.label_ids(), args.picture.edges()?);
     disk::check_folder(&args.out, INDEX, args.force)?;
 
-    let mut times: StageTimes = Vec::new();
-    let mut last = Instant::now();
-    let mut stage = |times: &mut StageTimes, name| {
-        let now = Instant::now();
-        times.push((name, (now - last).as_secs_f64() * 1e3));
-        last = now;
-    };
-    let scene = Scene::build(args.seed, &params)?;
-    stage(&mut times, "scene");
-    let gpu = Gpu::open(args.picture.adapter.as_deref())?;
-    stage(&mut times, "adapter");
-    let mut renderer = Renderer::new(gpu)?;
-    stage(&mut times, "pipelines");
+    // The device is opened while the scene is built.
+    let (scene, renderer) = rayon::join(
+        || timed("scene", || Scene::build(args.seed, &params)),
+        || -> Result<_> {
+            let (gpu, adapter) = timed("adapter", || Gpu::open(args.picture.adapter.as_deref()))?;
+            let (renderer, pipelines) = timed("pipelines", || Renderer::new(gpu))?;
+            Ok((renderer, [adapter, pipelines]))
+        },
+    );
+    let (scene, built) = scene?;
+    let (mut renderer, opened) = renderer?;
+    let mut times: StageTimes = [built].into_iter().chain(opened).collect();
     super::inject_fault(&renderer);
     let (frame, render_times) = renderer.render(&scene, &settings)?;
-    // The renderer tells its own stages apart.
-    stage(&mut StageTimes::new(), "render");
     times.extend(render_times);
     let unlabelled = frame.count(ClassId::UNLABELLED);
     if unlabelled > 0 {
@@ -92,9 +89,9 @@ pub(super) fn run(args: &FrameArgs) -> Result<()> {
     };
     // The pictures first, so that the record can tell what encoding them took.
     let (pictures, records): (Vec<_>, Vec<_>) = outputs.into_iter().partition(|output| output.name != "meta");
-    let mut files =
-        output::encode(&Source { frame: &frame, meta: &Value::Null, label_ids, edges }, &pictures)?;
-    stage(&mut times, "encode");
+    let source = Source { frame: &frame, meta: &Value::Null, label_ids, edges };
+    let (mut files, encoded) = timed("encode", || output::encode(&source, &pictures))?;
+    times.push(encoded);
     let meta = record(&times);
     files.extend(output::encode(&Source { frame: &frame, meta: &meta, label_ids, edges }, &records)?);
     let artifacts: Vec<_> = files.into_iter().map(|file| file.into_artifact(INDEX)).collect();
@@ -110,6 +107,13 @@ pub(super) fn run(args: &FrameArgs) -> Result<()> {
         summarise(args, &renderer, &meta, &times, start);
     }
     Ok(())
+}
+
+/// What work comes to, and its milliseconds under a stage's name.
+fn timed<T>(stage: &'static str, work: impl FnOnce() -> Result<T>) -> Result<(T, (&'static str, f64))> {
+    let start = Instant::now();
+    let done = work()?;
+    Ok((done, (stage, start.elapsed().as_secs_f64() * 1e3)))
 }
 
 #[expect(clippy::print_stderr, reason = "messages to people go to stderr")]

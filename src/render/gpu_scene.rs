@@ -15,7 +15,6 @@ use super::horizon::{self, HorizonMap};
 use super::lit::{Group, Groups, Lit};
 use super::relief::Bands;
 use super::resolve::{self, Packing};
-use super::scene_pass::Variant;
 use super::selection::{Bounds, Selection, Slots, ground_blocks, near_to_far};
 use super::shaders::{CasterTile, FrameUniforms, HorizonLevel, Instance};
 use super::shadow::{self, CasterGrids, Shades};
@@ -32,7 +31,6 @@ use crate::gpu::staging::Staging;
 use crate::scene::Scene;
 use crate::scene::bounce::{Bounce, rms_slope};
 use crate::scene::mesh::{Icosphere, Vertex};
-use crate::scene::photometry::Law;
 use crate::scene::sky::{DOME_LEVEL, STAR_LEVEL};
 use crate::scene::terrain::Layout;
 
@@ -86,9 +84,6 @@ pub struct GpuScene {
     pub frame: Store,
     /// `ReliefUniforms`, each in a slot of its own.
     pub relief: Store,
-    law: Law,
-    has_rings: bool,
-    has_detail: bool,
     /// `Instance`s, each in a slot of its own.
     pub instances: Store,
     /// `CasterTile`s.
@@ -234,9 +229,6 @@ impl Default for GpuScene {
             indices: Store::new("scene/indices", BufferUsages::INDEX),
             frame: Store::new("frame/uniforms", BufferUsages::UNIFORM),
             relief: Store::new("scene/relief", BufferUsages::UNIFORM),
-            law: Law::Lambert,
-            has_rings: false,
-            has_detail: false,
             instances: Store::new("scene/instances", BufferUsages::UNIFORM.union(BufferUsages::STORAGE)),
             tiles: Store::new("shadow/tiles", BufferUsages::STORAGE),
             caster_grid: Store::new("shadow/caster_grid", BufferUsages::STORAGE),
@@ -312,8 +304,6 @@ impl GpuScene {
         self.uploaded_bytes += self.caster_grid.write(gpu, &caster_grid);
         let uniforms = frame_uniforms(scene, settings, picture_size, &self.horizon_map, self.atlas_px);
         self.uploaded_bytes += self.frame.write(gpu, &[uniforms]);
-        (self.law, self.has_detail) = (scene.photometry.law, scene.relief.is_some());
-        self.has_rings = matches!(scene.terrain.layout, Layout::Rings(_));
         self.upload_horizon(gpu, is_new);
     }
 
@@ -373,14 +363,6 @@ impl GpuScene {
             dome: self.facets.groups().dome() + 1,
             samples_per_side: targets.samples_per_side as usize,
         })
-    }
-
-    /// What the pipelines must be made for, to draw it on these targets.
-    #[must_use]
-    pub(super) const fn variant(&self, targets: &Targets) -> Variant {
-        let (annotations, is_given) = (targets.annotations, targets.is_given);
-        let (law, rings, detail) = (self.law, self.has_rings, self.has_detail);
-        Variant { annotations, law, rings, detail, is_given }
     }
 
     /// The index buffer depends on the ground's layout alone.

@@ -22,6 +22,12 @@ pub enum Lit {
     Sky,
 }
 
+impl Lit {
+    /// Those that light anything, whatever can shade it.
+    pub const BY_ANYTHING: [Self; 3] =
+        [Self::Rocks { shades: Shades::Both }, Self::Ground { shades: Shades::Both }, Self::Sky];
+}
+
 /// A group by its number.
 pub type Group = u8;
 

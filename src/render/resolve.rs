@@ -51,7 +51,7 @@ pub struct ResolvePass {
 
 /// What a pipeline of the pass is made for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Variant {
+pub struct Variant {
     samples_per_side: u32,
     annotated: bool,
     distorted: bool,
@@ -60,7 +60,8 @@ struct Variant {
 
 impl Variant {
     /// For samples of these targets and a picture of this size: smaller where a lens distorts it.
-    fn new(targets: &Targets, picture_size: [u32; 2]) -> Self {
+    #[must_use]
+    pub fn new(targets: &Targets, picture_size: [u32; 2]) -> Self {
         let distorted = targets.size != picture_size;
         Self {
             samples_per_side: targets.samples_per_side,
@@ -157,9 +158,8 @@ impl ResolvePass {
         Self { module: RESOLVE.compile(gpu), layout, pipelines: Vec::new() }
     }
 
-    /// Makes the pipeline for these targets and this picture, unless it is there.
-    pub fn prepare(&mut self, gpu: &Gpu, targets: &Targets, packed: &PackedFrame) {
-        let wanted = Variant::new(targets, packed.size);
+    /// Makes the pipeline, unless it is there.
+    pub fn prepare(&mut self, gpu: &Gpu, wanted: Variant) {
         if self.pipelines.iter().any(|(made, _)| *made == wanted) {
             return;
         }

@@ -1,6 +1,8 @@
 //! The scene pass: light on what the samples show. One draw for all samples that are lit alike writes every plane: colour
 //! and class cannot disagree.
 
+use rayon::prelude::*;
+
 use super::BindLayouts;
 use super::gpu_scene::{GpuScene, slot_stride};
 use super::lit::Lit;
@@ -8,7 +10,9 @@ use super::shaders::{Instance, ReliefUniforms, SKY, SURFACE};
 use super::targets::{DEPTH_FORMAT, GIVEN_FORMAT, Plane, Targets};
 use crate::frame::Annotations;
 use crate::gpu::Gpu;
+use crate::scene::Scene;
 use crate::scene::photometry::Law;
+use crate::scene::terrain::Layout;
 
 /// Pipelines of the pass.
 #[derive(Debug)]
@@ -35,6 +39,19 @@ pub(super) struct Variant {
     pub(super) is_given: bool,
 }
 
+impl Variant {
+    /// For a scene on these targets.
+    pub(super) fn new(scene: &Scene, targets: &Targets) -> Self {
+        Self {
+            annotations: targets.annotations,
+            law: scene.photometry.law,
+            rings: matches!(scene.terrain.layout, Layout::Rings(_)),
+            detail: scene.relief.is_some(),
+            is_given: targets.is_given,
+        }
+    }
+}
+
 /// The values of `DETAIL` in `surface.wgsl`.
 const NO_DETAIL: f64 = 0.0;
 const RELIEF_DETAIL: f64 = 1.0;
@@ -52,14 +69,23 @@ impl ScenePass {
         Self { surface: SURFACE.compile(gpu), sky: SKY.compile(gpu), layout, pipelines: Vec::new() }
     }
 
-    /// Makes the pipelines that a scene needs, unless they are there.
-    pub(super) fn prepare(&mut self, gpu: &Gpu, variant: Variant, scene: &GpuScene) {
-        for seen in &scene.draws.seen {
-            let wanted = (variant, seen.lit);
-            if !self.pipelines.iter().any(|(made, _)| *made == wanted) {
-                self.pipelines.push((wanted, self.pipeline(gpu, variant, seen.lit)));
+    /// Whether any pipeline was made for this.
+    #[must_use]
+    pub(super) fn has(&self, variant: Variant) -> bool {
+        self.pipelines.iter().any(|((made, _), _)| *made == variant)
+    }
+
+    /// Makes the pipelines that light so, unless they are there.
+    pub(super) fn prepare(&mut self, gpu: &Gpu, variant: Variant, wanted: impl IntoIterator<Item = Lit>) {
+        let mut missing: Vec<(Variant, Lit)> = Vec::new();
+        for wanted in wanted.into_iter().map(|lit| (variant, lit)) {
+            if !missing.contains(&wanted) && !self.pipelines.iter().any(|(made, _)| *made == wanted) {
+                missing.push(wanted);
             }
         }
+        let made = missing.par_iter().map(|&(variant, lit)| self.pipeline(gpu, variant, lit));
+        let made: Vec<_> = made.collect();
+        self.pipelines.extend(missing.into_iter().zip(made));
     }
 
     fn pipeline(&self, gpu: &Gpu, variant: Variant, lit: Lit) -> wgpu::RenderPipeline {
@@ -123,6 +149,7 @@ impl ScenePass {
         encoder: &mut wgpu::CommandEncoder,
         scene: &GpuScene,
         groups: [&wgpu::BindGroup; 3],
+        variant: Variant,
         targets: &Targets,
         timestamps: Option<wgpu::RenderPassTimestampWrites<'_>>,
     ) {
@@ -156,7 +183,6 @@ impl ScenePass {
         let [frame, instances, light] = groups;
         pass.set_bind_group(0, frame, &[]);
         pass.set_bind_group(2, light, &[]);
-        let variant = scene.variant(targets);
         for seen in &scene.draws.seen {
             let made = self.pipelines.iter().find(|(made, _)| *made == (variant, seen.lit));
             pass.set_pipeline(&made.expect("pipelines are prepared before they are used").1);
