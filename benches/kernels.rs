@@ -30,14 +30,11 @@ const SEED: u64 = 42;
 
 fn noise(c: &mut Criterion) {
     let fbm = Fbm { octaves: 4, frequency: 1.1, lacunarity: 2.05, seed: 7 };
-    let directions = &Icosphere::shared().directions;
-    let [x, y, z] = [0, 1, 2].map(|axis| directions.iter().map(|d| d[axis]).collect::<Vec<f32>>());
+    let Icosphere { directions, axes: [x, y, z], .. } = Icosphere::shared();
     let mut sums = vec![0.0; directions.len()];
     let mut group = c.benchmark_group("noise");
     group.throughput(Throughput::Elements(directions.len() as u64));
-    group.bench_function("fbm_3d_many", |b| {
-        b.iter(|| fbm.at_many_3d([&x, &y, &z], 1.0, black_box(&mut sums)))
-    });
+    group.bench_function("fbm_3d_many", |b| b.iter(|| fbm.at_many_3d([x, y, z], 1.0, black_box(&mut sums))));
     group.bench_function("fbm_3d_one_by_one", |b| {
         b.iter(|| directions.iter().map(|d| fbm.at_3d((*d).into())).sum::<f32>());
     });

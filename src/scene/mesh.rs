@@ -6,7 +6,7 @@ use std::collections::HashMap;
 use std::sync::LazyLock;
 
 use bytemuck::{Pod, Zeroable};
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec3, Vec3A, Vec4};
 
 /// A vertex as it is hashed, uploaded and exported.
 #[repr(C)]
@@ -26,6 +26,8 @@ pub struct Vertex {
 pub struct Icosphere {
     /// Unit vectors; level `l` uses the first `10 * 4^l + 2`.
     pub directions: Vec<Vec3>,
+    /// The same, axis by axis.
+    pub axes: [Vec<f32>; 3],
     /// Triangles of each level, counter-clockwise seen from outside.
     pub triangles: Vec<Vec<[u32; 3]>>,
     /// For every vertex beyond the twelve of the icosahedron: the two ends of the edge that it halves.
@@ -78,7 +80,9 @@ impl Icosphere {
                 .collect();
             triangles.push(finer);
         }
-        Self { directions: directions.iter().map(|d| d.as_vec3()).collect(), triangles, parents }
+        let directions: Vec<Vec3> = directions.iter().map(|d| d.as_vec3()).collect();
+        let axes = [0, 1, 2].map(|axis| directions.iter().map(|d| d[axis]).collect());
+        Self { directions, axes, triangles, parents }
     }
 
     /// For each level, a bound in metres on the distance between the surface drawn at that level and the one
@@ -88,18 +92,19 @@ impl Icosphere {
     /// the edge that it halves; over several levels these add up.
     #[must_use]
     pub fn level_errors_m(&self, vertices: &[Vertex]) -> Vec<f32> {
+        let positions = Positions::of(vertices);
         let mut errors = vec![0.0_f32];
         let mut level =
             (0..self.triangles.len()).find(|&l| Self::vertex_count(l) == vertices.len()).unwrap_or(0);
         while level > 0 {
             let (first, last) = (Self::vertex_count(level - 1), Self::vertex_count(level));
-            let worst = (first..last)
-                .map(|v| {
-                    let [a, b] = self.parents[v - 12];
-                    let middle = 0.5 * (vertices[a as usize].position + vertices[b as usize].position);
-                    vertices[v].position.distance_squared(middle)
-                })
-                .fold(0.0, f32::max);
+            let mut worst = 0.0;
+            for (v, &[a, b]) in (first as u32..).zip(&self.parents[first - 12..last - 12]) {
+                let middle = 0.5 * (positions.at(a) + positions.at(b));
+                let here = positions.at(v).distance_squared(middle);
+                // `f32::max` asks for more than a comparison.
+                worst = if here > worst { here } else { worst };
+            }
             errors.push(errors[errors.len() - 1] + worst.sqrt());
             level -= 1;
         }
@@ -132,19 +137,36 @@ fn icosahedron_faces(directions: &[DVec3]) -> Vec<[u32; 3]> {
 
 /// Sets each vertex's normal to the area-weighted mean of the normals of its triangles.
 pub fn set_smooth_normals(vertices: &mut [Vertex], triangles: &[[u32; 3]]) {
-    for vertex in vertices.iter_mut() {
-        vertex.normal = Vec3::ZERO;
-    }
-    for triangle in triangles {
-        let [p, q, r] = triangle.map(|v| vertices[v as usize].position);
+    let mut sums = vec![Vec3A::ZERO; vertices.len()];
+    let positions = Positions::of(vertices);
+    for &[a, b, c] in triangles {
+        let (p, q, r) = (positions.at(a), positions.at(b), positions.at(c));
         let twice_area_normal = (q - p).cross(r - p);
-        for &v in triangle {
-            vertices[v as usize].normal += twice_area_normal;
-        }
+        sums[a as usize] += twice_area_normal;
+        sums[b as usize] += twice_area_normal;
+        sums[c as usize] += twice_area_normal;
     }
-    for vertex in vertices {
-        let length = vertex.normal.length();
-        vertex.normal = if length > 0.0 { vertex.normal / length } else { Vec3::Z };
+    for (vertex, sum) in vertices.iter_mut().zip(sums) {
+        let length = sum.length();
+        vertex.normal = if length > 0.0 { (sum / length).into() } else { Vec3::Z };
+    }
+}
+
+/// Positions of vertices as vectors that fill a register: loaded with the number after them, which nothing comes of.
+#[derive(Clone, Copy)]
+struct Positions<'a>(&'a [[f32; FLOATS]]);
+
+/// Floats of a vertex.
+const FLOATS: usize = size_of::<Vertex>() / size_of::<f32>();
+
+impl<'a> Positions<'a> {
+    fn of(vertices: &'a [Vertex]) -> Self {
+        Self(bytemuck::cast_slice(vertices))
+    }
+
+    #[inline(always)]
+    fn at(self, vertex: u32) -> Vec3A {
+        Vec3A::from_vec4(Vec4::from_slice(&self.0[vertex as usize]))
     }
 }
 

@@ -50,7 +50,7 @@ impl Fbm {
     /// Unless there is a sum for every place.
     pub fn along_x(&self, x: &[f32], y: f32, sums: &mut [f32]) {
         assert_eq!(x.len(), sums.len(), "a sum for every place");
-        dispatch!(Level::new(), _simd => self.along_x_inlined(x, y, sums));
+        dispatch!(Level::new(), _simd => self.set_along_x(x, y, sums));
     }
 
     /// [`Self::at_3d`] of many places, given by their coordinates, of which each is taken times `zoom`.
@@ -59,16 +59,17 @@ impl Fbm {
     /// Unless there is a sum for every place.
     pub fn at_many_3d(&self, [x, y, z]: [&[f32]; 3], zoom: f32, sums: &mut [f32]) {
         assert!([y, z].map(<[f32]>::len) == [x.len(); 2] && sums.len() == x.len(), "a sum for every place");
-        dispatch!(Level::new(), _simd => self.at_many_3d_inlined([x, y, z], zoom, sums));
+        dispatch!(Level::new(), _simd => self.set_at_many_3d([x, y, z], zoom, sums));
     }
 
     // What vectors are made of is inlined wholly: a closure would be compiled for the narrowest of them.
     #[inline(always)]
-    fn along_x_inlined(&self, x: &[f32], y: f32, sums: &mut [f32]) {
+    fn set_along_x(&self, x: &[f32], y: f32, sums: &mut [f32]) {
         sums.fill(0.0);
         for Octave { gain, frequency, seed } in self.each() {
+            let gain = gain * HASH_UNIT;
             for (sum, x) in sums.iter_mut().zip(x) {
-                *sum += gain * value_noise_2d([x * frequency, y * frequency], seed);
+                *sum += gain * hash_noise_2d([x * frequency, y * frequency], seed);
             }
         }
         let total = self.total();
@@ -77,13 +78,15 @@ impl Fbm {
         }
     }
 
+    /// [`Self::at_many_3d`] where it is compiled for a width already.
     #[inline(always)]
-    fn at_many_3d_inlined(&self, [x, y, z]: [&[f32]; 3], zoom: f32, sums: &mut [f32]) {
+    pub(super) fn set_at_many_3d(&self, [x, y, z]: [&[f32]; 3], zoom: f32, sums: &mut [f32]) {
         sums.fill(0.0);
         for Octave { gain, frequency, seed } in self.each() {
+            let gain = gain * HASH_UNIT;
             for (((sum, x), y), z) in sums.iter_mut().zip(x).zip(y).zip(z) {
                 let place = [zoom * x * frequency, zoom * y * frequency, zoom * z * frequency];
-                *sum += gain * value_noise_3d(place, seed);
+                *sum += gain * hash_noise_3d(place, seed);
             }
         }
         let total = self.total();
@@ -127,7 +130,14 @@ fn scaled(sum: f32, total: f32) -> f32 {
 /// 2-D value noise in [0, 1): lattice values blended bilinearly with cubic smoothstep weights.
 #[must_use]
 #[inline(always)]
-pub fn value_noise_2d([px, py]: [f32; 2], seed: u32) -> f32 {
+pub fn value_noise_2d(place: [f32; 2], seed: u32) -> f32 {
+    HASH_UNIT * hash_noise_2d(place, seed)
+}
+
+/// The same in units of [`HASH_UNIT`]. That is a power of two, and so is the weight of an octave: which of them is multiplied
+/// by when changes no bit.
+#[inline(always)]
+fn hash_noise_2d([px, py]: [f32; 2], seed: u32) -> f32 {
     let (x, y) = (floor(px), floor(py));
     let (u, v) = (smoothstep(px - x as f32), smoothstep(py - y as f32));
     // The products of neighbours differ by the constants.
@@ -145,7 +155,13 @@ fn between(x: u32, rest: u32, u: f32) -> f32 {
 /// 3-D value noise in [0, 1): lattice values blended trilinearly with cubic smoothstep weights.
 #[must_use]
 #[inline(always)]
-pub fn value_noise_3d([px, py, pz]: [f32; 3], seed: u32) -> f32 {
+pub fn value_noise_3d(place: [f32; 3], seed: u32) -> f32 {
+    HASH_UNIT * hash_noise_3d(place, seed)
+}
+
+/// The same in units of [`HASH_UNIT`].
+#[inline(always)]
+fn hash_noise_3d([px, py, pz]: [f32; 3], seed: u32) -> f32 {
     let (x, y, z) = (floor(px), floor(py), floor(pz));
     let (u, v, w) = (smoothstep(px - x as f32), smoothstep(py - y as f32), smoothstep(pz - z as f32));
     // The products of neighbours differ by the constants.
@@ -186,11 +202,14 @@ pub fn gradient_noise_difference(cells: f64) -> f64 {
     (level * (1.0 - libm::exp(-rise * rise / level))).sqrt()
 }
 
-/// Value of a lattice point with this hash, uniform in [0, 1) with 24 bits.
+/// What [`value_of`] counts.
+const HASH_UNIT: f32 = 1.0 / 16_777_216.0;
+
+/// Value of a lattice point with this hash: 24 bits, uniform, in units of [`HASH_UNIT`].
 #[inline(always)]
 fn value_of(hash: u32) -> f32 {
     // Signed, for processors convert these faster; 24 bits are the same number either way.
-    (hash >> 8) as i32 as f32 * (1.0 / 16_777_216.0)
+    (hash >> 8) as i32 as f32
 }
 
 /// Factors of the coordinates in [`lattice_hash`].
@@ -247,7 +266,7 @@ mod tests {
     }
 
     fn lattice_value(x: i32, y: i32, z: i32, seed: u32) -> f32 {
-        value_of(lattice_hash(x, y, z, seed))
+        HASH_UNIT * value_of(lattice_hash(x, y, z, seed))
     }
 
     #[test]

@@ -9,6 +9,7 @@ pub mod lunar;
 
 use std::sync::Arc;
 
+use fearless_simd::{Level, dispatch};
 use glam::{Mat3, Vec2, Vec3};
 use rayon::prelude::*;
 
@@ -43,6 +44,8 @@ pub const EYE_CLEARANCE_M: f32 = 0.5;
 const LEAST_BURIAL: f32 = 0.02;
 /// The `dust_above` of a rock without dust.
 pub const NO_DUST: f32 = 2.0;
+/// Vertices whose displacement is reckoned together: few enough for what comes in between to stay in the nearest cache.
+const AT_A_TIME: usize = 512;
 /// Bounds of the distance of the surface from the centre of the undisplaced unit sphere.
 const RADIUS_RANGE: [f32; 2] = [0.50, 1.85];
 
@@ -183,9 +186,10 @@ impl Rock {
             Shape::draw(&mut streams.stream("rocks.shape", k), params.number(Knob::RocksDisplacement));
         let mesh_from_unit =
             draw_scale_and_rotation(&mut streams.stream("rocks.pose", k), placed.base_scale_m);
-        let mut vertices: Vec<Vertex> = sphere.directions[..Icosphere::vertex_count(level)]
+        let mut vertices: Vec<Vertex> = sphere
+            .directions
             .iter()
-            .zip(shape.radii(&sphere.directions[..Icosphere::vertex_count(level)]))
+            .zip(shape.radii(level))
             .map(|(&u, radius)| Vertex { position: mesh_from_unit * (radius * u), normal: Vec3::Z })
             .collect();
         set_smooth_normals(&mut vertices, &sphere.triangles[level]);
@@ -347,29 +351,44 @@ impl Shape {
         }
     }
 
-    /// Distance of the surface from the centre in each direction, relative to the undisplaced sphere.
-    fn radii(&self, directions: &[Vec3]) -> Vec<f32> {
-        let [x, y, z] = [0, 1, 2].map(|axis| {
+    /// Distance of the surface from the centre in each direction of a level, relative to the undisplaced sphere.
+    fn radii(&self, level: usize) -> Vec<f32> {
+        let mut radii = vec![0.0; Icosphere::vertex_count(level)];
+        for (chunk, radii) in radii.chunks_mut(AT_A_TIME).enumerate() {
+            let first = chunk * AT_A_TIME;
+            let axes = Icosphere::shared().axes.each_ref().map(|axis| &axis[first..first + radii.len()]);
+            dispatch!(Level::new(), _simd => self.set_radii(axes, radii));
+        }
+        radii
+    }
+
+    // Inlined wholly, to be compiled for each width of vectors.
+    #[inline(always)]
+    fn set_radii(&self, axes: [&[f32]; 3], radii: &mut [f32]) {
+        let mut domain = [[0.0; AT_A_TIME]; 3];
+        for axis in 0..3 {
             let (scale, offset) = (self.domain_scale[axis], self.domain_offset[axis]);
-            directions.iter().map(|u| scale * u[axis] + offset).collect::<Vec<f32>>()
-        });
-        let noise = |fbm: &Fbm, zoom: f32| {
-            let mut sums = vec![0.0; directions.len()];
-            fbm.at_many_3d([&x, &y, &z], zoom, &mut sums);
-            sums
-        };
-        let (lumps, ridges) = (noise(&self.lumps.0, 1.0), noise(&self.ridges.0, 1.7));
-        let (bumps, grain) = (noise(&self.bumps.0, 3.0), noise(&self.grain.0, 7.0));
-        (0..directions.len())
-            .map(|i| {
-                let crease = 1.0 - ridges[i].abs();
-                let sum = self.lumps.1 * lumps[i]
-                    + self.ridges.1 * (2.0 * crease * crease - 1.0)
-                    + self.bumps.1 * bumps[i]
-                    + self.grain.1 * grain[i];
-                (1.0 + self.amplitude * sum).clamp(RADIUS_RANGE[0], RADIUS_RANGE[1])
-            })
-            .collect()
+            for (place, u) in domain[axis].iter_mut().zip(axes[axis]) {
+                *place = scale * u + offset;
+            }
+        }
+        let [x, y, z] = &domain;
+        let places = [&x[..radii.len()], &y[..radii.len()], &z[..radii.len()]];
+        let mut sums = [[0.0; AT_A_TIME]; 4];
+        let [lumps, ridges, bumps, grain] = &mut sums;
+        self.lumps.0.set_at_many_3d(places, 1.0, &mut lumps[..radii.len()]);
+        self.ridges.0.set_at_many_3d(places, 1.7, &mut ridges[..radii.len()]);
+        self.bumps.0.set_at_many_3d(places, 3.0, &mut bumps[..radii.len()]);
+        self.grain.0.set_at_many_3d(places, 7.0, &mut grain[..radii.len()]);
+        let terms = lumps.iter().zip(&*ridges).zip(&*bumps).zip(&*grain);
+        for (radius, (((lump, ridge), bump), grain)) in radii.iter_mut().zip(terms) {
+            let crease = 1.0 - ridge.abs();
+            let sum = self.lumps.1 * lump
+                + self.ridges.1 * (2.0 * crease * crease - 1.0)
+                + self.bumps.1 * bump
+                + self.grain.1 * grain;
+            *radius = (1.0 + self.amplitude * sum).clamp(RADIUS_RANGE[0], RADIUS_RANGE[1]);
+        }
     }
 }
 

@@ -5,7 +5,7 @@
 //! [`super::relief`].
 //! Must not know: who asks.
 
-use glam::{Vec2, Vec3};
+use glam::{Vec2, Vec3, Vec3A};
 use rayon::prelude::*;
 
 use super::mesh::Vertex;
@@ -41,10 +41,10 @@ pub struct Crater {
 }
 
 impl Crater {
-    /// Whether it adds anything to the ground at this y, metres.
-    fn reaches(&self, y: f32) -> bool {
+    /// Whether it adds anything to the ground where `axis` (0 is x, 1 is y) is so many metres.
+    fn reaches(&self, axis: usize, at_m: f32) -> bool {
         // It ends at 2.5 radii.
-        (y - self.centre.y).abs() < 2.51 * self.radius_m
+        (at_m - self.centre[axis]).abs() < 2.51 * self.radius_m
     }
 
     /// Height that the crater adds at a place, metres: a parabolic bowl and a Gaussian rim.
@@ -120,9 +120,20 @@ impl Terrain {
             let mut finer = vec![0.0; x.len()];
             broad.along_x(x, y, heights);
             fine.along_x(x, y, &mut finer);
-            let near: Vec<&Crater> = craters.iter().filter(|crater| crater.reaches(y)).collect();
-            for ((height, finer), &x) in heights.iter_mut().zip(finer).zip(x) {
-                let sunk_m = near.iter().map(|crater| crater.height_at(Vec2::new(x, y))).sum::<f32>();
+            let near: Vec<&Crater> = craters.iter().filter(|crater| crater.reaches(1, y)).collect();
+            // What an empty sum comes to, to the bit.
+            let nothing = if near.is_empty() { -0.0 } else { 0.0 };
+            let mut sunk_m = vec![nothing; x.len()];
+            for crater in near {
+                let first = x.partition_point(|&x| x < crater.centre.x && !crater.reaches(0, x));
+                for (sunk_m, &x) in sunk_m[first..].iter_mut().zip(&x[first..]) {
+                    if !crater.reaches(0, x) {
+                        break;
+                    }
+                    *sunk_m += crater.height_at(Vec2::new(x, y));
+                }
+            }
+            for ((height, finer), sunk_m) in heights.iter_mut().zip(finer).zip(sunk_m) {
                 *height = amplitude_m * (*height + FINE_PER_BROAD * finer) + sunk_m;
             }
         })
@@ -228,19 +239,21 @@ impl Terrain {
             .for_each(|(row, &y)| set_heights(&coordinates, y, row));
         let cell_m = size_m / cells as f32;
         vertices.par_chunks_mut(row_len).enumerate().for_each(|(row, vertices)| {
-            let height = |column: usize, row: usize| heights[row * row_len + column];
             let last = row_len - 1;
+            let heights = |row: usize| &heights[row * row_len..][..row_len];
             let slope = |low: f32, high: f32, steps: usize| (high - low) / (steps as f32 * cell_m);
             let (south, north) = (row.saturating_sub(1), (row + 1).min(last));
+            let (here, steps) = (heights(row), north - south);
+            let (south, north) = (heights(south), heights(north));
             for (column, vertex) in vertices.iter_mut().enumerate() {
                 let (west, east) = (column.saturating_sub(1), (column + 1).min(last));
                 let gradient = Vec2::new(
-                    slope(height(west, row), height(east, row), east - west),
-                    slope(height(column, south), height(column, north), north - south),
+                    slope(here[west], here[east], east - west),
+                    slope(south[column], north[column], steps),
                 );
-                let normal = Vec3::new(-gradient.x, -gradient.y, 1.0);
-                vertex.normal = normal / normal.length();
-                vertex.position = Vec3::new(coordinates[column], coordinates[row], height(column, row));
+                let normal = Vec3A::new(-gradient.x, -gradient.y, 1.0);
+                vertex.normal = (normal / normal.length()).into();
+                vertex.position = Vec3::new(coordinates[column], coordinates[row], here[column]);
             }
         });
         Self {

@@ -397,9 +397,9 @@ fn albedo_ratio(params: &Params, draw: &mut Stream) -> f64 {
 /// A rough form about the size of the unit sphere, cut by planes.
 fn form(draw: &mut Stream, params: &Params, level: usize) -> Vec<Vec3> {
     let shape = Shape::draw(draw, params.number(Knob::RocksDisplacement));
-    let directions = &Icosphere::shared().directions[..Icosphere::vertex_count(level)];
+    let directions = &Icosphere::shared().directions;
     let mut positions: Vec<Vec3> =
-        directions.iter().zip(shape.radii(directions)).map(|(&u, radius)| radius * u).collect();
+        directions.iter().zip(shape.radii(level)).map(|(&u, radius)| radius * u).collect();
     // Extents come from the first vertices, so that a plane cuts a form of any level alike.
     let coarse = Icosphere::vertex_count(level.min(2));
     for _ in 0..PLANES {
