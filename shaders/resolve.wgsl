@@ -51,7 +51,7 @@ fn cs_main(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index
     for (var k = 0u; k < 4u; k++) {
         // Pixels beyond the last repeat it: they are never read.
         let pixel = min(4u * group + k, pixels - 1u);
-        let corner = vec2(pixel % frame.picture_size_px.x, pixel / frame.picture_size_px.x) * SIDE;
+        let corner = place_of(pixel) * SIDE;
         let radiance = mean_radiance(corner);
         bytes[k] = encoded(radiance);
         let class_id = class_of_most(corner);
@@ -62,6 +62,22 @@ fn cs_main(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index
     packed_words[3u * group + 1u] = bytes[1].y | (bytes[1].z << 8u) | (bytes[2].x << 16u) | (bytes[2].y << 24u);
     packed_words[3u * group + 2u] = bytes[2].z | (bytes[3].x << 8u) | (bytes[3].y << 16u) | (bytes[3].z << 24u);
     packed_words[3u * groups + group] = classes;
+}
+
+// Column and row of a pixel. A device that is a CPU divides whole numbers one by one: the row is reckoned in floating point, in
+// which it may be one off.
+fn place_of(pixel: u32) -> vec2<u32> {
+    let width = frame.picture_size_px.x;
+    var row = u32(f32(pixel) / f32(width));
+    var column = i32(pixel - row * width);
+    if column < 0 {
+        row -= 1u;
+        column += i32(width);
+    } else if column >= i32(width) {
+        row += 1u;
+        column -= i32(width);
+    }
+    return vec2(u32(column), row);
 }
 
 fn mean_radiance(corner: vec2<u32>) -> vec3<f32> {

@@ -7,13 +7,14 @@
 use std::ops::Range;
 
 use fearless_simd::{Level, dispatch};
-use glam::{BVec2, Mat4, UVec2, Vec2, Vec3};
+use glam::{BVec2, Mat4, UVec2, Vec2, Vec3, Vec4};
 use rayon::prelude::*;
 
 use super::RenderSettings;
 use super::lit::{Group, Groups};
 use super::raster::{
-    self, AT_ONCE, FURTHEST_PX, Outline, Place, Plane, Sides, Sifted, Span, Turn, texels_between,
+    self, AT_ONCE, FURTHEST_PX, Outline, Place, Plane, Sides, Sifted, Span, Turn, VERTICES, by_axis,
+    texels_between,
 };
 use super::relief::Bands;
 use super::selection::{BLOCK_CELLS, Bounds, SelectedRock, Selection, Slots, ground_blocks, near_to_far};
@@ -279,6 +280,41 @@ impl Samples {
         }
     }
 
+    /// [`Self::corner`] of up to [`VERTICES`] vertices of what lies at `origin`, metres from the eye.
+    // Inlined wholly, for each width of vectors; see `scene/noise.rs`.
+    #[inline(always)]
+    fn place(&self, origin: Vec3, vertices: &[Vertex], corners: &mut Vec<Corner>) {
+        let [x_row, y_row, _, w_row] = [0, 1, 2, 3].map(|row| self.clip_from_offset.row(row));
+        let ([half_x, half_y], [right, down]) = (self.half_size.to_array(), self.half_parts);
+        let [x, y, z] = by_axis(vertices.iter().map(|v| v.position));
+        let [normal_x, normal_y, normal_z] = by_axis(vertices.iter().map(|v| v.normal));
+        let mut placed = [[0; VERTICES]; 2];
+        let mut values = [[0.0; VERTICES]; 6];
+        for i in 0..VERTICES {
+            let offset = [origin.x + x[i], origin.y + y[i], origin.z + z[i]];
+            let (x, y, w) = (clip_axis(x_row, offset), -clip_axis(y_row, offset), clip_axis(w_row, offset));
+            let is_placed =
+                (w >= self.near_m) & (x.abs() <= self.reach.x * w) & (y.abs() <= self.reach.y * w);
+            let inverse_w = 1.0 / w;
+            let (x, y) = (x * inverse_w * half_x + half_x, y * inverse_w * half_y + half_y);
+            let (column, row) = (Place::part(x - 0.5 - half_x) + right, Place::part(y - 0.5 - half_y) + down);
+            placed[0][i] = if is_placed { column } else { 0 };
+            placed[1][i] = if is_placed { row } else { 0 };
+            values[0][i] = if is_placed { x - 0.5 } else { 0.0 };
+            values[1][i] = if is_placed { y - 0.5 } else { 0.0 };
+            values[2][i] = if is_placed { inverse_w } else { 0.0 };
+            values[3][i] = if is_placed { inverse_w * normal_x[i] } else { 0.0 };
+            values[4][i] = if is_placed { inverse_w * normal_y[i] } else { 0.0 };
+            values[5][i] = if is_placed { inverse_w * normal_z[i] } else { 0.0 };
+        }
+        corners.extend((0..vertices.len().min(VERTICES)).map(|i| Corner {
+            place: Place { x: placed[0][i], y: placed[1][i] },
+            at: Vec2::new(values[0][i], values[1][i]),
+            inverse_w: values[2][i],
+            normal_per_w: Vec3::new(values[3][i], values[4][i], values[5][i]),
+        }));
+    }
+
     /// Of what is before the lens and not far beside the picture, rows running down.
     #[inline]
     fn projected(&self, at: Vec2, w: f32, normal: Vec3) -> Corner {
@@ -386,11 +422,13 @@ impl Mesh {
         self.clipped.clear();
     }
 
-    /// Adds vertices.
-    fn extend(&mut self, corners: impl Iterator<Item = Corner>) {
-        let first = self.corners.len();
-        self.corners.extend(corners);
-        self.is_placed &= self.corners[first..].iter().all(|corner| corner.inverse_w > 0.0);
+    /// Adds the vertices of what lies at `origin`, metres from the eye.
+    fn extend(&mut self, samples: &Samples, origin: Vec3, vertices: &[Vertex]) {
+        for vertices in vertices.chunks(VERTICES) {
+            let first = self.corners.len();
+            dispatch!(Level::new(), _simd => samples.place(origin, vertices, &mut self.corners));
+            self.is_placed &= self.corners[first..].iter().all(|corner| corner.inverse_w > 0.0);
+        }
     }
 
     fn add_rock(&mut self, of: &Picture<'_>, selected: &SelectedRock) {
@@ -402,8 +440,7 @@ impl Mesh {
         let vertices = &rock.vertices[..Icosphere::vertex_count(level.min(rock.level))];
         let (middle, reach) = (rock.centre.truncate(), Vec2::splat(rock.radius_m));
         let lit_shades = of.shades_over(middle - reach, middle + reach);
-        let corner = |v: &Vertex| of.samples.corner(origin + v.position, v.normal);
-        self.extend(vertices.iter().map(corner));
+        self.extend(&of.samples, origin, vertices);
         let vertex = |v: u32| (origin + vertices[v as usize].position, vertices[v as usize].normal);
         for triangles in rock.triangles(level).chunks(AT_ONCE) {
             for &number in self.sifted(&of.samples, triangles).numbers() {
@@ -427,9 +464,9 @@ impl Mesh {
         let (row_len, block_row_len) = (terrain.columns + 1, columns.len() as u32 + 1);
         for row in rows.start..=rows.end {
             let first = (row * row_len + columns.start) as usize;
-            let vertices = &terrain.vertices[first..first + block_row_len as usize];
-            self.extend(vertices.iter().map(|v| of.samples.corner(v.position - eye, v.normal)));
+            self.extend(&of.samples, -eye, &terrain.vertices[first..first + block_row_len as usize]);
         }
+        let mut triangles: Vec<[u32; 3]> = Vec::new();
         for row in rows.clone() {
             let (south, first) = (row * row_len + columns.start, (row - rows.start) * block_row_len);
             let in_block = |vertex: u32| {
@@ -441,10 +478,12 @@ impl Mesh {
                 let vertex = &terrain.vertices[(south + (place - first) + skipped) as usize];
                 (vertex.position - eye, vertex.normal)
             };
-            let triangles: Vec<[u32; 3]> = terrain
-                .block_triangles(columns.clone(), row..row + 1)
-                .map(|triangle| triangle.map(in_block))
-                .collect();
+            triangles.clear();
+            triangles.extend(
+                terrain
+                    .block_triangles(columns.clone(), row..row + 1)
+                    .map(|[a, b, c]| [in_block(a), in_block(b), in_block(c)]),
+            );
             let per_cell = triangles.len() / columns.len();
             let mut of_cell = None;
             for &number in self.sifted(&of.samples, &triangles).numbers() {
@@ -469,7 +508,7 @@ impl Mesh {
         let origin = centre - of.scene.camera.eye;
         let directions = &sphere.directions[..Icosphere::vertex_count(level)];
         let vertex = |d: &Vec3| (origin + radius_m * *d, *d);
-        self.extend(directions.iter().map(|d| {
+        self.corners.extend(directions.iter().map(|d| {
             let (offset, normal) = vertex(d);
             of.samples.corner(offset, normal)
         }));
@@ -577,6 +616,12 @@ impl Mesh {
         self.rows = [self.rows[0].min(rows[0]), self.rows[1].max(rows[1])];
         self.facets.push(Facet { corners, facing, rows, shades, clipped });
     }
+}
+
+/// A row of a matrix times an offset, in the order of the product with the whole.
+#[inline(always)]
+fn clip_axis(row: Vec4, [x, y, z]: [f32; 3]) -> f32 {
+    row.x * x + row.y * y + row.z * z + row.w
 }
 
 /// A height that the ground around a rock does not fall below.

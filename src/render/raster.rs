@@ -8,7 +8,7 @@ use std::ops::Range;
 
 use fearless_simd::prelude::*;
 use fearless_simd::{f32x4, f32x8, i32x8, mask32x8};
-use glam::Vec2;
+use glam::{Vec2, Vec3};
 
 use crate::scene::noise::floor;
 
@@ -38,9 +38,28 @@ impl Place {
     #[must_use]
     #[inline(always)]
     pub fn rounded(at: Vec2) -> Self {
-        let part = |place: f32| floor(place * PARTS as f32 + 0.5);
-        Self { x: part(at.x), y: part(at.y) }
+        Self { x: Self::part(at.x), y: Self::part(at.y) }
     }
+
+    /// The nearest part to so many texels.
+    #[inline(always)]
+    pub fn part(texels: f32) -> i32 {
+        floor(texels * PARTS as f32 + 0.5)
+    }
+}
+
+/// Vertices whose places are reckoned at once.
+pub const VERTICES: usize = 64;
+
+/// Vectors axis by axis, as they are reckoned with at once; 0 beyond the last.
+#[must_use]
+#[inline(always)]
+pub fn by_axis(vectors: impl Iterator<Item = Vec3>) -> [[f32; VERTICES]; 3] {
+    let mut axes = [[0.0; VERTICES]; 3];
+    for (i, v) in vectors.take(VERTICES).enumerate() {
+        (axes[0][i], axes[1][i], axes[2][i]) = (v.x, v.y, v.z);
+    }
+    axes
 }
 
 /// What texels are painted with.

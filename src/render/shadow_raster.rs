@@ -18,8 +18,8 @@ use rayon::prelude::*;
 
 use super::atlas::{Atlas, Room};
 use super::raster::{
-    AT_ONCE, Corners, HEIGHT, LANES, Outline, Outlines, Paint, Place, Plane, Sides, Sifted, Turn, WIDTH,
-    load, store,
+    AT_ONCE, Corners, HEIGHT, LANES, Outline, Outlines, Paint, Place, Plane, Sides, Sifted, Turn, VERTICES,
+    WIDTH, by_axis, load, store,
 };
 use super::selection::Selection;
 use super::shaders::CasterTile;
@@ -199,8 +199,11 @@ pub fn draw(scene: &Scene, tiles: &[NewTile], pages: &mut dyn Iterator<Item = Pa
         let rock = &scene.rocks[tile.rock];
         let vertices = &rock.vertices[..Icosphere::vertex_count(tile.level)];
         CANVAS.with_borrow_mut(|canvas| {
-            canvas.project(&tile.place, rows, scene, vertices);
-            dispatch!(Level::new(), simd => canvas.draw(simd, rock.triangles(tile.level)));
+            canvas.restart(tile.size(), rows);
+            dispatch!(Level::new(), simd => {
+                canvas.project(&tile.place, scene, vertices);
+                canvas.draw(simd, rock.triangles(tile.level));
+            });
             canvas.write_middles(tile.row_bytes(), Writer::new(pages));
         });
     });
@@ -232,26 +235,43 @@ struct Canvas {
 }
 
 impl Canvas {
-    /// Clears the layers and finds the places of a caster's vertices.
-    fn project(&mut self, tile: &CasterTile, rows: Range<usize>, scene: &Scene, vertices: &[Vertex]) {
-        self.size = tile.size_px as usize;
-        self.stride = self.size + WIDTH;
+    /// Clears the layers for some rows of a tile.
+    fn restart(&mut self, size: usize, rows: Range<usize>) {
+        self.size = size;
+        self.stride = size + WIDTH;
         for layer in &mut self.layers {
             layer.clear();
             layer.resize(self.stride * (rows.len() + HEIGHT), 0.0);
         }
         self.rows = rows;
+        self.corners.clear();
+    }
+
+    /// Finds the places of a caster's vertices in its tile.
+    #[inline(always)]
+    fn project(&mut self, tile: &CasterTile, scene: &Scene, vertices: &[Vertex]) {
         let [right, up] = scene.sun.right_and_up();
         let (right, down, towards) = (right, -up, scene.sun.direction);
         let half = 0.5 / tile.half_extent_m;
         let texels = tile.size_px;
-        let corner = |vertex: &Vertex| {
-            let p: Vec3 = half * vertex.position;
-            let at = (0.5 + Vec2::new(p.dot(right), p.dot(down))) * texels - 0.5;
-            Corner { place: Place::rounded(at), at, depth: 0.5 + p.dot(towards) }
-        };
-        self.corners.clear();
-        self.corners.extend(vertices.iter().map(corner));
+        for vertices in vertices.chunks(VERTICES) {
+            let [x, y, z] = by_axis(vertices.iter().map(|vertex| vertex.position));
+            let (mut at, mut depth) = ([[0.0; VERTICES]; 2], [0.0; VERTICES]);
+            let mut parts = [[0; VERTICES]; 2];
+            for i in 0..VERTICES {
+                let p = [half * x[i], half * y[i], half * z[i]];
+                at[0][i] = (0.5 + along(p, right)) * texels - 0.5;
+                at[1][i] = (0.5 + along(p, down)) * texels - 0.5;
+                parts[0][i] = Place::part(at[0][i]);
+                parts[1][i] = Place::part(at[1][i]);
+                depth[i] = 0.5 + along(p, towards);
+            }
+            self.corners.extend((0..vertices.len()).map(|i| Corner {
+                place: Place { x: parts[0][i], y: parts[1][i] },
+                at: Vec2::new(at[0][i], at[1][i]),
+                depth: depth[i],
+            }));
+        }
     }
 
     // Inlined wholly, for each width of vectors; see `scene/noise.rs`.
@@ -298,6 +318,12 @@ impl Canvas {
             to.row(bytemuck::cast_slice(line), row_bytes);
         }
     }
+}
+
+/// How far a place is along an axis.
+#[inline(always)]
+fn along([x, y, z]: [f32; 3], axis: Vec3) -> f32 {
+    x * axis.x + y * axis.y + z * axis.z
 }
 
 /// Draws a triangle into the layer of what faces as it does, of some rows of a tile of so many columns.
