@@ -375,6 +375,9 @@ impl<'a> CasterCells<'a> {
             self.shaded_by(scene, caster, |cell| found.push((cell as u32, number)));
         }
         let mut counts = vec![0; self.rows.len() * self.cells];
+        if found.is_empty() {
+            return Lists { counts, casters: Vec::new() };
+        }
         for &(cell, _) in &found {
             counts[cell as usize] += 1;
         }
