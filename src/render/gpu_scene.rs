@@ -2,7 +2,9 @@
 //!
 //! The draw list is made anew for each frame from a [`Selection`], near things first.
 
+use std::collections::HashMap;
 use std::ops::Range;
+use std::sync::{Arc, Weak};
 use std::time::Instant;
 
 use glam::Mat4;
@@ -32,7 +34,7 @@ use crate::scene::Scene;
 use crate::scene::bounce::{Bounce, rms_slope};
 use crate::scene::mesh::{Icosphere, Vertex};
 use crate::scene::sky::{DOME_LEVEL, STAR_LEVEL};
-use crate::scene::terrain::Layout;
+use crate::scene::terrain::{Layout, Terrain};
 
 /// One indexed draw.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -108,10 +110,34 @@ pub struct GpuScene {
     horizon_map: HorizonMap,
     /// The same on the device, two heights a texel.
     pub horizon: Option<(wgpu::Texture, wgpu::TextureView)>,
+    /// Where meshes lie among the vertices, if the device is to draw any.
+    meshes: Meshes,
     ground: Option<GroundBlocks>,
     sphere_levels: Vec<Range<u32>>,
     /// Bytes written to the device for the last frame.
     pub uploaded_bytes: u64,
+}
+
+/// Where the meshes of a scene lie among the vertices on the device, behind the unit sphere: they stay while a scene does.
+#[derive(Debug, Default)]
+struct Meshes {
+    /// Keeps the ground's address from being given to another, but not the ground. So with the rocks.
+    terrain: Weak<Terrain>,
+    ground: i32,
+    /// Of each rock of the scene, its mesh and the first vertex of it. Rocks may share one.
+    rocks: Vec<(Weak<Vec<Vertex>>, i32)>,
+}
+
+impl Meshes {
+    fn are_of(&self, scene: &Scene) -> bool {
+        self.terrain.as_ptr() == Arc::as_ptr(&scene.terrain)
+            && self.rocks.len() == scene.rocks.len()
+            && self
+                .rocks
+                .iter()
+                .zip(&scene.rocks)
+                .all(|((mesh, _), rock)| mesh.as_ptr() == Arc::as_ptr(&rock.vertices))
+    }
 }
 
 /// Index ranges of the ground's blocks, for a number of columns and rows, and whether they are rings.
@@ -242,6 +268,7 @@ impl Default for GpuScene {
             drawn_triangles: 0,
             horizon_map: HorizonMap::default(),
             horizon: None,
+            meshes: Meshes::default(),
             ground: None,
             sphere_levels: Vec::new(),
             uploaded_bytes: 0,
@@ -387,19 +414,11 @@ impl GpuScene {
         self.uploaded_bytes += self.indices.write(gpu, triangles.as_flattened());
     }
 
-    /// Vertices, indices and draws of what the device is to draw, whole meshes: casters, and ground, rocks and sky for `seen`, all
-    /// groups.
-    fn upload_draws(
-        &mut self,
-        gpu: &Gpu,
-        scene: &Scene,
-        settings: &RenderSettings,
-        bands: &Bands,
-        slots: Slots<'_>,
-        seen: &mut [Seen],
-    ) {
-        self.upload_indices(gpu, scene);
-        let selection = slots.selection();
+    /// All vertices of a scene, unless the device has them.
+    fn upload_vertices(&mut self, gpu: &Gpu, scene: &Scene) {
+        if self.meshes.are_of(scene) {
+            return;
+        }
         let sphere: Vec<Vertex> = Icosphere::shared().directions[..Icosphere::vertex_count(DOME_LEVEL)]
             .iter()
             .map(|&d| Vertex { position: d, normal: d })
@@ -412,6 +431,32 @@ impl GpuScene {
             next_vertex += vertices.len();
             first as i32
         };
+        let ground = upload(&scene.terrain.vertices);
+        let mut firsts: HashMap<*const Vec<Vertex>, i32> = HashMap::new();
+        let rocks = scene.rocks.iter().map(|rock| {
+            let mesh = &rock.vertices;
+            let first = *firsts.entry(Arc::as_ptr(mesh)).or_insert_with(|| upload(mesh));
+            (Arc::downgrade(mesh), first)
+        });
+        let rocks = rocks.collect();
+        self.meshes = Meshes { terrain: Arc::downgrade(&scene.terrain), ground, rocks };
+        self.uploaded_bytes += self.vertices.write_parts(gpu, &uploads);
+    }
+
+    /// Vertices, indices and draws of what the device is to draw, whole meshes: casters, and ground, rocks and sky for `seen`, all
+    /// groups.
+    fn upload_draws(
+        &mut self,
+        gpu: &Gpu,
+        scene: &Scene,
+        settings: &RenderSettings,
+        bands: &Bands,
+        slots: Slots<'_>,
+        seen: &mut [Seen],
+    ) {
+        self.upload_indices(gpu, scene);
+        self.upload_vertices(gpu, scene);
+        let selection = slots.selection();
         let mut show = |group: Group, draw: Draw, bounds: Bounds| {
             let seen = &mut seen[usize::from(group)];
             seen.draws.push(draw);
@@ -419,14 +464,12 @@ impl GpuScene {
         };
         let DrawnHere { shadow_map_ms, visibility_ms } = self.drawn_here;
         let (draws_casters, draws_seen) = (shadow_map_ms.is_none(), visibility_ms.is_none());
-        // As many vertices as the finer of a rock's uses needs.
         let mut seen_rocks = Vec::new();
         for (place, selected) in selection.rocks.iter().enumerate() {
             let casts = selected.caster.map(|(_, level)| level).filter(|_| draws_casters);
             let shows = selected.seen_level.filter(|_| draws_seen);
-            let Some(finer) = shows.max(casts) else { continue };
             let rock = &scene.rocks[selected.rock];
-            let base_vertex = upload(&rock.vertices[..Icosphere::vertex_count(finer.min(rock.level))]);
+            let (_, base_vertex) = self.meshes.rocks[selected.rock];
             let draw = |level: usize| {
                 let (indices, instance) = (self.sphere_levels[level].clone(), Slots::rock(place));
                 Draw { indices, base_vertex, instance }
@@ -439,7 +482,7 @@ impl GpuScene {
             for (_, (draw, bounds)) in near_to_far(seen_rocks.into_iter()) {
                 show(Groups::rocks(Shades::Both), draw, bounds);
             }
-            let base_vertex = upload(&scene.terrain.vertices);
+            let base_vertex = self.meshes.ground;
             if let Some(known) = &self.ground {
                 let blocks = selection.blocks.iter().map(|&(block, nearest_m)| (nearest_m, block));
                 for (_, block) in near_to_far(blocks) {
@@ -460,7 +503,6 @@ impl GpuScene {
             let triangles = |draw: &Draw| u64::from(draw.indices.end - draw.indices.start) / 3;
             self.drawn_triangles = seen.iter().flat_map(|seen| &seen.draws).map(triangles).sum();
         }
-        self.uploaded_bytes += self.vertices.write_parts(gpu, &uploads);
     }
 
     fn upload_horizon(&mut self, gpu: &Gpu, is_new: bool) {
@@ -482,6 +524,7 @@ impl GpuScene {
     /// After an error: what was written to the device may not be there.
     pub fn forget(&mut self) {
         self.horizon = None;
+        self.meshes = Meshes::default();
         self.shadow_map = ShadowMap::default();
     }
 }
