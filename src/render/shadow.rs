@@ -262,18 +262,24 @@ pub fn caster_grid(
     let (mut start, mut asks) = (first as u32, asks.as_slice());
     let mut parts = Vec::new();
     for lists in &lists {
-        let (own, others) = starts.split_at_mut(lists.counts.len());
+        let (own, others) = starts.split_at_mut(lists.ends.len());
         let (listed, behind) = rest.split_at_mut(lists.casters.len());
-        let (ask, not_yet) = asks.split_at(lists.counts.len());
+        let (ask, not_yet) = asks.split_at(lists.ends.len());
         parts.push((lists, start, own, ask, listed));
         start += lists.casters.len() as u32;
         (starts, rest, asks) = (others, behind, not_yet);
     }
     starts[0] = start;
-    parts.into_par_iter().for_each(|(lists, mut start, starts, asks, listed)| {
-        for ((place, count), ask) in starts.iter_mut().zip(&lists.counts).zip(asks) {
-            *place = if *ask { start | ASK_HORIZON } else { start };
-            start += count;
+    parts.into_par_iter().for_each(|(lists, start, starts, asks, listed)| {
+        // A list begins where the one before ends.
+        if let Some((first, others)) = starts.split_first_mut() {
+            *first = start;
+            for (place, end) in others.iter_mut().zip(&lists.ends) {
+                *place = start + end;
+            }
+        }
+        for (place, ask) in starts.iter_mut().zip(asks) {
+            *place |= if *ask { ASK_HORIZON } else { 0 };
         }
         listed.copy_from_slice(&lists.casters);
     });
@@ -306,8 +312,8 @@ fn place(metres: f32, cell_m: f32, cells: usize) -> usize {
 
 /// The lists of some cells, one after the other.
 struct Lists {
-    /// How many casters each cell has.
-    counts: Vec<u32>,
+    /// Where that of each cell ends.
+    ends: Vec<u32>,
     /// Casters by their numbers.
     casters: Vec<u32>,
 }
@@ -374,28 +380,26 @@ impl<'a> CasterCells<'a> {
         for (number, caster) in (0..).zip(casters) {
             self.shaded_by(scene, caster, |cell| found.push((cell as u32, number)));
         }
-        let mut counts = vec![0; self.rows.len() * self.cells];
+        let mut ends = vec![0; self.rows.len() * self.cells];
+        let mut casters = vec![0; found.len()];
         if found.is_empty() {
-            return Lists { counts, casters: Vec::new() };
+            return Lists { ends, casters };
         }
         for &(cell, _) in &found {
-            counts[cell as usize] += 1;
+            ends[cell as usize] += 1;
         }
-        let mut ends: Vec<u32> = counts
-            .iter()
-            .scan(0, |end, count| {
-                let start = *end;
-                *end += count;
-                Some(start)
-            })
-            .collect();
-        let mut casters = vec![0; found.len()];
+        // How many there are becomes where they begin, and then, as they are listed, where they end.
+        let mut start = 0;
+        for end in &mut ends {
+            let count = std::mem::replace(end, start);
+            start += count;
+        }
         for (cell, number) in found {
             let end = &mut ends[cell as usize];
             casters[*end as usize] = number;
             *end += 1;
         }
-        Lists { counts, casters }
+        Lists { ends, casters }
     }
 
     /// Gives every one of the cells, counted from the first, that the shadow of a caster can touch above the ground.
