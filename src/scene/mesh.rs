@@ -6,7 +6,7 @@ use std::collections::HashMap;
 use std::sync::LazyLock;
 
 use bytemuck::{Pod, Zeroable};
-use glam::{DVec3, Vec3, Vec3A, Vec4};
+use glam::{DVec3, Vec3, Vec3A, Vec3Swizzles, Vec4};
 
 /// A vertex as it is hashed, uploaded and exported.
 #[repr(C)]
@@ -141,7 +141,7 @@ pub fn set_smooth_normals(vertices: &mut [Vertex], triangles: &[[u32; 3]]) {
     let positions = Positions::of(vertices);
     for &[a, b, c] in triangles {
         let (p, q, r) = (positions.at(a), positions.at(b), positions.at(c));
-        let twice_area_normal = (q - p).cross(r - p);
+        let twice_area_normal = cross(q - p, r - p);
         sums[a as usize] += twice_area_normal;
         sums[b as usize] += twice_area_normal;
         sums[c as usize] += twice_area_normal;
@@ -150,6 +150,12 @@ pub fn set_smooth_normals(vertices: &mut [Vertex], triangles: &[[u32; 3]]) {
         let length = sum.length();
         vertex.normal = if length > 0.0 { (sum / length).into() } else { Vec3::Z };
     }
+}
+
+/// The cross product. That of glam is fused on some machines.
+#[inline(always)]
+fn cross(a: Vec3A, b: Vec3A) -> Vec3A {
+    (a.zxy() * b - b.zxy() * a).zxy()
 }
 
 /// Positions of vertices as vectors that fill a register: loaded with the number after them, which nothing comes of.
