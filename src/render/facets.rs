@@ -269,18 +269,8 @@ impl Samples {
         (Vec2::new(clip.x, -clip.y), clip.w)
     }
 
-    /// Of a vertex, by its offset from the eye.
-    #[inline]
-    fn corner(&self, offset: Vec3, normal: Vec3) -> Corner {
-        let (at, w) = self.clip(offset);
-        if w >= self.near_m && at.abs().cmple(self.reach * w).all() {
-            self.projected(at, w, normal)
-        } else {
-            Corner::default()
-        }
-    }
-
-    /// [`Self::corner`] of up to [`VERTICES`] vertices of what lies at `origin`, metres from the eye.
+    /// Adds the corners of up to [`VERTICES`] vertices of what lies at `origin`, metres from the eye: as [`Self::projected`] has them,
+    /// but without a place where one is not before the lens or far beside the picture.
     // Inlined wholly, for each width of vectors; see `scene/noise.rs`.
     #[inline(always)]
     fn place(&self, origin: Vec3, vertices: &[Vertex], corners: &mut Vec<Corner>) {
@@ -507,14 +497,15 @@ impl Mesh {
         let first = self.corners.len() as u32;
         let origin = centre - of.scene.camera.eye;
         let directions = &sphere.directions[..Icosphere::vertex_count(level)];
-        let vertex = |d: &Vec3| (origin + radius_m * *d, *d);
-        self.corners.extend(directions.iter().map(|d| {
-            let (offset, normal) = vertex(d);
-            of.samples.corner(offset, normal)
-        }));
+        let vertices: Vec<Vertex> =
+            directions.iter().map(|&d| Vertex { position: radius_m * d, normal: d }).collect();
+        self.extend(&of.samples, origin, &vertices);
         for triangle in &sphere.triangles[level] {
             let triangle = triangle.map(|vertex| first + vertex);
-            let vertex = |place: u32| vertex(&directions[(place - first) as usize]);
+            let vertex = |place: u32| {
+                let Vertex { position, normal } = vertices[(place - first) as usize];
+                (origin + position, normal)
+            };
             self.add(&of.samples, triangle, Sides::Both, || Some(Shades::Nothing), vertex);
         }
     }
@@ -674,7 +665,9 @@ mod tests {
     /// A mesh of these triangles.
     fn mesh(samples: &Samples, vertices: &[Vec3], triangles: &[[u32; 3]]) -> Mesh {
         let mut mesh = Mesh::default();
-        mesh.corners.extend(vertices.iter().map(|&v| samples.corner(v, Vec3::Z)));
+        let as_vertices: Vec<Vertex> =
+            vertices.iter().map(|&position| Vertex { position, normal: Vec3::Z }).collect();
+        mesh.extend(samples, Vec3::ZERO, &as_vertices);
         for &triangle in triangles {
             let vertex = |v: u32| (vertices[v as usize], Vec3::Z);
             mesh.add(samples, triangle, Sides::Both, || Some(Shades::Nothing), vertex);
