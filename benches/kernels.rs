@@ -20,7 +20,7 @@ use regolith::render::shadow_raster::{self, ShadowMap};
 use regolith::render::visibility_raster::Stencil;
 use regolith::render::{RenderSettings, shadow};
 use regolith::scene::Scene;
-use regolith::scene::mesh::{Icosphere, set_smooth_normals};
+use regolith::scene::mesh::Icosphere;
 use regolith::scene::noise::Fbm;
 use regolith::scene::sky::Sun;
 use regolith::scene::terrain::Terrain;
@@ -34,7 +34,7 @@ fn noise(c: &mut Criterion) {
     let mut sums = vec![0.0; directions.len()];
     let mut group = c.benchmark_group("noise");
     group.throughput(Throughput::Elements(directions.len() as u64));
-    group.bench_function("fbm_3d_many", |b| b.iter(|| fbm.at_many_3d([x, y, z], 1.0, black_box(&mut sums))));
+    group.bench_function("fbm_3d_many", |b| b.iter(|| fbm.at_many_3d([x, y, z], black_box(&mut sums))));
     group.bench_function("fbm_3d_one_by_one", |b| {
         b.iter(|| directions.iter().map(|d| fbm.at_3d((*d).into())).sum::<f32>());
     });
@@ -60,7 +60,7 @@ fn geometry(c: &mut Criterion) {
         let copy = || rock.vertices.to_vec();
         b.iter_batched_ref(
             copy,
-            |v| set_smooth_normals(v, rock.triangles(rock.level)),
+            |v| Icosphere::shared().set_smooth_normals(v, rock.level),
             BatchSize::SmallInput,
         );
     });

@@ -99,8 +99,8 @@ impl Icosphere {
         while level > 0 {
             let (first, last) = (Self::vertex_count(level - 1), Self::vertex_count(level));
             let mut worst = 0.0;
-            for (v, &[a, b]) in (first as u32..).zip(&self.parents[first - 12..last - 12]) {
-                let middle = 0.5 * (positions.at(a) + positions.at(b));
+            for (v, &[a, b]) in (first..).zip(&self.parents[first - 12..last - 12]) {
+                let middle = 0.5 * (positions.at(a as usize) + positions.at(b as usize));
                 let here = positions.at(v).distance_squared(middle);
                 // `f32::max` asks for more than a comparison.
                 worst = if here > worst { here } else { worst };
@@ -110,6 +110,35 @@ impl Icosphere {
         }
         errors.reverse();
         errors
+    }
+
+    /// Sets the normals of the vertices of a level to the area-weighted mean of the normals of their triangles.
+    ///
+    /// # Panics
+    /// Unless the level is finer than the icosahedron, and has as many vertices.
+    pub fn set_smooth_normals(&self, vertices: &mut [Vertex], level: usize) {
+        assert!(level > 0 && vertices.len() == Self::vertex_count(level), "the vertices of level {level}");
+        let mut sums = vec![Vec3A::ZERO; vertices.len()];
+        let positions = Positions::of(vertices);
+        // The four that a coarser triangle was split into are one step, with a third of the loads and stores.
+        for &[[a, ..], [_, b, _], [.., c], [ab, bc, ca]] in self.triangles[level].as_chunks::<4>().0 {
+            let [a, b, c, ab, bc, ca] =
+                [a as usize, b as usize, c as usize, ab as usize, bc as usize, ca as usize];
+            let (p, q, r) = (positions.at(a), positions.at(b), positions.at(c));
+            let (pq, qr, rp) = (positions.at(ab), positions.at(bc), positions.at(ca));
+            let (first, second) = (cross(pq - p, rp - p), cross(q - pq, qr - pq));
+            let (third, middle) = (cross(qr - rp, r - rp), cross(qr - pq, rp - pq));
+            sums[a] += first;
+            sums[b] += second;
+            sums[c] += third;
+            sums[ab] = sums[ab] + first + second + middle;
+            sums[bc] = sums[bc] + second + third + middle;
+            sums[ca] = sums[ca] + first + third + middle;
+        }
+        for (vertex, sum) in vertices.iter_mut().zip(sums) {
+            let length = sum.length();
+            vertex.normal = if length > 0.0 { (sum / length).into() } else { Vec3::Z };
+        }
     }
 }
 
@@ -135,23 +164,6 @@ fn icosahedron_faces(directions: &[DVec3]) -> Vec<[u32; 3]> {
     faces
 }
 
-/// Sets each vertex's normal to the area-weighted mean of the normals of its triangles.
-pub fn set_smooth_normals(vertices: &mut [Vertex], triangles: &[[u32; 3]]) {
-    let mut sums = vec![Vec3A::ZERO; vertices.len()];
-    let positions = Positions::of(vertices);
-    for &[a, b, c] in triangles {
-        let (p, q, r) = (positions.at(a), positions.at(b), positions.at(c));
-        let twice_area_normal = cross(q - p, r - p);
-        sums[a as usize] += twice_area_normal;
-        sums[b as usize] += twice_area_normal;
-        sums[c as usize] += twice_area_normal;
-    }
-    for (vertex, sum) in vertices.iter_mut().zip(sums) {
-        let length = sum.length();
-        vertex.normal = if length > 0.0 { (sum / length).into() } else { Vec3::Z };
-    }
-}
-
 /// The cross product. That of glam is fused on some machines.
 #[inline(always)]
 fn cross(a: Vec3A, b: Vec3A) -> Vec3A {
@@ -171,8 +183,8 @@ impl<'a> Positions<'a> {
     }
 
     #[inline(always)]
-    fn at(self, vertex: u32) -> Vec3A {
-        Vec3A::from_vec4(Vec4::from_slice(&self.0[vertex as usize]))
+    fn at(self, vertex: usize) -> Vec3A {
+        Vec3A::from_vec4(Vec4::from_slice(&self.0[vertex]))
     }
 }
 
@@ -240,7 +252,7 @@ mod tests {
             .iter()
             .map(|&d| Vertex { position: 3.0 * d, normal: Vec3::ZERO })
             .collect();
-        set_smooth_normals(&mut vertices, &sphere.triangles[4]);
+        sphere.set_smooth_normals(&mut vertices, 4);
         assert!(vertices.iter().all(|v| v.normal.dot(v.position / 3.0) > 0.9995));
     }
 

@@ -44,49 +44,32 @@ impl Fbm {
         scaled(sum, self.total())
     }
 
-    /// [`Self::at_2d`] of every place of a line along x: `sums[i]` is that at `(x[i], y)`.
-    ///
-    /// # Panics
-    /// Unless there is a sum for every place.
-    pub fn along_x(&self, x: &[f32], y: f32, sums: &mut [f32]) {
-        assert_eq!(x.len(), sums.len(), "a sum for every place");
-        dispatch!(Level::new(), _simd => self.set_along_x(x, y, sums));
+    /// The sums of a grid whose columns are at these coordinates, to be taken line by line.
+    #[must_use]
+    pub fn lines<'a>(&self, x: &'a [f32]) -> Lines<'a> {
+        let line =
+            |octave| OctaveLines { octave, row: None, sides: [vec![0.0; x.len()], vec![0.0; x.len()]] };
+        Lines { x, octaves: self.each().map(line).collect(), total: self.total() }
     }
 
-    /// [`Self::at_3d`] of many places, given by their coordinates, of which each is taken times `zoom`.
+    /// [`Self::at_3d`] of many places, given by their coordinates.
     ///
     /// # Panics
     /// Unless there is a sum for every place.
-    pub fn at_many_3d(&self, [x, y, z]: [&[f32]; 3], zoom: f32, sums: &mut [f32]) {
+    pub fn at_many_3d(&self, [x, y, z]: [&[f32]; 3], sums: &mut [f32]) {
         assert!([y, z].map(<[f32]>::len) == [x.len(); 2] && sums.len() == x.len(), "a sum for every place");
-        dispatch!(Level::new(), _simd => self.set_at_many_3d([x, y, z], zoom, sums));
-    }
-
-    // What vectors are made of is inlined wholly: a closure would be compiled for the narrowest of them.
-    #[inline(always)]
-    fn set_along_x(&self, x: &[f32], y: f32, sums: &mut [f32]) {
-        sums.fill(0.0);
-        for Octave { gain, frequency, seed } in self.each() {
-            let gain = gain * HASH_UNIT;
-            for (sum, x) in sums.iter_mut().zip(x) {
-                *sum += gain * hash_noise_2d([x * frequency, y * frequency], seed);
-            }
-        }
-        let total = self.total();
-        for sum in sums {
-            *sum = scaled(*sum, total);
-        }
+        dispatch!(Level::new(), _simd => self.set_at_many_3d([x, y, z], sums));
     }
 
     /// [`Self::at_many_3d`] where it is compiled for a width already.
+    // What vectors are made of is inlined wholly: a closure would be compiled for the narrowest of them.
     #[inline(always)]
-    pub(super) fn set_at_many_3d(&self, [x, y, z]: [&[f32]; 3], zoom: f32, sums: &mut [f32]) {
+    pub(super) fn set_at_many_3d(&self, [x, y, z]: [&[f32]; 3], sums: &mut [f32]) {
         sums.fill(0.0);
         for Octave { gain, frequency, seed } in self.each() {
             let gain = gain * HASH_UNIT;
             for (((sum, x), y), z) in sums.iter_mut().zip(x).zip(y).zip(z) {
-                let place = [zoom * x * frequency, zoom * y * frequency, zoom * z * frequency];
-                *sum += gain * hash_noise_3d(place, seed);
+                *sum += gain * hash_noise_3d([x * frequency, y * frequency, z * frequency], seed);
             }
         }
         let total = self.total();
@@ -115,10 +98,75 @@ impl Fbm {
 }
 
 /// A term of a fractal sum.
+#[derive(Debug)]
 struct Octave {
     gain: f32,
     frequency: f32,
     seed: u32,
+}
+
+/// Sums of plane noise along the lines of a grid. Lines between the same rows of an octave's lattice share what it is along
+/// these rows.
+#[derive(Debug)]
+pub struct Lines<'a> {
+    x: &'a [f32],
+    octaves: Vec<OctaveLines>,
+    total: f32,
+}
+
+/// An octave along the two rows of its lattice that the last line lies between.
+#[derive(Debug)]
+struct OctaveLines {
+    octave: Octave,
+    /// The southern one.
+    row: Option<i32>,
+    /// In units of [`HASH_UNIT`].
+    sides: [Vec<f32>; 2],
+}
+
+impl Lines<'_> {
+    /// [`Fbm::at_2d`] of every place of a line: `sums[i]` is that of column `i` at `y`. Fastest where `y` rises.
+    ///
+    /// # Panics
+    /// Unless there is a sum for every column.
+    pub fn set(&mut self, y: f32, sums: &mut [f32]) {
+        assert_eq!(self.x.len(), sums.len(), "a sum for every column");
+        dispatch!(Level::new(), _simd => self.set_in_vectors(y, sums));
+    }
+
+    #[inline(always)]
+    fn set_in_vectors(&mut self, y: f32, sums: &mut [f32]) {
+        sums.fill(0.0);
+        for OctaveLines { octave: Octave { gain, frequency, seed }, row, sides } in &mut self.octaves {
+            let (south, v) = cell(y * *frequency);
+            if *row != Some(south) {
+                let terms = Terms::new(south, HASH_Y);
+                if *row == Some(south.wrapping_sub(1)) {
+                    sides.swap(0, 1);
+                } else {
+                    set_along_row(self.x, *frequency, terms.low ^ first_mixed(*seed), &mut sides[0]);
+                }
+                set_along_row(self.x, *frequency, terms.high ^ first_mixed(*seed), &mut sides[1]);
+                *row = Some(south);
+            }
+            let (gain, v) = (*gain * HASH_UNIT, smoothstep(v));
+            let [south, north] = sides;
+            for ((sum, south), north) in sums.iter_mut().zip(south).zip(north) {
+                *sum += gain * lerp(*south, *north, v);
+            }
+        }
+        for sum in sums {
+            *sum = scaled(*sum, self.total);
+        }
+    }
+}
+
+#[inline(always)]
+fn set_along_row(x: &[f32], frequency: f32, rest: u32, values: &mut [f32]) {
+    for (value, x) in values.iter_mut().zip(x) {
+        let (x, u) = cell(x * frequency);
+        *value = between(Terms::new(x, HASH_X), rest, smoothstep(u));
+    }
 }
 
 /// A sum of octaves in [0, `total`), brought to [-1, 1).
@@ -129,27 +177,33 @@ fn scaled(sum: f32, total: f32) -> f32 {
 
 /// 2-D value noise in [0, 1): lattice values blended bilinearly with cubic smoothstep weights.
 #[must_use]
-#[inline(always)]
-pub fn value_noise_2d(place: [f32; 2], seed: u32) -> f32 {
-    HASH_UNIT * hash_noise_2d(place, seed)
+pub fn value_noise_2d([x, y]: [f32; 2], seed: u32) -> f32 {
+    let ((x, u), (y, v)) = (cell(x), cell(y));
+    let (x, y, seed) = (Terms::new(x, HASH_X), Terms::new(y, HASH_Y), first_mixed(seed));
+    let (south, north) = (between(x, y.low ^ seed, smoothstep(u)), between(x, y.high ^ seed, smoothstep(u)));
+    HASH_UNIT * lerp(south, north, smoothstep(v))
 }
 
-/// The same in units of [`HASH_UNIT`]. That is a power of two, and so is the weight of an octave: which of them is multiplied
-/// by when changes no bit.
-#[inline(always)]
-fn hash_noise_2d([px, py]: [f32; 2], seed: u32) -> f32 {
-    let (x, y) = (floor(px), floor(py));
-    let (u, v) = (smoothstep(px - x as f32), smoothstep(py - y as f32));
-    // The products of neighbours differ by the constants.
-    let (x, south) = ((x as u32).wrapping_mul(HASH_X), (y as u32).wrapping_mul(HASH_Y));
-    let north = south.wrapping_add(HASH_Y);
-    lerp(between(x, south ^ seed, u), between(x, north ^ seed, u), v)
+/// What the two neighbours along an axis bring to the hash of a lattice point.
+#[derive(Clone, Copy)]
+struct Terms {
+    low: u32,
+    high: u32,
 }
 
-/// Noise between two neighbours along x, given by their terms of the hash.
+impl Terms {
+    #[inline(always)]
+    fn new(coordinate: i32, factor: u32) -> Self {
+        // The products of neighbours differ by the factor.
+        let low = (coordinate as u32).wrapping_mul(factor);
+        Self { low: first_mixed(low), high: first_mixed(low.wrapping_add(factor)) }
+    }
+}
+
+/// Noise between two neighbours along x; `rest` is all else that is hashed.
 #[inline(always)]
-fn between(x: u32, rest: u32, u: f32) -> f32 {
-    lerp(value_of(finished(x ^ rest)), value_of(finished(x.wrapping_add(HASH_X) ^ rest)), u)
+fn between(x: Terms, rest: u32, u: f32) -> f32 {
+    lerp(value_of(last_mixed(x.low ^ rest)), value_of(last_mixed(x.high ^ rest)), u)
 }
 
 /// 3-D value noise in [0, 1): lattice values blended trilinearly with cubic smoothstep weights.
@@ -159,17 +213,17 @@ pub fn value_noise_3d(place: [f32; 3], seed: u32) -> f32 {
     HASH_UNIT * hash_noise_3d(place, seed)
 }
 
-/// The same in units of [`HASH_UNIT`].
+/// The same in units of [`HASH_UNIT`]. That is a power of two, and so is the weight of an octave: which of them is multiplied
+/// by when changes no bit.
 #[inline(always)]
 fn hash_noise_3d([px, py, pz]: [f32; 3], seed: u32) -> f32 {
-    let (x, y, z) = (floor(px), floor(py), floor(pz));
-    let (u, v, w) = (smoothstep(px - x as f32), smoothstep(py - y as f32), smoothstep(pz - z as f32));
-    // The products of neighbours differ by the constants.
-    let (x, south) = ((x as u32).wrapping_mul(HASH_X), (y as u32).wrapping_mul(HASH_Y));
-    let (north, low) = (south.wrapping_add(HASH_Y), (z as u32).wrapping_mul(HASH_Z));
-    let (low, high) = (low ^ seed, low.wrapping_add(HASH_Z) ^ seed);
-    let below = lerp(between(x, south ^ low, u), between(x, north ^ low, u), v);
-    let above = lerp(between(x, south ^ high, u), between(x, north ^ high, u), v);
+    let ((x, u), (y, v), (z, w)) = (cell(px), cell(py), cell(pz));
+    let (x, y, z) = (Terms::new(x, HASH_X), Terms::new(y, HASH_Y), Terms::new(z, HASH_Z));
+    let (u, v, w) = (smoothstep(u), smoothstep(v), smoothstep(w));
+    let seed = first_mixed(seed);
+    let (low, high) = (z.low ^ seed, z.high ^ seed);
+    let below = lerp(between(x, y.low ^ low, u), between(x, y.high ^ low, u), v);
+    let above = lerp(between(x, y.low ^ high, u), between(x, y.high ^ high, u), v);
     lerp(below, above, w)
 }
 
@@ -223,13 +277,19 @@ const HASH_Z: u32 = 0xcb1a_b31f;
 #[must_use]
 pub const fn lattice_hash(x: i32, y: i32, z: i32, seed: u32) -> u32 {
     let (x, y) = ((x as u32).wrapping_mul(HASH_X), (y as u32).wrapping_mul(HASH_Y));
-    finished(x ^ y ^ (z as u32).wrapping_mul(HASH_Z) ^ seed)
+    last_mixed(first_mixed(x ^ y ^ (z as u32).wrapping_mul(HASH_Z) ^ seed))
 }
 
-/// The finaliser of [`lattice_hash`].
+/// The finaliser's first step. That of a sum without carries is the sum of the terms' steps.
 #[inline(always)]
-const fn finished(mut h: u32) -> u32 {
-    h = (h ^ (h >> 16)).wrapping_mul(0x7feb_352d);
+const fn first_mixed(h: u32) -> u32 {
+    h ^ (h >> 16)
+}
+
+/// The rest of the finaliser.
+#[inline(always)]
+const fn last_mixed(mut h: u32) -> u32 {
+    h = h.wrapping_mul(0x7feb_352d);
     h = (h ^ (h >> 15)).wrapping_mul(0x846c_a68b);
     h ^ (h >> 16)
 }
@@ -257,6 +317,17 @@ pub fn floor(x: f32) -> i32 {
     nearest - i32::from(nearest as f32 > x)
 }
 
+/// [`floor`], and how far above it the number lies: from 0 to 1.
+#[inline(always)]
+fn cell(x: f32) -> (i32, f32) {
+    let nearest = x + NO_FRACTIONS;
+    // Exact, as is the difference to any integer near by.
+    let past = x - (nearest - NO_FRACTIONS);
+    let is_below = past < 0.0;
+    let nearest = nearest.to_bits().wrapping_sub(NO_FRACTIONS.to_bits()) as i32;
+    (nearest - i32::from(is_below), past + if is_below { 1.0 } else { 0.0 })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -276,10 +347,12 @@ mod tests {
             [0.0, -0.0, 0.5, -0.5, 1.0, -1.0, 2.5, -2.5, 0.999_999_9, -1e-30, 1e-30, most, -most, 77.499_99]
         {
             assert_eq!(floor(x), f64::from(x).floor() as i32, "{x}");
+            assert_eq!(cell(x), (floor(x), fraction(x)), "{x}");
         }
         for i in -100_000..100_000 {
             let x = i as f32 * 0.377;
             assert_eq!(floor(x), f64::from(x).floor() as i32, "{x}");
+            assert_eq!(cell(x), (floor(x), fraction(x)), "{x}");
         }
     }
 
@@ -290,13 +363,17 @@ mod tests {
         let coordinate = |k: f32| (0..101).map(|i| k * (i as f32 - 50.3)).collect::<Vec<f32>>();
         let [x, y, z] = [0.731, -1.93, 0.117].map(coordinate);
         let mut sums = vec![f32::NAN; x.len()];
-        fbm.at_many_3d([&x, &y, &z], 1.0, &mut sums);
+        fbm.at_many_3d([&x, &y, &z], &mut sums);
         for i in 0..x.len() {
             assert_eq!(sums[i].to_bits(), fbm.at_3d([x[i], y[i], z[i]]).to_bits());
         }
-        fbm.along_x(&x, -7.7, &mut sums);
-        for i in 0..x.len() {
-            assert_eq!(sums[i].to_bits(), fbm.at_2d([x[i], -7.7]).to_bits());
+        // Within a row of the lattice, to the next one, past some, back.
+        let mut lines = fbm.lines(&x);
+        for y in [-7.7, -7.69, -7.4, -6.9, 3.3, 3.31, -2.0] {
+            lines.set(y, &mut sums);
+            for i in 0..x.len() {
+                assert_eq!(sums[i].to_bits(), fbm.at_2d([x[i], y]).to_bits());
+            }
         }
     }
 

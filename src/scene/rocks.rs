@@ -13,7 +13,7 @@ use fearless_simd::{Level, dispatch};
 use glam::{Mat3, Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::mesh::{Icosphere, Vertex, distance_to_triangle, set_smooth_normals};
+use super::mesh::{Icosphere, Vertex, distance_to_triangle};
 use super::noise::Fbm;
 use super::terrain::Terrain;
 use crate::params::{Knob, Params};
@@ -192,7 +192,7 @@ impl Rock {
             .zip(shape.radii(level))
             .map(|(&u, radius)| Vertex { position: mesh_from_unit * (radius * u), normal: Vec3::Z })
             .collect();
-        set_smooth_normals(&mut vertices, &sphere.triangles[level]);
+        sphere.set_smooth_normals(&mut vertices, level);
         let mut rock = Self::of_vertices(k as u32, vertices, level, material);
         rock.base_scale_m = placed.base_scale_m as f32;
         let embedding = params.number(Knob::RocksEmbedding) as f32;
@@ -365,22 +365,22 @@ impl Shape {
     // Inlined wholly, to be compiled for each width of vectors.
     #[inline(always)]
     fn set_radii(&self, axes: [&[f32]; 3], radii: &mut [f32]) {
-        let mut domain = [[0.0; AT_A_TIME]; 3];
-        for axis in 0..3 {
-            let (scale, offset) = (self.domain_scale[axis], self.domain_offset[axis]);
-            for (place, u) in domain[axis].iter_mut().zip(axes[axis]) {
-                *place = scale * u + offset;
-            }
-        }
-        let [x, y, z] = &domain;
-        let places = [&x[..radii.len()], &y[..radii.len()], &z[..radii.len()]];
         let mut sums = [[0.0; AT_A_TIME]; 4];
-        let [lumps, ridges, bumps, grain] = &mut sums;
-        self.lumps.0.set_at_many_3d(places, 1.0, &mut lumps[..radii.len()]);
-        self.ridges.0.set_at_many_3d(places, 1.7, &mut ridges[..radii.len()]);
-        self.bumps.0.set_at_many_3d(places, 3.0, &mut bumps[..radii.len()]);
-        self.grain.0.set_at_many_3d(places, 7.0, &mut grain[..radii.len()]);
-        let terms = lumps.iter().zip(&*ridges).zip(&*bumps).zip(&*grain);
+        let terms = [(&self.lumps.0, 1.0), (&self.ridges.0, 1.7), (&self.bumps.0, 3.0), (&self.grain.0, 7.0)];
+        for ((fbm, zoom), sums) in terms.into_iter().zip(&mut sums) {
+            let mut places = [[0.0; AT_A_TIME]; 3];
+            for axis in 0..3 {
+                let (scale, offset) = (self.domain_scale[axis], self.domain_offset[axis]);
+                for (place, u) in places[axis].iter_mut().zip(axes[axis]) {
+                    *place = zoom * (scale * u + offset);
+                }
+            }
+            let [x, y, z] = &places;
+            let len = radii.len();
+            fbm.set_at_many_3d([&x[..len], &y[..len], &z[..len]], &mut sums[..len]);
+        }
+        let [lumps, ridges, bumps, grain] = &sums;
+        let terms = lumps.iter().zip(ridges).zip(bumps).zip(grain);
         for (radius, (((lump, ridge), bump), grain)) in radii.iter_mut().zip(terms) {
             let crease = 1.0 - ridge.abs();
             let sum = self.lumps.1 * lump

@@ -5,7 +5,8 @@
 //! [`super::relief`].
 //! Must not know: who asks.
 
-use glam::{Vec2, Vec3, Vec3A};
+use fearless_simd::{Level, dispatch};
+use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::mesh::Vertex;
@@ -24,6 +25,8 @@ const FINE_PER_BROAD: f32 = 0.7 / 3.2;
 /// Half the width of the square, as a fraction of the terrain's, in which crater centres lie: 383 of 460 m.
 const CRATER_SPREAD: f64 = 383.0 / 460.0;
 
+/// Lines of a square whose heights are reckoned one after the other.
+const LINES: usize = 16;
 /// Rows and columns of rings whose heights are reckoned together.
 const TILE: (usize, usize) = (8, 24);
 
@@ -116,25 +119,16 @@ impl Terrain {
         let mut seeds = streams.stream("terrain.relief", 0);
         let layer = |(octaves, frequency), seed| Fbm { octaves, frequency, lacunarity: 2.0, seed };
         let (broad, fine) = (layer(BROAD, seeds.bits()), layer(FINE, seeds.bits()));
-        Self::from_rows(size_m, cells, craters.clone(), |x, y, heights| {
-            let mut finer = vec![0.0; x.len()];
-            broad.along_x(x, y, heights);
-            fine.along_x(x, y, &mut finer);
-            let near: Vec<&Crater> = craters.iter().filter(|crater| crater.reaches(1, y)).collect();
-            // What an empty sum comes to, to the bit.
-            let nothing = if near.is_empty() { -0.0 } else { 0.0 };
-            let mut sunk_m = vec![nothing; x.len()];
-            for crater in near {
-                let first = x.partition_point(|&x| x < crater.centre.x && !crater.reaches(0, x));
-                for (sunk_m, &x) in sunk_m[first..].iter_mut().zip(&x[first..]) {
-                    if !crater.reaches(0, x) {
-                        break;
-                    }
-                    *sunk_m += crater.height_at(Vec2::new(x, y));
+        Self::from_lines(size_m, cells, craters.clone(), |x, y, heights| {
+            let (mut broad, mut fine) = (broad.lines(x), fine.lines(x));
+            let (mut finer, mut sunk_m) = (vec![0.0; x.len()], vec![0.0; x.len()]);
+            for (heights, &y) in heights.chunks_mut(x.len()).zip(y) {
+                broad.set(y, heights);
+                fine.set(y, &mut finer);
+                sink(&craters, x, y, &mut sunk_m);
+                for ((height, finer), sunk_m) in heights.iter_mut().zip(&finer).zip(&sunk_m) {
+                    *height = amplitude_m * (*height + FINE_PER_BROAD * finer) + sunk_m;
                 }
-            }
-            for ((height, finer), sunk_m) in heights.iter_mut().zip(finer).zip(sunk_m) {
-                *height = amplitude_m * (*height + FINE_PER_BROAD * finer) + sunk_m;
             }
         })
     }
@@ -215,47 +209,44 @@ impl Terrain {
         craters: Vec<Crater>,
         height_m: impl Fn(Vec2) -> f32 + Sync,
     ) -> Self {
-        Self::from_rows(size_m, cells, craters, |x, y, heights| {
-            for (height, &x) in heights.iter_mut().zip(x) {
-                *height = height_m(Vec2::new(x, y));
+        Self::from_lines(size_m, cells, craters, |x, y, heights| {
+            let places = y.iter().flat_map(|&y| x.iter().map(move |&x| Vec2::new(x, y)));
+            for (height, place) in heights.iter_mut().zip(places) {
+                *height = height_m(place);
             }
         })
     }
 
-    /// The same of a function that sets the heights of a line of places along x, at the coordinates `x` and at `y`.
-    fn from_rows(
+    /// The same of a function that sets the heights of some lines of places along x, from their coordinates along both axes.
+    fn from_lines(
         size_m: f32,
         cells: u32,
         craters: Vec<Crater>,
-        set_heights: impl Fn(&[f32], f32, &mut [f32]) + Sync,
+        set_heights: impl Fn(&[f32], &[f32], &mut [f32]) + Sync,
     ) -> Self {
         let row_len = cells as usize + 1;
         let mut vertices = vec![Vertex { position: Vec3::ZERO, normal: Vec3::Z }; row_len * row_len];
         let coordinates: Vec<f32> = (0..row_len).map(|i| (i as f32 / cells as f32 - 0.5) * size_m).collect();
         let mut heights = vec![0.0_f32; row_len * row_len];
         heights
-            .par_chunks_mut(row_len)
-            .zip(&coordinates)
-            .for_each(|(row, &y)| set_heights(&coordinates, y, row));
+            .par_chunks_mut(LINES * row_len)
+            .zip(coordinates.par_chunks(LINES))
+            .for_each(|(heights, y)| set_heights(&coordinates, y, heights));
         let cell_m = size_m / cells as f32;
-        vertices.par_chunks_mut(row_len).enumerate().for_each(|(row, vertices)| {
-            let last = row_len - 1;
-            let heights = |row: usize| &heights[row * row_len..][..row_len];
-            let slope = |low: f32, high: f32, steps: usize| (high - low) / (steps as f32 * cell_m);
-            let (south, north) = (row.saturating_sub(1), (row + 1).min(last));
-            let (here, steps) = (heights(row), north - south);
-            let (south, north) = (heights(south), heights(north));
-            for (column, vertex) in vertices.iter_mut().enumerate() {
-                let (west, east) = (column.saturating_sub(1), (column + 1).min(last));
-                let gradient = Vec2::new(
-                    slope(here[west], here[east], east - west),
-                    slope(south[column], north[column], steps),
-                );
-                let normal = Vec3A::new(-gradient.x, -gradient.y, 1.0);
-                vertex.normal = (normal / normal.length()).into();
-                vertex.position = Vec3::new(coordinates[column], coordinates[row], here[column]);
-            }
-        });
+        vertices.par_chunks_mut(row_len).enumerate().for_each_init(
+            || [(); 3].map(|()| vec![0.0; row_len]),
+            |normals, (row, vertices)| {
+                let heights = |row: usize| &heights[row * row_len..][..row_len];
+                let [south, here, north] =
+                    [row.saturating_sub(1), row, (row + 1).min(row_len - 1)].map(heights);
+                let rows = if row == 0 || row + 1 == row_len { 1.0 } else { 2.0 };
+                dispatch!(Level::new(), _simd => set_normals([south, here, north], cell_m, rows, normals));
+                for (column, vertex) in vertices.iter_mut().enumerate() {
+                    vertex.position = Vec3::new(coordinates[column], coordinates[row], here[column]);
+                    vertex.normal = Vec3::from(normals.each_ref().map(|axis| axis[column]));
+                }
+            },
+        );
         Self {
             layout: Layout::Square,
             centre: Vec2::ZERO,
@@ -401,9 +392,56 @@ impl Terrain {
     }
 }
 
+/// Sets how far craters sink (or raise) the places of a line along x.
+fn sink(craters: &[Crater], x: &[f32], y: f32, sunk_m: &mut [f32]) {
+    let mut near = craters.iter().filter(|crater| crater.reaches(1, y)).peekable();
+    // What an empty sum comes to, to the bit.
+    sunk_m.fill(if near.peek().is_none() { -0.0 } else { 0.0 });
+    for crater in near {
+        let first = x.partition_point(|&x| x < crater.centre.x && !crater.reaches(0, x));
+        for (sunk_m, &x) in sunk_m[first..].iter_mut().zip(&x[first..]) {
+            if !crater.reaches(0, x) {
+                break;
+            }
+            *sunk_m += crater.height_at(Vec2::new(x, y));
+        }
+    }
+}
+
+/// Sets the normals of a line of vertices, axis by axis, from its heights and those of the lines beside it, which are `rows` cells
+/// apart.
+#[inline(always)]
+fn set_normals([south, here, north]: [&[f32]; 3], cell_m: f32, rows: f32, normals: &mut [Vec<f32>; 3]) {
+    let [x, y, z] = normals;
+    let last = here.len() - 1;
+    x[0] = -((here[1] - here[0]) / cell_m);
+    x[last] = -((here[last] - here[last - 1]) / cell_m);
+    for (x, (west, east)) in x[1..last].iter_mut().zip(here.iter().zip(&here[2..])) {
+        *x = -((east - west) / (2.0 * cell_m));
+    }
+    for (y, (south, north)) in y.iter_mut().zip(south.iter().zip(north)) {
+        *y = -((north - south) / (rows * cell_m));
+    }
+    for ((x, y), z) in x.iter_mut().zip(y).zip(z) {
+        let length = (*x * *x + *y * *y + 1.0).sqrt();
+        *x /= length;
+        *y /= length;
+        *z = 1.0 / length;
+    }
+}
+
 fn z_range_m(vertices: &[Vertex]) -> [f32; 2] {
-    let heights = vertices.iter().map(|vertex| vertex.position.z);
-    heights.fold([f32::MAX, f32::MIN], |[low, high], z| [low.min(z), high.max(z)])
+    // `f32::min` asks for more than a comparison, and one range would have each vertex wait for the one before.
+    let wider = |[low, high]: [f32; 2], [from, to]: [f32; 2]| {
+        [if from < low { from } else { low }, if to > high { to } else { high }]
+    };
+    let mut ranges = [[f32::MAX, f32::MIN]; 8];
+    for vertices in vertices.chunks(ranges.len()) {
+        for (range, vertex) in ranges.iter_mut().zip(vertices) {
+            *range = wider(*range, [vertex.position.z; 2]);
+        }
+    }
+    ranges.into_iter().fold([f32::MAX, f32::MIN], wider)
 }
 
 /// Height of the plane through three points at a place.

@@ -12,7 +12,7 @@ use super::{Material, Rock, Shape, rotated};
 use crate::params::{Knob, Params};
 use crate::random::{Stream, Streams};
 use crate::scene::craters::Pit;
-use crate::scene::mesh::{Icosphere, Vertex, set_smooth_normals};
+use crate::scene::mesh::{Icosphere, Vertex};
 use crate::scene::relief::{Apron, Relief};
 use crate::scene::rings::View;
 use crate::scene::terrain::Terrain;
@@ -434,6 +434,6 @@ fn posed(draw: &mut Stream, form: &[Vec3], level: usize, diameter_m: f32) -> Vec
     for vertex in &mut vertices {
         vertex.position *= factor;
     }
-    set_smooth_normals(&mut vertices, &Icosphere::shared().triangles[level]);
+    Icosphere::shared().set_smooth_normals(&mut vertices, level);
     vertices
 }
