@@ -83,11 +83,12 @@ impl Pit {
     /// How far it changes the ground, metres.
     #[must_use]
     pub fn reach_m(&self) -> f32 {
-        0.5 * REACH_RADII * self.diameter_m
+        reach_m(self.diameter_m)
     }
 
     /// Height that it adds at a place (metres from the centre of the ground), metres.
     #[must_use]
+    #[inline(always)]
     pub fn height_at(&self, offset: Vec2) -> f32 {
         let radius_m = 0.5 * self.diameter_m;
         let square = offset.distance_squared(self.offset) / (radius_m * radius_m);
@@ -102,8 +103,14 @@ impl Pit {
     }
 }
 
+/// How far a crater of this diameter changes the ground, metres.
+fn reach_m(diameter_m: f32) -> f32 {
+    0.5 * REACH_RADII * diameter_m
+}
+
 /// The profile of a fresh crater: height in diameters at a distance in radii below [`REACH_RADII`], where it fades out.
 #[must_use]
+#[inline(always)]
 pub fn profile(r: f32) -> f32 {
     if r < 1.0 {
         let p = BOWL.iter().rev().fold(0.0, |sum, coefficient| sum * r + coefficient);
@@ -170,22 +177,20 @@ impl CraterField {
     /// Calls `give` with everything that can change the ground within a circle (metres from the centre of the ground) and
     /// may be as large as `least_m`, always in the same order.
     pub fn around(&self, offset: Vec2, radius_m: f32, least_m: f32, mut give: impl FnMut(Pit)) {
-        let is_near = |pit: &Pit| {
-            let reach_m = radius_m + pit.reach_m();
-            pit.diameter_m > least_m && pit.offset.distance_squared(offset) < reach_m * reach_m
+        let is_near = |place: Vec2, diameter_m: f32| {
+            let reach_m = radius_m + reach_m(diameter_m);
+            diameter_m > least_m && place.distance_squared(offset) < reach_m * reach_m
         };
-        self.listed.iter().copied().filter(is_near).for_each(&mut give);
+        self.listed.iter().copied().filter(|pit| is_near(pit.offset, pit.diameter_m)).for_each(&mut give);
         let wanted = self.lattices.iter().take_while(|lattice| lattice.largest_m > least_m);
         for lattice in wanted.filter(|lattice| lattice.chance > 0.0) {
-            let reach = (radius_m + 0.5 * REACH_RADII * lattice.largest_m) / lattice.lattice.cell_m;
+            let reach = (radius_m + reach_m(lattice.largest_m)) / lattice.lattice.cell_m;
             let margin = Vec2::splat(reach + JITTER_CELLS);
             let local = lattice.lattice.local(offset);
             let (low, high) = ((local - margin - 0.5).ceil(), (local + margin - 0.5).floor());
             for y in low.y as i32..=high.y as i32 {
                 for x in low.x as i32..=high.x as i32 {
-                    if let Some(pit) = lattice.pit(x, y, self.fresh_share).filter(is_near) {
-                        give(pit);
-                    }
+                    lattice.pit([x, y], self.fresh_share, is_near).into_iter().for_each(&mut give);
                 }
             }
         }
@@ -208,9 +213,8 @@ fn classed(streams: &Streams, params: &Params, fresh_share: f32, centre: Vec2) -
 }
 
 impl PitLattice {
-    /// What the cell has; cells count from that of the lattice's base.
-    #[must_use]
-    pub fn pit(&self, x: i32, y: i32, fresh_share: f32) -> Option<Pit> {
+    /// What the cell has, if its place and diameter are wanted; cells count from that of the lattice's base.
+    fn pit(&self, [x, y]: [i32; 2], fresh_share: f32, is_wanted: impl Fn(Vec2, f32) -> bool) -> Option<Pit> {
         let lattice = &self.lattice;
         let (cell_x, cell_y) = (lattice.base[0].wrapping_add(x), lattice.base[1].wrapping_add(y));
         let first = lattice_hash(cell_x, cell_y, 0, lattice.seed);
@@ -224,18 +228,18 @@ impl PitLattice {
         let local = Vec2::new(x as f32 + jitter(second), y as f32 + jitter(second >> 10));
         // Inverse of the cumulative law within the octave.
         let diameter_m = 0.5 * self.largest_m / (1.0 - 0.75 * share(second >> 20, 12)).sqrt();
+        let offset = lattice.offset(local);
+        if !is_wanted(offset, diameter_m) {
+            return None;
+        }
+        // A power: what takes longest.
         let age = share(first >> 16, 16);
         let depth = if age < self.clods {
             -CLOD_HEIGHT
         } else {
             worn_depth((age - self.clods) / (1.0 - self.clods), fresh_share)
         };
-        Some(Pit {
-            offset: lattice.offset(local),
-            diameter_m,
-            depth,
-            key: u64::from(first) << 32 | u64::from(second),
-        })
+        Some(Pit { offset, diameter_m, depth, key: u64::from(first) << 32 | u64::from(second) })
     }
 }
 

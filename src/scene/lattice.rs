@@ -45,6 +45,7 @@ impl Lattice {
 
     /// A place (metres from the centre) in cells, relative to [`Self::base`].
     #[must_use]
+    #[inline(always)]
     pub fn local(&self, offset: Vec2) -> Vec2 {
         Vec2::new(
             self.turn.x * offset.x + self.turn.y * offset.y + self.phase.x,
@@ -61,6 +62,7 @@ impl Lattice {
 
     /// The cell that holds a place given as by [`Self::local`], and where in it.
     #[must_use]
+    #[inline(always)]
     pub fn cell(&self, local: Vec2) -> ([i32; 2], [f32; 2]) {
         let (x, y) = (floor(local.x), floor(local.y));
         let cell = [self.base[0].wrapping_add(x), self.base[1].wrapping_add(y)];

@@ -232,15 +232,28 @@ fn hash_noise_3d([px, py, pz]: [f32; 3], seed: u32) -> f32 {
 /// corners have values too, uniform in [-0.5, 0.5), or every one of them would be on the same level and the lattice would
 /// show. Mean 0, deviation [`GRADIENT_NOISE_SIGMA`].
 #[must_use]
+#[inline(always)]
 pub fn gradient_noise_2d(cell: [i32; 2], t: [f32; 2], seed: u32) -> f32 {
-    let [u, v] = t.map(|t| t * t * t * (t * (6.0 * t - 15.0) + 10.0));
-    let corner = |dx: i32, dy: i32| {
-        let hash = lattice_hash(cell[0].wrapping_add(dx), cell[1].wrapping_add(dy), 0, seed);
-        let gradient = [hash & 0xffff, hash >> 16].map(|bits| bits as f32 * (1.0 / 32_768.0) - 1.0);
-        let value = (hash.wrapping_mul(0x9e37_79b1) >> 16) as f32 * (1.0 / 65_536.0) - 0.5;
-        value + gradient[0] * (t[0] - dx as f32) + gradient[1] * (t[1] - dy as f32)
-    };
-    lerp(lerp(corner(0, 0), corner(1, 0), u), lerp(corner(0, 1), corner(1, 1), u), v)
+    let [u, v] = [quintic(t[0]), quintic(t[1])];
+    let south = lerp(gradient_corner(cell, t, [0, 0], seed), gradient_corner(cell, t, [1, 0], seed), u);
+    let north = lerp(gradient_corner(cell, t, [0, 1], seed), gradient_corner(cell, t, [1, 1], seed), u);
+    lerp(south, north, v)
+}
+
+/// What the corner so many cells away gives to the noise at `t`.
+#[inline(always)]
+fn gradient_corner(cell: [i32; 2], t: [f32; 2], away: [i32; 2], seed: u32) -> f32 {
+    let hash = lattice_hash(cell[0].wrapping_add(away[0]), cell[1].wrapping_add(away[1]), 0, seed);
+    // Signed, as in `value_of`.
+    let x = (hash & 0xffff) as i32 as f32 * (1.0 / 32_768.0) - 1.0;
+    let y = (hash >> 16) as i32 as f32 * (1.0 / 32_768.0) - 1.0;
+    let value = (hash.wrapping_mul(0x9e37_79b1) >> 16) as i32 as f32 * (1.0 / 65_536.0) - 0.5;
+    value + x * (t[0] - away[0] as f32) + y * (t[1] - away[1] as f32)
+}
+
+#[inline(always)]
+fn quintic(t: f32) -> f32 {
+    t * t * t * (t * (6.0 * t - 15.0) + 10.0)
 }
 
 /// Standard deviation of [`gradient_noise_2d`].
@@ -275,6 +288,7 @@ const HASH_Z: u32 = 0xcb1a_b31f;
 /// "Optimized Spatial Hashing", made odd 32-bit), then the 32-bit finaliser "lowbias32" of Chris Wellons
 /// (2018, hash-prospector).
 #[must_use]
+#[inline(always)]
 pub const fn lattice_hash(x: i32, y: i32, z: i32, seed: u32) -> u32 {
     let (x, y) = ((x as u32).wrapping_mul(HASH_X), (y as u32).wrapping_mul(HASH_Y));
     last_mixed(first_mixed(x ^ y ^ (z as u32).wrapping_mul(HASH_Z) ^ seed))

@@ -5,6 +5,7 @@
 //! (`shaders/common/relief.wgsl`, the twin of the slopes here).
 //! Must not know: who asks.
 
+use fearless_simd::{Level, dispatch};
 use glam::Vec2;
 
 use super::craters::{CraterField, Pit};
@@ -35,6 +36,9 @@ const MEDIAN_PER_DEVIATION: f64 = 0.674_489_75;
 /// are half that large. Both stand in `relief.wgsl`.
 pub const CELLS_LEAST: f32 = 3.0;
 
+/// Places whose heights are summed up together.
+const AT_A_TIME: usize = 32;
+
 /// One octave of noise.
 #[derive(Clone, Copy, Debug)]
 pub struct Octave {
@@ -61,6 +65,7 @@ impl Apron {
         2.0 * self.radius_m
     }
 
+    #[inline(always)]
     fn height_at(&self, offset: Vec2) -> f32 {
         let square = offset.distance_squared(self.offset) / (self.reach_m() * self.reach_m());
         let fall = (1.0 - square).max(0.0);
@@ -88,6 +93,7 @@ pub struct Nearby {
 
 /// How much of something of this size a mesh with cells of this size shows.
 #[must_use]
+#[inline]
 pub fn mesh_share(size_m: f32, cell_m: f32) -> f32 {
     (size_m / (CELLS_LEAST * cell_m) - 1.0).clamp(0.0, 1.0)
 }
@@ -139,33 +145,74 @@ impl Relief {
         nearby
     }
 
-    /// Height of a place (metres from the centre) for a mesh with cells of this size, metres. `nearby` must hold what
-    /// is near the place.
-    #[must_use]
-    pub fn height(&self, offset: Vec2, cell_m: f32, nearby: &Nearby) -> f32 {
-        let mut height_m = 0.0;
-        for octave in &self.octaves {
-            let share = mesh_share(octave.lattice.cell_m, cell_m);
+    /// Heights of places (their coordinates, metres from the centre) for a mesh with cells of this size, metres. `nearby` must
+    /// hold what is near the places.
+    ///
+    /// # Panics
+    /// Unless there is a height for every place.
+    pub fn set_heights(&self, [x, y]: [&[f32]; 2], cell_m: f32, nearby: &Nearby, heights: &mut [f32]) {
+        assert!(x.len() == heights.len() && y.len() == heights.len(), "a height for every place");
+        let places = x.chunks(AT_A_TIME).zip(y.chunks(AT_A_TIME));
+        for ((x, y), heights) in places.zip(heights.chunks_mut(AT_A_TIME)) {
+            dispatch!(Level::new(), _simd => self.set_in_vectors([x, y], cell_m, nearby, heights));
+        }
+    }
+
+    // Inlined wholly, to be compiled for each width of vectors.
+    #[inline(always)]
+    fn set_in_vectors(&self, [x, y]: [&[f32]; 2], cell_m: f32, nearby: &Nearby, heights: &mut [f32]) {
+        heights.fill(0.0);
+        for Octave { lattice, amplitude_m } in &self.octaves {
+            let share = mesh_share(lattice.cell_m, cell_m);
             if share == 0.0 {
                 break;
             }
-            let (cell, t) = octave.lattice.cell(octave.lattice.local(offset));
-            height_m += share * octave.amplitude_m * gradient_noise_2d(cell, t, octave.lattice.seed);
+            let amplitude_m = share * amplitude_m;
+            for ((height, x), y) in heights.iter_mut().zip(x).zip(y) {
+                let (cell, t) = lattice.cell(lattice.local(Vec2::new(*x, *y)));
+                *height += amplitude_m * gradient_noise_2d(cell, t, lattice.seed);
+            }
         }
         for pit in &nearby.pits {
             let share = mesh_share(pit.diameter_m, cell_m);
-            if share > 0.0 {
-                height_m += share * pit.height_at(offset);
+            if share > 0.0 && is_any_within(pit.reach_m(), pit.offset, [x, y]) {
+                for ((height, x), y) in heights.iter_mut().zip(x).zip(y) {
+                    *height += share * pit.height_at(Vec2::new(*x, *y));
+                }
             }
         }
-        height_m + nearby.aprons.iter().map(|apron| apron.height_at(offset)).sum::<f32>()
+        let mut soil = [0.0; AT_A_TIME];
+        for apron in &nearby.aprons {
+            if is_any_within(apron.reach_m(), apron.offset, [x, y]) {
+                for ((soil, x), y) in soil.iter_mut().zip(x).zip(y) {
+                    *soil += apron.height_at(Vec2::new(*x, *y));
+                }
+            }
+        }
+        for (height, soil) in heights.iter_mut().zip(soil) {
+            *height += soil;
+        }
     }
 
-    /// Height of a single place, as [`Self::height`].
+    /// Height of a single place (metres from the centre) for a mesh with cells of this size, metres.
     #[must_use]
     pub fn height_at(&self, offset: Vec2, cell_m: f32) -> f32 {
-        self.height(offset, cell_m, &self.nearby(offset, 0.0, cell_m))
+        let mut height = [0.0];
+        let nearby = self.nearby(offset, 0.0, cell_m);
+        self.set_heights([&[offset.x], &[offset.y]], cell_m, &nearby, &mut height);
+        height[0]
     }
+}
+
+/// Whether one of these places, or nearly, is within a distance of another.
+#[inline(always)]
+fn is_any_within(reach_m: f32, centre: Vec2, [x, y]: [&[f32]; 2]) -> bool {
+    // Numbers that are not negative are in the order of their bits.
+    let mut least = u32::MAX;
+    for (x, y) in x.iter().zip(y) {
+        least = least.min(Vec2::new(*x, *y).distance_squared(centre).to_bits());
+    }
+    f32::from_bits(least) < 1.01 * reach_m * reach_m
 }
 
 /// Wavelength and amplitude, metres, of each octave of the fine relief: a power law with this Hurst exponent, as high as

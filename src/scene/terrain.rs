@@ -28,7 +28,7 @@ const CRATER_SPREAD: f64 = 383.0 / 460.0;
 /// Lines of a square whose heights are reckoned one after the other.
 const LINES: usize = 16;
 /// Rows and columns of rings whose heights are reckoned together.
-const TILE: (usize, usize) = (8, 24);
+const TILE: (usize, usize) = (16, 32);
 
 /// A crater of the nominal stage.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -157,12 +157,18 @@ impl Terrain {
                 let radius_m = corners.fold(0.0, f32::max);
                 let finest_m = view.cell_m(rings.radii_m[first_row]);
                 let nearby = relief.nearby(middle, 1.01 * radius_m, finest_m);
-                for row in 0..tile_rows {
-                    let cell_m = view.cell_m(rings.radii_m[first_row + row]);
-                    for column in columns.clone() {
-                        let offset = offset(column, row);
-                        vertices[row * row_len + column].position =
-                            (centre + offset).extend(relief.height(offset, cell_m, &nearby));
+                let rays = &rings.rays[columns.clone()];
+                let (mut x, mut y, mut heights) = ([0.0; TILE.1], [0.0; TILE.1], [0.0; TILE.1]);
+                for (row, vertices) in vertices.chunks_exact_mut(row_len).enumerate() {
+                    let radius_m = rings.radii_m[first_row + row];
+                    for ((x, y), ray) in x.iter_mut().zip(&mut y).zip(rays) {
+                        (*x, *y) = (radius_m * ray.x, radius_m * ray.y);
+                    }
+                    let places = [&x[..rays.len()], &y[..rays.len()]];
+                    relief.set_heights(places, view.cell_m(radius_m), &nearby, &mut heights[..rays.len()]);
+                    let found = x.iter().zip(&y).zip(&heights);
+                    for (vertex, ((x, y), height)) in vertices[columns.clone()].iter_mut().zip(found) {
+                        vertex.position = (centre + Vec2::new(*x, *y)).extend(*height);
                     }
                 }
             }
