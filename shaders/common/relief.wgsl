@@ -79,13 +79,22 @@ fn lattice_hash(x: i32, y: i32, z: i32, seed: u32) -> u32 {
 fn relief_slope(place: vec2<f32>, sample_m: f32) -> vec2<f32> {
     let cell_m = light.relief.cell * sqrt(dot(place, place) + light.relief.eye_height_m * light.relief.eye_height_m);
     var slope = vec2(0.0);
-    for (var k = 0u; k < light.relief.waves; k++) {
+    // Coarse to fine: past those that the mesh shows whole, to the first that samples cannot show.
+    var k = 0u;
+    while k < light.relief.waves && mesh_share(relief.noise[k].cell_m, cell_m) == 1.0 { k++; }
+    for (; k < light.relief.waves; k++) {
         let wave = relief.noise[k];
-        let share = (1.0 - mesh_share(wave.cell_m, cell_m)) * sample_share(wave.cell_m, sample_m);
-        slope += share * noise_slope(wave, place);
+        let shown = sample_share(wave.cell_m, sample_m);
+        if shown == 0.0 { break; }
+        slope += (1.0 - mesh_share(wave.cell_m, cell_m)) * shown * noise_slope(wave, place);
     }
-    for (var k = 0u; k < light.relief.pit_lattices; k++) {
-        slope += pits_slope(relief.pits[k], place, cell_m, sample_m);
+    // The smallest pits of a lattice are half as large as its largest; a hair of room for how sizes are rounded.
+    k = 0u;
+    while k < light.relief.pit_lattices && mesh_share(0.499 * relief.pits[k].largest_m, cell_m) == 1.0 { k++; }
+    for (; k < light.relief.pit_lattices; k++) {
+        let pits = relief.pits[k];
+        if sample_share(1.001 * pits.largest_m, sample_m) == 0.0 { break; }
+        slope += pits_slope(pits, place, cell_m, sample_m);
     }
     return slope;
 }
