@@ -115,7 +115,7 @@ fn picture(c: &mut Criterion) {
     group.bench_function("visibility", |b| {
         b.iter(|| {
             stencil.restart([width, height]);
-            let nowhere = (&mut std::iter::empty() as &mut dyn Iterator<Item = _>, 0);
+            let nowhere = (&mut std::iter::empty() as &mut dyn Iterator<Item = _>, [0; 2]);
             stencil.draw(black_box(&facets), width as usize, &(0..height), &(0..0), nowhere);
         });
     });

@@ -5,7 +5,7 @@
 override SHADES: u32;
 // The law of reflection.
 override LAW: u32;
-// What detail below the mesh there is: none, that of the ground, that of rocks.
+// What detail below the mesh there is: none, that of the ground, that of rocks, that of the ground whose slopes are given.
 override DETAIL: u32;
 // Whether it is one of many, so that each sample must look up which.
 override OF_MANY: bool;
@@ -14,6 +14,10 @@ const BY_GROUND: u32 = 1u;
 const BY_CASTERS: u32 = 2u;
 const RELIEF_DETAIL: u32 = 1u;
 const TEXTURE_DETAIL: u32 = 2u;
+const GIVEN_DETAIL: u32 = 3u;
+
+// Of ground below its mesh, where a device is given them (src/render/slopes.rs): rise per metre along x and y.
+@group(2) @binding(6) var slopes: texture_2d<f32>;
 
 @fragment
 fn fs_main(in: Corner) -> SceneOut {
@@ -30,7 +34,10 @@ fn fs_main(in: Corner) -> SceneOut {
     var normal = smooth_normal;
     var albedo = thing.colour;
     if DETAIL == RELIEF_DETAIL {
-        normal = ground_normal(seen.offset, smooth_normal, to_eye);
+        normal = ground_normal(smooth_normal, slope_below_mesh(seen.offset, smooth_normal, to_eye));
+    }
+    if DETAIL == GIVEN_DETAIL {
+        normal = ground_normal(smooth_normal, textureLoad(slopes, vec2<i32>(in.clip.xy), 0).xy);
     }
     if DETAIL == TEXTURE_DETAIL {
         let sample_m = light.relief.sample_angle * length(seen.offset);
@@ -72,7 +79,7 @@ fn fs_main(in: Corner) -> SceneOut {
     }
     var bounced = sky_light(light.sky_radiance, normal);
     if LAW == HAPKE {
-        if DETAIL == RELIEF_DETAIL {
+        if DETAIL == RELIEF_DETAIL || DETAIL == GIVEN_DETAIL {
             // What lies in the shadow of ground has the same shadow around it.
             bounced += bounce_on_ground(light.ground_radiance, normal, light.horizon_towards, open);
         } else {
@@ -85,14 +92,17 @@ fn fs_main(in: Corner) -> SceneOut {
     return SceneOut(vec4(radiance, 1.0), thing.class_id, vec4(normal, 1.0), thing.instance_id, 1.0 - visible);
 }
 
-// The normal of the ground with the relief that its mesh leaves out.
-fn ground_normal(offset: vec3<f32>, smooth_normal: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
+// Rise per metre along x and y of the relief that the ground's mesh leaves out.
+fn slope_below_mesh(offset: vec3<f32>, smooth_normal: vec3<f32>, to_eye: vec3<f32>) -> vec2<f32> {
     let facing = clamp(dot(smooth_normal, to_eye), 0.04, 1.0);
     // Samples lie further apart in depth than across: the mean of the two, in the logarithm.
     let sample_m = light.relief.sample_angle * length(offset) * inverseSqrt(facing);
-    let slope = relief_slope(light.relief.eye_from_centre + offset.xy, sample_m);
-    let z = max(smooth_normal.z, 0.1);
-    return unit(vec3(smooth_normal.xy * (1.0 / z) - slope, 1.0));
+    return relief_slope(light.relief.eye_from_centre + offset.xy, sample_m);
+}
+
+// The normal of the ground with it.
+fn ground_normal(smooth_normal: vec3<f32>, slope: vec2<f32>) -> vec3<f32> {
+    return unit(vec3(smooth_normal.xy * (1.0 / max(smooth_normal.z, 0.1)) - slope, 1.0));
 }
 
 // A number in [0, 1) that differs between neighbouring samples (Jimenez 2014, "Next Generation Post Processing in

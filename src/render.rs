@@ -24,6 +24,7 @@ pub mod shaders;
 pub mod shadow;
 mod shadow_pass;
 pub mod shadow_raster;
+pub mod slopes;
 pub mod targets;
 mod timing;
 mod visibility_pass;
@@ -32,6 +33,7 @@ pub mod work;
 
 use std::time::Instant;
 
+use glam::Vec3;
 use wgpu::{BindingType, ShaderStages, TextureSampleType};
 
 use crate::error::{Error, Result};
@@ -99,6 +101,15 @@ impl RenderSettings {
     /// Tangent of the angle between two samples in the middle of the picture.
     fn sample_angle(&self, camera: &Camera) -> f32 {
         2.0 * camera.tan_half_fov / self.sample_size()[0] as f32
+    }
+
+    /// Places a metre along the axis that samples show, metres from the eye: of the corner of sample (0, 0), and how it moves with
+    /// a column and a row.
+    fn rays(&self, camera: &Camera) -> [Vec3; 3] {
+        let aspect = self.size[0] as f32 / self.size[1] as f32;
+        let sample = self.sample_angle(camera);
+        let corner = camera.forward - camera.tan_half_fov * (camera.right - camera.up / aspect);
+        [corner, sample * camera.right, -sample * camera.up]
     }
 
     /// Focal length, samples.
@@ -248,9 +259,11 @@ impl Renderer {
             (Scene { camera, ..scene.clone() }, RenderSettings { size, ..picture })
         });
         let (scene, drawn) = wide.as_ref().map_or((scene, &picture), |(scene, drawn)| (scene, drawn));
+        let is_given = self.ways.own_visibility;
+        let has_slopes = is_given && scene.relief.is_some();
         let mut targets = match self.targets.take() {
-            Some(kept) if kept.serve(drawn, self.ways.own_visibility) => kept,
-            _ => Targets::new(&self.gpu, drawn, self.ways.own_visibility)?,
+            Some(kept) if kept.serve(drawn, is_given, has_slopes) => kept,
+            _ => Targets::new(&self.gpu, drawn, is_given, has_slopes)?,
         };
         self.spare.retain(|slot| slot.packed.serves(picture.size, picture.annotations));
         let mut slot = self.spare.pop().unwrap_or_else(|| Slot {
@@ -444,6 +457,7 @@ impl Renderer {
                     view(horizon),
                     scene.caster_grid.buffer().as_entire_binding(),
                     wgpu::BindingResource::Sampler(&self.nearest),
+                    view(&targets.slopes.1),
                 ],
             ),
             resolve: group("resolve", &self.layouts.resolve, &{
@@ -514,7 +528,7 @@ impl BindLayouts {
             ),
             scene: group("scene", drawing, &[instance, read, relief]),
             layers: group("layers", ShaderStages::COMPUTE, &[float, map]),
-            light: group("light", ShaderStages::FRAGMENT, &[uint, read, float, float, read, nearest]),
+            light: group("light", ShaderStages::FRAGMENT, &[uint, read, float, float, read, nearest, float]),
             resolve: group(
                 "resolve",
                 ShaderStages::COMPUTE,

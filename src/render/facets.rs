@@ -19,6 +19,7 @@ use super::raster::{
 use super::relief::Bands;
 use super::selection::{BLOCK_CELLS, Bounds, SelectedRock, Selection, Slots, ground_blocks, near_to_far};
 use super::shadow::{CasterGrids, Shades};
+use super::slopes::Slopes;
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
 use crate::scene::mesh::{Icosphere, Vertex};
@@ -113,9 +114,17 @@ pub struct Facets {
     meshes: Vec<Mesh>,
     used: usize,
     groups: Groups,
+    /// Of ground that has a relief below its mesh.
+    slopes: Option<Slopes>,
 }
 
 impl Facets {
+    /// Where the slopes of the ground below its mesh come from, if there are any.
+    #[must_use]
+    pub const fn slopes(&self) -> Option<&Slopes> {
+        self.slopes.as_ref()
+    }
+
     /// Finds those of a selection. `caster_grid` is that of [`super::shadow::caster_grid`]. Unless `by_shades`, all is lit as if
     /// it could be shaded by anything.
     pub fn find(
@@ -129,6 +138,8 @@ impl Facets {
     ) {
         let groups = Groups::new(bands.bands.len());
         self.groups = groups;
+        let rays = settings.rays(&scene.camera);
+        self.slopes = scene.relief.as_ref().map(|_| Slopes::new(bands, groups, rays));
         let of = Picture {
             scene,
             samples: Samples::new(&scene.camera, settings),

@@ -623,7 +623,7 @@ fn frame_uniforms(
     levels[..horizon.levels.len()].copy_from_slice(&horizon.levels);
     FrameUniforms {
         clip_from_offset,
-        ray_from_sample: ray_from_sample(scene, settings),
+        ray_from_sample: settings.rays(camera).map(|ray| ray.extend(0.0).into()),
         eye: camera.eye,
         exposure: resolve::exposure(camera.exposure_ev),
         sun_direction: sun.direction,
@@ -666,14 +666,4 @@ fn frame_uniforms(
         reserved: [0; 2],
         horizon: levels,
     }
-}
-
-/// Places a metre along the axis that samples show, metres from the eye: of sample (0, 0), and how it moves with a column
-/// and a row.
-fn ray_from_sample(scene: &Scene, settings: &RenderSettings) -> [[f32; 4]; 3] {
-    let camera = &scene.camera;
-    let aspect = settings.size[0] as f32 / settings.size[1] as f32;
-    let sample = settings.sample_angle(camera);
-    let corner = camera.forward - camera.tan_half_fov * (camera.right - camera.up / aspect);
-    [corner, sample * camera.right, -sample * camera.up].map(|v| v.extend(0.0).into())
 }

@@ -126,6 +126,12 @@ fn band(
     uniforms
 }
 
+/// How much of something of this size samples so far apart can show. Twin of the function in `relief.wgsl`.
+#[inline(always)]
+pub(super) fn sample_share(size_m: f32, sample_m: f32) -> f32 {
+    (0.5 * size_m / sample_m - 1.0).clamp(0.0, 1.0)
+}
+
 /// Size of the smallest and of the largest of the cells of these rows, metres.
 fn cells_m(rings: &Rings, rows: &Range<u32>) -> [f32; 2] {
     // A chord lies inside its arc.
@@ -167,11 +173,6 @@ mod tests {
     use super::*;
     use crate::params::sampler::Config;
     use crate::scene::relief::mesh_share;
-
-    /// Twin of the function in `relief.wgsl`.
-    fn sample_share(size_m: f32, sample_m: f32) -> f32 {
-        (0.5 * size_m / sample_m - 1.0).clamp(0.0, 1.0)
-    }
 
     #[test]
     fn a_band_has_all_that_its_vertices_ask() {

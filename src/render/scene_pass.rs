@@ -35,7 +35,8 @@ pub(super) struct Variant {
     pub(super) rings: bool,
     /// Whether ground and rocks have detail below their meshes.
     pub(super) detail: bool,
-    /// Whether the device was given what the samples show: their stencil has no depth beside it then.
+    /// Whether the device was given what the samples show, and slopes of the ground below its mesh: their stencil has no depth
+    /// beside it then.
     pub(super) is_given: bool,
 }
 
@@ -56,6 +57,7 @@ impl Variant {
 const NO_DETAIL: f64 = 0.0;
 const RELIEF_DETAIL: f64 = 1.0;
 const TEXTURE_DETAIL: f64 = 2.0;
+const GIVEN_DETAIL: f64 = 3.0;
 
 impl ScenePass {
     /// Compiles the programs.
@@ -99,7 +101,10 @@ impl ScenePass {
             ]
         };
         let (label, module, constants) = match lit {
-            Lit::Ground { shades } => (SURFACE.name, &self.surface, surface(shades, RELIEF_DETAIL, false)),
+            Lit::Ground { shades } => {
+                let detail = if variant.is_given { GIVEN_DETAIL } else { RELIEF_DETAIL };
+                (SURFACE.name, &self.surface, surface(shades, detail, false))
+            }
             Lit::Rocks { shades } => (SURFACE.name, &self.surface, surface(shades, TEXTURE_DETAIL, true)),
             Lit::Sky => (SKY.name, &self.sky, Vec::new()),
         };

@@ -88,6 +88,8 @@ pub struct Background {
 
 /// Format of what the visibility pass draws (`visibility.wgsl`).
 pub const VISIBLE_FORMAT: TextureFormat = TextureFormat::Rgba32Uint;
+/// Format of the slopes of ground below its mesh, rise per metre along x and y, where they are given.
+pub const SLOPES_FORMAT: TextureFormat = TextureFormat::Rg32Float;
 /// Format of the depth of the shadow atlas, and of that of the samples, whose stencil says by which draw of the scene pass
 /// a sample is lit. Reversed in both: cleared to 0, the far end.
 pub const ATLAS_FORMAT: TextureFormat = TextureFormat::Depth32Float;
@@ -129,6 +131,10 @@ pub struct Targets {
     pub planes: [wgpu::TextureView; Plane::ALL.len()],
     /// What the samples show.
     pub visible: (wgpu::Texture, wgpu::TextureView),
+    /// Slopes of the ground below its mesh; of a single sample where the device sums them up itself.
+    pub slopes: (wgpu::Texture, wgpu::TextureView),
+    /// Whether it is given them.
+    pub has_slopes: bool,
     /// Depth and stencil of the samples; if [`Self::is_given`], their stencil alone.
     pub depth_stencil: (wgpu::Texture, wgpu::TextureView),
     /// Whether the device is given what the samples show.
@@ -141,11 +147,12 @@ pub struct Targets {
 const STAGING_BYTES: u32 = 32 << 20;
 
 impl Targets {
-    /// Textures for a picture of this size. `is_given` tells whether the device is given what the samples show.
+    /// Textures for a picture of this size. `is_given` tells whether the device is given what the samples show, `has_slopes`
+    /// whether it is given slopes of ground too.
     ///
     /// # Errors
     /// [`Error::SizeBeyondDevice`].
-    pub fn new(gpu: &Gpu, settings: &RenderSettings, is_given: bool) -> Result<Self> {
+    pub fn new(gpu: &Gpu, settings: &RenderSettings, is_given: bool, has_slopes: bool) -> Result<Self> {
         let &RenderSettings { size, samples_per_side, annotations, .. } = settings;
         let limits = gpu.device.limits();
         let [width, height] = size;
@@ -193,6 +200,13 @@ impl Targets {
                 texture(&format!("scene/{plane:?}"), size, plane.format(), drawn).1
             }),
             visible,
+            slopes: texture(
+                "scene/slopes",
+                if has_slopes { sample_size } else { [1, 1] },
+                SLOPES_FORMAT,
+                TextureUsages::COPY_DST | TextureUsages::TEXTURE_BINDING,
+            ),
+            has_slopes,
             depth_stencil: stencil,
             is_given,
             given_rows: 0..0,
@@ -211,9 +225,13 @@ impl Targets {
         stencil: &mut Stencil,
     ) -> Result<u64> {
         let [width, height] = self.sample_size;
-        let row_bytes = VISIBLE_FORMAT.block_copy_size(None).unwrap_or(0) as usize * width as usize;
         // Rows are given out to threads, and so begin with pages.
-        let row_bytes = row_bytes.next_multiple_of(PAGE);
+        let bytes_of = |format: TextureFormat| {
+            (format.block_copy_size(None).unwrap_or(0) as usize * width as usize).next_multiple_of(PAGE)
+        };
+        let each_bytes =
+            [bytes_of(VISIBLE_FORMAT), if self.has_slopes { bytes_of(SLOPES_FORMAT) } else { 0 }];
+        let row_bytes = each_bytes[0] + each_bytes[1];
         let rows_at_once = (STAGING_BYTES / row_bytes as u32).clamp(1, height);
         let bytes = row_bytes * rows_at_once as usize;
         let staging = Staging::with_room(staging, gpu, "scene/staging", bytes)?;
@@ -227,7 +245,7 @@ impl Targets {
             let rows = first..height.min(first + rows_at_once);
             let given = all.start.max(rows.start)..all.end.min(rows.end);
             let mut draw = |pages: &mut dyn Iterator<Item = Page<'_>>| {
-                stencil.draw(facets, width as usize, &rows, &given, (pages, row_bytes));
+                stencil.draw(facets, width as usize, &rows, &given, (pages, each_bytes));
             };
             if given.is_empty() {
                 draw(&mut std::iter::empty());
@@ -236,6 +254,9 @@ impl Targets {
                 let size = [width, given.len() as u32];
                 let part = Part { offset_bytes: 0, row_bytes, corner: [0, given.start], size };
                 staging.copy(gpu, &self.visible.0, &[part])?;
+                if self.has_slopes {
+                    staging.copy(gpu, &self.slopes.0, &[Part { offset_bytes: each_bytes[0], ..part }])?;
+                }
             }
         }
         gpu.guard(|| gpu.write_texels(&self.depth_stencil.0, self.sample_size, &stencil.values))?;
@@ -244,9 +265,10 @@ impl Targets {
 
     /// Whether they serve these settings.
     #[must_use]
-    pub fn serve(&self, settings: &RenderSettings, is_given: bool) -> bool {
-        (self.size, self.samples_per_side, self.annotations, self.is_given)
-            == (settings.size, settings.samples_per_side, settings.annotations, is_given)
+    pub fn serve(&self, settings: &RenderSettings, is_given: bool, has_slopes: bool) -> bool {
+        (self.size, self.samples_per_side, self.annotations)
+            == (settings.size, settings.samples_per_side, settings.annotations)
+            && (self.is_given, self.has_slopes) == (is_given, has_slopes)
     }
 }
 

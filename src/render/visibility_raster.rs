@@ -13,6 +13,7 @@ use rayon::prelude::*;
 use super::facets::{Facet, Facets, Mesh};
 use super::lit::{Group, Groups};
 use super::raster::{Corners, HEIGHT, LANES, Outline, Outlines, Paint, Plane, WIDTH, load, store};
+use super::slopes::Seen;
 use crate::gpu::staging::{PAGE, Page, Writer};
 
 /// Rows of a band.
@@ -41,15 +42,15 @@ impl Stencil {
         self.has_holes = false;
     }
 
-    /// Draws rows of a picture. Of `given`, some of these rows, it writes what `visibility.wgsl` does, so many bytes from
-    /// one to the next.
+    /// Draws rows of a picture. Of `given`, some of these rows, it writes what `visibility.wgsl` does and behind each the slopes of
+    /// the ground in it, if there are any: so many bytes of each.
     pub fn draw(
         &mut self,
         facets: &Facets,
         width: usize,
         rows: &Range<u32>,
         given: &Range<u32>,
-        (pages, row_bytes): (&mut dyn Iterator<Item = Page<'_>>, usize),
+        (pages, row_bytes): (&mut dyn Iterator<Item = Page<'_>>, [usize; 2]),
     ) {
         let groups = facets.groups();
         let [rows, given] = [rows, given].map(|rows| rows.start as usize..rows.end as usize);
@@ -59,7 +60,8 @@ impl Stencil {
             .map(|(first, stencil)| {
                 let rows = first..first + stencil.len() / width;
                 let given = rows.start.max(given.start)..rows.end.min(given.end);
-                let pages: Vec<Page<'_>> = pages.take(given.len() * row_bytes / PAGE).collect();
+                let pages: Vec<Page<'_>> =
+                    pages.take(given.len() * (row_bytes[0] + row_bytes[1]) / PAGE).collect();
                 (rows, stencil, given, pages)
             })
             .collect();
@@ -71,15 +73,21 @@ impl Stencil {
                 for (row, stencil) in stencil.chunks_exact_mut(width).enumerate() {
                     sheet.row(row, width).stencil(stencil);
                 }
-                let mut line = std::mem::take(&mut sheet.line);
+                let (mut line, mut slopes) =
+                    (std::mem::take(&mut sheet.line), std::mem::take(&mut sheet.slopes));
                 line.resize(width, [0; 4]);
+                slopes.resize(width, [0.0; 2]);
                 let mut written = Writer::new(pages);
-                for row in given {
-                    let row = sheet.row(row - rows.start, width);
+                for number in given {
+                    let row = sheet.row(number - rows.start, width);
                     dispatch!(Level::new(), _simd => row.samples(groups, &mut line));
-                    written.row(bytemuck::cast_slice(&line), row_bytes);
+                    written.row(bytemuck::cast_slice(&line), row_bytes[0]);
+                    if let Some(of_ground) = facets.slopes() {
+                        of_ground.set_row(number, &row.seen(), &mut slopes);
+                        written.row(bytemuck::cast_slice(&slopes), row_bytes[1]);
+                    }
                 }
-                sheet.line = line;
+                (sheet.line, sheet.slopes) = (line, slopes);
             });
             stencil.contains(&0)
         };
@@ -101,8 +109,9 @@ struct Sheet {
     facing: Vec<u32>,
     /// One more than the group, and the slot of the instance above; 0 where there is nothing.
     things: Vec<u32>,
-    /// A row as it is given.
+    /// A row as it is given, and the slopes of the ground in it.
     line: Vec<[u32; 4]>,
+    slopes: Vec<[f32; 2]>,
 }
 
 /// A row of a sheet.
@@ -213,6 +222,11 @@ impl Sheet {
 }
 
 impl Row<'_> {
+    const fn seen(&self) -> Seen<'_> {
+        let Self { inverse_w, normal_x, normal_y, things, .. } = *self;
+        Seen { inverse_w, normal_x, normal_y, things }
+    }
+
     fn stencil(&self, values: &mut [u8]) {
         for (value, thing) in values.iter_mut().zip(self.things) {
             *value = *thing as u8;

@@ -50,7 +50,7 @@ pub const CLOD_LARGEST_M: f64 = 0.08;
 /// Height of a clod, diameters.
 pub const CLOD_HEIGHT: f32 = 0.22;
 /// Factor of the second hash of a cell, which is made of the first (a round of Wellons' hash).
-const SECOND_HASH: u32 = 0x2c1b_3c6d;
+pub const SECOND_HASH: u32 = 0x2c1b_3c6d;
 
 /// Inside the crest the profile is `RIM + (1 - r) p(r)`, r in radii, heights in diameters: a polynomial that follows
 /// Yang's curve for a diameter of 1 m within 0.0003.

@@ -235,20 +235,56 @@ fn hash_noise_3d([px, py, pz]: [f32; 3], seed: u32) -> f32 {
 #[inline(always)]
 pub fn gradient_noise_2d(cell: [i32; 2], t: [f32; 2], seed: u32) -> f32 {
     let [u, v] = [quintic(t[0]), quintic(t[1])];
-    let south = lerp(gradient_corner(cell, t, [0, 0], seed), gradient_corner(cell, t, [1, 0], seed), u);
-    let north = lerp(gradient_corner(cell, t, [0, 1], seed), gradient_corner(cell, t, [1, 1], seed), u);
-    lerp(south, north, v)
+    let at = |away| gradient_corner(cell, away, seed).seen_from(t, away);
+    lerp(lerp(at([0, 0]), at([1, 0]), u), lerp(at([0, 1]), at([1, 1]), u), v)
 }
 
-/// What the corner so many cells away gives to the noise at `t`.
+/// Rise of [`gradient_noise_2d`] per cell along both axes.
+#[must_use]
 #[inline(always)]
-fn gradient_corner(cell: [i32; 2], t: [f32; 2], away: [i32; 2], seed: u32) -> f32 {
+pub fn gradient_noise_slope_2d(cell: [i32; 2], t: [f32; 2], seed: u32) -> [f32; 2] {
+    let [u, v] = [quintic(t[0]), quintic(t[1])];
+    let [sw, se] = [gradient_corner(cell, [0, 0], seed), gradient_corner(cell, [1, 0], seed)];
+    let [nw, ne] = [gradient_corner(cell, [0, 1], seed), gradient_corner(cell, [1, 1], seed)];
+    let (a, b) = (sw.seen_from(t, [0, 0]), se.seen_from(t, [1, 0]));
+    let (c, d) = (nw.seen_from(t, [0, 1]), ne.seen_from(t, [1, 1]));
+    [
+        lerp(lerp(sw.x, se.x, u), lerp(nw.x, ne.x, u), v) + quintic_rise(t[0]) * lerp(b - a, d - c, v),
+        lerp(lerp(sw.y, se.y, u), lerp(nw.y, ne.y, u), v) + quintic_rise(t[1]) * lerp(c - a, d - b, u),
+    ]
+}
+
+/// Gradient and value of a corner.
+#[derive(Clone, Copy)]
+struct Corner {
+    x: f32,
+    y: f32,
+    value: f32,
+}
+
+impl Corner {
+    /// What the corner so many cells away gives at `t`.
+    #[inline(always)]
+    fn seen_from(self, t: [f32; 2], away: [i32; 2]) -> f32 {
+        self.value + self.x * (t[0] - away[0] as f32) + self.y * (t[1] - away[1] as f32)
+    }
+}
+
+#[inline(always)]
+fn gradient_corner(cell: [i32; 2], away: [i32; 2], seed: u32) -> Corner {
     let hash = lattice_hash(cell[0].wrapping_add(away[0]), cell[1].wrapping_add(away[1]), 0, seed);
     // Signed, as in `value_of`.
-    let x = (hash & 0xffff) as i32 as f32 * (1.0 / 32_768.0) - 1.0;
-    let y = (hash >> 16) as i32 as f32 * (1.0 / 32_768.0) - 1.0;
-    let value = (hash.wrapping_mul(0x9e37_79b1) >> 16) as i32 as f32 * (1.0 / 65_536.0) - 0.5;
-    value + x * (t[0] - away[0] as f32) + y * (t[1] - away[1] as f32)
+    Corner {
+        x: (hash & 0xffff) as i32 as f32 * (1.0 / 32_768.0) - 1.0,
+        y: (hash >> 16) as i32 as f32 * (1.0 / 32_768.0) - 1.0,
+        value: (hash.wrapping_mul(0x9e37_79b1) >> 16) as i32 as f32 * (1.0 / 65_536.0) - 0.5,
+    }
+}
+
+/// Derivative of [`quintic`].
+#[inline(always)]
+fn quintic_rise(t: f32) -> f32 {
+    30.0 * t * t * (t * (t - 2.0) + 1.0)
 }
 
 #[inline(always)]
@@ -332,8 +368,9 @@ pub fn floor(x: f32) -> i32 {
 }
 
 /// [`floor`], and how far above it the number lies: from 0 to 1.
+#[must_use]
 #[inline(always)]
-fn cell(x: f32) -> (i32, f32) {
+pub fn cell(x: f32) -> (i32, f32) {
     let nearest = x + NO_FRACTIONS;
     // Exact, as is the difference to any integer near by.
     let past = x - (nearest - NO_FRACTIONS);

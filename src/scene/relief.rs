@@ -93,7 +93,7 @@ pub struct Nearby {
 
 /// How much of something of this size a mesh with cells of this size shows.
 #[must_use]
-#[inline]
+#[inline(always)]
 pub fn mesh_share(size_m: f32, cell_m: f32) -> f32 {
     (size_m / (CELLS_LEAST * cell_m) - 1.0).clamp(0.0, 1.0)
 }
