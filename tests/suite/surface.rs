@@ -38,8 +38,8 @@ fn heights(relief: &Relief, corner: Vec2) -> Vec<f32> {
     let half = 0.5 * STEP_M * SIDE as f32;
     let nearby = relief.nearby(corner + half, 1.5 * half, 1e-4);
     let along = |from: f32, step: usize| from + STEP_M * step as f32;
-    let [x, y] = [|i| along(corner.x, i % SIDE), |i| along(corner.y, i / SIDE)]
-        .map(|coordinate| (0..SIDE * SIDE).map(coordinate).collect::<Vec<f32>>());
+    let x: Vec<f32> = (0..SIDE * SIDE).map(|i| along(corner.x, i % SIDE)).collect();
+    let y: Vec<f32> = (0..SIDE * SIDE).map(|i| along(corner.y, i / SIDE)).collect();
     let mut heights = vec![0.0; x.len()];
     relief.set_heights([&x, &y], 1e-4, &nearby, &mut heights);
     heights
