@@ -1,5 +1,6 @@
 // Slopes of the ground and of rocks below the size of the mesh's cells, down to that of a pixel. Twins:
-// `ReliefUniforms`, `ReliefView`, `LatticeUniforms` in src/render/shaders.rs; the height function is src/scene/relief.rs.
+// `ReliefUniforms`, `ReliefView`, `LatticeUniforms` in src/render/shaders.rs; of the slopes of ground src/render/slopes.rs, which
+// devices that are a CPU are given. The height function is src/scene/relief.rs.
 
 // A square lattice over the plane, for places in metres from the centre of the ground.
 struct Lattice {

@@ -493,6 +493,25 @@ mod tests {
     }
 
     #[test]
+    fn slope_of_gradient_noise_is_its_rise() {
+        let step = 5e-3_f32;
+        for i in 0..400 {
+            let (x, y) = (0.173 * i as f32 - 31.0, 0.059 * i as f32 - 7.0);
+            let ((column, u), (row, v)) = (cell(x), cell(y));
+            // Not across a border.
+            let t = [u.clamp(step, 1.0 - step), v.clamp(step, 1.0 - step)];
+            let slope = gradient_noise_slope_2d([column, row], t, 5);
+            let at = |u, v| gradient_noise_2d([column, row], [u, v], 5);
+            let along = (at(t[0] + step, t[1]) - at(t[0] - step, t[1])) / (2.0 * step);
+            let across = (at(t[0], t[1] + step) - at(t[0], t[1] - step)) / (2.0 * step);
+            assert!(
+                (slope[0] - along).abs() < 1e-3 && (slope[1] - across).abs() < 1e-3,
+                "({x}, {y}): {slope:?}, {along} {across} at {t:?}"
+            );
+        }
+    }
+
+    #[test]
     fn floor_and_fraction_hold_for_negative_numbers() {
         assert_eq!((floor(-0.25), floor(-1.0), floor(1.75)), (-1, -1, 1));
         assert!((fraction(-0.25) - 0.75).abs() < 1e-7);

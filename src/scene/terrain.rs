@@ -391,7 +391,8 @@ impl Terrain {
         for row in rows {
             let first = (row * (self.columns + 1)) as usize;
             for vertex in &self.vertices[first + columns.start as usize..first + columns.end as usize] {
-                lowest = lowest.min(vertex.position.z);
+                // `f32::min` asks for more than a comparison.
+                lowest = if vertex.position.z < lowest { vertex.position.z } else { lowest };
             }
         }
         lowest
