@@ -314,7 +314,7 @@ impl GpuScene {
             self.facets.find(scene, &selection, settings, &caster_grid, &bands, ways.by_shades);
             for mesh in self.facets.meshes() {
                 for (group, bounds) in mesh.groups.iter().zip(mesh.bounds) {
-                    let seen = &mut seen[usize::from(*group)];
+                    let seen = &mut seen[usize::from(self.facets.groups().of_all_bands(*group))];
                     seen.bounds = seen.bounds.union(bounds);
                 }
             }

@@ -66,6 +66,19 @@ impl Groups {
         (3 + 4 * band) as Group + shades as Group
     }
 
+    /// The group that takes the place of one of the ground, where slopes are given and all bands are lit alike: that of the first
+    /// band. Any other stays.
+    #[must_use]
+    #[inline(always)]
+    pub const fn of_all_bands(self, group: Group) -> Group {
+        let of_ground = group.wrapping_sub(Self::ground(0, Shades::Nothing));
+        if of_ground < (4 * self.bands) as Group {
+            Self::ground(0, Shades::Nothing) + (of_ground & 3)
+        } else {
+            group
+        }
+    }
+
     /// Stars.
     #[must_use]
     pub const fn stars(self) -> Group {
@@ -107,6 +120,11 @@ mod tests {
             for shades in Shades::ALL {
                 assert_eq!(all[usize::from(Groups::ground(band, shades))], (Lit::Ground { shades }, band));
             }
+        }
+        for (group, (lit, band)) in (0..).zip(&all) {
+            let merged = groups.of_all_bands(group);
+            assert_eq!(all[usize::from(merged)], (*lit, 0), "{lit:?} of band {band}");
+            assert!(merged == group || matches!(lit, Lit::Ground { .. }) && *band > 0);
         }
         assert_eq!(all[usize::from(groups.stars())], (Lit::Sky, 0));
         assert_eq!(usize::from(groups.dome()), all.len() - 1);

@@ -26,7 +26,8 @@ thread_local! {
     static SHEET: RefCell<Sheet> = RefCell::default();
 }
 
-/// One more than the group by which each sample is lit, a row after the other; 0 where nothing is.
+/// One more than the group by which each sample is lit (all bands of ground are as one), a row after the other; 0 where nothing
+/// is.
 #[derive(Debug, Default)]
 pub struct Stencil {
     /// Them.
@@ -71,7 +72,7 @@ impl Stencil {
                 let of_picture = rows.start as i32..rows.end as i32;
                 dispatch!(Level::new(), simd => sheet.draw(simd, facets.meshes(), groups, width, &of_picture));
                 for (row, stencil) in stencil.chunks_exact_mut(width).enumerate() {
-                    sheet.row(row, width).stencil(stencil);
+                    dispatch!(Level::new(), _simd => sheet.row(row, width).stencil(groups, stencil));
                 }
                 let (mut line, mut slopes) =
                     (std::mem::take(&mut sheet.line), std::mem::take(&mut sheet.slopes));
@@ -227,9 +228,12 @@ impl Row<'_> {
         Seen { inverse_w, normal_x, normal_y, things }
     }
 
-    fn stencil(&self, values: &mut [u8]) {
+    // As above.
+    #[inline(always)]
+    fn stencil(&self, groups: Groups, values: &mut [u8]) {
         for (value, thing) in values.iter_mut().zip(self.things) {
-            *value = *thing as u8;
+            // 0 is no group, nor does one less come to one.
+            *value = groups.of_all_bands((*thing as u8).wrapping_sub(1)).wrapping_add(1);
         }
     }
 
