@@ -15,6 +15,7 @@ use super::horizon::HorizonMap;
 use super::selection::Frustum;
 use super::shaders::CasterTile;
 use crate::scene::Scene;
+use crate::scene::sky::Sun;
 use crate::scene::terrain::{Layout, Terrain};
 
 /// Texels of a tile per pixel of the picture, where the shadow is seen nearest. With half as many the shadows of
@@ -310,6 +311,28 @@ fn place(metres: f32, cell_m: f32, cells: usize) -> usize {
     (metres / cell_m).clamp(0.0, cells as f32) as usize
 }
 
+/// The sun's rays over the ground.
+struct Rays {
+    /// Where they go, seen from above; unit.
+    away: Vec2,
+    /// Fall a metre of those that reach furthest: from the lower limb.
+    steepness: f32,
+    /// How much a penumbra widens, metres a metre, on each side.
+    penumbra: f32,
+}
+
+impl Rays {
+    fn of(sun: &Sun) -> Self {
+        let (away, penumbra) = (-sun.direction.truncate(), sun.tan_half_angle());
+        let lowest = (sun.direction.z - penumbra).max(1e-4);
+        if away.length() > 1e-6 {
+            Self { away: away / away.length(), steepness: lowest / away.length(), penumbra }
+        } else {
+            Self { away: Vec2::X, steepness: 1e6, penumbra }
+        }
+    }
+}
+
 /// The lists of some cells, one after the other.
 struct Lists {
     /// Where that of each cell ends.
@@ -377,8 +400,9 @@ impl<'a> CasterCells<'a> {
     /// The casters of each cell, in their order.
     fn lists(mut self, scene: &Scene, casters: &[Caster]) -> Lists {
         let mut found: Vec<(u32, u32)> = Vec::new();
+        let rays = Rays::of(&scene.sun);
         for (number, caster) in (0..).zip(casters) {
-            self.shaded_by(scene, caster, |cell| found.push((cell as u32, number)));
+            self.shaded_by(scene, &rays, caster, |cell| found.push((cell as u32, number)));
         }
         let mut ends = vec![0; self.rows.len() * self.cells];
         let mut casters = vec![0; found.len()];
@@ -403,30 +427,32 @@ impl<'a> CasterCells<'a> {
     }
 
     /// Gives every one of the cells, counted from the first, that the shadow of a caster can touch above the ground.
-    fn shaded_by(&mut self, scene: &Scene, caster: &Caster, mut give: impl FnMut(usize)) {
-        let sun = &scene.sun;
-        let away = -sun.direction.truncate();
-        // The steepness of the rays that reach furthest: those of the lower limb.
-        let lowest = (sun.direction.z - sun.tan_half_angle()).max(1e-4);
-        let (steepness, away) = if away.length() > 1e-6 {
-            (lowest / away.length(), away / away.length())
-        } else {
-            (1e6, Vec2::X)
-        };
+    fn shaded_by(&mut self, scene: &Scene, rays: &Rays, caster: &Caster, mut give: impl FnMut(usize)) {
+        let &Rays { away, steepness, penumbra } = rays;
         let rock = &scene.rocks[caster.rock];
         let (centre, extent_m) = (caster.tile.centre, caster.tile.half_extent_m);
         let top_m = centre.z + rock.z_range_m[1];
         let half_diagonal_m = self.cell_m * std::f32::consts::FRAC_1_SQRT_2;
-        let penumbra = sun.tan_half_angle();
         let start = centre.truncate();
-        let end = (centre - caster.reach_m * sun.direction).truncate();
+        let end = (centre - caster.reach_m * scene.sun.direction).truncate();
         let widest_m = extent_m + penumbra * caster.reach_m;
         let (low, high) = (start.min(end) - widest_m, start.max(end) + widest_m);
         let inner = self.inner..self.cells - self.inner.min(self.cells);
         let rows = self.place(low.y, 1).max(self.rows.start)..(self.place(high.y, 1) + 1).min(self.rows.end);
+        let width_at =
+            |along_m: f32| extent_m + 2.0 * penumbra * (along_m + extent_m) * (1.0 + steepness.min(10.0));
+        // The shadow is a strip across the box.
+        let strip_m = 1.01 * (width_at((high - low).length() + 2.0 * half_diagonal_m) + half_diagonal_m);
         for row in rows {
             let span = self.spans[row - self.rows.start].clone();
-            for column in self.place(low.x, 0).max(span.start)..(self.place(high.x, 0) + 1).min(span.end) {
+            let (mut west_m, mut east_m) = (low.x, high.x);
+            if away.y.abs() > 1e-3 {
+                let north_m = (row as f32 + 0.5) * self.cell_m + self.origin.y - start.y;
+                let (middle_m, half_m) = (start.x + north_m * away.x / away.y, strip_m / away.y.abs());
+                west_m = west_m.max(middle_m - half_m - self.cell_m);
+                east_m = east_m.min(middle_m + half_m + self.cell_m);
+            }
+            for column in self.place(west_m, 0).max(span.start)..(self.place(east_m, 0) + 1).min(span.end) {
                 if inner.contains(&row) && inner.contains(&column) {
                     continue;
                 }
@@ -435,9 +461,9 @@ impl<'a> CasterCells<'a> {
                 let across_m = (middle - start).perp_dot(away).abs();
                 let nearest_m = (along_m - half_diagonal_m).max(0.0);
                 let furthest_m = (along_m + half_diagonal_m).max(0.0);
-                let width_m =
-                    extent_m + 2.0 * penumbra * (furthest_m + extent_m) * (1.0 + steepness.min(10.0));
-                if across_m > width_m + half_diagonal_m || along_m < -(extent_m + half_diagonal_m) {
+                if across_m > width_at(furthest_m) + half_diagonal_m
+                    || along_m < -(extent_m + half_diagonal_m)
+                {
                     continue;
                 }
                 // The highest ray that can have passed the rock falls below the ground somewhere.
