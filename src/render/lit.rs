@@ -91,12 +91,6 @@ impl Groups {
         self.stars() + 1
     }
 
-    /// Those of the ground, and the band that each is of.
-    pub fn of_ground(self) -> impl Iterator<Item = (Group, usize)> {
-        let of_band = |band| Shades::ALL.map(|shades| (Self::ground(band, shades), band));
-        (0..self.bands).flat_map(of_band)
-    }
-
     /// By what program each is lit, and which band it is of.
     pub fn all(self) -> impl Iterator<Item = (Lit, usize)> {
         let rocks = [Shades::Both, Shades::Casters, Shades::Nothing].map(|shades| (Lit::Rocks { shades }, 0));

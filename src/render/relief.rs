@@ -168,6 +168,15 @@ fn lattice_uniforms(lattice: &Lattice, amount: f32) -> LatticeUniforms {
     }
 }
 
+impl LatticeUniforms {
+    /// The lattice that [`lattice_uniforms`] was given.
+    #[inline(always)]
+    pub(super) const fn lattice(&self) -> Lattice {
+        let &Self { turn, phase, base, seed, cell_m, .. } = self;
+        Lattice { cell_m, turn, base, phase, seed }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -5,13 +5,13 @@
 //! Must not know: where slopes go.
 
 use fearless_simd::{Level, dispatch};
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 
-use super::lit::{Group, Groups};
+use super::lit::{Group, Groups, Lit};
 use super::relief::{Bands, sample_share};
 use super::shaders::{LatticeUniforms, ReliefUniforms, ReliefView};
-use crate::scene::craters::{CLOD_HEIGHT, JITTER_CELLS, PROFILE_DEPTH, RIM, SECOND_HASH};
-use crate::scene::noise::{cell, gradient_noise_slope_2d, lattice_hash};
+use crate::scene::craters::{CLOD_HEIGHT, EJECTA_EXPONENT, JITTER_CELLS, PROFILE_DEPTH, RIM, second_hash};
+use crate::scene::noise::{gradient_noise_slope_2d, lattice_hash};
 use crate::scene::relief::{CELLS_LEAST, mesh_share};
 
 /// Samples that are summed up for together.
@@ -85,10 +85,10 @@ impl Slopes {
     #[must_use]
     pub fn new(bands: &Bands, groups: Groups, rays: [Vec3; 3]) -> Self {
         let mut band_of = [NO_BAND; 1 << Group::BITS];
-        for (group, band) in groups.of_ground() {
+        for (band_of, (lit, band)) in band_of.iter_mut().zip(groups.all()) {
             let ReliefView { waves, pit_lattices, .. } = bands.bands[band].view;
-            if waves + pit_lattices > 0 {
-                band_of[usize::from(group)] = band as u8;
+            if matches!(lit, Lit::Ground { .. }) && waves + pit_lattices > 0 {
+                *band_of = band as u8;
             }
         }
         Self { bands: bands.bands.clone(), band_of, rays }
@@ -229,8 +229,9 @@ impl Places {
 
 #[inline(always)]
 fn add_wave(wave: &LatticeUniforms, places: &Places, sums: &mut Sums) {
+    let lattice = wave.lattice();
     for i in 0..AT_A_TIME {
-        let ([column, row], t) = in_lattice(wave, places.x[i], places.y[i]);
+        let ([column, row], t) = lattice.cell(lattice.local(Vec2::new(places.x[i], places.y[i])));
         let [along, across] = gradient_noise_slope_2d([column, row], t, wave.seed);
         let share = wave.amount * places.share(i, wave.cell_m);
         sums.x[i] += share * (wave.turn.x * along - wave.turn.y * across);
@@ -240,16 +241,16 @@ fn add_wave(wave: &LatticeUniforms, places: &Places, sums: &mut Sums) {
 
 #[inline(always)]
 fn add_pits(pits: &LatticeUniforms, fresh_share: f32, places: &Places, sums: &mut Sums) {
+    let lattice = pits.lattice();
     let (per_old, per_worn) = (1.0 / (1.0 - pits.clods), 1.0 / (1.0 - fresh_share));
     let per_fresh = if fresh_share > 1e-6 { 1.0 / fresh_share } else { 1e6 };
     // Radius of the largest, cells.
     let largest = 0.5 * pits.largest_m / pits.cell_m;
     let per_largest = 1.0 / largest;
     for i in 0..AT_A_TIME {
-        let ([column, row], [u, v]) = in_lattice(pits, places.x[i], places.y[i]);
+        let ([column, row], [u, v]) = lattice.cell(lattice.local(Vec2::new(places.x[i], places.y[i])));
         let first = lattice_hash(column, row, 0, pits.seed);
-        let second = (first ^ (first >> 15)).wrapping_mul(SECOND_HASH);
-        let second = second ^ (second >> 12);
+        let second = second_hash(first);
         let jitter = |bits: u32| ((bits & 0x3ff) as i32 as f32 * (1.0 / 512.0) - 1.0) * JITTER_CELLS + 0.5;
         let (along, across) = (u - jitter(second), v - jitter(second >> 10));
         // How many times smaller than the largest, and the radius in cells.
@@ -270,7 +271,7 @@ fn add_pits(pits: &LatticeUniforms, fresh_share: f32, places: &Places, sums: &mu
         let bowl = 0.051_383_2 + r * (-0.150_474_8 + r * (2.937_590_4 + r * (-5.661_628 + r * 2.871_354)));
         let rr = r * r;
         let per_rr = per_r * per_r;
-        let ejecta = -3.1906 * RIM * (per_rr * per_rr) * ((1.5 - r) * 2.5).clamp(0.0, 1.0);
+        let ejecta = EJECTA_EXPONENT * RIM * (per_rr * per_rr) * ((1.5 - r) * 2.5).clamp(0.0, 1.0);
         let crater = 2.0 / PROFILE_DEPTH * depth * if r < 1.0 { bowl } else { ejecta };
         let clod = -8.0 * CLOD_HEIGHT * r * if rr < 1.0 { 1.0 - rr } else { 0.0 };
         let steepness = if age < pits.clods { clod } else { crater };
@@ -282,14 +283,6 @@ fn add_pits(pits: &LatticeUniforms, fresh_share: f32, places: &Places, sums: &mu
         sums.x[i] += pits.turn.x * along - pits.turn.y * across;
         sums.y[i] += pits.turn.y * along + pits.turn.x * across;
     }
-}
-
-/// The cell of a lattice under a place, and where in it.
-#[inline(always)]
-fn in_lattice(lattice: &LatticeUniforms, x: f32, y: f32) -> ([i32; 2], [f32; 2]) {
-    let (column, u) = cell(lattice.turn.x * x + lattice.turn.y * y + lattice.phase.x);
-    let (row, v) = cell(lattice.turn.x * y - lattice.turn.y * x + lattice.phase.y);
-    ([lattice.base[0].wrapping_add(column), lattice.base[1].wrapping_add(row)], [u, v])
 }
 
 /// 2 to a power from -2.7 to 0, within a millionth.

@@ -49,8 +49,8 @@ pub const FRESH_DEPTHS: [f32; 2] = [0.11, 0.15];
 pub const CLOD_LARGEST_M: f64 = 0.08;
 /// Height of a clod, diameters.
 pub const CLOD_HEIGHT: f32 = 0.22;
-/// Factor of the second hash of a cell, which is made of the first (a round of Wellons' hash).
-pub const SECOND_HASH: u32 = 0x2c1b_3c6d;
+/// Factor of [`second_hash`].
+const SECOND_HASH: u32 = 0x2c1b_3c6d;
 
 /// Inside the crest the profile is `RIM + (1 - r) p(r)`, r in radii, heights in diameters: a polynomial that follows
 /// Yang's curve for a diameter of 1 m within 0.0003.
@@ -222,8 +222,7 @@ impl PitLattice {
         if share(first & 0xffff, 16) >= self.chance {
             return None;
         }
-        let second = (first ^ (first >> 15)).wrapping_mul(SECOND_HASH);
-        let second = second ^ (second >> 12);
+        let second = second_hash(first);
         let jitter = |bits: u32| (2.0 * share(bits & 0x3ff, 10) - 1.0) * JITTER_CELLS + 0.5;
         let local = Vec2::new(x as f32 + jitter(second), y as f32 + jitter(second >> 10));
         // Inverse of the cumulative law within the octave.
@@ -241,6 +240,14 @@ impl PitLattice {
         };
         Some(Pit { offset, diameter_m, depth, key: u64::from(first) << 32 | u64::from(second) })
     }
+}
+
+/// The second hash of a cell, which is made of the first (a round of Wellons' hash).
+#[must_use]
+#[inline(always)]
+pub const fn second_hash(first: u32) -> u32 {
+    let second = (first ^ (first >> 15)).wrapping_mul(SECOND_HASH);
+    second ^ (second >> 12)
 }
 
 /// Depth from crest to floor, diameters, of a crater of an age in [0, 1).

@@ -6,7 +6,7 @@
 
 use glam::{DVec2, Vec2};
 
-use super::noise::floor;
+use super::noise;
 use crate::random::Stream;
 
 /// A lattice: turned, scaled and shifted.
@@ -64,9 +64,8 @@ impl Lattice {
     #[must_use]
     #[inline(always)]
     pub fn cell(&self, local: Vec2) -> ([i32; 2], [f32; 2]) {
-        let (x, y) = (floor(local.x), floor(local.y));
-        let cell = [self.base[0].wrapping_add(x), self.base[1].wrapping_add(y)];
-        (cell, [local.x - x as f32, local.y - y as f32])
+        let ((x, u), (y, v)) = (noise::cell(local.x), noise::cell(local.y));
+        ([self.base[0].wrapping_add(x), self.base[1].wrapping_add(y)], [u, v])
     }
 }
 

@@ -358,16 +358,15 @@ fn lerp(a: f32, b: f32, t: f32) -> f32 {
 const NO_FRACTIONS: f32 = 12_582_912.0;
 
 /// Largest integer not above `x`, for |x| < 2^22: beyond, numbers have no fraction left that noise could be made of.
-///
-/// By a sum that has no room for fractions. A cast, with its rules for what does not fit, is made one lane after the other.
 #[must_use]
 #[inline(always)]
 pub fn floor(x: f32) -> i32 {
-    let nearest = (x + NO_FRACTIONS).to_bits().wrapping_sub(NO_FRACTIONS.to_bits()) as i32;
-    nearest - i32::from(nearest as f32 > x)
+    cell(x).0
 }
 
 /// [`floor`], and how far above it the number lies: from 0 to 1.
+///
+/// By a sum that has no room for fractions. A cast, with its rules for what does not fit, is made one lane after the other.
 #[must_use]
 #[inline(always)]
 pub fn cell(x: f32) -> (i32, f32) {
