@@ -4,11 +4,14 @@
 override LAYER: f32;
 
 @vertex
-fn vs_main(@location(0) position: vec3<f32>) -> @builtin(position) vec4<f32> {
-    let p = instance.scale * position / instance.tile_half_extent_m;
+fn vs_main(
+    @location(0) position: vec3<f32>,
+    @builtin(instance_index) slot: u32,
+) -> @builtin(position) vec4<f32> {
+    let p = instances[slot].thing.scale * position / instances[slot].thing.tile_half_extent_m;
     let across = vec2(dot(p, frame.sun_right), -dot(p, frame.sun_up));
-    let in_tile = (0.5 + 0.5 * across) * instance.tile_size_px;
-    let texel = instance.tile_origin_px + in_tile + vec2(0.0, LAYER * frame.atlas_layer_px);
+    let in_tile = (0.5 + 0.5 * across) * instances[slot].thing.tile_size_px;
+    let texel = instances[slot].thing.tile_origin_px + in_tile + vec2(0.0, LAYER * frame.atlas_layer_px);
     let uv = texel / vec2(frame.atlas_width_px, 2.0 * frame.atlas_layer_px);
     return vec4(2.0 * uv.x - 1.0, 1.0 - 2.0 * uv.y, 0.5 + 0.5 * dot(p, frame.sun_direction), 1.0);
 }

@@ -17,7 +17,7 @@ const TEXTURE_DETAIL: u32 = 2u;
 const GIVEN_DETAIL: u32 = 3u;
 
 // Of ground below its mesh, where a device is given them (src/render/slopes.rs): rise per metre along x and y.
-@group(2) @binding(6) var slopes: texture_2d<f32>;
+@group(2) @binding(5) var slopes: texture_2d<f32>;
 
 @fragment
 fn fs_main(in: Corner) -> SceneOut {

@@ -8,12 +8,18 @@ struct Varyings {
     // Metres from the eye, world axes.
     @location(0) offset: vec3<f32>,
     @location(1) normal: vec3<f32>,
+    @location(2) @interpolate(flat) slot: u32,
 }
 
 @vertex
-fn vs_main(@location(0) position: vec3<f32>, @location(1) normal: vec3<f32>) -> Varyings {
-    let offset = (instance.origin - frame.eye) + instance.scale * position;
-    return Varyings(frame.clip_from_offset * vec4(offset, 1.0), offset, normal);
+fn vs_main(
+    @location(0) position: vec3<f32>,
+    @location(1) normal: vec2<f32>,
+    @builtin(instance_index) slot: u32,
+) -> Varyings {
+    let origin = instances[slot].thing.origin;
+    let offset = (origin - frame.eye) + instances[slot].thing.scale * position;
+    return Varyings(frame.clip_from_offset * vec4(offset, 1.0), offset, from_octahedron(normal), slot);
 }
 
 // Read by `seen_at` in common/seen.wgsl.
@@ -23,7 +29,7 @@ fn fs_main(in: Varyings) -> @location(0) vec4<u32> {
     let to_eye = select(-facet, facet, dot(facet, in.offset) < 0.0);
     // The normal in 24 bits each way, beside the two bytes of the slot; one over the metres along the axis.
     let normal = vec2<u32>((0.5 + 0.5 * octahedron(in.normal)) * 16777215.0 + 0.5);
-    let slot = vec2(instance.slot & 0xffu, instance.slot >> 8u);
+    let slot = vec2(in.slot & 0xffu, in.slot >> 8u);
     return vec4(normal | (slot << vec2(24u)), pack2x16snorm(octahedron(to_eye)), bitcast<u32>(in.clip.w));
 }
 

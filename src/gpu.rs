@@ -6,6 +6,7 @@
 
 pub mod readback;
 pub mod staging;
+pub mod store;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -32,6 +33,8 @@ pub struct Gpu {
     pub info: AdapterInfo,
     /// Whether stencils can be written to it.
     pub takes_stencils: bool,
+    /// Whether it takes many draws in one command.
+    pub draws_many: bool,
     trouble: Arc<Mutex<Option<Error>>>,
 }
 
@@ -84,10 +87,10 @@ impl Gpu {
             max_storage_buffer_binding_size: offered.max_storage_buffer_binding_size,
             ..base
         };
+        let wanted = Features::TIMESTAMP_QUERY | Features::INDIRECT_FIRST_INSTANCE;
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("regolith/device"),
-            required_features: Features::DEPTH32FLOAT_STENCIL8
-                | (adapter.features() & Features::TIMESTAMP_QUERY),
+            required_features: Features::DEPTH32FLOAT_STENCIL8 | (adapter.features() & wanted),
             required_limits,
             memory_hints: wgpu::MemoryHints::Performance,
             ..Default::default()
@@ -114,7 +117,9 @@ impl Gpu {
         });
         let flags = adapter.get_downlevel_capabilities().flags;
         let takes_stencils = flags.contains(DownlevelFlags::DEPTH_TEXTURE_AND_BUFFER_COPIES);
-        Ok(Self { device, queue, info, takes_stencils, trouble })
+        let draws_many = flags.contains(DownlevelFlags::INDIRECT_EXECUTION)
+            && device.features().contains(Features::INDIRECT_FIRST_INSTANCE);
+        Ok(Self { device, queue, info, takes_stencils, draws_many, trouble })
     }
 
     /// The first thing that went wrong on the device since the last call.
@@ -237,7 +242,7 @@ pub const fn kind(info: &AdapterInfo) -> &'static str {
 fn enumerate(backends: Backends) -> Vec<wgpu::Adapter> {
     let mut descriptor = InstanceDescriptor::new_without_display_handle();
     descriptor.backends = backends;
-    // Indirect draws are not used: checking them would cost a compute pass.
+    // Indirect draws are this program's own: checking them would cost a compute pass.
     descriptor.flags = descriptor.flags.difference(InstanceFlags::VALIDATION_INDIRECT_CALL).with_env();
     pollster::block_on(wgpu::Instance::new(descriptor).enumerate_adapters(backends))
 }

@@ -14,6 +14,7 @@ pub mod hazards;
 pub mod horizon;
 mod labels;
 pub mod lit;
+pub mod meshes;
 pub mod raster;
 pub mod relief;
 pub mod resolve;
@@ -42,8 +43,7 @@ use crate::gpu::staging::Staging;
 use crate::gpu::{Gpu, is_cpu};
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
-use crate::scene::mesh::Vertex;
-use gpu_scene::{Draw, DrawnHere, GpuScene, Ways, slot_stride};
+use gpu_scene::{DrawnHere, GpuScene, Ways};
 use lit::Lit;
 use resolve::{PackedFrame, ResolvePass};
 use scene_pass::{ScenePass, Variant};
@@ -207,6 +207,7 @@ impl Renderer {
                 own_shadow_map: is_cpu(&gpu.info),
                 own_visibility: is_cpu(&gpu.info) && gpu.takes_stencils,
                 by_shades: true,
+                multi_draw: gpu.draws_many,
             },
             layouts,
             gpu,
@@ -445,6 +446,7 @@ impl Renderer {
                     scene.instances.first(size_of::<Instance>()),
                     scene.tiles.buffer().as_entire_binding(),
                     scene.relief.first(size_of::<ReliefUniforms>()),
+                    scene.instances.buffer().as_entire_binding(),
                 ],
             ),
             light: group(
@@ -452,7 +454,6 @@ impl Renderer {
                 &self.layouts.light,
                 &[
                     view(&targets.visible.1),
-                    scene.instances.buffer().as_entire_binding(),
                     view(self.shadow_pass.map()),
                     view(horizon),
                     scene.caster_grid.buffer().as_entire_binding(),
@@ -526,9 +527,9 @@ impl BindLayouts {
                 drawing | ShaderStages::COMPUTE,
                 &[buffer(wgpu::BufferBindingType::Uniform)],
             ),
-            scene: group("scene", drawing, &[instance, read, relief]),
+            scene: group("scene", drawing, &[instance, read, relief, read]),
             layers: group("layers", ShaderStages::COMPUTE, &[float, map]),
-            light: group("light", ShaderStages::FRAGMENT, &[uint, read, float, float, read, nearest, float]),
+            light: group("light", ShaderStages::FRAGMENT, &[uint, float, float, read, nearest, float]),
             resolve: group(
                 "resolve",
                 ShaderStages::COMPUTE,
@@ -547,24 +548,12 @@ fn by_device(drawn_here: DrawnHere) -> impl Fn(Pass) -> bool {
     }
 }
 
-fn vertex_layout(attributes: &[wgpu::VertexAttribute]) -> wgpu::VertexBufferLayout<'_> {
+/// Of vertices with so many of their attributes, the position first.
+fn vertex_layout(attributes: usize) -> wgpu::VertexBufferLayout<'static> {
     wgpu::VertexBufferLayout {
-        array_stride: size_of::<Vertex>() as u64,
+        array_stride: meshes::VERTEX_BYTES,
         step_mode: wgpu::VertexStepMode::Vertex,
-        attributes,
-    }
-}
-
-/// Draws a list. `group` is that of the scene, which each draw binds at its instance.
-fn draw_all(pass: &mut wgpu::RenderPass<'_>, group: &wgpu::BindGroup, scene: &GpuScene, draws: &[Draw]) {
-    pass.set_vertex_buffer(0, scene.vertices.buffer().slice(..));
-    pass.set_index_buffer(scene.indices.buffer().slice(..), wgpu::IndexFormat::Uint32);
-    let mut bound = None;
-    for draw in draws.iter().filter(|draw| !draw.indices.is_empty()) {
-        if bound.replace(draw.instance) != Some(draw.instance) {
-            pass.set_bind_group(1, group, &[draw.instance * slot_stride::<Instance>(), 0]);
-        }
-        pass.draw_indexed(draw.indices.clone(), draw.base_vertex, 0..1);
+        attributes: &meshes::VERTEX_ATTRIBUTES[..attributes],
     }
 }
 

@@ -22,8 +22,7 @@ struct Instance {
     // Corner and side of the tile, texels.
     tile_origin_px: vec2<f32>,
     tile_size_px: f32,
-    // Its place among the instances.
-    slot: u32,
+    reserved: u32,
 }
 
 // Where in the shadow atlas a caster is drawn.
@@ -40,7 +39,15 @@ struct CasterTile {
     facet_m: f32,
 }
 
-// The one that is drawn: a uniform, so that no vertex and no fragment has to find it in a list.
+// Uniforms start at multiples of 256 bytes.
+struct InstanceSlot {
+    thing: Instance,
+    unused: array<vec4<u32>, 11>,
+}
+
+// The one that is lit, where all samples of a draw show the same: a uniform, so that none has to find it in a list.
 @group(1) @binding(0) var<uniform> instance: Instance;
 // `CasterTile`s, each in two fetches.
 @group(1) @binding(1) var<storage, read> tiles: array<array<vec4<f32>, 2>>;
+// All of them.
+@group(1) @binding(3) var<storage, read> instances: array<InstanceSlot>;

@@ -2,12 +2,6 @@
 // picture; the stencil says which samples are theirs.
 
 @group(2) @binding(0) var visible_map: texture_2d<u32>;
-@group(2) @binding(1) var<storage, read> instances: array<InstanceSlot>;
-
-struct InstanceSlot {
-    thing: Instance,
-    unused: array<vec4<u32>, 11>,
-}
 
 struct Seen {
     // Metres from the eye, world axes.

@@ -6,14 +6,14 @@
 // where it stands on the ground: a bias of half the thickness of the thing, which needs no tuning ("midpoint
 // shadow maps": Woo 1992, Graphics Gems III, "The Shadow Depth Map Revisited").
 
-@group(2) @binding(2) var shadow_map: texture_2d<f32>;
-@group(2) @binding(3) var horizon_map: texture_2d<f32>;
+@group(2) @binding(1) var shadow_map: texture_2d<f32>;
+@group(2) @binding(2) var horizon_map: texture_2d<f32>;
 // First the start of each cell's list (and the end of the last), then the lists: indices of tiles. A start has the
 // highest bit set where the horizon map is to be asked too.
-@group(2) @binding(4) var<storage, read> caster_grid: array<u32>;
+@group(2) @binding(3) var<storage, read> caster_grid: array<u32>;
 // Texels of the maps are sampled, four at once where that many are asked for, and not loaded: a device that is a CPU reckons
 // with a level of detail for each lane of a load, which takes several times as long.
-@group(2) @binding(5) var nearest: sampler;
+@group(2) @binding(4) var nearest: sampler;
 
 const COS_GOLDEN_ANGLE: f32 = -0.73736888;
 const SIN_GOLDEN_ANGLE: f32 = 0.67549029;

@@ -2,9 +2,7 @@
 //!
 //! The draw list is made anew for each frame from a [`Selection`], near things first.
 
-use std::collections::HashMap;
 use std::ops::Range;
-use std::sync::{Arc, Weak};
 use std::time::Instant;
 
 use glam::Mat4;
@@ -15,9 +13,10 @@ use super::facets::Facets;
 use super::footprint::Footprint;
 use super::horizon::{self, HorizonMap};
 use super::lit::{Group, Groups, Lit};
+use super::meshes::{Draw, Meshes};
 use super::relief::Bands;
 use super::resolve::{self, Packing};
-use super::selection::{Bounds, Selection, Slots, ground_blocks, near_to_far};
+use super::selection::{Bounds, Selection, Slots, near_to_far};
 use super::shaders::{CasterTile, FrameUniforms, HorizonLevel, Instance};
 use super::shadow::{self, CasterGrids, Shades};
 use super::shadow_pass::ShadowPass;
@@ -30,28 +29,16 @@ use crate::error::Result;
 use crate::frame::Annotation;
 use crate::gpu::Gpu;
 use crate::gpu::staging::Staging;
+use crate::gpu::store::Store;
 use crate::scene::Scene;
 use crate::scene::bounce::{Bounce, rms_slope};
-use crate::scene::mesh::{Icosphere, Vertex};
 use crate::scene::sky::{DOME_LEVEL, STAR_LEVEL};
-use crate::scene::terrain::{Layout, Terrain};
 
-/// One indexed draw.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Draw {
-    /// Range in the index buffer.
-    pub indices: Range<u32>,
-    /// First vertex of the mesh.
-    pub base_vertex: i32,
-    /// Its slot in the instance buffer.
-    pub instance: u32,
-}
-
-/// The draws of a frame, in order.
+/// The draws of a frame, in order: of what the device is to draw, as ranges among those of its [`Meshes`].
 #[derive(Clone, Debug, Default)]
 pub struct DrawList {
     /// Into the layers of the shadow atlas: whole meshes.
-    pub casters: Vec<Draw>,
+    pub casters: Range<usize>,
     /// What is seen, by how it is lit, in the order in which it is drawn: near things before what they may cover.
     pub seen: Vec<Seen>,
 }
@@ -68,7 +55,7 @@ pub struct Seen {
     /// Its slot among the reliefs below the mesh.
     pub relief: u32,
     /// What shows it, if the device is to draw that.
-    pub draws: Vec<Draw>,
+    pub draws: Range<usize>,
     /// Where it may be on the picture; nowhere if nothing shows it.
     pub bounds: Bounds,
 }
@@ -78,10 +65,8 @@ pub struct Seen {
 pub struct GpuScene {
     /// What to draw.
     pub draws: DrawList,
-    /// Vertices of ground, unit spheres, rocks.
-    pub vertices: Store,
-    /// Triangles of the icosphere's levels, then of the ground's blocks.
-    pub indices: Store,
+    /// If the device is to draw any: the meshes.
+    pub meshes: Meshes,
     /// `FrameUniforms`.
     pub frame: Store,
     /// `ReliefUniforms`, each in a slot of its own.
@@ -110,41 +95,8 @@ pub struct GpuScene {
     horizon_map: HorizonMap,
     /// The same on the device, two heights a texel.
     pub horizon: Option<(wgpu::Texture, wgpu::TextureView)>,
-    /// Where meshes lie among the vertices, if the device is to draw any.
-    meshes: Meshes,
-    ground: Option<GroundBlocks>,
-    sphere_levels: Vec<Range<u32>>,
     /// Bytes written to the device for the last frame.
     pub uploaded_bytes: u64,
-}
-
-/// Where the meshes of a scene lie among the vertices on the device, behind the unit sphere: they stay while a scene does.
-#[derive(Debug, Default)]
-struct Meshes {
-    /// Keeps the ground's address from being given to another, but not the ground. So with the rocks.
-    terrain: Weak<Terrain>,
-    ground: i32,
-    /// Of each rock of the scene, its mesh and the first vertex of it. Rocks may share one.
-    rocks: Vec<(Weak<Vec<Vertex>>, i32)>,
-}
-
-impl Meshes {
-    fn are_of(&self, scene: &Scene) -> bool {
-        self.terrain.as_ptr() == Arc::as_ptr(&scene.terrain)
-            && self.rocks.len() == scene.rocks.len()
-            && self
-                .rocks
-                .iter()
-                .zip(&scene.rocks)
-                .all(|((mesh, _), rock)| mesh.as_ptr() == Arc::as_ptr(&rock.vertices))
-    }
-}
-
-/// Index ranges of the ground's blocks, for a number of columns and rows, and whether they are rings.
-#[derive(Debug)]
-struct GroundBlocks {
-    cells: [u32; 3],
-    blocks: Vec<Range<u32>>,
 }
 
 /// What the room for new tiles of the shadow map is a multiple of, bytes: frames differ a little in what they need.
@@ -160,6 +112,8 @@ pub struct Ways {
     /// What is drawn so is told apart by what can shade it, to be lit by programs that do no more than that: no plane changes
     /// by a bit.
     pub by_shades: bool,
+    /// The device takes a group's draws in one command: no plane changes by a bit.
+    pub multi_draw: bool,
 }
 
 /// What this program drew of a frame, and how long each took, milliseconds.
@@ -188,71 +142,11 @@ fn slots<T: bytemuck::NoUninit>(uniforms: &[T]) -> Vec<u8> {
     bytes
 }
 
-/// A buffer that grows when more is written than it holds.
-#[derive(Debug)]
-pub struct Store {
-    label: &'static str,
-    usage: BufferUsages,
-    buffer: Option<wgpu::Buffer>,
-}
-
-impl Store {
-    const fn new(label: &'static str, usage: BufferUsages) -> Self {
-        Self { label, usage, buffer: None }
-    }
-
-    /// The buffer.
-    ///
-    /// # Panics
-    /// Before the first [`GpuScene::upload`].
-    #[must_use]
-    pub fn buffer(&self) -> &wgpu::Buffer {
-        self.buffer.as_ref().expect("a scene is uploaded before it is drawn")
-    }
-
-    /// Its first `bytes`, as a binding.
-    #[must_use]
-    pub fn first(&self, bytes: usize) -> wgpu::BindingResource<'_> {
-        let size = wgpu::BufferSize::new(bytes as u64);
-        wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: self.buffer(), offset: 0, size })
-    }
-
-    /// Makes room for `bytes`; what the buffer held may be lost.
-    fn reserve(&mut self, gpu: &Gpu, bytes: usize) {
-        if self.buffer.as_ref().is_none_or(|buffer| buffer.size() < bytes as u64) {
-            let room = (bytes as u64).next_power_of_two();
-            self.buffer = Some(gpu.buffer(self.label, room, self.usage | BufferUsages::COPY_DST));
-        }
-    }
-
-    fn write<T: bytemuck::NoUninit>(&mut self, gpu: &Gpu, data: &[T]) -> u64 {
-        self.write_parts(gpu, &[data])
-    }
-
-    /// Writes one after the other.
-    fn write_parts<T: bytemuck::NoUninit>(&mut self, gpu: &Gpu, parts: &[&[T]]) -> u64 {
-        let bytes: usize = parts.iter().map(|part| size_of_val(*part)).sum();
-        self.reserve(gpu, bytes);
-        let size = wgpu::BufferSize::new(bytes as u64);
-        // There is no view where something is wrong with the device, which it says itself.
-        if let Some(mut view) = size.and_then(|size| gpu.queue.write_buffer_with(self.buffer(), 0, size)) {
-            let mut start = 0;
-            for part in parts {
-                let part: &[u8] = bytemuck::cast_slice(part);
-                view.slice(start..start + part.len()).copy_from_slice(part);
-                start += part.len();
-            }
-        }
-        bytes as u64
-    }
-}
-
 impl Default for GpuScene {
     fn default() -> Self {
         Self {
             draws: DrawList::default(),
-            vertices: Store::new("scene/vertices", BufferUsages::VERTEX),
-            indices: Store::new("scene/indices", BufferUsages::INDEX),
+            meshes: Meshes::default(),
             frame: Store::new("frame/uniforms", BufferUsages::UNIFORM),
             relief: Store::new("scene/relief", BufferUsages::UNIFORM),
             instances: Store::new("scene/instances", BufferUsages::UNIFORM.union(BufferUsages::STORAGE)),
@@ -268,9 +162,6 @@ impl Default for GpuScene {
             drawn_triangles: 0,
             horizon_map: HorizonMap::default(),
             horizon: None,
-            meshes: Meshes::default(),
-            ground: None,
-            sphere_levels: Vec::new(),
             uploaded_bytes: 0,
         }
     }
@@ -322,7 +213,9 @@ impl GpuScene {
             self.drawn_here.visibility_ms = Some(super::milliseconds(start.elapsed()));
         }
         if !(ways.own_shadow_map && ways.own_visibility) {
-            self.upload_draws(gpu, scene, settings, &bands, slots, &mut seen);
+            self.uploaded_bytes += self.meshes.upload(gpu, scene);
+            let draws = self.list_draws(scene, settings, &bands, slots, &mut seen);
+            self.uploaded_bytes += self.meshes.set_draws(gpu, draws, ways.multi_draw);
         }
         self.draws.seen = seen;
         self.draws.seen.retain(|seen| seen.bounds != Bounds::NOWHERE);
@@ -392,117 +285,61 @@ impl GpuScene {
         })
     }
 
-    /// The index buffer depends on the ground's layout alone.
-    fn upload_indices(&mut self, gpu: &Gpu, scene: &Scene) {
-        let terrain = &scene.terrain;
-        let cells = [terrain.columns, terrain.rows, u32::from(matches!(terrain.layout, Layout::Rings(_)))];
-        if self.ground.as_ref().is_some_and(|ground| ground.cells == cells) {
-            return;
-        }
-        let mut triangles: Vec<[u32; 3]> = Vec::new();
-        let mut range = |more: &mut dyn Iterator<Item = [u32; 3]>| {
-            let start = 3 * triangles.len() as u32;
-            triangles.extend(more);
-            start..3 * triangles.len() as u32
-        };
-        self.sphere_levels =
-            Icosphere::shared().triangles.iter().map(|level| range(&mut level.iter().copied())).collect();
-        let blocks = ground_blocks(terrain)
-            .map(|[columns, rows]| range(&mut scene.terrain.block_triangles(columns, rows)))
-            .collect();
-        self.ground = Some(GroundBlocks { cells, blocks });
-        self.uploaded_bytes += self.indices.write(gpu, triangles.as_flattened());
-    }
-
-    /// All vertices of a scene, unless the device has them.
-    fn upload_vertices(&mut self, gpu: &Gpu, scene: &Scene) {
-        if self.meshes.are_of(scene) {
-            return;
-        }
-        let sphere: Vec<Vertex> = Icosphere::shared().directions[..Icosphere::vertex_count(DOME_LEVEL)]
-            .iter()
-            .map(|&d| Vertex { position: d, normal: d })
-            .collect();
-        let mut uploads: Vec<&[Vertex]> = vec![&sphere];
-        let mut next_vertex = sphere.len();
-        let mut upload = |vertices| {
-            uploads.push(vertices);
-            let first = next_vertex;
-            next_vertex += vertices.len();
-            first as i32
-        };
-        let ground = upload(&scene.terrain.vertices);
-        let mut firsts: HashMap<*const Vec<Vertex>, i32> = HashMap::new();
-        let rocks = scene.rocks.iter().map(|rock| {
-            let mesh = &rock.vertices;
-            let first = *firsts.entry(Arc::as_ptr(mesh)).or_insert_with(|| upload(mesh));
-            (Arc::downgrade(mesh), first)
-        });
-        let rocks = rocks.collect();
-        self.meshes = Meshes { terrain: Arc::downgrade(&scene.terrain), ground, rocks };
-        self.uploaded_bytes += self.vertices.write_parts(gpu, &uploads);
-    }
-
-    /// Vertices, indices and draws of what the device is to draw, whole meshes: casters, and ground, rocks and sky for `seen`, all
-    /// groups.
-    fn upload_draws(
+    /// What the device is to draw, whole meshes, which it has: casters, and ground, rocks and sky for `seen`, all groups.
+    fn list_draws(
         &mut self,
-        gpu: &Gpu,
         scene: &Scene,
         settings: &RenderSettings,
         bands: &Bands,
         slots: Slots<'_>,
         seen: &mut [Seen],
-    ) {
-        self.upload_indices(gpu, scene);
-        self.upload_vertices(gpu, scene);
-        let selection = slots.selection();
-        let mut show = |group: Group, draw: Draw, bounds: Bounds| {
-            let seen = &mut seen[usize::from(group)];
-            seen.draws.push(draw);
-            seen.bounds = seen.bounds.union(bounds);
-        };
-        let DrawnHere { shadow_map_ms, visibility_ms } = self.drawn_here;
-        let (draws_casters, draws_seen) = (shadow_map_ms.is_none(), visibility_ms.is_none());
-        let mut seen_rocks = Vec::new();
-        for (place, selected) in selection.rocks.iter().enumerate() {
-            let casts = selected.caster.map(|(_, level)| level).filter(|_| draws_casters);
-            let shows = selected.seen_level.filter(|_| draws_seen);
-            let rock = &scene.rocks[selected.rock];
-            let (_, base_vertex) = self.meshes.rocks[selected.rock];
-            let draw = |level: usize| {
-                let (indices, instance) = (self.sphere_levels[level].clone(), Slots::rock(place));
-                Draw { indices, base_vertex, instance }
-            };
-            self.draws.casters.extend(casts.map(draw));
-            let bounds = Bounds::of_ball(scene, settings, rock.centre, rock.radius_m);
-            seen_rocks.extend(shows.map(|level| (selected.nearest_m, (draw(level), bounds))));
+    ) -> Vec<Draw> {
+        let (selection, meshes) = (slots.selection(), &self.meshes);
+        let mut draws = Vec::new();
+        if self.drawn_here.shadow_map_ms.is_none() {
+            draws.extend((0..).zip(&selection.rocks).filter_map(|(place, selected)| {
+                let (_, level) = selected.caster?;
+                Some(meshes.rock(selected.rock, level, Slots::rock(place)))
+            }));
         }
-        if draws_seen {
-            for (_, (draw, bounds)) in near_to_far(seen_rocks.into_iter()) {
+        self.draws.casters = 0..draws.len();
+        if self.drawn_here.visibility_ms.is_none() {
+            let mut shown: Vec<(Group, Draw)> = Vec::new();
+            let mut show = |group: Group, draw: Draw, bounds: Bounds| {
+                let seen = &mut seen[usize::from(group)];
+                seen.bounds = seen.bounds.union(bounds);
+                shown.push((group, draw));
+            };
+            let rocks = (0..).zip(&selection.rocks).filter_map(|(place, selected)| {
+                let rock = &scene.rocks[selected.rock];
+                let draw = meshes.rock(selected.rock, selected.seen_level?, Slots::rock(place));
+                let bounds = Bounds::of_ball(scene, settings, rock.centre, rock.radius_m);
+                Some((selected.nearest_m, (draw, bounds)))
+            });
+            for (_, (draw, bounds)) in near_to_far(rocks) {
                 show(Groups::rocks(Shades::Both), draw, bounds);
             }
-            let base_vertex = self.meshes.ground;
-            if let Some(known) = &self.ground {
-                let blocks = selection.blocks.iter().map(|&(block, nearest_m)| (nearest_m, block));
-                for (_, block) in near_to_far(blocks) {
-                    let group = Groups::ground(bands.of_block(block), Shades::Both);
-                    let indices = known.blocks[block].clone();
-                    show(group, Draw { indices, base_vertex, instance: Slots::GROUND }, Bounds::ANYWHERE);
-                }
+            let blocks = selection.blocks.iter().map(|&(block, nearest_m)| (nearest_m, block));
+            for (_, block) in near_to_far(blocks) {
+                let group = Groups::ground(bands.of_block(block), Shades::Both);
+                show(group, meshes.block(block, Slots::GROUND), Bounds::ANYWHERE);
             }
             let groups = Groups::new(bands.bands.len());
             let sky =
                 [(groups.stars(), STAR_LEVEL, slots.stars()), (groups.dome(), DOME_LEVEL, slots.dome())];
-            for (group, level, instances) in sky {
-                for instance in instances {
-                    let indices = self.sphere_levels[level].clone();
-                    show(group, Draw { indices, base_vertex: 0, instance }, Bounds::ANYWHERE);
-                }
+            for (group, level, slots) in sky.into_iter().filter(|(.., slots)| !slots.is_empty()) {
+                show(group, meshes.unit_spheres(level, slots), Bounds::ANYWHERE);
             }
-            let triangles = |draw: &Draw| u64::from(draw.indices.end - draw.indices.start) / 3;
-            self.drawn_triangles = seen.iter().flat_map(|seen| &seen.draws).map(triangles).sum();
+            self.drawn_triangles = shown.iter().map(|(_, draw)| draw.triangles()).sum();
+            // Those of a group stay in their order.
+            shown.sort_by_key(|(group, _)| *group);
+            for of_group in shown.chunk_by(|a, b| a.0 == b.0) {
+                let first = draws.len();
+                draws.extend(of_group.iter().map(|(_, draw)| *draw));
+                seen[usize::from(of_group[0].0)].draws = first..draws.len();
+            }
         }
+        draws
     }
 
     fn upload_horizon(&mut self, gpu: &Gpu, is_new: bool) {
@@ -524,7 +361,7 @@ impl GpuScene {
     /// After an error: what was written to the device may not be there.
     pub fn forget(&mut self) {
         self.horizon = None;
-        self.meshes = Meshes::default();
+        self.meshes.forget();
         self.shadow_map = ShadowMap::default();
     }
 }
@@ -562,7 +399,7 @@ fn instances(scene: &Scene, settings: &RenderSettings, slots: Slots<'_>) -> Vec<
             dust_above: rock.dust_above,
             tile_origin_px: tile.origin_px,
             tile_size_px: tile.size_px,
-            slot: 0,
+            reserved: 0,
         }
     }));
     let in_sky = |origin, scale, colour| Instance {
@@ -577,9 +414,6 @@ fn instances(scene: &Scene, settings: &RenderSettings, slots: Slots<'_>) -> Vec<
         in_sky(star.centre, star.radius_m, scene.sky.star_radiance)
     }));
     instances.push(in_sky(scene.sky.centre, scene.sky.radius_m, scene.sky.radiance));
-    for (slot, instance) in (0..).zip(&mut instances) {
-        instance.slot = slot;
-    }
     instances
 }
 
@@ -597,7 +431,7 @@ fn all_groups(bands: &Bands, slots: Slots<'_>) -> Vec<Seen> {
         lit,
         instance: instance(group),
         relief: band as u32,
-        draws: Vec::new(),
+        draws: 0..0,
         bounds: Bounds::NOWHERE,
     });
     all.collect()

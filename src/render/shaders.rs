@@ -224,7 +224,7 @@ shader_struct! {
         dust_above: f32,
         tile_origin_px: Vec2,
         tile_size_px: f32,
-        slot: u32,
+        reserved: u32,
     }
 }
 
@@ -344,7 +344,7 @@ mod tests {
                 if let Some(binding) = &variable.binding {
                     let expected = match variable.name.as_deref().unwrap_or_default() {
                         "frame" => 0,
-                        "instance" | "tiles" | "relief" => 1,
+                        "instance" | "instances" | "tiles" | "relief" => 1,
                         _ => 2,
                     };
                     assert_eq!(binding.group, expected, "groups are 0 frame, 1 scene, 2 pass");

@@ -96,9 +96,10 @@ impl ShadowPass {
         });
         let [frame, instances] = groups;
         pass.set_bind_group(0, frame, &[]);
+        pass.set_bind_group(1, instances, &[0, 0]);
         for pipeline in &pipelines.layers {
             pass.set_pipeline(pipeline);
-            super::draw_all(&mut pass, instances, scene, &scene.draws.casters);
+            scene.meshes.record(&mut pass, &scene.draws.casters);
         }
         drop(pass);
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
@@ -131,7 +132,7 @@ impl Pipelines {
                         constants: &[("LAYER", layer)],
                         ..Default::default()
                     },
-                    buffers: &[Some(vertex_layout(&wgpu::vertex_attr_array![0 => Float32x3]))],
+                    buffers: &[Some(vertex_layout(1))],
                 },
                 primitive: wgpu::PrimitiveState { cull_mode: Some(cull), ..Default::default() },
                 depth_stencil: Some(depth_state(ATLAS_FORMAT)),

@@ -31,7 +31,6 @@ impl Pipelines {
             bind_group_layouts: &[Some(&layouts.frame), Some(&layouts.scene)],
             immediate_size: 0,
         });
-        let attributes = wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3];
         let pipeline = |entry_point, cull_mode, write_mask| {
             gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
                 label: Some(VISIBILITY.name),
@@ -40,7 +39,7 @@ impl Pipelines {
                     module: &module,
                     entry_point: Some("vs_main"),
                     compilation_options: wgpu::PipelineCompilationOptions::default(),
-                    buffers: &[Some(vertex_layout(&attributes))],
+                    buffers: &[Some(vertex_layout(2))],
                 },
                 primitive: wgpu::PrimitiveState { cull_mode, ..Default::default() },
                 depth_stencil: Some(depth_state(DEPTH_FORMAT)),
@@ -105,11 +104,12 @@ impl VisibilityPass {
         let pipelines = self.pipelines.as_ref().expect("a pass is prepared before it is recorded");
         let [frame, instances] = groups;
         pass.set_bind_group(0, frame, &[]);
+        pass.set_bind_group(1, instances, &[0, 0]);
         for seen in &scene.draws.seen {
             let pipeline = if seen.lit == Lit::Sky { &pipelines.sky } else { &pipelines.things };
             pass.set_pipeline(pipeline);
             pass.set_stencil_reference(u32::from(seen.group) + 1);
-            super::draw_all(&mut pass, instances, scene, &seen.draws);
+            scene.meshes.record(&mut pass, &seen.draws);
         }
     }
 }

@@ -1,0 +1,407 @@
+//! Meshes on a device that draws them itself: vertices, indices, and the draws of a picture.
+//!
+//! Vertices stay while a scene does, indices while the ground's grid does; draws are made anew for each frame.
+
+use std::collections::HashMap;
+use std::ops::Range;
+use std::sync::{Arc, Weak};
+
+use bytemuck::{Pod, Zeroable};
+use fearless_simd::{Level, dispatch};
+use rayon::prelude::*;
+use wgpu::{BufferUsages, IndexFormat};
+
+use super::facets::octahedron;
+use super::selection::ground_blocks;
+use crate::gpu::Gpu;
+use crate::gpu::staging::{PAGE, Page};
+use crate::gpu::store::Store;
+use crate::scene::Scene;
+use crate::scene::mesh::{Icosphere, Vertex};
+use crate::scene::sky::DOME_LEVEL;
+use crate::scene::terrain::{Layout, Terrain};
+
+/// Columns of cells whose triangles are listed row by row, before those beside them: few enough for a device to find the vertices of a
+/// row among the last 16 that it has transformed when it comes to the next.
+const STRIP_CELLS: u32 = 6;
+/// Vertices in a page, and pages that a thread packs at a time.
+const PER_PAGE: usize = PAGE / size_of::<PackedVertex>();
+const PAGES_AT_A_TIME: usize = 16;
+
+/// One indexed draw, as a device reads it.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct Draw {
+    /// Indices.
+    pub index_count: u32,
+    /// Instances, one after the other.
+    pub instance_count: u32,
+    /// Place of the first index.
+    pub first_index: u32,
+    /// What is added to each index.
+    pub base_vertex: i32,
+    /// Slot of the first instance.
+    pub first_instance: u32,
+}
+
+impl Draw {
+    /// Triangles of all its instances.
+    #[must_use]
+    pub fn triangles(&self) -> u64 {
+        u64::from(self.index_count / 3) * u64::from(self.instance_count)
+    }
+}
+
+/// A vertex as a device has it. Positions are those of the scene to the bit: where they lie decides what a sample shows.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+struct PackedVertex {
+    /// Metres.
+    position: [f32; 3],
+    /// The normal on an octahedron, in shares of 32,767.
+    normal: [i16; 2],
+}
+
+/// Bytes from a vertex to the next.
+pub(super) const VERTEX_BYTES: u64 = size_of::<PackedVertex>() as u64;
+/// What a vertex is made of.
+pub(super) const VERTEX_ATTRIBUTES: [wgpu::VertexAttribute; 2] =
+    wgpu::vertex_attr_array![0 => Float32x3, 1 => Snorm16x2];
+
+/// The meshes of a scene, and what to draw of them.
+#[derive(Debug)]
+pub struct Meshes {
+    /// Vertices of the unit sphere, the ground, rocks.
+    vertices: Store,
+    /// Triangles of the icosphere's levels, then of the ground's blocks.
+    indices: Store,
+    index_format: IndexFormat,
+    /// The draws of a picture, one group after the other.
+    draws: Vec<Draw>,
+    /// The same, if the device takes many at once.
+    many: Option<Store>,
+    /// Index ranges of the icosphere's levels, and of the ground's blocks with the first vertex of each.
+    levels: Vec<Range<u32>>,
+    blocks: Vec<(Range<u32>, i32)>,
+    /// Columns and rows of the ground that these are for, and whether they are rings.
+    cells: [u32; 3],
+    /// Keeps the ground's address from being given to another, but not the ground. So with the rocks.
+    terrain: Weak<Terrain>,
+    ground: i32,
+    /// Of each rock of the scene, its mesh and the first vertex of it. Rocks may share one.
+    rocks: Vec<(Weak<Vec<Vertex>>, i32)>,
+}
+
+impl Default for Meshes {
+    fn default() -> Self {
+        Self {
+            vertices: Store::new("scene/vertices", BufferUsages::VERTEX),
+            indices: Store::new("scene/indices", BufferUsages::INDEX),
+            index_format: IndexFormat::Uint16,
+            draws: Vec::new(),
+            many: None,
+            levels: Vec::new(),
+            blocks: Vec::new(),
+            cells: [0; 3],
+            terrain: Weak::new(),
+            ground: 0,
+            rocks: Vec::new(),
+        }
+    }
+}
+
+impl Meshes {
+    /// Has the device hold the meshes of a scene, and says how many bytes it was given for that.
+    pub(super) fn upload(&mut self, gpu: &Gpu, scene: &Scene) -> u64 {
+        self.upload_indices(gpu, &scene.terrain) + self.upload_vertices(gpu, scene)
+    }
+
+    /// After an error: what was written to the device may not be there.
+    pub(super) fn forget(&mut self) {
+        *self = Self::default();
+    }
+
+    /// The draw of a rock of the scene at a level, as the instance in a slot.
+    pub(super) fn rock(&self, rock: usize, level: usize, slot: u32) -> Draw {
+        self.sphere(level, self.rocks[rock].1, slot..slot + 1)
+    }
+
+    /// The draw of unit spheres.
+    pub(super) fn unit_spheres(&self, level: usize, slots: Range<u32>) -> Draw {
+        self.sphere(level, 0, slots)
+    }
+
+    fn sphere(&self, level: usize, base_vertex: i32, slots: Range<u32>) -> Draw {
+        draw(&self.levels[level], base_vertex, slots)
+    }
+
+    /// The draw of a block of the ground, by its place in [`ground_blocks`].
+    pub(super) fn block(&self, block: usize, slot: u32) -> Draw {
+        let (indices, first_vertex) = &self.blocks[block];
+        draw(indices, self.ground + first_vertex, slot..slot + 1)
+    }
+
+    /// Sets what is to be drawn, and says how many bytes the device was given for that.
+    pub(super) fn set_draws(&mut self, gpu: &Gpu, draws: Vec<Draw>, many_at_once: bool) -> u64 {
+        self.draws = draws;
+        if !many_at_once {
+            self.many = None;
+            return 0;
+        }
+        let many = self.many.get_or_insert_with(|| Store::new("scene/draws", BufferUsages::INDIRECT));
+        many.write(gpu, &self.draws)
+    }
+
+    /// Records some of them.
+    pub(super) fn record(&self, pass: &mut wgpu::RenderPass<'_>, draws: &Range<usize>) {
+        if draws.is_empty() {
+            return;
+        }
+        pass.set_vertex_buffer(0, self.vertices.buffer().slice(..));
+        pass.set_index_buffer(self.indices.buffer().slice(..), self.index_format);
+        if let Some(many) = &self.many {
+            let first = (draws.start * size_of::<Draw>()) as u64;
+            pass.multi_draw_indexed_indirect(many.buffer(), first, draws.len() as u32);
+            return;
+        }
+        for draw in &self.draws[draws.clone()] {
+            let slots = draw.first_instance..draw.first_instance + draw.instance_count;
+            let indices = draw.first_index..draw.first_index + draw.index_count;
+            pass.draw_indexed(indices, draw.base_vertex, slots);
+        }
+    }
+
+    /// The index buffer depends on the ground's grid alone. Blocks of as many columns and rows share their triangles, which count
+    /// vertices from the first of the block.
+    fn upload_indices(&mut self, gpu: &Gpu, terrain: &Terrain) -> u64 {
+        let is_rings = matches!(terrain.layout, Layout::Rings(_));
+        let cells = [terrain.columns, terrain.rows, u32::from(is_rings)];
+        if self.cells == cells {
+            return 0;
+        }
+        let mut triangles: Vec<[u32; 3]> = Vec::new();
+        let mut range = |more: &mut dyn Iterator<Item = [u32; 3]>| {
+            let start = 3 * triangles.len() as u32;
+            triangles.extend(more);
+            start..3 * triangles.len() as u32
+        };
+        self.levels = (0..=Icosphere::MAX_LEVEL).map(|level| range(&mut sphere_triangles(level))).collect();
+        let mut known: HashMap<[u32; 3], Range<u32>> = HashMap::new();
+        let blocks = ground_blocks(terrain).map(|[columns, rows]| {
+            let first = rows.start * (terrain.columns + 1) + columns.start;
+            let fans = is_rings && rows.start == 0;
+            let shape = [columns.len() as u32, rows.len() as u32, u32::from(fans)];
+            let indices = known.entry(shape).or_insert_with(|| {
+                let of_block = block_triangles(terrain, &columns, &rows);
+                range(&mut of_block.map(|triangle| triangle.map(|vertex| vertex - first)))
+            });
+            (indices.clone(), first as i32)
+        });
+        self.blocks = blocks.collect();
+        self.cells = cells;
+        let indices = triangles.as_flattened();
+        let narrow: Option<Vec<u16>> = indices.iter().map(|&index| u16::try_from(index).ok()).collect();
+        self.index_format = if narrow.is_some() { IndexFormat::Uint16 } else { IndexFormat::Uint32 };
+        match narrow {
+            Some(mut narrow) => {
+                // Copies go by four bytes.
+                narrow.resize(narrow.len().next_multiple_of(2), 0);
+                self.indices.write(gpu, &narrow)
+            }
+            None => self.indices.write(gpu, indices),
+        }
+    }
+
+    /// All vertices of a scene, unless the device has them.
+    fn upload_vertices(&mut self, gpu: &Gpu, scene: &Scene) -> u64 {
+        if self.are_of(scene) {
+            return 0;
+        }
+        let sphere: Vec<Vertex> = Icosphere::shared().directions[..Icosphere::vertex_count(DOME_LEVEL)]
+            .iter()
+            .map(|&d| Vertex { position: d, normal: d })
+            .collect();
+        let mut uploads: Vec<&[Vertex]> = vec![&sphere];
+        let mut next_vertex = sphere.len();
+        let mut upload = |vertices| {
+            uploads.push(vertices);
+            let first = next_vertex;
+            next_vertex += vertices.len();
+            first as i32
+        };
+        self.ground = upload(&scene.terrain.vertices);
+        let mut firsts: HashMap<*const Vec<Vertex>, i32> = HashMap::new();
+        let rocks = scene.rocks.iter().map(|rock| {
+            let mesh = &rock.vertices;
+            let first = *firsts.entry(Arc::as_ptr(mesh)).or_insert_with(|| upload(mesh));
+            (Arc::downgrade(mesh), first)
+        });
+        self.rocks = rocks.collect();
+        self.terrain = Arc::downgrade(&scene.terrain);
+        let bytes = (next_vertex * size_of::<PackedVertex>()).next_multiple_of(PAGE);
+        self.vertices.write_with(gpu, bytes, |room| {
+            let pages: Vec<Page<'_>> = room.into_chunks().0.into_iter().collect();
+            pages.into_par_iter().enumerate().with_min_len(PAGES_AT_A_TIME).for_each(|(place, page)| {
+                let mut page: wgpu::WriteOnly<'_, [u8]> = page.into();
+                page.copy_from_slice(bytemuck::cast_slice(&packed_page(&uploads, place * PER_PAGE)));
+            });
+        })
+    }
+
+    fn are_of(&self, scene: &Scene) -> bool {
+        self.terrain.as_ptr() == Arc::as_ptr(&scene.terrain)
+            && self.rocks.len() == scene.rocks.len()
+            && self
+                .rocks
+                .iter()
+                .zip(&scene.rocks)
+                .all(|((mesh, _), rock)| mesh.as_ptr() == Arc::as_ptr(&rock.vertices))
+    }
+}
+
+fn draw(indices: &Range<u32>, base_vertex: i32, slots: Range<u32>) -> Draw {
+    Draw {
+        index_count: indices.len() as u32,
+        instance_count: slots.len() as u32,
+        first_index: indices.start,
+        base_vertex,
+        first_instance: slots.start,
+    }
+}
+
+/// The triangles of a level of the icosphere, so that one follows another beside it: of the four that one was split into, again and
+/// again, the middle one is third.
+fn sphere_triangles(level: usize) -> impl Iterator<Item = [u32; 3]> {
+    let triangles = &Icosphere::shared().triangles[level];
+    let within_a_face = (1 << (2 * level)) - 1;
+    // Two bits a split, in which 2 and 3 change places.
+    (0..triangles.len()).map(move |place| triangles[place ^ ((place >> 1) & 0x5555 & within_a_face)])
+}
+
+/// The triangles of a block of the ground, in strips.
+fn block_triangles(
+    terrain: &Terrain,
+    columns: &Range<u32>,
+    rows: &Range<u32>,
+) -> impl Iterator<Item = [u32; 3]> {
+    columns.clone().step_by(STRIP_CELLS as usize).flat_map(|first| {
+        terrain.block_triangles(first..(first + STRIP_CELLS).min(columns.end), rows.clone())
+    })
+}
+
+/// A page of the vertices of some meshes that stand one behind the other, from one of them on.
+fn packed_page(meshes: &[&[Vertex]], mut first: usize) -> [PackedVertex; PER_PAGE] {
+    let mut page = [PackedVertex::default(); PER_PAGE];
+    let mut rest = &mut page[..];
+    for mesh in meshes {
+        let here = mesh.get(first..).unwrap_or_default();
+        first = first.saturating_sub(mesh.len());
+        let (packed, after) = rest.split_at_mut(here.len().min(rest.len()));
+        dispatch!(Level::new(), _simd => pack(here, packed));
+        rest = after;
+        if rest.is_empty() {
+            break;
+        }
+    }
+    page
+}
+
+// Inlined wholly, to be compiled for each width of vectors.
+#[inline(always)]
+fn pack(vertices: &[Vertex], packed: &mut [PackedVertex]) {
+    for (packed, vertex) in packed.iter_mut().zip(vertices) {
+        let [x, y] = octahedron(vertex.normal).into();
+        // A share lies in -1 to 1.
+        let whole = |share: f32| (32_767.0 * share + 0.5_f32.copysign(share)) as i16;
+        *packed = PackedVertex { position: vertex.position.into(), normal: [whole(x), whole(y)] };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::params::sampler::Config;
+    use glam::{Vec2, Vec3};
+
+    fn ground(stage: &str) -> Terrain {
+        let mut config = Config::new();
+        config.apply_set(&format!("stage.name={stage}")).expect("a stage");
+        let scene = Scene::build(3, &config.draw(3).expect("drawn")).expect("built");
+        Arc::unwrap_or_clone(scene.terrain)
+    }
+
+    #[test]
+    fn strips_of_blocks_are_all_of_the_ground() {
+        for stage in ["nominal", "surface"] {
+            let terrain = ground(stage);
+            let mut of_blocks: Vec<[u32; 3]> = ground_blocks(&terrain)
+                .flat_map(|[columns, rows]| block_triangles(&terrain, &columns, &rows).collect::<Vec<_>>())
+                .collect();
+            let mut all: Vec<[u32; 3]> = terrain.triangles().collect();
+            of_blocks.sort_unstable();
+            all.sort_unstable();
+            assert!(of_blocks == all, "{stage}");
+        }
+    }
+
+    /// Vertices that are transformed for each triangle, by a device that keeps the last `kept` of them.
+    fn transformed_per_triangle(triangles: &[[u32; 3]], kept: usize) -> f64 {
+        let (mut cache, mut transformed) = (std::collections::VecDeque::new(), 0);
+        for vertex in triangles.as_flattened() {
+            if !cache.contains(vertex) {
+                transformed += 1;
+                cache.push_back(*vertex);
+                if cache.len() > kept {
+                    cache.pop_front();
+                }
+            }
+        }
+        f64::from(transformed) / triangles.len() as f64
+    }
+
+    #[test]
+    fn few_vertices_are_transformed_twice() {
+        let terrain = ground("nominal");
+        let block: Vec<_> = block_triangles(&terrain, &(0..30), &(0..30)).collect();
+        let sphere: Vec<_> = sphere_triangles(4).collect();
+        // An endless grid has half as many vertices as triangles, and so has a sphere.
+        for (triangles, kept, most) in
+            [(&block, 16, 0.61), (&block, 32, 0.61), (&sphere, 16, 0.79), (&sphere, 32, 0.67)]
+        {
+            let transformed = transformed_per_triangle(triangles, kept);
+            assert!((0.5..most).contains(&transformed), "{transformed} with {kept} kept");
+        }
+    }
+
+    #[test]
+    fn spheres_have_the_triangles_of_their_level() {
+        for (level, expected) in Icosphere::shared().triangles.iter().enumerate() {
+            let (mut here, mut expected): (Vec<_>, Vec<_>) =
+                (sphere_triangles(level).collect(), expected.clone());
+            here.sort_unstable();
+            expected.sort_unstable();
+            assert!(here == expected, "level {level}");
+        }
+    }
+
+    #[test]
+    fn packed_vertices_lie_where_they_did_and_their_normals_turn_by_less_than_a_ten_thousandth() {
+        let normals = &Icosphere::shared().directions;
+        let vertices: Vec<Vertex> =
+            normals.iter().map(|&normal| Vertex { position: 3.7 * normal, normal }).collect();
+        let (one, others) = vertices.split_at(1);
+        // A mesh without vertices, and some that end within a page.
+        let meshes = [one, &[], &others[..700], &others[700..]];
+        for (first, expected) in vertices.chunks(PER_PAGE).enumerate() {
+            let page = packed_page(&meshes, first * PER_PAGE);
+            for (packed, vertex) in page.iter().zip(expected) {
+                assert_eq!(Vec3::from(packed.position), vertex.position);
+                let p = Vec2::from(packed.normal.map(|half| f32::from(half) / 32_767.0));
+                let z = 1.0 - p.x.abs() - p.y.abs();
+                let back = (-z).max(0.0);
+                let normal = Vec3::new(p.x - back.copysign(p.x), p.y - back.copysign(p.y), z).normalize();
+                assert!(normal.distance(vertex.normal) < 1e-4, "{normal} for {}", vertex.normal);
+            }
+        }
+    }
+}
