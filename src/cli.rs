@@ -5,6 +5,7 @@
 mod bench;
 mod convert;
 mod dataset;
+mod device;
 mod frame;
 mod progress;
 mod remap;

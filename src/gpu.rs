@@ -4,6 +4,7 @@
 //! device is an [`Error`], never a panic.
 //! Must not know: the Moon.
 
+pub mod programs;
 pub mod readback;
 pub mod staging;
 pub mod store;
@@ -18,6 +19,7 @@ use wgpu::{
 };
 
 use crate::error::{Error, Result};
+use programs::Programs;
 
 /// Longest time that one frame may take before the device is given up.
 const FRAME_TIMEOUT: Duration = Duration::from_secs(300);
@@ -35,6 +37,8 @@ pub struct Gpu {
     pub takes_stencils: bool,
     /// Whether it takes many draws in one command.
     pub draws_many: bool,
+    /// Its compiled programs, if the backend gives them out.
+    pub programs: Option<Programs>,
     trouble: Arc<Mutex<Option<Error>>>,
 }
 
@@ -48,6 +52,14 @@ impl Gpu {
     /// # Errors
     /// [`Error::NoAdapter`], [`Error::AdapterNotFound`] or [`Error::AdapterUnfit`].
     pub fn open(wanted: Option<&str>) -> Result<Self> {
+        Self::open_with(wanted, |_| None)
+    }
+
+    /// The same, with the compiled programs that `kept` gives for a key of [`Programs`].
+    ///
+    /// # Errors
+    /// [`Error::NoAdapter`], [`Error::AdapterNotFound`] or [`Error::AdapterUnfit`].
+    pub fn open_with(wanted: Option<&str>, kept: impl FnOnce(&str) -> Option<Vec<u8>>) -> Result<Self> {
         let from_environment = std::env::var("WGPU_ADAPTER_NAME").ok().filter(|name| !name.is_empty());
         let wanted = wanted.map(str::to_owned).or(from_environment);
         // GL is only looked at where Vulkan has nothing: its libraries are slow to load and noisy.
@@ -61,7 +73,7 @@ impl Gpu {
                 .filter(|adapter| wanted.as_deref().is_none_or(|text| matches(&adapter.get_info(), text)))
                 .min_by_key(|adapter| rank(&adapter.get_info()));
             if let Some(adapter) = best {
-                return Self::open_adapter(&adapter);
+                return Self::open_adapter(&adapter, kept);
             }
         }
         Err(match wanted {
@@ -73,7 +85,7 @@ impl Gpu {
         })
     }
 
-    fn open_adapter(adapter: &wgpu::Adapter) -> Result<Self> {
+    fn open_adapter(adapter: &wgpu::Adapter, kept: impl FnOnce(&str) -> Option<Vec<u8>>) -> Result<Self> {
         let info = adapter.get_info();
         let unfit = |reason: String| Error::AdapterUnfit { adapter: info.name.clone(), reason };
         let offered = adapter.limits();
@@ -87,7 +99,7 @@ impl Gpu {
             max_storage_buffer_binding_size: offered.max_storage_buffer_binding_size,
             ..base
         };
-        let wanted = Features::TIMESTAMP_QUERY | Features::INDIRECT_FIRST_INSTANCE;
+        let wanted = Features::TIMESTAMP_QUERY | Features::INDIRECT_FIRST_INSTANCE | Features::PIPELINE_CACHE;
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("regolith/device"),
             required_features: Features::DEPTH32FLOAT_STENCIL8 | (adapter.features() & wanted),
@@ -119,7 +131,14 @@ impl Gpu {
         let takes_stencils = flags.contains(DownlevelFlags::DEPTH_TEXTURE_AND_BUFFER_COPIES);
         let draws_many = flags.contains(DownlevelFlags::INDIRECT_EXECUTION)
             && device.features().contains(Features::INDIRECT_FIRST_INSTANCE);
-        Ok(Self { device, queue, info, takes_stencils, draws_many, trouble })
+        let programs = Programs::new(&device, &info, kept);
+        Ok(Self { device, queue, info, takes_stencils, draws_many, programs, trouble })
+    }
+
+    /// What pipelines are made with.
+    #[must_use]
+    pub fn pipeline_cache(&self) -> Option<&wgpu::PipelineCache> {
+        self.programs.as_ref().map(Programs::cache)
     }
 
     /// The first thing that went wrong on the device since the last call.

@@ -7,14 +7,13 @@ use regolith::bench::{self, Case, Curve, Measured, SWEEPS, Setup};
 use regolith::dataset::Pace;
 use regolith::dataset::plan::{Plan, Range, Shard};
 use regolith::dataset::rules::Rules;
-use regolith::gpu::Gpu;
 use regolith::output::{self, Artifact, disk, writer};
 use regolith::render::{FRAMES_IN_FLIGHT, Renderer};
 use regolith::{Error, Result};
 use serde_json::{Map, Value, json};
 
 use super::progress::note;
-use super::{ConfigArgs, PictureArgs, print};
+use super::{ConfigArgs, PictureArgs, device, print};
 
 #[derive(Args, Debug)]
 pub(super) struct BenchArgs {
@@ -63,11 +62,13 @@ pub(super) struct BenchArgs {
 pub(super) fn run(args: &BenchArgs) -> Result<()> {
     let cases = parse_cases(&args.cases)?;
     let setup = setup(args)?;
-    let mut renderer = Renderer::new(Gpu::open(args.picture.adapter.as_deref())?)?;
+    let mut renderer = Renderer::new(device::open(args.picture.adapter.as_deref())?)?;
     match &args.sweep {
         Some(name) => sweep(args, name, cases[0], &setup, &mut renderer),
         None => measure(args, &cases, &setup, &mut renderer),
-    }
+    }?;
+    device::keep_programs(renderer.gpu());
+    Ok(())
 }
 
 fn parse_cases(list: &str) -> Result<Vec<Case>> {

@@ -12,7 +12,6 @@ use regolith::dataset::journal::{self, Contents, Journal, Settled};
 use regolith::dataset::plan::{self, MAX_FRAMES, Plan, Range, frame_seed};
 use regolith::dataset::rules::Rules;
 use regolith::dataset::{self, Pace, Progress};
-use regolith::gpu::Gpu;
 use regolith::output;
 use regolith::output::webdataset::archive_end;
 use regolith::output::writer::{self, WRITERS};
@@ -21,7 +20,7 @@ use regolith::{Error, Result};
 use serde_json::{Value, json};
 
 use super::progress::{Meter, duration, note};
-use super::{ConfigArgs, PictureArgs, print};
+use super::{ConfigArgs, PictureArgs, device, print};
 
 /// Frames that a dry run tells of, unless fewer are asked for.
 const DRY_FRAMES: u64 = 5;
@@ -109,7 +108,7 @@ pub(super) fn run(args: &DatasetArgs) -> Result<()> {
     }
     let start = Instant::now();
     // Before the folder is made, so that a machine without an adapter leaves nothing.
-    let gpu = Gpu::open(args.picture.adapter.as_deref())?;
+    let gpu = device::open(args.picture.adapter.as_deref())?;
     let journal = Journal::open(&args.out, &contents, args.force)?;
     if !args.quiet {
         note(format_args!("rendering on {}", regolith::gpu::describe(&gpu.info)));
@@ -121,6 +120,7 @@ pub(super) fn run(args: &DatasetArgs) -> Result<()> {
         dataset::run(&plan, &mut renderer, journal, pace, &stop, |progress| show(&mut meter, progress));
     meter.finish();
     let (progress, settled) = result?;
+    device::keep_programs(renderer.gpu());
     report(args, Some(&progress), &settled, start.elapsed().as_secs_f64())
 }
 
@@ -179,7 +179,7 @@ fn stream(args: &DatasetArgs, plan: &Plan, pace: Pace, stop: &AtomicBool) -> Res
             "--out - streams one archive: it needs --format webdataset and no --split".to_owned(),
         ));
     }
-    let gpu = Gpu::open(args.picture.adapter.as_deref())?;
+    let gpu = device::open(args.picture.adapter.as_deref())?;
     let mut renderer = Renderer::new(gpu)?;
     super::inject_fault(&renderer);
     let mut meter = Meter::new(args.quiet, "frames");
@@ -203,6 +203,7 @@ fn stream(args: &DatasetArgs, plan: &Plan, pace: Pace, stop: &AtomicBool) -> Res
     }
     let progress = result?;
     write(&archive_end())?;
+    device::keep_programs(renderer.gpu());
     if !args.quiet {
         note(format_args!(
             "{} frames streamed in {}",

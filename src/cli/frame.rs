@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use clap::Args;
 use regolith::class::ClassId;
-use regolith::gpu::{self, Gpu};
+use regolith::gpu;
 use regolith::meta::FrameRecord;
 use regolith::output::{self, Source, disk};
 use regolith::render::{Renderer, StageTimes};
@@ -13,7 +13,7 @@ use regolith::scene::Scene;
 use regolith::{Error, Result};
 use serde_json::{Value, json};
 
-use super::{ConfigArgs, PictureArgs, print};
+use super::{ConfigArgs, PictureArgs, device, print};
 
 #[derive(Args, Debug)]
 pub(super) struct FrameArgs {
@@ -58,7 +58,7 @@ pub(super) fn run(args: &FrameArgs) -> Result<()> {
     let (scene, renderer) = rayon::join(
         || timed("scene", || Scene::build(args.seed, &params)),
         || -> Result<_> {
-            let (gpu, adapter) = timed("adapter", || Gpu::open(args.picture.adapter.as_deref()))?;
+            let (gpu, adapter) = timed("adapter", || device::open(args.picture.adapter.as_deref()))?;
             let (renderer, pipelines) = timed("pipelines", || Renderer::new(gpu))?;
             Ok((renderer, [adapter, pipelines]))
         },
@@ -106,6 +106,7 @@ pub(super) fn run(args: &FrameArgs) -> Result<()> {
     if !args.quiet {
         summarise(args, &renderer, &meta, &times, start);
     }
+    device::keep_programs(renderer.gpu());
     Ok(())
 }
 

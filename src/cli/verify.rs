@@ -4,12 +4,11 @@ use std::path::PathBuf;
 
 use clap::Args;
 use regolith::dataset::verify::{self, CHECKS, Report};
-use regolith::gpu::Gpu;
 use regolith::render::Renderer;
 use regolith::{Error, Result};
 
-use super::print;
 use super::progress::Meter;
+use super::{device, print};
 
 /// Problems that are printed; JSON has all.
 const SHOWN: usize = 40;
@@ -38,8 +37,9 @@ pub(super) fn run(args: &VerifyArgs) -> Result<()> {
     meter.finish();
     let mut report = report?;
     if args.rerender > 0 && report.frames > 0 {
-        let mut renderer = Renderer::new(Gpu::open(args.adapter.as_deref())?)?;
+        let mut renderer = Renderer::new(device::open(args.adapter.as_deref())?)?;
         verify::check_rendering(&args.folder, &mut renderer, args.rerender, &mut report)?;
+        device::keep_programs(renderer.gpu());
     }
     if args.json {
         print(&format!("{:#}\n", report.to_json()))?;

@@ -179,7 +179,7 @@ impl ResolvePass {
                 ],
                 ..Default::default()
             },
-            cache: None,
+            cache: gpu.pipeline_cache(),
         });
         self.pipelines.push((wanted, pipeline));
     }

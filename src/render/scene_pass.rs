@@ -144,7 +144,7 @@ impl ScenePass {
                 targets: &targets,
             }),
             multiview_mask: None,
-            cache: None,
+            cache: gpu.pipeline_cache(),
         })
     }
 

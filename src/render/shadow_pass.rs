@@ -139,7 +139,7 @@ impl Pipelines {
                 multisample: wgpu::MultisampleState::default(),
                 fragment: None,
                 multiview_mask: None,
-                cache: None,
+                cache: gpu.pipeline_cache(),
             })
         };
         let layers =
@@ -155,7 +155,7 @@ impl Pipelines {
             module: &MIDDLE.compile(gpu),
             entry_point: Some("cs_main"),
             compilation_options: wgpu::PipelineCompilationOptions::default(),
-            cache: None,
+            cache: gpu.pipeline_cache(),
         });
         Self { layers, middle }
     }

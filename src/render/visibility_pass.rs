@@ -51,7 +51,7 @@ impl Pipelines {
                     targets: &[Some(wgpu::ColorTargetState { write_mask, ..VISIBLE_FORMAT.into() })],
                 }),
                 multiview_mask: None,
-                cache: None,
+                cache: gpu.pipeline_cache(),
             })
         };
         Self {

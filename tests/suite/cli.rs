@@ -26,6 +26,35 @@ fn assert_refused(words: &[&str], status: i32, said: &[&str]) {
 }
 
 #[test]
+fn compiled_programs_are_kept_and_change_no_picture() {
+    let folder = folder();
+    let picture = |caches: &Path| {
+        let words = ["--seed", "3", "--size", "64", "--force"];
+        let output = program(folder.path()).args(words).env("XDG_CACHE_HOME", caches).output();
+        let output = output.expect("the program starts");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        std::fs::read(folder.path().join("out/rgb_0000.png")).expect("a picture")
+    };
+    let kept = || {
+        let programs = folder.path().join("caches/regolith-render");
+        let mut files =
+            std::fs::read_dir(programs).expect("a folder").map(|file| file.expect("a file").path());
+        let file = files.next().expect("the programs of the driver");
+        assert!(files.next().is_none(), "one file for one driver");
+        file
+    };
+    let caches = folder.path().join("caches");
+    let first = picture(&caches);
+    let whole = std::fs::read(kept()).expect("programs");
+    assert!(first == picture(&caches), "with kept programs");
+    let damaged = &whole[..whole.len() / 2];
+    std::fs::write(kept(), damaged).expect("written");
+    assert!(first == picture(&caches), "with damaged programs");
+    assert!(std::fs::read(kept()).expect("programs").len() > damaged.len(), "damaged programs are replaced");
+    assert!(first == picture(&folder.path().join("out/rgb_0000.png")), "with no place to keep any");
+}
+
+#[test]
 fn wrong_settings_are_refused_by_name_value_and_remedy() {
     for (words, said) in [
         (
