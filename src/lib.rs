@@ -39,6 +39,7 @@ pub mod params;
 pub mod random;
 pub mod remap;
 pub mod render;
+pub mod reuse;
 pub mod scene;
 
 pub use error::{Error, Result};

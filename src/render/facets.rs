@@ -425,6 +425,7 @@ impl Mesh {
 
     /// Adds the vertices of what lies at `origin`, metres from the eye.
     fn extend(&mut self, samples: &Samples, origin: Vec3, vertices: &[Vertex]) {
+        self.corners.reserve(vertices.len());
         for vertices in vertices.chunks(VERTICES) {
             let first = self.corners.len();
             dispatch!(Level::new(), _simd => samples.place(origin, vertices, &mut self.corners));

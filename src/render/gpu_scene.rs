@@ -3,6 +3,7 @@
 //! The draw list is made anew for each frame from a [`Selection`], near things first.
 
 use std::ops::Range;
+use std::sync::{Arc, Weak};
 use std::time::Instant;
 
 use glam::Mat4;
@@ -32,7 +33,9 @@ use crate::gpu::staging::Staging;
 use crate::gpu::store::Store;
 use crate::scene::Scene;
 use crate::scene::bounce::{Bounce, rms_slope};
+use crate::scene::photometry::Photometry;
 use crate::scene::sky::{DOME_LEVEL, STAR_LEVEL};
+use crate::scene::terrain::Terrain;
 
 /// The draws of a frame, in order: of what the device is to draw, as ranges among those of its [`Meshes`].
 #[derive(Clone, Debug, Default)]
@@ -91,12 +94,34 @@ pub struct GpuScene {
     pub drawn_here: DrawnHere,
     /// Triangles drawn of what is seen.
     pub drawn_triangles: u64,
+    bounce: KeptBounce,
     /// The ground's horizon; kept for its memory.
     horizon_map: HorizonMap,
     /// The same on the device, two heights a texel.
     pub horizon: Option<(wgpu::Texture, wgpu::TextureView)>,
     /// Bytes written to the device for the last frame.
     pub uploaded_bytes: u64,
+}
+
+/// What sunlit ground lights, and of which ground, by which laws, under how high a sun.
+#[derive(Debug, Default)]
+struct KeptBounce {
+    of: Option<(Weak<Terrain>, Photometry, f32)>,
+    bounce: Bounce,
+}
+
+impl KeptBounce {
+    fn of(&mut self, scene: &Scene) -> Bounce {
+        let (laws, sine) = (scene.photometry, scene.sun.direction.z);
+        let is_kept = self.of.as_ref().is_some_and(|(terrain, kept_laws, kept_sine)| {
+            terrain.as_ptr() == Arc::as_ptr(&scene.terrain) && *kept_laws == laws && *kept_sine == sine
+        });
+        if !is_kept {
+            self.bounce = Bounce::new(&laws, rms_slope(&scene.terrain), f64::from(sine));
+            self.of = Some((Arc::downgrade(&scene.terrain), laws, sine));
+        }
+        self.bounce
+    }
 }
 
 /// What the room for new tiles of the shadow map is a multiple of, bytes: frames differ a little in what they need.
@@ -160,6 +185,7 @@ impl Default for GpuScene {
             background: None,
             drawn_here: DrawnHere::default(),
             drawn_triangles: 0,
+            bounce: KeptBounce::default(),
             horizon_map: HorizonMap::default(),
             horizon: None,
             uploaded_bytes: 0,
@@ -222,7 +248,9 @@ impl GpuScene {
         let tiles: Vec<CasterTile> = casters.iter().map(|caster| caster.tile).collect();
         self.uploaded_bytes += self.tiles.write(gpu, &tiles);
         self.uploaded_bytes += self.caster_grid.write(gpu, &caster_grid);
-        let uniforms = frame_uniforms(scene, settings, picture_size, &self.horizon_map, self.atlas_px);
+        let bounce = self.bounce.of(scene);
+        let uniforms =
+            frame_uniforms(scene, settings, picture_size, &self.horizon_map, self.atlas_px, &bounce);
         self.uploaded_bytes += self.frame.write(gpu, &[uniforms]);
         self.upload_horizon(gpu, is_new);
     }
@@ -443,6 +471,7 @@ fn frame_uniforms(
     picture_size: [u32; 2],
     horizon: &HorizonMap,
     [atlas_width_px, atlas_layer_px]: [u32; 2],
+    bounce: &Bounce,
 ) -> FrameUniforms {
     let (camera, sun) = (&scene.camera, &scene.sun);
     let [sun_right, sun_up] = sun.right_and_up();
@@ -452,7 +481,6 @@ fn frame_uniforms(
     let grids = CasterGrids::new(&scene.terrain);
     let photometry = &scene.photometry;
     let exitance = photometry.exitance(f64::from(sun.direction.z)) as f32;
-    let bounce = Bounce::new(photometry, rms_slope(&scene.terrain), f64::from(sun.direction.z));
     let mut levels = [HorizonLevel::default(); horizon::MOST_LEVELS];
     levels[..horizon.levels.len()].copy_from_slice(&horizon.levels);
     FrameUniforms {

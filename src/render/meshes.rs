@@ -16,6 +16,7 @@ use super::selection::ground_blocks;
 use crate::gpu::Gpu;
 use crate::gpu::staging::{PAGE, Page};
 use crate::gpu::store::Store;
+use crate::reuse::Reused;
 use crate::scene::Scene;
 use crate::scene::mesh::{Icosphere, Vertex};
 use crate::scene::sky::DOME_LEVEL;
@@ -89,7 +90,7 @@ pub struct Meshes {
     terrain: Weak<Terrain>,
     ground: i32,
     /// Of each rock of the scene, its mesh and the first vertex of it. Rocks may share one.
-    rocks: Vec<(Weak<Vec<Vertex>>, i32)>,
+    rocks: Vec<(Weak<Reused<Vertex>>, i32)>,
 }
 
 impl Default for Meshes {
@@ -230,7 +231,7 @@ impl Meshes {
             first as i32
         };
         self.ground = upload(&scene.terrain.vertices);
-        let mut firsts: HashMap<*const Vec<Vertex>, i32> = HashMap::new();
+        let mut firsts: HashMap<*const Reused<Vertex>, i32> = HashMap::new();
         let rocks = scene.rocks.iter().map(|rock| {
             let mesh = &rock.vertices;
             let first = *firsts.entry(Arc::as_ptr(mesh)).or_insert_with(|| upload(mesh));

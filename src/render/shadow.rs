@@ -14,6 +14,7 @@ use super::footprint::Footprint;
 use super::horizon::HorizonMap;
 use super::selection::Frustum;
 use super::shaders::CasterTile;
+use crate::reuse::Reused;
 use crate::scene::Scene;
 use crate::scene::sky::Sun;
 use crate::scene::terrain::{Layout, Terrain};
@@ -244,7 +245,7 @@ pub fn caster_grid(
     casters: &[Caster],
     horizon: &HorizonMap,
     footprint: &Footprint,
-) -> Vec<u32> {
+) -> Reused<u32> {
     let grids = CasterGrids::new(&scene.terrain);
     let bands = (0..grids.levels)
         .flat_map(|level| (0..grids.cells as usize).step_by(BAND_ROWS).map(move |row| (level, row)));
@@ -258,9 +259,10 @@ pub fn caster_grid(
         || asks_horizon(&grids, horizon),
     );
     let first = grids.cells_in_all() + 1;
-    let mut grid = vec![0; first + lists.iter().map(|lists| lists.casters.len()).sum::<usize>()];
+    let listed: usize = lists.iter().map(|lists| lists.casters.len()).sum();
+    let mut grid: Reused<u32> = Reused::of_any(first + listed);
     let (mut starts, mut rest) = grid.split_at_mut(first);
-    let (mut start, mut asks) = (first as u32, asks.as_slice());
+    let (mut start, mut asks) = (first as u32, &asks[..]);
     let mut parts = Vec::new();
     for lists in &lists {
         let (own, others) = starts.split_at_mut(lists.ends.len());
@@ -280,17 +282,20 @@ pub fn caster_grid(
             }
         }
         for (place, ask) in starts.iter_mut().zip(asks) {
-            *place |= if *ask { ASK_HORIZON } else { 0 };
+            *place |= if *ask == YES { ASK_HORIZON } else { 0 };
         }
         listed.copy_from_slice(&lists.casters);
     });
     grid
 }
 
+const NO: u8 = 0;
+const YES: u8 = 1;
+
 /// Of each cell, whether the ground may hide any of the sun above it.
-fn asks_horizon(grids: &CasterGrids, horizon: &HorizonMap) -> Vec<bool> {
+fn asks_horizon(grids: &CasterGrids, horizon: &HorizonMap) -> Reused<u8> {
     // Rings have relief everywhere.
-    let mut asks = vec![grids.levels > 1; grids.cells_in_all()];
+    let mut asks = Reused::filled(grids.cells_in_all(), if grids.levels > 1 { YES } else { NO });
     if grids.levels == 1 {
         let side = grids.cells as usize;
         let (origin, cell_m) = (grids.centre - grids.half_m, 2.0 * grids.half_m / grids.cells as f32);
@@ -299,7 +304,7 @@ fn asks_horizon(grids: &CasterGrids, horizon: &HorizonMap) -> Vec<bool> {
         for place in &horizon.shaded {
             let (low, high) = (*place - margin, *place + margin);
             for row in at(low.y, 1)..=at(high.y, 1) {
-                asks[row * side + at(low.x, 0)..=row * side + at(high.x, 0)].fill(true);
+                asks[row * side + at(low.x, 0)..=row * side + at(high.x, 0)].fill(YES);
             }
         }
     }
@@ -336,9 +341,9 @@ impl Rays {
 /// The lists of some cells, one after the other.
 struct Lists {
     /// Where that of each cell ends.
-    ends: Vec<u32>,
+    ends: Reused<u32>,
     /// Casters by their numbers.
-    casters: Vec<u32>,
+    casters: Reused<u32>,
 }
 
 /// Some rows of one of the grids.
@@ -351,7 +356,7 @@ struct CasterCells<'a> {
     /// Cells from here to as far from the other side are those of the grid before.
     inner: usize,
     /// Of each of its cells, a height that its ground does not fall below, once that is known.
-    lowest_m: Vec<f32>,
+    lowest_m: Reused<f32>,
     /// Of each row, the columns that are asked for.
     spans: Vec<Range<usize>>,
 }
@@ -372,7 +377,7 @@ impl<'a> CasterCells<'a> {
             cell_m: 2.0 * half_m / grids.cells as f32,
             origin: grids.centre - half_m,
             inner: if level == 0 { cells } else { cells / 4 },
-            lowest_m: vec![f32::NAN; rows.len() * cells],
+            lowest_m: Reused::filled(rows.len() * cells, f32::NAN),
             spans: Vec::new(),
             rows: rows.clone(),
         };
@@ -404,8 +409,8 @@ impl<'a> CasterCells<'a> {
         for (number, caster) in (0..).zip(casters) {
             self.shaded_by(scene, &rays, caster, |cell| found.push((cell as u32, number)));
         }
-        let mut ends = vec![0; self.rows.len() * self.cells];
-        let mut casters = vec![0; found.len()];
+        let mut ends = Reused::filled(self.rows.len() * self.cells, 0);
+        let mut casters: Reused<u32> = Reused::of_any(found.len());
         if found.is_empty() {
             return Lists { ends, casters };
         }

@@ -25,6 +25,7 @@ use super::selection::Selection;
 use super::shaders::CasterTile;
 use super::shadow;
 use crate::gpu::staging::{PAGE, Page, Part, ROW_ALIGNMENT, Writer};
+use crate::reuse::Reused;
 use crate::scene::Scene;
 use crate::scene::mesh::{Icosphere, Vertex};
 
@@ -54,7 +55,7 @@ pub struct ShadowMap {
 #[derive(Clone, Debug)]
 struct Tile {
     /// Keeps the mesh's address from being given to another, but not the mesh.
-    mesh: Weak<Vec<Vertex>>,
+    mesh: Weak<Reused<Vertex>>,
     level: usize,
     size_px: f32,
     half_extent_m: f32,
@@ -418,10 +419,7 @@ mod tests {
                 // Nothing moves; then the sun; then a rock takes another's place; then the camera, again and again.
                 0 | 1 => {}
                 2 => scene.sun = Sun { direction: Vec3::new(0.3, 0.9, 0.31).normalize(), ..scene.sun },
-                3 => {
-                    scene.rocks[0].vertices =
-                        Arc::new(scene.rocks[0].vertices.iter().rev().copied().collect())
-                }
+                3 => Arc::make_mut(&mut scene.rocks[0].vertices).reverse(),
                 _ => scene.camera.eye.x += 0.5,
             }
             let mut selection = Selection::new(&scene, &settings);

@@ -6,7 +6,9 @@ use std::collections::HashMap;
 use std::sync::LazyLock;
 
 use bytemuck::{Pod, Zeroable};
-use glam::{DVec3, Vec3, Vec3A, Vec3Swizzles, Vec4};
+use glam::{DVec3, Vec3, Vec3A, Vec4, Vec4Swizzles};
+
+use crate::reuse::Reused;
 
 /// A vertex as it is hashed, uploaded and exported.
 #[repr(C)]
@@ -101,7 +103,7 @@ impl Icosphere {
             let mut worst = 0.0;
             for (v, &[a, b]) in (first..).zip(&self.parents[first - 12..last - 12]) {
                 let middle = 0.5 * (positions.at(a as usize) + positions.at(b as usize));
-                let here = positions.at(v).distance_squared(middle);
+                let here = Vec3A::from_vec4(positions.at(v) - middle).length_squared();
                 // `f32::max` asks for more than a comparison.
                 worst = if here > worst { here } else { worst };
             }
@@ -118,14 +120,13 @@ impl Icosphere {
     /// Unless the level is finer than the icosahedron, and has as many vertices.
     pub fn set_smooth_normals(&self, vertices: &mut [Vertex], level: usize) {
         assert!(level > 0 && vertices.len() == Self::vertex_count(level), "the vertices of level {level}");
-        let mut sums = vec![Vec3A::ZERO; vertices.len()];
+        let mut sums = Reused::filled(vertices.len(), Vec4::ZERO);
         let positions = Positions::of(vertices);
         // The four that a coarser triangle was split into are one step, with a third of the loads and stores.
         for &[[a, ..], [_, b, _], [.., c], [ab, bc, ca]] in self.triangles[level].as_chunks::<4>().0 {
             let [a, b, c, ab, bc, ca] =
                 [a as usize, b as usize, c as usize, ab as usize, bc as usize, ca as usize];
-            let (p, q, r) = (positions.at(a), positions.at(b), positions.at(c));
-            let (pq, qr, rp) = (positions.at(ab), positions.at(bc), positions.at(ca));
+            let [p, q, r, pq, qr, rp] = [a, b, c, ab, bc, ca].map(|vertex| positions.at(vertex));
             let (first, second) = (cross(pq - p, rp - p), cross(q - pq, qr - pq));
             let (third, middle) = (cross(qr - rp, r - rp), cross(qr - pq, rp - pq));
             sums[a] += first;
@@ -135,7 +136,8 @@ impl Icosphere {
             sums[bc] = sums[bc] + second + third + middle;
             sums[ca] = sums[ca] + first + third + middle;
         }
-        for (vertex, sum) in vertices.iter_mut().zip(sums) {
+        for (vertex, sum) in vertices.iter_mut().zip(&sums) {
+            let sum = Vec3A::from_vec4(*sum);
             let length = sum.length();
             vertex.normal = if length > 0.0 { (sum / length).into() } else { Vec3::Z };
         }
@@ -164,10 +166,10 @@ fn icosahedron_faces(directions: &[DVec3]) -> Vec<[u32; 3]> {
     faces
 }
 
-/// The cross product. That of glam is fused on some machines.
+/// The cross product, and something in the fourth place. That of glam is fused on some machines.
 #[inline(always)]
-fn cross(a: Vec3A, b: Vec3A) -> Vec3A {
-    (a.zxy() * b - b.zxy() * a).zxy()
+fn cross(a: Vec4, b: Vec4) -> Vec4 {
+    (a.zxyw() * b - b.zxyw() * a).zxyw()
 }
 
 /// Positions of vertices as vectors that fill a register: loaded with the number after them, which nothing comes of.
@@ -183,8 +185,8 @@ impl<'a> Positions<'a> {
     }
 
     #[inline(always)]
-    fn at(self, vertex: usize) -> Vec3A {
-        Vec3A::from_vec4(Vec4::from_slice(&self.0[vertex]))
+    fn at(self, vertex: usize) -> Vec4 {
+        Vec4::from_slice(&self.0[vertex])
     }
 }
 

@@ -7,6 +7,8 @@
 
 use fearless_simd::{Level, dispatch};
 
+use crate::reuse::Reused;
+
 /// Amplitude of each octave relative to the one before.
 const GAIN: f32 = 0.5;
 
@@ -48,7 +50,7 @@ impl Fbm {
     #[must_use]
     pub fn lines<'a>(&self, x: &'a [f32]) -> Lines<'a> {
         let line =
-            |octave| OctaveLines { octave, row: None, sides: [vec![0.0; x.len()], vec![0.0; x.len()]] };
+            |octave| OctaveLines { octave, row: None, sides: [(); 2].map(|()| Reused::of_any(x.len())) };
         Lines { x, octaves: self.each().map(line).collect(), total: self.total() }
     }
 
@@ -121,7 +123,7 @@ struct OctaveLines {
     /// The southern one.
     row: Option<i32>,
     /// In units of [`HASH_UNIT`].
-    sides: [Vec<f32>; 2],
+    sides: [Reused<f32>; 2],
 }
 
 impl Lines<'_> {

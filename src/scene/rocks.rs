@@ -18,6 +18,7 @@ use super::noise::Fbm;
 use super::terrain::Terrain;
 use crate::params::{Knob, Params};
 use crate::random::{Stream, Streams};
+use crate::reuse::Reused;
 
 /// Materials in the pool of a scene.
 const MATERIALS: u64 = 12;
@@ -66,7 +67,7 @@ pub struct Rock {
     /// Origin of its vertices in the world, metres.
     pub centre: Vec3,
     /// Displaced icosphere of level [`Self::level`], metres from the centre, world axes. Copies of a rock share it.
-    pub vertices: Arc<Vec<Vertex>>,
+    pub vertices: Arc<Reused<Vertex>>,
     /// Level of the authored icosphere.
     pub level: usize,
     /// Per level, how far a surface drawn at that level may lie off the authored one, metres.
@@ -186,12 +187,10 @@ impl Rock {
             Shape::draw(&mut streams.stream("rocks.shape", k), params.number(Knob::RocksDisplacement));
         let mesh_from_unit =
             draw_scale_and_rotation(&mut streams.stream("rocks.pose", k), placed.base_scale_m);
-        let mut vertices: Vec<Vertex> = sphere
-            .directions
-            .iter()
-            .zip(shape.radii(level))
-            .map(|(&u, radius)| Vertex { position: mesh_from_unit * (radius * u), normal: Vec3::Z })
-            .collect();
+        let mut vertices: Reused<Vertex> = Reused::of_any(Icosphere::vertex_count(level));
+        for ((vertex, &u), radius) in vertices.iter_mut().zip(&sphere.directions).zip(&shape.radii(level)) {
+            vertex.position = mesh_from_unit * (radius * u);
+        }
         sphere.set_smooth_normals(&mut vertices, level);
         let mut rock = Self::of_vertices(k as u32, vertices, level, material);
         rock.base_scale_m = placed.base_scale_m as f32;
@@ -201,7 +200,7 @@ impl Rock {
     }
 
     /// A rock that lies nowhere yet.
-    fn of_vertices(index: u32, vertices: Vec<Vertex>, level: usize, material: Material) -> Self {
+    fn of_vertices(index: u32, vertices: Reused<Vertex>, level: usize, material: Material) -> Self {
         // `f32::min` asks for more than a comparison.
         let (mut z_range_m, mut square) = ([f32::MAX, f32::MIN], 0.0);
         for Vertex { position, .. } in &vertices {
@@ -352,8 +351,8 @@ impl Shape {
     }
 
     /// Distance of the surface from the centre in each direction of a level, relative to the undisplaced sphere.
-    fn radii(&self, level: usize) -> Vec<f32> {
-        let mut radii = vec![0.0; Icosphere::vertex_count(level)];
+    fn radii(&self, level: usize) -> Reused<f32> {
+        let mut radii: Reused<f32> = Reused::of_any(Icosphere::vertex_count(level));
         for (chunk, radii) in radii.chunks_mut(AT_A_TIME).enumerate() {
             let first = chunk * AT_A_TIME;
             let axes = Icosphere::shared().axes.each_ref().map(|axis| &axis[first..first + radii.len()]);

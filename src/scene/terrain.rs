@@ -15,6 +15,7 @@ use super::relief::Relief;
 use super::rings::{Rings, View};
 use crate::params::{Knob, Params};
 use crate::random::Streams;
+use crate::reuse::Reused;
 
 /// Octaves and first frequency (per metre) of the broad relief.
 const BROAD: (u32, f32) = (5, 0.010);
@@ -90,7 +91,7 @@ pub struct Terrain {
     pub rows: u32,
     /// `(columns + 1) x (rows + 1)` vertices, row by row. In a square the rows rise with y, and in a row the vertices with
     /// x; of rings the rows are the rings from the inside out.
-    pub vertices: Vec<Vertex>,
+    pub vertices: Reused<Vertex>,
     /// The craters of the nominal stage that were cut into it.
     pub craters: Vec<Crater>,
 }
@@ -121,7 +122,7 @@ impl Terrain {
         let (broad, fine) = (layer(BROAD, seeds.bits()), layer(FINE, seeds.bits()));
         Self::from_lines(size_m, cells, craters.clone(), |x, y, heights| {
             let (mut broad, mut fine) = (broad.lines(x), fine.lines(x));
-            let (mut finer, mut sunk_m) = (vec![0.0; x.len()], vec![0.0; x.len()]);
+            let [mut finer, mut sunk_m] = [(); 2].map(|()| Reused::of_any(x.len()));
             for (heights, &y) in heights.chunks_mut(x.len()).zip(y) {
                 broad.set(y, heights);
                 fine.set(y, &mut finer);
@@ -139,8 +140,7 @@ impl Terrain {
         let rings = Rings::new(view);
         let (columns, rows) = (rings.columns(), rings.rows());
         let row_len = columns as usize + 1;
-        let mut vertices =
-            vec![Vertex { position: Vec3::ZERO, normal: Vec3::Z }; row_len * (rows as usize + 1)];
+        let mut vertices: Reused<Vertex> = Reused::of_any(row_len * (rows as usize + 1));
         vertices.par_chunks_mut(TILE.0 * row_len).enumerate().for_each(|(chunk, vertices)| {
             let first_row = chunk * TILE.0;
             let tile_rows = vertices.len() / row_len;
@@ -177,7 +177,10 @@ impl Terrain {
                 row[row_len - 1].position = row[0].position;
             }
         });
-        let positions: Vec<Vec3> = vertices.iter().map(|vertex| vertex.position).collect();
+        let mut positions: Reused<Vec3> = Reused::of_any(vertices.len());
+        for (position, vertex) in positions.iter_mut().zip(&vertices) {
+            *position = vertex.position;
+        }
         let last_row = rows as usize;
         vertices.par_chunks_mut(row_len).enumerate().for_each(|(row, vertices)| {
             // In the middle the rings are one place: its slope is that of the ring around.
@@ -231,16 +234,16 @@ impl Terrain {
         set_heights: impl Fn(&[f32], &[f32], &mut [f32]) + Sync,
     ) -> Self {
         let row_len = cells as usize + 1;
-        let mut vertices = vec![Vertex { position: Vec3::ZERO, normal: Vec3::Z }; row_len * row_len];
+        let mut vertices: Reused<Vertex> = Reused::of_any(row_len * row_len);
         let coordinates: Vec<f32> = (0..row_len).map(|i| (i as f32 / cells as f32 - 0.5) * size_m).collect();
-        let mut heights = vec![0.0_f32; row_len * row_len];
+        let mut heights: Reused<f32> = Reused::of_any(row_len * row_len);
         heights
             .par_chunks_mut(LINES * row_len)
             .zip(coordinates.par_chunks(LINES))
             .for_each(|(heights, y)| set_heights(&coordinates, y, heights));
         let cell_m = size_m / cells as f32;
         vertices.par_chunks_mut(row_len).enumerate().for_each_init(
-            || [(); 3].map(|()| vec![0.0; row_len]),
+            || [(); 3].map(|()| Reused::of_any(row_len)),
             |normals, (row, vertices)| {
                 let heights = |row: usize| &heights[row * row_len..][..row_len];
                 let [south, here, north] =
@@ -418,8 +421,8 @@ fn sink(craters: &[Crater], x: &[f32], y: f32, sunk_m: &mut [f32]) {
 /// Sets the normals of a line of vertices, axis by axis, from its heights and those of the lines beside it, which are `rows` cells
 /// apart.
 #[inline(always)]
-fn set_normals([south, here, north]: [&[f32]; 3], cell_m: f32, rows: f32, normals: &mut [Vec<f32>; 3]) {
-    let [x, y, z] = normals;
+fn set_normals([south, here, north]: [&[f32]; 3], cell_m: f32, rows: f32, normals: &mut [Reused<f32>; 3]) {
+    let [x, y, z] = normals.each_mut().map(|axis| &mut axis[..]);
     let last = here.len() - 1;
     x[0] = -((here[1] - here[0]) / cell_m);
     x[last] = -((here[last] - here[last - 1]) / cell_m);

@@ -4,16 +4,17 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// Module and the modules of ours that it may use. A module may always use what is below its own folder.
-const MAY_USE: [(&str, &[&str]); 15] = [
+const MAY_USE: [(&str, &[&str]); 16] = [
     ("error", &[]),
     ("class", &[]),
     ("random", &[]),
     ("lens", &[]),
+    ("reuse", &[]),
     ("frame", &["class", "lens"]),
     ("params", &["error", "random"]),
-    ("scene", &["params", "random", "lens", "class", "error"]),
+    ("scene", &["params", "random", "lens", "reuse", "class", "error"]),
     ("gpu", &["error"]),
-    ("render", &["scene", "gpu", "frame", "lens", "class", "error"]),
+    ("render", &["scene", "gpu", "frame", "lens", "reuse", "class", "error"]),
     ("output", &["frame", "lens", "class", "error"]),
     ("remap", &["output", "class", "error"]),
     ("export", &["scene", "render", "output", "class", "error"]),

@@ -1,10 +1,13 @@
 //! Scenes whose answer is known on paper.
 
+use std::sync::Arc;
+
 use glam::{Vec2, Vec3};
 use regolith::class::ClassId;
 use regolith::frame::Annotation;
 use regolith::render::RenderSettings;
 use regolith::render::resolve::encoded;
+use regolith::reuse::Reused;
 use regolith::scene::camera::Camera;
 use regolith::scene::mesh::{Icosphere, Vertex};
 use regolith::scene::photometry::{Law, Photometry};
@@ -49,7 +52,7 @@ fn ball(centre: Vec3, radius_m: f32) -> Rock {
         centre,
         level: Icosphere::MAX_LEVEL,
         level_errors_m: sphere.level_errors_m(&vertices),
-        vertices: vertices.into(),
+        vertices: Arc::new(Reused::from(&vertices[..])),
         radius_m,
         z_range_m: [-radius_m, radius_m],
         base_scale_m: radius_m,

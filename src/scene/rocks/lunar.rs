@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use super::{Material, Rock, Shape, rotated};
 use crate::params::{Knob, Params};
 use crate::random::{Stream, Streams};
+use crate::reuse::Reused;
 use crate::scene::craters::Pit;
 use crate::scene::mesh::{Icosphere, Vertex};
 use crate::scene::relief::{Apron, Relief};
@@ -355,7 +356,7 @@ pub fn build(
     soil: &Material,
     placed: &[Placed],
 ) -> Vec<Rock> {
-    let prototypes: Vec<Vec<Vec3>> = (0..PROTOTYPES)
+    let prototypes: Vec<Reused<Vec3>> = (0..PROTOTYPES)
         .into_par_iter()
         .map(|k| form(&mut streams.stream("rocks.prototype", k), params, PROTOTYPE_LEVEL))
         .collect();
@@ -395,11 +396,13 @@ fn albedo_ratio(params: &Params, draw: &mut Stream) -> f64 {
 }
 
 /// A rough form about the size of the unit sphere, cut by planes.
-fn form(draw: &mut Stream, params: &Params, level: usize) -> Vec<Vec3> {
+fn form(draw: &mut Stream, params: &Params, level: usize) -> Reused<Vec3> {
     let shape = Shape::draw(draw, params.number(Knob::RocksDisplacement));
     let directions = &Icosphere::shared().directions;
-    let mut positions: Vec<Vec3> =
-        directions.iter().zip(shape.radii(level)).map(|(&u, radius)| radius * u).collect();
+    let mut positions: Reused<Vec3> = Reused::of_any(Icosphere::vertex_count(level));
+    for ((position, &u), radius) in positions.iter_mut().zip(directions).zip(&shape.radii(level)) {
+        *position = radius * u;
+    }
     // Extents come from the first vertices, so that a plane cuts a form of any level alike.
     let coarse = Icosphere::vertex_count(level.min(2));
     for _ in 0..PLANES {
@@ -420,13 +423,13 @@ fn form(draw: &mut Stream, params: &Params, level: usize) -> Vec<Vec3> {
 }
 
 /// A form scaled along its axes, turned, and as wide as it should be.
-fn posed(draw: &mut Stream, form: &[Vec3], level: usize, diameter_m: f32) -> Vec<Vertex> {
+fn posed(draw: &mut Stream, form: &[Vec3], level: usize, diameter_m: f32) -> Reused<Vertex> {
     let scale = [draw.uniform(0.85, 1.18), draw.uniform(0.85, 1.18), draw.uniform(0.55, 0.95)];
     let world_from_form: Mat3 = rotated(draw, scale.map(|s| s as f32));
-    let mut vertices: Vec<Vertex> =
-        form.iter().map(|&p| Vertex { position: world_from_form * p, normal: Vec3::Z }).collect();
+    let mut vertices: Reused<Vertex> = Reused::of_any(form.len());
     let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-    for vertex in &vertices {
+    for (vertex, &p) in vertices.iter_mut().zip(form) {
+        vertex.position = world_from_form * p;
         low = low.min(vertex.position);
         high = high.max(vertex.position);
     }
