@@ -2,20 +2,16 @@
 //!
 //! Must not know: what lies in it.
 
+use std::any::{Any, TypeId};
 use std::cell::RefCell;
 use std::collections::BTreeMap;
-use std::marker::PhantomData;
 use std::ops::{Deref, DerefMut};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use bytemuck::{Pod, cast_slice, cast_slice_mut};
-
-/// What memory is made of, so that it is aligned for anything that lies in it.
-type Word = u128;
+use bytemuck::Pod;
 
 /// Most that is left unused for what may come, bytes.
 const MOST_BYTES: usize = 128 << 20;
-
 /// Most of that which a thread keeps to itself, as it may be in its core's cache.
 const MOST_OWN_BYTES: usize = 1 << 20;
 
@@ -28,29 +24,29 @@ thread_local! {
 
 struct Spare {
     bytes: usize,
-    /// By how many words each piece has.
-    of_words: BTreeMap<usize, Vec<Vec<Word>>>,
+    /// Lists by what they are of and how many they have room for.
+    lists: BTreeMap<(TypeId, usize), Vec<Box<dyn Any + Send>>>,
 }
 
 impl Spare {
     const fn new() -> Self {
-        Self { bytes: 0, of_words: BTreeMap::new() }
+        Self { bytes: 0, lists: BTreeMap::new() }
     }
 
-    fn take(&mut self, words: usize) -> Option<Vec<Word>> {
-        let piece = self.of_words.get_mut(&words)?.pop()?;
-        self.bytes -= size_of_val(&piece[..]);
-        Some(piece)
+    fn take<T: Value>(&mut self, room: usize) -> Option<Vec<T>> {
+        let list = self.lists.get_mut(&(TypeId::of::<T>(), room))?.pop()?;
+        self.bytes -= room * size_of::<T>();
+        list.downcast().ok().map(|list| *list)
     }
 
     /// Gives it back if there would be more than `most_bytes`.
-    fn keep(&mut self, piece: Vec<Word>, most_bytes: usize) -> Option<Vec<Word>> {
-        let bytes = size_of_val(&piece[..]);
+    fn keep<T: Value>(&mut self, list: Vec<T>, most_bytes: usize) -> Option<Vec<T>> {
+        let (room, bytes) = (list.capacity(), list.capacity() * size_of::<T>());
         if self.bytes + bytes > most_bytes {
-            return Some(piece);
+            return Some(list);
         }
         self.bytes += bytes;
-        self.of_words.entry(piece.len()).or_default().push(piece);
+        self.lists.entry((TypeId::of::<T>(), room)).or_default().push(Box::new(list));
         None
     }
 }
@@ -59,21 +55,23 @@ fn shared() -> MutexGuard<'static, Spare> {
     SPARE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Some values, whose memory is used again after them.
-pub struct Reused<T: Pod> {
-    words: Vec<Word>,
-    len: usize,
-    values: PhantomData<T>,
-}
+/// A value that may be of any bits.
+pub trait Value: Pod + Send {}
+impl<T: Pod + Send> Value for T {}
 
-impl<T: Pod> Reused<T> {
+/// Some values, whose memory is used again after them.
+#[derive(Debug, PartialEq)]
+pub struct Reused<T: Value>(Vec<T>);
+
+impl<T: Value> Reused<T> {
     /// So many values, which may be any: those of what lay there before.
     #[must_use]
     pub fn of_any(len: usize) -> Self {
-        let words = size_for((len * size_of::<T>()).div_ceil(size_of::<Word>()));
-        let own = OWN.try_with(|own| own.borrow_mut().take(words)).ok().flatten();
-        let piece = own.or_else(|| shared().take(words));
-        Self { words: piece.unwrap_or_else(|| vec![0; words]), len, values: PhantomData }
+        let room = room_for(len);
+        let own = OWN.try_with(|own| own.borrow_mut().take(room)).ok().flatten();
+        let mut list = own.or_else(|| shared().take(room)).unwrap_or_else(|| Vec::with_capacity(room));
+        list.resize(len, T::zeroed());
+        Self(list)
     }
 
     /// So many of one value.
@@ -85,40 +83,40 @@ impl<T: Pod> Reused<T> {
     }
 }
 
-/// Words of the piece that so many are taken from: one of four sizes an octave, so that what differs a little shares them.
-const fn size_for(words: usize) -> usize {
-    let step = (words / 8 + 1).next_power_of_two();
-    words.next_multiple_of(step)
+/// Room that is made for so many values: one of four sizes an octave, so that what differs a little shares them.
+const fn room_for(len: usize) -> usize {
+    let step = (len / 8 + 1).next_power_of_two();
+    len.next_multiple_of(step)
 }
 
-impl<T: Pod> Drop for Reused<T> {
+impl<T: Value> Drop for Reused<T> {
     fn drop(&mut self) {
-        let words = std::mem::take(&mut self.words);
+        let list = std::mem::take(&mut self.0);
         // A thread that ends has nothing of its own any more, and lets go of this.
-        let left = OWN.try_with(|own| own.borrow_mut().keep(words, MOST_OWN_BYTES)).ok().flatten();
-        if let Some(words) = left {
-            drop(shared().keep(words, MOST_BYTES));
+        let left = OWN.try_with(|own| own.borrow_mut().keep(list, MOST_OWN_BYTES)).ok().flatten();
+        if let Some(list) = left {
+            drop(shared().keep(list, MOST_BYTES));
         }
     }
 }
 
-impl<T: Pod> Deref for Reused<T> {
+impl<T: Value> Deref for Reused<T> {
     type Target = [T];
 
+    #[inline]
     fn deref(&self) -> &[T] {
-        let bytes: &[u8] = cast_slice(&self.words);
-        cast_slice(&bytes[..self.len * size_of::<T>()])
+        &self.0
     }
 }
 
-impl<T: Pod> DerefMut for Reused<T> {
+impl<T: Value> DerefMut for Reused<T> {
+    #[inline]
     fn deref_mut(&mut self) -> &mut [T] {
-        let bytes: &mut [u8] = cast_slice_mut(&mut self.words);
-        cast_slice_mut(&mut bytes[..self.len * size_of::<T>()])
+        &mut self.0
     }
 }
 
-impl<'a, T: Pod> IntoIterator for &'a Reused<T> {
+impl<'a, T: Value> IntoIterator for &'a Reused<T> {
     type Item = &'a T;
     type IntoIter = std::slice::Iter<'a, T>;
 
@@ -127,7 +125,7 @@ impl<'a, T: Pod> IntoIterator for &'a Reused<T> {
     }
 }
 
-impl<'a, T: Pod> IntoIterator for &'a mut Reused<T> {
+impl<'a, T: Value> IntoIterator for &'a mut Reused<T> {
     type Item = &'a mut T;
     type IntoIter = std::slice::IterMut<'a, T>;
 
@@ -136,29 +134,17 @@ impl<'a, T: Pod> IntoIterator for &'a mut Reused<T> {
     }
 }
 
-impl<T: Pod> Clone for Reused<T> {
+impl<T: Value> Clone for Reused<T> {
     fn clone(&self) -> Self {
         Self::from(&self[..])
     }
 }
 
-impl<T: Pod> From<&[T]> for Reused<T> {
+impl<T: Value> From<&[T]> for Reused<T> {
     fn from(values: &[T]) -> Self {
         let mut copies = Self::of_any(values.len());
         copies.copy_from_slice(values);
         copies
-    }
-}
-
-impl<T: Pod + std::fmt::Debug> std::fmt::Debug for Reused<T> {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        self[..].fmt(formatter)
-    }
-}
-
-impl<T: Pod + PartialEq> PartialEq for Reused<T> {
-    fn eq(&self, other: &Self) -> bool {
-        self[..] == other[..]
     }
 }
 
@@ -167,13 +153,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sizes_are_enough_and_at_most_a_quarter_more() {
-        let mut sizes: Vec<usize> = (0..100_000).map(size_for).collect();
-        for (words, size) in sizes.iter().enumerate() {
-            assert!(*size >= words && *size <= words + words / 4 + 1, "{size} for {words}");
+    fn room_is_enough_and_at_most_a_quarter_more() {
+        let mut rooms: Vec<usize> = (0..100_000).map(room_for).collect();
+        for (len, room) in rooms.iter().enumerate() {
+            assert!(*room >= len && *room <= len + len / 4 + 1, "{room} for {len}");
         }
-        sizes.dedup();
-        assert!(sizes.len() < 100, "{} sizes", sizes.len());
+        rooms.dedup();
+        assert!(rooms.len() < 100, "{} rooms", rooms.len());
     }
 
     #[test]
@@ -187,9 +173,9 @@ mod tests {
         assert_eq!((second[len - 1], first[len - 1]), (7.0, 8.0));
         drop(second);
         drop(first);
-        // As another type, and for a few more.
-        let again = Reused::<[u8; 4]>::of_any(len + 2);
+        // For a few more.
+        let again = Reused::<f32>::of_any(len + 2);
         assert_eq!(again.len(), len + 2);
-        assert_eq!(again.as_ptr().cast(), address, "what was left last on this thread is taken first");
+        assert_eq!(again.as_ptr(), address, "what was left last on this thread is taken first");
     }
 }

@@ -126,7 +126,8 @@ impl Icosphere {
         for &[[a, ..], [_, b, _], [.., c], [ab, bc, ca]] in self.triangles[level].as_chunks::<4>().0 {
             let [a, b, c, ab, bc, ca] =
                 [a as usize, b as usize, c as usize, ab as usize, bc as usize, ca as usize];
-            let [p, q, r, pq, qr, rp] = [a, b, c, ab, bc, ca].map(|vertex| positions.at(vertex));
+            let (p, q, r) = (positions.at(a), positions.at(b), positions.at(c));
+            let (pq, qr, rp) = (positions.at(ab), positions.at(bc), positions.at(ca));
             let (first, second) = (cross(pq - p, rp - p), cross(q - pq, qr - pq));
             let (third, middle) = (cross(qr - rp, r - rp), cross(qr - pq, rp - pq));
             sums[a] += first;
