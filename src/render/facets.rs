@@ -653,7 +653,7 @@ fn facing([a, b, c]: [(Vec3, Vec3); 3]) -> u32 {
 
 /// A direction as two numbers. Twin: `octahedron` in `common/octahedron.wgsl`.
 #[inline]
-pub(super) fn octahedron(v: Vec3) -> Vec2 {
+fn octahedron(v: Vec3) -> Vec2 {
     let p = v.truncate() / v.abs().element_sum().max(1e-30);
     let folded = 1.0 - Vec2::new(p.y, p.x).abs();
     let folded = Vec2::select(p.cmpge(Vec2::ZERO), folded, -folded);

@@ -11,7 +11,7 @@ use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 use wgpu::{BufferUsages, IndexFormat};
 
-use super::facets::octahedron;
+use super::raster::{VERTICES, by_axis};
 use super::selection::ground_blocks;
 use crate::gpu::Gpu;
 use crate::gpu::staging::{PAGE, Page};
@@ -19,6 +19,7 @@ use crate::gpu::store::Store;
 use crate::reuse::Reused;
 use crate::scene::Scene;
 use crate::scene::mesh::{Icosphere, Vertex};
+use crate::scene::noise::floor;
 use crate::scene::sky::DOME_LEVEL;
 use crate::scene::terrain::{Layout, Terrain};
 
@@ -59,9 +60,12 @@ impl Draw {
 struct PackedVertex {
     /// Metres.
     position: [f32; 3],
-    /// The normal on an octahedron, in shares of 32,767.
+    /// The normal on an octahedron, in shares of [`HALF`].
     normal: [i16; 2],
 }
+
+/// What 1 is packed as.
+const HALF: f32 = 32_767.0;
 
 /// Bytes from a vertex to the next.
 pub(super) const VERTEX_BYTES: u64 = size_of::<PackedVertex>() as u64;
@@ -222,14 +226,14 @@ impl Meshes {
             .iter()
             .map(|&d| Vertex { position: d, normal: d })
             .collect();
-        let mut uploads: Vec<&[Vertex]> = vec![&sphere];
-        let mut next_vertex = sphere.len();
+        let (mut uploads, mut next_vertex): (Vec<(usize, &[Vertex])>, usize) = (Vec::new(), 0);
         let mut upload = |vertices| {
-            uploads.push(vertices);
             let first = next_vertex;
+            uploads.push((first, vertices));
             next_vertex += vertices.len();
             first as i32
         };
+        upload(&sphere);
         self.ground = upload(&scene.terrain.vertices);
         let mut firsts: HashMap<*const Reused<Vertex>, i32> = HashMap::new();
         let rocks = scene.rocks.iter().map(|rock| {
@@ -290,13 +294,14 @@ fn block_triangles(
     })
 }
 
-/// A page of the vertices of some meshes that stand one behind the other, from one of them on.
-fn packed_page(meshes: &[&[Vertex]], mut first: usize) -> [PackedVertex; PER_PAGE] {
+/// A page of the vertices of some meshes that stand one behind the other, each from a vertex of all of them on; from vertex `first`
+/// on.
+fn packed_page(meshes: &[(usize, &[Vertex])], first: usize) -> [PackedVertex; PER_PAGE] {
     let mut page = [PackedVertex::default(); PER_PAGE];
     let mut rest = &mut page[..];
-    for mesh in meshes {
-        let here = mesh.get(first..).unwrap_or_default();
-        first = first.saturating_sub(mesh.len());
+    let begun = meshes.partition_point(|(start, _)| *start <= first);
+    for (start, mesh) in &meshes[begun.saturating_sub(1)..] {
+        let here = mesh.get(first.saturating_sub(*start)..).unwrap_or_default();
         let (packed, after) = rest.split_at_mut(here.len().min(rest.len()));
         dispatch!(Level::new(), _simd => pack(here, packed));
         rest = after;
@@ -310,11 +315,24 @@ fn packed_page(meshes: &[&[Vertex]], mut first: usize) -> [PackedVertex; PER_PAG
 // Inlined wholly, to be compiled for each width of vectors.
 #[inline(always)]
 fn pack(vertices: &[Vertex], packed: &mut [PackedVertex]) {
-    for (packed, vertex) in packed.iter_mut().zip(vertices) {
-        let [x, y] = octahedron(vertex.normal).into();
-        // A share lies in -1 to 1.
-        let whole = |share: f32| (32_767.0 * share + 0.5_f32.copysign(share)) as i16;
-        *packed = PackedVertex { position: vertex.position.into(), normal: [whole(x), whole(y)] };
+    for (vertices, packed) in vertices.chunks(VERTICES).zip(packed.chunks_mut(VERTICES)) {
+        let [x, y, z] = by_axis(vertices.iter().map(|vertex| vertex.normal));
+        // Twin: `octahedron` in `common/octahedron.wgsl`.
+        let (mut across, mut up) = ([0_i32; VERTICES], [0_i32; VERTICES]);
+        for i in 0..VERTICES {
+            let sum = x[i].abs() + y[i].abs() + z[i].abs();
+            let scale = HALF / if sum > 1e-30 { sum } else { 1e-30 };
+            let (right, ahead) = (scale * x[i], scale * y[i]);
+            let is_below = z[i] < 0.0;
+            let folded_right = (HALF - ahead.abs()).copysign(right);
+            let folded_ahead = (HALF - right.abs()).copysign(ahead);
+            across[i] = floor(0.5 + if is_below { folded_right } else { right });
+            up[i] = floor(0.5 + if is_below { folded_ahead } else { ahead });
+        }
+        for (i, (vertex, packed)) in vertices.iter().zip(packed).enumerate() {
+            *packed =
+                PackedVertex { position: vertex.position.into(), normal: [across[i] as i16, up[i] as i16] };
+        }
     }
 }
 
@@ -392,12 +410,12 @@ mod tests {
             normals.iter().map(|&normal| Vertex { position: 3.7 * normal, normal }).collect();
         let (one, others) = vertices.split_at(1);
         // A mesh without vertices, and some that end within a page.
-        let meshes = [one, &[], &others[..700], &others[700..]];
+        let meshes = [(0, one), (1, &[]), (1, &others[..700]), (701, &others[700..])];
         for (first, expected) in vertices.chunks(PER_PAGE).enumerate() {
             let page = packed_page(&meshes, first * PER_PAGE);
             for (packed, vertex) in page.iter().zip(expected) {
                 assert_eq!(Vec3::from(packed.position), vertex.position);
-                let p = Vec2::from(packed.normal.map(|half| f32::from(half) / 32_767.0));
+                let p = Vec2::from(packed.normal.map(|half| f32::from(half) / HALF));
                 let z = 1.0 - p.x.abs() - p.y.abs();
                 let back = (-z).max(0.0);
                 let normal = Vec3::new(p.x - back.copysign(p.x), p.y - back.copysign(p.y), z).normalize();
