@@ -10,6 +10,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use bytemuck::Pod;
 
+/// Least that is worth it, bytes: what is smaller would be outnumbered by what is kept of it.
+const LEAST_BYTES: usize = 1 << 10;
 /// Most that is left unused for what may come, bytes.
 const MOST_BYTES: usize = 128 << 20;
 /// Most of that which a thread keeps to itself, as it may be in its core's cache.
@@ -92,6 +94,9 @@ const fn room_for(len: usize) -> usize {
 impl<T: Value> Drop for Reused<T> {
     fn drop(&mut self) {
         let list = std::mem::take(&mut self.0);
+        if list.capacity() * size_of::<T>() < LEAST_BYTES {
+            return;
+        }
         // A thread that ends has nothing of its own any more, and lets go of this.
         let left = OWN.try_with(|own| own.borrow_mut().keep(list, MOST_OWN_BYTES)).ok().flatten();
         if let Some(list) = left {
@@ -160,6 +165,17 @@ mod tests {
         }
         rooms.dedup();
         assert!(rooms.len() < 100, "{} rooms", rooms.len());
+    }
+
+    #[test]
+    fn what_is_small_or_empty_is_not_hoarded() {
+        let kept = || OWN.with_borrow(|own| own.lists.values().map(Vec::len).sum::<usize>());
+        for len in [0, 1, LEAST_BYTES / size_of::<f32>() / 2] {
+            drop(Reused::filled(len, 1.0_f32));
+            assert_eq!(kept(), 0, "{len} values");
+        }
+        drop(Reused::filled(LEAST_BYTES / size_of::<f32>(), 1.0_f32));
+        assert_eq!(kept(), 1);
     }
 
     #[test]

@@ -389,7 +389,7 @@ impl GpuScene {
     /// After an error: what was written to the device may not be there.
     pub fn forget(&mut self) {
         self.horizon = None;
-        self.meshes.forget();
+        self.meshes = Meshes::default();
         self.shadow_map = ShadowMap::default();
     }
 }

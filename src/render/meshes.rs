@@ -121,11 +121,6 @@ impl Meshes {
         self.upload_indices(gpu, &scene.terrain) + self.upload_vertices(gpu, scene)
     }
 
-    /// After an error: what was written to the device may not be there.
-    pub(super) fn forget(&mut self) {
-        *self = Self::default();
-    }
-
     /// The draw of a rock of the scene at a level, as the instance in a slot.
     pub(super) fn rock(&self, rock: usize, level: usize, slot: u32) -> Draw {
         self.sphere(level, self.rocks[rock].1, slot..slot + 1)
