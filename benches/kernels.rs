@@ -3,6 +3,7 @@
 //! One thread. The scenes are those of fixed seeds with the default knobs.
 
 use std::hint::black_box;
+use std::sync::Arc;
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use regolith::frame::Frame;
@@ -43,7 +44,7 @@ fn noise(c: &mut Criterion) {
 
 fn geometry(c: &mut Criterion) {
     let (streams, params) = (Streams::new(SEED), Params::draw_default(SEED));
-    let terrain = Terrain::build(&streams, &params);
+    let terrain = Arc::new(Terrain::build(&streams, &params));
     let scene = Scene::build(SEED, &params).expect("the scene of the seed");
     let mut group = c.benchmark_group("geometry");
     group.throughput(Throughput::Elements(terrain.vertices.len() as u64));
@@ -52,7 +53,7 @@ fn geometry(c: &mut Criterion) {
     group.throughput(Throughput::Elements(vertices as u64));
     group.bench_function("rocks", |b| {
         let eye = scene.camera.eye;
-        b.iter(|| regolith::scene::rocks::build(&streams, black_box(&params), &terrain, eye));
+        b.iter(|| regolith::scene::rocks::plan(&streams, black_box(&params), &terrain, eye).iter().count());
     });
     let rock = scene.rocks.iter().max_by_key(|rock| rock.level).expect("a rock");
     group.throughput(Throughput::Elements(rock.vertices.len() as u64));
@@ -74,7 +75,7 @@ fn picture(c: &mut Criterion) {
     let scene = Scene::build(SEED, &Params::draw_default(SEED)).expect("the scene of the seed");
     let settings = RenderSettings::new([512, 512], 4).expect("settings");
     let selection = Selection::new(&scene, &settings);
-    let footprint = Footprint::new(&scene, &selection.frustum);
+    let footprint = Footprint::new(&scene, &selection);
     let mut horizon = HorizonMap::default();
     horizon.make(&scene.terrain, &scene.sun, &footprint);
     let grid = shadow::caster_grid(&scene, &selection.casters, &horizon, &footprint);

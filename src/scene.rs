@@ -31,6 +31,7 @@ use crate::random::Streams;
 use camera::Camera;
 use photometry::{Photometry, tinted};
 use relief::Relief;
+use rocks::on_demand::Rocks;
 use rocks::{Material, Rock, lunar};
 use sensor::Sensor;
 use sky::{Sky, Sun};
@@ -53,7 +54,7 @@ pub struct Scene {
     /// Which rocks count as regolith.
     pub label_rule: LabelRule,
     /// The boulders, by number.
-    pub rocks: Vec<Rock>,
+    pub rocks: Rocks,
     /// Dome and stars.
     pub sky: Sky,
     /// The sun.
@@ -103,9 +104,9 @@ impl Scene {
     }
 
     fn nominal(streams: &Streams, params: &Params) -> Result<Self> {
-        let terrain = Terrain::build(streams, params);
+        let terrain = Arc::new(Terrain::build(streams, params));
         let camera = Camera::build(params, &terrain)?;
-        let rocks = rocks::build(streams, params, &terrain, camera.eye);
+        let rocks = rocks::plan(streams, params, &terrain, camera.eye);
         Ok(Self::assembled(streams, params, (terrain, None), rocks, nominal_regolith(params), camera))
     }
 
@@ -127,14 +128,15 @@ impl Scene {
             roughness: number(Knob::RegolithRoughness) as f32,
         };
         let rocks = lunar::build(streams, params, &terrain, camera.eye, &regolith, &placed);
-        Ok(Self::assembled(streams, params, (terrain, Some(relief)), rocks, regolith, camera))
+        let ground = (Arc::new(terrain), Some(relief));
+        Ok(Self::assembled(streams, params, ground, rocks.into(), regolith, camera))
     }
 
     fn assembled(
         streams: &Streams,
         params: &Params,
-        (terrain, relief): (Terrain, Option<Relief>),
-        rocks: Vec<Rock>,
+        (terrain, relief): (Arc<Terrain>, Option<Relief>),
+        rocks: Rocks,
         regolith: Material,
         camera: Camera,
     ) -> Self {
@@ -153,18 +155,20 @@ impl Scene {
             regolith,
             rocks,
             relief,
-            terrain: Arc::new(terrain),
+            terrain,
             camera,
         }
     }
 
-    /// Numbers of the rocks that were moved because they came too near to the eye.
+    /// Numbers of the rocks that were moved because they came too near to the eye, which are built with the scene.
     #[must_use]
     pub fn moved_rocks(&self) -> Vec<u32> {
-        self.rocks.iter().filter(|rock| rock.moved).map(|rock| rock.index).collect()
+        self.rocks.built().filter(|rock| rock.moved).map(|rock| rock.index).collect()
     }
 
-    /// Hash (XXH3, 128 bits, hexadecimal) of every vertex, its place in the world, and of dome and stars.
+    /// Hash (XXH3, 128 bits, hexadecimal) of what there is, whichever part of it a picture shows: every vertex of the ground,
+    /// dome and stars, and the rocks: where a rock is built only when it is asked for, its place, its size and the vertices of its
+    /// coarsest mesh, else all its vertices and where they lie.
     #[must_use]
     pub fn geometry_hash(&self) -> String {
         let mut hasher = XxHash3_128::new();
@@ -175,11 +179,7 @@ impl Scene {
     fn hash_geometry(&self, mut write: impl FnMut(&[u8])) {
         write(&self.terrain.columns.to_le_bytes());
         write(bytemuck::cast_slice(&self.terrain.vertices));
-        for rock in &self.rocks {
-            write(&rock.index.to_le_bytes());
-            write(bytes_of(&rock.centre));
-            write(bytemuck::cast_slice(&rock.vertices));
-        }
+        self.rocks.write_to(&mut write);
         write(bytes_of(&self.sky.centre));
         write(&self.sky.radius_m.to_le_bytes());
         for star in &self.sky.stars {

@@ -8,7 +8,7 @@ use regolith::class::ClassId;
 use regolith::gpu;
 use regolith::meta::FrameRecord;
 use regolith::output::{self, Source, disk};
-use regolith::render::{Renderer, StageTimes};
+use regolith::render::{Renderer, StageTimes, selection};
 use regolith::scene::Scene;
 use regolith::{Error, Result};
 use serde_json::{Value, json};
@@ -56,7 +56,13 @@ pub(super) fn run(args: &FrameArgs) -> Result<()> {
 
     // The device is opened while the scene is built.
     let (scene, renderer) = rayon::join(
-        || timed("scene", || Scene::build(args.seed, &params)),
+        || {
+            timed("scene", || {
+                let scene = Scene::build(args.seed, &params)?;
+                selection::build_rocks(&scene, &settings);
+                Ok(scene)
+            })
+        },
         || -> Result<_> {
             let (gpu, adapter) = timed("adapter", || device::open(args.picture.adapter.as_deref()))?;
             let (renderer, pipelines) = timed("pipelines", || Renderer::new(gpu))?;

@@ -55,11 +55,28 @@ impl Store {
             let room = (bytes as u64).next_power_of_two();
             self.buffer = Some(gpu.buffer(self.label, room, self.usage | BufferUsages::COPY_DST));
         }
+        self.write_behind(gpu, 0, bytes, write);
+        bytes as u64
+    }
+
+    /// Writes so many bytes behind the first `offset`, which stay (both multiples of four), and says whether there is room for them.
+    pub fn write_behind(
+        &mut self,
+        gpu: &Gpu,
+        offset: usize,
+        bytes: usize,
+        write: impl FnOnce(wgpu::WriteOnly<'_, [u8]>),
+    ) -> bool {
+        let Some(buffer) = self.buffer.as_ref().filter(|buffer| buffer.size() >= (offset + bytes) as u64)
+        else {
+            return false;
+        };
         let size = wgpu::BufferSize::new(bytes as u64);
         // There is no view where something is wrong with the device, which it says itself.
-        if let Some(mut view) = size.and_then(|size| gpu.queue.write_buffer_with(self.buffer(), 0, size)) {
+        let view = size.and_then(|size| gpu.queue.write_buffer_with(buffer, offset as u64, size));
+        if let Some(mut view) = view {
             write(view.slice(..));
         }
-        bytes as u64
+        true
     }
 }

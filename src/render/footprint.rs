@@ -4,7 +4,7 @@
 
 use glam::{DMat3, DVec3, DVec4, Vec2};
 
-use super::selection::Frustum;
+use super::selection::Selection;
 use crate::scene::Scene;
 
 /// A convex polygon on the map.
@@ -15,17 +15,18 @@ pub struct Footprint {
 }
 
 impl Footprint {
-    /// Of all ground and rocks within a frustum.
+    /// Of all ground and rocks that are drawn.
     #[must_use]
-    pub fn new(scene: &Scene, frustum: &Frustum) -> Self {
+    pub fn new(scene: &Scene, selection: &Selection) -> Self {
         let terrain = &scene.terrain;
         let [mut lowest_m, mut highest_m] = terrain.z_range_m;
-        for rock in &scene.rocks {
+        // Rocks may jut out over the border of the ground.
+        let mut widest_m = 0.0_f32;
+        for rock in selection.rocks.iter().map(|selected| &scene.rocks[selected.rock]) {
             lowest_m = lowest_m.min(rock.centre.z - rock.radius_m);
             highest_m = highest_m.max(rock.centre.z + rock.radius_m);
+            widest_m = widest_m.max(rock.radius_m);
         }
-        // Rocks may jut out over the border of the ground.
-        let widest_m = scene.rocks.iter().map(|rock| rock.radius_m).fold(0.0, f32::max);
         let (centre, reach_m) = (terrain.centre, terrain.half_extent_m + widest_m);
         let side = |normal: DVec3, offset_m: f32| normal.extend(f64::from(offset_m));
         let planes: Vec<DVec4> = [
@@ -37,7 +38,7 @@ impl Footprint {
             side(DVec3::NEG_Y, reach_m + centre.y),
         ]
         .into_iter()
-        .chain(frustum.planes().map(|plane| plane.as_dvec4()))
+        .chain(selection.frustum.planes().map(|plane| plane.as_dvec4()))
         .collect();
         Self::around(corners(&planes).map(|corner| corner.truncate().as_vec2()))
     }

@@ -215,7 +215,7 @@ impl GpuScene {
             self.shadow_map = ShadowMap::default();
             self.atlas_px = shadow::atlas_px(&selection.casters);
         }
-        let footprint = Footprint::new(scene, &selection.frustum);
+        let footprint = Footprint::new(scene, &selection);
         let is_new = self.horizon_map.make(&scene.terrain, &scene.sun, &footprint);
         let casters = &selection.casters;
         let caster_grid = shadow::caster_grid(scene, casters, &self.horizon_map, &footprint);
@@ -239,7 +239,7 @@ impl GpuScene {
             self.drawn_here.visibility_ms = Some(super::milliseconds(start.elapsed()));
         }
         if !(ways.own_shadow_map && ways.own_visibility) {
-            self.uploaded_bytes += self.meshes.upload(gpu, scene);
+            self.uploaded_bytes += self.meshes.upload(gpu, scene, &selection);
             let draws = self.list_draws(scene, settings, &bands, slots, &mut seen);
             self.uploaded_bytes += self.meshes.set_draws(gpu, draws, ways.multi_draw);
         }

@@ -10,6 +10,7 @@ use super::RenderSettings;
 use super::selection::{SelectedRock, Selection};
 use crate::frame::{Frame, RockLabel};
 use crate::scene::Scene;
+use crate::scene::rocks::Rock;
 
 /// The rocks that have a pixel in the frame, by rising instance id. Scene and settings are those that were drawn, the size that
 /// of the picture.
@@ -19,40 +20,38 @@ pub(super) fn rocks(
     picture_size: [u32; 2],
     frame: &Frame,
 ) -> Vec<RockLabel> {
-    let mut seen: Vec<RockLabel> = scene
-        .rocks
-        .iter()
-        .map(|rock| RockLabel {
-            instance: (rock.index + 1) as u16,
-            visible_px: 0,
-            exposed_px: 0,
-            box_px: [u32::MAX, u32::MAX, 0, 0],
-            height_m: rock.centre.z + rock.z_range_m[1]
-                - scene.terrain.surface_height_at(rock.centre.truncate()),
-            diameter_m: rock.diameter_m(),
-        })
-        .collect();
-    for (pixel, &instance) in (0..).zip(&frame.instances) {
-        if instance > 0 {
-            let label = &mut seen[usize::from(instance) - 1];
-            let (x, y): (u32, u32) = (pixel % frame.width, pixel / frame.width);
-            let [left, top, right, bottom] = label.box_px;
-            label.visible_px += 1;
-            label.box_px = [left.min(x), top.min(y), right.max(x), bottom.max(y)];
-        }
+    let mut seen: Vec<Option<RockLabel>> = vec![None; scene.rocks.len()];
+    for (pixel, &instance) in (0..).zip(&frame.instances).filter(|(_, instance)| **instance > 0) {
+        let rock = usize::from(instance) - 1;
+        let label = seen[rock].get_or_insert_with(|| label(&scene.rocks[rock], scene));
+        let (x, y): (u32, u32) = (pixel % frame.width, pixel / frame.width);
+        let [left, top, right, bottom] = label.box_px;
+        label.visible_px += 1;
+        label.box_px = [left.min(x), top.min(y), right.max(x), bottom.max(y)];
     }
     let selection = Selection::new(scene, settings);
     let exposed: Vec<(usize, u32)> = selection
         .rocks
         .par_iter()
-        .filter(|selected| seen[selected.rock].visible_px > 0)
+        .filter(|selected| seen[selected.rock].is_some())
         .map(|selected| (selected.rock, exposed_px(scene, settings, picture_size, selected)))
         .collect();
     for (rock, exposed_px) in exposed {
-        seen[rock].exposed_px = exposed_px;
+        seen[rock].iter_mut().for_each(|label| label.exposed_px = exposed_px);
     }
-    seen.retain(|label| label.visible_px > 0);
-    seen
+    seen.into_iter().flatten().collect()
+}
+
+/// What is told of a rock before its pixels are counted.
+fn label(rock: &Rock, scene: &Scene) -> RockLabel {
+    RockLabel {
+        instance: (rock.index + 1) as u16,
+        visible_px: 0,
+        exposed_px: 0,
+        box_px: [u32::MAX, u32::MAX, 0, 0],
+        height_m: rock.centre.z + rock.z_range_m[1] - scene.terrain.surface_height_at(rock.centre.truncate()),
+        diameter_m: rock.diameter_m(),
+    }
 }
 
 /// Pixels whose centre sees the rock, were it alone on its ground.

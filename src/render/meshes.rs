@@ -1,6 +1,7 @@
 //! Meshes on a device that draws them itself: vertices, indices, and the draws of a picture.
 //!
-//! Vertices stay while a scene does, indices while the ground's grid does; draws are made anew for each frame.
+//! Vertices stay while a scene does, and those of rocks come to them when they are first drawn; indices stay while the ground's grid
+//! does; draws are made anew for each frame.
 
 use std::collections::HashMap;
 use std::ops::Range;
@@ -12,7 +13,7 @@ use rayon::prelude::*;
 use wgpu::{BufferUsages, IndexFormat};
 
 use super::raster::{VERTICES, by_axis};
-use super::selection::ground_blocks;
+use super::selection::{Selection, ground_blocks};
 use crate::gpu::Gpu;
 use crate::gpu::staging::{PAGE, Page};
 use crate::gpu::store::Store;
@@ -76,8 +77,9 @@ pub(super) const VERTEX_ATTRIBUTES: [wgpu::VertexAttribute; 2] =
 /// The meshes of a scene, and what to draw of them.
 #[derive(Debug)]
 pub struct Meshes {
-    /// Vertices of the unit sphere, the ground, rocks.
+    /// Vertices of the unit sphere, the ground, rocks, and how many.
     vertices: Store,
+    vertex_count: usize,
     /// Triangles of the icosphere's levels, then of the ground's blocks.
     indices: Store,
     index_format: IndexFormat,
@@ -93,7 +95,7 @@ pub struct Meshes {
     /// Keeps the ground's address from being given to another, but not the ground. So with the rocks.
     terrain: Weak<Terrain>,
     ground: i32,
-    /// Of each rock of the scene, its mesh and the first vertex of it. Rocks may share one.
+    /// Of each rock of the scene, its mesh and the first vertex of it; no mesh where it was not given yet.
     rocks: Vec<(Weak<Reused<Vertex>>, i32)>,
 }
 
@@ -101,6 +103,7 @@ impl Default for Meshes {
     fn default() -> Self {
         Self {
             vertices: Store::new("scene/vertices", BufferUsages::VERTEX),
+            vertex_count: 0,
             indices: Store::new("scene/indices", BufferUsages::INDEX),
             index_format: IndexFormat::Uint16,
             draws: Vec::new(),
@@ -116,12 +119,12 @@ impl Default for Meshes {
 }
 
 impl Meshes {
-    /// Has the device hold the meshes of a scene, and says how many bytes it was given for that.
-    pub(super) fn upload(&mut self, gpu: &Gpu, scene: &Scene) -> u64 {
-        self.upload_indices(gpu, &scene.terrain) + self.upload_vertices(gpu, scene)
+    /// Has the device hold the meshes of a picture of a scene, and says how many bytes it was given for that.
+    pub(super) fn upload(&mut self, gpu: &Gpu, scene: &Scene, selection: &Selection) -> u64 {
+        self.upload_indices(gpu, &scene.terrain) + self.upload_vertices(gpu, scene, selection)
     }
 
-    /// The draw of a rock of the scene at a level, as the instance in a slot.
+    /// The draw of a rock of the picture at a level, as the instance in a slot.
     pub(super) fn rock(&self, rock: usize, level: usize, slot: u32) -> Draw {
         self.sphere(level, self.rocks[rock].1, slot..slot + 1)
     }
@@ -212,50 +215,52 @@ impl Meshes {
         }
     }
 
-    /// All vertices of a scene, unless the device has them.
-    fn upload_vertices(&mut self, gpu: &Gpu, scene: &Scene) -> u64 {
-        if self.are_of(scene) {
-            return 0;
-        }
-        let sphere: Vec<Vertex> = Icosphere::shared().directions[..Icosphere::vertex_count(DOME_LEVEL)]
-            .iter()
-            .map(|&d| Vertex { position: d, normal: d })
-            .collect();
-        let (mut uploads, mut next_vertex): (Vec<(usize, &[Vertex])>, usize) = (Vec::new(), 0);
-        let mut upload = |vertices| {
-            let first = next_vertex;
-            uploads.push((first, vertices));
-            next_vertex += vertices.len();
+    /// The vertices of sphere, ground and the rocks of a picture, unless the device has them.
+    fn upload_vertices(&mut self, gpu: &Gpu, scene: &Scene, selection: &Selection) -> u64 {
+        let sphere: Vec<Vertex>;
+        let mut more: Vec<(usize, &[Vertex])> = Vec::new();
+        let begin = if self.terrain.as_ptr() == Arc::as_ptr(&scene.terrain) { self.vertex_count } else { 0 };
+        let mut end = begin;
+        let mut add = |vertices| {
+            let first = end;
+            more.push((first - begin, vertices));
+            end += vertices.len();
             first as i32
         };
-        upload(&sphere);
-        self.ground = upload(&scene.terrain.vertices);
-        let mut firsts: HashMap<*const Reused<Vertex>, i32> = HashMap::new();
-        let rocks = scene.rocks.iter().map(|rock| {
-            let mesh = &rock.vertices;
-            let first = *firsts.entry(Arc::as_ptr(mesh)).or_insert_with(|| upload(mesh));
-            (Arc::downgrade(mesh), first)
-        });
-        self.rocks = rocks.collect();
-        self.terrain = Arc::downgrade(&scene.terrain);
-        let bytes = (next_vertex * size_of::<PackedVertex>()).next_multiple_of(PAGE);
-        self.vertices.write_with(gpu, bytes, |room| {
+        if begin == 0 {
+            let directions = &Icosphere::shared().directions[..Icosphere::vertex_count(DOME_LEVEL)];
+            sphere = directions.iter().map(|&d| Vertex { position: d, normal: d }).collect();
+            add(&sphere);
+            self.ground = add(&scene.terrain.vertices);
+            self.terrain = Arc::downgrade(&scene.terrain);
+            self.rocks.clear();
+        }
+        self.rocks.resize(scene.rocks.len(), (Weak::new(), 0));
+        for selected in &selection.rocks {
+            let (known, mesh) = (&mut self.rocks[selected.rock], &scene.rocks[selected.rock].vertices);
+            if known.0.as_ptr() != Arc::as_ptr(mesh) {
+                *known = (Arc::downgrade(mesh), add(mesh));
+            }
+        }
+        if more.is_empty() {
+            return 0;
+        }
+        self.vertex_count = end;
+        let bytes = ((end - begin) * size_of::<PackedVertex>()).next_multiple_of(PAGE);
+        let write = |room: wgpu::WriteOnly<'_, [u8]>| {
             let pages: Vec<Page<'_>> = room.into_chunks().0.into_iter().collect();
             pages.into_par_iter().enumerate().with_min_len(PAGES_AT_A_TIME).for_each(|(place, page)| {
                 let mut page: wgpu::WriteOnly<'_, [u8]> = page.into();
-                page.copy_from_slice(bytemuck::cast_slice(&packed_page(&uploads, place * PER_PAGE)));
+                page.copy_from_slice(bytemuck::cast_slice(&packed_page(&more, place * PER_PAGE)));
             });
-        })
-    }
-
-    fn are_of(&self, scene: &Scene) -> bool {
-        self.terrain.as_ptr() == Arc::as_ptr(&scene.terrain)
-            && self.rocks.len() == scene.rocks.len()
-            && self
-                .rocks
-                .iter()
-                .zip(&scene.rocks)
-                .all(|((mesh, _), rock)| mesh.as_ptr() == Arc::as_ptr(&rock.vertices))
+        };
+        if begin == 0 {
+            self.vertices.write_with(gpu, bytes, write);
+        } else if !self.vertices.write_behind(gpu, begin * size_of::<PackedVertex>(), bytes, write) {
+            self.terrain = Weak::new();
+            return self.upload_vertices(gpu, scene, selection);
+        }
+        bytes as u64
     }
 }
 

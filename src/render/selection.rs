@@ -54,7 +54,8 @@ impl Selection {
         let camera = &scene.camera;
         let frustum = Frustum::new(&camera.clip_from_world(settings.size));
         let pixel_angle = 1.0 / camera.focal_px(settings.size[0]) as f32;
-        let casters = shadow::casters(scene, &frustum, settings.size);
+        let near = rocks_within(scene, &frustum);
+        let casters = shadow::casters(scene, &near, &frustum, settings.size);
         let blocks = ground_blocks(&scene.terrain)
             .enumerate()
             .filter_map(|(block, [columns, rows])| {
@@ -64,10 +65,8 @@ impl Selection {
             })
             .collect();
         let mut next_caster = casters.iter().enumerate().peekable();
-        let rocks = scene
-            .rocks
-            .iter()
-            .enumerate()
+        let rocks = near
+            .into_iter()
             .map(|(index, rock)| {
                 let nearest_m = (rock.centre.distance(camera.eye) - rock.radius_m).max(0.0);
                 let seen = frustum.may_see_ball(rock.centre, rock.radius_m);
@@ -96,6 +95,24 @@ impl Selection {
     pub const fn slots(&self) -> Slots<'_> {
         Slots { selection: self }
     }
+}
+
+/// Builds the rocks that a picture of the scene may show, which else waits for them.
+pub fn build_rocks(scene: &Scene, settings: &RenderSettings) {
+    rocks_within(scene, &Frustum::new(&scene.camera.clip_from_world(settings.size)));
+}
+
+/// The rocks that may be seen, or whose shadow may, by their index in the scene, and some more.
+fn rocks_within<'a>(scene: &'a Scene, frustum: &Frustum) -> Vec<(usize, &'a Rock)> {
+    scene.rocks.that_may(|rock| {
+        let [low, high] = rock.centres;
+        let (reach_m, width_m) = shadow::reach_m(scene, high.z + rock.radius_m, rock.radius_m);
+        let shadow = -reach_m * scene.sun.direction;
+        let corners = [low, high, low + shadow, high + shadow].map(|corner| corner.extend(1.0));
+        let furthest_m =
+            |plane: Vec4| corners.map(|corner| plane.dot(corner)).into_iter().fold(f32::MIN, f32::max);
+        frustum.may_see(|plane| furthest_m(plane) + width_m)
+    })
 }
 
 /// Where the instances of a picture stand: ground, rocks, stars, dome.
@@ -282,7 +299,30 @@ impl Frustum {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::params::Params;
     use crate::scene::camera::Camera;
+
+    #[test]
+    fn only_rocks_that_may_show_are_built_and_all_of_them_are_selected() {
+        let settings = RenderSettings::new([512, 512], 4).expect("settings");
+        let (mut all, mut built, mut drawn) = (0, 0, 0);
+        for seed in 0..8 {
+            let [scene, whole] =
+                [(); 2].map(|()| Scene::build(seed, &Params::draw_default(seed)).expect("a scene"));
+            build_rocks(&scene, &settings);
+            all += whole.rocks.iter().count();
+            built += scene.rocks.built().count();
+            let [selection, of_whole] = [&scene, &whole].map(|scene| Selection::new(scene, &settings));
+            drawn += selection.rocks.len();
+            assert_eq!(selection.rocks, of_whole.rocks, "seed {seed}");
+            assert!(scene.rocks.built().count() < whole.rocks.len(), "seed {seed}");
+        }
+        // What a rock is looked for by is larger than it.
+        assert!(
+            drawn <= built && (built as f64) < 1.03 * drawn as f64 && built < all,
+            "{drawn} {built} {all}"
+        );
+    }
 
     #[test]
     fn frustum_sees_what_is_before_the_lens_and_nothing_behind_it() {

@@ -16,6 +16,7 @@ use super::selection::Frustum;
 use super::shaders::CasterTile;
 use crate::reuse::Reused;
 use crate::scene::Scene;
+use crate::scene::rocks::Rock;
 use crate::scene::sky::Sun;
 use crate::scene::terrain::{Layout, Terrain};
 
@@ -50,22 +51,27 @@ pub struct Caster {
     pub reach_m: f32,
 }
 
-/// The tiles of every rock that can throw a shadow into the picture, packed into the atlas.
+/// How far the shadow of a rock whose highest point is at `top_m` reaches along the sun's rays from its centre, and half of how wide
+/// it is there, metres.
 #[must_use]
-pub fn casters(scene: &Scene, frustum: &Frustum, size_px: [u32; 2]) -> Vec<Caster> {
+pub fn reach_m(scene: &Scene, top_m: f32, radius_m: f32) -> (f32, f32) {
+    let [lowest_ground_m, _] = scene.terrain.z_range_m;
+    let drop_m = (top_m - lowest_ground_m).max(0.0);
+    let along_m = drop_m / scene.sun.direction.z.max(1e-3);
+    let reach_m = along_m.min(2.0 * (2.0 * scene.terrain.half_extent_m)) + radius_m;
+    (reach_m, radius_m + scene.sun.tan_half_angle() * reach_m)
+}
+
+/// The tiles of those of `rocks` (with their indices) that can throw a shadow into the picture, packed into the atlas.
+#[must_use]
+pub fn casters(scene: &Scene, rocks: &[(usize, &Rock)], frustum: &Frustum, size_px: [u32; 2]) -> Vec<Caster> {
     let pixel_angle = 1.0 / scene.camera.focal_px(size_px[0]) as f32;
     let largest_px = (4 * size_px[0].max(size_px[1])).clamp(TILE_PX[0], TILE_PX[1]);
-    let [lowest_ground_m, _] = scene.terrain.z_range_m;
     let sun = scene.sun.direction;
-    let mut casters: Vec<Caster> = scene
-        .rocks
+    let mut casters: Vec<Caster> = rocks
         .iter()
-        .enumerate()
-        .filter_map(|(index, rock)| {
-            let drop_m = (rock.centre.z + rock.z_range_m[1] - lowest_ground_m).max(0.0);
-            let reach_m =
-                (drop_m / sun.z.max(1e-3)).min(2.0 * (2.0 * scene.terrain.half_extent_m)) + rock.radius_m;
-            let width_m = rock.radius_m + scene.sun.tan_half_angle() * reach_m;
+        .filter_map(|&(index, rock)| {
+            let (reach_m, width_m) = reach_m(scene, rock.centre.z + rock.z_range_m[1], rock.radius_m);
             let end = rock.centre - reach_m * sun;
             if !frustum.may_see_swept_ball(rock.centre, end, width_m) {
                 return None;

@@ -2,16 +2,17 @@
 //! the surface stage).
 //!
 //! Every rock is a function of (seed, its number) and of the ground under it, so that rocks can be built in any
-//! order and on any number of threads, and one rock more leaves all others as they are.
+//! order and on any number of threads, or not at all ([`on_demand`]), and one rock more leaves all others as they are.
 //! Must not know: how many triangles of it are drawn.
 
 pub mod lunar;
+pub mod on_demand;
 
 use std::sync::Arc;
 
+use bytemuck::bytes_of;
 use fearless_simd::{Level, dispatch};
 use glam::{Mat3, Vec2, Vec3};
-use rayon::prelude::*;
 
 use super::mesh::{Icosphere, Vertex, distance_to_triangle};
 use super::noise::Fbm;
@@ -19,6 +20,7 @@ use super::terrain::Terrain;
 use crate::params::{Knob, Params};
 use crate::random::{Stream, Streams};
 use crate::reuse::Reused;
+use on_demand::{Rocks, Whereabouts};
 
 /// Materials in the pool of a scene.
 const MATERIALS: u64 = 12;
@@ -47,6 +49,8 @@ const LEAST_BURIAL: f32 = 0.02;
 pub const NO_DUST: f32 = 2.0;
 /// Vertices whose displacement is reckoned together: few enough for what comes in between to stay in the nearest cache.
 const AT_A_TIME: usize = 512;
+/// Level of the mesh that tells a rock that is not built from others.
+const SAMPLE_LEVEL: usize = 1;
 /// Bounds of the distance of the surface from the centre of the undisplaced unit sphere.
 const RADIUS_RANGE: [f32; 2] = [0.50, 1.85];
 
@@ -86,21 +90,30 @@ pub struct Rock {
     pub moved: bool,
 }
 
-/// All rocks of these settings on this ground, none of them near the eye.
+/// All rocks of these settings on this ground, none of them near the eye; each is built when it is first asked for.
 #[must_use]
-pub fn build(streams: &Streams, params: &Params, terrain: &Terrain, eye: Vec3) -> Vec<Rock> {
+pub fn plan(streams: &Streams, params: &Params, terrain: &Arc<Terrain>, eye: Vec3) -> Rocks {
     let materials = draw_materials(streams, params);
     let near_count = u64::from(params.count(Knob::RocksNearCount));
-    (0..u64::from(params.count(Knob::RocksCount)))
-        .into_par_iter()
-        .map(|k| {
-            let placed =
-                if k < near_count { place_near(streams, params, k) } else { place_far(streams, params, k) };
-            let material =
-                materials[streams.stream("rocks.material", k).uniform_int(0, MATERIALS as i64 - 1) as usize];
-            Rock::build(streams, params, terrain, eye, k, placed, material)
-        })
-        .collect()
+    let count = params.count(Knob::RocksCount) as usize;
+    let bed = Arc::new(Bed {
+        terrain: Arc::clone(terrain),
+        eye,
+        embedding: params.number(Knob::RocksEmbedding) as f32,
+    });
+    // Of a range of `usize` the list is made in one piece.
+    let plans = (0..count).map(|k| {
+        let k = k as u64;
+        let placed =
+            if k < near_count { place_near(streams, params, k) } else { place_far(streams, params, k) };
+        let material =
+            materials[streams.stream("rocks.material", k).uniform_int(0, MATERIALS as i64 - 1) as usize];
+        Plan::draw(streams, params, &bed, k, placed, material)
+    });
+    let rocks = Rocks::planned(plans);
+    // One that lies elsewhere than planned is not where it would be looked for.
+    rocks.that_may(|rock| rock.may_lie_within(EYE_CLEARANCE_M, eye));
+    rocks
 }
 
 /// Where a rock lies and how large it is before it is shaped.
@@ -171,34 +184,101 @@ const fn authored_level(base_scale_m: f64) -> usize {
     }
 }
 
-impl Rock {
-    fn build(
+/// What rocks are laid on.
+#[derive(Debug)]
+struct Bed {
+    terrain: Arc<Terrain>,
+    eye: Vec3,
+    /// Fraction of their height that is under the ground.
+    embedding: f32,
+}
+
+/// A rock that is yet to be built.
+#[derive(Clone, Debug)]
+struct Plan {
+    index: u32,
+    shape: Shape,
+    mesh_from_unit: Mat3,
+    level: usize,
+    base_scale_m: f32,
+    material: Material,
+    bed: Arc<Bed>,
+    place: Vec2,
+    /// Where it lies, unless too near to the eye.
+    whereabouts: Whereabouts,
+}
+
+impl Plan {
+    fn draw(
         streams: &Streams,
         params: &Params,
-        terrain: &Terrain,
-        eye: Vec3,
+        bed: &Arc<Bed>,
         k: u64,
         placed: Placed,
         material: Material,
     ) -> Self {
-        let level = authored_level(placed.base_scale_m);
-        let sphere = Icosphere::shared();
+        let Placed { place, base_scale_m } = placed;
         let shape =
             Shape::draw(&mut streams.stream("rocks.shape", k), params.number(Knob::RocksDisplacement));
-        let mesh_from_unit =
-            draw_scale_and_rotation(&mut streams.stream("rocks.pose", k), placed.base_scale_m);
-        let mut vertices: Reused<Vertex> = Reused::of_any(Icosphere::vertex_count(level));
-        for ((vertex, &u), radius) in vertices.iter_mut().zip(&sphere.directions).zip(&shape.radii(level)) {
-            vertex.position = mesh_from_unit * (radius * u);
+        let mesh_from_unit = draw_scale_and_rotation(&mut streams.stream("rocks.pose", k), base_scale_m);
+        let axes = [mesh_from_unit.x_axis, mesh_from_unit.y_axis, mesh_from_unit.z_axis];
+        let radius_m = 1.001 * shape.most() * axes.map(Vec3::length).into_iter().fold(0.0, f32::max);
+        // Its lowest and highest point are at most so far from its centre; see [`Rock::settle`].
+        let [lowest_ground_m, _] = bed.terrain.z_range_m;
+        let (low_m, high_m) =
+            (lowest_ground_m - 1.1 * radius_m, bed.terrain.surface_height_at(place) + radius_m);
+        let whereabouts = Whereabouts { centres: [place.extend(low_m), place.extend(high_m)], radius_m };
+        Self {
+            index: k as u32,
+            shape,
+            mesh_from_unit,
+            level: authored_level(base_scale_m),
+            base_scale_m: base_scale_m as f32,
+            material,
+            bed: Arc::clone(bed),
+            place,
+            whereabouts,
         }
-        sphere.set_smooth_normals(&mut vertices, level);
-        let mut rock = Self::of_vertices(k as u32, vertices, level, material);
-        rock.base_scale_m = placed.base_scale_m as f32;
-        let embedding = params.number(Knob::RocksEmbedding) as f32;
-        rock.place(terrain, eye, placed.place, embedding);
+    }
+
+    fn build(&self) -> Rock {
+        let vertices = self.vertices(self.level);
+        let mut rock = Rock::of_vertices(self.index, vertices, self.level, self.material);
+        rock.base_scale_m = self.base_scale_m;
+        rock.place(&self.bed.terrain, self.bed.eye, self.place, self.bed.embedding);
         rock
     }
 
+    /// Those of a level, which those of a finer one begin with but for their normals.
+    fn vertices(&self, level: usize) -> Reused<Vertex> {
+        let sphere = Icosphere::shared();
+        let mut vertices: Reused<Vertex> = Reused::of_any(Icosphere::vertex_count(level));
+        for ((vertex, &u), radius) in
+            vertices.iter_mut().zip(&sphere.directions).zip(&self.shape.radii(level))
+        {
+            vertex.position = self.mesh_from_unit * (radius * u);
+        }
+        sphere.set_smooth_normals(&mut vertices, level);
+        vertices
+    }
+
+    /// Gives the bytes of what it is made from; `built` is the rock itself, if it was built.
+    fn write_to(&self, built: Option<&Rock>, mut write: impl FnMut(&[u8])) {
+        write(bytes_of(&self.place));
+        write(bytes_of(&[self.base_scale_m, self.bed.embedding]));
+        let mut write_positions = |vertices: &[Vertex]| {
+            for vertex in &vertices[..Icosphere::vertex_count(SAMPLE_LEVEL)] {
+                write(bytes_of(&vertex.position));
+            }
+        };
+        match built {
+            Some(rock) => write_positions(&rock.vertices),
+            None => write_positions(&self.vertices(SAMPLE_LEVEL)),
+        }
+    }
+}
+
+impl Rock {
     /// A rock that lies nowhere yet.
     fn of_vertices(index: u32, vertices: Reused<Vertex>, level: usize, material: Material) -> Self {
         // `f32::min` asks for more than a comparison.
@@ -350,6 +430,12 @@ impl Shape {
         }
     }
 
+    /// A bound on the distance of the surface from the centre, relative to the undisplaced sphere.
+    fn most(&self) -> f32 {
+        let weights = self.lumps.1 + self.ridges.1 + self.bumps.1 + self.grain.1;
+        (1.0 + self.amplitude * weights).min(RADIUS_RANGE[1])
+    }
+
     /// Distance of the surface from the centre in each direction of a level, relative to the undisplaced sphere.
     fn radii(&self, level: usize) -> Reused<f32> {
         let mut radii: Reused<f32> = Reused::of_any(Icosphere::vertex_count(level));
@@ -395,15 +481,15 @@ impl Shape {
 mod tests {
     use super::*;
 
-    fn flat() -> Terrain {
-        Terrain::from_height(920.0, 30, Vec::new(), |_| 0.0)
+    fn flat() -> Arc<Terrain> {
+        Arc::new(Terrain::from_height(920.0, 30, Vec::new(), |_| 0.0))
     }
 
     #[test]
     fn no_rock_floats_even_on_a_steep_slope() {
-        let slope = Terrain::from_height(920.0, 300, Vec::new(), |p| 0.6 * p.x + 0.3 * p.y);
+        let slope = Arc::new(Terrain::from_height(920.0, 300, Vec::new(), |p| 0.6 * p.x + 0.3 * p.y));
         let params = Params::draw_default(5);
-        for rock in build(&Streams::new(5), &params, &slope, Vec3::new(0.0, -90.0, 500.0)) {
+        for rock in &plan(&Streams::new(5), &params, &slope, Vec3::new(0.0, -90.0, 500.0)) {
             let lowest =
                 rock.vertices.iter().map(|v| v.position + rock.centre).min_by(|a, b| a.z.total_cmp(&b.z));
             let lowest = lowest.expect("a rock has vertices");
@@ -414,7 +500,7 @@ mod tests {
     #[test]
     fn embedding_is_the_buried_fraction_of_the_height_on_flat_ground() {
         let params = Params::draw_default(8);
-        for rock in build(&Streams::new(8), &params, &flat(), Vec3::new(0.0, -90.0, 500.0)) {
+        for rock in &plan(&Streams::new(8), &params, &flat(), Vec3::new(0.0, -90.0, 500.0)) {
             let [bottom, top] = rock.z_range_m.map(|z| z + rock.centre.z);
             assert!((-bottom / (top - bottom) - 0.30).abs() < 1e-3, "rock {}", rock.index);
         }
@@ -424,10 +510,10 @@ mod tests {
     fn a_rock_over_the_eye_is_moved_clear_of_it_and_no_other() {
         let params = Params::draw_default(11);
         let streams = Streams::new(11);
-        let before = build(&streams, &params, &flat(), Vec3::new(0.0, -90.0, 500.0));
+        let before = plan(&streams, &params, &flat(), Vec3::new(0.0, -90.0, 500.0));
         let eye = before[4].centre + Vec3::new(0.05, 0.02, 0.1);
         assert_eq!(before[4].distance_to(eye, 0.5), 0.0);
-        let after = build(&streams, &params, &flat(), eye);
+        let after = plan(&streams, &params, &flat(), eye);
         assert!(after[4].moved && after[4].distance_to(eye, 1.0) >= EYE_CLEARANCE_M);
         for (a, b) in before.iter().zip(&after) {
             let too_near = a.distance_to(eye, 0.5) < EYE_CLEARANCE_M;
@@ -443,7 +529,7 @@ mod tests {
         let mut rocks = |count: &str| {
             config.apply_set(&format!("rocks.count={count}")).expect("a count");
             let params = config.draw(21).expect("drawn");
-            build(&Streams::new(21), &params, &flat(), Vec3::new(0.0, -90.0, 2.0))
+            plan(&Streams::new(21), &params, &flat(), Vec3::new(0.0, -90.0, 2.0))
         };
         let (few, more) = (rocks("30"), rocks("31"));
         assert_eq!((few.len(), more.len()), (30, 31));
@@ -453,9 +539,54 @@ mod tests {
     }
 
     #[test]
+    fn a_rock_lies_where_it_was_looked_for_before_it_was_built() {
+        let slope = Arc::new(Terrain::from_height(920.0, 300, Vec::new(), |p| 0.6 * p.x + 0.3 * p.y));
+        for displacement in ["0", "0.34", "0.8"] {
+            let mut config = crate::params::sampler::Config::new();
+            config.apply_set(&format!("rocks.displacement={displacement}")).expect("a displacement");
+            let params = config.draw(6).expect("drawn");
+            let rocks = plan(&Streams::new(6), &params, &slope, Vec3::new(0.0, -90.0, 500.0));
+            assert_eq!(rocks.built().count(), 0);
+            let mut looked_for = Vec::new();
+            let none = rocks.that_may(|rock| {
+                looked_for.push(*rock);
+                false
+            });
+            assert!(none.is_empty() && rocks.built().count() == 0);
+            for (rock, Whereabouts { centres: [low, high], radius_m }) in rocks.iter().zip(looked_for) {
+                assert_eq!(rock.centre.truncate(), low.truncate(), "rock {}", rock.index);
+                assert!((low.z..=high.z).contains(&rock.centre.z), "rock {}: {}", rock.index, rock.centre);
+                assert!((rock.radius_m..2.5 * rock.radius_m).contains(&radius_m), "rock {}", rock.index);
+            }
+        }
+    }
+
+    #[test]
+    fn a_rock_is_told_from_others_alike_before_and_after_it_was_built() {
+        let told = |rocks: &Rocks| {
+            let mut bytes = Vec::new();
+            rocks.write_to(|more| bytes.extend_from_slice(more));
+            bytes
+        };
+        let of = |seed, embedding: &str| {
+            let mut config = crate::params::sampler::Config::new();
+            config.apply_set(&format!("rocks.embedding={embedding}")).expect("an embedding");
+            plan(&Streams::new(seed), &config.draw(9).expect("drawn"), &flat(), Vec3::new(0.0, -90.0, 2.0))
+        };
+        let rocks = of(9, "0.3");
+        let before = told(&rocks);
+        assert!(told(&of(10, "0.3")) != before && told(&of(9, "0.31")) != before);
+        let mut changed = rocks.clone();
+        assert_eq!(rocks.iter().count(), rocks.built().count());
+        assert!(told(&rocks) == before);
+        changed[3].centre.z += 0.01;
+        assert!(told(&changed) != before && told(&rocks) == before);
+    }
+
+    #[test]
     fn faces_point_outward_and_shapes_are_those_of_boulders() {
         let params = Params::draw_default(2);
-        let rocks = build(&Streams::new(2), &params, &flat(), Vec3::new(0.0, -90.0, 2.0));
+        let rocks = plan(&Streams::new(2), &params, &flat(), Vec3::new(0.0, -90.0, 2.0));
         for rock in &rocks {
             let outward = rock.triangles(rock.level).iter().filter(|t| {
                 let [a, b, c] = t.map(|v| rock.vertices[v as usize].position);

@@ -29,7 +29,7 @@ fn flat_scene(sun: Sun, rocks: Vec<Rock>, eye: Vec3, fov_deg: f64) -> Scene {
         label_rule: LabelRule::default(),
         sensor: None,
         regolith: Material { albedo: Vec3::splat(0.2), roughness: 0.0 },
-        rocks,
+        rocks: rocks.into(),
         sky: Sky {
             centre: Vec3::ZERO,
             radius_m: 600.0,
@@ -107,7 +107,7 @@ fn stars_are_sky() {
 #[test]
 fn a_rock_before_the_lens_is_all_rock() {
     let mut scene = scene(4, &["rocks.count=0"]);
-    scene.rocks = vec![ball(scene.camera.eye + Vec3::new(0.0, 25.0, 0.0), 24.0)];
+    scene.rocks = vec![ball(scene.camera.eye + Vec3::new(0.0, 25.0, 0.0), 24.0)].into();
     let frame = render(&scene, 64, 4);
     assert_eq!(frame.count(ClassId::ROCK), 64 * 64);
 }

@@ -52,7 +52,7 @@ fn repainting_the_rocks_changes_exactly_the_pixels_that_are_rock() {
     for seed in [1, 2, 3] {
         let plain = scene(seed, &["sky.star_count=0"]);
         let mut painted = plain.clone();
-        for rock in &mut painted.rocks {
+        for rock in painted.rocks.iter_mut() {
             rock.material.albedo = Vec3::new(0.9, 0.02, 0.9);
         }
         let (before, after) = (render(&plain, 256, 1), render(&painted, 256, 1));

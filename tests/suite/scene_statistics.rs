@@ -96,7 +96,7 @@ fn rocks_have_the_stated_sizes_places_and_detail() {
     let share = large / far_count;
     assert!((share - 0.15 * LARGE_BEYOND).abs() < 0.01, "{share}");
     let near = |value: fn(&regolith::scene::rocks::Rock) -> f32| {
-        let rocks = SCENES.iter().flat_map(|scene| &scene.rocks[..NEAR]).filter(|rock| !rock.moved);
+        let rocks = SCENES.iter().flat_map(|scene| scene.rocks.iter().take(NEAR)).filter(|rock| !rock.moved);
         rocks.map(move |rock| f64::from(value(rock)))
     };
     assert!(ks_uniform(near(|rock| rock.base_scale_m), 1.2, 3.0) < 1.95);
@@ -130,7 +130,7 @@ fn three_near_rocks_or_more_stand_in_the_field_of_view() {
     let mut least = usize::MAX;
     for scene in SCENES.iter() {
         let eye = scene.camera.eye.truncate();
-        let in_view = scene.rocks[..NEAR].iter().filter(|rock| {
+        let in_view = scene.rocks.iter().take(NEAR).filter(|rock| {
             let offset: Vec2 = rock.centre.truncate() - eye;
             offset.y > 0.0 && offset.x.abs() <= offset.y * scene.camera.tan_half_fov
         });

@@ -648,7 +648,7 @@ fn rough_ground_is_in_shadow_as_often_as_smith_says() {
         let terrain = Arc::new(Terrain::from_height(400.0, 400, Vec::new(), height));
         for elevation_deg in elevations_deg {
             let mut scene = scene(1, &["rocks.count=0"]);
-            scene.rocks.clear();
+            scene.rocks = Vec::new().into();
             scene.terrain = Arc::clone(&terrain);
             scene.sun = Sun::new(elevation_deg, 60.0, 0.0, glam::Vec3::ONE);
             scene.camera =
