@@ -12,6 +12,7 @@ mod remap;
 mod stage;
 mod verify;
 
+use std::fmt::Display;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -52,6 +53,8 @@ pub(crate) struct Cli {
     command: Option<Command>,
     #[command(flatten)]
     frame: frame::FrameArgs,
+    #[command(flatten)]
+    messages: Messages,
 }
 
 #[derive(Debug, Subcommand)]
@@ -98,6 +101,33 @@ struct ConfigArgs {
     /// One knob, for instance sun.elevation_deg=12 or 'rocks.scale_m={uniform=[0.2,2]}'; repeatable, wins over the rest
     #[arg(long, value_name = "KEY=VALUE", allow_hyphen_values = true)]
     set: Vec<String>,
+}
+
+/// How much every command tells people, on stderr.
+#[derive(Args, Clone, Copy, Debug)]
+struct Messages {
+    /// Say more: adapter, milliseconds by stage
+    #[arg(short, long, global = true, conflicts_with = "quiet")]
+    verbose: bool,
+    /// Say nothing but errors
+    #[arg(short, long, global = true)]
+    quiet: bool,
+}
+
+impl Messages {
+    /// A line for people, unless they want none.
+    fn note(self, text: impl Display) {
+        if !self.quiet {
+            progress::note(text);
+        }
+    }
+
+    /// A line for people who want more.
+    fn detail(self, text: impl Display) {
+        if self.verbose {
+            progress::note(text);
+        }
+    }
 }
 
 /// What concerns the picture and its labels.
@@ -151,15 +181,15 @@ fn command() -> clap::Command {
 pub(crate) fn run() -> Result<()> {
     let cli = Cli::from_arg_matches(&command().get_matches()).unwrap_or_else(|error| error.exit());
     match cli.command {
-        None => frame::run(&cli.frame),
-        Some(Command::Dataset(args)) => dataset::run(&args),
-        Some(Command::Bench(args)) => bench::run(&args),
-        Some(Command::Verify(args)) => verify::run(&args),
-        Some(Command::Convert(args)) => convert::run(&args),
-        Some(Command::Remap(args)) => remap::run(&args),
+        None => frame::run(&cli.frame, cli.messages),
+        Some(Command::Dataset(args)) => dataset::run(&args, cli.messages),
+        Some(Command::Bench(args)) => bench::run(&args, cli.messages),
+        Some(Command::Verify(args)) => verify::run(&args, cli.messages),
+        Some(Command::Convert(args)) => convert::run(&args, cli.messages),
+        Some(Command::Remap(args)) => remap::run(&args, cli.messages),
         Some(Command::Params(args)) => stage::list_params(&args),
         Some(Command::Adapters { json }) => stage::list_adapters(json),
-        Some(Command::Export(args)) => stage::export_stage(&args),
+        Some(Command::Export(args)) => stage::export_stage(&args, cli.messages),
         Some(Command::Completions { shell }) => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut command(), "regolith-render", &mut script);
@@ -222,6 +252,18 @@ mod tests {
     #[test]
     fn the_command_line_is_consistent_and_every_option_has_help() {
         command().help_expected(true).debug_assert();
+    }
+
+    #[test]
+    fn every_command_takes_the_options_for_messages() {
+        let mut command = command();
+        command.build();
+        for command in [&command].into_iter().chain(command.get_subcommands()) {
+            for name in ["verbose", "quiet"] {
+                let takes = command.get_arguments().any(|option| option.get_id() == name);
+                assert!(takes || command.get_name() == "help", "{}: --{name}", command.get_name());
+            }
+        }
     }
 
     #[test]

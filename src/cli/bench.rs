@@ -8,12 +8,12 @@ use regolith::dataset::Pace;
 use regolith::dataset::plan::{Plan, Range, Shard};
 use regolith::dataset::rules::Rules;
 use regolith::output::{self, Artifact, disk, writer};
+use regolith::params::Knob;
 use regolith::render::{FRAMES_IN_FLIGHT, Renderer};
 use regolith::{Error, Result};
 use serde_json::{Map, Value, json};
 
-use super::progress::note;
-use super::{ConfigArgs, PictureArgs, device, print};
+use super::{ConfigArgs, Messages, PictureArgs, device, print};
 
 #[derive(Args, Debug)]
 pub(super) struct BenchArgs {
@@ -54,18 +54,15 @@ pub(super) struct BenchArgs {
     /// Print JSON
     #[arg(long)]
     json: bool,
-    /// Say nothing but errors
-    #[arg(short, long)]
-    quiet: bool,
 }
 
-pub(super) fn run(args: &BenchArgs) -> Result<()> {
+pub(super) fn run(args: &BenchArgs, messages: Messages) -> Result<()> {
     let cases = parse_cases(&args.cases)?;
     let setup = setup(args)?;
     let mut renderer = Renderer::new(device::open(args.picture.adapter.as_deref())?)?;
     match &args.sweep {
-        Some(name) => sweep(args, name, cases[0], &setup, &mut renderer),
-        None => measure(args, &cases, &setup, &mut renderer),
+        Some(name) => sweep(args, messages, name, cases[0], &setup, &mut renderer),
+        None => measure(args, messages, &cases, &setup, &mut renderer),
     }?;
     device::keep_programs(renderer.gpu());
     Ok(())
@@ -116,12 +113,16 @@ fn measure_one(case: Case, setup: &Setup, renderer: &mut Renderer) -> Result<Mea
     bench::run(case, setup, folder.path(), renderer)
 }
 
-fn measure(args: &BenchArgs, cases: &[Case], setup: &Setup, renderer: &mut Renderer) -> Result<()> {
+fn measure(
+    args: &BenchArgs,
+    messages: Messages,
+    cases: &[Case],
+    setup: &Setup,
+    renderer: &mut Renderer,
+) -> Result<()> {
     let mut results = Vec::new();
     for &case in cases {
-        if !args.quiet {
-            note(format_args!("{}: {} frames ...", case.name(), setup.frames));
-        }
+        messages.note(format_args!("{}: {} frames ...", case.name(), setup.frames));
         results.push((case, measure_one(case, setup, renderer)?));
     }
     let info = &renderer.gpu().info;
@@ -136,7 +137,7 @@ fn measure(args: &BenchArgs, cases: &[Case], setup: &Setup, renderer: &mut Rende
             "size": settings.size,
             "samples": settings.samples_per_side.pow(2),
             "frames_in_flight": setup.pace.frames_in_flight,
-            "stage": args.config.stage,
+            "stage": setup.plan.config.distribution(Knob::StageName).to_json(false),
             "cases": cases,
             "peak_rss_bytes": bench::peak_rss_bytes(),
         });
@@ -176,16 +177,21 @@ fn measure(args: &BenchArgs, cases: &[Case], setup: &Setup, renderer: &mut Rende
     print(&text)
 }
 
-fn sweep(args: &BenchArgs, name: &str, case: Case, setup: &Setup, renderer: &mut Renderer) -> Result<()> {
+fn sweep(
+    args: &BenchArgs,
+    messages: Messages,
+    name: &str,
+    case: Case,
+    setup: &Setup,
+    renderer: &mut Renderer,
+) -> Result<()> {
     let case = if name == "threads" { Case::Dataset } else { case };
     let (axis, setups) = bench::sweep(name, setup)?;
     let mut points = Vec::new();
     for (value, setup) in &setups {
         let measured = measure_one(case, setup, renderer)?;
         points.push((*value, bench::quantile(&measured.frames_ms, 0.5)));
-        if !args.quiet {
-            note(format_args!("{axis} {value}: {:.1} ms", points[points.len() - 1].1));
-        }
+        messages.note(format_args!("{axis} {value}: {:.1} ms", points[points.len() - 1].1));
     }
     let curve = Curve { axis, points };
     let path = args.plot.clone().unwrap_or_default();

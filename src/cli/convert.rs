@@ -7,8 +7,8 @@ use regolith::Result;
 use regolith::dataset::convert::Conversion;
 use serde_json::json;
 
-use super::print;
 use super::progress::Meter;
+use super::{Messages, print};
 
 #[derive(Args, Debug)]
 pub(super) struct ConvertArgs {
@@ -26,15 +26,12 @@ pub(super) struct ConvertArgs {
     /// Print the summary as JSON
     #[arg(long)]
     json: bool,
-    /// Say nothing but errors
-    #[arg(short, long)]
-    quiet: bool,
 }
 
-pub(super) fn run(args: &ConvertArgs) -> Result<()> {
+pub(super) fn run(args: &ConvertArgs, messages: Messages) -> Result<()> {
     let conversion = Conversion::new(&args.folder, &args.format)?;
     let stop = super::dataset::stop_on_signals()?;
-    let mut meter = Meter::new(args.quiet, "frames");
+    let mut meter = Meter::new(messages, "frames");
     let result = conversion.run(&args.folder, &args.out, args.force, &stop, |found, made| {
         meter.show([found, made, conversion.frames()], "");
     });

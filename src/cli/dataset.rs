@@ -20,7 +20,7 @@ use regolith::{Error, Result};
 use serde_json::{Value, json};
 
 use super::progress::{Meter, duration, note};
-use super::{ConfigArgs, PictureArgs, device, print};
+use super::{ConfigArgs, Messages, PictureArgs, device, print};
 
 /// Frames that a dry run tells of, unless fewer are asked for.
 const DRY_FRAMES: u64 = 5;
@@ -71,12 +71,6 @@ pub(super) struct DatasetArgs {
     /// Print the summary as JSON on stdout
     #[arg(long)]
     json: bool,
-    /// Say more: adapter, milliseconds by stage
-    #[arg(short, long, conflicts_with = "quiet")]
-    verbose: bool,
-    /// Say nothing but errors
-    #[arg(short, long)]
-    quiet: bool,
 }
 
 /// The list of layouts for the help.
@@ -85,9 +79,9 @@ pub(super) fn formats_help() -> String {
     format!("Formats:\n{}", rows.collect::<String>())
 }
 
-pub(super) fn run(args: &DatasetArgs) -> Result<()> {
+pub(super) fn run(args: &DatasetArgs, messages: Messages) -> Result<()> {
     if args.merge {
-        return merge(args);
+        return merge(args, messages);
     }
     let plan = plan(args)?;
     if args.dry_run {
@@ -96,7 +90,7 @@ pub(super) fn run(args: &DatasetArgs) -> Result<()> {
     let stop = stop_on_signals()?;
     let pace = Pace::of_threads(args.threads.map_or_else(cores, usize::from));
     if args.out.as_os_str() == "-" {
-        return stream(args, &plan, pace, &stop);
+        return stream(args, messages, &plan, pace, &stop);
     }
     let contents = Contents::of_plan(&plan);
     let done = Journal::check(&args.out, &contents, args.force)?;
@@ -104,24 +98,22 @@ pub(super) fn run(args: &DatasetArgs) -> Result<()> {
         .filter(|index| plan.shard.has(*index))
         .all(|index| done.contains(&index))
     {
-        return report(args, None, &journal::settle(&args.out)?, 0.0);
+        return report(args, messages, None, &journal::settle(&args.out)?, 0.0);
     }
     let start = Instant::now();
     // Before the folder is made, so that a machine without an adapter leaves nothing.
     let gpu = device::open(args.picture.adapter.as_deref())?;
     let journal = Journal::open(&args.out, &contents, args.force)?;
-    if !args.quiet {
-        note(format_args!("rendering on {}", regolith::gpu::describe(&gpu.info)));
-    }
+    messages.note(format_args!("rendering on {}", regolith::gpu::describe(&gpu.info)));
     let mut renderer = Renderer::new(gpu)?;
     super::inject_fault(&renderer);
-    let mut meter = Meter::new(args.quiet, "frames");
+    let mut meter = Meter::new(messages, "frames");
     let result =
         dataset::run(&plan, &mut renderer, journal, pace, &stop, |progress| show(&mut meter, progress));
     meter.finish();
     let (progress, settled) = result?;
     device::keep_programs(renderer.gpu());
-    report(args, Some(&progress), &settled, start.elapsed().as_secs_f64())
+    report(args, messages, Some(&progress), &settled, start.elapsed().as_secs_f64())
 }
 
 pub(super) fn cores() -> usize {
@@ -173,7 +165,7 @@ pub(super) fn stop_on_signals() -> Result<Arc<AtomicBool>> {
 }
 
 /// Writes the archive of a WebDataset to standard output, in order.
-fn stream(args: &DatasetArgs, plan: &Plan, pace: Pace, stop: &AtomicBool) -> Result<()> {
+fn stream(args: &DatasetArgs, messages: Messages, plan: &Plan, pace: Pace, stop: &AtomicBool) -> Result<()> {
     if plan.format != "webdataset" || !plan.splits.is_empty() {
         return Err(Error::Usage(
             "--out - streams one archive: it needs --format webdataset and no --split".to_owned(),
@@ -182,7 +174,7 @@ fn stream(args: &DatasetArgs, plan: &Plan, pace: Pace, stop: &AtomicBool) -> Res
     let gpu = device::open(args.picture.adapter.as_deref())?;
     let mut renderer = Renderer::new(gpu)?;
     super::inject_fault(&renderer);
-    let mut meter = Meter::new(args.quiet, "frames");
+    let mut meter = Meter::new(messages, "frames");
     let (start, closed) = (Instant::now(), AtomicBool::new(false));
     let write = |bytes: &[u8]| match std::io::stdout().lock().write_all(bytes) {
         Err(cause) if cause.kind() == std::io::ErrorKind::BrokenPipe => {
@@ -204,13 +196,11 @@ fn stream(args: &DatasetArgs, plan: &Plan, pace: Pace, stop: &AtomicBool) -> Res
     let progress = result?;
     write(&archive_end())?;
     device::keep_programs(renderer.gpu());
-    if !args.quiet {
-        note(format_args!(
-            "{} frames streamed in {}",
-            progress.made,
-            duration(start.elapsed().as_secs_f64())
-        ));
-    }
+    messages.note(format_args!(
+        "{} frames streamed in {}",
+        progress.made,
+        duration(start.elapsed().as_secs_f64())
+    ));
     Ok(())
 }
 
@@ -259,9 +249,9 @@ fn dry_run(args: &DatasetArgs, plan: &Plan) -> Result<()> {
 }
 
 /// Settles the folder without rendering.
-fn merge(args: &DatasetArgs) -> Result<()> {
+fn merge(args: &DatasetArgs, messages: Messages) -> Result<()> {
     let settled = journal::settle(&args.out)?;
-    report(args, None, &settled, 0.0)?;
+    report(args, messages, None, &settled, 0.0)?;
     match settled.missing.as_slice() {
         [] => Ok(()),
         missing => Err(Error::CheckFailed(format!(
@@ -279,7 +269,13 @@ fn some_of(indices: &[u64]) -> String {
 }
 
 /// Tells of a run that has ended well.
-fn report(args: &DatasetArgs, run: Option<&Progress>, settled: &Settled, seconds: f64) -> Result<()> {
+fn report(
+    args: &DatasetArgs,
+    messages: Messages,
+    run: Option<&Progress>,
+    settled: &Settled,
+    seconds: f64,
+) -> Result<()> {
     let manifest = &settled.manifest;
     let ms: serde_json::Map<String, Value> = run
         .map(|run| {
@@ -305,11 +301,8 @@ fn report(args: &DatasetArgs, run: Option<&Progress>, settled: &Settled, seconds
     } else {
         print(&format!("{}\n", args.out.display()))?;
     }
-    if args.quiet {
-        return Ok(());
-    }
     match run {
-        Some(run) => note(format_args!(
+        Some(run) => messages.note(format_args!(
             "{} frames made ({} were there), {} drawn again, in {}: {:.2} frames/s",
             run.made,
             run.found,
@@ -317,27 +310,25 @@ fn report(args: &DatasetArgs, run: Option<&Progress>, settled: &Settled, seconds
             duration(seconds),
             run.made as f64 / seconds
         )),
-        None => note(format_args!("no frame was rendered; {} are there", manifest["n_completed"])),
+        None => messages.note(format_args!("no frame was rendered; {} are there", manifest["n_completed"])),
     }
     let share = |class: &str| 100.0 * manifest["totals"]["coverage_mean"][class].as_f64().unwrap_or_default();
     let shares: Vec<String> =
         ClassId::ALL.iter().map(|class| format!("{} {:.1} %", class.name, share(class.name))).collect();
     let brightness = manifest["totals"]["rgb_mean"].as_f64().unwrap_or_default();
-    note(format_args!("mean shares: {}; mean brightness {brightness:.1} of 255", shares.join(", ")));
-    if args.verbose {
-        let stages: Vec<String> =
-            ms.iter().map(|(name, ms)| format!("{name} {:.1}", ms.as_f64().unwrap_or(0.0))).collect();
-        note(format_args!("milliseconds of work a frame: {}", stages.join(", ")));
-    }
+    messages.note(format_args!("mean shares: {}; mean brightness {brightness:.1} of 255", shares.join(", ")));
+    let stages: Vec<String> =
+        ms.iter().map(|(name, ms)| format!("{name} {:.1}", ms.as_f64().unwrap_or(0.0))).collect();
+    messages.detail(format_args!("milliseconds of work a frame: {}", stages.join(", ")));
     if settled.missing.is_empty() {
         let sheet = if args.out.join("contact_sheet.png").is_file() { "contact_sheet.png, " } else { "" };
-        note(format_args!(
+        messages.note(format_args!(
             "whole: {} frames in {}; see {sheet}histograms.svg, README.md",
             manifest["n_completed"],
             args.out.display()
         ));
     } else {
-        note(format_args!(
+        messages.note(format_args!(
             "{} frames of other shards are still missing: {}; once they are here, `regolith-render dataset --merge --out {}` completes the folder",
             settled.missing.len(),
             some_of(&settled.missing),

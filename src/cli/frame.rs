@@ -13,7 +13,7 @@ use regolith::scene::Scene;
 use regolith::{Error, Result};
 use serde_json::{Value, json};
 
-use super::{ConfigArgs, PictureArgs, device, print};
+use super::{ConfigArgs, Messages, PictureArgs, device, print};
 
 #[derive(Args, Debug)]
 pub(super) struct FrameArgs {
@@ -36,15 +36,9 @@ pub(super) struct FrameArgs {
     /// Print the frame's record and the paths of its files as JSON on stdout
     #[arg(long)]
     json: bool,
-    /// Say more: adapter, device times
-    #[arg(short, long, conflicts_with = "quiet")]
-    verbose: bool,
-    /// Say nothing but errors
-    #[arg(short, long)]
-    quiet: bool,
 }
 
-pub(super) fn run(args: &FrameArgs) -> Result<()> {
+pub(super) fn run(args: &FrameArgs, messages: Messages) -> Result<()> {
     const INDEX: u64 = 0;
     let start = Instant::now();
     let params = args.config.build()?.draw(args.seed)?;
@@ -109,9 +103,7 @@ pub(super) fn run(args: &FrameArgs) -> Result<()> {
     } else {
         print(&format!("{}\n", shown.join("\n")))?;
     }
-    if !args.quiet {
-        summarise(args, &renderer, &meta, &times, start);
-    }
+    summarise(args, messages, &renderer, &meta, &times, start);
     device::keep_programs(renderer.gpu());
     Ok(())
 }
@@ -123,10 +115,16 @@ fn timed<T>(stage: &'static str, work: impl FnOnce() -> Result<T>) -> Result<(T,
     Ok((done, (stage, start.elapsed().as_secs_f64() * 1e3)))
 }
 
-#[expect(clippy::print_stderr, reason = "messages to people go to stderr")]
-fn summarise(args: &FrameArgs, renderer: &Renderer, meta: &Value, times: &StageTimes, start: Instant) {
+fn summarise(
+    args: &FrameArgs,
+    messages: Messages,
+    renderer: &Renderer,
+    meta: &Value,
+    times: &StageTimes,
+    start: Instant,
+) {
     let share = |name: &str| 100.0 * meta["coverage"][name].as_f64().unwrap_or_default();
-    eprintln!(
+    messages.note(format_args!(
         "seed {}: regolith {:.1} %, rock {:.1} %, sky {:.1} %; RGB mean {:.1}, p99 {}, max {}; {:.2} s",
         args.seed,
         share("regolith"),
@@ -136,15 +134,16 @@ fn summarise(args: &FrameArgs, renderer: &Renderer, meta: &Value, times: &StageT
         meta["rgb"]["p99"],
         meta["rgb"]["max"],
         start.elapsed().as_secs_f64()
-    );
+    ));
     if !meta["moved_rocks"].as_array().is_none_or(Vec::is_empty) {
-        eprintln!("moved away from the camera: rocks {}", meta["moved_rocks"]);
+        messages.note(format_args!("moved away from the camera: rocks {}", meta["moved_rocks"]));
     }
-    if args.verbose {
-        let scene = renderer.gpu_scene();
-        eprintln!("adapter: {}", gpu::describe(&renderer.gpu().info));
-        eprintln!("drawn: {} triangles, {} bytes uploaded", scene.drawn_triangles, scene.uploaded_bytes);
-        let stages: Vec<String> = times.iter().map(|(name, ms)| format!("{name} {ms:.1}")).collect();
-        eprintln!("milliseconds: {}", stages.join(", "));
-    }
+    let scene = renderer.gpu_scene();
+    messages.detail(format_args!("adapter: {}", gpu::describe(&renderer.gpu().info)));
+    messages.detail(format_args!(
+        "drawn: {} triangles, {} bytes uploaded",
+        scene.drawn_triangles, scene.uploaded_bytes
+    ));
+    let stages: Vec<String> = times.iter().map(|(name, ms)| format!("{name} {ms:.1}")).collect();
+    messages.detail(format_args!("milliseconds: {}", stages.join(", ")));
 }

@@ -1,16 +1,19 @@
 //! How far a run has come, for people: on stderr.
 
+use std::fmt::Display;
 use std::io::IsTerminal as _;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+use super::Messages;
 
 /// Seconds between plain lines.
 const PLAIN_SECONDS: u64 = 5;
 
 /// A line for people.
 #[expect(clippy::print_stderr, reason = "messages to people go to stderr")]
-pub(super) fn note(text: std::fmt::Arguments<'_>) {
+pub(super) fn note(text: impl Display) {
     eprintln!("{text}");
 }
 
@@ -28,15 +31,15 @@ pub(super) fn duration(seconds: f64) -> String {
 pub(super) struct Meter {
     what: &'static str,
     bar: Option<ProgressBar>,
-    quiet: bool,
+    messages: Messages,
     start: Instant,
     shown: Instant,
 }
 
 impl Meter {
-    /// Counts `what`; says nothing if it is to be `quiet`.
-    pub(super) fn new(quiet: bool, what: &'static str) -> Self {
-        let bar = (!quiet && std::io::stderr().is_terminal()).then(|| {
+    /// Counts `what`; tells as much as is asked for.
+    pub(super) fn new(messages: Messages, what: &'static str) -> Self {
+        let bar = (!messages.quiet && std::io::stderr().is_terminal()).then(|| {
             let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
             let style = format!("{{bar:32}} {{pos}}/{{len}} {what}, {{msg}}, {{eta}} left");
             bar.set_style(
@@ -46,7 +49,7 @@ impl Meter {
             bar.enable_steady_tick(Duration::from_millis(250));
             bar
         });
-        Self { what, bar, quiet, start: Instant::now(), shown: Instant::now() }
+        Self { what, bar, messages, start: Instant::now(), shown: Instant::now() }
     }
 
     /// Of `wanted`, `found` were there at the start and `made` have been added; `more` is said beside the speed.
@@ -60,10 +63,10 @@ impl Meter {
             }
             bar.set_position(found + made);
             bar.set_message(format!("{rate:.2} {what}/s{more}"));
-        } else if !self.quiet && self.shown.elapsed().as_secs() >= PLAIN_SECONDS && made > 0 {
+        } else if self.shown.elapsed().as_secs() >= PLAIN_SECONDS && made > 0 {
             self.shown = Instant::now();
             let left = wanted.saturating_sub(found + made) as f64 / rate.max(1e-9);
-            note(format_args!(
+            self.messages.note(format_args!(
                 "{}/{wanted} {what}, {rate:.2} {what}/s{more}, {} left",
                 found + made,
                 duration(left)

@@ -8,8 +8,8 @@ use regolith::remap::{self, Remapped};
 use regolith::{Error, Result};
 use serde_json::json;
 
-use super::print;
-use super::progress::{Meter, note};
+use super::progress::Meter;
+use super::{Messages, print};
 
 #[derive(Args, Debug)]
 pub(super) struct RemapArgs {
@@ -24,12 +24,9 @@ pub(super) struct RemapArgs {
     /// Print the summary as JSON
     #[arg(long)]
     json: bool,
-    /// Say nothing but errors
-    #[arg(short, long)]
-    quiet: bool,
 }
 
-pub(super) fn run(args: &RemapArgs) -> Result<()> {
+pub(super) fn run(args: &RemapArgs, messages: Messages) -> Result<()> {
     let pairs = remap::find(&args.folder)?;
     let same =
         |a: &Path, b: &Path| a.canonicalize().ok().is_some_and(|a| b.canonicalize().is_ok_and(|b| a == b));
@@ -37,7 +34,7 @@ pub(super) fn run(args: &RemapArgs) -> Result<()> {
         return Err(Error::Usage("--out is the folder of the masks themselves; give another".to_owned()));
     }
     disk::check_content(&args.out, args.force, |_| false)?;
-    let mut meter = Meter::new(args.quiet, "masks");
+    let mut meter = Meter::new(messages, "masks");
     let mut all = Remapped::default();
     for (made, pair) in (1..).zip(&pairs) {
         all.add(remap::remap(&args.folder, pair, &args.out)?);
@@ -48,26 +45,24 @@ pub(super) fn run(args: &RemapArgs) -> Result<()> {
         return print(&format!("{:#}\n", json!(all)));
     }
     print(&format!("{}\n", args.out.display()))?;
-    if !args.quiet {
-        tell(args, &all);
-    }
+    tell(args, messages, &all);
     Ok(())
 }
 
-fn tell(args: &RemapArgs, all: &Remapped) {
+fn tell(args: &RemapArgs, messages: Messages, all: &Remapped) {
     let total: u64 = all.pixels.values().sum();
     let shares: Vec<String> = all
         .pixels
         .iter()
         .map(|(class, pixels)| format!("{class} {:.1} %", 100.0 * *pixels as f64 / total.max(1) as f64))
         .collect();
-    note(format_args!("{} masks in {}: {}", all.masks, args.out.display(), shares.join(", ")));
+    messages.note(format_args!("{} masks in {}: {}", all.masks, args.out.display(), shares.join(", ")));
     if !all.unknown_names.is_empty() {
         let names: Vec<&str> = all.unknown_names.iter().map(String::as_str).collect();
-        note(format_args!("names that are no class became 255: {}", names.join(", ")));
+        messages.note(format_args!("names that are no class became 255: {}", names.join(", ")));
     }
     for mask in &all.empty_masks {
-        note(format_args!(
+        messages.note(format_args!(
             "warning: {} has become nothing but 255: none of its ids is a class's",
             mask.display()
         ));

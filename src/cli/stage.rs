@@ -6,12 +6,13 @@ use clap::Args;
 use regolith::dataset::rules::Rules;
 use regolith::export::{self, Detail, Format, Stage};
 use regolith::output::{Artifact, disk};
+use regolith::params::Knob;
 use regolith::render::RenderSettings;
 use regolith::scene::Scene;
 use regolith::{Error, Result, gpu};
 use serde_json::{Value, json};
 
-use super::{ConfigArgs, parse_size, print};
+use super::{ConfigArgs, Messages, parse_size, print};
 
 #[derive(Args, Debug)]
 pub(super) struct ParamsArgs {
@@ -40,9 +41,12 @@ pub(super) struct ExportArgs {
     /// Replace the file if it is there
     #[arg(long)]
     force: bool,
+    /// Print what was written as JSON
+    #[arg(long)]
+    json: bool,
 }
 
-pub(super) fn export_stage(args: &ExportArgs) -> Result<()> {
+pub(super) fn export_stage(args: &ExportArgs, messages: Messages) -> Result<()> {
     let format = Format::from_path(&args.file)?;
     if args.file.exists() && !args.force {
         return Err(Error::Usage(format!("{} exists; add --force to replace it", args.file.display())));
@@ -56,7 +60,16 @@ pub(super) fn export_stage(args: &ExportArgs) -> Result<()> {
     let bytes = export::export(&stage, format)?;
     let name = args.file.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let folder = args.file.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let written = bytes.len();
     disk::write_all(folder, &[Artifact { name, bytes }])?;
+    if args.json {
+        let result = json!({
+            "file": args.file, "bytes": written, "seed": args.seed, "stage": params.text(Knob::StageName), "drawn": args.drawn,
+            "rocks": scene.rocks.len(), "geometry_hash": scene.geometry_hash(),
+        });
+        return print(&format!("{result:#}\n"));
+    }
+    messages.detail(format_args!("{} rocks, {written} bytes", scene.rocks.len()));
     print(&format!("{}\n", args.file.display()))
 }
 

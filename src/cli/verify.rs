@@ -5,10 +5,10 @@ use std::path::PathBuf;
 use clap::Args;
 use regolith::dataset::verify::{self, CHECKS, Report};
 use regolith::render::Renderer;
-use regolith::{Error, Result};
+use regolith::{Error, Result, gpu};
 
 use super::progress::Meter;
-use super::{device, print};
+use super::{Messages, device, print};
 
 /// Problems that are printed; JSON has all.
 const SHOWN: usize = 40;
@@ -26,25 +26,23 @@ pub(super) struct VerifyArgs {
     /// Print JSON
     #[arg(long)]
     json: bool,
-    /// Print only what is wrong
-    #[arg(short, long)]
-    quiet: bool,
 }
 
-pub(super) fn run(args: &VerifyArgs) -> Result<()> {
-    let mut meter = Meter::new(args.quiet, "frames");
+pub(super) fn run(args: &VerifyArgs, messages: Messages) -> Result<()> {
+    let mut meter = Meter::new(messages, "frames");
     let report = verify::check(&args.folder, |checked, wanted| meter.show([0, checked, wanted], ""));
     meter.finish();
     let mut report = report?;
     if args.rerender > 0 && report.frames > 0 {
         let mut renderer = Renderer::new(device::open(args.adapter.as_deref())?)?;
+        messages.detail(format_args!("rendering again on {}", gpu::describe(&renderer.gpu().info)));
         verify::check_rendering(&args.folder, &mut renderer, args.rerender, &mut report)?;
         device::keep_programs(renderer.gpu());
     }
     if args.json {
         print(&format!("{:#}\n", report.to_json()))?;
     } else {
-        print(&table(&report, args.quiet))?;
+        print(&table(&report, messages.quiet))?;
     }
     match report.problems.len() {
         0 => Ok(()),

@@ -458,6 +458,10 @@ fn export_writes_whole_files_and_replaces_none_unasked() {
         assert_eq!(again.status.code(), Some(2));
         assert!(String::from_utf8_lossy(&again.stderr).contains("add --force"));
     }
+    let words = ["export", "stage.npz", "--force", "--json", "--preset", "surface_train_dr"];
+    let told: serde_json::Value = serde_json::from_str(&run_ok(folder.path(), &words)).expect("JSON");
+    assert_eq!([&told["file"], &told["stage"]], ["stage.npz", "surface"]);
+    assert_eq!(told["bytes"], std::fs::metadata(folder.path().join("stage.npz")).expect("a file").len());
     let wrong = run(folder.path(), &["export", "stage.obj"]);
     assert_eq!(wrong.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&wrong.stderr).contains(".npz, .glb, .usda"));
@@ -471,6 +475,12 @@ fn the_bench_tells_every_case_and_a_sweep_draws_its_curve() {
     let result = run_ok(folder.path(), &[&small[..], &["--json"]].concat());
     let result: serde_json::Value = serde_json::from_str(&result).expect("JSON");
     assert_eq!((&result["size"], &result["samples"]), (&serde_json::json!([64, 64]), &1.into()));
+    assert_eq!(result["stage"], "nominal");
+    let of_preset =
+        ["bench", "--frames=1", "--cases=scene", "--size=32", "-q", "--json", "--preset=surface_train_dr"];
+    let of_preset: serde_json::Value =
+        serde_json::from_str(&run_ok(folder.path(), &of_preset)).expect("JSON");
+    assert_eq!(of_preset["stage"], "surface", "a preset's stage");
     assert!(result["peak_rss_bytes"].as_u64() > Some(1 << 20) && result["adapter"]["name"].is_string());
     for case in ["camera", "static-sun", "scene", "dataset"] {
         let case = &result["cases"][case];
