@@ -7,14 +7,14 @@ mod convert;
 mod dataset;
 mod device;
 mod frame;
-mod progress;
+pub(crate) mod progress;
 mod remap;
 mod stage;
 mod verify;
 
 use std::fmt::Display;
 use std::io::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use regolith::dataset::rules::Rules;
@@ -89,10 +89,10 @@ enum Command {
 /// Where the values of the knobs come from, weakest first: stage, preset, file, --set.
 #[derive(Args, Debug)]
 struct ConfigArgs {
-    /// Which stage's defaults to start from
-    #[arg(long, value_name = "NAME", default_value = "nominal")]
-    stage: String,
-    /// A named set of knobs, or several, separated by commas, the later over the earlier; `--help` lists them
+    /// Which stage to show: nominal or surface [default: that of the preset or the file, else nominal]
+    #[arg(long, value_name = "NAME")]
+    stage: Option<String>,
+    /// A named set of knobs, or several, separated by commas, the later over the earlier; `regolith-render --help` lists them
     #[arg(long, value_name = "NAME")]
     preset: Option<String>,
     /// Knobs from a TOML file
@@ -134,10 +134,10 @@ impl Messages {
 #[derive(Args, Debug)]
 struct PictureArgs {
     /// Pixels of the picture: WxH, or N for a square
-    #[arg(long, value_name = "WxH", default_value = "512x512", value_parser = parse_size)]
+    #[arg(long, value_name = "WxH", default_value = "512x512", value_parser = parse_size, allow_hyphen_values = true)]
     size: [u32; 2],
     /// Samples per pixel: 1, 4 (2 x 2) or 16 (4 x 4)
-    #[arg(long, value_name = "N", default_value_t = 4)]
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = whole::<u32>(0, u32::MAX.into()), allow_negative_numbers = true)]
     samples: u32,
     /// Ids in the mask: canonical (0 regolith, 1 rock, 2 sky) or those of a Replicator pipeline
     #[arg(long, value_name = "KIND", default_value = "canonical", value_parser = ["canonical", "replicator"])]
@@ -201,7 +201,9 @@ pub(crate) fn run() -> Result<()> {
 impl ConfigArgs {
     fn build(&self) -> Result<Config> {
         let mut config = Config::new();
-        config.set_stage(&self.stage)?;
+        if let Some(stage) = &self.stage {
+            config.set_stage(stage)?;
+        }
         for preset in self.preset.iter().flat_map(|names| names.split(',')) {
             config.apply_preset(preset.trim())?;
         }
@@ -210,6 +212,9 @@ impl ConfigArgs {
         }
         for assignment in &self.set {
             config.apply_set(assignment)?;
+        }
+        if let Some(stage) = &self.stage {
+            config.check_stage(stage)?;
         }
         config.check()?;
         // A frame alone has no rules to keep, but a wrong one is wrong everywhere.
@@ -229,19 +234,26 @@ fn inject_fault(renderer: &Renderer) {
 fn print(text: &str) -> Result<()> {
     let mut stdout = std::io::stdout().lock();
     match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
-        Err(cause) if cause.kind() != std::io::ErrorKind::BrokenPipe => {
-            Err(Error::Write { path: Path::new("standard output").to_owned(), cause })
-        }
+        Err(cause) if cause.kind() != std::io::ErrorKind::BrokenPipe => Err(Error::Stdout(cause)),
         _ => Ok(()),
     }
 }
 
 fn parse_size(text: &str) -> std::result::Result<[u32; 2], String> {
-    let side =
-        |part: &str| part.trim().parse::<u32>().map_err(|_| format!("`{part}` is not a number of pixels"));
-    match text.split_once(['x', 'X']) {
-        Some((width, height)) => Ok([side(width)?, side(height)?]),
-        None => side(text).map(|n| [n, n]),
+    let (width, height) = text.split_once(['x', 'X']).unwrap_or((text, text));
+    let side = |part: &str| part.trim().parse().map_err(|_| "the form is WxH or N, pixels".to_owned());
+    Ok([side(width)?, side(height)?])
+}
+
+/// Reads a whole number between two, both included. (What clap has for it names them for some types only.)
+fn whole<T: TryFrom<u64>>(
+    least: u64,
+    most: u64,
+) -> impl Fn(&str) -> std::result::Result<T, String> + Clone + Send + Sync + 'static {
+    move |text| {
+        let number = text.trim().parse().ok().filter(|number| (least..=most).contains(number));
+        let refused = || format!("it should be a whole number from {least} to {most}");
+        number.and_then(|number| T::try_from(number).ok()).ok_or_else(refused)
     }
 }
 

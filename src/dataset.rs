@@ -24,7 +24,7 @@ use std::time::Instant;
 
 use serde_json::{Map, Value, json};
 
-use crate::error::{Error, Result};
+use crate::error::{Error, RUN_AGAIN, Result};
 use crate::frame::Frame;
 use crate::meta::FrameRecord;
 use crate::output::writer::{Placed, Sample};
@@ -198,8 +198,12 @@ fn draw_all(
 fn encode(plan: &Plan, drawn: Drawn) -> Result<Finished> {
     let start = Instant::now();
     let Drawn { built, mut frame, adapter, cost } = drawn;
-    let mut line = record(plan, &built, &frame, &adapter);
-    let meta = Value::Object(line.clone());
+    let meta = record(plan, &built, &frame, &adapter);
+    let mut line = meta.clone();
+    // The manifest has these, for all frames alike.
+    line.retain(|key, _| !["size", "samples", "edges", "version"].contains(&key.as_str()));
+    line.insert("adapter".to_owned(), adapter.name.clone().into());
+    let meta = Value::Object(meta);
     let source = Source { frame: &frame, meta: &meta, label_ids: plan.label_ids, edges: plan.edges };
     let files = output::encode(&source, &plan.outputs)?;
     frame.class = plan.edges.apply(&frame);
@@ -228,7 +232,7 @@ fn add_files(line: &mut Map<String, Value>, placed: &Placed) {
     }
 }
 
-/// What is recorded of a frame, but for its files and times.
+/// What is recorded of a frame, as for one by itself, but for its times.
 fn record(plan: &Plan, built: &Built, frame: &Frame, adapter: &wgpu::AdapterInfo) -> Map<String, Value> {
     let record = FrameRecord {
         seed: built.seed,
@@ -251,11 +255,8 @@ fn record(plan: &Plan, built: &Built, frame: &Frame, adapter: &wgpu::AdapterInfo
         line.insert("redrawn".to_owned(), json!(built.redrawn));
     }
     if let Value::Object(record) = record.to_json() {
-        // The manifest has these, for all frames alike.
-        let shared = ["size", "samples", "edges", "version", "ms"];
-        line.extend(record.into_iter().filter(|(key, _)| !shared.contains(&key.as_str())));
+        line.extend(record.into_iter().filter(|(key, _)| key != "ms"));
     }
-    line.insert("adapter".to_owned(), adapter.name.clone().into());
     line
 }
 
@@ -461,7 +462,7 @@ pub fn run(
     manifest?;
     drop(journal);
     if !complete {
-        return Err(Error::Stopped { done: progress.found + progress.made, wanted });
+        return Err(Error::Stopped { done: progress.found + progress.made, wanted, remedy: RUN_AGAIN });
     }
     Ok((progress, journal::settle(&folder)?))
 }
@@ -494,7 +495,8 @@ pub fn stream(
         Ok(())
     })?;
     if progress.made < wanted {
-        return Err(Error::Stopped { done: progress.made, wanted });
+        let remedy = "A stream cannot go on; --start makes the rest in another";
+        return Err(Error::Stopped { done: progress.made, wanted, remedy });
     }
     Ok(progress)
 }

@@ -100,6 +100,9 @@ pub enum Error {
         /// Why.
         cause: std::io::Error,
     },
+    /// Standard output that cannot be written to.
+    #[error("cannot write to standard output: {0}")]
+    Stdout(std::io::Error),
     /// No adapter at all.
     #[error(
         "no graphics adapter was found{0}.\nWithout a GPU, Mesa's CPU driver does the work: `sudo apt-get install mesa-vulkan-drivers` (Debian, Ubuntu).\nWith a GPU, install its Vulkan driver; in a container, pass the GPU through with its graphics capability."
@@ -167,7 +170,7 @@ pub enum Error {
     Scene(String),
     /// A rule for the frames of a dataset that frame after frame breaks.
     #[error(
-        "frame {index} was drawn {attempts} times and broke a rule each time, the last time `{rule}`: {found}. Loosen the rule or change the knobs; what is finished stays"
+        "frame {index} was drawn {attempts} times and broke a rule each time, the last time `{rule}`: {found}. Loosen the rule or change the knobs, and choose another --out if frames are finished here: they stay"
     )]
     RuleBroken {
         /// The frame.
@@ -191,12 +194,14 @@ pub enum Error {
     #[error("another run is writing {}; wait for it, or stop it first", .0.display())]
     Busy(PathBuf),
     /// A run that was asked to stop.
-    #[error("stopped: {done} of {wanted} frames are finished and whole. Run the same command again to go on")]
+    #[error("stopped: {done} of {wanted} frames are finished and whole. {remedy}")]
     Stopped {
         /// Frames that are there.
         done: u64,
         /// Frames that were asked for.
         wanted: u64,
+        /// How to have the rest.
+        remedy: &'static str,
     },
     /// Something that should be a dataset (or a part of one) and is not.
     #[error("{}: {message}", .path.display())]
@@ -243,6 +248,7 @@ impl Error {
             | Self::Dataset { .. }
             | Self::Scene(_) => 2,
             Self::Write { .. }
+            | Self::Stdout(_)
             | Self::NoAdapter(_)
             | Self::AdapterUnfit { .. }
             | Self::DeviceLost(_)
@@ -257,6 +263,9 @@ impl Error {
         }
     }
 }
+
+/// What to do after a run into a folder was stopped.
+pub const RUN_AGAIN: &str = "Run the same command again to go on";
 
 /// The name in `known` that is nearest to `name`, if one is near enough to be meant.
 #[must_use]

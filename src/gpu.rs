@@ -50,7 +50,7 @@ impl Gpu {
     /// heeded.
     ///
     /// # Errors
-    /// [`Error::NoAdapter`], [`Error::AdapterNotFound`] or [`Error::AdapterUnfit`].
+    /// [`Error::NoAdapter`], [`Error::AdapterNotFound`], [`Error::AdapterUnfit`] or [`Error::Usage`].
     pub fn open(wanted: Option<&str>) -> Result<Self> {
         Self::open_with(wanted, |_| None)
     }
@@ -58,12 +58,13 @@ impl Gpu {
     /// The same, with the compiled programs that `kept` gives for a key of [`Programs`].
     ///
     /// # Errors
-    /// [`Error::NoAdapter`], [`Error::AdapterNotFound`] or [`Error::AdapterUnfit`].
+    /// [`Error::NoAdapter`], [`Error::AdapterNotFound`], [`Error::AdapterUnfit`] or [`Error::Usage`].
     pub fn open_with(wanted: Option<&str>, kept: impl FnOnce(&str) -> Option<Vec<u8>>) -> Result<Self> {
         let from_environment = std::env::var("WGPU_ADAPTER_NAME").ok().filter(|name| !name.is_empty());
         let wanted = wanted.map(str::to_owned).or(from_environment);
         // GL is only looked at where Vulkan has nothing: its libraries are slow to load and noisy.
-        let rounds = Backends::from_env().map_or_else(|| vec![Backends::VULKAN, Backends::GL], |b| vec![b]);
+        let allowed = backends_allowed()?;
+        let rounds = allowed.map_or_else(|| vec![Backends::VULKAN, Backends::GL], |allowed| vec![allowed]);
         let mut seen = Vec::new();
         for backends in rounds {
             let adapters = enumerate(backends);
@@ -78,10 +79,7 @@ impl Gpu {
         }
         Err(match wanted {
             Some(wanted) if !seen.is_empty() => Error::AdapterNotFound { wanted, available: seen },
-            _ => Error::NoAdapter(
-                Backends::from_env()
-                    .map_or_else(String::new, |b| format!(" (WGPU_BACKEND allows only {b:?})")),
-            ),
+            _ => no_adapter(),
         })
     }
 
@@ -230,13 +228,36 @@ impl Gpu {
     }
 }
 
-/// Every adapter that can be used, best first.
-#[must_use]
-pub fn adapters() -> Vec<AdapterInfo> {
-    let backends = Backends::from_env().unwrap_or(Backends::VULKAN | Backends::GL);
+/// Every adapter that can be used, best first; at least one.
+///
+/// # Errors
+/// [`Error::NoAdapter`], [`Error::Usage`] for a `WGPU_BACKEND` that there is not.
+pub fn adapters() -> Result<Vec<AdapterInfo>> {
+    let backends = backends_allowed()?.unwrap_or(Backends::VULKAN | Backends::GL);
     let mut infos: Vec<AdapterInfo> = enumerate(backends).iter().map(wgpu::Adapter::get_info).collect();
     infos.sort_by_key(rank);
-    infos
+    if infos.is_empty() { Err(no_adapter()) } else { Ok(infos) }
+}
+
+/// The backends that `WGPU_BACKEND` allows, if it says anything.
+fn backends_allowed() -> Result<Option<Backends>> {
+    let named = std::env::var("WGPU_BACKEND").unwrap_or_default();
+    let words = named.split(',').map(|word| word.trim().to_lowercase()).filter(|word| !word.is_empty());
+    words
+        .map(|word| match word.as_str() {
+            "vulkan" | "vk" => Ok(Backends::VULKAN),
+            "gl" | "gles" | "opengl" => Ok(Backends::GL),
+            _ => Err(Error::Usage(format!(
+                "WGPU_BACKEND={named}: unknown backend `{word}`; there are vulkan and gl"
+            ))),
+        })
+        .try_fold(None, |allowed, backend| Ok(Some(allowed.unwrap_or(Backends::empty()) | backend?)))
+}
+
+fn no_adapter() -> Error {
+    let named = std::env::var("WGPU_BACKEND").unwrap_or_default();
+    let limit = if named.is_empty() { String::new() } else { format!(" (WGPU_BACKEND allows only {named})") };
+    Error::NoAdapter(limit)
 }
 
 /// One line about an adapter: name, kind, backend, driver.

@@ -5,7 +5,8 @@ mod cli;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::process::ExitCode;
 
-#[expect(clippy::print_stderr, reason = "messages to people go to stderr")]
+use cli::progress::note;
+
 fn main() -> ExitCode {
     quieten_drivers();
     // A lost device shows up as a panic inside wgpu, which is caught and reported as what it is. Whatever else
@@ -14,15 +15,15 @@ fn main() -> ExitCode {
     match catch_unwind(AssertUnwindSafe(cli::run)) {
         Ok(Ok(())) => ExitCode::SUCCESS,
         Ok(Err(error)) => {
-            eprintln!("error: {error}");
+            note(format_args!("error: {error}"));
             ExitCode::from(error.exit_status())
         }
         Err(panic) => {
             let text = panic.downcast_ref::<String>().map(String::as_str);
             let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no message");
-            eprintln!(
+            note(format_args!(
                 "error: this is a defect of regolith-render, please report it with the command you ran: {text}"
-            );
+            ));
             ExitCode::FAILURE
         }
     }

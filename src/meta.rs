@@ -8,6 +8,8 @@ use crate::output::edges::EdgePolicy;
 use crate::params::{Knob, Params};
 use crate::render::{RenderSettings, StageTimes};
 use crate::scene::Scene;
+use crate::scene::camera::Camera;
+use crate::scene::sky::Sun;
 
 /// Everything that a frame was made from and with.
 #[derive(Clone, Copy, Debug)]
@@ -59,43 +61,50 @@ impl FrameRecord<'_> {
             },
             "knobs": self.params.to_json(),
             "geometry_hash": self.scene.geometry_hash(),
-            "camera": self.camera(),
-            "sun": {
-                "direction": self.scene.sun.direction.to_array(),
-                "elevation_deg": self.scene.sun.elevation_deg,
-                "azimuth_deg": self.scene.sun.azimuth_deg,
-                "angular_diameter_deg": self.scene.sun.angular_diameter_deg,
-            },
+            "camera": camera(&self.scene.camera, self.settings.size),
+            "sun": sun(&self.scene.sun),
             "coverage": coverage,
             "rgb": self.frame.rgb_statistics(),
             "moved_rocks": self.scene.moved_rocks(),
             "ms": ms,
         })
     }
+}
 
-    /// Intrinsics in pixels (pixel (u, v) has its centre at (u + 0.5, v + 0.5)) and the pose, row-major.
-    fn camera(&self) -> Value {
-        let camera = &self.scene.camera;
-        let k = camera.intrinsics(self.settings.size);
-        json!({
-            "fx": k[0][0],
-            "fy": k[1][1],
-            "cx": k[0][2],
-            "cy": k[1][2],
-            "K": k,
-            "fov_deg": camera.fov_deg(),
-            "world_from_camera": camera.world_from_camera(),
-            "world_from_camera_gl": camera.world_from_camera_gl(),
-            "distortion": {
-                "k1": camera.lens.k1,
-                "k2": camera.lens.k2,
-                "p1": camera.lens.p1,
-                "p2": camera.lens.p2,
-                "k3": camera.lens.k3,
-            },
-            "near_m": camera.near_m,
-            "far_m": camera.far_m,
-            "exposure_ev": camera.exposure_ev,
-        })
-    }
+/// What is recorded of a sun.
+#[must_use]
+pub fn sun(sun: &Sun) -> Value {
+    json!({
+        "direction": sun.direction.to_array(),
+        "elevation_deg": sun.elevation_deg,
+        "azimuth_deg": sun.azimuth_deg,
+        "angular_diameter_deg": sun.angular_diameter_deg,
+    })
+}
+
+/// What is recorded of a camera: intrinsics in pixels (pixel (u, v) has its centre at (u + 0.5, v + 0.5)) and the pose,
+/// row-major.
+#[must_use]
+pub fn camera(camera: &Camera, size: [u32; 2]) -> Value {
+    let k = camera.intrinsics(size);
+    json!({
+        "fx": k[0][0],
+        "fy": k[1][1],
+        "cx": k[0][2],
+        "cy": k[1][2],
+        "K": k,
+        "fov_deg": camera.fov_deg(),
+        "world_from_camera": camera.world_from_camera(),
+        "world_from_camera_gl": camera.world_from_camera_gl(),
+        "distortion": {
+            "k1": camera.lens.k1,
+            "k2": camera.lens.k2,
+            "p1": camera.lens.p1,
+            "p2": camera.lens.p2,
+            "k3": camera.lens.k3,
+        },
+        "near_m": camera.near_m,
+        "far_m": camera.far_m,
+        "exposure_ev": camera.exposure_ev,
+    })
 }

@@ -16,7 +16,7 @@ pub mod hugging_face;
 pub mod webdataset;
 pub mod writer;
 
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 
 use crate::class::ClassId;
 use crate::error::{Error, Result, nearest};
@@ -77,6 +77,13 @@ impl LabelIds {
         [Self::Canonical, Self::Replicator].into_iter().find(|ids| ids.name() == name)
     }
 
+    /// Those of a dataset, by its manifest.
+    #[must_use]
+    pub fn of(manifest: &Map<String, Value>) -> Self {
+        let name = manifest.get("label_ids").and_then(Value::as_str);
+        name.and_then(Self::from_name).unwrap_or_default()
+    }
+
     /// The id that stands in the mask for a class id; unlabelled stays what each system calls so.
     #[must_use]
     pub fn mask_id(self, id: u8) -> u8 {
@@ -87,19 +94,29 @@ impl LabelIds {
         }
     }
 
-    /// Content of the label file: every id that a mask can carry, with its class.
+    /// Every id that a mask can carry, with its name; by rising id.
     #[must_use]
-    pub fn labels(self) -> Value {
-        let mut rows: Vec<(u8, &str)> =
+    pub fn names(self) -> Vec<(u8, &'static str)> {
+        let mut rows: Vec<(u8, &'static str)> =
             ClassId::ALL.iter().map(|class| (self.mask_id(class.id.0), class.name)).collect();
         if self == Self::Replicator {
             rows.extend([(0, "BACKGROUND"), (1, "UNLABELLED")]);
         }
         rows.sort_unstable();
-        rows.into_iter()
-            .map(|(id, name)| (id.to_string(), json!({ "class": name })))
-            .collect::<serde_json::Map<_, _>>()
-            .into()
+        rows
+    }
+
+    /// Content of the label file: [`Self::names`] as JSON.
+    #[must_use]
+    pub fn labels(self) -> Value {
+        let rows = self.names().into_iter();
+        rows.map(|(id, name)| (id.to_string(), json!({ "class": name }))).collect::<Map<_, _>>().into()
+    }
+
+    /// The same in the form of Hugging Face's `id2label`.
+    #[must_use]
+    pub fn id2label(self) -> Value {
+        self.names().into_iter().map(|(id, name)| (id.to_string(), name.into())).collect::<Map<_, _>>().into()
     }
 }
 

@@ -6,6 +6,7 @@
 //! Must not know: scene, GPU.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use image::DynamicImage;
@@ -29,6 +30,13 @@ pub struct Pair {
     pub mask: PathBuf,
     /// The label file.
     pub labels: PathBuf,
+}
+
+impl Pair {
+    /// What of the output folder's own content it becomes: names of files, or of the folder that they lie in.
+    pub fn top_names(&self) -> impl Iterator<Item = &OsStr> {
+        [&self.mask, &self.labels].into_iter().filter_map(|path| path.iter().next())
+    }
 }
 
 /// What was made of some masks.

@@ -13,7 +13,7 @@ use regolith::render::{FRAMES_IN_FLIGHT, Renderer};
 use regolith::{Error, Result};
 use serde_json::{Map, Value, json};
 
-use super::{ConfigArgs, Messages, PictureArgs, device, print};
+use super::{ConfigArgs, Messages, PictureArgs, device, print, whole};
 
 #[derive(Args, Debug)]
 pub(super) struct BenchArgs {
@@ -21,10 +21,10 @@ pub(super) struct BenchArgs {
     #[arg(long, value_name = "LIST", default_value = "camera,static-sun,scene,dataset")]
     cases: String,
     /// Frames of each case, after a warm-up
-    #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 30, value_parser = whole::<u64>(1, 1_000_000), allow_negative_numbers = true)]
     frames: u64,
     /// Base seed
-    #[arg(long, value_name = "N", default_value_t = 42)]
+    #[arg(long, value_name = "N", default_value_t = 42, value_parser = whole::<u64>(0, u64::MAX), allow_negative_numbers = true)]
     seed: u64,
     #[command(flatten)]
     config: ConfigArgs,
@@ -34,16 +34,16 @@ pub(super) struct BenchArgs {
     #[arg(long, value_name = "LIST", default_value = "rgb,mask")]
     outputs: String,
     /// Threads that build scenes, and as many that encode, in the case dataset; as many as there are cores if not given
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
+    #[arg(long, value_name = "N", value_parser = whole::<u16>(1, 256), allow_negative_numbers = true)]
     threads: Option<u16>,
     /// Frames that the device may have at a time
-    #[arg(long, value_name = "N", default_value_t = FRAMES_IN_FLIGHT as u8, value_parser = clap::value_parser!(u8).range(1..=16))]
+    #[arg(long, value_name = "N", default_value_t = FRAMES_IN_FLIGHT as u8, value_parser = whole::<u8>(1, 16), allow_negative_numbers = true)]
     frames_in_flight: u8,
     /// Vary one thing: size, samples, rocks, frames-in-flight (the first of --cases) or threads (the case dataset); plots
     /// how cost grows
     #[arg(long, value_name = "NAME", value_parser = SWEEPS)]
     sweep: Option<String>,
-    /// File of the sweep's plot
+    /// File of the sweep's plot [default: sweep.svg]
     #[arg(
         long,
         value_name = "FILE.svg",

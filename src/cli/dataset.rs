@@ -20,7 +20,7 @@ use regolith::{Error, Result};
 use serde_json::{Value, json};
 
 use super::progress::{Meter, duration, note};
-use super::{ConfigArgs, Messages, PictureArgs, device, print};
+use super::{ConfigArgs, Messages, PictureArgs, device, print, whole};
 
 /// Frames that a dry run tells of, unless fewer are asked for.
 const DRY_FRAMES: u64 = 5;
@@ -28,28 +28,30 @@ const DRY_FRAMES: u64 = 5;
 #[derive(Args, Debug)]
 pub(super) struct DatasetArgs {
     /// Number of frames
-    #[arg(long, value_name = "N", required_unless_present_any = ["split", "merge"], conflicts_with = "split")]
+    #[arg(long, value_name = "N", required_unless_present_any = ["split", "merge"], conflicts_with = "split", value_parser = whole::<u64>(1, MAX_FRAMES), allow_negative_numbers = true)]
     count: Option<u64>,
     /// Splits with their numbers of frames, as in train=1500,val=200: a folder each, no scene in two of them
     #[arg(long, value_name = "LIST", conflicts_with = "start")]
     split: Option<String>,
     /// Number of the first frame
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = whole::<u64>(0, MAX_FRAMES - 1), allow_negative_numbers = true)]
     start: u64,
     /// Make only the frames i with i mod N = I, as in 0/4; shards may share a folder, or be copied into one
     #[arg(long, value_name = "I/N", default_value = "0/1")]
     shard: String,
     /// Base seed: frame i depends on it, on i and on the settings alone
-    #[arg(long, value_name = "N", default_value_t = 42)]
+    #[arg(long, value_name = "N", default_value_t = 42, value_parser = whole::<u64>(0, u64::MAX), allow_negative_numbers = true)]
     seed: u64,
-    /// Output folder, made if missing; the same command goes on with what is there
+    /// Output folder, made if missing; the same command goes on with what is there. With --format webdataset `-` streams one
+    /// archive to standard output
     #[arg(long, value_name = "DIR", default_value = "out")]
     out: PathBuf,
     #[command(flatten)]
     config: ConfigArgs,
     #[command(flatten)]
     picture: PictureArgs,
-    /// What to write: of rgb, mask, preview (every 25th), depth, normals, instances, shadow, hdr, coverage, slope, craters, angles, five_classes, rock_sizes, meta; or all
+    /// What to write: of rgb, mask, preview (every 25th), depth, normals, instances, shadow, hdr, coverage, slope, craters, angles, five_classes, rock_sizes, meta; or all that the
+    /// format holds. rgb and mask are always there, and what else the format cannot be without
     /// [default: rgb,mask,preview, as far as the format holds them]
     #[arg(long, value_name = "LIST")]
     outputs: Option<String>,
@@ -63,7 +65,7 @@ pub(super) struct DatasetArgs {
     #[arg(long)]
     dry_run: bool,
     /// Threads that build scenes, and as many that encode; as many as there are cores if not given
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
+    #[arg(long, value_name = "N", value_parser = whole::<u16>(1, 256), allow_negative_numbers = true)]
     threads: Option<u16>,
     /// Allow starting in a folder that has other content
     #[arg(long)]
@@ -98,6 +100,10 @@ pub(super) fn run(args: &DatasetArgs, messages: Messages) -> Result<()> {
         .filter(|index| plan.shard.has(*index))
         .all(|index| done.contains(&index))
     {
+        if !Journal::is_begun(&args.out)? {
+            // The manifest was lost, and --force says that the frames are this run's.
+            drop(Journal::open(&args.out, &contents, args.force)?);
+        }
         return report(args, messages, None, &journal::settle(&args.out)?, 0.0);
     }
     let start = Instant::now();
@@ -130,8 +136,9 @@ fn plan(args: &DatasetArgs) -> Result<Plan> {
     let count = args.count.unwrap_or_else(|| splits.iter().map(|(_, count)| count).sum());
     if count == 0 || args.start.checked_add(count).is_none_or(|end| end > MAX_FRAMES) {
         return Err(Error::Usage(format!(
-            "--start {} --count {count}: a dataset has 1 to {MAX_FRAMES} frames",
-            args.start
+            "--start {} with {count} frames: a dataset has at least one, and none after number {}",
+            args.start,
+            MAX_FRAMES - 1
         )));
     }
     Ok(Plan {
@@ -141,7 +148,7 @@ fn plan(args: &DatasetArgs) -> Result<Plan> {
         settings,
         outputs,
         edges: args.picture.edges()?,
-        label_ids: args.picture.label_ids(),
+        label_ids: Plan::label_ids(args.picture.label_ids(), format, writer)?,
         format,
         writer,
         range: Range { start: args.start, count },
@@ -183,7 +190,7 @@ fn stream(args: &DatasetArgs, messages: Messages, plan: &Plan, pace: Pace, stop:
             stop.store(true, Ordering::Relaxed);
             Ok(())
         }
-        result => result.map_err(|cause| Error::Write { path: "standard output".into(), cause }),
+        result => result.map_err(Error::Stdout),
     };
     let result = dataset::stream(plan, &mut renderer, pace, stop, |placed, progress| {
         show(&mut meter, progress);

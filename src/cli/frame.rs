@@ -5,20 +5,21 @@ use std::time::Instant;
 
 use clap::Args;
 use regolith::class::ClassId;
+use regolith::dataset::rules::Rules;
 use regolith::gpu;
 use regolith::meta::FrameRecord;
-use regolith::output::{self, Source, disk};
+use regolith::output::{self, OUTPUTS, Source, disk};
 use regolith::render::{Renderer, StageTimes, selection};
 use regolith::scene::Scene;
 use regolith::{Error, Result};
 use serde_json::{Value, json};
 
-use super::{ConfigArgs, Messages, PictureArgs, device, print};
+use super::{ConfigArgs, Messages, PictureArgs, device, print, whole};
 
 #[derive(Args, Debug)]
 pub(super) struct FrameArgs {
     /// Seed of the scene, 64 bits: the same seed and knobs give the same scene on every machine
-    #[arg(long, value_name = "N", default_value_t = 42)]
+    #[arg(long, value_name = "N", default_value_t = 42, value_parser = whole::<u64>(0, u64::MAX), allow_negative_numbers = true)]
     seed: u64,
     /// Output folder, made if missing
     #[arg(long, value_name = "DIR", default_value = "out")]
@@ -41,7 +42,8 @@ pub(super) struct FrameArgs {
 pub(super) fn run(args: &FrameArgs, messages: Messages) -> Result<()> {
     const INDEX: u64 = 0;
     let start = Instant::now();
-    let params = args.config.build()?.draw(args.seed)?;
+    let config = args.config.build()?;
+    let params = config.draw(args.seed)?;
     let outputs = output::parse_outputs(&args.outputs)?;
     let mut settings = args.picture.settings()?;
     settings.annotations = output::annotations(&outputs);
@@ -104,6 +106,18 @@ pub(super) fn run(args: &FrameArgs, messages: Messages) -> Result<()> {
         print(&format!("{}\n", shown.join("\n")))?;
     }
     summarise(args, messages, &renderer, &meta, &times, start);
+    if let Some(broken) = Rules::from_config(&config)?.broken_by(&scene, &frame) {
+        messages
+            .note(format_args!("a dataset would draw this frame again: {} ({})", broken.found, broken.rule));
+    }
+    let others: Vec<String> = OUTPUTS
+        .iter()
+        .flat_map(|output| output.file_names(INDEX))
+        .filter(|name| args.out.join(name).is_file() && !paths.contains(&args.out.join(name)))
+        .collect();
+    if !others.is_empty() {
+        messages.note(format_args!("older files beside these, of another picture: {}", others.join(", ")));
+    }
     device::keep_programs(renderer.gpu());
     Ok(())
 }

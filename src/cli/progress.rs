@@ -1,7 +1,7 @@
 //! How far a run has come, for people: on stderr.
 
 use std::fmt::Display;
-use std::io::IsTerminal as _;
+use std::io::{IsTerminal as _, Write as _};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -11,10 +11,10 @@ use super::Messages;
 /// Seconds between plain lines.
 const PLAIN_SECONDS: u64 = 5;
 
-/// A line for people.
-#[expect(clippy::print_stderr, reason = "messages to people go to stderr")]
-pub(super) fn note(text: impl Display) {
-    eprintln!("{text}");
+/// A line for people. One that cannot be written, because nobody reads or the disk is full, is no reason to stop.
+pub(crate) fn note(text: impl Display) {
+    // In one piece, so that lines of several threads do not mix.
+    let _ = std::io::stderr().write_all(format!("{text}\n").as_bytes());
 }
 
 /// Seconds as people say them.

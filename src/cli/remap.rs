@@ -1,10 +1,12 @@
 //! Masks of other pipelines: `remap`.
 
+use std::collections::BTreeSet;
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use regolith::output::disk;
-use regolith::remap::{self, Remapped};
+use regolith::remap::{self, Pair, Remapped};
 use regolith::{Error, Result};
 use serde_json::json;
 
@@ -33,7 +35,8 @@ pub(super) fn run(args: &RemapArgs, messages: Messages) -> Result<()> {
     if same(&args.folder, &args.out) {
         return Err(Error::Usage("--out is the folder of the masks themselves; give another".to_owned()));
     }
-    disk::check_content(&args.out, args.force, |_| false)?;
+    let ours: BTreeSet<&OsStr> = pairs.iter().flat_map(Pair::top_names).collect();
+    disk::check_content(&args.out, args.force, |name| ours.contains(OsStr::new(name)))?;
     let mut meter = Meter::new(messages, "masks");
     let mut all = Remapped::default();
     for (made, pair) in (1..).zip(&pairs) {

@@ -12,7 +12,7 @@ use regolith::scene::Scene;
 use regolith::{Error, Result, gpu};
 use serde_json::{Value, json};
 
-use super::{ConfigArgs, Messages, parse_size, print};
+use super::{ConfigArgs, Messages, parse_size, print, whole};
 
 #[derive(Args, Debug)]
 pub(super) struct ParamsArgs {
@@ -28,10 +28,10 @@ pub(super) struct ExportArgs {
     /// The file
     file: PathBuf,
     /// Seed of the scene
-    #[arg(long, value_name = "N", default_value_t = 42)]
+    #[arg(long, value_name = "N", default_value_t = 42, value_parser = whole::<u64>(0, u64::MAX), allow_negative_numbers = true)]
     seed: u64,
     /// Pixels of the picture, for the camera's matrix and for --drawn: WxH, or N for a square
-    #[arg(long, value_name = "WxH", default_value = "512x512", value_parser = parse_size)]
+    #[arg(long, value_name = "WxH", default_value = "512x512", value_parser = parse_size, allow_hyphen_values = true)]
     size: [u32; 2],
     #[command(flatten)]
     config: ConfigArgs,
@@ -82,10 +82,7 @@ pub(super) fn list_params(args: &ParamsArgs) -> Result<()> {
 }
 
 pub(super) fn list_adapters(as_json: bool) -> Result<()> {
-    let infos = gpu::adapters();
-    if infos.is_empty() {
-        return Err(Error::NoAdapter(String::new()));
-    }
+    let infos = gpu::adapters()?;
     if as_json {
         let rows: Vec<Value> = infos
             .iter()

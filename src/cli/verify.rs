@@ -8,7 +8,7 @@ use regolith::render::Renderer;
 use regolith::{Error, Result, gpu};
 
 use super::progress::Meter;
-use super::{Messages, device, print};
+use super::{Messages, device, print, whole};
 
 /// Problems that are printed; JSON has all.
 const SHOWN: usize = 40;
@@ -18,7 +18,7 @@ pub(super) struct VerifyArgs {
     /// The dataset's folder
     folder: PathBuf,
     /// Frames that are rendered again and compared, spread over the dataset; 0 for none, which needs no adapter
-    #[arg(long, value_name = "N", default_value_t = 4)]
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = whole::<u64>(0, u64::MAX), allow_negative_numbers = true)]
     rerender: u64,
     /// Use the adapter with this in its name, or `cpu`
     #[arg(long, value_name = "TEXT")]
@@ -33,21 +33,36 @@ pub(super) fn run(args: &VerifyArgs, messages: Messages) -> Result<()> {
     let report = verify::check(&args.folder, |checked, wanted| meter.show([0, checked, wanted], ""));
     meter.finish();
     let mut report = report?;
-    if args.rerender > 0 && report.frames > 0 {
-        let mut renderer = Renderer::new(device::open(args.adapter.as_deref())?)?;
-        messages.detail(format_args!("rendering again on {}", gpu::describe(&renderer.gpu().info)));
-        verify::check_rendering(&args.folder, &mut renderer, args.rerender, &mut report)?;
-        device::keep_programs(renderer.gpu());
-    }
+    let rendered = if args.rerender > 0 && report.frames > 0 {
+        render_again(args, messages, &mut report)
+    } else {
+        Ok(())
+    };
     if args.json {
         print(&format!("{:#}\n", report.to_json()))?;
     } else {
         print(&table(&report, messages.quiet))?;
     }
-    match report.problems.len() {
-        0 => Ok(()),
-        wrong => Err(Error::CheckFailed(format!("{}: {wrong} things are wrong", args.folder.display()))),
+    match (report.problems.len(), rendered) {
+        (0, Ok(())) => Ok(()),
+        // What needs no adapter has been checked and told all the same.
+        (_, Err(error)) => Err(Error::CheckFailed(format!(
+            "no frame could be rendered again: {error}\nWith --rerender 0 everything else is checked, and no adapter is needed."
+        ))),
+        (wrong, Ok(())) => Err(Error::CheckFailed(format!(
+            "{}: {wrong} {} wrong; a frame's file that is damaged can be deleted: the dataset's own command makes it again",
+            args.folder.display(),
+            if wrong == 1 { "thing is" } else { "things are" }
+        ))),
     }
+}
+
+fn render_again(args: &VerifyArgs, messages: Messages, report: &mut Report) -> Result<()> {
+    let mut renderer = Renderer::new(device::open(args.adapter.as_deref())?)?;
+    messages.detail(format_args!("rendering again on {}", gpu::describe(&renderer.gpu().info)));
+    verify::check_rendering(&args.folder, &mut renderer, args.rerender, report)?;
+    device::keep_programs(renderer.gpu());
+    Ok(())
 }
 
 fn table(report: &Report, quiet: bool) -> String {

@@ -11,9 +11,9 @@ use rayon::prelude::*;
 use serde_json::{Map, Value};
 
 use super::journal::{self, Book, Contents, Journal, Settled, hashes, index_of};
-use super::plan::Shard;
+use super::plan::{Plan, Shard};
 use crate::class::ClassId;
-use crate::error::{Error, Result};
+use crate::error::{Error, RUN_AGAIN, Result};
 use crate::frame::{Frame, RockLabel};
 use crate::output::edges::EdgePolicy;
 use crate::output::writer::{Lines as _, Placed, Sample, Writer, below_split, writer};
@@ -73,7 +73,10 @@ impl Conversion {
         let names: Vec<&str> = outputs.iter().map(|output| output.name).collect();
         contents.identity.insert("format".to_owned(), format.into());
         contents.identity.insert("outputs".to_owned(), names.into());
-        let label_ids = LabelIds::from_name(text("label_ids")).unwrap_or_default();
+        let label_ids = LabelIds::of(&manifest);
+        if writer.has_own_ids() {
+            contents.identity.extend(Plan::identity_of_ids(LabelIds::default()));
+        }
         Ok(Self { contents, writer, outputs, label_ids, manifest })
     }
 
@@ -111,7 +114,8 @@ impl Conversion {
             watch(found, journal.done().len() as u64 - found);
             if stop.load(Ordering::Relaxed) {
                 journal.write_manifest("stopped")?;
-                return Err(Error::Stopped { done: journal.done().len() as u64, wanted: self.frames() });
+                let (done, wanted) = (journal.done().len() as u64, self.frames());
+                return Err(Error::Stopped { done, wanted, remedy: RUN_AGAIN });
             }
             Ok(())
         };

@@ -104,7 +104,9 @@ fn books(folder: &Path, stem: &str, extension: &str) -> Result<Vec<PathBuf>> {
 pub fn read_manifest(path: &Path) -> Result<Map<String, Value>> {
     serde_json::from_slice(&disk::read(path)?).map_err(|error| Error::Dataset {
         path: path.to_owned(),
-        message: format!("not a manifest ({error})"),
+        message: format!(
+            "not a manifest ({error}); delete it, and the dataset's own command with --force makes it again"
+        ),
     })
 }
 
@@ -128,8 +130,11 @@ pub fn hashes(line: &Map<String, Value>) -> impl Iterator<Item = (&str, &str)> {
 /// Whether a frame's files are there, by themselves or in the bundle that has taken them in.
 fn is_there(folder: &Path, line: &Map<String, Value>) -> bool {
     let bundle = line.get("entry").and_then(|entry| entry.get("bundle")).and_then(Value::as_str);
-    bundle.is_some_and(|bundle| folder.join(bundle).is_file())
-        || (hashes(line).next().is_some() && hashes(line).all(|(path, _)| folder.join(path).is_file()))
+    // None is empty but by an accident.
+    let is_there =
+        |path: &str| folder.join(path).metadata().is_ok_and(|file| file.is_file() && file.len() > 0);
+    bundle.is_some_and(is_there)
+        || (hashes(line).next().is_some() && hashes(line).all(|(path, _)| is_there(path)))
 }
 
 /// Where a frame's line stands.
@@ -197,6 +202,11 @@ fn hull_with(folder: &Path, contents: &Contents, force: bool) -> Result<Range> {
             differences
                 .push(format!("  --split: there {} frames, now {}", there.count, contents.range.count));
         }
+        let is_own = path.ends_with(book_name("manifest", "json", contents.shard)) && manifests.len() == 1;
+        if !differences.is_empty() && is_own && find_lines(folder)?.1.is_empty() {
+            // A run that has not come to a single frame: nothing of it is lost.
+            continue;
+        }
         if !differences.is_empty() {
             return Err(Error::OtherDataset { path: folder.to_owned(), differences });
         }
@@ -233,6 +243,14 @@ impl Journal {
     pub fn check(folder: &Path, contents: &Contents, force: bool) -> Result<BTreeSet<u64>> {
         hull_with(folder, contents, force)?;
         Self::done_in(folder)
+    }
+
+    /// Whether a folder has a manifest of some run.
+    ///
+    /// # Errors
+    /// [`Error::Read`].
+    pub fn is_begun(folder: &Path) -> Result<bool> {
+        Ok(folder.is_dir() && !books(folder, "manifest", "json")?.is_empty())
     }
 
     /// The frames that are in a folder, which need not exist.
@@ -332,18 +350,31 @@ impl Book {
     }
 }
 
-impl Lines for Book {
-    fn for_each(&self, visit: &mut dyn FnMut(Map<String, Value>) -> Result<()>) -> Result<()> {
+impl Book {
+    /// Gives one line after the other, or why it cannot be read.
+    ///
+    /// # Errors
+    /// [`Error::Read`], and those of `visit`.
+    pub fn for_each_as_it_is(
+        &self,
+        visit: &mut dyn FnMut(Result<Map<String, Value>>) -> Result<()>,
+    ) -> Result<()> {
         let unreadable = |cause| Error::Read { path: self.0.clone(), cause };
         let file = std::fs::File::open(&self.0).map_err(unreadable)?;
-        for (number, text) in BufReader::new(file).lines().enumerate() {
-            let line = serde_json::from_str(&text.map_err(unreadable)?).map_err(|error| Error::Dataset {
+        for (number, text) in BufReader::new(file).split(b'\n').enumerate() {
+            let line = serde_json::from_slice(&text.map_err(unreadable)?);
+            visit(line.map_err(|error| Error::Dataset {
                 path: self.0.clone(),
                 message: format!("line {} cannot be read: {error}", number + 1),
-            })?;
-            visit(line)?;
+            }))?;
         }
         Ok(())
+    }
+}
+
+impl Lines for Book {
+    fn for_each(&self, visit: &mut dyn FnMut(Map<String, Value>) -> Result<()>) -> Result<()> {
+        self.for_each_as_it_is(&mut |line| visit(line?))
     }
 }
 
@@ -481,7 +512,8 @@ impl Totals {
         Ok(totals)
     }
 
-    fn add(&mut self, line: &Map<String, Value>) {
+    /// Adds a frame's line.
+    pub fn add(&mut self, line: &Map<String, Value>) {
         let number = |section: &str, key: &str| {
             line.get(section).and_then(|section| section.get(key)).and_then(Value::as_f64).unwrap_or_default()
         };
@@ -511,7 +543,9 @@ impl Totals {
         self.rgb_mean / self.frames.max(1) as f64
     }
 
-    fn to_json(&self) -> Value {
+    /// As they stand in a manifest.
+    #[must_use]
+    pub fn to_json(&self) -> Value {
         let coverage: Map<String, Value> = ClassId::ALL
             .iter()
             .enumerate()

@@ -185,10 +185,6 @@ impl Plan {
     /// Everything that decides what is in the files: two runs that agree in it make the same dataset.
     #[must_use]
     pub fn identity(&self) -> Map<String, Value> {
-        let classes: Map<String, Value> = ClassId::ALL
-            .iter()
-            .map(|class| (class.name.to_owned(), self.label_ids.mask_id(class.id.0).into()))
-            .collect();
         let outputs: Vec<&str> = self.outputs.iter().map(|output| output.name).collect();
         let identity = json!({
             "version": env!("CARGO_PKG_VERSION"),
@@ -198,17 +194,51 @@ impl Plan {
             "samples": self.settings.samples_per_side.pow(2),
             "outputs": outputs,
             "edges": self.edges.to_string(),
-            "label_ids": self.label_ids.name(),
-            "class_map": classes,
-            "ignore_index": self.label_ids.mask_id(ClassId::UNLABELLED.0),
+        });
+        let rest = json!({
             "splits": self.splits_json(),
             "rules": self.rules.to_json(),
             "config": self.config.distributions_json(),
         });
-        match identity {
-            Value::Object(identity) => identity,
-            _ => unreachable!("it is an object"),
+        match (identity, rest) {
+            (Value::Object(mut identity), Value::Object(rest)) => {
+                identity.extend(Self::identity_of_ids(self.label_ids));
+                identity.extend(rest);
+                identity
+            }
+            _ => unreachable!("they are objects"),
         }
+    }
+
+    /// The ids of the masks, if the layout leaves that open.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for others than it has.
+    pub fn label_ids(asked: LabelIds, format: &str, writer: &dyn Writer) -> Result<LabelIds> {
+        if writer.has_own_ids() && asked != LabelIds::default() {
+            return Err(Error::Usage(format!(
+                "--label-ids {}: --format {format} has ids of its own; leave out --label-ids, or choose another format",
+                asked.name()
+            )));
+        }
+        Ok(asked)
+    }
+
+    /// What of [`Self::identity`] tells the ids of the masks.
+    #[must_use]
+    pub fn identity_of_ids(label_ids: LabelIds) -> Map<String, Value> {
+        let classes: Map<String, Value> = ClassId::ALL
+            .iter()
+            .map(|class| (class.name.to_owned(), label_ids.mask_id(class.id.0).into()))
+            .collect();
+        [
+            ("label_ids", label_ids.name().into()),
+            ("class_map", classes.into()),
+            ("ignore_index", label_ids.mask_id(ClassId::UNLABELLED.0).into()),
+        ]
+        .map(|(key, value)| (key.to_owned(), value))
+        .into_iter()
+        .collect()
     }
 
     /// The outputs that are asked for (if none are, the usual ones of a dataset as far as the layout holds them) and

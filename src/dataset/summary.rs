@@ -34,7 +34,7 @@ fn text<'a>(manifest: &'a Map<String, Value>, key: &str) -> &'a str {
 /// The data card: classes, camera, knobs, counts, licence.
 #[must_use]
 pub fn card(manifest: &Map<String, Value>, totals: &Totals) -> String {
-    let label_ids = LabelIds::from_name(text(manifest, "label_ids")).unwrap_or_default();
+    let label_ids = LabelIds::of(manifest);
     let value = |key: &str| manifest.get(key).map(ToString::to_string).unwrap_or_default();
     let mut card = String::new();
     // Writing into a string cannot fail.
@@ -54,10 +54,18 @@ pub fn card(manifest: &Map<String, Value>, totals: &Totals) -> String {
         let id = label_ids.mask_id(class.id.0);
         line(format_args!("| {id} | {} | {:.2} % |", class.name, 100.0 * totals.coverage(place)));
     }
+    let ignored = label_ids.mask_id(ClassId::UNLABELLED.0);
+    let of_ids = match label_ids {
+        LabelIds::Canonical => {
+            "The ids start at 0 with a real class: a loader that reduces zero labels would erase it."
+        }
+        LabelIds::Replicator => {
+            "The ids are those of a Replicator pipeline; its 0, BACKGROUND, is in no mask."
+        }
+    };
+    line(format_args!("\n{ignored} is the ignore index. {of_ids}"));
     line(format_args!(
-        "\n{} is the ignore index. The ids start at 0 with a real class: a loader that reduces zero labels would erase \
-         it.\n\n## Frames\n\n* {} pixels, {} samples a pixel; edges: {}.\n* Format `{}`; outputs: {}.",
-        label_ids.mask_id(ClassId::UNLABELLED.0),
+        "\n## Frames\n\n* {} pixels, {} samples a pixel; edges: {}.\n* Format `{}`; outputs: {}.",
         value("size").replace(',', " x ").replace(['[', ']'], ""),
         value("samples"),
         text(manifest, "edges"),
@@ -128,7 +136,15 @@ pub fn contact_sheet(folder: &Path, lines: &dyn Lines, writer: &dyn Writer) -> R
     };
     let mut pairs = Vec::new();
     for [picture, mask] in first {
-        let open = |path: &str| image::load_from_memory(&disk::read(&folder.join(path))?).map_err(failed);
+        let open = |path: &str| {
+            let path = folder.join(path);
+            image::load_from_memory(&disk::read(&path)?).map_err(|error| Error::Dataset {
+                path,
+                message: format!(
+                    "it cannot be decoded ({error}); delete it, and the dataset's own command makes it again"
+                ),
+            })
+        };
         let picture = open(&picture)?.into_rgb8();
         let height = (picture.height() * SHEET_PICTURE_PX / picture.width()).max(1);
         let colours = mask_colours(&open(&mask)?.into_luma8());

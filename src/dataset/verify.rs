@@ -11,23 +11,28 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 
-use super::journal::{self, Book, hashes, index_of};
-use super::plan::{Range, frame_seed};
+use super::journal::{self, Book, Totals, hashes, index_of};
+use super::plan::{Plan, Range, frame_seed};
 use crate::class::ClassId;
 use crate::error::{Error, Result};
 use crate::frame::{Annotation, Frame, RgbStatistics};
 use crate::lens::Lens;
+use crate::meta;
 use crate::output::edges::EdgePolicy;
-use crate::output::writer::{self, Lines as _, Writer};
+use crate::output::writer::{self, Writer};
 use crate::output::{LabelIds, disk};
+use crate::params::Knob;
 use crate::params::sampler::Config;
 use crate::render::{RenderSettings, Renderer};
 use crate::scene::Scene;
+use crate::scene::camera::Camera;
+use crate::scene::sky::Sun;
 
 /// What is checked, in the order of the table.
-pub const CHECKS: [(&str, &str); 9] = [
+pub const CHECKS: [(&str, &str); 10] = [
     ("books", "manifest and frames.jsonl agree, frames contiguous, seeds right"),
-    ("files", "every file is there, and none that no frame has"),
+    ("records", "knobs, camera and sun are those of seed and configuration"),
+    ("files", "every file is there, and none beside them that no frame has"),
     ("hashes", "content is what was written"),
     ("pictures", "pictures decode, with the right size and type"),
     ("masks", "ids are those of the classes, shares are those recorded"),
@@ -45,6 +50,9 @@ const OTHER_ADAPTER: (f64, f64) = (2e-3, 1.0);
 /// How far a point may be off the surface: metres, as a fraction of its distance, and in pixels (a rock is drawn within
 /// a quarter of a pixel of its authored outline).
 const DEPTH_TOLERANCE: (f64, f64, f64) = (0.02, 1e-3, 0.25);
+/// Pixels are put back whose depth is that of their centre, but for so much of it: elsewhere it is a mean of what lies before
+/// and behind an edge.
+const DEPTH_EDGE: f64 = 0.005;
 /// Share of the points that must keep it.
 const DEPTH_SHARE: f64 = 0.99;
 /// One pixel in so many is put back into the world.
@@ -126,6 +134,7 @@ struct Facts<'a> {
     settings: RenderSettings,
     edges: EdgePolicy,
     label_ids: LabelIds,
+    config: Config,
 }
 
 impl<'a> Facts<'a> {
@@ -134,15 +143,21 @@ impl<'a> Facts<'a> {
         let text = |key: &str| manifest.get(key)?.as_str();
         let size = manifest.get("size")?.as_array()?;
         let side = |place: usize| u32::try_from(size.get(place)?.as_u64()?).ok();
+        let writer = writer::writer(text("format")?).ok()?.1;
+        let asked = LabelIds::from_name(text("label_ids")?)?;
+        let label_ids = if writer.has_own_ids() { LabelIds::default() } else { asked };
+        let mut config = Config::new();
+        config.apply_json(manifest.get("config")?.as_object()?, "manifest.json").ok()?;
         Some(Self {
             folder,
-            writer: writer::writer(text("format")?).ok()?.1,
+            writer,
             base_seed: number("base_seed")?,
             range: Range { start: number("start")?, count: number("count")? },
             settings: RenderSettings::new([side(0)?, side(1)?], u32::try_from(number("samples")?).ok()?)
                 .ok()?,
             edges: text("edges")?.parse().ok()?,
-            label_ids: LabelIds::from_name(text("label_ids")?)?,
+            label_ids,
+            config,
         })
     }
 }
@@ -151,7 +166,8 @@ impl<'a> Facts<'a> {
 /// many.
 ///
 /// # Errors
-/// [`Error::Dataset`] if there is none; what is wrong with one is in the report.
+/// [`Error::Dataset`] if there is none, [`Error::CheckFailed`] if its manifest cannot be used; what else is wrong with one is in
+/// the report.
 pub fn check(folder: &Path, mut watch: impl FnMut(u64, u64)) -> Result<Report> {
     let manifest = open(folder)?;
     let facts = facts(folder, &manifest)?;
@@ -160,7 +176,12 @@ pub fn check(folder: &Path, mut watch: impl FnMut(u64, u64)) -> Result<Report> {
     report.expect("books", None, status == "done", || {
         format!("manifest.json: status is `{status}`; run the dataset command again, or `dataset --merge` for shards")
     });
-    let (mut known, mut next) = (BTreeSet::new(), facts.range.start);
+    for (key, value) in Plan::identity_of_ids(facts.label_ids) {
+        report.expect("labels", None, manifest.get(&key) == Some(&value), || {
+            format!("manifest.json: {key} should be {value}")
+        });
+    }
+    let (mut known, mut next, mut totals) = (BTreeSet::new(), facts.range.start, Totals::default());
     let mut chunk = Vec::new();
     let mut check_chunk = |chunk: &mut Vec<Map<String, Value>>, report: &mut Report| {
         let parts: Vec<Report> = chunk.par_iter().map(|line| check_frame(&facts, line)).collect();
@@ -168,7 +189,15 @@ pub fn check(folder: &Path, mut watch: impl FnMut(u64, u64)) -> Result<Report> {
         chunk.clear();
         watch(report.frames, facts.range.count);
     };
-    let read = Book::new(folder).for_each(&mut |line| {
+    let read = Book::new(folder).for_each_as_it_is(&mut |line| {
+        let line = match line {
+            Ok(line) => line,
+            Err(error) => {
+                report.problem("books", None, error.to_string());
+                return Ok(());
+            }
+        };
+        totals.add(&line);
         let index = index_of(&line);
         report.expect("books", index, index == Some(next), || {
             format!("frames.jsonl: frame {next} should stand here")
@@ -196,11 +225,12 @@ pub fn check(folder: &Path, mut watch: impl FnMut(u64, u64)) -> Result<Report> {
     report.expect("books", None, manifest.get("n_completed").and_then(Value::as_u64) == Some(frames), || {
         format!("manifest.json: n_completed is not the {frames} frames of frames.jsonl")
     });
+    report.expect("books", None, manifest.get("totals") == Some(&totals.to_json()), || {
+        format!("manifest.json: totals are not those of frames.jsonl, {}", totals.to_json())
+    });
     for (path, hash) in manifest.get("index_files").and_then(Value::as_object).into_iter().flatten() {
         known.insert(path.clone());
-        if let Some(bytes) = check_file(&facts, path, hash.as_str(), None, &mut report)
-            && path.contains("semantic_segmentation_labels")
-        {
+        if let Some(bytes) = check_file(&facts, path, hash.as_str(), None, &mut report) {
             check_labels(&facts, path, &bytes, None, &mut report);
         }
     }
@@ -219,14 +249,17 @@ fn open(folder: &Path) -> Result<Map<String, Value>> {
         };
         return Err(Error::Dataset { path: folder.to_owned(), message: remedy.to_owned() });
     }
-    journal::read_manifest(&path)
+    // One that is there and cannot be used is a finding, not a wrong command.
+    journal::read_manifest(&path).map_err(|error| Error::CheckFailed(error.to_string()))
 }
 
 fn facts<'a>(folder: &'a Path, manifest: &Map<String, Value>) -> Result<Facts<'a>> {
-    Facts::of(folder, manifest).ok_or_else(|| Error::Dataset {
-        path: folder.join("manifest.json"),
-        message: "it lacks a base seed, range, size, samples, format, edges or label ids that could be used"
-            .to_owned(),
+    Facts::of(folder, manifest).ok_or_else(|| {
+        Error::CheckFailed(format!(
+            "{}: it lacks a base seed, range, size, samples, format, edges, label ids or configuration that could be used; \
+             delete it, and the dataset's own command with --force makes it again",
+            folder.join("manifest.json").display()
+        ))
     })
 }
 
@@ -254,9 +287,17 @@ fn check_file(
     }
 }
 
+/// Of a file that names the ids of masks.
 fn check_labels(facts: &Facts<'_>, path: &str, bytes: &[u8], index: Option<u64>, report: &mut Report) {
+    let expected = if path == "id2label.json" {
+        facts.label_ids.id2label()
+    } else if path.contains("semantic_segmentation_labels") {
+        facts.label_ids.labels()
+    } else {
+        return;
+    };
     let labels = serde_json::from_slice::<Value>(bytes).ok();
-    report.expect("labels", index, labels == Some(facts.label_ids.labels()), || {
+    report.expect("labels", index, labels == Some(expected), || {
         format!("{path}: it does not name the ids of {} masks", facts.label_ids.name())
     });
 }
@@ -271,6 +312,7 @@ fn check_frame(facts: &Facts<'_>, line: &Map<String, Value>) -> Report {
         report.expect("books", Some(index), number("seed") == Some(seed), || {
             format!("frames.jsonl: its seed should be {seed}")
         });
+        check_record(facts, line, seed, &mut report);
     } else {
         report.problem("books", index, "frames.jsonl: a line without index or attempt".to_owned());
     }
@@ -309,6 +351,34 @@ fn check_frame(facts: &Facts<'_>, line: &Map<String, Value>) -> Report {
         }
     }
     report
+}
+
+/// What of a frame's record follows from its seed and the configuration: all but what the scene itself or the picture tells. Of the
+/// camera that is the height of the eye, which stands on the ground.
+fn check_record(facts: &Facts<'_>, line: &Map<String, Value>, seed: u64, report: &mut Report) {
+    let index = index_of(line);
+    let recorded = |key: &str| line.get(key).unwrap_or(&Value::Null);
+    let params = match facts.config.draw(seed) {
+        Ok(params) => params,
+        Err(error) => return report.problem("records", index, format!("manifest.json: {error}")),
+    };
+    let eye_m = recorded("camera")["world_from_camera"][2][3].as_f64().unwrap_or_default();
+    let camera = Camera::above(&params, eye_m as f32)
+        .map_or(Value::Null, |camera| meta::camera(&camera, facts.settings.size));
+    let mut expect = |name: &str, recorded: Option<&Value>, expected: &Value| {
+        report.expect("records", index, recorded == Some(expected), || {
+            let recorded = recorded.unwrap_or(&Value::Null);
+            format!("frames.jsonl: {name} should be {expected}, recorded is {recorded}")
+        });
+    };
+    expect("stage", line.get("stage"), &params.text(Knob::StageName).into());
+    expect("coverage.unlabelled", recorded("coverage").get("unlabelled"), &0.0.into());
+    let sections =
+        [("knobs", params.to_json().into()), ("camera", camera), ("sun", meta::sun(&Sun::build(&params)))];
+    for (section, expected) in sections {
+        let rows = expected.as_object().into_iter().flatten();
+        rows.for_each(|(key, value)| expect(&format!("{section}.{key}"), recorded(section).get(key), value));
+    }
 }
 
 fn check_picture(
@@ -375,7 +445,8 @@ fn check_mask(facts: &Facts<'_>, line: &Map<String, Value>, path: &str, ids: &[u
         // A band of ignored pixels takes from every class.
         let good = recorded.is_some_and(|recorded| if hard { share == recorded } else { share <= recorded });
         report.expect("masks", index, good, || {
-            format!("{path}: {} covers {share:.6} of it, recorded is {recorded:?}", class.name)
+            let recorded = recorded.map_or_else(|| "nothing".to_owned(), |share| format!("{share:.6}"));
+            format!("{path}: {} covers {share:.6} of it, recorded is {recorded}", class.name)
         });
     }
 }
@@ -413,7 +484,9 @@ pub fn check_rendering(
     let facts = facts(folder, &manifest)?;
     let stride = (facts.range.count / sample.max(1)).max(1);
     let mut lines = Vec::new();
-    Book::new(folder).for_each(&mut |line| {
+    Book::new(folder).for_each_as_it_is(&mut |line| {
+        // What cannot be read has been reported.
+        let Ok(line) = line else { return Ok(()) };
         let index = index_of(&line).unwrap_or_default();
         if index.saturating_sub(facts.range.start).is_multiple_of(stride) && (lines.len() as u64) < sample {
             lines.push(line);
@@ -450,6 +523,14 @@ fn check_again(
         line.get("geometry_hash").and_then(Value::as_str) == Some(&hash),
         || format!("its scene has the hash {hash}, recorded is another"),
     );
+    for (key, value) in [
+        ("camera", meta::camera(&scene.camera, facts.settings.size)),
+        ("moved_rocks", scene.moved_rocks().into()),
+    ] {
+        report.expect("rendering", index, line.get(key) == Some(&value), || {
+            format!("frames.jsonl: {key} is not that of its scene")
+        });
+    }
     let split = line.get("split").and_then(Value::as_str).unwrap_or_default();
     let Some([picture, mask]) = index.and_then(|index| facts.writer.pictures(split, index)) else {
         return Ok(());
@@ -511,9 +592,16 @@ fn check_depth(
     let eye = DVec3::from_array(std::array::from_fn(|r| number("world_from_camera", r, 3)));
     let term = |name: &str| camera["distortion"][name].as_f64().unwrap_or(0.0);
     let lens = Lens { k1: term("k1"), k2: term("k2"), k3: term("k3"), p1: term("p1"), p2: term("p2") };
-    let settings =
-        RenderSettings { annotations: [Annotation::Instances].into_iter().collect(), ..facts.settings };
+    let annotations = [Annotation::Instances, Annotation::Depth].into_iter().collect();
+    let settings = RenderSettings { annotations, ..facts.settings };
     let (frame, _): (Frame, _) = renderer.render(scene, &settings)?;
+    let (centres, _): (Frame, _) =
+        renderer.render(scene, &RenderSettings { samples_per_side: 1, ..settings })?;
+    // By what is drawn now, not by what is recorded, which is to be checked.
+    let is_one_surface = |pixel: usize| {
+        let [mean_m, centre_m] = [&frame, &centres].map(|frame| f64::from(frame.depth_m[pixel]));
+        mean_m == centre_m || (mean_m - centre_m).abs() <= DEPTH_EDGE * centre_m
+    };
     let (mut seen, mut off, mut worst) = (0_u64, 0_u64, 0.0_f64);
     let thing = |pixel: usize| (frame.class[pixel], frame.instances[pixel]);
     let is_inside = |pixel: usize| {
@@ -522,7 +610,8 @@ fn check_depth(
         near(y, height).all(|y| near(x, width).all(|x| thing(y * width + x) == thing(pixel)))
     };
     // At outlines depth is a mean over a part of a pixel.
-    for pixel in (0..depths.len()).step_by(DEPTH_STRIDE).filter(|pixel| is_inside(*pixel)) {
+    let is_told = |pixel: &usize| is_inside(*pixel) && is_one_surface(*pixel);
+    for pixel in (0..depths.len()).step_by(DEPTH_STRIDE).filter(is_told) {
         let sky = frame.class[pixel] == ClassId::SKY.0;
         if depths[pixel].is_infinite() != sky {
             (seen, off) = (seen + 1, off + 1);

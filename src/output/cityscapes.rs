@@ -37,6 +37,10 @@ impl Writer for Cityscapes {
         self.outputs().contains(&output)
     }
 
+    fn has_own_ids(&self) -> bool {
+        true
+    }
+
     fn place(&self, sample: &Sample<'_>) -> Result<Placed> {
         let split = split_or_train(sample.split);
         let frame = sample.frame;

@@ -32,6 +32,10 @@ impl Writer for Coco {
         self.outputs().contains(&output)
     }
 
+    fn has_own_ids(&self) -> bool {
+        true
+    }
+
     fn place(&self, sample: &Sample<'_>) -> Result<Placed> {
         let split = split_or_train(sample.split);
         let (frame, name) = (sample.frame, file_name(sample.index));

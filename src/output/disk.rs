@@ -44,6 +44,13 @@ pub fn check_content(folder: &Path, force: bool, ours: impl Fn(&str) -> bool) ->
     if folder.is_file() {
         return Err(Error::OutIsFile(folder.to_owned()));
     }
+    if folder.as_os_str() == "-" {
+        return Err(Error::Usage(
+            "--out -: only `dataset --format webdataset` streams to standard output; give a folder (./- if it is to have \
+             that name)"
+                .to_owned(),
+        ));
+    }
     if force || !folder.exists() {
         return Ok(());
     }

@@ -61,8 +61,7 @@ impl Writer for Folder {
     }
 
     fn index(&self, index: &Index<'_>, put: &mut dyn FnMut(Artifact) -> Result<()>) -> Result<()> {
-        let label_ids = index.manifest.get("label_ids").and_then(Value::as_str);
-        put(labels_file(label_ids.and_then(LabelIds::from_name).unwrap_or_default())?)?;
+        put(labels_file(LabelIds::of(index.manifest))?)?;
         put(index.card_file())
     }
 }

@@ -5,10 +5,10 @@
 
 use std::fmt::Write as _;
 
-use serde_json::{Map, Value, json};
+use serde_json::{Map, Value};
 
 use super::writer::{Index, Placed, Sample, Writer, split_or_train};
-use super::{Artifact, encoders};
+use super::{Artifact, LabelIds, encoders};
 use crate::class::ClassId;
 use crate::error::Result;
 
@@ -72,9 +72,8 @@ impl Writer for HuggingFace {
             })?;
             put(Artifact { name: format!("{split}/metadata.jsonl"), bytes: rows.into_bytes() })?;
         }
-        let id2label: Map<String, Value> =
-            ClassId::ALL.iter().map(|class| (class.id.0.to_string(), class.name.into())).collect();
-        put(Artifact { name: "id2label.json".to_owned(), bytes: encoders::json_bytes(&json!(id2label))? })?;
+        let labels = LabelIds::of(index.manifest).id2label();
+        put(Artifact { name: "id2label.json".to_owned(), bytes: encoders::json_bytes(&labels)? })?;
         let frames = index.manifest.get("n_completed").and_then(Value::as_u64).unwrap_or_default();
         let size = match frames {
             0..1_000 => "n<1K",

@@ -97,6 +97,11 @@ pub trait Writer: std::fmt::Debug + Sync {
     /// Outputs for which the layout has a place.
     fn holds(&self, output: &str) -> bool;
 
+    /// Whether its classes have ids of its own, whatever `--label-ids` says.
+    fn has_own_ids(&self) -> bool {
+        false
+    }
+
     /// The files of one frame. Called by many threads at once.
     ///
     /// # Errors
@@ -122,7 +127,7 @@ pub static WRITERS: [(&str, &str, &dyn Writer); 6] = [
     ("coco", "COCO: rocks as instances, everything as panoptic segments", &Coco),
     ("cityscapes", "Cityscapes: leftImg8bit and gtFine of the city moon", &Cityscapes),
     ("hf", "Hugging Face imagefolder, with a data card", &HuggingFace),
-    ("webdataset", "tar shards of 1000 frames; --out - streams one archive to standard output", &WebDataset),
+    ("webdataset", "WebDataset: tar shards of 1000 frames", &WebDataset),
 ];
 
 /// The layout of this name.

@@ -135,6 +135,20 @@ impl Config {
         self.set(Knob::StageName.info(), Distribution::Fixed(Value::Text(name.to_owned().into())), "--stage")
     }
 
+    /// Checks that nothing has changed the stage since [`Self::set_stage`].
+    ///
+    /// # Errors
+    /// [`Error::Contradiction`].
+    pub fn check_stage(&self, name: &str) -> Result<()> {
+        let drawn = self.distribution(Knob::StageName);
+        if *drawn == Distribution::Fixed(Value::Text(name.to_owned().into())) {
+            return Ok(());
+        }
+        Err(Error::Contradiction(format!(
+            "--stage {name}, while the preset, the file or --set has stage.name = {drawn}; leave out one of them"
+        )))
+    }
+
     /// Takes over a preset.
     ///
     /// # Errors
@@ -433,6 +447,19 @@ fn is_section(name: &str) -> bool {
 }
 
 fn unknown(name: &str, origin: &str) -> Error {
+    // What is said on the command line alone.
+    const OPTIONS: [&str; 12] = [
+        "seed", "size", "samples", "outputs", "out", "count", "start", "split", "format", "adapter",
+        "preset", "edges",
+    ];
+    if OPTIONS.contains(&name) {
+        return Error::Usage(format!("`{name}` in {origin} is no knob; it is the option --{name}"));
+    }
+    if KNOBS.iter().any(|info| info.name.split_once('.').is_some_and(|(group, _)| group == name)) {
+        return Error::Usage(format!(
+            "`{name}` in {origin} is a group of knobs and no knob; `regolith-render params` lists those in [{name}]"
+        ));
+    }
     let suggestion = nearest(name, KNOBS.iter().map(|info| info.name));
     Error::UnknownKnob { name: name.to_owned(), origin: origin.to_owned(), suggestion }
 }

@@ -39,13 +39,18 @@ pub struct Camera {
     pub lens: Lens,
 }
 
+/// Where the camera of these settings stands, seen from above.
+fn place(params: &Params) -> Vec2 {
+    Vec2::new(params.number(Knob::CameraXM) as f32, params.number(Knob::CameraYM) as f32)
+}
+
 impl Camera {
     /// The camera of these settings above its own ground.
     ///
     /// # Errors
     /// [`Error::Scene`] if the drawn ground comes to the lens: a very low camera on very rough ground.
     pub fn build(params: &Params, terrain: &Terrain) -> Result<Self> {
-        let place = Vec2::new(params.number(Knob::CameraXM) as f32, params.number(Knob::CameraYM) as f32);
+        let place = place(params);
         let height_m = params.number(Knob::CameraHeightM) as f32;
         let eye = place.extend(terrain.height_at(place) + height_m);
         let clearance_m = eye.z - terrain.surface_height_at(place);
@@ -55,8 +60,16 @@ impl Camera {
                  and {MIN_CLEARANCE_M} m is the least; raise it, or lower terrain.amplitude_m"
             )));
         }
+        Self::above(params, eye.z)
+    }
+
+    /// The camera of these settings with its eye at a height, metres, world.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] if the lens would fold the picture over.
+    pub fn above(params: &Params, z_m: f32) -> Result<Self> {
         let mut camera = Self::new(
-            eye,
+            place(params).extend(z_m),
             [Knob::CameraPitchDeg, Knob::CameraYawDeg, Knob::CameraRollDeg].map(|knob| params.number(knob)),
             params.number(Knob::CameraFovDeg),
             2.0 * params.number(Knob::SkyDomeRadiusM) as f32 + params.number(Knob::TerrainSizeM) as f32,

@@ -11,6 +11,7 @@ fn assert_refused(words: &[&str], status: i32, said: &[&str]) {
     std::fs::write(folder.path().join("a_file"), "not a folder").expect("written");
     std::fs::write(folder.path().join("broken.toml"), "[sun]\nelevation_deg = = 3\n").expect("written");
     std::fs::write(folder.path().join("typo.toml"), "[sun]\nelevation_dg = 3\n").expect("written");
+    std::fs::write(folder.path().join("seed.toml"), "seed = 3\n").expect("written");
     let output = run(folder.path(), words);
     let message = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(status), "{words:?}: {message}");
@@ -22,7 +23,7 @@ fn assert_refused(words: &[&str], status: i32, said: &[&str]) {
     let mut left: Vec<_> =
         std::fs::read_dir(folder.path()).expect("read").map(|e| e.expect("an entry").file_name()).collect();
     left.sort();
-    assert_eq!(left, ["a_file", "broken.toml", "typo.toml"], "{words:?} wrote something");
+    assert_eq!(left, ["a_file", "broken.toml", "seed.toml", "typo.toml"], "{words:?} wrote something");
 }
 
 #[test]
@@ -68,7 +69,16 @@ fn wrong_settings_are_refused_by_name_value_and_remedy() {
         (&["--set", "camera.x_m=700"], &["contradict", "camera.x_m = 700", "terrain.size_m"]),
         (&["--size", "0"], &["--size 0x0", "at least one pixel"]),
         (&["--size", "512x0"], &["--size 512x0"]),
-        (&["--size", "big"], &["--size", "`big` is not a number of pixels"]),
+        (&["--size", "big"], &["'big' for '--size", "WxH or N"]),
+        (&["--size", "-5"], &["'-5' for '--size", "WxH or N"]),
+        (&["--seed", "-1"], &["'-1' for '--seed", "from 0 to 18446744073709551615"]),
+        (
+            &["--stage", "nominal", "--preset", "surface_train_dr"],
+            &["contradict", "--stage nominal", "surface"],
+        ),
+        (&["--out", "-"], &["--out -", "webdataset"]),
+        (&["--config", "seed.toml"], &["`seed` in seed.toml", "--seed"]),
+        (&["--set", "sun=5"], &["`sun` in --set is a group of knobs"]),
         (&["--size", "100000"], &["100000x100000", "a side of 200000 px", "smaller --size"]),
         (&["--size", "8000x7999"], &["8000x7999", "MiB in one buffer"]),
         (&["--samples", "3"], &["--samples 3", "1, 4 (2 x 2) and 16"]),
@@ -103,6 +113,46 @@ fn no_adapter_at_all_says_how_to_get_one() {
     assert_eq!(output.status.code(), Some(1), "{message}");
     assert!(message.contains("no graphics adapter") && message.contains("mesa-vulkan-drivers"), "{message}");
     assert!(!folder.path().join("out").exists());
+}
+
+#[test]
+fn a_backend_that_there_is_not_is_named_and_none_is_any() {
+    let folder = folder();
+    let adapters = |backend| program(folder.path()).arg("adapters").env("WGPU_BACKEND", backend).output();
+    let any = adapters("").expect("the program starts");
+    assert!(any.status.success() && String::from_utf8_lossy(&any.stdout).contains("vulkan"));
+    let wrong = adapters("vulcan").expect("the program starts");
+    let message = String::from_utf8_lossy(&wrong.stderr);
+    assert_eq!(wrong.status.code(), Some(2), "{message}");
+    assert!(message.contains("unknown backend `vulcan`; there are vulkan and gl"), "{message}");
+}
+
+#[test]
+fn nobody_who_reads_messages_is_no_reason_to_stop() {
+    let folder = folder();
+    let deaf = |words: &[&str]| {
+        let full = std::fs::OpenOptions::new().write(true).open("/dev/full").expect("a device that is full");
+        program(folder.path()).args(words).stderr(full).output().expect("the program starts").status.code()
+    };
+    assert_eq!(deaf(&["--size", "32", "-v"]), Some(0));
+    assert_eq!(deaf(&["dataset", "--count", "2", "--size", "32", "--out", "data"]), Some(0));
+    assert_eq!(deaf(&["--set", "sun.elevation_deg=95"]), Some(2));
+}
+
+#[test]
+fn a_frame_tells_of_older_files_and_of_the_rules_it_breaks() {
+    let folder = folder();
+    let demand = "--set=require={rock=[0.9,1]}";
+    let said = |words: &[&str]| {
+        let output = run(folder.path(), words);
+        assert!(output.status.success());
+        String::from_utf8_lossy(&output.stderr).into_owned()
+    };
+    let first = said(&["--size", "32", "--outputs", "rgb,depth"]);
+    assert!(!first.contains("older files") && !first.contains("again"), "{first}");
+    let second = said(&["--size", "48", "--outputs", "rgb", demand]);
+    assert!(second.contains("older files") && second.contains("distance_to_camera_0000.npy"), "{second}");
+    assert!(second.contains("a dataset would draw this frame again: rock covers"), "{second}");
 }
 
 #[test]

@@ -331,9 +331,9 @@ fn wrong_configurations_are_refused_before_anything_is_written() {
         .expect("written");
     for (words, said) in [
         (vec![], "--count"),
-        (vec!["--count", "0"], "1 to 4294967296 frames"),
+        (vec!["--count", "0"], "from 1 to 4294967296"),
         (vec!["--count", "many"], "--count"),
-        (vec!["--count", "2", "--start", "4294967295"], "1 to 4294967296 frames"),
+        (vec!["--count", "2", "--start", "4294967295"], "none after number 4294967295"),
         (vec!["--count", "1", "--shard", "2/2"], "I/N"),
         (vec!["--count", "1", "--shard", "half"], "I/N"),
         (vec!["--count", "1", "--split", "train=1"], "--split"),
@@ -394,6 +394,51 @@ fn a_frame_that_breaks_a_rule_is_drawn_again_and_counted() {
     assert_eq!(output.status.code(), Some(1), "{message}");
     for said in ["require.rock", "drawn 3 times", "wanted is 0.99 to 1"] {
         assert!(message.contains(said), "{message}");
+    }
+    // Nothing was made there, so another configuration may begin.
+    run_ok(folder.path(), &dataset("never", &["--count", "12", "-q", demand]));
+    assert_same(&folder.path().join("never"), &folder.path().join("data"));
+}
+
+#[test]
+fn what_was_lost_or_damaged_is_made_again() {
+    let folder = folder();
+    let command = dataset("data", &["--count", "3", "-q"]);
+    run_ok(folder.path(), &command);
+    let data = folder.path().join("data");
+    let before = content(&data);
+    // Empty, as a file can be after the power was cut.
+    std::fs::write(data.join("mask/mask_00001.png"), "").expect("written");
+    run_ok(folder.path(), &command);
+    assert!(content(&data) == before);
+    // Damaged: it is named with the remedy, which holds.
+    std::fs::write(data.join("rgb/rgb_00002.png"), "no picture").expect("written");
+    let output = run(folder.path(), &command);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && message.contains("rgb_00002.png: it cannot be decoded"), "{message}");
+    assert!(message.contains("delete it"), "{message}");
+    std::fs::remove_file(data.join("rgb/rgb_00002.png")).expect("removed");
+    run_ok(folder.path(), &command);
+    assert!(content(&data) == before);
+    // Without its manifest the folder is anybody's.
+    std::fs::remove_file(data.join("manifest.json")).expect("removed");
+    let message = String::from_utf8_lossy(&run(folder.path(), &command).stderr).into_owned();
+    assert!(message.contains("add --force"), "{message}");
+    run_ok(folder.path(), &[command.as_slice(), &["--force"]].concat());
+    assert!(content(&data) == before);
+}
+
+#[test]
+fn a_frame_s_record_in_a_dataset_is_that_of_a_frame_alone() {
+    let folder = folder();
+    run_ok(folder.path(), &dataset("data", &["--count", "1", "-q", "--format", "basic", "--outputs", "all"]));
+    let record = json(&folder.path().join("data/frame_0000.json"));
+    let seed = record["seed"].to_string();
+    run_ok(folder.path(), &[&["--seed", &seed, "--out", "alone", "-q"], SMALL.as_slice()].concat());
+    let mut alone = json(&folder.path().join("alone/frame_0000.json"));
+    alone.as_object_mut().expect("a record").remove("ms").expect("times");
+    for (key, value) in alone.as_object().expect("a record") {
+        assert_eq!(record.get(key), Some(value), "{key}");
     }
 }
 

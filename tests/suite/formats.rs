@@ -286,6 +286,40 @@ fn every_layout_has_outputs_of_its_own_unless_others_are_asked_for() {
 }
 
 #[test]
+fn replicator_ids_are_named_where_a_layout_has_them_and_refused_where_not() {
+    let folder = folder();
+    let ids = ["--count=2", "--label-ids=replicator"];
+    for format in ["folder", "hf"] {
+        run_ok(folder.path(), &[&SMALL[..8], &ids, &["--format", format, "--out", format]].concat());
+        run_ok(folder.path(), &["verify", format, "-q"]);
+        let card = std::fs::read_to_string(folder.path().join(format).join("README.md")).expect("a card");
+        assert!(card.contains("1 is the ignore index. The ids are those of a Replicator pipeline"), "{card}");
+    }
+    let names = json(&folder.path().join("hf/id2label.json"));
+    assert_eq!(
+        [&names["1"], &names["2"], &names["3"], &names["4"]],
+        ["UNLABELLED", "sky", "rock", "regolith"]
+    );
+    std::fs::write(folder.path().join("hf/id2label.json"), "{\"3\": \"sky\"}").expect("written");
+    let damaged = run(folder.path(), &["verify", "hf", "-q"]);
+    assert!(String::from_utf8_lossy(&damaged.stdout).contains("labels: id2label.json"));
+    for format in ["coco", "cityscapes"] {
+        let refused =
+            run(folder.path(), &[&SMALL[..8], &ids, &["--format", format, "--out", format]].concat());
+        let message = String::from_utf8_lossy(&refused.stderr);
+        assert!(refused.status.code() == Some(2) && message.contains("has ids of its own"), "{message}");
+    }
+    // What has them converts all the same.
+    let all = ["--outputs=rgb,mask,instances", "--out=whole"];
+    run_ok(folder.path(), &[&SMALL[..8], &ids, &all].concat());
+    run_ok(folder.path(), &["convert", "whole", "--format", "cityscapes", "--out", "cityscapes", "-q"]);
+    run_ok(folder.path(), &["verify", "cityscapes", "-q"]);
+    assert_eq!(json(&folder.path().join("cityscapes/manifest.json"))["class_map"]["rock"], 1);
+    let stream = run(folder.path(), &["convert", "whole", "--format", "webdataset", "--out", "-"]);
+    assert!(stream.status.code() == Some(2) && stream.stdout.is_empty() && !folder.path().join("-").exists());
+}
+
+#[test]
 fn what_cannot_be_converted_is_refused_with_the_remedy() {
     let folder = folder();
     run_ok(folder.path(), &[&SMALL[..8], &["--outputs=rgb,mask", "--out=plain", "--count=2"]].concat());

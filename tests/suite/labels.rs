@@ -115,6 +115,7 @@ fn raw_ids_of_a_replicator_pipeline_come_back_as_canonical_masks() {
         let read = |inner: &str| std::fs::read(folder.path().join(inner).join(name)).expect(name);
         assert!(read("remapped/camera") == read("canonical"), "{name}");
     }
+    run_ok(folder.path(), &["remap", "raw", "--out", "remapped", "-q"]);
     std::fs::write(folder.path().join("raw/camera/semantic_segmentation_labels_0000.json"), "{}")
         .expect("written");
     let output = run(folder.path(), &["remap", "raw", "--out", "again"]);

@@ -7,7 +7,7 @@ use image::GrayImage;
 use regolith::output::disk::content_hash;
 use serde_json::Value;
 
-use crate::support::{folder, run, run_ok};
+use crate::support::{folder, json, program, run, run_ok};
 
 fn make(folder: &Path) {
     let words = ["dataset", "--out", "data", "--count", "6", "--size", "64", "--samples", "1", "-q"];
@@ -159,7 +159,73 @@ fn wrong_books_and_a_wrong_camera_are_found() {
     let (checks, said) = found_after(|data| {
         rewrite(data, |_, line| line["camera"]["world_from_camera"][2][3] = 40.0.into());
     });
-    assert!(checks == ["depth"] && said.contains("off the surface"), "{said}");
+    assert!(checks == ["depth", "records", "rendering"] && said.contains("off the surface"), "{said}");
+    // Of a frame that is not rendered again.
+    for (section, key) in
+        [("camera", "K"), ("camera", "world_from_camera"), ("sun", "direction"), ("knobs", "rocks.count")]
+    {
+        let (checks, said) = found_after(|data| {
+            rewrite(data, |i, line| {
+                if i == 3 {
+                    line[section][key] = 3.into()
+                }
+            });
+        });
+        assert!(checks == ["records"] && said.contains(key), "{said}");
+    }
+    let (checks, _) =
+        found_after(|data| rewrite(data, |_, line| line["coverage"]["unlabelled"] = 0.5.into()));
+    assert_eq!(checks, ["records"]);
     let (checks, _) = found_after(|data| rewrite(data, |_, line| line["knobs"]["rocks.count"] = 3.into()));
     assert!(checks.contains(&"rendering".to_owned()), "{checks:?}");
+    // The manifest's own.
+    let manifest = |change: fn(&mut Value)| {
+        found_after(|data| {
+            let path = data.join("manifest.json");
+            let mut manifest = json(&path);
+            change(&mut manifest);
+            fs::write(path, manifest.to_string()).expect("written");
+        })
+    };
+    assert_eq!(manifest(|manifest| manifest["class_map"]["rock"] = 5.into()).0, ["labels"]);
+    assert_eq!(manifest(|manifest| manifest["totals"]["rgb_mean"] = 5.into()).0, ["books"]);
+    assert_eq!(manifest(|manifest| manifest["config"]["sun.elevation_deg"] = 44.into()).0, ["records"]);
+    // A torn line takes nothing from what is told of the rest.
+    let (checks, said) = found_after(|data| {
+        let path = data.join("frames.jsonl");
+        let text = fs::read_to_string(&path).expect("read");
+        fs::write(path, &text[..text.len() - 40]).expect("written");
+    });
+    assert!(checks.contains(&"books".to_owned()) && said.contains("line 6 cannot be read"), "{said}");
+}
+
+#[test]
+fn what_needs_no_adapter_is_told_without_one() {
+    let folder = folder();
+    make(folder.path());
+    let output = program(folder.path())
+        .args(["verify", "data"])
+        .envs([
+            ("VK_DRIVER_FILES", "/none.json"),
+            ("VK_ICD_FILENAMES", "/none.json"),
+            ("WGPU_BACKEND", "vulkan"),
+        ])
+        .output()
+        .expect("the program starts");
+    let (table, message) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(table.contains("hashes") && message.contains("--rerender 0"), "{table}{message}");
+    fs::write(folder.path().join("data/manifest.json"), "{").expect("written");
+    let output = run(folder.path(), &["verify", "data"]);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(1) && message.contains("not a manifest"), "{message}");
+}
+
+#[test]
+fn depth_of_edges_between_grounds_is_no_damage() {
+    let folder = folder();
+    let words =
+        ["dataset", "--out", "data", "--count", "8", "--size", "64", "--preset", "surface_train_full", "-q"];
+    run_ok(folder.path(), &[&words[..], &["--outputs=rgb,mask,depth"]].concat());
+    run_ok(folder.path(), &["verify", "data", "--rerender", "8"]);
 }
