@@ -30,7 +30,7 @@ use crate::meta::FrameRecord;
 use crate::output::writer::{Placed, Sample};
 use crate::output::{self, Artifact, Source, disk};
 use crate::params::Params;
-use crate::render::{FRAMES_IN_FLIGHT, InFlight, Renderer, StageTimes, selection};
+use crate::render::{FRAMES_IN_FLIGHT, InFlight, Renderer, StageTimes, view};
 use crate::scene::Scene;
 use journal::Journal;
 use plan::{Plan, frame_seed};
@@ -94,7 +94,7 @@ fn build(plan: &Plan, index: u64, attempt: u32, redrawn: Vec<String>) -> Result<
     let seed = frame_seed(plan.base_seed, index, attempt);
     let params = plan.config.draw(seed)?;
     let scene = Scene::build(seed, &params)?;
-    selection::build_rocks(&scene, &plan.settings);
+    view::prepare(&scene, &plan.settings)?;
     let times = vec![("scene", milliseconds_since(start))];
     Ok(Built { index, attempt, seed, params, scene, times, redrawn })
 }

@@ -17,6 +17,7 @@ use crate::class::ClassId;
 use crate::error::{Error, Result};
 use crate::render::RenderSettings;
 use crate::render::selection::Selection;
+use crate::render::view;
 use crate::scene::Scene;
 use crate::scene::mesh::Vertex;
 use crate::scene::rocks::Material;
@@ -139,7 +140,10 @@ fn looks(parts: &[Part<'_>]) -> (Vec<(String, Material)>, Vec<usize>) {
 
 impl Stage<'_> {
     /// Ground, then the rocks by number.
-    fn parts(&self) -> Vec<Part<'_>> {
+    ///
+    /// # Errors
+    /// Those of [`view::drawn`].
+    fn parts(&self) -> Result<Vec<Part<'_>>> {
         let scene = self.scene;
         let mut parts = vec![Part {
             class: ClassId::REGOLITH,
@@ -153,7 +157,8 @@ impl Stage<'_> {
         }];
         let levels: Vec<(usize, usize)> = match self.detail {
             Detail::Authored => scene.rocks.iter().enumerate().map(|(rock, r)| (rock, r.level)).collect(),
-            Detail::Drawn => Selection::new(scene, self.settings)
+            Detail::Drawn => self
+                .drawn()?
                 .rocks
                 .iter()
                 .filter_map(|s| Some((s.rock, s.seen_level.or(s.caster.map(|(_, level)| level))?)))
@@ -173,6 +178,13 @@ impl Stage<'_> {
                 material: rock.material,
             }
         }));
-        parts
+        Ok(parts)
+    }
+
+    /// What a frame draws.
+    fn drawn(&self) -> Result<Selection> {
+        let (camera, size) = view::drawn(&self.scene.camera, self.settings.size)?;
+        let settings = RenderSettings { size, ..*self.settings };
+        Ok(Selection::new(&Scene { camera, ..self.scene.clone() }, &settings))
     }
 }

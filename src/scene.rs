@@ -83,7 +83,10 @@ impl LabelRule {
     /// outline is taken as a disc of its diameter.
     #[must_use]
     pub fn counts(&self, rock: &Rock, eye: Vec3, focal_px: f32) -> bool {
-        let diameter_m = 2.0 * rock.base_scale_m;
+        if self.min_diameter_m <= 0.0 && self.min_pixels <= 0.0 {
+            return true;
+        }
+        let diameter_m = rock.diameter_m();
         let across_px = focal_px * diameter_m / rock.centre.distance(eye).max(1e-3);
         diameter_m >= self.min_diameter_m
             && 0.25 * std::f32::consts::PI * across_px * across_px >= self.min_pixels

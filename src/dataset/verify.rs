@@ -363,8 +363,7 @@ fn check_record(facts: &Facts<'_>, line: &Map<String, Value>, seed: u64, report:
         Err(error) => return report.problem("records", index, format!("manifest.json: {error}")),
     };
     let eye_m = recorded("camera")["world_from_camera"][2][3].as_f64().unwrap_or_default();
-    let camera = Camera::above(&params, eye_m as f32)
-        .map_or(Value::Null, |camera| meta::camera(&camera, facts.settings.size));
+    let camera = meta::camera(&Camera::above(&params, eye_m as f32), facts.settings.size);
     let mut expect = |name: &str, recorded: Option<&Value>, expected: &Value| {
         report.expect("records", index, recorded == Some(expected), || {
             let recorded = recorded.unwrap_or(&Value::Null);

@@ -81,7 +81,7 @@ pub(super) fn encode(stage: &Stage<'_>) -> Result<Vec<u8>> {
     let mut meshes = Vec::new();
     // Node 0 is World, 1 Rocks, 2 the camera, 3 the sun; ground and rocks follow.
     let (mut world, mut rocks, mut things) = (vec![1, 2, 3], Vec::new(), Vec::new());
-    let parts = stage.parts();
+    let parts = stage.parts()?;
     let (looks, look_of) = looks(&parts);
     for (part, look) in parts.iter().zip(look_of) {
         let children = if part.rock.is_some() { &mut rocks } else { &mut world };

@@ -12,7 +12,7 @@ use crate::error::{Error, Result};
 /// the ground), `world_from_camera` float64 4 x 4 (OpenCV axes), `K` float64 3 x 3, `sun_direction` float32 3.
 pub(super) fn encode(stage: &Stage<'_>) -> Result<Vec<u8>> {
     let scene = stage.scene;
-    let parts = stage.parts();
+    let parts = stage.parts()?;
     let (mut vertices, mut normals, mut triangles) = (Vec::new(), Vec::new(), Vec::new());
     let (mut classes, mut instances) = (Vec::new(), Vec::new());
     for part in &parts {

@@ -27,16 +27,16 @@ const APERTURE_MM: f64 = 24.0;
 
 /// The stage as text (`.usda`).
 pub(super) fn encode_text(stage: &Stage<'_>) -> Result<Vec<u8>> {
-    Ok(text::encode(&layer(stage)))
+    Ok(text::encode(&layer(stage)?))
 }
 
 /// The stage as a binary crate (`.usdc`).
 pub(super) fn encode_crate(stage: &Stage<'_>) -> Result<Vec<u8>> {
-    Ok(crate_file::encode(&layer(stage)))
+    Ok(crate_file::encode(&layer(stage)?))
 }
 
-fn layer(stage: &Stage<'_>) -> Layer {
-    let parts = stage.parts();
+fn layer(stage: &Stage<'_>) -> Result<Layer> {
+    let parts = stage.parts()?;
     let (looks, look_of) = looks(&parts);
     let mut world = Prim::new("World", "Xform");
     let mut rocks = Prim::new("Rocks", "Xform");
@@ -70,7 +70,7 @@ fn layer(stage: &Stage<'_>) -> Layer {
         ("metersPerUnit", Value::Double(1.0)),
         ("upAxis", Value::Token("Z".to_owned())),
     ];
-    Layer { metadata, prims: vec![world] }
+    Ok(Layer { metadata, prims: vec![world] })
 }
 
 fn part_mesh(part: &Part<'_>, look: &str) -> Prim {
@@ -315,7 +315,7 @@ mod tests {
         ] {
             assert_eq!(text.matches(prim).count(), 1, "{prim}");
         }
-        let drawn = stage.parts().len() - 1;
+        let drawn = stage.parts().expect("parts").len() - 1;
         assert_eq!(text.matches("def Mesh \"Rock_").count(), drawn);
         assert_eq!(text.matches("token[] semantics:labels:class = [\"rock\"]").count(), drawn);
         assert_eq!(text.matches("semanticData = \"regolith\"").count(), 1);
@@ -349,7 +349,7 @@ mod tests {
         assert_eq!(names, ["TOKENS", "STRINGS", "FIELDS", "FIELDSETS", "PATHS", "SPECS"]);
         assert_eq!(sections[5].1 + sections[5].2, table, "the sections lie one behind the other");
         // Prims and their properties, and the root.
-        let layer = layer(&stage);
+        let layer = layer(&stage).expect("a layer");
         fn count(prim: &Prim) -> usize {
             1 + prim.properties.len() + prim.children.iter().map(count).sum::<usize>()
         }

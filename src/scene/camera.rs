@@ -44,6 +44,13 @@ fn place(params: &Params) -> Vec2 {
     Vec2::new(params.number(Knob::CameraXM) as f32, params.number(Knob::CameraYM) as f32)
 }
 
+fn lens(params: &Params) -> Lens {
+    let [k1, k2, k3, p1, p2] =
+        [Knob::CameraK1, Knob::CameraK2, Knob::CameraK3, Knob::CameraP1, Knob::CameraP2]
+            .map(|knob| params.number(knob));
+    Lens { k1, k2, k3, p1, p2 }
+}
+
 impl Camera {
     /// The camera of these settings above its own ground.
     ///
@@ -53,6 +60,13 @@ impl Camera {
         let place = place(params);
         let height_m = params.number(Knob::CameraHeightM) as f32;
         let eye = place.extend(terrain.height_at(place) + height_m);
+        let dome_m = params.number(Knob::SkyDomeRadiusM) as f32;
+        if height_m >= dome_m {
+            return Err(Error::Scene(format!(
+                "camera.height_m = {height_m} puts the eye out of the sky's dome, sky.dome_radius_m = {dome_m}; lower it, or \
+                 make the dome larger"
+            )));
+        }
         let clearance_m = eye.z - terrain.surface_height_at(place);
         if clearance_m < MIN_CLEARANCE_M {
             return Err(Error::Scene(format!(
@@ -60,14 +74,12 @@ impl Camera {
                  and {MIN_CLEARANCE_M} m is the least; raise it, or lower terrain.amplitude_m"
             )));
         }
-        Self::above(params, eye.z)
+        Ok(Self::above(params, eye.z))
     }
 
     /// The camera of these settings with its eye at a height, metres, world.
-    ///
-    /// # Errors
-    /// [`Error::Scene`] if the lens would fold the picture over.
-    pub fn above(params: &Params, z_m: f32) -> Result<Self> {
+    #[must_use]
+    pub fn above(params: &Params, z_m: f32) -> Self {
         let mut camera = Self::new(
             place(params).extend(z_m),
             [Knob::CameraPitchDeg, Knob::CameraYawDeg, Knob::CameraRollDeg].map(|knob| params.number(knob)),
@@ -75,19 +87,8 @@ impl Camera {
             2.0 * params.number(Knob::SkyDomeRadiusM) as f32 + params.number(Knob::TerrainSizeM) as f32,
             params.number(Knob::CameraExposureEv) as f32,
         );
-        let [k1, k2, k3, p1, p2] =
-            [Knob::CameraK1, Knob::CameraK2, Knob::CameraK3, Knob::CameraP1, Knob::CameraP2]
-                .map(|knob| params.number(knob));
-        camera.lens = Lens { k1, k2, k3, p1, p2 };
-        let half = f64::from(camera.tan_half_fov);
-        if camera.lens.reach([half, half]).is_none() {
-            return Err(Error::Scene(format!(
-                "camera.k1 = {k1}, k2 = {k2}, k3 = {k3}, p1 = {p1}, p2 = {p2} fold the picture over within a field of \
-                 view of {:.1} degrees; use smaller ones, or a smaller camera.fov_deg",
-                camera.fov_deg()
-            )));
-        }
-        Ok(camera)
+        camera.lens = lens(params);
+        camera
     }
 
     /// A camera at `eye` that looks along +Y, then is turned by pitch (up), yaw (compass, towards +X) and roll
@@ -127,18 +128,17 @@ impl Camera {
     }
 
     /// The camera with a wider field of view whose picture holds all that the lens brings onto a picture of this size, and
-    /// the size of that picture; focal length in pixels and middle stay.
+    /// the size of that picture; focal length in pixels and middle stay. None if the lens folds the picture over.
     #[must_use]
-    pub fn widened(&self, [width_px, height_px]: [u32; 2]) -> (Self, [u32; 2]) {
+    pub fn widened(&self, [width_px, height_px]: [u32; 2]) -> Option<(Self, [u32; 2])> {
         let half_x = f64::from(self.tan_half_fov);
-        let reach = self.lens.reach([half_x, half_x * f64::from(height_px) / f64::from(width_px)]);
-        let reach = reach.unwrap_or([1.0; 2]);
+        let reach = self.lens.reach([half_x, half_x * f64::from(height_px) / f64::from(width_px)])?;
         // By whole pixels on each side, and one more for what rounding may ask.
         let wide =
             |side: u32, reach: f64| side + 2 * (libm::ceil(0.5 * f64::from(side) * (reach - 1.0)) as u32 + 1);
         let size = [wide(width_px, reach[0]), wide(height_px, reach[1])];
         let tan_half_fov = (half_x * f64::from(size[0]) / f64::from(width_px)) as f32;
-        (Self { tan_half_fov, ..*self }, size)
+        Some((Self { tan_half_fov, ..*self }, size))
     }
 
     /// Intrinsic matrix for a picture of this size, pixels; pixel (u, v) has its centre at (u + 0.5, v + 0.5).
@@ -189,7 +189,8 @@ impl Camera {
 
 /// Least height of the eye that the ground's mesh is made for, metres.
 const LEAST_EYE_M: f32 = 0.5;
-/// What the sector of fine ground has beyond what a square picture shows, on each side, radians.
+/// What the sector of fine ground, and of small rocks, has beyond what a square picture shows, on each side, radians: for lenses
+/// and for pictures that are somewhat taller. (A scene knows no picture's size.)
 const SECTOR_MARGIN: f64 = 0.12;
 
 /// What the rings of the surface stage are made for with these settings.

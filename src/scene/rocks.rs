@@ -121,13 +121,32 @@ pub fn plan(streams: &Streams, params: &Params, terrain: &Arc<Terrain>, eye: Vec
 struct Placed {
     place: Vec2,
     base_scale_m: f64,
+    /// The lowest and the highest place that rocks of its kind are drawn from.
+    band: [Vec2; 2],
+}
+
+/// The place of a rock that would lie beyond the border of the ground, drawn again from what of its band there is ground; along
+/// each axis for itself. Others stay.
+fn onto_ground(place: Vec2, band: [Vec2; 2], most_m: f32, again: impl Fn() -> Stream) -> Vec2 {
+    let most_m = most_m.max(0.0);
+    if place.abs().max_element() <= most_m {
+        return place;
+    }
+    let mut draw = again();
+    let along = |axis: usize, draw: &mut Stream| {
+        let [low, high] = band.map(|end| end[axis].clamp(-most_m, most_m));
+        let anew = draw.uniform(low.into(), high.into()) as f32;
+        if place[axis].abs() <= most_m { place[axis] } else { anew }
+    };
+    Vec2::new(along(0, &mut draw), along(1, &mut draw))
 }
 
 fn place_near(streams: &Streams, params: &Params, k: u64) -> Placed {
     let hero_scale_m = params.number(Knob::RocksHeroScaleM);
     if k == 0 && hero_scale_m > 0.0 {
         let place = [Knob::RocksHeroXM, Knob::RocksHeroYM].map(|knob| params.number(knob) as f32);
-        return Placed { place: place.into(), base_scale_m: hero_scale_m };
+        let place = Vec2::from(place);
+        return Placed { place, base_scale_m: hero_scale_m, band: [place; 2] };
     }
     let y = params.sample(Knob::RocksNearYM, &mut streams.stream(Knob::RocksNearYM.name(), k));
     let mut draw = streams.stream("rocks.near_place", k);
@@ -141,7 +160,9 @@ fn place_near(streams: &Streams, params: &Params, k: u64) -> Placed {
         draw.uniform(-NEAR_HALF_WIDTH_M, NEAR_HALF_WIDTH_M)
     };
     let scale = params.sample(Knob::RocksNearScaleM, &mut streams.stream(Knob::RocksNearScaleM.name(), k));
-    Placed { place: Vec2::new(x as f32, y as f32), base_scale_m: scale }
+    let (half_width_m, y) = (NEAR_HALF_WIDTH_M as f32, y as f32);
+    let band = [Vec2::new(-half_width_m, y), Vec2::new(half_width_m, y)];
+    Placed { place: Vec2::new(x as f32, y), base_scale_m: scale, band }
 }
 
 fn place_far(streams: &Streams, params: &Params, k: u64) -> Placed {
@@ -152,7 +173,9 @@ fn place_far(streams: &Streams, params: &Params, k: u64) -> Placed {
     if draw.unit() < params.number(Knob::RocksLargeShare) {
         scale *= params.sample(Knob::RocksLargeFactor, &mut streams.stream(Knob::RocksLargeFactor.name(), k));
     }
-    Placed { place: Vec2::new(x as f32, y as f32), base_scale_m: scale }
+    let band = [[-FAR_HALF_WIDTH_M, FAR_Y_M[0]], [FAR_HALF_WIDTH_M, FAR_Y_M[1]]];
+    let band = band.map(|end| Vec2::from(end.map(|metres| metres as f32)));
+    Placed { place: Vec2::new(x as f32, y as f32), base_scale_m: scale, band }
 }
 
 fn draw_materials(streams: &Streams, params: &Params) -> Vec<Material> {
@@ -217,12 +240,15 @@ impl Plan {
         placed: Placed,
         material: Material,
     ) -> Self {
-        let Placed { place, base_scale_m } = placed;
+        let Placed { place, base_scale_m, band } = placed;
         let shape =
             Shape::draw(&mut streams.stream("rocks.shape", k), params.number(Knob::RocksDisplacement));
         let mesh_from_unit = draw_scale_and_rotation(&mut streams.stream("rocks.pose", k), base_scale_m);
         let axes = [mesh_from_unit.x_axis, mesh_from_unit.y_axis, mesh_from_unit.z_axis];
         let radius_m = 1.001 * shape.most() * axes.map(Vec3::length).into_iter().fold(0.0, f32::max);
+        let place = onto_ground(place, band, bed.terrain.half_extent_m - radius_m, || {
+            streams.stream("rocks.place_on_ground", k)
+        });
         // Its lowest and highest point are at most so far from its centre; see [`Rock::settle`].
         let [lowest_ground_m, _] = bed.terrain.z_range_m;
         let (low_m, high_m) =

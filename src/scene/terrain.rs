@@ -5,6 +5,8 @@
 //! [`super::relief`].
 //! Must not know: who asks.
 
+use std::ops::Range;
+
 use fearless_simd::{Level, dispatch};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -319,11 +321,7 @@ impl Terrain {
 
     /// The two triangles of each cell of a block of cells, counter-clockwise seen from above; the cell's
     /// south-west and north-east corners share the diagonal.
-    pub fn block_triangles(
-        &self,
-        columns: std::ops::Range<u32>,
-        rows: std::ops::Range<u32>,
-    ) -> impl Iterator<Item = [u32; 3]> {
+    pub fn block_triangles(&self, columns: Range<u32>, rows: Range<u32>) -> impl Iterator<Item = [u32; 3]> {
         let row_len = self.columns + 1;
         let is_rings = matches!(self.layout, Layout::Rings(_));
         rows.flat_map(move |row| {
@@ -373,11 +371,9 @@ impl Terrain {
         }
     }
 
-    /// A height that the ground over a box (its lowest and highest corner) does not fall below, metres. Without ground
-    /// there, infinity.
-    #[must_use]
-    pub fn lowest_over(&self, low: Vec2, high: Vec2) -> f32 {
-        let [columns, rows] = match &self.layout {
+    /// The columns and rows whose vertices belong to all ground over a box (its lowest and highest corner), and some more.
+    fn vertices_over(&self, low: Vec2, high: Vec2) -> [Range<u32>; 2] {
+        match &self.layout {
             Layout::Square => {
                 let margin = 1e-3;
                 let span = |low: f32, high: f32| {
@@ -389,7 +385,22 @@ impl Terrain {
                 [span(low.x, high.x), span(low.y, high.y)]
             }
             Layout::Rings(rings) => rings.vertices_over(low - self.centre, high - self.centre),
-        };
+        }
+    }
+
+    /// The triangles over a box (its lowest and highest corner), and some more, by the places of their corners.
+    pub fn triangles_over(&self, low: Vec2, high: Vec2) -> impl Iterator<Item = [Vec3; 3]> {
+        let [columns, rows] =
+            self.vertices_over(low, high).map(|vertices| vertices.start..vertices.end.saturating_sub(1));
+        self.block_triangles(columns, rows)
+            .map(|triangle| triangle.map(|vertex| self.vertices[vertex as usize].position))
+    }
+
+    /// A height that the ground over a box (its lowest and highest corner) does not fall below, metres. Without ground
+    /// there, infinity.
+    #[must_use]
+    pub fn lowest_over(&self, low: Vec2, high: Vec2) -> f32 {
+        let [columns, rows] = self.vertices_over(low, high);
         let mut lowest = f32::INFINITY;
         for row in rows {
             let first = (row * (self.columns + 1)) as usize;

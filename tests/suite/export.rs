@@ -223,6 +223,28 @@ fn assert_same(actual: &[f64], recorded: &[f64]) {
 }
 
 #[test]
+fn what_a_lens_shows_is_among_what_is_drawn() {
+    let folder = folder();
+    for (seed, more) in [
+        ("4", &["--set", "camera.k1=-0.15", "--set", "rocks.count=400"][..]),
+        ("1", &["--preset", "surface_train_full"]),
+    ] {
+        let words = [&["--seed", seed, "--size", "256"], more].concat();
+        run_ok(folder.path(), &[&words[..], &["--outputs", "instances", "--force", "-q"]].concat());
+        run_ok(folder.path(), &[&["export", "stage.npz", "--drawn", "--force"], &words[..]].concat());
+        let arrays = arrays(&std::fs::read(folder.path().join("stage.npz")).expect("the file"));
+        let drawn: BTreeSet<String> = arrays["triangle_instance"]
+            .2
+            .chunks_exact(2)
+            .map(|b| u16::from_le_bytes([b[0], b[1]]).to_string())
+            .collect();
+        let seen = json(&folder.path().join("out/instance_segmentation_mapping_0000.json"));
+        let seen = seen.as_object().expect("a mapping");
+        assert!(seen.len() > 20 && seen.keys().all(|rock| drawn.contains(rock)), "{seen:?}");
+    }
+}
+
+#[test]
 fn camera_of_the_arrays_is_that_of_the_frame_record() {
     let folder = folder();
     let words =

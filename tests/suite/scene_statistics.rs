@@ -161,6 +161,27 @@ fn no_rock_floats_and_none_comes_near_the_eye() {
 }
 
 #[test]
+fn no_rock_lies_beyond_the_border_of_the_ground() {
+    for (seed, set) in [
+        (3, &["terrain.size_m=200"][..]),
+        (9, &["terrain.size_m=200", "terrain.amplitude_m=10"]),
+        (5, &["terrain.size_m=100", "camera.y_m=-45", "rocks.count=200"]),
+        (7, &["stage.name=surface", "craters.fresh_share=1", "camera.height_m=100"]),
+        (40, &["stage.name=surface", "camera.height_m=100"]),
+        (9, &["stage.name=surface", "terrain.size_m=200", "camera.height_m=20"]),
+        (9, &["stage.name=surface", "terrain.size_m=200", "rocks.law=bands"]),
+    ] {
+        let scene = scene(seed, set);
+        assert!(scene.rocks.len() > 20, "{set:?}");
+        for rock in &scene.rocks {
+            let places = rock.vertices.iter().map(|v| (v.position + rock.centre).truncate());
+            let beyond = places.filter(|place| !scene.terrain.contains(*place)).count();
+            assert_eq!(beyond, 0, "seed {seed}, {set:?}: rock {} at {}", rock.index, rock.centre);
+        }
+    }
+}
+
+#[test]
 fn no_two_scenes_have_an_object_at_the_same_place() {
     let mut places: Vec<[u32; 2]> = SCENES
         .iter()

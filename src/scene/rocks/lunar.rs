@@ -205,6 +205,13 @@ const fn rock_key(of: u64, octave: u32, k: u32) -> u64 {
 /// Where rocks lie, the largest octave or band first.
 #[must_use]
 pub fn place(streams: &Streams, params: &Params, relief: &Relief, view: &View, centre: Vec2) -> Vec<Placed> {
+    let mut placed = drawn(streams, params, relief, view, centre);
+    // Beyond the border of the ground there is nothing to lie on.
+    placed.retain(|rock| f64::from(rock.place.distance(centre)) + rock.diameter_m <= view.radius_m);
+    placed
+}
+
+fn drawn(streams: &Streams, params: &Params, relief: &Relief, view: &View, centre: Vec2) -> Vec<Placed> {
     if params.text(Knob::RocksLaw) == "bands" {
         return counted(streams, params);
     }
