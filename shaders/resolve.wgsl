@@ -97,11 +97,14 @@ fn encoded(radiance: vec3<f32>) -> vec3<u32> {
 fn sample_at(corner: vec2<u32>, i: u32) -> vec2<i32> {
     let at = corner + vec2(i % SIDE, i / SIDE);
     if !DISTORTED { return vec2<i32>(at); }
+    return clamp(vec2<i32>(floor(seen_at(at))), vec2(0), vec2<i32>(SIDE * frame.drawn_size_px) - 1);
+}
+
+// Where among the samples that are drawn a lens shows the middle of one of the picture's.
+fn seen_at(at: vec2<u32>) -> vec2<f32> {
     let middle = 0.5 * f32(SIDE) * vec2<f32>(frame.picture_size_px);
     let point = undistorted((vec2<f32>(at) + 0.5 - middle) / frame.focal_samples);
-    let drawn = SIDE * frame.drawn_size_px;
-    let place = vec2<i32>(floor(point * frame.focal_samples + 0.5 * vec2<f32>(drawn)));
-    return clamp(place, vec2(0), vec2<i32>(drawn) - 1);
+    return point * frame.focal_samples + 0.5 * vec2<f32>(SIDE * frame.drawn_size_px);
 }
 
 // Steps of the inverse, as in src/lens.rs, whose `undistort` this is.
@@ -136,6 +139,33 @@ fn instance_at(at: vec2<i32>) -> u32 {
 // One over the metres along the axis: the larger is the nearer.
 fn nearness_at(at: vec2<i32>) -> f32 {
     return bitcast<f32>(textureGather(3, visible_samples, nearest, (vec2<f32>(at) + 1.0) * sample_step).w);
+}
+
+// The nearness where a lens shows sample `i` of a pixel, which is taken from the drawn sample `at`, up to half a sample away: along
+// the plane that the samples beside it of the same thing lie on. Of an edge the flatter side counts.
+fn nearness_seen(corner: vec2<u32>, i: u32, at: vec2<i32>) -> f32 {
+    let nearness = nearness_at(at);
+    if !DISTORTED { return nearness; }
+    let off = seen_at(corner + vec2(i % SIDE, i / SIDE)) - (vec2<f32>(at) + 0.5);
+    let slope = vec2(slope_along(at, vec2(1, 0), nearness), slope_along(at, vec2(0, 1), nearness));
+    // Towards the horizon nothing is further than twice what is known.
+    return max(nearness + dot(slope, off), 0.5 * nearness);
+}
+
+// Change of the nearness from a drawn sample to the next.
+fn slope_along(at: vec2<i32>, step: vec2<i32>, nearness: f32) -> f32 {
+    let last = vec2<i32>(SIDE * frame.drawn_size_px) - 1;
+    var slope = 0.0;
+    var sides = 0;
+    for (var side = -1; side <= 1; side += 2) {
+        let beside = clamp(at + side * step, vec2(0), last);
+        if any(beside != at) && class_at(beside) == class_at(at) && instance_at(beside) == instance_at(at) {
+            let own = f32(side) * (nearness_at(beside) - nearness);
+            slope = select(slope, own, sides == 0 || abs(own) < abs(slope));
+            sides += 1;
+        }
+    }
+    return slope;
 }
 
 fn class_of_most(corner: vec2<u32>) -> u32 {
@@ -237,7 +267,7 @@ fn annotate(pixel: u32, corner: vec2<u32>, class_id: u32, radiance: vec3<f32>) {
         let at = sample_at(corner, i);
         if class_at(at) != class_id || instance_at(at) != instance_id { continue; }
         samples += 1.0;
-        nearness += nearness_at(at);
+        if frame.depth_at != NOT_ASKED { nearness += nearness_seen(corner, i, at); }
         hidden += textureSampleLevel(hidden_samples, nearest, middle(at), 0.0).r;
         normal += textureSampleLevel(normal_samples, nearest, middle(at), 0.0).xyz;
     }
