@@ -7,6 +7,7 @@
 
 mod gltf;
 mod npz;
+mod sky;
 mod usd;
 
 use std::path::Path;

@@ -9,7 +9,7 @@ pub mod sampler;
 
 use serde_json::{Map, Value as Json};
 
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, nearest};
 use crate::random::Stream;
 use Distribution::{Fixed, Power, Uniform, UniformInt};
 use Kind::{Integer, Number, Rgb, Text};
@@ -248,7 +248,7 @@ knobs! {
     HapkeThetaBarDeg "hapke.theta_bar_deg" "deg" Number, Frame, number(23.657), [0.0, 40.0],
         "Mean slope of the roughness that no pixel shows (Sato et al. 2014 for the whole Moon).";
     LabelMinPixels "label.min_pixels" "" Number, Frame, number(0.0), [0.0, 100_000.0],
-        "Rocks that would cover fewer pixels, nothing before them, count as regolith.";
+        "Rocks that would cover fewer pixels, as discs of their diameter with nothing before them, count as regolith.";
     LabelMinDiameterM "label.min_diameter_m" "m" Number, Frame, number(0.0), [0.0, 10.0],
         "Rocks with a smaller diameter count as regolith.";
     LabelCraterMinDiameterM "label.crater_min_diameter_m" "m" Number, Frame, number(0.5), [0.1, 100.0],
@@ -363,13 +363,22 @@ impl KnobInfo {
             name: self.name.to_owned(),
             value: distribution.to_string(),
             origin: origin.to_owned(),
-            expected: expected.to_owned(),
+            expected: match self.kind {
+                Text(_) => expected.to_owned(),
+                _ => format!("{expected} (allowed: {})", self.allowed()),
+            },
         };
         let out_of_range = || Error::KnobOutOfRange {
             name: self.name.to_owned(),
             value: distribution.to_string(),
             origin: origin.to_owned(),
-            allowed: self.allowed(),
+            allowed: match (self.kind, distribution) {
+                (Text(words), Fixed(Value::Text(word))) => nearest(word, words.iter().copied()).map_or_else(
+                    || self.allowed(),
+                    |near| format!("{} (did you mean `{near}`?)", self.allowed()),
+                ),
+                _ => self.allowed(),
+            },
         };
         let within = |value: &f64| (self.range[0]..=self.range[1]).contains(value);
         let whole_draws = matches!(distribution, Fixed(_) | UniformInt { .. } | Distribution::Choice { .. });

@@ -1,12 +1,17 @@
 //! The scene as binary glTF 2.0: a node a rock, with class and instance as extras.
 //!
 //! glTF is Y-up: the root node `World` turns the scene's Z up.
-//! Must not know: a sky, which viewers of glTF have one of their own for.
+//! Must not know: how its numbers came about.
 
+use glam::Vec3;
 use serde_json::{Value, json};
 
-use super::{Part, Stage, looks};
+use super::sky::{HOLE_DEG, Sky};
+use super::{Stage, looks};
+use crate::class::ClassId;
 use crate::error::{Error, Result};
+use crate::scene::mesh::{Icosphere, Vertex};
+use crate::scene::sky::STAR_LEVEL;
 
 /// Component types and buffer targets of glTF.
 const UNSIGNED_SHORT: u32 = 5123;
@@ -37,10 +42,10 @@ impl Buffer {
         self.accessors.len() - 1
     }
 
-    /// The mesh of a part.
-    fn mesh(&mut self, part: &Part<'_>, name: &str, material: usize) -> Value {
-        let positions: Vec<[f32; 3]> = part.vertices.iter().map(|v| v.position.to_array()).collect();
-        let normals: Vec<[f32; 3]> = part.vertices.iter().map(|v| v.normal.to_array()).collect();
+    /// A mesh.
+    fn mesh(&mut self, name: &str, vertices: &[Vertex], triangles: &[[u32; 3]], material: usize) -> Value {
+        let positions: Vec<[f32; 3]> = vertices.iter().map(|v| v.position.to_array()).collect();
+        let normals: Vec<[f32; 3]> = vertices.iter().map(|v| v.normal.to_array()).collect();
         let bound = |start: f32, pick: fn(f32, f32) -> f32| {
             positions.iter().fold([start; 3], |bound, p| std::array::from_fn(|i| pick(bound[i], p[i])))
         };
@@ -55,8 +60,8 @@ impl Buffer {
         let position = self.add(bytemuck::cast_slice(&positions), ARRAY_BUFFER, vectors(bounds));
         let normal = self.add(bytemuck::cast_slice(&normals), ARRAY_BUFFER, vectors(json!({})));
         let scalars =
-            |kind: u32| json!({ "componentType": kind, "count": 3 * part.triangles.len(), "type": "SCALAR" });
-        let corners = part.triangles.as_flattened();
+            |kind: u32| json!({ "componentType": kind, "count": 3 * triangles.len(), "type": "SCALAR" });
+        let corners = triangles.as_flattened();
         // The largest number of a type is not an index in glTF.
         let indices = if positions.len() <= usize::from(u16::MAX) {
             let short: Vec<u16> = corners.iter().map(|&v| v as u16).collect();
@@ -87,7 +92,7 @@ pub(super) fn encode(stage: &Stage<'_>) -> Result<Vec<u8>> {
         let children = if part.rock.is_some() { &mut rocks } else { &mut world };
         children.push(4 + things.len());
         let name = part.name();
-        meshes.push(buffer.mesh(part, &name, look));
+        meshes.push(buffer.mesh(&name, part.vertices, &part.triangles, look));
         things.push(json!({
             "name": name,
             "mesh": meshes.len() - 1,
@@ -99,7 +104,7 @@ pub(super) fn encode(stage: &Stage<'_>) -> Result<Vec<u8>> {
             },
         }));
     }
-    let materials: Vec<Value> = looks
+    let mut materials: Vec<Value> = looks
         .iter()
         .map(|(name, material)| {
             json!({
@@ -112,9 +117,40 @@ pub(super) fn encode(stage: &Stage<'_>) -> Result<Vec<u8>> {
             })
         })
         .collect();
+    let sky = Sky::of(scene);
+    let sphere = Icosphere::shared();
+    let inwards = sky.directions.iter().map(|&d| Vertex { position: scene.sky.radius_m * d, normal: -d });
+    let unit = &sphere.directions[..Icosphere::vertex_count(STAR_LEVEL)];
+    let unit: Vec<Vertex> = unit.iter().map(|&d| Vertex { position: d, normal: d }).collect();
+    let dome_mesh = meshes.len();
+    meshes.push(buffer.mesh("StarDome", &inwards.collect::<Vec<_>>(), &sky.triangles, materials.len()));
+    meshes.push(buffer.mesh("Star", &unit, &sphere.triangles[STAR_LEVEL], materials.len() + 1));
+    materials.push(emitter("StarDome", scene.sky.radiance));
+    materials.push(emitter("Star", scene.sky.star_radiance));
+    let of_sky = json!({ "class": ClassId::SKY.class().map(|class| class.name), "class_id": ClassId::SKY.0 });
+    world.extend([4 + things.len(), 5 + things.len()]);
+    let first_star = 6 + things.len();
+    let stars: Vec<usize> = (first_star..first_star + sky.stars.len()).collect();
+    things.push(json!({
+        "name": "StarDome", "mesh": dome_mesh, "translation": scene.sky.centre.to_array(), "extras": of_sky,
+    }));
+    things.push(json!({
+        "name": "Stars",
+        "children": stars,
+        "extras": { "hole_half_angle_deg": HOLE_DEG, "stars_left_out_in_hole": sky.left_out },
+    }));
+    things.extend(sky.stars.iter().map(|(index, star)| {
+        json!({
+            "name": format!("Star_{index:03}"),
+            "mesh": dome_mesh + 1,
+            "translation": star.centre.to_array(),
+            "scale": Vec3::splat(star.radius_m).to_array(),
+            "extras": of_sky,
+        })
+    }));
     let camera = &scene.camera;
     // Columns of a matrix: where the node's axes point (glTF looks along -Z with Y up), and its place.
-    let matrix = |x: glam::Vec3, y: glam::Vec3, z: glam::Vec3, place: glam::Vec3| {
+    let matrix = |x: Vec3, y: Vec3, z: Vec3, place: Vec3| {
         let columns = [x.extend(0.0), y.extend(0.0), z.extend(0.0), place.extend(1.0)];
         json!(columns.map(|column| column.to_array()).as_flattened())
     };
@@ -132,21 +168,24 @@ pub(super) fn encode(stage: &Stage<'_>) -> Result<Vec<u8>> {
         }),
         json!({
             "name": "Sun",
-            "matrix": matrix(across, up, scene.sun.direction, glam::Vec3::ZERO),
+            "matrix": matrix(across, up, scene.sun.direction, Vec3::ZERO),
             "extensions": { "KHR_lights_punctual": { "light": 0 } },
         }),
     ];
-    if rocks_are_none(&nodes) {
-        nodes[1] = json!({ "name": "Rocks" });
-    }
     nodes.extend(things);
+    for node in nodes.iter_mut().filter_map(Value::as_object_mut) {
+        // glTF forbids an empty list of children.
+        if node.get("children").and_then(Value::as_array).is_some_and(Vec::is_empty) {
+            node.remove("children");
+        }
+    }
     let root = json!({
         "asset": {
             "version": "2.0",
             "generator": format!("regolith-render {}", env!("CARGO_PKG_VERSION")),
             "extras": { "seed": stage.seed, "knobs": stage.knobs },
         },
-        "extensionsUsed": ["KHR_lights_punctual"],
+        "extensionsUsed": ["KHR_lights_punctual", "KHR_materials_emissive_strength", "KHR_materials_specular"],
         "extensions": { "KHR_lights_punctual": { "lights": [{
             "type": "directional",
             "name": "Sun",
@@ -189,9 +228,21 @@ pub(super) fn encode(stage: &Stage<'_>) -> Result<Vec<u8>> {
     Ok(file)
 }
 
-/// glTF forbids an empty list of children.
-fn rocks_are_none(nodes: &[Value]) -> bool {
-    nodes[1]["children"].as_array().is_some_and(Vec::is_empty)
+/// A material that reflects nothing and has light of its own.
+fn emitter(name: &str, radiance: Vec3) -> Value {
+    // A colour ends at 1 there; what is brighter has a strength.
+    let strength = radiance.max_element().max(1.0);
+    json!({
+        "name": name,
+        "pbrMetallicRoughness": {
+            "baseColorFactor": [0.0, 0.0, 0.0, 1.0], "metallicFactor": 0.0, "roughnessFactor": 1.0,
+        },
+        "emissiveFactor": (radiance / strength).to_array(),
+        "extensions": {
+            "KHR_materials_emissive_strength": { "emissiveStrength": strength },
+            "KHR_materials_specular": { "specularFactor": 0.0 },
+        },
+    })
 }
 
 #[cfg(test)]
@@ -221,7 +272,15 @@ mod tests {
         assert_eq!(binary.len(), word(json_end));
         let root: Value = serde_json::from_slice(&file[20..json_end]).expect("JSON");
         let nodes = root["nodes"].as_array().expect("nodes");
-        assert_eq!(nodes.len(), 5 + scene.rocks.len());
+        let stars = nodes.iter().filter(|n| n["name"].as_str().is_some_and(|name| name.starts_with("Star_")));
+        let stars = stars.inspect(|star| assert_eq!(star["extras"], json!({"class": "sky", "class_id": 2})));
+        let (stars, listed) = (stars.count(), &nodes[6 + scene.rocks.len()]);
+        assert!(stars > 150 && stars <= 220, "{stars} stars outside the hole");
+        assert_eq!(
+            (&listed["name"], listed["children"].as_array().map(Vec::len)),
+            (&"Stars".into(), Some(stars))
+        );
+        assert_eq!(nodes.len(), 7 + scene.rocks.len() + stars);
         assert_eq!(root["asset"]["extras"]["seed"], 7);
         for rock in &scene.rocks {
             let name = format!("Rock_{:03}", rock.index);

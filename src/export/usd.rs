@@ -12,16 +12,15 @@ mod text;
 
 use glam::Vec3;
 
+use super::sky::{HOLE_DEG, Sky};
 use super::{Part, Stage, looks};
 use crate::class::ClassId;
 use crate::error::Result;
 use crate::scene::mesh::Icosphere;
 use crate::scene::rocks::Material;
-use crate::scene::sky::{DOME_LEVEL, STAR_LEVEL, SUN_IRRADIANCE_PER_INTENSITY, Star};
+use crate::scene::sky::{STAR_LEVEL, SUN_IRRADIANCE_PER_INTENSITY};
 use layer::{Layer, Prim, Property, Value};
 
-/// Half the angle of the dome's hole around the sun, degrees.
-const HOLE_DEG: f64 = 34.0;
 /// Width of the camera's film, millimetres.
 const APERTURE_MM: f64 = 24.0;
 
@@ -179,40 +178,22 @@ fn sun(stage: &Stage<'_>) -> Prim {
 
 /// Dome and stars.
 fn sky(stage: &Stage<'_>) -> [Prim; 2] {
-    let (sky, sun) = (&stage.scene.sky, &stage.scene.sun);
-    let edge = libm::cos(HOLE_DEG.to_radians()) as f32;
-    let in_hole = |direction: Vec3| direction.dot(sun.direction) > edge;
+    let sky = &stage.scene.sky;
+    let Sky { directions, triangles, stars: shown, left_out } = Sky::of(stage.scene);
     let sphere = Icosphere::shared();
-    // Only the directions that a triangle uses, numbered anew.
-    let mut number_of = vec![None; Icosphere::vertex_count(DOME_LEVEL)];
-    let mut directions: Vec<Vec3> = Vec::new();
-    let mut number = |v: u32| {
-        *number_of[v as usize].get_or_insert_with(|| {
-            directions.push(sphere.directions[v as usize]);
-            directions.len() as u32 - 1
-        })
-    };
-    // Turned inside out: its front faces the scene.
-    let triangles: Vec<[u32; 3]> = sphere.triangles[DOME_LEVEL]
-        .iter()
-        .filter(|t| !t.iter().any(|v| in_hole(sphere.directions[*v as usize])))
-        .map(|&[a, b, c]| [a, c, b].map(&mut number))
-        .collect();
     let points = directions.iter().map(|d| sky.centre + sky.radius_m * *d).collect();
     let no_shadow = || Property::new("primvars:doNotCastShadows", "bool", Value::Bool(true));
     let mut dome = mesh("StarDome", "StarDome", ClassId::SKY, &triangles, points, None);
     dome.properties.push(no_shadow());
 
-    let hidden = |star: &Star| in_hole((star.centre - sky.centre).normalize());
-    let numbered = || (0..).zip(&sky.stars);
-    let left_out = numbered().filter(|(_, star)| hidden(star)).map(|(index, _)| index).collect();
+    let left_out = left_out.into_iter().map(|index| index as i32).collect();
     let mut stars = Prim::new("Stars", "Xform");
     let data = vec![
         ("holeHalfAngleDeg", Value::Double(HOLE_DEG)),
         ("starsLeftOutInHole", Value::IntArray(left_out)),
     ];
     stars.metadata.push(("customData", Value::Dictionary(data)));
-    stars.children.extend(numbered().filter(|(_, star)| !hidden(star)).map(|(index, star)| {
+    stars.children.extend(shown.into_iter().map(|(index, star)| {
         // A mesh rather than a sphere prim, which not every program reads.
         let used = &sphere.directions[..Icosphere::vertex_count(STAR_LEVEL)];
         let points = used.iter().map(|d| star.radius_m * *d).collect();

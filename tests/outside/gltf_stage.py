@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from cases import ROCK, Frame, Soup
+from cases import ROCK, SKY, Frame, Soup
 from report import Report
 
 
@@ -16,7 +16,11 @@ def check(path: Path, frame: Frame, soup: Soup, report: Report) -> None:
     extras = {child: edge.get("metadata", {}) for (_, child), edge in scene.graph.transforms.edge_data.items()}
     instances = [int(instance) for instance in np.unique(soup.instances)]
     names = {instance: f"Rock_{instance - 1:03}" if instance else "Regolith" for instance in instances}
-    faults = sorted(set(scene.graph.nodes_geometry) ^ set(names.values()))
+    of_sky = {name for name in scene.graph.nodes_geometry if name == "StarDome" or name.startswith("Star_")}
+    faults = sorted((set(scene.graph.nodes_geometry) - of_sky) ^ set(names.values()))
+    faults += [f"{name} says {extras[name]}" for name in of_sky if extras[name].get("class_id") != SKY]
+    if "StarDome" not in of_sky or len(of_sky) < 100:
+        faults.append(f"{len(of_sky)} things of the sky")
     worst_m, count = 0.0, 0
     for instance, name in names.items():
         if name in faults:

@@ -313,7 +313,7 @@ fn gltf_accessors_lie_in_their_views_and_nodes_in_their_places() {
             expected[1..].iter().map(|(instance, ..)| format!("Rock_{:03}", instance - 1)).collect();
         assert_eq!(children("Rocks"), names);
         let world: BTreeSet<&str> = children("World").into_iter().collect();
-        assert_eq!(world, BTreeSet::from(["Regolith", "RoverCam", "Rocks", "Sun"]));
+        assert_eq!(world, BTreeSet::from(["Regolith", "RoverCam", "Rocks", "StarDome", "Stars", "Sun"]));
         for &(instance, class, triangles) in &expected {
             let name =
                 instance.checked_sub(1).map_or("Regolith".to_owned(), |rock| format!("Rock_{rock:03}"));
@@ -359,7 +359,8 @@ fn gltf_accessors_lie_in_their_views_and_nodes_in_their_places() {
             .map(|(instance, ..)| subject.scene.rocks[usize::from(*instance) - 1].material)
             .map(|m| m.albedo.extend(m.roughness).to_array().map(f32::to_bits))
             .collect();
-        assert_eq!(root["materials"].as_array().map(Vec::len), Some(pool.len() + 1));
+        // Besides them the ground's, the dome's and the stars'.
+        assert_eq!(root["materials"].as_array().map(Vec::len), Some(pool.len() + 3));
         assert_eq!(root["asset"]["extras"]["knobs"]["sun.azimuth_deg"], subject.knobs["sun.azimuth_deg"]);
     }
 }

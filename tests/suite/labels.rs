@@ -2,6 +2,7 @@
 
 use glam::Vec3;
 use regolith::class::ClassId;
+use regolith::frame::{Annotation, Frame};
 use regolith::render::RenderSettings;
 
 use crate::support::{folder, render, renderer, run, run_ok, scene};
@@ -66,6 +67,22 @@ fn repainting_the_rocks_changes_exactly_the_pixels_that_are_rock() {
         }
         assert!(rocks > 300, "only {rocks} pixels of rock");
     }
+}
+
+/// The rule for small rocks goes by the diameter that is told of each.
+#[test]
+fn rocks_of_less_than_the_least_diameter_are_ground() {
+    let frame = |set: &[&str]| {
+        let mut settings = RenderSettings::new([256; 2], 1).expect("settings");
+        settings.annotations = [Annotation::Instances].into_iter().collect();
+        renderer().render(&scene(3, set), &settings).expect("a frame").0
+    };
+    let (all, large) = (frame(&[]), frame(&["label.min_diameter_m=2.5"]));
+    let seen = |frame: &Frame| frame.rocks.iter().map(|rock| rock.instance).collect::<Vec<_>>();
+    let expected: Vec<u16> =
+        all.rocks.iter().filter(|rock| rock.diameter_m >= 2.5).map(|rock| rock.instance).collect();
+    assert!(expected.len() > 3 && expected.len() < all.rocks.len());
+    assert_eq!(seen(&large), expected);
 }
 
 /// Recounts the votes of the samples from a frame at one sample a pixel and twice the size, which draws the same
