@@ -27,6 +27,10 @@ pub(super) fn duration(seconds: f64) -> String {
     }
 }
 
+fn style(template: &str) -> ProgressStyle {
+    ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar())
+}
+
 /// A bar on a terminal, else a line every few seconds.
 pub(super) struct Meter {
     what: &'static str,
@@ -41,10 +45,7 @@ impl Meter {
     pub(super) fn new(messages: Messages, what: &'static str) -> Self {
         let bar = (!messages.quiet && std::io::stderr().is_terminal()).then(|| {
             let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
-            let style = format!("{{bar:32}} {{pos}}/{{len}} {what}, {{msg}}, {{eta}} left");
-            bar.set_style(
-                ProgressStyle::with_template(&style).unwrap_or_else(|_| ProgressStyle::default_bar()),
-            );
+            bar.set_style(style("{msg}"));
             bar.set_message("starting");
             bar.enable_steady_tick(Duration::from_millis(250));
             bar
@@ -57,6 +58,7 @@ impl Meter {
         let (what, rate) = (self.what, made as f64 / self.start.elapsed().as_secs_f64().max(1e-3));
         if let Some(bar) = &self.bar {
             if bar.length().is_none() {
+                bar.set_style(style(&format!("{{bar:32}} {{pos}}/{{len}} {what}, {{msg}}, {{eta}} left")));
                 bar.set_length(wanted);
                 bar.set_position(found);
                 bar.reset_eta();

@@ -147,8 +147,11 @@ impl Conversion {
             if recorded.get(&path).and_then(Value::as_str) == Some(disk::content_hash(&bytes).as_str()) {
                 return Ok(bytes);
             }
-            let message = "its content is not what was written; `verify` tells more".to_owned();
-            Err(Error::Dataset { path: source.join(path), message })
+            let path = source.join(path);
+            Err(Error::CheckFailed(format!(
+                "{}: its content is not what was written; `verify` tells more",
+                path.display()
+            )))
         };
         let mut frame = Frame::default();
         let mut files = Vec::new();

@@ -100,13 +100,13 @@ fn books(folder: &Path, stem: &str, extension: &str) -> Result<Vec<PathBuf>> {
 /// Content of a manifest.
 ///
 /// # Errors
-/// [`Error::Read`], [`Error::Dataset`].
+/// [`Error::Read`], [`Error::CheckFailed`].
 pub fn read_manifest(path: &Path) -> Result<Map<String, Value>> {
-    serde_json::from_slice(&disk::read(path)?).map_err(|error| Error::Dataset {
-        path: path.to_owned(),
-        message: format!(
-            "not a manifest ({error}); delete it, and the dataset's own command with --force makes it again"
-        ),
+    serde_json::from_slice(&disk::read(path)?).map_err(|error| {
+        Error::CheckFailed(format!(
+            "{}: not a manifest ({error}); delete it, and the dataset's own command with --force makes it again",
+            path.display()
+        ))
     })
 }
 
@@ -363,9 +363,12 @@ impl Book {
         let file = std::fs::File::open(&self.0).map_err(unreadable)?;
         for (number, text) in BufReader::new(file).split(b'\n').enumerate() {
             let line = serde_json::from_slice(&text.map_err(unreadable)?);
-            visit(line.map_err(|error| Error::Dataset {
-                path: self.0.clone(),
-                message: format!("line {} cannot be read: {error}", number + 1),
+            visit(line.map_err(|error| {
+                Error::CheckFailed(format!(
+                    "{}: line {} cannot be read: {error}",
+                    self.0.display(),
+                    number + 1
+                ))
             }))?;
         }
         Ok(())

@@ -138,11 +138,11 @@ pub fn contact_sheet(folder: &Path, lines: &dyn Lines, writer: &dyn Writer) -> R
     for [picture, mask] in first {
         let open = |path: &str| {
             let path = folder.join(path);
-            image::load_from_memory(&disk::read(&path)?).map_err(|error| Error::Dataset {
-                path,
-                message: format!(
-                    "it cannot be decoded ({error}); delete it, and the dataset's own command makes it again"
-                ),
+            image::load_from_memory(&disk::read(&path)?).map_err(|error| {
+                Error::CheckFailed(format!(
+                    "{}: it cannot be decoded ({error}); delete it, and the dataset's own command makes it again",
+                    path.display()
+                ))
             })
         };
         let picture = open(&picture)?.into_rgb8();

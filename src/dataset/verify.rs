@@ -249,8 +249,7 @@ fn open(folder: &Path) -> Result<Map<String, Value>> {
         };
         return Err(Error::Dataset { path: folder.to_owned(), message: remedy.to_owned() });
     }
-    // One that is there and cannot be used is a finding, not a wrong command.
-    journal::read_manifest(&path).map_err(|error| Error::CheckFailed(error.to_string()))
+    journal::read_manifest(&path)
 }
 
 fn facts<'a>(folder: &'a Path, manifest: &Map<String, Value>) -> Result<Facts<'a>> {

@@ -83,6 +83,10 @@ fn is_cut(scene: &Scene, camera: &Camera, [width_px, height_px]: [u32; 2]) -> bo
         tan_y * camera.forward + camera.up,
     ];
     let is_cut = |triangle: [Vec3; 3]| {
+        let is_beyond = triangle.iter().all(|corner| corner.dot(camera.forward) >= camera.near_m);
+        if is_beyond || sides.iter().any(|side| triangle.iter().all(|corner| corner.dot(*side) < 0.0)) {
+            return false;
+        }
         let seen = sides.iter().fold(triangle.to_vec(), |polygon, side| clipped(&polygon, *side));
         seen.iter().any(|corner| corner.dot(camera.forward) < camera.near_m)
     };

@@ -268,14 +268,15 @@ impl Plan {
     }
 
     fn build(&self) -> Rock {
-        let vertices = self.vertices(self.level);
+        let mut vertices = self.vertices(self.level);
+        Icosphere::shared().set_smooth_normals(&mut vertices, self.level);
         let mut rock = Rock::of_vertices(self.index, vertices, self.level, self.material);
         rock.base_scale_m = self.base_scale_m;
         rock.place(&self.bed.terrain, self.bed.eye, self.place, self.bed.embedding);
         rock
     }
 
-    /// Those of a level, which those of a finer one begin with but for their normals.
+    /// Those of a level, which those of a finer one begin with. Their normals are yet to be set.
     fn vertices(&self, level: usize) -> Reused<Vertex> {
         let sphere = Icosphere::shared();
         let mut vertices: Reused<Vertex> = Reused::of_any(Icosphere::vertex_count(level));
@@ -284,7 +285,6 @@ impl Plan {
         {
             vertex.position = self.mesh_from_unit * (radius * u);
         }
-        sphere.set_smooth_normals(&mut vertices, level);
         vertices
     }
 
