@@ -46,9 +46,10 @@ pub(super) fn run(args: &VerifyArgs, messages: Messages) -> Result<()> {
     match (report.problems.len(), rendered) {
         (0, Ok(())) => Ok(()),
         // What needs no adapter has been checked and told all the same.
-        (_, Err(error)) => Err(Error::CheckFailed(format!(
+        (_, Err(error @ Error::NoAdapter(_))) => Err(Error::CheckFailed(format!(
             "no frame could be rendered again: {error}\nWith --rerender 0 everything else is checked, and no adapter is needed."
         ))),
+        (_, Err(error)) => Err(error),
         (wrong, Ok(())) => Err(Error::CheckFailed(format!(
             "{}: {wrong} {} wrong; a frame's file that is damaged can be deleted: the dataset's own command makes it again",
             args.folder.display(),
