@@ -95,7 +95,7 @@ struct ConfigArgs {
     /// A named set of knobs, or several, separated by commas, the later over the earlier; `regolith-render --help` lists them
     #[arg(long, value_name = "NAME")]
     preset: Option<String>,
-    /// Knobs from a TOML file
+    /// Knobs from a TOML file; `-` is standard input
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// One knob, for instance sun.elevation_deg=12 or 'rocks.scale_m={uniform=[0.2,2]}'; repeatable, wins over the rest

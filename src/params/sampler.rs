@@ -165,13 +165,16 @@ impl Config {
         }
     }
 
-    /// Takes over a TOML file.
+    /// Takes over a TOML file, or what comes from standard input where its name is `-`.
     ///
     /// # Errors
     /// [`Error::Read`], or those of [`Self::apply_toml`].
     pub fn apply_file(&mut self, path: &Path) -> Result<()> {
-        let text =
-            std::fs::read_to_string(path).map_err(|cause| Error::Read { path: path.to_owned(), cause })?;
+        let text = match path.to_str() {
+            Some("-") => std::io::read_to_string(std::io::stdin()),
+            _ => std::fs::read_to_string(path),
+        };
+        let text = text.map_err(|cause| Error::Read { path: path.to_owned(), cause })?;
         self.apply_toml(&text, &path.display().to_string())
     }
 

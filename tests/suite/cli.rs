@@ -321,6 +321,10 @@ fn the_listing_of_knobs_is_a_config() {
     run_ok(folder.path(), &["--preset", "train_dr", "--size", "32", "--out", "b"]);
     let read = |out: &str| std::fs::read(folder.path().join(out).join("rgb_0000.png")).expect("a picture");
     assert!(read("a") == read("b"));
+    let listing = std::fs::File::open(folder.path().join("my.toml")).expect("the file");
+    let piped =
+        program(folder.path()).args(["--config", "-", "--size", "32", "--out", "c"]).stdin(listing).output();
+    assert!(piped.expect("the program starts").status.success() && read("c") == read("a"));
 }
 
 #[test]
