@@ -59,7 +59,7 @@ impl Lens {
     }
 
     /// How far the pinhole's picture must reach, in halves of a picture with these half extents, to fill the distorted one;
-    /// `None` if the lens folds the picture over within it.
+    /// `None` if the lens folds the picture over within it, or bends it so much that the inverse does not settle in its steps.
     #[must_use]
     pub fn reach(&self, half: [f64; 2]) -> Option<[f64; 2]> {
         let mut reach = [1.0_f64; 2];

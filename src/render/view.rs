@@ -46,7 +46,8 @@ pub fn check(scene: &Scene, size: [u32; 2]) -> Result<()> {
 /// one without the lens.
 ///
 /// # Errors
-/// [`Error::Scene`] for a lens that folds the picture over, or that reaches too far to be drawn.
+/// [`Error::Scene`] for a lens that folds the picture over, whose inverse does not settle ([`crate::lens::Lens::reach`]), or that
+/// reaches too far to be drawn.
 pub fn drawn(camera: &Camera, size: [u32; 2]) -> Result<(Camera, [u32; 2])> {
     if camera.lens.is_pinhole() {
         return Ok((*camera, size));
@@ -55,8 +56,8 @@ pub fn drawn(camera: &Camera, size: [u32; 2]) -> Result<(Camera, [u32; 2])> {
         let lens = camera.lens;
         Error::Scene(format!(
             "camera.k1 = {}, k2 = {}, k3 = {}, p1 = {}, p2 = {} bend a picture of {} x {} pixels with a field of view of {:.1} \
-             degrees too strongly: it would be folded over, or show what lies far beside it; use smaller ones, a smaller \
-             camera.fov_deg, or a --size that is less tall",
+             degrees more than can be taken back: it would be folded over, or nearly, or reach far beside it; use smaller ones, a \
+             smaller camera.fov_deg, or a --size that is less tall",
             lens.k1,
             lens.k2,
             lens.k3,
@@ -156,7 +157,7 @@ mod tests {
         for (size, set) in
             [([64, 160], "camera.k1=-0.1"), ([64, 512], "camera.k1=0.3"), ([64, 64], "camera.k1=-0.6")]
         {
-            let error = checked(size, &[set]).expect_err("a lens that folds").to_string();
+            let error = checked(size, &[set]).expect_err("a lens that bends too much").to_string();
             assert!(error.contains("camera.k1") && error.contains("--size"), "{error}");
         }
         checked([160, 64], &["camera.k1=-0.1"]).expect("a lens that does not");

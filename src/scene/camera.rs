@@ -6,6 +6,7 @@ use glam::camera::rh::proj::directx::perspective;
 use glam::{DVec3, Mat4, Vec2, Vec3};
 
 use super::rings::View;
+use super::sky::innermost_star_m;
 use super::terrain::Terrain;
 use crate::error::{Error, Result};
 use crate::lens::Lens;
@@ -60,11 +61,11 @@ impl Camera {
         let place = place(params);
         let height_m = params.number(Knob::CameraHeightM) as f32;
         let eye = place.extend(terrain.height_at(place) + height_m);
-        let dome_m = params.number(Knob::SkyDomeRadiusM) as f32;
-        if height_m >= dome_m {
+        let dome_m = params.number(Knob::SkyDomeRadiusM);
+        if f64::from(height_m) >= innermost_star_m(dome_m) {
             return Err(Error::Scene(format!(
-                "camera.height_m = {height_m} puts the eye out of the sky's dome, sky.dome_radius_m = {dome_m}; lower it, or \
-                 make the dome larger"
+                "camera.height_m = {height_m} puts the eye among the stars or out of the sky's dome, sky.dome_radius_m = \
+                 {dome_m}; lower it, or make the dome larger"
             )));
         }
         let clearance_m = eye.z - terrain.surface_height_at(place);
@@ -128,7 +129,7 @@ impl Camera {
     }
 
     /// The camera with a wider field of view whose picture holds all that the lens brings onto a picture of this size, and
-    /// the size of that picture; focal length in pixels and middle stay. None if the lens folds the picture over.
+    /// the size of that picture; focal length in pixels and middle stay. None if [`Lens::reach`] has none.
     #[must_use]
     pub fn widened(&self, [width_px, height_px]: [u32; 2]) -> Option<(Self, [u32; 2])> {
         let half_x = f64::from(self.tan_half_fov);

@@ -109,6 +109,12 @@ pub struct Sky {
     pub earthshine: Vec3,
 }
 
+/// Distance from the foot of the eye within which there is no star, under a dome of this radius, metres.
+#[must_use]
+pub fn innermost_star_m(dome_radius_m: f64) -> f64 {
+    dome_radius_m - STAR_INSET_M - STAR_RADIUS_M[1] * (dome_radius_m / STAR_DOME_M)
+}
+
 impl Sky {
     /// The sky of these settings around a place on the ground.
     #[must_use]

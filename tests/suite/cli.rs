@@ -80,6 +80,12 @@ fn wrong_settings_are_refused_by_name_value_and_remedy() {
             &["contradict", "--stage nominal", "surface"],
         ),
         (&["--out", "-"], &["--out -", "webdataset"]),
+        (
+            &["--set", "camera.height_m=59", "--set", "sky.dome_radius_m=60"],
+            &["camera.height_m = 59", "dome_radius_m"],
+        ),
+        (&["--size", "16x2000"], &["16 x 2000 pixels", "camera.height_m"]),
+        (&["--size", "64x160", "--set", "camera.k1=-0.1"], &["camera.k1 = -0.1", "64 x 160 pixels"]),
         (&["--config", "seed.toml"], &["`seed` in seed.toml", "--seed"]),
         (&["--set", "sun=5"], &["`sun` in --set is a group of knobs"]),
         (&["--size", "100000"], &["100000x100000", "a side of 200000 px", "smaller --size"]),
