@@ -18,7 +18,7 @@ use crate::dataset::{self, Pace};
 use crate::error::Result;
 use crate::output::disk;
 use crate::params::Knob;
-use crate::render::{Renderer, StageTimes, view};
+use crate::render::{Renderer, StageTimes, selection};
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
 use crate::scene::sky::Sun;
@@ -227,7 +227,7 @@ fn scenes(setup: &Setup, renderer: &mut Renderer) -> Result<Measured> {
         let start = Instant::now();
         let seed = frame_seed(plan.base_seed, frame, 0);
         let scene = Scene::build(seed, &plan.config.draw(seed)?)?;
-        view::prepare(&scene, &plan.settings)?;
+        selection::build_rocks(&scene, &plan.settings);
         Ok((Arc::new(scene), vec![("scene", start.elapsed().as_secs_f64() * 1e3)]))
     })
 }

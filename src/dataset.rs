@@ -30,7 +30,7 @@ use crate::meta::FrameRecord;
 use crate::output::writer::{Placed, Sample};
 use crate::output::{self, Artifact, Source, disk};
 use crate::params::Params;
-use crate::render::{FRAMES_IN_FLIGHT, InFlight, Renderer, StageTimes, view};
+use crate::render::{FRAMES_IN_FLIGHT, InFlight, Renderer, StageTimes, selection};
 use crate::scene::Scene;
 use journal::Journal;
 use plan::{Plan, frame_seed};
@@ -94,7 +94,7 @@ fn build(plan: &Plan, index: u64, attempt: u32, redrawn: Vec<String>) -> Result<
     let seed = frame_seed(plan.base_seed, index, attempt);
     let params = plan.config.draw(seed)?;
     let scene = Scene::build(seed, &params)?;
-    view::prepare(&scene, &plan.settings)?;
+    selection::build_rocks(&scene, &plan.settings);
     let times = vec![("scene", milliseconds_since(start))];
     Ok(Built { index, attempt, seed, params, scene, times, redrawn })
 }
@@ -103,17 +103,18 @@ fn build(plan: &Plan, index: u64, attempt: u32, redrawn: Vec<String>) -> Result<
 enum Attempt {
     /// The device works on it.
     Begun(Box<Built>, Box<InFlight>),
-    /// Its scene could not be built, and why.
+    /// Its scene could not be built or shown, and why.
     Failed(rules::Broken),
 }
 
 impl Attempt {
     fn begin(plan: &Plan, renderer: &mut Renderer, built: Result<Built>) -> Result<Self> {
-        match built {
-            Ok(built) => {
-                let in_flight = renderer.submit(&built.scene, &plan.settings)?;
-                Ok(Self::Begun(Box::new(built), Box::new(in_flight)))
-            }
+        let begun = built.and_then(|built| {
+            let in_flight = renderer.submit(&built.scene, &plan.settings)?;
+            Ok(Self::Begun(Box::new(built), Box::new(in_flight)))
+        });
+        match begun {
+            Ok(begun) => Ok(begun),
             Err(Error::Scene(found)) => Ok(Self::Failed(rules::Broken { rule: "scene".to_owned(), found })),
             Err(other) => Err(other),
         }

@@ -241,7 +241,7 @@ impl Renderer {
     /// Sets the device to work on a frame, after those that it works on, and does not wait for it.
     ///
     /// # Errors
-    /// [`Error::SizeBeyondDevice`], [`Error::DeviceLost`] or [`Error::Device`]; those of [`view::check`].
+    /// [`Error::SizeBeyondDevice`], [`Error::DeviceLost`] or [`Error::Device`]; those of [`view::checked`].
     pub fn submit(&mut self, scene: &Scene, settings: &RenderSettings) -> Result<InFlight> {
         // On a thread of the pool: from any other each part that many threads share would first have to be taken by one of them.
         rayon::scope(|_| self.try_submit(scene, settings)).inspect_err(|_| self.scene.forget())
@@ -249,7 +249,6 @@ impl Renderer {
 
     fn try_submit(&mut self, scene: &Scene, settings: &RenderSettings) -> Result<InFlight> {
         let start = Instant::now();
-        view::check(scene, settings.size)?;
         let asked = settings.annotations;
         let mut picture = *settings;
         picture.annotations = hazards::drawn_for(asked);
@@ -257,11 +256,9 @@ impl Renderer {
             picture.annotations = picture.annotations.with(Annotation::Hdr);
         }
         // What a lens brings onto the picture is drawn as a wider one without it, of which the resolve takes the samples.
-        let wide = (!scene.camera.lens.is_pinhole()).then(|| {
-            let (camera, size) = view::drawn(&scene.camera, picture.size)?;
-            Ok::<_, Error>((Scene { camera, ..scene.clone() }, RenderSettings { size, ..picture }))
-        });
-        let wide = wide.transpose()?;
+        let (camera, size) = view::checked(scene, picture.size)?;
+        let wide = (!camera.lens.is_pinhole())
+            .then(|| (Scene { camera, ..scene.clone() }, RenderSettings { size, ..picture }));
         let (scene, drawn) = wide.as_ref().map_or((scene, &picture), |(scene, drawn)| (scene, drawn));
         let is_given = self.ways.own_visibility;
         let has_slopes = is_given && scene.relief.is_some();

@@ -9,7 +9,7 @@ use regolith::dataset::rules::Rules;
 use regolith::gpu;
 use regolith::meta::FrameRecord;
 use regolith::output::{self, OUTPUTS, Source, disk};
-use regolith::render::{Renderer, StageTimes, view};
+use regolith::render::{Renderer, StageTimes, selection};
 use regolith::scene::Scene;
 use regolith::{Error, Result};
 use serde_json::{Value, json};
@@ -55,7 +55,7 @@ pub(super) fn run(args: &FrameArgs, messages: Messages) -> Result<()> {
         || {
             timed("scene", || {
                 let scene = Scene::build(args.seed, &params)?;
-                view::prepare(&scene, &settings)?;
+                selection::build_rocks(&scene, &settings);
                 Ok(scene)
             })
         },

@@ -202,12 +202,13 @@ fn hull_with(folder: &Path, contents: &Contents, force: bool) -> Result<Range> {
             differences
                 .push(format!("  --split: there {} frames, now {}", there.count, contents.range.count));
         }
-        let is_own = path.ends_with(book_name("manifest", "json", contents.shard)) && manifests.len() == 1;
-        if !differences.is_empty() && is_own && find_lines(folder)?.1.is_empty() {
-            // A run that has not come to a single frame: nothing of it is lost.
-            continue;
-        }
         if !differences.is_empty() {
+            let is_own =
+                path.ends_with(book_name("manifest", "json", contents.shard)) && manifests.len() == 1;
+            if is_own && find_lines(folder)?.1.is_empty() {
+                // A run that has not come to a single frame: nothing of it is lost.
+                continue;
+            }
             return Err(Error::OtherDataset { path: folder.to_owned(), differences });
         }
         if there.start > range.end() || there.end() < range.start {
@@ -348,9 +349,7 @@ impl Book {
     pub fn new(folder: &Path) -> Self {
         Self(folder.join("frames.jsonl"))
     }
-}
 
-impl Book {
     /// Gives one line after the other, or why it cannot be read.
     ///
     /// # Errors

@@ -186,6 +186,7 @@ impl Plan {
     #[must_use]
     pub fn identity(&self) -> Map<String, Value> {
         let outputs: Vec<&str> = self.outputs.iter().map(|output| output.name).collect();
+        let ids = Self::identity_of_ids(self.label_ids);
         let identity = json!({
             "version": env!("CARGO_PKG_VERSION"),
             "format": self.format,
@@ -194,19 +195,16 @@ impl Plan {
             "samples": self.settings.samples_per_side.pow(2),
             "outputs": outputs,
             "edges": self.edges.to_string(),
-        });
-        let rest = json!({
+            "label_ids": ids["label_ids"],
+            "class_map": ids["class_map"],
+            "ignore_index": ids["ignore_index"],
             "splits": self.splits_json(),
             "rules": self.rules.to_json(),
             "config": self.config.distributions_json(),
         });
-        match (identity, rest) {
-            (Value::Object(mut identity), Value::Object(rest)) => {
-                identity.extend(Self::identity_of_ids(self.label_ids));
-                identity.extend(rest);
-                identity
-            }
-            _ => unreachable!("they are objects"),
+        match identity {
+            Value::Object(identity) => identity,
+            _ => unreachable!("it is an object"),
         }
     }
 

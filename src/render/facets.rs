@@ -352,9 +352,6 @@ impl Samples {
     }
 
     /// What of a triangle is before the lens and not far beside the picture: a convex polygon, or nothing.
-    ///
-    /// An edge that two triangles share is cut alike: from the end that stays to the one that goes (Sutherland and Hodgman
-    /// 1974, "Reentrant polygon clipping").
     fn clipped(&self, triangle: [Homogeneous; 3]) -> Vec<Homogeneous> {
         let reach = self.reach;
         let inside: [&dyn Fn(&Homogeneous) -> f32; 5] = [
@@ -364,31 +361,13 @@ impl Samples {
             &|v| reach.y * v.w - v.at.y,
             &|v| reach.y * v.w + v.at.y,
         ];
-        let mut polygon = triangle.to_vec();
-        for distance in inside {
-            let corners = std::mem::take(&mut polygon);
-            for (i, from) in corners.iter().enumerate() {
-                let to = &corners[(i + 1) % corners.len()];
-                let (of_from, of_to) = (distance(from), distance(to));
-                if of_from >= 0.0 {
-                    polygon.push(*from);
-                }
-                if (of_from >= 0.0) != (of_to >= 0.0) {
-                    let (stays, goes, t) = if of_from >= 0.0 {
-                        (from, to, of_from / (of_from - of_to))
-                    } else {
-                        (to, from, of_to / (of_to - of_from))
-                    };
-                    polygon.push(Homogeneous {
-                        at: stays.at + t * (goes.at - stays.at),
-                        w: stays.w + t * (goes.w - stays.w),
-                        normal: stays.normal + t * (goes.normal - stays.normal),
-                        corner: None,
-                    });
-                }
-            }
-        }
-        polygon
+        let between = |stays: &Homogeneous, goes: &Homogeneous, t: f32| Homogeneous {
+            at: stays.at + t * (goes.at - stays.at),
+            w: stays.w + t * (goes.w - stays.w),
+            normal: stays.normal + t * (goes.normal - stays.normal),
+            corner: None,
+        };
+        inside.iter().fold(triangle.to_vec(), |polygon, distance| raster::cut(&polygon, distance, between))
     }
 }
 

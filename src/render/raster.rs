@@ -627,6 +627,34 @@ fn lanes<S: Simd>(simd: S) -> (i32x8<S>, i32x8<S>) {
 }
 
 /// Counts what is painted.
+/// What of a convex polygon lies where a distance is not below 0 (Sutherland and Hodgman 1974, "Reentrant polygon clipping").
+///
+/// An edge that two polygons share is cut alike: `between` is given the end that stays, the one that goes, and how far it is
+/// from the first to the second.
+#[must_use]
+pub fn cut<T: Copy>(
+    polygon: &[T],
+    distance: impl Fn(&T) -> f32,
+    between: impl Fn(&T, &T, f32) -> T,
+) -> Vec<T> {
+    let mut left = Vec::with_capacity(polygon.len() + 1);
+    for (i, from) in polygon.iter().enumerate() {
+        let to = &polygon[(i + 1) % polygon.len()];
+        let (of_from, of_to) = (distance(from), distance(to));
+        if of_from >= 0.0 {
+            left.push(*from);
+        }
+        if (of_from >= 0.0) != (of_to >= 0.0) {
+            left.push(if of_from >= 0.0 {
+                between(from, to, of_from / (of_from - of_to))
+            } else {
+                between(to, from, of_to / (of_to - of_from))
+            });
+        }
+    }
+    left
+}
+
 #[cfg(test)]
 pub(super) struct Counted {
     /// How often each texel was.

@@ -4,29 +4,18 @@
 
 use glam::Vec3;
 
-use super::{RenderSettings, selection};
+use super::raster::cut;
 use crate::error::{Error, Result};
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
 
-/// Makes a scene ready for pictures: checks that it can be shown, and builds the rocks that these may show, which else wait for
-/// the first picture.
-///
-/// # Errors
-/// Those of [`check`].
-pub fn prepare(scene: &Scene, settings: &RenderSettings) -> Result<()> {
-    check(scene, settings.size)?;
-    selection::build_rocks(scene, settings);
-    Ok(())
-}
-
-/// Checks what the scene alone cannot, which knows no picture's size: that the lens can be taken back all over the picture, and
+/// The camera and the size of the picture that is drawn, after a check of what the scene alone cannot, which knows no picture's size: that the lens can be taken back all over the picture, and
 /// that nothing which the picture shows lies before the near plane, where it would be cut away and what lies behind it be
 /// labelled.
 ///
 /// # Errors
 /// [`Error::Scene`].
-pub fn check(scene: &Scene, size: [u32; 2]) -> Result<()> {
+pub fn checked(scene: &Scene, size: [u32; 2]) -> Result<(Camera, [u32; 2])> {
     let (camera, drawn) = drawn(&scene.camera, size)?;
     if is_cut(scene, &camera, drawn) {
         return Err(Error::Scene(format!(
@@ -39,7 +28,7 @@ pub fn check(scene: &Scene, size: [u32; 2]) -> Result<()> {
             camera.near_m
         )));
     }
-    Ok(())
+    Ok((camera, drawn))
 }
 
 /// The camera and the size of the picture that is drawn for one of this size: what a lens brings onto it is taken from a wider
@@ -88,7 +77,10 @@ fn is_cut(scene: &Scene, camera: &Camera, [width_px, height_px]: [u32; 2]) -> bo
         if is_beyond || sides.iter().any(|side| triangle.iter().all(|corner| corner.dot(*side) < 0.0)) {
             return false;
         }
-        let seen = sides.iter().fold(triangle.to_vec(), |polygon, side| clipped(&polygon, *side));
+        let between = |a: &Vec3, b: &Vec3, t: f32| *a + t * (*b - *a);
+        let seen = sides
+            .iter()
+            .fold(triangle.to_vec(), |polygon, side| cut(&polygon, |corner| corner.dot(*side), between));
         seen.iter().any(|corner| corner.dot(camera.forward) < camera.near_m)
     };
     let (eye, around) = (camera.eye, Vec3::splat(reach_m));
@@ -102,34 +94,17 @@ fn is_cut(scene: &Scene, camera: &Camera, [width_px, height_px]: [u32; 2]) -> bo
         })
 }
 
-/// What of a convex polygon is on the inner side of a plane through the origin (Sutherland and Hodgman 1974, "Reentrant polygon
-/// clipping").
-fn clipped(polygon: &[Vec3], inwards: Vec3) -> Vec<Vec3> {
-    let mut left = Vec::with_capacity(polygon.len() + 1);
-    for (i, &from) in polygon.iter().enumerate() {
-        let to = polygon[(i + 1) % polygon.len()];
-        let (of_from, of_to) = (from.dot(inwards), to.dot(inwards));
-        if of_from >= 0.0 {
-            left.push(from);
-        }
-        if (of_from >= 0.0) != (of_to >= 0.0) {
-            left.push(from + of_from / (of_from - of_to) * (to - from));
-        }
-    }
-    left
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::params::sampler::Config;
 
-    fn checked(size: [u32; 2], set: &[&str]) -> Result<()> {
+    fn shown(size: [u32; 2], set: &[&str]) -> Result<(Camera, [u32; 2])> {
         let mut config = Config::new();
         for assignment in set {
             config.apply_set(assignment).expect("a setting");
         }
-        check(&Scene::build(3, &config.draw(3).expect("values")).expect("a scene"), size)
+        checked(&Scene::build(3, &config.draw(3).expect("values")).expect("a scene"), size)
     }
 
     #[test]
@@ -139,7 +114,7 @@ mod tests {
             ([100, 300], &["camera.fov_deg=130", "camera.height_m=0.2"]),
             ([200, 200], &["camera.fov_deg=150", "camera.height_m=0.2", "camera.roll_deg=45"]),
         ] {
-            let error = checked(size, set).expect_err("too near").to_string();
+            let error = shown(size, set).expect_err("too near").to_string();
             assert!(error.contains("camera.height_m") && error.contains("0.05 m"), "{error}");
         }
         for (size, set) in [
@@ -148,7 +123,7 @@ mod tests {
             ([2000, 16], &["camera.fov_deg=150"]),
             ([512, 512], &["stage.name=surface", "camera.height_m=0.3", "camera.pitch_deg=-60"]),
         ] {
-            checked(size, set).unwrap_or_else(|error| panic!("{size:?} {set:?}: {error}"));
+            shown(size, set).unwrap_or_else(|error| panic!("{size:?} {set:?}: {error}"));
         }
     }
 
@@ -157,9 +132,9 @@ mod tests {
         for (size, set) in
             [([64, 160], "camera.k1=-0.1"), ([64, 512], "camera.k1=0.3"), ([64, 64], "camera.k1=-0.6")]
         {
-            let error = checked(size, &[set]).expect_err("a lens that bends too much").to_string();
+            let error = shown(size, &[set]).expect_err("a lens that bends too much").to_string();
             assert!(error.contains("camera.k1") && error.contains("--size"), "{error}");
         }
-        checked([160, 64], &["camera.k1=-0.1"]).expect("a lens that does not");
+        shown([160, 64], &["camera.k1=-0.1"]).expect("a lens that does not");
     }
 }
