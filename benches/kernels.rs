@@ -12,14 +12,15 @@ use regolith::output::edges::EdgePolicy;
 use regolith::output::{self, LabelIds, Source};
 use regolith::params::Params;
 use regolith::random::Streams;
-use regolith::render::facets::Facets;
-use regolith::render::footprint::Footprint;
-use regolith::render::horizon::HorizonMap;
-use regolith::render::relief::Bands;
-use regolith::render::selection::{SelectedRock, Selection};
-use regolith::render::shadow_raster::{self, ShadowMap};
-use regolith::render::visibility_raster::Stencil;
-use regolith::render::{RenderSettings, shadow};
+use regolith::render::RenderSettings;
+use regolith::render::lighting::relief_bands::Bands;
+use regolith::render::select::casters;
+use regolith::render::select::footprint::Footprint;
+use regolith::render::select::selection::{SelectedRock, Selection};
+use regolith::render::shadow::horizon::HorizonMap;
+use regolith::render::shadow::host::{self, ShadowMap};
+use regolith::render::visibility::geometry::Facets;
+use regolith::render::visibility::host::Stencil;
 use regolith::scene::Scene;
 use regolith::scene::mesh::Icosphere;
 use regolith::scene::noise::Fbm;
@@ -78,7 +79,7 @@ fn picture(c: &mut Criterion) {
     let footprint = Footprint::new(&scene, &selection);
     let mut horizon = HorizonMap::default();
     horizon.make(&scene.terrain, &scene.sun, &footprint);
-    let grid = shadow::caster_grid(&scene, &selection.casters, &horizon, &footprint);
+    let grid = casters::caster_grid(&scene, &selection.casters, &horizon, &footprint);
     let bands = Bands::new(&scene, &selection, &settings);
     let (mut facets, mut stencil) = (Facets::default(), Stencil::default());
     let mut later = scene.clone();
@@ -94,7 +95,7 @@ fn picture(c: &mut Criterion) {
     });
     group.throughput(Throughput::Elements(selection.casters.len() as u64));
     group.bench_function("caster_grid", |b| {
-        b.iter(|| shadow::caster_grid(black_box(&scene), &selection.casters, &horizon, &footprint));
+        b.iter(|| casters::caster_grid(black_box(&scene), &selection.casters, &horizon, &footprint));
     });
     let cast = |rock: &SelectedRock| {
         rock.caster.map_or(0, |(_, level)| scene.rocks[rock.rock].triangles(level).len())
@@ -102,8 +103,8 @@ fn picture(c: &mut Criterion) {
     group.throughput(Throughput::Elements(selection.rocks.iter().map(cast).sum::<usize>() as u64));
     group.bench_function("shadow_map", |b| {
         let tiles = ShadowMap::default().place(&scene, &mut selection.clone());
-        let mut room = vec![[0; PAGE]; shadow_raster::parts(&tiles).1 / PAGE];
-        b.iter(|| shadow_raster::draw(black_box(&scene), &tiles, &mut room.iter_mut().map(Page::from_mut)));
+        let mut room = vec![[0; PAGE]; host::parts(&tiles).1 / PAGE];
+        b.iter(|| host::draw(black_box(&scene), &tiles, &mut room.iter_mut().map(Page::from_mut)));
     });
     facets.find(&scene, &selection, &settings, &grid, &bands, true);
     let triangles = facets.meshes().iter().map(|mesh| mesh.facets.len()).sum::<usize>();

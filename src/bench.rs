@@ -18,7 +18,7 @@ use crate::dataset::{self, Pace};
 use crate::error::Result;
 use crate::output::disk;
 use crate::params::Knob;
-use crate::render::{Renderer, StageTimes, selection};
+use crate::render::{Renderer, StageTimes, select::selection};
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
 use crate::scene::sky::Sun;

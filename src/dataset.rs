@@ -30,7 +30,7 @@ use crate::meta::FrameRecord;
 use crate::output::writer::{Placed, Sample};
 use crate::output::{self, Artifact, Source, disk};
 use crate::params::Params;
-use crate::render::{FRAMES_IN_FLIGHT, InFlight, Renderer, StageTimes, selection};
+use crate::render::{FRAMES_IN_FLIGHT, InFlight, Renderer, StageTimes, select::selection};
 use crate::scene::Scene;
 use journal::Journal;
 use plan::{Plan, frame_seed};

@@ -17,8 +17,8 @@ use glam::Vec3;
 use crate::class::ClassId;
 use crate::error::{Error, Result};
 use crate::render::RenderSettings;
-use crate::render::selection::Selection;
-use crate::render::view;
+use crate::render::select::near_plane;
+use crate::render::select::selection::Selection;
 use crate::scene::Scene;
 use crate::scene::mesh::Vertex;
 use crate::scene::rocks::Material;
@@ -143,7 +143,7 @@ impl Stage<'_> {
     /// Ground, then the rocks by number.
     ///
     /// # Errors
-    /// Those of [`view::drawn`].
+    /// Those of [`near_plane::drawn`].
     fn parts(&self) -> Result<Vec<Part<'_>>> {
         let scene = self.scene;
         let mut parts = vec![Part {
@@ -184,7 +184,7 @@ impl Stage<'_> {
 
     /// What a frame draws.
     fn drawn(&self) -> Result<Selection> {
-        let (camera, size) = view::drawn(&self.scene.camera, self.settings.size)?;
+        let (camera, size) = near_plane::drawn(&self.scene.camera, self.settings.size)?;
         let settings = RenderSettings { size, ..*self.settings };
         Ok(Selection::new(&Scene { camera, ..self.scene.clone() }, &settings))
     }

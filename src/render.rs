@@ -6,32 +6,15 @@
 //! To add a pass: a file here with its struct (`new`, `record`), its WGSL in `shaders.rs`, a line in
 //! [`Renderer::record_frame`].
 
-pub mod atlas;
-pub mod facets;
-pub mod footprint;
+pub mod device;
 pub mod gpu_scene;
-pub mod hazards;
-pub mod horizon;
-mod labels;
-pub mod lit;
-pub mod meshes;
+pub mod lighting;
+pub mod post;
 pub mod raster;
-pub mod relief;
 pub mod resolve;
-mod scene_pass;
-pub mod selection;
-pub mod sensor;
-pub mod shaders;
+pub mod select;
 pub mod shadow;
-mod shadow_pass;
-pub mod shadow_raster;
-pub mod slopes;
-pub mod targets;
-mod timing;
-pub mod view;
-mod visibility_pass;
-pub mod visibility_raster;
-pub mod work;
+pub mod visibility;
 
 use std::time::Instant;
 
@@ -44,15 +27,15 @@ use crate::gpu::staging::Staging;
 use crate::gpu::{Gpu, is_cpu};
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
+use device::shader_structs::{Instance, ReliefUniforms};
+use device::shading_bins::Lit;
+use device::timing::{Pass, Timer};
 use gpu_scene::{DrawnHere, GpuScene, Ways};
-use lit::Lit;
-use resolve::{PackedFrame, ResolvePass};
-use scene_pass::{ScenePass, Variant};
-use shaders::{Instance, ReliefUniforms};
-use shadow_pass::ShadowPass;
-use targets::Targets;
-use timing::{Pass, Timer};
-use visibility_pass::VisibilityPass;
+use lighting::gbuffer::Targets;
+use lighting::pass::{ScenePass, Variant};
+use resolve::pass::{PackedFrame, ResolvePass};
+use shadow::device::ShadowPass;
+use visibility::device::VisibilityPass;
 
 /// What concerns the picture but not the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -241,7 +224,7 @@ impl Renderer {
     /// Sets the device to work on a frame, after those that it works on, and does not wait for it.
     ///
     /// # Errors
-    /// [`Error::SizeBeyondDevice`], [`Error::DeviceLost`] or [`Error::Device`]; those of [`view::checked`].
+    /// [`Error::SizeBeyondDevice`], [`Error::DeviceLost`] or [`Error::Device`]; those of [`select::near_plane::checked`].
     pub fn submit(&mut self, scene: &Scene, settings: &RenderSettings) -> Result<InFlight> {
         // On a thread of the pool: from any other each part that many threads share would first have to be taken by one of them.
         rayon::scope(|_| self.try_submit(scene, settings)).inspect_err(|_| self.scene.forget())
@@ -251,12 +234,12 @@ impl Renderer {
         let start = Instant::now();
         let asked = settings.annotations;
         let mut picture = *settings;
-        picture.annotations = hazards::drawn_for(asked);
+        picture.annotations = post::hazards::drawn_for(asked);
         if scene.sensor.is_some() {
             picture.annotations = picture.annotations.with(Annotation::Hdr);
         }
         // What a lens brings onto the picture is drawn as a wider one without it, of which the resolve takes the samples.
-        let (camera, size) = view::checked(scene, picture.size)?;
+        let (camera, size) = select::near_plane::checked(scene, picture.size)?;
         let wide = (!camera.lens.is_pinhole())
             .then(|| (Scene { camera, ..scene.clone() }, RenderSettings { size, ..picture }));
         let (scene, drawn) = wide.as_ref().map_or((scene, &picture), |(scene, drawn)| (scene, drawn));
@@ -279,7 +262,7 @@ impl Renderer {
         let is_first = !self.scene_pass.has(variant);
         let ways = Ways { by_shades: self.ways.by_shades && !is_first, ..self.ways };
         let Self { gpu, layouts, scene: gpu_scene, shadow_pass, scene_pass, resolve_pass, .. } = self;
-        let resolved = resolve::Variant::new(&targets, slot.packed.size);
+        let resolved = resolve::pass::Variant::new(&targets, slot.packed.size);
         let (made_ready, ()) = rayon::join(
             || {
                 gpu.guard(|| gpu_scene.upload(gpu, scene, drawn, picture.size, ways))?;
@@ -351,19 +334,19 @@ impl Renderer {
         };
         if drawn.annotations.contains(Annotation::Instances) {
             timed("labels", &mut |frame| {
-                frame.rocks = labels::rocks(drawn_scene, drawn, picture.size, frame);
+                frame.rocks = post::rock_labels::rocks(drawn_scene, drawn, picture.size, frame);
             });
         }
         if let Some(sensor) = &scene.sensor {
             timed("sensor", &mut |frame| {
-                sensor::expose(frame, sensor, scene.camera.exposure_ev);
+                post::sensor::expose(frame, sensor, scene.camera.exposure_ev);
                 if !asked.contains(Annotation::Hdr) {
                     frame.radiance = Vec::new();
                 }
             });
         }
-        if hazards::any(asked) {
-            timed("hazards", &mut |frame| hazards::add(frame, scene, asked));
+        if post::hazards::any(asked) {
+            timed("hazards", &mut |frame| post::hazards::add(frame, scene, asked));
         }
         Ok((frame, times))
     }
@@ -516,7 +499,7 @@ impl BindLayouts {
         let uint = texture(TextureSampleType::Uint);
         let map = BindingType::StorageTexture {
             access: wgpu::StorageTextureAccess::WriteOnly,
-            format: shadow_pass::MAP_FORMAT,
+            format: shadow::device::MAP_FORMAT,
             view_dimension: wgpu::TextureViewDimension::D2,
         };
         let nearest = BindingType::Sampler(wgpu::SamplerBindingType::NonFiltering);
@@ -551,9 +534,9 @@ fn by_device(drawn_here: DrawnHere) -> impl Fn(Pass) -> bool {
 /// Of vertices with so many of their attributes, the position first.
 fn vertex_layout(attributes: usize) -> wgpu::VertexBufferLayout<'static> {
     wgpu::VertexBufferLayout {
-        array_stride: meshes::VERTEX_BYTES,
+        array_stride: visibility::meshes::VERTEX_BYTES,
         step_mode: wgpu::VertexStepMode::Vertex,
-        attributes: &meshes::VERTEX_ATTRIBUTES[..attributes],
+        attributes: &visibility::meshes::VERTEX_ATTRIBUTES[..attributes],
     }
 }
 

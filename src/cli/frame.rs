@@ -9,7 +9,7 @@ use regolith::dataset::rules::Rules;
 use regolith::gpu;
 use regolith::meta::FrameRecord;
 use regolith::output::{self, OUTPUTS, Source, disk};
-use regolith::render::{Renderer, StageTimes, selection};
+use regolith::render::{Renderer, StageTimes, select::selection};
 use regolith::scene::Scene;
 use regolith::{Error, Result};
 use serde_json::{Value, json};

@@ -9,28 +9,28 @@ use std::time::Instant;
 use glam::Mat4;
 use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 
-use super::RenderSettings;
-use super::facets::Facets;
-use super::footprint::Footprint;
-use super::horizon::{self, HorizonMap};
-use super::lit::{Group, Groups, Lit};
-use super::meshes::{Draw, Meshes};
-use super::relief::Bands;
-use super::resolve::{self, Packing};
-use super::selection::{Bounds, Selection, Slots, near_to_far};
-use super::shaders::{CasterTile, FrameUniforms, HorizonLevel, Instance};
-use super::shadow::{self, CasterGrids, Shades};
-use super::shadow_pass::ShadowPass;
-use super::shadow_raster::{self, NewTile, ShadowMap};
-use super::targets::{Background, Targets};
-use super::visibility_raster::Stencil;
-use super::work::Shown;
 use crate::class::ClassId;
 use crate::error::Result;
 use crate::frame::Annotation;
 use crate::gpu::Gpu;
 use crate::gpu::staging::Staging;
 use crate::gpu::store::Store;
+use crate::render::RenderSettings;
+use crate::render::device::shader_structs::{CasterTile, FrameUniforms, HorizonLevel, Instance};
+use crate::render::device::shading_bins::{Group, Groups, Lit};
+use crate::render::lighting::gbuffer::{Background, Targets};
+use crate::render::lighting::relief_bands::Bands;
+use crate::render::resolve::pass::{self, Packing};
+use crate::render::resolve::tile_list::Shown;
+use crate::render::select::casters::{self, CasterGrids, Shades};
+use crate::render::select::footprint::Footprint;
+use crate::render::select::selection::{Bounds, Selection, Slots, near_to_far};
+use crate::render::shadow::device::ShadowPass;
+use crate::render::shadow::horizon::{self, HorizonMap};
+use crate::render::shadow::host::{self, NewTile, ShadowMap};
+use crate::render::visibility::geometry::Facets;
+use crate::render::visibility::host::Stencil;
+use crate::render::visibility::meshes::{Draw, Meshes};
 use crate::scene::Scene;
 use crate::scene::bounce::{Bounce, rms_slope};
 use crate::scene::photometry::Photometry;
@@ -130,9 +130,9 @@ const TILES_BYTES: usize = 1 << 20;
 /// What is left to this program, which a device could do.
 #[derive(Clone, Copy, Debug)]
 pub struct Ways {
-    /// The shadow map is drawn by this program ([`super::shadow_raster`]).
+    /// The shadow map is drawn by this program ([`crate::render::shadow::host`]).
     pub own_shadow_map: bool,
-    /// What samples show is drawn by this program ([`super::visibility_raster`]).
+    /// What samples show is drawn by this program ([`crate::render::visibility::host`]).
     pub own_visibility: bool,
     /// What is drawn so is told apart by what can shade it, to be lit by programs that do no more than that: no plane changes
     /// by a bit.
@@ -210,15 +210,15 @@ impl GpuScene {
             let start = Instant::now();
             self.new_tiles = self.shadow_map.place(scene, &mut selection);
             self.atlas_px = self.shadow_map.size_px();
-            self.drawn_here.shadow_map_ms = Some(super::milliseconds(start.elapsed()));
+            self.drawn_here.shadow_map_ms = Some(crate::render::milliseconds(start.elapsed()));
         } else {
             self.shadow_map = ShadowMap::default();
-            self.atlas_px = shadow::atlas_px(&selection.casters);
+            self.atlas_px = casters::atlas_px(&selection.casters);
         }
         let footprint = Footprint::new(scene, &selection);
         let is_new = self.horizon_map.make(&scene.terrain, &scene.sun, &footprint);
         let casters = &selection.casters;
-        let caster_grid = shadow::caster_grid(scene, casters, &self.horizon_map, &footprint);
+        let caster_grid = casters::caster_grid(scene, casters, &self.horizon_map, &footprint);
         let bands = Bands::new(scene, &selection, settings);
         self.uploaded_bytes += self.relief.write(gpu, &slots(&bands.bands));
         let slots = selection.slots();
@@ -236,7 +236,7 @@ impl GpuScene {
                 }
             }
             self.drawn_triangles = self.facets.meshes().iter().map(|mesh| mesh.facets.len() as u64).sum();
-            self.drawn_here.visibility_ms = Some(super::milliseconds(start.elapsed()));
+            self.drawn_here.visibility_ms = Some(crate::render::milliseconds(start.elapsed()));
         }
         if !(ways.own_shadow_map && ways.own_visibility) {
             self.uploaded_bytes += self.meshes.upload(gpu, scene, &selection);
@@ -269,15 +269,15 @@ impl GpuScene {
     ) -> Result<()> {
         let Some(shadow_map_ms) = &mut self.drawn_here.shadow_map_ms else { return Ok(()) };
         let start = Instant::now();
-        let (parts, bytes) = shadow_raster::parts(&self.new_tiles);
+        let (parts, bytes) = host::parts(&self.new_tiles);
         if bytes > 0 {
             let room = bytes.next_multiple_of(TILES_BYTES);
             let staging = Staging::with_room(staging, gpu, "shadow/staging", room)?;
-            staging.write(gpu, |room| shadow_raster::draw(scene, &self.new_tiles, room))?;
+            staging.write(gpu, |room| host::draw(scene, &self.new_tiles, room))?;
             staging.copy(gpu, pass.texture(), &parts)?;
         }
         self.uploaded_bytes += bytes as u64;
-        *shadow_map_ms += super::milliseconds(start.elapsed());
+        *shadow_map_ms += crate::render::milliseconds(start.elapsed());
         Ok(())
     }
 
@@ -299,7 +299,7 @@ impl GpuScene {
             self.background = Some(Background { radiance: scene.sky.radiance, class: ClassId::SKY });
             self.draws.seen.retain(|seen| seen.group != self.facets.groups().dome());
         }
-        *visibility_ms += super::milliseconds(start.elapsed());
+        *visibility_ms += crate::render::milliseconds(start.elapsed());
         Ok(())
     }
 
@@ -487,7 +487,7 @@ fn frame_uniforms(
         clip_from_offset,
         ray_from_sample: settings.rays(camera).map(|ray| ray.extend(0.0).into()),
         eye: camera.eye,
-        exposure: resolve::exposure(camera.exposure_ev),
+        exposure: pass::exposure(camera.exposure_ev),
         sun_direction: sun.direction,
         sun_tan_half_angle: sun.tan_half_angle(),
         sun_irradiance: sun.irradiance,

@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 use allocation_counter::measure;
 use regolith::gpu::Gpu;
 use regolith::params::Params;
-use regolith::render::selection::build_rocks;
+use regolith::render::select::selection::build_rocks;
 use regolith::render::{RenderSettings, Renderer};
 use regolith::scene::Scene;
 

@@ -7,7 +7,7 @@ use regolith::class::ClassId;
 use regolith::frame::Annotation;
 use regolith::lens::Lens;
 use regolith::render::RenderSettings;
-use regolith::render::resolve::encoded;
+use regolith::render::resolve::pass::encoded;
 use regolith::reuse::Reused;
 use regolith::scene::camera::Camera;
 use regolith::scene::mesh::{Icosphere, Vertex};

@@ -8,7 +8,7 @@ use regolith::frame::{Annotation, Frame};
 use regolith::gpu::Gpu;
 use regolith::gpu::staging::PAGE;
 use regolith::render::gpu_scene::Ways;
-use regolith::render::selection::Selection;
+use regolith::render::select::selection::Selection;
 use regolith::render::{InFlight, RenderSettings, Renderer};
 use regolith::scene::Scene;
 

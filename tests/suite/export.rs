@@ -7,7 +7,7 @@ use regolith::class::ClassId;
 use regolith::export::{Detail, Format, Stage, export};
 use regolith::params::Params;
 use regolith::render::RenderSettings;
-use regolith::render::selection::Selection;
+use regolith::render::select::selection::Selection;
 use regolith::scene::Scene;
 use serde_json::{Map, Value};
 

@@ -465,7 +465,7 @@ fn label_rules_take_whole_rocks_out() {
 /// The planes for planners against the scene itself.
 #[test]
 fn hazard_planes_are_those_of_the_scene() {
-    use regolith::render::hazards::{
+    use regolith::render::post::hazards::{
         CRATER_INTERIOR, CRATER_RIM, FiveClasses, MOUNTAIN_FROM_M, SLOPE_BASELINE_M,
     };
     let scene = scene(11, &[SURFACE, "camera.pitch_deg=-15"]);

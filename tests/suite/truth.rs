@@ -18,7 +18,7 @@ use regolith::class::ClassId;
 use regolith::frame::{Annotation, Frame};
 use regolith::random::Streams;
 use regolith::render::RenderSettings;
-use regolith::render::selection::Selection;
+use regolith::render::select::selection::Selection;
 use regolith::scene::Scene;
 use regolith::scene::mesh::Vertex;
 use regolith::scene::photometry::Law;
@@ -99,8 +99,9 @@ impl Truth {
         let levels: Vec<(usize, usize)> = match drawn {
             None => scene.rocks.iter().enumerate().map(|(i, rock)| (i, rock.level)).collect(),
             Some(settings) => {
-                let level =
-                    |s: &regolith::render::selection::SelectedRock| s.seen_level.or(s.caster.map(|c| c.1));
+                let level = |s: &regolith::render::select::selection::SelectedRock| {
+                    s.seen_level.or(s.caster.map(|c| c.1))
+                };
                 let selection = Selection::new(scene, settings);
                 selection.rocks.iter().filter_map(|s| Some((s.rock, level(s)?))).collect()
             }

@@ -8,15 +8,15 @@ use std::ops::Range;
 use glam::Vec3;
 use wgpu::{TextureFormat, TextureUsages};
 
-use super::RenderSettings;
-use super::facets::Facets;
-use super::resolve::Packing;
-use super::visibility_raster::Stencil;
 use crate::class::ClassId;
 use crate::error::{Error, Result};
 use crate::frame::{Annotation, Annotations};
 use crate::gpu::Gpu;
 use crate::gpu::staging::{PAGE, Page, Part, Staging};
+use crate::render::RenderSettings;
+use crate::render::resolve::pass::Packing;
+use crate::render::visibility::geometry::Facets;
+use crate::render::visibility::host::Stencil;
 
 /// What a sample of the scene pass carries. The location in `SceneOut` is the place in [`Plane::ALL`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -217,7 +217,7 @@ impl Targets {
     ///
     /// # Errors
     /// [`Error::DeviceLost`] or [`Error::Device`].
-    pub(super) fn give(
+    pub(in crate::render) fn give(
         &mut self,
         gpu: &Gpu,
         staging: &mut Option<Staging>,

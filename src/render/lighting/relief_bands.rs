@@ -6,9 +6,9 @@
 
 use std::ops::Range;
 
-use super::RenderSettings;
-use super::selection::{BLOCK_CELLS, Selection, ground_blocks};
-use super::shaders::{LatticeUniforms, ReliefUniforms, ReliefView};
+use crate::render::RenderSettings;
+use crate::render::device::shader_structs::{LatticeUniforms, ReliefUniforms, ReliefView};
+use crate::render::select::selection::{BLOCK_CELLS, Selection, ground_blocks};
 use crate::scene::Scene;
 use crate::scene::craters::LATTICES;
 use crate::scene::lattice::Lattice;
@@ -128,7 +128,7 @@ fn band(
 
 /// How much of something of this size samples so far apart can show. Twin of the function in `relief.wgsl`.
 #[inline(always)]
-pub(super) fn sample_share(size_m: f32, sample_m: f32) -> f32 {
+pub(in crate::render) fn sample_share(size_m: f32, sample_m: f32) -> f32 {
     (0.5 * size_m / sample_m - 1.0).clamp(0.0, 1.0)
 }
 
@@ -171,7 +171,7 @@ fn lattice_uniforms(lattice: &Lattice, amount: f32) -> LatticeUniforms {
 impl LatticeUniforms {
     /// The lattice that [`lattice_uniforms`] was given.
     #[inline(always)]
-    pub(super) const fn lattice(&self) -> Lattice {
+    pub(in crate::render) const fn lattice(&self) -> Lattice {
         let &Self { turn, phase, base, seed, cell_m, .. } = self;
         Lattice { cell_m, turn, base, phase, seed }
     }

@@ -6,15 +6,15 @@
 use glam::{DVec2, Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::RenderSettings;
-use super::selection::{SelectedRock, Selection};
 use crate::frame::{Frame, RockLabel};
+use crate::render::RenderSettings;
+use crate::render::select::selection::{SelectedRock, Selection};
 use crate::scene::Scene;
 use crate::scene::rocks::Rock;
 
 /// The rocks that have a pixel in the frame, by rising instance id. Scene and settings are those that were drawn, the size that
 /// of the picture.
-pub(super) fn rocks(
+pub(in crate::render) fn rocks(
     scene: &Scene,
     settings: &RenderSettings,
     picture_size: [u32; 2],

@@ -7,9 +7,9 @@
 
 use rayon::prelude::*;
 
-use super::resolve::exposure;
 use crate::class::ClassId;
 use crate::frame::Frame;
+use crate::render::resolve::pass::exposure;
 use crate::scene::noise::lattice_hash;
 use crate::scene::sensor::{Mosaic, Sensor};
 

@@ -18,8 +18,8 @@ use fearless_simd::{Level, dispatch, f32x8, i32x8};
 use glam::Vec2;
 use rayon::prelude::*;
 
-use super::footprint::Footprint;
-use super::shaders::HorizonLevel;
+use crate::render::device::shader_structs::HorizonLevel;
+use crate::render::select::footprint::Footprint;
 use crate::scene::sky::Sun;
 use crate::scene::terrain::{Layout, Terrain};
 

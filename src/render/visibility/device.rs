@@ -1,16 +1,16 @@
 //! The visibility pass: which thing each sample shows, and by which draw of the scene pass it is lit.
-//! A device that is a CPU is given it as [`super::visibility_raster`] draws it.
+//! A device that is a CPU is given it as [`crate::render::visibility::host`] draws it.
 
-use super::gpu_scene::GpuScene;
-use super::lit::Lit;
-use super::shaders::VISIBILITY;
-use super::targets::{DEPTH_FORMAT, Targets, VISIBLE_FORMAT, depth_state};
-use super::{BindLayouts, vertex_layout};
 use crate::gpu::Gpu;
+use crate::render::device::shader_structs::VISIBILITY;
+use crate::render::device::shading_bins::Lit;
+use crate::render::gpu_scene::GpuScene;
+use crate::render::lighting::gbuffer::{DEPTH_FORMAT, Targets, VISIBLE_FORMAT, depth_state};
+use crate::render::{BindLayouts, vertex_layout};
 
 /// What the pass draws with.
 #[derive(Debug, Default)]
-pub(super) struct VisibilityPass {
+pub(in crate::render) struct VisibilityPass {
     /// Once the pass was to be drawn.
     pipelines: Option<Pipelines>,
 }
@@ -63,12 +63,12 @@ impl Pipelines {
 
 impl VisibilityPass {
     /// Compiles the pass, unless it is there.
-    pub(super) fn prepare(&mut self, gpu: &Gpu, layouts: &BindLayouts) {
+    pub(in crate::render) fn prepare(&mut self, gpu: &Gpu, layouts: &BindLayouts) {
         self.pipelines.get_or_insert_with(|| Pipelines::new(gpu, layouts));
     }
 
     /// Records the pass.
-    pub(super) fn record(
+    pub(in crate::render) fn record(
         &self,
         encoder: &mut wgpu::CommandEncoder,
         scene: &GpuScene,

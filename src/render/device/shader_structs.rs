@@ -23,10 +23,10 @@ macro_rules! program {
         Program {
             name: $name,
             files: &[
-                (concat!($name, ".wgsl"), include_str!(concat!("../../shaders/", $name, ".wgsl"))),
+                (concat!($name, ".wgsl"), include_str!(concat!("../../../shaders/", $name, ".wgsl"))),
                 $((
                     concat!("common/", $common, ".wgsl"),
-                    include_str!(concat!("../../shaders/common/", $common, ".wgsl")),
+                    include_str!(concat!("../../../shaders/common/", $common, ".wgsl")),
                 )),*
             ],
         }

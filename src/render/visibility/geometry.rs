@@ -1,4 +1,4 @@
-//! The triangles that may be seen, as they lie on the samples of a picture: what [`super::visibility_raster`] draws.
+//! The triangles that may be seen, as they lie on the samples of a picture: what [`crate::render::visibility::host`] draws.
 //!
 //! A driver that runs on the CPU runs every branch of a shader: ground on which no shadow can fall, or only that of other
 //! ground, and rock that is turned from the sun are told apart, to be lit by a program without the rest.
@@ -10,16 +10,18 @@ use fearless_simd::{Level, dispatch};
 use glam::{BVec2, Mat4, UVec2, Vec2, Vec3, Vec4};
 use rayon::prelude::*;
 
-use super::RenderSettings;
-use super::lit::{Group, Groups};
-use super::raster::{
+use crate::render::RenderSettings;
+use crate::render::device::shading_bins::{Group, Groups};
+use crate::render::lighting::relief_bands::Bands;
+use crate::render::lighting::slopes_host::Slopes;
+use crate::render::raster::{
     self, AT_ONCE, FURTHEST_PX, Outline, Place, Plane, Sides, Sifted, Span, Turn, VERTICES, by_axis,
     texels_between,
 };
-use super::relief::Bands;
-use super::selection::{BLOCK_CELLS, Bounds, SelectedRock, Selection, Slots, ground_blocks, near_to_far};
-use super::shadow::{CasterGrids, Shades};
-use super::slopes::Slopes;
+use crate::render::select::casters::{CasterGrids, Shades};
+use crate::render::select::selection::{
+    BLOCK_CELLS, Bounds, SelectedRock, Selection, Slots, ground_blocks, near_to_far,
+};
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
 use crate::scene::mesh::{Icosphere, Vertex};
@@ -125,7 +127,7 @@ impl Facets {
         self.slopes.as_ref()
     }
 
-    /// Finds those of a selection. `caster_grid` is that of [`super::shadow::caster_grid`]. Unless `by_shades`, all is lit as if
+    /// Finds those of a selection. `caster_grid` is that of [`crate::render::select::casters::caster_grid`]. Unless `by_shades`, all is lit as if
     /// it could be shaded by anything.
     pub fn find(
         &mut self,

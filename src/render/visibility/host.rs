@@ -10,11 +10,11 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Level, dispatch, f32x8, i32x8, mask32x8, u32x4, u32x8};
 use rayon::prelude::*;
 
-use super::facets::{Facet, Facets, Mesh};
-use super::lit::{Group, Groups};
-use super::raster::{Corners, HEIGHT, LANES, Outline, Outlines, Paint, Plane, WIDTH, load, store};
-use super::slopes::Seen;
 use crate::gpu::staging::{PAGE, Page, Writer};
+use crate::render::device::shading_bins::{Group, Groups};
+use crate::render::lighting::slopes_host::Seen;
+use crate::render::raster::{Corners, HEIGHT, LANES, Outline, Outlines, Paint, Plane, WIDTH, load, store};
+use crate::render::visibility::geometry::{Facet, Facets, Mesh};
 
 /// Rows of a band.
 const BAND_ROWS: usize = 32;

@@ -7,9 +7,9 @@
 use fearless_simd::{Level, dispatch};
 use glam::{Vec2, Vec3};
 
-use super::lit::{Group, Groups, Lit};
-use super::relief::{Bands, sample_share};
-use super::shaders::{LatticeUniforms, ReliefUniforms, ReliefView};
+use crate::render::device::shader_structs::{LatticeUniforms, ReliefUniforms, ReliefView};
+use crate::render::device::shading_bins::{Group, Groups, Lit};
+use crate::render::lighting::relief_bands::{Bands, sample_share};
 use crate::scene::craters::{CLOD_HEIGHT, EJECTA_EXPONENT, JITTER_CELLS, PROFILE_DEPTH, RIM, second_hash};
 use crate::scene::noise::{gradient_noise_slope_2d, lattice_hash};
 use crate::scene::relief::{CELLS_LEAST, mesh_share};

@@ -12,11 +12,11 @@ use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 use wgpu::{BufferUsages, IndexFormat};
 
-use super::raster::{VERTICES, by_axis};
-use super::selection::{Selection, ground_blocks};
 use crate::gpu::Gpu;
 use crate::gpu::staging::{PAGE, Page};
 use crate::gpu::store::Store;
+use crate::render::raster::{VERTICES, by_axis};
+use crate::render::select::selection::{Selection, ground_blocks};
 use crate::reuse::Reused;
 use crate::scene::Scene;
 use crate::scene::mesh::{Icosphere, Vertex};
@@ -69,9 +69,9 @@ struct PackedVertex {
 const HALF: f32 = 32_767.0;
 
 /// Bytes from a vertex to the next.
-pub(super) const VERTEX_BYTES: u64 = size_of::<PackedVertex>() as u64;
+pub(in crate::render) const VERTEX_BYTES: u64 = size_of::<PackedVertex>() as u64;
 /// What a vertex is made of.
-pub(super) const VERTEX_ATTRIBUTES: [wgpu::VertexAttribute; 2] =
+pub(in crate::render) const VERTEX_ATTRIBUTES: [wgpu::VertexAttribute; 2] =
     wgpu::vertex_attr_array![0 => Float32x3, 1 => Snorm16x2];
 
 /// The meshes of a scene, and what to draw of them.
@@ -120,17 +120,17 @@ impl Default for Meshes {
 
 impl Meshes {
     /// Has the device hold the meshes of a picture of a scene, and says how many bytes it was given for that.
-    pub(super) fn upload(&mut self, gpu: &Gpu, scene: &Scene, selection: &Selection) -> u64 {
+    pub(in crate::render) fn upload(&mut self, gpu: &Gpu, scene: &Scene, selection: &Selection) -> u64 {
         self.upload_indices(gpu, &scene.terrain) + self.upload_vertices(gpu, scene, selection)
     }
 
     /// The draw of a rock of the picture at a level, as the instance in a slot.
-    pub(super) fn rock(&self, rock: usize, level: usize, slot: u32) -> Draw {
+    pub(in crate::render) fn rock(&self, rock: usize, level: usize, slot: u32) -> Draw {
         self.sphere(level, self.rocks[rock].1, slot..slot + 1)
     }
 
     /// The draw of unit spheres.
-    pub(super) fn unit_spheres(&self, level: usize, slots: Range<u32>) -> Draw {
+    pub(in crate::render) fn unit_spheres(&self, level: usize, slots: Range<u32>) -> Draw {
         self.sphere(level, 0, slots)
     }
 
@@ -139,13 +139,13 @@ impl Meshes {
     }
 
     /// The draw of a block of the ground, by its place in [`ground_blocks`].
-    pub(super) fn block(&self, block: usize, slot: u32) -> Draw {
+    pub(in crate::render) fn block(&self, block: usize, slot: u32) -> Draw {
         let (indices, first_vertex) = &self.blocks[block];
         draw(indices, self.ground + first_vertex, slot..slot + 1)
     }
 
     /// Sets what is to be drawn, and says how many bytes the device was given for that.
-    pub(super) fn set_draws(&mut self, gpu: &Gpu, draws: Vec<Draw>, many_at_once: bool) -> u64 {
+    pub(in crate::render) fn set_draws(&mut self, gpu: &Gpu, draws: Vec<Draw>, many_at_once: bool) -> u64 {
         self.draws = draws;
         if !many_at_once {
             self.many = None;
@@ -156,7 +156,7 @@ impl Meshes {
     }
 
     /// Records some of them.
-    pub(super) fn record(&self, pass: &mut wgpu::RenderPass<'_>, draws: &Range<usize>) {
+    pub(in crate::render) fn record(&self, pass: &mut wgpu::RenderPass<'_>, draws: &Range<usize>) {
         if draws.is_empty() {
             return;
         }

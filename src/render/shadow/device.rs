@@ -1,23 +1,23 @@
 //! The shadow-map pass: depth of all casters, fronts in one layer of an atlas and backs in the other, and of the two the map.
-//! A device that is a CPU is given the map as [`super::shadow_raster`] draws it.
+//! A device that is a CPU is given the map as [`crate::render::shadow::host`] draws it.
 
 use wgpu::{TextureFormat, TextureUsages};
 
-use super::gpu_scene::GpuScene;
-use super::shaders::{MIDDLE, SHADOW};
-use super::targets::{ATLAS_FORMAT, depth_state};
-use super::{BindLayouts, vertex_layout};
 use crate::gpu::Gpu;
+use crate::render::device::shader_structs::{MIDDLE, SHADOW};
+use crate::render::gpu_scene::GpuScene;
+use crate::render::lighting::gbuffer::{ATLAS_FORMAT, depth_state};
+use crate::render::{BindLayouts, vertex_layout};
 
 /// Format of the map.
-pub(super) const MAP_FORMAT: TextureFormat = TextureFormat::R32Float;
+pub(in crate::render) const MAP_FORMAT: TextureFormat = TextureFormat::R32Float;
 
 /// Columns and rows of texels that a group of invocations makes of the map; they stand in `middle.wgsl` too.
 const GROUP_PX: u32 = 8;
 
 /// What the pass draws, and with what.
 #[derive(Debug, Default)]
-pub(super) struct ShadowPass {
+pub(in crate::render) struct ShadowPass {
     /// Once a map was to be drawn.
     pipelines: Option<Pipelines>,
     map: Option<Map>,
@@ -43,7 +43,13 @@ struct Map {
 impl ShadowPass {
     /// Makes the map with exactly so many columns and rows, unless it is there. Not a larger one: if the device is to draw it,
     /// places in it would be rounded otherwise, and the frame would depend on those before it.
-    pub(super) fn prepare(&mut self, gpu: &Gpu, layouts: &BindLayouts, size_px: [u32; 2], is_given: bool) {
+    pub(in crate::render) fn prepare(
+        &mut self,
+        gpu: &Gpu,
+        layouts: &BindLayouts,
+        size_px: [u32; 2],
+        is_given: bool,
+    ) {
         let serves = |map: &Map| map.size_px == size_px && map.drawn.is_none() == is_given;
         if !self.map.as_ref().is_some_and(serves) {
             self.map = Some(Map::new(gpu, layouts, size_px, is_given));
@@ -57,7 +63,7 @@ impl ShadowPass {
     ///
     /// # Panics
     /// Before [`Self::prepare`].
-    pub(super) fn texture(&self) -> &wgpu::Texture {
+    pub(in crate::render) fn texture(&self) -> &wgpu::Texture {
         &self.map.as_ref().expect("a map is prepared before it is used").texture
     }
 
@@ -65,12 +71,12 @@ impl ShadowPass {
     ///
     /// # Panics
     /// Before [`Self::prepare`].
-    pub(super) fn map(&self) -> &wgpu::TextureView {
+    pub(in crate::render) fn map(&self) -> &wgpu::TextureView {
         &self.map.as_ref().expect("a map is prepared before it is used").view
     }
 
     /// Records the pass, unless the map was given. `timestamps` are those of its start and of its end.
-    pub(super) fn record(
+    pub(in crate::render) fn record(
         &self,
         encoder: &mut wgpu::CommandEncoder,
         scene: &GpuScene,

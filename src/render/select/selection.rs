@@ -7,8 +7,8 @@ use std::ops::Range;
 
 use glam::{Mat4, UVec2, Vec2, Vec3, Vec4};
 
-use super::RenderSettings;
-use super::shadow::{self, Caster};
+use crate::render::RenderSettings;
+use crate::render::select::casters::{self, Caster};
 use crate::scene::Scene;
 use crate::scene::rocks::Rock;
 use crate::scene::terrain::Terrain;
@@ -55,7 +55,7 @@ impl Selection {
         let frustum = Frustum::new(&camera.clip_from_world(settings.size));
         let pixel_angle = 1.0 / camera.focal_px(settings.size[0]) as f32;
         let near = rocks_within(scene, &frustum);
-        let casters = shadow::casters(scene, &near, &frustum, settings.size);
+        let casters = casters::casters(scene, &near, &frustum, settings.size);
         let blocks = ground_blocks(&scene.terrain)
             .enumerate()
             .filter_map(|(block, [columns, rows])| {
@@ -106,7 +106,7 @@ pub fn build_rocks(scene: &Scene, settings: &RenderSettings) {
 fn rocks_within<'a>(scene: &'a Scene, frustum: &Frustum) -> Vec<(usize, &'a Rock)> {
     scene.rocks.that_may(|rock| {
         let [low, high] = rock.centres;
-        let (reach_m, width_m) = shadow::reach_m(scene, high.z + rock.radius_m, rock.radius_m);
+        let (reach_m, width_m) = casters::reach_m(scene, high.z + rock.radius_m, rock.radius_m);
         let shadow = -reach_m * scene.sun.direction;
         let corners = [low, high, low + shadow, high + shadow].map(|corner| corner.extend(1.0));
         let furthest_m =

@@ -2,14 +2,14 @@
 
 use wgpu::{BufferUsages, Features};
 
-use super::StageTimes;
 use crate::error::Result;
 use crate::gpu::Gpu;
 use crate::gpu::readback::Readback;
+use crate::render::StageTimes;
 
 /// The passes that are timed, in their order.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Pass {
+pub(in crate::render) enum Pass {
     Shadow,
     Visibility,
     Scene,
@@ -32,7 +32,7 @@ const BYTES: u64 = PASS_BYTES * Pass::ALL.len() as u64;
 
 /// Timestamps at the start and end of every pass.
 #[derive(Debug)]
-pub(super) struct Timer {
+pub(in crate::render) struct Timer {
     queries: wgpu::QuerySet,
     buffer: wgpu::Buffer,
     readback: Readback,
@@ -40,7 +40,7 @@ pub(super) struct Timer {
 
 impl Timer {
     /// `None` where the device has no timestamps.
-    pub(super) fn new(gpu: &Gpu) -> Option<Self> {
+    pub(in crate::render) fn new(gpu: &Gpu) -> Option<Self> {
         gpu.device.features().contains(Features::TIMESTAMP_QUERY).then(|| Self {
             queries: gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
                 label: Some("timing/queries"),
@@ -57,7 +57,7 @@ impl Timer {
     }
 
     /// Of a stage that is two passes, the start of one and the end of the other.
-    pub(super) fn both_passes(
+    pub(in crate::render) fn both_passes(
         &self,
         pass: Pass,
     ) -> (wgpu::RenderPassTimestampWrites<'_>, wgpu::ComputePassTimestampWrites<'_>) {
@@ -70,7 +70,7 @@ impl Timer {
         )
     }
 
-    pub(super) const fn render_pass(&self, pass: Pass) -> wgpu::RenderPassTimestampWrites<'_> {
+    pub(in crate::render) const fn render_pass(&self, pass: Pass) -> wgpu::RenderPassTimestampWrites<'_> {
         wgpu::RenderPassTimestampWrites {
             query_set: &self.queries,
             beginning_of_pass_write_index: Some(2 * pass as u32),
@@ -78,7 +78,7 @@ impl Timer {
         }
     }
 
-    pub(super) const fn compute_pass(&self, pass: Pass) -> wgpu::ComputePassTimestampWrites<'_> {
+    pub(in crate::render) const fn compute_pass(&self, pass: Pass) -> wgpu::ComputePassTimestampWrites<'_> {
         wgpu::ComputePassTimestampWrites {
             query_set: &self.queries,
             beginning_of_pass_write_index: Some(2 * pass as u32),
@@ -88,7 +88,11 @@ impl Timer {
 
     /// Records the copy of the times to where the program can read them. `is_recorded` tells of each pass whether it was recorded:
     /// a device waits for ever for one that was not.
-    pub(super) fn copy(&self, encoder: &mut wgpu::CommandEncoder, is_recorded: impl Fn(Pass) -> bool) {
+    pub(in crate::render) fn copy(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        is_recorded: impl Fn(Pass) -> bool,
+    ) {
         for (pass, _) in Pass::ALL.into_iter().filter(|(pass, _)| is_recorded(*pass)) {
             let queries = 2 * pass as u32..2 * pass as u32 + 2;
             encoder.resolve_query_set(&self.queries, queries, &self.buffer, PASS_BYTES * pass as u64);
@@ -97,7 +101,7 @@ impl Timer {
     }
 
     /// Waits for the times of the passes that were recorded.
-    pub(super) fn read(
+    pub(in crate::render) fn read(
         &self,
         gpu: &Gpu,
         submission: &wgpu::SubmissionIndex,

@@ -16,15 +16,15 @@ use fearless_simd::{Level, dispatch, f32x8, mask32x8};
 use glam::{UVec2, Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::atlas::{Atlas, Room};
-use super::raster::{
+use crate::gpu::staging::{PAGE, Page, Part, ROW_ALIGNMENT, Writer};
+use crate::render::device::shader_structs::CasterTile;
+use crate::render::raster::{
     AT_ONCE, Corners, HEIGHT, LANES, Outline, Outlines, Paint, Place, Plane, Sides, Sifted, Turn, VERTICES,
     WIDTH, by_axis, load, store,
 };
-use super::selection::Selection;
-use super::shaders::CasterTile;
-use super::shadow;
-use crate::gpu::staging::{PAGE, Page, Part, ROW_ALIGNMENT, Writer};
+use crate::render::select::atlas::{Atlas, Room};
+use crate::render::select::casters;
+use crate::render::select::selection::Selection;
 use crate::reuse::Reused;
 use crate::scene::Scene;
 use crate::scene::mesh::{Icosphere, Vertex};
@@ -88,7 +88,7 @@ impl ShadowMap {
                 casting[caster] = Some(NewTile { rock: selected.rock, level, place });
             }
         }
-        let order = shadow::largest_first(&selection.casters);
+        let order = casters::largest_first(&selection.casters);
         let wanted: Vec<NewTile> = order.iter().filter_map(|&caster| casting[caster]).collect();
         let is_same_sun =
             std::mem::replace(&mut self.sun_direction, scene.sun.direction) == scene.sun.direction;
@@ -397,7 +397,7 @@ mod tests {
 
         /// The texels of each caster's tile.
         fn tiles(&self, selection: &Selection) -> Vec<Vec<f32>> {
-            let tile = |caster: &shadow::Caster| {
+            let tile = |caster: &casters::Caster| {
                 let [column, first] = caster.tile.origin_px.to_array().map(|at| at as usize);
                 let size = caster.tile.size_px as usize;
                 let row = |row: usize| &self.texels[row * self.size_px[0] as usize + column..][..size];

@@ -3,20 +3,20 @@
 
 use rayon::prelude::*;
 
-use super::BindLayouts;
-use super::gpu_scene::{GpuScene, slot_stride};
-use super::lit::Lit;
-use super::shaders::{Instance, ReliefUniforms, SKY, SURFACE};
-use super::targets::{DEPTH_FORMAT, GIVEN_FORMAT, Plane, Targets};
 use crate::frame::Annotations;
 use crate::gpu::Gpu;
+use crate::render::BindLayouts;
+use crate::render::device::shader_structs::{Instance, ReliefUniforms, SKY, SURFACE};
+use crate::render::device::shading_bins::Lit;
+use crate::render::gpu_scene::{GpuScene, slot_stride};
+use crate::render::lighting::gbuffer::{DEPTH_FORMAT, GIVEN_FORMAT, Plane, Targets};
 use crate::scene::Scene;
 use crate::scene::photometry::Law;
 use crate::scene::terrain::Layout;
 
 /// Pipelines of the pass.
 #[derive(Debug)]
-pub(super) struct ScenePass {
+pub(in crate::render) struct ScenePass {
     surface: wgpu::ShaderModule,
     sky: wgpu::ShaderModule,
     layout: wgpu::PipelineLayout,
@@ -26,23 +26,23 @@ pub(super) struct ScenePass {
 
 /// What pipelines are made for.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Variant {
+pub(in crate::render) struct Variant {
     /// What is drawn.
-    pub(super) annotations: Annotations,
+    pub(in crate::render) annotations: Annotations,
     /// How it reflects.
-    pub(super) law: Law,
+    pub(in crate::render) law: Law,
     /// Whether the ground is made of rings.
-    pub(super) rings: bool,
+    pub(in crate::render) rings: bool,
     /// Whether ground and rocks have detail below their meshes.
-    pub(super) detail: bool,
+    pub(in crate::render) detail: bool,
     /// Whether the device was given what the samples show, and slopes of the ground below its mesh: their stencil has no depth
     /// beside it then.
-    pub(super) is_given: bool,
+    pub(in crate::render) is_given: bool,
 }
 
 impl Variant {
     /// For a scene on these targets.
-    pub(super) fn new(scene: &Scene, targets: &Targets) -> Self {
+    pub(in crate::render) fn new(scene: &Scene, targets: &Targets) -> Self {
         Self {
             annotations: targets.annotations,
             law: scene.photometry.law,
@@ -62,7 +62,7 @@ const GIVEN_DETAIL: f64 = 3.0;
 impl ScenePass {
     /// Compiles the programs.
     #[must_use]
-    pub(super) fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
+    pub(in crate::render) fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
         let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("scene"),
             bind_group_layouts: &[Some(&layouts.frame), Some(&layouts.scene), Some(&layouts.light)],
@@ -73,12 +73,17 @@ impl ScenePass {
 
     /// Whether any pipeline was made for this.
     #[must_use]
-    pub(super) fn has(&self, variant: Variant) -> bool {
+    pub(in crate::render) fn has(&self, variant: Variant) -> bool {
         self.pipelines.iter().any(|((made, _), _)| *made == variant)
     }
 
     /// Makes the pipelines that light so, unless they are there.
-    pub(super) fn prepare(&mut self, gpu: &Gpu, variant: Variant, wanted: impl IntoIterator<Item = Lit>) {
+    pub(in crate::render) fn prepare(
+        &mut self,
+        gpu: &Gpu,
+        variant: Variant,
+        wanted: impl IntoIterator<Item = Lit>,
+    ) {
         let mut missing: Vec<(Variant, Lit)> = Vec::new();
         for wanted in wanted.into_iter().map(|lit| (variant, lit)) {
             if !missing.contains(&wanted) && !self.pipelines.iter().any(|(made, _)| *made == wanted) {
@@ -149,7 +154,7 @@ impl ScenePass {
     }
 
     /// Records the pass.
-    pub(super) fn record(
+    pub(in crate::render) fn record(
         &self,
         encoder: &mut wgpu::CommandEncoder,
         scene: &GpuScene,

@@ -4,8 +4,8 @@
 
 use glam::Vec3;
 
-use super::raster::cut;
 use crate::error::{Error, Result};
+use crate::render::raster::cut;
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
 

@@ -4,7 +4,7 @@
 
 use glam::{DMat3, DVec3, DVec4, Vec2};
 
-use super::selection::Selection;
+use crate::render::select::selection::Selection;
 use crate::scene::Scene;
 
 /// A convex polygon on the map.

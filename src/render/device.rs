@@ -1,0 +1,6 @@
+//! What the passes share on the device: layouts of bind groups, structs that shaders read, timestamps, shading bins.
+//! Must not know: a scene.
+
+pub mod shader_structs;
+pub mod shading_bins;
+pub mod timing;

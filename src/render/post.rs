@@ -1,0 +1,6 @@
+//! What is computed on the host after the readback: rock labels, hazard maps, the sensor.
+//! Must not know: wgpu.
+
+pub mod hazards;
+pub mod rock_labels;
+pub mod sensor;

@@ -1,0 +1,347 @@
+//! The resolve pass: samples to pixels, packed for reading back. `resolve.wgsl` states each plane's rule.
+
+use wgpu::BufferUsages;
+
+use crate::class::ClassId;
+use crate::frame::{Annotation, Annotations, Frame};
+use crate::gpu::Gpu;
+use crate::gpu::readback::Readback;
+use crate::render::BindLayouts;
+use crate::render::device::shader_structs::RESOLVE;
+use crate::render::lighting::gbuffer::Targets;
+use crate::render::resolve::tile_list::{Shown, Work};
+
+/// Display-linear value up to which the tone curve is the identity.
+pub const TONE_KNEE: f64 = 0.85;
+/// Display-linear value that endless light comes to: 249 of 255 after sRGB encoding.
+pub const TONE_WHITE: f64 = 0.947_307;
+/// Workgroups in a row of the dispatch; stands in `resolve.wgsl` too.
+const ROW_WIDTH: u32 = 1024;
+/// Invocations in a workgroup, each of four pixels; both stand in `resolve.wgsl` too.
+pub const GROUP_WIDTH: u32 = 64;
+
+/// Factor on radiance at an exposure in stops.
+#[must_use]
+pub fn exposure(ev: f32) -> f32 {
+    libm::exp2f(ev)
+}
+
+/// The tone curve on the largest channel of exposed radiance. Twin of `tone` in `common/tone.wgsl`.
+#[must_use]
+pub fn tone(x: f64) -> f64 {
+    let room = TONE_WHITE - TONE_KNEE;
+    if x <= TONE_KNEE { x } else { TONE_KNEE + room * (1.0 - libm::exp(-(x - TONE_KNEE) / room)) }
+}
+
+/// 8-bit sRGB value of a radiance at 0 EV.
+#[must_use]
+pub fn encoded(radiance: f64) -> f64 {
+    let x = tone(radiance);
+    255.0 * if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * libm::pow(x, 1.0 / 2.4) - 0.055 }
+}
+
+/// Pipelines of the pass.
+#[derive(Debug)]
+pub struct ResolvePass {
+    module: wgpu::ShaderModule,
+    layout: wgpu::PipelineLayout,
+    /// For each variant that was needed so far.
+    pipelines: Vec<(Variant, wgpu::ComputePipeline)>,
+}
+
+/// What a pipeline of the pass is made for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Variant {
+    samples_per_side: u32,
+    annotated: bool,
+    distorted: bool,
+    listed: bool,
+}
+
+impl Variant {
+    /// For samples of these targets and a picture of this size: smaller where a lens distorts it.
+    #[must_use]
+    pub fn new(targets: &Targets, picture_size: [u32; 2]) -> Self {
+        let distorted = targets.size != picture_size;
+        Self {
+            samples_per_side: targets.samples_per_side,
+            annotated: targets.annotations != Annotations::default(),
+            distorted,
+            listed: targets.is_given && !distorted,
+        }
+    }
+}
+
+/// Where each plane of a frame lies in the packed result.
+#[derive(Clone, Copy, Debug)]
+pub struct Packing {
+    pixels: u64,
+    annotations: Annotations,
+}
+
+/// Offset of an annotation that nobody asked for. Stands in `common/frame.wgsl` too.
+pub const NOT_ASKED: u32 = u32::MAX;
+
+/// Annotations in the order in which they are packed, with their words a pixel.
+const PACKED: [(Annotation, u64); 6] = [
+    (Annotation::Depth, 1),
+    (Annotation::Normals, 3),
+    (Annotation::Instances, 1),
+    (Annotation::Shadow, 1),
+    (Annotation::Hdr, 2),
+    (Annotation::Coverage, 1),
+];
+
+impl Packing {
+    /// The packing of a picture of this size with these annotations.
+    #[must_use]
+    pub fn new([width, height]: [u32; 2], annotations: Annotations) -> Self {
+        Self { pixels: u64::from(width) * u64::from(height), annotations }
+    }
+
+    /// Groups of four pixels, each with three words of colour and one of classes.
+    fn groups(self) -> u64 {
+        self.pixels.div_ceil(4)
+    }
+
+    /// Words of an annotation, `None` if it was not asked for.
+    fn words(self, wanted: Annotation) -> Option<std::ops::Range<u64>> {
+        let mut start = 4 * self.groups();
+        for (annotation, words) in PACKED {
+            let end = start + if self.annotations.contains(annotation) { words * self.pixels } else { 0 };
+            if annotation == wanted {
+                return (end > start).then_some(start..end);
+            }
+            start = end;
+        }
+        None
+    }
+
+    /// First word of an annotation, or [`NOT_ASKED`].
+    #[must_use]
+    pub fn start(self, annotation: Annotation) -> u32 {
+        self.words(annotation).map_or(NOT_ASKED, |words| words.start as u32)
+    }
+
+    /// Bytes in all.
+    #[must_use]
+    pub fn bytes(self) -> u64 {
+        let annotated = PACKED.iter().filter(|(annotation, _)| self.annotations.contains(*annotation));
+        16 * self.groups() + annotated.map(|(_, words)| 4 * words * self.pixels).sum::<u64>()
+    }
+}
+
+/// The packed result of one picture size.
+#[derive(Debug)]
+pub struct PackedFrame {
+    /// Pixels of the picture.
+    pub size: [u32; 2],
+    packing: Packing,
+    /// Written by the pass.
+    pub buffer: wgpu::Buffer,
+    readback: Readback,
+    /// What the pass works on.
+    work: Work,
+    /// Workgroups by their numbers, for [`Self::work`].
+    pub list: wgpu::Buffer,
+}
+
+impl ResolvePass {
+    /// Compiles the pass.
+    #[must_use]
+    pub fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
+        let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some("resolve/layout"),
+            bind_group_layouts: &[Some(&layouts.frame), None, Some(&layouts.resolve)],
+            immediate_size: 0,
+        });
+        Self { module: RESOLVE.compile(gpu), layout, pipelines: Vec::new() }
+    }
+
+    /// Makes the pipeline, unless it is there.
+    pub fn prepare(&mut self, gpu: &Gpu, wanted: Variant) {
+        if self.pipelines.iter().any(|(made, _)| *made == wanted) {
+            return;
+        }
+        let pipeline = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some("resolve"),
+            layout: Some(&self.layout),
+            module: &self.module,
+            entry_point: Some("cs_main"),
+            compilation_options: wgpu::PipelineCompilationOptions {
+                constants: &[
+                    ("TONE_KNEE", TONE_KNEE),
+                    ("TONE_WHITE", TONE_WHITE),
+                    ("SIDE", f64::from(wanted.samples_per_side)),
+                    ("ANNOTATED", f64::from(u8::from(wanted.annotated))),
+                    ("DISTORTED", f64::from(u8::from(wanted.distorted))),
+                    ("LISTED", f64::from(u8::from(wanted.listed))),
+                ],
+                ..Default::default()
+            },
+            cache: gpu.pipeline_cache(),
+        });
+        self.pipelines.push((wanted, pipeline));
+    }
+
+    /// Records the pass.
+    pub fn record(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        frame: &wgpu::BindGroup,
+        own: &wgpu::BindGroup,
+        targets: &Targets,
+        packed: &PackedFrame,
+        timestamps: Option<wgpu::ComputePassTimestampWrites<'_>>,
+    ) {
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+            label: Some("resolve"),
+            timestamp_writes: timestamps,
+        });
+        let wanted = Variant::new(targets, packed.size);
+        let made = self.pipelines.iter().find(|(made, _)| *made == wanted);
+        pass.set_pipeline(&made.expect("a pipeline is prepared before it is used").1);
+        pass.set_bind_group(0, frame, &[]);
+        pass.set_bind_group(2, own, &[]);
+        let [columns, rows] = dispatched(packed.work.resolved.len());
+        pass.dispatch_workgroups(columns, rows, 1);
+    }
+}
+
+/// Columns and rows of a dispatch of so many workgroups and maybe some more.
+fn dispatched(workgroups: usize) -> [u32; 2] {
+    let count = workgroups as u32;
+    [count.min(ROW_WIDTH), count.div_ceil(ROW_WIDTH)]
+}
+
+/// How long a list of so many is with those that are dispatched for none of them.
+fn list_len(workgroups: usize) -> u64 {
+    dispatched(workgroups).map(u64::from).iter().product()
+}
+
+impl PackedFrame {
+    /// Room for a picture of this size with these annotations.
+    #[must_use]
+    pub fn new(gpu: &Gpu, size: [u32; 2], annotations: Annotations) -> Self {
+        let packing = Packing::new(size, annotations);
+        let all = Work::new(size, None).resolved.len();
+        let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
+        Self {
+            size,
+            packing,
+            buffer: gpu.buffer("resolve/packed", packing.bytes(), usage),
+            readback: Readback::new(gpu, "resolve/readback", packing.bytes()),
+            work: Work::default(),
+            list: gpu.buffer(
+                "resolve/list",
+                4 * list_len(all),
+                BufferUsages::STORAGE | BufferUsages::COPY_DST,
+            ),
+        }
+    }
+
+    /// Chooses what is resolved, all of it unless it is known what the samples of an undistorted picture show; how many bytes the
+    /// device is given.
+    pub fn choose(&mut self, gpu: &Gpu, targets: &Targets, shown: Option<Shown<'_>>) -> u64 {
+        let is_listed = Variant::new(targets, self.size).listed;
+        self.work = Work::new(self.size, shown.filter(|_| is_listed));
+        if !is_listed {
+            return 0;
+        }
+        // Beyond the last of the list there are none of the picture.
+        let mut list = self.work.resolved.clone();
+        list.resize(list_len(list.len()) as usize, u32::MAX / GROUP_WIDTH);
+        gpu.queue.write_buffer(&self.list, 0, bytemuck::cast_slice(&list));
+        4 * list.len() as u64
+    }
+
+    /// Whether it serves a picture of this size with these annotations.
+    #[must_use]
+    pub fn serves(&self, size: [u32; 2], annotations: Annotations) -> bool {
+        (self.size, self.packing.annotations) == (size, annotations)
+    }
+
+    /// Records the copy to where the program can read it.
+    pub fn copy(&self, encoder: &mut wgpu::CommandEncoder) {
+        self.readback.copy(encoder, &self.buffer, self.packing.bytes());
+    }
+
+    /// Waits for the frame.
+    ///
+    /// # Errors
+    /// [`crate::Error::DeviceLost`] or [`crate::Error::Device`].
+    pub fn read(&self, gpu: &Gpu, submission: &wgpu::SubmissionIndex) -> crate::Result<Frame> {
+        let [width, height] = self.size;
+        let pixels = width as usize * height as usize;
+        let classes_at = 12 * self.packing.groups() as usize;
+        self.readback.read(gpu, submission, |bytes| {
+            let words = |annotation: Annotation| {
+                let range = self.packing.words(annotation).unwrap_or(0..0);
+                bytes[4 * range.start as usize..4 * range.end as usize]
+                    .chunks_exact(4)
+                    .map(|word| u32::from_le_bytes([word[0], word[1], word[2], word[3]]))
+            };
+            let class = bytes[classes_at..classes_at + pixels].to_vec();
+            let depth = |(word, class): (u32, &u8)| {
+                if *class == ClassId::SKY.0 { f32::INFINITY } else { f32::from_bits(word) }
+            };
+            let half = |bits: u32| half::f16::from_bits(bits as u16);
+            let mut frame = Frame {
+                width,
+                height,
+                focal_px: 0.0,
+                rgb: bytes[..3 * pixels].to_vec(),
+                depth_m: words(Annotation::Depth).zip(&class).map(depth).collect(),
+                normals: words(Annotation::Normals).map(f32::from_bits).collect(),
+                instances: words(Annotation::Instances).map(|word| word as u16).collect(),
+                hidden: words(Annotation::Shadow).map(|word| word as u8).collect(),
+                radiance: words(Annotation::Hdr)
+                    .enumerate()
+                    // Red and green share a word, blue has one with an empty half.
+                    .flat_map(|(i, word)| [Some(half(word)), (i % 2 == 0).then(|| half(word >> 16))])
+                    .flatten()
+                    .collect(),
+                sample_counts: words(Annotation::Coverage)
+                    .map(|word| [word as u8, (word >> 8) as u8, (word >> 16) as u8])
+                    .collect(),
+                class,
+                ..Frame::default()
+            };
+            let work = &self.work;
+            work.spread(&mut frame.rgb, 3);
+            work.spread(&mut frame.class, 1);
+            work.spread(&mut frame.depth_m, 1);
+            work.spread(&mut frame.normals, 3);
+            work.spread(&mut frame.instances, 1);
+            work.spread(&mut frame.hidden, 1);
+            work.spread(&mut frame.radiance, 3);
+            work.spread(&mut frame.sample_counts, 1);
+            frame
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tone_curve_is_smooth_rises_and_ends_at_249() {
+        assert!((tone(TONE_KNEE) - TONE_KNEE).abs() < 1e-12);
+        let step = 1e-6;
+        let slope = (tone(TONE_KNEE + step) - tone(TONE_KNEE)) / step;
+        assert!((slope - 1.0).abs() < 1e-4, "{slope}");
+        let mut last = -1.0;
+        for i in 0..1000 {
+            let value = encoded(f64::from(i) * 0.01);
+            assert!(value >= last);
+            last = value;
+        }
+        assert!((encoded(1e9) - 249.0).abs() < 0.01, "{}", encoded(1e9));
+    }
+
+    #[test]
+    fn exposure_doubles_with_each_stop() {
+        assert_eq!((exposure(0.0), exposure(1.0), exposure(-2.0)), (1.0, 2.0, 0.25));
+    }
+}
