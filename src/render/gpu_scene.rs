@@ -22,7 +22,7 @@ use crate::render::lighting::gbuffer::{Background, Targets};
 use crate::render::lighting::relief_bands::Bands;
 use crate::render::resolve::pass::{self, Packing};
 use crate::render::resolve::tile_list::Shown;
-use crate::render::select::casters::{self, CasterGrids, Shades};
+use crate::render::select::casters::{self, CasterGrids, ShadowSources};
 use crate::render::select::footprint::Footprint;
 use crate::render::select::selection::{Bounds, Selection, Slots, near_to_far};
 use crate::render::shadow::device::ShadowPass;
@@ -345,11 +345,11 @@ impl GpuScene {
                 Some((selected.nearest_m, (draw, bounds)))
             });
             for (_, (draw, bounds)) in near_to_far(rocks) {
-                show(Groups::rocks(Shades::Both), draw, bounds);
+                show(Groups::rocks(ShadowSources::GroundAndRocks), draw, bounds);
             }
             let blocks = selection.blocks.iter().map(|&(block, nearest_m)| (nearest_m, block));
             for (_, block) in near_to_far(blocks) {
-                let group = Groups::ground(bands.of_block(block), Shades::Both);
+                let group = Groups::ground(bands.of_block(block), ShadowSources::GroundAndRocks);
                 show(group, meshes.block(block, Slots::GROUND), Bounds::ANYWHERE);
             }
             let groups = Groups::new(bands.bands.len());

@@ -3,7 +3,7 @@
 //! Samples that are lit alike are a group. The visibility pass draws groups in their order, near things before what they may
 //! cover, and leaves one more than the group's number in the stencil.
 
-use crate::render::select::casters::Shades;
+use crate::render::select::casters::ShadowSources;
 
 /// By which program samples are lit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -11,12 +11,12 @@ pub enum Lit {
     /// Ground that these things can shade.
     Ground {
         /// What can shade it.
-        shades: Shades,
+        shades: ShadowSources,
     },
     /// Rocks that these things can shade.
     Rocks {
         /// What can shade them.
-        shades: Shades,
+        shades: ShadowSources,
     },
     /// Dome and stars.
     Sky,
@@ -24,8 +24,11 @@ pub enum Lit {
 
 impl Lit {
     /// Those that light anything, whatever can shade it.
-    pub const BY_ANYTHING: [Self; 3] =
-        [Self::Rocks { shades: Shades::Both }, Self::Ground { shades: Shades::Both }, Self::Sky];
+    pub const BY_ANYTHING: [Self; 3] = [
+        Self::Rocks { shades: ShadowSources::GroundAndRocks },
+        Self::Ground { shades: ShadowSources::GroundAndRocks },
+        Self::Sky,
+    ];
 }
 
 /// A group by its number.
@@ -52,17 +55,17 @@ impl Groups {
 
     /// Rocks that these things can shade.
     #[must_use]
-    pub const fn rocks(shades: Shades) -> Group {
+    pub const fn rocks(shades: ShadowSources) -> Group {
         match shades {
-            Shades::Ground | Shades::Both => 0,
-            Shades::Casters => 1,
-            Shades::Nothing => 2,
+            ShadowSources::Ground | ShadowSources::GroundAndRocks => 0,
+            ShadowSources::Rocks => 1,
+            ShadowSources::None => 2,
         }
     }
 
     /// Ground of a band that these things can shade.
     #[must_use]
-    pub const fn ground(band: usize, shades: Shades) -> Group {
+    pub const fn ground(band: usize, shades: ShadowSources) -> Group {
         (3 + 4 * band) as Group + shades as Group
     }
 
@@ -71,9 +74,9 @@ impl Groups {
     #[must_use]
     #[inline(always)]
     pub const fn of_all_bands(self, group: Group) -> Group {
-        let of_ground = group.wrapping_sub(Self::ground(0, Shades::Nothing));
+        let of_ground = group.wrapping_sub(Self::ground(0, ShadowSources::None));
         if of_ground < (4 * self.bands) as Group {
-            Self::ground(0, Shades::Nothing) + (of_ground & 3)
+            Self::ground(0, ShadowSources::None) + (of_ground & 3)
         } else {
             group
         }
@@ -93,8 +96,9 @@ impl Groups {
 
     /// By what program each is lit, and which band it is of.
     pub fn all(self) -> impl Iterator<Item = (Lit, usize)> {
-        let rocks = [Shades::Both, Shades::Casters, Shades::Nothing].map(|shades| (Lit::Rocks { shades }, 0));
-        let ground = |band| Shades::ALL.map(|shades| (Lit::Ground { shades }, band));
+        let rocks = [ShadowSources::GroundAndRocks, ShadowSources::Rocks, ShadowSources::None]
+            .map(|shades| (Lit::Rocks { shades }, 0));
+        let ground = |band| ShadowSources::ALL.map(|shades| (Lit::Ground { shades }, band));
         rocks.into_iter().chain((0..self.bands).flat_map(ground)).chain([(Lit::Sky, 0); 2])
     }
 }
@@ -107,11 +111,11 @@ mod tests {
     fn groups_stand_in_the_order_of_their_numbers() {
         let groups = Groups::new(4);
         let all: Vec<_> = groups.all().collect();
-        for shades in [Shades::Nothing, Shades::Casters, Shades::Both] {
+        for shades in [ShadowSources::None, ShadowSources::Rocks, ShadowSources::GroundAndRocks] {
             assert_eq!(all[usize::from(Groups::rocks(shades))], (Lit::Rocks { shades }, 0));
         }
         for band in 0..4 {
-            for shades in Shades::ALL {
+            for shades in ShadowSources::ALL {
                 assert_eq!(all[usize::from(Groups::ground(band, shades))], (Lit::Ground { shades }, band));
             }
         }

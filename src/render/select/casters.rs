@@ -140,27 +140,27 @@ pub fn largest_first(casters: &[Caster]) -> Vec<usize> {
     order
 }
 
-/// What can shade a place.
+/// What can occlude the sun at a surface. The values are those of `SHADES` in `shaders/surface.wgsl`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Shades {
-    /// Nothing.
-    Nothing,
-    /// Other ground.
+pub enum ShadowSources {
+    /// Nothing: a surface that faces the sun sees all of it.
+    None,
+    /// Other ground, by the horizon map.
     Ground,
-    /// Rocks.
-    Casters,
-    /// Rocks and other ground.
-    Both,
+    /// Rocks, by the shadow atlas.
+    Rocks,
+    /// Both.
+    GroundAndRocks,
 }
 
-impl Shades {
-    /// Every one, by its number.
-    pub const ALL: [Self; 4] = [Self::Nothing, Self::Ground, Self::Casters, Self::Both];
+impl ShadowSources {
+    /// Every variant, in the order of its value.
+    pub const ALL: [Self; 4] = [Self::None, Self::Ground, Self::Rocks, Self::GroundAndRocks];
 
-    /// Whether rocks are among it.
+    /// Whether rocks are among them.
     #[must_use]
-    pub const fn has_casters(self) -> bool {
-        matches!(self, Self::Casters | Self::Both)
+    pub const fn has_rocks(self) -> bool {
+        matches!(self, Self::Rocks | Self::GroundAndRocks)
     }
 }
 
@@ -196,7 +196,7 @@ impl CasterGrids {
 
     /// What can shade what lies in a box (its lowest and highest corner, seen from above, metres).
     #[must_use]
-    pub fn shades_over(&self, grid: &[u32], low: Vec2, high: Vec2) -> Shades {
+    pub fn shadow_sources_over(&self, grid: &[u32], low: Vec2, high: Vec2) -> ShadowSources {
         let (from, to) = (low - self.centre, high - self.centre);
         let nearest = Vec2::ZERO.clamp(from, to).abs().max_element();
         let furthest = from.abs().max(to.abs()).max_element();
@@ -224,10 +224,10 @@ impl CasterGrids {
             }
         }
         match (has_casters, asks_horizon) {
-            (false, false) => Shades::Nothing,
-            (false, true) => Shades::Ground,
-            (true, false) => Shades::Casters,
-            (true, true) => Shades::Both,
+            (false, false) => ShadowSources::None,
+            (false, true) => ShadowSources::Ground,
+            (true, false) => ShadowSources::Rocks,
+            (true, true) => ShadowSources::GroundAndRocks,
         }
     }
 

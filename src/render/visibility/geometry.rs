@@ -18,7 +18,7 @@ use crate::render::raster::{
     self, AT_ONCE, FURTHEST_PX, Outline, Place, Plane, Sides, Sifted, Span, Turn, VERTICES, by_axis,
     texels_between,
 };
-use crate::render::select::casters::{CasterGrids, Shades};
+use crate::render::select::casters::{CasterGrids, ShadowSources};
 use crate::render::select::selection::{
     BLOCK_CELLS, Bounds, SelectedRock, Selection, Slots, ground_blocks, near_to_far,
 };
@@ -66,13 +66,13 @@ pub struct Facet {
     /// First and last row of samples that it may cover.
     pub rows: [u16; 2],
     /// What can shade it.
-    pub shades: Shades,
+    pub shades: ShadowSources,
     /// Of a piece of a triangle that was clipped, its place in [`Mesh::clipped`]: the piece may be thin and its corners far away.
     pub clipped: Option<u32>,
 }
 
-/// For each of [`Shades`].
-const SHADES: usize = Shades::ALL.len();
+/// For each of [`ShadowSources`].
+const SHADES: usize = ShadowSources::ALL.len();
 
 /// A mesh on the picture.
 #[derive(Debug, Default)]
@@ -165,14 +165,14 @@ impl Facets {
         let meshes = self.meshes.par_iter_mut().zip(sources).with_max_len(AT_A_TIME);
         meshes.for_each(|(mesh, source)| match source {
             Source::Rock(place) => {
-                let groups = Shades::ALL.map(Groups::rocks);
+                let groups = ShadowSources::ALL.map(Groups::rocks);
                 mesh.restart(Slots::rock(place), groups);
                 mesh.add_rock(&of, &selection.rocks[place]);
             }
             Source::Block(place) => {
                 let (block, _) = selection.blocks[place];
                 let band = bands.of_block(block);
-                mesh.restart(Slots::GROUND, Shades::ALL.map(|shades| Groups::ground(band, shades)));
+                mesh.restart(Slots::GROUND, ShadowSources::ALL.map(|shades| Groups::ground(band, shades)));
                 mesh.add_block(&of, &spans[block]);
             }
             Source::Stars => {
@@ -223,12 +223,14 @@ struct Picture<'a> {
 
 impl Picture<'_> {
     /// What can shade what lies in a box, as seen from above.
-    fn shades_over(&self, low: Vec2, high: Vec2) -> Shades {
-        self.grids.map_or(Shades::Both, |grids| grids.shades_over(self.caster_grid, low, high))
+    fn shades_over(&self, low: Vec2, high: Vec2) -> ShadowSources {
+        self.grids.map_or(ShadowSources::GroundAndRocks, |grids| {
+            grids.shadow_sources_over(self.caster_grid, low, high)
+        })
     }
 
     /// What can shade a cell of the ground.
-    fn shades_over_cell(&self, column: u32, row: u32) -> Shades {
+    fn shades_over_cell(&self, column: u32, row: u32) -> ShadowSources {
         let corners = self.scene.terrain.corners(column, row).map(Vec3::truncate);
         let (low, high) =
             corners.iter().fold((corners[0], corners[0]), |(low, high), p| (low.min(*p), high.max(*p)));
@@ -432,7 +434,7 @@ impl Mesh {
                 let shades = || {
                     let [a, b, c] = corners.map(|corner| corner.position.z);
                     let dark = corners.iter().all(|corner| corner.normal.dot(of.sun) < -DARK);
-                    let shades = if dark { Shades::Nothing } else { lit_shades };
+                    let shades = if dark { ShadowSources::None } else { lit_shades };
                     (a.max(b).max(c) > buried_m).then_some(shades)
                 };
                 self.add(&of.samples, triangle, Sides::Outside, shades, vertex);
@@ -499,7 +501,7 @@ impl Mesh {
                 let Vertex { position, normal } = vertices[(place - first) as usize];
                 (origin + position, normal)
             };
-            self.add(&of.samples, triangle, Sides::Both, || Some(Shades::Nothing), vertex);
+            self.add(&of.samples, triangle, Sides::Both, || Some(ShadowSources::None), vertex);
         }
     }
 
@@ -522,7 +524,7 @@ impl Mesh {
         samples: &Samples,
         triangle: [u32; 3],
         sides: Sides,
-        shades: impl FnOnce() -> Option<Shades>,
+        shades: impl FnOnce() -> Option<ShadowSources>,
         vertex: impl Fn(u32) -> (Vec3, Vec3),
     ) {
         let is_placed = |corner: u32| self.corners[corner as usize].inverse_w > 0.0;
@@ -589,13 +591,13 @@ impl Mesh {
         &mut self,
         corners: [u32; 3],
         [columns, rows]: Span,
-        shades: Shades,
+        shades: ShadowSources,
         facing: impl FnOnce() -> u32,
         clipped: Option<u32>,
     ) {
         let bounds = &mut self.bounds[shades as usize];
         *bounds = bounds.union(Bounds::of_samples(columns, rows));
-        let facing = if shades.has_casters() { facing() } else { 0 };
+        let facing = if shades.has_rocks() { facing() } else { 0 };
         let rows = [rows.0 as u16, rows.1 as u16];
         self.rows = [self.rows[0].min(rows[0]), self.rows[1].max(rows[1])];
         self.facets.push(Facet { corners, facing, rows, shades, clipped });
@@ -663,7 +665,7 @@ mod tests {
         mesh.extend(samples, Vec3::ZERO, &as_vertices);
         for &triangle in triangles {
             let vertex = |v: u32| (vertices[v as usize], Vec3::Z);
-            mesh.add(samples, triangle, Sides::Both, || Some(Shades::Nothing), vertex);
+            mesh.add(samples, triangle, Sides::Both, || Some(ShadowSources::None), vertex);
         }
         mesh
     }
