@@ -13,109 +13,30 @@ pub mod post;
 pub mod raster;
 pub mod resolve;
 pub mod select;
+mod settings;
 pub mod shadow;
 pub mod visibility;
 
 use std::time::Instant;
 
-use glam::Vec3;
-use wgpu::{BindingType, ShaderStages, TextureSampleType};
-
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::frame::{Annotation, Annotations, Frame};
 use crate::gpu::staging::Staging;
 use crate::gpu::{Gpu, is_cpu};
 use crate::scene::Scene;
-use crate::scene::camera::Camera;
+pub use device::timing::StageTimes;
+pub use settings::RenderSettings;
+
+use device::bind_groups::BindLayouts;
 use device::shader_structs::{Instance, ReliefUniforms};
 use device::shading_bins::Lit;
-use device::timing::{Pass, Timer};
+use device::timing::{Pass, Timer, milliseconds};
 use gpu_scene::{DrawnHere, GpuScene, Ways};
 use lighting::gbuffer::Targets;
 use lighting::pass::{ScenePass, Variant};
 use resolve::pass::{PackedFrame, ResolvePass};
 use shadow::device::ShadowPass;
 use visibility::device::VisibilityPass;
-
-/// What concerns the picture but not the scene.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RenderSettings {
-    /// Width and height, pixels.
-    pub size: [u32; 2],
-    /// Samples along a side of a pixel: 1, 2 or 4.
-    pub samples_per_side: u32,
-    /// How far a rock may be drawn off its authored outline, pixels; 0 draws every triangle.
-    pub outline_error_px: f32,
-    /// What is wanted besides colour and class.
-    pub annotations: Annotations,
-}
-
-/// The scene's specification allows less than a quarter of a pixel.
-const OUTLINE_ERROR_PX: f32 = 0.24;
-
-impl RenderSettings {
-    /// Settings from a number of samples per pixel.
-    ///
-    /// # Errors
-    /// [`Error::Usage`] unless `samples` is 1, 4 or 16 and both sides are at least a pixel.
-    pub fn new(size: [u32; 2], samples: u32) -> Result<Self> {
-        let [width, height] = size;
-        if width == 0 || height == 0 {
-            return Err(Error::Usage(format!(
-                "--size {width}x{height}: a picture has at least one pixel each way"
-            )));
-        }
-        match samples {
-            1 | 4 | 16 => Ok(Self {
-                size,
-                samples_per_side: samples.isqrt(),
-                outline_error_px: OUTLINE_ERROR_PX,
-                annotations: Annotations::default(),
-            }),
-            _ => Err(Error::Usage(format!("--samples {samples}: allowed are 1, 4 (2 x 2) and 16 (4 x 4)"))),
-        }
-    }
-
-    /// Columns and rows of samples.
-    #[must_use]
-    pub fn sample_size(&self) -> [u32; 2] {
-        self.size.map(|side| side * self.samples_per_side)
-    }
-
-    /// Tangent of the angle between two samples in the middle of the picture.
-    fn sample_angle(&self, camera: &Camera) -> f32 {
-        2.0 * camera.tan_half_fov / self.sample_size()[0] as f32
-    }
-
-    /// Places a metre along the axis that samples show, metres from the eye: of the corner of sample (0, 0), and how it moves with
-    /// a column and a row.
-    fn rays(&self, camera: &Camera) -> [Vec3; 3] {
-        let aspect = self.size[0] as f32 / self.size[1] as f32;
-        let sample = self.sample_angle(camera);
-        let corner = camera.forward - camera.tan_half_fov * (camera.right - camera.up / aspect);
-        [corner, sample * camera.right, -sample * camera.up]
-    }
-
-    /// Focal length, samples.
-    fn focal_samples(&self, camera: &Camera) -> f32 {
-        (camera.focal_px(self.size[0]) * f64::from(self.samples_per_side)) as f32
-    }
-}
-
-/// Milliseconds of one frame's work, by stage, in order. `shadow`, `visibility`, `scene_pass` and `resolve` are measured by the
-/// device where it can, and left out where it cannot (`shadow` and `visibility` by this program, where it draws these itself);
-/// `gpu` is all the time from recording to the last pass's end, with that of frames that the device had before it.
-pub type StageTimes = Vec<(&'static str, f64)>;
-
-/// Layouts of the bind groups: 0 frame, 1 scene, 2 the pass's own.
-#[derive(Debug)]
-pub struct BindLayouts {
-    frame: wgpu::BindGroupLayout,
-    scene: wgpu::BindGroupLayout,
-    layers: wgpu::BindGroupLayout,
-    light: wgpu::BindGroupLayout,
-    resolve: wgpu::BindGroupLayout,
-}
 
 /// What a frame comes back in.
 #[derive(Debug)]
@@ -464,64 +385,6 @@ struct BindGroups {
     resolve: wgpu::BindGroup,
 }
 
-impl BindLayouts {
-    fn new(gpu: &Gpu) -> Self {
-        let group = |label, stages: ShaderStages, bindings: &[BindingType]| {
-            let entries: Vec<_> = (0..)
-                .zip(bindings)
-                .map(|(binding, &ty)| wgpu::BindGroupLayoutEntry {
-                    binding,
-                    visibility: stages,
-                    ty,
-                    count: None,
-                })
-                .collect();
-            gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-                label: Some(label),
-                entries: &entries,
-            })
-        };
-        let buffer = |ty| BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None };
-        let slot = |bytes: usize| BindingType::Buffer {
-            ty: wgpu::BufferBindingType::Uniform,
-            has_dynamic_offset: true,
-            min_binding_size: wgpu::BufferSize::new(bytes as u64),
-        };
-        let (instance, relief) = (slot(size_of::<Instance>()), slot(size_of::<ReliefUniforms>()));
-        let read = buffer(wgpu::BufferBindingType::Storage { read_only: true });
-        let write = buffer(wgpu::BufferBindingType::Storage { read_only: false });
-        let texture = |sample_type| BindingType::Texture {
-            sample_type,
-            view_dimension: wgpu::TextureViewDimension::D2,
-            multisampled: false,
-        };
-        let float = texture(TextureSampleType::Float { filterable: false });
-        let uint = texture(TextureSampleType::Uint);
-        let map = BindingType::StorageTexture {
-            access: wgpu::StorageTextureAccess::WriteOnly,
-            format: shadow::device::MAP_FORMAT,
-            view_dimension: wgpu::TextureViewDimension::D2,
-        };
-        let nearest = BindingType::Sampler(wgpu::SamplerBindingType::NonFiltering);
-        let drawing = ShaderStages::VERTEX_FRAGMENT;
-        Self {
-            frame: group(
-                "frame",
-                drawing | ShaderStages::COMPUTE,
-                &[buffer(wgpu::BufferBindingType::Uniform)],
-            ),
-            scene: group("scene", drawing, &[instance, read, relief, read]),
-            layers: group("layers", ShaderStages::COMPUTE, &[float, map]),
-            light: group("light", ShaderStages::FRAGMENT, &[uint, float, float, read, nearest, float]),
-            resolve: group(
-                "resolve",
-                ShaderStages::COMPUTE,
-                &[float, uint, float, uint, float, uint, write, nearest, read],
-            ),
-        }
-    }
-}
-
 /// Tells of each pass whether the device is given it, and not this program.
 fn by_device(drawn_here: DrawnHere) -> impl Fn(Pass) -> bool {
     move |pass| match pass {
@@ -529,17 +392,4 @@ fn by_device(drawn_here: DrawnHere) -> impl Fn(Pass) -> bool {
         Pass::Visibility => drawn_here.visibility_ms.is_none(),
         Pass::Scene | Pass::Resolve => true,
     }
-}
-
-/// Of vertices with so many of their attributes, the position first.
-fn vertex_layout(attributes: usize) -> wgpu::VertexBufferLayout<'static> {
-    wgpu::VertexBufferLayout {
-        array_stride: visibility::meshes::VERTEX_BYTES,
-        step_mode: wgpu::VertexStepMode::Vertex,
-        attributes: &visibility::meshes::VERTEX_ATTRIBUTES[..attributes],
-    }
-}
-
-fn milliseconds(duration: std::time::Duration) -> f64 {
-    duration.as_secs_f64() * 1e3
 }

@@ -1,6 +1,8 @@
 //! What the passes share on the device: layouts of bind groups, structs that shaders read, timestamps, shading bins.
 //! Must not know: a scene.
 
+pub mod bind_groups;
+pub mod packing;
 pub mod shader_structs;
 pub mod shading_bins;
 pub mod timing;

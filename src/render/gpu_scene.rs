@@ -15,16 +15,18 @@ use crate::frame::Annotation;
 use crate::gpu::Gpu;
 use crate::gpu::staging::Staging;
 use crate::gpu::store::Store;
-use crate::render::RenderSettings;
+use crate::render::device::packing::Packing;
 use crate::render::device::shader_structs::{CasterTile, FrameUniforms, HorizonLevel, Instance};
 use crate::render::device::shading_bins::{Group, Groups, Lit};
+use crate::render::device::timing::milliseconds;
 use crate::render::lighting::gbuffer::{Background, Targets};
 use crate::render::lighting::relief_bands::Bands;
-use crate::render::resolve::pass::{self, Packing};
+use crate::render::resolve::pass;
 use crate::render::resolve::tile_list::Shown;
 use crate::render::select::casters::{self, CasterGrids, ShadowSources};
 use crate::render::select::footprint::Footprint;
 use crate::render::select::selection::{Bounds, Selection, Slots, near_to_far};
+use crate::render::settings::RenderSettings;
 use crate::render::shadow::device::ShadowPass;
 use crate::render::shadow::horizon::{self, HorizonMap};
 use crate::render::shadow::host::{self, NewTile, ShadowMap};
@@ -210,7 +212,7 @@ impl GpuScene {
             let start = Instant::now();
             self.new_tiles = self.shadow_map.place(scene, &mut selection);
             self.atlas_px = self.shadow_map.size_px();
-            self.drawn_here.shadow_map_ms = Some(crate::render::milliseconds(start.elapsed()));
+            self.drawn_here.shadow_map_ms = Some(milliseconds(start.elapsed()));
         } else {
             self.shadow_map = ShadowMap::default();
             self.atlas_px = casters::atlas_px(&selection.casters);
@@ -236,7 +238,7 @@ impl GpuScene {
                 }
             }
             self.drawn_triangles = self.facets.meshes().iter().map(|mesh| mesh.facets.len() as u64).sum();
-            self.drawn_here.visibility_ms = Some(crate::render::milliseconds(start.elapsed()));
+            self.drawn_here.visibility_ms = Some(milliseconds(start.elapsed()));
         }
         if !(ways.own_shadow_map && ways.own_visibility) {
             self.uploaded_bytes += self.meshes.upload(gpu, scene, &selection);
@@ -277,7 +279,7 @@ impl GpuScene {
             staging.copy(gpu, pass.texture(), &parts)?;
         }
         self.uploaded_bytes += bytes as u64;
-        *shadow_map_ms += crate::render::milliseconds(start.elapsed());
+        *shadow_map_ms += milliseconds(start.elapsed());
         Ok(())
     }
 
@@ -299,7 +301,7 @@ impl GpuScene {
             self.background = Some(Background { radiance: scene.sky.radiance, class: ClassId::SKY });
             self.draws.seen.retain(|seen| seen.group != self.facets.groups().dome());
         }
-        *visibility_ms += crate::render::milliseconds(start.elapsed());
+        *visibility_ms += milliseconds(start.elapsed());
         Ok(())
     }
 

@@ -5,7 +5,17 @@ use wgpu::{BufferUsages, Features};
 use crate::error::Result;
 use crate::gpu::Gpu;
 use crate::gpu::readback::Readback;
-use crate::render::StageTimes;
+
+/// Milliseconds of one frame's work, by stage, in order. The device measures `shadow`, `visibility`, `scene_pass` and `resolve` where
+/// it has timestamps, and these are left out where it has none; `shadow` and `visibility` are measured by the host where the host
+/// rasterises them. `gpu` is all the time from submission to the end of the last pass, with that of frames that were submitted
+/// before.
+pub type StageTimes = Vec<(&'static str, f64)>;
+
+/// A duration in milliseconds.
+pub(in crate::render) fn milliseconds(duration: std::time::Duration) -> f64 {
+    duration.as_secs_f64() * 1e3
+}
 
 /// The passes that are timed, in their order.
 #[derive(Clone, Copy, Debug)]

@@ -13,8 +13,8 @@ use crate::error::{Error, Result};
 use crate::frame::{Annotation, Annotations};
 use crate::gpu::Gpu;
 use crate::gpu::staging::{PAGE, Page, Part, Staging};
-use crate::render::RenderSettings;
-use crate::render::resolve::pass::Packing;
+use crate::render::device::packing::Packing;
+use crate::render::settings::RenderSettings;
 use crate::render::visibility::geometry::Facets;
 use crate::render::visibility::host::Stencil;
 

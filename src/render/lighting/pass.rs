@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use crate::frame::Annotations;
 use crate::gpu::Gpu;
-use crate::render::BindLayouts;
+use crate::render::device::bind_groups::BindLayouts;
 use crate::render::device::shader_structs::{Instance, ReliefUniforms, SKY, SURFACE};
 use crate::render::device::shading_bins::Lit;
 use crate::render::gpu_scene::{GpuScene, slot_stride};

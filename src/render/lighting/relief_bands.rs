@@ -6,9 +6,9 @@
 
 use std::ops::Range;
 
-use crate::render::RenderSettings;
 use crate::render::device::shader_structs::{LatticeUniforms, ReliefUniforms, ReliefView};
 use crate::render::select::selection::{BLOCK_CELLS, Selection, ground_blocks};
+use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
 use crate::scene::craters::LATTICES;
 use crate::scene::lattice::Lattice;

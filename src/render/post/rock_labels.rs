@@ -7,8 +7,8 @@ use glam::{DVec2, Vec2, Vec3};
 use rayon::prelude::*;
 
 use crate::frame::{Frame, RockLabel};
-use crate::render::RenderSettings;
 use crate::render::select::selection::{SelectedRock, Selection};
+use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
 use crate::scene::rocks::Rock;
 

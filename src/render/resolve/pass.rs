@@ -6,7 +6,8 @@ use crate::class::ClassId;
 use crate::frame::{Annotation, Annotations, Frame};
 use crate::gpu::Gpu;
 use crate::gpu::readback::Readback;
-use crate::render::BindLayouts;
+use crate::render::device::bind_groups::BindLayouts;
+use crate::render::device::packing::{Packing, WORKGROUP_SIZE};
 use crate::render::device::shader_structs::RESOLVE;
 use crate::render::lighting::gbuffer::Targets;
 use crate::render::resolve::tile_list::{Shown, Work};
@@ -17,8 +18,6 @@ pub const TONE_KNEE: f64 = 0.85;
 pub const TONE_WHITE: f64 = 0.947_307;
 /// Workgroups in a row of the dispatch; stands in `resolve.wgsl` too.
 const ROW_WIDTH: u32 = 1024;
-/// Invocations in a workgroup, each of four pixels; both stand in `resolve.wgsl` too.
-pub const GROUP_WIDTH: u32 = 64;
 
 /// Factor on radiance at an exposure in stops.
 #[must_use]
@@ -69,65 +68,6 @@ impl Variant {
             distorted,
             listed: targets.is_given && !distorted,
         }
-    }
-}
-
-/// Where each plane of a frame lies in the packed result.
-#[derive(Clone, Copy, Debug)]
-pub struct Packing {
-    pixels: u64,
-    annotations: Annotations,
-}
-
-/// Offset of an annotation that nobody asked for. Stands in `common/frame.wgsl` too.
-pub const NOT_ASKED: u32 = u32::MAX;
-
-/// Annotations in the order in which they are packed, with their words a pixel.
-const PACKED: [(Annotation, u64); 6] = [
-    (Annotation::Depth, 1),
-    (Annotation::Normals, 3),
-    (Annotation::Instances, 1),
-    (Annotation::Shadow, 1),
-    (Annotation::Hdr, 2),
-    (Annotation::Coverage, 1),
-];
-
-impl Packing {
-    /// The packing of a picture of this size with these annotations.
-    #[must_use]
-    pub fn new([width, height]: [u32; 2], annotations: Annotations) -> Self {
-        Self { pixels: u64::from(width) * u64::from(height), annotations }
-    }
-
-    /// Groups of four pixels, each with three words of colour and one of classes.
-    fn groups(self) -> u64 {
-        self.pixels.div_ceil(4)
-    }
-
-    /// Words of an annotation, `None` if it was not asked for.
-    fn words(self, wanted: Annotation) -> Option<std::ops::Range<u64>> {
-        let mut start = 4 * self.groups();
-        for (annotation, words) in PACKED {
-            let end = start + if self.annotations.contains(annotation) { words * self.pixels } else { 0 };
-            if annotation == wanted {
-                return (end > start).then_some(start..end);
-            }
-            start = end;
-        }
-        None
-    }
-
-    /// First word of an annotation, or [`NOT_ASKED`].
-    #[must_use]
-    pub fn start(self, annotation: Annotation) -> u32 {
-        self.words(annotation).map_or(NOT_ASKED, |words| words.start as u32)
-    }
-
-    /// Bytes in all.
-    #[must_use]
-    pub fn bytes(self) -> u64 {
-        let annotated = PACKED.iter().filter(|(annotation, _)| self.annotations.contains(*annotation));
-        16 * self.groups() + annotated.map(|(_, words)| 4 * words * self.pixels).sum::<u64>()
     }
 }
 
@@ -250,7 +190,7 @@ impl PackedFrame {
         }
         // Beyond the last of the list there are none of the picture.
         let mut list = self.work.resolved.clone();
-        list.resize(list_len(list.len()) as usize, u32::MAX / GROUP_WIDTH);
+        list.resize(list_len(list.len()) as usize, u32::MAX / WORKGROUP_SIZE);
         gpu.queue.write_buffer(&self.list, 0, bytemuck::cast_slice(&list));
         4 * list.len() as u64
     }
@@ -258,7 +198,7 @@ impl PackedFrame {
     /// Whether it serves a picture of this size with these annotations.
     #[must_use]
     pub fn serves(&self, size: [u32; 2], annotations: Annotations) -> bool {
-        (self.size, self.packing.annotations) == (size, annotations)
+        (self.size, self.packing.annotations()) == (size, annotations)
     }
 
     /// Records the copy to where the program can read it.
@@ -273,7 +213,7 @@ impl PackedFrame {
     pub fn read(&self, gpu: &Gpu, submission: &wgpu::SubmissionIndex) -> crate::Result<Frame> {
         let [width, height] = self.size;
         let pixels = width as usize * height as usize;
-        let classes_at = 12 * self.packing.groups() as usize;
+        let classes_at = 12 * self.packing.quads() as usize;
         self.readback.read(gpu, submission, |bytes| {
             let words = |annotation: Annotation| {
                 let range = self.packing.words(annotation).unwrap_or(0..0);

@@ -5,7 +5,7 @@
 //! Must not know: what the planes are.
 
 /// Pixels of a workgroup, in reading order: four for each of its invocations.
-const PIXELS: usize = 4 * crate::render::resolve::pass::GROUP_WIDTH as usize;
+const PIXELS: usize = 4 * crate::render::device::packing::WORKGROUP_SIZE as usize;
 
 /// What the samples of a picture show.
 #[derive(Clone, Copy, Debug)]

@@ -7,8 +7,8 @@ use std::ops::Range;
 
 use glam::{Mat4, UVec2, Vec2, Vec3, Vec4};
 
-use crate::render::RenderSettings;
 use crate::render::select::casters::{self, Caster};
+use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
 use crate::scene::rocks::Rock;
 use crate::scene::terrain::Terrain;

@@ -1,16 +1,14 @@
 //! The shadow-map pass: depth of all casters, fronts in one layer of an atlas and backs in the other, and of the two the map.
 //! A device that is a CPU is given the map as [`crate::render::shadow::host`] draws it.
 
-use wgpu::{TextureFormat, TextureUsages};
+use wgpu::TextureUsages;
 
 use crate::gpu::Gpu;
+use crate::render::device::bind_groups::{BindLayouts, SHADOW_MAP_FORMAT};
 use crate::render::device::shader_structs::{MIDDLE, SHADOW};
 use crate::render::gpu_scene::GpuScene;
 use crate::render::lighting::gbuffer::{ATLAS_FORMAT, depth_state};
-use crate::render::{BindLayouts, vertex_layout};
-
-/// Format of the map.
-pub(in crate::render) const MAP_FORMAT: TextureFormat = TextureFormat::R32Float;
+use crate::render::visibility::meshes::vertex_layout;
 
 /// Columns and rows of texels that a group of invocations makes of the map; they stand in `middle.wgsl` too.
 const GROUP_PX: u32 = 8;
@@ -171,7 +169,7 @@ impl Map {
     fn new(gpu: &Gpu, layouts: &BindLayouts, size_px: [u32; 2], is_given: bool) -> Self {
         let filled = if is_given { TextureUsages::COPY_DST } else { TextureUsages::STORAGE_BINDING };
         let (texture, view) =
-            gpu.texture("shadow/map", size_px, MAP_FORMAT, filled | TextureUsages::TEXTURE_BINDING);
+            gpu.texture("shadow/map", size_px, SHADOW_MAP_FORMAT, filled | TextureUsages::TEXTURE_BINDING);
         let drawn = (!is_given).then(|| {
             let size = [size_px[0], 2 * size_px[1]];
             let usage = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;

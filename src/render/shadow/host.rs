@@ -363,7 +363,7 @@ impl<S: Simd> Paint<S> for Depth<'_> {
 mod tests {
     use super::*;
     use crate::params::Params;
-    use crate::render::RenderSettings;
+    use crate::render::settings::RenderSettings;
     use crate::scene::sky::Sun;
 
     /// What a device would have.

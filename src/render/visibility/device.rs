@@ -2,11 +2,12 @@
 //! A device that is a CPU is given it as [`crate::render::visibility::host`] draws it.
 
 use crate::gpu::Gpu;
+use crate::render::device::bind_groups::BindLayouts;
 use crate::render::device::shader_structs::VISIBILITY;
 use crate::render::device::shading_bins::Lit;
 use crate::render::gpu_scene::GpuScene;
 use crate::render::lighting::gbuffer::{DEPTH_FORMAT, Targets, VISIBLE_FORMAT, depth_state};
-use crate::render::{BindLayouts, vertex_layout};
+use crate::render::visibility::meshes::vertex_layout;
 
 /// What the pass draws with.
 #[derive(Debug, Default)]

@@ -10,7 +10,6 @@ use fearless_simd::{Level, dispatch};
 use glam::{BVec2, Mat4, UVec2, Vec2, Vec3, Vec4};
 use rayon::prelude::*;
 
-use crate::render::RenderSettings;
 use crate::render::device::shading_bins::{Group, Groups};
 use crate::render::lighting::relief_bands::Bands;
 use crate::render::lighting::slopes_host::Slopes;
@@ -22,6 +21,7 @@ use crate::render::select::casters::{CasterGrids, ShadowSources};
 use crate::render::select::selection::{
     BLOCK_CELLS, Bounds, SelectedRock, Selection, Slots, ground_blocks, near_to_far,
 };
+use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
 use crate::scene::mesh::{Icosphere, Vertex};

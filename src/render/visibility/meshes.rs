@@ -69,10 +69,19 @@ struct PackedVertex {
 const HALF: f32 = 32_767.0;
 
 /// Bytes from a vertex to the next.
-pub(in crate::render) const VERTEX_BYTES: u64 = size_of::<PackedVertex>() as u64;
-/// What a vertex is made of.
-pub(in crate::render) const VERTEX_ATTRIBUTES: [wgpu::VertexAttribute; 2] =
+const VERTEX_BYTES: u64 = size_of::<PackedVertex>() as u64;
+/// Position and normal.
+const VERTEX_ATTRIBUTES: [wgpu::VertexAttribute; 2] =
     wgpu::vertex_attr_array![0 => Float32x3, 1 => Snorm16x2];
+
+/// Layout of the vertex buffer for a shader that reads the first `attributes` of position and normal.
+pub(in crate::render) fn vertex_layout(attributes: usize) -> wgpu::VertexBufferLayout<'static> {
+    wgpu::VertexBufferLayout {
+        array_stride: VERTEX_BYTES,
+        step_mode: wgpu::VertexStepMode::Vertex,
+        attributes: &VERTEX_ATTRIBUTES[..attributes],
+    }
+}
 
 /// The meshes of a scene, and what to draw of them.
 #[derive(Debug)]

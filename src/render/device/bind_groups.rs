@@ -1,0 +1,85 @@
+//! Layouts of the bind groups that the passes share: group 0 is the frame's, group 1 the scene's, group 2 the pass's own.
+//! Must not know: a pass.
+
+use wgpu::{BindingType, ShaderStages, TextureFormat, TextureSampleType};
+
+use crate::gpu::Gpu;
+use crate::render::device::shader_structs::{Instance, ReliefUniforms};
+
+/// Format of the shadow map, which a compute pass writes as a storage texture.
+pub const SHADOW_MAP_FORMAT: TextureFormat = TextureFormat::R32Float;
+
+/// One layout for each kind of bind group.
+#[derive(Debug)]
+pub struct BindLayouts {
+    /// Group 0 of every pass: `FrameUniforms`.
+    pub frame: wgpu::BindGroupLayout,
+    /// Group 1 of the drawing passes: the instance of the draw, caster tiles, its relief, all instances.
+    pub scene: wgpu::BindGroupLayout,
+    /// Group 2 of the shadow map's compute pass: depth layers, map.
+    pub layers: wgpu::BindGroupLayout,
+    /// Group 2 of the lighting pass: visibility, shadow map, horizon, caster grid, sampler, slopes.
+    pub light: wgpu::BindGroupLayout,
+    /// Group 2 of the resolve pass: planes, visibility, packed frame, sampler, tile list.
+    pub resolve: wgpu::BindGroupLayout,
+}
+
+impl BindLayouts {
+    /// Creates the layouts on a device.
+    #[must_use]
+    pub fn new(gpu: &Gpu) -> Self {
+        let group = |label, stages: ShaderStages, bindings: &[BindingType]| {
+            let entries: Vec<_> = (0..)
+                .zip(bindings)
+                .map(|(binding, &ty)| wgpu::BindGroupLayoutEntry {
+                    binding,
+                    visibility: stages,
+                    ty,
+                    count: None,
+                })
+                .collect();
+            gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+                label: Some(label),
+                entries: &entries,
+            })
+        };
+        let buffer = |ty| BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None };
+        let slot = |bytes: usize| BindingType::Buffer {
+            ty: wgpu::BufferBindingType::Uniform,
+            has_dynamic_offset: true,
+            min_binding_size: wgpu::BufferSize::new(bytes as u64),
+        };
+        let (instance, relief) = (slot(size_of::<Instance>()), slot(size_of::<ReliefUniforms>()));
+        let read = buffer(wgpu::BufferBindingType::Storage { read_only: true });
+        let write = buffer(wgpu::BufferBindingType::Storage { read_only: false });
+        let texture = |sample_type| BindingType::Texture {
+            sample_type,
+            view_dimension: wgpu::TextureViewDimension::D2,
+            multisampled: false,
+        };
+        let float = texture(TextureSampleType::Float { filterable: false });
+        let uint = texture(TextureSampleType::Uint);
+        let map = BindingType::StorageTexture {
+            access: wgpu::StorageTextureAccess::WriteOnly,
+            format: SHADOW_MAP_FORMAT,
+            view_dimension: wgpu::TextureViewDimension::D2,
+        };
+        let nearest = BindingType::Sampler(wgpu::SamplerBindingType::NonFiltering);
+        let drawing = ShaderStages::VERTEX_FRAGMENT;
+        Self {
+            frame: group(
+                "frame",
+                drawing | ShaderStages::COMPUTE,
+                &[buffer(wgpu::BufferBindingType::Uniform)],
+            ),
+            scene: group("scene", drawing, &[instance, read, relief, read]),
+            layers: group("layers", ShaderStages::COMPUTE, &[float, map]),
+            light: group("light", ShaderStages::FRAGMENT, &[uint, float, float, read, nearest, float]),
+            resolve: group(
+                "resolve",
+                ShaderStages::COMPUTE,
+                &[float, uint, float, uint, float, uint, write, nearest, read],
+            ),
+        }
+    }
+}

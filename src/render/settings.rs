@@ -1,0 +1,73 @@
+//! Settings of a render: a leaf that every stage may read.
+//! Must not know: a scene, a device.
+
+use glam::Vec3;
+
+use crate::error::{Error, Result};
+use crate::frame::Annotations;
+use crate::scene::camera::Camera;
+
+/// What is rendered of a scene: size, samples, annotations.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RenderSettings {
+    /// Width and height, pixels.
+    pub size: [u32; 2],
+    /// Samples along a side of a pixel: 1, 2 or 4.
+    pub samples_per_side: u32,
+    /// Most that the outline of a rock's level of detail may differ from that of its authored mesh, pixels; 0 draws every triangle.
+    pub outline_error_px: f32,
+    /// Planes to render besides colour and class.
+    pub annotations: Annotations,
+}
+
+/// The specification of the scene allows less than a quarter of a pixel.
+const OUTLINE_ERROR_PX: f32 = 0.24;
+
+impl RenderSettings {
+    /// Settings from a number of samples per pixel.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] unless `samples` is 1, 4 or 16 and both sides are at least a pixel.
+    pub fn new(size: [u32; 2], samples: u32) -> Result<Self> {
+        let [width, height] = size;
+        if width == 0 || height == 0 {
+            return Err(Error::Usage(format!(
+                "--size {width}x{height}: an image has at least one pixel each way"
+            )));
+        }
+        match samples {
+            1 | 4 | 16 => Ok(Self {
+                size,
+                samples_per_side: samples.isqrt(),
+                outline_error_px: OUTLINE_ERROR_PX,
+                annotations: Annotations::default(),
+            }),
+            _ => Err(Error::Usage(format!("--samples {samples}: allowed are 1, 4 (2 x 2) and 16 (4 x 4)"))),
+        }
+    }
+
+    /// Columns and rows of samples.
+    #[must_use]
+    pub fn sample_size(&self) -> [u32; 2] {
+        self.size.map(|side| side * self.samples_per_side)
+    }
+
+    /// Tangent of the angle between two neighbouring samples at the centre of the image.
+    pub(super) fn sample_angle(&self, camera: &Camera) -> f32 {
+        2.0 * camera.tan_half_fov / self.sample_size()[0] as f32
+    }
+
+    /// Offsets from the eye to the points where view rays cross the plane one metre along the optical axis, metres: that of the
+    /// outer corner of sample (0, 0), then the step from one column to the next, then that from one row to the next.
+    pub(super) fn rays(&self, camera: &Camera) -> [Vec3; 3] {
+        let aspect = self.size[0] as f32 / self.size[1] as f32;
+        let sample = self.sample_angle(camera);
+        let corner = camera.forward - camera.tan_half_fov * (camera.right - camera.up / aspect);
+        [corner, sample * camera.right, -sample * camera.up]
+    }
+
+    /// Focal length, samples.
+    pub(super) fn focal_samples(&self, camera: &Camera) -> f32 {
+        (camera.focal_px(self.size[0]) * f64::from(self.samples_per_side)) as f32
+    }
+}
