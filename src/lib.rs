@@ -7,7 +7,7 @@
 //! 2. [`scene::Scene::build`] makes the scene of a seed: meshes, materials, sun, camera; plain data.
 //! 3. [`render::gpu_scene::GpuScene::upload`] chooses what this camera and this sun can see of it and writes that
 //!    to buffers.
-//! 4. [`render::Renderer::render`] draws it: shadow atlas, what each sample shows, then one scene pass that writes
+//! 4. [`render::Renderer::render`] draws it: shadow atlas, what each sample shows, then one lighting pass that writes
 //!    colour **and** class id of what is seen, then the resolve of samples to pixels.
 //! 5. A [`frame::Frame`] comes back: planes of bytes.
 //! 6. [`output`] encodes it and writes whole files.

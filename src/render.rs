@@ -1,7 +1,7 @@
 //! From a scene to a frame.
 //!
-//! [`Renderer`] holds what lasts: pipelines, targets, buffers. A frame is [`Renderer::record_frame`]: shadow
-//! atlas, visibility, scene pass, resolve, copy, in one function.
+//! [`Renderer`] holds what lasts: pipelines, G-buffer, buffers. A frame is [`Renderer::record_frame`]: shadow
+//! atlas, visibility, lighting pass, resolve, copy, in one function.
 //! Must not know: knobs, files.
 //! To add a pass: a file here with its struct (`new`, `record`), its WGSL in `shaders.rs`, a line in
 //! [`Renderer::record_frame`].
@@ -29,11 +29,11 @@ pub use settings::RenderSettings;
 
 use device::bind_groups::BindLayouts;
 use device::shader_structs::{Instance, ReliefUniforms};
-use device::shading_bins::Lit;
+use device::shading_bins::LightingVariant;
 use device::timing::{Pass, Timer, milliseconds};
 use gpu_scene::{DrawnHere, GpuScene, Ways};
-use lighting::gbuffer::Targets;
-use lighting::pass::{ScenePass, Variant};
+use lighting::gbuffer::GBuffer;
+use lighting::pass::{LightingPass, Variant};
 use resolve::pass::{PackedFrame, ResolvePass};
 use shadow::device::ShadowPass;
 use visibility::device::VisibilityPass;
@@ -79,10 +79,10 @@ pub struct Renderer {
     nearest: wgpu::Sampler,
     shadow_pass: ShadowPass,
     visibility_pass: VisibilityPass,
-    scene_pass: ScenePass,
+    lighting_pass: LightingPass,
     resolve_pass: ResolvePass,
     scene: GpuScene,
-    targets: Option<Targets>,
+    gbuffer: Option<GBuffer>,
     /// What frames that are not in flight any more came back in.
     spare: Vec<Slot>,
     /// What this program does itself; labels are the same either way. At first all of it if the device is a CPU, else nothing: a
@@ -103,10 +103,10 @@ impl Renderer {
                 .create_sampler(&wgpu::SamplerDescriptor { label: Some("nearest"), ..Default::default() }),
             shadow_pass: ShadowPass::default(),
             visibility_pass: VisibilityPass::default(),
-            scene_pass: ScenePass::new(&gpu, &layouts),
+            lighting_pass: LightingPass::new(&gpu, &layouts),
             resolve_pass: ResolvePass::new(&gpu, &layouts),
             scene: GpuScene::default(),
-            targets: None,
+            gbuffer: None,
             spare: Vec::new(),
             ways: Ways {
                 own_shadow_map: is_cpu(&gpu.info),
@@ -166,9 +166,9 @@ impl Renderer {
         let (scene, drawn) = wide.as_ref().map_or((scene, &picture), |(scene, drawn)| (scene, drawn));
         let is_given = self.ways.own_visibility;
         let has_slopes = is_given && scene.relief.is_some();
-        let mut targets = match self.targets.take() {
+        let mut gbuffer = match self.gbuffer.take() {
             Some(kept) if kept.serve(drawn, is_given, has_slopes) => kept,
-            _ => Targets::new(&self.gpu, drawn, is_given, has_slopes)?,
+            _ => GBuffer::new(&self.gpu, drawn, is_given, has_slopes)?,
         };
         self.spare.retain(|slot| slot.packed.serves(picture.size, picture.annotations));
         let mut slot = self.spare.pop().unwrap_or_else(|| Slot {
@@ -179,36 +179,36 @@ impl Renderer {
         });
         // A program takes longer to compile than it saves in a frame: the first is lit by as few as can be, which are compiled while
         // it is made ready.
-        let variant = Variant::new(scene, &targets);
-        let is_first = !self.scene_pass.has(variant);
+        let variant = Variant::new(scene, &gbuffer);
+        let is_first = !self.lighting_pass.has(variant);
         let ways = Ways { by_shades: self.ways.by_shades && !is_first, ..self.ways };
-        let Self { gpu, layouts, scene: gpu_scene, shadow_pass, scene_pass, resolve_pass, .. } = self;
-        let resolved = resolve::pass::Variant::new(&targets, slot.packed.size);
+        let Self { gpu, layouts, scene: gpu_scene, shadow_pass, lighting_pass, resolve_pass, .. } = self;
+        let resolved = resolve::pass::Variant::new(&gbuffer, slot.packed.size);
         let (made_ready, ()) = rayon::join(
             || {
                 gpu.guard(|| gpu_scene.upload(gpu, scene, drawn, picture.size, ways))?;
                 shadow_pass.prepare(gpu, layouts, gpu_scene.atlas_px, ways.own_shadow_map);
                 gpu_scene.give_shadow_map(gpu, scene, shadow_pass, &mut slot.given_shadow_map)?;
-                gpu_scene.give_visible(gpu, scene, &mut targets, &mut slot.given_visible)
+                gpu_scene.give_visible(gpu, scene, &mut gbuffer, &mut slot.given_visible)
             },
             || {
                 resolve_pass.prepare(gpu, resolved);
                 if is_first {
-                    scene_pass.prepare(gpu, variant, Lit::BY_ANYTHING);
+                    lighting_pass.prepare(gpu, variant, LightingVariant::BY_ANYTHING);
                 }
             },
         );
         made_ready?;
-        let shown = self.scene.shown(&targets);
-        self.scene.uploaded_bytes += slot.packed.choose(&self.gpu, &targets, shown);
-        self.scene_pass.prepare(&self.gpu, variant, self.scene.draws.seen.iter().map(|seen| seen.lit));
-        if !targets.is_given {
+        let shown = self.scene.shown(&gbuffer);
+        self.scene.uploaded_bytes += slot.packed.choose(&self.gpu, &gbuffer, shown);
+        self.lighting_pass.prepare(&self.gpu, variant, self.scene.draws.batches.iter().map(|seen| seen.lit));
+        if !gbuffer.is_given {
             self.visibility_pass.prepare(&self.gpu, &self.layouts);
         }
         self.gpu.check()?;
         let uploaded = Instant::now();
-        let submission = self.gpu.guard(|| self.submit_frame(variant, &targets, &slot))?;
-        self.targets = Some(targets);
+        let submission = self.gpu.guard(|| self.submit_frame(variant, &gbuffer, &slot))?;
+        self.gbuffer = Some(gbuffer);
         let DrawnHere { shadow_map_ms, visibility_ms } = self.scene.drawn_here;
         Ok(InFlight {
             asked,
@@ -272,10 +272,10 @@ impl Renderer {
         Ok((frame, times))
     }
 
-    fn submit_frame(&self, variant: Variant, targets: &Targets, slot: &Slot) -> wgpu::SubmissionIndex {
+    fn submit_frame(&self, variant: Variant, gbuffer: &GBuffer, slot: &Slot) -> wgpu::SubmissionIndex {
         let mut encoder =
             self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") });
-        self.record_frame(&mut encoder, variant, targets, slot);
+        self.record_frame(&mut encoder, variant, gbuffer, slot);
         self.gpu.queue.submit([encoder.finish()])
     }
 
@@ -284,39 +284,39 @@ impl Renderer {
         &self,
         encoder: &mut wgpu::CommandEncoder,
         variant: Variant,
-        targets: &Targets,
+        gbuffer: &GBuffer,
         slot: &Slot,
     ) {
         let (packed, timer) = (&slot.packed, slot.timer.as_ref());
-        let groups = self.bind_groups(targets, packed);
+        let groups = self.bind_groups(gbuffer, packed);
         self.shadow_pass.record(
             encoder,
             &self.scene,
             [&groups.frame, &groups.scene],
             timer.map(|timer| timer.both_passes(Pass::Shadow)),
         );
-        if !targets.is_given {
+        if !gbuffer.is_given {
             self.visibility_pass.record(
                 encoder,
                 &self.scene,
                 [&groups.frame, &groups.scene],
-                targets,
+                gbuffer,
                 timer.map(|timer| timer.render_pass(Pass::Visibility)),
             );
         }
-        self.scene_pass.record(
+        self.lighting_pass.record(
             encoder,
             &self.scene,
             [&groups.frame, &groups.scene, &groups.light],
             variant,
-            targets,
-            timer.map(|timer| timer.render_pass(Pass::Scene)),
+            gbuffer,
+            timer.map(|timer| timer.render_pass(Pass::Lighting)),
         );
         self.resolve_pass.record(
             encoder,
             &groups.frame,
             &groups.resolve,
-            targets,
+            gbuffer,
             packed,
             timer.map(|timer| timer.compute_pass(Pass::Resolve)),
         );
@@ -326,7 +326,7 @@ impl Renderer {
         }
     }
 
-    fn bind_groups(&self, targets: &Targets, packed: &PackedFrame) -> BindGroups {
+    fn bind_groups(&self, gbuffer: &GBuffer, packed: &PackedFrame) -> BindGroups {
         let scene = &self.scene;
         let horizon = &scene.horizon.as_ref().expect("a scene is uploaded before it is drawn").1;
         let group = |label, layout: &wgpu::BindGroupLayout, resources: &[wgpu::BindingResource<'_>]| {
@@ -357,16 +357,16 @@ impl Renderer {
                 "light",
                 &self.layouts.light,
                 &[
-                    view(&targets.visible.1),
+                    view(&gbuffer.visibility.1),
                     view(self.shadow_pass.map()),
                     view(horizon),
                     scene.caster_grid.buffer().as_entire_binding(),
                     wgpu::BindingResource::Sampler(&self.nearest),
-                    view(&targets.slopes.1),
+                    view(&gbuffer.slopes.1),
                 ],
             ),
             resolve: group("resolve", &self.layouts.resolve, &{
-                let planes = targets.planes.iter().chain([&targets.visible.1]).map(view);
+                let planes = gbuffer.planes.iter().chain([&gbuffer.visibility.1]).map(view);
                 let own = [
                     packed.buffer.as_entire_binding(),
                     wgpu::BindingResource::Sampler(&self.nearest),
@@ -390,6 +390,6 @@ fn by_device(drawn_here: DrawnHere) -> impl Fn(Pass) -> bool {
     move |pass| match pass {
         Pass::Shadow => drawn_here.shadow_map_ms.is_none(),
         Pass::Visibility => drawn_here.visibility_ms.is_none(),
-        Pass::Scene | Pass::Resolve => true,
+        Pass::Lighting | Pass::Resolve => true,
     }
 }

@@ -17,12 +17,12 @@ use crate::gpu::staging::Staging;
 use crate::gpu::store::Store;
 use crate::render::device::packing::Packing;
 use crate::render::device::shader_structs::{CasterTile, FrameUniforms, HorizonLevel, Instance};
-use crate::render::device::shading_bins::{Group, Groups, Lit};
+use crate::render::device::shading_bins::{LightingVariant, ShadingBin, ShadingBins};
 use crate::render::device::timing::milliseconds;
-use crate::render::lighting::gbuffer::{Background, Targets};
+use crate::render::lighting::gbuffer::{Background, GBuffer};
 use crate::render::lighting::relief_bands::Bands;
 use crate::render::resolve::pass;
-use crate::render::resolve::tile_list::Shown;
+use crate::render::resolve::tile_list::SkyStencil;
 use crate::render::select::casters::{self, CasterGrids, ShadowSources};
 use crate::render::select::footprint::Footprint;
 use crate::render::select::selection::{Bounds, Selection, Slots, near_to_far};
@@ -45,16 +45,16 @@ pub struct DrawList {
     /// Into the layers of the shadow atlas: whole meshes.
     pub casters: Range<usize>,
     /// What is seen, by how it is lit, in the order in which it is drawn: near things before what they may cover.
-    pub seen: Vec<Seen>,
+    pub batches: Vec<DrawBatch>,
 }
 
-/// What is lit by one draw of the scene pass.
+/// What is lit by one draw of the lighting pass.
 #[derive(Clone, Debug)]
-pub struct Seen {
+pub struct DrawBatch {
     /// Its number among those of the picture.
-    pub group: Group,
+    pub group: ShadingBin,
     /// How.
-    pub lit: Lit,
+    pub lit: LightingVariant,
     /// The slot of the instance that it is, unless each sample tells.
     pub instance: u32,
     /// Its slot among the reliefs below the mesh.
@@ -233,7 +233,7 @@ impl GpuScene {
             self.facets.find(scene, &selection, settings, &caster_grid, &bands, ways.by_shades);
             for mesh in self.facets.meshes() {
                 for (group, bounds) in mesh.groups.iter().zip(mesh.bounds) {
-                    let seen = &mut seen[usize::from(self.facets.groups().of_all_bands(*group))];
+                    let seen = &mut seen[usize::from(self.facets.groups().merge_bands(*group))];
                     seen.bounds = seen.bounds.union(bounds);
                 }
             }
@@ -245,8 +245,8 @@ impl GpuScene {
             let draws = self.list_draws(scene, settings, &bands, slots, &mut seen);
             self.uploaded_bytes += self.meshes.set_draws(gpu, draws, ways.multi_draw);
         }
-        self.draws.seen = seen;
-        self.draws.seen.retain(|seen| seen.bounds != Bounds::NOWHERE);
+        self.draws.batches = seen;
+        self.draws.batches.retain(|seen| seen.bounds != Bounds::NOWHERE);
         let tiles: Vec<CasterTile> = casters.iter().map(|caster| caster.tile).collect();
         self.uploaded_bytes += self.tiles.write(gpu, &tiles);
         self.uploaded_bytes += self.caster_grid.write(gpu, &caster_grid);
@@ -291,15 +291,15 @@ impl GpuScene {
         &mut self,
         gpu: &Gpu,
         scene: &Scene,
-        targets: &mut Targets,
+        gbuffer: &mut GBuffer,
         staging: &mut Option<Staging>,
     ) -> Result<()> {
         let Some(visibility_ms) = &mut self.drawn_here.visibility_ms else { return Ok(()) };
         let start = Instant::now();
-        self.uploaded_bytes += targets.give(gpu, staging, &self.facets, &mut self.stencil)?;
+        self.uploaded_bytes += gbuffer.give(gpu, staging, &self.facets, &mut self.stencil)?;
         if !self.stencil.has_holes {
             self.background = Some(Background { radiance: scene.sky.radiance, class: ClassId::SKY });
-            self.draws.seen.retain(|seen| seen.group != self.facets.groups().dome());
+            self.draws.batches.retain(|seen| seen.group != self.facets.groups().dome());
         }
         *visibility_ms += milliseconds(start.elapsed());
         Ok(())
@@ -307,11 +307,11 @@ impl GpuScene {
 
     /// What samples show, if this program drew it and there are none that show nothing.
     #[must_use]
-    pub(super) fn shown(&self, targets: &Targets) -> Option<Shown<'_>> {
-        self.background.as_ref().map(|_| Shown {
+    pub(super) fn shown(&self, gbuffer: &GBuffer) -> Option<SkyStencil<'_>> {
+        self.background.as_ref().map(|_| SkyStencil {
             stencil: &self.stencil.values,
             dome: self.facets.groups().dome() + 1,
-            samples_per_side: targets.samples_per_side as usize,
+            samples_per_side: gbuffer.samples_per_side as usize,
         })
     }
 
@@ -322,7 +322,7 @@ impl GpuScene {
         settings: &RenderSettings,
         bands: &Bands,
         slots: Slots<'_>,
-        seen: &mut [Seen],
+        seen: &mut [DrawBatch],
     ) -> Vec<Draw> {
         let (selection, meshes) = (slots.selection(), &self.meshes);
         let mut draws = Vec::new();
@@ -334,8 +334,8 @@ impl GpuScene {
         }
         self.draws.casters = 0..draws.len();
         if self.drawn_here.visibility_ms.is_none() {
-            let mut shown: Vec<(Group, Draw)> = Vec::new();
-            let mut show = |group: Group, draw: Draw, bounds: Bounds| {
+            let mut shown: Vec<(ShadingBin, Draw)> = Vec::new();
+            let mut show = |group: ShadingBin, draw: Draw, bounds: Bounds| {
                 let seen = &mut seen[usize::from(group)];
                 seen.bounds = seen.bounds.union(bounds);
                 shown.push((group, draw));
@@ -347,14 +347,14 @@ impl GpuScene {
                 Some((selected.nearest_m, (draw, bounds)))
             });
             for (_, (draw, bounds)) in near_to_far(rocks) {
-                show(Groups::rocks(ShadowSources::GroundAndRocks), draw, bounds);
+                show(ShadingBins::rocks(ShadowSources::GroundAndRocks), draw, bounds);
             }
             let blocks = selection.blocks.iter().map(|&(block, nearest_m)| (nearest_m, block));
             for (_, block) in near_to_far(blocks) {
-                let group = Groups::ground(bands.of_block(block), ShadowSources::GroundAndRocks);
+                let group = ShadingBins::ground(bands.of_block(block), ShadowSources::GroundAndRocks);
                 show(group, meshes.block(block, Slots::GROUND), Bounds::ANYWHERE);
             }
-            let groups = Groups::new(bands.bands.len());
+            let groups = ShadingBins::new(bands.bands.len());
             let sky =
                 [(groups.stars(), STAR_LEVEL, slots.stars()), (groups.dome(), DOME_LEVEL, slots.dome())];
             for (group, level, slots) in sky.into_iter().filter(|(.., slots)| !slots.is_empty()) {
@@ -448,15 +448,15 @@ fn instances(scene: &Scene, settings: &RenderSettings, slots: Slots<'_>) -> Vec<
 }
 
 /// All groups of a picture, by their numbers, of which nothing is shown yet.
-fn all_groups(bands: &Bands, slots: Slots<'_>) -> Vec<Seen> {
-    let groups = Groups::new(bands.bands.len());
+fn all_groups(bands: &Bands, slots: Slots<'_>) -> Vec<DrawBatch> {
+    let groups = ShadingBins::new(bands.bands.len());
     let instance = |group| match group {
         _ if group == groups.stars() => slots.stars().start,
         _ if group == groups.dome() => slots.dome().start,
         // Of rocks, each sample tells which.
         _ => Slots::GROUND,
     };
-    let all = (0..).zip(groups.all()).map(|(group, (lit, band))| Seen {
+    let all = (0..).zip(groups.all()).map(|(group, (lit, band))| DrawBatch {
         group,
         lit,
         instance: instance(group),

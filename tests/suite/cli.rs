@@ -242,7 +242,7 @@ fn one_frame_is_the_five_files_of_the_contract() {
         let share = ids.iter().filter(|value| **value == id).count() as f64 / 24_000.0;
         assert!((meta["coverage"][class].as_f64().expect("a fraction") - share).abs() < 1e-9);
     }
-    for stage in ["scene", "pipelines", "upload", "shadow", "scene_pass", "readback", "encode"] {
+    for stage in ["scene", "pipelines", "upload", "shadow", "lighting", "readback", "encode"] {
         assert!(meta["ms"][stage].is_f64(), "{stage} in {}", meta["ms"]);
     }
     for key in ["fx", "fy", "cx", "cy", "K", "world_from_camera", "world_from_camera_gl", "near_m", "far_m"] {

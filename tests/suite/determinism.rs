@@ -135,10 +135,10 @@ fn telling_apart_what_can_shade_changes_no_label_and_no_colour() {
         let scene = scene(seed, set);
         renderer.ways.by_shades = false;
         let alike = renderer.render(&scene, &all_planes(192)).expect("a frame").0;
-        let groups = renderer.gpu_scene().draws.seen.len();
+        let groups = renderer.gpu_scene().draws.batches.len();
         renderer.ways.by_shades = true;
         let apart = renderer.render(&scene, &all_planes(192)).expect("a frame").0;
-        told_apart += renderer.gpu_scene().draws.seen.len() - groups;
+        told_apart += renderer.gpu_scene().draws.batches.len() - groups;
         assert!(apart.class == alike.class && apart.instances == alike.instances, "seed {seed}: labels");
         assert!(apart.depth_m == alike.depth_m && apart.normals == alike.normals, "seed {seed}: geometry");
         assert!(apart.hidden == alike.hidden && apart.rocks == alike.rocks, "seed {seed}: shadows, boxes");
@@ -181,7 +181,7 @@ fn a_first_frame_is_lit_by_fewer_programs_and_is_the_same() {
     let scene = scene(4, &["sun.elevation_deg=12"]);
     let mut frame = || {
         let frame = renderer.render(&scene, &all_planes(128)).expect("a frame").0;
-        (frame, renderer.gpu_scene().draws.seen.len())
+        (frame, renderer.gpu_scene().draws.batches.len())
     };
     let ((first, few), (second, more)) = (frame(), frame());
     // A device that draws what is seen tells nothing apart.

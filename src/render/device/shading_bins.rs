@@ -1,4 +1,4 @@
-//! By which draw of the scene pass a sample is lit.
+//! By which draw of the lighting pass a sample is lit.
 //!
 //! Samples that are lit alike are a group. The visibility pass draws groups in their order, near things before what they may
 //! cover, and leaves one more than the group's number in the stencil.
@@ -7,7 +7,7 @@ use crate::render::select::casters::ShadowSources;
 
 /// By which program samples are lit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Lit {
+pub enum LightingVariant {
     /// Ground that these things can shade.
     Ground {
         /// What can shade it.
@@ -22,7 +22,7 @@ pub enum Lit {
     Sky,
 }
 
-impl Lit {
+impl LightingVariant {
     /// Those that light anything, whatever can shade it.
     pub const BY_ANYTHING: [Self; 3] = [
         Self::Rocks { shades: ShadowSources::GroundAndRocks },
@@ -32,16 +32,16 @@ impl Lit {
 }
 
 /// A group by its number.
-pub type Group = u8;
+pub type ShadingBin = u8;
 
 /// The groups of a picture: rocks, ground, stars, dome.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Groups {
+pub struct ShadingBins {
     /// Bands of the ground, which have a relief each.
     bands: usize,
 }
 
-impl Groups {
+impl ShadingBins {
     /// Those of a picture with so many bands of ground.
     ///
     /// # Panics
@@ -49,13 +49,13 @@ impl Groups {
     #[must_use]
     pub fn new(bands: usize) -> Self {
         let groups = Self { bands };
-        assert!(groups.dome() < Group::MAX, "the stencil tells {bands} bands apart");
+        assert!(groups.dome() < ShadingBin::MAX, "the stencil tells {bands} bands apart");
         groups
     }
 
     /// Rocks that these things can shade.
     #[must_use]
-    pub const fn rocks(shades: ShadowSources) -> Group {
+    pub const fn rocks(shades: ShadowSources) -> ShadingBin {
         match shades {
             ShadowSources::Ground | ShadowSources::GroundAndRocks => 0,
             ShadowSources::Rocks => 1,
@@ -65,17 +65,17 @@ impl Groups {
 
     /// Ground of a band that these things can shade.
     #[must_use]
-    pub const fn ground(band: usize, shades: ShadowSources) -> Group {
-        (3 + 4 * band) as Group + shades as Group
+    pub const fn ground(band: usize, shades: ShadowSources) -> ShadingBin {
+        (3 + 4 * band) as ShadingBin + shades as ShadingBin
     }
 
     /// The group that takes the place of one of the ground, where slopes are given and all bands are lit alike: that of the first
     /// band. Any other stays.
     #[must_use]
     #[inline(always)]
-    pub const fn of_all_bands(self, group: Group) -> Group {
+    pub const fn merge_bands(self, group: ShadingBin) -> ShadingBin {
         let of_ground = group.wrapping_sub(Self::ground(0, ShadowSources::None));
-        if of_ground < (4 * self.bands) as Group {
+        if of_ground < (4 * self.bands) as ShadingBin {
             Self::ground(0, ShadowSources::None) + (of_ground & 3)
         } else {
             group
@@ -84,22 +84,22 @@ impl Groups {
 
     /// Stars.
     #[must_use]
-    pub const fn stars(self) -> Group {
-        (3 + 4 * self.bands) as Group
+    pub const fn stars(self) -> ShadingBin {
+        (3 + 4 * self.bands) as ShadingBin
     }
 
     /// The dome.
     #[must_use]
-    pub const fn dome(self) -> Group {
+    pub const fn dome(self) -> ShadingBin {
         self.stars() + 1
     }
 
     /// By what program each is lit, and which band it is of.
-    pub fn all(self) -> impl Iterator<Item = (Lit, usize)> {
+    pub fn all(self) -> impl Iterator<Item = (LightingVariant, usize)> {
         let rocks = [ShadowSources::GroundAndRocks, ShadowSources::Rocks, ShadowSources::None]
-            .map(|shades| (Lit::Rocks { shades }, 0));
-        let ground = |band| ShadowSources::ALL.map(|shades| (Lit::Ground { shades }, band));
-        rocks.into_iter().chain((0..self.bands).flat_map(ground)).chain([(Lit::Sky, 0); 2])
+            .map(|shades| (LightingVariant::Rocks { shades }, 0));
+        let ground = |band| ShadowSources::ALL.map(|shades| (LightingVariant::Ground { shades }, band));
+        rocks.into_iter().chain((0..self.bands).flat_map(ground)).chain([(LightingVariant::Sky, 0); 2])
     }
 }
 
@@ -109,22 +109,25 @@ mod tests {
 
     #[test]
     fn groups_stand_in_the_order_of_their_numbers() {
-        let groups = Groups::new(4);
+        let groups = ShadingBins::new(4);
         let all: Vec<_> = groups.all().collect();
         for shades in [ShadowSources::None, ShadowSources::Rocks, ShadowSources::GroundAndRocks] {
-            assert_eq!(all[usize::from(Groups::rocks(shades))], (Lit::Rocks { shades }, 0));
+            assert_eq!(all[usize::from(ShadingBins::rocks(shades))], (LightingVariant::Rocks { shades }, 0));
         }
         for band in 0..4 {
             for shades in ShadowSources::ALL {
-                assert_eq!(all[usize::from(Groups::ground(band, shades))], (Lit::Ground { shades }, band));
+                assert_eq!(
+                    all[usize::from(ShadingBins::ground(band, shades))],
+                    (LightingVariant::Ground { shades }, band)
+                );
             }
         }
         for (group, (lit, band)) in (0..).zip(&all) {
-            let merged = groups.of_all_bands(group);
+            let merged = groups.merge_bands(group);
             assert_eq!(all[usize::from(merged)], (*lit, 0), "{lit:?} of band {band}");
-            assert!(merged == group || matches!(lit, Lit::Ground { .. }) && *band > 0);
+            assert!(merged == group || matches!(lit, LightingVariant::Ground { .. }) && *band > 0);
         }
-        assert_eq!(all[usize::from(groups.stars())], (Lit::Sky, 0));
+        assert_eq!(all[usize::from(groups.stars())], (LightingVariant::Sky, 0));
         assert_eq!(usize::from(groups.dome()), all.len() - 1);
     }
 }

@@ -6,7 +6,7 @@ use crate::error::Result;
 use crate::gpu::Gpu;
 use crate::gpu::readback::Readback;
 
-/// Milliseconds of one frame's work, by stage, in order. The device measures `shadow`, `visibility`, `scene_pass` and `resolve` where
+/// Milliseconds of one frame's work, by stage, in order. The device measures `shadow`, `visibility`, `lighting` and `resolve` where
 /// it has timestamps, and these are left out where it has none; `shadow` and `visibility` are measured by the host where the host
 /// rasterises them. `gpu` is all the time from submission to the end of the last pass, with that of frames that were submitted
 /// before.
@@ -22,7 +22,7 @@ pub(in crate::render) fn milliseconds(duration: std::time::Duration) -> f64 {
 pub(in crate::render) enum Pass {
     Shadow,
     Visibility,
-    Scene,
+    Lighting,
     Resolve,
 }
 
@@ -30,7 +30,7 @@ impl Pass {
     const ALL: [(Self, &str); 4] = [
         (Self::Shadow, "shadow"),
         (Self::Visibility, "visibility"),
-        (Self::Scene, "scene_pass"),
+        (Self::Lighting, "lighting"),
         (Self::Resolve, "resolve"),
     ];
 }

@@ -1,4 +1,4 @@
-//! The planes that the scene pass draws: format, cleared value, and the textures at sample resolution.
+//! The planes that the lighting pass draws: format, cleared value, and the textures at sample resolution.
 //!
 //! To add an annotation: a variant of [`Plane`], its arms here, a field in `shaders/common/planes.wgsl` and its
 //! value in `surface.wgsl` and `sky.wgsl`, its rule in `resolve.wgsl`.
@@ -18,7 +18,7 @@ use crate::render::settings::RenderSettings;
 use crate::render::visibility::geometry::Facets;
 use crate::render::visibility::host::Stencil;
 
-/// What a sample of the scene pass carries. The location in `SceneOut` is the place in [`Plane::ALL`].
+/// What a sample of the lighting pass carries. The location in `SceneOut` is the place in [`Plane::ALL`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Plane {
     /// Linear radiance.
@@ -87,10 +87,10 @@ pub struct Background {
 }
 
 /// Format of what the visibility pass draws (`visibility.wgsl`).
-pub const VISIBLE_FORMAT: TextureFormat = TextureFormat::Rgba32Uint;
+pub const VISIBILITY_FORMAT: TextureFormat = TextureFormat::Rgba32Uint;
 /// Format of the slopes of ground below its mesh, rise per metre along x and y, where they are given.
 pub const SLOPES_FORMAT: TextureFormat = TextureFormat::Rg32Float;
-/// Format of the depth of the shadow atlas, and of that of the samples, whose stencil says by which draw of the scene pass
+/// Format of the depth of the shadow atlas, and of that of the samples, whose stencil says by which draw of the lighting pass
 /// a sample is lit. Reversed in both: cleared to 0, the far end.
 pub const ATLAS_FORMAT: TextureFormat = TextureFormat::Depth32Float;
 /// See [`ATLAS_FORMAT`].
@@ -118,7 +118,7 @@ pub fn depth_state(format: TextureFormat) -> wgpu::DepthStencilState {
 
 /// The textures of one picture size.
 #[derive(Debug)]
-pub struct Targets {
+pub struct GBuffer {
     /// Pixels of the picture.
     pub size: [u32; 2],
     /// Samples along a side of a pixel.
@@ -130,7 +130,7 @@ pub struct Targets {
     /// One view a plane, as in [`Plane::ALL`]; of a single sample where the plane is not drawn.
     pub planes: [wgpu::TextureView; Plane::ALL.len()],
     /// What the samples show.
-    pub visible: (wgpu::Texture, wgpu::TextureView),
+    pub visibility: (wgpu::Texture, wgpu::TextureView),
     /// Slopes of the ground below its mesh; of a single sample where the device sums them up itself.
     pub slopes: (wgpu::Texture, wgpu::TextureView),
     /// Whether it is given them.
@@ -146,7 +146,7 @@ pub struct Targets {
 /// Most bytes that the device is given at once.
 const STAGING_BYTES: u32 = 32 << 20;
 
-impl Targets {
+impl GBuffer {
     /// Textures for a picture of this size. `is_given` tells whether the device is given what the samples show, `has_slopes`
     /// whether it is given slopes of ground too.
     ///
@@ -178,16 +178,26 @@ impl Targets {
         let sample_size = settings.sample_size();
         let drawn = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
         let texture = |label: &str, size, format, usage| gpu.texture(label, size, format, usage);
-        let (visible, stencil) = if is_given {
+        let (visibility, stencil) = if is_given {
             let given = TextureUsages::COPY_DST;
             (
-                texture("scene/visible", sample_size, VISIBLE_FORMAT, given | TextureUsages::TEXTURE_BINDING),
-                texture("scene/stencil", sample_size, GIVEN_FORMAT, given | TextureUsages::RENDER_ATTACHMENT),
+                texture(
+                    "gbuffer/visibility",
+                    sample_size,
+                    VISIBILITY_FORMAT,
+                    given | TextureUsages::TEXTURE_BINDING,
+                ),
+                texture(
+                    "gbuffer/stencil",
+                    sample_size,
+                    GIVEN_FORMAT,
+                    given | TextureUsages::RENDER_ATTACHMENT,
+                ),
             )
         } else {
             (
-                texture("scene/visible", sample_size, VISIBLE_FORMAT, drawn),
-                texture("scene/depth", sample_size, DEPTH_FORMAT, TextureUsages::RENDER_ATTACHMENT),
+                texture("gbuffer/visibility", sample_size, VISIBILITY_FORMAT, drawn),
+                texture("gbuffer/depth", sample_size, DEPTH_FORMAT, TextureUsages::RENDER_ATTACHMENT),
             )
         };
         Ok(Self {
@@ -197,11 +207,11 @@ impl Targets {
             annotations,
             planes: Plane::ALL.map(|plane| {
                 let size = if plane.is_drawn(annotations) { sample_size } else { [1, 1] };
-                texture(&format!("scene/{plane:?}"), size, plane.format(), drawn).1
+                texture(&format!("gbuffer/{plane:?}"), size, plane.format(), drawn).1
             }),
-            visible,
+            visibility,
             slopes: texture(
-                "scene/slopes",
+                "gbuffer/slopes",
                 if has_slopes { sample_size } else { [1, 1] },
                 SLOPES_FORMAT,
                 TextureUsages::COPY_DST | TextureUsages::TEXTURE_BINDING,
@@ -230,11 +240,11 @@ impl Targets {
             (format.block_copy_size(None).unwrap_or(0) as usize * width as usize).next_multiple_of(PAGE)
         };
         let each_bytes =
-            [bytes_of(VISIBLE_FORMAT), if self.has_slopes { bytes_of(SLOPES_FORMAT) } else { 0 }];
+            [bytes_of(VISIBILITY_FORMAT), if self.has_slopes { bytes_of(SLOPES_FORMAT) } else { 0 }];
         let row_bytes = each_bytes[0] + each_bytes[1];
         let rows_at_once = (STAGING_BYTES / row_bytes as u32).clamp(1, height);
         let bytes = row_bytes * rows_at_once as usize;
-        let staging = Staging::with_room(staging, gpu, "scene/staging", bytes)?;
+        let staging = Staging::with_room(staging, gpu, "gbuffer/staging", bytes)?;
         // Where something was shown last there may be nothing but the sky now.
         let things = facets.rows_of_things();
         let before = std::mem::replace(&mut self.given_rows, things.clone());
@@ -253,7 +263,7 @@ impl Targets {
                 staging.write(gpu, draw)?;
                 let size = [width, given.len() as u32];
                 let part = Part { offset_bytes: 0, row_bytes, corner: [0, given.start], size };
-                staging.copy(gpu, &self.visible.0, &[part])?;
+                staging.copy(gpu, &self.visibility.0, &[part])?;
                 if self.has_slopes {
                     staging.copy(gpu, &self.slopes.0, &[Part { offset_bytes: each_bytes[0], ..part }])?;
                 }

@@ -1,4 +1,4 @@
-//! The scene pass: light on what the samples show. One draw for all samples that are lit alike writes every plane: colour
+//! The lighting pass: light on what the samples show. One draw for all samples that are lit alike writes every plane: colour
 //! and class cannot disagree.
 
 use rayon::prelude::*;
@@ -7,21 +7,21 @@ use crate::frame::Annotations;
 use crate::gpu::Gpu;
 use crate::render::device::bind_groups::BindLayouts;
 use crate::render::device::shader_structs::{Instance, ReliefUniforms, SKY, SURFACE};
-use crate::render::device::shading_bins::Lit;
+use crate::render::device::shading_bins::LightingVariant;
 use crate::render::gpu_scene::{GpuScene, slot_stride};
-use crate::render::lighting::gbuffer::{DEPTH_FORMAT, GIVEN_FORMAT, Plane, Targets};
+use crate::render::lighting::gbuffer::{DEPTH_FORMAT, GBuffer, GIVEN_FORMAT, Plane};
 use crate::scene::Scene;
 use crate::scene::photometry::Law;
 use crate::scene::terrain::Layout;
 
 /// Pipelines of the pass.
 #[derive(Debug)]
-pub(in crate::render) struct ScenePass {
+pub(in crate::render) struct LightingPass {
     surface: wgpu::ShaderModule,
     sky: wgpu::ShaderModule,
     layout: wgpu::PipelineLayout,
     /// For each way of lighting of each variant that was needed so far.
-    pipelines: Vec<((Variant, Lit), wgpu::RenderPipeline)>,
+    pipelines: Vec<((Variant, LightingVariant), wgpu::RenderPipeline)>,
 }
 
 /// What pipelines are made for.
@@ -41,14 +41,14 @@ pub(in crate::render) struct Variant {
 }
 
 impl Variant {
-    /// For a scene on these targets.
-    pub(in crate::render) fn new(scene: &Scene, targets: &Targets) -> Self {
+    /// For a scene on these gbuffer.
+    pub(in crate::render) fn new(scene: &Scene, gbuffer: &GBuffer) -> Self {
         Self {
-            annotations: targets.annotations,
+            annotations: gbuffer.annotations,
             law: scene.photometry.law,
             rings: matches!(scene.terrain.layout, Layout::Rings(_)),
             detail: scene.relief.is_some(),
-            is_given: targets.is_given,
+            is_given: gbuffer.is_given,
         }
     }
 }
@@ -59,7 +59,7 @@ const RELIEF_DETAIL: f64 = 1.0;
 const TEXTURE_DETAIL: f64 = 2.0;
 const GIVEN_DETAIL: f64 = 3.0;
 
-impl ScenePass {
+impl LightingPass {
     /// Compiles the programs.
     #[must_use]
     pub(in crate::render) fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
@@ -82,9 +82,9 @@ impl ScenePass {
         &mut self,
         gpu: &Gpu,
         variant: Variant,
-        wanted: impl IntoIterator<Item = Lit>,
+        wanted: impl IntoIterator<Item = LightingVariant>,
     ) {
-        let mut missing: Vec<(Variant, Lit)> = Vec::new();
+        let mut missing: Vec<(Variant, LightingVariant)> = Vec::new();
         for wanted in wanted.into_iter().map(|lit| (variant, lit)) {
             if !missing.contains(&wanted) && !self.pipelines.iter().any(|(made, _)| *made == wanted) {
                 missing.push(wanted);
@@ -95,7 +95,7 @@ impl ScenePass {
         self.pipelines.extend(missing.into_iter().zip(made));
     }
 
-    fn pipeline(&self, gpu: &Gpu, variant: Variant, lit: Lit) -> wgpu::RenderPipeline {
+    fn pipeline(&self, gpu: &Gpu, variant: Variant, lit: LightingVariant) -> wgpu::RenderPipeline {
         let surface = |shades, detail, of_many: bool| {
             vec![
                 ("SHADES", f64::from(shades as u32)),
@@ -106,12 +106,14 @@ impl ScenePass {
             ]
         };
         let (label, module, constants) = match lit {
-            Lit::Ground { shades } => {
+            LightingVariant::Ground { shades } => {
                 let detail = if variant.is_given { GIVEN_DETAIL } else { RELIEF_DETAIL };
                 (SURFACE.name, &self.surface, surface(shades, detail, false))
             }
-            Lit::Rocks { shades } => (SURFACE.name, &self.surface, surface(shades, TEXTURE_DETAIL, true)),
-            Lit::Sky => (SKY.name, &self.sky, Vec::new()),
+            LightingVariant::Rocks { shades } => {
+                (SURFACE.name, &self.surface, surface(shades, TEXTURE_DETAIL, true))
+            }
+            LightingVariant::Sky => (SKY.name, &self.sky, Vec::new()),
         };
         let targets = Plane::ALL.map(|plane| {
             plane.is_drawn(variant.annotations).then(|| wgpu::ColorTargetState {
@@ -160,14 +162,14 @@ impl ScenePass {
         scene: &GpuScene,
         groups: [&wgpu::BindGroup; 3],
         variant: Variant,
-        targets: &Targets,
+        gbuffer: &GBuffer,
         timestamps: Option<wgpu::RenderPassTimestampWrites<'_>>,
     ) {
         let attachments: Vec<_> = Plane::ALL
             .iter()
-            .zip(&targets.planes)
+            .zip(&gbuffer.planes)
             .map(|(plane, view)| {
-                plane.is_drawn(targets.annotations).then(|| wgpu::RenderPassColorAttachment {
+                plane.is_drawn(gbuffer.annotations).then(|| wgpu::RenderPassColorAttachment {
                     view,
                     depth_slice: None,
                     resolve_target: None,
@@ -183,7 +185,7 @@ impl ScenePass {
             color_attachments: &attachments,
             // It is only read.
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                view: &targets.depth_stencil.1,
+                view: &gbuffer.depth_stencil.1,
                 depth_ops: None,
                 stencil_ops: None,
             }),
@@ -193,14 +195,14 @@ impl ScenePass {
         let [frame, instances, light] = groups;
         pass.set_bind_group(0, frame, &[]);
         pass.set_bind_group(2, light, &[]);
-        for seen in &scene.draws.seen {
+        for seen in &scene.draws.batches {
             let made = self.pipelines.iter().find(|(made, _)| *made == (variant, seen.lit));
             pass.set_pipeline(&made.expect("pipelines are prepared before they are used").1);
             pass.set_stencil_reference(u32::from(seen.group) + 1);
             let slots =
                 [seen.instance * slot_stride::<Instance>(), seen.relief * slot_stride::<ReliefUniforms>()];
             pass.set_bind_group(1, instances, &slots);
-            let [x, y, width, height] = seen.bounds.within(targets.sample_size);
+            let [x, y, width, height] = seen.bounds.within(gbuffer.sample_size);
             pass.set_scissor_rect(x, y, width, height);
             pass.draw(0..3, 0..1);
         }

@@ -8,7 +8,7 @@ use fearless_simd::{Level, dispatch};
 use glam::{Vec2, Vec3};
 
 use crate::render::device::shader_structs::{LatticeUniforms, ReliefUniforms, ReliefView};
-use crate::render::device::shading_bins::{Group, Groups, Lit};
+use crate::render::device::shading_bins::{LightingVariant, ShadingBin, ShadingBins};
 use crate::render::lighting::relief_bands::{Bands, sample_share};
 use crate::scene::craters::{CLOD_HEIGHT, EJECTA_EXPONENT, JITTER_CELLS, PROFILE_DEPTH, RIM, second_hash};
 use crate::scene::noise::{gradient_noise_slope_2d, lattice_hash};
@@ -35,7 +35,7 @@ const EXP2: [f32; 8] = [
 pub struct Slopes {
     bands: Vec<ReliefUniforms>,
     /// The band of each group that shows something of it.
-    band_of: [u8; 1 << Group::BITS],
+    band_of: [u8; 1 << ShadingBin::BITS],
     /// A metre along the axis, metres from the eye: the corner of sample (0, 0), and how that moves with a column and a row.
     rays: [Vec3; 3],
 }
@@ -83,11 +83,11 @@ struct Sums {
 impl Slopes {
     /// Of the ground of these bands, seen along these rays.
     #[must_use]
-    pub fn new(bands: &Bands, groups: Groups, rays: [Vec3; 3]) -> Self {
-        let mut band_of = [NO_BAND; 1 << Group::BITS];
+    pub fn new(bands: &Bands, groups: ShadingBins, rays: [Vec3; 3]) -> Self {
+        let mut band_of = [NO_BAND; 1 << ShadingBin::BITS];
         for (band_of, (lit, band)) in band_of.iter_mut().zip(groups.all()) {
             let ReliefView { waves, pit_lattices, .. } = bands.bands[band].view;
-            if matches!(lit, Lit::Ground { .. }) && waves + pit_lattices > 0 {
+            if matches!(lit, LightingVariant::Ground { .. }) && waves + pit_lattices > 0 {
                 *band_of = band as u8;
             }
         }
@@ -100,7 +100,7 @@ impl Slopes {
         let mut some = Some64::default();
         let (mut band, mut count) = (NO_BAND, 0);
         for (column, thing) in seen.things.iter().enumerate() {
-            let group = (thing & u32::from(Group::MAX)).wrapping_sub(1);
+            let group = (thing & u32::from(ShadingBin::MAX)).wrapping_sub(1);
             let here = self.band_of.get(group as usize).copied().unwrap_or(NO_BAND);
             if here == NO_BAND {
                 continue;

@@ -9,8 +9,8 @@ use crate::gpu::readback::Readback;
 use crate::render::device::bind_groups::BindLayouts;
 use crate::render::device::packing::{Packing, WORKGROUP_SIZE};
 use crate::render::device::shader_structs::RESOLVE;
-use crate::render::lighting::gbuffer::Targets;
-use crate::render::resolve::tile_list::{Shown, Work};
+use crate::render::lighting::gbuffer::GBuffer;
+use crate::render::resolve::tile_list::{SkyStencil, TileList};
 
 /// Display-linear value up to which the tone curve is the identity.
 pub const TONE_KNEE: f64 = 0.85;
@@ -60,13 +60,13 @@ pub struct Variant {
 impl Variant {
     /// For samples of these targets and a picture of this size: smaller where a lens distorts it.
     #[must_use]
-    pub fn new(targets: &Targets, picture_size: [u32; 2]) -> Self {
-        let distorted = targets.size != picture_size;
+    pub fn new(gbuffer: &GBuffer, picture_size: [u32; 2]) -> Self {
+        let distorted = gbuffer.size != picture_size;
         Self {
-            samples_per_side: targets.samples_per_side,
-            annotated: targets.annotations != Annotations::default(),
+            samples_per_side: gbuffer.samples_per_side,
+            annotated: gbuffer.annotations != Annotations::default(),
             distorted,
-            listed: targets.is_given && !distorted,
+            listed: gbuffer.is_given && !distorted,
         }
     }
 }
@@ -81,7 +81,7 @@ pub struct PackedFrame {
     pub buffer: wgpu::Buffer,
     readback: Readback,
     /// What the pass works on.
-    work: Work,
+    work: TileList,
     /// Workgroups by their numbers, for [`Self::work`].
     pub list: wgpu::Buffer,
 }
@@ -130,7 +130,7 @@ impl ResolvePass {
         encoder: &mut wgpu::CommandEncoder,
         frame: &wgpu::BindGroup,
         own: &wgpu::BindGroup,
-        targets: &Targets,
+        gbuffer: &GBuffer,
         packed: &PackedFrame,
         timestamps: Option<wgpu::ComputePassTimestampWrites<'_>>,
     ) {
@@ -138,7 +138,7 @@ impl ResolvePass {
             label: Some("resolve"),
             timestamp_writes: timestamps,
         });
-        let wanted = Variant::new(targets, packed.size);
+        let wanted = Variant::new(gbuffer, packed.size);
         let made = self.pipelines.iter().find(|(made, _)| *made == wanted);
         pass.set_pipeline(&made.expect("a pipeline is prepared before it is used").1);
         pass.set_bind_group(0, frame, &[]);
@@ -164,14 +164,14 @@ impl PackedFrame {
     #[must_use]
     pub fn new(gpu: &Gpu, size: [u32; 2], annotations: Annotations) -> Self {
         let packing = Packing::new(size, annotations);
-        let all = Work::new(size, None).resolved.len();
+        let all = TileList::new(size, None).resolved.len();
         let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
         Self {
             size,
             packing,
             buffer: gpu.buffer("resolve/packed", packing.bytes(), usage),
             readback: Readback::new(gpu, "resolve/readback", packing.bytes()),
-            work: Work::default(),
+            work: TileList::default(),
             list: gpu.buffer(
                 "resolve/list",
                 4 * list_len(all),
@@ -182,9 +182,9 @@ impl PackedFrame {
 
     /// Chooses what is resolved, all of it unless it is known what the samples of an undistorted picture show; how many bytes the
     /// device is given.
-    pub fn choose(&mut self, gpu: &Gpu, targets: &Targets, shown: Option<Shown<'_>>) -> u64 {
-        let is_listed = Variant::new(targets, self.size).listed;
-        self.work = Work::new(self.size, shown.filter(|_| is_listed));
+    pub fn choose(&mut self, gpu: &Gpu, gbuffer: &GBuffer, shown: Option<SkyStencil<'_>>) -> u64 {
+        let is_listed = Variant::new(gbuffer, self.size).listed;
+        self.work = TileList::new(self.size, shown.filter(|_| is_listed));
         if !is_listed {
             return 0;
         }

@@ -9,7 +9,7 @@ const PIXELS: usize = 4 * crate::render::device::packing::WORKGROUP_SIZE as usiz
 
 /// What the samples of a picture show.
 #[derive(Clone, Copy, Debug)]
-pub struct Shown<'a> {
+pub struct SkyStencil<'a> {
     /// A value a sample, a row after the other.
     pub stencil: &'a [u8],
     /// That of those that show the dome.
@@ -20,19 +20,19 @@ pub struct Shown<'a> {
 
 /// Workgroups by their numbers.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Work {
+pub struct TileList {
     /// Those whose pixels are resolved.
     pub resolved: Vec<u32>,
     /// Those of the dome alone: the first is resolved, and the others have its values.
     blank: Vec<u32>,
 }
 
-impl Work {
+impl TileList {
     /// For a picture of this size.
     #[must_use]
-    pub fn new([width, height]: [u32; 2], shown: Option<Shown<'_>>) -> Self {
+    pub fn new([width, height]: [u32; 2], shown: Option<SkyStencil<'_>>) -> Self {
         let (width, pixels) = (width as usize, width as usize * height as usize);
-        let Some(Shown { stencil, dome, samples_per_side: side }) = shown else {
+        let Some(SkyStencil { stencil, dome, samples_per_side: side }) = shown else {
             return Self { resolved: (0..pixels.div_ceil(PIXELS) as u32).collect(), blank: Vec::new() };
         };
         let blank_row = vec![dome; side * width.min(PIXELS)];
@@ -98,7 +98,10 @@ mod tests {
                 // The last sample of the pixel.
                 stencil[(side * row + side - 1) * side * width + side * column + side - 1] = 1;
             }
-            let work = Work::new(size, Some(Shown { stencil: &stencil, dome: DOME, samples_per_side: side }));
+            let work = TileList::new(
+                size,
+                Some(SkyStencil { stencil: &stencil, dome: DOME, samples_per_side: side }),
+            );
             let with_things: Vec<u32> =
                 things.iter().map(|(column, row)| ((row * width + column) / PIXELS) as u32).collect();
             let all = (width * height).div_ceil(PIXELS) as u32;
@@ -119,7 +122,7 @@ mod tests {
             assert_ne!(plane, whole);
             work.spread(&mut plane, 2);
             assert_eq!(plane, whole, "{size:?}");
-            assert_eq!(Work::new(size, None).resolved, (0..all).collect::<Vec<_>>());
+            assert_eq!(TileList::new(size, None).resolved, (0..all).collect::<Vec<_>>());
         }
     }
 }

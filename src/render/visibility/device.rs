@@ -1,12 +1,12 @@
-//! The visibility pass: which thing each sample shows, and by which draw of the scene pass it is lit.
+//! The visibility pass: which thing each sample shows, and by which draw of the lighting pass it is lit.
 //! A device that is a CPU is given it as [`crate::render::visibility::host`] draws it.
 
 use crate::gpu::Gpu;
 use crate::render::device::bind_groups::BindLayouts;
 use crate::render::device::shader_structs::VISIBILITY;
-use crate::render::device::shading_bins::Lit;
+use crate::render::device::shading_bins::LightingVariant;
 use crate::render::gpu_scene::GpuScene;
-use crate::render::lighting::gbuffer::{DEPTH_FORMAT, Targets, VISIBLE_FORMAT, depth_state};
+use crate::render::lighting::gbuffer::{DEPTH_FORMAT, GBuffer, VISIBILITY_FORMAT, depth_state};
 use crate::render::visibility::meshes::vertex_layout;
 
 /// What the pass draws with.
@@ -49,7 +49,7 @@ impl Pipelines {
                     module: &module,
                     entry_point: Some(entry_point),
                     compilation_options: wgpu::PipelineCompilationOptions::default(),
-                    targets: &[Some(wgpu::ColorTargetState { write_mask, ..VISIBLE_FORMAT.into() })],
+                    targets: &[Some(wgpu::ColorTargetState { write_mask, ..VISIBILITY_FORMAT.into() })],
                 }),
                 multiview_mask: None,
                 cache: gpu.pipeline_cache(),
@@ -74,13 +74,13 @@ impl VisibilityPass {
         encoder: &mut wgpu::CommandEncoder,
         scene: &GpuScene,
         groups: [&wgpu::BindGroup; 2],
-        targets: &Targets,
+        gbuffer: &GBuffer,
         timestamps: Option<wgpu::RenderPassTimestampWrites<'_>>,
     ) {
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("visibility"),
             color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                view: &targets.visible.1,
+                view: &gbuffer.visibility.1,
                 depth_slice: None,
                 resolve_target: None,
                 ops: wgpu::Operations {
@@ -89,7 +89,7 @@ impl VisibilityPass {
                 },
             })],
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                view: &targets.depth_stencil.1,
+                view: &gbuffer.depth_stencil.1,
                 depth_ops: Some(wgpu::Operations {
                     load: wgpu::LoadOp::Clear(0.0),
                     store: wgpu::StoreOp::Discard,
@@ -106,8 +106,8 @@ impl VisibilityPass {
         let [frame, instances] = groups;
         pass.set_bind_group(0, frame, &[]);
         pass.set_bind_group(1, instances, &[0, 0]);
-        for seen in &scene.draws.seen {
-            let pipeline = if seen.lit == Lit::Sky { &pipelines.sky } else { &pipelines.things };
+        for seen in &scene.draws.batches {
+            let pipeline = if seen.lit == LightingVariant::Sky { &pipelines.sky } else { &pipelines.things };
             pass.set_pipeline(pipeline);
             pass.set_stencil_reference(u32::from(seen.group) + 1);
             scene.meshes.record(&mut pass, &seen.draws);

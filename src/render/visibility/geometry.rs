@@ -10,7 +10,7 @@ use fearless_simd::{Level, dispatch};
 use glam::{BVec2, Mat4, UVec2, Vec2, Vec3, Vec4};
 use rayon::prelude::*;
 
-use crate::render::device::shading_bins::{Group, Groups};
+use crate::render::device::shading_bins::{ShadingBin, ShadingBins};
 use crate::render::lighting::relief_bands::Bands;
 use crate::render::lighting::slopes_host::Slopes;
 use crate::render::raster::{
@@ -80,7 +80,7 @@ pub struct Mesh {
     /// Slot of its instance.
     pub slot: u32,
     /// The groups of its facets, by what can shade them.
-    pub groups: [Group; SHADES],
+    pub groups: [ShadingBin; SHADES],
     /// Where these may be.
     pub bounds: [Bounds; SHADES],
     /// Its vertices, and what clipping added.
@@ -115,7 +115,7 @@ const SKY_MESHES: usize = 2;
 pub struct Facets {
     meshes: Vec<Mesh>,
     used: usize,
-    groups: Groups,
+    groups: ShadingBins,
     /// Of ground that has a relief below its mesh.
     slopes: Option<Slopes>,
 }
@@ -138,7 +138,7 @@ impl Facets {
         bands: &Bands,
         by_shades: bool,
     ) {
-        let groups = Groups::new(bands.bands.len());
+        let groups = ShadingBins::new(bands.bands.len());
         self.groups = groups;
         let rays = settings.rays(&scene.camera);
         self.slopes = scene.relief.as_ref().map(|_| Slopes::new(bands, groups, rays));
@@ -165,14 +165,17 @@ impl Facets {
         let meshes = self.meshes.par_iter_mut().zip(sources).with_max_len(AT_A_TIME);
         meshes.for_each(|(mesh, source)| match source {
             Source::Rock(place) => {
-                let groups = ShadowSources::ALL.map(Groups::rocks);
+                let groups = ShadowSources::ALL.map(ShadingBins::rocks);
                 mesh.restart(Slots::rock(place), groups);
                 mesh.add_rock(&of, &selection.rocks[place]);
             }
             Source::Block(place) => {
                 let (block, _) = selection.blocks[place];
                 let band = bands.of_block(block);
-                mesh.restart(Slots::GROUND, ShadowSources::ALL.map(|shades| Groups::ground(band, shades)));
+                mesh.restart(
+                    Slots::GROUND,
+                    ShadowSources::ALL.map(|shades| ShadingBins::ground(band, shades)),
+                );
                 mesh.add_block(&of, &spans[block]);
             }
             Source::Stars => {
@@ -191,7 +194,7 @@ impl Facets {
 
     /// The groups that they are of.
     #[must_use]
-    pub const fn groups(&self) -> Groups {
+    pub const fn groups(&self) -> ShadingBins {
         self.groups
     }
 
@@ -396,7 +399,7 @@ impl Mesh {
         )
     }
 
-    fn restart(&mut self, slot: u32, groups: [Group; SHADES]) {
+    fn restart(&mut self, slot: u32, groups: [ShadingBin; SHADES]) {
         (self.slot, self.groups) = (slot, groups);
         self.bounds = [Bounds::NOWHERE; SHADES];
         self.rows = [u16::MAX, 0];

@@ -11,7 +11,7 @@ use fearless_simd::{Level, dispatch, f32x8, i32x8, mask32x8, u32x4, u32x8};
 use rayon::prelude::*;
 
 use crate::gpu::staging::{PAGE, Page, Writer};
-use crate::render::device::shading_bins::{Group, Groups};
+use crate::render::device::shading_bins::{ShadingBin, ShadingBins};
 use crate::render::lighting::slopes_host::Seen;
 use crate::render::raster::{Corners, HEIGHT, LANES, Outline, Outlines, Paint, Plane, WIDTH, load, store};
 use crate::render::visibility::geometry::{Facet, Facets, Mesh};
@@ -19,7 +19,7 @@ use crate::render::visibility::geometry::{Facet, Facets, Mesh};
 /// Rows of a band.
 const BAND_ROWS: usize = 32;
 /// Where the group of a sample ends in its [`Sheet::things`], and the slot of its instance begins.
-const SLOT_AT: u32 = Group::BITS;
+const SLOT_AT: u32 = ShadingBin::BITS;
 
 thread_local! {
     /// Kept for its memory.
@@ -140,7 +140,14 @@ impl Sheet {
 
     // Inlined wholly, for each width of vectors; see `scene/noise.rs`.
     #[inline(always)]
-    fn draw<S: Simd>(&mut self, simd: S, meshes: &[Mesh], groups: Groups, width: usize, rows: &Range<i32>) {
+    fn draw<S: Simd>(
+        &mut self,
+        simd: S,
+        meshes: &[Mesh],
+        groups: ShadingBins,
+        width: usize,
+        rows: &Range<i32>,
+    ) {
         let is_beside =
             |[first, last]: [u16; 2]| i32::from(last) < rows.start || i32::from(first) >= rows.end;
         for mesh in meshes {
@@ -171,7 +178,7 @@ impl Sheet {
         simd: S,
         mesh: &Mesh,
         numbers: &[usize],
-        groups: Groups,
+        groups: ShadingBins,
         width: usize,
         rows: &Range<i32>,
     ) {
@@ -201,7 +208,7 @@ impl Sheet {
 
     /// What a facet is painted with.
     #[inline(always)]
-    fn brush(&mut self, mesh: &Mesh, facet: &Facet, groups: Groups, planes: [Plane; 4]) -> Brush<'_> {
+    fn brush(&mut self, mesh: &Mesh, facet: &Facet, groups: ShadingBins, planes: [Plane; 4]) -> Brush<'_> {
         let group = mesh.groups[facet.shades as usize];
         let thing = (u32::from(group) + 1) | (mesh.slot << SLOT_AT);
         let [inverse_w, x, y, z] = planes;
@@ -230,22 +237,22 @@ impl Row<'_> {
 
     // As above.
     #[inline(always)]
-    fn stencil(&self, groups: Groups, values: &mut [u8]) {
+    fn stencil(&self, groups: ShadingBins, values: &mut [u8]) {
         for (value, thing) in values.iter_mut().zip(self.things) {
             // 0 is no group, nor does one less come to one.
-            *value = groups.of_all_bands((*thing as u8).wrapping_sub(1)).wrapping_add(1);
+            *value = groups.merge_bands((*thing as u8).wrapping_sub(1)).wrapping_add(1);
         }
     }
 
     // As above.
     #[inline(always)]
-    fn samples(&self, groups: Groups, samples: &mut [[u32; 4]]) {
+    fn samples(&self, groups: ShadingBins, samples: &mut [[u32; 4]]) {
         let count = samples.len();
         let (inverse_w, things) = (&self.inverse_w[..count], &self.things[..count]);
         let (normal_x, normal_y, facing) =
             (&self.normal_x[..count], &self.normal_y[..count], &self.facing[..count]);
         for i in 0..count {
-            let (value, slot) = (things[i] & u32::from(Group::MAX), things[i] >> SLOT_AT);
+            let (value, slot) = (things[i] & u32::from(ShadingBin::MAX), things[i] >> SLOT_AT);
             // Nothing of the sky is read.
             let is_thing = value.wrapping_sub(1) < u32::from(groups.stars());
             let packed = [
