@@ -22,14 +22,14 @@
 @group(2) @binding(8) var<storage, read> listed_workgroups: array<u32>;
 
 // Samples along a side of a pixel: a constant, so that the loops over them unroll.
-override SIDE: u32;
+override SAMPLES_PER_SIDE: u32;
 // Whether any annotation is asked for: a driver that runs on the CPU takes its time for branches that are not taken.
-override ANNOTATED: bool;
+override HAS_ANNOTATIONS: bool;
 // Whether a lens distorts the picture: the samples are then those of a wider one.
-override DISTORTED: bool;
+override HAS_LENS_DISTORTION: bool;
 
 // Whether it is the pixels of some workgroups alone that are resolved: of those that are listed.
-override LISTED: bool;
+override USES_TILE_LIST: bool;
 
 // From a sample to the next, in textures over which coordinates run from 0 to 1.
 var<private> sample_step: vec2<f32>;
@@ -40,10 +40,10 @@ const ROW_WIDTH: u32 = 1024u;
 @compute @workgroup_size(64)
 fn cs_main(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) invocation: u32) {
     let pixels = frame.picture_size_px.x * frame.picture_size_px.y;
-    sample_step = 1.0 / vec2<f32>(SIDE * frame.drawn_size_px);
+    sample_step = 1.0 / vec2<f32>(SAMPLES_PER_SIDE * frame.drawn_size_px);
     let groups = (pixels + 3u) / 4u;
     var workgroup = id.y * ROW_WIDTH + id.x;
-    if LISTED { workgroup = listed_workgroups[workgroup]; }
+    if USES_TILE_LIST { workgroup = listed_workgroups[workgroup]; }
     let group = workgroup * GROUP_WIDTH + invocation;
     if group >= groups { return; }
     var bytes: array<vec3<u32>, 4>;
@@ -51,12 +51,12 @@ fn cs_main(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index
     for (var k = 0u; k < 4u; k++) {
         // Pixels beyond the last repeat it: they are never read.
         let pixel = min(4u * group + k, pixels - 1u);
-        let corner = place_of(pixel) * SIDE;
+        let corner = place_of(pixel) * SAMPLES_PER_SIDE;
         let radiance = mean_radiance(corner);
         bytes[k] = encoded(radiance);
         let class_id = class_of_most(corner);
         classes |= class_id << (8u * k);
-        if ANNOTATED { annotate(pixel, corner, class_id, radiance); }
+        if HAS_ANNOTATIONS { annotate(pixel, corner, class_id, radiance); }
     }
     packed_words[3u * group] = bytes[0].x | (bytes[0].y << 8u) | (bytes[0].z << 16u) | (bytes[1].x << 24u);
     packed_words[3u * group + 1u] = bytes[1].y | (bytes[1].z << 8u) | (bytes[2].x << 16u) | (bytes[2].y << 24u);
@@ -82,10 +82,10 @@ fn place_of(pixel: u32) -> vec2<u32> {
 
 fn mean_radiance(corner: vec2<u32>) -> vec3<f32> {
     var sum = vec3(0.0);
-    for (var i = 0u; i < SIDE * SIDE; i++) {
+    for (var i = 0u; i < SAMPLES_PER_SIDE * SAMPLES_PER_SIDE; i++) {
         sum += textureSampleLevel(radiance_samples, nearest, middle(sample_at(corner, i)), 0.0).rgb;
     }
-    return sum / f32(SIDE * SIDE);
+    return sum / f32(SAMPLES_PER_SIDE * SAMPLES_PER_SIDE);
 }
 
 fn encoded(radiance: vec3<f32>) -> vec3<u32> {
@@ -95,16 +95,16 @@ fn encoded(radiance: vec3<f32>) -> vec3<u32> {
 
 // Sample `i` of a pixel, in reading order: where it is drawn. A lens moves it, and whatever it carries with it.
 fn sample_at(corner: vec2<u32>, i: u32) -> vec2<i32> {
-    let at = corner + vec2(i % SIDE, i / SIDE);
-    if !DISTORTED { return vec2<i32>(at); }
-    return clamp(vec2<i32>(floor(seen_at(at))), vec2(0), vec2<i32>(SIDE * frame.drawn_size_px) - 1);
+    let at = corner + vec2(i % SAMPLES_PER_SIDE, i / SAMPLES_PER_SIDE);
+    if !HAS_LENS_DISTORTION { return vec2<i32>(at); }
+    return clamp(vec2<i32>(floor(seen_at(at))), vec2(0), vec2<i32>(SAMPLES_PER_SIDE * frame.drawn_size_px) - 1);
 }
 
 // Where among the samples that are drawn a lens shows the middle of one of the picture's.
 fn seen_at(at: vec2<u32>) -> vec2<f32> {
-    let middle = 0.5 * f32(SIDE) * vec2<f32>(frame.picture_size_px);
+    let middle = 0.5 * f32(SAMPLES_PER_SIDE) * vec2<f32>(frame.picture_size_px);
     let point = undistorted((vec2<f32>(at) + 0.5 - middle) / frame.focal_samples);
-    return point * frame.focal_samples + 0.5 * vec2<f32>(SIDE * frame.drawn_size_px);
+    return point * frame.focal_samples + 0.5 * vec2<f32>(SAMPLES_PER_SIDE * frame.drawn_size_px);
 }
 
 // Steps of the inverse, as in src/lens.rs, whose `undistort` this is.
@@ -145,8 +145,8 @@ fn nearness_at(at: vec2<i32>) -> f32 {
 // the plane that the samples beside it of the same thing lie on. Of an edge the flatter side counts.
 fn nearness_seen(corner: vec2<u32>, i: u32, at: vec2<i32>) -> f32 {
     let nearness = nearness_at(at);
-    if !DISTORTED { return nearness; }
-    let off = seen_at(corner + vec2(i % SIDE, i / SIDE)) - (vec2<f32>(at) + 0.5);
+    if !HAS_LENS_DISTORTION { return nearness; }
+    let off = seen_at(corner + vec2(i % SAMPLES_PER_SIDE, i / SAMPLES_PER_SIDE)) - (vec2<f32>(at) + 0.5);
     let slope = vec2(slope_along(at, vec2(1, 0), nearness), slope_along(at, vec2(0, 1), nearness));
     // Towards the horizon nothing is further than twice what is known.
     return max(nearness + dot(slope, off), 0.5 * nearness);
@@ -154,7 +154,7 @@ fn nearness_seen(corner: vec2<u32>, i: u32, at: vec2<i32>) -> f32 {
 
 // Change of the nearness from a drawn sample to the next.
 fn slope_along(at: vec2<i32>, step: vec2<i32>, nearness: f32) -> f32 {
-    let last = vec2<i32>(SIDE * frame.drawn_size_px) - 1;
+    let last = vec2<i32>(SAMPLES_PER_SIDE * frame.drawn_size_px) - 1;
     var slope = 0.0;
     var sides = 0;
     for (var side = -1; side <= 1; side += 2) {
@@ -169,7 +169,7 @@ fn slope_along(at: vec2<i32>, step: vec2<i32>, nearness: f32) -> f32 {
 }
 
 fn class_of_most(corner: vec2<u32>) -> u32 {
-    if SIDE == 2u && !DISTORTED {
+    if SAMPLES_PER_SIDE == 2u && !HAS_LENS_DISTORTION {
         // All four at once, in reading order.
         let meet = vec2<f32>(corner + 1u) * sample_step;
         let classes = textureGather(0, class_samples, nearest, meet).wzxy;
@@ -188,7 +188,7 @@ fn class_of_most(corner: vec2<u32>) -> u32 {
         }
         return best;
     }
-    let count = SIDE * SIDE;
+    let count = SAMPLES_PER_SIDE * SAMPLES_PER_SIDE;
     let first = class_at(sample_at(corner, 0u));
     var uniform_pixel = true;
     for (var i = 1u; i < count; i++) {
@@ -217,7 +217,7 @@ fn class_of_most(corner: vec2<u32>) -> u32 {
 
 // The instance of most samples of a class, ties to the nearest.
 fn instance_of_most(corner: vec2<u32>, class_id: u32) -> u32 {
-    let count = SIDE * SIDE;
+    let count = SAMPLES_PER_SIDE * SAMPLES_PER_SIDE;
     var best = 0u;
     var best_votes = 0u;
     var best_nearness = 0.0;
@@ -241,7 +241,7 @@ fn instance_of_most(corner: vec2<u32>, class_id: u32) -> u32 {
 }
 
 fn annotate(pixel: u32, corner: vec2<u32>, class_id: u32, radiance: vec3<f32>) {
-    let count = SIDE * SIDE;
+    let count = SAMPLES_PER_SIDE * SAMPLES_PER_SIDE;
     if frame.radiance_at != NOT_ASKED {
         packed_words[frame.radiance_at + 2u * pixel] = pack2x16float(radiance.rg);
         packed_words[frame.radiance_at + 2u * pixel + 1u] = pack2x16float(vec2(radiance.b, 0.0));

@@ -17,20 +17,20 @@ fn vs_main(
     @location(1) normal: vec2<f32>,
     @builtin(instance_index) slot: u32,
 ) -> Varyings {
-    let origin = instances[slot].thing.origin;
-    let offset = (origin - frame.eye) + instances[slot].thing.scale * position;
-    return Varyings(frame.clip_from_offset * vec4(offset, 1.0), offset, from_octahedron(normal), slot);
+    let origin = instances[slot].instance.origin;
+    let offset = (origin - frame.eye) + instances[slot].instance.scale * position;
+    return Varyings(frame.clip_from_offset * vec4(offset, 1.0), offset, octahedral_decode(normal), slot);
 }
 
-// Read by `seen_at` in common/seen.wgsl.
+// Read by `surface_at` in common/gbuffer.wgsl.
 @fragment
 fn fs_main(in: Varyings) -> @location(0) vec4<u32> {
     let facet = cross(dpdx(in.offset), dpdy(in.offset));
     let to_eye = select(-facet, facet, dot(facet, in.offset) < 0.0);
     // The normal in 24 bits each way, beside the two bytes of the slot; one over the metres along the axis.
-    let normal = vec2<u32>((0.5 + 0.5 * octahedron(in.normal)) * 16777215.0 + 0.5);
+    let normal = vec2<u32>((0.5 + 0.5 * octahedral_encode(in.normal)) * 16777215.0 + 0.5);
     let slot = vec2(in.slot & 0xffu, in.slot >> 8u);
-    return vec4(normal | (slot << vec2(24u)), pack2x16snorm(octahedron(to_eye)), bitcast<u32>(in.clip.w));
+    return vec4(normal | (slot << vec2(24u)), pack2x16snorm(octahedral_encode(to_eye)), bitcast<u32>(in.clip.w));
 }
 
 // Nothing of the sky is read.

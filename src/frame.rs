@@ -76,7 +76,7 @@ pub struct Frame {
     /// Instance id; 0 for what is no rock.
     pub instances: Vec<u16>,
     /// Fraction of the sun's disc that is hidden, 0 to 255; 0 for the sky.
-    pub hidden: Vec<u8>,
+    pub sun_occlusion: Vec<u8>,
     /// Linear radiance before exposure and tone curve, half floats, three a pixel.
     pub radiance: Vec<half::f16>,
     /// Samples of each class, three counts a pixel by class id.
@@ -139,7 +139,8 @@ impl Frame {
         let angles = self.slope_deg.len() + self.incidence_deg.len() + self.phase_deg.len();
         let floats = self.depth_m.len() + self.normals.len() + angles;
         let halves = self.instances.len() + self.radiance.len();
-        let bytes = self.rgb.len() + self.class.len() + self.hidden.len() + 3 * self.sample_counts.len();
+        let bytes =
+            self.rgb.len() + self.class.len() + self.sun_occlusion.len() + 3 * self.sample_counts.len();
         let bytes = bytes + self.craters.len() + self.five_classes.len();
         (bytes + 2 * halves + 4 * floats) as u64
     }

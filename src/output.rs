@@ -327,7 +327,7 @@ mod tests {
             depth_m: vec![1.0, 2.0, f32::INFINITY, 4.0, 5.0, 6.0],
             normals: (0..18).map(|i| i as f32).collect(),
             instances: vec![0, 300, 0, 0, 2, 0],
-            hidden: vec![0, 10, 20, 30, 40, 255],
+            sun_occlusion: vec![0, 10, 20, 30, 40, 255],
             radiance: (0..18).map(|i| half::f16::from_f32(i as f32 * 0.25)).collect(),
             sample_counts: vec![[4, 0, 0], [1, 3, 0], [0, 0, 4], [0, 2, 2], [0, 4, 0], [1, 1, 2]],
             rocks: vec![RockLabel {
@@ -369,7 +369,7 @@ mod tests {
         let instances = decoded("instance_segmentation_0007.png", LabelIds::Canonical);
         assert_eq!(instances.color(), image::ColorType::L16);
         assert_eq!(instances.into_luma16().into_raw(), frame().instances);
-        assert_eq!(decoded("shadow_0007.png", LabelIds::Canonical).as_bytes(), frame().hidden);
+        assert_eq!(decoded("shadow_0007.png", LabelIds::Canonical).as_bytes(), frame().sun_occlusion);
         let mapping: Value =
             serde_json::from_slice(&bytes("instance_segmentation_mapping_0007.json")).expect("JSON");
         assert_eq!(mapping["300"]["path"], "/World/Rocks/Rock_299");

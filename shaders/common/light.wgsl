@@ -40,7 +40,7 @@ struct Light {
 var<private> light: Light;
 
 // All of it, in as few places as a stage may hand to the next on every device.
-struct Corner {
+struct LightVaryings {
     @builtin(position) clip: vec4<f32>,
     @location(0) @interpolate(flat) a: vec4<f32>,
     @location(1) @interpolate(flat) b: vec4<f32>,
@@ -61,8 +61,8 @@ struct Corner {
 
 // A triangle over all of the picture.
 @vertex
-fn vs_main(@builtin(vertex_index) corner: u32) -> Corner {
-    return Corner(
+fn vs_main(@builtin(vertex_index) corner: u32) -> LightVaryings {
+    return LightVaryings(
         vec4(f32(4u * (corner & 1u)) - 1.0, f32(2u * (corner & 2u)) - 1.0, 0.0, 1.0),
         vec4(frame.ray_from_sample[0].xyz, frame.eye.x),
         vec4(frame.ray_from_sample[1].xyz, frame.eye.y),
@@ -88,7 +88,7 @@ fn vs_main(@builtin(vertex_index) corner: u32) -> Corner {
     );
 }
 
-fn light_from(in: Corner) -> Light {
+fn light_from(in: LightVaryings) -> Light {
     var out: Light;
     out.ray_corner = in.a.xyz;
     out.ray_right = in.b.xyz;

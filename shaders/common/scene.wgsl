@@ -19,7 +19,7 @@ struct Instance {
     // Reflectance of the soil that lies on it, and from which z of the normal on.
     dust: vec3<f32>,
     dust_above: f32,
-    // Corner and side of the tile, texels.
+    // LightVaryings and side of the tile, texels.
     tile_origin_px: vec2<f32>,
     tile_size_px: f32,
     reserved: u32,
@@ -31,7 +31,7 @@ struct CasterTile {
     centre: vec3<f32>,
     // Half the side of the square across the sun (and half the depth range along it), metres.
     half_extent_m: f32,
-    // Corner of the tile, texels.
+    // LightVaryings of the tile, texels.
     origin_px: vec2<f32>,
     // Side of the tile, texels.
     size_px: f32,
@@ -41,7 +41,7 @@ struct CasterTile {
 
 // Uniforms start at multiples of 256 bytes.
 struct InstanceSlot {
-    thing: Instance,
+    instance: Instance,
     unused: array<vec4<u32>, 11>,
 }
 

@@ -161,7 +161,7 @@ pub(super) fn rock_sizes_json(_: &Source<'_>) -> Result<Vec<u8>> {
 }
 
 pub(super) fn shadow_png(source: &Source<'_>) -> Result<Vec<u8>> {
-    png(source.frame, &source.frame.hidden, ExtendedColorType::L8, FilterType::Up)
+    png(source.frame, &source.frame.sun_occlusion, ExtendedColorType::L8, FilterType::Up)
 }
 
 pub(super) fn hdr_exr(source: &Source<'_>) -> Result<Vec<u8>> {

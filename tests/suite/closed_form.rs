@@ -341,7 +341,7 @@ fn earthshine_lights_what_the_sun_does_not() {
         let frame = renderer().render(&scene, &settings).expect("a frame").0;
         [255, 0].map(|hidden| {
             let pixels = (0..frame.class.len())
-                .filter(|p| frame.class[*p] == ClassId::REGOLITH.0 && frame.hidden[*p] == hidden);
+                .filter(|p| frame.class[*p] == ClassId::REGOLITH.0 && frame.sun_occlusion[*p] == hidden);
             let values: Vec<f64> = pixels.map(|p| f64::from(frame.radiance[3 * p + 1].to_f32())).collect();
             assert!(values.len() > 20, "{} pixels", values.len());
             values.iter().sum::<f64>() / values.len() as f64
@@ -460,7 +460,8 @@ fn the_penumbra_of_a_wall_has_its_width_at_every_elevation() {
         settings.annotations = [Annotation::Shadow].into_iter().collect();
         let frame = renderer().render(&scene, &settings).expect("a frame").0;
         // From the right, which is in shadow, to the left: where a tenth and nine tenths of the disc are hidden.
-        let hidden: Vec<f32> = (0..256).map(|x| f32::from(frame.hidden[32 * 256 + x]) / 255.0).collect();
+        let hidden: Vec<f32> =
+            (0..256).map(|x| f32::from(frame.sun_occlusion[32 * 256 + x]) / 255.0).collect();
         let crossing = |level: f32| {
             let x = (0..255).find(|&x| hidden[x] <= level && hidden[x + 1] > level).expect("a crossing");
             x as f32 + (level - hidden[x]) / (hidden[x + 1] - hidden[x])

@@ -141,7 +141,10 @@ fn telling_apart_what_can_shade_changes_no_label_and_no_colour() {
         told_apart += renderer.gpu_scene().draws.batches.len() - groups;
         assert!(apart.class == alike.class && apart.instances == alike.instances, "seed {seed}: labels");
         assert!(apart.depth_m == alike.depth_m && apart.normals == alike.normals, "seed {seed}: geometry");
-        assert!(apart.hidden == alike.hidden && apart.rocks == alike.rocks, "seed {seed}: shadows, boxes");
+        assert!(
+            apart.sun_occlusion == alike.sun_occlusion && apart.rocks == alike.rocks,
+            "seed {seed}: shadows, boxes"
+        );
         assert!(apart.rgb == alike.rgb, "seed {seed}: colours");
     }
     assert!(told_apart >= 10, "only {told_apart} groups more");
@@ -168,7 +171,10 @@ fn draws_in_one_command_or_one_by_one_change_no_plane() {
             at_once.depth_m == one_by_one.depth_m && at_once.normals == one_by_one.normals,
             "seed {seed}"
         );
-        assert!(at_once.hidden == one_by_one.hidden && at_once.rgb == one_by_one.rgb, "seed {seed}: colours");
+        assert!(
+            at_once.sun_occlusion == one_by_one.sun_occlusion && at_once.rgb == one_by_one.rgb,
+            "seed {seed}: colours"
+        );
     }
     renderer.ways = own;
 }
@@ -188,7 +194,7 @@ fn a_first_frame_is_lit_by_fewer_programs_and_is_the_same() {
     let told_apart = few < more || !renderer.ways.own_visibility;
     assert!(told_apart, "{few} groups, then {more}");
     assert!(first.class == second.class && first.instances == second.instances, "labels");
-    assert!(first.hidden == second.hidden && first.rgb == second.rgb, "shadows, colours");
+    assert!(first.sun_occlusion == second.sun_occlusion && first.rgb == second.rgb, "shadows, colours");
 }
 
 /// Where the sun stands still and the camera moves, tiles of the shadow map are kept, the horizon map of all of the ground, and
@@ -253,7 +259,7 @@ fn frames_are_the_same_whatever_was_drawn_before_them(renderer: &mut Renderer) {
                 alone.depth_m == kept.depth_m && alone.normals == kept.normals,
                 "seed {seed}, {step}: geometry"
             );
-            assert!(alone.hidden == kept.hidden, "seed {seed}, {step}: shadows");
+            assert!(alone.sun_occlusion == kept.sun_occlusion, "seed {seed}, {step}: shadows");
             assert!(alone.radiance == kept.radiance && alone.rgb == kept.rgb, "seed {seed}, {step}: colours");
         }
     }
@@ -309,7 +315,7 @@ fn what_is_drawn_here_is_what_the_device_draws() {
             + share(&here.instances, &there.instances, |a, b| a != b);
         let depth = share(&here.depth_m, &there.depth_m, |a, b| (a - b).abs() > 1e-3 * a);
         let normals = share(&here.normals, &there.normals, |a, b| (a - b).abs() > 1e-2);
-        let hidden = share(&here.hidden, &there.hidden, |a, b| a.abs_diff(b) > 2);
+        let hidden = share(&here.sun_occlusion, &there.sun_occlusion, |a, b| a.abs_diff(b) > 2);
         let rgb = share(&here.rgb, &there.rgb, |a, b| a.abs_diff(b) > 2);
         assert!(labels < 1e-4, "seed {seed}: {labels} of the labels differ");
         assert!(

@@ -417,7 +417,7 @@ fn sky_is_black_and_shadows_are_dark() {
             let (x, y) = (pixel % 192, pixel / 192);
             let near = |v: usize| v.saturating_sub(1)..=(v + 1).min(191);
             let is_inside = near(y).all(|y| near(x).all(|x| frame.class[y * 192 + x] == frame.class[pixel]));
-            match (frame.class[pixel], frame.hidden[pixel]) {
+            match (frame.class[pixel], frame.sun_occlusion[pixel]) {
                 _ if !is_inside => {}
                 (2, _) => assert!(rgb.iter().all(|value| *value <= 2), "seed {seed}: sky {rgb:?}"),
                 (0, 0) => lit.push(f64::from(frame.radiance[3 * pixel + 1].to_f32())),
@@ -556,7 +556,7 @@ fn band_contrast(frame: &Frame, side: usize, class: u8, phases_deg: [f32; 2]) ->
     let (mut squares, mut sum, mut n) = (0.0, 0.0, 0.0);
     for (y, x) in (4..side - 4).flat_map(|y| (4..side - 4).map(move |x| (y, x))) {
         let alike = (y - 2..=y + 2).all(|y| (x - 2..=x + 2).all(|x| frame.class[y * side + x] == class));
-        let lit = (y - 2..=y + 2).all(|y| (x - 2..=x + 2).all(|x| frame.hidden[y * side + x] < 128));
+        let lit = (y - 2..=y + 2).all(|y| (x - 2..=x + 2).all(|x| frame.sun_occlusion[y * side + x] < 128));
         let phase_deg = frame.phase_deg[y * side + x];
         if alike && lit && phases_deg[0] <= phase_deg && phase_deg <= phases_deg[1] {
             squares += (value(y * side + x) - mean(x, y, 2)).powi(2);
@@ -655,8 +655,8 @@ fn rough_ground_is_in_shadow_as_often_as_smith_says() {
                 Camera::new(glam::Vec3::new(0.0, 0.0, 2000.0), [-90.0, 0.0, 0.0], 8.0, 5000.0, 0.0);
             scene.sky.radius_m = 4000.0;
             let frame = frame(&scene, 256, &[Annotation::Shadow]);
-            let hidden = frame.hidden.iter().map(|value| f64::from(*value) / 255.0).sum::<f64>()
-                / frame.hidden.len() as f64;
+            let hidden = frame.sun_occlusion.iter().map(|value| f64::from(*value) / 255.0).sum::<f64>()
+                / frame.sun_occlusion.len() as f64;
             // The slopes that this piece of the surface has along the sun's direction.
             let seen = terrain.vertices.iter().filter(|v| v.position.truncate().abs().max_element() < 139.0);
             let squares: Vec<f64> = seen

@@ -135,7 +135,7 @@ fn part_of_the_boundary_of_rocks_has_almost_no_contrast() {
             SIDE as u32,
             &[Annotation::Hdr, Annotation::Shadow],
         );
-        let is_sunlit = |pixel: usize| frame.hidden[pixel] < 128;
+        let is_sunlit = |pixel: usize| frame.sun_occlusion[pixel] < 128;
         for pixel in (0..SIDE * SIDE).filter(|pixel| frame.class[*pixel] == ClassId::ROCK.0) {
             let (y, x) = (pixel / SIDE, pixel % SIDE);
             let soil: Vec<usize> = [(y, x.wrapping_sub(1)), (y, x + 1), (y.wrapping_sub(1), x), (y + 1, x)]

@@ -315,7 +315,7 @@ fn check(case: usize) {
     let errors: Vec<f32> = shadows
         .par_iter()
         .map(|&(pixel, place)| {
-            f32::from(frame.hidden[pixel]) / 255.0 - drawn.hidden(&scene, place, pixel as u64)
+            f32::from(frame.sun_occlusion[pixel]) / 255.0 - drawn.hidden(&scene, place, pixel as u64)
         })
         .collect();
     let n = errors.len() as f32;
@@ -456,7 +456,8 @@ fn contact_errors(case: usize) -> [Vec<f32>; 2] {
                     let (sin, cos) = (std::f32::consts::TAU * i as f32 / 16.0).sin_cos();
                     rock_near(above, Vec3::new(cos, sin, 0.2).normalize())
                 });
-            let error = || f32::from(frame.hidden[pixel]) / 255.0 - truth.hidden(&scene, above, pixel as u64);
+            let error =
+                || f32::from(frame.sun_occlusion[pixel]) / 255.0 - truth.hidden(&scene, above, pixel as u64);
             counts.then(|| (on_rock, error()))
         })
         .collect();

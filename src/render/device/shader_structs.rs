@@ -36,29 +36,30 @@ macro_rules! program {
 /// Depth of the casters seen from the sun.
 pub static SHADOW: Program = program!("shadow", "frame", "scene");
 /// The shadow map from the two layers of that.
-pub static MIDDLE: Program = program!("middle",);
+pub static SHADOW_MIDPOINT: Program = program!("shadow_midpoint",);
 /// Which thing each sample shows.
-pub static VISIBILITY: Program = program!("visibility", "frame", "scene", "octahedron");
+pub static VISIBILITY: Program = program!("visibility", "frame", "scene", "octahedral");
 /// Light on ground and rocks.
-pub static SURFACE: Program = program!(
-    "surface",
+pub static LIGHTING_SURFACE: Program = program!(
+    "lighting_surface",
     "frame",
     "scene",
     "light",
-    "octahedron",
-    "seen",
+    "octahedral",
+    "gbuffer",
     "planes",
     "shadow_map",
     "brdf",
     "relief"
 );
 /// Light of dome and stars.
-pub static SKY: Program = program!("sky", "frame", "scene", "light", "relief", "planes");
+pub static LIGHTING_SKY: Program = program!("lighting_sky", "frame", "scene", "light", "relief", "planes");
 /// Samples to pixels.
 pub static RESOLVE: Program = program!("resolve", "frame", "tone");
 
 /// Every program.
-pub static PROGRAMS: [&Program; 6] = [&SHADOW, &MIDDLE, &VISIBILITY, &SURFACE, &SKY, &RESOLVE];
+pub static PROGRAMS: [&Program; 6] =
+    [&SHADOW, &SHADOW_MIDPOINT, &VISIBILITY, &LIGHTING_SURFACE, &LIGHTING_SKY, &RESOLVE];
 
 impl Program {
     /// The joined text.
@@ -327,11 +328,11 @@ mod tests {
 
     #[test]
     fn programs_that_light_write_every_plane_and_none_knows_a_class() {
-        for program in [&SURFACE, &SKY] {
+        for program in [&LIGHTING_SURFACE, &LIGHTING_SKY] {
             let module = parse(program);
             let entry = module.entry_points.iter().find(|e| e.name == "fs_main").expect("fs_main");
             let result = entry.function.result.as_ref().expect("a result").ty;
-            assert_eq!(module.types[result].name.as_deref(), Some("SceneOut"), "{}", program.name);
+            assert_eq!(module.types[result].name.as_deref(), Some("LightingOutput"), "{}", program.name);
         }
         for program in PROGRAMS {
             let text = program.text().to_lowercase();
@@ -355,11 +356,11 @@ mod tests {
 
     #[test]
     fn a_line_of_the_joined_text_is_found_in_its_file() {
-        let text = SURFACE.text();
+        let text = LIGHTING_SURFACE.text();
         let line = text.lines().position(|l| l.contains("fn grid_cell")).expect("the function") + 1;
-        let (file, line) = SURFACE.locate(line);
+        let (file, line) = LIGHTING_SURFACE.locate(line);
         assert_eq!(file, "common/shadow_map.wgsl");
-        let own = SURFACE.files.iter().find(|f| f.0 == file).expect("the file").1;
+        let own = LIGHTING_SURFACE.files.iter().find(|f| f.0 == file).expect("the file").1;
         assert!(own.lines().nth(line - 1).is_some_and(|l| l.contains("fn grid_cell")));
     }
 }

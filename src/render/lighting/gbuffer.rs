@@ -1,7 +1,7 @@
 //! The planes that the lighting pass draws: format, cleared value, and the textures at sample resolution.
 //!
 //! To add an annotation: a variant of [`Plane`], its arms here, a field in `shaders/common/planes.wgsl` and its
-//! value in `surface.wgsl` and `sky.wgsl`, its rule in `resolve.wgsl`.
+//! value in `lighting_surface.wgsl` and `lighting_sky.wgsl`, its rule in `resolve.wgsl`.
 
 use std::ops::Range;
 
@@ -18,7 +18,7 @@ use crate::render::settings::RenderSettings;
 use crate::render::visibility::geometry::Facets;
 use crate::render::visibility::host::Stencil;
 
-/// What a sample of the lighting pass carries. The location in `SceneOut` is the place in [`Plane::ALL`].
+/// What a sample of the lighting pass carries. The location in `LightingOutput` is the place in [`Plane::ALL`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Plane {
     /// Linear radiance.
@@ -30,12 +30,13 @@ pub enum Plane {
     /// Instance id.
     Instance,
     /// Fraction of the sun that is hidden.
-    Hidden,
+    SunOcclusion,
 }
 
 impl Plane {
     /// Every plane, by location.
-    pub const ALL: [Self; 5] = [Self::Radiance, Self::Class, Self::Normal, Self::Instance, Self::Hidden];
+    pub const ALL: [Self; 5] =
+        [Self::Radiance, Self::Class, Self::Normal, Self::Instance, Self::SunOcclusion];
 
     /// Format of its texture. Together they must stay within 32 bytes a sample, which every device offers.
     #[must_use]
@@ -44,7 +45,7 @@ impl Plane {
             Self::Radiance | Self::Normal => TextureFormat::Rgba16Float,
             Self::Class => TextureFormat::R8Uint,
             Self::Instance => TextureFormat::R16Uint,
-            Self::Hidden => TextureFormat::R8Unorm,
+            Self::SunOcclusion => TextureFormat::R8Unorm,
         }
     }
 
@@ -55,7 +56,7 @@ impl Plane {
         let class = background.map_or(ClassId::UNLABELLED, |background| background.class);
         match self {
             Self::Radiance if background.is_some() => wgpu::Color { r, g, b, a: 1.0 },
-            Self::Radiance | Self::Normal | Self::Instance | Self::Hidden => wgpu::Color::TRANSPARENT,
+            Self::Radiance | Self::Normal | Self::Instance | Self::SunOcclusion => wgpu::Color::TRANSPARENT,
             Self::Class => wgpu::Color { r: class.0.into(), g: 0.0, b: 0.0, a: 0.0 },
         }
     }
@@ -72,7 +73,7 @@ impl Plane {
             Self::Instance => {
                 any(&[Annotation::Instances, Annotation::Depth, Annotation::Normals, Annotation::Shadow])
             }
-            Self::Hidden => any(&[Annotation::Shadow]),
+            Self::SunOcclusion => any(&[Annotation::Shadow]),
         }
     }
 }

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::frame::Annotations;
 use crate::gpu::Gpu;
 use crate::render::device::bind_groups::BindLayouts;
-use crate::render::device::shader_structs::{Instance, ReliefUniforms, SKY, SURFACE};
+use crate::render::device::shader_structs::{Instance, LIGHTING_SKY, LIGHTING_SURFACE, ReliefUniforms};
 use crate::render::device::shading_bins::LightingVariant;
 use crate::render::gpu_scene::{GpuScene, slot_stride};
 use crate::render::lighting::gbuffer::{DEPTH_FORMAT, GBuffer, GIVEN_FORMAT, Plane};
@@ -53,11 +53,11 @@ impl Variant {
     }
 }
 
-/// The values of `DETAIL` in `surface.wgsl`.
-const NO_DETAIL: f64 = 0.0;
-const RELIEF_DETAIL: f64 = 1.0;
-const TEXTURE_DETAIL: f64 = 2.0;
-const GIVEN_DETAIL: f64 = 3.0;
+/// The values of `DETAIL_MODE` in `lighting_surface.wgsl`.
+const DETAIL_NONE: f64 = 0.0;
+const DETAIL_RELIEF: f64 = 1.0;
+const DETAIL_ROCK_TEXTURE: f64 = 2.0;
+const DETAIL_UPLOADED_SLOPES: f64 = 3.0;
 
 impl LightingPass {
     /// Compiles the programs.
@@ -68,7 +68,12 @@ impl LightingPass {
             bind_group_layouts: &[Some(&layouts.frame), Some(&layouts.scene), Some(&layouts.light)],
             immediate_size: 0,
         });
-        Self { surface: SURFACE.compile(gpu), sky: SKY.compile(gpu), layout, pipelines: Vec::new() }
+        Self {
+            surface: LIGHTING_SURFACE.compile(gpu),
+            sky: LIGHTING_SKY.compile(gpu),
+            layout,
+            pipelines: Vec::new(),
+        }
     }
 
     /// Whether any pipeline was made for this.
@@ -98,22 +103,22 @@ impl LightingPass {
     fn pipeline(&self, gpu: &Gpu, variant: Variant, lit: LightingVariant) -> wgpu::RenderPipeline {
         let surface = |shades, detail, of_many: bool| {
             vec![
-                ("SHADES", f64::from(shades as u32)),
+                ("SHADOW_SOURCES", f64::from(shades as u32)),
                 ("RINGS", f64::from(u8::from(variant.rings))),
-                ("LAW", f64::from(variant.law as u32)),
-                ("DETAIL", if variant.detail { detail } else { NO_DETAIL }),
-                ("OF_MANY", f64::from(u8::from(of_many))),
+                ("PHOTOMETRY_LAW", f64::from(variant.law as u32)),
+                ("DETAIL_MODE", if variant.detail { detail } else { DETAIL_NONE }),
+                ("PER_SAMPLE_INSTANCE", f64::from(u8::from(of_many))),
             ]
         };
         let (label, module, constants) = match lit {
             LightingVariant::Ground { shades } => {
-                let detail = if variant.is_given { GIVEN_DETAIL } else { RELIEF_DETAIL };
-                (SURFACE.name, &self.surface, surface(shades, detail, false))
+                let detail = if variant.is_given { DETAIL_UPLOADED_SLOPES } else { DETAIL_RELIEF };
+                (LIGHTING_SURFACE.name, &self.surface, surface(shades, detail, false))
             }
             LightingVariant::Rocks { shades } => {
-                (SURFACE.name, &self.surface, surface(shades, TEXTURE_DETAIL, true))
+                (LIGHTING_SURFACE.name, &self.surface, surface(shades, DETAIL_ROCK_TEXTURE, true))
             }
-            LightingVariant::Sky => (SKY.name, &self.sky, Vec::new()),
+            LightingVariant::Sky => (LIGHTING_SKY.name, &self.sky, Vec::new()),
         };
         let targets = Plane::ALL.map(|plane| {
             plane.is_drawn(variant.annotations).then(|| wgpu::ColorTargetState {

@@ -25,7 +25,7 @@ const NO_LIMIT: f32 = 1e6;
 const MARGIN: f32 = 1.01;
 /// Normals between vertices may face the eye more than those of vertices, by this share.
 const FACING_MARGIN: f32 = 1.15;
-/// The least that a facet counts as facing the eye; it stands in `surface.wgsl`.
+/// The least that a facet counts as facing the eye; it stands in `lighting_surface.wgsl`.
 const LEAST_FACING: f32 = 0.04;
 
 /// Bands of a picture; the values of its stencil are to tell them apart.

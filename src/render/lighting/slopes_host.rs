@@ -195,7 +195,7 @@ impl Places {
             let x = (left.x + column * right.x) * w;
             let y = (left.y + column * right.y) * w;
             let z = (left.z + column * right.z) * w;
-            // Twin: `from_octahedron` in `common/octahedron.wgsl`.
+            // Twin: `octahedral_decode` in `common/octahedral.wgsl`.
             let p = (some.normal_x[i] & 0x00ff_ffff) as i32 as f32 * (2.0 / 16_777_215.0) - 1.0;
             let q = (some.normal_y[i] & 0x00ff_ffff) as i32 as f32 * (2.0 / 16_777_215.0) - 1.0;
             let n_z = 1.0 - p.abs() - q.abs();

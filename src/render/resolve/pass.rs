@@ -112,10 +112,10 @@ impl ResolvePass {
                 constants: &[
                     ("TONE_KNEE", TONE_KNEE),
                     ("TONE_WHITE", TONE_WHITE),
-                    ("SIDE", f64::from(wanted.samples_per_side)),
-                    ("ANNOTATED", f64::from(u8::from(wanted.annotated))),
-                    ("DISTORTED", f64::from(u8::from(wanted.distorted))),
-                    ("LISTED", f64::from(u8::from(wanted.listed))),
+                    ("SAMPLES_PER_SIDE", f64::from(wanted.samples_per_side)),
+                    ("HAS_ANNOTATIONS", f64::from(u8::from(wanted.annotated))),
+                    ("HAS_LENS_DISTORTION", f64::from(u8::from(wanted.distorted))),
+                    ("USES_TILE_LIST", f64::from(u8::from(wanted.listed))),
                 ],
                 ..Default::default()
             },
@@ -234,7 +234,7 @@ impl PackedFrame {
                 depth_m: words(Annotation::Depth).zip(&class).map(depth).collect(),
                 normals: words(Annotation::Normals).map(f32::from_bits).collect(),
                 instances: words(Annotation::Instances).map(|word| word as u16).collect(),
-                hidden: words(Annotation::Shadow).map(|word| word as u8).collect(),
+                sun_occlusion: words(Annotation::Shadow).map(|word| word as u8).collect(),
                 radiance: words(Annotation::Hdr)
                     .enumerate()
                     // Red and green share a word, blue has one with an empty half.
@@ -253,7 +253,7 @@ impl PackedFrame {
             work.spread(&mut frame.depth_m, 1);
             work.spread(&mut frame.normals, 3);
             work.spread(&mut frame.instances, 1);
-            work.spread(&mut frame.hidden, 1);
+            work.spread(&mut frame.sun_occlusion, 1);
             work.spread(&mut frame.radiance, 3);
             work.spread(&mut frame.sample_counts, 1);
             frame

@@ -5,12 +5,12 @@ use wgpu::TextureUsages;
 
 use crate::gpu::Gpu;
 use crate::render::device::bind_groups::{BindLayouts, SHADOW_MAP_FORMAT};
-use crate::render::device::shader_structs::{MIDDLE, SHADOW};
+use crate::render::device::shader_structs::{SHADOW, SHADOW_MIDPOINT};
 use crate::render::gpu_scene::GpuScene;
 use crate::render::lighting::gbuffer::{ATLAS_FORMAT, depth_state};
 use crate::render::visibility::meshes::vertex_layout;
 
-/// Columns and rows of texels that a group of invocations makes of the map; they stand in `middle.wgsl` too.
+/// Columns and rows of texels that a group of invocations makes of the map; they stand in `shadow_midpoint.wgsl` too.
 const GROUP_PX: u32 = 8;
 
 /// What the pass draws, and with what.
@@ -133,7 +133,7 @@ impl Pipelines {
                     module: &module,
                     entry_point: Some("vs_main"),
                     compilation_options: wgpu::PipelineCompilationOptions {
-                        constants: &[("LAYER", layer)],
+                        constants: &[("ATLAS_LAYER", layer)],
                         ..Default::default()
                     },
                     buffers: &[Some(vertex_layout(1))],
@@ -156,7 +156,7 @@ impl Pipelines {
         let middle = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some("shadow/map"),
             layout: Some(&layout),
-            module: &MIDDLE.compile(gpu),
+            module: &SHADOW_MIDPOINT.compile(gpu),
             entry_point: Some("cs_main"),
             compilation_options: wgpu::PipelineCompilationOptions::default(),
             cache: gpu.pipeline_cache(),

@@ -3,7 +3,7 @@
 //! What a tile holds depends on nothing but its mesh, its size and the sun, and where it lies tells in no picture: what the device
 //! has of the pictures before stays. A picture is the same whatever was drawn before it.
 //!
-//! Twin of `shadow.wgsl` and `middle.wgsl`.
+//! Twin of `shadow.wgsl` and `shadow_midpoint.wgsl`.
 //! Must not know: buffers.
 
 use std::cell::RefCell;
@@ -29,7 +29,7 @@ use crate::reuse::Reused;
 use crate::scene::Scene;
 use crate::scene::mesh::{Icosphere, Vertex};
 
-/// Height where a tile shows no caster, half extents of the tile. Stands in `middle.wgsl` too.
+/// Height where a tile shows no caster, half extents of the tile. Stands in `shadow_midpoint.wgsl` too.
 const NO_CASTER: f32 = -1.0e9;
 /// Rows of a band of a tile, which one thread draws: few enough to stay near to it, and whole pages of them.
 const BAND_ROWS: usize = 256;

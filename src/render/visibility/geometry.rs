@@ -637,7 +637,7 @@ fn facing([a, b, c]: [(Vec3, Vec3); 3]) -> u32 {
     half(x) | (half(y) << 16)
 }
 
-/// A direction as two numbers. Twin: `octahedron` in `common/octahedron.wgsl`.
+/// A direction as two numbers. Twin: `octahedral_encode` in `common/octahedral.wgsl`.
 #[inline]
 fn octahedron(v: Vec3) -> Vec2 {
     let p = v.truncate() / v.abs().element_sum().max(1e-30);

@@ -288,7 +288,7 @@ impl<S: Simd> Paint<S> for Brush<'_> {
         paint_words(simd, &mut self.sheet.things, texels, nearer, u32x8::splat(simd, self.thing));
         let Some([of_x, of_y, of_z]) = &self.normal else { return };
         let (x, y, z) = (of_x.at(x, y), of_y.at(x, y), of_z.at(x, y));
-        // Twin: `octahedron` in `common/octahedron.wgsl`. Of any length, so that nothing is to be divided by 1/w.
+        // Twin: `octahedral_encode` in `common/octahedral.wgsl`. Of any length, so that nothing is to be divided by 1/w.
         let length = (x.abs() + y.abs() + z.abs()).max(f32x8::splat(simd, 1e-30));
         let (x, y) = (x / length, y / length);
         let one = f32x8::splat(simd, 1.0);

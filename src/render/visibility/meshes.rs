@@ -326,7 +326,7 @@ fn packed_page(meshes: &[(usize, &[Vertex])], first: usize) -> [PackedVertex; PE
 fn pack(vertices: &[Vertex], packed: &mut [PackedVertex]) {
     for (vertices, packed) in vertices.chunks(VERTICES).zip(packed.chunks_mut(VERTICES)) {
         let [x, y, z] = by_axis(vertices.iter().map(|vertex| vertex.normal));
-        // Twin: `octahedron` in `common/octahedron.wgsl`.
+        // Twin: `octahedral_encode` in `common/octahedral.wgsl`.
         let (mut across, mut up) = ([0_i32; VERTICES], [0_i32; VERTICES]);
         for i in 0..VERTICES {
             let sum = x[i].abs() + y[i].abs() + z[i].abs();

@@ -2,84 +2,84 @@
 
 // What can shade what is drawn (by its place in `Shades`, src/render/shadow.rs): nothing, so that what faces the sun sees
 // all of it; other ground; rocks; both.
-override SHADES: u32;
+override SHADOW_SOURCES: u32;
 // The law of reflection.
-override LAW: u32;
+override PHOTOMETRY_LAW: u32;
 // What detail below the mesh there is: none, that of the ground, that of rocks, that of the ground whose slopes are given.
-override DETAIL: u32;
+override DETAIL_MODE: u32;
 // Whether it is one of many, so that each sample must look up which.
-override OF_MANY: bool;
+override PER_SAMPLE_INSTANCE: bool;
 
-const BY_GROUND: u32 = 1u;
-const BY_CASTERS: u32 = 2u;
-const RELIEF_DETAIL: u32 = 1u;
-const TEXTURE_DETAIL: u32 = 2u;
-const GIVEN_DETAIL: u32 = 3u;
+const SHADOWED_BY_GROUND: u32 = 1u;
+const SHADOWED_BY_ROCKS: u32 = 2u;
+const DETAIL_RELIEF: u32 = 1u;
+const DETAIL_ROCK_TEXTURE: u32 = 2u;
+const DETAIL_UPLOADED_SLOPES: u32 = 3u;
 
 // Of ground below its mesh, where a device is given them (src/render/slopes.rs): rise per metre along x and y.
 @group(2) @binding(5) var slopes: texture_2d<f32>;
 
 @fragment
-fn fs_main(in: Corner) -> SceneOut {
+fn fs_main(in: LightVaryings) -> LightingOutput {
     light = light_from(in);
-    let seen = seen_at(in.clip.xy);
+    let surface = surface_at(in.clip.xy);
     var thing = Instance();
     thing.colour = light.colour;
     thing.roughness = light.roughness;
     thing.surge = light.surge;
     thing.class_id = light.class_id;
-    if OF_MANY { thing = instances[seen.slot].thing; }
-    let smooth_normal = seen.normal;
-    let to_eye = -unit(seen.offset);
+    if PER_SAMPLE_INSTANCE { thing = instances[surface.slot].instance; }
+    let smooth_normal = surface.normal;
+    let to_eye = -unit(surface.offset);
     var normal = smooth_normal;
     var albedo = thing.colour;
-    if DETAIL == RELIEF_DETAIL {
-        normal = ground_normal(smooth_normal, slope_below_mesh(seen.offset, smooth_normal, to_eye));
+    if DETAIL_MODE == DETAIL_RELIEF {
+        normal = ground_normal(smooth_normal, slope_below_mesh(surface.offset, smooth_normal, to_eye));
     }
-    if DETAIL == GIVEN_DETAIL {
+    if DETAIL_MODE == DETAIL_UPLOADED_SLOPES {
         normal = ground_normal(smooth_normal, textureLoad(slopes, vec2<i32>(in.clip.xy), 0).xy);
     }
-    if DETAIL == TEXTURE_DETAIL {
-        let sample_m = light.relief.sample_angle * length(seen.offset);
+    if DETAIL_MODE == DETAIL_ROCK_TEXTURE {
+        let sample_m = light.relief.sample_angle * length(surface.offset);
         let seed = bitcast<u32>(thing.origin.x);
-        let texture = solid_texture(light.eye + seen.offset - thing.origin, sample_m, seed);
+        let texture = solid_texture(light.eye + surface.offset - thing.origin, sample_m, seed);
         let across = texture.xyz - smooth_normal * dot(texture.xyz, smooth_normal);
         normal = unit(smooth_normal - across);
         // Soil lies where the rock is level enough, with an edge that its texture frays.
         let dusty = smoothstep(-0.08, 0.08, smooth_normal.z - thing.dust_above + 0.12 * texture.w);
         albedo = mix(thing.colour * (1.0 + 0.30 * texture.w), thing.dust, dusty);
     }
-    if DETAIL != 0u {
+    if DETAIL_MODE != 0u {
         // A slope that looks away lies behind a bump that is not drawn: what is seen there is turned to the eye.
         let least = 0.3 * max(dot(smooth_normal, to_eye), 0.05);
         normal = unit(normal + max(least - dot(normal, to_eye), 0.0) * to_eye);
     }
     let cos_eye = max(dot(normal, to_eye), 0.0);
     let cos_light = max(dot(normal, light.sun_direction), 0.0);
-    let place = light.eye + seen.offset;
+    let place = light.eye + surface.offset;
     // A surface that is turned away from the sun hides it.
     let faces_sun = dot(smooth_normal, light.sun_direction) > 0.0;
     // How much of the sun's disc other ground leaves.
     var open = 1.0;
     var cell = GridCell();
-    if (SHADES & BY_CASTERS) != 0u { cell = grid_cell(place); }
-    if SHADES == BY_GROUND || (SHADES == (BY_GROUND | BY_CASTERS) && cell.asks_horizon) {
+    if (SHADOW_SOURCES & SHADOWED_BY_ROCKS) != 0u { cell = grid_cell(place); }
+    if SHADOW_SOURCES == SHADOWED_BY_GROUND || (SHADOW_SOURCES == (SHADOWED_BY_GROUND | SHADOWED_BY_ROCKS) && cell.asks_horizon) {
         open = horizon_visibility(place);
     }
     var visible = select(0.0, open, faces_sun);
-    if (SHADES & BY_CASTERS) != 0u && faces_sun {
+    if (SHADOW_SOURCES & SHADOWED_BY_ROCKS) != 0u && faces_sun {
         let turn = 6.2831853 * pattern_turn(in.clip.xy);
         let spoke = vec2(cos(turn), sin(turn));
-        visible = visibility_past_casters(cell, open, place, seen.facet_normal, smooth_normal, spoke);
+        visible = visibility_past_casters(cell, open, place, surface.facet_normal, smooth_normal, spoke);
     }
     var direct = 0.0;
     if cos_light > 0.0 {
         let cos_phase = dot(light.sun_direction, to_eye);
-        direct = visible * reflected(LAW, thing.roughness, thing.surge, cos_light, cos_eye, cos_phase);
+        direct = visible * reflected(PHOTOMETRY_LAW, thing.roughness, thing.surge, cos_light, cos_eye, cos_phase);
     }
     var bounced = sky_light(light.sky_radiance, normal);
-    if LAW == HAPKE {
-        if DETAIL == RELIEF_DETAIL || DETAIL == GIVEN_DETAIL {
+    if PHOTOMETRY_LAW == HAPKE {
+        if DETAIL_MODE == DETAIL_RELIEF || DETAIL_MODE == DETAIL_UPLOADED_SLOPES {
             // What lies in the shadow of ground has the same shadow around it.
             bounced += bounce_on_ground(light.ground_radiance, normal, light.horizon_towards, open);
         } else {
@@ -89,7 +89,7 @@ fn fs_main(in: Corner) -> SceneOut {
         bounced += ground_bounce(light.ground_radiance, normal, light.horizon_towards);
     }
     let radiance = albedo * (direct * light.sun_irradiance + (PER_PI * light.bounce_share) * bounced);
-    return SceneOut(vec4(radiance, 1.0), thing.class_id, vec4(normal, 1.0), thing.instance_id, 1.0 - visible);
+    return LightingOutput(vec4(radiance, 1.0), thing.class_id, vec4(normal, 1.0), thing.instance_id, 1.0 - visible);
 }
 
 // Rise per metre along x and y of the relief that the ground's mesh leaves out.

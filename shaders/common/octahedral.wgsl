@@ -7,13 +7,13 @@ fn unit(v: vec3<f32>) -> vec3<f32> {
 }
 
 // From a vector of any length but 0.
-fn octahedron(v: vec3<f32>) -> vec2<f32> {
+fn octahedral_encode(v: vec3<f32>) -> vec2<f32> {
     let p = v.xy / max(abs(v.x) + abs(v.y) + abs(v.z), 1.0e-30);
     return select(p, (1.0 - abs(p.yx)) * select(vec2(-1.0), vec2(1.0), p >= vec2(0.0)), v.z < 0.0);
 }
 
 // The unit vector.
-fn from_octahedron(p: vec2<f32>) -> vec3<f32> {
+fn octahedral_decode(p: vec2<f32>) -> vec3<f32> {
     let z = 1.0 - abs(p.x) - abs(p.y);
     let back = max(-z, 0.0);
     return unit(vec3(p - select(vec2(-back), vec2(back), p >= vec2(0.0)), z));

@@ -3,7 +3,7 @@
 
 @group(2) @binding(0) var visible_map: texture_2d<u32>;
 
-struct Seen {
+struct Surface {
     // Metres from the eye, world axes.
     offset: vec3<f32>,
     // The smooth one, and that of the triangle, towards the eye.
@@ -14,14 +14,14 @@ struct Seen {
 }
 
 // At the middle of a sample.
-fn seen_at(sample: vec2<f32>) -> Seen {
+fn surface_at(sample: vec2<f32>) -> Surface {
     let at = vec2<i32>(sample);
     let packed = textureLoad(visible_map, at, 0);
     let ray = light.ray_corner + sample.x * light.ray_right + sample.y * light.ray_down;
-    return Seen(
+    return Surface(
         ray * (1.0 / bitcast<f32>(packed.w)),
-        from_octahedron(vec2<f32>(packed.xy & vec2(0xffffffu)) * (2.0 / 16777215.0) - 1.0),
-        from_octahedron(signed_halves(packed.z)),
+        octahedral_decode(vec2<f32>(packed.xy & vec2(0xffffffu)) * (2.0 / 16777215.0) - 1.0),
+        octahedral_decode(signed_halves(packed.z)),
         (packed.x >> 24u) | ((packed.y >> 24u) << 8u),
     );
 }
