@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use regolith::frame::Frame;
-use regolith::gpu::staging::{PAGE, Page};
+use regolith::gpu::staging::{PAGE_BYTES, Page};
 use regolith::output::edges::EdgePolicy;
 use regolith::output::{self, LabelIds, Source};
 use regolith::params::Params;
@@ -103,7 +103,7 @@ fn picture(c: &mut Criterion) {
     group.throughput(Throughput::Elements(selection.rocks.iter().map(cast).sum::<usize>() as u64));
     group.bench_function("shadow_map", |b| {
         let tiles = ShadowMap::default().place(&scene, &mut selection.clone());
-        let mut room = vec![[0; PAGE]; host::parts(&tiles).1 / PAGE];
+        let mut room = vec![[0; PAGE_BYTES]; host::parts(&tiles).1 / PAGE_BYTES];
         b.iter(|| host::draw(black_box(&scene), &tiles, &mut room.iter_mut().map(Page::from_mut)));
     });
     facets.find(&scene, &selection, &settings, &grid, &bands, true);

@@ -1,28 +1,37 @@
-//! The graphics device: which adapter, what it may do, what happened to it.
+//! The graphics device: its adapter, its capabilities, its errors, and buffers to and from it.
 //!
-//! Errors of the device arrive asynchronously; they are kept and come out of [`Gpu::check`], so that a lost
+//! Errors of the device arrive asynchronously; they are stored and returned by [`Gpu::check`], so that a lost
 //! device is an [`Error`], never a panic.
 //! Must not know: the Moon.
 
-pub mod programs;
+pub mod adapter;
+pub mod growing_buffer;
+pub mod pipeline_cache;
 pub mod readback;
 pub mod staging;
-pub mod store;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use wgpu::{
-    AdapterInfo, Backend, Backends, DeviceType, DownlevelFlags, Features, InstanceDescriptor, InstanceFlags,
-    Limits,
-};
+use wgpu::{AdapterInfo, Backend, DownlevelFlags, Features, Limits};
 
 use crate::error::{Error, Result};
-use programs::Programs;
+use pipeline_cache::PipelineCache;
 
-/// Longest time that one frame may take before the device is given up.
+/// How long one frame may take before the device counts as lost.
 const FRAME_TIMEOUT: Duration = Duration::from_secs(300);
+
+/// What a device can do beyond what every supported device can; queried once, when it is opened.
+#[derive(Clone, Copy, Debug)]
+pub struct Capabilities {
+    /// It rasterises on the CPU (Mesa's llvmpipe, for instance).
+    pub software_adapter: bool,
+    /// Depth-stencil textures can be written from buffers.
+    pub stencil_upload: bool,
+    /// One command can issue many indirect draws, each with its own first instance.
+    pub multi_draw: bool,
+}
 
 /// An open device with its queue.
 #[derive(Debug)]
@@ -31,59 +40,38 @@ pub struct Gpu {
     pub device: wgpu::Device,
     /// Its queue.
     pub queue: wgpu::Queue,
-    /// Which adapter it is.
+    /// Name, kind, backend and driver of its adapter.
     pub info: AdapterInfo,
-    /// Whether stencils can be written to it.
-    pub takes_stencils: bool,
-    /// Whether it takes many draws in one command.
-    pub draws_many: bool,
-    /// Its compiled programs, if the backend gives them out.
-    pub programs: Option<Programs>,
-    trouble: Arc<Mutex<Option<Error>>>,
+    /// Its optional capabilities.
+    pub capabilities: Capabilities,
+    pipeline_cache: Option<PipelineCache>,
+    pending_error: Arc<Mutex<Option<Error>>>,
 }
 
 impl Gpu {
-    /// Opens the adapter whose name contains `wanted` (any case; `cpu` means any CPU driver), or the best there
-    /// is: a discrete GPU before an integrated one before a CPU driver, Vulkan before GL.
+    /// Opens the adapter whose name contains `wanted` (any case; `cpu` means any software adapter), or the best one: a
+    /// discrete GPU before an integrated one before a software adapter, Vulkan before GL.
     ///
     /// The environment variables `WGPU_BACKEND` (`vulkan`, `gl`) and, without `wanted`, `WGPU_ADAPTER_NAME` are
-    /// heeded.
+    /// honoured.
     ///
     /// # Errors
     /// [`Error::NoAdapter`], [`Error::AdapterNotFound`], [`Error::AdapterUnfit`] or [`Error::Usage`].
     pub fn open(wanted: Option<&str>) -> Result<Self> {
-        Self::open_with(wanted, |_| None)
+        Self::open_with_cache(wanted, |_| None)
     }
 
-    /// The same, with the compiled programs that `kept` gives for a key of [`Programs`].
+    /// Opens an adapter like [`Self::open`], with the compiled pipelines that `load` returns for a key of
+    /// [`PipelineCache`].
     ///
     /// # Errors
     /// [`Error::NoAdapter`], [`Error::AdapterNotFound`], [`Error::AdapterUnfit`] or [`Error::Usage`].
-    pub fn open_with(wanted: Option<&str>, kept: impl FnOnce(&str) -> Option<Vec<u8>>) -> Result<Self> {
-        let from_environment = std::env::var("WGPU_ADAPTER_NAME").ok().filter(|name| !name.is_empty());
-        let wanted = wanted.map(str::to_owned).or(from_environment);
-        // GL is only looked at where Vulkan has nothing: its libraries are slow to load and noisy.
-        let allowed = backends_allowed()?;
-        let rounds = allowed.map_or_else(|| vec![Backends::VULKAN, Backends::GL], |allowed| vec![allowed]);
-        let mut seen = Vec::new();
-        for backends in rounds {
-            let adapters = enumerate(backends);
-            seen.extend(adapters.iter().map(|adapter| describe(&adapter.get_info())));
-            let best = adapters
-                .into_iter()
-                .filter(|adapter| wanted.as_deref().is_none_or(|text| matches(&adapter.get_info(), text)))
-                .min_by_key(|adapter| rank(&adapter.get_info()));
-            if let Some(adapter) = best {
-                return Self::open_adapter(&adapter, kept);
-            }
-        }
-        Err(match wanted {
-            Some(wanted) if !seen.is_empty() => Error::AdapterNotFound { wanted, available: seen },
-            _ => no_adapter(),
-        })
+    pub fn open_with_cache(wanted: Option<&str>, load: impl FnOnce(&str) -> Option<Vec<u8>>) -> Result<Self> {
+        let adapter = adapter::choose(wanted)?;
+        Self::open_adapter(&adapter, load)
     }
 
-    fn open_adapter(adapter: &wgpu::Adapter, kept: impl FnOnce(&str) -> Option<Vec<u8>>) -> Result<Self> {
+    fn open_adapter(adapter: &wgpu::Adapter, load: impl FnOnce(&str) -> Option<Vec<u8>>) -> Result<Self> {
         let info = adapter.get_info();
         let unfit = |reason: String| Error::AdapterUnfit { adapter: info.name.clone(), reason };
         let offered = adapter.limits();
@@ -107,18 +95,15 @@ impl Gpu {
         };
         let (device, queue) =
             pollster::block_on(adapter.request_device(&descriptor)).map_err(|e| unfit(e.to_string()))?;
-        let trouble = Arc::new(Mutex::new(None));
-        let note = |error: Error, trouble: &Mutex<Option<Error>>| {
-            let mut first = trouble.lock().unwrap_or_else(PoisonError::into_inner);
-            first.get_or_insert(error);
-        };
-        let (on_error, on_loss) = (Arc::clone(&trouble), Arc::clone(&trouble));
+        let pending_error = Arc::new(Mutex::new(None));
+        let (on_error, on_loss) = (Arc::clone(&pending_error), Arc::clone(&pending_error));
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
             let error = match error {
                 wgpu::Error::OutOfMemory { .. } => Error::OutOfMemory,
                 other => Error::Device(other.to_string().trim().to_owned()),
             };
-            note(error, &on_error);
+            // The first error is the cause of those that follow it.
+            on_error.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
         }));
         device.set_device_lost_callback(move |reason, message| {
             let message = if message.is_empty() { format!("{reason:?}") } else { message };
@@ -126,39 +111,50 @@ impl Gpu {
             *on_loss.lock().unwrap_or_else(PoisonError::into_inner) = Some(Error::DeviceLost(message));
         });
         let flags = adapter.get_downlevel_capabilities().flags;
-        let takes_stencils = flags.contains(DownlevelFlags::DEPTH_TEXTURE_AND_BUFFER_COPIES);
-        let draws_many = flags.contains(DownlevelFlags::INDIRECT_EXECUTION)
-            && device.features().contains(Features::INDIRECT_FIRST_INSTANCE);
-        let programs = Programs::new(&device, &info, kept);
-        Ok(Self { device, queue, info, takes_stencils, draws_many, programs, trouble })
+        let capabilities = Capabilities {
+            software_adapter: adapter::is_software(&info),
+            stencil_upload: flags.contains(DownlevelFlags::DEPTH_TEXTURE_AND_BUFFER_COPIES),
+            multi_draw: flags.contains(DownlevelFlags::INDIRECT_EXECUTION)
+                && device.features().contains(Features::INDIRECT_FIRST_INSTANCE),
+        };
+        let pipeline_cache = PipelineCache::new(&device, &info, load);
+        Ok(Self { device, queue, info, capabilities, pipeline_cache, pending_error })
     }
 
-    /// What pipelines are made with.
+    /// The cache to create pipelines with.
     #[must_use]
     pub fn pipeline_cache(&self) -> Option<&wgpu::PipelineCache> {
-        self.programs.as_ref().map(Programs::cache)
+        self.pipeline_cache.as_ref().map(PipelineCache::handle)
     }
 
-    /// The first thing that went wrong on the device since the last call.
+    /// Key and data of the compiled pipelines, for the next run; `None` if nothing has been compiled since they were
+    /// loaded.
+    #[must_use]
+    pub fn changed_pipeline_cache(&self) -> Option<(&str, Vec<u8>)> {
+        let cache = self.pipeline_cache.as_ref()?;
+        Some((cache.key.as_str(), cache.changed_data()?))
+    }
+
+    /// Returns the first error of the device since the last call.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`] or [`Error::Device`].
+    /// [`Error::DeviceLost`], [`Error::OutOfMemory`] or [`Error::Device`].
     pub fn check(&self) -> Result<()> {
-        let first = || self.trouble.lock().unwrap_or_else(PoisonError::into_inner).take();
-        match first() {
+        let take = || self.pending_error.lock().unwrap_or_else(PoisonError::into_inner).take();
+        match take() {
             None => Ok(()),
             Some(error) => {
-                // On a lost device commands fail before the loss is told: a poll brings the news.
+                // On a lost device commands fail before the loss is reported; polling delivers the report.
                 let _ = catch_unwind(AssertUnwindSafe(|| self.device.poll(wgpu::PollType::Poll)));
-                Err(first().unwrap_or(error))
+                Err(take().unwrap_or(error))
             }
         }
     }
 
-    /// Waits until the device has done what was submitted with this index and before, and checks it.
+    /// Waits until the device has finished this submission and all before it, then checks for errors.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`] or [`Error::Device`], also when the device does not answer for minutes.
+    /// Those of [`Self::check`]; [`Error::DeviceLost`] also when the device does not answer for minutes.
     pub fn wait(&self, submission: &wgpu::SubmissionIndex) -> Result<()> {
         let submission_index = Some(submission.clone());
         let poll = wgpu::PollType::Wait { submission_index, timeout: Some(FRAME_TIMEOUT) };
@@ -167,10 +163,10 @@ impl Gpu {
         outcome.map(|_| ()).map_err(|e| Error::DeviceLost(e.to_string()))
     }
 
-    /// Runs `work`, in which wgpu may panic if the device is lost, and gives such a panic back as an error.
+    /// Runs `work`, in which wgpu may panic if the device is lost, and returns such a panic as an error.
     ///
     /// # Errors
-    /// What [`Self::check`] says of the loss, or [`Error::DeviceLost`] with the panic's message.
+    /// The error of [`Self::check`], or [`Error::DeviceLost`] with the panic's message.
     pub fn guard<T>(&self, work: impl FnOnce() -> T) -> Result<T> {
         catch_unwind(AssertUnwindSafe(work)).map_err(|panic| {
             let message = panic.downcast_ref::<String>().map_or("the driver gave up", String::as_str);
@@ -178,10 +174,10 @@ impl Gpu {
         })
     }
 
-    /// A buffer that is not yet written.
+    /// Creates a buffer of at least `size` bytes, zeroed.
     #[must_use]
     pub fn buffer(&self, label: &str, size: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
-        // Bindings must not be empty, and copies go by four bytes.
+        // A binding must not be empty, and the size of a copy is a multiple of four bytes.
         let size = size.next_multiple_of(4).max(256);
         self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),
@@ -191,7 +187,7 @@ impl Gpu {
         })
     }
 
-    /// A 2-D texture of one level and one sample, and its view.
+    /// Creates a 2-D texture with one mip level and one sample, and its view.
     #[must_use]
     pub fn texture(
         &self,
@@ -215,7 +211,7 @@ impl Gpu {
         (texture, view)
     }
 
-    /// Writes texels, row by row, from the first on: so many columns and rows.
+    /// Writes the first `size` columns and rows of a texture; `texels` are in row-major order.
     pub fn write_texels<T: bytemuck::NoUninit>(&self, texture: &wgpu::Texture, size: [u32; 2], texels: &[T]) {
         let [width, height] = size;
         let layout = wgpu::TexelCopyBufferLayout {
@@ -226,85 +222,4 @@ impl Gpu {
         let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
         self.queue.write_texture(texture.as_image_copy(), bytemuck::cast_slice(texels), layout, size);
     }
-}
-
-/// Every adapter that can be used, best first; at least one.
-///
-/// # Errors
-/// [`Error::NoAdapter`], [`Error::Usage`] for a `WGPU_BACKEND` that there is not.
-pub fn adapters() -> Result<Vec<AdapterInfo>> {
-    let backends = backends_allowed()?.unwrap_or(Backends::VULKAN | Backends::GL);
-    let mut infos: Vec<AdapterInfo> = enumerate(backends).iter().map(wgpu::Adapter::get_info).collect();
-    infos.sort_by_key(rank);
-    if infos.is_empty() { Err(no_adapter()) } else { Ok(infos) }
-}
-
-/// The backends that `WGPU_BACKEND` allows, if it says anything.
-fn backends_allowed() -> Result<Option<Backends>> {
-    let named = std::env::var("WGPU_BACKEND").unwrap_or_default();
-    let words = named.split(',').map(|word| word.trim().to_lowercase()).filter(|word| !word.is_empty());
-    words
-        .map(|word| match word.as_str() {
-            "vulkan" | "vk" => Ok(Backends::VULKAN),
-            "gl" | "gles" | "opengl" => Ok(Backends::GL),
-            _ => Err(Error::Usage(format!(
-                "WGPU_BACKEND={named}: unknown backend `{word}`; there are vulkan and gl"
-            ))),
-        })
-        .try_fold(None, |allowed, backend| Ok(Some(allowed.unwrap_or(Backends::empty()) | backend?)))
-}
-
-fn no_adapter() -> Error {
-    let named = std::env::var("WGPU_BACKEND").unwrap_or_default();
-    let limit = if named.is_empty() { String::new() } else { format!(" (WGPU_BACKEND allows only {named})") };
-    Error::NoAdapter(limit)
-}
-
-/// One line about an adapter: name, kind, backend, driver.
-#[must_use]
-pub fn describe(info: &AdapterInfo) -> String {
-    let driver = [info.driver.as_str(), info.driver_info.as_str()].join(" ");
-    format!("{} ({}, {}, {})", info.name, kind(info), info.backend, driver.trim())
-}
-
-/// What sort of hardware an adapter is.
-#[must_use]
-pub const fn kind(info: &AdapterInfo) -> &'static str {
-    match info.device_type {
-        DeviceType::DiscreteGpu => "discrete GPU",
-        DeviceType::IntegratedGpu => "integrated GPU",
-        DeviceType::VirtualGpu => "virtual GPU",
-        DeviceType::Cpu => "CPU driver",
-        DeviceType::Other => "other",
-    }
-}
-
-fn enumerate(backends: Backends) -> Vec<wgpu::Adapter> {
-    let mut descriptor = InstanceDescriptor::new_without_display_handle();
-    descriptor.backends = backends;
-    // Indirect draws are this program's own: checking them would cost a compute pass.
-    descriptor.flags = descriptor.flags.difference(InstanceFlags::VALIDATION_INDIRECT_CALL).with_env();
-    pollster::block_on(wgpu::Instance::new(descriptor).enumerate_adapters(backends))
-}
-
-fn matches(info: &AdapterInfo, wanted: &str) -> bool {
-    let wanted = wanted.to_lowercase();
-    (wanted == "cpu" && is_cpu(info)) || describe(info).to_lowercase().contains(&wanted)
-}
-
-/// Whether an adapter rasterises on the CPU. GL does not say that llvmpipe does, so its name has to.
-#[must_use]
-pub fn is_cpu(info: &AdapterInfo) -> bool {
-    info.device_type == DeviceType::Cpu || info.name.contains("llvmpipe") || info.name.contains("softpipe")
-}
-
-fn rank(info: &AdapterInfo) -> (u8, bool) {
-    let kind = match info.device_type {
-        _ if is_cpu(info) => 4,
-        DeviceType::DiscreteGpu => 0,
-        DeviceType::IntegratedGpu => 1,
-        DeviceType::VirtualGpu => 2,
-        DeviceType::Other | DeviceType::Cpu => 3,
-    };
-    (kind, info.backend == Backend::Gl)
 }

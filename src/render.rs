@@ -21,8 +21,8 @@ use std::time::Instant;
 
 use crate::error::Result;
 use crate::frame::{Annotation, Annotations, Frame};
-use crate::gpu::staging::Staging;
-use crate::gpu::{Gpu, is_cpu};
+use crate::gpu::Gpu;
+use crate::gpu::staging::StagingBuffer;
 use crate::scene::Scene;
 pub use device::timing::StageTimes;
 pub use settings::RenderSettings;
@@ -43,8 +43,8 @@ use visibility::device::VisibilityPass;
 struct Slot {
     packed: PackedFrame,
     /// What the device is given of the shadow map and of what samples show, if it is.
-    given_shadow_map: Option<Staging>,
-    given_visible: Option<Staging>,
+    given_shadow_map: Option<StagingBuffer>,
+    given_visible: Option<StagingBuffer>,
     timer: Option<Timer>,
 }
 
@@ -109,10 +109,10 @@ impl Renderer {
             gbuffer: None,
             spare: Vec::new(),
             ways: Ways {
-                own_shadow_map: is_cpu(&gpu.info),
-                own_visibility: is_cpu(&gpu.info) && gpu.takes_stencils,
+                own_shadow_map: gpu.capabilities.software_adapter,
+                own_visibility: gpu.capabilities.software_adapter && gpu.capabilities.stencil_upload,
                 by_shades: true,
-                multi_draw: gpu.draws_many,
+                multi_draw: gpu.capabilities.multi_draw,
             },
             layouts,
             gpu,
@@ -347,9 +347,9 @@ impl Renderer {
                 "scene",
                 &self.layouts.scene,
                 &[
-                    scene.instances.first(size_of::<Instance>()),
+                    scene.instances.bind_first(size_of::<Instance>()),
                     scene.tiles.buffer().as_entire_binding(),
-                    scene.relief.first(size_of::<ReliefUniforms>()),
+                    scene.relief.bind_first(size_of::<ReliefUniforms>()),
                     scene.instances.buffer().as_entire_binding(),
                 ],
             ),

@@ -64,7 +64,7 @@ pub(super) fn run(args: &BenchArgs, messages: Messages) -> Result<()> {
         Some(name) => sweep(args, messages, name, cases[0], &setup, &mut renderer),
         None => measure(args, messages, &cases, &setup, &mut renderer),
     }?;
-    device::keep_programs(renderer.gpu());
+    device::store_pipelines(renderer.gpu());
     Ok(())
 }
 
@@ -145,7 +145,7 @@ fn measure(
     }
     let mut text = format!(
         "{}\n{} x {} pixels, {} samples a pixel, {} cores\n\n{:<12}{:>10}{:>10}{:>10}{:>12}{:>12}  stages, median ms\n",
-        regolith::gpu::describe(info),
+        regolith::gpu::adapter::describe(info),
         settings.size[0],
         settings.size[1],
         settings.samples_per_side.pow(2),

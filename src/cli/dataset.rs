@@ -110,7 +110,7 @@ pub(super) fn run(args: &DatasetArgs, messages: Messages) -> Result<()> {
     // Before the folder is made, so that a machine without an adapter leaves nothing.
     let gpu = device::open(args.picture.adapter.as_deref())?;
     let journal = Journal::open(&args.out, &contents, args.force)?;
-    messages.note(format_args!("rendering on {}", regolith::gpu::describe(&gpu.info)));
+    messages.note(format_args!("rendering on {}", regolith::gpu::adapter::describe(&gpu.info)));
     let mut renderer = Renderer::new(gpu)?;
     super::inject_fault(&renderer);
     let mut meter = Meter::new(messages, "frames");
@@ -118,7 +118,7 @@ pub(super) fn run(args: &DatasetArgs, messages: Messages) -> Result<()> {
         dataset::run(&plan, &mut renderer, journal, pace, &stop, |progress| show(&mut meter, progress));
     meter.finish();
     let (progress, settled) = result?;
-    device::keep_programs(renderer.gpu());
+    device::store_pipelines(renderer.gpu());
     report(args, messages, Some(&progress), &settled, start.elapsed().as_secs_f64())
 }
 
@@ -202,7 +202,7 @@ fn stream(args: &DatasetArgs, messages: Messages, plan: &Plan, pace: Pace, stop:
     }
     let progress = result?;
     write(&archive_end())?;
-    device::keep_programs(renderer.gpu());
+    device::store_pipelines(renderer.gpu());
     messages.note(format_args!(
         "{} frames streamed in {}",
         progress.made,

@@ -1,4 +1,4 @@
-//! The device of a command, and its compiled programs on disk.
+//! The device of a command, and its compiled pipelines on disk.
 
 use std::path::PathBuf;
 
@@ -6,20 +6,19 @@ use regolith::error::Result;
 use regolith::gpu::Gpu;
 use regolith::output::{Artifact, disk};
 
-/// Opens an adapter, with the programs that an earlier run compiled for it.
+/// Opens an adapter, with the pipelines that an earlier run compiled for it.
 pub(super) fn open(adapter: Option<&str>) -> Result<Gpu> {
-    Gpu::open_with(adapter, |key| disk::read(&folder()?.join(key)).ok())
+    Gpu::open_with_cache(adapter, |key| disk::read(&folder()?.join(key)).ok())
 }
 
-/// Keeps what was compiled, for the next run. Where it cannot be kept, that run compiles it again.
-pub(super) fn keep_programs(gpu: &Gpu) {
-    let new = gpu.programs.as_ref().and_then(|programs| Some((&programs.key, programs.to_keep()?)));
-    if let (Some((key, bytes)), Some(folder)) = (new, folder()) {
-        let _ = disk::write_all(&folder, &[Artifact { name: key.clone(), bytes }]);
+/// Stores the compiled pipelines for the next run. If that fails, the next run compiles them again.
+pub(super) fn store_pipelines(gpu: &Gpu) {
+    if let (Some((key, bytes)), Some(folder)) = (gpu.changed_pipeline_cache(), folder()) {
+        let _ = disk::write_all(&folder, &[Artifact { name: key.to_owned(), bytes }]);
     }
 }
 
-/// Where caches go (XDG Base Directory Specification): none if the system has no place for them.
+/// The cache folder (XDG Base Directory Specification); `None` if the environment names neither it nor a home.
 fn folder() -> Option<PathBuf> {
     let absolute = |name| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     let caches = absolute("XDG_CACHE_HOME").or_else(|| Some(absolute("HOME")?.join(".cache")))?;

@@ -118,7 +118,7 @@ pub(super) fn run(args: &FrameArgs, messages: Messages) -> Result<()> {
     if !others.is_empty() {
         messages.note(format_args!("older files beside these, of another picture: {}", others.join(", ")));
     }
-    device::keep_programs(renderer.gpu());
+    device::store_pipelines(renderer.gpu());
     Ok(())
 }
 
@@ -153,7 +153,7 @@ fn summarise(
         messages.note(format_args!("moved away from the camera: rocks {}", meta["moved_rocks"]));
     }
     let scene = renderer.gpu_scene();
-    messages.detail(format_args!("adapter: {}", gpu::describe(&renderer.gpu().info)));
+    messages.detail(format_args!("adapter: {}", gpu::adapter::describe(&renderer.gpu().info)));
     messages.detail(format_args!(
         "drawn: {} triangles, {} bytes uploaded",
         scene.drawn_triangles, scene.uploaded_bytes

@@ -82,14 +82,14 @@ pub(super) fn list_params(args: &ParamsArgs) -> Result<()> {
 }
 
 pub(super) fn list_adapters(as_json: bool) -> Result<()> {
-    let infos = gpu::adapters()?;
+    let infos = gpu::adapter::list()?;
     if as_json {
         let rows: Vec<Value> = infos
             .iter()
             .map(|info| {
                 json!({
                     "name": info.name,
-                    "kind": gpu::kind(info),
+                    "kind": gpu::adapter::kind(info),
                     "backend": info.backend.to_string(),
                     "driver": info.driver,
                     "driver_info": info.driver_info,
@@ -98,5 +98,5 @@ pub(super) fn list_adapters(as_json: bool) -> Result<()> {
             .collect();
         return print(&format!("{:#}\n", Value::from(rows)));
     }
-    print(&infos.iter().map(|info| format!("{}\n", gpu::describe(info))).collect::<String>())
+    print(&infos.iter().map(|info| format!("{}\n", gpu::adapter::describe(info))).collect::<String>())
 }

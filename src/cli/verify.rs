@@ -60,9 +60,9 @@ pub(super) fn run(args: &VerifyArgs, messages: Messages) -> Result<()> {
 
 fn render_again(args: &VerifyArgs, messages: Messages, report: &mut Report) -> Result<()> {
     let mut renderer = Renderer::new(device::open(args.adapter.as_deref())?)?;
-    messages.detail(format_args!("rendering again on {}", gpu::describe(&renderer.gpu().info)));
+    messages.detail(format_args!("rendering again on {}", gpu::adapter::describe(&renderer.gpu().info)));
     verify::check_rendering(&args.folder, &mut renderer, args.rerender, report)?;
-    device::keep_programs(renderer.gpu());
+    device::store_pipelines(renderer.gpu());
     Ok(())
 }
 

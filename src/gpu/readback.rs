@@ -3,14 +3,14 @@
 use crate::error::{Error, Result};
 use crate::gpu::Gpu;
 
-/// A buffer that the device copies results into and the program reads.
+/// A buffer that the device copies results into and the host maps.
 #[derive(Debug)]
-pub struct Readback {
+pub struct ReadbackBuffer {
     buffer: wgpu::Buffer,
 }
 
-impl Readback {
-    /// Room for `bytes`.
+impl ReadbackBuffer {
+    /// A buffer with capacity for `bytes`.
     #[must_use]
     pub fn new(gpu: &Gpu, label: &str, bytes: u64) -> Self {
         let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
@@ -22,7 +22,7 @@ impl Readback {
         encoder.copy_buffer_to_buffer(source, 0, &self.buffer, 0, bytes);
     }
 
-    /// Waits for the copy, which was submitted with this index, and gives what it brought to `read`.
+    /// Waits for `submission`, which contains the copy, and passes the mapped bytes to `read`.
     ///
     /// # Errors
     /// [`Error::DeviceLost`] or [`Error::Device`].

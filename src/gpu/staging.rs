@@ -1,35 +1,35 @@
-//! Bytes from memory to textures of the device, without a copy on the way.
+//! Uploads to textures through a mapped staging buffer: texels are written where the device copies them from.
 
 use crate::error::{Error, Result};
 use crate::gpu::Gpu;
 
-/// Rows of texels begin at multiples of this, bytes.
+/// Rows of texels start at multiples of this, bytes.
 pub const ROW_ALIGNMENT: usize = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as usize;
 
-/// Bytes that are handed out as one.
-pub const PAGE: usize = 4096;
-const _: () = assert!(PAGE.is_multiple_of(ROW_ALIGNMENT));
+/// Size of a [`Page`], bytes.
+pub const PAGE_BYTES: usize = 4096;
+const _: () = assert!(PAGE_BYTES.is_multiple_of(ROW_ALIGNMENT));
 
-/// A part of the room, which may be written on any thread.
-pub type Page<'a> = wgpu::WriteOnly<'a, [u8; PAGE]>;
+/// A part of a staging buffer that any one thread may write.
+pub type Page<'a> = wgpu::WriteOnly<'a, [u8; PAGE_BYTES]>;
 
-/// Writes to pages, one after the other.
+/// Writes rows of texels to a list of pages, from the first page on.
 #[derive(Debug)]
-pub struct Writer<'a> {
+pub struct PageWriter<'a> {
     pages: std::vec::IntoIter<Page<'a>>,
-    /// What is left of the page that was begun.
+    /// The unwritten rest of the current page.
     rest: wgpu::WriteOnly<'a, [u8]>,
 }
 
-impl<'a> Writer<'a> {
-    /// To these pages.
+impl<'a> PageWriter<'a> {
+    /// A writer to these pages.
     #[must_use]
     pub fn new(pages: Vec<Page<'a>>) -> Self {
         Self { pages: pages.into_iter(), rest: wgpu::WriteOnly::default() }
     }
 
-    /// Writes a row, and leaves what is between it and the next, which begins so many bytes after it.
-    pub fn row(&mut self, row: &[u8], row_bytes: usize) {
+    /// Writes a row and skips the padding behind it: the next row starts `row_bytes` after this one.
+    pub fn write_row(&mut self, row: &[u8], row_bytes: usize) {
         let mut written = 0;
         while written < row_bytes {
             if self.rest.is_empty() {
@@ -37,65 +37,66 @@ impl<'a> Writer<'a> {
                 self.rest = page.into();
             }
             let end = row_bytes.min(written + self.rest.len());
-            let mut there = self.rest.split_off(..end - written).unwrap_or_default();
+            let mut target = self.rest.split_off(..end - written).unwrap_or_default();
             let bytes = &row[written.min(row.len())..end.min(row.len())];
-            there.slice(..bytes.len()).copy_from_slice(bytes);
+            target.slice(..bytes.len()).copy_from_slice(bytes);
             written = end;
         }
     }
 }
 
-/// A buffer that the program writes texels into and the device copies from.
+/// A buffer that the host writes texels into and the device copies from.
 #[derive(Debug)]
-pub struct Staging {
+pub struct StagingBuffer {
     buffer: wgpu::Buffer,
-    /// The copy that was made from it last, until it is written again.
-    copied: Option<wgpu::SubmissionIndex>,
+    /// The last copy from it, until it is mapped again.
+    last_copy: Option<wgpu::SubmissionIndex>,
 }
 
-/// A part of a texture, and where its texels stand.
+/// A rectangle of a texture and where its texels lie in the staging buffer.
 #[derive(Clone, Copy, Debug)]
-pub struct Part {
-    /// Of the first texel.
+pub struct TextureRegion {
+    /// Offset of the first texel, bytes.
     pub offset_bytes: usize,
-    /// From a row to the next: a multiple of [`ROW_ALIGNMENT`].
+    /// Distance from one row to the next, bytes: a multiple of [`ROW_ALIGNMENT`].
     pub row_bytes: usize,
-    /// Column and row of the texture where it begins.
-    pub corner: [u32; 2],
+    /// Column and row of its first texel in the texture.
+    pub origin: [u32; 2],
     /// Columns and rows.
     pub size: [u32; 2],
 }
 
-impl Staging {
-    /// Keeps one that has room for so many bytes, or makes it so.
+impl StagingBuffer {
+    /// The buffer in `slot` if it holds `bytes`, else a new one, which replaces it.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`] or [`Error::Device`], as where the device has not so much memory.
-    pub fn with_room<'a>(
-        kept: &'a mut Option<Self>,
+    /// [`Error::DeviceLost`] or [`Error::Device`], also when the device is out of memory.
+    pub fn with_capacity<'a>(
+        slot: &'a mut Option<Self>,
         gpu: &Gpu,
         label: &str,
         bytes: usize,
     ) -> Result<&'a mut Self> {
-        let serves = |staging: &Self| staging.buffer.size() >= bytes as u64;
-        match kept.take().filter(serves) {
-            Some(staging) => Ok(kept.insert(staging)),
+        let is_large_enough = |staging: &Self| staging.buffer.size() >= bytes as u64;
+        match slot.take().filter(is_large_enough) {
+            Some(staging) => Ok(slot.insert(staging)),
             None => {
                 let descriptor = wgpu::BufferDescriptor {
                     label: Some(label),
-                    size: bytes.next_multiple_of(PAGE) as u64,
+                    size: bytes.next_multiple_of(PAGE_BYTES) as u64,
                     usage: wgpu::BufferUsages::MAP_WRITE | wgpu::BufferUsages::COPY_SRC,
                     mapped_at_creation: true,
                 };
                 let buffer = gpu.guard(|| gpu.device.create_buffer(&descriptor))?;
                 gpu.check()?;
-                Ok(kept.insert(Self { buffer, copied: None }))
+                Ok(slot.insert(Self { buffer, last_copy: None }))
             }
         }
     }
 
-    /// Waits until the device has copied what was written last, which it must be set to, and lets `write` write anew, from the
-    /// first page on.
+    /// Waits until the device has finished the last copy, then lets `write` fill the pages, from the first on.
+    ///
+    /// Each write must be followed by a [`Self::copy_to`], or the next write cannot map the buffer.
     ///
     /// # Errors
     /// [`Error::DeviceLost`] or [`Error::Device`].
@@ -104,9 +105,9 @@ impl Staging {
         gpu: &Gpu,
         write: impl FnOnce(&mut dyn Iterator<Item = Page<'_>>) -> T,
     ) -> Result<T> {
-        if let Some(copied) = self.copied.take() {
+        if let Some(last_copy) = self.last_copy.take() {
             gpu.guard(|| self.buffer.map_async(wgpu::MapMode::Write, .., |_| {}))?;
-            gpu.wait(&copied)?;
+            gpu.wait(&last_copy)?;
         }
         let result = {
             let mut view =
@@ -117,19 +118,19 @@ impl Staging {
         Ok(result)
     }
 
-    /// Sets the device to copy parts of a texture.
+    /// Submits the copy of regions to a texture.
     ///
     /// # Errors
     /// [`Error::DeviceLost`] or [`Error::Device`].
-    pub fn copy(&mut self, gpu: &Gpu, texture: &wgpu::Texture, parts: &[Part]) -> Result<()> {
+    pub fn copy_to(&mut self, gpu: &Gpu, texture: &wgpu::Texture, regions: &[TextureRegion]) -> Result<()> {
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        for part in parts {
+        for region in regions {
             let layout = wgpu::TexelCopyBufferLayout {
-                offset: part.offset_bytes as u64,
-                bytes_per_row: Some(part.row_bytes as u32),
+                offset: region.offset_bytes as u64,
+                bytes_per_row: Some(region.row_bytes as u32),
                 rows_per_image: None,
             };
-            let ([x, y], [width, height]) = (part.corner, part.size);
+            let ([x, y], [width, height]) = (region.origin, region.size);
             let to = wgpu::TexelCopyTextureInfo {
                 origin: wgpu::Origin3d { x, y, z: 0 },
                 ..texture.as_image_copy()
@@ -138,7 +139,7 @@ impl Staging {
             let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
             encoder.copy_buffer_to_texture(from, to, size);
         }
-        self.copied = Some(gpu.guard(|| gpu.queue.submit([encoder.finish()]))?);
+        self.last_copy = Some(gpu.guard(|| gpu.queue.submit([encoder.finish()]))?);
         Ok(())
     }
 }

@@ -13,8 +13,8 @@ use crate::class::ClassId;
 use crate::error::Result;
 use crate::frame::Annotation;
 use crate::gpu::Gpu;
-use crate::gpu::staging::Staging;
-use crate::gpu::store::Store;
+use crate::gpu::growing_buffer::GrowingBuffer;
+use crate::gpu::staging::StagingBuffer;
 use crate::render::device::packing::Packing;
 use crate::render::device::shader_structs::{CasterTile, FrameUniforms, HorizonLevel, Instance};
 use crate::render::device::shading_bins::{LightingVariant, ShadingBin, ShadingBins};
@@ -73,15 +73,15 @@ pub struct GpuScene {
     /// If the device is to draw any: the meshes.
     pub meshes: Meshes,
     /// `FrameUniforms`.
-    pub frame: Store,
+    pub frame: GrowingBuffer,
     /// `ReliefUniforms`, each in a slot of its own.
-    pub relief: Store,
+    pub relief: GrowingBuffer,
     /// `Instance`s, each in a slot of its own.
-    pub instances: Store,
+    pub instances: GrowingBuffer,
     /// `CasterTile`s.
-    pub tiles: Store,
+    pub tiles: GrowingBuffer,
     /// Which casters a place must ask.
-    pub caster_grid: Store,
+    pub caster_grid: GrowingBuffer,
     /// Columns and rows of the shadow map and of each of the layers that it is made of.
     pub atlas_px: [u32; 2],
     /// If this program draws the map: what the device has of it, and what it is to be given.
@@ -174,11 +174,14 @@ impl Default for GpuScene {
         Self {
             draws: DrawList::default(),
             meshes: Meshes::default(),
-            frame: Store::new("frame/uniforms", BufferUsages::UNIFORM),
-            relief: Store::new("scene/relief", BufferUsages::UNIFORM),
-            instances: Store::new("scene/instances", BufferUsages::UNIFORM.union(BufferUsages::STORAGE)),
-            tiles: Store::new("shadow/tiles", BufferUsages::STORAGE),
-            caster_grid: Store::new("shadow/caster_grid", BufferUsages::STORAGE),
+            frame: GrowingBuffer::new("frame/uniforms", BufferUsages::UNIFORM),
+            relief: GrowingBuffer::new("scene/relief", BufferUsages::UNIFORM),
+            instances: GrowingBuffer::new(
+                "scene/instances",
+                BufferUsages::UNIFORM.union(BufferUsages::STORAGE),
+            ),
+            tiles: GrowingBuffer::new("shadow/tiles", BufferUsages::STORAGE),
+            caster_grid: GrowingBuffer::new("shadow/caster_grid", BufferUsages::STORAGE),
             atlas_px: [0; 2],
             shadow_map: ShadowMap::default(),
             new_tiles: Vec::new(),
@@ -267,16 +270,16 @@ impl GpuScene {
         gpu: &Gpu,
         scene: &Scene,
         pass: &ShadowPass,
-        staging: &mut Option<Staging>,
+        staging: &mut Option<StagingBuffer>,
     ) -> Result<()> {
         let Some(shadow_map_ms) = &mut self.drawn_here.shadow_map_ms else { return Ok(()) };
         let start = Instant::now();
         let (parts, bytes) = host::parts(&self.new_tiles);
         if bytes > 0 {
             let room = bytes.next_multiple_of(TILES_BYTES);
-            let staging = Staging::with_room(staging, gpu, "shadow/staging", room)?;
+            let staging = StagingBuffer::with_capacity(staging, gpu, "shadow/staging", room)?;
             staging.write(gpu, |room| host::draw(scene, &self.new_tiles, room))?;
-            staging.copy(gpu, pass.texture(), &parts)?;
+            staging.copy_to(gpu, pass.texture(), &parts)?;
         }
         self.uploaded_bytes += bytes as u64;
         *shadow_map_ms += milliseconds(start.elapsed());
@@ -292,7 +295,7 @@ impl GpuScene {
         gpu: &Gpu,
         scene: &Scene,
         gbuffer: &mut GBuffer,
-        staging: &mut Option<Staging>,
+        staging: &mut Option<StagingBuffer>,
     ) -> Result<()> {
         let Some(visibility_ms) = &mut self.drawn_here.visibility_ms else { return Ok(()) };
         let start = Instant::now();

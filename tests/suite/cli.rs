@@ -133,7 +133,7 @@ fn a_backend_that_there_is_not_is_named_and_none_is_any() {
     let wrong = adapters("vulcan").expect("the program starts");
     let message = String::from_utf8_lossy(&wrong.stderr);
     assert_eq!(wrong.status.code(), Some(2), "{message}");
-    assert!(message.contains("unknown backend `vulcan`; there are vulkan and gl"), "{message}");
+    assert!(message.contains("unknown backend `vulcan`; the backends are vulkan and gl"), "{message}");
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use glam::Mat3;
 use regolith::frame::{Annotation, Frame};
 use regolith::gpu::Gpu;
-use regolith::gpu::staging::PAGE;
+use regolith::gpu::staging::PAGE_BYTES;
 use regolith::render::gpu_scene::Ways;
 use regolith::render::select::selection::Selection;
 use regolith::render::{InFlight, RenderSettings, Renderer};
@@ -236,7 +236,7 @@ fn frames_are_the_same_whatever_was_drawn_before_them(renderer: &mut Renderer) {
         let is_new = |mesh: &&_| !meshes[0].contains_key(*mesh) && !meshes[1].contains_key(*mesh);
         let new: usize = meshes[2].keys().filter(is_new).map(|mesh| meshes[2][mesh]).sum();
         let vertices = moving.terrain.vertices.len() + meshes[0].values().sum::<usize>() - new;
-        let page = if new > 0 { PAGE as u64 } else { 0 };
+        let page = if new > 0 { PAGE_BYTES as u64 } else { 0 };
         let given_less = given_bytes[2] + 16 * vertices as u64 <= given_bytes[0] + page;
         assert!(renderer.ways.own_visibility || given_less, "seed {seed}: {given_bytes:?} bytes");
         // The device has the ground, but not all rocks that it now is to draw.

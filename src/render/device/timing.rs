@@ -4,7 +4,7 @@ use wgpu::{BufferUsages, Features};
 
 use crate::error::Result;
 use crate::gpu::Gpu;
-use crate::gpu::readback::Readback;
+use crate::gpu::readback::ReadbackBuffer;
 
 /// Milliseconds of one frame's work, by stage, in order. The device measures `shadow`, `visibility`, `lighting` and `resolve` where
 /// it has timestamps, and these are left out where it has none; `shadow` and `visibility` are measured by the host where the host
@@ -45,7 +45,7 @@ const BYTES: u64 = PASS_BYTES * Pass::ALL.len() as u64;
 pub(in crate::render) struct Timer {
     queries: wgpu::QuerySet,
     buffer: wgpu::Buffer,
-    readback: Readback,
+    readback: ReadbackBuffer,
 }
 
 impl Timer {
@@ -62,7 +62,7 @@ impl Timer {
                 BYTES,
                 BufferUsages::QUERY_RESOLVE | BufferUsages::COPY_SRC,
             ),
-            readback: Readback::new(gpu, "timing/readback", BYTES),
+            readback: ReadbackBuffer::new(gpu, "timing/readback", BYTES),
         })
     }
 

@@ -12,7 +12,7 @@ use crate::class::ClassId;
 use crate::error::{Error, Result};
 use crate::frame::{Annotation, Annotations};
 use crate::gpu::Gpu;
-use crate::gpu::staging::{PAGE, Page, Part, Staging};
+use crate::gpu::staging::{PAGE_BYTES, Page, StagingBuffer, TextureRegion};
 use crate::render::device::packing::Packing;
 use crate::render::settings::RenderSettings;
 use crate::render::visibility::geometry::Facets;
@@ -231,21 +231,21 @@ impl GBuffer {
     pub(in crate::render) fn give(
         &mut self,
         gpu: &Gpu,
-        staging: &mut Option<Staging>,
+        staging: &mut Option<StagingBuffer>,
         facets: &Facets,
         stencil: &mut Stencil,
     ) -> Result<u64> {
         let [width, height] = self.sample_size;
         // Rows are given out to threads, and so begin with pages.
         let bytes_of = |format: TextureFormat| {
-            (format.block_copy_size(None).unwrap_or(0) as usize * width as usize).next_multiple_of(PAGE)
+            (format.block_copy_size(None).unwrap_or(0) as usize * width as usize).next_multiple_of(PAGE_BYTES)
         };
         let each_bytes =
             [bytes_of(VISIBILITY_FORMAT), if self.has_slopes { bytes_of(SLOPES_FORMAT) } else { 0 }];
         let row_bytes = each_bytes[0] + each_bytes[1];
         let rows_at_once = (STAGING_BYTES / row_bytes as u32).clamp(1, height);
         let bytes = row_bytes * rows_at_once as usize;
-        let staging = Staging::with_room(staging, gpu, "gbuffer/staging", bytes)?;
+        let staging = StagingBuffer::with_capacity(staging, gpu, "gbuffer/staging", bytes)?;
         // Where something was shown last there may be nothing but the sky now.
         let things = facets.rows_of_things();
         let before = std::mem::replace(&mut self.given_rows, things.clone());
@@ -263,10 +263,14 @@ impl GBuffer {
             } else {
                 staging.write(gpu, draw)?;
                 let size = [width, given.len() as u32];
-                let part = Part { offset_bytes: 0, row_bytes, corner: [0, given.start], size };
-                staging.copy(gpu, &self.visibility.0, &[part])?;
+                let part = TextureRegion { offset_bytes: 0, row_bytes, origin: [0, given.start], size };
+                staging.copy_to(gpu, &self.visibility.0, &[part])?;
                 if self.has_slopes {
-                    staging.copy(gpu, &self.slopes.0, &[Part { offset_bytes: each_bytes[0], ..part }])?;
+                    staging.copy_to(
+                        gpu,
+                        &self.slopes.0,
+                        &[TextureRegion { offset_bytes: each_bytes[0], ..part }],
+                    )?;
                 }
             }
         }

@@ -5,7 +5,7 @@ use wgpu::BufferUsages;
 use crate::class::ClassId;
 use crate::frame::{Annotation, Annotations, Frame};
 use crate::gpu::Gpu;
-use crate::gpu::readback::Readback;
+use crate::gpu::readback::ReadbackBuffer;
 use crate::render::device::bind_groups::BindLayouts;
 use crate::render::device::packing::{Packing, WORKGROUP_SIZE};
 use crate::render::device::shader_structs::RESOLVE;
@@ -79,7 +79,7 @@ pub struct PackedFrame {
     packing: Packing,
     /// Written by the pass.
     pub buffer: wgpu::Buffer,
-    readback: Readback,
+    readback: ReadbackBuffer,
     /// What the pass works on.
     work: TileList,
     /// Workgroups by their numbers, for [`Self::work`].
@@ -170,7 +170,7 @@ impl PackedFrame {
             size,
             packing,
             buffer: gpu.buffer("resolve/packed", packing.bytes(), usage),
-            readback: Readback::new(gpu, "resolve/readback", packing.bytes()),
+            readback: ReadbackBuffer::new(gpu, "resolve/readback", packing.bytes()),
             work: TileList::default(),
             list: gpu.buffer(
                 "resolve/list",

@@ -16,7 +16,7 @@ use fearless_simd::{Level, dispatch, f32x8, mask32x8};
 use glam::{UVec2, Vec2, Vec3};
 use rayon::prelude::*;
 
-use crate::gpu::staging::{PAGE, Page, Part, ROW_ALIGNMENT, Writer};
+use crate::gpu::staging::{PAGE_BYTES, Page, PageWriter, ROW_ALIGNMENT, TextureRegion};
 use crate::render::device::shader_structs::CasterTile;
 use crate::render::raster::{
     AT_ONCE, Corners, HEIGHT, LANES, Outline, Outlines, Paint, Place, Plane, Sides, Sifted, Turn, VERTICES,
@@ -33,7 +33,7 @@ use crate::scene::mesh::{Icosphere, Vertex};
 const NO_CASTER: f32 = -1.0e9;
 /// Rows of a band of a tile, which one thread draws: few enough to stay near to it, and whole pages of them.
 const BAND_ROWS: usize = 256;
-const _: () = assert!((BAND_ROWS * ROW_ALIGNMENT).is_multiple_of(PAGE));
+const _: () = assert!((BAND_ROWS * ROW_ALIGNMENT).is_multiple_of(PAGE_BYTES));
 /// Columns and rows of the map at first.
 const LEAST_PX: [u32; 2] = [512, 512];
 
@@ -160,7 +160,7 @@ impl Tile {
 impl NewTile {
     /// Pages that so many of its rows are written to.
     fn pages(&self, rows: usize) -> usize {
-        (self.row_bytes() * rows).div_ceil(PAGE)
+        (self.row_bytes() * rows).div_ceil(PAGE_BYTES)
     }
 
     fn size(&self) -> usize {
@@ -174,13 +174,18 @@ impl NewTile {
 
 /// Where tiles are written to, one after the other, and which parts of the map they are.
 #[must_use]
-pub fn parts(tiles: &[NewTile]) -> (Vec<Part>, usize) {
+pub fn parts(tiles: &[NewTile]) -> (Vec<TextureRegion>, usize) {
     let mut end = 0;
     let part = |tile: &NewTile| {
         let offset_bytes = end;
-        end += tile.pages(tile.size()) * PAGE;
-        let corner = tile.place.origin_px.as_uvec2().to_array();
-        Part { offset_bytes, row_bytes: tile.row_bytes(), corner, size: [tile.place.size_px as u32; 2] }
+        end += tile.pages(tile.size()) * PAGE_BYTES;
+        let origin = tile.place.origin_px.as_uvec2().to_array();
+        TextureRegion {
+            offset_bytes,
+            row_bytes: tile.row_bytes(),
+            origin,
+            size: [tile.place.size_px as u32; 2],
+        }
     };
     (tiles.iter().map(part).collect(), end)
 }
@@ -205,7 +210,7 @@ pub fn draw(scene: &Scene, tiles: &[NewTile], pages: &mut dyn Iterator<Item = Pa
                 canvas.project(&tile.place, scene, vertices);
                 canvas.draw(simd, rock.triangles(tile.level));
             });
-            canvas.write_middles(tile.row_bytes(), Writer::new(pages));
+            canvas.write_middles(tile.row_bytes(), PageWriter::new(pages));
         });
     });
 }
@@ -308,7 +313,7 @@ impl Canvas {
 
     /// Writes what is half way between the layers, half extents of the tile from the caster's centre, so many bytes from one row to
     /// the next.
-    fn write_middles(&mut self, row_bytes: usize, mut to: Writer<'_>) {
+    fn write_middles(&mut self, row_bytes: usize, mut to: PageWriter<'_>) {
         let Self { size, rows, stride, layers, line, .. } = self;
         let [fronts, backs] = layers.each_ref().map(|layer| layer.chunks_exact(*stride));
         line.resize(*size, 0.0);
@@ -316,7 +321,7 @@ impl Canvas {
             for (middle, (front, back)) in line.iter_mut().zip(fronts.iter().zip(backs)) {
                 *middle = if *front == 0.0 { NO_CASTER } else { front + back - 1.0 };
             }
-            to.row(bytemuck::cast_slice(line), row_bytes);
+            to.write_row(bytemuck::cast_slice(line), row_bytes);
         }
     }
 }
@@ -380,14 +385,14 @@ mod tests {
                 self.texels = vec![f32::NAN; (self.size_px[0] * self.size_px[1]) as usize];
             }
             let (parts, bytes) = parts(tiles);
-            let mut staged = vec![[0_u8; PAGE]; bytes / PAGE];
+            let mut staged = vec![[0_u8; PAGE_BYTES]; bytes / PAGE_BYTES];
             draw(scene, tiles, &mut staged.iter_mut().map(Page::from_mut));
             let staged: Vec<f32> = bytemuck::pod_collect_to_vec(staged.as_flattened());
             for part in parts {
                 let rows =
                     staged[part.offset_bytes / size_of::<f32>()..].chunks(part.row_bytes / size_of::<f32>());
                 let ([column, first], [width, height]) =
-                    (part.corner.map(|at| at as usize), part.size.map(|side| side as usize));
+                    (part.origin.map(|at| at as usize), part.size.map(|side| side as usize));
                 for (row, texels) in (first..first + height).zip(rows) {
                     let start = row * self.size_px[0] as usize + column;
                     self.texels[start..start + width].copy_from_slice(&texels[..width]);

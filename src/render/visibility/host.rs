@@ -10,7 +10,7 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Level, dispatch, f32x8, i32x8, mask32x8, u32x4, u32x8};
 use rayon::prelude::*;
 
-use crate::gpu::staging::{PAGE, Page, Writer};
+use crate::gpu::staging::{PAGE_BYTES, Page, PageWriter};
 use crate::render::device::shading_bins::{ShadingBin, ShadingBins};
 use crate::render::lighting::slopes_host::Seen;
 use crate::render::raster::{Corners, HEIGHT, LANES, Outline, Outlines, Paint, Plane, WIDTH, load, store};
@@ -62,7 +62,7 @@ impl Stencil {
                 let rows = first..first + stencil.len() / width;
                 let given = rows.start.max(given.start)..rows.end.min(given.end);
                 let pages: Vec<Page<'_>> =
-                    pages.take(given.len() * (row_bytes[0] + row_bytes[1]) / PAGE).collect();
+                    pages.take(given.len() * (row_bytes[0] + row_bytes[1]) / PAGE_BYTES).collect();
                 (rows, stencil, given, pages)
             })
             .collect();
@@ -78,14 +78,14 @@ impl Stencil {
                     (std::mem::take(&mut sheet.line), std::mem::take(&mut sheet.slopes));
                 line.resize(width, [0; 4]);
                 slopes.resize(width, [0.0; 2]);
-                let mut written = Writer::new(pages);
+                let mut written = PageWriter::new(pages);
                 for number in given {
                     let row = sheet.row(number - rows.start, width);
                     dispatch!(Level::new(), _simd => row.samples(groups, &mut line));
-                    written.row(bytemuck::cast_slice(&line), row_bytes[0]);
+                    written.write_row(bytemuck::cast_slice(&line), row_bytes[0]);
                     if let Some(of_ground) = facets.slopes() {
                         of_ground.set_row(number, &row.seen(), &mut slopes);
-                        written.row(bytemuck::cast_slice(&slopes), row_bytes[1]);
+                        written.write_row(bytemuck::cast_slice(&slopes), row_bytes[1]);
                     }
                 }
                 (sheet.line, sheet.slopes) = (line, slopes);

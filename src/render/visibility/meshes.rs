@@ -13,8 +13,8 @@ use rayon::prelude::*;
 use wgpu::{BufferUsages, IndexFormat};
 
 use crate::gpu::Gpu;
-use crate::gpu::staging::{PAGE, Page};
-use crate::gpu::store::Store;
+use crate::gpu::growing_buffer::GrowingBuffer;
+use crate::gpu::staging::{PAGE_BYTES, Page};
 use crate::render::raster::{VERTICES, by_axis};
 use crate::render::select::selection::{Selection, ground_blocks};
 use crate::reuse::Reused;
@@ -28,7 +28,7 @@ use crate::scene::terrain::{Layout, Terrain};
 /// row among the last 16 that it has transformed when it comes to the next.
 const STRIP_CELLS: u32 = 6;
 /// Vertices in a page, and pages that a thread packs at a time.
-const PER_PAGE: usize = PAGE / size_of::<PackedVertex>();
+const PER_PAGE: usize = PAGE_BYTES / size_of::<PackedVertex>();
 const PAGES_AT_A_TIME: usize = 16;
 
 /// One indexed draw, as a device reads it.
@@ -87,15 +87,15 @@ pub(in crate::render) fn vertex_layout(attributes: usize) -> wgpu::VertexBufferL
 #[derive(Debug)]
 pub struct Meshes {
     /// Vertices of the unit sphere, the ground, rocks, and how many.
-    vertices: Store,
+    vertices: GrowingBuffer,
     vertex_count: usize,
     /// Triangles of the icosphere's levels, then of the ground's blocks.
-    indices: Store,
+    indices: GrowingBuffer,
     index_format: IndexFormat,
     /// The draws of a picture, one group after the other.
     draws: Vec<Draw>,
     /// The same, if the device takes many at once.
-    many: Option<Store>,
+    many: Option<GrowingBuffer>,
     /// Index ranges of the icosphere's levels, and of the ground's blocks with the first vertex of each.
     levels: Vec<Range<u32>>,
     blocks: Vec<(Range<u32>, i32)>,
@@ -111,9 +111,9 @@ pub struct Meshes {
 impl Default for Meshes {
     fn default() -> Self {
         Self {
-            vertices: Store::new("scene/vertices", BufferUsages::VERTEX),
+            vertices: GrowingBuffer::new("scene/vertices", BufferUsages::VERTEX),
             vertex_count: 0,
-            indices: Store::new("scene/indices", BufferUsages::INDEX),
+            indices: GrowingBuffer::new("scene/indices", BufferUsages::INDEX),
             index_format: IndexFormat::Uint16,
             draws: Vec::new(),
             many: None,
@@ -160,7 +160,7 @@ impl Meshes {
             self.many = None;
             return 0;
         }
-        let many = self.many.get_or_insert_with(|| Store::new("scene/draws", BufferUsages::INDIRECT));
+        let many = self.many.get_or_insert_with(|| GrowingBuffer::new("scene/draws", BufferUsages::INDIRECT));
         many.write(gpu, &self.draws)
     }
 
@@ -255,7 +255,7 @@ impl Meshes {
             return 0;
         }
         self.vertex_count = end;
-        let bytes = ((end - begin) * size_of::<PackedVertex>()).next_multiple_of(PAGE);
+        let bytes = ((end - begin) * size_of::<PackedVertex>()).next_multiple_of(PAGE_BYTES);
         let write = |room: wgpu::WriteOnly<'_, [u8]>| {
             let pages: Vec<Page<'_>> = room.into_chunks().0.into_iter().collect();
             pages.into_par_iter().enumerate().with_min_len(PAGES_AT_A_TIME).for_each(|(place, page)| {
@@ -265,7 +265,7 @@ impl Meshes {
         };
         if begin == 0 {
             self.vertices.write_with(gpu, bytes, write);
-        } else if !self.vertices.write_behind(gpu, begin * size_of::<PackedVertex>(), bytes, write) {
+        } else if !self.vertices.try_write_at(gpu, begin * size_of::<PackedVertex>(), bytes, write) {
             self.terrain = Weak::new();
             return self.upload_vertices(gpu, scene, selection);
         }

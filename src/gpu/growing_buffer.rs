@@ -1,50 +1,50 @@
-//! Buffers that are written anew for each frame.
+//! Buffers that are rewritten for each frame.
 
 use wgpu::BufferUsages;
 
 use crate::gpu::Gpu;
 
-/// A buffer that grows when more is written than it holds.
+/// A device buffer that is replaced by a larger one when more is written than it holds.
 #[derive(Debug)]
-pub struct Store {
+pub struct GrowingBuffer {
     label: &'static str,
     usage: BufferUsages,
     buffer: Option<wgpu::Buffer>,
 }
 
-impl Store {
-    /// One that holds nothing yet.
+impl GrowingBuffer {
+    /// An empty buffer; the device allocates nothing before the first write.
     #[must_use]
     pub const fn new(label: &'static str, usage: BufferUsages) -> Self {
         Self { label, usage, buffer: None }
     }
 
-    /// The buffer.
+    /// The current buffer; a write may replace it.
     ///
     /// # Panics
-    /// Before it was first written.
+    /// Before the first write.
     #[must_use]
     pub fn buffer(&self) -> &wgpu::Buffer {
-        self.buffer.as_ref().expect("a scene is uploaded before it is drawn")
+        self.buffer.as_ref().expect("a buffer is written before it is bound")
     }
 
-    /// Its first `bytes`, as a binding.
+    /// A binding of the first `bytes`.
     ///
     /// # Panics
-    /// Before it was first written.
+    /// Before the first write.
     #[must_use]
-    pub fn first(&self, bytes: usize) -> wgpu::BindingResource<'_> {
+    pub fn bind_first(&self, bytes: usize) -> wgpu::BindingResource<'_> {
         let size = wgpu::BufferSize::new(bytes as u64);
         wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: self.buffer(), offset: 0, size })
     }
 
-    /// Writes from the start on, and says how many bytes; what the buffer held may be lost.
+    /// Replaces the content with `data`; returns the number of bytes written.
     pub fn write<T: bytemuck::NoUninit>(&mut self, gpu: &Gpu, data: &[T]) -> u64 {
         let data: &[u8] = bytemuck::cast_slice(data);
         self.write_with(gpu, data.len(), |mut view| view.copy_from_slice(data))
     }
 
-    /// The same, of so many bytes (a multiple of four) that `write` writes.
+    /// Replaces the content with the `bytes` bytes (a multiple of four) that `write` writes; returns their number.
     pub fn write_with(
         &mut self,
         gpu: &Gpu,
@@ -52,15 +52,16 @@ impl Store {
         write: impl FnOnce(wgpu::WriteOnly<'_, [u8]>),
     ) -> u64 {
         if self.buffer.as_ref().is_none_or(|buffer| buffer.size() < bytes as u64) {
-            let room = (bytes as u64).next_power_of_two();
-            self.buffer = Some(gpu.buffer(self.label, room, self.usage | BufferUsages::COPY_DST));
+            let capacity = (bytes as u64).next_power_of_two();
+            self.buffer = Some(gpu.buffer(self.label, capacity, self.usage | BufferUsages::COPY_DST));
         }
-        self.write_behind(gpu, 0, bytes, write);
+        self.try_write_at(gpu, 0, bytes, write);
         bytes as u64
     }
 
-    /// Writes so many bytes behind the first `offset`, which stay (both multiples of four), and says whether there is room for them.
-    pub fn write_behind(
+    /// Writes `bytes` bytes at `offset` (both multiples of four) and keeps what lies before them. Returns false, with
+    /// nothing written, if they do not fit.
+    pub fn try_write_at(
         &mut self,
         gpu: &Gpu,
         offset: usize,
@@ -72,7 +73,7 @@ impl Store {
             return false;
         };
         let size = wgpu::BufferSize::new(bytes as u64);
-        // There is no view where something is wrong with the device, which it says itself.
+        // There is no view when the device has failed; `Gpu::check` reports that.
         let view = size.and_then(|size| gpu.queue.write_buffer_with(buffer, offset as u64, size));
         if let Some(mut view) = view {
             write(view.slice(..));

@@ -1,0 +1,114 @@
+//! Adapters: listing them, describing them, and choosing one.
+//!
+//! Must not know: how a device is opened.
+
+use wgpu::{AdapterInfo, Backend, Backends, DeviceType, InstanceDescriptor, InstanceFlags};
+
+use crate::error::{Error, Result};
+
+/// The adapter whose description contains `wanted`, or the best one; see [`crate::gpu::Gpu::open`].
+pub(super) fn choose(wanted: Option<&str>) -> Result<wgpu::Adapter> {
+    let from_environment = std::env::var("WGPU_ADAPTER_NAME").ok().filter(|name| !name.is_empty());
+    let wanted = wanted.map(str::to_owned).or(from_environment);
+    // GL is tried only where Vulkan has no match: its libraries are slow to load and print warnings.
+    let allowed = backends_allowed()?;
+    let rounds = allowed.map_or_else(|| vec![Backends::VULKAN, Backends::GL], |allowed| vec![allowed]);
+    let mut available = Vec::new();
+    for backends in rounds {
+        let adapters = enumerate(backends);
+        available.extend(adapters.iter().map(|adapter| describe(&adapter.get_info())));
+        let best = adapters
+            .into_iter()
+            .filter(|adapter| wanted.as_deref().is_none_or(|text| matches(&adapter.get_info(), text)))
+            .min_by_key(|adapter| rank(&adapter.get_info()));
+        if let Some(adapter) = best {
+            return Ok(adapter);
+        }
+    }
+    Err(match wanted {
+        Some(wanted) if !available.is_empty() => Error::AdapterNotFound { wanted, available },
+        _ => no_adapter(),
+    })
+}
+
+/// Every usable adapter, best first; at least one.
+///
+/// # Errors
+/// [`Error::NoAdapter`]; [`Error::Usage`] if `WGPU_BACKEND` names an unknown backend.
+pub fn list() -> Result<Vec<AdapterInfo>> {
+    let backends = backends_allowed()?.unwrap_or(Backends::VULKAN | Backends::GL);
+    let mut infos: Vec<AdapterInfo> = enumerate(backends).iter().map(wgpu::Adapter::get_info).collect();
+    infos.sort_by_key(rank);
+    if infos.is_empty() { Err(no_adapter()) } else { Ok(infos) }
+}
+
+/// The backends that `WGPU_BACKEND` allows; `None` if it is not set.
+fn backends_allowed() -> Result<Option<Backends>> {
+    let named = std::env::var("WGPU_BACKEND").unwrap_or_default();
+    let words = named.split(',').map(|word| word.trim().to_lowercase()).filter(|word| !word.is_empty());
+    words
+        .map(|word| match word.as_str() {
+            "vulkan" | "vk" => Ok(Backends::VULKAN),
+            "gl" | "gles" | "opengl" => Ok(Backends::GL),
+            _ => Err(Error::Usage(format!(
+                "WGPU_BACKEND={named}: unknown backend `{word}`; the backends are vulkan and gl"
+            ))),
+        })
+        .try_fold(None, |allowed, backend| Ok(Some(allowed.unwrap_or(Backends::empty()) | backend?)))
+}
+
+fn no_adapter() -> Error {
+    let named = std::env::var("WGPU_BACKEND").unwrap_or_default();
+    let limit = if named.is_empty() { String::new() } else { format!(" (WGPU_BACKEND allows only {named})") };
+    Error::NoAdapter(limit)
+}
+
+/// One line for people: name, kind, backend, driver.
+#[must_use]
+pub fn describe(info: &AdapterInfo) -> String {
+    let driver = [info.driver.as_str(), info.driver_info.as_str()].join(" ");
+    format!("{} ({}, {}, {})", info.name, kind(info), info.backend, driver.trim())
+}
+
+/// The kind of hardware, in words.
+#[must_use]
+pub const fn kind(info: &AdapterInfo) -> &'static str {
+    match info.device_type {
+        DeviceType::DiscreteGpu => "discrete GPU",
+        DeviceType::IntegratedGpu => "integrated GPU",
+        DeviceType::VirtualGpu => "virtual GPU",
+        DeviceType::Cpu => "CPU driver",
+        DeviceType::Other => "other",
+    }
+}
+
+fn enumerate(backends: Backends) -> Vec<wgpu::Adapter> {
+    let mut descriptor = InstanceDescriptor::new_without_display_handle();
+    descriptor.backends = backends;
+    // The renderer writes its indirect draws itself; validating them would cost a compute pass.
+    descriptor.flags = descriptor.flags.difference(InstanceFlags::VALIDATION_INDIRECT_CALL).with_env();
+    pollster::block_on(wgpu::Instance::new(descriptor).enumerate_adapters(backends))
+}
+
+fn matches(info: &AdapterInfo, wanted: &str) -> bool {
+    let wanted = wanted.to_lowercase();
+    (wanted == "cpu" && is_software(info)) || describe(info).to_lowercase().contains(&wanted)
+}
+
+/// Whether an adapter rasterises on the CPU. GL reports llvmpipe as another kind of device, so the name counts too.
+#[must_use]
+pub fn is_software(info: &AdapterInfo) -> bool {
+    info.device_type == DeviceType::Cpu || info.name.contains("llvmpipe") || info.name.contains("softpipe")
+}
+
+/// Sort key: better adapters first.
+fn rank(info: &AdapterInfo) -> (u8, bool) {
+    let kind = match info.device_type {
+        _ if is_software(info) => 4,
+        DeviceType::DiscreteGpu => 0,
+        DeviceType::IntegratedGpu => 1,
+        DeviceType::VirtualGpu => 2,
+        DeviceType::Other | DeviceType::Cpu => 3,
+    };
+    (kind, info.backend == Backend::Gl)
+}
