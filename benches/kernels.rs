@@ -9,7 +9,7 @@ use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_mai
 use regolith::frame::Frame;
 use regolith::gpu::staging::{PAGE_BYTES, Page};
 use regolith::output::edges::EdgePolicy;
-use regolith::output::{self, LabelIds, Source};
+use regolith::output::{self, EncodeInput, LabelIds};
 use regolith::params::Params;
 use regolith::random::Streams;
 use regolith::render::RenderSettings;
@@ -142,8 +142,12 @@ fn frame(side: u32) -> Frame {
 
 fn encode(c: &mut Criterion) {
     let frame = frame(512);
-    let source =
-        Source { frame: &frame, meta: &Value::Null, label_ids: LabelIds::Canonical, edges: EdgePolicy::Hard };
+    let source = EncodeInput {
+        frame: &frame,
+        meta: &Value::Null,
+        label_ids: LabelIds::Canonical,
+        edges: EdgePolicy::Hard,
+    };
     let mut group = c.benchmark_group("encode");
     for (name, bytes) in [("rgb", frame.rgb.len()), ("mask", frame.class.len())] {
         let outputs = output::parse_outputs(name).expect("a known output");

@@ -27,8 +27,8 @@ use serde_json::{Map, Value, json};
 use crate::error::{Error, RUN_AGAIN, Result};
 use crate::frame::Frame;
 use crate::meta::FrameRecord;
-use crate::output::writer::{Placed, Sample};
-use crate::output::{self, Artifact, Source, disk};
+use crate::output::layout::{FrameFiles, Sample};
+use crate::output::{self, Artifact, EncodeInput, disk};
 use crate::params::Params;
 use crate::render::{FRAMES_IN_FLIGHT, InFlight, Renderer, StageTimes, select::selection};
 use crate::scene::Scene;
@@ -79,7 +79,7 @@ pub struct Finished {
     /// Its line of `frames.jsonl`.
     pub line: Map<String, Value>,
     /// Its files.
-    pub placed: Placed,
+    pub placed: FrameFiles,
     /// Milliseconds of work by stage.
     pub times: StageTimes,
     /// How often it was drawn again.
@@ -205,8 +205,8 @@ fn encode(plan: &Plan, drawn: Drawn) -> Result<Finished> {
     line.retain(|key, _| !["size", "samples", "edges", "version"].contains(&key.as_str()));
     line.insert("adapter".to_owned(), adapter.name.clone().into());
     let meta = Value::Object(meta);
-    let source = Source { frame: &frame, meta: &meta, label_ids: plan.label_ids, edges: plan.edges };
-    let files = output::encode(&source, &plan.outputs)?;
+    let input = EncodeInput { frame: &frame, meta: &meta, label_ids: plan.label_ids, edges: plan.edges };
+    let files = output::encode(&input, &plan.outputs)?;
     frame.class = plan.edges.apply(&frame);
     let sample = Sample {
         index: built.index,
@@ -215,7 +215,7 @@ fn encode(plan: &Plan, drawn: Drawn) -> Result<Finished> {
         files: &files,
         record: &line,
     };
-    let placed = plan.writer.place(&sample)?;
+    let placed = plan.layout.frame_files(&sample)?;
     let mut times = built.times;
     times.push(("encode", milliseconds_since(start)));
     add_files(&mut line, &placed);
@@ -225,7 +225,7 @@ fn encode(plan: &Plan, drawn: Drawn) -> Result<Finished> {
 }
 
 /// Adds to a frame's line its files with their hashes, and what its layout needs to know of it.
-fn add_files(line: &mut Map<String, Value>, placed: &Placed) {
+fn add_files(line: &mut Map<String, Value>, placed: &FrameFiles) {
     let hash = |file: &Artifact| (file.name.clone(), disk::content_hash(&file.bytes).into());
     line.insert("hashes".to_owned(), placed.files.iter().map(hash).collect::<Map<_, _>>().into());
     if !placed.entry.is_null() {
@@ -477,7 +477,7 @@ pub fn stream(
     renderer: &mut Renderer,
     pace: Pace,
     stop: &AtomicBool,
-    mut sink: impl FnMut(&Placed, &Progress) -> Result<()> + Send,
+    mut sink: impl FnMut(&FrameFiles, &Progress) -> Result<()> + Send,
 ) -> Result<Progress> {
     let indices = (plan.range.start..plan.range.end()).filter(|index| plan.shard.has(*index));
     let wanted = indices.clone().count() as u64;

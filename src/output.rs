@@ -1,228 +1,135 @@
-//! From a frame to files: one row of [`OUTPUTS`] for each thing a user can ask for.
+//! From a frame to files: one row of [`OUTPUTS`] for each value of `--outputs`.
 //!
-//! Encoders give bytes; [`disk`] alone touches the disk, and leaves whole files or none; [`writer`] lays out the files of
-//! a dataset.
+//! [`encode`] turns planes into bytes, [`layout`] decides where the files of a dataset go, and [`disk`] alone touches the
+//! disk and leaves whole files or none.
 //! Must not know: scene, GPU.
 //! To add an output: a row in [`OUTPUTS`] with its encoder.
 
-pub mod basic;
-pub mod cityscapes;
-pub mod coco;
+pub mod artifact;
 pub mod disk;
 pub mod edges;
-pub mod encoders;
-pub mod folder;
-pub mod hugging_face;
-pub mod webdataset;
-pub mod writer;
+pub mod encode;
+pub mod label_ids;
+pub mod layout;
 
-use serde_json::{Map, Value, json};
+use std::path::Path;
 
-use crate::class::ClassId;
 use crate::error::{Error, Result, nearest};
-use crate::frame::{Annotation, Annotations, Frame};
-use edges::EdgePolicy;
-use encoders::{
-    camera_distance_npy, coverage_npy, craters_png, five_classes_json, five_classes_png,
-    five_classes_preview_png, hdr_exr, incidence_npy, instances_json, instances_png, labels_json, mask_png,
-    meta_json, normals_npy, phase_npy, plane_distance_npy, preview_png, rgb_png, rock_sizes_json,
-    rock_sizes_png, shadow_png, slope_npy,
-};
+use crate::frame::{Annotation, Annotations};
+use artifact::frame_file_name;
+pub use artifact::{Artifact, EncodedFile};
+pub use encode::EncodeInput;
+use encode::{exr, json, npy, png};
+pub use label_ids::LabelIds;
 
-/// What the encoders work from.
-#[derive(Clone, Copy, Debug)]
-pub struct Source<'a> {
-    /// The planes.
-    pub frame: &'a Frame,
-    /// The content of the frame's JSON file.
-    pub meta: &'a Value,
-    /// Which ids the mask carries.
-    pub label_ids: LabelIds,
-    /// What the mask says where classes meet.
-    pub edges: EdgePolicy,
-}
+type Encoder = fn(&EncodeInput<'_>) -> Result<Vec<u8>>;
 
-/// A file to be: its name and its bytes.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Artifact {
-    /// Its path below the output folder.
-    pub name: String,
-    /// Content.
-    pub bytes: Vec<u8>,
-}
-
-/// The ids that a mask carries.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum LabelIds {
-    /// Those of [`ClassId`].
-    #[default]
-    Canonical,
-    /// Those that a Replicator pipeline would have given.
-    Replicator,
-}
-
-impl LabelIds {
-    /// Its word in `--label-ids`.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Canonical => "canonical",
-            Self::Replicator => "replicator",
-        }
-    }
-
-    /// The kind of a word in `--label-ids`.
-    #[must_use]
-    pub fn from_name(name: &str) -> Option<Self> {
-        [Self::Canonical, Self::Replicator].into_iter().find(|ids| ids.name() == name)
-    }
-
-    /// Those of a dataset, by its manifest.
-    #[must_use]
-    pub fn of(manifest: &Map<String, Value>) -> Self {
-        let name = manifest.get("label_ids").and_then(Value::as_str);
-        name.and_then(Self::from_name).unwrap_or_default()
-    }
-
-    /// The id that stands in the mask for a class id; unlabelled stays what each system calls so.
-    #[must_use]
-    pub fn mask_id(self, id: u8) -> u8 {
-        match (self, ClassId(id).class()) {
-            (Self::Canonical, _) => id,
-            (Self::Replicator, Some(class)) => class.replicator_id,
-            (Self::Replicator, None) => 1,
-        }
-    }
-
-    /// Every id that a mask can carry, with its name; by rising id.
-    #[must_use]
-    pub fn names(self) -> Vec<(u8, &'static str)> {
-        let mut rows: Vec<(u8, &'static str)> =
-            ClassId::ALL.iter().map(|class| (self.mask_id(class.id.0), class.name)).collect();
-        if self == Self::Replicator {
-            rows.extend([(0, "BACKGROUND"), (1, "UNLABELLED")]);
-        }
-        rows.sort_unstable();
-        rows
-    }
-
-    /// Content of the label file: [`Self::names`] as JSON.
-    #[must_use]
-    pub fn labels(self) -> Value {
-        let rows = self.names().into_iter();
-        rows.map(|(id, name)| (id.to_string(), json!({ "class": name }))).collect::<Map<_, _>>().into()
-    }
-
-    /// The same in the form of Hugging Face's `id2label`.
-    #[must_use]
-    pub fn id2label(self) -> Value {
-        self.names().into_iter().map(|(id, name)| (id.to_string(), name.into())).collect::<Map<_, _>>().into()
-    }
-}
-
-type Encoder = fn(&Source<'_>) -> Result<Vec<u8>>;
-
-/// One thing that a user can ask for.
+/// What one value of `--outputs` stands for.
 #[derive(Debug)]
 pub struct Output {
-    /// Its word in `--outputs`.
+    /// Its name in `--outputs`.
     pub name: &'static str,
-    /// Written unless `--outputs` says otherwise.
+    /// Whether it is written when `--outputs` is not given.
     pub default: bool,
-    /// What the renderer must add to the frame for it.
+    /// The annotation that the renderer must produce for it.
     needs: Option<Annotation>,
-    /// Stem and extension of each file that it writes, with its encoder; the frame's number stands between.
+    /// Stem, extension and encoder of each of its files; the frame number goes between stem and extension.
     files: &'static [(&'static str, &'static str, Encoder)],
 }
 
 /// Every output.
 pub static OUTPUTS: [Output; 15] = [
-    Output { name: "rgb", default: true, needs: None, files: &[("rgb", "png", rgb_png)] },
+    Output { name: "rgb", default: true, needs: None, files: &[("rgb", "png", png::rgb)] },
     Output {
         name: "mask",
         default: true,
         needs: None,
         files: &[
-            ("semantic_segmentation", "png", mask_png),
-            ("semantic_segmentation_labels", "json", labels_json),
+            ("semantic_segmentation", "png", png::mask),
+            ("semantic_segmentation_labels", "json", json::labels),
         ],
     },
-    Output { name: "preview", default: true, needs: None, files: &[("preview", "png", preview_png)] },
+    Output { name: "preview", default: true, needs: None, files: &[("preview", "png", png::preview)] },
     Output {
         name: "depth",
         default: false,
         needs: Some(Annotation::Depth),
         files: &[
-            ("distance_to_image_plane", "npy", plane_distance_npy),
-            ("distance_to_camera", "npy", camera_distance_npy),
+            ("distance_to_image_plane", "npy", npy::plane_distance),
+            ("distance_to_camera", "npy", npy::camera_distance),
         ],
     },
     Output {
         name: "normals",
         default: false,
         needs: Some(Annotation::Normals),
-        files: &[("normals", "npy", normals_npy)],
+        files: &[("normals", "npy", npy::normals)],
     },
     Output {
         name: "instances",
         default: false,
         needs: Some(Annotation::Instances),
         files: &[
-            ("instance_segmentation", "png", instances_png),
-            ("instance_segmentation_mapping", "json", instances_json),
+            ("instance_segmentation", "png", png::instances),
+            ("instance_segmentation_mapping", "json", json::instance_mapping),
         ],
     },
     Output {
         name: "shadow",
         default: false,
         needs: Some(Annotation::Shadow),
-        files: &[("shadow", "png", shadow_png)],
+        files: &[("shadow", "png", png::shadow)],
     },
-    Output { name: "hdr", default: false, needs: Some(Annotation::Hdr), files: &[("hdr", "exr", hdr_exr)] },
+    Output {
+        name: "hdr",
+        default: false,
+        needs: Some(Annotation::Hdr),
+        files: &[("hdr", "exr", exr::radiance)],
+    },
     Output {
         name: "coverage",
         default: false,
         needs: Some(Annotation::Coverage),
-        files: &[("semantic_coverage", "npy", coverage_npy)],
+        files: &[("semantic_coverage", "npy", npy::coverage)],
     },
     Output {
         name: "slope",
         default: false,
         needs: Some(Annotation::Slope),
-        files: &[("slope", "npy", slope_npy)],
+        files: &[("slope", "npy", npy::slope)],
     },
     Output {
         name: "craters",
         default: false,
         needs: Some(Annotation::Craters),
-        files: &[("craters", "png", craters_png)],
+        files: &[("craters", "png", png::craters)],
     },
     Output {
         name: "angles",
         default: false,
         needs: Some(Annotation::Angles),
-        files: &[("incidence", "npy", incidence_npy), ("phase", "npy", phase_npy)],
+        files: &[("incidence", "npy", npy::incidence), ("phase", "npy", npy::phase)],
     },
     Output {
         name: "five_classes",
         default: false,
         needs: Some(Annotation::FiveClasses),
         files: &[
-            ("five_classes", "png", five_classes_png),
-            ("five_classes_preview", "png", five_classes_preview_png),
-            ("five_classes_labels", "json", five_classes_json),
+            ("five_classes", "png", png::five_classes),
+            ("five_classes_preview", "png", png::five_classes_preview),
+            ("five_classes_labels", "json", json::five_classes),
         ],
     },
     Output {
         name: "rock_sizes",
         default: false,
         needs: Some(Annotation::Instances),
-        files: &[("rock_sizes", "png", rock_sizes_png), ("rock_sizes_labels", "json", rock_sizes_json)],
+        files: &[("rock_sizes", "png", png::rock_sizes), ("rock_sizes_labels", "json", json::rock_sizes)],
     },
-    Output { name: "meta", default: true, needs: None, files: &[("frame", "json", meta_json)] },
+    Output { name: "meta", default: true, needs: None, files: &[("frame", "json", json::meta)] },
 ];
 
-/// What the renderer must add to the frame for these outputs.
+/// The annotations that the renderer must produce for these outputs.
 #[must_use]
 pub fn annotations(outputs: &[&'static Output]) -> Annotations {
     outputs.iter().filter_map(|output| output.needs).collect()
@@ -230,27 +137,27 @@ pub fn annotations(outputs: &[&'static Output]) -> Annotations {
 
 impl Output {
     /// Stem and extension of each of its files.
-    pub fn kinds(&self) -> impl Iterator<Item = (&'static str, &'static str)> {
+    pub fn file_kinds(&self) -> impl Iterator<Item = (&'static str, &'static str)> {
         self.files.iter().map(|&(stem, extension, _)| (stem, extension))
     }
 
-    /// Names of the files that it writes for frame `index`.
+    /// Names of its files for frame `index`, as written for a single frame.
     pub fn file_names(&self, index: u64) -> impl Iterator<Item = String> {
         self.files.iter().map(move |(stem, extension, _)| frame_file_name(stem, index, extension))
     }
 }
 
-/// The outputs that are written unless others are asked for, as a comma-separated list.
+/// Names of the default outputs, as a comma-separated list.
 #[must_use]
 pub fn default_list() -> String {
     let names: Vec<&str> = OUTPUTS.iter().filter(|output| output.default).map(|output| output.name).collect();
     names.join(",")
 }
 
-/// The outputs of a comma-separated list; `all` is every one.
+/// The outputs that a comma-separated list names; `all` stands for every output.
 ///
 /// # Errors
-/// [`Error::Usage`] for an unknown word.
+/// [`Error::Usage`] for an empty list or an unknown name.
 pub fn parse_outputs(list: &str) -> Result<Vec<&'static Output>> {
     let words: Vec<&str> = list.split(',').map(str::trim).filter(|word| !word.is_empty()).collect();
     if words.is_empty() {
@@ -269,52 +176,40 @@ pub fn parse_outputs(list: &str) -> Result<Vec<&'static Output>> {
     Ok(OUTPUTS.iter().filter(|output| words.contains(&"all") || words.contains(&output.name)).collect())
 }
 
-/// One encoded output of a frame, before a layout gives it its place.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Encoded {
-    /// The word in `--outputs` that it belongs to.
-    pub output: &'static str,
-    /// What it is: the part of its file name before the frame's number.
-    pub stem: &'static str,
-    /// Extension of its file name.
-    pub extension: &'static str,
-    /// Content.
-    pub bytes: Vec<u8>,
-}
-
-/// The encoded outputs of a frame.
+/// Encodes these outputs of a frame.
 ///
 /// # Errors
-/// [`Error::Encode`].
-pub fn encode(source: &Source<'_>, outputs: &[&'static Output]) -> Result<Vec<Encoded>> {
+/// [`Error::Encode`] with the stem of the file that failed.
+pub fn encode(input: &EncodeInput<'_>, outputs: &[&'static Output]) -> Result<Vec<EncodedFile>> {
     let files = outputs.iter().flat_map(|output| output.files.iter().map(|file| (output.name, file)));
     files
         .map(|(output, &(stem, extension, encoder))| {
-            let bytes = encoder(source).map_err(|error| match error {
+            let bytes = encoder(input).map_err(|error| match error {
                 Error::Encode { message, .. } => Error::Encode { name: stem.to_owned(), message },
                 other => other,
             })?;
-            Ok(Encoded { output, stem, extension, bytes })
+            Ok(EncodedFile { output, stem, extension, bytes })
         })
         .collect()
 }
 
-impl Encoded {
-    /// The file that it is when a frame stands alone.
-    #[must_use]
-    pub fn into_artifact(self, index: u64) -> Artifact {
-        Artifact { name: frame_file_name(self.stem, index, self.extension), bytes: self.bytes }
-    }
-}
-
-fn frame_file_name(stem: &str, index: u64, extension: &str) -> String {
-    format!("{stem}_{index:04}.{extension}")
+/// Refuses `folder` if it is a file, or holds anything that frame `index` would not have written.
+///
+/// # Errors
+/// [`Error::OutIsFile`], [`Error::OutNotEmpty`] unless `force`, [`Error::Read`] if the folder cannot be listed.
+pub fn check_folder(folder: &Path, index: u64, force: bool) -> Result<()> {
+    let names: Vec<String> = OUTPUTS.iter().flat_map(|output| output.file_names(index)).collect();
+    disk::check_content(folder, force, |found| names.iter().any(|name| name == found))
 }
 
 #[cfg(test)]
 mod tests {
+    use serde_json::{Value, json};
+
     use super::*;
-    use crate::frame::RockLabel;
+    use crate::class::ClassId;
+    use crate::frame::{Frame, RockLabel};
+    use edges::EdgePolicy;
 
     fn frame() -> Frame {
         Frame {
@@ -347,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn annotations_come_back_as_they_went() {
+    fn annotations_survive_a_round_trip() {
         let bytes = |name: &str| encoded(name, LabelIds::Canonical);
         let floats = |name: &str, shape: &str| {
             let bytes = bytes(name);
@@ -381,10 +276,10 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("hdr.exr");
         std::fs::write(&path, bytes("hdr_0007.exr")).expect("written");
-        let image = exr::prelude::read_first_rgba_layer_from_file(
+        let image = ::exr::prelude::read_first_rgba_layer_from_file(
             &path,
             |_, _| vec![[0.0_f32; 3]; 6],
-            |pixels: &mut Vec<[f32; 3]>, at: exr::math::Vec2<usize>, (r, g, b, _): (f32, f32, f32, f32)| {
+            |pixels: &mut Vec<[f32; 3]>, at: ::exr::math::Vec2<usize>, (r, g, b, _): (f32, f32, f32, f32)| {
                 pixels[at.y() * 3 + at.x()] = [r, g, b];
             },
         )
@@ -395,22 +290,22 @@ mod tests {
 
     fn encoded(name: &str, label_ids: LabelIds) -> Vec<u8> {
         let (frame, meta) = (frame(), json!({}));
-        let source = Source { frame: &frame, meta: &meta, label_ids, edges: EdgePolicy::Hard };
+        let input = EncodeInput { frame: &frame, meta: &meta, label_ids, edges: EdgePolicy::Hard };
         let outputs = parse_outputs("all").expect("all");
-        let encoded = encode(&source, &outputs).expect("encoded");
+        let encoded = encode(&input, &outputs).expect("encoded");
         let mut artifacts = encoded.into_iter().map(|file| file.into_artifact(7));
         artifacts.find(|artifact| artifact.name == name).expect(name).bytes
     }
 
     fn decoded(name: &str, label_ids: LabelIds) -> image::DynamicImage {
-        image::load_from_memory(&encoded(name, label_ids)).expect("a picture")
+        image::load_from_memory(&encoded(name, label_ids)).expect("an image")
     }
 
     #[test]
-    fn pictures_come_back_as_they_went() {
+    fn images_survive_a_round_trip() {
         assert_eq!(
             decoded("rgb_0007.png", LabelIds::Canonical),
-            image::DynamicImage::ImageRgb8(image::RgbImage::from_raw(3, 2, frame().rgb).expect("a picture"))
+            image::DynamicImage::ImageRgb8(image::RgbImage::from_raw(3, 2, frame().rgb).expect("an image"))
         );
         let mask = decoded("semantic_segmentation_0007.png", LabelIds::Canonical);
         assert_eq!(mask.color(), image::ColorType::L8);
@@ -423,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn rocks_are_told_apart_by_size_in_colours_that_collapse_to_three() {
+    fn rock_size_colours_map_back_to_the_mask_classes() {
         let colours = decoded("rock_sizes_0007.png", LabelIds::Canonical).into_rgb8().into_raw();
         // Rock 300 is 1.25 m across; rock 2 is not in the list.
         let expected = [[0, 0, 0], [0, 0, 255], [255, 0, 0], [255, 0, 0], [0, 255, 0], [0, 0, 0]];
@@ -439,16 +334,16 @@ mod tests {
     }
 
     #[test]
-    fn label_files_name_every_id() {
-        let text = |ids: LabelIds| ids.labels().to_string();
-        assert_eq!(
-            text(LabelIds::Canonical),
-            r#"{"0":{"class":"regolith"},"1":{"class":"rock"},"2":{"class":"sky"}}"#
-        );
-        assert_eq!(
-            text(LabelIds::Replicator),
-            r#"{"0":{"class":"BACKGROUND"},"1":{"class":"UNLABELLED"},"2":{"class":"sky"},"3":{"class":"rock"},"4":{"class":"regolith"}}"#
-        );
+    fn a_folder_with_other_content_is_refused() {
+        let folder = tempfile::tempdir().expect("a folder");
+        assert!(check_folder(folder.path(), 0, false).is_ok());
+        std::fs::write(folder.path().join("rgb_0000.png"), "old").expect("written");
+        assert!(check_folder(folder.path(), 0, false).is_ok(), "an earlier frame may be replaced");
+        std::fs::write(folder.path().join("thesis.tex"), "years of work").expect("written");
+        let error = check_folder(folder.path(), 0, false).expect_err("other content");
+        assert!(error.to_string().contains("thesis.tex") && error.exit_status() == 2);
+        assert!(check_folder(folder.path(), 0, true).is_ok());
+        assert!(matches!(check_folder(&folder.path().join("thesis.tex"), 0, true), Err(Error::OutIsFile(_))));
     }
 
     #[test]

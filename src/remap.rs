@@ -14,7 +14,8 @@ use serde_json::{Map, Value};
 
 use crate::class::ClassId;
 use crate::error::{Error, Result};
-use crate::output::{Artifact, LabelIds, disk, encoders};
+use crate::output::encode::{json, png};
+use crate::output::{Artifact, LabelIds, disk};
 
 /// What the names of masks start with.
 const MASK_STEM: &str = "semantic_segmentation_";
@@ -243,8 +244,8 @@ pub fn remap(folder: &Path, pair: &Pair, out: &Path) -> Result<Remapped> {
     disk::write_all(
         out,
         &[
-            file(&pair.mask, encoders::ids_png(mask.width(), mask.height(), &ids)?),
-            file(&pair.labels, encoders::json_bytes(&LabelIds::Canonical.labels())?),
+            file(&pair.mask, png::ids_u8(mask.width(), mask.height(), &ids)?),
+            file(&pair.labels, json::to_bytes(&LabelIds::Canonical.labels())?),
         ],
     )?;
     Ok(result)

@@ -7,7 +7,7 @@ use regolith::bench::{self, Case, Curve, Measured, SWEEPS, Setup};
 use regolith::dataset::Pace;
 use regolith::dataset::plan::{Plan, Range, Shard};
 use regolith::dataset::rules::Rules;
-use regolith::output::{self, Artifact, disk, writer};
+use regolith::output::{self, Artifact, disk, layout};
 use regolith::params::Knob;
 use regolith::render::{FRAMES_IN_FLIGHT, Renderer};
 use regolith::{Error, Result};
@@ -82,8 +82,8 @@ fn parse_cases(list: &str) -> Result<Vec<Case>> {
 
 fn setup(args: &BenchArgs) -> Result<Setup> {
     let config = args.config.build()?;
-    let (format, writer) = writer::writer("folder")?;
-    let outputs = Plan::outputs(Some(&args.outputs), format, writer)?;
+    let (format, layout) = layout::find("folder")?;
+    let outputs = Plan::outputs(Some(&args.outputs), format, layout)?;
     let mut settings = args.picture.settings()?;
     settings.annotations = output::annotations(&outputs);
     // Every frame is taken: what is drawn again would be measured twice.
@@ -97,7 +97,7 @@ fn setup(args: &BenchArgs) -> Result<Setup> {
         edges: args.picture.edges()?,
         label_ids: args.picture.label_ids(),
         format,
-        writer,
+        layout,
         range: Range { start: 0, count: args.frames },
         splits: Vec::new(),
         shard: Shard::WHOLE,

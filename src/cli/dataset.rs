@@ -13,8 +13,7 @@ use regolith::dataset::plan::{self, MAX_FRAMES, Plan, Range, frame_seed};
 use regolith::dataset::rules::Rules;
 use regolith::dataset::{self, Pace, Progress};
 use regolith::output;
-use regolith::output::webdataset::archive_end;
-use regolith::output::writer::{self, WRITERS};
+use regolith::output::layout::{self, LAYOUTS, webdataset::archive_end};
 use regolith::render::Renderer;
 use regolith::{Error, Result};
 use serde_json::{Value, json};
@@ -77,7 +76,7 @@ pub(super) struct DatasetArgs {
 
 /// The list of layouts for the help.
 pub(super) fn formats_help() -> String {
-    let rows = WRITERS.iter().map(|(name, what, _)| format!("  {name:<15} {what}\n"));
+    let rows = LAYOUTS.iter().map(|row| format!("  {:<15} {}\n", row.name, row.summary));
     format!("Formats:\n{}", rows.collect::<String>())
 }
 
@@ -128,8 +127,8 @@ pub(super) fn cores() -> usize {
 
 fn plan(args: &DatasetArgs) -> Result<Plan> {
     let config = args.config.build()?;
-    let (format, writer) = writer::writer(&args.format)?;
-    let outputs = Plan::outputs(args.outputs.as_deref(), format, writer)?;
+    let (format, layout) = layout::find(&args.format)?;
+    let outputs = Plan::outputs(args.outputs.as_deref(), format, layout)?;
     let mut settings = args.picture.settings()?;
     settings.annotations = output::annotations(&outputs);
     let splits = args.split.as_deref().map_or(Ok(Vec::new()), plan::parse_splits)?;
@@ -148,9 +147,9 @@ fn plan(args: &DatasetArgs) -> Result<Plan> {
         settings,
         outputs,
         edges: args.picture.edges()?,
-        label_ids: Plan::label_ids(args.picture.label_ids(), format, writer)?,
+        label_ids: Plan::label_ids(args.picture.label_ids(), format, layout)?,
         format,
-        writer,
+        layout,
         range: Range { start: args.start, count },
         splits,
         shard: args.shard.parse()?,

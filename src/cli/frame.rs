@@ -8,7 +8,7 @@ use regolith::class::ClassId;
 use regolith::dataset::rules::Rules;
 use regolith::gpu;
 use regolith::meta::FrameRecord;
-use regolith::output::{self, OUTPUTS, Source, disk};
+use regolith::output::{self, EncodeInput, OUTPUTS, disk};
 use regolith::render::{Renderer, StageTimes, select::selection};
 use regolith::scene::Scene;
 use regolith::{Error, Result};
@@ -48,7 +48,7 @@ pub(super) fn run(args: &FrameArgs, messages: Messages) -> Result<()> {
     let mut settings = args.picture.settings()?;
     settings.annotations = output::annotations(&outputs);
     let (label_ids, edges) = (args.picture.label_ids(), args.picture.edges()?);
-    disk::check_folder(&args.out, INDEX, args.force)?;
+    output::check_folder(&args.out, INDEX, args.force)?;
 
     // The device is opened while the scene is built.
     let (scene, renderer) = rayon::join(
@@ -91,11 +91,11 @@ pub(super) fn run(args: &FrameArgs, messages: Messages) -> Result<()> {
     };
     // The pictures first, so that the record can tell what encoding them took.
     let (pictures, records): (Vec<_>, Vec<_>) = outputs.into_iter().partition(|output| output.name != "meta");
-    let source = Source { frame: &frame, meta: &Value::Null, label_ids, edges };
-    let (mut files, encoded) = timed("encode", || output::encode(&source, &pictures))?;
+    let input = EncodeInput { frame: &frame, meta: &Value::Null, label_ids, edges };
+    let (mut files, encoded) = timed("encode", || output::encode(&input, &pictures))?;
     times.push(encoded);
     let meta = record(&times);
-    files.extend(output::encode(&Source { frame: &frame, meta: &meta, label_ids, edges }, &records)?);
+    files.extend(output::encode(&EncodeInput { frame: &frame, meta: &meta, label_ids, edges }, &records)?);
     let artifacts: Vec<_> = files.into_iter().map(|file| file.into_artifact(INDEX)).collect();
     let paths = disk::write_all(&args.out, &artifacts)?;
 

@@ -1,6 +1,6 @@
 //! A finished dataset in another layout, without rendering.
 //!
-//! What the frames' files hold is put back together and given to the other layout's writer, so that the result is that
+//! What the frames' files hold is put back together and given to the other layout, so that the result is that
 //! of `dataset --format`, to the byte.
 //! Must not know: the command line.
 
@@ -16,8 +16,9 @@ use crate::class::ClassId;
 use crate::error::{Error, RUN_AGAIN, Result};
 use crate::frame::{Frame, RockLabel};
 use crate::output::edges::EdgePolicy;
-use crate::output::writer::{Lines as _, Placed, Sample, Writer, below_split, writer};
-use crate::output::{self, Encoded, LabelIds, OUTPUTS, Source, disk, folder};
+use crate::output::layout::interface::{FrameFiles, FrameLines as _, Layout, Sample, below_split};
+use crate::output::layout::{self, folder};
+use crate::output::{self, EncodeInput, EncodedFile, LabelIds, OUTPUTS, disk};
 
 /// Frames that are read at a time.
 const CHUNK: usize = 64;
@@ -26,7 +27,7 @@ const CHUNK: usize = 64;
 #[derive(Debug)]
 pub struct Conversion {
     manifest: Map<String, Value>,
-    writer: &'static dyn Writer,
+    layout: &'static dyn Layout,
     contents: Contents,
     outputs: Vec<&'static output::Output>,
     label_ids: LabelIds,
@@ -39,7 +40,7 @@ impl Conversion {
     /// [`Error::Dataset`] if it is not finished, of another layout, or lacks an output; [`Error::Usage`] for an unknown
     /// layout.
     pub fn new(source: &Path, format: &str) -> Result<Self> {
-        let (format, writer) = writer(format)?;
+        let (format, layout) = layout::find(format)?;
         let refused = |message: String| Error::Dataset { path: source.to_owned(), message };
         let path = source.join("manifest.json");
         if !path.is_file() {
@@ -62,22 +63,22 @@ impl Conversion {
             let list = manifest.get("outputs").and_then(Value::as_array);
             list.is_some_and(|list| list.iter().any(|output| output == name))
         };
-        if let Some(lacking) = writer.outputs().iter().find(|name| !named(name)) {
+        if let Some(lacking) = layout.required_outputs().iter().find(|name| !named(name)) {
             return Err(refused(format!(
                 "it lacks the output `{lacking}`, without which {format} cannot be; make it with --outputs rgb,mask,{lacking}"
             )));
         }
         let outputs: Vec<_> =
-            OUTPUTS.iter().filter(|output| named(output.name) && writer.holds(output.name)).collect();
+            OUTPUTS.iter().filter(|output| named(output.name) && layout.supports(output.name)).collect();
         let mut contents = Contents::of(&manifest);
         let names: Vec<&str> = outputs.iter().map(|output| output.name).collect();
         contents.identity.insert("format".to_owned(), format.into());
         contents.identity.insert("outputs".to_owned(), names.into());
-        let label_ids = LabelIds::of(&manifest);
-        if writer.has_own_ids() {
+        let label_ids = LabelIds::of_manifest(&manifest);
+        if layout.has_fixed_ids() {
             contents.identity.extend(Plan::identity_of_ids(LabelIds::default()));
         }
-        Ok(Self { contents, writer, outputs, label_ids, manifest })
+        Ok(Self { contents, layout, outputs, label_ids, manifest })
     }
 
     /// Frames of the dataset.
@@ -104,7 +105,7 @@ impl Conversion {
         let found = journal.done().len() as u64;
         let mut chunk = Vec::new();
         let mut convert_chunk = |chunk: &mut Vec<Map<String, Value>>| -> Result<()> {
-            let made: Vec<Result<(Map<String, Value>, Placed)>> =
+            let made: Vec<Result<(Map<String, Value>, FrameFiles)>> =
                 chunk.par_drain(..).map(|line| self.convert(source, line)).collect();
             for made in made {
                 let (line, placed) = made?;
@@ -133,7 +134,11 @@ impl Conversion {
     }
 
     /// A frame's line and files in the other layout.
-    fn convert(&self, source: &Path, mut line: Map<String, Value>) -> Result<(Map<String, Value>, Placed)> {
+    fn convert(
+        &self,
+        source: &Path,
+        mut line: Map<String, Value>,
+    ) -> Result<(Map<String, Value>, FrameFiles)> {
         let index = index_of(&line).unwrap_or_default();
         let split = line.get("split").and_then(Value::as_str).unwrap_or_default().to_owned();
         let recorded: Map<String, Value> =
@@ -156,18 +161,18 @@ impl Conversion {
         let mut frame = Frame::default();
         let mut files = Vec::new();
         for output in &self.outputs {
-            for (stem, extension) in output.kinds() {
-                let file = |bytes| Encoded { output: output.name, stem, extension, bytes };
+            for (stem, extension) in output.file_kinds() {
+                let file = |bytes| EncodedFile { output: output.name, stem, extension, bytes };
                 let again = output.name == "preview" || (output.name == "mask" && extension == "json");
                 // What the folder has once, or not of every frame, is made again from the mask, which comes first.
                 let bytes = if again {
-                    let source = Source {
+                    let input = EncodeInput {
                         frame: &frame,
                         meta: &Value::Null,
                         label_ids: self.label_ids,
                         edges: EdgePolicy::Hard,
                     };
-                    let made = output::encode(&source, &[*output])?;
+                    let made = output::encode(&input, &[*output])?;
                     made.into_iter()
                         .find(|made| made.extension == extension)
                         .map(|made| made.bytes)
@@ -185,7 +190,7 @@ impl Conversion {
             }
         }
         let sample = Sample { index, split: &split, frame: &frame, files: &files, record: &line };
-        let placed = self.writer.place(&sample)?;
+        let placed = self.layout.frame_files(&sample)?;
         super::add_files(&mut line, &placed);
         line.extend(ms.map(|ms| ("ms".to_owned(), ms)));
         Ok((line, placed))

@@ -9,15 +9,15 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufRead as _, BufReader, Read as _, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use serde_json::{Map, Value, json};
+use serde_json::{Map, Value};
 
 use super::plan::{Plan, Range, Shard, differences, frame_seed};
 use super::summary;
 use crate::class::ClassId;
 use crate::error::{Error, Result};
 use crate::output::disk::{self, LineFile, Lock};
-use crate::output::writer::{self, Index, Lines};
-use crate::output::{Artifact, encoders};
+use crate::output::layout::{self, DatasetIndex, FrameLines};
+use crate::output::{Artifact, encode::json};
 
 /// What stands in a manifest besides the plan's identity.
 const STATE_KEYS: [&str; 8] =
@@ -272,7 +272,7 @@ impl Journal {
         let write = |path: &Path, cause| Error::Write { path: path.to_owned(), cause };
         std::fs::create_dir_all(folder).map_err(|cause| write(folder, cause))?;
         let lock = folder.join(format!(".lock-{}-of-{}", shard.number, shard.of));
-        let lock = Lock::try_take(&lock)?.ok_or_else(|| Error::Busy(folder.to_owned()))?;
+        let lock = Lock::try_acquire(&lock)?.ok_or_else(|| Error::Busy(folder.to_owned()))?;
         disk::remove_temporary(folder, &tag(shard))?;
         let (_, places) = find_lines(folder)?;
         let journal = Self {
@@ -336,7 +336,7 @@ pub fn tag(shard: Shard) -> String {
 }
 
 fn pretty(name: String, content: Map<String, Value>) -> Result<Artifact> {
-    Ok(Artifact { name, bytes: encoders::json_bytes(&content.into())? })
+    Ok(Artifact { name, bytes: json::to_bytes(&content.into())? })
 }
 
 /// The lines of a book, one after the other.
@@ -374,7 +374,7 @@ impl Book {
     }
 }
 
-impl Lines for Book {
+impl FrameLines for Book {
     fn for_each(&self, visit: &mut dyn FnMut(Map<String, Value>) -> Result<()>) -> Result<()> {
         self.for_each_as_it_is(&mut |line| visit(line?))
     }
@@ -404,7 +404,7 @@ pub fn settle(folder: &Path) -> Result<Settled> {
     if manifests()?.is_empty() {
         return Err(none());
     }
-    let lock = Lock::take(&folder.join(".lock"))?;
+    let lock = Lock::acquire(&folder.join(".lock"))?;
     // Another shard that was settling meanwhile has taken its books away.
     let manifests = manifests()?;
     let first = manifests.first().ok_or_else(none)?;
@@ -441,8 +441,8 @@ pub fn settle(folder: &Path) -> Result<Settled> {
         ("start", range.start.into()),
         ("count", range.count.into()),
         ("n_completed", places.len().into()),
-        ("seeds", json!(seeds)),
-        ("adapters", json!(totals.adapters)),
+        ("seeds", serde_json::json!(seeds)),
+        ("adapters", serde_json::json!(totals.adapters)),
         ("totals", totals.to_json()),
     ] {
         manifest.insert(key.to_owned(), value);
@@ -470,7 +470,7 @@ pub fn settle(folder: &Path) -> Result<Settled> {
 /// Writes what a finished dataset has besides its frames, and gives the hashes of these files.
 fn write_index(folder: &Path, manifest: &Map<String, Value>, totals: &Totals) -> Result<Map<String, Value>> {
     let name = manifest.get("format").and_then(Value::as_str).unwrap_or_default();
-    let (_, writer) = writer::writer(name)?;
+    let (_, layout) = layout::find(name)?;
     let lines = Book::new(folder);
     let card = summary::card(manifest, totals);
     let mut hashes = Map::new();
@@ -478,9 +478,9 @@ fn write_index(folder: &Path, manifest: &Map<String, Value>, totals: &Totals) ->
         hashes.insert(artifact.name.clone(), disk::content_hash(&artifact.bytes).into());
         disk::write_all(folder, &[artifact]).map(drop)
     };
-    writer.index(&Index { folder, lines: &lines, manifest, card: &card }, &mut put)?;
+    layout.write_index(&DatasetIndex { folder, lines: &lines, manifest, card: &card }, &mut put)?;
     put(summary::histograms(&lines)?)?;
-    if let Some(sheet) = summary::contact_sheet(folder, &lines, writer)? {
+    if let Some(sheet) = summary::contact_sheet(folder, &lines, layout)? {
         put(sheet)?;
     }
     Ok(hashes)
@@ -505,7 +505,7 @@ impl Totals {
     ///
     /// # Errors
     /// Those of reading.
-    pub fn of(lines: &dyn Lines) -> Result<Self> {
+    pub fn of(lines: &dyn FrameLines) -> Result<Self> {
         let mut totals = Self::default();
         lines.for_each(&mut |line| {
             totals.add(&line);
@@ -553,6 +553,6 @@ impl Totals {
             .enumerate()
             .map(|(i, class)| (class.name.to_owned(), self.coverage(i).into()))
             .collect();
-        json!({ "redraws": self.redraws, "coverage_mean": coverage, "rgb_mean": self.rgb_mean() })
+        serde_json::json!({ "redraws": self.redraws, "coverage_mean": coverage, "rgb_mean": self.rgb_mean() })
     }
 }

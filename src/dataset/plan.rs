@@ -15,7 +15,7 @@ use super::rules::Rules;
 use crate::class::ClassId;
 use crate::error::{Error, Result};
 use crate::output::edges::EdgePolicy;
-use crate::output::writer::Writer;
+use crate::output::layout::Layout;
 use crate::output::{self, LabelIds, Output};
 use crate::params::sampler::Config;
 use crate::render::RenderSettings;
@@ -45,7 +45,7 @@ pub struct Plan {
     /// Name of the layout.
     pub format: &'static str,
     /// The layout.
-    pub writer: &'static dyn Writer,
+    pub layout: &'static dyn Layout,
     /// The frames.
     pub range: Range,
     /// Names of the splits and their numbers of frames, in order from the first frame; none for a dataset in one.
@@ -212,8 +212,8 @@ impl Plan {
     ///
     /// # Errors
     /// [`Error::Usage`] for others than it has.
-    pub fn label_ids(asked: LabelIds, format: &str, writer: &dyn Writer) -> Result<LabelIds> {
-        if writer.has_own_ids() && asked != LabelIds::default() {
+    pub fn label_ids(asked: LabelIds, format: &str, layout: &dyn Layout) -> Result<LabelIds> {
+        if layout.has_fixed_ids() && asked != LabelIds::default() {
             return Err(Error::Usage(format!(
                 "--label-ids {}: --format {format} has ids of its own; leave out --label-ids, or choose another format",
                 asked.name()
@@ -244,12 +244,15 @@ impl Plan {
     ///
     /// # Errors
     /// [`Error::Usage`] for an unknown one, or one that the layout has no place for.
-    pub fn outputs(list: Option<&str>, format: &str, writer: &dyn Writer) -> Result<Vec<&'static Output>> {
+    pub fn outputs(list: Option<&str>, format: &str, layout: &dyn Layout) -> Result<Vec<&'static Output>> {
         let asked = output::parse_outputs(list.unwrap_or(Self::USUAL_OUTPUTS))?;
         let any = list.is_none_or(|list| list.split(',').any(|word| word.trim() == "all"));
-        if let Some(homeless) = asked.iter().find(|output| !any && !writer.holds(output.name)) {
-            let held: Vec<&str> =
-                output::OUTPUTS.iter().map(|output| output.name).filter(|name| writer.holds(name)).collect();
+        if let Some(homeless) = asked.iter().find(|output| !any && !layout.supports(output.name)) {
+            let held: Vec<&str> = output::OUTPUTS
+                .iter()
+                .map(|output| output.name)
+                .filter(|name| layout.supports(name))
+                .collect();
             return Err(Error::Usage(format!(
                 "--outputs {}: --format {format} has no place for it; it holds {}",
                 homeless.name,
@@ -259,7 +262,9 @@ impl Plan {
         let named = |name: &str| asked.iter().any(|output| output.name == name);
         Ok(output::OUTPUTS
             .iter()
-            .filter(|o| writer.holds(o.name) && (named(o.name) || writer.outputs().contains(&o.name)))
+            .filter(|o| {
+                layout.supports(o.name) && (named(o.name) || layout.required_outputs().contains(&o.name))
+            })
             .collect())
     }
 }

@@ -13,7 +13,7 @@ use serde_json::{Map, Value};
 use super::journal::{Totals, index_of};
 use crate::class::ClassId;
 use crate::error::{Error, Result};
-use crate::output::writer::{Lines, Writer};
+use crate::output::layout::{FrameLines, Layout};
 use crate::output::{Artifact, LabelIds, disk};
 
 /// Frames on the contact sheet.
@@ -34,7 +34,7 @@ fn text<'a>(manifest: &'a Map<String, Value>, key: &str) -> &'a str {
 /// The data card: classes, camera, knobs, counts, licence.
 #[must_use]
 pub fn card(manifest: &Map<String, Value>, totals: &Totals) -> String {
-    let label_ids = LabelIds::of(manifest);
+    let label_ids = LabelIds::of_manifest(manifest);
     let value = |key: &str| manifest.get(key).map(ToString::to_string).unwrap_or_default();
     let mut card = String::new();
     // Writing into a string cannot fail.
@@ -116,14 +116,14 @@ pub fn card(manifest: &Map<String, Value>, totals: &Totals) -> String {
 ///
 /// # Errors
 /// [`Error::Read`], [`Error::Encode`].
-pub fn contact_sheet(folder: &Path, lines: &dyn Lines, writer: &dyn Writer) -> Result<Option<Artifact>> {
+pub fn contact_sheet(folder: &Path, lines: &dyn FrameLines, layout: &dyn Layout) -> Result<Option<Artifact>> {
     let mut first = Vec::new();
     lines.for_each(&mut |line| {
         if first.len() < SHEET_FRAMES
             && let Some(index) = index_of(&line)
         {
             let split = line.get("split").and_then(Value::as_str).unwrap_or_default();
-            first.extend(writer.pictures(split, index));
+            first.extend(layout.image_and_mask(split, index));
         }
         Ok(())
     })?;
@@ -197,7 +197,7 @@ fn numbers(line: &Map<String, Value>) -> impl Iterator<Item = (String, f64)> {
 ///
 /// # Errors
 /// Those of reading.
-pub fn histograms(lines: &dyn Lines) -> Result<Artifact> {
+pub fn histograms(lines: &dyn FrameLines) -> Result<Artifact> {
     let mut ranges: BTreeMap<String, [f64; 2]> = BTreeMap::new();
     let mut order: Vec<String> = Vec::new();
     lines.for_each(&mut |line| {

@@ -19,7 +19,7 @@ use crate::frame::{Annotation, Frame, RgbStatistics};
 use crate::lens::Lens;
 use crate::meta;
 use crate::output::edges::EdgePolicy;
-use crate::output::writer::{self, Writer};
+use crate::output::layout::{self, Layout};
 use crate::output::{LabelIds, disk};
 use crate::params::Knob;
 use crate::params::sampler::Config;
@@ -128,7 +128,7 @@ impl Report {
 /// What the manifest says of all frames.
 struct Facts<'a> {
     folder: &'a Path,
-    writer: &'static dyn Writer,
+    layout: &'static dyn Layout,
     base_seed: u64,
     range: Range,
     settings: RenderSettings,
@@ -143,14 +143,14 @@ impl<'a> Facts<'a> {
         let text = |key: &str| manifest.get(key)?.as_str();
         let size = manifest.get("size")?.as_array()?;
         let side = |place: usize| u32::try_from(size.get(place)?.as_u64()?).ok();
-        let writer = writer::writer(text("format")?).ok()?.1;
+        let layout = layout::find(text("format")?).ok()?.1;
         let asked = LabelIds::from_name(text("label_ids")?)?;
-        let label_ids = if writer.has_own_ids() { LabelIds::default() } else { asked };
+        let label_ids = if layout.has_fixed_ids() { LabelIds::default() } else { asked };
         let mut config = Config::new();
         config.apply_json(manifest.get("config")?.as_object()?, "manifest.json").ok()?;
         Some(Self {
             folder,
-            writer,
+            layout,
             base_seed: number("base_seed")?,
             range: Range { start: number("start")?, count: number("count")? },
             settings: RenderSettings::new([side(0)?, side(1)?], u32::try_from(number("samples")?).ok()?)
@@ -322,7 +322,8 @@ fn check_frame(facts: &Facts<'_>, line: &Map<String, Value>) -> Report {
         return report;
     }
     let split = line.get("split").and_then(Value::as_str).unwrap_or_default();
-    let [picture, mask] = index.and_then(|index| facts.writer.pictures(split, index)).unwrap_or_default();
+    let [picture, mask] =
+        index.and_then(|index| facts.layout.image_and_mask(split, index)).unwrap_or_default();
     for (path, hash) in hashes(line) {
         let Some(bytes) = check_file(facts, path, Some(hash), index, &mut report) else { continue };
         match Path::new(path).extension().and_then(|extension| extension.to_str()) {
@@ -530,7 +531,7 @@ fn check_again(
         });
     }
     let split = line.get("split").and_then(Value::as_str).unwrap_or_default();
-    let Some([picture, mask]) = index.and_then(|index| facts.writer.pictures(split, index)) else {
+    let Some([picture, mask]) = index.and_then(|index| facts.layout.image_and_mask(split, index)) else {
         return Ok(());
     };
     let (frame, _) = renderer.render(&scene, &facts.settings)?;

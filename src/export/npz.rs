@@ -53,7 +53,7 @@ fn archive(members: &[(&str, &str, &[usize], &[u8])]) -> zip::result::ZipResult<
             .last_modified_time(zip::DateTime::default())
             .large_file(bytes.len() > 1 << 31);
         zip.start_file(format!("{name}.npy"), options)?;
-        zip.write_all(&crate::output::encoders::npy_header(kind, shape))?;
+        zip.write_all(&crate::output::encode::npy::header(kind, shape))?;
         zip.write_all(bytes)?;
     }
     Ok(zip.finish()?.into_inner())

@@ -1,8 +1,8 @@
 //! The only place that touches the disk: whole files or none, whatever happens in between.
 //!
-//! A file is written under a temporary name next to its place, synchronised, and renamed. Temporary names start with
-//! [`TEMPORARY_PREFIX`] and the writer's tag, so that what a killed process leaves behind can be told from what another
-//! is writing, and removed.
+//! A file is written under a temporary name in its own folder, synchronised, and renamed. Temporary names start with
+//! [`TEMPORARY_PREFIX`] and a tag of the writing process, so that the leftovers of a killed process can be distinguished
+//! from files that another process is writing, and removed.
 //! Must not know: what the bytes mean.
 
 use std::fs::{File, OpenOptions, TryLockError};
@@ -11,10 +11,10 @@ use std::path::{Path, PathBuf};
 
 use twox_hash::XxHash3_128;
 
-use super::{Artifact, OUTPUTS};
+use super::artifact::Artifact;
 use crate::error::{Error, Result};
 
-/// What the names of files start with that are not whole yet.
+/// Start of the names of files that are not yet complete.
 pub const TEMPORARY_PREFIX: &str = ".writing-";
 
 fn failed(path: &Path) -> impl FnOnce(std::io::Error) -> Error {
@@ -27,26 +27,17 @@ fn unreadable(path: &Path) -> impl FnOnce(std::io::Error) -> Error {
     move |cause| Error::Read { path, cause }
 }
 
-/// Refuses a folder that is a file, or that holds anything that frame `index` would not have written.
+/// Refuses a folder that is a file, or that holds a name for which `is_ours` is false. Temporary files are let pass.
 ///
 /// # Errors
-/// [`Error::OutIsFile`], [`Error::OutNotEmpty`] unless `force`, [`Error::Write`] if the folder cannot be read.
-pub fn check_folder(folder: &Path, index: u64, force: bool) -> Result<()> {
-    let ours: Vec<String> = OUTPUTS.iter().flat_map(|output| output.file_names(index)).collect();
-    check_content(folder, force, |name| ours.iter().any(|own| own == name))
-}
-
-/// Refuses a folder that is a file, or that holds anything that is not `ours`.
-///
-/// # Errors
-/// [`Error::OutIsFile`], [`Error::OutNotEmpty`] unless `force`, [`Error::Write`] if the folder cannot be read.
-pub fn check_content(folder: &Path, force: bool, ours: impl Fn(&str) -> bool) -> Result<()> {
+/// [`Error::OutIsFile`], [`Error::OutNotEmpty`] unless `force`, [`Error::Read`] if the folder cannot be listed.
+pub fn check_content(folder: &Path, force: bool, is_ours: impl Fn(&str) -> bool) -> Result<()> {
     if folder.is_file() {
         return Err(Error::OutIsFile(folder.to_owned()));
     }
     if folder.as_os_str() == "-" {
         return Err(Error::Usage(
-            "--out -: only `dataset --format webdataset` streams to standard output; give a folder (./- if it is to have \
+            "--out -: only `dataset --format webdataset` streams to standard output; give a folder (./- for one of \
              that name)"
                 .to_owned(),
         ));
@@ -54,14 +45,15 @@ pub fn check_content(folder: &Path, force: bool, ours: impl Fn(&str) -> bool) ->
     if force || !folder.exists() {
         return Ok(());
     }
-    let foreign = names(folder)?.into_iter().find(|name| !name.starts_with(TEMPORARY_PREFIX) && !ours(name));
+    let foreign =
+        names(folder)?.into_iter().find(|name| !name.starts_with(TEMPORARY_PREFIX) && !is_ours(name));
     match foreign {
         Some(found) => Err(Error::OutNotEmpty { path: folder.to_owned(), found }),
         None => Ok(()),
     }
 }
 
-/// Names of what is in a folder, sorted.
+/// Names of the files and folders in a folder, sorted.
 ///
 /// # Errors
 /// [`Error::Read`].
@@ -83,14 +75,14 @@ pub fn read(path: &Path) -> Result<Vec<u8>> {
     std::fs::read(path).map_err(unreadable(path))
 }
 
-/// XXH3 of 128 bits, hexadecimal: what `xxhsum -H2` prints.
+/// 128-bit XXH3 hash in hexadecimal, as printed by `xxhsum -H2`.
 #[must_use]
 pub fn content_hash(bytes: &[u8]) -> String {
     format!("{:032x}", XxHash3_128::oneshot(bytes))
 }
 
-/// Writes all files into a folder (made if missing), or none: each is written under a temporary name and renamed
-/// only when all are whole. Gives their paths.
+/// Writes all files into a folder (created if missing), or none: each is written under a temporary name, and all are
+/// renamed once all are complete. Returns their paths.
 ///
 /// # Errors
 /// [`Error::Write`].
@@ -98,15 +90,15 @@ pub fn write_all(folder: &Path, artifacts: &[Artifact]) -> Result<Vec<PathBuf>> 
     write_all_tagged(folder, "", artifacts)
 }
 
-/// As [`write_all`], with a tag of the writer's in the temporary names.
+/// Like [`write_all`], with the tag of the writing process in the temporary names.
 ///
 /// # Errors
 /// [`Error::Write`].
 pub fn write_all_tagged(folder: &Path, tag: &str, artifacts: &[Artifact]) -> Result<Vec<PathBuf>> {
-    let made = !folder.exists();
+    let is_new = !folder.exists();
     let result = try_write_all(folder, tag, artifacts);
-    if made && result.is_err() {
-        // Only goes if it is empty, which it is unless something else wrote there meanwhile.
+    if is_new && result.is_err() {
+        // Removes the folder only if it is empty: another process may have written there meanwhile.
         let _ = std::fs::remove_dir(folder);
     }
     result
@@ -142,7 +134,7 @@ fn try_write_all(folder: &Path, tag: &str, artifacts: &[Artifact]) -> Result<Vec
         .collect()
 }
 
-/// Writes one file, whole or not at all, as its content comes.
+/// Writes one file from a stream, completely or not at all.
 ///
 /// # Errors
 /// [`Error::Write`].
@@ -163,7 +155,8 @@ pub fn write_streamed(
     file.persist(path).map(drop).map_err(|error| failed(path)(error.error))
 }
 
-/// Removes what killed writers of this tag left in a folder and the folders in it; an empty tag means all.
+/// Removes the temporary files of killed processes with this tag from a folder and its subfolders; an empty tag matches
+/// all.
 ///
 /// # Errors
 /// [`Error::Write`] or [`Error::Read`].
@@ -180,7 +173,7 @@ pub fn remove_temporary(folder: &Path, tag: &str) -> Result<()> {
     Ok(())
 }
 
-/// Removes a file; one that is gone already is no error.
+/// Removes a file. A file that does not exist is not an error.
 ///
 /// # Errors
 /// [`Error::Write`].
@@ -191,12 +184,12 @@ pub fn remove(path: &Path) -> Result<()> {
     }
 }
 
-/// Removes a folder if there is nothing in it.
+/// Removes a folder if it is empty.
 pub fn remove_empty_folder(path: &Path) {
     let _ = std::fs::remove_dir(path);
 }
 
-/// A text file that grows by lines. What a killed process left without a line's end is cut off when it is opened.
+/// A text file to which whole lines are appended. Opening it cuts off an incomplete last line of a killed process.
 #[derive(Debug)]
 pub struct LineFile {
     file: File,
@@ -204,7 +197,7 @@ pub struct LineFile {
 }
 
 impl LineFile {
-    /// Opens it, or makes it.
+    /// Opens the file, or creates it.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -222,21 +215,21 @@ impl LineFile {
         Ok(Self { file: open().map_err(failed(path))?, path: path.to_owned() })
     }
 
-    /// Adds a line, in one write.
+    /// Appends a line in one write.
     ///
     /// # Errors
-    /// [`Error::Write`]; then nothing of the line is in the file.
+    /// [`Error::Write`]; then no part of the line is in the file.
     pub fn append(&mut self, line: &str) -> Result<()> {
         let before = self.file.stream_position().map_err(failed(&self.path))?;
         let written = self.file.write_all(format!("{line}\n").as_bytes());
         written.map_err(|cause| {
-            // A full disk may have taken a part of it.
+            // A full disk may have accepted a part of the line.
             let _ = self.file.set_len(before).and_then(|()| self.file.seek(SeekFrom::Start(before)));
             failed(&self.path)(cause)
         })
     }
 
-    /// Waits until the disk has it all.
+    /// Waits until all lines are on the disk.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -245,17 +238,17 @@ impl LineFile {
     }
 }
 
-/// A lock on a file that holds as long as it lives; the system takes it back from a killed process.
+/// An exclusive lock on a file, released on drop; the system releases the lock of a killed process.
 #[derive(Debug)]
 pub struct Lock(#[expect(dead_code, reason = "the open file is the lock")] File);
 
 impl Lock {
-    /// Takes the lock, or gives `None` if another process has it. Where the file system knows no locks, there is none
-    /// to wait for.
+    /// Acquires the lock, or returns `None` if another process holds it. On a file system without locks it always
+    /// succeeds.
     ///
     /// # Errors
     /// [`Error::Write`].
-    pub fn try_take(path: &Path) -> Result<Option<Self>> {
+    pub fn try_acquire(path: &Path) -> Result<Option<Self>> {
         let file = Self::open(path)?;
         match file.try_lock() {
             Err(TryLockError::WouldBlock) => Ok(None),
@@ -263,11 +256,11 @@ impl Lock {
         }
     }
 
-    /// Waits for the lock.
+    /// Waits for the lock and acquires it.
     ///
     /// # Errors
     /// [`Error::Write`].
-    pub fn take(path: &Path) -> Result<Self> {
+    pub fn acquire(path: &Path) -> Result<Self> {
         let file = Self::open(path)?;
         let _ = file.lock();
         Ok(Self(file))
@@ -284,7 +277,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn files_are_whole_or_absent() {
+    fn all_files_are_written_or_none() {
         let folder = tempfile::tempdir().expect("a folder");
         let out = folder.path().join("deep/out");
         let artifact = |name: &str| Artifact { name: name.to_owned(), bytes: vec![1, 2, 3] };
@@ -300,20 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_with_other_content_is_refused() {
-        let folder = tempfile::tempdir().expect("a folder");
-        assert!(check_folder(folder.path(), 0, false).is_ok());
-        std::fs::write(folder.path().join("rgb_0000.png"), "old").expect("written");
-        assert!(check_folder(folder.path(), 0, false).is_ok(), "an earlier frame may be replaced");
-        std::fs::write(folder.path().join("thesis.tex"), "years of work").expect("written");
-        let error = check_folder(folder.path(), 0, false).expect_err("other content");
-        assert!(error.to_string().contains("thesis.tex") && error.exit_status() == 2);
-        assert!(check_folder(folder.path(), 0, true).is_ok());
-        assert!(matches!(check_folder(&folder.path().join("thesis.tex"), 0, true), Err(Error::OutIsFile(_))));
-    }
-
-    #[test]
-    fn lines_survive_a_torn_end() {
+    fn an_incomplete_last_line_is_cut_off() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("lines");
         let mut file = LineFile::open(&path).expect("made");
@@ -325,17 +305,17 @@ mod tests {
     }
 
     #[test]
-    fn a_lock_is_one_process_s_and_ends_with_it() {
+    fn a_lock_is_exclusive_and_ends_on_drop() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("lock");
-        let held = Lock::try_take(&path).expect("a file").expect("free");
-        assert!(Lock::try_take(&path).expect("a file").is_none(), "taken");
+        let held = Lock::try_acquire(&path).expect("a file").expect("free");
+        assert!(Lock::try_acquire(&path).expect("a file").is_none(), "taken");
         drop(held);
-        assert!(Lock::try_take(&path).expect("a file").is_some(), "free again");
+        assert!(Lock::try_acquire(&path).expect("a file").is_some(), "free again");
     }
 
     #[test]
-    fn leftovers_go_and_nothing_else() {
+    fn only_temporary_files_of_the_tag_are_removed() {
         let folder = tempfile::tempdir().expect("a folder");
         write_all(folder.path(), &[Artifact { name: "a/b/c.txt".to_owned(), bytes: vec![7] }])
             .expect("written");

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use image::DynamicImage;
-use regolith::output::writer::WRITERS;
+use regolith::output::layout::LAYOUTS;
 use serde_json::Value;
 
 use crate::support::{folder, json, program, run, run_ok};
@@ -77,7 +77,7 @@ fn a_converted_dataset_is_the_rendered_one_to_the_byte() {
     for splits in [&["--count=4"][..], &["--split=train=3,val=2"]] {
         let folder = folder();
         make(folder.path(), "folder", "folder", splits);
-        for (format, ..) in WRITERS.iter().filter(|row| row.0 != "folder") {
+        for format in LAYOUTS.iter().map(|row| row.name).filter(|name| *name != "folder") {
             make(folder.path(), format, format, splits);
             let converted = format!("converted_{format}");
             let words = ["convert", "folder", "--format", format, "--out", &converted, "-q"];
@@ -101,7 +101,7 @@ fn a_converted_dataset_is_the_rendered_one_to_the_byte() {
 #[test]
 fn every_layout_has_the_labels_of_the_folder() {
     let folder = folder();
-    for (format, ..) in &WRITERS {
+    for format in LAYOUTS.iter().map(|row| row.name) {
         make(folder.path(), format, format, &["--count=3"]);
     }
     let of = |format: &str| content(&folder.path().join(format));
@@ -271,13 +271,13 @@ fn shards_hold_whole_samples_in_order_and_a_stream_is_the_same() {
 #[test]
 fn every_layout_has_outputs_of_its_own_unless_others_are_asked_for() {
     let folder = folder();
-    for (format, ..) in &WRITERS {
+    for format in LAYOUTS.iter().map(|row| row.name) {
         run_ok(folder.path(), &[&SMALL[..8], &["--count=1", "--format", format, "--out", format]].concat());
         let manifest = json(&folder.path().join(format).join("manifest.json"));
         let outputs: Vec<&str> =
             manifest["outputs"].as_array().expect("outputs").iter().filter_map(Value::as_str).collect();
         assert!(outputs.starts_with(&["rgb", "mask"]), "{format}: {outputs:?}");
-        assert_eq!(outputs.contains(&"preview"), ["folder", "basic"].contains(format), "{format}");
+        assert_eq!(outputs.contains(&"preview"), ["folder", "basic"].contains(&format), "{format}");
     }
     let refused =
         run(folder.path(), &["dataset", "--count=1", "--format=coco", "--outputs=rgb,depth", "--out=new"]);

@@ -5,35 +5,39 @@
 
 use serde_json::Value;
 
-use super::writer::{Index, Placed, Sample, Writer, below_split};
-use super::{Artifact, frame_file_name};
+use super::interface::{DatasetIndex, FrameFiles, Layout, Sample, below_split};
 use crate::error::Result;
+use crate::output::artifact::{Artifact, frame_file_name};
 
-/// See the module.
+/// The BasicWriter layout.
 #[derive(Debug)]
 pub struct Basic;
 
-impl Writer for Basic {
-    fn holds(&self, _output: &str) -> bool {
+impl Layout for Basic {
+    fn supports(&self, _output: &str) -> bool {
         true
     }
 
-    fn place(&self, sample: &Sample<'_>) -> Result<Placed> {
+    fn frame_files(&self, sample: &Sample<'_>) -> Result<FrameFiles> {
         let files = sample.files.iter().map(|file| Artifact {
             name: below_split(sample.split, &frame_file_name(file.stem, sample.index, file.extension)),
             bytes: file.bytes.clone(),
         });
-        Ok(Placed { files: files.collect(), entry: Value::Null })
+        Ok(FrameFiles { files: files.collect(), entry: Value::Null })
     }
 
-    fn pictures(&self, split: &str, index: u64) -> Option<[String; 2]> {
+    fn image_and_mask(&self, split: &str, index: u64) -> Option<[String; 2]> {
         Some(
             ["rgb", "semantic_segmentation"]
                 .map(|stem| below_split(split, &frame_file_name(stem, index, "png"))),
         )
     }
 
-    fn index(&self, index: &Index<'_>, put: &mut dyn FnMut(Artifact) -> Result<()>) -> Result<()> {
-        put(index.card_file())
+    fn write_index(
+        &self,
+        index: &DatasetIndex<'_>,
+        write: &mut dyn FnMut(Artifact) -> Result<()>,
+    ) -> Result<()> {
+        write(index.card_file())
     }
 }

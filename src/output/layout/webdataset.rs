@@ -9,11 +9,13 @@ use std::collections::BTreeMap;
 
 use serde_json::{Map, Value, json};
 
-use super::writer::{Index, Placed, Sample, Writer};
-use super::{Artifact, disk, encoders};
+use super::interface::{DatasetIndex, FrameFiles, Layout, Sample};
 use crate::error::{Error, Result};
+use crate::output::artifact::Artifact;
+use crate::output::disk;
+use crate::output::encode::json;
 
-/// See the module.
+/// The WebDataset layout.
 #[derive(Debug)]
 pub struct WebDataset;
 
@@ -46,17 +48,17 @@ fn field(output: &str, stem: &str) -> String {
     }
 }
 
-impl Writer for WebDataset {
-    fn holds(&self, output: &str) -> bool {
+impl Layout for WebDataset {
+    fn supports(&self, output: &str) -> bool {
         // The record is always there, as the sample's JSON; a preview is not.
         !matches!(output, "preview" | "meta")
     }
 
-    fn place(&self, sample: &Sample<'_>) -> Result<Placed> {
+    fn frame_files(&self, sample: &Sample<'_>) -> Result<FrameFiles> {
         let key = format!("{:09}", sample.index);
         let mut bytes = Vec::new();
         for file in sample.files {
-            let is_held = self.holds(file.output) && !(file.output == "mask" && file.extension == "json");
+            let is_held = self.supports(file.output) && !(file.output == "mask" && file.extension == "json");
             if is_held {
                 let name = format!("{key}.{}.{}", field(file.output, file.stem), file.extension);
                 add_member(&mut bytes, &name, &file.bytes)?;
@@ -65,16 +67,20 @@ impl Writer for WebDataset {
         add_member(
             &mut bytes,
             &format!("{key}.json"),
-            &encoders::json_bytes(&Value::Object(sample.record.clone()))?,
+            &json::to_bytes(&Value::Object(sample.record.clone()))?,
         )?;
         let fragment = Artifact { name: fragment_name(sample.index), bytes };
-        Ok(Placed {
+        Ok(FrameFiles {
             files: vec![fragment],
             entry: json!({ "bundle": shard_name(sample.split, sample.index) }),
         })
     }
 
-    fn index(&self, index: &Index<'_>, put: &mut dyn FnMut(Artifact) -> Result<()>) -> Result<()> {
+    fn write_index(
+        &self,
+        index: &DatasetIndex<'_>,
+        put: &mut dyn FnMut(Artifact) -> Result<()>,
+    ) -> Result<()> {
         let mut shards = Map::new();
         let mut shard: (String, Vec<u64>) = (String::new(), Vec::new());
         let mut flush = |(name, frames): (String, Vec<u64>)| {
@@ -110,7 +116,7 @@ impl Writer for WebDataset {
         })?;
         flush(shard)?;
         disk::remove_empty_folder(&index.folder.join(".parts"));
-        put(Artifact { name: "shards.json".to_owned(), bytes: encoders::json_bytes(&shards.into())? })?;
+        put(Artifact { name: "shards.json".to_owned(), bytes: json::to_bytes(&shards.into())? })?;
         put(index.card_file())
     }
 }

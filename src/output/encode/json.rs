@@ -1,0 +1,56 @@
+//! JSON files: label files, the instance mapping, the frame's metadata.
+
+use serde_json::{Map, Value, json};
+
+use super::EncodeInput;
+use super::label_sets::{FIVE_CLASSES, ROCK_SIZE_CLASSES};
+use crate::error::{Error, Result};
+
+/// Indented JSON with a final newline.
+pub(crate) fn to_bytes(value: &Value) -> Result<Vec<u8>> {
+    let mut bytes = serde_json::to_vec_pretty(value)
+        .map_err(|error| Error::Encode { name: String::new(), message: error.to_string() })?;
+    bytes.push(b'\n');
+    Ok(bytes)
+}
+
+/// `frame_N.json`.
+pub(in crate::output) fn meta(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
+    to_bytes(input.meta)
+}
+
+/// The mask's ids and their class names.
+pub(in crate::output) fn labels(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
+    to_bytes(&input.label_ids.labels())
+}
+
+/// Instance id to prim path, bounding box, visible pixels, occluded fraction and size in metres.
+pub(in crate::output) fn instance_mapping(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
+    let rows = input.frame.rocks.iter().map(|rock| {
+        let row = json!({
+            "path": format!("/World/Rocks/Rock_{:03}", rock.instance - 1),
+            "class": "rock",
+            "visible_px": rock.visible_px,
+            "box_px": rock.box_px,
+            "occluded": rock.occluded(),
+            "height_m": rock.height_m,
+            "diameter_m": rock.diameter_m,
+        });
+        (rock.instance.to_string(), row)
+    });
+    to_bytes(&rows.collect::<Map<_, _>>().into())
+}
+
+/// Names of the five classes by id.
+pub(in crate::output) fn five_classes(_: &EncodeInput<'_>) -> Result<Vec<u8>> {
+    let rows = FIVE_CLASSES.iter().map(|(id, name, _)| (id.to_string(), json!({ "class": name })));
+    to_bytes(&rows.collect::<Map<_, _>>().into())
+}
+
+/// Names of the classes by rock size, by RGBA colour.
+pub(in crate::output) fn rock_sizes(_: &EncodeInput<'_>) -> Result<Vec<u8>> {
+    let rows = ROCK_SIZE_CLASSES
+        .iter()
+        .map(|(name, [r, g, b])| (format!("({r}, {g}, {b}, 255)"), json!({ "class": name })));
+    to_bytes(&rows.collect::<Map<_, _>>().into())
+}

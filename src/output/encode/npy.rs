@@ -1,0 +1,77 @@
+//! NumPy array files (`.npy`, format version 1.0).
+
+use super::EncodeInput;
+use crate::error::Result;
+use crate::frame::Frame;
+
+/// Distance along the optical axis, metres; infinite for the sky.
+pub(in crate::output) fn plane_distance(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
+    Ok(array(input.frame, 1, &input.frame.depth_m))
+}
+
+/// Length of the ray from the camera, metres; infinite for the sky.
+pub(in crate::output) fn camera_distance(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
+    let frame = input.frame;
+    let along_ray = |(pixel, depth_m): (u32, &f32)| {
+        let x = f64::from(pixel % frame.width) + 0.5 - f64::from(frame.width) / 2.0;
+        let y = f64::from(pixel / frame.width) + 0.5 - f64::from(frame.height) / 2.0;
+        let [x, y] = frame.lens.undistort([x / frame.focal_px, y / frame.focal_px]);
+        (f64::from(*depth_m) * (1.0 + x * x + y * y).sqrt()) as f32
+    };
+    let distances: Vec<f32> = (0..).zip(&frame.depth_m).map(along_ray).collect();
+    Ok(array(frame, 1, &distances))
+}
+
+/// Unit normals in world space.
+pub(in crate::output) fn normals(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
+    Ok(array(input.frame, 3, &input.frame.normals))
+}
+
+/// Fraction of a pixel's samples that belong to each class, by class id.
+pub(in crate::output) fn coverage(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
+    let fractions = |counts: &[u8; 3]| {
+        let all: f32 = counts.iter().map(|count| f32::from(*count)).sum();
+        counts.map(|count| f32::from(count) / all)
+    };
+    let values: Vec<f32> = input.frame.sample_counts.iter().flat_map(fractions).collect();
+    Ok(array(input.frame, 3, &values))
+}
+
+/// Slope of the ground, degrees.
+pub(in crate::output) fn slope(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
+    Ok(array(input.frame, 1, &input.frame.slope_deg))
+}
+
+/// Incidence angle, degrees.
+pub(in crate::output) fn incidence(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
+    Ok(array(input.frame, 1, &input.frame.incidence_deg))
+}
+
+/// Phase angle, degrees.
+pub(in crate::output) fn phase(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
+    Ok(array(input.frame, 1, &input.frame.phase_deg))
+}
+
+/// An array of float32: rows x columns, or rows x columns x `channels`.
+fn array(frame: &Frame, channels: usize, values: &[f32]) -> Vec<u8> {
+    let shape = [frame.height as usize, frame.width as usize, channels];
+    let mut bytes = header("<f4", if channels == 1 { &shape[..2] } else { &shape });
+    bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+    bytes
+}
+
+/// The header of an array file for a type (`<f4`, `|u1`, ...) and shape; the data follow in C order.
+#[must_use]
+pub(crate) fn header(dtype: &str, shape: &[usize]) -> Vec<u8> {
+    let shape: Vec<String> = shape.iter().map(ToString::to_string).collect();
+    let comma = if shape.len() == 1 { "," } else { "" };
+    let shape = shape.join(", ");
+    let mut header = format!("{{'descr': '{dtype}', 'fortran_order': False, 'shape': ({shape}{comma}), }}");
+    // Magic, version and length take ten bytes; the data start at a multiple of 64.
+    header.push_str(&" ".repeat(63 - (header.len() + 10) % 64));
+    header.push('\n');
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.as_bytes());
+    bytes
+}

@@ -1,0 +1,118 @@
+//! PNG files.
+//!
+//! Photographs use adaptive row filters; label maps use the "up" filter, which suits large areas of one value.
+
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder as _};
+
+use super::EncodeInput;
+use super::label_sets::{FIVE_CLASSES, LARGE_ROCK_M, ROCK_SIZE_CLASSES};
+use crate::class::ClassId;
+use crate::error::{Error, Result};
+use crate::frame::Frame;
+
+/// The image, 8-bit sRGB.
+pub(in crate::output) fn rgb(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
+    let frame = input.frame;
+    encode([frame.width, frame.height], &frame.rgb, ExtendedColorType::Rgb8, FilterType::Adaptive)
+}
+
+/// The semantic mask, 8-bit ids.
+pub(in crate::output) fn mask(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
+    let ids: Vec<u8> = input.classes().iter().map(|&id| input.label_ids.mask_id(id)).collect();
+    ids_of(input.frame, &ids)
+}
+
+/// The mask in the preview colours of its classes; unlabelled pixels are black.
+pub(in crate::output) fn preview(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
+    let colour = |id: &u8| ClassId(*id).class().map_or([0; 3], |class| class.preview_rgb);
+    let rgb: Vec<u8> = input.classes().iter().flat_map(colour).collect();
+    colours_of(input.frame, &rgb)
+}
+
+/// Instance ids, 16 bits a pixel.
+pub(in crate::output) fn instances(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
+    ids_u16(input.frame.width, input.frame.height, &input.frame.instances)
+}
+
+/// Craters: 1 inside, 2 on the rim.
+pub(in crate::output) fn craters(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
+    ids_of(input.frame, &input.frame.craters)
+}
+
+/// Fraction of the sun's disc that is hidden: 0 lit, 255 fully occluded.
+pub(in crate::output) fn shadow(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
+    ids_of(input.frame, &input.frame.sun_occlusion)
+}
+
+/// The mask with craters and mountains as classes of their own.
+pub(in crate::output) fn five_classes(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
+    ids_of(input.frame, &input.frame.five_classes)
+}
+
+/// The same in colours.
+pub(in crate::output) fn five_classes_preview(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
+    let colour = |id: &u8| FIVE_CLASSES.get(usize::from(*id)).map_or([0; 3], |(.., rgb)| *rgb);
+    let rgb: Vec<u8> = input.frame.five_classes.iter().flat_map(colour).collect();
+    colours_of(input.frame, &rgb)
+}
+
+/// The classes in colours, with small and large rocks distinguished.
+pub(in crate::output) fn rock_sizes(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
+    let frame = input.frame;
+    let max_instance = frame.rocks.iter().map(|rock| rock.instance).max().unwrap_or(0);
+    let mut is_large = vec![false; usize::from(max_instance) + 1];
+    for rock in &frame.rocks {
+        is_large[usize::from(rock.instance)] = rock.diameter_m >= LARGE_ROCK_M;
+    }
+    let rgb: Vec<u8> = frame
+        .class
+        .iter()
+        .zip(&frame.instances)
+        .flat_map(|(id, instance)| {
+            let row = match ClassId(*id) {
+                ClassId::SKY => 3,
+                ClassId::ROCK => 1 + usize::from(is_large.get(usize::from(*instance)) == Some(&true)),
+                _ => 0,
+            };
+            ROCK_SIZE_CLASSES[row].1
+        })
+        .collect();
+    colours_of(frame, &rgb)
+}
+
+fn ids_of(frame: &Frame, ids: &[u8]) -> Result<Vec<u8>> {
+    ids_u8(frame.width, frame.height, ids)
+}
+
+fn colours_of(frame: &Frame, rgb: &[u8]) -> Result<Vec<u8>> {
+    label_colours(frame.width, frame.height, rgb)
+}
+
+/// A label map, one byte a pixel.
+pub(crate) fn ids_u8(width: u32, height: u32, ids: &[u8]) -> Result<Vec<u8>> {
+    encode([width, height], ids, ExtendedColorType::L8, FilterType::Up)
+}
+
+/// A label map, two bytes a pixel.
+pub(crate) fn ids_u16(width: u32, height: u32, ids: &[u16]) -> Result<Vec<u8>> {
+    encode([width, height], bytemuck::cast_slice(ids), ExtendedColorType::L16, FilterType::Up)
+}
+
+/// A label map in colours, three bytes a pixel.
+pub(crate) fn label_colours(width: u32, height: u32, rgb: &[u8]) -> Result<Vec<u8>> {
+    encode([width, height], rgb, ExtendedColorType::Rgb8, FilterType::Up)
+}
+
+fn encode(
+    [width, height]: [u32; 2],
+    bytes: &[u8],
+    colour_type: ExtendedColorType,
+    filter: FilterType,
+) -> Result<Vec<u8>> {
+    let mut encoded = Vec::new();
+    PngEncoder::new_with_quality(&mut encoded, CompressionType::Fast, filter)
+        .write_image(bytes, width, height, colour_type)
+        .map_err(|error| Error::Encode { name: String::new(), message: error.to_string() })?;
+    Ok(encoded)
+}

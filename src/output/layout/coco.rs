@@ -1,0 +1,301 @@
+//! COCO: images by split, instance annotations of rocks (boxes and run-length encoded masks), panoptic segments.
+//!
+//! Rock is the only thing category (1); regolith (2) and sky (3) are stuff and appear in the panoptic files only.
+//! Category 0 is not used, because common readers drop it. Annotation ids depend on frame and instance alone, so that
+//! every run gives the same ones.
+//! Must not know: scene, GPU, the disk.
+
+use std::collections::BTreeMap;
+
+use serde_json::{Map, Value, json};
+
+use super::interface::{DatasetIndex, FrameFiles, Layout, Sample, split_or_train};
+use crate::class::ClassId;
+use crate::error::Result;
+use crate::frame::Frame;
+use crate::output::artifact::Artifact;
+use crate::output::encode::png;
+
+/// The COCO layout.
+#[derive(Debug)]
+pub struct Coco;
+
+// Category ids.
+const ROCK: u32 = 1;
+const REGOLITH: u32 = 2;
+const SKY: u32 = 3;
+
+// Panoptic segment ids; 0 is void. Rock instance k has `ROCK_SEGMENT_BASE` + k.
+const REGOLITH_SEGMENT: u32 = 1;
+const SKY_SEGMENT: u32 = 2;
+const ROCK_SEGMENT_BASE: u32 = 2;
+
+/// Annotation ids of consecutive frames are this far apart; instance ids are smaller.
+const IDS_PER_FRAME: u64 = 1 << 16;
+
+impl Layout for Coco {
+    fn required_outputs(&self) -> &'static [&'static str] {
+        &["rgb", "mask", "instances"]
+    }
+
+    fn supports(&self, output: &str) -> bool {
+        self.required_outputs().contains(&output)
+    }
+
+    fn has_fixed_ids(&self) -> bool {
+        true
+    }
+
+    fn frame_files(&self, sample: &Sample<'_>) -> Result<FrameFiles> {
+        let split = split_or_train(sample.split);
+        let (frame, name) = (sample.frame, file_name(sample.index));
+        let segments = panoptic_ids(frame);
+        // A panoptic PNG stores the segment id as R + 256 G + 65536 B.
+        let colours: Vec<u8> =
+            segments.iter().flat_map(|id| [*id as u8, (*id >> 8) as u8, (*id >> 16) as u8]).collect();
+        let files = vec![
+            Artifact { name: format!("{split}/{name}"), bytes: sample.rgb().to_vec() },
+            Artifact {
+                name: format!("annotations/panoptic_{split}/{name}"),
+                bytes: png::label_colours(frame.width, frame.height, &colours)?,
+            },
+        ];
+        let entry =
+            json!({ "instances": instance_annotations(sample), "segments": segments_info(frame, &segments) });
+        Ok(FrameFiles { files, entry })
+    }
+
+    fn write_index(
+        &self,
+        index: &DatasetIndex<'_>,
+        write: &mut dyn FnMut(Artifact) -> Result<()>,
+    ) -> Result<()> {
+        for split in index.split_names() {
+            write_annotations(index, &split, write)?;
+        }
+        write(index.card_file())
+    }
+}
+
+/// Writes the instance and the panoptic annotation file of a split.
+fn write_annotations(
+    index: &DatasetIndex<'_>,
+    split: &str,
+    write: &mut dyn FnMut(Artifact) -> Result<()>,
+) -> Result<()> {
+    let info = json!({
+        "description": "Labelled pictures of the Moon, rendered by regolith-render",
+        "version": index.manifest.get("version"),
+    });
+    let licenses =
+        json!([{ "id": 1, "name": "CC0 1.0", "url": "https://creativecommons.org/publicdomain/zero/1.0/" }]);
+    let size = index.manifest.get("size").cloned().unwrap_or_default();
+    let (mut images, mut instances, mut panoptic) = (Vec::new(), Vec::new(), Vec::new());
+    index.lines.for_each(&mut |mut line| {
+        if split_or_train(line.get("split").and_then(Value::as_str).unwrap_or_default()) != split {
+            return Ok(());
+        }
+        let image_id = line.get("index").and_then(Value::as_u64).unwrap_or_default();
+        let name = file_name(image_id);
+        images.push(json!({
+            "id": image_id, "file_name": name, "width": size[0], "height": size[1], "license": 1,
+        }));
+        let mut entry = line.remove("entry").unwrap_or_default();
+        if let Value::Array(rows) = entry["instances"].take() {
+            instances.extend(rows);
+        }
+        let segments = entry["segments"].take();
+        panoptic.push(json!({ "image_id": image_id, "file_name": name, "segments_info": segments }));
+        Ok(())
+    })?;
+    for (kind, annotations, categories) in
+        [("instances", instances, thing_categories()), ("panoptic", panoptic, panoptic_categories())]
+    {
+        let content = json!({
+            "info": info, "licenses": licenses, "images": images, "annotations": annotations,
+            "categories": categories,
+        });
+        let mut bytes = content.to_string().into_bytes();
+        bytes.push(b'\n');
+        write(Artifact { name: format!("annotations/{kind}_{split}.json"), bytes })?;
+    }
+    Ok(())
+}
+
+fn file_name(index: u64) -> String {
+    format!("{index:06}.png")
+}
+
+fn thing_categories() -> Value {
+    json!([{ "id": ROCK, "name": "rock", "supercategory": "hazard" }])
+}
+
+fn panoptic_categories() -> Value {
+    let row = |id: u32, class: ClassId, is_thing: u8| {
+        let (name, colour) = class.class().map_or(("", [0; 3]), |class| (class.name, class.preview_rgb));
+        json!({ "id": id, "name": name, "supercategory": name, "isthing": is_thing, "color": colour })
+    };
+    json!([row(ROCK, ClassId::ROCK, 1), row(REGOLITH, ClassId::REGOLITH, 0), row(SKY, ClassId::SKY, 0)])
+}
+
+/// The rock instance at a pixel, 0 if its class is not rock: the edge policy may have made a rock's pixel unlabelled.
+fn rock_at(frame: &Frame, pixel: usize) -> u16 {
+    if frame.class[pixel] == ClassId::ROCK.0 { frame.instances[pixel] } else { 0 }
+}
+
+/// A region's bounds and size, pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Region {
+    /// Smallest and largest column and row: left, top, right, bottom, all inclusive.
+    bounds: [u32; 4],
+    /// Number of pixels.
+    area: u64,
+}
+
+impl Region {
+    /// COCO's box: left, top, width, height.
+    fn bbox(&self) -> [f64; 4] {
+        let [left, top, right, bottom] = self.bounds;
+        [left, top, right - left + 1, bottom - top + 1].map(f64::from)
+    }
+}
+
+/// The region of each id, in ascending order of id; id 0 is skipped.
+fn regions(frame: &Frame, id_at: impl Fn(usize) -> u32) -> BTreeMap<u32, Region> {
+    let mut regions = BTreeMap::new();
+    for pixel in 0..frame.class.len() {
+        let id = id_at(pixel);
+        if id > 0 {
+            let (x, y) = (pixel as u32 % frame.width, pixel as u32 / frame.width);
+            let region = regions.entry(id).or_insert(Region { bounds: [x, y, x, y], area: 0 });
+            let [left, top, right, bottom] = region.bounds;
+            region.bounds = [left.min(x), top.min(y), right.max(x), bottom.max(y)];
+            region.area += 1;
+        }
+    }
+    regions
+}
+
+fn instance_annotations(sample: &Sample<'_>) -> Vec<Value> {
+    let frame = sample.frame;
+    regions(frame, |pixel| u32::from(rock_at(frame, pixel)))
+        .into_iter()
+        .map(|(rock, region)| {
+            let counts = run_lengths(frame, region.bounds, rock as u16);
+            json!({
+                "id": sample.index * IDS_PER_FRAME + u64::from(rock),
+                "image_id": sample.index,
+                "category_id": ROCK,
+                "segmentation": { "size": [frame.height, frame.width], "counts": compress_counts(&counts) },
+                "area": region.area,
+                "bbox": region.bbox(),
+                "iscrowd": 0,
+            })
+        })
+        .collect()
+}
+
+/// Run-length encoding of a rock's mask: lengths of alternating runs of 0 and 1 in column-major order, starting with 0.
+fn run_lengths(frame: &Frame, [left, top, right, bottom]: [u32; 4], rock: u16) -> Vec<u32> {
+    let (width, height) = (frame.width, frame.height);
+    let (mut counts, mut run, mut inside) = (Vec::new(), left * height, false);
+    for x in left..=right {
+        for y in 0..height {
+            let is_rock = (top..=bottom).contains(&y) && rock_at(frame, (y * width + x) as usize) == rock;
+            if is_rock != inside {
+                counts.push(run);
+                (run, inside) = (0, is_rock);
+            }
+            run += 1;
+        }
+    }
+    if inside {
+        counts.push(run);
+        run = 0;
+    }
+    counts.push(run + (width - 1 - right) * height);
+    if counts.last() == Some(&0) {
+        counts.pop();
+    }
+    counts
+}
+
+/// COCO's compressed text of run lengths (`rleToString` of cocoapi's `maskApi.c`). From the fourth run on, the difference
+/// to the run two before is stored. Numbers are split into groups of five bits, lowest first; the sixth bit of a
+/// character says that another group follows.
+fn compress_counts(counts: &[u32]) -> String {
+    let mut text = String::new();
+    for (i, &count) in counts.iter().enumerate() {
+        let mut rest = i64::from(count) - if i > 2 { i64::from(counts[i - 2]) } else { 0 };
+        loop {
+            let bits = (rest & 0x1f) as u8;
+            rest >>= 5;
+            // The reader extends the sign from the fifth bit of the last group.
+            let more = if bits & 0x10 == 0 { rest != 0 } else { rest != -1 };
+            text.push(char::from(bits + if more { 0x20 } else { 0 } + 48));
+            if !more {
+                break;
+            }
+        }
+    }
+    text
+}
+
+/// The panoptic segment id of every pixel; 0 is void.
+fn panoptic_ids(frame: &Frame) -> Vec<u32> {
+    (0..frame.class.len())
+        .map(|pixel| match ClassId(frame.class[pixel]) {
+            ClassId::REGOLITH => REGOLITH_SEGMENT,
+            ClassId::SKY => SKY_SEGMENT,
+            ClassId::ROCK => ROCK_SEGMENT_BASE + u32::from(frame.instances[pixel]),
+            _ => 0,
+        })
+        .collect()
+}
+
+/// The `segments_info` of a panoptic annotation.
+fn segments_info(frame: &Frame, segments: &[u32]) -> Vec<Map<String, Value>> {
+    regions(frame, |pixel| segments[pixel])
+        .into_iter()
+        .map(|(id, region)| {
+            let category = match id {
+                REGOLITH_SEGMENT => REGOLITH,
+                SKY_SEGMENT => SKY,
+                _ => ROCK,
+            };
+            let row = json!({
+                "id": id, "category_id": category, "area": region.area, "bbox": region.bbox(), "iscrowd": 0,
+            });
+            row.as_object().cloned().unwrap_or_default()
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn run_lengths_are_column_major() {
+        let frame = Frame {
+            width: 4,
+            height: 3,
+            class: vec![0, 1, 1, 2, 0, 1, 2, 2, 0, 0, 1, 2],
+            instances: vec![0, 7, 7, 0, 0, 7, 0, 0, 0, 0, 7, 0],
+            ..Frame::default()
+        };
+        let region = regions(&frame, |pixel| u32::from(rock_at(&frame, pixel)))[&7];
+        assert_eq!(region, Region { bounds: [1, 0, 2, 2], area: 4 });
+        // Columns: 000 110 101 000.
+        assert_eq!(run_lengths(&frame, region.bounds, 7), [3, 2, 1, 1, 1, 1, 3]);
+        assert_eq!(region.bbox(), [1.0, 0.0, 2.0, 3.0]);
+    }
+
+    #[test]
+    fn compressed_counts_equal_those_of_pycocotools() {
+        // Expected values from pycocotools 2.0.
+        assert_eq!(compress_counts(&[3, 2, 1, 1, 1, 1, 3]), "321O002");
+        assert_eq!(compress_counts(&[31, 32, 1000]), "o0P1Xo0");
+        assert_eq!(compress_counts(&[100, 200, 300, 50, 40, 500, 12, 3]), "T3X6\\9ZKlGR>TO_@");
+    }
+}

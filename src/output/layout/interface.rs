@@ -1,0 +1,135 @@
+//! What a layout of a dataset provides.
+//!
+//! A [`Layout`] decides where a frame's files go and which files index the dataset. It reads encoded files and planes,
+//! never a scene, so that a finished dataset can be converted without rendering.
+//! Must not know: which layouts there are, scene, GPU, the disk.
+
+use std::path::Path;
+
+use serde_json::{Map, Value};
+
+use crate::error::Result;
+use crate::frame::Frame;
+use crate::output::artifact::{Artifact, EncodedFile};
+
+/// One frame of a dataset, rendered and encoded.
+#[derive(Clone, Copy, Debug)]
+pub struct Sample<'a> {
+    /// Its number in the dataset.
+    pub index: u64,
+    /// The split that it belongs to; empty in a dataset without splits.
+    pub split: &'a str,
+    /// Its planes: `class` under the edge policy, and the planes of [`Layout::required_outputs`].
+    pub frame: &'a Frame,
+    /// Its encoded outputs.
+    pub files: &'a [EncodedFile],
+    /// Its line of `frames.jsonl`, still without hashes, entry and times.
+    pub record: &'a Map<String, Value>,
+}
+
+impl Sample<'_> {
+    /// The encoded RGB image; empty if it was not encoded.
+    #[must_use]
+    pub fn rgb(&self) -> &[u8] {
+        self.files.iter().find(|file| file.stem == "rgb").map_or(&[][..], |file| &file.bytes)
+    }
+}
+
+/// The files of a frame in a layout.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FrameFiles {
+    /// The files, with their paths below the dataset's folder.
+    pub files: Vec<Artifact>,
+    /// What [`Layout::write_index`] needs to know about the frame besides its record; null if nothing. It is kept in
+    /// the frame's line of `frames.jsonl`.
+    pub entry: Value,
+}
+
+/// The lines of `frames.jsonl` in ascending order of frame index, read one at a time: there may be too many for memory.
+pub trait FrameLines: std::fmt::Debug {
+    /// Calls `visit` with each line.
+    ///
+    /// # Errors
+    /// Those of reading and of `visit`.
+    fn for_each(&self, visit: &mut dyn FnMut(Map<String, Value>) -> Result<()>) -> Result<()>;
+}
+
+/// A complete dataset, from which its index files are made.
+#[derive(Clone, Copy, Debug)]
+pub struct DatasetIndex<'a> {
+    /// The dataset's folder.
+    pub folder: &'a Path,
+    /// Its lines, each with the `entry` of its frame.
+    pub lines: &'a dyn FrameLines,
+    /// The manifest.
+    pub manifest: &'a Map<String, Value>,
+    /// The data card, in Markdown.
+    pub card: &'a str,
+}
+
+impl DatasetIndex<'_> {
+    /// Names of the splits in their order; `train` in a dataset without splits.
+    #[must_use]
+    pub fn split_names(&self) -> Vec<String> {
+        let splits =
+            self.manifest.get("splits").and_then(Value::as_object).filter(|splits| !splits.is_empty());
+        splits.map_or_else(|| vec!["train".to_owned()], |splits| splits.keys().cloned().collect())
+    }
+
+    /// The data card as `README.md`.
+    #[must_use]
+    pub fn card_file(&self) -> Artifact {
+        Artifact { name: "README.md".to_owned(), bytes: self.card.as_bytes().to_vec() }
+    }
+}
+
+/// A layout of a dataset.
+pub trait Layout: std::fmt::Debug + Sync {
+    /// Outputs that the layout needs, whatever else the user asks for.
+    fn required_outputs(&self) -> &'static [&'static str] {
+        &["rgb", "mask"]
+    }
+
+    /// Whether the layout can store this output.
+    fn supports(&self, output: &str) -> bool;
+
+    /// Whether the layout numbers the classes itself, so that `--label-ids` does not apply.
+    fn has_fixed_ids(&self) -> bool {
+        false
+    }
+
+    /// The files of one frame. Called by many threads at once.
+    ///
+    /// # Errors
+    /// [`crate::Error::Encode`].
+    fn frame_files(&self, sample: &Sample<'_>) -> Result<FrameFiles>;
+
+    /// Paths of a frame's RGB image and mask for the contact sheet and `verify`; `None` if they are not files of their
+    /// own.
+    fn image_and_mask(&self, _split: &str, _index: u64) -> Option<[String; 2]> {
+        None
+    }
+
+    /// Passes the files that index the whole dataset to `write`, one by one. Called again whenever the dataset has
+    /// grown.
+    ///
+    /// # Errors
+    /// Those of reading, encoding and `write`.
+    fn write_index(
+        &self,
+        index: &DatasetIndex<'_>,
+        write: &mut dyn FnMut(Artifact) -> Result<()>,
+    ) -> Result<()>;
+}
+
+/// The split's name; `train` in a dataset without splits, for layouts that need one.
+#[must_use]
+pub fn split_or_train(split: &str) -> &str {
+    if split.is_empty() { "train" } else { split }
+}
+
+/// A path below the dataset's folder, inside the split's folder if there are splits.
+#[must_use]
+pub fn below_split(split: &str, path: &str) -> String {
+    if split.is_empty() { path.to_owned() } else { format!("{split}/{path}") }
+}
