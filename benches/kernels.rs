@@ -14,7 +14,7 @@ use regolith::params::Params;
 use regolith::random::Streams;
 use regolith::render::RenderSettings;
 use regolith::render::lighting::relief_bands::Bands;
-use regolith::render::select::casters;
+use regolith::render::select::caster_grid::caster_grid;
 use regolith::render::select::footprint::Footprint;
 use regolith::render::select::selection::{SelectedRock, Selection};
 use regolith::render::shadow::horizon::HorizonMap;
@@ -78,8 +78,8 @@ fn picture(c: &mut Criterion) {
     let selection = Selection::new(&scene, &settings);
     let footprint = Footprint::new(&scene, &selection);
     let mut horizon = HorizonMap::default();
-    horizon.make(&scene.terrain, &scene.sun, &footprint);
-    let grid = casters::caster_grid(&scene, &selection.casters, &horizon, &footprint);
+    horizon.update(&scene.terrain, &scene.sun, &footprint);
+    let grid = caster_grid(&scene, &selection.casters, horizon.shadowed_ground(), &footprint);
     let bands = Bands::new(&scene, &selection, &settings);
     let (mut facets, mut stencil) = (Facets::default(), Stencil::default());
     let mut later = scene.clone();
@@ -91,11 +91,11 @@ fn picture(c: &mut Criterion) {
     group.bench_function("horizon_map", |b| {
         // Of the same sun it would be made once.
         let (mut map, mut suns) = (HorizonMap::default(), [&scene.sun, &later.sun].into_iter().cycle());
-        b.iter(|| map.make(&scene.terrain, black_box(suns.next().unwrap_or(&scene.sun)), &footprint));
+        b.iter(|| map.update(&scene.terrain, black_box(suns.next().unwrap_or(&scene.sun)), &footprint));
     });
     group.throughput(Throughput::Elements(selection.casters.len() as u64));
     group.bench_function("caster_grid", |b| {
-        b.iter(|| casters::caster_grid(black_box(&scene), &selection.casters, &horizon, &footprint));
+        b.iter(|| caster_grid(black_box(&scene), &selection.casters, horizon.shadowed_ground(), &footprint));
     });
     let cast = |rock: &SelectedRock| {
         rock.caster.map_or(0, |(_, level)| scene.rocks[rock.rock].triangles(level).len())

@@ -162,7 +162,7 @@ impl Stage<'_> {
                 .drawn()?
                 .rocks
                 .iter()
-                .filter_map(|s| Some((s.rock, s.seen_level.or(s.caster.map(|(_, level)| level))?)))
+                .filter_map(|s| Some((s.rock, s.visible_level.or(s.caster.map(|(_, level)| level))?)))
                 .collect(),
         };
         parts.extend(levels.into_iter().map(|(index, level)| {

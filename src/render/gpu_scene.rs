@@ -23,9 +23,11 @@ use crate::render::lighting::gbuffer::{Background, GBuffer};
 use crate::render::lighting::relief_bands::Bands;
 use crate::render::resolve::pass;
 use crate::render::resolve::tile_list::SkyStencil;
-use crate::render::select::casters::{self, CasterGrids, ShadowSources};
+use crate::render::select::caster_grid::{CasterGrids, ShadowSources, caster_grid};
+use crate::render::select::casters;
 use crate::render::select::footprint::Footprint;
-use crate::render::select::selection::{Bounds, Selection, Slots, near_to_far};
+use crate::render::select::screen_bounds::ScreenBounds;
+use crate::render::select::selection::{Selection, Slots, front_to_back};
 use crate::render::settings::RenderSettings;
 use crate::render::shadow::device::ShadowPass;
 use crate::render::shadow::horizon::{self, HorizonMap};
@@ -62,7 +64,7 @@ pub struct DrawBatch {
     /// What shows it, if the device is to draw that.
     pub draws: Range<usize>,
     /// Where it may be on the picture; nowhere if nothing shows it.
-    pub bounds: Bounds,
+    pub bounds: ScreenBounds,
 }
 
 /// Everything of a scene that lies on the device. Buffers are kept and grow from frame to frame.
@@ -218,12 +220,12 @@ impl GpuScene {
             self.drawn_here.shadow_map_ms = Some(milliseconds(start.elapsed()));
         } else {
             self.shadow_map = ShadowMap::default();
-            self.atlas_px = casters::atlas_px(&selection.casters);
+            self.atlas_px = casters::atlas_size_px(&selection.casters);
         }
         let footprint = Footprint::new(scene, &selection);
-        let is_new = self.horizon_map.make(&scene.terrain, &scene.sun, &footprint);
+        let is_new = self.horizon_map.update(&scene.terrain, &scene.sun, &footprint);
         let casters = &selection.casters;
-        let caster_grid = casters::caster_grid(scene, casters, &self.horizon_map, &footprint);
+        let caster_grid = caster_grid(scene, casters, self.horizon_map.shadowed_ground(), &footprint);
         let bands = Bands::new(scene, &selection, settings);
         self.uploaded_bytes += self.relief.write(gpu, &slots(&bands.bands));
         let slots = selection.slots();
@@ -249,7 +251,7 @@ impl GpuScene {
             self.uploaded_bytes += self.meshes.set_draws(gpu, draws, ways.multi_draw);
         }
         self.draws.batches = seen;
-        self.draws.batches.retain(|seen| seen.bounds != Bounds::NOWHERE);
+        self.draws.batches.retain(|seen| seen.bounds != ScreenBounds::EMPTY);
         let tiles: Vec<CasterTile> = casters.iter().map(|caster| caster.tile).collect();
         self.uploaded_bytes += self.tiles.write(gpu, &tiles);
         self.uploaded_bytes += self.caster_grid.write(gpu, &caster_grid);
@@ -338,30 +340,30 @@ impl GpuScene {
         self.draws.casters = 0..draws.len();
         if self.drawn_here.visibility_ms.is_none() {
             let mut shown: Vec<(ShadingBin, Draw)> = Vec::new();
-            let mut show = |group: ShadingBin, draw: Draw, bounds: Bounds| {
+            let mut show = |group: ShadingBin, draw: Draw, bounds: ScreenBounds| {
                 let seen = &mut seen[usize::from(group)];
                 seen.bounds = seen.bounds.union(bounds);
                 shown.push((group, draw));
             };
             let rocks = (0..).zip(&selection.rocks).filter_map(|(place, selected)| {
                 let rock = &scene.rocks[selected.rock];
-                let draw = meshes.rock(selected.rock, selected.seen_level?, Slots::rock(place));
-                let bounds = Bounds::of_ball(scene, settings, rock.centre, rock.radius_m);
+                let draw = meshes.rock(selected.rock, selected.visible_level?, Slots::rock(place));
+                let bounds = ScreenBounds::of_sphere(scene, settings, rock.centre, rock.radius_m);
                 Some((selected.nearest_m, (draw, bounds)))
             });
-            for (_, (draw, bounds)) in near_to_far(rocks) {
+            for (_, (draw, bounds)) in front_to_back(rocks) {
                 show(ShadingBins::rocks(ShadowSources::GroundAndRocks), draw, bounds);
             }
             let blocks = selection.blocks.iter().map(|&(block, nearest_m)| (nearest_m, block));
-            for (_, block) in near_to_far(blocks) {
+            for (_, block) in front_to_back(blocks) {
                 let group = ShadingBins::ground(bands.of_block(block), ShadowSources::GroundAndRocks);
-                show(group, meshes.block(block, Slots::GROUND), Bounds::ANYWHERE);
+                show(group, meshes.block(block, Slots::GROUND), ScreenBounds::UNBOUNDED);
             }
             let groups = ShadingBins::new(bands.bands.len());
             let sky =
                 [(groups.stars(), STAR_LEVEL, slots.stars()), (groups.dome(), DOME_LEVEL, slots.dome())];
             for (group, level, slots) in sky.into_iter().filter(|(.., slots)| !slots.is_empty()) {
-                show(group, meshes.unit_spheres(level, slots), Bounds::ANYWHERE);
+                show(group, meshes.unit_spheres(level, slots), ScreenBounds::UNBOUNDED);
             }
             self.drawn_triangles = shown.iter().map(|(_, draw)| draw.triangles()).sum();
             // Those of a group stay in their order.
@@ -465,7 +467,7 @@ fn all_groups(bands: &Bands, slots: Slots<'_>) -> Vec<DrawBatch> {
         instance: instance(group),
         relief: band as u32,
         draws: 0..0,
-        bounds: Bounds::NOWHERE,
+        bounds: ScreenBounds::EMPTY,
     });
     all.collect()
 }
@@ -486,7 +488,7 @@ fn frame_uniforms(
     let grids = CasterGrids::new(&scene.terrain);
     let photometry = &scene.photometry;
     let exitance = photometry.exitance(f64::from(sun.direction.z)) as f32;
-    let mut levels = [HorizonLevel::default(); horizon::MOST_LEVELS];
+    let mut levels = [HorizonLevel::default(); horizon::MAX_LEVELS];
     levels[..horizon.levels.len()].copy_from_slice(&horizon.levels);
     FrameUniforms {
         clip_from_offset,

@@ -2,7 +2,11 @@
 //! Must not know: wgpu.
 
 pub mod atlas;
+pub mod caster_grid;
 pub mod casters;
 pub mod footprint;
+pub mod frustum;
+pub mod ground_blocks;
 pub mod near_plane;
+pub mod screen_bounds;
 pub mod selection;

@@ -45,7 +45,7 @@ impl Subject {
             }
             Detail::Drawn => {
                 for selected in Selection::new(&self.scene, &self.settings).rocks {
-                    let level = match (selected.seen_level, selected.caster) {
+                    let level = match (selected.visible_level, selected.caster) {
                         (Some(level), _) | (None, Some((_, level))) => level,
                         (None, None) => panic!("selected for nothing"),
                     };

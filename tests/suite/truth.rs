@@ -100,7 +100,7 @@ impl Truth {
             None => scene.rocks.iter().enumerate().map(|(i, rock)| (i, rock.level)).collect(),
             Some(settings) => {
                 let level = |s: &regolith::render::select::selection::SelectedRock| {
-                    s.seen_level.or(s.caster.map(|c| c.1))
+                    s.visible_level.or(s.caster.map(|c| c.1))
                 };
                 let selection = Selection::new(scene, settings);
                 selection.rocks.iter().filter_map(|s| Some((s.rock, level(s)?))).collect()

@@ -3,7 +3,7 @@
 //! Samples that are lit alike are a group. The visibility pass draws groups in their order, near things before what they may
 //! cover, and leaves one more than the group's number in the stencil.
 
-use crate::render::select::casters::ShadowSources;
+use crate::render::select::caster_grid::ShadowSources;
 
 /// By which program samples are lit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

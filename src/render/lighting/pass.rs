@@ -207,7 +207,7 @@ impl LightingPass {
             let slots =
                 [seen.instance * slot_stride::<Instance>(), seen.relief * slot_stride::<ReliefUniforms>()];
             pass.set_bind_group(1, instances, &slots);
-            let [x, y, width, height] = seen.bounds.within(gbuffer.sample_size);
+            let [x, y, width, height] = seen.bounds.scissor_rect(gbuffer.sample_size);
             pass.set_scissor_rect(x, y, width, height);
             pass.draw(0..3, 0..1);
         }

@@ -7,7 +7,8 @@
 use std::ops::Range;
 
 use crate::render::device::shader_structs::{LatticeUniforms, ReliefUniforms, ReliefView};
-use crate::render::select::selection::{BLOCK_CELLS, Selection, ground_blocks};
+use crate::render::select::ground_blocks::{BLOCK_CELLS, ground_blocks};
+use crate::render::select::selection::Selection;
 use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
 use crate::scene::craters::LATTICES;

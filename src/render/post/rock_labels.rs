@@ -97,7 +97,7 @@ fn exposed_px(
     }
     let columns = (last.x - first.x) as usize;
     let mut nearest = vec![0.0_f32; columns * (last.y - first.y) as usize];
-    let level = selected.seen_level.unwrap_or(rock.level);
+    let level = selected.visible_level.unwrap_or(rock.level);
     for triangle in rock.triangles(level) {
         let [Some(a), Some(b), Some(c)] = triangle.map(|v| projected[v as usize]) else { continue };
         rasterise([a, b, c], first, last, |x, y, inverse_depth| {

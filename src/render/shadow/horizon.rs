@@ -19,6 +19,7 @@ use glam::Vec2;
 use rayon::prelude::*;
 
 use crate::render::device::shader_structs::HorizonLevel;
+use crate::render::select::caster_grid::ShadowedGround;
 use crate::render::select::footprint::Footprint;
 use crate::scene::sky::Sun;
 use crate::scene::terrain::{Layout, Terrain};
@@ -40,7 +41,7 @@ const MOST_BEYOND: f32 = 512.0;
 /// Beyond everything, metres.
 const FARTHEST_M: f32 = 1e9;
 /// Most grids. Stands in `common/frame.wgsl` too.
-pub const MOST_LEVELS: usize = 12;
+pub const MAX_LEVELS: usize = 12;
 /// Lowest limb that is reckoned with, degrees.
 const LOWEST_LIMB_DEG: f64 = 0.01;
 
@@ -63,7 +64,7 @@ pub struct HorizonMap {
     /// Height for the lower and for the upper limb, metres.
     pub heights_m: Vec<[f32; 2]>,
     /// Of a square: places, metres, within a step of which the ground may hide any of the sun from what lies on it or above.
-    pub shaded: Vec<Vec2>,
+    shaded: Vec<Vec2>,
     /// Memory of grids that were made.
     spare: Vec<Vec<[f32; 2]>>,
     made_of: Option<MadeOf>,
@@ -117,7 +118,7 @@ impl HorizonMap {
     /// Becomes that of a ground and a sun over the part of it that is asked for: what is seen. Samples lie where they would in a
     /// map of the whole ground, and of a square have the values that they would have there: where a square and its sun are what
     /// they were it becomes that map, once. Tells whether it changed.
-    pub fn make(&mut self, terrain: &Arc<Terrain>, sun: &Sun, footprint: &Footprint) -> bool {
+    pub fn update(&mut self, terrain: &Arc<Terrain>, sun: &Sun, footprint: &Footprint) -> bool {
         let known = self.made_of.take().filter(|known| {
             matches!(terrain.layout, Layout::Square)
                 && known.terrain.ptr_eq(&Arc::downgrade(terrain))
@@ -153,7 +154,7 @@ impl HorizonMap {
                 steps_m.push(step_m);
             }
             Layout::Rings(rings) => {
-                base_m = FINEST_M.max(reach_m / (1_u32 << (MOST_LEVELS - 1)) as f32);
+                base_m = FINEST_M.max(reach_m / (1_u32 << (MAX_LEVELS - 1)) as f32);
                 let mut end_m = base_m;
                 loop {
                     steps_m.push(rings.cell_m(end_m.min(reach_m)) / SAMPLES_PER_RING_CELL);
@@ -213,6 +214,13 @@ impl HorizonMap {
             self.shaded.extend(grid.shaded);
             self.spare.push(grid.heights_m);
         }
+    }
+
+    /// Where ground may occlude any of the sun from a surface on a square ground or above it.
+    #[must_use]
+    pub fn shadowed_ground(&self) -> ShadowedGround<'_> {
+        let step_m = self.levels.first().map_or(0.0, |level| level.step_m);
+        ShadowedGround { points: &self.shaded, margin_m: 1.5 * step_m }
     }
 
     /// Rows of [`Self::heights_m`].
@@ -603,7 +611,7 @@ mod tests {
         let corners =
             [Vec2::splat(-100.0), Vec2::splat(100.0), Vec2::new(-100.0, 100.0), Vec2::new(100.0, -100.0)];
         let mut map = HorizonMap::default();
-        map.make(&Arc::new(terrain), &sun, &Footprint::around(corners.into_iter()));
+        map.update(&Arc::new(terrain), &sun, &Footprint::around(corners.into_iter()));
         let level = map.levels[0];
         // Beyond 13 m the shadow of the ridge has met the ground.
         for x in [-5.0_f32, -8.0, -12.0] {
@@ -629,10 +637,10 @@ mod tests {
             Footprint::around(corners.into_iter().map(move |(dx, y)| Vec2::new(x + dx, y)))
         };
         let mut map = HorizonMap::default();
-        assert!(map.make(&terrain, &sun, &part(0.0)));
+        assert!(map.update(&terrain, &sun, &part(0.0)));
         let of_part = map.clone();
-        assert!(map.make(&terrain, &sun, &part(-3.0)), "all of it");
-        assert!(!map.make(&terrain, &sun, &part(9.0)), "which it has");
+        assert!(map.update(&terrain, &sun, &part(-3.0)), "all of it");
+        assert!(!map.update(&terrain, &sun, &part(9.0)), "which it has");
         let (part_level, level) = (of_part.levels[0], map.levels[0]);
         assert_eq!((level.origin, level.step_m), (part_level.origin, part_level.step_m));
         let mut compared = 0;
@@ -647,8 +655,8 @@ mod tests {
         }
         assert!(compared > 1000, "{compared}");
         let low_sun = Sun::new(5.0, 230.0, 0.53, Vec3::ONE);
-        assert!(map.make(&terrain, &low_sun, &part(0.0)), "another sun");
-        assert!(map.make(&Arc::new(Terrain::clone(&terrain)), &low_sun, &part(0.0)), "another ground");
+        assert!(map.update(&terrain, &low_sun, &part(0.0)), "another sun");
+        assert!(map.update(&Arc::new(Terrain::clone(&terrain)), &low_sun, &part(0.0)), "another ground");
         assert!(map.levels[0].size[0] < level.size[0], "a part again");
     }
 }

@@ -22,7 +22,7 @@ use crate::render::raster::{
     AT_ONCE, Corners, HEIGHT, LANES, Outline, Outlines, Paint, Place, Plane, Sides, Sifted, Turn, VERTICES,
     WIDTH, by_axis, load, store,
 };
-use crate::render::select::atlas::{Atlas, Room};
+use crate::render::select::atlas::{Allocation, AtlasAllocator};
 use crate::render::select::casters;
 use crate::render::select::selection::Selection;
 use crate::reuse::Reused;
@@ -45,7 +45,7 @@ thread_local! {
 /// Which tiles the device has, and where.
 #[derive(Debug, Default)]
 pub struct ShadowMap {
-    atlas: Atlas,
+    atlas: AtlasAllocator,
     sun_direction: Vec3,
     /// By the rock.
     tiles: BTreeMap<usize, Tile>,
@@ -59,7 +59,7 @@ struct Tile {
     level: usize,
     size_px: f32,
     half_extent_m: f32,
-    room: Room,
+    allocation: Allocation,
 }
 
 /// A tile that is to be drawn.
@@ -106,7 +106,7 @@ impl ShadowMap {
             self.clear(self.atlas.size());
         } else {
             for (_, tile) in before.iter().filter(|(rock, _)| !self.tiles.contains_key(rock)) {
-                self.atlas.remove(tile.room);
+                self.atlas.free(tile.allocation);
             }
         }
         while !new.iter().all(|tile| self.add(tile, scene)) {
@@ -121,7 +121,7 @@ impl ShadowMap {
             });
             new.clone_from(&wanted);
         }
-        let place_of = |rock: usize| UVec2::from(self.tiles[&rock].room.corner).as_vec2();
+        let place_of = |rock: usize| UVec2::from(self.tiles[&rock].allocation.corner).as_vec2();
         for (caster, tile) in casting.iter().enumerate() {
             if let Some(tile) = tile {
                 selection.casters[caster].tile.origin_px = place_of(tile.rock);
@@ -134,16 +134,16 @@ impl ShadowMap {
     }
 
     fn clear(&mut self, [width, height]: [u32; 2]) {
-        self.atlas = Atlas::new([width.max(LEAST_PX[0]), height.max(LEAST_PX[1])]);
+        self.atlas = AtlasAllocator::new([width.max(LEAST_PX[0]), height.max(LEAST_PX[1])]);
         self.tiles.clear();
     }
 
-    /// Finds a place for a tile, unless there is no more room.
+    /// Finds a place for a tile, if the atlas has room.
     fn add(&mut self, tile: &NewTile, scene: &Scene) -> bool {
-        let Some(room) = self.atlas.place(tile.place.size_px as u32) else { return false };
+        let Some(allocation) = self.atlas.allocate(tile.place.size_px as u32) else { return false };
         let mesh = Arc::downgrade(&scene.rocks[tile.rock].vertices);
         let CasterTile { size_px, half_extent_m, .. } = tile.place;
-        self.tiles.insert(tile.rock, Tile { mesh, level: tile.level, size_px, half_extent_m, room });
+        self.tiles.insert(tile.rock, Tile { mesh, level: tile.level, size_px, half_extent_m, allocation });
         true
     }
 }

@@ -17,10 +17,10 @@ use crate::render::raster::{
     self, AT_ONCE, FURTHEST_PX, Outline, Place, Plane, Sides, Sifted, Span, Turn, VERTICES, by_axis,
     texels_between,
 };
-use crate::render::select::casters::{CasterGrids, ShadowSources};
-use crate::render::select::selection::{
-    BLOCK_CELLS, Bounds, SelectedRock, Selection, Slots, ground_blocks, near_to_far,
-};
+use crate::render::select::caster_grid::{CasterGrids, ShadowSources};
+use crate::render::select::ground_blocks::{BLOCK_CELLS, ground_blocks};
+use crate::render::select::screen_bounds::ScreenBounds;
+use crate::render::select::selection::{SelectedRock, Selection, Slots, front_to_back};
 use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
@@ -82,7 +82,7 @@ pub struct Mesh {
     /// The groups of its facets, by what can shade them.
     pub groups: [ShadingBin; SHADES],
     /// Where these may be.
-    pub bounds: [Bounds; SHADES],
+    pub bounds: [ScreenBounds; SHADES],
     /// Its vertices, and what clipping added.
     pub corners: Vec<Corner>,
     /// Whether all of its vertices have places.
@@ -149,10 +149,10 @@ impl Facets {
             grids: by_shades.then(|| CasterGrids::new(&scene.terrain)),
             caster_grid,
         };
-        let seen = selection.rocks.iter().enumerate().filter(|(_, rock)| rock.seen_level.is_some());
-        let rocks = near_to_far(seen.map(|(place, rock)| (rock.nearest_m, place)));
+        let seen = selection.rocks.iter().enumerate().filter(|(_, rock)| rock.visible_level.is_some());
+        let rocks = front_to_back(seen.map(|(place, rock)| (rock.nearest_m, place)));
         let blocks = selection.blocks.iter().enumerate();
-        let blocks = near_to_far(blocks.map(|(place, &(_, nearest_m))| (nearest_m, place)));
+        let blocks = front_to_back(blocks.map(|(place, &(_, nearest_m))| (nearest_m, place)));
         let sources: Vec<Source> = (rocks.iter().map(|&(_, place)| Source::Rock(place)))
             .chain(blocks.iter().map(|&(_, place)| Source::Block(place)))
             .chain([Source::Stars, Source::Dome])
@@ -401,7 +401,7 @@ impl Mesh {
 
     fn restart(&mut self, slot: u32, groups: [ShadingBin; SHADES]) {
         (self.slot, self.groups) = (slot, groups);
-        self.bounds = [Bounds::NOWHERE; SHADES];
+        self.bounds = [ScreenBounds::EMPTY; SHADES];
         self.rows = [u16::MAX, 0];
         self.is_placed = true;
         self.corners.clear();
@@ -420,7 +420,7 @@ impl Mesh {
     }
 
     fn add_rock(&mut self, of: &Picture<'_>, selected: &SelectedRock) {
-        let Some(level) = selected.seen_level else { return };
+        let Some(level) = selected.visible_level else { return };
         let rock = &of.scene.rocks[selected.rock];
         let origin = rock.centre - of.scene.camera.eye;
         // Whatever lies below the lowest ground around the rock is under the ground.
@@ -599,7 +599,7 @@ impl Mesh {
         clipped: Option<u32>,
     ) {
         let bounds = &mut self.bounds[shades as usize];
-        *bounds = bounds.union(Bounds::of_samples(columns, rows));
+        *bounds = bounds.union(ScreenBounds::of_samples(columns, rows));
         let facing = if shades.has_rocks() { facing() } else { 0 };
         let rows = [rows.0 as u16, rows.1 as u16];
         self.rows = [self.rows[0].min(rows[0]), self.rows[1].max(rows[1])];

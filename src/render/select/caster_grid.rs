@@ -1,0 +1,441 @@
+//! The caster grid: for each cell of ground, which casters and whether the horizon map can shadow a surface above it.
+//!
+//! A uniform grid with a list for each cell, as in tiled light culling (Real-Time Rendering, 4th ed., section 20.3), with casters
+//! in place of lights. It is stored as compressed sparse rows: the offsets of the cells' lists, then the lists one after the other.
+//! What the horizon map tells of the ground comes in as plain points, so that imports go from `shadow/` to `select/` and not back.
+//! Must not know: how shadow and horizon map are made.
+
+use std::ops::Range;
+
+use glam::Vec2;
+use rayon::prelude::*;
+
+use crate::render::select::casters::Caster;
+use crate::render::select::footprint::Footprint;
+use crate::reuse::Reused;
+use crate::scene::Scene;
+use crate::scene::sky::Sun;
+use crate::scene::terrain::{Layout, Terrain};
+
+/// Cells along a side of the grid over a square of ground.
+const SQUARE_CELLS: u32 = 512;
+/// Cells along a side of each of the nested grids over rings.
+const RING_CELLS: u32 = 192;
+/// Half the side of the innermost grid over rings, metres.
+const INNERMOST_M: f32 = 4.0;
+/// Rows of a grid that one thread fills.
+const BAND_ROWS: usize = 32;
+/// Set in the offset of a cell's list if the ground may occlude the sun from a surface above the cell. Stands in
+/// `common/shadow_map.wgsl` too.
+pub const TEST_HORIZON: u32 = 1 << 31;
+
+/// What can occlude the sun at a surface. The values are those of `SHADES` in `shaders/surface.wgsl`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ShadowSources {
+    /// Nothing: a surface that faces the sun sees all of it.
+    None,
+    /// Other ground, by the horizon map.
+    Ground,
+    /// Rocks, by the shadow atlas.
+    Rocks,
+    /// Both.
+    GroundAndRocks,
+}
+
+impl ShadowSources {
+    /// Every variant, in the order of its value.
+    pub const ALL: [Self; 4] = [Self::None, Self::Ground, Self::Rocks, Self::GroundAndRocks];
+
+    /// Whether rocks are among them.
+    #[must_use]
+    pub const fn has_rocks(self) -> bool {
+        matches!(self, Self::Rocks | Self::GroundAndRocks)
+    }
+}
+
+/// Where other ground may occlude the sun, from the horizon map.
+#[derive(Clone, Copy, Debug)]
+pub struct ShadowedGround<'a> {
+    /// Points seen from above, world, metres. Elsewhere nothing on a square ground, or above it, is shadowed by ground.
+    pub points: &'a [Vec2],
+    /// A point stands for all that is less than this far from it along x and y, metres.
+    pub margin_m: f32,
+}
+
+/// Nested square grids over the ground around one centre, each over twice the side of the one before.
+#[derive(Clone, Copy, Debug)]
+pub struct CasterGrids {
+    /// The common centre, world, metres.
+    pub centre: Vec2,
+    /// Half the side of the innermost grid, metres.
+    pub half_m: f32,
+    /// Cells along a side of each grid.
+    pub cells: u32,
+    /// Number of grids.
+    pub levels: u32,
+}
+
+impl CasterGrids {
+    /// The grids over a ground: a single one for a square.
+    #[must_use]
+    pub fn new(terrain: &Terrain) -> Self {
+        let (centre, reach_m) = (terrain.centre, terrain.half_extent_m);
+        match terrain.layout {
+            Layout::Square => Self { centre, half_m: reach_m, cells: SQUARE_CELLS, levels: 1 },
+            Layout::Rings(_) => {
+                let mut levels = 1;
+                while reach_m > INNERMOST_M * (1_u32 << (levels - 1)) as f32 {
+                    levels += 1;
+                }
+                Self { centre, half_m: INNERMOST_M, cells: RING_CELLS, levels }
+            }
+        }
+    }
+
+    /// What can shadow a surface within a box, seen from above: lowest and highest corner, world, metres.
+    #[must_use]
+    pub fn shadow_sources_over(&self, grid: &[u32], low: Vec2, high: Vec2) -> ShadowSources {
+        let (from, to) = (low - self.centre, high - self.centre);
+        let nearest = Vec2::ZERO.clamp(from, to).abs().max_element();
+        let furthest = from.abs().max(to.abs()).max_element();
+        let (mut has_casters, mut tests_horizon) = (false, false);
+        for level in 0..self.levels {
+            let half_m = self.half_m * (1_u32 << level) as f32;
+            // With a margin: a device may round the choice of the grid near their borders otherwise than the host.
+            let serves = (level == 0 || furthest * 1.001 >= 0.5 * half_m)
+                && (level + 1 == self.levels || nearest <= 1.001 * half_m);
+            if !serves {
+                continue;
+            }
+            let cells_per_m = 0.5 * self.cells as f32 / half_m;
+            let coordinate = |metres: f32| (metres + half_m) * cells_per_m;
+            let first =
+                |metres: f32| (coordinate(metres) - 1e-3).floor().clamp(0.0, (self.cells - 1) as f32) as u32;
+            let last =
+                |metres: f32| (coordinate(metres) + 1e-3).floor().clamp(0.0, (self.cells - 1) as f32) as u32;
+            for row in first(from.y)..=last(to.y) {
+                for column in first(from.x)..=last(to.x) {
+                    let cell = ((level * self.cells + row) * self.cells + column) as usize;
+                    has_casters |= grid[cell] & !TEST_HORIZON != grid[cell + 1] & !TEST_HORIZON;
+                    tests_horizon |= grid[cell] & TEST_HORIZON != 0;
+                }
+            }
+        }
+        match (has_casters, tests_horizon) {
+            (false, false) => ShadowSources::None,
+            (false, true) => ShadowSources::Ground,
+            (true, false) => ShadowSources::Rocks,
+            (true, true) => ShadowSources::GroundAndRocks,
+        }
+    }
+
+    /// Cells of all grids together.
+    #[must_use]
+    pub const fn cell_count(&self) -> usize {
+        (self.cells * self.cells) as usize * self.levels as usize
+    }
+}
+
+/// The caster lists of the cells that lie in a footprint, as compressed sparse rows: the offset of each cell's list, level by level
+/// and row by row, the end of the last list, then the lists of indices into `casters`. An offset has [`TEST_HORIZON`] set where
+/// the horizon map is to be sampled too.
+#[must_use]
+pub fn caster_grid(
+    scene: &Scene,
+    casters: &[Caster],
+    shadowed_ground: ShadowedGround<'_>,
+    footprint: &Footprint,
+) -> Reused<u32> {
+    let grids = CasterGrids::new(&scene.terrain);
+    let bands: Vec<_> = (0..grids.levels)
+        .flat_map(|level| (0..grids.cells as usize).step_by(BAND_ROWS).map(move |row| (level, row)))
+        .collect();
+    let lists_of = |(level, first): (u32, usize)| {
+        let rows = first..(first + BAND_ROWS).min(grids.cells as usize);
+        GridBand::new(&scene.terrain, &grids, level, rows, footprint).caster_lists(scene, casters)
+    };
+    let (lists, horizon_flags) = rayon::join(
+        || bands.into_par_iter().with_max_len(1).map(lists_of).collect::<Vec<CasterLists>>(),
+        || horizon_flags(&grids, shadowed_ground),
+    );
+    join_lists(&grids, &lists, &horizon_flags)
+}
+
+/// Joins the lists of all bands, in order, and sets the flags of the cells' offsets.
+fn join_lists(grids: &CasterGrids, bands: &[CasterLists], horizon_flags: &[u8]) -> Reused<u32> {
+    let offset_count = grids.cell_count() + 1;
+    let listed: usize = bands.iter().map(|band| band.casters.len()).sum();
+    let mut grid: Reused<u32> = Reused::of_any(offset_count + listed);
+    let (mut offsets, mut lists) = grid.split_at_mut(offset_count);
+    let (mut start, mut flags) = (offset_count as u32, horizon_flags);
+    let mut parts = Vec::new();
+    for band in bands {
+        let (own_offsets, other_offsets) = offsets.split_at_mut(band.ends.len());
+        let (own_lists, other_lists) = lists.split_at_mut(band.casters.len());
+        let (own_flags, other_flags) = flags.split_at(band.ends.len());
+        parts.push((band, start, own_offsets, own_flags, own_lists));
+        start += band.casters.len() as u32;
+        (offsets, lists, flags) = (other_offsets, other_lists, other_flags);
+    }
+    offsets[0] = start;
+    parts.into_par_iter().for_each(|(band, start, offsets, flags, lists)| {
+        // A list begins where the one before ends.
+        if let Some((first, others)) = offsets.split_first_mut() {
+            *first = start;
+            for (offset, end) in others.iter_mut().zip(&band.ends) {
+                *offset = start + end;
+            }
+        }
+        for (offset, flag) in offsets.iter_mut().zip(flags) {
+            *offset |= if *flag == 1 { TEST_HORIZON } else { 0 };
+        }
+        lists.copy_from_slice(&band.casters);
+    });
+    grid
+}
+
+/// Of each cell, 1 if ground may occlude the sun from a surface above it, else 0.
+fn horizon_flags(grids: &CasterGrids, ground: ShadowedGround<'_>) -> Reused<u8> {
+    // Rings have relief everywhere.
+    let mut flags = Reused::filled(grids.cell_count(), u8::from(grids.levels > 1));
+    if grids.levels == 1 {
+        let side = grids.cells as usize;
+        let (origin, cell_m) = (grids.centre - grids.half_m, 2.0 * grids.half_m / grids.cells as f32);
+        let cell = |metres: f32, axis: usize| cell_index(metres - origin[axis], cell_m, side).min(side - 1);
+        let margin = Vec2::splat(ground.margin_m);
+        for point in ground.points {
+            let (low, high) = (*point - margin, *point + margin);
+            for row in cell(low.y, 1)..=cell(high.y, 1) {
+                flags[row * side + cell(low.x, 0)..=row * side + cell(high.x, 0)].fill(1);
+            }
+        }
+    }
+    flags
+}
+
+/// Index of the column or row at a distance from the edge of a grid; `cells` for what lies beyond the other edge.
+fn cell_index(metres: f32, cell_m: f32, cells: usize) -> usize {
+    (metres / cell_m).clamp(0.0, cells as f32) as usize
+}
+
+/// The sun's rays over the ground.
+struct Rays {
+    /// Horizontal unit vector along the rays, away from the sun.
+    away: Vec2,
+    /// Fall per horizontal metre of the rays that reach furthest: those from the lower limb.
+    steepness: f32,
+    /// How much the penumbra widens on each side, metres per metre: the tangent of half the sun's angular diameter.
+    penumbra: f32,
+}
+
+impl Rays {
+    fn new(sun: &Sun) -> Self {
+        let (away, penumbra) = (-sun.direction.truncate(), sun.tan_half_angle());
+        let lowest = (sun.direction.z - penumbra).max(1e-4);
+        if away.length() > 1e-6 {
+            Self { away: away / away.length(), steepness: lowest / away.length(), penumbra }
+        } else {
+            Self { away: Vec2::X, steepness: 1e6, penumbra }
+        }
+    }
+}
+
+/// The shadow volume of a caster, umbra and penumbra, over the cells of a grid: seen from above a strip along the rays that begins at
+/// the caster and widens away from it.
+struct ShadowStrip<'a> {
+    rays: &'a Rays,
+    /// Centre of the caster, seen from above.
+    start: Vec2,
+    /// Half the width at the caster, metres.
+    extent_m: f32,
+    /// Height of the highest point of the caster, metres.
+    top_m: f32,
+    /// Corners of the bounding box.
+    low: Vec2,
+    high: Vec2,
+    /// Half the diagonal of a cell, metres.
+    half_diagonal_m: f32,
+    /// Upper bound of half its width anywhere in the box, with half the diagonal of a cell, metres.
+    max_half_width_m: f32,
+}
+
+impl<'a> ShadowStrip<'a> {
+    fn new(scene: &Scene, rays: &'a Rays, caster: &Caster, cell_m: f32) -> Self {
+        let rock = &scene.rocks[caster.rock];
+        let (centre, extent_m) = (caster.tile.centre, caster.tile.half_extent_m);
+        let half_diagonal_m = cell_m * std::f32::consts::FRAC_1_SQRT_2;
+        let start = centre.truncate();
+        let end = (centre - caster.reach_m * scene.sun.direction).truncate();
+        let widest_m = extent_m + rays.penumbra * caster.reach_m;
+        let (low, high) = (start.min(end) - widest_m, start.max(end) + widest_m);
+        let top_m = centre.z + rock.z_range_m[1];
+        let mut strip =
+            Self { rays, start, extent_m, top_m, low, high, half_diagonal_m, max_half_width_m: 0.0 };
+        let furthest_m = (high - low).length() + 2.0 * half_diagonal_m;
+        strip.max_half_width_m = 1.01 * (strip.half_width_m(furthest_m) + half_diagonal_m);
+        strip
+    }
+
+    /// Half the width at a distance along the rays, metres.
+    fn half_width_m(&self, along_m: f32) -> f32 {
+        let Rays { steepness, penumbra, .. } = *self.rays;
+        self.extent_m + 2.0 * penumbra * (along_m + self.extent_m) * (1.0 + steepness.min(10.0))
+    }
+
+    /// West and east end of the part of the strip in the row of cells around a y, metres.
+    fn span_in_row(&self, north_of_start_m: f32, cell_m: f32) -> (f32, f32) {
+        let (mut west_m, mut east_m) = (self.low.x, self.high.x);
+        let away = self.rays.away;
+        if away.y.abs() > 1e-3 {
+            let (middle_m, half_m) =
+                (self.start.x + north_of_start_m * away.x / away.y, self.max_half_width_m / away.y.abs());
+            west_m = west_m.max(middle_m - half_m - cell_m);
+            east_m = east_m.min(middle_m + half_m + cell_m);
+        }
+        (west_m, east_m)
+    }
+
+    /// Height of the highest ray over a cell that can have been blocked by the caster, metres; `None` if the cell does not touch the
+    /// strip.
+    fn highest_ray_m(&self, cell_centre: Vec2) -> Option<f32> {
+        let along_m = (cell_centre - self.start).dot(self.rays.away);
+        let across_m = (cell_centre - self.start).perp_dot(self.rays.away).abs();
+        let nearest_m = (along_m - self.half_diagonal_m).max(0.0);
+        let furthest_m = (along_m + self.half_diagonal_m).max(0.0);
+        let is_beside = across_m > self.half_width_m(furthest_m) + self.half_diagonal_m;
+        let is_sunward = along_m < -(self.extent_m + self.half_diagonal_m);
+        (!is_beside && !is_sunward)
+            .then(|| self.top_m - (nearest_m - self.extent_m).max(0.0) * self.rays.steepness)
+    }
+}
+
+/// The caster lists of some cells, one after the other.
+struct CasterLists {
+    /// End of the list of each cell.
+    ends: Reused<u32>,
+    /// Indices of casters.
+    casters: Reused<u32>,
+}
+
+/// Some rows of one of the grids, while their lists are made.
+struct GridBand<'a> {
+    terrain: &'a Terrain,
+    /// Cells along a side of the grid.
+    cells: usize,
+    cell_m: f32,
+    /// Lowest corner of the grid, world, metres.
+    origin: Vec2,
+    rows: Range<usize>,
+    /// Columns and rows that the next finer grid covers; their cells here are never looked up.
+    finer: Range<usize>,
+    /// Of each cell, a lower bound of the height of its ground, metres; NaN until it is computed.
+    min_ground_m: Reused<f32>,
+    /// Of each row, the columns that may be looked up.
+    spans: Vec<Range<usize>>,
+}
+
+impl<'a> GridBand<'a> {
+    fn new(
+        terrain: &'a Terrain,
+        grids: &CasterGrids,
+        level: u32,
+        rows: Range<usize>,
+        footprint: &Footprint,
+    ) -> Self {
+        let half_m = grids.half_m * (1_u32 << level) as f32;
+        let cells = grids.cells as usize;
+        let mut band = Self {
+            terrain,
+            cells,
+            cell_m: 2.0 * half_m / grids.cells as f32,
+            origin: grids.centre - half_m,
+            finer: if level == 0 { 0..0 } else { cells / 4..cells - cells / 4 },
+            min_ground_m: Reused::filled(rows.len() * cells, f32::NAN),
+            spans: Vec::new(),
+            rows: rows.clone(),
+        };
+        band.spans = rows.map(|row| band.span(row, footprint)).collect();
+        band
+    }
+
+    /// Columns of a row that a footprint touches, and one to each side. The first and the last row also serve what juts out over
+    /// the border of the ground.
+    fn span(&self, row: usize, footprint: &Footprint) -> Range<usize> {
+        let edge_m = |row: usize| self.origin.y + row as f32 * self.cell_m;
+        let south_m = if row == 0 { f32::MIN } else { edge_m(row - 1) };
+        let north_m = if row + 1 == self.cells { f32::MAX } else { edge_m(row + 2) };
+        footprint.span(south_m, north_m).map_or(0..0, |[low, high]| {
+            let last = self.cell_index(high + self.cell_m, 0).min(self.cells - 1);
+            self.cell_index(low - self.cell_m, 0).min(last)..last + 1
+        })
+    }
+
+    /// Column (axis 0) or row (axis 1) of a coordinate, which may lie outside.
+    fn cell_index(&self, metres: f32, axis: usize) -> usize {
+        cell_index(metres - self.origin[axis], self.cell_m, self.cells)
+    }
+
+    /// The lists of the cells, the casters of each in rising order: a counting sort by cell.
+    fn caster_lists(mut self, scene: &Scene, casters: &[Caster]) -> CasterLists {
+        let mut pairs: Vec<(u32, u32)> = Vec::new();
+        let rays = Rays::new(&scene.sun);
+        for (index, caster) in (0..).zip(casters) {
+            let strip = ShadowStrip::new(scene, &rays, caster, self.cell_m);
+            self.for_cells_shadowed_by(&strip, |cell| pairs.push((cell as u32, index)));
+        }
+        let mut ends = Reused::filled(self.rows.len() * self.cells, 0);
+        let mut casters: Reused<u32> = Reused::of_any(pairs.len());
+        if pairs.is_empty() {
+            return CasterLists { ends, casters };
+        }
+        for &(cell, _) in &pairs {
+            ends[cell as usize] += 1;
+        }
+        // Counts become starts (a prefix sum), and starts become ends as the lists are filled.
+        let mut start = 0;
+        for end in &mut ends {
+            let count = std::mem::replace(end, start);
+            start += count;
+        }
+        for (cell, index) in pairs {
+            let end = &mut ends[cell as usize];
+            casters[*end as usize] = index;
+            *end += 1;
+        }
+        CasterLists { ends, casters }
+    }
+
+    /// Calls `visit` with every cell of the band, by its index from the first, in which the shadow of a caster can touch the ground
+    /// or what stands on it.
+    fn for_cells_shadowed_by(&mut self, strip: &ShadowStrip<'_>, mut visit: impl FnMut(usize)) {
+        let rows = self.cell_index(strip.low.y, 1).max(self.rows.start)
+            ..(self.cell_index(strip.high.y, 1) + 1).min(self.rows.end);
+        for row in rows {
+            let span = self.spans[row - self.rows.start].clone();
+            let north_of_start_m = (row as f32 + 0.5) * self.cell_m + self.origin.y - strip.start.y;
+            let (west_m, east_m) = strip.span_in_row(north_of_start_m, self.cell_m);
+            let columns =
+                self.cell_index(west_m, 0).max(span.start)..(self.cell_index(east_m, 0) + 1).min(span.end);
+            for column in columns {
+                if self.finer.contains(&row) && self.finer.contains(&column) {
+                    continue;
+                }
+                let centre = (Vec2::new(column as f32, row as f32) + 0.5) * self.cell_m + self.origin;
+                // Unless even the highest ray that the caster can have blocked runs below the ground here.
+                if strip.highest_ray_m(centre).is_some_and(|ray_m| ray_m >= self.min_ground_m(column, row)) {
+                    visit((row - self.rows.start) * self.cells + column);
+                }
+            }
+        }
+    }
+
+    /// A lower bound of the height of the ground in a cell, metres.
+    fn min_ground_m(&mut self, column: usize, row: usize) -> f32 {
+        let known = &mut self.min_ground_m[(row - self.rows.start) * self.cells + column];
+        if known.is_nan() {
+            let low = Vec2::new(column as f32, row as f32) * self.cell_m + self.origin;
+            *known = self.terrain.lowest_over(low, low + self.cell_m);
+        }
+        *known
+    }
+}
