@@ -1,5 +1,8 @@
-"""Datasets in the hands of the programs that will read them: every Python block of the README's "Formats", word for
-word, on 24 frames of each format, held against the masks of the format `folder`; and what no block reads.
+"""Reads datasets with the programs that they are made for.
+
+Every Python block of README.md and docs/formats.md that reads a dataset runs here, word for word, on 24 frames of its
+format; what it gives is compared with the files of the format `folder`. COCO, BasicWriter and Cityscapes have checks of
+their own below, and so does the camera code of docs/outputs.md.
 """
 
 import json
@@ -14,7 +17,9 @@ import numpy as np
 from PIL import Image
 
 PROGRAM = Path(os.environ["REGOLITH_BINARY"])
-README = Path(__file__).parents[2] / "README.md"
+ROOT = Path(__file__).parents[2]
+PAGES = (ROOT / "README.md", ROOT / "docs/formats.md")
+CAMERA_PAGE = ROOT / "docs/outputs.md"
 FRAMES = 24
 FORMATS = ("basic", "coco", "cityscapes", "hf", "webdataset")
 
@@ -34,47 +39,51 @@ def make(folder: Path) -> None:
         subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL)
 
 
-def readme_blocks() -> dict[str, str]:
-    """The Python blocks of the README's section "Formats" by the path that they read."""
-    section = README.read_text().split("\n### Formats\n")[1].split("\n**Masks of other")[0]
-    blocks = re.findall(r"```python\n(.*?)```", section, flags=re.DOTALL)
-    return {re.search(r'"data/(\w+)', block)[1]: block for block in blocks}
+def python_blocks(page: Path) -> list[str]:
+    """The fenced Python blocks of a page."""
+    return re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.DOTALL)
 
 
-def pictures(folder: Path) -> list[tuple[np.ndarray, np.ndarray]]:
-    """What every reader must give: RGB and class ids."""
+def documented_loaders() -> dict[str, str]:
+    """The Python blocks that read a dataset, by the name of its folder below `data/`."""
+    found = [(re.search(r'"data/(\w+)', block), block) for page in PAGES for block in python_blocks(page)]
+    return {match[1]: block for match, block in found if match}
+
+
+def expected_frames(folder: Path) -> list[tuple[np.ndarray, np.ndarray]]:
+    """RGB and class ids of every frame, as every reader must give them."""
     read = lambda name, i: np.asarray(Image.open(folder / f"data/moon/{name}/{name}_{i:05}.png"))
     return [(read("rgb", i), read("mask", i)) for i in range(FRAMES)]
 
 
 def check_block(name: str, block: str, truth: list[tuple[np.ndarray, np.ndarray]]) -> None:
-    """Runs a block and compares its `frames`; COCO's masks hold rocks alone."""
+    """Runs a block and compares its `frames`; COCO's masks hold rocks only."""
     scope: dict = {}
-    exec(compile(block, f"README.md ({name})", "exec"), scope)
+    exec(compile(block, f"documented loader ({name})", "exec"), scope)
     frames = scope["frames"]
     if len(frames) != FRAMES:
         fail(f"{name}: {len(frames)} frames, not {FRAMES}")
     for index, ((image, mask), (true_image, true_mask)) in enumerate(zip(frames, truth, strict=True)):
         expected = (true_mask == 1).astype(np.uint8) if name == "coco" else true_mask
         if image.dtype != np.uint8 or not np.array_equal(image, true_image):
-            fail(f"{name}: picture {index} differs")
+            fail(f"{name}: image {index} differs")
         if mask.dtype != np.uint8 or not np.array_equal(mask, expected):
             fail(f"{name}: mask {index} differs: ids {np.unique(mask)} for {np.unique(expected)}")
         if name != "coco" and not (mask == 0).any():
-            fail(f"{name}: class 0 is gone from mask {index}")
-    print(f"{name:<12} {FRAMES} frames: pictures and ids as in folder")
+            fail(f"{name}: class 0 is missing from mask {index}")
+    print(f"{name:<12} {FRAMES} frames: images and ids as in folder")
 
 
 def check_coco(data: Path) -> None:
-    """Areas and boxes by the official tools; panoptic segments by the format's rules."""
+    """Compares areas and boxes with the official tools, and panoptic segments with the format's rules."""
     from pycocotools import mask as masks
 
     instances = json.loads((data / "annotations/instances_train.json").read_text())
     for row in instances["annotations"]:
         if masks.area(row["segmentation"]) != row["area"]:
-            fail(f"coco: annotation {row['id']}: area {row['area']} is not that of its mask")
+            fail(f"coco: annotation {row['id']}: area {row['area']} differs from its mask's")
         if masks.toBbox(row["segmentation"]).tolist() != row["bbox"]:
-            fail(f"coco: annotation {row['id']}: box {row['bbox']} is not that of its mask")
+            fail(f"coco: annotation {row['id']}: box {row['bbox']} differs from its mask's")
     panoptic = json.loads((data / "annotations/panoptic_train.json").read_text())
     things = {row["id"]: row["isthing"] for row in panoptic["categories"]}
     for row in panoptic["annotations"]:
@@ -83,7 +92,7 @@ def check_coco(data: Path) -> None:
         ids, areas = np.unique(segments[segments > 0], return_counts=True)
         listed = {segment["id"]: segment for segment in row["segments_info"]}
         if set(ids.tolist()) != listed.keys():
-            fail(f"coco: {row['file_name']}: the segments are not those that are listed")
+            fail(f"coco: {row['file_name']}: segments differ from those listed")
         for segment, area in zip(ids.tolist(), areas.tolist(), strict=True):
             rows, columns = np.nonzero(segments == segment)
             box = [columns.min(), rows.min(), np.ptp(columns) + 1, np.ptp(rows) + 1]
@@ -91,25 +100,40 @@ def check_coco(data: Path) -> None:
                 fail(f"coco: {row['file_name']}: area or box of segment {segment}")
         stuff = [s["category_id"] for s in row["segments_info"] if not things[s["category_id"]]]
         if len(stuff) != len(set(stuff)):
-            fail(f"coco: {row['file_name']}: a class of stuff has two segments")
-    print(f"{'coco':<12} {len(instances['annotations'])} rocks: areas and boxes; panoptic segments tile the pictures")
+            fail(f"coco: {row['file_name']}: a stuff class has two segments")
+    print(f"{'coco':<12} {len(instances['annotations'])} rocks: areas and boxes; panoptic segments tile the images")
 
 
 def check_flat(data: Path, truth: list[tuple[np.ndarray, np.ndarray]]) -> None:
-    """BasicWriter and Cityscapes: by their names."""
+    """Reads BasicWriter and Cityscapes files by name."""
     for index, (image, mask) in enumerate(truth):
         flat = data / "basic"
         city = data / f"cityscapes/gtFine/train/moon/moon_000000_{index:06}_gtFine_labelTrainIds.png"
         left = data / f"cityscapes/leftImg8bit/train/moon/moon_000000_{index:06}_leftImg8bit.png"
-        for picture, labels in ((flat / f"rgb_{index:04}.png", flat / f"semantic_segmentation_{index:04}.png"), (left, city)):
-            if not np.array_equal(np.asarray(Image.open(picture)), image):
-                fail(f"{picture} differs")
+        for rgb, labels in ((flat / f"rgb_{index:04}.png", flat / f"semantic_segmentation_{index:04}.png"), (left, city)):
+            if not np.array_equal(np.asarray(Image.open(rgb)), image):
+                fail(f"{rgb} differs")
             if not np.array_equal(np.asarray(Image.open(labels)), mask):
                 fail(f"{labels} differs")
         names = json.loads((flat / f"semantic_segmentation_labels_{index:04}.json").read_text())
         if {int(key): row["class"] for key, row in names.items()} != {0: "regolith", 1: "rock", 2: "sky"}:
             fail(f"basic: labels of frame {index}")
-    print(f"{'basic':<12} {FRAMES} frames: pictures, ids and names\n{'cityscapes':<12} {FRAMES} frames: pictures and ids")
+    print(f"{'basic':<12} {FRAMES} frames: images, ids and names\n{'cityscapes':<12} {FRAMES} frames: images and ids")
+
+
+def check_camera(folder: Path) -> None:
+    """Runs the camera code of docs/outputs.md on a frame: lifting a pixel and projecting it back must be the identity."""
+    environment = {**os.environ, "WGPU_ADAPTER_NAME": "cpu"}
+    command = [PROGRAM, *"--size 64 --outputs rgb,mask,depth,meta --out out --quiet".split()]
+    subprocess.run(command, cwd=folder, env=environment, check=True, stdout=subprocess.DEVNULL)
+    [block] = [block for block in python_blocks(CAMERA_PAGE) if '"out/frame_0000.json"' in block]
+    scope: dict = {}
+    exec(compile(block, CAMERA_PAGE.name, "exec"), scope)
+    for u, v in ((3, 60), (32, 50), (60, 62)):
+        there = scope["pixel_of"](scope["point_of"](u, v))
+        if np.abs(there - (u + 0.5, v + 0.5)).max() > 1e-6:
+            fail(f"{CAMERA_PAGE.name}: pixel ({u}, {v}) comes back at {there}")
+    print(f"{'camera':<12} pixels lifted into the world and projected back")
 
 
 def main() -> None:
@@ -119,14 +143,15 @@ def main() -> None:
         os.environ["HF_HOME"] = str(folder / "cache")
         os.chdir(folder)
         make(folder)
-        truth = pictures(folder)
-        blocks = readme_blocks()
+        truth = expected_frames(folder)
+        blocks = documented_loaders()
         if blocks.keys() != {"moon", "hf", "coco", "webdataset"}:
-            fail(f"the README reads {sorted(blocks)}")
+            fail(f"the documentation reads {sorted(blocks)}")
         for name, block in blocks.items():
             check_block(name, block, truth)
         check_coco(folder / "data/coco")
         check_flat(folder / "data", truth)
+        check_camera(folder)
         os.chdir("/")
 
 

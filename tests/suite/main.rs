@@ -7,6 +7,7 @@ mod cli;
 mod closed_form;
 mod dataset;
 mod determinism;
+mod docs;
 mod export;
 mod formats;
 mod golden;
