@@ -15,7 +15,7 @@ use serde_json::{Map, Value, json};
 
 use crate::dataset::plan::{Plan, frame_seed};
 use crate::dataset::{self, Pace};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::output::disk;
 use crate::params::Knob;
 use crate::render::{Renderer, StageTimes, select::selection};
@@ -332,7 +332,7 @@ pub fn sweep(name: &str, setup: &Setup) -> Result<(&'static str, Vec<(f64, Setup
         let mut setup = setup.clone();
         change(&mut setup)?;
         setups.push((value, setup));
-        Ok::<(), crate::Error>(())
+        Ok::<(), Error>(())
     };
     let axis = match name {
         "size" => {

@@ -3,6 +3,7 @@
 use wgpu::BufferUsages;
 
 use crate::class::ClassId;
+use crate::error::Result;
 use crate::frame::{Annotation, Annotations, Frame};
 use crate::gpu::Gpu;
 use crate::gpu::readback::ReadbackBuffer;
@@ -209,8 +210,8 @@ impl PackedFrame {
     /// Waits for the frame.
     ///
     /// # Errors
-    /// [`crate::Error::DeviceLost`] or [`crate::Error::Device`].
-    pub fn read(&self, gpu: &Gpu, submission: &wgpu::SubmissionIndex) -> crate::Result<Frame> {
+    /// [`Error::DeviceLost`](crate::error::Error::DeviceLost) or [`Error::Device`](crate::error::Error::Device).
+    pub fn read(&self, gpu: &Gpu, submission: &wgpu::SubmissionIndex) -> Result<Frame> {
         let [width, height] = self.size;
         let pixels = width as usize * height as usize;
         let classes_at = 12 * self.packing.quads() as usize;

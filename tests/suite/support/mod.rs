@@ -1,6 +1,7 @@
 //! What the tests share: the device, scenes, the real program.
 
 pub(crate) mod compare;
+pub(crate) mod source;
 
 use std::path::Path;
 use std::process::{Command, Output};
