@@ -169,8 +169,8 @@ fn measure(
             flying.push_back((scene, times, in_flight));
             submitted += 1;
         } else if let Some((scene, mut times, in_flight)) = flying.pop_front() {
-            measured.triangles.push(in_flight.drawn_triangles as f64);
-            measured.upload_bytes.push(in_flight.uploaded_bytes as f64);
+            measured.triangles.push(in_flight.cost.drawn_triangles as f64);
+            measured.upload_bytes.push(in_flight.cost.uploaded_bytes as f64);
             let (frame, render_times) = renderer.finish(in_flight, &scene)?;
             times.extend(render_times);
             measured.frames_ms.push(last.elapsed().as_secs_f64() * 1e3);

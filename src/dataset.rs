@@ -128,8 +128,8 @@ impl Attempt {
                 Self::Failed(broken) => broken,
                 Self::Begun(mut built, in_flight) => {
                     let mut cost = Cost {
-                        triangles: in_flight.drawn_triangles,
-                        uploaded_bytes: in_flight.uploaded_bytes,
+                        triangles: in_flight.cost.drawn_triangles,
+                        uploaded_bytes: in_flight.cost.uploaded_bytes,
                         readback_bytes: 0,
                     };
                     let (frame, times) = renderer.finish(*in_flight, &built.scene)?;

@@ -1,17 +1,20 @@
 //! From a scene to a frame.
 //!
-//! [`Renderer`] holds what lasts: pipelines, G-buffer, buffers. A frame is [`Renderer::record_frame`]: shadow
-//! atlas, visibility, lighting pass, resolve, copy, in one function.
+//! A frame is planned ([`frame_plan`]), uploaded ([`scene_buffers`]), recorded ([`Renderer::record_frame`]: shadows, visibility,
+//! lighting, resolve, readback, in one function), and post-processed ([`post`]). Whether the device or the host rasterises shadows
+//! and visibility is chosen once, in [`Renderer::with_raster`].
 //! Must not know: knobs, files.
-//! To add a pass: a file here with its struct (`new`, `record`), its WGSL in `shaders.rs`, a line in
+//! To add a pass: a file in the folder of its stage with its struct (`new`, `record`), its WGSL in `shaders/`, a line in
 //! [`Renderer::record_frame`].
 
+mod backend;
 pub mod device;
-pub mod gpu_scene;
+mod frame_plan;
 pub mod lighting;
 pub mod post;
 pub mod raster;
 pub mod resolve;
+mod scene_buffers;
 pub mod select;
 mod settings;
 pub mod shadow;
@@ -24,49 +27,98 @@ use crate::frame::{Annotation, Annotations, Frame};
 use crate::gpu::Gpu;
 use crate::gpu::staging::StagingBuffer;
 use crate::scene::Scene;
+pub use backend::{RasterBackend, RasterMode, RasterOptions};
 pub use device::timing::StageTimes;
 pub use settings::RenderSettings;
 
-use device::bind_groups::BindLayouts;
-use device::shader_structs::{Instance, ReliefUniforms};
+use device::bind_groups::{BindLayouts, bind_group};
 use device::shading_bins::LightingVariant;
 use device::timing::{Pass, Timer, milliseconds};
-use gpu_scene::{DrawnHere, GpuScene, Ways};
+use frame_plan::FramePlan;
 use lighting::gbuffer::GBuffer;
-use lighting::pass::{LightingPass, Variant};
+use lighting::pass::{LightingPass, PipelineKey};
 use resolve::pass::{PackedFrame, ResolvePass};
-use shadow::device::ShadowPass;
-use visibility::device::VisibilityPass;
+use scene_buffers::SceneBuffers;
+use shadow::ShadowBackend;
+use visibility::{VisibilityBackend, VisibilityInputs};
 
-/// What a frame comes back in.
+/// Frames in flight that keep a device and the threads that feed it busy: one is rendered while the next is prepared.
+pub const FRAMES_IN_FLIGHT: usize = 2;
+
+/// Buffers that belong to one frame in flight.
 #[derive(Debug)]
 struct Slot {
     packed: PackedFrame,
-    /// What the device is given of the shadow map and of what samples show, if it is.
-    given_shadow_map: Option<StagingBuffer>,
-    given_visible: Option<StagingBuffer>,
+    /// Uploads of the host backends.
+    shadow_staging: Option<StagingBuffer>,
+    visibility_staging: Option<StagingBuffer>,
     timer: Option<Timer>,
 }
 
-/// Frames in flight that keep a device and the threads that feed it busy: it draws one while the next is made ready.
-pub const FRAMES_IN_FLIGHT: usize = 2;
+/// What a frame is rendered from.
+#[derive(Debug)]
+struct FrameRequest {
+    /// Annotations that the caller asked for.
+    annotations: Annotations,
+    /// Settings of the image, with what post-processing needs besides.
+    image: RenderSettings,
+    /// If a lens distorts the image: the wider pinhole image that is rendered, from which the resolve pass takes its samples.
+    undistorted: Option<(Scene, RenderSettings)>,
+}
+
+impl FrameRequest {
+    fn new(scene: &Scene, settings: &RenderSettings) -> Result<Self> {
+        let annotations = settings.annotations;
+        let mut image = *settings;
+        image.annotations = post::hazards::drawn_for(annotations);
+        if scene.sensor.is_some() {
+            image.annotations = image.annotations.with(Annotation::Hdr);
+        }
+        let (camera, size) = select::near_plane::checked(scene, image.size)?;
+        let undistorted = (!camera.lens.is_pinhole())
+            .then(|| (Scene { camera, ..scene.clone() }, RenderSettings { size, ..image }));
+        Ok(Self { annotations, image, undistorted })
+    }
+
+    /// Scene and settings of the image before distortion.
+    fn rendered<'a>(&'a self, scene: &'a Scene) -> (&'a Scene, &'a RenderSettings) {
+        self.undistorted.as_ref().map_or((scene, &self.image), |(scene, settings)| (scene, settings))
+    }
+}
+
+/// A frame that is ready to be recorded.
+#[derive(Debug)]
+struct PreparedFrame {
+    plan: FramePlan,
+    gbuffer: GBuffer,
+    slot: Slot,
+    pipelines: PipelineKey,
+    uploaded_bytes: u64,
+}
 
 /// A frame that the device works on: from [`Renderer::submit`] to [`Renderer::finish`].
 #[derive(Debug)]
 pub struct InFlight {
-    asked: Annotations,
-    picture: RenderSettings,
-    /// Of a lens: what is drawn instead.
-    wide: Option<(Scene, RenderSettings)>,
+    request: FrameRequest,
     slot: Slot,
     submission: wgpu::SubmissionIndex,
+    submitted: Instant,
     upload_ms: f64,
-    /// What this program drew of it.
-    drawn_here: DrawnHere,
-    uploaded: Instant,
-    /// Triangles drawn of what is seen in it.
+    /// Times of the host backends.
+    host_times: StageTimes,
+    device_passes: Vec<Pass>,
+    /// How much was drawn and uploaded for it.
+    pub cost: FrameCost,
+}
+
+/// How much was drawn and uploaded for a frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FrameCost {
+    /// Triangles that were rasterised for visibility.
     pub drawn_triangles: u64,
-    /// Bytes that were written to the device for it.
+    /// Draws of the lighting pass, one for each shading bin that is visible.
+    pub lighting_draws: usize,
+    /// Bytes that were uploaded.
     pub uploaded_bytes: u64,
 }
 
@@ -75,45 +127,58 @@ pub struct InFlight {
 pub struct Renderer {
     gpu: Gpu,
     layouts: BindLayouts,
-    /// Takes texels as they are.
     nearest: wgpu::Sampler,
-    shadow_pass: ShadowPass,
-    visibility_pass: VisibilityPass,
-    lighting_pass: LightingPass,
-    resolve_pass: ResolvePass,
-    scene: GpuScene,
+    raster: RasterOptions,
+    shadow: ShadowBackend,
+    visibility: VisibilityBackend,
+    lighting: LightingPass,
+    resolve: ResolvePass,
+    buffers: SceneBuffers,
+    /// The plan of the last frame, whose memory the next one uses.
+    plan: Option<FramePlan>,
     gbuffer: Option<GBuffer>,
-    /// What frames that are not in flight any more came back in.
+    /// Slots of frames that are not in flight any more.
     spare: Vec<Slot>,
-    /// What this program does itself; labels are the same either way. At first all of it if the device is a CPU, else nothing: a
-    /// GPU is faster without.
-    pub ways: Ways,
+    last_cost: FrameCost,
 }
 
 impl Renderer {
-    /// Compiles everything on a device.
+    /// A renderer that chooses by the device who rasterises ([`RasterMode::Auto`]).
     ///
     /// # Errors
     /// [`Error::DeviceLost`] or [`Error::Device`].
+    ///
+    /// [`Error::DeviceLost`]: crate::Error::DeviceLost
+    /// [`Error::Device`]: crate::Error::Device
     pub fn new(gpu: Gpu) -> Result<Self> {
+        Self::with_raster(gpu, RasterMode::Auto)
+    }
+
+    /// A renderer whose stages are rasterised as the mode says. Labels are the same either way, to within the rounding of vertex
+    /// positions.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for a mode that the device does not support; [`Error::DeviceLost`] or [`Error::Device`].
+    ///
+    /// [`Error::Usage`]: crate::Error::Usage
+    /// [`Error::DeviceLost`]: crate::Error::DeviceLost
+    /// [`Error::Device`]: crate::Error::Device
+    pub fn with_raster(gpu: Gpu, mode: RasterMode) -> Result<Self> {
+        let raster = RasterOptions::new(mode, &gpu)?;
         let layouts = BindLayouts::new(&gpu);
+        let nearest = wgpu::SamplerDescriptor { label: Some("nearest"), ..Default::default() };
         let renderer = Self {
-            nearest: gpu
-                .device
-                .create_sampler(&wgpu::SamplerDescriptor { label: Some("nearest"), ..Default::default() }),
-            shadow_pass: ShadowPass::default(),
-            visibility_pass: VisibilityPass::default(),
-            lighting_pass: LightingPass::new(&gpu, &layouts),
-            resolve_pass: ResolvePass::new(&gpu, &layouts),
-            scene: GpuScene::default(),
+            nearest: gpu.device.create_sampler(&nearest),
+            raster,
+            shadow: ShadowBackend::new(raster.shadow),
+            visibility: VisibilityBackend::new(raster.visibility),
+            lighting: LightingPass::new(&gpu, &layouts),
+            resolve: ResolvePass::new(&gpu, &layouts),
+            buffers: SceneBuffers::default(),
+            plan: None,
             gbuffer: None,
             spare: Vec::new(),
-            ways: Ways {
-                own_shadow_map: gpu.capabilities.software_adapter,
-                own_visibility: gpu.capabilities.software_adapter && gpu.capabilities.stencil_upload,
-                by_shades: true,
-                multi_draw: gpu.capabilities.multi_draw,
-            },
+            last_cost: FrameCost::default(),
             layouts,
             gpu,
         };
@@ -127,254 +192,231 @@ impl Renderer {
         &self.gpu
     }
 
-    /// What was drawn last.
+    /// How it rasterises.
     #[must_use]
-    pub const fn gpu_scene(&self) -> &GpuScene {
-        &self.scene
+    pub const fn raster(&self) -> RasterOptions {
+        self.raster
+    }
+
+    /// Changes how it rasterises from the next frame on.
+    pub fn set_raster(&mut self, raster: RasterOptions) {
+        if raster.shadow != self.raster.shadow {
+            self.shadow = ShadowBackend::new(raster.shadow);
+        }
+        if raster.visibility != self.raster.visibility {
+            self.visibility = VisibilityBackend::new(raster.visibility);
+        }
+        self.raster = raster;
+    }
+
+    /// How much was drawn and uploaded for the frame that was submitted last.
+    #[must_use]
+    pub const fn last_cost(&self) -> FrameCost {
+        self.last_cost
     }
 
     /// Renders one frame and waits for it.
     ///
     /// # Errors
-    /// [`Error::SizeBeyondDevice`], [`Error::DeviceLost`] or [`Error::Device`].
+    /// Those of [`Self::submit`] and [`Self::finish`].
     pub fn render(&mut self, scene: &Scene, settings: &RenderSettings) -> Result<(Frame, StageTimes)> {
         let in_flight = self.submit(scene, settings)?;
         self.finish(in_flight, scene)
     }
 
-    /// Sets the device to work on a frame, after those that it works on, and does not wait for it.
+    /// Submits a frame to the device, behind those that it works on, and does not wait for it.
     ///
     /// # Errors
     /// [`Error::SizeBeyondDevice`], [`Error::DeviceLost`] or [`Error::Device`]; those of [`select::near_plane::checked`].
+    ///
+    /// [`Error::SizeBeyondDevice`]: crate::Error::SizeBeyondDevice
+    /// [`Error::DeviceLost`]: crate::Error::DeviceLost
+    /// [`Error::Device`]: crate::Error::Device
     pub fn submit(&mut self, scene: &Scene, settings: &RenderSettings) -> Result<InFlight> {
-        // On a thread of the pool: from any other each part that many threads share would first have to be taken by one of them.
-        rayon::scope(|_| self.try_submit(scene, settings)).inspect_err(|_| self.scene.forget())
+        // On a thread of the pool: a job from any other thread would wait for one of the pool to take it up.
+        rayon::scope(|_| self.try_submit(scene, settings)).inspect_err(|_| {
+            self.buffers.invalidate();
+            self.shadow.invalidate();
+        })
     }
 
     fn try_submit(&mut self, scene: &Scene, settings: &RenderSettings) -> Result<InFlight> {
         let start = Instant::now();
-        let asked = settings.annotations;
-        let mut picture = *settings;
-        picture.annotations = post::hazards::drawn_for(asked);
-        if scene.sensor.is_some() {
-            picture.annotations = picture.annotations.with(Annotation::Hdr);
-        }
-        // What a lens brings onto the picture is drawn as a wider one without it, of which the resolve takes the samples.
-        let (camera, size) = select::near_plane::checked(scene, picture.size)?;
-        let wide = (!camera.lens.is_pinhole())
-            .then(|| (Scene { camera, ..scene.clone() }, RenderSettings { size, ..picture }));
-        let (scene, drawn) = wide.as_ref().map_or((scene, &picture), |(scene, drawn)| (scene, drawn));
-        let is_given = self.ways.own_visibility;
-        let has_slopes = is_given && scene.relief.is_some();
-        let mut gbuffer = match self.gbuffer.take() {
-            Some(kept) if kept.serve(drawn, is_given, has_slopes) => kept,
-            _ => GBuffer::new(&self.gpu, drawn, is_given, has_slopes)?,
+        let request = FrameRequest::new(scene, settings)?;
+        let frame = self.prepare(scene, &request)?;
+        let submitted = Instant::now();
+        let submission = self.gpu.guard(|| {
+            let descriptor = wgpu::CommandEncoderDescriptor { label: Some("frame") };
+            let mut encoder = self.gpu.device.create_command_encoder(&descriptor);
+            self.record_frame(&mut encoder, &frame);
+            self.gpu.queue.submit([encoder.finish()])
+        })?;
+        let mut host_times = StageTimes::new();
+        host_times.extend(self.shadow.host_ms().map(|ms| ("shadow", ms)));
+        host_times.extend(self.visibility.host_ms().map(|ms| ("visibility", ms)));
+        let host_ms: f64 = host_times.iter().map(|(_, ms)| ms).sum();
+        let PreparedFrame { plan, gbuffer, slot, uploaded_bytes, .. } = frame;
+        let cost = FrameCost {
+            drawn_triangles: self.visibility.triangles(&self.buffers.meshes, &gbuffer.batches),
+            lighting_draws: gbuffer.batches.len(),
+            uploaded_bytes,
         };
-        self.spare.retain(|slot| slot.packed.serves(picture.size, picture.annotations));
-        let mut slot = self.spare.pop().unwrap_or_else(|| Slot {
-            packed: PackedFrame::new(&self.gpu, picture.size, picture.annotations),
-            given_shadow_map: None,
-            given_visible: None,
-            timer: Timer::new(&self.gpu),
-        });
-        // A program takes longer to compile than it saves in a frame: the first is lit by as few as can be, which are compiled while
-        // it is made ready.
-        let variant = Variant::new(scene, &gbuffer);
-        let is_first = !self.lighting_pass.has(variant);
-        let ways = Ways { by_shades: self.ways.by_shades && !is_first, ..self.ways };
-        let Self { gpu, layouts, scene: gpu_scene, shadow_pass, lighting_pass, resolve_pass, .. } = self;
-        let resolved = resolve::pass::Variant::new(&gbuffer, slot.packed.size);
-        let (made_ready, ()) = rayon::join(
-            || {
-                gpu.guard(|| gpu_scene.upload(gpu, scene, drawn, picture.size, ways))?;
-                shadow_pass.prepare(gpu, layouts, gpu_scene.atlas_px, ways.own_shadow_map);
-                gpu_scene.give_shadow_map(gpu, scene, shadow_pass, &mut slot.given_shadow_map)?;
-                gpu_scene.give_visible(gpu, scene, &mut gbuffer, &mut slot.given_visible)
-            },
-            || {
-                resolve_pass.prepare(gpu, resolved);
-                if is_first {
-                    lighting_pass.prepare(gpu, variant, LightingVariant::BY_ANYTHING);
-                }
-            },
-        );
-        made_ready?;
-        let shown = self.scene.shown(&gbuffer);
-        self.scene.uploaded_bytes += slot.packed.choose(&self.gpu, &gbuffer, shown);
-        self.lighting_pass.prepare(&self.gpu, variant, self.scene.draws.batches.iter().map(|seen| seen.lit));
-        if !gbuffer.is_given {
-            self.visibility_pass.prepare(&self.gpu, &self.layouts);
-        }
-        self.gpu.check()?;
-        let uploaded = Instant::now();
-        let submission = self.gpu.guard(|| self.submit_frame(variant, &gbuffer, &slot))?;
-        self.gbuffer = Some(gbuffer);
-        let DrawnHere { shadow_map_ms, visibility_ms } = self.scene.drawn_here;
+        (self.plan, self.gbuffer, self.last_cost) = (Some(plan), Some(gbuffer), cost);
         Ok(InFlight {
-            asked,
-            picture,
-            wide,
+            request,
             slot,
             submission,
-            upload_ms: milliseconds(uploaded - start)
-                - shadow_map_ms.unwrap_or_default()
-                - visibility_ms.unwrap_or_default(),
-            drawn_here: self.scene.drawn_here,
-            uploaded,
-            drawn_triangles: self.scene.drawn_triangles,
-            uploaded_bytes: self.scene.uploaded_bytes,
+            submitted,
+            upload_ms: milliseconds(submitted - start) - host_ms,
+            host_times,
+            device_passes: self.device_passes(),
+            cost,
         })
     }
 
-    /// Waits for a frame of `scene` that was submitted. Frames may be finished in any order.
-    ///
-    /// # Errors
-    /// [`Error::DeviceLost`] or [`Error::Device`].
-    pub fn finish(&mut self, in_flight: InFlight, scene: &Scene) -> Result<(Frame, StageTimes)> {
-        let InFlight { asked, picture, wide, slot, submission, upload_ms, drawn_here, uploaded, .. } =
-            in_flight;
-        let (drawn_scene, drawn) = wide.as_ref().map_or((scene, &picture), |(scene, drawn)| (scene, drawn));
-        self.gpu.wait(&submission)?;
-        let done = Instant::now();
-        let mut frame = slot.packed.read(&self.gpu, &submission)?;
-        frame.focal_px = drawn_scene.camera.focal_px(drawn.size[0]);
-        frame.lens = drawn_scene.camera.lens;
-        let read = Instant::now();
-        let mut times = vec![("upload", upload_ms)];
-        times.extend(drawn_here.shadow_map_ms.map(|ms| ("shadow", ms)));
-        times.extend(drawn_here.visibility_ms.map(|ms| ("visibility", ms)));
-        if let Some(timer) = &slot.timer {
-            times.extend(timer.read(&self.gpu, &submission, by_device(drawn_here))?);
-        }
-        times.extend([("gpu", milliseconds(done - uploaded)), ("readback", milliseconds(read - done))]);
-        self.spare.push(slot);
-        let mut timed = |stage, work: &mut dyn FnMut(&mut Frame)| {
-            let start = Instant::now();
-            work(&mut frame);
-            times.push((stage, milliseconds(start.elapsed())));
+    /// Plans a frame, uploads it, rasterises what is the host's part, and compiles the pipelines that are missing.
+    fn prepare(&mut self, scene: &Scene, request: &FrameRequest) -> Result<PreparedFrame> {
+        let image_size = request.image.size;
+        let (scene, settings) = request.rendered(scene);
+        let mut gbuffer = self.take_gbuffer(scene, settings)?;
+        let mut slot = self.take_slot(&request.image);
+        let pipelines = PipelineKey::new(scene, &gbuffer);
+        let resolve_variant = resolve::pass::Variant::new(&gbuffer, image_size);
+        // Compiling a pipeline takes longer than it saves in one frame: the first is lit by as few pipelines as possible, which are
+        // compiled while it is prepared.
+        let is_first = !self.lighting.has(pipelines);
+        let raster = RasterOptions {
+            bin_by_shadow_sources: self.raster.bin_by_shadow_sources && !is_first,
+            ..self.raster
         };
-        if drawn.annotations.contains(Annotation::Instances) {
-            timed("labels", &mut |frame| {
-                frame.rocks = post::rock_labels::rocks(drawn_scene, drawn, picture.size, frame);
-            });
-        }
-        if let Some(sensor) = &scene.sensor {
-            timed("sensor", &mut |frame| {
-                post::sensor::expose(frame, sensor, scene.camera.exposure_ev);
-                if !asked.contains(Annotation::Hdr) {
-                    frame.radiance = Vec::new();
+        let previous = self.plan.take();
+        let Self { gpu, layouts, buffers, shadow, visibility, lighting, resolve, .. } = self;
+        let (prepared, ()) = rayon::join(
+            || {
+                let plan = FramePlan::new(previous, scene, settings, image_size, &raster, |selection| {
+                    shadow.place_tiles(scene, selection)
+                });
+                let mut bytes = gpu.guard(|| buffers.upload(gpu, scene, &plan, raster.multi_draw))?;
+                let size_px = plan.shadow_map_px;
+                bytes += shadow.prepare(gpu, layouts, scene, size_px, &mut slot.shadow_staging)?;
+                let inputs = VisibilityInputs {
+                    scene,
+                    settings,
+                    selection: &plan.selection,
+                    caster_grid: &plan.caster_grid,
+                    bands: &plan.bands,
+                    batches: &plan.draws.batches,
+                    bin_by_shadow_sources: raster.bin_by_shadow_sources,
+                };
+                let staging = &mut slot.visibility_staging;
+                bytes += visibility.prepare(gpu, layouts, inputs, &mut gbuffer, staging)?;
+                Result::Ok((plan, bytes))
+            },
+            || {
+                resolve.prepare(gpu, resolve_variant);
+                if is_first {
+                    lighting.prepare(gpu, pipelines, LightingVariant::BY_ANYTHING);
                 }
-            });
-        }
-        if post::hazards::any(asked) {
-            timed("hazards", &mut |frame| post::hazards::add(frame, scene, asked));
-        }
-        Ok((frame, times))
+            },
+        );
+        let (plan, mut uploaded_bytes) = prepared?;
+        uploaded_bytes += slot.packed.choose(gpu, &gbuffer);
+        lighting.prepare(gpu, pipelines, gbuffer.batches.iter().map(|batch| batch.variant));
+        gpu.check()?;
+        Ok(PreparedFrame { plan, gbuffer, slot, pipelines, uploaded_bytes })
     }
 
-    fn submit_frame(&self, variant: Variant, gbuffer: &GBuffer, slot: &Slot) -> wgpu::SubmissionIndex {
-        let mut encoder =
-            self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") });
-        self.record_frame(&mut encoder, variant, gbuffer, slot);
-        self.gpu.queue.submit([encoder.finish()])
+    /// The G-buffer of the frame before, if it serves this one.
+    fn take_gbuffer(&mut self, scene: &Scene, settings: &RenderSettings) -> Result<GBuffer> {
+        let layout = self.visibility.gbuffer_layout(scene);
+        match self.gbuffer.take() {
+            Some(kept) if kept.serves(settings, layout) => Ok(kept),
+            _ => GBuffer::new(&self.gpu, settings, layout),
+        }
     }
 
-    /// The frame: shadow atlas, what is seen, light on it, resolve, copy.
-    fn record_frame(
-        &self,
-        encoder: &mut wgpu::CommandEncoder,
-        variant: Variant,
-        gbuffer: &GBuffer,
-        slot: &Slot,
-    ) {
-        let (packed, timer) = (&slot.packed, slot.timer.as_ref());
+    fn take_slot(&mut self, image: &RenderSettings) -> Slot {
+        let &RenderSettings { size, annotations, .. } = image;
+        self.spare.retain(|slot| slot.packed.serves(size, annotations));
+        self.spare.pop().unwrap_or_else(|| Slot {
+            packed: PackedFrame::new(&self.gpu, size, annotations),
+            shadow_staging: None,
+            visibility_staging: None,
+            timer: Timer::new(&self.gpu),
+        })
+    }
+
+    /// The frame: shadows, visibility, lighting, resolve, readback.
+    fn record_frame(&self, encoder: &mut wgpu::CommandEncoder, frame: &PreparedFrame) {
+        let PreparedFrame { plan, gbuffer, slot: Slot { packed, timer, .. }, pipelines, .. } = frame;
+        let (meshes, timer) = (&self.buffers.meshes, timer.as_ref());
         let groups = self.bind_groups(gbuffer, packed);
-        self.shadow_pass.record(
-            encoder,
-            &self.scene,
-            [&groups.frame, &groups.scene],
-            timer.map(|timer| timer.both_passes(Pass::Shadow)),
-        );
-        if !gbuffer.is_given {
-            self.visibility_pass.record(
-                encoder,
-                &self.scene,
-                [&groups.frame, &groups.scene],
-                gbuffer,
-                timer.map(|timer| timer.render_pass(Pass::Visibility)),
-            );
-        }
-        self.lighting_pass.record(
-            encoder,
-            &self.scene,
-            [&groups.frame, &groups.scene, &groups.light],
-            variant,
-            gbuffer,
-            timer.map(|timer| timer.render_pass(Pass::Lighting)),
-        );
-        self.resolve_pass.record(
-            encoder,
-            &groups.frame,
-            &groups.resolve,
-            gbuffer,
-            packed,
-            timer.map(|timer| timer.compute_pass(Pass::Resolve)),
-        );
+        let drawing = [&groups.frame, &groups.scene];
+        self.shadow.record(encoder, meshes, &plan.draws.casters, drawing, timer);
+        self.visibility.record(encoder, meshes, drawing, gbuffer, timer);
+        let light = [&groups.frame, &groups.scene, &groups.light];
+        let timestamps = timer.map(|timer| timer.render_pass(Pass::Lighting));
+        self.lighting.record(encoder, light, *pipelines, gbuffer, timestamps);
+        let timestamps = timer.map(|timer| timer.compute_pass(Pass::Resolve));
+        self.resolve.record(encoder, &groups.frame, &groups.resolve, gbuffer, packed, timestamps);
         packed.copy(encoder);
         if let Some(timer) = timer {
-            timer.copy(encoder, by_device(self.scene.drawn_here));
+            timer.copy(encoder, &self.device_passes());
         }
+    }
+
+    /// The passes that are recorded.
+    fn device_passes(&self) -> Vec<Pass> {
+        let raster = [self.shadow.device_pass(), self.visibility.device_pass()];
+        raster.into_iter().flatten().chain([Pass::Lighting, Pass::Resolve]).collect()
     }
 
     fn bind_groups(&self, gbuffer: &GBuffer, packed: &PackedFrame) -> BindGroups {
-        let scene = &self.scene;
-        let horizon = &scene.horizon.as_ref().expect("a scene is uploaded before it is drawn").1;
-        let group = |label, layout: &wgpu::BindGroupLayout, resources: &[wgpu::BindingResource<'_>]| {
-            let entries: Vec<_> = (0..)
-                .zip(resources)
-                .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource: resource.clone() })
-                .collect();
-            self.gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: Some(label),
-                layout,
-                entries: &entries,
-            })
-        };
+        let Self { gpu, layouts, buffers, .. } = self;
         let view = wgpu::BindingResource::TextureView;
+        let nearest = wgpu::BindingResource::Sampler(&self.nearest);
+        let light = [
+            view(&gbuffer.visibility.1),
+            view(self.shadow.map()),
+            view(buffers.horizon()),
+            buffers.caster_grid.buffer().as_entire_binding(),
+            nearest.clone(),
+            view(gbuffer.slopes_view()),
+        ];
+        let planes = gbuffer.planes.iter().chain([&gbuffer.visibility.1]).map(view);
+        let own = [packed.buffer.as_entire_binding(), nearest, packed.list.as_entire_binding()];
+        let resolve: Vec<_> = planes.chain(own).collect();
         BindGroups {
-            frame: group("frame", &self.layouts.frame, &[scene.frame.buffer().as_entire_binding()]),
-            scene: group(
-                "scene",
-                &self.layouts.scene,
-                &[
-                    scene.instances.bind_first(size_of::<Instance>()),
-                    scene.tiles.buffer().as_entire_binding(),
-                    scene.relief.bind_first(size_of::<ReliefUniforms>()),
-                    scene.instances.buffer().as_entire_binding(),
-                ],
-            ),
-            light: group(
-                "light",
-                &self.layouts.light,
-                &[
-                    view(&gbuffer.visibility.1),
-                    view(self.shadow_pass.map()),
-                    view(horizon),
-                    scene.caster_grid.buffer().as_entire_binding(),
-                    wgpu::BindingResource::Sampler(&self.nearest),
-                    view(&gbuffer.slopes.1),
-                ],
-            ),
-            resolve: group("resolve", &self.layouts.resolve, &{
-                let planes = gbuffer.planes.iter().chain([&gbuffer.visibility.1]).map(view);
-                let own = [
-                    packed.buffer.as_entire_binding(),
-                    wgpu::BindingResource::Sampler(&self.nearest),
-                    packed.list.as_entire_binding(),
-                ];
-                planes.chain(own).collect::<Vec<_>>()
-            }),
+            frame: buffers.frame_group(gpu, layouts),
+            scene: buffers.scene_group(gpu, layouts),
+            light: bind_group(gpu, "light", &layouts.light, &light),
+            resolve: bind_group(gpu, "resolve", &layouts.resolve, &resolve),
         }
+    }
+
+    /// Waits for a frame of `scene` that was submitted, and post-processes it. Frames may be finished in any order.
+    ///
+    /// # Errors
+    /// [`Error::DeviceLost`] or [`Error::Device`].
+    ///
+    /// [`Error::DeviceLost`]: crate::Error::DeviceLost
+    /// [`Error::Device`]: crate::Error::Device
+    pub fn finish(&mut self, in_flight: InFlight, scene: &Scene) -> Result<(Frame, StageTimes)> {
+        let InFlight { request, slot, submission, submitted, upload_ms, host_times, device_passes, .. } =
+            in_flight;
+        self.gpu.wait(&submission)?;
+        let done = Instant::now();
+        let mut frame = slot.packed.read(&self.gpu, &submission)?;
+        let read = Instant::now();
+        let mut times = vec![("upload", upload_ms)];
+        times.extend(host_times);
+        if let Some(timer) = &slot.timer {
+            times.extend(timer.read(&self.gpu, &submission, &device_passes)?);
+        }
+        times.extend([("gpu", milliseconds(done - submitted)), ("readback", milliseconds(read - done))]);
+        self.spare.push(slot);
+        post_process(&mut frame, &request, scene, &mut times);
+        Ok((frame, times))
     }
 }
 
@@ -385,11 +427,30 @@ struct BindGroups {
     resolve: wgpu::BindGroup,
 }
 
-/// Tells of each pass whether the device is given it, and not this program.
-fn by_device(drawn_here: DrawnHere) -> impl Fn(Pass) -> bool {
-    move |pass| match pass {
-        Pass::Shadow => drawn_here.shadow_map_ms.is_none(),
-        Pass::Visibility => drawn_here.visibility_ms.is_none(),
-        Pass::Lighting | Pass::Resolve => true,
+/// Adds to a frame what is not computed on the device, and the time that each stage took.
+fn post_process(frame: &mut Frame, request: &FrameRequest, scene: &Scene, times: &mut StageTimes) {
+    let (rendered_scene, rendered) = request.rendered(scene);
+    frame.focal_px = rendered_scene.camera.focal_px(rendered.size[0]);
+    frame.lens = rendered_scene.camera.lens;
+    let mut timed = |stage, work: &mut dyn FnMut(&mut Frame)| {
+        let start = Instant::now();
+        work(frame);
+        times.push((stage, milliseconds(start.elapsed())));
+    };
+    if rendered.annotations.contains(Annotation::Instances) {
+        timed("labels", &mut |frame| {
+            frame.rocks = post::rock_labels::rocks(rendered_scene, rendered, request.image.size, frame);
+        });
+    }
+    if let Some(sensor) = &scene.sensor {
+        timed("sensor", &mut |frame| {
+            post::sensor::expose(frame, sensor, scene.camera.exposure_ev);
+            if !request.annotations.contains(Annotation::Hdr) {
+                frame.radiance = Vec::new();
+            }
+        });
+    }
+    if post::hazards::any(request.annotations) {
+        timed("hazards", &mut |frame| post::hazards::add(frame, scene, request.annotations));
     }
 }

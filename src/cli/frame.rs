@@ -152,11 +152,11 @@ fn summarise(
     if !meta["moved_rocks"].as_array().is_none_or(Vec::is_empty) {
         messages.note(format_args!("moved away from the camera: rocks {}", meta["moved_rocks"]));
     }
-    let scene = renderer.gpu_scene();
+    let cost = renderer.last_cost();
     messages.detail(format_args!("adapter: {}", gpu::adapter::describe(&renderer.gpu().info)));
     messages.detail(format_args!(
         "drawn: {} triangles, {} bytes uploaded",
-        scene.drawn_triangles, scene.uploaded_bytes
+        cost.drawn_triangles, cost.uploaded_bytes
     ));
     let stages: Vec<String> = times.iter().map(|(name, ms)| format!("{name} {ms:.1}")).collect();
     messages.detail(format_args!("milliseconds: {}", stages.join(", ")));

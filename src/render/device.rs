@@ -2,6 +2,7 @@
 //! Must not know: a scene.
 
 pub mod bind_groups;
+pub mod depth;
 pub mod packing;
 pub mod shader_structs;
 pub mod shading_bins;

@@ -4,6 +4,7 @@
 pub mod atlas;
 pub mod caster_grid;
 pub mod casters;
+pub mod draw_list;
 pub mod footprint;
 pub mod frustum;
 pub mod ground_blocks;

@@ -1,6 +1,172 @@
-//! Shadow maps: of rocks by midpoint shadow maps, of the ground by its horizon.
+//! Shadow maps: of rocks by midpoint shadow maps, of the ground by its horizon. The map of the rocks is rasterised by one of two
+//! backends with the same stages: `place_tiles`, `prepare`, `record`.
 //! Must not know: what is visible.
 
 pub mod device;
 pub mod horizon;
 pub mod host;
+
+use std::ops::Range;
+use std::time::Instant;
+
+use wgpu::TextureUsages;
+
+use crate::error::Result;
+use crate::gpu::Gpu;
+use crate::gpu::staging::StagingBuffer;
+use crate::render::backend::RasterBackend;
+use crate::render::device::bind_groups::{BindLayouts, SHADOW_MAP_FORMAT};
+use crate::render::device::timing::{Pass, Timer, milliseconds};
+use crate::render::select::casters;
+use crate::render::select::selection::Selection;
+use crate::render::visibility::meshes::Meshes;
+use crate::scene::Scene;
+use device::ShadowPass;
+use host::{NewTile, ShadowMap};
+
+/// The room for new tiles in the staging buffer is a multiple of this, bytes: frames differ a little in what they need.
+const STAGING_STEP_BYTES: usize = 1 << 20;
+
+/// What rasterises the shadow map.
+#[derive(Debug)]
+pub(crate) enum ShadowBackend {
+    /// Render passes on the device.
+    Device(ShadowPass),
+    /// The CPU rasteriser, whose tiles are uploaded.
+    Host(ShadowRaster),
+}
+
+impl ShadowBackend {
+    pub(crate) fn new(backend: RasterBackend) -> Self {
+        match backend {
+            RasterBackend::Device => Self::Device(ShadowPass::default()),
+            RasterBackend::Host => Self::Host(ShadowRaster::default()),
+        }
+    }
+
+    /// Gives the tiles of a selection's casters their origins in the map, and returns its columns and rows.
+    pub(crate) fn place_tiles(&mut self, scene: &Scene, selection: &mut Selection) -> [u32; 2] {
+        match self {
+            Self::Device(_) => casters::atlas_size_px(&selection.casters),
+            Self::Host(raster) => raster.place_tiles(scene, selection),
+        }
+    }
+
+    /// Makes everything ready for [`Self::record`], with a map of exactly so many columns and rows. Returns the bytes that were
+    /// uploaded.
+    ///
+    /// # Errors
+    /// [`crate::Error::DeviceLost`] or [`crate::Error::Device`].
+    pub(crate) fn prepare(
+        &mut self,
+        gpu: &Gpu,
+        layouts: &BindLayouts,
+        scene: &Scene,
+        size_px: [u32; 2],
+        staging: &mut Option<StagingBuffer>,
+    ) -> Result<u64> {
+        match self {
+            Self::Device(pass) => {
+                pass.prepare(gpu, layouts, size_px);
+                Ok(0)
+            }
+            Self::Host(raster) => raster.prepare(gpu, scene, size_px, staging),
+        }
+    }
+
+    /// The map.
+    ///
+    /// # Panics
+    /// Before [`Self::prepare`].
+    pub(crate) fn map(&self) -> &wgpu::TextureView {
+        match self {
+            Self::Device(pass) => pass.map(),
+            Self::Host(raster) => &raster.texture().1,
+        }
+    }
+
+    /// Records the passes that make the map of `casters`, which are draws of `meshes`: none where it was uploaded.
+    pub(crate) fn record(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        meshes: &Meshes,
+        casters: &Range<usize>,
+        groups: [&wgpu::BindGroup; 2],
+        timer: Option<&Timer>,
+    ) {
+        if let Self::Device(pass) = self {
+            let timestamps = timer.map(|timer| timer.both_passes(Pass::Shadow));
+            pass.record(encoder, meshes, casters, groups, timestamps);
+        }
+    }
+
+    /// The pass whose time the device measures.
+    pub(crate) const fn device_pass(&self) -> Option<Pass> {
+        match self {
+            Self::Device(_) => Some(Pass::Shadow),
+            Self::Host(_) => None,
+        }
+    }
+
+    /// The time that the host took for the frame, milliseconds.
+    pub(crate) const fn host_ms(&self) -> Option<f64> {
+        match self {
+            Self::Device(_) => None,
+            Self::Host(raster) => Some(raster.elapsed_ms),
+        }
+    }
+
+    /// After an error, what was uploaded may not have arrived: all tiles are rasterised again.
+    pub(crate) fn invalidate(&mut self) {
+        if let Self::Host(raster) = self {
+            raster.tiles = ShadowMap::default();
+        }
+    }
+}
+
+/// The host backend: tiles that the map has stay while the sun and their casters do.
+#[derive(Debug, Default)]
+pub(crate) struct ShadowRaster {
+    tiles: ShadowMap,
+    /// Tiles that the map does not have yet.
+    new_tiles: Vec<NewTile>,
+    map: Option<(wgpu::Texture, wgpu::TextureView)>,
+    elapsed_ms: f64,
+}
+
+impl ShadowRaster {
+    fn place_tiles(&mut self, scene: &Scene, selection: &mut Selection) -> [u32; 2] {
+        let start = Instant::now();
+        self.new_tiles = self.tiles.place(scene, selection);
+        self.elapsed_ms = milliseconds(start.elapsed());
+        self.tiles.size_px()
+    }
+
+    fn prepare(
+        &mut self,
+        gpu: &Gpu,
+        scene: &Scene,
+        size_px: [u32; 2],
+        staging: &mut Option<StagingBuffer>,
+    ) -> Result<u64> {
+        let has_size = |texture: &wgpu::Texture| [texture.width(), texture.height()] == size_px;
+        if !self.map.as_ref().is_some_and(|(texture, _)| has_size(texture)) {
+            let usage = TextureUsages::COPY_DST | TextureUsages::TEXTURE_BINDING;
+            self.map = Some(gpu.texture("shadow/map", size_px, SHADOW_MAP_FORMAT, usage));
+        }
+        let start = Instant::now();
+        let (parts, bytes) = host::parts(&self.new_tiles);
+        if bytes > 0 {
+            let room = bytes.next_multiple_of(STAGING_STEP_BYTES);
+            let staging = StagingBuffer::with_capacity(staging, gpu, "shadow/staging", room)?;
+            staging.write(gpu, |pages| host::draw(scene, &self.new_tiles, pages))?;
+            staging.copy_to(gpu, &self.texture().0, &parts)?;
+        }
+        self.elapsed_ms += milliseconds(start.elapsed());
+        Ok(bytes as u64)
+    }
+
+    fn texture(&self) -> &(wgpu::Texture, wgpu::TextureView) {
+        self.map.as_ref().expect("a map is prepared before it is used")
+    }
+}

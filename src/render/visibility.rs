@@ -1,7 +1,246 @@
-//! Visibility: the nearest surface in each sample, written to the G-buffer.
+//! Visibility: the nearest surface at each sample, written to the G-buffer by one of two backends with the same stages:
+//! `prepare`, `record`.
 //! Must not know: lighting.
 
 pub mod device;
 pub mod geometry;
 pub mod host;
 pub mod meshes;
+
+use std::time::Instant;
+
+use wgpu::{TextureFormat, TextureUsages};
+
+use crate::class::ClassId;
+use crate::error::Result;
+use crate::gpu::Gpu;
+use crate::gpu::staging::{PAGE_BYTES, Page, StagingBuffer, TextureRegion};
+use crate::render::backend::RasterBackend;
+use crate::render::device::bind_groups::BindLayouts;
+use crate::render::device::depth::{DEPTH_STENCIL_FORMAT, STENCIL_FORMAT};
+use crate::render::device::timing::{Pass, Timer, milliseconds};
+use crate::render::lighting::gbuffer::{
+    Background, GBuffer, GBufferLayout, SLOPES_FORMAT, VISIBILITY_FORMAT,
+};
+use crate::render::lighting::relief_bands::Bands;
+use crate::render::select::draw_list::DrawBatch;
+use crate::render::select::screen_bounds::ScreenBounds;
+use crate::render::select::selection::Selection;
+use crate::render::settings::RenderSettings;
+use crate::scene::Scene;
+use device::VisibilityPass;
+use geometry::Facets;
+use host::Stencil;
+use meshes::Meshes;
+
+/// Most bytes that are uploaded at once.
+const STAGING_BYTES: u32 = 32 << 20;
+
+/// What of a frame's plan the stage works from.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct VisibilityInputs<'a> {
+    pub(crate) scene: &'a Scene,
+    pub(crate) settings: &'a RenderSettings,
+    pub(crate) selection: &'a Selection,
+    pub(crate) caster_grid: &'a [u32],
+    pub(crate) bands: &'a Bands,
+    /// A batch for each shading bin, by bin.
+    pub(crate) batches: &'a [DrawBatch],
+    /// Triangles are binned by what can shade them ([`crate::render::backend::RasterOptions`]).
+    pub(crate) bin_by_shadow_sources: bool,
+}
+
+/// What finds the visible surfaces.
+#[derive(Debug)]
+pub(crate) enum VisibilityBackend {
+    /// A render pass on the device.
+    Device(VisibilityPass),
+    /// The CPU rasteriser, whose samples are uploaded.
+    Host(VisibilityRaster),
+}
+
+impl VisibilityBackend {
+    pub(crate) fn new(backend: RasterBackend) -> Self {
+        match backend {
+            RasterBackend::Device => Self::Device(VisibilityPass::default()),
+            RasterBackend::Host => Self::Host(VisibilityRaster::default()),
+        }
+    }
+
+    /// The G-buffer that it fills for a scene.
+    pub(crate) const fn gbuffer_layout(&self, scene: &Scene) -> GBufferLayout {
+        match self {
+            Self::Device(_) => GBufferLayout {
+                write_usage: TextureUsages::RENDER_ATTACHMENT,
+                stencil_format: DEPTH_STENCIL_FORMAT,
+                has_slopes: false,
+                has_host_stencil: false,
+            },
+            Self::Host(_) => GBufferLayout {
+                write_usage: TextureUsages::COPY_DST,
+                stencil_format: STENCIL_FORMAT,
+                has_slopes: scene.relief.is_some(),
+                has_host_stencil: true,
+            },
+        }
+    }
+
+    /// Makes everything ready for [`Self::record`], and notes in the G-buffer which batches it has. Returns the bytes that were
+    /// uploaded.
+    ///
+    /// # Errors
+    /// [`crate::Error::DeviceLost`] or [`crate::Error::Device`].
+    pub(crate) fn prepare(
+        &mut self,
+        gpu: &Gpu,
+        layouts: &BindLayouts,
+        inputs: VisibilityInputs<'_>,
+        gbuffer: &mut GBuffer,
+        staging: &mut Option<StagingBuffer>,
+    ) -> Result<u64> {
+        let bytes = match self {
+            Self::Device(pass) => {
+                pass.prepare(gpu, layouts);
+                gbuffer.batches = inputs.batches.to_vec();
+                gbuffer.background = None;
+                0
+            }
+            Self::Host(raster) => raster.prepare(gpu, inputs, gbuffer, staging)?,
+        };
+        gbuffer.batches.retain(|batch| batch.bounds != ScreenBounds::EMPTY);
+        Ok(bytes)
+    }
+
+    /// Records the pass that draws the G-buffer's batches, which are draws of `meshes`: none where it was uploaded.
+    pub(crate) fn record(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        meshes: &Meshes,
+        groups: [&wgpu::BindGroup; 2],
+        gbuffer: &GBuffer,
+        timer: Option<&Timer>,
+    ) {
+        if let Self::Device(pass) = self {
+            let timestamps = timer.map(|timer| timer.render_pass(Pass::Visibility));
+            pass.record(encoder, meshes, groups, gbuffer, timestamps);
+        }
+    }
+
+    /// The pass whose time the device measures.
+    pub(crate) const fn device_pass(&self) -> Option<Pass> {
+        match self {
+            Self::Device(_) => Some(Pass::Visibility),
+            Self::Host(_) => None,
+        }
+    }
+
+    /// The time that the host took for the frame, milliseconds.
+    pub(crate) const fn host_ms(&self) -> Option<f64> {
+        match self {
+            Self::Device(_) => None,
+            Self::Host(raster) => Some(raster.elapsed_ms),
+        }
+    }
+
+    /// Triangles that are rasterised for the frame.
+    pub(crate) fn triangles(&self, meshes: &Meshes, batches: &[DrawBatch]) -> u64 {
+        match self {
+            Self::Device(_) => batches.iter().map(|batch| meshes.triangles(&batch.draws)).sum(),
+            Self::Host(raster) => raster.triangles(),
+        }
+    }
+}
+
+/// The host backend; kept for its memory.
+#[derive(Debug, Default)]
+pub(crate) struct VisibilityRaster {
+    facets: Facets,
+    elapsed_ms: f64,
+}
+
+impl VisibilityRaster {
+    fn prepare(
+        &mut self,
+        gpu: &Gpu,
+        inputs: VisibilityInputs<'_>,
+        gbuffer: &mut GBuffer,
+        staging: &mut Option<StagingBuffer>,
+    ) -> Result<u64> {
+        let start = Instant::now();
+        let VisibilityInputs { scene, settings, selection, caster_grid, bands, .. } = inputs;
+        self.facets.find(scene, selection, settings, caster_grid, bands, inputs.bin_by_shadow_sources);
+        let bins = self.facets.groups();
+        gbuffer.batches = inputs.batches.to_vec();
+        for mesh in self.facets.meshes() {
+            for (bin, bounds) in mesh.groups.iter().zip(mesh.bounds) {
+                let batch = &mut gbuffer.batches[usize::from(bins.merge_bands(*bin))];
+                batch.bounds = batch.bounds.union(bounds);
+            }
+        }
+        let (bytes, has_holes) = self.rasterise(gpu, gbuffer, staging)?;
+        // Where every sample shows a surface, those that no other batch covers show the dome.
+        gbuffer.background = (!has_holes).then(|| Background {
+            radiance: scene.sky.radiance,
+            class: ClassId::SKY,
+            stencil: bins.dome() + 1,
+        });
+        gbuffer.batches.retain(|batch| has_holes || batch.bin != bins.dome());
+        self.elapsed_ms = milliseconds(start.elapsed());
+        Ok(bytes)
+    }
+
+    /// Rasterises in parts that fit into the staging buffer and uploads each. Returns the bytes that were uploaded, and whether
+    /// there is a sample without a surface.
+    fn rasterise(
+        &self,
+        gpu: &Gpu,
+        gbuffer: &mut GBuffer,
+        staging: &mut Option<StagingBuffer>,
+    ) -> Result<(u64, bool)> {
+        let [width, height] = gbuffer.sample_size;
+        // Rows are shared out to threads, and so begin with pages.
+        let bytes_of = |format: TextureFormat| {
+            (format.block_copy_size(None).unwrap_or(0) as usize * width as usize).next_multiple_of(PAGE_BYTES)
+        };
+        let slopes_bytes = gbuffer.slopes.as_ref().map_or(0, |_| bytes_of(SLOPES_FORMAT));
+        let each_bytes = [bytes_of(VISIBILITY_FORMAT), slopes_bytes];
+        let row_bytes = each_bytes[0] + each_bytes[1];
+        let rows_at_once = (STAGING_BYTES / row_bytes as u32).clamp(1, height);
+        let staging =
+            StagingBuffer::with_capacity(staging, gpu, "gbuffer/staging", row_bytes * rows_at_once as usize)?;
+        // Where there was a surface in the frame before there may be nothing but sky now.
+        let covered = self.facets.rows_of_things();
+        let before = std::mem::replace(&mut gbuffer.written_rows, covered.clone());
+        let written = [covered, before].into_iter().filter(|rows| !rows.is_empty());
+        let written = written.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end)).unwrap_or(0..0);
+        let mut stencil =
+            Stencil { values: gbuffer.host_stencil.take().unwrap_or_default(), has_holes: false };
+        stencil.restart(gbuffer.sample_size);
+        for first in (0..height).step_by(rows_at_once as usize) {
+            let rows = first..height.min(first + rows_at_once);
+            let uploaded = written.start.max(rows.start)..written.end.min(rows.end);
+            let mut draw = |pages: &mut dyn Iterator<Item = Page<'_>>| {
+                stencil.draw(&self.facets, width as usize, &rows, &uploaded, (pages, each_bytes));
+            };
+            if uploaded.is_empty() {
+                draw(&mut std::iter::empty());
+                continue;
+            }
+            staging.write(gpu, draw)?;
+            let size = [width, uploaded.len() as u32];
+            let part = TextureRegion { offset_bytes: 0, row_bytes, origin: [0, uploaded.start], size };
+            staging.copy_to(gpu, &gbuffer.visibility.0, &[part])?;
+            if let Some((slopes, _)) = &gbuffer.slopes {
+                staging.copy_to(gpu, slopes, &[TextureRegion { offset_bytes: each_bytes[0], ..part }])?;
+            }
+        }
+        gpu.guard(|| gpu.write_texels(&gbuffer.stencil.0, gbuffer.sample_size, &stencil.values))?;
+        let bytes = row_bytes as u64 * written.len() as u64 + stencil.values.len() as u64;
+        gbuffer.host_stencil = Some(stencil.values);
+        Ok((bytes, stencil.has_holes))
+    }
+
+    fn triangles(&self) -> u64 {
+        self.facets.meshes().iter().map(|mesh| mesh.facets.len() as u64).sum()
+    }
+}

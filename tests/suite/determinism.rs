@@ -7,9 +7,8 @@ use glam::Mat3;
 use regolith::frame::{Annotation, Frame};
 use regolith::gpu::Gpu;
 use regolith::gpu::staging::PAGE_BYTES;
-use regolith::render::gpu_scene::Ways;
 use regolith::render::select::selection::Selection;
-use regolith::render::{InFlight, RenderSettings, Renderer};
+use regolith::render::{InFlight, RasterBackend, RasterOptions, RenderSettings, Renderer};
 use regolith::scene::Scene;
 
 use crate::support::{folder, json, program, render, renderer, run_ok, scene};
@@ -121,7 +120,8 @@ fn all_planes(side: u32) -> RenderSettings {
 #[test]
 fn telling_apart_what_can_shade_changes_no_label_and_no_colour() {
     let mut renderer = renderer();
-    assert!(renderer.ways.by_shades, "the device of the tests is a CPU");
+    let raster = renderer.raster();
+    assert!(raster.bin_by_shadow_sources && raster.visibility == RasterBackend::Host, "a software adapter");
     let mut told_apart = 0;
     for (seed, set) in [
         (1, &[][..]),
@@ -133,12 +133,12 @@ fn telling_apart_what_can_shade_changes_no_label_and_no_colour() {
         (7, &["stage.name=surface", "sun.elevation_deg=8"]),
     ] {
         let scene = scene(seed, set);
-        renderer.ways.by_shades = false;
+        renderer.set_raster(RasterOptions { bin_by_shadow_sources: false, ..raster });
         let alike = renderer.render(&scene, &all_planes(192)).expect("a frame").0;
-        let groups = renderer.gpu_scene().draws.batches.len();
-        renderer.ways.by_shades = true;
+        let groups = renderer.last_cost().lighting_draws;
+        renderer.set_raster(raster);
         let apart = renderer.render(&scene, &all_planes(192)).expect("a frame").0;
-        told_apart += renderer.gpu_scene().draws.batches.len() - groups;
+        told_apart += renderer.last_cost().lighting_draws - groups;
         assert!(apart.class == alike.class && apart.instances == alike.instances, "seed {seed}: labels");
         assert!(apart.depth_m == alike.depth_m && apart.normals == alike.normals, "seed {seed}: geometry");
         assert!(
@@ -154,12 +154,12 @@ fn telling_apart_what_can_shade_changes_no_label_and_no_colour() {
 #[test]
 fn draws_in_one_command_or_one_by_one_change_no_plane() {
     let mut renderer = renderer();
-    let own = renderer.ways;
+    let own = renderer.raster();
     assert!(own.multi_draw, "the device of the tests takes many draws at once");
     for (seed, set) in [(1, &[][..]), (7, &["stage.name=surface"]), (9, &["camera.pitch_deg=60"])] {
         let scene = scene(seed, set);
         let mut frame = |multi_draw| {
-            renderer.ways = Ways { own_shadow_map: false, own_visibility: false, multi_draw, ..own };
+            renderer.set_raster(RasterOptions { multi_draw, ..on_device(own) });
             renderer.render(&scene, &all_planes(192)).expect("a frame").0
         };
         let (at_once, one_by_one) = (frame(true), frame(false));
@@ -176,7 +176,7 @@ fn draws_in_one_command_or_one_by_one_change_no_plane() {
             "seed {seed}: colours"
         );
     }
-    renderer.ways = own;
+    renderer.set_raster(own);
 }
 
 /// The first waits for the fewest programs.
@@ -187,11 +187,11 @@ fn a_first_frame_is_lit_by_fewer_programs_and_is_the_same() {
     let scene = scene(4, &["sun.elevation_deg=12"]);
     let mut frame = || {
         let frame = renderer.render(&scene, &all_planes(128)).expect("a frame").0;
-        (frame, renderer.gpu_scene().draws.batches.len())
+        (frame, renderer.last_cost().lighting_draws)
     };
     let ((first, few), (second, more)) = (frame(), frame());
     // A device that draws what is seen tells nothing apart.
-    let told_apart = few < more || !renderer.ways.own_visibility;
+    let told_apart = few < more || renderer.raster().visibility == RasterBackend::Device;
     assert!(told_apart, "{few} groups, then {more}");
     assert!(first.class == second.class && first.instances == second.instances, "labels");
     assert!(first.sun_occlusion == second.sun_occlusion && first.rgb == second.rgb, "shadows, colours");
@@ -202,12 +202,12 @@ fn a_first_frame_is_lit_by_fewer_programs_and_is_the_same() {
 #[test]
 fn a_frame_is_the_same_whatever_was_drawn_before_it() {
     let mut renderer = renderer();
-    let own = renderer.ways;
-    for ways in [own, Ways { own_shadow_map: false, own_visibility: false, ..own }] {
-        renderer.ways = ways;
+    let own = renderer.raster();
+    for raster in [own, on_device(own)] {
+        renderer.set_raster(raster);
         frames_are_the_same_whatever_was_drawn_before_them(&mut renderer);
     }
-    renderer.ways = own;
+    renderer.set_raster(own);
 }
 
 fn frames_are_the_same_whatever_was_drawn_before_them(renderer: &mut Renderer) {
@@ -226,7 +226,7 @@ fn frames_are_the_same_whatever_was_drawn_before_them(renderer: &mut Renderer) {
         for _ in 0..3 {
             let frame = renderer.render(&moving, &settings).expect("a frame").0;
             in_a_row.push((moving.clone(), frame));
-            given_bytes.push(renderer.gpu_scene().uploaded_bytes);
+            given_bytes.push(renderer.last_cost().uploaded_bytes);
             let drawn = Selection::new(&moving, &settings).rocks;
             let meshes_of = drawn.iter().map(|drawn| &moving.rocks[drawn.rock].vertices);
             meshes.push(meshes_of.map(|mesh| (Arc::as_ptr(mesh), mesh.len())).collect());
@@ -238,7 +238,8 @@ fn frames_are_the_same_whatever_was_drawn_before_them(renderer: &mut Renderer) {
         let vertices = moving.terrain.vertices.len() + meshes[0].values().sum::<usize>() - new;
         let page = if new > 0 { PAGE_BYTES as u64 } else { 0 };
         let given_less = given_bytes[2] + 16 * vertices as u64 <= given_bytes[0] + page;
-        assert!(renderer.ways.own_visibility || given_less, "seed {seed}: {given_bytes:?} bytes");
+        let is_host = renderer.raster().visibility == RasterBackend::Host;
+        assert!(is_host || given_less, "seed {seed}: {given_bytes:?} bytes");
         // The device has the ground, but not all rocks that it now is to draw.
         let built = moving.rocks.built().count();
         for axis in [&mut moving.camera.forward, &mut moving.camera.right, &mut moving.camera.up] {
@@ -270,11 +271,11 @@ fn frames_are_the_same_whatever_was_drawn_before_them(renderer: &mut Renderer) {
 fn a_large_picture_drawn_here_has_the_labels_that_the_device_draws() {
     let (scene, settings) = (scene(11, &[]), RenderSettings::new([1024, 1024], 4).expect("settings"));
     let mut renderer = renderer();
-    let ways = renderer.ways;
+    let raster = renderer.raster();
     let here = renderer.render(&scene, &settings).expect("a frame").0;
-    renderer.ways.own_visibility = false;
+    renderer.set_raster(RasterOptions { visibility: RasterBackend::Device, ..raster });
     let there = renderer.render(&scene, &settings).expect("a frame").0;
-    renderer.ways = ways;
+    renderer.set_raster(raster);
     let labels = share(&here.class, &there.class, |a, b| a != b);
     assert!(labels < 1e-5, "{labels} of the labels differ");
 }
@@ -282,8 +283,12 @@ fn a_large_picture_drawn_here_has_the_labels_that_the_device_draws() {
 #[test]
 fn what_is_drawn_here_is_what_the_device_draws() {
     let mut renderer = renderer();
-    let ways = renderer.ways;
-    assert!(ways.own_shadow_map && ways.own_visibility, "the device of the tests is a CPU");
+    let raster = renderer.raster();
+    assert_eq!(
+        (raster.visibility, raster.shadow),
+        (RasterBackend::Host, RasterBackend::Host),
+        "a software adapter"
+    );
     for (seed, set) in [
         (1, &[][..]),
         (2, &["sun.elevation_deg=3", "sun.azimuth_deg=10"]),
@@ -297,18 +302,20 @@ fn what_is_drawn_here_is_what_the_device_draws() {
         let scene = scene(seed, set);
         let settings = all_planes(192);
         let here = renderer.render(&scene, &settings).expect("a frame").0;
-        renderer.ways = Ways { own_shadow_map: false, own_visibility: false, ..ways };
+        renderer.set_raster(on_device(raster));
         let there = renderer.render(&scene, &settings).expect("a frame").0;
-        for (own_shadow_map, own_visibility) in [(true, false), (false, true)] {
-            renderer.ways = Ways { own_shadow_map, own_visibility, ..ways };
+        for (shadow, visibility) in
+            [(RasterBackend::Host, RasterBackend::Device), (RasterBackend::Device, RasterBackend::Host)]
+        {
+            renderer.set_raster(RasterOptions { visibility, shadow, ..raster });
             let mixed = renderer.render(&scene, &settings).expect("a frame").0;
-            let alike = if own_visibility { &here } else { &there };
+            let alike = if visibility == RasterBackend::Host { &here } else { &there };
             assert!(
                 mixed.class == alike.class && mixed.depth_m == alike.depth_m,
-                "seed {seed}: a way of each"
+                "seed {seed}: a backend of each"
             );
         }
-        renderer.ways = ways;
+        renderer.set_raster(raster);
         // Where the places of corners are rounded the other way, a sample of an outline or a texel of a shadow may differ, and
         // with it all that is reckoned of it.
         let labels = share(&here.class, &there.class, |a, b| a != b)
@@ -324,6 +331,11 @@ fn what_is_drawn_here_is_what_the_device_draws() {
         );
         assert!(hidden < 5e-4 && rgb < 5e-4, "seed {seed}: {hidden} of shadows, {rgb} of colours differ");
     }
+}
+
+/// The same options with the device as every stage's backend.
+const fn on_device(raster: RasterOptions) -> RasterOptions {
+    RasterOptions { visibility: RasterBackend::Device, shadow: RasterBackend::Device, ..raster }
 }
 
 /// Of how many of two lists' pairs something holds.

@@ -83,3 +83,24 @@ impl BindLayouts {
         }
     }
 }
+
+/// Bytes from one slot of a buffer of uniforms to the next: by WebGPU's default limits, dynamic offsets are multiples of 256.
+#[must_use]
+pub const fn slot_stride<T>() -> u32 {
+    size_of::<T>().next_multiple_of(256) as u32
+}
+
+/// A bind group of these resources, in the order of their bindings.
+#[must_use]
+pub fn bind_group(
+    gpu: &Gpu,
+    label: &str,
+    layout: &wgpu::BindGroupLayout,
+    resources: &[wgpu::BindingResource<'_>],
+) -> wgpu::BindGroup {
+    let entries: Vec<_> = (0..)
+        .zip(resources)
+        .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource: resource.clone() })
+        .collect();
+    gpu.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(label), layout, entries: &entries })
+}

@@ -13,13 +13,13 @@ use crate::gpu::readback::ReadbackBuffer;
 pub type StageTimes = Vec<(&'static str, f64)>;
 
 /// A duration in milliseconds.
-pub(in crate::render) fn milliseconds(duration: std::time::Duration) -> f64 {
+pub(crate) fn milliseconds(duration: std::time::Duration) -> f64 {
     duration.as_secs_f64() * 1e3
 }
 
 /// The passes that are timed, in their order.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::render) enum Pass {
+pub(crate) enum Pass {
     Shadow,
     Visibility,
     Lighting,
@@ -27,22 +27,27 @@ pub(in crate::render) enum Pass {
 }
 
 impl Pass {
-    const ALL: [(Self, &str); 4] = [
-        (Self::Shadow, "shadow"),
-        (Self::Visibility, "visibility"),
-        (Self::Lighting, "lighting"),
-        (Self::Resolve, "resolve"),
-    ];
+    const COUNT: usize = 4;
+
+    /// Name of its stage.
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Shadow => "shadow",
+            Self::Visibility => "visibility",
+            Self::Lighting => "lighting",
+            Self::Resolve => "resolve",
+        }
+    }
 }
 
-const QUERIES: u32 = 2 * Pass::ALL.len() as u32;
+const QUERIES: u32 = 2 * Pass::COUNT as u32;
 /// Bytes from the times of one pass to those of the next: queries are resolved to multiples of this.
 const PASS_BYTES: u64 = wgpu::QUERY_RESOLVE_BUFFER_ALIGNMENT;
-const BYTES: u64 = PASS_BYTES * Pass::ALL.len() as u64;
+const BYTES: u64 = PASS_BYTES * Pass::COUNT as u64;
 
 /// Timestamps at the start and end of every pass.
 #[derive(Debug)]
-pub(in crate::render) struct Timer {
+pub(crate) struct Timer {
     queries: wgpu::QuerySet,
     buffer: wgpu::Buffer,
     readback: ReadbackBuffer,
@@ -50,7 +55,7 @@ pub(in crate::render) struct Timer {
 
 impl Timer {
     /// `None` where the device has no timestamps.
-    pub(in crate::render) fn new(gpu: &Gpu) -> Option<Self> {
+    pub(crate) fn new(gpu: &Gpu) -> Option<Self> {
         gpu.device.features().contains(Features::TIMESTAMP_QUERY).then(|| Self {
             queries: gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
                 label: Some("timing/queries"),
@@ -67,7 +72,7 @@ impl Timer {
     }
 
     /// Of a stage that is two passes, the start of one and the end of the other.
-    pub(in crate::render) fn both_passes(
+    pub(crate) fn both_passes(
         &self,
         pass: Pass,
     ) -> (wgpu::RenderPassTimestampWrites<'_>, wgpu::ComputePassTimestampWrites<'_>) {
@@ -80,7 +85,7 @@ impl Timer {
         )
     }
 
-    pub(in crate::render) const fn render_pass(&self, pass: Pass) -> wgpu::RenderPassTimestampWrites<'_> {
+    pub(crate) const fn render_pass(&self, pass: Pass) -> wgpu::RenderPassTimestampWrites<'_> {
         wgpu::RenderPassTimestampWrites {
             query_set: &self.queries,
             beginning_of_pass_write_index: Some(2 * pass as u32),
@@ -88,7 +93,7 @@ impl Timer {
         }
     }
 
-    pub(in crate::render) const fn compute_pass(&self, pass: Pass) -> wgpu::ComputePassTimestampWrites<'_> {
+    pub(crate) const fn compute_pass(&self, pass: Pass) -> wgpu::ComputePassTimestampWrites<'_> {
         wgpu::ComputePassTimestampWrites {
             query_set: &self.queries,
             beginning_of_pass_write_index: Some(2 * pass as u32),
@@ -96,14 +101,10 @@ impl Timer {
         }
     }
 
-    /// Records the copy of the times to where the program can read them. `is_recorded` tells of each pass whether it was recorded:
-    /// a device waits for ever for one that was not.
-    pub(in crate::render) fn copy(
-        &self,
-        encoder: &mut wgpu::CommandEncoder,
-        is_recorded: impl Fn(Pass) -> bool,
-    ) {
-        for (pass, _) in Pass::ALL.into_iter().filter(|(pass, _)| is_recorded(*pass)) {
+    /// Records the copy of the times of `passes` to where the host can read them. They must be those that were recorded: a device
+    /// waits for ever for the timestamps of one that was not.
+    pub(crate) fn copy(&self, encoder: &mut wgpu::CommandEncoder, passes: &[Pass]) {
+        for &pass in passes {
             let queries = 2 * pass as u32..2 * pass as u32 + 2;
             encoder.resolve_query_set(&self.queries, queries, &self.buffer, PASS_BYTES * pass as u64);
         }
@@ -111,23 +112,20 @@ impl Timer {
     }
 
     /// Waits for the times of the passes that were recorded.
-    pub(in crate::render) fn read(
+    pub(crate) fn read(
         &self,
         gpu: &Gpu,
         submission: &wgpu::SubmissionIndex,
-        is_recorded: impl Fn(Pass) -> bool,
+        passes: &[Pass],
     ) -> Result<StageTimes> {
         let to_ms = f64::from(gpu.queue.get_timestamp_period()) * 1e-6;
         self.readback.read(gpu, submission, |bytes| {
             let tick = |at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap_or_default());
-            Pass::ALL
-                .into_iter()
-                .filter(|(pass, _)| is_recorded(*pass))
-                .map(|(pass, name)| {
-                    let at = PASS_BYTES as usize * pass as usize;
-                    (name, tick(at + 8).saturating_sub(tick(at)) as f64 * to_ms)
-                })
-                .collect()
+            let time = |&pass: &Pass| {
+                let at = PASS_BYTES as usize * pass as usize;
+                (pass.name(), tick(at + 8).saturating_sub(tick(at)) as f64 * to_ms)
+            };
+            passes.iter().map(time).collect()
         })
     }
 }

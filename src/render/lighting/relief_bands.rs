@@ -129,7 +129,7 @@ fn band(
 
 /// How much of something of this size samples so far apart can show. Twin of the function in `relief.wgsl`.
 #[inline(always)]
-pub(in crate::render) fn sample_share(size_m: f32, sample_m: f32) -> f32 {
+pub(crate) fn sample_share(size_m: f32, sample_m: f32) -> f32 {
     (0.5 * size_m / sample_m - 1.0).clamp(0.0, 1.0)
 }
 
@@ -172,7 +172,7 @@ fn lattice_uniforms(lattice: &Lattice, amount: f32) -> LatticeUniforms {
 impl LatticeUniforms {
     /// The lattice that [`lattice_uniforms`] was given.
     #[inline(always)]
-    pub(in crate::render) const fn lattice(&self) -> Lattice {
+    pub(crate) const fn lattice(&self) -> Lattice {
         let &Self { turn, phase, base, seed, cell_m, .. } = self;
         Lattice { cell_m, turn, base, phase, seed }
     }

@@ -14,7 +14,7 @@ use crate::scene::rocks::Rock;
 
 /// The rocks that have a pixel in the frame, by rising instance id. Scene and settings are those that were drawn, the size that
 /// of the picture.
-pub(in crate::render) fn rocks(
+pub(crate) fn rocks(
     scene: &Scene,
     settings: &RenderSettings,
     picture_size: [u32; 2],

@@ -67,7 +67,7 @@ impl Variant {
             samples_per_side: gbuffer.samples_per_side,
             annotated: gbuffer.annotations != Annotations::default(),
             distorted,
-            listed: gbuffer.is_given && !distorted,
+            listed: gbuffer.layout.has_host_stencil && !distorted,
         }
     }
 }
@@ -181,11 +181,17 @@ impl PackedFrame {
         }
     }
 
-    /// Chooses what is resolved, all of it unless it is known what the samples of an undistorted picture show; how many bytes the
-    /// device is given.
-    pub fn choose(&mut self, gpu: &Gpu, gbuffer: &GBuffer, shown: Option<SkyStencil<'_>>) -> u64 {
+    /// Lists the tiles to resolve: all of them, unless the host knows the stencil of an undistorted image. Returns the bytes that
+    /// were uploaded.
+    pub fn choose(&mut self, gpu: &Gpu, gbuffer: &GBuffer) -> u64 {
         let is_listed = Variant::new(gbuffer, self.size).listed;
-        self.work = TileList::new(self.size, shown.filter(|_| is_listed));
+        let sky = gbuffer.host_stencil.as_deref().zip(gbuffer.background.as_ref());
+        let sky = sky.map(|(stencil, background)| SkyStencil {
+            stencil,
+            dome: background.stencil,
+            samples_per_side: gbuffer.samples_per_side as usize,
+        });
+        self.work = TileList::new(self.size, sky.filter(|_| is_listed));
         if !is_listed {
             return 0;
         }

@@ -1,22 +1,22 @@
-//! The shadow-map pass: depth of all casters, fronts in one layer of an atlas and backs in the other, and of the two the map.
-//! A device that is a CPU is given the map as [`crate::render::shadow::host`] draws it.
+//! The device backend of shadows: depth of all casters, fronts in one layer of an atlas and backs in the other, then the midpoint
+//! map of the two.
+
+use std::ops::Range;
 
 use wgpu::TextureUsages;
 
 use crate::gpu::Gpu;
-use crate::render::device::bind_groups::{BindLayouts, SHADOW_MAP_FORMAT};
+use crate::render::device::bind_groups::{BindLayouts, SHADOW_MAP_FORMAT, bind_group};
+use crate::render::device::depth::{SHADOW_LAYERS_FORMAT, depth_state};
 use crate::render::device::shader_structs::{SHADOW, SHADOW_MIDPOINT};
-use crate::render::gpu_scene::GpuScene;
-use crate::render::lighting::gbuffer::{ATLAS_FORMAT, depth_state};
-use crate::render::visibility::meshes::vertex_layout;
+use crate::render::visibility::meshes::{Meshes, vertex_layout};
 
-/// Columns and rows of texels that a group of invocations makes of the map; they stand in `shadow_midpoint.wgsl` too.
-const GROUP_PX: u32 = 8;
+/// Columns and rows of texels that a workgroup of `shadow_midpoint.wgsl` makes of the map; the shader has the same constant.
+const WORKGROUP_PX: u32 = 8;
 
-/// What the pass draws, and with what.
+/// The passes, and the map that they draw.
 #[derive(Debug, Default)]
-pub(in crate::render) struct ShadowPass {
-    /// Once a map was to be drawn.
+pub(crate) struct ShadowPass {
     pipelines: Option<Pipelines>,
     map: Option<Map>,
 }
@@ -24,7 +24,7 @@ pub(in crate::render) struct ShadowPass {
 #[derive(Debug)]
 struct Pipelines {
     layers: [wgpu::RenderPipeline; 2],
-    middle: wgpu::ComputePipeline,
+    midpoint: wgpu::ComputePipeline,
 }
 
 /// The map, and the layers that it is made of.
@@ -32,63 +32,51 @@ struct Pipelines {
 struct Map {
     /// Columns and rows of the map and of each layer.
     size_px: [u32; 2],
-    texture: wgpu::Texture,
     view: wgpu::TextureView,
-    /// Unless the map is given: fronts above backs, and how the map is made of them.
-    drawn: Option<(wgpu::TextureView, wgpu::BindGroup)>,
+    /// Depth of the fronts, above that of the backs.
+    layers: wgpu::TextureView,
+    /// Bind group of the compute pass that makes the map of the layers.
+    midpoint_group: wgpu::BindGroup,
 }
 
 impl ShadowPass {
-    /// Makes the map with exactly so many columns and rows, unless it is there. Not a larger one: if the device is to draw it,
-    /// places in it would be rounded otherwise, and the frame would depend on those before it.
-    pub(in crate::render) fn prepare(
-        &mut self,
-        gpu: &Gpu,
-        layouts: &BindLayouts,
-        size_px: [u32; 2],
-        is_given: bool,
-    ) {
-        let serves = |map: &Map| map.size_px == size_px && map.drawn.is_none() == is_given;
-        if !self.map.as_ref().is_some_and(serves) {
-            self.map = Some(Map::new(gpu, layouts, size_px, is_given));
+    /// Compiles the pipelines, unless they are there, and makes a map of exactly so many columns and rows. Not a larger one:
+    /// positions in it would be rounded otherwise, and a frame would depend on those before it.
+    pub(crate) fn prepare(&mut self, gpu: &Gpu, layouts: &BindLayouts, size_px: [u32; 2]) {
+        if !self.map.as_ref().is_some_and(|map| map.size_px == size_px) {
+            self.map = Some(Map::new(gpu, layouts, size_px));
         }
-        if !is_given {
-            self.pipelines.get_or_insert_with(|| Pipelines::new(gpu, layouts));
-        }
-    }
-
-    /// The map, which parts may be copied to if it is given.
-    ///
-    /// # Panics
-    /// Before [`Self::prepare`].
-    pub(in crate::render) fn texture(&self) -> &wgpu::Texture {
-        &self.map.as_ref().expect("a map is prepared before it is used").texture
+        self.pipelines.get_or_insert_with(|| Pipelines::new(gpu, layouts));
     }
 
     /// The map.
     ///
     /// # Panics
     /// Before [`Self::prepare`].
-    pub(in crate::render) fn map(&self) -> &wgpu::TextureView {
+    pub(crate) fn map(&self) -> &wgpu::TextureView {
         &self.map.as_ref().expect("a map is prepared before it is used").view
     }
 
-    /// Records the pass, unless the map was given. `timestamps` are those of its start and of its end.
-    pub(in crate::render) fn record(
+    /// Records the passes. `timestamps` are those of the start of the first and of the end of the last.
+    ///
+    /// # Panics
+    /// Before [`Self::prepare`].
+    pub(crate) fn record(
         &self,
         encoder: &mut wgpu::CommandEncoder,
-        scene: &GpuScene,
+        meshes: &Meshes,
+        casters: &Range<usize>,
         groups: [&wgpu::BindGroup; 2],
         timestamps: Option<(wgpu::RenderPassTimestampWrites<'_>, wgpu::ComputePassTimestampWrites<'_>)>,
     ) {
-        let Some(Map { size_px, drawn: Some((layers, making)), .. }) = &self.map else { return };
+        let map = self.map.as_ref().expect("a map is prepared before it is drawn");
         let pipelines = self.pipelines.as_ref().expect("a pass is prepared before it is recorded");
         let (start, end) = timestamps.unzip();
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("shadow"),
             color_attachments: &[],
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                view: layers,
+                view: &map.layers,
                 depth_ops: Some(wgpu::Operations {
                     load: wgpu::LoadOp::Clear(0.0),
                     store: wgpu::StoreOp::Store,
@@ -103,16 +91,16 @@ impl ShadowPass {
         pass.set_bind_group(1, instances, &[0, 0]);
         for pipeline in &pipelines.layers {
             pass.set_pipeline(pipeline);
-            scene.meshes.record(&mut pass, &scene.draws.casters);
+            meshes.record(&mut pass, casters);
         }
         drop(pass);
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
             label: Some("shadow/map"),
             timestamp_writes: end,
         });
-        pass.set_pipeline(&pipelines.middle);
-        pass.set_bind_group(2, making, &[]);
-        let [columns, rows] = size_px.map(|side| side.div_ceil(GROUP_PX));
+        pass.set_pipeline(&pipelines.midpoint);
+        pass.set_bind_group(2, &map.midpoint_group, &[]);
+        let [columns, rows] = map.size_px.map(|side| side.div_ceil(WORKGROUP_PX));
         pass.dispatch_workgroups(columns, rows, 1);
     }
 }
@@ -139,7 +127,7 @@ impl Pipelines {
                     buffers: &[Some(vertex_layout(1))],
                 },
                 primitive: wgpu::PrimitiveState { cull_mode: Some(cull), ..Default::default() },
-                depth_stencil: Some(depth_state(ATLAS_FORMAT)),
+                depth_stencil: Some(depth_state(SHADOW_LAYERS_FORMAT)),
                 multisample: wgpu::MultisampleState::default(),
                 fragment: None,
                 multiview_mask: None,
@@ -153,7 +141,7 @@ impl Pipelines {
             bind_group_layouts: &[None, None, Some(&layouts.layers)],
             immediate_size: 0,
         });
-        let middle = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        let midpoint = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some("shadow/map"),
             layout: Some(&layout),
             module: &SHADOW_MIDPOINT.compile(gpu),
@@ -161,32 +149,19 @@ impl Pipelines {
             compilation_options: wgpu::PipelineCompilationOptions::default(),
             cache: gpu.pipeline_cache(),
         });
-        Self { layers, middle }
+        Self { layers, midpoint }
     }
 }
 
 impl Map {
-    fn new(gpu: &Gpu, layouts: &BindLayouts, size_px: [u32; 2], is_given: bool) -> Self {
-        let filled = if is_given { TextureUsages::COPY_DST } else { TextureUsages::STORAGE_BINDING };
-        let (texture, view) =
-            gpu.texture("shadow/map", size_px, SHADOW_MAP_FORMAT, filled | TextureUsages::TEXTURE_BINDING);
-        let drawn = (!is_given).then(|| {
-            let size = [size_px[0], 2 * size_px[1]];
-            let usage = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
-            let (_, layers) = gpu.texture("shadow/layers", size, ATLAS_FORMAT, usage);
-            let making = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: Some("shadow/map"),
-                layout: &layouts.layers,
-                entries: &[
-                    wgpu::BindGroupEntry {
-                        binding: 0,
-                        resource: wgpu::BindingResource::TextureView(&layers),
-                    },
-                    wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::TextureView(&view) },
-                ],
-            });
-            (layers, making)
-        });
-        Self { size_px, texture, view, drawn }
+    fn new(gpu: &Gpu, layouts: &BindLayouts, size_px: [u32; 2]) -> Self {
+        let usage = TextureUsages::STORAGE_BINDING | TextureUsages::TEXTURE_BINDING;
+        let (_, view) = gpu.texture("shadow/map", size_px, SHADOW_MAP_FORMAT, usage);
+        let layers_px = [size_px[0], 2 * size_px[1]];
+        let usage = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
+        let (_, layers) = gpu.texture("shadow/layers", layers_px, SHADOW_LAYERS_FORMAT, usage);
+        let textures = [&layers, &view].map(wgpu::BindingResource::TextureView);
+        let midpoint_group = bind_group(gpu, "shadow/map", &layouts.layers, &textures);
+        Self { size_px, view, layers, midpoint_group }
     }
 }

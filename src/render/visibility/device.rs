@@ -1,26 +1,25 @@
-//! The visibility pass: which thing each sample shows, and by which draw of the lighting pass it is lit.
-//! A device that is a CPU is given it as [`crate::render::visibility::host`] draws it.
+//! The device backend of visibility: one render pass writes the visible surface of each sample, and one more than its shading bin
+//! to the stencil.
 
 use crate::gpu::Gpu;
 use crate::render::device::bind_groups::BindLayouts;
+use crate::render::device::depth::{DEPTH_STENCIL_FORMAT, depth_state};
 use crate::render::device::shader_structs::VISIBILITY;
 use crate::render::device::shading_bins::LightingVariant;
-use crate::render::gpu_scene::GpuScene;
-use crate::render::lighting::gbuffer::{DEPTH_FORMAT, GBuffer, VISIBILITY_FORMAT, depth_state};
-use crate::render::visibility::meshes::vertex_layout;
+use crate::render::lighting::gbuffer::{GBuffer, VISIBILITY_FORMAT};
+use crate::render::visibility::meshes::{Meshes, vertex_layout};
 
-/// What the pass draws with.
+/// The pass.
 #[derive(Debug, Default)]
-pub(in crate::render) struct VisibilityPass {
-    /// Once the pass was to be drawn.
+pub(crate) struct VisibilityPass {
     pipelines: Option<Pipelines>,
 }
 
 #[derive(Debug)]
 struct Pipelines {
-    /// Of things, which are seen from outside, and of the sky, whose dome is seen from inside; of it nothing is written but depth
-    /// and stencil.
-    things: wgpu::RenderPipeline,
+    /// Of ground and rocks, with back-face culling.
+    surfaces: wgpu::RenderPipeline,
+    /// Of the sky, whose dome is seen from inside: writes nothing but depth and stencil.
     sky: wgpu::RenderPipeline,
 }
 
@@ -43,7 +42,7 @@ impl Pipelines {
                     buffers: &[Some(vertex_layout(2))],
                 },
                 primitive: wgpu::PrimitiveState { cull_mode, ..Default::default() },
-                depth_stencil: Some(depth_state(DEPTH_FORMAT)),
+                depth_stencil: Some(depth_state(DEPTH_STENCIL_FORMAT)),
                 multisample: wgpu::MultisampleState::default(),
                 fragment: Some(wgpu::FragmentState {
                     module: &module,
@@ -56,7 +55,7 @@ impl Pipelines {
             })
         };
         Self {
-            things: pipeline("fs_main", Some(wgpu::Face::Back), wgpu::ColorWrites::ALL),
+            surfaces: pipeline("fs_main", Some(wgpu::Face::Back), wgpu::ColorWrites::ALL),
             sky: pipeline("fs_sky", None, wgpu::ColorWrites::empty()),
         }
     }
@@ -64,15 +63,15 @@ impl Pipelines {
 
 impl VisibilityPass {
     /// Compiles the pass, unless it is there.
-    pub(in crate::render) fn prepare(&mut self, gpu: &Gpu, layouts: &BindLayouts) {
+    pub(crate) fn prepare(&mut self, gpu: &Gpu, layouts: &BindLayouts) {
         self.pipelines.get_or_insert_with(|| Pipelines::new(gpu, layouts));
     }
 
     /// Records the pass.
-    pub(in crate::render) fn record(
+    pub(crate) fn record(
         &self,
         encoder: &mut wgpu::CommandEncoder,
-        scene: &GpuScene,
+        meshes: &Meshes,
         groups: [&wgpu::BindGroup; 2],
         gbuffer: &GBuffer,
         timestamps: Option<wgpu::RenderPassTimestampWrites<'_>>,
@@ -89,7 +88,7 @@ impl VisibilityPass {
                 },
             })],
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                view: &gbuffer.depth_stencil.1,
+                view: &gbuffer.stencil.1,
                 depth_ops: Some(wgpu::Operations {
                     load: wgpu::LoadOp::Clear(0.0),
                     store: wgpu::StoreOp::Discard,
@@ -106,11 +105,11 @@ impl VisibilityPass {
         let [frame, instances] = groups;
         pass.set_bind_group(0, frame, &[]);
         pass.set_bind_group(1, instances, &[0, 0]);
-        for seen in &scene.draws.batches {
-            let pipeline = if seen.lit == LightingVariant::Sky { &pipelines.sky } else { &pipelines.things };
-            pass.set_pipeline(pipeline);
-            pass.set_stencil_reference(u32::from(seen.group) + 1);
-            scene.meshes.record(&mut pass, &seen.draws);
+        for batch in &gbuffer.batches {
+            let is_sky = batch.variant == LightingVariant::Sky;
+            pass.set_pipeline(if is_sky { &pipelines.sky } else { &pipelines.surfaces });
+            pass.set_stencil_reference(u32::from(batch.bin) + 1);
+            meshes.record(&mut pass, &batch.draws);
         }
     }
 }

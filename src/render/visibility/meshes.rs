@@ -16,6 +16,7 @@ use crate::gpu::Gpu;
 use crate::gpu::growing_buffer::GrowingBuffer;
 use crate::gpu::staging::{PAGE_BYTES, Page};
 use crate::render::raster::{VERTICES, by_axis};
+use crate::render::select::draw_list::{MeshDraw, MeshRef};
 use crate::render::select::ground_blocks::ground_blocks;
 use crate::render::select::selection::Selection;
 use crate::reuse::Reused;
@@ -76,7 +77,7 @@ const VERTEX_ATTRIBUTES: [wgpu::VertexAttribute; 2] =
     wgpu::vertex_attr_array![0 => Float32x3, 1 => Snorm16x2];
 
 /// Layout of the vertex buffer for a shader that reads the first `attributes` of position and normal.
-pub(in crate::render) fn vertex_layout(attributes: usize) -> wgpu::VertexBufferLayout<'static> {
+pub(crate) fn vertex_layout(attributes: usize) -> wgpu::VertexBufferLayout<'static> {
     wgpu::VertexBufferLayout {
         array_stride: VERTEX_BYTES,
         step_mode: wgpu::VertexStepMode::Vertex,
@@ -93,10 +94,10 @@ pub struct Meshes {
     /// Triangles of the icosphere's levels, then of the ground's blocks.
     indices: GrowingBuffer,
     index_format: IndexFormat,
-    /// The draws of a picture, one group after the other.
+    /// The draws of the frame, as in its draw list.
     draws: Vec<Draw>,
-    /// The same, if the device takes many at once.
-    many: Option<GrowingBuffer>,
+    /// The same, for indirect drawing.
+    indirect: Option<GrowingBuffer>,
     /// Index ranges of the icosphere's levels, and of the ground's blocks with the first vertex of each.
     levels: Vec<Range<u32>>,
     blocks: Vec<(Range<u32>, i32)>,
@@ -117,7 +118,7 @@ impl Default for Meshes {
             indices: GrowingBuffer::new("scene/indices", BufferUsages::INDEX),
             index_format: IndexFormat::Uint16,
             draws: Vec::new(),
-            many: None,
+            indirect: None,
             levels: Vec::new(),
             blocks: Vec::new(),
             cells: [0; 3],
@@ -130,51 +131,56 @@ impl Default for Meshes {
 
 impl Meshes {
     /// Has the device hold the meshes of a picture of a scene, and says how many bytes it was given for that.
-    pub(in crate::render) fn upload(&mut self, gpu: &Gpu, scene: &Scene, selection: &Selection) -> u64 {
+    pub(crate) fn upload(&mut self, gpu: &Gpu, scene: &Scene, selection: &Selection) -> u64 {
         self.upload_indices(gpu, &scene.terrain) + self.upload_vertices(gpu, scene, selection)
     }
 
-    /// The draw of a rock of the picture at a level, as the instance in a slot.
-    pub(in crate::render) fn rock(&self, rock: usize, level: usize, slot: u32) -> Draw {
-        self.sphere(level, self.rocks[rock].1, slot..slot + 1)
-    }
-
-    /// The draw of unit spheres.
-    pub(in crate::render) fn unit_spheres(&self, level: usize, slots: Range<u32>) -> Draw {
-        self.sphere(level, 0, slots)
-    }
-
-    fn sphere(&self, level: usize, base_vertex: i32, slots: Range<u32>) -> Draw {
-        draw(&self.levels[level], base_vertex, slots)
-    }
-
-    /// The draw of a block of the ground, by its place in [`ground_blocks`].
-    pub(in crate::render) fn block(&self, block: usize, slot: u32) -> Draw {
-        let (indices, first_vertex) = &self.blocks[block];
-        draw(indices, self.ground + first_vertex, slot..slot + 1)
-    }
-
-    /// Sets what is to be drawn, and says how many bytes the device was given for that.
-    pub(in crate::render) fn set_draws(&mut self, gpu: &Gpu, draws: Vec<Draw>, many_at_once: bool) -> u64 {
-        self.draws = draws;
-        if !many_at_once {
-            self.many = None;
+    /// Sets what is to be drawn, and returns how many bytes were uploaded for that. With `multi_draw`, the device reads the draws
+    /// from a buffer.
+    pub(crate) fn set_draws(&mut self, gpu: &Gpu, draws: &[MeshDraw], multi_draw: bool) -> u64 {
+        self.draws = draws.iter().map(|draw| self.indexed_draw(draw)).collect();
+        if !multi_draw {
+            self.indirect = None;
             return 0;
         }
-        let many = self.many.get_or_insert_with(|| GrowingBuffer::new("scene/draws", BufferUsages::INDIRECT));
-        many.write(gpu, &self.draws)
+        let indirect =
+            self.indirect.get_or_insert_with(|| GrowingBuffer::new("scene/draws", BufferUsages::INDIRECT));
+        indirect.write(gpu, &self.draws)
+    }
+
+    fn indexed_draw(&self, draw: &MeshDraw) -> Draw {
+        let (indices, base_vertex) = match draw.mesh {
+            MeshRef::Rock { rock, level } => (&self.levels[level], self.rocks[rock].1),
+            MeshRef::Block(block) => {
+                let (indices, first_vertex) = &self.blocks[block];
+                (indices, self.ground + first_vertex)
+            }
+            MeshRef::UnitSphere(level) => (&self.levels[level], 0),
+        };
+        Draw {
+            index_count: indices.len() as u32,
+            instance_count: draw.slots.len() as u32,
+            first_index: indices.start,
+            base_vertex,
+            first_instance: draw.slots.start,
+        }
+    }
+
+    /// Triangles of some of the draws.
+    pub(crate) fn triangles(&self, draws: &Range<usize>) -> u64 {
+        self.draws[draws.clone()].iter().map(Draw::triangles).sum()
     }
 
     /// Records some of them.
-    pub(in crate::render) fn record(&self, pass: &mut wgpu::RenderPass<'_>, draws: &Range<usize>) {
+    pub(crate) fn record(&self, pass: &mut wgpu::RenderPass<'_>, draws: &Range<usize>) {
         if draws.is_empty() {
             return;
         }
         pass.set_vertex_buffer(0, self.vertices.buffer().slice(..));
         pass.set_index_buffer(self.indices.buffer().slice(..), self.index_format);
-        if let Some(many) = &self.many {
+        if let Some(indirect) = &self.indirect {
             let first = (draws.start * size_of::<Draw>()) as u64;
-            pass.multi_draw_indexed_indirect(many.buffer(), first, draws.len() as u32);
+            pass.multi_draw_indexed_indirect(indirect.buffer(), first, draws.len() as u32);
             return;
         }
         for draw in &self.draws[draws.clone()] {
@@ -271,16 +277,6 @@ impl Meshes {
             return self.upload_vertices(gpu, scene, selection);
         }
         bytes as u64
-    }
-}
-
-fn draw(indices: &Range<u32>, base_vertex: i32, slots: Range<u32>) -> Draw {
-    Draw {
-        index_count: indices.len() as u32,
-        instance_count: slots.len() as u32,
-        first_index: indices.start,
-        base_vertex,
-        first_instance: slots.start,
     }
 }
 

@@ -1,0 +1,117 @@
+//! Which backend rasterises: the device, or the CPU rasteriser of this program (the host).
+//!
+//! The host backend exists because a software adapter runs every stage of a pipeline on the CPU anyway, and slower than the CPU
+//! rasteriser does. Labels agree to within the rounding of vertex positions.
+//! Must not know: a scene, a pass.
+
+use std::fmt;
+use std::str::FromStr;
+
+use crate::error::{Error, Result};
+use crate::gpu::Gpu;
+
+/// The backend that is asked for (`--raster`).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum RasterMode {
+    /// The host on a software adapter, the device on any other.
+    #[default]
+    Auto,
+    /// The device.
+    Device,
+    /// The host.
+    Host,
+}
+
+impl RasterMode {
+    const NAMES: [(&'static str, Self); 3] =
+        [("auto", Self::Auto), ("device", Self::Device), ("host", Self::Host)];
+}
+
+impl FromStr for RasterMode {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        let found = Self::NAMES.iter().find(|(name, _)| *name == text);
+        found.map(|(_, mode)| *mode).ok_or_else(|| "allowed are auto, device and host".to_owned())
+    }
+}
+
+impl fmt::Display for RasterMode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let name = Self::NAMES.iter().find(|(_, mode)| mode == self).map_or("", |(name, _)| *name);
+        f.write_str(name)
+    }
+}
+
+/// The backend of one stage.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RasterBackend {
+    /// Render passes on the device.
+    Device,
+    /// The CPU rasteriser; the device gets its result by upload.
+    Host,
+}
+
+/// How a renderer rasterises.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RasterOptions {
+    /// Backend of the visibility stage.
+    pub visibility: RasterBackend,
+    /// Backend of the shadow stage.
+    pub shadow: RasterBackend,
+    /// The host bins visible triangles by what can shade them, so that each bin is lit by a pipeline that does no more than it
+    /// needs. Changes no bit of any plane.
+    pub bin_by_shadow_sources: bool,
+    /// The device takes all draws of a batch in one indirect command. Changes no bit of any plane.
+    pub multi_draw: bool,
+}
+
+impl RasterOptions {
+    /// Options of a mode on a device.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for [`RasterMode::Host`] on a device to whose stencil textures nothing can be copied.
+    pub fn new(mode: RasterMode, gpu: &Gpu) -> Result<Self> {
+        let backend = |is_host| if is_host { RasterBackend::Host } else { RasterBackend::Device };
+        let (shadow, visibility) = match mode {
+            RasterMode::Auto => {
+                let is_software = gpu.capabilities.software_adapter;
+                (backend(is_software), backend(is_software && gpu.capabilities.stencil_upload))
+            }
+            RasterMode::Device => (RasterBackend::Device, RasterBackend::Device),
+            RasterMode::Host if !gpu.capabilities.stencil_upload => {
+                return Err(Error::Usage(format!(
+                    "--raster host: {} ({}) cannot copy to stencil textures; use --raster auto or device",
+                    gpu.info.name, gpu.info.backend,
+                )));
+            }
+            RasterMode::Host => (RasterBackend::Host, RasterBackend::Host),
+        };
+        Ok(Self { visibility, shadow, bin_by_shadow_sources: true, multi_draw: gpu.capabilities.multi_draw })
+    }
+
+    /// Name for records: `device` or `host`; `mixed` where the device rasterises visibility and the host shadows, or the other
+    /// way round.
+    #[must_use]
+    pub const fn name(&self) -> &'static str {
+        match (self.visibility, self.shadow) {
+            (RasterBackend::Device, RasterBackend::Device) => "device",
+            (RasterBackend::Host, RasterBackend::Host) => "host",
+            _ => "mixed",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn modes_are_read_as_they_are_written() {
+        for (name, mode) in RasterMode::NAMES {
+            assert_eq!(name.parse(), Ok(mode));
+            assert_eq!(mode.to_string(), name);
+        }
+        assert!("cpu".parse::<RasterMode>().is_err());
+    }
+}

@@ -1,0 +1,235 @@
+//! The plan of a frame: everything that is decided before anything is written to the device. Plain data.
+//!
+//! A plan is a function of scene, settings and options alone. It is kept from frame to frame for its memory, and for the two
+//! results that frames under an unmoved sun share: horizon map and bounced light.
+//! Must not know: a device.
+
+use std::sync::{Arc, Weak};
+
+use glam::Mat4;
+
+use crate::class::ClassId;
+use crate::frame::Annotation;
+use crate::render::backend::RasterOptions;
+use crate::render::device::packing::Packing;
+use crate::render::device::shader_structs::{CasterTile, FrameUniforms, HorizonLevel, Instance};
+use crate::render::device::shading_bins::ShadingBins;
+use crate::render::lighting::relief_bands::Bands;
+use crate::render::resolve::pass;
+use crate::render::select::caster_grid::{CasterGrids, caster_grid};
+use crate::render::select::draw_list::DrawList;
+use crate::render::select::footprint::Footprint;
+use crate::render::select::selection::{Selection, Slots};
+use crate::render::settings::RenderSettings;
+use crate::render::shadow::horizon::{self, HorizonMap};
+use crate::reuse::Reused;
+use crate::scene::Scene;
+use crate::scene::bounce::{Bounce, rms_slope};
+use crate::scene::photometry::Photometry;
+use crate::scene::terrain::Terrain;
+
+/// What a frame consists of.
+#[derive(Debug)]
+pub(crate) struct FramePlan {
+    /// What is in view and what casts shadows into it, with levels of detail.
+    pub(crate) selection: Selection,
+    /// Columns and rows of the shadow map.
+    pub(crate) shadow_map_px: [u32; 2],
+    /// Horizon of the ground towards the sun.
+    pub(crate) horizon: HorizonMap,
+    /// Whether the horizon differs from that of the plan before.
+    pub(crate) is_horizon_new: bool,
+    /// Which casters can shade each cell of the ground ([`caster_grid`]).
+    pub(crate) caster_grid: Reused<u32>,
+    /// Tile of each caster in the shadow map.
+    pub(crate) caster_tiles: Vec<CasterTile>,
+    /// Relief below the mesh, by distance.
+    pub(crate) bands: Bands,
+    /// Instances, by slot.
+    pub(crate) instances: Vec<Instance>,
+    /// What the device draws, and the batches of the shading bins.
+    pub(crate) draws: DrawList,
+    /// Uniforms of the frame.
+    pub(crate) uniforms: FrameUniforms,
+    bounce: BounceCache,
+}
+
+/// Light that sunlit ground bounces, and what it was computed from: ground, laws, sine of the sun's elevation.
+#[derive(Debug, Default)]
+struct BounceCache {
+    key: Option<(Weak<Terrain>, Photometry, f32)>,
+    bounce: Bounce,
+}
+
+impl BounceCache {
+    fn get(&mut self, scene: &Scene) -> Bounce {
+        let (laws, sine) = (scene.photometry, scene.sun.direction.z);
+        let is_cached = self.key.as_ref().is_some_and(|(terrain, cached_laws, cached_sine)| {
+            terrain.as_ptr() == Arc::as_ptr(&scene.terrain) && *cached_laws == laws && *cached_sine == sine
+        });
+        if !is_cached {
+            self.bounce = Bounce::new(&laws, rms_slope(&scene.terrain), f64::from(sine));
+            self.key = Some((Arc::downgrade(&scene.terrain), laws, sine));
+        }
+        self.bounce
+    }
+}
+
+impl FramePlan {
+    /// Plans a frame. `previous` gives its memory, and what it shares with this one. `image_size` is that of the image, which is
+    /// smaller than the settings' where a lens distorts it. `place_tiles` gives the casters' tiles their origins in the shadow map
+    /// and returns its size: the shadow backend does, which may keep tiles of frames before.
+    pub(crate) fn new(
+        previous: Option<Self>,
+        scene: &Scene,
+        settings: &RenderSettings,
+        image_size: [u32; 2],
+        options: &RasterOptions,
+        place_tiles: impl FnOnce(&mut Selection) -> [u32; 2],
+    ) -> Self {
+        let (mut horizon, mut bounce) =
+            previous.map_or_else(Default::default, |previous| (previous.horizon, previous.bounce));
+        let mut selection = Selection::new(scene, settings);
+        let shadow_map_px = place_tiles(&mut selection);
+        let footprint = Footprint::new(scene, &selection);
+        let is_horizon_new = horizon.update(&scene.terrain, &scene.sun, &footprint);
+        let casters = &selection.casters;
+        let caster_grid = caster_grid(scene, casters, horizon.shadowed_ground(), &footprint);
+        let caster_tiles = casters.iter().map(|caster| caster.tile).collect();
+        let bands = Bands::new(scene, &selection, settings);
+        let bins = ShadingBins::new(bands.bands.len());
+        let slots = selection.slots();
+        let band_of_block = |block| bands.of_block(block);
+        let draws = DrawList::new(scene, settings, slots, bins, band_of_block, options);
+        let bounced = bounce.get(scene);
+        Self {
+            shadow_map_px,
+            is_horizon_new,
+            caster_grid,
+            caster_tiles,
+            instances: instances(scene, settings, slots),
+            draws,
+            uniforms: frame_uniforms(scene, settings, image_size, &horizon, shadow_map_px, &bounced),
+            bands,
+            selection,
+            horizon,
+            bounce,
+        }
+    }
+}
+
+/// The instances of a frame, by slot: ground, rocks, stars, dome.
+fn instances(scene: &Scene, settings: &RenderSettings, slots: Slots<'_>) -> Vec<Instance> {
+    let selection = slots.selection();
+    let photometry = &scene.photometry;
+    let (soil_surge, rock_surge) = (photometry.soil.b_s0 as f32, photometry.rock_b_s0 as f32);
+    let at_normal = |surge: f32| photometry.at_normal(f64::from(surge)) as f32;
+    let focal_px = scene.camera.focal_px(settings.size[0]) as f32;
+    let mut instances = vec![Instance {
+        scale: 1.0,
+        colour: scene.regolith.albedo / at_normal(soil_surge),
+        surge: soil_surge,
+        roughness: scene.regolith.roughness,
+        class_id: ClassId::REGOLITH.0.into(),
+        ..Default::default()
+    }];
+    let rock_at_normal = at_normal(rock_surge);
+    instances.extend(selection.rocks.iter().map(|selected| {
+        let rock = &scene.rocks[selected.rock];
+        let counts = scene.label_rule.counts(rock, scene.camera.eye, focal_px);
+        let tile = selected.caster.map_or_else(Default::default, |(tile, _)| selection.casters[tile].tile);
+        Instance {
+            origin: rock.centre,
+            scale: 1.0,
+            colour: rock.material.albedo / rock_at_normal,
+            roughness: rock.material.roughness,
+            class_id: if counts { ClassId::ROCK } else { ClassId::REGOLITH }.0.into(),
+            instance_id: if counts { rock.index + 1 } else { 0 },
+            surge: rock_surge,
+            tile_half_extent_m: tile.half_extent_m,
+            dust: scene.regolith.albedo / rock_at_normal,
+            dust_above: rock.dust_above,
+            tile_origin_px: tile.origin_px,
+            tile_size_px: tile.size_px,
+            reserved: 0,
+        }
+    }));
+    let in_sky = |origin, scale, colour| Instance {
+        origin,
+        scale,
+        colour,
+        class_id: ClassId::SKY.0.into(),
+        ..Default::default()
+    };
+    instances.extend(selection.stars.iter().map(|&star| {
+        let star = scene.sky.stars[star];
+        in_sky(star.centre, star.radius_m, scene.sky.star_radiance)
+    }));
+    instances.push(in_sky(scene.sky.centre, scene.sky.radius_m, scene.sky.radiance));
+    instances
+}
+
+fn frame_uniforms(
+    scene: &Scene,
+    settings: &RenderSettings,
+    image_size: [u32; 2],
+    horizon: &HorizonMap,
+    [atlas_width_px, atlas_layer_px]: [u32; 2],
+    bounce: &Bounce,
+) -> FrameUniforms {
+    let (camera, sun) = (&scene.camera, &scene.sun);
+    let [sun_right, sun_up] = sun.right_and_up();
+    let clip_from_offset = camera.clip_from_world(settings.size) * Mat4::from_translation(camera.eye);
+    let packing = Packing::new(image_size, settings.annotations);
+    let lens = camera.lens;
+    let grids = CasterGrids::new(&scene.terrain);
+    let photometry = &scene.photometry;
+    let exitance = photometry.exitance(f64::from(sun.direction.z)) as f32;
+    let mut levels = [HorizonLevel::default(); horizon::MAX_LEVELS];
+    levels[..horizon.levels.len()].copy_from_slice(&horizon.levels);
+    FrameUniforms {
+        clip_from_offset,
+        ray_from_sample: settings.rays(camera).map(|ray| ray.extend(0.0).into()),
+        eye: camera.eye,
+        exposure: pass::exposure(camera.exposure_ev),
+        sun_direction: sun.direction,
+        sun_tan_half_angle: sun.tan_half_angle(),
+        sun_irradiance: sun.irradiance,
+        atlas_layer_px: atlas_layer_px as f32,
+        sun_right,
+        atlas_width_px: atlas_width_px as f32,
+        sun_up,
+        bounce_share: photometry.diffuse_reflectance() as f32,
+        ground_radiance: scene.regolith.albedo * sun.irradiance * exitance / std::f32::consts::PI,
+        horizon_base_m: horizon.base_m,
+        bounce_on_rock: bounce.on_rock,
+        bounce_on_ground: bounce.on_ground,
+        bounce_in_shadow: bounce.in_shadow,
+        sky_radiance: scene.sky.radiance + scene.sky.earthshine,
+        caster_cells: grids.cells,
+        horizon_towards: horizon.towards,
+        horizon_centre: horizon.centre,
+        caster_centre: grids.centre,
+        picture_size_px: image_size,
+        drawn_size_px: settings.size,
+        caster_half_m: grids.half_m,
+        caster_levels: grids.levels,
+        horizon_levels: horizon.levels.len() as u32,
+        hapke_w: photometry.soil.w as f32,
+        hapke_b: photometry.soil.b as f32,
+        hapke_c: photometry.soil.c as f32,
+        hapke_h_s: photometry.soil.h_s as f32,
+        hapke_tan_theta_bar: libm::tan(photometry.soil.theta_bar_deg.to_radians()) as f32,
+        lens_k: [lens.k1 as f32, lens.k2 as f32, lens.k3 as f32],
+        focal_samples: settings.focal_samples(camera),
+        lens_p: glam::Vec2::new(lens.p1 as f32, lens.p2 as f32),
+        depth_at: packing.start(Annotation::Depth),
+        normals_at: packing.start(Annotation::Normals),
+        instances_at: packing.start(Annotation::Instances),
+        hidden_at: packing.start(Annotation::Shadow),
+        radiance_at: packing.start(Annotation::Hdr),
+        coverage_at: packing.start(Annotation::Coverage),
+        reserved: [0; 2],
+        horizon: levels,
+    }
+}

@@ -1,0 +1,122 @@
+//! The buffers and textures that hold a frame plan on the device. Upload only: nothing is decided here.
+//! Must not know: how a plan is made.
+
+use wgpu::{BufferUsages, TextureFormat, TextureUsages};
+
+use crate::gpu::Gpu;
+use crate::gpu::growing_buffer::GrowingBuffer;
+use crate::render::device::bind_groups::{BindLayouts, bind_group, slot_stride};
+use crate::render::device::shader_structs::{Instance, ReliefUniforms};
+use crate::render::frame_plan::FramePlan;
+use crate::render::shadow::horizon::HorizonMap;
+use crate::render::visibility::meshes::Meshes;
+use crate::scene::Scene;
+
+/// Buffers of a scene, kept from frame to frame and grown where a frame needs more.
+#[derive(Debug)]
+pub(crate) struct SceneBuffers {
+    /// Meshes, where the device rasterises anything.
+    pub(crate) meshes: Meshes,
+    /// `FrameUniforms`.
+    frame: GrowingBuffer,
+    /// `ReliefUniforms`, one to a slot.
+    relief: GrowingBuffer,
+    /// `Instance`s, one to a slot.
+    instances: GrowingBuffer,
+    /// `CasterTile`s.
+    caster_tiles: GrowingBuffer,
+    /// Cells of the caster grids.
+    pub(crate) caster_grid: GrowingBuffer,
+    /// The horizon map, two heights a texel.
+    horizon: Option<(wgpu::Texture, wgpu::TextureView)>,
+}
+
+impl Default for SceneBuffers {
+    fn default() -> Self {
+        Self {
+            meshes: Meshes::default(),
+            frame: GrowingBuffer::new("frame/uniforms", BufferUsages::UNIFORM),
+            relief: GrowingBuffer::new("scene/relief", BufferUsages::UNIFORM),
+            instances: GrowingBuffer::new(
+                "scene/instances",
+                BufferUsages::UNIFORM.union(BufferUsages::STORAGE),
+            ),
+            caster_tiles: GrowingBuffer::new("shadow/tiles", BufferUsages::STORAGE),
+            caster_grid: GrowingBuffer::new("shadow/caster_grid", BufferUsages::STORAGE),
+            horizon: None,
+        }
+    }
+}
+
+impl SceneBuffers {
+    /// Writes a plan to the device and returns how many bytes that took.
+    pub(crate) fn upload(&mut self, gpu: &Gpu, scene: &Scene, plan: &FramePlan, multi_draw: bool) -> u64 {
+        let mut bytes = self.frame.write(gpu, &[plan.uniforms]);
+        bytes += self.relief.write(gpu, &slots(&plan.bands.bands));
+        bytes += self.instances.write(gpu, &slots(&plan.instances));
+        bytes += self.caster_tiles.write(gpu, &plan.caster_tiles);
+        bytes += self.caster_grid.write(gpu, &plan.caster_grid);
+        if !plan.draws.draws.is_empty() {
+            bytes += self.meshes.upload(gpu, scene, &plan.selection);
+            bytes += self.meshes.set_draws(gpu, &plan.draws.draws, multi_draw);
+        }
+        bytes + self.upload_horizon(gpu, &plan.horizon, plan.is_horizon_new)
+    }
+
+    fn upload_horizon(&mut self, gpu: &Gpu, map: &HorizonMap, is_new: bool) -> u64 {
+        let size @ [width, height] = [map.width, map.height()];
+        let fits = |texture: &wgpu::Texture| texture.width() >= width && texture.height() >= height;
+        let is_kept = self.horizon.as_ref().is_some_and(|(texture, _)| fits(texture));
+        if is_kept && !is_new {
+            return 0;
+        }
+        let kept = self.horizon.take().filter(|_| is_kept);
+        let (texture, _) = self.horizon.insert(kept.unwrap_or_else(|| {
+            let usage = TextureUsages::TEXTURE_BINDING | TextureUsages::COPY_DST;
+            gpu.texture("shadow/horizon", size, TextureFormat::Rg32Float, usage)
+        }));
+        gpu.write_texels(texture, size, &map.heights_m);
+        size_of_val(&map.heights_m[..]) as u64
+    }
+
+    /// The horizon map.
+    ///
+    /// # Panics
+    /// Before [`Self::upload`].
+    pub(crate) fn horizon(&self) -> &wgpu::TextureView {
+        &self.horizon.as_ref().expect("a scene is uploaded before it is drawn").1
+    }
+
+    /// Bind group 0 of every pass.
+    pub(crate) fn frame_group(&self, gpu: &Gpu, layouts: &BindLayouts) -> wgpu::BindGroup {
+        bind_group(gpu, "frame", &layouts.frame, &[self.frame.buffer().as_entire_binding()])
+    }
+
+    /// Bind group 1 of the drawing passes. Its dynamic offsets are those of the slots of an instance and of a relief
+    /// ([`slot_stride`]).
+    pub(crate) fn scene_group(&self, gpu: &Gpu, layouts: &BindLayouts) -> wgpu::BindGroup {
+        let resources = [
+            self.instances.bind_first(size_of::<Instance>()),
+            self.caster_tiles.buffer().as_entire_binding(),
+            self.relief.bind_first(size_of::<ReliefUniforms>()),
+            self.instances.buffer().as_entire_binding(),
+        ];
+        bind_group(gpu, "scene", &layouts.scene, &resources)
+    }
+
+    /// After an error, what was written may not have arrived: the next upload writes everything again.
+    pub(crate) fn invalidate(&mut self) {
+        self.horizon = None;
+        self.meshes = Meshes::default();
+    }
+}
+
+/// Uniforms, each in its slot.
+fn slots<T: bytemuck::NoUninit>(uniforms: &[T]) -> Vec<u8> {
+    let stride = slot_stride::<T>() as usize;
+    let mut bytes = vec![0; stride * uniforms.len()];
+    for (slot, uniforms) in bytes.chunks_exact_mut(stride).zip(uniforms) {
+        slot[..size_of::<T>()].copy_from_slice(bytemuck::bytes_of(uniforms));
+    }
+    bytes
+}
