@@ -21,7 +21,7 @@ use regolith::dataset::rules::Rules;
 use regolith::output::LabelIds;
 use regolith::output::edges::EdgePolicy;
 use regolith::params::sampler::{self, Config};
-use regolith::render::{RenderSettings, Renderer};
+use regolith::render::{RasterMode, RenderSettings, Renderer};
 use regolith::{Error, Result};
 
 const LONG_ABOUT: &str = "\
@@ -148,6 +148,9 @@ struct PictureArgs {
     /// Use the adapter with this in its name, or `cpu`
     #[arg(long, value_name = "TEXT")]
     adapter: Option<String>,
+    /// Rasterise on the device or on the host: auto is the host on a software adapter, else the device
+    #[arg(long, value_name = "auto|device|host", default_value_t = RasterMode::Auto)]
+    raster: RasterMode,
 }
 
 impl PictureArgs {

@@ -30,7 +30,7 @@ use crate::meta::FrameRecord;
 use crate::output::layout::{FrameFiles, Sample};
 use crate::output::{self, Artifact, EncodeInput, disk};
 use crate::params::Params;
-use crate::render::{FRAMES_IN_FLIGHT, InFlight, Renderer, StageTimes, select::selection};
+use crate::render::{FRAMES_IN_FLIGHT, InFlight, RasterOptions, Renderer, StageTimes, select::selection};
 use crate::scene::Scene;
 use journal::Journal;
 use plan::{Plan, frame_seed};
@@ -57,6 +57,7 @@ struct Drawn {
     built: Built,
     frame: Frame,
     adapter: wgpu::AdapterInfo,
+    raster: RasterOptions,
     cost: Cost,
 }
 
@@ -137,7 +138,8 @@ impl Attempt {
                     built.times.extend(times);
                     let Some(broken) = plan.rules.broken_by(&built.scene, &frame) else {
                         let adapter = renderer.gpu().info.clone();
-                        return Ok(Drawn { built: *built, frame, adapter, cost });
+                        let raster = renderer.raster();
+                        return Ok(Drawn { built: *built, frame, adapter, raster, cost });
                     };
                     broken
                 }
@@ -198,8 +200,8 @@ fn draw_all(
 /// Encodes a frame and finds the place of its files.
 fn encode(plan: &Plan, drawn: Drawn) -> Result<Finished> {
     let start = Instant::now();
-    let Drawn { built, mut frame, adapter, cost } = drawn;
-    let meta = record(plan, &built, &frame, &adapter);
+    let Drawn { built, mut frame, adapter, raster, cost } = drawn;
+    let meta = record(plan, &built, &frame, &adapter, raster);
     let mut line = meta.clone();
     // The manifest has these, for all frames alike.
     line.retain(|key, _| !["size", "samples", "edges", "version"].contains(&key.as_str()));
@@ -234,13 +236,20 @@ fn add_files(line: &mut Map<String, Value>, placed: &FrameFiles) {
 }
 
 /// What is recorded of a frame, as for one by itself, but for its times.
-fn record(plan: &Plan, built: &Built, frame: &Frame, adapter: &wgpu::AdapterInfo) -> Map<String, Value> {
+fn record(
+    plan: &Plan,
+    built: &Built,
+    frame: &Frame,
+    adapter: &wgpu::AdapterInfo,
+    raster: RasterOptions,
+) -> Map<String, Value> {
     let record = FrameRecord {
         seed: built.seed,
         params: &built.params,
         scene: &built.scene,
         settings: &plan.settings,
         adapter,
+        raster,
         frame,
         edges: plan.edges,
         times: &Vec::new(),

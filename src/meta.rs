@@ -6,7 +6,7 @@ use crate::class::ClassId;
 use crate::frame::Frame;
 use crate::output::edges::EdgePolicy;
 use crate::params::{Knob, Params};
-use crate::render::{RenderSettings, StageTimes};
+use crate::render::{RasterOptions, RenderSettings, StageTimes};
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
 use crate::scene::sky::Sun;
@@ -24,6 +24,8 @@ pub struct FrameRecord<'a> {
     pub settings: &'a RenderSettings,
     /// The device.
     pub adapter: &'a wgpu::AdapterInfo,
+    /// How the device and the host share the work.
+    pub raster: RasterOptions,
     /// The picture.
     pub frame: &'a Frame,
     /// What the mask says where classes meet.
@@ -59,6 +61,7 @@ impl FrameRecord<'_> {
                 "backend": info.backend.to_string(),
                 "driver": format!("{} {}", info.driver, info.driver_info).trim(),
             },
+            "raster": self.raster.name(),
             "knobs": self.params.to_json(),
             "geometry_hash": self.scene.geometry_hash(),
             "camera": camera(&self.scene.camera, self.settings.size),

@@ -59,7 +59,8 @@ pub(super) struct BenchArgs {
 pub(super) fn run(args: &BenchArgs, messages: Messages) -> Result<()> {
     let cases = parse_cases(&args.cases)?;
     let setup = setup(args)?;
-    let mut renderer = Renderer::new(device::open(args.picture.adapter.as_deref())?)?;
+    let mut renderer =
+        Renderer::with_raster(device::open(args.picture.adapter.as_deref())?, args.picture.raster)?;
     match &args.sweep {
         Some(name) => sweep(args, messages, name, cases[0], &setup, &mut renderer),
         None => measure(args, messages, &cases, &setup, &mut renderer),
@@ -132,6 +133,7 @@ fn measure(
             results.iter().map(|(case, measured)| (case.name().to_owned(), measured.to_json())).collect();
         let result = json!({
             "adapter": { "name": info.name, "backend": info.backend.to_string(), "driver": format!("{} {}", info.driver, info.driver_info) },
+            "raster": renderer.raster().name(),
             "version": env!("CARGO_PKG_VERSION"),
             "cores": super::dataset::cores(),
             "size": settings.size,

@@ -110,7 +110,7 @@ pub(super) fn run(args: &DatasetArgs, messages: Messages) -> Result<()> {
     let gpu = device::open(args.picture.adapter.as_deref())?;
     let journal = Journal::open(&args.out, &contents, args.force)?;
     messages.note(format_args!("rendering on {}", regolith::gpu::adapter::describe(&gpu.info)));
-    let mut renderer = Renderer::new(gpu)?;
+    let mut renderer = Renderer::with_raster(gpu, args.picture.raster)?;
     super::inject_fault(&renderer);
     let mut meter = Meter::new(messages, "frames");
     let result =
@@ -178,7 +178,7 @@ fn stream(args: &DatasetArgs, messages: Messages, plan: &Plan, pace: Pace, stop:
         ));
     }
     let gpu = device::open(args.picture.adapter.as_deref())?;
-    let mut renderer = Renderer::new(gpu)?;
+    let mut renderer = Renderer::with_raster(gpu, args.picture.raster)?;
     super::inject_fault(&renderer);
     let mut meter = Meter::new(messages, "frames");
     let (start, closed) = (Instant::now(), AtomicBool::new(false));

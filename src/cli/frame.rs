@@ -61,7 +61,8 @@ pub(super) fn run(args: &FrameArgs, messages: Messages) -> Result<()> {
         },
         || -> Result<_> {
             let (gpu, adapter) = timed("adapter", || device::open(args.picture.adapter.as_deref()))?;
-            let (renderer, pipelines) = timed("pipelines", || Renderer::new(gpu))?;
+            let (renderer, pipelines) =
+                timed("pipelines", || Renderer::with_raster(gpu, args.picture.raster))?;
             Ok((renderer, [adapter, pipelines]))
         },
     );
@@ -83,6 +84,7 @@ pub(super) fn run(args: &FrameArgs, messages: Messages) -> Result<()> {
             scene: &scene,
             settings: &settings,
             adapter,
+            raster: renderer.raster(),
             frame: &frame,
             edges,
             times,

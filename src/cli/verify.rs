@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use regolith::dataset::verify::{self, CHECKS, Report};
-use regolith::render::Renderer;
+use regolith::render::{RasterMode, Renderer};
 use regolith::{Error, Result, gpu};
 
 use super::progress::Meter;
@@ -23,6 +23,9 @@ pub(super) struct VerifyArgs {
     /// Use the adapter with this in its name, or `cpu`
     #[arg(long, value_name = "TEXT")]
     adapter: Option<String>,
+    /// Rasterise on the device or on the host: auto is the host on a software adapter, else the device
+    #[arg(long, value_name = "auto|device|host", default_value_t = RasterMode::Auto)]
+    raster: RasterMode,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -59,7 +62,7 @@ pub(super) fn run(args: &VerifyArgs, messages: Messages) -> Result<()> {
 }
 
 fn render_again(args: &VerifyArgs, messages: Messages, report: &mut Report) -> Result<()> {
-    let mut renderer = Renderer::new(device::open(args.adapter.as_deref())?)?;
+    let mut renderer = Renderer::with_raster(device::open(args.adapter.as_deref())?, args.raster)?;
     messages.detail(format_args!("rendering again on {}", gpu::adapter::describe(&renderer.gpu().info)));
     verify::check_rendering(&args.folder, &mut renderer, args.rerender, report)?;
     device::store_pipelines(renderer.gpu());

@@ -535,7 +535,10 @@ fn check_again(
         return Ok(());
     };
     let (frame, _) = renderer.render(&scene, &facts.settings)?;
-    let same_adapter = line.get("adapter").and_then(Value::as_str) == Some(renderer.gpu().info.name.as_str());
+    // Datasets of earlier versions do not record the raster backend.
+    let recorded = |key| line.get(key).and_then(Value::as_str);
+    let same_adapter = recorded("adapter") == Some(renderer.gpu().info.name.as_str())
+        && recorded("raster").is_none_or(|raster| raster == renderer.raster().name());
     let decode = |path: &str| {
         let bytes = disk::read(&facts.folder.join(path)).ok()?;
         Some(image::load_from_memory(&bytes).ok()?.as_bytes().to_vec())
