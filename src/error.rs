@@ -1,34 +1,34 @@
-//! Every error that a person can meet, on one page, so that their tone stays even.
+//! Every error that a user can meet, on one page, so that all messages have the same form.
 //!
-//! A message says what is wrong, which value it was, and what to do. `exit_status` is 2 for wrong usage or
-//! configuration and 1 for everything else.
-//! Must not know: anything else of this crate.
-//! To add one: a variant with its text here, an arm in [`Error::exit_status`] if it is a usage error.
+//! A message says what is wrong, which value caused it, what is allowed, and what to do. `exit_status` is 2 for wrong
+//! usage or configuration and 1 for everything else.
+//! Must not know: any other module of this crate.
+//! To add one: a variant with its message, and an arm in [`Error::exit_status`].
 
 use std::path::PathBuf;
 
-/// What went wrong, with the value at fault and the remedy.
+/// An error, with the value that caused it and the remedy.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
     /// A knob name that is not in the table.
     #[error("unknown knob `{name}` in {origin}{}; `regolith-render params` lists every knob", did_you_mean(.suggestion.as_deref()))]
     UnknownKnob {
-        /// The name as given.
+        /// The name as written.
         name: String,
-        /// Where it was given: `--set`, a file, a preset.
+        /// Where it was written: `--set`, a file, a preset.
         origin: String,
-        /// The nearest name there is.
+        /// The most similar known name.
         suggestion: Option<String>,
     },
-    /// A knob value (or the bound of a distribution) outside what is allowed.
-    #[error("{name} = {value} in {origin} is out of range: allowed is {allowed}")]
+    /// A knob value, or the bound of a distribution, outside the allowed range.
+    #[error("{name} = {value} in {origin} is out of range; allowed: {allowed}")]
     KnobOutOfRange {
         /// Dotted knob name.
         name: String,
-        /// The value as given.
+        /// The value as written.
         value: String,
-        /// Where it was given.
+        /// Where it was written: `--set`, a file, a preset.
         origin: String,
         /// The allowed range, with unit.
         allowed: String,
@@ -38,27 +38,27 @@ pub enum Error {
     KnobType {
         /// Dotted knob name.
         name: String,
-        /// The value as given.
+        /// The value as written.
         value: String,
-        /// Where it was given.
+        /// Where it was written: `--set`, a file, a preset.
         origin: String,
-        /// What would be right.
+        /// What kind of value is expected.
         expected: String,
     },
-    /// Values that are fine alone but cannot hold together.
+    /// Settings that are valid one by one but not together.
     #[error("these settings contradict each other: {0}")]
     Contradiction(String),
-    /// A preset that does not ship.
-    #[error("unknown preset `{name}`{}; there are: {}", did_you_mean(.suggestion.as_deref()), .available.join(", "))]
+    /// A preset that does not exist.
+    #[error("unknown preset `{name}`{}; the presets are: {}", did_you_mean(.suggestion.as_deref()), .available.join(", "))]
     UnknownPreset {
-        /// The name as given.
+        /// The name as written.
         name: String,
-        /// The nearest name there is.
+        /// The most similar known name.
         suggestion: Option<String>,
-        /// All names.
+        /// The names of all presets.
         available: Vec<String>,
     },
-    /// A configuration that is not TOML.
+    /// A configuration that is not valid TOML.
     #[error("{origin}, line {line}, column {column}: {message}")]
     Toml {
         /// File name, or `--set`.
@@ -67,7 +67,7 @@ pub enum Error {
         line: usize,
         /// Column, from 1.
         column: usize,
-        /// What the parser says.
+        /// The message of the parser.
         message: String,
     },
     /// A configuration file that cannot be read.
@@ -75,160 +75,162 @@ pub enum Error {
     Read {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The error of the operating system.
         cause: std::io::Error,
     },
-    /// A command-line value that no knob stands for (size, samples, outputs).
+    /// A wrong value of a command-line option or an environment variable.
     #[error("{0}")]
     Usage(String),
-    /// `--out` names a file.
-    #[error("--out {} is a file; give a folder (it is made if it is missing)", .0.display())]
+    /// `--out` is a file.
+    #[error("--out {} is a file; name a folder (it is created if missing)", .0.display())]
     OutIsFile(PathBuf),
-    /// `--out` has other content.
-    #[error("--out {} already holds {found}, which this run would not have written; choose an empty folder, or add --force", .path.display())]
+    /// `--out` has content of another origin.
+    #[error("--out {} already holds {found}, which does not belong to this run; choose an empty folder, or add --force to write there anyway", .path.display())]
     OutNotEmpty {
         /// The folder.
         path: PathBuf,
-        /// One thing that was found there.
+        /// Name of one file or folder in it.
         found: String,
     },
-    /// A file that could not be written; nothing half-written is left.
+    /// A file that could not be written; no partial file is left.
     #[error("cannot write {}: {cause}{}", .path.display(), write_remedy(.cause))]
     Write {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The error of the operating system.
         cause: std::io::Error,
     },
     /// Standard output that cannot be written to.
     #[error("cannot write to standard output: {0}")]
     Stdout(std::io::Error),
-    /// No adapter at all.
+    /// No adapter was found.
     #[error(
-        "no graphics adapter was found{0}.\nWithout a GPU, Mesa's CPU driver does the work: `sudo apt-get install mesa-vulkan-drivers` (Debian, Ubuntu).\nWith a GPU, install its Vulkan driver; in a container, pass the GPU through with its graphics capability."
+        "no graphics adapter was found{0}.\nOn a machine without a GPU, install Mesa's CPU driver: `sudo apt-get install mesa-vulkan-drivers` (Debian, Ubuntu).\nOn a machine with a GPU, install its Vulkan driver; in a container, pass the GPU through with its graphics capability."
     )]
     NoAdapter(String),
-    /// Adapters, but none of the wanted name.
-    #[error("no adapter matches `{wanted}`; there are:\n{}", .available.join("\n"))]
+    /// No adapter has the requested name.
+    #[error("no adapter matches `{wanted}`; the adapters are:\n{}", .available.join("\n"))]
     AdapterNotFound {
-        /// What was asked for.
+        /// The text of `--adapter` or `WGPU_ADAPTER_NAME`.
         wanted: String,
-        /// One line an adapter.
+        /// One line for each adapter.
         available: Vec<String>,
     },
-    /// An adapter that cannot do what is needed.
+    /// An adapter that lacks a required feature or limit.
     #[error("the adapter {adapter} cannot be used: {reason}; `regolith-render adapters` lists the others")]
     AdapterUnfit {
         /// Its name.
         adapter: String,
-        /// What it lacks.
+        /// The missing feature or limit.
         reason: String,
     },
-    /// More pixels than the device can draw.
+    /// A frame beyond the limits of the device.
     #[error(
-        "--size {width}x{height} with --samples {samples} is too large for {adapter}: it needs {needed} and the device ends at {limit}; use a smaller --size or fewer --samples"
+        "--size {width}x{height} with --samples {samples} is too large for {adapter}: it needs {needed}, the device allows {limit}; use a smaller --size or fewer --samples"
     )]
     SizeBeyondDevice {
-        /// Picture width.
+        /// Image width, pixels.
         width: u32,
-        /// Picture height.
+        /// Image height, pixels.
         height: u32,
         /// Samples per pixel.
         samples: u32,
-        /// What would be needed, with its unit.
+        /// The required amount, with its unit.
         needed: String,
-        /// What the device allows, with its unit.
+        /// The limit of the device, with its unit.
         limit: String,
         /// The adapter's name.
         adapter: String,
     },
-    /// The device's memory does not hold the frame.
+    /// The device ran out of memory.
     #[error(
-        "the graphics device has not enough memory for this frame; nothing was written. Use a smaller --size or fewer --samples"
+        "the graphics device does not have enough memory for this frame; nothing was written. Use a smaller --size or fewer --samples"
     )]
     OutOfMemory,
-    /// The device went away or gave up in mid-frame.
+    /// The device was removed, reset, or stopped answering.
     #[error(
         "the graphics device was lost while rendering ({0}); nothing was written. Run the same command again; if it happens again, try a smaller --size or another --adapter"
     )]
     DeviceLost(String),
-    /// The device refused a command: a defect of this program or of the driver.
-    #[error("the graphics device refused a command: {0}")]
-    Device(String),
-    /// A frame with pixels that nothing was drawn on.
+    /// The device rejected a command: a bug in this crate or in the driver.
     #[error(
-        "{pixels} pixels of the frame carry no label (seed {seed}); the frame is not written. This is a defect: please report the seed and the settings"
+        "the graphics device rejected a command, which is a bug in regolith-render or in the driver; please report it: {0}"
+    )]
+    Device(String),
+    /// A frame with pixels that no geometry covers.
+    #[error(
+        "{pixels} pixels of the frame have no label (seed {seed}); the frame is not written. This is a bug: please report the seed and the settings"
     )]
     Unlabelled {
-        /// How many.
+        /// Number of unlabelled pixels.
         pixels: u64,
         /// The scene's seed.
         seed: u64,
     },
-    /// A rule of the scene that cannot be met with these settings.
+    /// Settings that allow no valid scene.
     #[error("no valid scene with these settings: {0}")]
     Scene(String),
-    /// A rule for the frames of a dataset that frame after frame breaks.
+    /// A dataset frame that broke a rule in every attempt.
     #[error(
-        "frame {index} was drawn {attempts} times and broke a rule each time, the last time `{rule}`: {found}. Loosen the rule or change the knobs, and choose another --out if frames are finished here: they stay"
+        "frame {index} was drawn {attempts} times and broke a rule each time, the last time `{rule}`: {found}. Loosen the rule or change the knobs; the frames already finished in this folder stay, so choose another --out with the new settings"
     )]
     RuleBroken {
-        /// The frame.
+        /// Index of the frame.
         index: u64,
-        /// How often it was drawn.
+        /// Number of attempts.
         attempts: u32,
         /// Name of the rule.
         rule: String,
-        /// What was found and what is allowed.
+        /// The value found and the values allowed.
         found: String,
     },
-    /// A dataset folder that another configuration made.
-    #[error("{} holds a dataset of another configuration; choose another --out. What differs:\n{}", .path.display(), .differences.join("\n"))]
+    /// A dataset folder that was made with another configuration.
+    #[error("{} holds a dataset of another configuration; choose another --out. Differences:\n{}", .path.display(), .differences.join("\n"))]
     OtherDataset {
         /// The folder.
         path: PathBuf,
-        /// One line for each setting that differs.
+        /// One line for each different setting.
         differences: Vec<String>,
     },
     /// A folder that another process is writing to.
     #[error("another run is writing {}; wait for it, or stop it first", .0.display())]
     Busy(PathBuf),
-    /// A run that was asked to stop.
-    #[error("stopped: {done} of {wanted} frames are finished and whole. {remedy}")]
+    /// A run that was interrupted.
+    #[error("stopped: {done} of {wanted} frames are finished. {remedy}")]
     Stopped {
-        /// Frames that are there.
+        /// Number of finished frames.
         done: u64,
-        /// Frames that were asked for.
+        /// Number of requested frames.
         wanted: u64,
-        /// How to have the rest.
+        /// How to get the rest.
         remedy: &'static str,
     },
-    /// Something that should be a dataset (or a part of one) and is not.
+    /// A folder or file that is not a dataset, or not the expected part of one.
     #[error("{}: {message}", .path.display())]
     Dataset {
         /// The folder or file.
         path: PathBuf,
-        /// What is wrong, and the remedy.
+        /// The problem and the remedy.
         message: String,
     },
-    /// A check that found something wrong; what, has been printed.
+    /// A check that failed; its findings are already printed.
     #[error("{0}")]
     CheckFailed(String),
     /// Encoding failed.
     #[error("cannot encode {name}: {message}")]
     Encode {
-        /// File name.
+        /// Name of the file.
         name: String,
-        /// What the encoder says.
+        /// The message of the encoder.
         message: String,
     },
 }
 
-/// The crate's result.
+/// A result with [`Error`].
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 impl Error {
-    /// Exit status of the program: 2 for wrong usage or configuration, 1 for anything else.
+    /// Exit status of the command: 2 for wrong usage or configuration, 1 for anything else.
     #[must_use]
     pub const fn exit_status(&self) -> u8 {
         match self {
@@ -264,10 +266,10 @@ impl Error {
     }
 }
 
-/// What to do after a run into a folder was stopped.
-pub const RUN_AGAIN: &str = "Run the same command again to go on";
+/// The remedy after an interrupted run into a folder.
+pub const RUN_AGAIN: &str = "Run the same command again to continue";
 
-/// The name in `known` that is nearest to `name`, if one is near enough to be meant.
+/// The name in `known` that is most similar to `name` (Jaro-Winkler), if it is similar enough to be a typo.
 #[must_use]
 pub fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<String> {
     known
@@ -285,10 +287,10 @@ fn did_you_mean(suggestion: Option<&str>) -> String {
 fn write_remedy(cause: &std::io::Error) -> &'static str {
     match cause.kind() {
         std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded => {
-            "; free some space or give another --out, then run the same command again"
+            "; free some space or choose another --out, then run the same command again"
         }
         std::io::ErrorKind::PermissionDenied | std::io::ErrorKind::ReadOnlyFilesystem => {
-            "; give an --out that you may write to"
+            "; choose an --out where you have write permission"
         }
         _ => "",
     }
@@ -299,7 +301,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nearest_finds_a_typo_and_leaves_nonsense_alone() {
+    fn nearest_corrects_a_typo_and_rejects_an_unrelated_name() {
         let known = ["sun.elevation_deg", "sun.azimuth_deg", "rocks.count"];
         assert_eq!(nearest("sun.elevaton_deg", known).as_deref(), Some("sun.elevation_deg"));
         assert_eq!(nearest("rock.count", known).as_deref(), Some("rocks.count"));

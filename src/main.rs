@@ -1,4 +1,4 @@
-//! The command `regolith-render`: parse, run, exit status.
+//! The command `regolith-render`: runs the command line and turns its result into an exit status.
 
 mod cli;
 
@@ -8,9 +8,9 @@ use std::process::ExitCode;
 use cli::progress::note;
 
 fn main() -> ExitCode {
-    quieten_drivers();
-    // A lost device shows up as a panic inside wgpu, which is caught and reported as what it is. Whatever else
-    // panics is a defect of this program, and is said to be one.
+    silence_drivers();
+    // A lost device is a panic inside wgpu; the library catches it and returns an error. Any other panic is a bug of
+    // regolith-render and is reported as one, without a backtrace.
     std::panic::set_hook(Box::new(|_| {}));
     match catch_unwind(AssertUnwindSafe(cli::run)) {
         Ok(Ok(())) => ExitCode::SUCCESS,
@@ -22,19 +22,19 @@ fn main() -> ExitCode {
             let text = panic.downcast_ref::<String>().map(String::as_str);
             let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no message");
             note(format_args!(
-                "error: this is a defect of regolith-render, please report it with the command you ran: {text}"
+                "error: this is a bug in regolith-render; please report it together with the command you ran: {text}"
             ));
             ExitCode::FAILURE
         }
     }
 }
 
-/// Mesa's Vulkan layers and EGL look for a Wayland display and complain on stderr where `XDG_RUNTIME_DIR` is not set,
-/// as in containers and on servers. There is no display to find: any folder will do.
-#[expect(unsafe_code, reason = "the environment can only be changed so; see SAFETY")]
-fn quieten_drivers() {
+/// Sets `XDG_RUNTIME_DIR` if it is missing, as in containers and on servers: without it Mesa's Vulkan layers and EGL, which
+/// look for a Wayland display, print warnings to stderr. Any folder will do, as no display is used.
+#[expect(unsafe_code, reason = "`set_var` is the only way to change the environment; see SAFETY")]
+fn silence_drivers() {
     if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
-        // SAFETY: the first thing that the program does, so no other thread reads the environment meanwhile.
+        // SAFETY: called first in `main`, while no other thread exists that could read the environment.
         unsafe { std::env::set_var("XDG_RUNTIME_DIR", std::env::temp_dir()) };
     }
 }
