@@ -315,7 +315,7 @@ impl Renderer {
             || {
                 resolve.prepare(gpu, resolve_variant);
                 if is_first {
-                    lighting.prepare(gpu, pipelines, LightingVariant::BY_ANYTHING);
+                    lighting.prepare(gpu, pipelines, LightingVariant::GENERAL);
                 }
             },
         );

@@ -1,104 +1,128 @@
-//! By which draw of the lighting pass a sample is lit.
+//! Shading bins: the samples of a frame, by the pipeline and the relief that shade them.
 //!
-//! Samples that are lit alike are a group. The visibility pass draws groups in their order, near things before what they may
-//! cover, and leaves one more than the group's number in the stencil.
+//! The visibility stage writes one more than the number of a sample's bin to the stencil, 0 where there is no surface; the lighting
+//! pass shades each bin with one draw. Bins are numbered in the order in which they are rasterised, near surfaces before those that
+//! they may occlude.
+//! Must not know: a pass.
 
-use crate::render::select::caster_grid::ShadowSources;
+/// What can occlude the sun at a surface. The values are those of `SHADOW_SOURCES` in `lighting_surface.wgsl`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ShadowSources {
+    /// Nothing: a surface that faces the sun sees all of it.
+    None,
+    /// Other ground, by the horizon map.
+    Ground,
+    /// Rocks, by the shadow atlas.
+    Rocks,
+    /// Both.
+    GroundAndRocks,
+}
 
-/// By which program samples are lit.
+impl ShadowSources {
+    /// Every variant, in the order of its value.
+    pub const ALL: [Self; 4] = [Self::None, Self::Ground, Self::Rocks, Self::GroundAndRocks];
+
+    /// Whether rocks are among them.
+    #[must_use]
+    pub const fn has_rocks(self) -> bool {
+        matches!(self, Self::Rocks | Self::GroundAndRocks)
+    }
+}
+
+/// The pipeline that shades a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LightingVariant {
-    /// Ground that these things can shade.
+    /// Ground.
     Ground {
-        /// What can shade it.
-        shades: ShadowSources,
+        /// What can occlude the sun there.
+        sources: ShadowSources,
     },
-    /// Rocks that these things can shade.
+    /// Rocks.
     Rocks {
-        /// What can shade them.
-        shades: ShadowSources,
+        /// What can occlude the sun there.
+        sources: ShadowSources,
     },
     /// Dome and stars.
     Sky,
 }
 
 impl LightingVariant {
-    /// Those that light anything, whatever can shade it.
-    pub const BY_ANYTHING: [Self; 3] = [
-        Self::Rocks { shades: ShadowSources::GroundAndRocks },
-        Self::Ground { shades: ShadowSources::GroundAndRocks },
+    /// The variants that shade any surface, whatever occludes the sun there.
+    pub const GENERAL: [Self; 3] = [
+        Self::Rocks { sources: ShadowSources::GroundAndRocks },
+        Self::Ground { sources: ShadowSources::GroundAndRocks },
         Self::Sky,
     ];
 }
 
-/// A group by its number.
+/// Number of a bin.
 pub type ShadingBin = u8;
 
-/// The groups of a picture: rocks, ground, stars, dome.
+/// The bins of a frame: rocks, ground by relief band, stars, dome.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ShadingBins {
-    /// Bands of the ground, which have a relief each.
+    /// Relief bands of the ground.
     bands: usize,
 }
 
 impl ShadingBins {
-    /// Those of a picture with so many bands of ground.
+    /// Bins of a frame whose ground has this many relief bands.
     ///
     /// # Panics
-    /// If the stencil cannot tell them apart.
+    /// If there are more bins than values of the stencil.
     #[must_use]
     pub fn new(bands: usize) -> Self {
-        let groups = Self { bands };
-        assert!(groups.dome() < ShadingBin::MAX, "the stencil tells {bands} bands apart");
-        groups
+        let bins = Self { bands };
+        assert!(bins.dome() < ShadingBin::MAX, "{bands} bands have more bins than the stencil has values");
+        bins
     }
 
-    /// Rocks that these things can shade.
+    /// Bin of rocks. Those that only the ground can shadow share the bin of both sources.
     #[must_use]
-    pub const fn rocks(shades: ShadowSources) -> ShadingBin {
-        match shades {
+    pub const fn rocks(sources: ShadowSources) -> ShadingBin {
+        match sources {
             ShadowSources::Ground | ShadowSources::GroundAndRocks => 0,
             ShadowSources::Rocks => 1,
             ShadowSources::None => 2,
         }
     }
 
-    /// Ground of a band that these things can shade.
+    /// Bin of the ground in a relief band.
     #[must_use]
-    pub const fn ground(band: usize, shades: ShadowSources) -> ShadingBin {
-        (3 + 4 * band) as ShadingBin + shades as ShadingBin
+    pub const fn ground(band: usize, sources: ShadowSources) -> ShadingBin {
+        (3 + 4 * band) as ShadingBin + sources as ShadingBin
     }
 
-    /// The group that takes the place of one of the ground, where slopes are given and all bands are lit alike: that of the first
-    /// band. Any other stays.
+    /// Maps a bin of the ground to that of the first relief band with the same shadow sources, any other to itself. Where the
+    /// G-buffer has slopes, the lighting pass does not evaluate relief, and all bands are shaded by the same pipeline.
     #[must_use]
     #[inline(always)]
-    pub const fn merge_bands(self, group: ShadingBin) -> ShadingBin {
-        let of_ground = group.wrapping_sub(Self::ground(0, ShadowSources::None));
-        if of_ground < (4 * self.bands) as ShadingBin {
-            Self::ground(0, ShadowSources::None) + (of_ground & 3)
+    pub const fn merge_bands(self, bin: ShadingBin) -> ShadingBin {
+        let from_ground = bin.wrapping_sub(Self::ground(0, ShadowSources::None));
+        if from_ground < (4 * self.bands) as ShadingBin {
+            Self::ground(0, ShadowSources::None) + (from_ground & 3)
         } else {
-            group
+            bin
         }
     }
 
-    /// Stars.
+    /// Bin of the stars.
     #[must_use]
     pub const fn stars(self) -> ShadingBin {
         (3 + 4 * self.bands) as ShadingBin
     }
 
-    /// The dome.
+    /// Bin of the sky's dome, the last.
     #[must_use]
     pub const fn dome(self) -> ShadingBin {
         self.stars() + 1
     }
 
-    /// By what program each is lit, and which band it is of.
+    /// Pipeline and relief band of every bin, by number.
     pub fn all(self) -> impl Iterator<Item = (LightingVariant, usize)> {
         let rocks = [ShadowSources::GroundAndRocks, ShadowSources::Rocks, ShadowSources::None]
-            .map(|shades| (LightingVariant::Rocks { shades }, 0));
-        let ground = |band| ShadowSources::ALL.map(|shades| (LightingVariant::Ground { shades }, band));
+            .map(|sources| (LightingVariant::Rocks { sources }, 0));
+        let ground = |band| ShadowSources::ALL.map(|sources| (LightingVariant::Ground { sources }, band));
         rocks.into_iter().chain((0..self.bands).flat_map(ground)).chain([(LightingVariant::Sky, 0); 2])
     }
 }
@@ -108,26 +132,29 @@ mod tests {
     use super::*;
 
     #[test]
-    fn groups_stand_in_the_order_of_their_numbers() {
-        let groups = ShadingBins::new(4);
-        let all: Vec<_> = groups.all().collect();
-        for shades in [ShadowSources::None, ShadowSources::Rocks, ShadowSources::GroundAndRocks] {
-            assert_eq!(all[usize::from(ShadingBins::rocks(shades))], (LightingVariant::Rocks { shades }, 0));
+    fn bins_are_listed_by_number() {
+        let bins = ShadingBins::new(4);
+        let all: Vec<_> = bins.all().collect();
+        for sources in [ShadowSources::None, ShadowSources::Rocks, ShadowSources::GroundAndRocks] {
+            assert_eq!(
+                all[usize::from(ShadingBins::rocks(sources))],
+                (LightingVariant::Rocks { sources }, 0)
+            );
         }
         for band in 0..4 {
-            for shades in ShadowSources::ALL {
+            for sources in ShadowSources::ALL {
                 assert_eq!(
-                    all[usize::from(ShadingBins::ground(band, shades))],
-                    (LightingVariant::Ground { shades }, band)
+                    all[usize::from(ShadingBins::ground(band, sources))],
+                    (LightingVariant::Ground { sources }, band)
                 );
             }
         }
-        for (group, (lit, band)) in (0..).zip(&all) {
-            let merged = groups.merge_bands(group);
-            assert_eq!(all[usize::from(merged)], (*lit, 0), "{lit:?} of band {band}");
-            assert!(merged == group || matches!(lit, LightingVariant::Ground { .. }) && *band > 0);
+        for (bin, (variant, band)) in (0..).zip(&all) {
+            let merged = bins.merge_bands(bin);
+            assert_eq!(all[usize::from(merged)], (*variant, 0), "{variant:?} of band {band}");
+            assert!(merged == bin || matches!(variant, LightingVariant::Ground { .. }) && *band > 0);
         }
-        assert_eq!(all[usize::from(groups.stars())], (LightingVariant::Sky, 0));
-        assert_eq!(usize::from(groups.dome()), all.len() - 1);
+        assert_eq!(all[usize::from(bins.stars())], (LightingVariant::Sky, 0));
+        assert_eq!(usize::from(bins.dome()), all.len() - 1);
     }
 }

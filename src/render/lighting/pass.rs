@@ -104,9 +104,9 @@ impl LightingPass {
     }
 
     fn pipeline(&self, gpu: &Gpu, key: PipelineKey, lit: LightingVariant) -> wgpu::RenderPipeline {
-        let surface = |shades, detail, of_many: bool| {
+        let surface = |sources, detail, of_many: bool| {
             vec![
-                ("SHADOW_SOURCES", f64::from(shades as u32)),
+                ("SHADOW_SOURCES", f64::from(sources as u32)),
                 ("RINGS", f64::from(u8::from(key.has_rings))),
                 ("PHOTOMETRY_LAW", f64::from(key.law as u32)),
                 ("DETAIL_MODE", if key.has_detail { detail } else { DETAIL_NONE }),
@@ -114,12 +114,12 @@ impl LightingPass {
             ]
         };
         let (label, module, constants) = match lit {
-            LightingVariant::Ground { shades } => {
+            LightingVariant::Ground { sources } => {
                 let detail = if key.has_slopes { DETAIL_UPLOADED_SLOPES } else { DETAIL_RELIEF };
-                (LIGHTING_SURFACE.name, &self.surface, surface(shades, detail, false))
+                (LIGHTING_SURFACE.name, &self.surface, surface(sources, detail, false))
             }
-            LightingVariant::Rocks { shades } => {
-                (LIGHTING_SURFACE.name, &self.surface, surface(shades, DETAIL_ROCK_TEXTURE, true))
+            LightingVariant::Rocks { sources } => {
+                (LIGHTING_SURFACE.name, &self.surface, surface(sources, DETAIL_ROCK_TEXTURE, true))
             }
             LightingVariant::Sky => (LIGHTING_SKY.name, &self.sky, Vec::new()),
         };

@@ -10,6 +10,7 @@ use std::ops::Range;
 use glam::Vec2;
 use rayon::prelude::*;
 
+use crate::render::device::shading_bins::ShadowSources;
 use crate::render::select::casters::Caster;
 use crate::render::select::footprint::Footprint;
 use crate::reuse::Reused;
@@ -28,30 +29,6 @@ const BAND_ROWS: usize = 32;
 /// Set in the offset of a cell's list if the ground may occlude the sun from a surface above the cell. Stands in
 /// `common/shadow_map.wgsl` too.
 pub const TEST_HORIZON: u32 = 1 << 31;
-
-/// What can occlude the sun at a surface. The values are those of `SHADES` in `shaders/surface.wgsl`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ShadowSources {
-    /// Nothing: a surface that faces the sun sees all of it.
-    None,
-    /// Other ground, by the horizon map.
-    Ground,
-    /// Rocks, by the shadow atlas.
-    Rocks,
-    /// Both.
-    GroundAndRocks,
-}
-
-impl ShadowSources {
-    /// Every variant, in the order of its value.
-    pub const ALL: [Self; 4] = [Self::None, Self::Ground, Self::Rocks, Self::GroundAndRocks];
-
-    /// Whether rocks are among them.
-    #[must_use]
-    pub const fn has_rocks(self) -> bool {
-        matches!(self, Self::Rocks | Self::GroundAndRocks)
-    }
-}
 
 /// Where other ground may occlude the sun, from the horizon map.
 #[derive(Clone, Copy, Debug)]

@@ -4,8 +4,7 @@
 use std::ops::Range;
 
 use crate::render::backend::{RasterBackend, RasterOptions};
-use crate::render::device::shading_bins::{LightingVariant, ShadingBin, ShadingBins};
-use crate::render::select::caster_grid::ShadowSources;
+use crate::render::device::shading_bins::{LightingVariant, ShadingBin, ShadingBins, ShadowSources};
 use crate::render::select::screen_bounds::ScreenBounds;
 use crate::render::select::selection::{Slots, front_to_back};
 use crate::render::settings::RenderSettings;

@@ -10,14 +10,14 @@ use fearless_simd::{Level, dispatch};
 use glam::{BVec2, Mat4, UVec2, Vec2, Vec3, Vec4};
 use rayon::prelude::*;
 
-use crate::render::device::shading_bins::{ShadingBin, ShadingBins};
+use crate::render::device::shading_bins::{ShadingBin, ShadingBins, ShadowSources};
 use crate::render::lighting::relief_bands::Bands;
 use crate::render::lighting::slopes_host::Slopes;
 use crate::render::raster::{
     self, AT_ONCE, FURTHEST_PX, Outline, Place, Plane, Sides, Sifted, Span, Turn, VERTICES, by_axis,
     texels_between,
 };
-use crate::render::select::caster_grid::{CasterGrids, ShadowSources};
+use crate::render::select::caster_grid::CasterGrids;
 use crate::render::select::ground_blocks::{BLOCK_CELLS, ground_blocks};
 use crate::render::select::screen_bounds::ScreenBounds;
 use crate::render::select::selection::{SelectedRock, Selection, Slots, front_to_back};
