@@ -1,9 +1,9 @@
-"""A dataset on a Ray cluster: one shard a task, all into one folder that every node sees.
+"""A dataset on a Ray cluster: one shard a task, all into one shared folder.
 
     python ray_dataset.py --shards 16 --cpus 4 --gpus 1 -- --count 100000 --preset train_dr --out /shared/moon
 
-What stands after `--` goes to `regolith-render dataset`. A task that dies is started again and goes on where it
-stopped, and so does this script: run the same line again. The shard that ends last completes the folder.
+Arguments after `--` go to `regolith-render dataset`. A task that dies is restarted and resumes, and so does this
+script: run the same line again. The last shard to finish completes the folder.
 """
 
 import argparse
@@ -13,7 +13,7 @@ import ray
 
 
 def render_shard(program: str, options: list[str], shard: int, shards: int) -> int:
-    """Makes one shard; raises what the program says if it fails."""
+    """Renders one shard; raises the program's message if it fails."""
     command = [program, "dataset", *options, "--shard", f"{shard}/{shards}", "--quiet"]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode != 0:
@@ -24,11 +24,11 @@ def render_shard(program: str, options: list[str], shard: int, shards: int) -> i
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--shards", type=int, default=8, help="number of tasks")
-    parser.add_argument("--cpus", type=float, default=2, help="cores of a task")
-    parser.add_argument("--gpus", type=float, default=0, help="GPUs of a task")
-    parser.add_argument("--retries", type=int, default=3, help="how often a task is started again")
-    parser.add_argument("--address", default=None, help="the cluster; without it this machine alone")
-    parser.add_argument("--program", default="regolith-render")
+    parser.add_argument("--cpus", type=float, default=2, help="cores per task")
+    parser.add_argument("--gpus", type=float, default=0, help="GPUs per task")
+    parser.add_argument("--retries", type=int, default=3, help="how often a task is retried")
+    parser.add_argument("--address", default=None, help="address of the cluster; default: this machine only")
+    parser.add_argument("--program", default="regolith-render", help="path of the binary")
     parser.add_argument("options", nargs="+", help="options of `regolith-render dataset`, after --")
     args = parser.parse_args()
 

@@ -1,10 +1,10 @@
 #!/bin/bash
-# A dataset as a Slurm job array: one shard a task, all into one folder that every node sees.
+# A dataset as a Slurm job array: one shard a task, all into one shared folder.
 #
 #   sbatch slurm.sh --count 100000 --preset train_dr --out /shared/moon
 #
-# A task that is requeued, killed or out of time goes on where it stopped: submit the same line again. The shard that
-# ends last completes the folder. Without GPUs, take out --gres; Mesa's CPU driver then does the work.
+# A task that is requeued, killed or out of time resumes: submit the same line again. The last shard to finish
+# completes the folder. Without GPUs, remove --gres; Mesa's CPU driver then does the work.
 #SBATCH --job-name=moon
 #SBATCH --array=0-7
 #SBATCH --cpus-per-task=4

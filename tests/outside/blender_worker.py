@@ -1,11 +1,11 @@
-"""Runs inside Blender's Python module: imports a stage and renders it in Cycles through the pixels' centres.
+"""Runs inside Blender's Python module: imports a stage and renders it in Cycles through the pixel centres.
 
     blender_worker.py STAGE OUT.npz WIDTH HEIGHT SUN_ANGLE_DEG planes
     blender_worker.py STAGE OUT.npz WIDTH HEIGHT SUN_ANGLE_DEG beauty SAMPLES RED GREEN BLUE
 
 `planes` writes arrays H x W: `instance` (0 ground, rock number + 1, SKY for dome and stars, NOTHING where no ray
-hits), `place` (metres, world), `normal`, `facet_normal`, and `sunlight`, the irradiance that a sun of 1 gives.
-`beauty` writes `radiance`, path-traced under a sun of this irradiance.
+hits), `position` (metres, world), `normal`, `facet_normal`, and `sunlight`, the irradiance under a sun of irradiance 1.
+`beauty` writes `radiance`, path-traced under a sun of the given irradiance.
 """
 
 import math
@@ -19,16 +19,16 @@ from typing import Any
 import bpy
 import numpy as np
 
-# Blender holds no pass index above 32767.
+# Blender's largest pass index is 32767.
 SKY, NOTHING = 30000, 30001
 SUN_SAMPLES = 64
 BOUNCES = 8
 
 
 def open_stage(path: str, width: int, height: int, sun_angle_deg: float) -> bpy.types.Light:
-    """Imports the stage into an empty scene, as it is but for the sun's size and unit; gives the sun.
+    """Imports the stage into an empty scene, corrects the sun's angle and unit, and returns the sun.
 
-    Blender takes the stage's angle, a diameter, for a radius and doubles it, and reads the intensity as radiance of
+    Blender takes the stage's angle, a diameter, for a radius and doubles it; it reads the intensity as radiance of
     the disc.
     """
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -54,17 +54,17 @@ def open_stage(path: str, width: int, height: int, sun_angle_deg: float) -> bpy.
 
 
 def instance_of(name: str) -> int:
-    """Instance id of a mesh by its name."""
+    """Instance id of a mesh, from its name."""
     if name == "Regolith":
         return 0
     return int(name.removeprefix("Rock_")) + 1 if name.startswith("Rock_") else SKY
 
 
 def render() -> np.ndarray:
-    """Linear RGB of the picture, H x W x 3, the first row on top."""
+    """Renders; linear RGB, H x W x 3, top row first."""
     scene = bpy.context.scene
     with tempfile.TemporaryDirectory() as folder:
-        scene.render.filepath = os.path.join(folder, "picture.exr")
+        scene.render.filepath = os.path.join(folder, "image.exr")
         bpy.ops.render.render(write_still=True)
         image = bpy.data.images.load(scene.render.filepath)
         width, height = image.size
@@ -75,7 +75,7 @@ def render() -> np.ndarray:
 
 
 def material(shader: Callable[..., bpy.types.NodeSocket], *words: Any) -> bpy.types.Material:
-    """A material of the shader that a function builds in a tree of nodes, with these more words to it."""
+    """A material whose surface shader is what `shader(tree, *words)` builds."""
     result = bpy.data.materials.new("override")
     result.use_nodes = True
     tree = result.node_tree
@@ -85,21 +85,21 @@ def material(shader: Callable[..., bpy.types.NodeSocket], *words: Any) -> bpy.ty
 
 
 def emission(tree: bpy.types.NodeTree, node: str, output: str) -> bpy.types.NodeSocket:
-    """Light whose colour is what a node tells."""
+    """An emitter whose colour is an output of a node."""
     emitter = tree.nodes.new("ShaderNodeEmission")
     tree.links.new(tree.nodes.new(node).outputs[output], emitter.inputs["Color"])
     return emitter.outputs["Emission"]
 
 
 def unlit(tree: bpy.types.NodeTree, colour: tuple[float, ...]) -> bpy.types.NodeSocket:
-    """A constant radiance."""
+    """An emitter of constant radiance."""
     emitter = tree.nodes.new("ShaderNodeEmission")
     emitter.inputs["Color"].default_value = colour
     return emitter.outputs["Emission"]
 
 
 def diffuse(tree: bpy.types.NodeTree, colour: tuple[float, ...], roughness: float) -> bpy.types.NodeSocket:
-    """A diffuse lobe: Lambert's at roughness 0, else Oren and Nayar's."""
+    """A diffuse lobe: Lambertian at roughness 0, otherwise Oren and Nayar's."""
     lobe = tree.nodes.new("ShaderNodeBsdfDiffuse")
     lobe.inputs["Color"].default_value = colour
     lobe.inputs["Roughness"].default_value = roughness
@@ -107,23 +107,23 @@ def diffuse(tree: bpy.types.NodeTree, colour: tuple[float, ...], roughness: floa
 
 
 def planes(sun: bpy.types.Light) -> dict[str, np.ndarray]:
-    """Everything that a frame's annotations can be held against."""
+    """Renders everything that a frame's annotations can be compared with."""
     scene, layer = bpy.context.scene, bpy.context.view_layer
-    # A filter a hundredth of a pixel wide: every ray goes through the centre. (A box would be a pixel wide.)
+    # A Gaussian a hundredth of a pixel wide: every ray goes through the pixel centre. (A box would be a pixel wide.)
     scene.cycles.pixel_filter_type, scene.cycles.filter_width = "GAUSSIAN", 0.01
     scene.cycles.max_bounces = 0
-    # Emission is 0 where no ray hits; ids start at 1 here.
+    # Emission is 0 where no ray hits, so ids start at 1 here.
     for item in bpy.data.objects:
         item.pass_index += 1
-    told = {
+    outputs = {
         "instance": ("ShaderNodeObjectInfo", "Object Index"),
-        "place": ("ShaderNodeNewGeometry", "Position"),
+        "position": ("ShaderNodeNewGeometry", "Position"),
         "normal": ("ShaderNodeNewGeometry", "Normal"),
         "facet_normal": ("ShaderNodeNewGeometry", "True Normal"),
     }
     scene.cycles.samples = 1
     result = {}
-    for name, (node, output) in told.items():
+    for name, (node, output) in outputs.items():
         layer.material_override = material(emission, node, output)
         result[name] = render()
     ids = np.rint(result["instance"][..., 0]).astype(int)
@@ -136,7 +136,7 @@ def planes(sun: bpy.types.Light) -> dict[str, np.ndarray]:
 
 
 def beauty(sun: bpy.types.Light, samples: int, irradiance: list[float]) -> dict[str, np.ndarray]:
-    """The path-traced picture, surfaces with the lobe that this renderer documents: half the material's roughness."""
+    """Path-traces the stage. Surfaces have the lobe that the renderer documents, with half the material's roughness."""
     scene = bpy.context.scene
     scene.cycles.pixel_filter_type = "BOX"
     scene.cycles.max_bounces = scene.cycles.diffuse_bounces = BOUNCES
@@ -145,7 +145,7 @@ def beauty(sun: bpy.types.Light, samples: int, irradiance: list[float]) -> dict[
     for item in bpy.data.objects:
         if item.type == "MESH":
             principled = item.data.materials[0].node_tree.nodes["Principled BSDF"].inputs
-            # Dome and stars only emit; as imported, they would also mirror the sun at grazing angles.
+            # Dome and stars only emit. As imported, they would also reflect the sun at grazing angles.
             name = "Base Color" if item.pass_index < SKY else "Emission Color"
             colour, roughness = tuple(principled[name].default_value), principled["Roughness"].default_value
             if item.pass_index < SKY:
@@ -156,7 +156,7 @@ def beauty(sun: bpy.types.Light, samples: int, irradiance: list[float]) -> dict[
 
 
 def main() -> None:
-    """What the command line says."""
+    """Runs what the command line asks for."""
     warnings.simplefilter("ignore", DeprecationWarning)
     path, out, width, height, angle_deg, kind, *numbers = sys.argv[1:]
     sun = open_stage(path, int(width), int(height), float(angle_deg))

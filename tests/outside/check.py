@@ -1,4 +1,4 @@
-"""What this renderer writes, in the hands of usd-core, trimesh, Embree, Blender and Mitsuba. Run through check.sh."""
+"""Compares exports and frames with usd-core, trimesh, Embree, Blender and Mitsuba. Run through check.sh."""
 
 import importlib.util
 import sys
@@ -19,7 +19,7 @@ CHECKED_FORMATS = {"npz", "glb", *USD_FORMATS}
 
 
 def check_case(report: Report, number: int, case: Case) -> None:
-    """One scene: every format, as authored and as drawn, then its pixels."""
+    """Checks one scene: every export format, as authored and as drawn, then the frame's pixels."""
     frame = render(case, samples=1)
     usd = [extension for extension in USD_FORMATS if extension in formats()]
     for drawn in (False, True):
@@ -27,35 +27,35 @@ def check_case(report: Report, number: int, case: Case) -> None:
         for extension in usd:
             usd_stage.check(export(case, extension, drawn), frame, arrays, report)
         gltf_stage.check(export(case, "glb", drawn), frame, arrays, report)
-    # What a frame draws is what its pixels can be held against.
+    # `arrays` now holds the triangles that the frame draws.
     pixels.check(frame, arrays, report)
     if importlib.util.find_spec("bpy"):
         blender.check(export(case, usd[number % len(usd)], drawn=True), frame, report)
 
 
 def check_fill(report: Report, case: Case) -> None:
-    """One scene: the light within its shadows."""
+    """Checks the light within the shadows of one scene."""
     import path_tracer
 
     path_tracer.check(case, report)
 
 
 def guarded(report: Report, name: str, check: Callable[[], None]) -> None:
-    """A scene whose check stumbles is a row that fails; the others still run."""
+    """Runs a check; an exception becomes a failing row, and the other scenes still run."""
     report.case = name
     try:
         check()
-    except Exception as error:  # whatever a reader of files throws
+    except Exception as error:  # any exception of any reader
         traceback.print_exc()
         report.none("the check ran", [f"{type(error).__name__}: {error}"], "yes")
 
 
 def main() -> int:
-    """Exit status."""
+    """Runs every check; returns the exit status."""
     start = time.monotonic()
     report = Report(case="formats")
     listed = formats()
-    report.none("formats listed, each with its check", sorted(set(listed) - CHECKED_FORMATS), " ".join(listed))
+    report.none("export formats, each with a check", sorted(set(listed) - CHECKED_FORMATS), " ".join(listed))
     for number, case in enumerate(CASES):
         guarded(report, case.name, partial(check_case, report, number, case))
     if importlib.util.find_spec("mitsuba"):

@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
-# What is written here in the hands of other programs: sets up their virtual environment below target/, then runs
-# check.py (or the script that is named as first argument, with the arguments that follow).
-# Uses the binary that `cargo build --release` left; PYTHON names another interpreter than python3.11.
+# Compares exports, frames and datasets with other programs: sets up their virtual environment below target/, then runs
+# check.py, or the script named by the first argument, with the arguments that follow.
+# Uses the binary that `cargo build --release` built. PYTHON selects another interpreter than python3.11.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 root=$(cd "$here/../.." && pwd)
 target=${CARGO_TARGET_DIR:-$root/target}
 binary=$target/release/regolith-render
 script=${1:-check.py}
-# Blender and the readers of datasets want different NumPys.
+# Blender and the dataset readers need different versions of NumPy.
 case $script in
     check_datasets.py | check_recipes.py) kind=datasets requirements=("$here"/requirements-{datasets,recipes}.txt) ;;
     *) kind=exports requirements=("$here/requirements.txt") ;;
@@ -34,12 +34,12 @@ if [ "$(cat "$venv/stamp" 2>/dev/null)" != "$stamp" ]; then
     log=$target/outside/blender.log
     if [ $kind = exports ] && ! $install -r "$here/requirements-blender.txt" 2>"$log"; then
         cat "$log" >&2
-        # No wheel for this Python or this machine is an excuse; no network, no room on the disk are none.
+        # A missing wheel for this Python or machine is tolerated; a missing network or a full disk is not.
         grep -q "No matching distribution found for bpy" "$log" && ! grep -q "Retrying (" "$log" \
             || fail "pip could not install Blender"
-        place="$("$python" --version) $(uname -sm)"
-        [[ $place != "Python 3.11."*" Linux x86_64" ]] || fail "there is a wheel of Blender for $place"
-        echo "$place" >"$venv/no-blender"
+        platform="$("$python" --version) $(uname -sm)"
+        [[ $platform != "Python 3.11."*" Linux x86_64" ]] || fail "there is a wheel of Blender for $platform"
+        echo "$platform" >"$venv/no-blender"
     fi
     echo "$stamp" >"$venv/stamp"
 fi
@@ -48,6 +48,6 @@ status=0
 "$venv/bin/python" "$here/$script" "${@:2}" || status=$?
 if [ -e "$venv/no-blender" ]; then
     echo "!!! BLENDER DID NOT RUN: PyPI has no $(grep ^bpy "$here/requirements-blender.txt") for" \
-        "$(cat "$venv/no-blender"); masks and shadows were not held against Cycles !!!" >&2
+        "$(cat "$venv/no-blender"); masks and shadows were not compared with Cycles !!!" >&2
 fi
 exit $status

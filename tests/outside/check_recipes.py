@@ -1,7 +1,7 @@
-"""Runs the recipes of assets/recipes for real and holds what they make against a run without shards.
+"""Runs the recipes of assets/recipes and compares their datasets with an unsharded run.
 
-Ray runs with two workers on this machine. Slurm and Kubernetes are stood in for by what they give a task: environment
-variables, a command line, tasks at the same time.
+Ray runs with two workers on this machine. Slurm and Kubernetes are simulated by what they give a task: environment
+variables, a command line, and other tasks at the same time.
 """
 
 import json
@@ -19,7 +19,7 @@ FRAMES = 12
 
 
 def environment(program: Path, folder: Path, **variables: str) -> dict[str, str]:
-    """The environment of a task: the program and a stand-in for srun on the PATH, the CPU driver."""
+    """The environment of a task: the program and a fake srun on the PATH, and the CPU driver."""
     tools = folder / "tools"
     tools.mkdir(exist_ok=True)
     srun = tools / "srun"
@@ -48,12 +48,12 @@ def slurm(program: Path, folder: Path, out: Path) -> None:
 
 
 def kubernetes(program: Path, folder: Path, out: Path) -> None:
-    """Every pod of the job, with fewer shards and frames, and the options of the small scene."""
+    """Every pod of the job, with fewer shards and frames, and with the options of the small scene."""
     job = yaml.safe_load((RECIPES / "kubernetes.yaml").read_text())["spec"]
     container = job["template"]["spec"]["containers"][0]
     variables = {row["name"]: row["value"] for row in container["env"]}
     if int(variables["SHARDS"]) != job["completions"] or job["completionMode"] != "Indexed":
-        sys.exit("kubernetes.yaml: SHARDS is not the number of completions of an indexed job")
+        sys.exit("kubernetes.yaml: SHARDS differs from the completions of an indexed job")
     variables |= {"SHARDS": "2", "COUNT": str(FRAMES), "OUT": str(out)}
     script = container["args"][0].replace('--preset "$PRESET"', " ".join([*SCENE, "--quiet"]))
     command = [*container["command"], script]
@@ -63,22 +63,22 @@ def kubernetes(program: Path, folder: Path, out: Path) -> None:
 
 
 def ray(program: Path, folder: Path, out: Path) -> None:
-    """Four shards by two workers."""
+    """Four shards on two workers."""
     command = [sys.executable, str(RECIPES / "ray_dataset.py"), "--shards", "4", "--cpus", "1", "--program", str(program)]
     options = ["--count", str(FRAMES), "--out", str(out), *SCENE]
     env = environment(program, folder, RAY_USAGE_STATS_ENABLED="0", RAY_DEDUP_LOGS="0")
     done = subprocess.run([*command, "--", *options], env=env, capture_output=True, text=True)
     if done.returncode != 0 or "4 of 4 shards" not in done.stdout:
         sys.exit(f"ray: {done.stdout}\n{done.stderr}")
-    # What the program says must reach the user.
+    # The program's message must reach the user.
     failing = [*command, "--retries", "0", "--", *options, "--set", "sun.elevation_deg=95"]
     done = subprocess.run(failing, env=env, capture_output=True, text=True)
     if done.returncode == 0 or "sun.elevation_deg = 95" not in done.stderr:
-        sys.exit(f"ray hides an error: {done.stderr}")
+        sys.exit(f"ray swallows an error: {done.stderr}")
 
 
 def content(folder: Path) -> dict[str, object]:
-    """Every file below a folder; of the frames' lines all but the milliseconds."""
+    """Every file below a folder; the lines of frames.jsonl without the milliseconds."""
     files: dict[str, object] = {}
     for path in sorted(folder.rglob("*")):
         if path.is_file():
@@ -101,8 +101,8 @@ def main() -> None:
             made, wanted = content(out), content(whole)
             different = [name for name in made.keys() | wanted.keys() if made.get(name) != wanted.get(name)]
             if different:
-                sys.exit(f"{recipe.__name__}: not as without shards: {sorted(different)}")
-            print(f"{recipe.__name__:<12} {FRAMES} frames, the same bytes as without shards")
+                sys.exit(f"{recipe.__name__}: differs from the unsharded run: {sorted(different)}")
+            print(f"{recipe.__name__:<12} {FRAMES} frames, the same bytes as the unsharded run")
 
 
 if __name__ == "__main__":

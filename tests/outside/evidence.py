@@ -1,9 +1,9 @@
-"""A frame beside the same stage path-traced by Cycles, and their difference: makes assets/evidence.png anew.
+"""Makes assets/evidence.png: a frame, the same stage path-traced by Cycles, and their difference.
 
     tests/outside/check.sh evidence.py [SAMPLES]
 
-Both have the same triangles, camera, sun, albedo and diffuse lobe, and the same tone curve. Ours estimates the light
-that the ground bounces; Cycles follows it over eight bounces.
+Both have the same triangles, camera, sun, albedo, diffuse lobe and tone curve. The renderer estimates one bounce from
+sunlit ground; Cycles traces eight bounces.
 """
 
 import sys
@@ -27,9 +27,9 @@ CASE = Case(
         "camera.fov_deg=52",
     ),
 )
-PICTURE = Path(__file__).resolve().parents[2] / "assets" / "evidence.png"
+IMAGE = Path(__file__).resolve().parents[2] / "assets" / "evidence.png"
 SAMPLES = 512
-# How much brighter the difference is shown than it is.
+# Factor by which the difference is brightened.
 FACTOR = 4
 GAP_PX = 4
 # Irradiance per unit of the intensity knob, and the tone curve: see src/scene/sky.rs and shaders/common/tone.wgsl.
@@ -48,19 +48,19 @@ def displayed(radiance: np.ndarray) -> np.ndarray:
 
 
 def row(panels: list[tuple[str, np.ndarray]]) -> Image.Image:
-    """The panels side by side, each with its name."""
+    """Panels side by side, each with its name."""
     height, width = panels[0][1].shape[:2]
-    picture = Image.new("RGB", (len(panels) * (width + GAP_PX) - GAP_PX, height), "white")
-    draw, font = ImageDraw.Draw(picture), ImageFont.load_default(size=13)
+    image = Image.new("RGB", (len(panels) * (width + GAP_PX) - GAP_PX, height), "white")
+    draw, font = ImageDraw.Draw(image), ImageFont.load_default(size=13)
     for index, (name, pixels) in enumerate(panels):
         left = index * (width + GAP_PX)
-        picture.paste(Image.fromarray(pixels), (left, 0))
+        image.paste(Image.fromarray(pixels), (left, 0))
         draw.text((left + 8, 6), name, fill="white", font=font)
-    return picture
+    return image
 
 
 def main() -> None:
-    """Renders, compares, writes."""
+    """Renders, compares, writes the image and prints statistics."""
     samples = int(sys.argv[1]) if len(sys.argv) > 1 else SAMPLES
     frame = render(CASE, samples=16)
     knobs = frame.record["knobs"]
@@ -70,19 +70,19 @@ def main() -> None:
     difference = np.abs(frame.rgb.astype(int) - traced).max(-1)
     shown = np.repeat(np.clip(FACTOR * difference, 0, 255).astype(np.uint8)[..., None], 3, -1)
     names = ("regolith-render", f"Cycles, {samples} paths a pixel", f"difference x {FACTOR}")
-    row(list(zip(names, (frame.rgb, traced, shown), strict=True))).save(PICTURE, optimize=True)
+    row(list(zip(names, (frame.rgb, traced, shown), strict=True))).save(IMAGE, optimize=True)
 
-    lit = (frame.classes != SKY) & (frame.hidden < 0.01)
-    dark = (frame.classes != SKY) & (frame.hidden > 0.99)
-    print(f"{PICTURE}: {PICTURE.stat().st_size} bytes")
+    lit = (frame.classes != SKY) & (frame.sun_occlusion < 0.01)
+    dark = (frame.classes != SKY) & (frame.sun_occlusion > 0.99)
+    print(f"{IMAGE}: {IMAGE.stat().st_size} bytes")
     for name, where in (("all", difference >= 0), ("sunlit", lit), ("in shadow", dark)):
         values = difference[where]
         print(
             f"{name}: {where.sum()} px, difference of 255: median {np.median(values):.1f}, mean {values.mean():.2f}, "
             f"99 % {np.quantile(values, 0.99):.0f}"
         )
-        for side, picture in (("ours", frame.rgb), ("Cycles", traced)):
-            print(f"    {side} mean {picture[where].mean(0).round(1)}")
+        for side, image in (("ours", frame.rgb), ("Cycles", traced)):
+            print(f"    {side} mean {image[where].mean(0).round(1)}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""usd-core reads the OpenUSD stage: quietly, validly, with the prims, labels, camera and triangles of the scene."""
+"""usd-core reads the OpenUSD stage: no diagnostics, valid, with the scene's prims, labels, camera and triangles."""
 
 from pathlib import Path
 
@@ -20,15 +20,15 @@ FIXED_PRIMS = {
 
 
 def check(path: Path, frame: Frame, soup: Soup, report: Report) -> None:
-    """Everything that usd-core can tell of one file."""
+    """Compares everything that usd-core reads from one file."""
     name = path.name
     diagnostics = UsdUtils.CoalescingDiagnosticDelegate()
     stage = Usd.Stage.Open(str(path))
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
     errors = UsdValidation.ValidationContext(validators).Validate(stage)
-    said = [item.commentary for item in diagnostics.TakeUncoalescedDiagnostics()]
+    messages = [item.commentary for item in diagnostics.TakeUncoalescedDiagnostics()]
     prims = list(stage.Traverse())
-    report.none(f"{name}: opens without a word, prims", said, len(prims))
+    report.none(f"{name}: opens without diagnostics, prims", messages, len(prims))
     report.none(
         f"{name}: UsdValidation", [error.GetErrorAsString() for error in errors], f"{len(validators)} validators"
     )
@@ -42,7 +42,7 @@ def check(path: Path, frame: Frame, soup: Soup, report: Report) -> None:
 
 
 def _missing(stage: Usd.Stage, soup: Soup) -> list[str]:
-    """Prims that are not what they should be, and metadata of the stage."""
+    """Missing or mistyped prims, and wrong metadata of the stage."""
     kinds = {path: stage.GetPrimAtPath(path).GetTypeName() for path in FIXED_PRIMS if stage.GetPrimAtPath(path)}
     faults = [path for path, kind in FIXED_PRIMS.items() if kinds.get(path) != kind]
     found = {prim.GetName() for prim in stage.GetPrimAtPath("/World/Rocks").GetChildren()}
@@ -59,14 +59,14 @@ def _missing(stage: Usd.Stage, soup: Soup) -> list[str]:
 
 
 def _class_of(path: str) -> str:
-    """The class that a mesh must be labelled with, by where it stands."""
+    """The class that a mesh must be labelled with, from its path."""
     if path == "/World/Regolith":
         return "regolith"
     return "rock" if path.startswith("/World/Rocks/") else "sky"
 
 
 def _wrong_labels(prim: Usd.Prim) -> list[str]:
-    """The label as UsdSemantics gives it and as the older Semantics attributes give it."""
+    """Faults of the label, as UsdSemantics and as the older Semantics attributes have it."""
     wanted = _class_of(str(prim.GetPath()))
     labels = UsdSemantics.LabelsQuery("class", Usd.TimeCode.Default()).ComputeUniqueDirectLabels(prim)
     older = "semantic:Semantics_class:params:semantic"
@@ -76,7 +76,7 @@ def _wrong_labels(prim: Usd.Prim) -> list[str]:
 
 
 def _pose(stage: Usd.Stage, path: str) -> np.ndarray:
-    """World from prim, for column vectors."""
+    """The transform `world_from_prim`, for column vectors."""
     return np.array(UsdGeom.XformCache().GetLocalToWorldTransform(stage.GetPrimAtPath(path))).T
 
 
@@ -89,22 +89,22 @@ def _check_camera(stage: Usd.Stage, name: str, frame: Frame, report: Report) -> 
         camera.focalLength / camera.verticalAperture * height,
     ]
     worst_px = np.abs(np.array(focal_px) - [frame.k[0, 0], frame.k[1, 1]]).max()
-    report.at_most(f"{name}: focal length off the record", worst_px, 1e-3, " px")
+    report.at_most(f"{name}: focal length, difference to the record", worst_px, 1e-3, " px")
     recorded = frame.record["camera"]
     off = np.abs(_pose(stage, "/World/RoverCam") - recorded["world_from_camera_gl"]).max()
-    report.at_most(f"{name}: camera's pose off the record", off, 1e-6)
+    report.at_most(f"{name}: camera pose, difference to the record", off, 1e-6)
     clipping = [camera.clippingRange.min, camera.clippingRange.max]
     off = np.abs(np.array(clipping) - [recorded["near_m"], recorded["far_m"]]).max()
-    report.at_most(f"{name}: clipping range off the record", off, 1e-6, " m")
+    report.at_most(f"{name}: clipping range, difference to the record", off, 1e-6, " m")
 
 
 def _check_sun(stage: Usd.Stage, name: str, frame: Frame, report: Report) -> None:
     """Direction and angle of the light against the frame's record."""
     light = UsdLux.DistantLight(stage.GetPrimAtPath("/World/Sun"))
     towards = _pose(stage, "/World/Sun")[:3, 2]
-    report.at_most(f"{name}: sun's direction off the record", np.abs(towards - frame.sun).max(), 1e-6)
+    report.at_most(f"{name}: sun direction, difference to the record", np.abs(towards - frame.sun).max(), 1e-6)
     off = abs(light.GetAngleAttr().Get() - 0.53) + abs(frame.record["sun"]["angular_diameter_deg"] - 0.53)
-    report.at_most(f"{name}: sun's angle off 0.53 deg", off, 1e-6, " deg")
+    report.at_most(f"{name}: sun angle, difference to 0.53 deg", off, 1e-6, " deg")
 
 
 def _check_meshes(stage: Usd.Stage, name: str, soup: Soup, report: Report) -> None:
@@ -122,14 +122,14 @@ def _check_meshes(stage: Usd.Stage, name: str, soup: Soup, report: Report) -> No
         corners = np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
         count += len(corners)
         if points.shape != vertices.shape or not np.array_equal(corners, triangles):
-            faults.append(f"{path} has other triangles")
+            faults.append(f"{path} has different triangles")
             continue
         worst_m = max(worst_m, np.abs(points - vertices).max())
         material = UsdShade.MaterialBindingAPI(mesh).ComputeBoundMaterial()[0]
         colour = material.ComputeSurfaceSource()[0].GetInput("diffuseColor").Get()
         if not np.allclose(colour, soup.arrays["albedo"][instance], rtol=1e-6):
-            faults.append(f"{path} has another colour")
+            faults.append(f"{path} has a different colour")
     if count != len(soup.triangles):
-        faults.append(f"{count} triangles for {len(soup.triangles)}")
+        faults.append(f"{count} triangles instead of {len(soup.triangles)}")
     report.none(f"{name}: triangles and colours as in .npz", faults, count)
-    report.at_most(f"{name}: points off those of .npz", worst_m, 1e-4, " m")
+    report.at_most(f"{name}: points, distance to those of .npz", worst_m, 1e-4, " m")
