@@ -19,8 +19,8 @@ use regolith::render::select::footprint::Footprint;
 use regolith::render::select::selection::{SelectedRock, Selection};
 use regolith::render::shadow::horizon::HorizonMap;
 use regolith::render::shadow::host::{self, ShadowMap};
-use regolith::render::visibility::geometry::Facets;
-use regolith::render::visibility::host::Stencil;
+use regolith::render::visibility::geometry::VisibleTriangles;
+use regolith::render::visibility::host::ShadingBinMask;
 use regolith::scene::Scene;
 use regolith::scene::mesh::Icosphere;
 use regolith::scene::noise::Fbm;
@@ -81,7 +81,7 @@ fn picture(c: &mut Criterion) {
     horizon.update(&scene.terrain, &scene.sun, &footprint);
     let grid = caster_grid(&scene, &selection.casters, horizon.shadowed_ground(), &footprint);
     let bands = Bands::new(&scene, &selection, &settings);
-    let (mut facets, mut stencil) = (Facets::default(), Stencil::default());
+    let (mut visible, mut stencil) = (VisibleTriangles::default(), ShadingBinMask::default());
     let mut later = scene.clone();
     let Sun { elevation_deg, azimuth_deg, angular_diameter_deg, irradiance, .. } = scene.sun;
     later.sun = Sun::new(elevation_deg, azimuth_deg + 1.0, angular_diameter_deg, irradiance);
@@ -102,15 +102,15 @@ fn picture(c: &mut Criterion) {
     };
     group.throughput(Throughput::Elements(selection.rocks.iter().map(cast).sum::<usize>() as u64));
     group.bench_function("shadow_map", |b| {
-        let tiles = ShadowMap::default().place(&scene, &mut selection.clone());
-        let mut room = vec![[0; PAGE_BYTES]; host::parts(&tiles).1 / PAGE_BYTES];
-        b.iter(|| host::draw(black_box(&scene), &tiles, &mut room.iter_mut().map(Page::from_mut)));
+        let tiles = ShadowMap::default().allocate(&scene, &mut selection.clone());
+        let mut room = vec![[0; PAGE_BYTES]; host::upload_regions(&tiles).1 / PAGE_BYTES];
+        b.iter(|| host::rasterise(black_box(&scene), &tiles, &mut room.iter_mut().map(Page::from_mut)));
     });
-    facets.find(&scene, &selection, &settings, &grid, &bands, true);
-    let triangles = facets.meshes().iter().map(|mesh| mesh.facets.len()).sum::<usize>();
+    visible.find(&scene, &selection, &settings, &grid, &bands, true);
+    let triangles = visible.meshes().iter().map(|mesh| mesh.triangles.len()).sum::<usize>();
     group.throughput(Throughput::Elements(triangles as u64));
-    group.bench_function("facets", |b| {
-        b.iter(|| facets.find(black_box(&scene), &selection, &settings, &grid, &bands, true));
+    group.bench_function("visible_triangles", |b| {
+        b.iter(|| visible.find(black_box(&scene), &selection, &settings, &grid, &bands, true));
     });
     let [width, height] = settings.sample_size();
     group.throughput(Throughput::Elements(u64::from(width) * u64::from(height)));
@@ -118,7 +118,7 @@ fn picture(c: &mut Criterion) {
         b.iter(|| {
             stencil.restart([width, height]);
             let nowhere = (&mut std::iter::empty() as &mut dyn Iterator<Item = _>, [0; 2]);
-            stencil.draw(black_box(&facets), width as usize, &(0..height), &(0..0), nowhere);
+            stencil.draw(black_box(&visible), width as usize, &(0..height), &(0..0), nowhere);
         });
     });
     group.finish();

@@ -137,7 +137,7 @@ pub(crate) struct ShadowRaster {
 impl ShadowRaster {
     fn place_tiles(&mut self, scene: &Scene, selection: &mut Selection) -> [u32; 2] {
         let start = Instant::now();
-        self.new_tiles = self.tiles.place(scene, selection);
+        self.new_tiles = self.tiles.allocate(scene, selection);
         self.elapsed_ms = milliseconds(start.elapsed());
         self.tiles.size_px()
     }
@@ -155,12 +155,12 @@ impl ShadowRaster {
             self.map = Some(gpu.texture("shadow/map", size_px, SHADOW_MAP_FORMAT, usage));
         }
         let start = Instant::now();
-        let (parts, bytes) = host::parts(&self.new_tiles);
+        let (regions, bytes) = host::upload_regions(&self.new_tiles);
         if bytes > 0 {
             let room = bytes.next_multiple_of(STAGING_STEP_BYTES);
             let staging = StagingBuffer::with_capacity(staging, gpu, "shadow/staging", room)?;
-            staging.write(gpu, |pages| host::draw(scene, &self.new_tiles, pages))?;
-            staging.copy_to(gpu, &self.texture().0, &parts)?;
+            staging.write(gpu, |pages| host::rasterise(scene, &self.new_tiles, pages))?;
+            staging.copy_to(gpu, &self.texture().0, &regions)?;
         }
         self.elapsed_ms += milliseconds(start.elapsed());
         Ok(bytes as u64)

@@ -29,8 +29,8 @@ use crate::render::select::selection::Selection;
 use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
 use device::VisibilityPass;
-use geometry::Facets;
-use host::Stencil;
+use geometry::VisibleTriangles;
+use host::ShadingBinMask;
 use meshes::Meshes;
 
 /// Most bytes that are uploaded at once.
@@ -154,7 +154,7 @@ impl VisibilityBackend {
 /// The host backend; kept for its memory.
 #[derive(Debug, Default)]
 pub(crate) struct VisibilityRaster {
-    facets: Facets,
+    triangles: VisibleTriangles,
     elapsed_ms: f64,
 }
 
@@ -168,11 +168,11 @@ impl VisibilityRaster {
     ) -> Result<u64> {
         let start = Instant::now();
         let VisibilityInputs { scene, settings, selection, caster_grid, bands, .. } = inputs;
-        self.facets.find(scene, selection, settings, caster_grid, bands, inputs.bin_by_shadow_sources);
-        let bins = self.facets.groups();
+        self.triangles.find(scene, selection, settings, caster_grid, bands, inputs.bin_by_shadow_sources);
+        let bins = self.triangles.bins();
         gbuffer.batches = inputs.batches.to_vec();
-        for mesh in self.facets.meshes() {
-            for (bin, bounds) in mesh.groups.iter().zip(mesh.bounds) {
+        for mesh in self.triangles.meshes() {
+            for (bin, bounds) in mesh.bins.iter().zip(mesh.bounds) {
                 let batch = &mut gbuffer.batches[usize::from(bins.merge_bands(*bin))];
                 batch.bounds = batch.bounds.union(bounds);
             }
@@ -209,18 +209,18 @@ impl VisibilityRaster {
         let staging =
             StagingBuffer::with_capacity(staging, gpu, "gbuffer/staging", row_bytes * rows_at_once as usize)?;
         // Where there was a surface in the frame before there may be nothing but sky now.
-        let covered = self.facets.rows_of_things();
+        let covered = self.triangles.surface_rows();
         let before = std::mem::replace(&mut gbuffer.written_rows, covered.clone());
         let written = [covered, before].into_iter().filter(|rows| !rows.is_empty());
         let written = written.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end)).unwrap_or(0..0);
         let mut stencil =
-            Stencil { values: gbuffer.host_stencil.take().unwrap_or_default(), has_holes: false };
+            ShadingBinMask { values: gbuffer.host_stencil.take().unwrap_or_default(), has_holes: false };
         stencil.restart(gbuffer.sample_size);
         for first in (0..height).step_by(rows_at_once as usize) {
             let rows = first..height.min(first + rows_at_once);
             let uploaded = written.start.max(rows.start)..written.end.min(rows.end);
             let mut draw = |pages: &mut dyn Iterator<Item = Page<'_>>| {
-                stencil.draw(&self.facets, width as usize, &rows, &uploaded, (pages, each_bytes));
+                stencil.draw(&self.triangles, width as usize, &rows, &uploaded, (pages, each_bytes));
             };
             if uploaded.is_empty() {
                 draw(&mut std::iter::empty());
@@ -241,6 +241,6 @@ impl VisibilityRaster {
     }
 
     fn triangles(&self) -> u64 {
-        self.facets.meshes().iter().map(|mesh| mesh.facets.len() as u64).sum()
+        self.triangles.meshes().iter().map(|mesh| mesh.triangles.len() as u64).sum()
     }
 }

@@ -5,7 +5,7 @@
 use glam::Vec3;
 
 use crate::error::{Error, Result};
-use crate::render::raster::cut;
+use crate::render::raster::clip::clip_polygon;
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
 
@@ -78,9 +78,9 @@ fn is_cut(scene: &Scene, camera: &Camera, [width_px, height_px]: [u32; 2]) -> bo
             return false;
         }
         let between = |a: &Vec3, b: &Vec3, t: f32| *a + t * (*b - *a);
-        let seen = sides
-            .iter()
-            .fold(triangle.to_vec(), |polygon, side| cut(&polygon, |corner| corner.dot(*side), between));
+        let seen = sides.iter().fold(triangle.to_vec(), |polygon, side| {
+            clip_polygon(&polygon, |corner| corner.dot(*side), between)
+        });
         seen.iter().any(|corner| corner.dot(camera.forward) < camera.near_m)
     };
     let (eye, around) = (camera.eye, Vec3::splat(reach_m));

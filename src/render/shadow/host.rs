@@ -1,10 +1,11 @@
-//! The shadow map drawn by this program: for devices that are a CPU themselves.
+//! The shadow map on the CPU, for software adapters.
 //!
-//! What a tile holds depends on nothing but its mesh, its size and the sun, and where it lies tells in no picture: what the device
-//! has of the pictures before stays. A picture is the same whatever was drawn before it.
+//! A tile's texels depend on nothing but the caster's mesh, the tile's size and the sun, and no image depends on where in the map
+//! a tile lies. So tiles of earlier frames stay in the map, and a frame is the same whatever was rendered before it.
 //!
-//! Twin of `shadow.wgsl` and `shadow_midpoint.wgsl`.
-//! Must not know: buffers.
+//! CPU counterpart of `shadow.wgsl` and `shadow_midpoint.wgsl`: midpoint shadow maps (Woo 1992, "The shadow depth map revisited", in
+//! Graphics Gems III).
+//! Must not know: textures.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -18,10 +19,14 @@ use rayon::prelude::*;
 
 use crate::gpu::staging::{PAGE_BYTES, Page, PageWriter, ROW_ALIGNMENT, TextureRegion};
 use crate::render::device::shader_structs::CasterTile;
-use crate::render::raster::{
-    AT_ONCE, Corners, HEIGHT, LANES, Outline, Outlines, Paint, Place, Plane, Sides, Sifted, Turn, VERTICES,
-    WIDTH, by_axis, load, store,
+use crate::render::raster::cull::{CULL_BATCH, CullMode, Survivors, Winding};
+use crate::render::raster::fill::FragmentSink;
+use crate::render::raster::fixed_point::SubpixelPoint;
+use crate::render::raster::lanes::{
+    BLOCK_HEIGHT, BLOCK_WIDTH, LANES, VERTEX_BATCH, load_block, store_block, to_soa,
 };
+use crate::render::raster::setup::{Interpolant, TriangleSetup};
+use crate::render::raster::setup8::{TriangleSetup8, TriangleVertices8};
 use crate::render::select::atlas::{Allocation, AtlasAllocator};
 use crate::render::select::casters;
 use crate::render::select::selection::Selection;
@@ -29,32 +34,32 @@ use crate::reuse::Reused;
 use crate::scene::Scene;
 use crate::scene::mesh::{Icosphere, Vertex};
 
-/// Height where a tile shows no caster, half extents of the tile. Stands in `shadow_midpoint.wgsl` too.
+/// Height where a tile has no caster, half extents of the tile. `shadow_midpoint.wgsl` has the same.
 const NO_CASTER: f32 = -1.0e9;
-/// Rows of a band of a tile, which one thread draws: few enough to stay near to it, and whole pages of them.
+/// Rows of a band of a tile. One thread rasterises a band: few enough rows to stay in its cache, and whole pages of them.
 const BAND_ROWS: usize = 256;
 const _: () = assert!((BAND_ROWS * ROW_ALIGNMENT).is_multiple_of(PAGE_BYTES));
 /// Columns and rows of the map at first.
-const LEAST_PX: [u32; 2] = [512, 512];
+const MIN_SIZE_PX: [u32; 2] = [512, 512];
 
 thread_local! {
-    /// Kept for its memory.
-    static CANVAS: RefCell<Canvas> = RefCell::default();
+    /// One per thread, so that its memory is reused.
+    static BAND: RefCell<ShadowBand> = RefCell::default();
 }
 
-/// Which tiles the device has, and where.
+/// Which tiles the device's shadow map holds, and where.
 #[derive(Debug, Default)]
 pub struct ShadowMap {
     atlas: AtlasAllocator,
     sun_direction: Vec3,
-    /// By the rock.
+    /// By the index of the rock.
     tiles: BTreeMap<usize, Tile>,
 }
 
-/// What a tile holds and where it is.
+/// A tile of the map: what it was rasterised from, and where it is.
 #[derive(Clone, Debug)]
 struct Tile {
-    /// Keeps the mesh's address from being given to another, but not the mesh.
+    /// Identifies the mesh: while this exists its address goes to no other mesh, though the mesh itself may be dropped.
     mesh: Weak<Reused<Vertex>>,
     level: usize,
     size_px: f32,
@@ -62,12 +67,12 @@ struct Tile {
     allocation: Allocation,
 }
 
-/// A tile that is to be drawn.
+/// A tile that is still to be rasterised.
 #[derive(Clone, Copy, Debug)]
 pub struct NewTile {
     rock: usize,
     level: usize,
-    place: CasterTile,
+    tile: CasterTile,
 }
 
 impl ShadowMap {
@@ -77,31 +82,48 @@ impl ShadowMap {
         self.atlas.size()
     }
 
-    /// Gives the tiles of a selection's casters their places in the map; those that are to be drawn there, the largest first. What
-    /// lies between the tiles is any number. Where the map has grown it has none of the tiles from before.
-    pub fn place(&mut self, scene: &Scene, selection: &mut Selection) -> Vec<NewTile> {
-        let mut casting: Vec<Option<NewTile>> = vec![None; selection.casters.len()];
+    /// Allocates the tiles of a selection's casters; returns those that are to be rasterised, the largest first. Texels between
+    /// the tiles are undefined. If the map grows it loses all earlier tiles.
+    pub fn allocate(&mut self, scene: &Scene, selection: &mut Selection) -> Vec<NewTile> {
+        let mut of_casters: Vec<Option<NewTile>> = vec![None; selection.casters.len()];
         for selected in &selection.rocks {
             if let Some((caster, level)) = selected.caster {
                 let level = level.min(scene.rocks[selected.rock].level);
-                let place = selection.casters[caster].tile;
-                casting[caster] = Some(NewTile { rock: selected.rock, level, place });
+                let tile = selection.casters[caster].tile;
+                of_casters[caster] = Some(NewTile { rock: selected.rock, level, tile });
             }
         }
         let order = casters::largest_first(&selection.casters);
-        let wanted: Vec<NewTile> = order.iter().filter_map(|&caster| casting[caster]).collect();
+        let wanted: Vec<NewTile> = order.iter().filter_map(|&caster| of_casters[caster]).collect();
+        let mut new = self.retain(scene, &wanted);
+        while !new.iter().all(|tile| self.add(tile, scene)) {
+            self.make_room(&wanted, new.len());
+            new.clone_from(&wanted);
+        }
+        let origin_of = |rock: usize| UVec2::from(self.tiles[&rock].allocation.corner).as_vec2();
+        for (caster, tile) in of_casters.iter().enumerate() {
+            if let Some(tile) = tile {
+                selection.casters[caster].tile.origin_px = origin_of(tile.rock);
+            }
+        }
+        for tile in &mut new {
+            tile.tile.origin_px = origin_of(tile.rock);
+        }
+        new
+    }
+
+    /// Keeps the tiles of the last frame that are still valid and frees the others; returns those that are missing.
+    fn retain(&mut self, scene: &Scene, wanted: &[NewTile]) -> Vec<NewTile> {
         let is_same_sun =
             std::mem::replace(&mut self.sun_direction, scene.sun.direction) == scene.sun.direction;
         let before = std::mem::take(&mut self.tiles);
-        for tile in &wanted {
+        for tile in wanted {
             if let Some(known) =
                 before.get(&tile.rock).filter(|known| is_same_sun && known.holds(tile, scene))
             {
                 self.tiles.insert(tile.rock, known.clone());
             }
         }
-        let is_kept = |tile: &&NewTile| self.tiles.contains_key(&tile.rock);
-        let mut new: Vec<NewTile> = wanted.iter().filter(|tile| !is_kept(tile)).copied().collect();
         if self.tiles.is_empty() {
             self.clear(self.atlas.size());
         } else {
@@ -109,62 +131,54 @@ impl ShadowMap {
                 self.atlas.free(tile.allocation);
             }
         }
-        while !new.iter().all(|tile| self.add(tile, scene)) {
-            let [width, height] = self.atlas.size();
-            let area_px: u32 =
-                wanted.iter().map(|tile| tile.place.size_px as u32).map(|side| side * side).sum();
-            let is_scattered = new.len() < wanted.len() && 2 * area_px <= width * height;
-            self.clear(match (is_scattered, width > height) {
-                (true, _) => [width, height],
-                (false, true) => [width, 2 * height],
-                (false, false) => [2 * width, height],
-            });
-            new.clone_from(&wanted);
-        }
-        let place_of = |rock: usize| UVec2::from(self.tiles[&rock].allocation.corner).as_vec2();
-        for (caster, tile) in casting.iter().enumerate() {
-            if let Some(tile) = tile {
-                selection.casters[caster].tile.origin_px = place_of(tile.rock);
-            }
-        }
-        for tile in &mut new {
-            tile.place.origin_px = place_of(tile.rock);
-        }
-        new
+        wanted.iter().filter(|tile| !self.tiles.contains_key(&tile.rock)).copied().collect()
+    }
+
+    /// Empties the map, which is too small or too fragmented for the wanted tiles, `new_count` of which are new; grows it unless
+    /// defragmentation will do.
+    fn make_room(&mut self, wanted: &[NewTile], new_count: usize) {
+        let [width, height] = self.atlas.size();
+        let area_px: u32 = wanted.iter().map(|tile| tile.tile.size_px as u32).map(|side| side * side).sum();
+        let is_fragmented = new_count < wanted.len() && 2 * area_px <= width * height;
+        self.clear(match (is_fragmented, width > height) {
+            (true, _) => [width, height],
+            (false, true) => [width, 2 * height],
+            (false, false) => [2 * width, height],
+        });
     }
 
     fn clear(&mut self, [width, height]: [u32; 2]) {
-        self.atlas = AtlasAllocator::new([width.max(LEAST_PX[0]), height.max(LEAST_PX[1])]);
+        self.atlas = AtlasAllocator::new([width.max(MIN_SIZE_PX[0]), height.max(MIN_SIZE_PX[1])]);
         self.tiles.clear();
     }
 
-    /// Finds a place for a tile, if the atlas has room.
+    /// Allocates a tile; whether there was room for it.
     fn add(&mut self, tile: &NewTile, scene: &Scene) -> bool {
-        let Some(allocation) = self.atlas.allocate(tile.place.size_px as u32) else { return false };
+        let Some(allocation) = self.atlas.allocate(tile.tile.size_px as u32) else { return false };
         let mesh = Arc::downgrade(&scene.rocks[tile.rock].vertices);
-        let CasterTile { size_px, half_extent_m, .. } = tile.place;
+        let CasterTile { size_px, half_extent_m, .. } = tile.tile;
         self.tiles.insert(tile.rock, Tile { mesh, level: tile.level, size_px, half_extent_m, allocation });
         true
     }
 }
 
 impl Tile {
-    /// Whether it is what another is to hold.
-    fn holds(&self, tile: &NewTile, scene: &Scene) -> bool {
-        self.mesh.ptr_eq(&Arc::downgrade(&scene.rocks[tile.rock].vertices))
-            && self.level == tile.level
-            && (self.size_px, self.half_extent_m) == (tile.place.size_px, tile.place.half_extent_m)
+    /// Whether it holds the texels of a tile that is wanted.
+    fn holds(&self, wanted: &NewTile, scene: &Scene) -> bool {
+        self.mesh.ptr_eq(&Arc::downgrade(&scene.rocks[wanted.rock].vertices))
+            && self.level == wanted.level
+            && (self.size_px, self.half_extent_m) == (wanted.tile.size_px, wanted.tile.half_extent_m)
     }
 }
 
 impl NewTile {
-    /// Pages that so many of its rows are written to.
+    /// Pages that this many of its rows take.
     fn pages(&self, rows: usize) -> usize {
         (self.row_bytes() * rows).div_ceil(PAGE_BYTES)
     }
 
     fn size(&self) -> usize {
-        self.place.size_px as usize
+        self.tile.size_px as usize
     }
 
     fn row_bytes(&self) -> usize {
@@ -172,26 +186,27 @@ impl NewTile {
     }
 }
 
-/// Where tiles are written to, one after the other, and which parts of the map they are.
+/// The layout of tiles in staging memory, one after the other: the region of the map that each is copied to, and the bytes of
+/// all.
 #[must_use]
-pub fn parts(tiles: &[NewTile]) -> (Vec<TextureRegion>, usize) {
+pub fn upload_regions(tiles: &[NewTile]) -> (Vec<TextureRegion>, usize) {
     let mut end = 0;
-    let part = |tile: &NewTile| {
+    let region = |tile: &NewTile| {
         let offset_bytes = end;
         end += tile.pages(tile.size()) * PAGE_BYTES;
-        let origin = tile.place.origin_px.as_uvec2().to_array();
+        let origin = tile.tile.origin_px.as_uvec2().to_array();
         TextureRegion {
             offset_bytes,
             row_bytes: tile.row_bytes(),
             origin,
-            size: [tile.place.size_px as u32; 2],
+            size: [tile.tile.size_px as u32; 2],
         }
     };
-    (tiles.iter().map(part).collect(), end)
+    (tiles.iter().map(region).collect(), end)
 }
 
-/// Draws tiles to where [`parts`] says.
-pub fn draw(scene: &Scene, tiles: &[NewTile], pages: &mut dyn Iterator<Item = Page<'_>>) {
+/// Rasterises tiles into staging memory, laid out as by [`upload_regions`].
+pub fn rasterise(scene: &Scene, tiles: &[NewTile], pages: &mut dyn Iterator<Item = Page<'_>>) {
     let mut bands: Vec<(&NewTile, Range<usize>, Vec<Page<'_>>)> = Vec::new();
     for tile in tiles {
         for first in (0..tile.size()).step_by(BAND_ROWS) {
@@ -200,167 +215,170 @@ pub fn draw(scene: &Scene, tiles: &[NewTile], pages: &mut dyn Iterator<Item = Pa
             bands.push((tile, rows, pages));
         }
     }
-    // They take very different times.
+    // One band at a time per thread: their costs differ widely.
     bands.into_par_iter().with_max_len(1).for_each(|(tile, rows, pages)| {
         let rock = &scene.rocks[tile.rock];
         let vertices = &rock.vertices[..Icosphere::vertex_count(tile.level)];
-        CANVAS.with_borrow_mut(|canvas| {
-            canvas.restart(tile.size(), rows);
+        BAND.with_borrow_mut(|band| {
+            band.clear(tile.size(), rows);
             dispatch!(Level::new(), simd => {
-                canvas.project(&tile.place, scene, vertices);
-                canvas.draw(simd, rock.triangles(tile.level));
+                band.project(&tile.tile, scene, vertices);
+                band.rasterise(simd, rock.triangles(tile.level));
             });
-            canvas.write_middles(tile.row_bytes(), PageWriter::new(pages));
+            band.write_midpoints(tile.row_bytes(), PageWriter::new(pages));
         });
     });
 }
 
-/// A vertex in a tile, with its depth: 0 at the far end to 1.
+/// A vertex of a caster in its tile.
 #[derive(Clone, Copy, Debug)]
-struct Corner {
-    place: Place,
-    /// The same before it is rounded, texels.
-    at: Vec2,
+struct ShadowVertex {
+    position: SubpixelPoint,
+    /// The same before it is rounded, texels from the centre of the first.
+    position_px: Vec2,
+    /// Reversed: 0 at the far end of the tile's box, 1 at the end nearest to the sun.
     depth: f32,
 }
 
-/// A band of a tile that is drawn, with memory that is kept for the next.
+/// A band of rows of a tile.
 #[derive(Debug, Default)]
-struct Canvas {
+struct ShadowBand {
     /// Columns of the tile.
     size: usize,
     /// Rows of the band.
     rows: Range<usize>,
     /// Texels from one row of a layer to the next.
     stride: usize,
-    /// Greatest depth of what faces the sun, and of what faces away; 0 where there is none.
+    /// Greatest depth of the faces towards the sun ([`Winding::Front`]), and of those away from it; 0 where there is none.
     layers: [Vec<f32>; 2],
-    corners: Vec<Corner>,
+    vertices: Vec<ShadowVertex>,
     /// A row as it is written.
-    line: Vec<f32>,
+    midpoint_row: Vec<f32>,
 }
 
-impl Canvas {
-    /// Clears the layers for some rows of a tile.
-    fn restart(&mut self, size: usize, rows: Range<usize>) {
+impl ShadowBand {
+    /// Clears it for these rows of a tile of `size` columns.
+    fn clear(&mut self, size: usize, rows: Range<usize>) {
         self.size = size;
-        self.stride = size + WIDTH;
+        self.stride = size + BLOCK_WIDTH;
         for layer in &mut self.layers {
             layer.clear();
-            layer.resize(self.stride * (rows.len() + HEIGHT), 0.0);
+            layer.resize(self.stride * (rows.len() + BLOCK_HEIGHT), 0.0);
         }
         self.rows = rows;
-        self.corners.clear();
+        self.vertices.clear();
     }
 
-    /// Finds the places of a caster's vertices in its tile.
+    /// Projects a caster's vertices onto its tile: an orthographic view from the sun.
     #[inline(always)]
     fn project(&mut self, tile: &CasterTile, scene: &Scene, vertices: &[Vertex]) {
         let [right, up] = scene.sun.right_and_up();
-        let (right, down, towards) = (right, -up, scene.sun.direction);
+        let (right, down, to_sun) = (right, -up, scene.sun.direction);
         let half = 0.5 / tile.half_extent_m;
-        let texels = tile.size_px;
-        for vertices in vertices.chunks(VERTICES) {
-            let [x, y, z] = by_axis(vertices.iter().map(|vertex| vertex.position));
-            let (mut at, mut depth) = ([[0.0; VERTICES]; 2], [0.0; VERTICES]);
-            let mut parts = [[0; VERTICES]; 2];
-            for i in 0..VERTICES {
+        let size_px = tile.size_px;
+        for vertices in vertices.chunks(VERTEX_BATCH) {
+            let [x, y, z] = to_soa(vertices.iter().map(|vertex| vertex.position));
+            let (mut position_px, mut depth) = ([[0.0; VERTEX_BATCH]; 2], [0.0; VERTEX_BATCH]);
+            let mut position = [[0; VERTEX_BATCH]; 2];
+            for i in 0..VERTEX_BATCH {
                 let p = [half * x[i], half * y[i], half * z[i]];
-                at[0][i] = (0.5 + along(p, right)) * texels - 0.5;
-                at[1][i] = (0.5 + along(p, down)) * texels - 0.5;
-                parts[0][i] = Place::part(at[0][i]);
-                parts[1][i] = Place::part(at[1][i]);
-                depth[i] = 0.5 + along(p, towards);
+                position_px[0][i] = (0.5 + dot(p, right)) * size_px - 0.5;
+                position_px[1][i] = (0.5 + dot(p, down)) * size_px - 0.5;
+                position[0][i] = SubpixelPoint::steps(position_px[0][i]);
+                position[1][i] = SubpixelPoint::steps(position_px[1][i]);
+                depth[i] = 0.5 + dot(p, to_sun);
             }
-            self.corners.extend((0..vertices.len()).map(|i| Corner {
-                place: Place { x: parts[0][i], y: parts[1][i] },
-                at: Vec2::new(at[0][i], at[1][i]),
+            self.vertices.extend((0..vertices.len()).map(|i| ShadowVertex {
+                position: SubpixelPoint { x: position[0][i], y: position[1][i] },
+                position_px: Vec2::new(position_px[0][i], position_px[1][i]),
                 depth: depth[i],
             }));
         }
     }
 
-    // Inlined wholly, for each width of vectors; see `scene/noise.rs`.
+    // `inline(always)` all the way down to the fill loop, so that `dispatch!` compiles it for each vector width.
     #[inline(always)]
-    fn draw<S: Simd>(&mut self, simd: S, triangles: &[[u32; 3]]) {
-        let Self { size, rows, layers, corners, .. } = self;
+    fn rasterise<S: Simd>(&mut self, simd: S, triangles: &[[u32; 3]]) {
+        let Self { size, rows, layers, vertices, .. } = self;
         let rows = rows.start as i32..rows.end as i32;
-        let place_of = |corner: u32| corners[corner as usize].place;
-        for triangles in triangles.chunks(AT_ONCE) {
-            let sifted = Sifted::new(simd, triangles, place_of, Sides::Both, *size, &rows);
-            for eight in sifted.numbers().chunks(LANES) {
-                let mut of_eight = Corners::none();
-                for (lane, &number) in eight.iter().enumerate() {
-                    for (i, &corner) in triangles[usize::from(number)].iter().enumerate() {
-                        let Corner { place, at, depth } = corners[corner as usize];
-                        of_eight.set(lane, i, place, at, [depth]);
+        let position_of = |vertex: u32| vertices[vertex as usize].position;
+        for triangles in triangles.chunks(CULL_BATCH) {
+            let survivors = Survivors::cull(simd, triangles, position_of, CullMode::None, *size, &rows);
+            for eight in survivors.indices().chunks(LANES) {
+                let mut vertices8 = TriangleVertices8::EMPTY;
+                for (lane, &index) in eight.iter().enumerate() {
+                    for (corner, &vertex) in triangles[usize::from(index)].iter().enumerate() {
+                        let ShadowVertex { position, position_px, depth } = vertices[vertex as usize];
+                        vertices8.set(lane, corner, position, position_px, [depth]);
                     }
                 }
-                let outlines = Outlines::new(simd, &of_eight, *size, &rows);
-                for (lane, &number) in eight.iter().enumerate() {
-                    if outlines.is_small(lane) {
-                        let [depth] = outlines.planes(lane);
-                        let layer = &mut layers[outlines.turn(lane) as usize];
-                        outlines.fill(simd, lane, rows.start, *size + WIDTH, &mut Depth { layer, depth });
+                let setup8 = TriangleSetup8::new(simd, &vertices8, *size, &rows);
+                for (lane, &index) in eight.iter().enumerate() {
+                    if setup8.is_small(lane) {
+                        let [depth] = setup8.interpolants(lane);
+                        let layer = &mut layers[setup8.winding(lane) as usize];
+                        let mut writer = DepthWriter { layer, depth };
+                        setup8.fill(simd, lane, rows.start, *size + BLOCK_WIDTH, &mut writer);
                     } else {
-                        let corners = triangles[usize::from(number)].map(|corner| corners[corner as usize]);
-                        draw_triangle(simd, corners, layers, *size, &rows);
+                        let corners = triangles[usize::from(index)].map(|vertex| vertices[vertex as usize]);
+                        rasterise_large(simd, corners, layers, *size, &rows);
                     }
                 }
             }
         }
     }
 
-    /// Writes what is half way between the layers, half extents of the tile from the caster's centre, so many bytes from one row to
+    /// Writes the depths midway between the layers, half extents of the tile from the caster's centre, `row_bytes` from one row to
     /// the next.
-    fn write_middles(&mut self, row_bytes: usize, mut to: PageWriter<'_>) {
-        let Self { size, rows, stride, layers, line, .. } = self;
+    fn write_midpoints(&mut self, row_bytes: usize, mut writer: PageWriter<'_>) {
+        let Self { size, rows, stride, layers, midpoint_row, .. } = self;
         let [fronts, backs] = layers.each_ref().map(|layer| layer.chunks_exact(*stride));
-        line.resize(*size, 0.0);
+        midpoint_row.resize(*size, 0.0);
         for (fronts, backs) in fronts.zip(backs).take(rows.len()) {
-            for (middle, (front, back)) in line.iter_mut().zip(fronts.iter().zip(backs)) {
-                *middle = if *front == 0.0 { NO_CASTER } else { front + back - 1.0 };
+            for (midpoint, (front, back)) in midpoint_row.iter_mut().zip(fronts.iter().zip(backs)) {
+                *midpoint = if *front == 0.0 { NO_CASTER } else { front + back - 1.0 };
             }
-            to.write_row(bytemuck::cast_slice(line), row_bytes);
+            writer.write_row(bytemuck::cast_slice(midpoint_row), row_bytes);
         }
     }
 }
 
-/// How far a place is along an axis.
+/// Dot product, in this order of sums.
 #[inline(always)]
-fn along([x, y, z]: [f32; 3], axis: Vec3) -> f32 {
+fn dot([x, y, z]: [f32; 3], axis: Vec3) -> f32 {
     x * axis.x + y * axis.y + z * axis.z
 }
 
-/// Draws a triangle into the layer of what faces as it does, of some rows of a tile of so many columns.
+/// Rasterises a triangle of any size into the layer of its winding, into these rows of a tile of `size` columns.
 #[inline(always)]
-fn draw_triangle<S: Simd>(
+fn rasterise_large<S: Simd>(
     simd: S,
-    [a, b, c]: [Corner; 3],
+    [a, b, c]: [ShadowVertex; 3],
     layers: &mut [Vec<f32>; 2],
     size: usize,
     rows: &Range<i32>,
 ) {
-    let Some(turn) = Turn::of([a.place, b.place, c.place]) else { return };
-    let corners = if turn == Turn::Front { [a, b, c] } else { [a, c, b] };
-    let places = corners.map(|corner| corner.place);
-    let Some(outline) = Outline::new(places, size, rows) else { return };
-    let [depth] = outline.planes(corners.map(|corner| corner.at), corners.map(|corner| [corner.depth]));
-    outline.fill(simd, rows.start, size + WIDTH, &mut Depth { layer: &mut layers[turn as usize], depth });
+    let Some(winding) = Winding::of([a.position, b.position, c.position]) else { return };
+    let corners = if winding == Winding::Front { [a, b, c] } else { [a, c, b] };
+    let Some(setup) = TriangleSetup::new(corners.map(|corner| corner.position), size, rows) else { return };
+    let [depth] =
+        setup.interpolants(corners.map(|corner| corner.position_px), corners.map(|corner| [corner.depth]));
+    let mut writer = DepthWriter { layer: &mut layers[winding as usize], depth };
+    setup.fill(simd, rows.start, size + BLOCK_WIDTH, &mut writer);
 }
 
 /// Raises a layer to the depth of a triangle.
-struct Depth<'a> {
+struct DepthWriter<'a> {
     layer: &'a mut [f32],
-    depth: Plane,
+    depth: Interpolant,
 }
 
-impl<S: Simd> Paint<S> for Depth<'_> {
+impl<S: Simd> FragmentSink<S> for DepthWriter<'_> {
     #[inline(always)]
-    fn paint(&mut self, simd: S, texels: [usize; 2], inside: mask32x8<S>, x: f32x8<S>, y: f32x8<S>) {
-        let here = inside.select(self.depth.at(x, y), f32x8::splat(simd, 0.0));
-        let there = load(simd, self.layer, texels);
-        store(self.layer, texels, here.max(there));
+    fn write(&mut self, simd: S, offsets: [usize; 2], covered: mask32x8<S>, x: f32x8<S>, y: f32x8<S>) {
+        let depth = covered.select(self.depth.at(x, y), f32x8::splat(simd, 0.0));
+        let previous = load_block(simd, self.layer, offsets);
+        store_block(self.layer, offsets, depth.max(previous));
     }
 }
 
@@ -371,7 +389,7 @@ mod tests {
     use crate::render::settings::RenderSettings;
     use crate::scene::sky::Sun;
 
-    /// What a device would have.
+    /// The shadow map of a device.
     #[derive(Default)]
     struct Device {
         size_px: [u32; 2],
@@ -384,15 +402,15 @@ mod tests {
                 self.size_px = map.size_px();
                 self.texels = vec![f32::NAN; (self.size_px[0] * self.size_px[1]) as usize];
             }
-            let (parts, bytes) = parts(tiles);
+            let (regions, bytes) = upload_regions(tiles);
             let mut staged = vec![[0_u8; PAGE_BYTES]; bytes / PAGE_BYTES];
-            draw(scene, tiles, &mut staged.iter_mut().map(Page::from_mut));
+            rasterise(scene, tiles, &mut staged.iter_mut().map(Page::from_mut));
             let staged: Vec<f32> = bytemuck::pod_collect_to_vec(staged.as_flattened());
-            for part in parts {
-                let rows =
-                    staged[part.offset_bytes / size_of::<f32>()..].chunks(part.row_bytes / size_of::<f32>());
+            for region in regions {
+                let rows = staged[region.offset_bytes / size_of::<f32>()..]
+                    .chunks(region.row_bytes / size_of::<f32>());
                 let ([column, first], [width, height]) =
-                    (part.origin.map(|at| at as usize), part.size.map(|side| side as usize));
+                    (region.origin.map(|at| at as usize), region.size.map(|side| side as usize));
                 for (row, texels) in (first..first + height).zip(rows) {
                     let start = row * self.size_px[0] as usize + column;
                     self.texels[start..start + width].copy_from_slice(&texels[..width]);
@@ -413,7 +431,7 @@ mod tests {
     }
 
     #[test]
-    fn tiles_are_the_same_whatever_was_drawn_before() {
+    fn tiles_do_not_depend_on_earlier_frames() {
         let mut scene = Scene::build(42, &Params::draw_default(42)).expect("the scene of the seed");
         let settings = RenderSettings::new([256, 256], 1).expect("settings");
         let (mut map, mut device) = (ShadowMap::default(), Device::default());
@@ -421,7 +439,7 @@ mod tests {
         let still = scene.clone();
         for change in 0..40 {
             match change {
-                // Nothing moves; then the sun; then a rock takes another's place; then the camera, again and again.
+                // Nothing changes; then the sun; then the mesh of a rock; then the camera, again and again.
                 0 | 1 => {}
                 2 => scene.sun = Sun { direction: Vec3::new(0.3, 0.9, 0.31).normalize(), ..scene.sun },
                 3 => Arc::make_mut(&mut scene.rocks[0].vertices).reverse(),
@@ -429,15 +447,15 @@ mod tests {
             }
             let mut selection = Selection::new(&scene, &settings);
             let mut alone = selection.clone();
-            let new = map.place(&scene, &mut selection);
+            let new = map.allocate(&scene, &mut selection);
             device.copy(&scene, &map, &new);
             let (mut fresh, mut of_fresh) = (ShadowMap::default(), Device::default());
-            let all = fresh.place(&scene, &mut alone);
+            let all = fresh.allocate(&scene, &mut alone);
             of_fresh.copy(&scene, &fresh, &all);
             assert_eq!(device.tiles(&selection), of_fresh.tiles(&alone), "change {change}");
             drawn.push((new.len(), all.len()));
         }
-        let [first, again, sun, rock, moved @ ..] = &drawn[..] else { panic!("forty pictures") };
+        let [first, again, sun, rock, moved @ ..] = &drawn[..] else { panic!("forty frames") };
         assert_eq!(first.0, first.1);
         assert_eq!(again.0, 0);
         assert_eq!(sun.0, sun.1);
@@ -448,21 +466,21 @@ mod tests {
     }
 
     #[test]
-    fn a_map_grows_as_far_as_it_must() {
+    fn the_map_grows_no_further_than_it_must() {
         let scene = Scene::build(42, &Params::draw_default(42)).expect("the scene of the seed");
         let settings = RenderSettings::new([512, 512], 1).expect("settings");
         let mut selection = Selection::new(&scene, &settings);
         let mut map = ShadowMap::default();
-        let new = map.place(&scene, &mut selection);
-        let area: f32 = new.iter().map(|tile| tile.place.size_px * tile.place.size_px).sum();
+        let new = map.allocate(&scene, &mut selection);
+        let area: f32 = new.iter().map(|tile| tile.tile.size_px * tile.tile.size_px).sum();
         let [width, height] = map.size_px();
         assert!(
             area < (width * height) as f32 && (width * height) as f32 <= 4.0 * area,
             "{width} x {height}"
         );
-        // A smaller picture has smaller tiles, and the map stays.
+        // A smaller image has smaller tiles, and the map stays.
         let settings = RenderSettings::new([64, 64], 1).expect("settings");
-        map.place(&scene, &mut Selection::new(&scene, &settings));
+        map.allocate(&scene, &mut Selection::new(&scene, &settings));
         assert_eq!(map.size_px(), [width, height]);
     }
 }

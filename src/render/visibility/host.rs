@@ -1,220 +1,254 @@
-//! What each sample shows, found by this program: for devices that are a CPU themselves.
+//! The visibility pass on the CPU, for software adapters: G-buffer rows and the shading bin of each sample.
 //!
-//! Twin of `visibility.wgsl`. The picture is drawn in bands of rows, each by one thread and small enough to stay near to it.
-//! Must not know: what becomes of it.
+//! CPU counterpart of `visibility.wgsl`. The samples are divided into bands of rows, each rasterised by one thread into a buffer
+//! that stays in its cache.
+//! Must not know: textures, what is lit from them.
 
 use std::cell::RefCell;
 use std::ops::Range;
 
 use fearless_simd::prelude::*;
-use fearless_simd::{Level, dispatch, f32x8, i32x8, mask32x8, u32x4, u32x8};
+use fearless_simd::{Level, dispatch, f32x8, i32x8, mask32x8, u32x8};
 use rayon::prelude::*;
 
 use crate::gpu::staging::{PAGE_BYTES, Page, PageWriter};
 use crate::render::device::shading_bins::{ShadingBin, ShadingBins};
 use crate::render::lighting::slopes_host::Seen;
-use crate::render::raster::{Corners, HEIGHT, LANES, Outline, Outlines, Paint, Plane, WIDTH, load, store};
-use crate::render::visibility::geometry::{Facet, Facets, Mesh};
+use crate::render::raster::fill::FragmentSink;
+use crate::render::raster::lanes::{
+    BLOCK_HEIGHT, BLOCK_WIDTH, LANES, load_block, load_block_u32, store_block, store_block_u32,
+};
+use crate::render::raster::setup::{Interpolant, TriangleSetup};
+use crate::render::raster::setup8::{TriangleSetup8, TriangleVertices8};
+use crate::render::visibility::geometry::{ScreenMesh, ScreenTriangle, VisibleTriangles};
 
 /// Rows of a band.
 const BAND_ROWS: usize = 32;
-/// Where the group of a sample ends in its [`Sheet::things`], and the slot of its instance begins.
-const SLOT_AT: u32 = ShadingBin::BITS;
+/// The bit of [`GBufferBand::bins_and_slots`] where the slot of the instance begins.
+const SLOT_SHIFT: u32 = ShadingBin::BITS;
 
 thread_local! {
-    /// Kept for its memory.
-    static SHEET: RefCell<Sheet> = RefCell::default();
+    /// One per thread, so that its memory is reused.
+    static BAND: RefCell<GBufferBand> = RefCell::default();
 }
 
-/// One more than the group by which each sample is lit (all bands of ground are as one), a row after the other; 0 where nothing
-/// is.
+/// The shading bin of each sample, as the stencil holds it.
 #[derive(Debug, Default)]
-pub struct Stencil {
-    /// Them.
+pub struct ShadingBinMask {
+    /// One more than the bin, row by row; 0 where no surface was drawn. The bins of all relief bands are merged
+    /// ([`ShadingBins::merge_bands`]).
     pub values: Vec<u8>,
-    /// Whether there is a sample that shows nothing.
+    /// Whether a sample has no surface.
     pub has_holes: bool,
 }
 
-impl Stencil {
-    /// Of a picture of this many columns and rows of samples, of which none is drawn yet.
+/// A band of rows that one thread rasterises.
+struct BandJob<'a> {
+    rows: Range<usize>,
+    mask: &'a mut [u8],
+    /// Those of its rows that are uploaded, and the memory that they are written to.
+    uploaded: Range<usize>,
+    pages: Vec<Page<'a>>,
+}
+
+impl ShadingBinMask {
+    /// Resizes it for this many columns and rows of samples, none of which is drawn yet.
     pub fn restart(&mut self, [width, height]: [u32; 2]) {
         self.values.resize(width as usize * height as usize, 0);
         self.has_holes = false;
     }
 
-    /// Draws rows of a picture. Of `given`, some of these rows, it writes what `visibility.wgsl` does and behind each the slopes of
-    /// the ground in it, if there are any: so many bytes of each.
+    /// Rasterises these rows of samples. The rows among them that are `uploaded` are written to `pages`: the G-buffer row as
+    /// `visibility.wgsl` writes it, then the slopes of the ground if there are any, `row_bytes` of each.
     pub fn draw(
         &mut self,
-        facets: &Facets,
+        triangles: &VisibleTriangles,
         width: usize,
         rows: &Range<u32>,
-        given: &Range<u32>,
+        uploaded: &Range<u32>,
         (pages, row_bytes): (&mut dyn Iterator<Item = Page<'_>>, [usize; 2]),
     ) {
-        let groups = facets.groups();
-        let [rows, given] = [rows, given].map(|rows| rows.start as usize..rows.end as usize);
-        let stencil = &mut self.values[rows.start * width..rows.end * width];
-        let bands = rows.step_by(BAND_ROWS).zip(stencil.chunks_mut(BAND_ROWS * width));
-        let bands: Vec<_> = bands
-            .map(|(first, stencil)| {
-                let rows = first..first + stencil.len() / width;
-                let given = rows.start.max(given.start)..rows.end.min(given.end);
-                let pages: Vec<Page<'_>> =
-                    pages.take(given.len() * (row_bytes[0] + row_bytes[1]) / PAGE_BYTES).collect();
-                (rows, stencil, given, pages)
+        let [rows, uploaded] = [rows, uploaded].map(|rows| rows.start as usize..rows.end as usize);
+        let mask = &mut self.values[rows.start * width..rows.end * width];
+        let bands = rows.step_by(BAND_ROWS).zip(mask.chunks_mut(BAND_ROWS * width));
+        let jobs: Vec<_> = bands
+            .map(|(first, mask)| {
+                let rows = first..first + mask.len() / width;
+                let uploaded = rows.start.max(uploaded.start)..rows.end.min(uploaded.end);
+                let pages = pages.take(uploaded.len() * (row_bytes[0] + row_bytes[1]) / PAGE_BYTES).collect();
+                BandJob { rows, mask, uploaded, pages }
             })
             .collect();
-        let draw = |(rows, stencil, given, pages): (Range<usize>, &mut [u8], Range<usize>, Vec<Page<'_>>)| {
-            SHEET.with_borrow_mut(|sheet| {
-                sheet.restart(width, rows.len());
-                let of_picture = rows.start as i32..rows.end as i32;
-                dispatch!(Level::new(), simd => sheet.draw(simd, facets.meshes(), groups, width, &of_picture));
-                for (row, stencil) in stencil.chunks_exact_mut(width).enumerate() {
-                    dispatch!(Level::new(), _simd => sheet.row(row, width).stencil(groups, stencil));
-                }
-                let (mut line, mut slopes) =
-                    (std::mem::take(&mut sheet.line), std::mem::take(&mut sheet.slopes));
-                line.resize(width, [0; 4]);
-                slopes.resize(width, [0.0; 2]);
-                let mut written = PageWriter::new(pages);
-                for number in given {
-                    let row = sheet.row(number - rows.start, width);
-                    dispatch!(Level::new(), _simd => row.samples(groups, &mut line));
-                    written.write_row(bytemuck::cast_slice(&line), row_bytes[0]);
-                    if let Some(of_ground) = facets.slopes() {
-                        of_ground.set_row(number, &row.seen(), &mut slopes);
-                        written.write_row(bytemuck::cast_slice(&slopes), row_bytes[1]);
-                    }
-                }
-                (sheet.line, sheet.slopes) = (line, slopes);
-            });
-            stencil.contains(&0)
-        };
-        self.has_holes |= bands.into_par_iter().with_max_len(1).map(draw).reduce(|| false, |a, b| a || b);
+        // One job at a time per thread: their costs differ widely.
+        self.has_holes |= jobs
+            .into_par_iter()
+            .with_max_len(1)
+            .map(|job| BAND.with_borrow_mut(|band| band.run(job, triangles, width, row_bytes)))
+            .reduce(|| false, |a, b| a || b);
     }
 }
 
-/// What the samples of a band show.
+/// The G-buffer of a band of rows, in structures of arrays, with the extra columns and rows of [`BLOCK_WIDTH`].
 #[derive(Debug, Default)]
-struct Sheet {
+struct GBufferBand {
     /// Samples from one row to the next.
     stride: usize,
-    /// One over the metres along the axis; 0 where there is nothing yet.
+    /// Inverse depth along the optical axis, 1/m; 0 where nothing is drawn yet.
     inverse_w: Vec<f32>,
-    /// The two numbers of the normal, in 24 bits each.
+    /// The octahedral coordinates of the vertex normal, 24 bits each.
     normal_x: Vec<u32>,
     normal_y: Vec<u32>,
-    /// The facet's own normal, packed.
-    facing: Vec<u32>,
-    /// One more than the group, and the slot of the instance above; 0 where there is nothing.
-    things: Vec<u32>,
-    /// A row as it is given, and the slopes of the ground in it.
-    line: Vec<[u32; 4]>,
-    slopes: Vec<[f32; 2]>,
+    /// The packed normal of the triangle itself.
+    face_normal: Vec<u32>,
+    /// One more than the shading bin in the low bits, and the slot of the instance above; 0 where nothing is drawn yet.
+    bins_and_slots: Vec<u32>,
+    /// A row as it is uploaded, and the slopes of its ground.
+    packed_row: Vec<[u32; 4]>,
+    slopes_row: Vec<[f32; 2]>,
 }
 
-/// A row of a sheet.
+/// A row of a [`GBufferBand`].
 struct Row<'a> {
     inverse_w: &'a [f32],
     normal_x: &'a [u32],
     normal_y: &'a [u32],
-    facing: &'a [u32],
-    things: &'a [u32],
+    face_normal: &'a [u32],
+    bins_and_slots: &'a [u32],
 }
 
-impl Sheet {
-    fn restart(&mut self, width: usize, rows: usize) {
-        self.stride = width + WIDTH;
-        let texels = self.stride * (rows + HEIGHT);
+impl GBufferBand {
+    /// Rasterises a band and writes its mask and its uploaded rows; whether a sample has no surface.
+    fn run(
+        &mut self,
+        job: BandJob<'_>,
+        triangles: &VisibleTriangles,
+        width: usize,
+        row_bytes: [usize; 2],
+    ) -> bool {
+        let BandJob { rows, mask, uploaded, pages } = job;
+        let bins = triangles.bins();
+        self.clear(width, rows.len());
+        let raster_rows = rows.start as i32..rows.end as i32;
+        dispatch!(Level::new(), simd => {
+            self.rasterise(simd, triangles.meshes(), bins, width, &raster_rows);
+        });
+        for (row, mask) in mask.chunks_exact_mut(width).enumerate() {
+            dispatch!(Level::new(), _simd => self.row(row, width).write_mask(bins, mask));
+        }
+        let mut packed_row = std::mem::take(&mut self.packed_row);
+        let mut slopes_row = std::mem::take(&mut self.slopes_row);
+        packed_row.resize(width, [0; 4]);
+        slopes_row.resize(width, [0.0; 2]);
+        let mut writer = PageWriter::new(pages);
+        for number in uploaded {
+            let row = self.row(number - rows.start, width);
+            dispatch!(Level::new(), _simd => row.pack(bins, &mut packed_row));
+            writer.write_row(bytemuck::cast_slice(&packed_row), row_bytes[0]);
+            if let Some(slopes) = triangles.slopes() {
+                slopes.set_row(number, &row.for_slopes(), &mut slopes_row);
+                writer.write_row(bytemuck::cast_slice(&slopes_row), row_bytes[1]);
+            }
+        }
+        (self.packed_row, self.slopes_row) = (packed_row, slopes_row);
+        mask.contains(&0)
+    }
+
+    fn clear(&mut self, width: usize, rows: usize) {
+        self.stride = width + BLOCK_WIDTH;
+        let samples = self.stride * (rows + BLOCK_HEIGHT);
         self.inverse_w.clear();
-        self.inverse_w.resize(texels, 0.0);
-        self.things.clear();
-        self.things.resize(texels, 0);
-        // Only what lies where a thing was drawn is read of these.
-        for plane in [&mut self.normal_x, &mut self.normal_y, &mut self.facing] {
-            plane.resize(texels, 0);
+        self.inverse_w.resize(samples, 0.0);
+        self.bins_and_slots.clear();
+        self.bins_and_slots.resize(samples, 0);
+        // These are read only where a surface was drawn: whatever they hold may stay.
+        for plane in [&mut self.normal_x, &mut self.normal_y, &mut self.face_normal] {
+            plane.resize(samples, 0);
         }
     }
 
-    // Inlined wholly, for each width of vectors; see `scene/noise.rs`.
+    // `inline(always)` all the way down to the fill loop, so that `dispatch!` compiles it for each vector width.
     #[inline(always)]
-    fn draw<S: Simd>(
+    fn rasterise<S: Simd>(
         &mut self,
         simd: S,
-        meshes: &[Mesh],
-        groups: ShadingBins,
+        meshes: &[ScreenMesh],
+        bins: ShadingBins,
         width: usize,
         rows: &Range<i32>,
     ) {
-        let is_beside =
+        let misses_band =
             |[first, last]: [u16; 2]| i32::from(last) < rows.start || i32::from(first) >= rows.end;
         for mesh in meshes {
-            if is_beside(mesh.rows) {
+            if misses_band(mesh.rows) {
                 continue;
             }
             let mut eight = [0; LANES];
             let mut count = 0;
-            for (number, facet) in mesh.facets.iter().enumerate() {
-                if is_beside(facet.rows) {
+            for (index, triangle) in mesh.triangles.iter().enumerate() {
+                if misses_band(triangle.rows) {
                     continue;
                 }
-                eight[count] = number;
+                eight[count] = index;
                 count += 1;
                 if count == LANES {
-                    self.draw_eight(simd, mesh, &eight, groups, width, rows);
+                    self.rasterise_eight(simd, mesh, &eight, bins, width, rows);
                     count = 0;
                 }
             }
-            self.draw_eight(simd, mesh, &eight[..count], groups, width, rows);
+            self.rasterise_eight(simd, mesh, &eight[..count], bins, width, rows);
         }
     }
 
-    /// Draws up to eight facets, by their numbers.
+    /// Rasterises up to eight triangles of a mesh, given by their indices.
     #[inline(always)]
-    fn draw_eight<S: Simd>(
+    fn rasterise_eight<S: Simd>(
         &mut self,
         simd: S,
-        mesh: &Mesh,
-        numbers: &[usize],
-        groups: ShadingBins,
+        mesh: &ScreenMesh,
+        indices: &[usize],
+        bins: ShadingBins,
         width: usize,
         rows: &Range<i32>,
     ) {
-        let mut of_eight = Corners::none();
-        for (lane, &number) in numbers.iter().enumerate() {
-            let corners = mesh.corners_of(&mesh.facets[number]);
-            for (i, corner) in corners.iter().enumerate() {
-                of_eight.set(lane, i, corner.place, corner.at, corner.values());
+        let mut vertices8 = TriangleVertices8::EMPTY;
+        for (lane, &index) in indices.iter().enumerate() {
+            let vertices = mesh.vertices_of(&mesh.triangles[index]);
+            for (corner, vertex) in vertices.iter().enumerate() {
+                vertices8.set(lane, corner, vertex.position, vertex.position_px, vertex.attributes());
             }
         }
-        let outlines = Outlines::new(simd, &of_eight, width, rows);
-        let (first, stride) = (rows.start, self.stride);
-        for (lane, &number) in numbers.iter().enumerate() {
-            let facet = &mesh.facets[number];
-            if outlines.is_small(lane) && facet.clipped.is_none() {
-                let mut brush = self.brush(mesh, facet, groups, outlines.planes(lane));
-                outlines.fill(simd, lane, first, stride, &mut brush);
+        let setup8 = TriangleSetup8::new(simd, &vertices8, width, rows);
+        let (first_row, stride) = (rows.start, self.stride);
+        for (lane, &index) in indices.iter().enumerate() {
+            let triangle = &mesh.triangles[index];
+            if setup8.is_small(lane) && triangle.clipped.is_none() {
+                let mut writer = self.writer(mesh, triangle, bins, setup8.interpolants(lane));
+                setup8.fill(simd, lane, first_row, stride, &mut writer);
                 continue;
             }
-            let corners = mesh.corners_of(facet);
-            let places = corners.map(|corner| corner.place);
-            let Some(outline) = Outline::new(places, width, rows) else { continue };
-            let planes = mesh.planes(facet, corners, &outline);
-            outline.fill(simd, first, stride, &mut self.brush(mesh, facet, groups, planes));
+            let vertices = mesh.vertices_of(triangle);
+            let positions = vertices.map(|vertex| vertex.position);
+            let Some(setup) = TriangleSetup::new(positions, width, rows) else { continue };
+            let interpolants = mesh.interpolants(triangle, vertices, &setup);
+            setup.fill(simd, first_row, stride, &mut self.writer(mesh, triangle, bins, interpolants));
         }
     }
 
-    /// What a facet is painted with.
+    /// The sink of a triangle.
     #[inline(always)]
-    fn brush(&mut self, mesh: &Mesh, facet: &Facet, groups: ShadingBins, planes: [Plane; 4]) -> Brush<'_> {
-        let group = mesh.groups[facet.shades as usize];
-        let thing = (u32::from(group) + 1) | (mesh.slot << SLOT_AT);
-        let [inverse_w, x, y, z] = planes;
+    fn writer(
+        &mut self,
+        mesh: &ScreenMesh,
+        triangle: &ScreenTriangle,
+        bins: ShadingBins,
+        interpolants: [Interpolant; 4],
+    ) -> GBufferWriter<'_> {
+        let bin = mesh.bins[triangle.shadow_sources as usize];
+        let bin_and_slot = (u32::from(bin) + 1) | (mesh.slot << SLOT_SHIFT);
+        let [inverse_w, x, y, z] = interpolants;
         // The sky has no normal.
-        let normal = (group < groups.stars()).then_some([x, y, z]);
-        Brush { sheet: self, inverse_w, normal, facing: facet.facing, thing }
+        let normal = (bin < bins.stars()).then_some([x, y, z]);
+        GBufferWriter { band: self, inverse_w, normal, face_normal: triangle.face_normal, bin_and_slot }
     }
 
     fn row(&self, row: usize, width: usize) -> Row<'_> {
@@ -223,104 +257,105 @@ impl Sheet {
             inverse_w: &self.inverse_w[range.clone()],
             normal_x: &self.normal_x[range.clone()],
             normal_y: &self.normal_y[range.clone()],
-            facing: &self.facing[range.clone()],
-            things: &self.things[range],
+            face_normal: &self.face_normal[range.clone()],
+            bins_and_slots: &self.bins_and_slots[range],
         }
     }
 }
 
 impl Row<'_> {
-    const fn seen(&self) -> Seen<'_> {
-        let Self { inverse_w, normal_x, normal_y, things, .. } = *self;
-        Seen { inverse_w, normal_x, normal_y, things }
+    const fn for_slopes(&self) -> Seen<'_> {
+        let Self { inverse_w, normal_x, normal_y, bins_and_slots, .. } = *self;
+        Seen { inverse_w, normal_x, normal_y, things: bins_and_slots }
     }
 
-    // As above.
+    /// Writes a row of [`ShadingBinMask::values`].
+    // `inline(always)` as `GBufferBand::rasterise`.
     #[inline(always)]
-    fn stencil(&self, groups: ShadingBins, values: &mut [u8]) {
-        for (value, thing) in values.iter_mut().zip(self.things) {
-            // 0 is no group, nor does one less come to one.
-            *value = groups.merge_bands((*thing as u8).wrapping_sub(1)).wrapping_add(1);
+    fn write_mask(&self, bins: ShadingBins, values: &mut [u8]) {
+        for (value, bin_and_slot) in values.iter_mut().zip(self.bins_and_slots) {
+            // 0 (no surface) wraps to a bin that does not exist, which stays as it is and wraps back to 0.
+            *value = bins.merge_bands((*bin_and_slot as u8).wrapping_sub(1)).wrapping_add(1);
         }
     }
 
-    // As above.
+    /// Packs the row as `visibility.wgsl` does.
+    // `inline(always)` as `GBufferBand::rasterise`.
     #[inline(always)]
-    fn samples(&self, groups: ShadingBins, samples: &mut [[u32; 4]]) {
+    fn pack(&self, bins: ShadingBins, samples: &mut [[u32; 4]]) {
         let count = samples.len();
-        let (inverse_w, things) = (&self.inverse_w[..count], &self.things[..count]);
-        let (normal_x, normal_y, facing) =
-            (&self.normal_x[..count], &self.normal_y[..count], &self.facing[..count]);
+        let (inverse_w, bins_and_slots) = (&self.inverse_w[..count], &self.bins_and_slots[..count]);
+        let (normal_x, normal_y, face_normal) =
+            (&self.normal_x[..count], &self.normal_y[..count], &self.face_normal[..count]);
         for i in 0..count {
-            let (value, slot) = (things[i] & u32::from(ShadingBin::MAX), things[i] >> SLOT_AT);
-            // Nothing of the sky is read.
-            let is_thing = value.wrapping_sub(1) < u32::from(groups.stars());
+            let (bin, slot) =
+                (bins_and_slots[i] & u32::from(ShadingBin::MAX), bins_and_slots[i] >> SLOT_SHIFT);
+            // The lighting of the sky reads nothing, and the sky has no normals to pack.
+            let is_surface = bin.wrapping_sub(1) < u32::from(bins.stars());
             let packed = [
                 normal_x[i] | ((slot & 0xff) << 24),
                 normal_y[i] | ((slot >> 8) << 24),
-                facing[i],
+                face_normal[i],
                 inverse_w[i].to_bits(),
             ];
-            samples[i] = packed.map(|word| if is_thing { word } else { 0 });
+            samples[i] = packed.map(|word| if is_surface { word } else { 0 });
         }
     }
 }
 
-/// Paints what is nearer than what is there.
-struct Brush<'a> {
-    sheet: &'a mut Sheet,
-    inverse_w: Plane,
-    normal: Option<[Plane; 3]>,
-    facing: u32,
-    thing: u32,
+/// Depth-tests a triangle (nearer wins) and writes it to the G-buffer.
+struct GBufferWriter<'a> {
+    band: &'a mut GBufferBand,
+    inverse_w: Interpolant,
+    /// Vertex normal over depth; its length does not matter.
+    normal: Option<[Interpolant; 3]>,
+    face_normal: u32,
+    bin_and_slot: u32,
 }
 
-impl<S: Simd> Paint<S> for Brush<'_> {
+impl<S: Simd> FragmentSink<S> for GBufferWriter<'_> {
     #[inline(always)]
-    fn paint(&mut self, simd: S, texels: [usize; 2], inside: mask32x8<S>, x: f32x8<S>, y: f32x8<S>) {
+    fn write(&mut self, simd: S, offsets: [usize; 2], covered: mask32x8<S>, x: f32x8<S>, y: f32x8<S>) {
         let inverse_w = self.inverse_w.at(x, y);
-        let there = load(simd, &self.sheet.inverse_w, texels);
-        let nearer = inside & inverse_w.simd_gt(there);
+        let previous = load_block(simd, &self.band.inverse_w, offsets);
+        let nearer = covered & inverse_w.simd_gt(previous);
         if !nearer.any_true() {
             return;
         }
-        store(&mut self.sheet.inverse_w, texels, nearer.select(inverse_w, there));
-        paint_words(simd, &mut self.sheet.things, texels, nearer, u32x8::splat(simd, self.thing));
-        let Some([of_x, of_y, of_z]) = &self.normal else { return };
-        let (x, y, z) = (of_x.at(x, y), of_y.at(x, y), of_z.at(x, y));
-        // Twin: `octahedral_encode` in `common/octahedral.wgsl`. Of any length, so that nothing is to be divided by 1/w.
+        store_block(&mut self.band.inverse_w, offsets, nearer.select(inverse_w, previous));
+        let bin_and_slot = u32x8::splat(simd, self.bin_and_slot);
+        store_masked(simd, &mut self.band.bins_and_slots, offsets, nearer, bin_and_slot);
+        let Some([normal_x, normal_y, normal_z]) = &self.normal else { return };
+        let (x, y, z) = (normal_x.at(x, y), normal_y.at(x, y), normal_z.at(x, y));
+        // CPU counterpart of `octahedral_encode` in `common/octahedral.wgsl`. It takes a vector of any length: no division by 1/w.
         let length = (x.abs() + y.abs() + z.abs()).max(f32x8::splat(simd, 1e-30));
         let (x, y) = (x / length, y / length);
         let one = f32x8::splat(simd, 1.0);
-        let (over_x, over_y) = ((one - y.abs()).copysign(x), (one - x.abs()).copysign(y));
+        let (folded_x, folded_y) = ((one - y.abs()).copysign(x), (one - x.abs()).copysign(y));
         let is_below = z.simd_lt(0.0);
-        let (x, y) = (is_below.select(over_x, x), is_below.select(over_y, y));
-        let plane = &mut self.sheet.normal_x;
-        paint_words(simd, plane, texels, nearer, in_24_bits(x));
-        let plane = &mut self.sheet.normal_y;
-        paint_words(simd, plane, texels, nearer, in_24_bits(y));
-        paint_words(simd, &mut self.sheet.facing, texels, nearer, u32x8::splat(simd, self.facing));
+        let (x, y) = (is_below.select(folded_x, x), is_below.select(folded_y, y));
+        store_masked(simd, &mut self.band.normal_x, offsets, nearer, to_snorm24(x));
+        store_masked(simd, &mut self.band.normal_y, offsets, nearer, to_snorm24(y));
+        let face_normal = u32x8::splat(simd, self.face_normal);
+        store_masked(simd, &mut self.band.face_normal, offsets, nearer, face_normal);
     }
 }
 
-/// From [-1, 1], as `visibility.wgsl` packs it.
+/// From [-1, 1] to 24 bits, as `visibility.wgsl` packs it.
 #[inline(always)]
-fn in_24_bits<S: Simd>(x: f32x8<S>) -> u32x8<S> {
+fn to_snorm24<S: Simd>(x: f32x8<S>) -> u32x8<S> {
     ((x * 0.5 + 0.5) * 16_777_215.0 + 0.5).to_int::<i32x8<S>>().bitcast()
 }
 
-/// Replaces those of eight words that are chosen.
+/// Replaces the chosen words of a block.
 #[inline(always)]
-fn paint_words<S: Simd>(
+fn store_masked<S: Simd>(
     simd: S,
-    plane: &mut [u32],
-    [upper, lower]: [usize; 2],
-    chosen: mask32x8<S>,
+    buffer: &mut [u32],
+    offsets: [usize; 2],
+    mask: mask32x8<S>,
     words: u32x8<S>,
 ) {
-    let there = u32x4::from_slice(simd, &plane[upper..upper + WIDTH])
-        .combine(u32x4::from_slice(simd, &plane[lower..lower + WIDTH]));
-    let (above, below) = chosen.select(words, there).split();
-    above.store_slice(&mut plane[upper..upper + WIDTH]);
-    below.store_slice(&mut plane[lower..lower + WIDTH]);
+    let previous = load_block_u32(simd, buffer, offsets);
+    store_block_u32(buffer, offsets, mask.select(words, previous));
 }

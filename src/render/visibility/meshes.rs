@@ -15,7 +15,7 @@ use wgpu::{BufferUsages, IndexFormat};
 use crate::gpu::Gpu;
 use crate::gpu::growing_buffer::GrowingBuffer;
 use crate::gpu::staging::{PAGE_BYTES, Page};
-use crate::render::raster::{VERTICES, by_axis};
+use crate::render::raster::lanes::{VERTEX_BATCH, to_soa};
 use crate::render::select::draw_list::{MeshDraw, MeshRef};
 use crate::render::select::ground_blocks::ground_blocks;
 use crate::render::select::selection::Selection;
@@ -321,11 +321,11 @@ fn packed_page(meshes: &[(usize, &[Vertex])], first: usize) -> [PackedVertex; PE
 // Inlined wholly, to be compiled for each width of vectors.
 #[inline(always)]
 fn pack(vertices: &[Vertex], packed: &mut [PackedVertex]) {
-    for (vertices, packed) in vertices.chunks(VERTICES).zip(packed.chunks_mut(VERTICES)) {
-        let [x, y, z] = by_axis(vertices.iter().map(|vertex| vertex.normal));
+    for (vertices, packed) in vertices.chunks(VERTEX_BATCH).zip(packed.chunks_mut(VERTEX_BATCH)) {
+        let [x, y, z] = to_soa(vertices.iter().map(|vertex| vertex.normal));
         // Twin: `octahedral_encode` in `common/octahedral.wgsl`.
-        let (mut across, mut up) = ([0_i32; VERTICES], [0_i32; VERTICES]);
-        for i in 0..VERTICES {
+        let (mut across, mut up) = ([0_i32; VERTEX_BATCH], [0_i32; VERTEX_BATCH]);
+        for i in 0..VERTEX_BATCH {
             let sum = x[i].abs() + y[i].abs() + z[i].abs();
             let scale = HALF / if sum > 1e-30 { sum } else { 1e-30 };
             let (right, ahead) = (scale * x[i], scale * y[i]);
