@@ -233,3 +233,88 @@ fn frame_uniforms(
         horizon: levels,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::params::Params;
+    use crate::render::backend::RasterBackend;
+    use crate::render::device::bind_groups::slot_stride;
+    use crate::render::select::casters;
+    use crate::render::select::screen_bounds::ScreenBounds;
+
+    fn plan(previous: Option<FramePlan>, scene: &Scene, options: &RasterOptions) -> FramePlan {
+        let settings = RenderSettings::new([96, 64], 4).expect("settings");
+        FramePlan::new(previous, scene, &settings, settings.size, options, |selection| {
+            casters::atlas_size_px(&selection.casters)
+        })
+    }
+
+    const fn options(backend: RasterBackend) -> RasterOptions {
+        RasterOptions { visibility: backend, shadow: backend, bin_by_shadow_sources: true, multi_draw: false }
+    }
+
+    fn scene(seed: u64) -> Scene {
+        Scene::build(seed, &Params::draw_default(seed)).expect("a scene")
+    }
+
+    #[test]
+    fn a_plan_lists_every_draw_of_the_device_once_and_none_of_the_host() {
+        let scene = scene(1);
+        let plan_for_device = plan(None, &scene, &options(RasterBackend::Device));
+        let selection = &plan_for_device.selection;
+        let DrawList { draws, casters, batches } = &plan_for_device.draws;
+        assert_eq!(casters.clone(), 0..selection.casters.len());
+        let batched: Vec<usize> = batches.iter().flat_map(|batch| batch.draws.clone()).collect();
+        assert_eq!(batched, (casters.end..draws.len()).collect::<Vec<_>>(), "bins in order");
+        let visible_rocks = selection.rocks.iter().filter(|rock| rock.visible_level.is_some()).count();
+        let spheres = [&selection.slots().stars(), &selection.slots().dome()];
+        let spheres = spheres.iter().filter(|slots| !slots.is_empty()).count();
+        assert_eq!(batched.len(), visible_rocks + selection.blocks.len() + spheres);
+        assert!(visible_rocks > 0 && !casters.is_empty() && !selection.blocks.is_empty());
+        for batch in batches {
+            assert_eq!(batch.draws.is_empty(), batch.bounds == ScreenBounds::EMPTY, "bin {}", batch.bin);
+        }
+
+        let plan_for_host = plan(None, &scene, &options(RasterBackend::Host));
+        let list = &plan_for_host.draws;
+        assert!(list.draws.is_empty() && list.casters.is_empty());
+        assert!(list.batches.iter().all(|batch| batch.bounds == ScreenBounds::EMPTY));
+        assert_eq!(list.batches.len(), batches.len());
+    }
+
+    #[test]
+    fn every_slot_of_a_draw_is_an_instance() {
+        let plan = plan(None, &scene(2), &options(RasterBackend::Device));
+        let dome = plan.selection.slots().dome();
+        assert_eq!(dome.end as usize, plan.instances.len());
+        for draw in &plan.draws.draws {
+            assert!(!draw.slots.is_empty() && draw.slots.end <= dome.end, "{draw:?}");
+        }
+        for batch in &plan.draws.batches {
+            assert!((batch.instance as usize) < plan.instances.len());
+            assert!((batch.relief as usize) < plan.bands.bands.len());
+        }
+        assert_eq!(slot_stride::<Instance>() % 256, 0);
+    }
+
+    #[test]
+    fn a_plan_does_not_depend_on_the_plan_before_it() {
+        let options = options(RasterBackend::Device);
+        let (first, second) = (scene(3), scene(4));
+        let alone = plan(None, &second, &options);
+        let after_another = plan(Some(plan(None, &first, &options)), &second, &options);
+        let after_itself = plan(Some(plan(None, &second, &options)), &second, &options);
+        assert!(alone.is_horizon_new && after_another.is_horizon_new && !after_itself.is_horizon_new);
+        for other in [&after_another, &after_itself] {
+            assert_eq!(bytemuck::bytes_of(&other.uniforms), bytemuck::bytes_of(&alone.uniforms));
+            assert_eq!(other.instances.len(), alone.instances.len());
+            let bytes = |plan: &FramePlan| bytemuck::cast_slice::<_, u8>(&plan.instances).to_vec();
+            assert!(bytes(other) == bytes(&alone), "instances");
+            assert!(other.caster_grid[..] == alone.caster_grid[..], "caster grid");
+            assert!(other.horizon.heights_m == alone.horizon.heights_m, "horizon");
+            assert_eq!(other.draws.draws, alone.draws.draws);
+            assert_eq!(other.shadow_map_px, alone.shadow_map_px);
+        }
+    }
+}

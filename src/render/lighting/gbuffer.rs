@@ -47,7 +47,7 @@ impl Plane {
         }
     }
 
-    /// What it holds before anything is drawn: nothing, or what shows `background` wherever nothing else is drawn.
+    /// Its value before anything is drawn: that of the background, if there is one.
     #[must_use]
     pub fn cleared(self, background: Option<&Background>) -> wgpu::Color {
         let [r, g, b] = background.map_or([0.0; 3], |background| background.radiance.as_dvec3().to_array());

@@ -1,8 +1,8 @@
-//! The lighting pass: light on what the samples show. One draw for all samples that are lit alike writes every plane: colour
-//! and class cannot disagree.
+//! The lighting pass: deferred shading of the G-buffer. One draw for each shading bin writes every plane, so that colour and class
+//! cannot disagree.
+//! Must not know: who filled the G-buffer.
 
 use rayon::prelude::*;
-
 use wgpu::TextureFormat;
 
 use crate::frame::Annotations;
@@ -21,7 +21,7 @@ pub(crate) struct LightingPass {
     surface: wgpu::ShaderModule,
     sky: wgpu::ShaderModule,
     layout: wgpu::PipelineLayout,
-    /// For each way of lighting of each key that was needed so far.
+    /// All that were needed so far.
     pipelines: Vec<((PipelineKey, LightingVariant), wgpu::RenderPipeline)>,
 }
 
@@ -63,11 +63,11 @@ const DETAIL_ROCK_TEXTURE: f64 = 2.0;
 const DETAIL_UPLOADED_SLOPES: f64 = 3.0;
 
 impl LightingPass {
-    /// Compiles the programs.
+    /// Compiles the shader modules.
     #[must_use]
     pub(crate) fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
         let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some("scene"),
+            label: Some("lighting/layout"),
             bind_group_layouts: &[Some(&layouts.frame), Some(&layouts.scene), Some(&layouts.light)],
             immediate_size: 0,
         });
@@ -79,41 +79,41 @@ impl LightingPass {
         }
     }
 
-    /// Whether any pipeline was made for this.
+    /// Whether there is any pipeline with this key.
     #[must_use]
     pub(crate) fn has(&self, key: PipelineKey) -> bool {
-        self.pipelines.iter().any(|((made, _), _)| *made == key)
+        self.pipelines.iter().any(|((found, _), _)| *found == key)
     }
 
-    /// Makes the pipelines that light so, unless they are there.
+    /// Compiles the pipelines of these variants that are missing.
     pub(crate) fn prepare(
         &mut self,
         gpu: &Gpu,
         key: PipelineKey,
-        wanted: impl IntoIterator<Item = LightingVariant>,
+        variants: impl IntoIterator<Item = LightingVariant>,
     ) {
         let mut missing: Vec<(PipelineKey, LightingVariant)> = Vec::new();
-        for wanted in wanted.into_iter().map(|lit| (key, lit)) {
-            if !missing.contains(&wanted) && !self.pipelines.iter().any(|(made, _)| *made == wanted) {
-                missing.push(wanted);
+        for needed in variants.into_iter().map(|variant| (key, variant)) {
+            if !missing.contains(&needed) && !self.pipelines.iter().any(|(found, _)| *found == needed) {
+                missing.push(needed);
             }
         }
-        let made = missing.par_iter().map(|&(key, lit)| self.pipeline(gpu, key, lit));
-        let made: Vec<_> = made.collect();
-        self.pipelines.extend(missing.into_iter().zip(made));
+        let compiled = missing.par_iter().map(|&(key, variant)| self.compile(gpu, key, variant));
+        let compiled: Vec<_> = compiled.collect();
+        self.pipelines.extend(missing.into_iter().zip(compiled));
     }
 
-    fn pipeline(&self, gpu: &Gpu, key: PipelineKey, lit: LightingVariant) -> wgpu::RenderPipeline {
-        let surface = |sources, detail, of_many: bool| {
+    fn compile(&self, gpu: &Gpu, key: PipelineKey, variant: LightingVariant) -> wgpu::RenderPipeline {
+        let surface = |sources, detail, per_sample_instance: bool| {
             vec![
                 ("SHADOW_SOURCES", f64::from(sources as u32)),
                 ("RINGS", f64::from(u8::from(key.has_rings))),
                 ("PHOTOMETRY_LAW", f64::from(key.law as u32)),
                 ("DETAIL_MODE", if key.has_detail { detail } else { DETAIL_NONE }),
-                ("PER_SAMPLE_INSTANCE", f64::from(u8::from(of_many))),
+                ("PER_SAMPLE_INSTANCE", f64::from(u8::from(per_sample_instance))),
             ]
         };
-        let (label, module, constants) = match lit {
+        let (label, module, constants) = match variant {
             LightingVariant::Ground { sources } => {
                 let detail = if key.has_slopes { DETAIL_UPLOADED_SLOPES } else { DETAIL_RELIEF };
                 (LIGHTING_SURFACE.name, &self.surface, surface(sources, detail, false))
@@ -164,6 +164,9 @@ impl LightingPass {
     }
 
     /// Records the pass.
+    ///
+    /// # Panics
+    /// If [`Self::prepare`] has not compiled the pipelines of the G-buffer's batches.
     pub(crate) fn record(
         &self,
         encoder: &mut wgpu::CommandEncoder,
@@ -188,9 +191,9 @@ impl LightingPass {
             })
             .collect();
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some("scene"),
+            label: Some("lighting"),
             color_attachments: &attachments,
-            // It is only read.
+            // Read only: the stencil selects the samples of a batch.
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
                 view: &gbuffer.stencil.1,
                 depth_ops: None,
@@ -203,8 +206,8 @@ impl LightingPass {
         pass.set_bind_group(0, frame, &[]);
         pass.set_bind_group(2, light, &[]);
         for batch in &gbuffer.batches {
-            let found = self.pipelines.iter().find(|(made_for, _)| *made_for == (key, batch.variant));
-            pass.set_pipeline(&found.expect("pipelines are prepared before they are used").1);
+            let pipeline = self.pipelines.iter().find(|(found, _)| *found == (key, batch.variant));
+            pass.set_pipeline(&pipeline.expect("pipelines are prepared before they are used").1);
             pass.set_stencil_reference(u32::from(batch.bin) + 1);
             let slots =
                 [batch.instance * slot_stride::<Instance>(), batch.relief * slot_stride::<ReliefUniforms>()];

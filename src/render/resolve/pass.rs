@@ -81,9 +81,8 @@ pub struct PackedFrame {
     /// Written by the pass.
     pub buffer: wgpu::Buffer,
     readback: ReadbackBuffer,
-    /// What the pass works on.
-    work: TileList,
-    /// Workgroups by their numbers, for [`Self::work`].
+    tiles: TileList,
+    /// Indices of the tiles that are resolved.
     pub list: wgpu::Buffer,
 }
 
@@ -144,7 +143,7 @@ impl ResolvePass {
         pass.set_pipeline(&made.expect("a pipeline is prepared before it is used").1);
         pass.set_bind_group(0, frame, &[]);
         pass.set_bind_group(2, own, &[]);
-        let [columns, rows] = dispatched(packed.work.resolved.len());
+        let [columns, rows] = dispatched(packed.tiles.resolved.len());
         pass.dispatch_workgroups(columns, rows, 1);
     }
 }
@@ -172,7 +171,7 @@ impl PackedFrame {
             packing,
             buffer: gpu.buffer("resolve/packed", packing.bytes(), usage),
             readback: ReadbackBuffer::new(gpu, "resolve/readback", packing.bytes()),
-            work: TileList::default(),
+            tiles: TileList::default(),
             list: gpu.buffer(
                 "resolve/list",
                 4 * list_len(all),
@@ -191,12 +190,12 @@ impl PackedFrame {
             dome: background.stencil,
             samples_per_side: gbuffer.samples_per_side as usize,
         });
-        self.work = TileList::new(self.size, sky.filter(|_| is_listed));
+        self.tiles = TileList::new(self.size, sky.filter(|_| is_listed));
         if !is_listed {
             return 0;
         }
         // Beyond the last of the list there are none of the picture.
-        let mut list = self.work.resolved.clone();
+        let mut list = self.tiles.resolved.clone();
         list.resize(list_len(list.len()) as usize, u32::MAX / WORKGROUP_SIZE);
         gpu.queue.write_buffer(&self.list, 0, bytemuck::cast_slice(&list));
         4 * list.len() as u64
@@ -254,15 +253,15 @@ impl PackedFrame {
                 class,
                 ..Frame::default()
             };
-            let work = &self.work;
-            work.spread(&mut frame.rgb, 3);
-            work.spread(&mut frame.class, 1);
-            work.spread(&mut frame.depth_m, 1);
-            work.spread(&mut frame.normals, 3);
-            work.spread(&mut frame.instances, 1);
-            work.spread(&mut frame.sun_occlusion, 1);
-            work.spread(&mut frame.radiance, 3);
-            work.spread(&mut frame.sample_counts, 1);
+            let tiles = &self.tiles;
+            tiles.spread(&mut frame.rgb, 3);
+            tiles.spread(&mut frame.class, 1);
+            tiles.spread(&mut frame.depth_m, 1);
+            tiles.spread(&mut frame.normals, 3);
+            tiles.spread(&mut frame.instances, 1);
+            tiles.spread(&mut frame.sun_occlusion, 1);
+            tiles.spread(&mut frame.radiance, 3);
+            tiles.spread(&mut frame.sample_counts, 1);
             frame
         })
     }

@@ -1,49 +1,51 @@
-//! What of a picture the resolve pass works on.
+//! The tiles of an image that the resolve pass has to work on.
 //!
-//! Pixels of which all samples show the sky's dome have one value in each plane. Where this program knows them, one part of
-//! them is resolved, and its values stand for all.
+//! Pixels whose samples are all in the sky's dome have one value in each plane. Where the host knows the stencil, one tile of them
+//! is resolved, and its values are copied to the others.
 //! Must not know: what the planes are.
 
-/// Pixels of a workgroup, in reading order: four for each of its invocations.
-const PIXELS: usize = 4 * crate::render::device::packing::WORKGROUP_SIZE as usize;
+use crate::render::device::packing::WORKGROUP_SIZE;
 
-/// What the samples of a picture show.
+/// Pixels of a tile, in reading order: one workgroup resolves it, four pixels in each invocation.
+const TILE_PIXELS: usize = 4 * WORKGROUP_SIZE as usize;
+
+/// The stencil of an image, where samples that no surface covers have the value of the dome.
 #[derive(Clone, Copy, Debug)]
 pub struct SkyStencil<'a> {
-    /// A value a sample, a row after the other.
+    /// Values of the samples, row by row.
     pub stencil: &'a [u8],
-    /// That of those that show the dome.
+    /// Value of the dome.
     pub dome: u8,
     /// Samples along a side of a pixel.
     pub samples_per_side: usize,
 }
 
-/// Workgroups by their numbers.
+/// Tiles, by index.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct TileList {
-    /// Those whose pixels are resolved.
+    /// Tiles that are resolved.
     pub resolved: Vec<u32>,
-    /// Those of the dome alone: the first is resolved, and the others have its values.
-    blank: Vec<u32>,
+    /// Tiles of the dome alone: the first is among those that are resolved, and the others get its values.
+    empty: Vec<u32>,
 }
 
 impl TileList {
-    /// For a picture of this size.
+    /// Lists the tiles of an image of this size: all of them without a stencil.
     #[must_use]
-    pub fn new([width, height]: [u32; 2], shown: Option<SkyStencil<'_>>) -> Self {
+    pub fn new([width, height]: [u32; 2], sky: Option<SkyStencil<'_>>) -> Self {
         let (width, pixels) = (width as usize, width as usize * height as usize);
-        let Some(SkyStencil { stencil, dome, samples_per_side: side }) = shown else {
-            return Self { resolved: (0..pixels.div_ceil(PIXELS) as u32).collect(), blank: Vec::new() };
+        let Some(SkyStencil { stencil, dome, samples_per_side: side }) = sky else {
+            return Self { resolved: (0..pixels.div_ceil(TILE_PIXELS) as u32).collect(), empty: Vec::new() };
         };
-        let blank_row = vec![dome; side * width.min(PIXELS)];
-        let is_blank = |number: usize| {
-            let end = pixels.min((number + 1) * PIXELS);
-            let mut first = number * PIXELS;
+        let empty_row = vec![dome; side * width.min(TILE_PIXELS)];
+        let is_empty = |tile: usize| {
+            let end = pixels.min((tile + 1) * TILE_PIXELS);
+            let mut first = tile * TILE_PIXELS;
             while first < end {
                 let (row, column) = (first / width, first % width);
                 let count = (end - first).min(width - column);
                 let mut rows = stencil[side * side * row * width..].chunks_exact(side * width).take(side);
-                if !rows.all(|samples| samples[side * column..][..side * count] == blank_row[..side * count])
+                if !rows.all(|samples| samples[side * column..][..side * count] == empty_row[..side * count])
                 {
                     return false;
                 }
@@ -51,33 +53,33 @@ impl TileList {
             }
             true
         };
-        let mut work = Self::default();
-        for number in 0..pixels.div_ceil(PIXELS) {
-            let is_blank = is_blank(number);
-            if !is_blank || work.blank.is_empty() {
-                work.resolved.push(number as u32);
+        let mut list = Self::default();
+        for tile in 0..pixels.div_ceil(TILE_PIXELS) {
+            let is_empty = is_empty(tile);
+            if !is_empty || list.empty.is_empty() {
+                list.resolved.push(tile as u32);
             }
-            if is_blank {
-                work.blank.push(number as u32);
+            if is_empty {
+                list.empty.push(tile as u32);
             }
         }
-        work
+        list
     }
 
-    /// Gives the pixels that were not resolved their values in a plane.
+    /// Fills the empty tiles of a plane that were not resolved.
     pub fn spread<T: Copy>(&self, plane: &mut [T], values_per_pixel: usize) {
-        let [first, others @ ..] = self.blank.as_slice() else { return };
+        let [first, others @ ..] = self.empty.as_slice() else { return };
         if plane.is_empty() {
             return;
         }
-        let values = PIXELS * values_per_pixel;
-        let end = plane.len().min((*first as usize + 1) * values);
-        let resolved = plane[*first as usize * values..end].to_vec();
-        for number in others {
-            let alike = &mut plane[*number as usize * values..];
-            // The last workgroup may not be full.
-            let count = alike.len().min(resolved.len());
-            alike[..count].copy_from_slice(&resolved[..count]);
+        let tile_len = TILE_PIXELS * values_per_pixel;
+        let end = plane.len().min((*first as usize + 1) * tile_len);
+        let resolved = plane[*first as usize * tile_len..end].to_vec();
+        for tile in others {
+            let values_of_tile = &mut plane[*tile as usize * tile_len..];
+            // The last tile may be cut off by the end of the image.
+            let count = values_of_tile.len().min(resolved.len());
+            values_of_tile[..count].copy_from_slice(&resolved[..count]);
         }
     }
 }
@@ -87,40 +89,42 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_shows_the_dome_alone_is_resolved_once_and_spread() {
+    fn one_empty_tile_is_resolved_and_spread_to_the_others() {
         const DOME: u8 = 9;
-        // Rows that do not end with workgroups, and a last workgroup that is not full.
+        // Rows that do not end at the end of a tile, and a last tile that is cut off.
         for (size, side) in [([300, 40], 1), ([300, 40], 2), ([64, 33], 4), ([512, 20], 2)] {
             let [width, height] = size.map(|pixels| pixels as usize);
             let mut stencil = vec![DOME; side * width * side * height];
-            let things = [(17, 3), (width - 1, 11), (40, 12)];
-            for (column, row) in things {
+            let rock_pixels = [(17, 3), (width - 1, 11), (40, 12)];
+            for (column, row) in rock_pixels {
                 // The last sample of the pixel.
                 stencil[(side * row + side - 1) * side * width + side * column + side - 1] = 1;
             }
-            let work = TileList::new(
+            let list = TileList::new(
                 size,
                 Some(SkyStencil { stencil: &stencil, dome: DOME, samples_per_side: side }),
             );
-            let with_things: Vec<u32> =
-                things.iter().map(|(column, row)| ((row * width + column) / PIXELS) as u32).collect();
-            let all = (width * height).div_ceil(PIXELS) as u32;
-            let first_blank = (0..all).find(|number| !with_things.contains(number)).unwrap();
-            let expected = |number: &u32| *number == first_blank || with_things.contains(number);
-            assert_eq!(work.resolved, (0..all).filter(expected).collect::<Vec<_>>(), "{size:?}");
+            let with_rocks: Vec<u32> = rock_pixels
+                .iter()
+                .map(|(column, row)| ((row * width + column) / TILE_PIXELS) as u32)
+                .collect();
+            let all = (width * height).div_ceil(TILE_PIXELS) as u32;
+            let first_empty = (0..all).find(|tile| !with_rocks.contains(tile)).unwrap();
+            let expected = |tile: &u32| *tile == first_empty || with_rocks.contains(tile);
+            assert_eq!(list.resolved, (0..all).filter(expected).collect::<Vec<_>>(), "{size:?}");
             let whole = |pixel: usize| {
-                let is_thing = things.iter().any(|(column, row)| row * width + column == pixel);
-                if is_thing { [pixel as u32, 1] } else { [7, 8] }
+                let is_rock = rock_pixels.iter().any(|(column, row)| row * width + column == pixel);
+                if is_rock { [pixel as u32, 1] } else { [7, 8] }
             };
             let whole: Vec<u32> = (0..width * height).flat_map(whole).collect();
             let mut plane = vec![0; whole.len()];
-            for number in &work.resolved {
+            for tile in &list.resolved {
                 let range =
-                    2 * PIXELS * *number as usize..whole.len().min(2 * PIXELS * (*number as usize + 1));
+                    2 * TILE_PIXELS * *tile as usize..whole.len().min(2 * TILE_PIXELS * (*tile as usize + 1));
                 plane[range.clone()].copy_from_slice(&whole[range]);
             }
             assert_ne!(plane, whole);
-            work.spread(&mut plane, 2);
+            list.spread(&mut plane, 2);
             assert_eq!(plane, whole, "{size:?}");
             assert_eq!(TileList::new(size, None).resolved, (0..all).collect::<Vec<_>>());
         }

@@ -1,5 +1,5 @@
 //! The device backend of shadows: depth of all casters, fronts in one layer of an atlas and backs in the other, then the midpoint
-//! map of the two.
+//! map of the two (Woo 1992).
 
 use std::ops::Range;
 

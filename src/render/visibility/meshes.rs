@@ -1,7 +1,8 @@
-//! Meshes on a device that draws them itself: vertices, indices, and the draws of a picture.
+//! Meshes on the device, for the stages that it rasterises: vertices, indices, and the draws of a frame.
 //!
-//! Vertices stay while a scene does, and those of rocks come to them when they are first drawn; indices stay while the ground's grid
-//! does; draws are made anew for each frame.
+//! Vertices stay for as long as their scene; those of a rock are appended when it is first drawn. Indices stay for as long as the
+//! ground's grid. Draws are set for each frame.
+//! Must not know: a stage.
 
 use std::collections::HashMap;
 use std::ops::Range;
@@ -26,24 +27,25 @@ use crate::scene::noise::floor;
 use crate::scene::sky::DOME_LEVEL;
 use crate::scene::terrain::{Layout, Terrain};
 
-/// Columns of cells whose triangles are listed row by row, before those beside them: few enough for a device to find the vertices of a
-/// row among the last 16 that it has transformed when it comes to the next.
+/// Columns of cells in a strip, whose triangles are indexed row by row: few enough for the vertices of a row to be among the last 16
+/// in the vertex cache when the next row is drawn.
 const STRIP_CELLS: u32 = 6;
-/// Vertices in a page, and pages that a thread packs at a time.
+/// Vertices in a page of the upload.
 const PER_PAGE: usize = PAGE_BYTES / size_of::<PackedVertex>();
-const PAGES_AT_A_TIME: usize = 16;
+/// Least number of pages that a thread packs.
+const MIN_PAGES_PER_THREAD: usize = 16;
 
-/// One indexed draw, as a device reads it.
+/// One indexed draw, in WebGPU's layout for indirect draws.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub struct Draw {
-    /// Indices.
+    /// Number of indices.
     pub index_count: u32,
-    /// Instances, one after the other.
+    /// Number of instances.
     pub instance_count: u32,
-    /// Place of the first index.
+    /// Offset of the first index in the index buffer.
     pub first_index: u32,
-    /// What is added to each index.
+    /// Added to each index.
     pub base_vertex: i32,
     /// Slot of the first instance.
     pub first_instance: u32,
@@ -57,20 +59,20 @@ impl Draw {
     }
 }
 
-/// A vertex as a device has it. Positions are those of the scene to the bit: where they lie decides what a sample shows.
+/// A vertex in the vertex buffer. Its position is that of the scene to the bit, for labels depend on it.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
 struct PackedVertex {
-    /// Metres.
+    /// Relative to its instance, metres.
     position: [f32; 3],
-    /// The normal on an octahedron, in shares of [`HALF`].
+    /// Octahedral encoding of the normal, signed normalised: [`SNORM_MAX`] is 1.
     normal: [i16; 2],
 }
 
-/// What 1 is packed as.
-const HALF: f32 = 32_767.0;
+/// The value of a 16-bit signed normalised number that stands for 1.
+const SNORM_MAX: f32 = 32_767.0;
 
-/// Bytes from a vertex to the next.
+/// Stride of the vertex buffer.
 const VERTEX_BYTES: u64 = size_of::<PackedVertex>() as u64;
 /// Position and normal.
 const VERTEX_ATTRIBUTES: [wgpu::VertexAttribute; 2] =
@@ -85,28 +87,30 @@ pub(crate) fn vertex_layout(attributes: usize) -> wgpu::VertexBufferLayout<'stat
     }
 }
 
-/// The meshes of a scene, and what to draw of them.
+/// The meshes of a scene, and the draws of a frame.
 #[derive(Debug)]
 pub struct Meshes {
-    /// Vertices of the unit sphere, the ground, rocks, and how many.
+    /// Vertices of the unit sphere, the ground, then rocks.
     vertices: GrowingBuffer,
     vertex_count: usize,
     /// Triangles of the icosphere's levels, then of the ground's blocks.
     indices: GrowingBuffer,
     index_format: IndexFormat,
-    /// The draws of the frame, as in its draw list.
+    /// In the order of the frame's draw list.
     draws: Vec<Draw>,
     /// The same, for indirect drawing.
     indirect: Option<GrowingBuffer>,
-    /// Index ranges of the icosphere's levels, and of the ground's blocks with the first vertex of each.
+    /// Index range of each level of the icosphere.
     levels: Vec<Range<u32>>,
+    /// Index range of each block of the ground, and its first vertex, counted from that of the ground.
     blocks: Vec<(Range<u32>, i32)>,
-    /// Columns and rows of the ground that these are for, and whether they are rings.
-    cells: [u32; 3],
-    /// Keeps the ground's address from being given to another, but not the ground. So with the rocks.
+    /// The grid that the indices are for: columns, rows, and 1 if it is made of rings.
+    grid: [u32; 3],
+    /// The ground whose vertices these are. A weak reference keeps its address from being used again.
     terrain: Weak<Terrain>,
+    /// First vertex of the ground.
     ground: i32,
-    /// Of each rock of the scene, its mesh and the first vertex of it; no mesh where it was not given yet.
+    /// Mesh and first vertex of each rock of the scene; a dangling reference where it is not uploaded.
     rocks: Vec<(Weak<Reused<Vertex>>, i32)>,
 }
 
@@ -121,7 +125,7 @@ impl Default for Meshes {
             indirect: None,
             levels: Vec::new(),
             blocks: Vec::new(),
-            cells: [0; 3],
+            grid: [0; 3],
             terrain: Weak::new(),
             ground: 0,
             rocks: Vec::new(),
@@ -130,13 +134,13 @@ impl Default for Meshes {
 }
 
 impl Meshes {
-    /// Has the device hold the meshes of a picture of a scene, and says how many bytes it was given for that.
+    /// Uploads the meshes of a selection that the device does not have yet. Returns the bytes that were uploaded.
     pub(crate) fn upload(&mut self, gpu: &Gpu, scene: &Scene, selection: &Selection) -> u64 {
         self.upload_indices(gpu, &scene.terrain) + self.upload_vertices(gpu, scene, selection)
     }
 
-    /// Sets what is to be drawn, and returns how many bytes were uploaded for that. With `multi_draw`, the device reads the draws
-    /// from a buffer.
+    /// Sets the draws of the frame, whose meshes must be uploaded. With `multi_draw` they are uploaded too, for indirect drawing.
+    /// Returns the bytes that were uploaded.
     pub(crate) fn set_draws(&mut self, gpu: &Gpu, draws: &[MeshDraw], multi_draw: bool) -> u64 {
         self.draws = draws.iter().map(|draw| self.indexed_draw(draw)).collect();
         if !multi_draw {
@@ -166,12 +170,12 @@ impl Meshes {
         }
     }
 
-    /// Triangles of some of the draws.
+    /// Number of triangles in a range of the draws.
     pub(crate) fn triangles(&self, draws: &Range<usize>) -> u64 {
         self.draws[draws.clone()].iter().map(Draw::triangles).sum()
     }
 
-    /// Records some of them.
+    /// Records a range of the draws.
     pub(crate) fn record(&self, pass: &mut wgpu::RenderPass<'_>, draws: &Range<usize>) {
         if draws.is_empty() {
             return;
@@ -190,40 +194,40 @@ impl Meshes {
         }
     }
 
-    /// The index buffer depends on the ground's grid alone. Blocks of as many columns and rows share their triangles, which count
-    /// vertices from the first of the block.
+    /// Uploads the indices, which depend on the ground's grid alone. Blocks of equal size share theirs, which count from the first
+    /// vertex of the block.
     fn upload_indices(&mut self, gpu: &Gpu, terrain: &Terrain) -> u64 {
         let is_rings = matches!(terrain.layout, Layout::Rings(_));
-        let cells = [terrain.columns, terrain.rows, u32::from(is_rings)];
-        if self.cells == cells {
+        let grid = [terrain.columns, terrain.rows, u32::from(is_rings)];
+        if self.grid == grid {
             return 0;
         }
         let mut triangles: Vec<[u32; 3]> = Vec::new();
-        let mut range = |more: &mut dyn Iterator<Item = [u32; 3]>| {
+        let mut append = |mesh: &mut dyn Iterator<Item = [u32; 3]>| {
             let start = 3 * triangles.len() as u32;
-            triangles.extend(more);
+            triangles.extend(mesh);
             start..3 * triangles.len() as u32
         };
-        self.levels = (0..=Icosphere::MAX_LEVEL).map(|level| range(&mut sphere_triangles(level))).collect();
-        let mut known: HashMap<[u32; 3], Range<u32>> = HashMap::new();
+        self.levels = (0..=Icosphere::MAX_LEVEL).map(|level| append(&mut sphere_triangles(level))).collect();
+        let mut shared: HashMap<[u32; 3], Range<u32>> = HashMap::new();
         let blocks = ground_blocks(terrain).map(|[columns, rows]| {
             let first = rows.start * (terrain.columns + 1) + columns.start;
             let fans = is_rings && rows.start == 0;
             let shape = [columns.len() as u32, rows.len() as u32, u32::from(fans)];
-            let indices = known.entry(shape).or_insert_with(|| {
+            let indices = shared.entry(shape).or_insert_with(|| {
                 let of_block = block_triangles(terrain, &columns, &rows);
-                range(&mut of_block.map(|triangle| triangle.map(|vertex| vertex - first)))
+                append(&mut of_block.map(|triangle| triangle.map(|vertex| vertex - first)))
             });
             (indices.clone(), first as i32)
         });
         self.blocks = blocks.collect();
-        self.cells = cells;
+        self.grid = grid;
         let indices = triangles.as_flattened();
         let narrow: Option<Vec<u16>> = indices.iter().map(|&index| u16::try_from(index).ok()).collect();
         self.index_format = if narrow.is_some() { IndexFormat::Uint16 } else { IndexFormat::Uint32 };
         match narrow {
             Some(mut narrow) => {
-                // Copies go by four bytes.
+                // Sizes of copies are multiples of four bytes.
                 narrow.resize(narrow.len().next_multiple_of(2), 0);
                 self.indices.write(gpu, &narrow)
             }
@@ -231,15 +235,16 @@ impl Meshes {
         }
     }
 
-    /// The vertices of sphere, ground and the rocks of a picture, unless the device has them.
+    /// Uploads the vertices of the unit sphere, the ground and a selection's rocks that the device does not have yet.
     fn upload_vertices(&mut self, gpu: &Gpu, scene: &Scene, selection: &Selection) -> u64 {
         let sphere: Vec<Vertex>;
-        let mut more: Vec<(usize, &[Vertex])> = Vec::new();
+        // Each with its first vertex, counted from `begin`.
+        let mut missing: Vec<(usize, &[Vertex])> = Vec::new();
         let begin = if self.terrain.as_ptr() == Arc::as_ptr(&scene.terrain) { self.vertex_count } else { 0 };
         let mut end = begin;
         let mut add = |vertices| {
             let first = end;
-            more.push((first - begin, vertices));
+            missing.push((first - begin, vertices));
             end += vertices.len();
             first as i32
         };
@@ -253,26 +258,27 @@ impl Meshes {
         }
         self.rocks.resize(scene.rocks.len(), (Weak::new(), 0));
         for selected in &selection.rocks {
-            let (known, mesh) = (&mut self.rocks[selected.rock], &scene.rocks[selected.rock].vertices);
-            if known.0.as_ptr() != Arc::as_ptr(mesh) {
-                *known = (Arc::downgrade(mesh), add(mesh));
+            let (uploaded, mesh) = (&mut self.rocks[selected.rock], &scene.rocks[selected.rock].vertices);
+            if uploaded.0.as_ptr() != Arc::as_ptr(mesh) {
+                *uploaded = (Arc::downgrade(mesh), add(mesh));
             }
         }
-        if more.is_empty() {
+        if missing.is_empty() {
             return 0;
         }
         self.vertex_count = end;
         let bytes = ((end - begin) * size_of::<PackedVertex>()).next_multiple_of(PAGE_BYTES);
-        let write = |room: wgpu::WriteOnly<'_, [u8]>| {
-            let pages: Vec<Page<'_>> = room.into_chunks().0.into_iter().collect();
-            pages.into_par_iter().enumerate().with_min_len(PAGES_AT_A_TIME).for_each(|(place, page)| {
+        let write = |view: wgpu::WriteOnly<'_, [u8]>| {
+            let pages: Vec<Page<'_>> = view.into_chunks().0.into_iter().collect();
+            pages.into_par_iter().enumerate().with_min_len(MIN_PAGES_PER_THREAD).for_each(|(index, page)| {
                 let mut page: wgpu::WriteOnly<'_, [u8]> = page.into();
-                page.copy_from_slice(bytemuck::cast_slice(&packed_page(&more, place * PER_PAGE)));
+                page.copy_from_slice(bytemuck::cast_slice(&packed_page(&missing, index * PER_PAGE)));
             });
         };
         if begin == 0 {
             self.vertices.write_with(gpu, bytes, write);
         } else if !self.vertices.try_write_at(gpu, begin * size_of::<PackedVertex>(), bytes, write) {
+            // The buffer is full: a larger one gets everything.
             self.terrain = Weak::new();
             return self.upload_vertices(gpu, scene, selection);
         }
@@ -280,13 +286,13 @@ impl Meshes {
     }
 }
 
-/// The triangles of a level of the icosphere, so that one follows another beside it: of the four that one was split into, again and
-/// again, the middle one is third.
+/// The triangles of a level of the icosphere in an order in which neighbours follow each other, for the vertex cache: of the four
+/// into which each subdivision splits a triangle, the middle one comes third.
 fn sphere_triangles(level: usize) -> impl Iterator<Item = [u32; 3]> {
     let triangles = &Icosphere::shared().triangles[level];
     let within_a_face = (1 << (2 * level)) - 1;
-    // Two bits a split, in which 2 and 3 change places.
-    (0..triangles.len()).map(move |place| triangles[place ^ ((place >> 1) & 0x5555 & within_a_face)])
+    // Each subdivision has two bits of the index, in which 2 and 3 are exchanged.
+    (0..triangles.len()).map(move |index| triangles[index ^ ((index >> 1) & 0x5555 & within_a_face)])
 }
 
 /// The triangles of a block of the ground, in strips.
@@ -300,16 +306,15 @@ fn block_triangles(
     })
 }
 
-/// A page of the vertices of some meshes that stand one behind the other, each from a vertex of all of them on; from vertex `first`
-/// on.
+/// A page of packed vertices, from vertex `first` on, of meshes that lie one behind the other, each with its first vertex.
 fn packed_page(meshes: &[(usize, &[Vertex])], first: usize) -> [PackedVertex; PER_PAGE] {
     let mut page = [PackedVertex::default(); PER_PAGE];
     let mut rest = &mut page[..];
-    let begun = meshes.partition_point(|(start, _)| *start <= first);
-    for (start, mesh) in &meshes[begun.saturating_sub(1)..] {
-        let here = mesh.get(first.saturating_sub(*start)..).unwrap_or_default();
-        let (packed, after) = rest.split_at_mut(here.len().min(rest.len()));
-        dispatch!(Level::new(), _simd => pack(here, packed));
+    let started = meshes.partition_point(|(start, _)| *start <= first);
+    for (start, mesh) in &meshes[started.saturating_sub(1)..] {
+        let vertices = mesh.get(first.saturating_sub(*start)..).unwrap_or_default();
+        let (packed, after) = rest.split_at_mut(vertices.len().min(rest.len()));
+        dispatch!(Level::new(), _simd => pack(vertices, packed));
         rest = after;
         if rest.is_empty() {
             break;
@@ -318,26 +323,26 @@ fn packed_page(meshes: &[(usize, &[Vertex])], first: usize) -> [PackedVertex; PE
     page
 }
 
-// Inlined wholly, to be compiled for each width of vectors.
+// Inlined into `dispatch!`, so that it is compiled for each SIMD level.
 #[inline(always)]
 fn pack(vertices: &[Vertex], packed: &mut [PackedVertex]) {
     for (vertices, packed) in vertices.chunks(VERTEX_BATCH).zip(packed.chunks_mut(VERTEX_BATCH)) {
         let [x, y, z] = to_soa(vertices.iter().map(|vertex| vertex.normal));
-        // Twin: `octahedral_encode` in `common/octahedral.wgsl`.
-        let (mut across, mut up) = ([0_i32; VERTEX_BATCH], [0_i32; VERTEX_BATCH]);
+        // CPU counterpart of `octahedral_encode` in `common/octahedral.wgsl`.
+        let mut octahedral = [[0_i32; VERTEX_BATCH]; 2];
         for i in 0..VERTEX_BATCH {
             let sum = x[i].abs() + y[i].abs() + z[i].abs();
-            let scale = HALF / if sum > 1e-30 { sum } else { 1e-30 };
-            let (right, ahead) = (scale * x[i], scale * y[i]);
+            let scale = SNORM_MAX / if sum > 1e-30 { sum } else { 1e-30 };
+            let (u, v) = (scale * x[i], scale * y[i]);
             let is_below = z[i] < 0.0;
-            let folded_right = (HALF - ahead.abs()).copysign(right);
-            let folded_ahead = (HALF - right.abs()).copysign(ahead);
-            across[i] = floor(0.5 + if is_below { folded_right } else { right });
-            up[i] = floor(0.5 + if is_below { folded_ahead } else { ahead });
+            let folded_u = (SNORM_MAX - v.abs()).copysign(u);
+            let folded_v = (SNORM_MAX - u.abs()).copysign(v);
+            octahedral[0][i] = floor(0.5 + if is_below { folded_u } else { u });
+            octahedral[1][i] = floor(0.5 + if is_below { folded_v } else { v });
         }
         for (i, (vertex, packed)) in vertices.iter().zip(packed).enumerate() {
-            *packed =
-                PackedVertex { position: vertex.position.into(), normal: [across[i] as i16, up[i] as i16] };
+            let normal = octahedral.map(|axis| axis[i] as i16);
+            *packed = PackedVertex { position: vertex.position.into(), normal };
         }
     }
 }
@@ -356,7 +361,7 @@ mod tests {
     }
 
     #[test]
-    fn strips_of_blocks_are_all_of_the_ground() {
+    fn strips_of_all_blocks_are_the_triangles_of_the_ground() {
         for stage in ["nominal", "surface"] {
             let terrain = ground(stage);
             let mut of_blocks: Vec<[u32; 3]> = ground_blocks(&terrain)
@@ -369,14 +374,14 @@ mod tests {
         }
     }
 
-    /// Vertices that are transformed for each triangle, by a device that keeps the last `kept` of them.
-    fn transformed_per_triangle(triangles: &[[u32; 3]], kept: usize) -> f64 {
+    /// Average cache miss ratio: vertices transformed per triangle, with a first-in, first-out vertex cache (Hoppe 1999).
+    fn cache_miss_ratio(triangles: &[[u32; 3]], cache_size: usize) -> f64 {
         let (mut cache, mut transformed) = (std::collections::VecDeque::new(), 0);
         for vertex in triangles.as_flattened() {
             if !cache.contains(vertex) {
                 transformed += 1;
                 cache.push_back(*vertex);
-                if cache.len() > kept {
+                if cache.len() > cache_size {
                     cache.pop_front();
                 }
             }
@@ -385,32 +390,32 @@ mod tests {
     }
 
     #[test]
-    fn few_vertices_are_transformed_twice() {
+    fn triangles_are_ordered_for_the_vertex_cache() {
         let terrain = ground("nominal");
         let block: Vec<_> = block_triangles(&terrain, &(0..30), &(0..30)).collect();
         let sphere: Vec<_> = sphere_triangles(4).collect();
-        // An endless grid has half as many vertices as triangles, and so has a sphere.
-        for (triangles, kept, most) in
+        // The lower bound is 0.5: large grids and spheres have half as many vertices as triangles.
+        for (triangles, cache_size, max) in
             [(&block, 16, 0.61), (&block, 32, 0.61), (&sphere, 16, 0.79), (&sphere, 32, 0.67)]
         {
-            let transformed = transformed_per_triangle(triangles, kept);
-            assert!((0.5..most).contains(&transformed), "{transformed} with {kept} kept");
+            let ratio = cache_miss_ratio(triangles, cache_size);
+            assert!((0.5..max).contains(&ratio), "{ratio} with a cache of {cache_size}");
         }
     }
 
     #[test]
-    fn spheres_have_the_triangles_of_their_level() {
+    fn reordered_spheres_have_the_triangles_of_their_level() {
         for (level, expected) in Icosphere::shared().triangles.iter().enumerate() {
-            let (mut here, mut expected): (Vec<_>, Vec<_>) =
+            let (mut reordered, mut expected): (Vec<_>, Vec<_>) =
                 (sphere_triangles(level).collect(), expected.clone());
-            here.sort_unstable();
+            reordered.sort_unstable();
             expected.sort_unstable();
-            assert!(here == expected, "level {level}");
+            assert!(reordered == expected, "level {level}");
         }
     }
 
     #[test]
-    fn packed_vertices_lie_where_they_did_and_their_normals_turn_by_less_than_a_ten_thousandth() {
+    fn packing_keeps_positions_and_changes_normals_by_less_than_a_ten_thousandth() {
         let normals = &Icosphere::shared().directions;
         let vertices: Vec<Vertex> =
             normals.iter().map(|&normal| Vertex { position: 3.7 * normal, normal }).collect();
@@ -421,7 +426,7 @@ mod tests {
             let page = packed_page(&meshes, first * PER_PAGE);
             for (packed, vertex) in page.iter().zip(expected) {
                 assert_eq!(Vec3::from(packed.position), vertex.position);
-                let p = Vec2::from(packed.normal.map(|half| f32::from(half) / HALF));
+                let p = Vec2::from(packed.normal.map(|snorm| f32::from(snorm) / SNORM_MAX));
                 let z = 1.0 - p.x.abs() - p.y.abs();
                 let back = (-z).max(0.0);
                 let normal = Vec3::new(p.x - back.copysign(p.x), p.y - back.copysign(p.y), z).normalize();
