@@ -1,0 +1,73 @@
+//! `--raster`: which backend rasterises, and where that is recorded.
+
+use crate::support::{folder, json, program, run, run_ok};
+
+#[test]
+fn frames_record_their_raster_backend_and_agree_on_labels() {
+    let folder = folder();
+    let mut masks = Vec::new();
+    for (mode, used) in [("auto", "host"), ("host", "host"), ("device", "device")] {
+        run_ok(folder.path(), &["--size", "96", "--raster", mode, "--out", mode]);
+        let out = folder.path().join(mode);
+        assert_eq!(json(&out.join("frame_0000.json"))["raster"], used, "--raster {mode}");
+        let mask = image::open(out.join("semantic_segmentation_0000.png")).expect("a mask");
+        masks.push(mask.into_luma8().into_raw());
+    }
+    assert!(masks[0] == masks[1], "auto is the host on a software adapter");
+    let different = masks[0].iter().zip(&masks[2]).filter(|(host, device)| host != device).count();
+    assert!(different <= 2, "{different} of 9216 labels differ");
+}
+
+#[test]
+fn raster_modes_that_do_not_exist_or_are_not_supported_are_refused() {
+    let folder = folder();
+    for words in
+        [&["--raster", "cpu"][..], &["bench", "--raster", "cpu"], &["verify", "--raster", "cpu", "x"]]
+    {
+        let output = run(folder.path(), words);
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{message}");
+        assert!(message.contains("`cpu`") || message.contains("'cpu'"), "{message}");
+        assert!(message.contains("auto, device and host"), "{message}");
+    }
+    // GL cannot copy to stencil textures.
+    let output = program(folder.path())
+        .args(["--raster", "host", "--size", "32"])
+        .env("WGPU_BACKEND", "gl")
+        .output()
+        .expect("the program starts");
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{message}");
+    assert!(message.contains("--raster host") && message.contains("--raster auto"), "{message}");
+    assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0, "nothing is written");
+}
+
+#[test]
+fn a_dataset_records_the_backend_of_each_frame_and_can_be_continued_by_another() {
+    let folder = folder();
+    let dataset = |count: &str, raster: &str| {
+        let words = ["dataset", "--size", "48", "--out", "d", "-q", "--count", count, "--raster", raster];
+        run_ok(folder.path(), &words);
+    };
+    dataset("1", "device");
+    dataset("2", "host");
+    let lines = std::fs::read_to_string(folder.path().join("d/frames.jsonl")).expect("lines");
+    let used: Vec<String> = lines
+        .lines()
+        .map(|line| serde_json::from_str::<serde_json::Value>(line).expect("JSON")["raster"].to_string())
+        .collect();
+    assert_eq!(used, ["\"device\"", "\"host\""]);
+    for raster in ["auto", "device"] {
+        run_ok(folder.path(), &["verify", "d", "--raster", raster]);
+    }
+}
+
+#[test]
+fn bench_records_the_raster_backend() {
+    let folder = folder();
+    for (mode, used) in [("auto", "host"), ("device", "device")] {
+        let words = ["bench", "--json", "-q", "--cases=scene", "--frames=1", "--size=32", "--raster", mode];
+        let result: serde_json::Value = serde_json::from_str(&run_ok(folder.path(), &words)).expect("JSON");
+        assert_eq!(result["raster"], used);
+    }
+}
