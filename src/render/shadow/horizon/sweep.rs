@@ -1,0 +1,363 @@
+//! The sweep: horizon heights along rows that run towards the sun.
+//!
+//! Each row of samples is swept from its sunward end. From sample to sample the height of the shadow boundary falls by the slope of
+//! the sun's rays, and where the ground stands higher it rises to the ground: a running maximum along a scanline, as in Timonen and
+//! Westerholm 2010 ("Scalable height field self-shadowing", Computer Graphics Forum 29), who sweep for all elevations; for one
+//! elevation the maximum is a single number. Eight rows are swept in the lanes of a vector.
+//! Must not know: who asks for which part.
+
+use std::ops::Range;
+
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, dispatch, f32x8, i32x8, mask32x8};
+use glam::Vec2;
+use rayon::prelude::*;
+
+use super::heightfield::{ChordErrors, Heightfield};
+use crate::render::select::footprint::Footprint;
+use crate::scene::sky::Sun;
+use crate::scene::terrain::Terrain;
+
+/// Lowest elevation of a limb of the sun, degrees.
+const MIN_LIMB_DEG: f64 = 0.01;
+/// Highest elevation of a limb of the sun, degrees.
+const MAX_LIMB_DEG: f64 = 89.9;
+/// Horizon of a row that begins where no ground further towards the sun can occlude it, metres: lower than everything.
+const NO_HORIZON_M: f32 = -1.0e9;
+/// Rows that are swept at once.
+pub(super) const LANES: usize = 8;
+
+/// Heights from which the lower and the upper limb of the sun are just visible, metres.
+pub(super) type Limbs = [f32; 2];
+
+/// A lattice of samples over the whole ground: columns run towards the sun, rows across.
+pub(super) struct SweepLattice<'a> {
+    terrain: &'a Terrain,
+    /// The heights of a square ground.
+    heightfield: Option<&'a Heightfield>,
+    /// Horizontal unit vectors towards the sun and across.
+    towards: Vec2,
+    across: Vec2,
+    /// The first sample of the first row, world, metres.
+    origin: Vec2,
+    step_m: f32,
+    /// Samples along a side.
+    samples: usize,
+    /// How far the ray from each limb falls in a step, metres.
+    pub(super) fall_m: Limbs,
+}
+
+/// The samples of a lattice that are computed.
+pub(super) struct SweepRegion {
+    columns: Range<usize>,
+    rows: Range<usize>,
+    /// Of each row, the columns.
+    spans: Vec<Range<usize>>,
+}
+
+/// One level of the horizon map while it is made: a part of a lattice.
+pub(super) struct HorizonGrid {
+    /// Position that samples are counted from, world, metres.
+    pub(super) origin: Vec2,
+    /// Column and row of its first sample, counted from `origin`.
+    pub(super) first: Vec2,
+    pub(super) step_m: f32,
+    /// Columns and rows.
+    pub(super) size: [usize; 2],
+    /// Row by row; `f32::MIN` where nothing was computed.
+    pub(super) heights_m: Vec<Limbs>,
+    /// Samples of a square ground around which other ground may occlude any of the sun, world, metres.
+    pub(super) shadowed: Vec<Vec2>,
+}
+
+/// Rows that are swept at once.
+struct RowBatch<'a> {
+    first_row: usize,
+    /// The column that the stored heights begin with.
+    first_column: usize,
+    /// Of each row, the columns that are stored.
+    spans: &'a [Range<usize>],
+}
+
+impl<'a> SweepLattice<'a> {
+    pub(super) fn new(
+        terrain: &'a Terrain,
+        heightfield: Option<&'a Heightfield>,
+        sun: &Sun,
+        towards: Vec2,
+        step_m: f32,
+    ) -> Self {
+        let across = Vec2::new(-towards.y, towards.x);
+        let samples = (side_m(terrain, towards) / step_m).ceil() as usize + 2;
+        let origin = terrain.centre - 0.5 * (samples - 1) as f32 * step_m * (towards + across);
+        let half_disc = 0.5 * sun.angular_diameter_deg;
+        let fall_m = [-half_disc, half_disc].map(|offset| {
+            let limb = (sun.elevation_deg + offset).clamp(MIN_LIMB_DEG, MAX_LIMB_DEG).to_radians();
+            libm::tan(limb) as f32 * step_m
+        });
+        Self { terrain, heightfield, towards, across, origin, step_m, samples, fall_m }
+    }
+
+    /// The samples around a part of the ground, and `beyond` samples further towards the sun.
+    pub(super) fn region(&self, footprint: &Footprint, beyond: f32) -> SweepRegion {
+        let footprint = footprint.mapped(|corner| {
+            let offset = (corner - self.origin) / self.step_m;
+            Vec2::new(offset.dot(self.towards), offset.dot(self.across))
+        });
+        let corners = &footprint.corners;
+        let first = |at: f32| (at.floor() - 1.0).clamp(0.0, (self.samples - 2) as f32) as usize;
+        let end = |at: f32| (at.ceil() + 2.0).clamp(2.0, self.samples as f32) as usize;
+        let samples = |low: f32, high: f32| first(low)..end(high).max(first(low) + 2);
+        let lowest = corners.iter().copied().reduce(Vec2::min).unwrap_or_default();
+        let highest = corners.iter().copied().reduce(Vec2::max).unwrap_or_default();
+        let rows = samples(lowest.y, highest.y);
+        let spans = rows
+            .clone()
+            .map(|row| {
+                // With the rows that bilinear interpolation between two rows, or in a finer grid between two of its rows, may need.
+                let span = footprint.span(row as f32 - 3.0, row as f32 + 3.0);
+                span.map_or(0..0, |[low, high]| samples(low, high + beyond))
+            })
+            .collect();
+        SweepRegion { columns: samples(lowest.x, highest.x + beyond), rows, spans }
+    }
+
+    /// The coarsest grid: its rows begin where no ground further towards the sun is high enough to occlude it.
+    pub(super) fn sweep_coarsest(&self, region: &SweepRegion, memory: Vec<Limbs>) -> HorizonGrid {
+        let [lowest_m, highest_m] = self.terrain.z_range_m;
+        let fall_m = self.fall_m[0].max(1e-6);
+        let reach = ((highest_m - lowest_m) / fall_m).ceil().min(self.samples as f32) as usize + 2;
+        let start = |_, end: usize| ((end + reach).min(self.samples), [NO_HORIZON_M; 2]);
+        self.sweep(region, memory, start, self.heightfield.map(|heightfield| &heightfield.chord_errors))
+    }
+
+    /// A finer grid: its rows begin `beyond` samples further towards the sun than their spans, with the heights of a coarser grid.
+    pub(super) fn sweep_finer(
+        &self,
+        region: &SweepRegion,
+        memory: Vec<Limbs>,
+        coarser: &HorizonGrid,
+        beyond: usize,
+    ) -> HorizonGrid {
+        let start = |row, end| {
+            let end = end + beyond;
+            let position = self.position(end, row);
+            let ground_m = self.ground_m(position);
+            (end, raised_to_ground(coarser.sample(position, self.towards), ground_m))
+        };
+        self.sweep(region, memory, start, None)
+    }
+
+    /// Sweeps every row of a region, several rows at once and batches in parallel. `start` maps a row and the end of its span to the
+    /// column that the sweep begins behind, and the horizon heights there.
+    fn sweep(
+        &self,
+        region: &SweepRegion,
+        mut heights_m: Vec<Limbs>,
+        start: impl Fn(usize, usize) -> (usize, Limbs) + Sync,
+        chord_errors: Option<&ChordErrors>,
+    ) -> HorizonGrid {
+        let SweepRegion { columns, rows, spans } = region;
+        let width = columns.len();
+        heights_m.resize(width * rows.len(), [f32::MIN; 2]);
+        let batches = heights_m.par_chunks_mut(LANES * width).zip(spans.par_chunks(LANES)).enumerate();
+        let shadowed = batches.map(|(index, (heights_m, spans))| {
+            heights_m.fill([f32::MIN; 2]);
+            let first_row = rows.start + index * LANES;
+            let batch = RowBatch { first_row, first_column: columns.start, spans };
+            dispatch!(
+                Level::new(),
+                simd => self.sweep_batch(simd, &batch, heights_m, &start, chord_errors)
+            )
+        });
+        let shadowed = shadowed.collect::<Vec<_>>().into_iter().flatten().collect();
+        let first = Vec2::new(columns.start as f32, rows.start as f32);
+        // Finer samples than those of a square are counted from nearby, for the precision of their coordinates.
+        let (origin, first) = if self.heightfield.is_some() {
+            (self.origin, first)
+        } else {
+            (self.origin + self.step_m * (first.x * self.towards + first.y * self.across), Vec2::ZERO)
+        };
+        let size = [width, rows.len()];
+        HorizonGrid { origin, first, step_m: self.step_m, size, heights_m, shadowed }
+    }
+
+    /// Sweeps a batch of rows: stores the heights of their spans, and returns the positions of the samples around which ground may
+    /// be shadowed.
+    // Inlined wholly, for each width of vectors; see `scene/noise.rs`.
+    #[inline(always)]
+    fn sweep_batch<S: Simd>(
+        &self,
+        simd: S,
+        batch: &RowBatch<'_>,
+        heights_m: &mut [Limbs],
+        start: &impl Fn(usize, usize) -> (usize, Limbs),
+        chord_errors: Option<&ChordErrors>,
+    ) -> Vec<Vec2> {
+        let (mut front, columns) = SweepFront::new(simd, self, batch, start);
+        let mut shadowed = Vec::new();
+        for column in columns.rev() {
+            let (ground, cell) = self.ground_across(simd, front.row_origins, batch.spans.len(), column);
+            let has_started = front.fall(column, self.fall_m);
+            batch.store(column, front.limbs(), heights_m);
+            if let Some(chord_errors) = chord_errors {
+                let mut lanes = chord_errors.shadowed_lanes(simd, ground, cell, front.lower);
+                while lanes != 0 {
+                    let lane = lanes.trailing_zeros() as usize;
+                    lanes &= lanes - 1;
+                    if batch.stores(lane, column) {
+                        shadowed.push(self.position(column, batch.first_row + lane));
+                    }
+                }
+            }
+            // As `raised_to_ground`.
+            let stands_out = has_started & ground.simd_gt(front.lower);
+            front.lower = stands_out.select(ground, front.lower);
+            front.upper = stands_out.select(ground, front.upper);
+        }
+        shadowed
+    }
+
+    /// Heights of the ground in a column of some rows, which begin at `row_origins`, and of a square ground the cells there.
+    #[inline(always)]
+    fn ground_across<S: Simd>(
+        &self,
+        simd: S,
+        row_origins: [f32x8<S>; 2],
+        rows: usize,
+        column: usize,
+    ) -> (f32x8<S>, i32x8<S>) {
+        let along = column as f32 * self.step_m * self.towards;
+        let (x, y) = (row_origins[0] + along.x, row_origins[1] + along.y);
+        if let Some(heightfield) = self.heightfield {
+            return heightfield.sample(simd, x, y);
+        }
+        let (mut heights_m, mut positions) = ([f32::MIN; LANES], [[0.0; LANES]; 2]);
+        x.store_slice(&mut positions[0]);
+        y.store_slice(&mut positions[1]);
+        for lane in 0..rows {
+            heights_m[lane] = self.ground_m(Vec2::new(positions[0][lane], positions[1][lane]));
+        }
+        (f32x8::from_slice(simd, &heights_m), i32x8::splat(simd, 0))
+    }
+
+    /// Position of a sample, world, metres.
+    fn position(&self, column: usize, row: usize) -> Vec2 {
+        self.origin + row as f32 * self.step_m * self.across + column as f32 * self.step_m * self.towards
+    }
+
+    /// Height of the ground at a position, `f32::MIN` where there is none, metres.
+    fn ground_m(&self, position: Vec2) -> f32 {
+        if self.terrain.contains(position) { self.terrain.surface_height_at(position) } else { f32::MIN }
+    }
+}
+
+/// Side of the square that is aligned with the sun and holds the ground, metres.
+pub(super) fn side_m(terrain: &Terrain, towards: Vec2) -> f32 {
+    2.0 * terrain.half_extent_m * (towards.x.abs() + towards.y.abs())
+}
+
+impl RowBatch<'_> {
+    /// Whether the height at a column of a row of the batch is stored.
+    #[inline(always)]
+    fn stores(&self, row: usize, column: usize) -> bool {
+        self.spans.get(row).is_some_and(|span| span.contains(&column))
+    }
+
+    /// Stores the heights at a column, of the rows whose span holds it.
+    #[inline(always)]
+    fn store(&self, column: usize, limbs: [[f32; LANES]; 2], heights_m: &mut [Limbs]) {
+        let width = heights_m.len() / self.spans.len();
+        for row in 0..self.spans.len() {
+            if self.spans[row].contains(&column) {
+                heights_m[row * width + column - self.first_column] = [limbs[0][row], limbs[1][row]];
+            }
+        }
+    }
+}
+
+/// The state of the sweep of a batch of rows, one lane a row.
+struct SweepFront<S: Simd> {
+    /// The first sample of each row: x and y, world, metres.
+    row_origins: [f32x8<S>; 2],
+    /// The column that the sweep of each row begins behind.
+    start_column: f32x8<S>,
+    /// Horizon heights for the lower and the upper limb at the current column, metres.
+    lower: f32x8<S>,
+    upper: f32x8<S>,
+}
+
+impl<S: Simd> SweepFront<S> {
+    /// The front at the start of each row, and the columns that are swept.
+    #[inline(always)]
+    fn new(
+        simd: S,
+        lattice: &SweepLattice<'_>,
+        batch: &RowBatch<'_>,
+        start: &impl Fn(usize, usize) -> (usize, Limbs),
+    ) -> (Self, Range<usize>) {
+        let (mut origins, mut start_column) = ([[0.0; LANES]; 2], [0.0; LANES]);
+        let mut limbs = [[0.0; LANES]; 2];
+        let (mut first, mut end) = (usize::MAX, 0);
+        for (row, span) in batch.spans.iter().enumerate() {
+            let origin = lattice.origin + (batch.first_row + row) as f32 * lattice.step_m * lattice.across;
+            (origins[0][row], origins[1][row]) = (origin.x, origin.y);
+            if span.is_empty() {
+                continue;
+            }
+            let (column, at_start) = start(batch.first_row + row, span.end);
+            (start_column[row], limbs[0][row], limbs[1][row]) = (column as f32, at_start[0], at_start[1]);
+            (first, end) = (first.min(span.start), end.max(column));
+        }
+        let front = Self {
+            row_origins: [f32x8::from_slice(simd, &origins[0]), f32x8::from_slice(simd, &origins[1])],
+            start_column: f32x8::from_slice(simd, &start_column),
+            lower: f32x8::from_slice(simd, &limbs[0]),
+            upper: f32x8::from_slice(simd, &limbs[1]),
+        };
+        (front, first..end)
+    }
+
+    /// Moves to a column, one step further from the sun, in the rows that have started; returns which have.
+    #[inline(always)]
+    fn fall(&mut self, column: usize, fall_m: Limbs) -> mask32x8<S> {
+        let has_started = self.start_column.simd_gt(column as f32);
+        self.lower = has_started.select(self.lower - fall_m[0], self.lower);
+        self.upper = has_started.select(self.upper - fall_m[1], self.upper);
+        has_started
+    }
+
+    /// The horizon heights of each row.
+    #[inline(always)]
+    fn limbs(&self) -> [[f32; LANES]; 2] {
+        let mut limbs = [[0.0; LANES]; 2];
+        self.lower.store_slice(&mut limbs[0]);
+        self.upper.store_slice(&mut limbs[1]);
+        limbs
+    }
+}
+
+/// The horizon heights behind ground of a height: ground that occludes the lower limb also sets the height for the upper one. (Lower
+/// ground that lies nearer would occlude neither, but would cut the penumbra short.)
+fn raised_to_ground(limbs: Limbs, ground_m: f32) -> Limbs {
+    if ground_m > limbs[0] { [ground_m; 2] } else { limbs }
+}
+
+impl HorizonGrid {
+    /// Horizon heights at a position, bilinearly interpolated; of a grid over rings, whose samples are counted from its first.
+    fn sample(&self, position: Vec2, towards: Vec2) -> Limbs {
+        let offset = (position - self.origin) / self.step_m;
+        let limit = Vec2::new(self.size[0] as f32, self.size[1] as f32) - 1.001;
+        let at = Vec2::new(offset.dot(towards), Vec2::new(-towards.y, towards.x).dot(offset));
+        let at = at.clamp(Vec2::ZERO, limit);
+        let (corner, t) = (at.floor(), at - at.floor());
+        let height = |dx: usize, dy: usize| {
+            self.heights_m[(corner.y as usize + dy) * self.size[0] + corner.x as usize + dx]
+        };
+        let mix = |a: f32, b: f32, t: f32| a + (b - a) * t;
+        [0, 1].map(|limb| {
+            let row = |dy| mix(height(0, dy)[limb], height(1, dy)[limb], t.x);
+            mix(row(0), row(1), t.y)
+        })
+    }
+}
