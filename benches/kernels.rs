@@ -13,7 +13,7 @@ use regolith::output::{self, EncodeInput, LabelIds};
 use regolith::params::Params;
 use regolith::random::Streams;
 use regolith::render::RenderSettings;
-use regolith::render::lighting::relief_bands::Bands;
+use regolith::render::lighting::relief_bands::ReliefBands;
 use regolith::render::select::caster_grid::caster_grid;
 use regolith::render::select::footprint::Footprint;
 use regolith::render::select::selection::{SelectedRock, Selection};
@@ -80,7 +80,7 @@ fn picture(c: &mut Criterion) {
     let mut horizon = HorizonMap::default();
     horizon.update(&scene.terrain, &scene.sun, &footprint);
     let grid = caster_grid(&scene, &selection.casters, horizon.shadowed_ground(), &footprint);
-    let bands = Bands::new(&scene, &selection, &settings);
+    let bands = ReliefBands::new(&scene, &selection, &settings);
     let (mut visible, mut stencil) = (VisibleTriangles::default(), ShadingBinMask::default());
     let mut later = scene.clone();
     let Sun { elevation_deg, azimuth_deg, angular_diameter_deg, irradiance, .. } = scene.sun;

@@ -14,7 +14,7 @@ use crate::render::backend::RasterOptions;
 use crate::render::device::packing::Packing;
 use crate::render::device::shader_structs::{CasterTile, FrameUniforms, HorizonLevel, Instance};
 use crate::render::device::shading_bins::ShadingBins;
-use crate::render::lighting::relief_bands::Bands;
+use crate::render::lighting::relief_bands::ReliefBands;
 use crate::render::resolve::pass;
 use crate::render::select::caster_grid::{CasterGrids, caster_grid};
 use crate::render::select::draw_list::DrawList;
@@ -44,7 +44,7 @@ pub(crate) struct FramePlan {
     /// Tile of each caster in the shadow map.
     pub(crate) caster_tiles: Vec<CasterTile>,
     /// Relief below the mesh, by distance.
-    pub(crate) bands: Bands,
+    pub(crate) bands: ReliefBands,
     /// Instances, by slot.
     pub(crate) instances: Vec<Instance>,
     /// What the device draws, and the batches of the shading bins.
@@ -96,7 +96,7 @@ impl FramePlan {
         let casters = &selection.casters;
         let caster_grid = caster_grid(scene, casters, horizon.shadowed_ground(), &footprint);
         let caster_tiles = casters.iter().map(|caster| caster.tile).collect();
-        let bands = Bands::new(scene, &selection, settings);
+        let bands = ReliefBands::new(scene, &selection, settings);
         let bins = ShadingBins::new(bands.bands.len());
         let slots = selection.slots();
         let band_of_block = |block| bands.of_block(block);

@@ -22,7 +22,7 @@ use crate::render::device::timing::{Pass, Timer, milliseconds};
 use crate::render::lighting::gbuffer::{
     Background, GBuffer, GBufferLayout, SLOPES_FORMAT, VISIBILITY_FORMAT,
 };
-use crate::render::lighting::relief_bands::Bands;
+use crate::render::lighting::relief_bands::ReliefBands;
 use crate::render::select::draw_list::DrawBatch;
 use crate::render::select::screen_bounds::ScreenBounds;
 use crate::render::select::selection::Selection;
@@ -43,7 +43,7 @@ pub(crate) struct VisibilityInputs<'a> {
     pub(crate) settings: &'a RenderSettings,
     pub(crate) selection: &'a Selection,
     pub(crate) caster_grid: &'a [u32],
-    pub(crate) bands: &'a Bands,
+    pub(crate) bands: &'a ReliefBands,
     /// A batch for each shading bin, by bin.
     pub(crate) batches: &'a [DrawBatch],
     /// Triangles are binned by what can shade them ([`crate::render::backend::RasterOptions`]).

@@ -1,7 +1,7 @@
-//! What each band of ground shows of the relief below its mesh: waves and pits between the size of its cells and the
-//! distance of samples.
+//! Relief bands: for each band of ground, the waves and pits of its relief between the size of the mesh's cells and the distance of
+//! samples.
 //!
-//! Each has uniforms of its own with just those, so that no sample sums up what it cannot show.
+//! Each band has uniforms of its own with only these, so that no sample sums relief that it cannot show.
 //! Must not know: buffers.
 
 use std::ops::Range;
@@ -17,34 +17,34 @@ use crate::scene::relief::{CELLS_LEAST, Relief};
 use crate::scene::rings::Rings;
 use crate::scene::terrain::Layout;
 
-/// Of the first lattice of each octave of pits, how much smaller than the mesh's limit its largest may be: that of three
-/// octaves after the first.
+/// How many times smaller than the mesh's limit the largest pits of the first lattice of an octave may be: as many as three octaves
+/// after the first one below the limit.
 const FIRST_LATTICES_ASKED: f32 = 8.0;
 /// Larger than any ratio of cells and pits.
 const NO_LIMIT: f32 = 1e6;
-/// What is reckoned here may differ from what a device reckons by this share.
+/// Safety factor for what a device may compute otherwise than the host.
 const MARGIN: f32 = 1.01;
-/// Normals between vertices may face the eye more than those of vertices, by this share.
+/// Safety factor for normals between vertices, which may face the eye more than those of the vertices.
 const FACING_MARGIN: f32 = 1.15;
-/// The least that a facet counts as facing the eye; it stands in `lighting_surface.wgsl`.
-const LEAST_FACING: f32 = 0.04;
+/// Minimum cosine between the normal and the direction to the eye; smaller ones are clamped. Stands in the shaders too.
+pub(in crate::render) const MIN_FACING: f32 = 0.04;
 
-/// Bands of a picture; the values of its stencil are to tell them apart.
-const MOST_BANDS: usize = 40;
+/// Maximum number of bands of a frame: the values of its stencil distinguish them.
+const MAX_BANDS: usize = 40;
 
-/// The bands of a picture.
+/// The relief bands of a frame: groups of rows of ground blocks that share uniforms.
 #[derive(Clone, Debug)]
-pub struct Bands {
-    /// First one without waves and pits, for rocks, and for ground of which the mesh shows all.
+pub struct ReliefBands {
+    /// The uniforms of each band. The first has no waves and no pits: for rocks, and for ground whose relief the mesh shows whole.
     pub bands: Vec<ReliefUniforms>,
-    /// Rows of blocks in a band; none where there is but the first.
+    /// Rows of blocks in a band; `None` if there is only the first band.
     rows: Option<usize>,
     /// Blocks in a row.
     columns: usize,
 }
 
-impl Bands {
-    /// The bands of what is selected.
+impl ReliefBands {
+    /// The bands of a selection.
     #[must_use]
     pub fn new(scene: &Scene, selection: &Selection, settings: &RenderSettings) -> Self {
         let terrain = &scene.terrain;
@@ -61,59 +61,61 @@ impl Bands {
             fresh_share: relief.craters.fresh_share,
             ..Default::default()
         };
-        let rows = (terrain.rows.div_ceil(BLOCK_CELLS) as usize).div_ceil(MOST_BANDS);
+        let rows = (terrain.rows.div_ceil(BLOCK_CELLS) as usize).div_ceil(MAX_BANDS);
         let spans: Vec<[Range<u32>; 2]> = ground_blocks(terrain).collect();
-        let bands = spans.chunks(rows * columns).enumerate().map(|(number, blocks)| {
-            let place = number * rows * columns;
-            let seen = selection.blocks.iter().filter_map(|(block, _)| blocks.get(block.checked_sub(place)?));
-            let sample_m = seen.map(|span| least_sample_m(scene, span)).fold(f32::INFINITY, f32::min);
-            let ends = blocks[0][1].start..blocks[blocks.len() - 1][1].end;
+        let bands = spans.chunks(rows * columns).enumerate().map(|(band, blocks)| {
+            let first_block = band * rows * columns;
+            let visible =
+                selection.blocks.iter().filter_map(|(block, _)| blocks.get(block.checked_sub(first_block)?));
+            let sample_m = visible.map(|span| min_sample_m(scene, span)).fold(f32::INFINITY, f32::min);
+            let ring_rows = blocks[0][1].start..blocks[blocks.len() - 1][1].end;
             let sample_m = view.sample_angle * sample_m / MARGIN;
-            band(relief, view, cells_m(rings, &ends), sample_m)
+            band_uniforms(relief, view, cell_range_m(rings, &ring_rows), sample_m)
         });
         let bands = std::iter::once(ReliefUniforms { view, ..Default::default() }).chain(bands).collect();
         Self { bands, rows: Some(rows), columns }
     }
 
-    /// The band of a block, by its place in [`ground_blocks`].
+    /// The band of a block, by its index in [`ground_blocks`].
     #[must_use]
     pub fn of_block(&self, block: usize) -> usize {
         self.rows.map_or(0, |rows| 1 + block / self.columns / rows)
     }
 }
 
-/// The relief of ground with cells of these sizes, and samples as far apart as this or more, metres. What there is no room
-/// for is the finest.
-fn band(
+/// The relief of ground with cells between these sizes, and samples at least `sample_m` apart, metres: all that the mesh does not
+/// show whole and samples can show. If the slots do not suffice, the finest is left out.
+fn band_uniforms(
     relief: &Relief,
     view: ReliefView,
     [smallest_m, largest_m]: [f32; 2],
     sample_m: f32,
 ) -> ReliefUniforms {
     let mut uniforms = ReliefUniforms { view, ..Default::default() };
-    let is_shown = |size_m: f32| size_m > 2.0 * sample_m;
-    // What is this large the mesh shows whole everywhere.
+    // The sampling theorem: a wave needs two samples.
+    let is_resolved = |size_m: f32| size_m > 2.0 * sample_m;
+    // Everywhere in the band the mesh shows relief of this size whole.
     let whole_m = 2.0 * CELLS_LEAST * largest_m;
     let octaves = relief.octaves.iter().filter(|octave| {
         let size_m = octave.lattice.cell_m;
-        size_m < whole_m && is_shown(size_m)
+        size_m < whole_m && is_resolved(size_m)
     });
     for (slot, octave) in uniforms.noise.iter_mut().zip(octaves) {
         *slot = lattice_uniforms(&octave.lattice, octave.amplitude_m);
         uniforms.view.waves += 1;
     }
-    // Of the first octave that is not whole both lattices are asked, of the next ones the first.
+    // Of the first octave that is not whole both lattices are sampled, of the next ones only the first.
     let lattices = relief.craters.lattices.iter().enumerate().filter_map(|(index, pits)| {
         let asked = match (index as u32 / LATTICES, index as u32 % LATTICES) {
             (0, _) => NO_LIMIT,
             (_, 0) => FIRST_LATTICES_ASKED,
             _ => 1.0,
         };
-        let is_asked = asked * pits.largest_m >= 2.0 * CELLS_LEAST * smallest_m;
+        let is_sampled = asked * pits.largest_m >= 2.0 * CELLS_LEAST * smallest_m;
         // The smallest pits of a lattice are half as large as its largest.
         let is_below_mesh = 0.5 * pits.largest_m < whole_m;
-        let is_there = pits.chance > 0.0;
-        (is_asked && is_below_mesh && is_there && is_shown(pits.largest_m)).then_some((pits, asked))
+        let has_pits = pits.chance > 0.0;
+        (is_sampled && is_below_mesh && has_pits && is_resolved(pits.largest_m)).then_some((pits, asked))
     });
     for (slot, (lattice, asked)) in uniforms.pits.iter_mut().zip(lattices) {
         *slot = LatticeUniforms {
@@ -127,21 +129,22 @@ fn band(
     uniforms
 }
 
-/// How much of something of this size samples so far apart can show. Twin of the function in `relief.wgsl`.
+/// How much of relief of this size samples this far apart can show, 0 to 1. CPU counterpart of the function in
+/// `common/relief.wgsl`.
 #[inline(always)]
 pub(crate) fn sample_share(size_m: f32, sample_m: f32) -> f32 {
     (0.5 * size_m / sample_m - 1.0).clamp(0.0, 1.0)
 }
 
-/// Size of the smallest and of the largest of the cells of these rows, metres.
-fn cells_m(rings: &Rings, rows: &Range<u32>) -> [f32; 2] {
+/// Lower and upper bound of the size of the cells in these rows, metres.
+fn cell_range_m(rings: &Rings, rows: &Range<u32>) -> [f32; 2] {
     // A chord lies inside its arc.
     let nearest_m = rings.radii_m[rows.start as usize] / MARGIN;
     [rings.cell_m(nearest_m) / MARGIN, rings.cell_m(rings.radii_m[rows.end as usize]) * MARGIN]
 }
 
-/// Least distance of samples on a block for an angle of 1 between them, metres.
-fn least_sample_m(scene: &Scene, [columns, rows]: &[Range<u32>; 2]) -> f32 {
+/// Lower bound of the distance between samples on a block, metres per radian between their rays.
+fn min_sample_m(scene: &Scene, [columns, rows]: &[Range<u32>; 2]) -> f32 {
     let (terrain, eye) = (&scene.terrain, scene.camera.eye);
     let row_len = terrain.columns as usize + 1;
     let square = (rows.start..=rows.end).flat_map(|row| {
@@ -150,7 +153,7 @@ fn least_sample_m(scene: &Scene, [columns, rows]: &[Range<u32>; 2]) -> f32 {
         vertices.iter().map(|vertex| {
             let to_eye = eye - vertex.position;
             let square = to_eye.length_squared();
-            let facing = (FACING_MARGIN * vertex.normal.dot(to_eye) / square.sqrt()).clamp(LEAST_FACING, 1.0);
+            let facing = (FACING_MARGIN * vertex.normal.dot(to_eye) / square.sqrt()).clamp(MIN_FACING, 1.0);
             square / facing
         })
     });
@@ -170,7 +173,7 @@ fn lattice_uniforms(lattice: &Lattice, amount: f32) -> LatticeUniforms {
 }
 
 impl LatticeUniforms {
-    /// The lattice that [`lattice_uniforms`] was given.
+    /// The lattice that these uniforms hold; the inverse of [`lattice_uniforms`].
     #[inline(always)]
     pub(crate) const fn lattice(&self) -> Lattice {
         let &Self { turn, phase, base, seed, cell_m, .. } = self;
@@ -185,7 +188,7 @@ mod tests {
     use crate::scene::relief::mesh_share;
 
     #[test]
-    fn a_band_has_all_that_its_vertices_ask() {
+    fn a_band_holds_all_relief_that_its_vertices_need() {
         let mut config = Config::new();
         config.set_stage("surface").expect("a stage");
         let (mut waves, mut pits) = (0, 0);
@@ -193,7 +196,7 @@ mod tests {
             let scene = Scene::build(seed, &config.draw(seed).expect("drawn")).expect("built");
             let settings = RenderSettings::new(size, 4).expect("settings");
             let selection = Selection::new(&scene, &settings);
-            let bands = Bands::new(&scene, &selection, &settings);
+            let bands = ReliefBands::new(&scene, &selection, &settings);
             let spans: Vec<_> = ground_blocks(&scene.terrain).collect();
             let relief = scene.relief.as_ref().expect("a relief");
             let sample_angle = bands.bands[0].view.sample_angle;
@@ -204,11 +207,12 @@ mod tests {
                     list.iter().any(|slot| slot.seed == lattice.seed && slot.cell_m == lattice.cell_m)
                 };
                 let [columns, rows] = spans[block].clone();
-                let places = rows.flat_map(|row| columns.clone().step_by(7).map(move |column| (row, column)));
-                for (row, column) in places {
+                let vertices =
+                    rows.flat_map(|row| columns.clone().step_by(7).map(move |column| (row, column)));
+                for (row, column) in vertices {
                     let vertex = scene.terrain.vertices[row as usize * row_len + column as usize];
                     let to_eye = scene.camera.eye - vertex.position;
-                    let facing = vertex.normal.dot(to_eye.normalize()).clamp(LEAST_FACING, 1.0);
+                    let facing = vertex.normal.dot(to_eye.normalize()).clamp(MIN_FACING, 1.0);
                     let sample_m = sample_angle * to_eye.length() / facing.sqrt();
                     let offset = vertex.position.truncate() - scene.terrain.centre;
                     let Layout::Rings(rings) = &scene.terrain.layout else { unreachable!() };

@@ -1,7 +1,9 @@
-//! Slopes of the ground below the size of its mesh's cells, summed up by this program: for devices that are a CPU themselves,
-//! which fetch each number of a uniform for every sample.
+//! Slopes of the ground below the size of its mesh's cells, summed on the host: for software adapters, which load each number of a
+//! uniform again for every sample.
 //!
-//! Twin of `relief_slope` in `shaders/common/relief.wgsl`, but for the last bits of a slope.
+//! CPU counterpart of `relief_slope` in `shaders/common/relief.wgsl`, equal to it but for rounding; functions have the same names. The
+//! height function itself is `src/scene/relief.rs`, the craters `src/scene/craters.rs`. Everything is written for batches of samples
+//! without branches, so that the compiler vectorises it.
 //! Must not know: where slopes go.
 
 use fearless_simd::{Level, dispatch};
@@ -9,17 +11,21 @@ use glam::{Vec2, Vec3};
 
 use crate::render::device::shader_structs::{LatticeUniforms, ReliefUniforms, ReliefView};
 use crate::render::device::shading_bins::{LightingVariant, ShadingBin, ShadingBins};
-use crate::render::lighting::relief_bands::{Bands, sample_share};
-use crate::scene::craters::{CLOD_HEIGHT, EJECTA_EXPONENT, JITTER_CELLS, PROFILE_DEPTH, RIM, second_hash};
+use crate::render::lighting::relief_bands::{MIN_FACING, ReliefBands, sample_share};
+use crate::scene::craters::{
+    CLOD_HEIGHT, EJECTA_EXPONENT, FRESH_DEPTHS, JITTER_CELLS, PROFILE_DEPTH, RIM, WORN_DEPTHS, second_hash,
+};
 use crate::scene::noise::{gradient_noise_slope_2d, lattice_hash};
 use crate::scene::relief::{CELLS_LEAST, mesh_share};
 
-/// Samples that are summed up for together.
-const AT_A_TIME: usize = 64;
-/// In place of a band: none.
+/// Samples whose slopes are summed together.
+const BATCH: usize = 64;
+/// In place of the index of a band: none.
 const NO_BAND: u8 = u8::MAX;
-/// Coefficients of 2 to the power of something small: ln(2)^k / k!.
-const EXP2: [f32; 8] = [
+/// Maximum code of a normal's coordinate: 24 bits.
+const MAX_NORMAL_CODE: u32 = 0x00ff_ffff;
+/// Taylor coefficients of 2^x around 0: ln(2)^k / k!.
+const EXP2_TAYLOR: [f32; 8] = [
     1.0,
     std::f32::consts::LN_2,
     0.240_226_5,
@@ -29,138 +35,164 @@ const EXP2: [f32; 8] = [
     0.000_154_035_3,
     0.000_015_252_73,
 ];
+/// Derivative of the crater's profile inside the crest, diameters per radius: a polynomial in the distance r from the centre in radii.
+/// The profile is `RIM + (1 - r) p(r)` with the coefficients b of p in [`crate::scene::craters::BOWL`], a fit to the profile of Yang
+/// et al. 2021, so that coefficient k is (k + 1) (b[k + 1] - b[k]). Stands in `relief.wgsl` too.
+const BOWL_SLOPE: [f32; 5] = [0.051_383_2, -0.150_474_8, 2.937_590_4, -5.661_628, 2.871_354];
+/// Distance from the centre where the ejecta have faded out, and one over the width of the fade, radii. The neighbouring cells of the
+/// lattice begin there.
+const EJECTA_FADE: [f32; 2] = [1.5, 2.5];
+/// Binary logarithm of the depth of the oldest crater over that of the youngest worn one: log2(0.02 / 0.12).
+const WORN_DEPTH_LOG2: f32 = -2.584_962_5;
+/// Depth of the youngest fresh crater less that of the oldest, diameters.
+const FRESH_DEPTH_SPAN: f32 = 0.04;
+/// Maximum depth of a worn crater, diameters: a little less than that of a fresh one, as in `craters.rs`.
+const MAX_WORN_DEPTH: f32 = 0.1099;
 
-/// What slopes are summed up from.
+/// Sums the slopes of a frame's ground.
 #[derive(Clone, Debug)]
-pub struct Slopes {
+pub struct ReliefSlopes {
     bands: Vec<ReliefUniforms>,
-    /// The band of each group that shows something of it.
-    band_of: [u8; 1 << ShadingBin::BITS],
-    /// A metre along the axis, metres from the eye: the corner of sample (0, 0), and how that moves with a column and a row.
+    /// The band of each shading bin whose ground has relief below its mesh.
+    band_of_bin: [u8; 1 << ShadingBin::BITS],
+    /// Positions relative to the eye at a depth of a metre: the corner of sample (0, 0), and the steps to the next column and row.
     rays: [Vec3; 3],
 }
 
-/// A row of samples: one over the metres along the axis, the two numbers of the normal as `visibility.wgsl` packs them, and one
-/// more than the group.
+/// What a row of the G-buffer holds, one value a sample.
 #[derive(Clone, Copy, Debug)]
-pub struct Seen<'a> {
-    /// One over the metres along the axis.
-    pub inverse_w: &'a [f32],
-    /// The normal's first number, 24 bits.
+pub struct GBufferRow<'a> {
+    /// Inverse depth, 1/m.
+    pub inverse_depth: &'a [f32],
+    /// First octahedral coordinate of the normal, in the lowest 24 bits.
     pub normal_x: &'a [u32],
-    /// Its second.
+    /// Second octahedral coordinate of the normal, in the lowest 24 bits.
     pub normal_y: &'a [u32],
-    /// One more than the group in the lowest bits.
-    pub things: &'a [u32],
+    /// One more than the shading bin in the lowest bits; 0 where nothing is visible.
+    pub visibility: &'a [u32],
 }
 
-/// Some samples of a row that show the same band.
+/// Samples of a row that belong to one band.
 #[derive(Clone, Copy)]
-struct Some64 {
-    columns: [u32; AT_A_TIME],
-    inverse_w: [f32; AT_A_TIME],
-    normal_x: [u32; AT_A_TIME],
-    normal_y: [u32; AT_A_TIME],
+struct SampleBatch {
+    columns: [u32; BATCH],
+    inverse_depth: [f32; BATCH],
+    normal_x: [u32; BATCH],
+    normal_y: [u32; BATCH],
 }
 
-/// Where these lie on the ground, metres from its centre, and how large cells and how far apart samples are there: what
-/// [`mesh_share`] and [`sample_share`] divide a size by, and one over it.
-struct Places {
-    x: [f32; AT_A_TIME],
-    y: [f32; AT_A_TIME],
-    cell_m: [f32; AT_A_TIME],
-    sample_m: [f32; AT_A_TIME],
-    per_mesh: [f32; AT_A_TIME],
-    per_sample: [f32; AT_A_TIME],
+/// The ground at the samples of a batch: positions, metres from its centre; the size of the mesh's cells and the distance of samples
+/// there, metres; and the factors on a size in [`mesh_share`] and [`sample_share`].
+struct GroundBatch {
+    x: [f32; BATCH],
+    y: [f32; BATCH],
+    cell_m: [f32; BATCH],
+    sample_m: [f32; BATCH],
+    per_mesh: [f32; BATCH],
+    per_sample: [f32; BATCH],
 }
 
 /// Rise per metre along x and y.
-struct Sums {
-    x: [f32; AT_A_TIME],
-    y: [f32; AT_A_TIME],
+struct SlopeSums {
+    x: [f32; BATCH],
+    y: [f32; BATCH],
 }
 
-impl Slopes {
-    /// Of the ground of these bands, seen along these rays.
+impl ReliefSlopes {
+    /// For the ground of these bands, seen along these rays.
     #[must_use]
-    pub fn new(bands: &Bands, groups: ShadingBins, rays: [Vec3; 3]) -> Self {
-        let mut band_of = [NO_BAND; 1 << ShadingBin::BITS];
-        for (band_of, (lit, band)) in band_of.iter_mut().zip(groups.all()) {
+    pub fn new(bands: &ReliefBands, bins: ShadingBins, rays: [Vec3; 3]) -> Self {
+        let mut band_of_bin = [NO_BAND; 1 << ShadingBin::BITS];
+        for (band_of_bin, (variant, band)) in band_of_bin.iter_mut().zip(bins.all()) {
             let ReliefView { waves, pit_lattices, .. } = bands.bands[band].view;
-            if matches!(lit, LightingVariant::Ground { .. }) && waves + pit_lattices > 0 {
-                *band_of = band as u8;
+            if matches!(variant, LightingVariant::Ground { .. }) && waves + pit_lattices > 0 {
+                *band_of_bin = band as u8;
             }
         }
-        Self { bands: bands.bands.clone(), band_of, rays }
+        Self { bands: bands.bands.clone(), band_of_bin, rays }
     }
 
-    /// Sets those of a row of samples: rise per metre along x and y, 0 where there are none.
-    pub fn set_row(&self, row: usize, seen: &Seen<'_>, slopes: &mut [[f32; 2]]) {
+    /// Writes the slopes at a row of samples: rise per metre along x and y, 0 where there is no ground with relief.
+    pub fn set_row(&self, row: usize, gbuffer: &GBufferRow<'_>, slopes: &mut [[f32; 2]]) {
         slopes.fill([0.0; 2]);
-        let mut some = Some64::default();
-        let (mut band, mut count) = (NO_BAND, 0);
-        for (column, thing) in seen.things.iter().enumerate() {
-            let group = (thing & u32::from(ShadingBin::MAX)).wrapping_sub(1);
-            let here = self.band_of.get(group as usize).copied().unwrap_or(NO_BAND);
-            if here == NO_BAND {
+        let mut batch = SampleBatch::default();
+        let (mut batch_band, mut count) = (NO_BAND, 0);
+        for (column, visibility) in gbuffer.visibility.iter().enumerate() {
+            let bin = (visibility & u32::from(ShadingBin::MAX)).wrapping_sub(1);
+            let band = self.band_of_bin.get(bin as usize).copied().unwrap_or(NO_BAND);
+            if band == NO_BAND {
                 continue;
             }
-            if count == AT_A_TIME || here != band {
-                self.set_some(row, band, &mut some, count, slopes);
-                (band, count) = (here, 0);
+            if count == BATCH || band != batch_band {
+                self.set_batch(row, batch_band, &mut batch, count, slopes);
+                (batch_band, count) = (band, 0);
             }
-            some.columns[count] = column as u32;
-            some.inverse_w[count] = seen.inverse_w[column];
-            some.normal_x[count] = seen.normal_x[column];
-            some.normal_y[count] = seen.normal_y[column];
+            batch.columns[count] = column as u32;
+            batch.inverse_depth[count] = gbuffer.inverse_depth[column];
+            batch.normal_x[count] = gbuffer.normal_x[column];
+            batch.normal_y[count] = gbuffer.normal_y[column];
             count += 1;
         }
-        self.set_some(row, band, &mut some, count, slopes);
+        self.set_batch(row, batch_band, &mut batch, count, slopes);
     }
 
-    fn set_some(&self, row: usize, band: u8, some: &mut Some64, count: usize, slopes: &mut [[f32; 2]]) {
+    /// Writes the slopes at the first `count` samples of a batch.
+    fn set_batch(
+        &self,
+        row: usize,
+        band: u8,
+        batch: &mut SampleBatch,
+        count: usize,
+        slopes: &mut [[f32; 2]],
+    ) {
         if count == 0 {
             return;
         }
-        // The rest is what the first is.
-        for i in count..AT_A_TIME {
-            some.copy_first(i);
-        }
-        let mut sums = Sums { x: [0.0; AT_A_TIME], y: [0.0; AT_A_TIME] };
+        batch.pad(count);
+        let mut sums = SlopeSums { x: [0.0; BATCH], y: [0.0; BATCH] };
         let relief = &self.bands[usize::from(band)];
-        dispatch!(Level::new(), _simd => sum_up(relief, self.rays, row, some, &mut sums));
-        for (column, slope) in some.columns[..count].iter().zip(sums.x.iter().zip(&sums.y)) {
+        dispatch!(Level::new(), _simd => relief_slope(relief, self.rays, row, batch, &mut sums));
+        for (column, slope) in batch.columns[..count].iter().zip(sums.x.iter().zip(&sums.y)) {
             slopes[*column as usize] = [*slope.0, *slope.1];
         }
     }
 }
 
-impl Some64 {
-    const fn copy_first(&mut self, to: usize) {
-        self.columns[to] = self.columns[0];
-        self.inverse_w[to] = self.inverse_w[0];
-        self.normal_x[to] = self.normal_x[0];
-        self.normal_y[to] = self.normal_y[0];
+impl SampleBatch {
+    /// Fills all samples behind the first `count` with the first.
+    fn pad(&mut self, count: usize) {
+        for i in count..BATCH {
+            self.columns[i] = self.columns[0];
+            self.inverse_depth[i] = self.inverse_depth[0];
+            self.normal_x[i] = self.normal_x[0];
+            self.normal_y[i] = self.normal_y[0];
+        }
     }
 }
 
-impl Default for Some64 {
+impl Default for SampleBatch {
     fn default() -> Self {
-        let (none, nothing) = ([0; AT_A_TIME], [0.0; AT_A_TIME]);
-        Self { columns: none, inverse_w: nothing, normal_x: none, normal_y: none }
+        Self { columns: [0; BATCH], inverse_depth: [0.0; BATCH], normal_x: [0; BATCH], normal_y: [0; BATCH] }
     }
 }
 
 // From here on all is inlined, to be compiled for each width of vectors.
 
+/// Rise per metre that the mesh leaves out and samples can show, at the samples of a batch.
 #[inline(always)]
-fn sum_up(relief: &ReliefUniforms, rays: [Vec3; 3], row: usize, some: &Some64, sums: &mut Sums) {
+fn relief_slope(
+    relief: &ReliefUniforms,
+    rays: [Vec3; 3],
+    row: usize,
+    batch: &SampleBatch,
+    sums: &mut SlopeSums,
+) {
     let view = &relief.view;
-    let places = Places::of(view, rays, row, some);
-    // Numbers that are not negative are in the order of their bits.
+    let ground = GroundBatch::new(view, rays, row, batch);
+    // Floats that are not negative sort as their bits do.
     let (mut smallest_cell, mut nearest) = (u32::MAX, u32::MAX);
     let mut largest_cell = 0;
-    for (cell_m, sample_m) in places.cell_m.iter().zip(&places.sample_m) {
+    for (cell_m, sample_m) in ground.cell_m.iter().zip(&ground.sample_m) {
         smallest_cell = smallest_cell.min(cell_m.to_bits());
         largest_cell = largest_cell.max(cell_m.to_bits());
         nearest = nearest.min(sample_m.to_bits());
@@ -169,57 +201,52 @@ fn sum_up(relief: &ReliefUniforms, rays: [Vec3; 3], row: usize, some: &Some64, s
         [smallest_cell, largest_cell, nearest].map(f32::from_bits);
     for wave in &relief.noise[..view.waves as usize] {
         if sample_share(wave.cell_m, nearest_m) > 0.0 && mesh_share(wave.cell_m, largest_cell_m) < 1.0 {
-            add_wave(wave, &places, sums);
+            noise_slope(wave, &ground, sums);
         }
     }
     for pits in &relief.pits[..view.pit_lattices as usize] {
-        // The smallest pits of a lattice are half as large as its largest.
-        let is_shown = sample_share(1.001 * pits.largest_m, nearest_m) > 0.0;
+        // The smallest pits of a lattice are half as large as its largest; a little room for how sizes are rounded.
+        let is_resolved = sample_share(1.001 * pits.largest_m, nearest_m) > 0.0;
         let is_below_mesh = mesh_share(0.499 * pits.largest_m, largest_cell_m) < 1.0;
-        let is_asked = pits.asked * pits.largest_m >= 2.0 * CELLS_LEAST * smallest_cell_m;
-        if is_shown && is_below_mesh && is_asked {
-            add_pits(pits, view.fresh_share, &places, sums);
+        let is_sampled = pits.asked * pits.largest_m >= 2.0 * CELLS_LEAST * smallest_cell_m;
+        if is_resolved && is_below_mesh && is_sampled {
+            pits_slope(pits, view.fresh_share, &ground, sums);
         }
     }
 }
 
-impl Places {
+impl GroundBatch {
     #[inline(always)]
-    fn of(view: &ReliefView, [corner, right, down]: [Vec3; 3], row: usize, some: &Some64) -> Self {
-        let none = [0.0; AT_A_TIME];
-        let mut places =
-            Self { x: none, y: none, cell_m: none, sample_m: none, per_mesh: none, per_sample: none };
-        let left = corner + (row as f32 + 0.5) * down;
-        for i in 0..AT_A_TIME {
-            let (column, w) = (some.columns[i] as i32 as f32 + 0.5, 1.0 / some.inverse_w[i]);
-            let x = (left.x + column * right.x) * w;
-            let y = (left.y + column * right.y) * w;
-            let z = (left.z + column * right.z) * w;
-            // Twin: `octahedral_decode` in `common/octahedral.wgsl`.
-            let p = (some.normal_x[i] & 0x00ff_ffff) as i32 as f32 * (2.0 / 16_777_215.0) - 1.0;
-            let q = (some.normal_y[i] & 0x00ff_ffff) as i32 as f32 * (2.0 / 16_777_215.0) - 1.0;
-            let n_z = 1.0 - p.abs() - q.abs();
-            let back = if n_z < 0.0 { -n_z } else { 0.0 };
-            let n_x = if p >= 0.0 { p - back } else { p + back };
-            let n_y = if q >= 0.0 { q - back } else { q + back };
+    fn new(view: &ReliefView, [corner, right, down]: [Vec3; 3], row: usize, batch: &SampleBatch) -> Self {
+        let zeros = [0.0; BATCH];
+        let mut ground =
+            Self { x: zeros, y: zeros, cell_m: zeros, sample_m: zeros, per_mesh: zeros, per_sample: zeros };
+        let row_start = corner + (row as f32 + 0.5) * down;
+        for i in 0..BATCH {
+            let (column, depth_m) = (batch.columns[i] as i32 as f32 + 0.5, 1.0 / batch.inverse_depth[i]);
+            let x = (row_start.x + column * right.x) * depth_m;
+            let y = (row_start.y + column * right.y) * depth_m;
+            let z = (row_start.z + column * right.z) * depth_m;
+            let [n_x, n_y, n_z] = octahedral_decode(batch.normal_x[i], batch.normal_y[i]);
             let (square, n_square) = (x * x + y * y + z * z, n_x * n_x + n_y * n_y + n_z * n_z);
             let facing = -(n_x * x + n_y * y + n_z * z) / (square * n_square).sqrt();
-            // Samples lie further apart in depth than across: the mean of the two, in the logarithm.
-            let sample_m = view.sample_angle * (square / facing.clamp(0.04, 1.0)).sqrt();
+            // Samples lie further apart along the view than across it: the geometric mean of the two.
+            let sample_m = view.sample_angle * (square / facing.clamp(MIN_FACING, 1.0)).sqrt();
             let (x, y) = (view.eye_from_centre.x + x, view.eye_from_centre.y + y);
             let height = view.eye_height_m;
-            places.x[i] = x;
-            places.y[i] = y;
+            ground.x[i] = x;
+            ground.y[i] = y;
             let cell_m = view.cell * (x * x + y * y + height * height).sqrt();
-            places.cell_m[i] = cell_m;
-            places.sample_m[i] = sample_m;
-            places.per_mesh[i] = 1.0 / (CELLS_LEAST * cell_m);
-            places.per_sample[i] = 0.5 / sample_m;
+            ground.cell_m[i] = cell_m;
+            ground.sample_m[i] = sample_m;
+            ground.per_mesh[i] = 1.0 / (CELLS_LEAST * cell_m);
+            ground.per_sample[i] = 0.5 / sample_m;
         }
-        places
+        ground
     }
 
-    /// How much of something of this size the mesh leaves out and samples show at a place.
+    /// How much of relief of this size the mesh leaves out and samples can show, 0 to 1: the product of one less [`mesh_share`] and
+    /// [`sample_share`].
     #[inline(always)]
     fn share(&self, i: usize, size_m: f32) -> f32 {
         let left_out = 1.0 - (size_m * self.per_mesh[i] - 1.0).clamp(0.0, 1.0);
@@ -227,70 +254,148 @@ impl Places {
     }
 }
 
+/// A vector along the normal with these octahedral coordinates. CPU counterpart of the function in `common/octahedron.wgsl`, which
+/// also normalises it.
 #[inline(always)]
-fn add_wave(wave: &LatticeUniforms, places: &Places, sums: &mut Sums) {
+fn octahedral_decode(code_x: u32, code_y: u32) -> [f32; 3] {
+    let p = (code_x & MAX_NORMAL_CODE) as i32 as f32 * (2.0 / 16_777_215.0) - 1.0;
+    let q = (code_y & MAX_NORMAL_CODE) as i32 as f32 * (2.0 / 16_777_215.0) - 1.0;
+    let z = 1.0 - p.abs() - q.abs();
+    // The lower half of the octahedron is folded over the corners of the square.
+    let fold = if z < 0.0 { -z } else { 0.0 };
+    let x = if p >= 0.0 { p - fold } else { p + fold };
+    let y = if q >= 0.0 { q - fold } else { q + fold };
+    [x, y, z]
+}
+
+/// Adds the slope of one octave of noise.
+#[inline(always)]
+fn noise_slope(wave: &LatticeUniforms, ground: &GroundBatch, sums: &mut SlopeSums) {
     let lattice = wave.lattice();
-    for i in 0..AT_A_TIME {
-        let ([column, row], t) = lattice.cell(lattice.local(Vec2::new(places.x[i], places.y[i])));
+    for i in 0..BATCH {
+        let ([column, row], t) = lattice.cell(lattice.local(Vec2::new(ground.x[i], ground.y[i])));
         let [along, across] = gradient_noise_slope_2d([column, row], t, wave.seed);
-        let share = wave.amount * places.share(i, wave.cell_m);
+        let share = wave.amount * ground.share(i, wave.cell_m);
         sums.x[i] += share * (wave.turn.x * along - wave.turn.y * across);
         sums.y[i] += share * (wave.turn.y * along + wave.turn.x * across);
     }
 }
 
+/// Adds the slope of the pits of a lattice: at most one crater or clod a cell, which does not reach beyond its cell.
 #[inline(always)]
-fn add_pits(pits: &LatticeUniforms, fresh_share: f32, places: &Places, sums: &mut Sums) {
+fn pits_slope(pits: &LatticeUniforms, fresh_share: f32, ground: &GroundBatch, sums: &mut SlopeSums) {
     let lattice = pits.lattice();
-    let (per_old, per_worn) = (1.0 / (1.0 - pits.clods), 1.0 / (1.0 - fresh_share));
-    let per_fresh = if fresh_share > 1e-6 { 1.0 / fresh_share } else { 1e6 };
-    // Radius of the largest, cells.
+    let ages = CraterAges::new(pits.clods, fresh_share);
+    // Radius of the largest pit, cells.
     let largest = 0.5 * pits.largest_m / pits.cell_m;
     let per_largest = 1.0 / largest;
-    for i in 0..AT_A_TIME {
-        let ([column, row], [u, v]) = lattice.cell(lattice.local(Vec2::new(places.x[i], places.y[i])));
-        let first = lattice_hash(column, row, 0, pits.seed);
-        let second = second_hash(first);
-        let jitter = |bits: u32| ((bits & 0x3ff) as i32 as f32 * (1.0 / 512.0) - 1.0) * JITTER_CELLS + 0.5;
-        let (along, across) = (u - jitter(second), v - jitter(second >> 10));
-        // How many times smaller than the largest, and the radius in cells.
-        let smaller = 2.0 * (1.0 - 0.75 / 4096.0 * (second >> 20) as i32 as f32).sqrt();
-        let radius = largest / smaller;
+    for i in 0..BATCH {
+        let (cell, position) = lattice.cell(lattice.local(Vec2::new(ground.x[i], ground.y[i])));
+        let pit = CellPit::new(cell, pits.seed, largest);
+        let (along, across) = (position[0] - pit.centre[0], position[1] - pit.centre[1]);
         let square = along * along + across * across;
         let square = if square > 1e-12 { square } else { 1e-12 };
         let cells = square.sqrt();
         let per_cells = cells / square;
-        let (r, per_r) = (cells * smaller * per_largest, per_cells * radius);
-        let age = (first >> 16) as i32 as f32 * (1.0 / 65_536.0);
-        let since = (age - pits.clods) * per_old;
-        // From the youngest to the oldest evenly in the logarithm.
-        let worn = 0.12 * exp2_of_few(-2.584_962_5 * ((since - fresh_share) * per_worn));
-        let worn = if worn < 0.1099 { worn } else { 0.1099 };
-        let depth = if since < fresh_share { 0.15 - 0.04 * per_fresh * since } else { worn };
-        // Inside the crest the derivative of the polynomial; outside that of the ejecta's power law, faded out.
-        let bowl = 0.051_383_2 + r * (-0.150_474_8 + r * (2.937_590_4 + r * (-5.661_628 + r * 2.871_354)));
-        let rr = r * r;
-        let per_rr = per_r * per_r;
-        let ejecta = EJECTA_EXPONENT * RIM * (per_rr * per_rr) * ((1.5 - r) * 2.5).clamp(0.0, 1.0);
-        let crater = 2.0 / PROFILE_DEPTH * depth * if r < 1.0 { bowl } else { ejecta };
-        let clod = -8.0 * CLOD_HEIGHT * r * if rr < 1.0 { 1.0 - rr } else { 0.0 };
-        let steepness = if age < pits.clods { clod } else { crater };
-        let is_asked = pits.asked * pits.largest_m >= 2.0 * CELLS_LEAST * places.cell_m[i];
-        let is_there = is_asked & ((first & 0xffff) as i32 as f32 * (1.0 / 65_536.0) < pits.amount);
-        let share = places.share(i, 2.0 * pits.cell_m * radius);
-        let slope = if is_there { pits.cell_m * share * steepness * per_cells } else { 0.0 };
+        // Distance from the centre in radii, and one over it.
+        let (r, per_r) = (cells * pit.shrink * per_largest, per_cells * pit.radius);
+        let crater = crater_steepness(r, per_r, ages.depth(pit.age));
+        let steepness = if pit.age < pits.clods { clod_steepness(r) } else { crater };
+        let is_sampled = pits.asked * pits.largest_m >= 2.0 * CELLS_LEAST * ground.cell_m[i];
+        let exists = is_sampled & (pit.draw < pits.amount);
+        let share = ground.share(i, 2.0 * pits.cell_m * pit.radius);
+        let slope = if exists { pits.cell_m * share * steepness * per_cells } else { 0.0 };
         let (along, across) = (slope * along, slope * across);
         sums.x[i] += pits.turn.x * along - pits.turn.y * across;
         sums.y[i] += pits.turn.y * along + pits.turn.x * across;
     }
 }
 
-/// 2 to a power from -2.7 to 0, within a millionth.
+/// What the hashes of a cell say of its pit. As `PitLattice::pit` in `src/scene/craters.rs`.
+struct CellPit {
+    /// Centre, cells from the corner of the cell.
+    centre: [f32; 2],
+    /// How many times smaller than the largest pit of the lattice: 1 to 2.
+    shrink: f32,
+    /// Radius, cells.
+    radius: f32,
+    /// Uniform in [0, 1): clods first, then craters from the youngest to the oldest.
+    age: f32,
+    /// Uniform in [0, 1): the cell has a pit if this is less than their chance.
+    draw: f32,
+}
+
+impl CellPit {
+    #[inline(always)]
+    fn new([column, row]: [i32; 2], seed: u32, largest: f32) -> Self {
+        let first = lattice_hash(column, row, 0, seed);
+        let second = second_hash(first);
+        let jitter = |bits: u32| ((bits & 0x3ff) as i32 as f32 * (1.0 / 512.0) - 1.0) * JITTER_CELLS + 0.5;
+        let centre = [jitter(second), jitter(second >> 10)];
+        // The inverse of the cumulative distribution of diameters, which goes with D^-2, within an octave.
+        let shrink = 2.0 * (1.0 - 0.75 / 4096.0 * (second >> 20) as i32 as f32).sqrt();
+        let age = (first >> 16) as i32 as f32 * (1.0 / 65_536.0);
+        let draw = (first & 0xffff) as i32 as f32 * (1.0 / 65_536.0);
+        Self { centre, shrink, radius: largest / shrink, age, draw }
+    }
+}
+
+/// The depth of craters over their age. As `worn_depth` in `src/scene/craters.rs`.
+struct CraterAges {
+    clods: f32,
+    fresh_share: f32,
+    /// One over the share of craters among the pits, of worn ones and of fresh ones among the craters.
+    per_crater: f32,
+    per_worn: f32,
+    per_fresh: f32,
+}
+
+impl CraterAges {
+    #[inline(always)]
+    fn new(clods: f32, fresh_share: f32) -> Self {
+        let (per_crater, per_worn) = (1.0 / (1.0 - clods), 1.0 / (1.0 - fresh_share));
+        let per_fresh = if fresh_share > 1e-6 { 1.0 / fresh_share } else { 1e6 };
+        Self { clods, fresh_share, per_crater, per_worn, per_fresh }
+    }
+
+    /// Depth from crest to floor, diameters: linear in the age while fresh, then evenly in the logarithm.
+    #[inline(always)]
+    fn depth(&self, pit_age: f32) -> f32 {
+        let age = (pit_age - self.clods) * self.per_crater;
+        let wear = (age - self.fresh_share) * self.per_worn;
+        let worn = WORN_DEPTHS[0] * exp2_small(WORN_DEPTH_LOG2 * wear);
+        let worn = if worn < MAX_WORN_DEPTH { worn } else { MAX_WORN_DEPTH };
+        let fresh = FRESH_DEPTHS[1] - FRESH_DEPTH_SPAN * self.per_fresh * age;
+        if age < self.fresh_share { fresh } else { worn }
+    }
+}
+
+/// Rise per metre away from the centre of a crater of a depth in diameters, at a distance r in radii: inside the crest the derivative of
+/// the polynomial, outside that of the ejecta's power law, with an exponent of -4 in place of -4.19, faded out.
 #[inline(always)]
-fn exp2_of_few(power: f32) -> f32 {
+fn crater_steepness(r: f32, per_r: f32, depth: f32) -> f32 {
+    let [b0, b1, b2, b3, b4] = BOWL_SLOPE;
+    let bowl = b0 + r * (b1 + r * (b2 + r * (b3 + r * b4)));
+    let per_r_squared = per_r * per_r;
+    let [end, per_width] = EJECTA_FADE;
+    let fade = ((end - r) * per_width).clamp(0.0, 1.0);
+    let ejecta = EJECTA_EXPONENT * RIM * (per_r_squared * per_r_squared) * fade;
+    2.0 / PROFILE_DEPTH * depth * if r < 1.0 { bowl } else { ejecta }
+}
+
+/// Rise per metre away from the centre of a clod, whose height is `CLOD_HEIGHT` (1 - r^2)^2 diameters.
+#[inline(always)]
+fn clod_steepness(r: f32) -> f32 {
+    let square = r * r;
+    -8.0 * CLOD_HEIGHT * r * if square < 1.0 { 1.0 - square } else { 0.0 }
+}
+
+/// 2 to a power from -2.7 to 0, within a millionth: the Taylor series at a quarter of it, to the fourth power.
+#[inline(always)]
+fn exp2_small(power: f32) -> f32 {
     let x = 0.25 * power;
-    let mut sum = EXP2[7];
-    for coefficient in EXP2[..7].iter().rev() {
+    let mut sum = EXP2_TAYLOR[7];
+    for coefficient in EXP2_TAYLOR[..7].iter().rev() {
         sum = sum * x + coefficient;
     }
     let square = sum * sum;
@@ -300,12 +405,24 @@ fn exp2_of_few(power: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::craters::BOWL;
 
     #[test]
-    fn a_power_of_two_is_one() {
+    fn exp2_small_is_a_power_of_two_within_a_millionth() {
         for i in 0..=270 {
             let power = -0.01 * i as f32;
-            assert!((exp2_of_few(power) / libm::exp2f(power) - 1.0).abs() < 1e-6, "2^{power}");
+            assert!((exp2_small(power) / libm::exp2f(power) - 1.0).abs() < 1e-6, "2^{power}");
         }
+    }
+
+    #[test]
+    fn constants_follow_from_the_crater_profile_and_its_depths() {
+        for (k, slope) in BOWL_SLOPE.iter().enumerate() {
+            let expected = (k + 1) as f32 * (BOWL.get(k + 1).unwrap_or(&0.0) - BOWL[k]);
+            assert!((slope - expected).abs() < 1e-6, "coefficient {k}: {slope}, not {expected}");
+        }
+        assert!((WORN_DEPTH_LOG2 - libm::log2f(WORN_DEPTHS[1] / WORN_DEPTHS[0])).abs() < 1e-6);
+        assert!((MAX_WORN_DEPTH - (FRESH_DEPTHS[0] - 1e-4)).abs() < 1e-7);
+        assert!((FRESH_DEPTH_SPAN - (FRESH_DEPTHS[1] - FRESH_DEPTHS[0])).abs() < 1e-7);
     }
 }

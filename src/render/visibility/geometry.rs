@@ -20,8 +20,8 @@ use rayon::prelude::*;
 pub use screen_mesh::{ScreenMesh, ScreenTriangle, ScreenVertex};
 
 use crate::render::device::shading_bins::{ShadingBins, ShadowSources};
-use crate::render::lighting::relief_bands::Bands;
-use crate::render::lighting::slopes_host::Slopes;
+use crate::render::lighting::relief_bands::ReliefBands;
+use crate::render::lighting::slopes_host::ReliefSlopes;
 use crate::render::select::ground_blocks::ground_blocks;
 use crate::render::select::selection::{Selection, Slots, front_to_back};
 use crate::render::settings::RenderSettings;
@@ -52,13 +52,13 @@ pub struct VisibleTriangles {
     mesh_count: usize,
     bins: ShadingBins,
     /// None if the ground has no relief below the size of its cells.
-    slopes: Option<Slopes>,
+    slopes: Option<ReliefSlopes>,
 }
 
 impl VisibleTriangles {
     /// The relief below the size of the ground's cells, if there is any.
     #[must_use]
-    pub const fn slopes(&self) -> Option<&Slopes> {
+    pub const fn slopes(&self) -> Option<&ReliefSlopes> {
         self.slopes.as_ref()
     }
 
@@ -70,13 +70,13 @@ impl VisibleTriangles {
         selection: &Selection,
         settings: &RenderSettings,
         caster_grid: &[u32],
-        bands: &Bands,
+        bands: &ReliefBands,
         by_shadow_sources: bool,
     ) {
         let bins = ShadingBins::new(bands.bands.len());
         self.bins = bins;
         let rays = settings.rays(&scene.camera);
-        self.slopes = scene.relief.as_ref().map(|_| Slopes::new(bands, bins, rays));
+        self.slopes = scene.relief.as_ref().map(|_| ReliefSlopes::new(bands, bins, rays));
         let frame = FrameContext::new(scene, settings, caster_grid, by_shadow_sources);
         let sources = in_drawing_order(selection);
         self.mesh_count = sources.len();

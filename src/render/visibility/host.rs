@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use crate::gpu::staging::{PAGE_BYTES, Page, PageWriter};
 use crate::render::device::shading_bins::{ShadingBin, ShadingBins};
-use crate::render::lighting::slopes_host::Seen;
+use crate::render::lighting::slopes_host::GBufferRow;
 use crate::render::raster::fill::FragmentSink;
 use crate::render::raster::lanes::{
     BLOCK_HEIGHT, BLOCK_WIDTH, LANES, load_block, load_block_u32, store_block, store_block_u32,
@@ -264,9 +264,9 @@ impl GBufferBand {
 }
 
 impl Row<'_> {
-    const fn for_slopes(&self) -> Seen<'_> {
+    const fn for_slopes(&self) -> GBufferRow<'_> {
         let Self { inverse_w, normal_x, normal_y, bins_and_slots, .. } = *self;
-        Seen { inverse_w, normal_x, normal_y, things: bins_and_slots }
+        GBufferRow { inverse_depth: inverse_w, normal_x, normal_y, visibility: bins_and_slots }
     }
 
     /// Writes a row of [`ShadingBinMask::values`].
