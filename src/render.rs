@@ -70,7 +70,7 @@ impl FrameRequest {
     fn new(scene: &Scene, settings: &RenderSettings) -> Result<Self> {
         let annotations = settings.annotations;
         let mut image = *settings;
-        image.annotations = post::hazards::drawn_for(annotations);
+        image.annotations = post::hazards::with_inputs(annotations);
         if scene.sensor.is_some() {
             image.annotations = image.annotations.with(Annotation::Hdr);
         }
@@ -450,7 +450,7 @@ fn post_process(frame: &mut Frame, request: &FrameRequest, scene: &Scene, times:
             }
         });
     }
-    if post::hazards::any(request.annotations) {
+    if post::hazards::any_requested(request.annotations) {
         timed("hazards", &mut |frame| post::hazards::add(frame, scene, request.annotations));
     }
 }

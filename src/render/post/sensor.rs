@@ -1,9 +1,10 @@
-//! What a sensor makes of a frame's linear radiance: the 8-bit picture with the marks of a real camera.
+//! The camera's optics and sensor: from the linear radiance of a frame to the 8-bit image of a real camera.
 //!
-//! In the order of the light: exposure, veiling glare, vignetting, the spread of points, colour filters, photons and
-//! electrons, reading, filling in of the colours, black level, encoding. Labels are not touched: nothing here moves a thing in the picture.
-//! Every random number is a hash of pixel and frame, so that the same frame is the same to the bit for any number of
-//! threads.
+//! In the order of the light: exposure, veiling glare, vignetting, point spread function, colour filter array, shot noise, read noise,
+//! quantisation, demosaicing, black level, encoding. The sensor is the linear model of EMVA 1288 (release 4.0), with PRNU and DSNU as its
+//! fixed pattern. Labels are not touched: nothing here moves anything in the image.
+//! Every random number is a hash of pixel and frame, so that the same frame is the same to the bit for any number of threads.
+//! Must not know: wgpu.
 
 use rayon::prelude::*;
 
@@ -13,75 +14,77 @@ use crate::render::resolve::pass::exposure;
 use crate::scene::noise::lattice_hash;
 use crate::scene::sensor::{Mosaic, Sensor};
 
-/// Seed of what does not change from frame to frame.
-const FIXED_PATTERN: u32 = 0x5e25_0a11;
-/// Weights of the channels in what a monochrome sensor sees: even, as a panchromatic one.
+/// Seed of the fixed pattern: what does not change from frame to frame.
+const FIXED_PATTERN_SEED: u32 = 0x5e25_0a11;
+/// What each random number of a pixel is for: normal ones take two purposes.
+mod purpose {
+    pub(super) const PRNU: i32 = 0;
+    pub(super) const DSNU: i32 = 2;
+    pub(super) const SHOT_NORMAL: i32 = 4;
+    pub(super) const READ: i32 = 6;
+    pub(super) const SHOT_POISSON: i32 = 8;
+}
+/// Weights of the channels in the signal of a monochrome sensor: even, as of a panchromatic one.
 const PANCHROMATIC: [f32; 3] = [1.0 / 3.0; 3];
-/// From so many electrons on, Poisson's distribution is taken as a normal one.
-const MANY: f64 = 40.0;
+/// Mean number of electrons from which on Poisson's distribution is approximated by a normal one.
+const MIN_NORMAL_MEAN_E: f64 = 40.0;
 
-/// Replaces the picture of `frame`, whose radiance must be there, by what `sensor` makes of it. `exposure_ev` is that of
-/// the camera, in stops.
+/// Replaces the 8-bit image of `frame`, whose radiance must be present, by what `sensor` records of it. `exposure_ev` is the
+/// exposure of the camera, stops.
 pub fn expose(frame: &mut Frame, sensor: &Sensor, exposure_ev: f32) {
     let [width, height] = [frame.width as usize, frame.height as usize];
-    let channels = match sensor.mosaic {
-        Mosaic::Monochrome => 1,
-        Mosaic::Bayer => 3,
-    };
-    // What falls on the sensor: 1 fills a pixel.
-    let mut light: Vec<Vec<f32>> = (0..channels)
-        .map(|channel| {
-            let pixels = frame.radiance.par_chunks_exact(3);
-            pixels
-                .map(|rgb| match sensor.mosaic {
-                    Mosaic::Monochrome => (0..3).map(|c| PANCHROMATIC[c] * rgb[c].to_f32()).sum(),
-                    Mosaic::Bayer => rgb[channel].to_f32(),
-                })
-                .collect()
-        })
-        .collect();
-    let gain = gain(frame, sensor, &light, exposure(exposure_ev));
-    for plane in &mut light {
-        let mean = plane.iter().map(|value| f64::from(*value)).sum::<f64>() / plane.len() as f64;
-        let veil = (sensor.glare * mean) as f32;
-        let focal_px = frame.focal_px as f32;
-        plane.par_chunks_exact_mut(width).enumerate().for_each(|(y, row)| {
-            for (x, value) in row.iter_mut().enumerate() {
-                let (dx, dy) = (x as f32 + 0.5 - 0.5 * width as f32, y as f32 + 0.5 - 0.5 * height as f32);
-                let cos2 = 1.0 / (1.0 + (dx * dx + dy * dy) / (focal_px * focal_px));
-                let fall = 1.0 - sensor.vignetting as f32 * (1.0 - cos2 * cos2);
-                *value = gain * fall * (*value + veil);
-            }
-        });
-        *plane = spread(plane, width, height, sensor.psf_px);
+    let mut channels = spectral_channels(frame, sensor.mosaic);
+    let gain = exposure_gain(frame, sensor, &channels, exposure(exposure_ev));
+    for channel in &mut channels {
+        add_glare_and_vignetting(channel, width, height, frame.focal_px as f32, sensor, gain);
+        *channel = convolve(channel, width, height, sensor.psf_px);
     }
     let readings: Vec<f32> = (0..width * height)
         .into_par_iter()
         .map(|pixel| {
             let (x, y) = (pixel % width, pixel / width);
-            let channel = if channels == 1 { 0 } else { filter(x, y) };
-            read(sensor, light[channel][pixel], x, y)
+            let channel = if channels.len() == 1 { 0 } else { bayer_channel(x, y) };
+            read_pixel(sensor, channels[channel][pixel], x, y)
         })
         .collect();
     frame.rgb.par_chunks_exact_mut(3).enumerate().for_each(|(pixel, rgb)| {
-        let colour = match sensor.mosaic {
+        let linear_rgb = match sensor.mosaic {
             Mosaic::Monochrome => [readings[pixel]; 3],
-            Mosaic::Bayer => filled_in(&readings, width, height, pixel % width, pixel / width),
+            Mosaic::Bayer => demosaic(&readings, width, height, pixel % width, pixel / width),
         };
-        for (value, linear) in rgb.iter_mut().zip(colour) {
+        for (value, linear) in rgb.iter_mut().zip(linear_rgb) {
             let black = sensor.black_level as f32;
-            *value = (255.0 * srgb((linear - black) / (1.0 - black)) + 0.5) as u8;
+            *value = (255.0 * srgb_from_linear((linear - black) / (1.0 - black)) + 0.5) as u8;
         }
     });
 }
 
-/// Factor from radiance to the fill of a pixel: the camera's exposure, or what puts the median of the sunlit ground at the
-/// chosen level. Ground is sunlit where it is brighter than a tenth of the brightest tenth of it.
-fn gain(frame: &Frame, sensor: &Sensor, light: &[Vec<f32>], fixed: f32) -> f32 {
+/// The radiance of a frame in each channel that the filters of a sensor pass.
+fn spectral_channels(frame: &Frame, mosaic: Mosaic) -> Vec<Vec<f32>> {
+    let channels = match mosaic {
+        Mosaic::Monochrome => 1,
+        Mosaic::Bayer => 3,
+    };
+    (0..channels)
+        .map(|channel| {
+            let pixels = frame.radiance.par_chunks_exact(3);
+            pixels
+                .map(|rgb| match mosaic {
+                    Mosaic::Monochrome => (0..3).map(|c| PANCHROMATIC[c] * rgb[c].to_f32()).sum(),
+                    Mosaic::Bayer => rgb[channel].to_f32(),
+                })
+                .collect()
+        })
+        .collect()
+}
+
+/// Factor from radiance to the fill of a pixel, where 1 is the full well: the exposure of the camera, or the one that puts the median
+/// of the sunlit ground at the chosen level. Ground is sunlit where it is brighter than a tenth of its 90th percentile.
+fn exposure_gain(frame: &Frame, sensor: &Sensor, channels: &[Vec<f32>], fixed: f32) -> f32 {
     if sensor.ground_level <= 0.0 {
         return fixed;
     }
-    let green = &light[light.len() / 2];
+    let green = &channels[channels.len() / 2];
     let ground = green.iter().zip(&frame.class).filter(|(_, class)| **class == ClassId::REGOLITH.0);
     let mut values: Vec<f32> = ground.map(|(value, _)| *value).collect();
     if values.is_empty() {
@@ -89,19 +92,43 @@ fn gain(frame: &Frame, sensor: &Sensor, light: &[Vec<f32>], fixed: f32) -> f32 {
     }
     values.sort_by(f32::total_cmp);
     let bright = values[values.len() * 9 / 10];
-    let lit = &values[values.partition_point(|value| *value < 0.1 * bright)..];
-    let median = lit[lit.len() / 2];
-    if median > 0.0 { linear(sensor.ground_level as f32) / median } else { fixed }
+    let sunlit = &values[values.partition_point(|value| *value < 0.1 * bright)..];
+    let median = sunlit[sunlit.len() / 2];
+    if median > 0.0 { linear_from_srgb(sensor.ground_level as f32) / median } else { fixed }
 }
 
-/// Steps of the integral over the frequencies up to the finest pattern's.
+/// Adds the veiling glare, an even part of the channel's mean, and applies the gain and the vignetting, a share of the natural
+/// cos^4 falloff.
+fn add_glare_and_vignetting(
+    channel: &mut [f32],
+    width: usize,
+    height: usize,
+    focal_px: f32,
+    sensor: &Sensor,
+    gain: f32,
+) {
+    let mean = channel.iter().map(|value| f64::from(*value)).sum::<f64>() / channel.len() as f64;
+    let veil = (sensor.glare * mean) as f32;
+    channel.par_chunks_exact_mut(width).enumerate().for_each(|(y, row)| {
+        for (x, value) in row.iter_mut().enumerate() {
+            let (dx, dy) = (x as f32 + 0.5 - 0.5 * width as f32, y as f32 + 0.5 - 0.5 * height as f32);
+            let cos2 = 1.0 / (1.0 + (dx * dx + dy * dy) / (focal_px * focal_px));
+            let falloff = 1.0 - sensor.vignetting as f32 * (1.0 - cos2 * cos2);
+            *value = gain * falloff * (*value + veil);
+        }
+    });
+}
+
+/// Frequencies at which the inverse Fourier integral of [`psf_kernel`] is summed, up to Nyquist's.
 const FREQUENCIES: u32 = 64;
 
-/// Weights, the middle one first, that spread a point of the picture until a sensor shows it with this deviation: with the
-/// pixel's own aperture (2 x 2 samples, whose transfer at f cycles a pixel is cos(pi f / 2)) the transfer is the
-/// Gaussian's, exp(-2 (pi sigma f)^2), up to the finest pattern. A Gaussian sampled at the pixels would pass twice as much
-/// of that. Side lobes stay below 2 %. Pixels are wide enough for deviations up to 0.25: these spread nothing.
-fn kernel(sigma_px: f64) -> Vec<f32> {
+/// One half of the symmetric, separable kernel of the point spread function, the middle weight first; the weights sum to 1.
+///
+/// It is designed in the frequency domain: with the aperture of the pixel (2 x 2 samples, whose transfer at f cycles a pixel is
+/// cos(pi f / 2)) the modulation transfer function is that of a Gaussian of this standard deviation, exp(-2 (pi sigma f)^2), up to
+/// Nyquist's frequency. A Gaussian sampled at the pixels would pass twice as much there. Side lobes stay below 2 %. The pixel alone has
+/// a standard deviation of 0.25: up to there the kernel is a single 1.
+fn psf_kernel(sigma_px: f64) -> Vec<f32> {
     let reach = (3.0 * sigma_px).ceil() as u32 + 2;
     let pi = std::f64::consts::PI;
     let transfer = |f: f64| {
@@ -109,8 +136,9 @@ fn kernel(sigma_px: f64) -> Vec<f32> {
         (libm::exp(-2.0 * phase * phase) / libm::cos(0.5 * pi * f)).min(1.0)
     };
     let weight = |offset: u32| {
-        let at = |step: u32| (f64::from(step) + 0.5) / f64::from(2 * FREQUENCIES);
-        let wave = |step| transfer(at(step)) * libm::cos(2.0 * pi * f64::from(offset) * at(step));
+        let frequency = |step: u32| (f64::from(step) + 0.5) / f64::from(2 * FREQUENCIES);
+        let wave =
+            |step| transfer(frequency(step)) * libm::cos(2.0 * pi * f64::from(offset) * frequency(step));
         (0..FREQUENCIES).map(wave).sum::<f64>()
     };
     let weights: Vec<f64> = (0..=reach).map(weight).collect();
@@ -118,78 +146,84 @@ fn kernel(sigma_px: f64) -> Vec<f32> {
     weights.into_iter().map(|weight| (weight / sum) as f32).collect()
 }
 
-/// A plane as the optics spread it, see [`kernel`]; the border repeats.
-fn spread(plane: &[f32], width: usize, height: usize, sigma_px: f64) -> Vec<f32> {
-    let weights = kernel(sigma_px);
+/// A channel convolved with the point spread function, see [`psf_kernel`]: rows, then columns, with the border repeated.
+fn convolve(channel: &[f32], width: usize, height: usize, sigma_px: f64) -> Vec<f32> {
+    let weights = psf_kernel(sigma_px);
     let reach = weights.len() as isize - 1;
-    let blurred = |at: &(dyn Fn(isize) -> f32 + Sync)| -> f32 {
-        (-reach..=reach).map(|i| weights[i.unsigned_abs()] * at(i)).sum()
+    let weighted_sum = |tap: &(dyn Fn(isize) -> f32 + Sync)| -> f32 {
+        (-reach..=reach).map(|i| weights[i.unsigned_abs()] * tap(i)).sum()
     };
     let clamped = |at: isize, end: usize| at.clamp(0, end as isize - 1) as usize;
-    let rows: Vec<f32> = (0..plane.len())
+    let rows: Vec<f32> = (0..channel.len())
         .into_par_iter()
-        .map(|p| blurred(&|i| plane[p / width * width + clamped((p % width) as isize + i, width)]))
+        .map(|p| weighted_sum(&|i| channel[p / width * width + clamped((p % width) as isize + i, width)]))
         .collect();
-    (0..plane.len())
+    (0..channel.len())
         .into_par_iter()
-        .map(|p| blurred(&|i| rows[clamped((p / width) as isize + i, height) * width + p % width]))
+        .map(|p| weighted_sum(&|i| rows[clamped((p / width) as isize + i, height) * width + p % width]))
         .collect()
 }
 
-/// The filter of a pixel: 0 red, 1 green, 2 blue.
-const fn filter(x: usize, y: usize) -> usize {
+/// The channel of a pixel's filter in the Bayer mosaic RGGB: 0 red, 1 green, 2 blue.
+const fn bayer_channel(x: usize, y: usize) -> usize {
     (x % 2) + (y % 2)
 }
 
-/// A uniform number in (0, 1) and a normal one for a pixel.
+/// A uniform number in (0, 1) for a pixel.
 fn uniform(x: usize, y: usize, purpose: i32, seed: u32) -> f64 {
     (f64::from(lattice_hash(x as i32, y as i32, purpose, seed)) + 0.5) / 4_294_967_296.0
 }
 
+/// A standard normal number for a pixel (Box and Muller 1958).
 fn normal(x: usize, y: usize, purpose: i32, seed: u32) -> f64 {
     let (u, v) = (uniform(x, y, purpose, seed), uniform(x, y, purpose + 1, seed));
     (-2.0 * libm::log(u)).sqrt() * libm::cos(std::f64::consts::TAU * v)
 }
 
-/// What is read from a pixel with this fill, 0 to 1, dark level taken off.
-fn read(sensor: &Sensor, fill: f32, x: usize, y: usize) -> f32 {
-    let sensitivity = 1.0 + sensor.prnu * normal(x, y, 0, FIXED_PATTERN);
-    let dark = sensor.dark_e + sensor.dsnu_e * normal(x, y, 2, FIXED_PATTERN);
-    let mean = (f64::from(fill) * sensor.full_well_e * sensitivity + dark).max(0.0);
+/// The digital reading of a pixel with this fill (1 is the full well), as a part of full scale, with the mean dark signal subtracted.
+fn read_pixel(sensor: &Sensor, fill: f32, x: usize, y: usize) -> f32 {
+    let sensitivity = 1.0 + sensor.prnu * normal(x, y, purpose::PRNU, FIXED_PATTERN_SEED);
+    let dark_e = sensor.dark_e + sensor.dsnu_e * normal(x, y, purpose::DSNU, FIXED_PATTERN_SEED);
+    let mean_e = (f64::from(fill) * sensor.full_well_e * sensitivity + dark_e).max(0.0);
     let seed = sensor.noise_seed;
-    let counted =
-        if mean > MANY { mean + mean.sqrt() * normal(x, y, 4, seed) } else { poisson(mean, x, y, seed) };
-    let electrons = counted.min(sensor.full_well_e + dark) + sensor.read_noise_e * normal(x, y, 6, seed);
-    let steps = f64::from((1_u32 << sensor.bits) - 1);
-    // The converter spans dark level to full well, with some room below for noise.
-    let reading = ((electrons - dark) / sensor.full_well_e * steps).round().clamp(-0.02 * steps, steps);
-    (reading / steps) as f32
+    let collected_e = if mean_e > MIN_NORMAL_MEAN_E {
+        mean_e + mean_e.sqrt() * normal(x, y, purpose::SHOT_NORMAL, seed)
+    } else {
+        poisson(mean_e, x, y, seed)
+    };
+    let electrons = collected_e.min(sensor.full_well_e + dark_e)
+        + sensor.read_noise_e * normal(x, y, purpose::READ, seed);
+    let max_code = f64::from((1_u32 << sensor.bits) - 1);
+    // The converter spans the dark signal to the full well, with some room below for noise.
+    let code =
+        ((electrons - dark_e) / sensor.full_well_e * max_code).round().clamp(-0.02 * max_code, max_code);
+    (code / max_code) as f32
 }
 
-/// Poisson's distribution by inversion.
+/// A number with Poisson's distribution for a pixel, by inversion of the cumulative distribution.
 fn poisson(mean: f64, x: usize, y: usize, seed: u32) -> f64 {
-    let mut left = uniform(x, y, 8, seed);
-    let mut chance = libm::exp(-mean);
+    let mut left = uniform(x, y, purpose::SHOT_POISSON, seed);
+    let mut probability = libm::exp(-mean);
     let mut count = 0.0;
-    while left > chance && count < 200.0 {
-        left -= chance;
+    while left > probability && count < 200.0 {
+        left -= probability;
         count += 1.0;
-        chance *= mean / count;
+        probability *= mean / count;
     }
     count
 }
 
-/// The three colours of a pixel from the readings around it, bilinearly.
-fn filled_in(readings: &[f32], width: usize, height: usize, x: usize, y: usize) -> [f32; 3] {
+/// The three channels of a pixel by bilinear demosaicing: its own, and the means of the others over the 3 x 3 pixels around.
+fn demosaic(readings: &[f32], width: usize, height: usize, x: usize, y: usize) -> [f32; 3] {
     let (mut sums, mut counts) = ([0.0_f32; 3], [0.0_f32; 3]);
-    let own = filter(x, y);
+    let own = bayer_channel(x, y);
     for (dx, dy) in (-1..=1).flat_map(|dy: isize| (-1..=1).map(move |dx: isize| (dx, dy))) {
         let (px, py) = (x as isize + dx, y as isize + dy);
         if px < 0 || py < 0 || px >= width as isize || py >= height as isize {
             continue;
         }
         let (px, py) = (px as usize, py as usize);
-        let channel = filter(px, py);
+        let channel = bayer_channel(px, py);
         if channel != own || (dx, dy) == (0, 0) {
             sums[channel] += readings[py * width + px];
             counts[channel] += 1.0;
@@ -200,19 +234,19 @@ fn filled_in(readings: &[f32], width: usize, height: usize, x: usize, y: usize) 
     })
 }
 
-/// The sRGB transfer function (IEC 61966-2-1), linear to encoded, within 0 to 1.
-fn srgb(x: f32) -> f32 {
+/// The sRGB transfer function (IEC 61966-2-1), linear to encoded, clamped to 0 to 1.
+fn srgb_from_linear(x: f32) -> f32 {
     let x = x.clamp(0.0, 1.0);
     if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * libm::powf(x, 1.0 / 2.4) - 0.055 }
 }
 
-/// Its inverse.
-fn linear(x: f32) -> f32 {
+/// The inverse of the sRGB transfer function, encoded to linear.
+fn linear_from_srgb(x: f32) -> f32 {
     if x <= 0.040_45 { x / 12.92 } else { libm::powf((x + 0.055) / 1.055, 2.4) }
 }
 
 #[cfg(test)]
-#[allow(clippy::disallowed_methods, reason = "what is expected may be reckoned with std's functions")]
+#[allow(clippy::disallowed_methods, reason = "expected values may use std's functions")]
 mod tests {
     use super::*;
 
@@ -234,16 +268,18 @@ mod tests {
         }
     }
 
+    /// Mean and variance of the readings at a fill.
     fn readings(sensor: &Sensor, fill: f32) -> (f64, f64) {
         let n = 60_000;
-        let values: Vec<f64> = (0..n).map(|i| f64::from(read(sensor, fill, i % 300, i / 300))).collect();
+        let values: Vec<f64> =
+            (0..n).map(|i| f64::from(read_pixel(sensor, fill, i % 300, i / 300))).collect();
         let mean = values.iter().sum::<f64>() / n as f64;
         (mean, values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / n as f64)
     }
 
-    /// EMVA 1288: variance over mean of the electrons is 1, of readings the gain.
+    /// Photon transfer (EMVA 1288, section 2.4): variance over mean is 1 for electrons, and the gain for readings.
     #[test]
-    fn photon_transfer_has_the_slope_of_the_gain_and_the_floor_of_the_reading() {
+    fn photon_transfer_curve_has_the_gain_as_slope_and_the_dark_noise_as_floor() {
         let sensor = Sensor { read_noise_e: 15.0, dark_e: 30.0, ..ideal(Mosaic::Monochrome) };
         let points: Vec<(f64, f64)> =
             [0.001, 0.01, 0.1, 0.2, 0.4, 0.6].map(|fill| readings(&sensor, fill)).into();
@@ -256,13 +292,13 @@ mod tests {
         let (dark_mean, dark_variance) = readings(&sensor, 0.0);
         let floor_e = dark_variance.sqrt() * 20_000.0;
         assert!(dark_mean.abs() < 1e-4, "{dark_mean}");
-        // Reading, shot noise of the dark electrons, and the steps of the converter.
+        // Read noise, shot noise of the dark signal, and quantisation noise.
         let expected = (15.0_f64.powi(2) + 30.0 + (20_000.0 / 16_383.0_f64).powi(2) / 12.0).sqrt();
         assert!((floor_e / expected - 1.0).abs() < 0.03, "{floor_e} for {expected}");
     }
 
     #[test]
-    fn few_photons_are_poissons() {
+    fn few_electrons_have_the_mean_and_variance_of_poisson() {
         for mean in [0.5, 3.0, 20.0, 39.0] {
             let counts: Vec<f64> = (0..40_000).map(|i| poisson(mean, i % 200, i / 200, 4)).collect();
             let found = counts.iter().sum::<f64>() / counts.len() as f64;
@@ -286,11 +322,11 @@ mod tests {
     }
 
     #[test]
-    fn an_ideal_sensor_shows_what_is_there() {
+    fn an_ideal_sensor_records_the_radiance() {
         let sensor = Sensor { full_well_e: 1e9, ..ideal(Mosaic::Bayer) };
         let mut even = frame(32, 32, |_, _| [0.4, 0.2, 0.1]);
         expose(&mut even, &sensor, 0.0);
-        let expected = [0.4, 0.2, 0.1].map(|value| (255.0 * srgb(value) + 0.5) as u8);
+        let expected = [0.4, 0.2, 0.1].map(|value| (255.0 * srgb_from_linear(value) + 0.5) as u8);
         for rgb in even.rgb.chunks_exact(3) {
             assert!(
                 rgb.iter().zip(expected).all(|(value, expected)| value.abs_diff(expected) <= 1),
@@ -300,11 +336,11 @@ mod tests {
         let mut grey = frame(32, 32, |_, _| [0.3, 0.3, 0.3]);
         expose(&mut grey, &Sensor { mosaic: Mosaic::Monochrome, ..sensor }, 1.0);
         assert!(grey.rgb.chunks_exact(3).all(|rgb| rgb[0] == rgb[1] && rgb[1] == rgb[2]));
-        assert!(grey.rgb[0].abs_diff((255.0 * srgb(0.6) + 0.5) as u8) <= 1);
+        assert!(grey.rgb[0].abs_diff((255.0 * srgb_from_linear(0.6) + 0.5) as u8) <= 1);
     }
 
     #[test]
-    fn colours_bleed_at_edges_and_only_there() {
+    fn demosaicing_colours_edges_and_only_edges() {
         let sensor = Sensor { full_well_e: 1e9, ..ideal(Mosaic::Bayer) };
         let mut edge = frame(40, 40, |x, _| if x < 20 { [0.05; 3] } else { [0.6; 3] });
         expose(&mut edge, &sensor, 0.0);
@@ -314,7 +350,7 @@ mod tests {
         };
         assert!((18..22).any(|x| colour(x).abs() > 10), "an edge shows the mosaic");
         assert!((3..17).chain(23..37).all(|x| colour(x).abs() <= 1));
-        // Deviation of red less green, which is 0 for a grey thing that a sensor without a mosaic sees.
+        // Standard deviation of red less green, which is 0 for grey light on a sensor without a mosaic.
         let deviation = |frame: &Frame, columns: std::ops::Range<usize>| {
             let pixels = (4..36).flat_map(|y| columns.clone().map(move |x| 3 * (y * 40 + x)));
             let values: Vec<f64> =
@@ -328,9 +364,9 @@ mod tests {
         assert_eq!(deviation(&edge, 0..40), 0.0);
     }
 
-    /// Contrast that a slanted edge keeps (ISO 12233), sampled as the renderer samples it with so many samples along a side
-    /// of a pixel, for each of these frequencies, cycles a pixel.
-    fn edge_transfer(sigma_px: f64, samples: u32, frequencies: &[f64]) -> Vec<f64> {
+    /// The modulation transfer at each of these frequencies, cycles a pixel, by the slanted edge method (ISO 12233). The edge is sampled
+    /// as the renderer samples it, with `samples` along a side of a pixel.
+    fn slanted_edge_mtf(sigma_px: f64, samples: u32, frequencies: &[f64]) -> Vec<f64> {
         const SIDE: usize = 128;
         const BINS_PER_PX: f64 = 8.0;
         let (sin, cos) = 0.09_f64.sin_cos();
@@ -340,15 +376,16 @@ mod tests {
         let plane: Vec<f32> = (0..SIDE * SIDE)
             .map(|pixel| {
                 let (x, y) = ((pixel % SIDE) as f64, (pixel / SIDE) as f64);
-                let places = offsets().into_iter().flat_map(|v| offsets().into_iter().map(move |u| (u, v)));
-                let bright = places.filter(|(u, v)| distance(x + u, y + v) > 0.0).count();
+                let positions =
+                    offsets().into_iter().flat_map(|v| offsets().into_iter().map(move |u| (u, v)));
+                let bright = positions.filter(|(u, v)| distance(x + u, y + v) > 0.0).count();
                 bright as f32 / (samples * samples) as f32
             })
             .collect();
-        let seen = spread(&plane, SIDE, SIDE, sigma_px);
-        // The edge in bins of an eighth of a pixel across it, and its derivative.
+        let blurred = convolve(&plane, SIDE, SIDE, sigma_px);
+        // The edge spread function in bins of an eighth of a pixel, and its derivative, the line spread function.
         let mut bins = vec![(0.0, 0.0); (16.0 * BINS_PER_PX) as usize];
-        for (pixel, value) in seen.iter().enumerate() {
+        for (pixel, value) in blurred.iter().enumerate() {
             let (x, y) = (pixel % SIDE, pixel / SIDE);
             let at = (distance(x as f64 + 0.5, y as f64 + 0.5) + 8.0) * BINS_PER_PX;
             if (0.0..bins.len() as f64).contains(&at) && (20..108).contains(&y) {
@@ -369,17 +406,17 @@ mod tests {
         frequencies.iter().map(|f| amplitude(*f) / amplitude(0.0)).collect()
     }
 
-    /// PCAM keeps a contrast of 0.33 at the finest pattern, which a spread of 0.47 px does: 0.30 to 0.35.
+    /// The PCAM of Chang'e-3 keeps a contrast of 0.33 at Nyquist's frequency, as a standard deviation of 0.47 px does: 0.30 to 0.35.
     #[test]
-    fn an_edge_keeps_the_contrast_of_its_spread() {
+    fn modulation_transfer_is_that_of_the_gaussian() {
         for sigma_px in [0.4, 0.47, 0.7] {
             let gaussian = |f: f64| (-2.0 * (std::f64::consts::PI * sigma_px * f).powi(2)).exp();
             let frequencies: Vec<f64> = (0..=50).map(|k| f64::from(k) / 100.0).collect();
-            let found = edge_transfer(sigma_px, 2, &frequencies);
+            let found = slanted_edge_mtf(sigma_px, 2, &frequencies);
             for (f, contrast) in frequencies.iter().zip(&found) {
                 assert!((contrast - gaussian(*f)).abs() < 0.02, "{sigma_px} px, {f}: {contrast}");
             }
-            // Where half is left: sqrt(ln 2 / 2) / (pi sigma).
+            // MTF50 of a Gaussian: sqrt(ln 2 / 2) / (pi sigma).
             let half = (0.5 * 2.0_f64.ln()).sqrt() / (std::f64::consts::PI * sigma_px);
             let crossed = found.iter().position(|contrast| *contrast < 0.5).expect("a contrast below a half");
             let (before, after) = (found[crossed - 1], found[crossed]);
@@ -387,32 +424,32 @@ mod tests {
             assert!((mtf50 / half - 1.0).abs() < 0.03, "{sigma_px} px: {mtf50}, not {half}");
         }
         for samples in [2, 4] {
-            let contrast = edge_transfer(0.47, samples, &[0.5])[0];
+            let contrast = slanted_edge_mtf(0.47, samples, &[0.5])[0];
             assert!((0.30..=0.35).contains(&contrast), "{samples} samples: {contrast}");
         }
     }
 
     #[test]
-    fn light_is_spread_veiled_and_falls_to_the_corners() {
+    fn optics_spread_veil_and_vignette_the_light() {
         let sensor = Sensor { full_well_e: 1e9, psf_px: 1.0, ..ideal(Mosaic::Monochrome) };
         let mut plane = vec![0.0; 31 * 31];
         plane[15 * 31 + 15] = 1.0;
-        let spread = spread(&plane, 31, 31, sensor.psf_px);
+        let spread = convolve(&plane, 31, 31, sensor.psf_px);
         assert!((spread.iter().sum::<f32>() - 1.0).abs() < 1e-5);
         // 1 / (2 pi sigma^2), less the pixel's own variance.
         assert!((spread[15 * 31 + 15] - 0.170).abs() < 0.003, "{}", spread[15 * 31 + 15]);
         let mut veiled = frame(20, 20, |x, _| if x < 10 { [0.0; 3] } else { [0.5; 3] });
         expose(&mut veiled, &Sensor { psf_px: 0.0, glare: 0.02, ..sensor }, 0.0);
         // 2 % of the mean of 0.25.
-        assert_eq!(veiled.rgb[0], (255.0 * srgb(0.005) + 0.5) as u8);
+        assert_eq!(veiled.rgb[0], (255.0 * srgb_from_linear(0.005) + 0.5) as u8);
         let mut even = frame(101, 101, |_, _| [0.5; 3]);
         expose(&mut even, &Sensor { psf_px: 0.0, vignetting: 1.0, ..sensor }, 0.0);
         let cos2 = 1.0 / (1.0 + 2.0 * 50.0_f32.powi(2) / 100.0_f32.powi(2));
-        assert!(even.rgb[0].abs_diff((255.0 * srgb(0.5 * cos2 * cos2) + 0.5) as u8) <= 1);
+        assert!(even.rgb[0].abs_diff((255.0 * srgb_from_linear(0.5 * cos2 * cos2) + 0.5) as u8) <= 1);
     }
 
     #[test]
-    fn the_ground_is_put_at_its_level() {
+    fn auto_exposure_puts_the_sunlit_ground_at_its_level() {
         let sensor = Sensor { ground_level: 0.45, full_well_e: 1e9, ..ideal(Mosaic::Monochrome) };
         let mut scene = frame(40, 40, |x, y| [0.001 + 0.0004 * (x * y % 40) as f32; 3]);
         expose(&mut scene, &sensor, 0.0);
