@@ -72,7 +72,6 @@ const KNOWN_LONG_FILES: &[&str] = &[
     "src/params/sampler.rs",
     "src/render/gpu_scene.rs",
     "src/render/raster.rs",
-    "src/render/shadow/horizon.rs",
     "src/render/visibility/geometry.rs",
     "src/scene/noise.rs",
     "src/scene/rocks.rs",

@@ -7,8 +7,10 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Level, dispatch, f32x8, i32x8};
 use rayon::prelude::*;
 
-use super::sweep::LANES;
 use crate::scene::terrain::Terrain;
+
+/// Points that are sampled at once: the lanes of a vector.
+pub(super) const LANES: usize = 8;
 
 /// The heightfield of a square ground, without the rest of its vertices: the map samples it half a million times. Kept from map to
 /// map.

@@ -13,7 +13,7 @@ use fearless_simd::{Level, dispatch, f32x8, i32x8, mask32x8};
 use glam::Vec2;
 use rayon::prelude::*;
 
-use super::heightfield::{ChordErrors, Heightfield};
+use super::heightfield::{ChordErrors, Heightfield, LANES};
 use crate::render::select::footprint::Footprint;
 use crate::scene::sky::Sun;
 use crate::scene::terrain::Terrain;
@@ -24,8 +24,6 @@ const MIN_LIMB_DEG: f64 = 0.01;
 const MAX_LIMB_DEG: f64 = 89.9;
 /// Horizon of a row that begins where no ground further towards the sun can occlude it, metres: lower than everything.
 const NO_HORIZON_M: f32 = -1.0e9;
-/// Rows that are swept at once.
-pub(super) const LANES: usize = 8;
 
 /// Heights from which the lower and the upper limb of the sun are just visible, metres.
 pub(super) type Limbs = [f32; 2];
