@@ -1,5 +1,6 @@
-//! Where what may be seen can lie, as seen from above.
+//! The footprint of the view: the region of the map that holds everything the image can show.
 //!
+//! Horizon map and caster grid are computed for it alone.
 //! Must not know: buffers.
 
 use glam::{DMat3, DVec3, DVec4, Vec2};
@@ -7,7 +8,7 @@ use glam::{DMat3, DVec3, DVec4, Vec2};
 use crate::render::select::selection::Selection;
 use crate::scene::Scene;
 
-/// A convex polygon on the map.
+/// A convex polygon on the map, as seen from above.
 #[derive(Clone, Debug, Default)]
 pub struct Footprint {
     /// Counterclockwise, metres, world.
@@ -15,12 +16,13 @@ pub struct Footprint {
 }
 
 impl Footprint {
-    /// Of all ground and rocks that are drawn.
+    /// The footprint of all ground and rocks that a selection draws: the part of the frustum between the lowest and the highest of
+    /// them, projected onto the map.
     #[must_use]
     pub fn new(scene: &Scene, selection: &Selection) -> Self {
         let terrain = &scene.terrain;
         let [mut lowest_m, mut highest_m] = terrain.z_range_m;
-        // Rocks may jut out over the border of the ground.
+        // Rocks may overhang the border of the ground.
         let mut widest_m = 0.0_f32;
         for rock in selection.rocks.iter().map(|selected| &scene.rocks[selected.rock]) {
             lowest_m = lowest_m.min(rock.centre.z - rock.radius_m);
@@ -40,34 +42,34 @@ impl Footprint {
         .into_iter()
         .chain(selection.frustum.planes().map(|plane| plane.as_dvec4()))
         .collect();
-        Self::around(corners(&planes).map(|corner| corner.truncate().as_vec2()))
+        Self::hull(polytope_corners(&planes).map(|corner| corner.truncate().as_vec2()))
     }
 
-    /// The least that holds some places (the monotone chain of Andrew 1979, "Another efficient algorithm for convex hulls in two
-    /// dimensions").
-    pub fn around(places: impl Iterator<Item = Vec2>) -> Self {
-        let mut places: Vec<Vec2> = places.collect();
-        places.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
-        places.dedup();
-        let half = |places: &mut dyn Iterator<Item = Vec2>| {
+    /// The convex hull of points, by the monotone chain of Andrew 1979 ("Another efficient algorithm for convex hulls in two
+    /// dimensions", Information Processing Letters 9).
+    pub fn hull(points: impl Iterator<Item = Vec2>) -> Self {
+        let mut points: Vec<Vec2> = points.collect();
+        points.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
+        points.dedup();
+        let half_hull = |points: &mut dyn Iterator<Item = Vec2>| {
             let mut chain: Vec<Vec2> = Vec::new();
-            for place in places {
+            for point in points {
                 while let [.., a, b] = chain[..]
-                    && (b - a).perp_dot(place - a) <= 0.0
+                    && (b - a).perp_dot(point - a) <= 0.0
                 {
                     chain.pop();
                 }
-                chain.push(place);
+                chain.push(point);
             }
-            // The last is the first of the other half.
+            // The last point is the first of the other half.
             if chain.len() > 1 {
                 chain.pop();
             }
             chain
         };
-        let mut corners = half(&mut places.iter().copied());
-        if places.len() > 1 {
-            corners.extend(half(&mut places.iter().rev().copied()));
+        let mut corners = half_hull(&mut points.iter().copied());
+        if points.len() > 1 {
+            corners.extend(half_hull(&mut points.iter().rev().copied()));
         }
         Self { corners }
     }
@@ -78,16 +80,16 @@ impl Footprint {
         Self { corners: self.corners.iter().map(|&corner| map(corner)).collect() }
     }
 
-    /// The least and the greatest x of the part between two y, if there is one.
+    /// Minimum and maximum x of the part between two y; `None` if there is no such part.
     #[must_use]
     pub fn span(&self, south: f32, north: f32) -> Option<[f32; 2]> {
         let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
         for (from, to) in self.corners.iter().zip(self.corners.iter().cycle().skip(1)) {
             let rise = to.y - from.y;
-            let share = |y: f32| if rise == 0.0 { 0.0 } else { ((y - from.y) / rise).clamp(0.0, 1.0) };
-            // What part of the side lies between the two; of one that runs along x all or nothing.
+            let parameter = |y: f32| if rise == 0.0 { 0.0 } else { ((y - from.y) / rise).clamp(0.0, 1.0) };
+            // The part of the edge between the two; of an edge along x all or nothing.
             let reaches = from.y.min(to.y) <= north && from.y.max(to.y) >= south;
-            let ends = if rise == 0.0 { [0.0, 1.0] } else { [share(south), share(north)] };
+            let ends = if rise == 0.0 { [0.0, 1.0] } else { [parameter(south), parameter(north)] };
             for x in ends.map(|t| from.x + (to.x - from.x) * t).into_iter().filter(|_| reaches) {
                 (low, high) = (low.min(x), high.max(x));
             }
@@ -117,8 +119,9 @@ impl Footprint {
     }
 }
 
-/// Where three of some planes meet (normals inward, distance in w) and no other cuts it off.
-fn corners(planes: &[DVec4]) -> impl Iterator<Item = DVec3> {
+/// The corners of the polytope that planes bound (normals inward, distance in w): where three planes meet on the inner side of all
+/// others.
+fn polytope_corners(planes: &[DVec4]) -> impl Iterator<Item = DVec3> {
     let count = planes.len();
     let triples = (0..count).flat_map(move |a| (0..a).flat_map(move |b| (0..b).map(move |c| [a, b, c])));
     triples.filter_map(move |triple| {
@@ -138,16 +141,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn hull_and_its_part_in_a_square() {
-        let places = [(0.0, 0.0), (4.0, 0.0), (2.0, 1.0), (4.0, 4.0), (0.0, 4.0), (2.0, 0.0), (0.0, 0.0)];
-        let hull = Footprint::around(places.iter().map(|&(x, y)| Vec2::new(x, y)));
+    fn hull_is_clipped_to_a_square_and_has_spans() {
+        let points = [(0.0, 0.0), (4.0, 0.0), (2.0, 1.0), (4.0, 4.0), (0.0, 4.0), (2.0, 0.0), (0.0, 0.0)];
+        let hull = Footprint::hull(points.iter().map(|&(x, y)| Vec2::new(x, y)));
         let square = [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)].map(|(x, y)| Vec2::new(x, y));
         assert_eq!(hull.corners, square);
         let part = hull.within(Vec2::new(4.0, 4.0), 1.0);
-        assert_eq!(Footprint::around(part.corners.into_iter()).corners.len(), 4);
+        assert_eq!(Footprint::hull(part.corners.into_iter()).corners.len(), 4);
         assert!(hull.within(Vec2::splat(9.0), 1.0).corners.is_empty());
         let triangle =
-            Footprint::around([(0.0, 0.0), (4.0, 0.0), (0.0, 4.0)].iter().map(|&(x, y)| Vec2::new(x, y)));
+            Footprint::hull([(0.0, 0.0), (4.0, 0.0), (0.0, 4.0)].iter().map(|&(x, y)| Vec2::new(x, y)));
         assert_eq!(triangle.span(1.0, 2.0), Some([0.0, 3.0]));
         assert_eq!(triangle.span(-1.0, 0.0), Some([0.0, 4.0]));
         assert_eq!(triangle.span(-1.0, 9.0), Some([0.0, 4.0]));
@@ -155,14 +158,14 @@ mod tests {
     }
 
     #[test]
-    fn corners_of_a_cube_that_a_plane_cuts() {
+    fn plane_cuts_a_corner_off_a_cube() {
         let mut planes: Vec<DVec4> = [DVec3::X, DVec3::Y, DVec3::Z]
             .into_iter()
             .flat_map(|axis| [axis.extend(1.0), (-axis).extend(1.0)])
             .collect();
-        assert_eq!(corners(&planes).count(), 8);
+        assert_eq!(polytope_corners(&planes).count(), 8);
         // One corner less, and a triangle in its place.
         planes.push(DVec4::new(-1.0, -1.0, -1.0, 2.0));
-        assert_eq!(corners(&planes).count(), 10);
+        assert_eq!(polytope_corners(&planes).count(), 10);
     }
 }

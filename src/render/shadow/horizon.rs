@@ -99,7 +99,7 @@ impl HorizonMap {
             let beyond = 2.0 * terrain.half_extent_m;
             let corners = [Vec2::ONE, Vec2::NEG_ONE, Vec2::new(1.0, -1.0), Vec2::new(-1.0, 1.0)];
             let corners = corners.into_iter().map(|corner| terrain.centre + beyond * corner);
-            self.compute(terrain, sun, &Footprint::around(corners));
+            self.compute(terrain, sun, &Footprint::hull(corners));
         } else {
             self.compute(terrain, sun, footprint);
         }
@@ -218,7 +218,7 @@ mod tests {
         let corners =
             [Vec2::splat(-100.0), Vec2::splat(100.0), Vec2::new(-100.0, 100.0), Vec2::new(100.0, -100.0)];
         let mut map = HorizonMap::default();
-        map.update(&Arc::new(terrain), &sun, &Footprint::around(corners.into_iter()));
+        map.update(&Arc::new(terrain), &sun, &Footprint::hull(corners.into_iter()));
         let level = map.levels[0];
         // Beyond 13 m the shadow of the ridge has reached the ground.
         for x in [-5.0_f32, -8.0, -12.0] {
@@ -241,7 +241,7 @@ mod tests {
         let sun = Sun::new(8.0, 230.0, 0.53, Vec3::ONE);
         let part = |x: f32| {
             let corners = [(0.0, 0.0), (20.0, 5.0), (15.0, 30.0)];
-            Footprint::around(corners.into_iter().map(move |(dx, y)| Vec2::new(x + dx, y)))
+            Footprint::hull(corners.into_iter().map(move |(dx, y)| Vec2::new(x + dx, y)))
         };
         let mut map = HorizonMap::default();
         assert!(map.update(&terrain, &sun, &part(0.0)));
