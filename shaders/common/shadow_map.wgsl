@@ -20,7 +20,7 @@ const SIN_GOLDEN_ANGLE: f32 = 0.67549029;
 // Whether the ground is made of rings, each with grids over twice the one before.
 override RINGS: bool;
 
-const ASK_HORIZON: u32 = 0x80000000u;
+const TEST_HORIZON: u32 = 0x80000000u;
 const SEARCH_TAPS: i32 = 8;
 const FILTER_TAPS: i32 = 20;
 // Radius of a filter that is not worth more than one tap, texels.
@@ -51,8 +51,8 @@ fn grid_cell(position: vec3<f32>) -> GridCell {
     let cell = clamp(vec2<i32>(floor((position.xy - origin) * cells_per_m)), vec2(0), vec2(cells - 1));
     let index = u32((level * cells + cell.y) * cells + cell.x);
     let start = caster_grid[index];
-    let end = caster_grid[index + 1u] & ~ASK_HORIZON;
-    return GridCell(start & ~ASK_HORIZON, end, (start & ASK_HORIZON) != 0u);
+    let end = caster_grid[index + 1u] & ~TEST_HORIZON;
+    return GridCell(start & ~TEST_HORIZON, end, (start & TEST_HORIZON) != 0u);
 }
 
 // Of grids that each reach twice as far as the one before, the first that reaches so far.
