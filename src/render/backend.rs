@@ -1,4 +1,4 @@
-//! Which backend rasterises: the device, or the CPU rasteriser of this program (the host).
+//! Which backend rasterises: the device, or the host with its CPU rasteriser.
 //!
 //! The host backend exists because a software adapter runs every stage of a pipeline on the CPU anyway, and slower than the CPU
 //! rasteriser does. Labels agree to within the rounding of vertex positions.
@@ -70,7 +70,7 @@ impl RasterOptions {
     /// Options of a mode on a device.
     ///
     /// # Errors
-    /// [`Error::Usage`] for [`RasterMode::Host`] on a device to whose stencil textures nothing can be copied.
+    /// [`Error::Usage`] for [`RasterMode::Host`] on a device that cannot copy to stencil textures.
     pub fn new(mode: RasterMode, gpu: &Gpu) -> Result<Self> {
         let backend = |is_host| if is_host { RasterBackend::Host } else { RasterBackend::Device };
         let (shadow, visibility) = match mode {

@@ -37,6 +37,7 @@ pub(crate) enum ShadowBackend {
 }
 
 impl ShadowBackend {
+    /// A backend that has rasterised nothing yet.
     pub(crate) fn new(backend: RasterBackend) -> Self {
         match backend {
             RasterBackend::Device => Self::Device(ShadowPass::default()),
@@ -52,7 +53,7 @@ impl ShadowBackend {
         }
     }
 
-    /// Makes everything ready for [`Self::record`], with a map of exactly so many columns and rows. Returns the bytes that were
+    /// Prepares everything for [`Self::record`], with a map of exactly this many columns and rows. Returns the bytes that were
     /// uploaded.
     ///
     /// # Errors
@@ -95,7 +96,7 @@ impl ShadowBackend {
         timer: Option<&Timer>,
     ) {
         if let Self::Device(pass) = self {
-            let timestamps = timer.map(|timer| timer.both_passes(Pass::Shadow));
+            let timestamps = timer.map(|timer| timer.render_and_compute_pass(Pass::Shadow));
             pass.record(encoder, meshes, casters, groups, timestamps);
         }
     }

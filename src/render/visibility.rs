@@ -60,6 +60,7 @@ pub(crate) enum VisibilityBackend {
 }
 
 impl VisibilityBackend {
+    /// A backend that has rasterised nothing yet.
     pub(crate) fn new(backend: RasterBackend) -> Self {
         match backend {
             RasterBackend::Device => Self::Device(VisibilityPass::default()),
@@ -85,7 +86,7 @@ impl VisibilityBackend {
         }
     }
 
-    /// Makes everything ready for [`Self::record`], and notes in the G-buffer which batches it has. Returns the bytes that were
+    /// Prepares everything for [`Self::record`], and sets the G-buffer's batches and background. Returns the bytes that were
     /// uploaded.
     ///
     /// # Errors
@@ -208,7 +209,7 @@ impl VisibilityRaster {
         let rows_at_once = (STAGING_BYTES / row_bytes as u32).clamp(1, height);
         let staging =
             StagingBuffer::with_capacity(staging, gpu, "gbuffer/staging", row_bytes * rows_at_once as usize)?;
-        // Where there was a surface in the frame before there may be nothing but sky now.
+        // Rows that only the frame before covered are cleared.
         let covered = self.triangles.surface_rows();
         let before = std::mem::replace(&mut gbuffer.written_rows, covered.clone());
         let written = [covered, before].into_iter().filter(|rows| !rows.is_empty());

@@ -1,4 +1,5 @@
-//! Times of the passes, taken by the device.
+//! Times of the stages: timestamps that the device takes at the start and end of each pass.
+//! Must not know: what a pass draws.
 
 use wgpu::{BufferUsages, Features};
 
@@ -17,7 +18,7 @@ pub(crate) fn milliseconds(duration: std::time::Duration) -> f64 {
     duration.as_secs_f64() * 1e3
 }
 
-/// The passes that are timed, in their order.
+/// The stages that the device can time, in their order.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Pass {
     Shadow,
@@ -41,8 +42,9 @@ impl Pass {
 }
 
 const QUERIES: u32 = 2 * Pass::COUNT as u32;
-/// Bytes from the times of one pass to those of the next: queries are resolved to multiples of this.
+/// Offset from the timestamps of one pass to those of the next, which WebGPU aligns.
 const PASS_BYTES: u64 = wgpu::QUERY_RESOLVE_BUFFER_ALIGNMENT;
+/// Size of the buffer that queries are resolved to.
 const BYTES: u64 = PASS_BYTES * Pass::COUNT as u64;
 
 /// Timestamps at the start and end of every pass.
@@ -71,8 +73,8 @@ impl Timer {
         })
     }
 
-    /// Of a stage that is two passes, the start of one and the end of the other.
-    pub(crate) fn both_passes(
+    /// Timestamps of a stage of two passes: at the start of its render pass and at the end of its compute pass.
+    pub(crate) fn render_and_compute_pass(
         &self,
         pass: Pass,
     ) -> (wgpu::RenderPassTimestampWrites<'_>, wgpu::ComputePassTimestampWrites<'_>) {
@@ -85,6 +87,7 @@ impl Timer {
         )
     }
 
+    /// Timestamps at start and end of a stage that is a render pass.
     pub(crate) const fn render_pass(&self, pass: Pass) -> wgpu::RenderPassTimestampWrites<'_> {
         wgpu::RenderPassTimestampWrites {
             query_set: &self.queries,
@@ -93,6 +96,7 @@ impl Timer {
         }
     }
 
+    /// Timestamps at start and end of a stage that is a compute pass.
     pub(crate) const fn compute_pass(&self, pass: Pass) -> wgpu::ComputePassTimestampWrites<'_> {
         wgpu::ComputePassTimestampWrites {
             query_set: &self.queries,
