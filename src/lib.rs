@@ -5,12 +5,10 @@
 //! 1. [`params::sampler::Config`] gathers defaults, preset, file and `--set`; its `draw` gives [`params::Params`]:
 //!    every value of one frame, checked.
 //! 2. [`scene::Scene::build`] makes the scene of a seed: meshes, materials, sun, camera; plain data.
-//! 3. [`render::gpu_scene::GpuScene::upload`] chooses what this camera and this sun can see of it and writes that
-//!    to buffers.
-//! 4. [`render::Renderer::render`] draws it: shadow atlas, what each sample shows, then one lighting pass that writes
-//!    colour **and** class id of what is seen, then the resolve of samples to pixels.
-//! 5. A [`frame::Frame`] comes back: planes of bytes.
-//! 6. [`output`] encodes it and writes whole files.
+//! 3. [`render::Renderer::render`] plans what this camera and this sun need of it, uploads that, and draws: shadow map, visibility,
+//!    lighting, which writes colour **and** class id of each sample in one draw, then the resolve of samples to pixels.
+//! 4. A [`frame::Frame`] comes back: planes of bytes.
+//! 5. [`output`] encodes it and writes whole files.
 //!
 //! [`dataset`] does this thousands of times, checked and resumable; [`bench`] measures how fast.
 //!
