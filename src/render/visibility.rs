@@ -1,6 +1,6 @@
 //! Visibility: the nearest surface at each sample, written to the G-buffer by one of two backends with the same stages:
 //! `prepare`, `record`.
-//! Must not know: lighting.
+//! Must not know: how surfaces are shaded.
 
 pub mod device;
 pub mod geometry;
