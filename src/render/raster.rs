@@ -18,6 +18,7 @@ pub mod clip;
 #[cfg(test)]
 pub(in crate::render) mod coverage;
 pub mod cull;
+mod edge;
 pub mod fill;
 pub mod fixed_point;
 pub mod lanes;

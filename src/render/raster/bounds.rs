@@ -7,7 +7,6 @@ use std::ops::Range;
 use fearless_simd::prelude::*;
 use fearless_simd::{i32x8, mask32x8};
 
-use super::cull::CullMode;
 use super::fixed_point::{SUBPIXEL_BITS, SUBPIXEL_STEPS, SubpixelPoint};
 
 /// A triangle that spans fewer pixels than this along both axes is small: 32 bits hold its area and its edge functions.
@@ -80,17 +79,5 @@ impl<S: Simd> Bounds8<S> {
             ((low + (SUBPIXEL_STEPS - 1)) >> SUBPIXEL_BITS as u32).max(i32x8::splat(simd, first)),
             (high >> SUBPIXEL_BITS as u32).min(i32x8::splat(simd, end - 1)),
         ]
-    }
-
-    /// Which triangles survive culling: bounds that hold a pixel centre, and a side that is drawn. Large triangles count as
-    /// facing the camera, for their area is not known here.
-    #[inline(always)]
-    pub(super) fn survives(&self, cull_mode: CullMode) -> mask32x8<S> {
-        let has_pixels = self.columns[1].simd_ge(self.columns[0]) & self.rows[1].simd_ge(self.rows[0]);
-        let is_facing = match cull_mode {
-            CullMode::Back => self.twice_area.simd_lt(0),
-            CullMode::None => self.twice_area.simd_lt(0) | self.twice_area.simd_gt(0),
-        };
-        has_pixels & (is_facing | !self.is_small)
     }
 }

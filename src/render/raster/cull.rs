@@ -4,6 +4,7 @@
 
 use std::ops::Range;
 
+use fearless_simd::mask32x8;
 use fearless_simd::prelude::*;
 
 use super::bounds::Bounds8;
@@ -85,7 +86,7 @@ impl Survivors {
                 }
             }
             let bounds = Bounds8::new(simd, load_i32(simd, &x), load_i32(simd, &y), width, rows);
-            let survives = bounds.survives(cull_mode).to_bitmask();
+            let survives = survives(&bounds, cull_mode).to_bitmask();
             for lane in 0..LANES {
                 survivors.indices[survivors.count] = (index + lane) as u16;
                 survivors.count += (survives >> lane & 1) as usize;
@@ -100,6 +101,18 @@ impl Survivors {
     pub fn indices(&self) -> &[u16] {
         &self.indices[..self.count]
     }
+}
+
+/// Which of eight triangles survive culling: bounds that hold a pixel centre, and a side that is drawn. Large triangles count as
+/// facing the camera, for their area is not known here.
+#[inline(always)]
+fn survives<S: Simd>(bounds: &Bounds8<S>, cull_mode: CullMode) -> mask32x8<S> {
+    let has_pixels = bounds.columns[1].simd_ge(bounds.columns[0]) & bounds.rows[1].simd_ge(bounds.rows[0]);
+    let is_facing = match cull_mode {
+        CullMode::Back => bounds.twice_area.simd_lt(0),
+        CullMode::None => bounds.twice_area.simd_lt(0) | bounds.twice_area.simd_gt(0),
+    };
+    has_pixels & (is_facing | !bounds.is_small)
 }
 
 #[cfg(test)]

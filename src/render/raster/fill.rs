@@ -8,9 +8,9 @@ use fearless_simd::prelude::*;
 use fearless_simd::{f32x8, i32x8, mask32x8};
 
 use super::bounds::PixelBounds;
+use super::edge::{Edge, EdgeFunction};
 use super::fixed_point::SUBPIXEL_STEPS;
 use super::lanes::{BLOCK_HEIGHT, BLOCK_WIDTH, block_offsets};
-use super::setup::{Edge, EdgeFunction};
 
 /// Takes the pixels that a triangle covers: depth test and output.
 pub trait FragmentSink<S: Simd> {

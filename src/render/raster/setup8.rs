@@ -11,10 +11,11 @@ use glam::Vec2;
 
 use super::bounds::{Bounds8, PixelBounds};
 use super::cull::Winding;
+use super::edge::EdgeFunction;
 use super::fill::{FragmentSink, fill_small};
 use super::fixed_point::{SUBPIXEL_STEPS, SubpixelPoint};
 use super::lanes::{LANES, load_f32, load_i32};
-use super::setup::{EdgeFunction, Interpolant};
+use super::setup::Interpolant;
 
 /// Vertices of eight triangles: one array of lanes for each corner and component.
 #[derive(Clone, Copy, Debug)]
@@ -121,7 +122,7 @@ impl<const N: usize> TriangleSetup8<N> {
         setup
     }
 
-    /// Edge functions of front faces, as `Edge::from_pixel` of [`super::setup`].
+    /// Edge functions of front faces, as [`super::edge::Edge::from_pixel`].
     #[inline(always)]
     fn set_edges<S: Simd>(
         &mut self,

@@ -17,7 +17,8 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-pub use screen_mesh::{ScreenMesh, ScreenTriangle, ScreenVertex};
+pub use projection::ScreenVertex;
+pub use screen_mesh::{ScreenMesh, ScreenTriangle};
 
 use crate::render::device::shading_bins::{ShadingBins, ShadowSources};
 use crate::render::lighting::relief_bands::ReliefBands;

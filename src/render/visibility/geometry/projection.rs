@@ -6,7 +6,6 @@ use std::ops::Range;
 
 use glam::{Mat4, UVec2, Vec2, Vec3, Vec4};
 
-use super::screen_mesh::ScreenVertex;
 use crate::render::raster::clip::clip_polygon;
 use crate::render::raster::fixed_point::{GUARD_BAND_PX, SUBPIXEL_STEPS, SubpixelPoint};
 use crate::render::raster::lanes::{VERTEX_BATCH, to_soa};
@@ -41,6 +40,30 @@ pub(super) struct ClipVertex {
     pub(super) normal: Vec3,
     /// Its index among the vertices of the mesh, if it is one that needs no clipping.
     pub(super) index: Option<u32>,
+}
+
+/// A projected vertex.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ScreenVertex {
+    /// Among the samples.
+    pub position: SubpixelPoint,
+    /// The same before it was rounded, samples from the centre of the first.
+    pub position_px: Vec2,
+    /// Inverse depth along the optical axis, 1/m; 0 of a vertex that needs clipping and has no position: nearer than the near
+    /// plane, or outside the guard band.
+    pub inverse_w: f32,
+    /// Its normal times that.
+    pub normal_per_w: Vec3,
+}
+
+impl ScreenVertex {
+    /// The attributes that are linear over the image: inverse depth, and the normal times that.
+    #[must_use]
+    #[inline(always)]
+    pub fn attributes(&self) -> [f32; 4] {
+        let [x, y, z] = self.normal_per_w.to_array();
+        [self.inverse_w, x, y, z]
+    }
 }
 
 impl Projection {

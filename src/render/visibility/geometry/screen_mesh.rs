@@ -3,14 +3,13 @@
 //! Must not know: what the mesh is of.
 
 use fearless_simd::{Level, dispatch};
-use glam::{Vec2, Vec3};
+use glam::Vec3;
 
 use super::face_normal::packed_face_normal;
-use super::projection::{ClipVertex, Projection};
+use super::projection::{ClipVertex, Projection, ScreenVertex};
 use crate::render::device::shading_bins::{ShadingBin, ShadowSources};
 use crate::render::raster::bounds::{PixelBounds, pixel_bounds};
 use crate::render::raster::cull::{CULL_BATCH, CullMode, Survivors, Winding};
-use crate::render::raster::fixed_point::SubpixelPoint;
 use crate::render::raster::lanes::VERTEX_BATCH;
 use crate::render::raster::setup::{Interpolant, TriangleSetup};
 use crate::render::select::ground_blocks::BLOCK_CELLS;
@@ -22,30 +21,6 @@ pub(super) const SHADOW_SOURCES: usize = ShadowSources::ALL.len();
 
 // A row of cells of a ground block is culled at once, two triangles per cell.
 const _: () = assert!(CULL_BATCH >= 2 * BLOCK_CELLS as usize);
-
-/// A projected vertex.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct ScreenVertex {
-    /// Among the samples.
-    pub position: SubpixelPoint,
-    /// The same before it was rounded, samples from the centre of the first.
-    pub position_px: Vec2,
-    /// Inverse depth along the optical axis, 1/m; 0 of a vertex that needs clipping and has no position: nearer than the near
-    /// plane, or outside the guard band.
-    pub inverse_w: f32,
-    /// Its normal times that.
-    pub normal_per_w: Vec3,
-}
-
-impl ScreenVertex {
-    /// The attributes that are linear over the image: inverse depth, and the normal times that.
-    #[must_use]
-    #[inline(always)]
-    pub fn attributes(&self) -> [f32; 4] {
-        let [x, y, z] = self.normal_per_w.to_array();
-        [self.inverse_w, x, y, z]
-    }
-}
 
 /// A triangle that may cover samples: a front face, by the order of its vertices.
 #[derive(Clone, Copy, Debug)]
