@@ -14,7 +14,7 @@ use std::time::Instant;
 use serde_json::{Map, Value, json};
 
 use crate::dataset::plan::{Plan, frame_seed};
-use crate::dataset::{self, Pace};
+use crate::dataset::{self, Concurrency};
 use crate::error::{Error, Result};
 use crate::output::disk;
 use crate::params::Knob;
@@ -131,7 +131,7 @@ pub struct Setup {
     /// What is drawn.
     pub plan: Plan,
     /// How much is done at a time; threads are for datasets.
-    pub pace: Pace,
+    pub concurrency: Concurrency,
     /// Frames that count.
     pub frames: u64,
 }
@@ -156,14 +156,14 @@ fn measure(
     renderer: &mut Renderer,
     mut next: impl FnMut(u64) -> Result<(Arc<Scene>, StageTimes)>,
 ) -> Result<Measured> {
-    let Setup { plan, pace, frames } = setup;
+    let Setup { plan, concurrency, frames } = setup;
     let mut measured = Measured::default();
     let mut flying = VecDeque::new();
     let (mut begun, mut last) = (Instant::now(), Instant::now());
     let total = WARM_UP + frames;
     let (mut submitted, mut finished) = (0, 0);
     while finished < total {
-        if submitted < total && flying.len() < pace.frames_in_flight {
+        if submitted < total && flying.len() < concurrency.frames_in_flight {
             let (scene, times) = next(submitted)?;
             let in_flight = renderer.submit(&scene, &plan.settings)?;
             flying.push_back((scene, times, in_flight));
@@ -198,7 +198,7 @@ fn moving(setup: &Setup, sun_moves: bool, renderer: &mut Renderer) -> Result<Mea
     let fov_deg = params.number(Knob::CameraFovDeg);
     // A scene for each frame that can be in flight, so that none is copied while frames are measured.
     let mut scenes: Vec<Arc<Scene>> =
-        (0..setup.pace.frames_in_flight).map(|_| Arc::new(still.clone())).collect();
+        (0..setup.concurrency.frames_in_flight).map(|_| Arc::new(still.clone())).collect();
     scenes.push(Arc::new(still));
     measure(setup, renderer, |frame| {
         let turn = std::f64::consts::TAU * (frame % PERIOD) as f64 / PERIOD as f64;
@@ -236,21 +236,28 @@ fn dataset(setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Meas
     let mut measured = Measured::default();
     let (mut begun, mut last, mut done) = (Instant::now(), Instant::now(), 0);
     let indices = 0..WARM_UP + setup.frames;
-    dataset::make(&setup.plan, renderer, indices, setup.pace, &AtomicBool::new(false), |frame| {
-        disk::write_all(folder, &frame.placed.files)?;
-        done += 1;
-        if done <= WARM_UP {
-            begun = Instant::now();
-        } else {
-            measured.frames_ms.push(last.elapsed().as_secs_f64() * 1e3);
-            measured.stages.push(frame.times);
-            measured.triangles.push(frame.cost.triangles as f64);
-            measured.upload_bytes.push(frame.cost.uploaded_bytes as f64);
-            measured.readback_bytes = frame.cost.readback_bytes;
-        }
-        last = Instant::now();
-        Ok(())
-    })?;
+    dataset::render_frames(
+        &setup.plan,
+        renderer,
+        indices,
+        setup.concurrency,
+        &AtomicBool::new(false),
+        |frame| {
+            disk::write_all(folder, &frame.files.files)?;
+            done += 1;
+            if done <= WARM_UP {
+                begun = Instant::now();
+            } else {
+                measured.frames_ms.push(last.elapsed().as_secs_f64() * 1e3);
+                measured.stages.push(frame.times);
+                measured.triangles.push(frame.cost.triangles as f64);
+                measured.upload_bytes.push(frame.cost.uploaded_bytes as f64);
+                measured.readback_bytes = frame.cost.readback_bytes;
+            }
+            last = Instant::now();
+            Ok(())
+        },
+    )?;
     measured.total_ms = begun.elapsed().as_secs_f64() * 1e3;
     Ok(measured)
 }
@@ -365,7 +372,7 @@ pub fn sweep(name: &str, setup: &Setup) -> Result<(&'static str, Vec<(f64, Setup
         "frames-in-flight" => {
             for frames in 1..=4_usize {
                 with(frames as f64, &|setup| {
-                    setup.pace.frames_in_flight = frames;
+                    setup.concurrency.frames_in_flight = frames;
                     Ok(())
                 })?;
             }
@@ -375,7 +382,7 @@ pub fn sweep(name: &str, setup: &Setup) -> Result<(&'static str, Vec<(f64, Setup
             let cores = std::thread::available_parallelism().map_or(1, usize::from);
             for threads in (0..).map(|power| 1_usize << power).take_while(|threads| *threads <= 2 * cores) {
                 with(threads as f64, &|setup| {
-                    setup.pace.threads = threads;
+                    setup.concurrency.threads = threads;
                     Ok(())
                 })?;
             }

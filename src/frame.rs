@@ -122,7 +122,7 @@ impl RockLabel {
 }
 
 /// Statistics of the 8-bit picture over all pixels and channels.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct RgbStatistics {
     /// Mean value.
     pub mean: f64,

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use regolith::bench::{self, Case, Curve, Measured, SWEEPS, Setup};
-use regolith::dataset::Pace;
+use regolith::dataset::Concurrency;
 use regolith::dataset::plan::{Plan, Range, Shard};
 use regolith::dataset::rules::Rules;
 use regolith::output::{self, Artifact, disk, layout};
@@ -104,8 +104,8 @@ fn setup(args: &BenchArgs) -> Result<Setup> {
         shard: Shard::WHOLE,
     };
     let threads = args.threads.map_or_else(super::dataset::cores, usize::from);
-    let pace = Pace { threads, frames_in_flight: args.frames_in_flight.into() };
-    Ok(Setup { plan, pace, frames: args.frames })
+    let concurrency = Concurrency { threads, frames_in_flight: args.frames_in_flight.into() };
+    Ok(Setup { plan, concurrency, frames: args.frames })
 }
 
 /// Measures in a folder that goes away.
@@ -138,7 +138,7 @@ fn measure(
             "cores": super::dataset::cores(),
             "size": settings.size,
             "samples": settings.samples_per_side.pow(2),
-            "frames_in_flight": setup.pace.frames_in_flight,
+            "frames_in_flight": setup.concurrency.frames_in_flight,
             "stage": setup.plan.config.distribution(Knob::StageName).to_json(false),
             "cases": cases,
             "peak_rss_bytes": bench::peak_rss_bytes(),

@@ -36,11 +36,11 @@ pub(super) fn run(args: &ConvertArgs, messages: Messages) -> Result<()> {
         meter.show([found, made, conversion.frames()], "");
     });
     meter.finish();
-    let settled = result?;
+    let finalized = result?;
     if args.json {
         let summary = json!({
-            "out": args.out, "format": args.format, "frames": settled.manifest["n_completed"],
-            "status": settled.manifest["status"],
+            "out": args.out, "format": args.format, "frames": finalized.manifest["n_completed"],
+            "status": finalized.manifest["status"],
         });
         return print(&format!("{summary:#}\n"));
     }

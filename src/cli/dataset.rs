@@ -8,10 +8,13 @@ use std::time::Instant;
 
 use clap::Args;
 use regolith::class::ClassId;
-use regolith::dataset::journal::{self, Contents, Journal, Settled};
+use regolith::dataset::lock;
+use regolith::dataset::log_writer::FrameLogWriter;
+use regolith::dataset::manifest::DatasetSpec;
+use regolith::dataset::merge::{Finalized, finalize};
 use regolith::dataset::plan::{self, MAX_FRAMES, Plan, Range, frame_seed};
 use regolith::dataset::rules::Rules;
-use regolith::dataset::{self, Pace, Progress};
+use regolith::dataset::{self, Concurrency, Progress};
 use regolith::output;
 use regolith::output::layout::{self, LAYOUTS, webdataset::archive_end};
 use regolith::render::Renderer;
@@ -89,36 +92,33 @@ pub(super) fn run(args: &DatasetArgs, messages: Messages) -> Result<()> {
         return dry_run(args, &plan);
     }
     let stop = stop_on_signals()?;
-    let pace = Pace::of_threads(args.threads.map_or_else(cores, usize::from));
+    let concurrency = Concurrency::with_threads(args.threads.map_or_else(cores, usize::from));
     if args.out.as_os_str() == "-" {
-        return stream(args, messages, &plan, pace, &stop);
+        return stream(args, messages, &plan, concurrency, &stop);
     }
-    let contents = Contents::of_plan(&plan);
-    let done = Journal::check(&args.out, &contents, args.force)?;
-    if (plan.range.start..plan.range.end())
-        .filter(|index| plan.shard.has(*index))
-        .all(|index| done.contains(&index))
-    {
-        if !Journal::is_begun(&args.out)? {
+    let spec = DatasetSpec::of_plan(&plan);
+    let finished = lock::check_folder(&args.out, &spec, args.force)?;
+    if plan.own_indices().all(|index| finished.contains(&index)) {
+        if !lock::has_manifest(&args.out)? {
             // The manifest was lost, and --force says that the frames are this run's.
-            drop(Journal::open(&args.out, &contents, args.force)?);
+            drop(FrameLogWriter::open(&args.out, &spec, args.force)?);
         }
-        return report(args, messages, None, &journal::settle(&args.out)?, 0.0);
+        return report(args, messages, None, &finalize(&args.out)?, 0.0);
     }
     let start = Instant::now();
     // Before the folder is made, so that a machine without an adapter leaves nothing.
     let gpu = device::open(args.picture.adapter.as_deref())?;
-    let journal = Journal::open(&args.out, &contents, args.force)?;
+    let log = FrameLogWriter::open(&args.out, &spec, args.force)?;
     messages.note(format_args!("rendering on {}", regolith::gpu::adapter::describe(&gpu.info)));
     let mut renderer = Renderer::with_raster(gpu, args.picture.raster)?;
     super::inject_fault(&renderer);
     let mut meter = Meter::new(messages, "frames");
     let result =
-        dataset::run(&plan, &mut renderer, journal, pace, &stop, |progress| show(&mut meter, progress));
+        dataset::run(&plan, &mut renderer, log, concurrency, &stop, |progress| show(&mut meter, progress));
     meter.finish();
-    let (progress, settled) = result?;
+    let (progress, finalized) = result?;
     device::store_pipelines(renderer.gpu());
-    report(args, messages, Some(&progress), &settled, start.elapsed().as_secs_f64())
+    report(args, messages, Some(&progress), &finalized, start.elapsed().as_secs_f64())
 }
 
 pub(super) fn cores() -> usize {
@@ -171,7 +171,13 @@ pub(super) fn stop_on_signals() -> Result<Arc<AtomicBool>> {
 }
 
 /// Writes the archive of a WebDataset to standard output, in order.
-fn stream(args: &DatasetArgs, messages: Messages, plan: &Plan, pace: Pace, stop: &AtomicBool) -> Result<()> {
+fn stream(
+    args: &DatasetArgs,
+    messages: Messages,
+    plan: &Plan,
+    concurrency: Concurrency,
+    stop: &AtomicBool,
+) -> Result<()> {
     if plan.format != "webdataset" || !plan.splits.is_empty() {
         return Err(Error::Usage(
             "--out - streams one archive: it needs --format webdataset and no --split".to_owned(),
@@ -191,9 +197,9 @@ fn stream(args: &DatasetArgs, messages: Messages, plan: &Plan, pace: Pace, stop:
         }
         result => result.map_err(Error::Stdout),
     };
-    let result = dataset::stream(plan, &mut renderer, pace, stop, |placed, progress| {
+    let result = dataset::stream(plan, &mut renderer, concurrency, stop, |frame, progress| {
         show(&mut meter, progress);
-        placed.files.iter().try_for_each(|file| write(&file.bytes))
+        frame.files.iter().try_for_each(|file| write(&file.bytes))
     });
     meter.finish();
     if closed.load(Ordering::Relaxed) {
@@ -212,9 +218,8 @@ fn stream(args: &DatasetArgs, messages: Messages, plan: &Plan, pace: Pace, stop:
 
 /// Prints the knobs of the first frames.
 fn dry_run(args: &DatasetArgs, plan: &Plan) -> Result<()> {
-    let indices = (plan.range.start..plan.range.end()).filter(|index| plan.shard.has(*index));
     let mut rows = Vec::new();
-    for index in indices.take(DRY_FRAMES as usize) {
+    for index in plan.own_indices().take(DRY_FRAMES as usize) {
         let seed = frame_seed(plan.base_seed, index, 0);
         rows.push((index, seed, plan.config.draw(seed)?.to_json()));
     }
@@ -256,9 +261,9 @@ fn dry_run(args: &DatasetArgs, plan: &Plan) -> Result<()> {
 
 /// Settles the folder without rendering.
 fn merge(args: &DatasetArgs, messages: Messages) -> Result<()> {
-    let settled = journal::settle(&args.out)?;
-    report(args, messages, None, &settled, 0.0)?;
-    match settled.missing.as_slice() {
+    let finalized = finalize(&args.out)?;
+    report(args, messages, None, &finalized, 0.0)?;
+    match finalized.missing.as_slice() {
         [] => Ok(()),
         missing => Err(Error::CheckFailed(format!(
             "{} frames are missing from {}: {}. Make them with their --shard, or copy the other shards here",
@@ -279,10 +284,10 @@ fn report(
     args: &DatasetArgs,
     messages: Messages,
     run: Option<&Progress>,
-    settled: &Settled,
+    finalized: &Finalized,
     seconds: f64,
 ) -> Result<()> {
-    let manifest = &settled.manifest;
+    let manifest = &finalized.manifest;
     let ms: serde_json::Map<String, Value> = run
         .map(|run| {
             run.times
@@ -297,7 +302,7 @@ fn report(
             "frames": manifest["n_completed"],
             "made": run.map_or(0, |run| run.made),
             "redraws": run.map_or(0, |run| run.redraws),
-            "missing": settled.missing,
+            "missing": finalized.missing,
             "seconds": seconds,
             "ms_per_frame": ms,
             "status": manifest["status"],
@@ -326,7 +331,7 @@ fn report(
     let stages: Vec<String> =
         ms.iter().map(|(name, ms)| format!("{name} {:.1}", ms.as_f64().unwrap_or(0.0))).collect();
     messages.detail(format_args!("milliseconds of work a frame: {}", stages.join(", ")));
-    if settled.missing.is_empty() {
+    if finalized.missing.is_empty() {
         let sheet = if args.out.join("contact_sheet.png").is_file() { "contact_sheet.png, " } else { "" };
         messages.note(format_args!(
             "whole: {} frames in {}; see {sheet}histograms.svg, README.md",
@@ -336,8 +341,8 @@ fn report(
     } else {
         messages.note(format_args!(
             "{} frames of other shards are still missing: {}; once they are here, `regolith-render dataset --merge --out {}` completes the folder",
-            settled.missing.len(),
-            some_of(&settled.missing),
+            finalized.missing.len(),
+            some_of(&finalized.missing),
             args.out.display()
         ));
     }

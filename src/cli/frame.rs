@@ -108,9 +108,11 @@ pub(super) fn run(args: &FrameArgs, messages: Messages) -> Result<()> {
         print(&format!("{}\n", shown.join("\n")))?;
     }
     summarise(args, messages, &renderer, &meta, &times, start);
-    if let Some(broken) = Rules::from_config(&config)?.broken_by(&scene, &frame) {
-        messages
-            .note(format_args!("a dataset would draw this frame again: {} ({})", broken.found, broken.rule));
+    if let Some(violation) = Rules::from_config(&config)?.violation(&scene, &frame) {
+        messages.note(format_args!(
+            "a dataset would draw this frame again: {} ({})",
+            violation.found, violation.rule
+        ));
     }
     let others: Vec<String> = OUTPUTS
         .iter()

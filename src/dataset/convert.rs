@@ -1,7 +1,7 @@
-//! A finished dataset in another layout, without rendering.
+//! Converting a finished dataset to another layout, without rendering.
 //!
-//! What the frames' files hold is put back together and given to the other layout, so that the result is that
-//! of `dataset --format`, to the byte.
+//! The planes and encoded files that a layout needs are read back from the frames' files, so that the result equals
+//! that of `dataset --format`, to the byte.
 //! Must not know: the command line.
 
 use std::path::Path;
@@ -10,43 +10,47 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use rayon::prelude::*;
 use serde_json::{Map, Value};
 
-use super::journal::{self, Book, Contents, Journal, Settled, hashes, index_of};
+use super::log::{FrameLog, finished_frames};
+use super::log_writer::{FrameLogWriter, record_files};
+use super::manifest::{self, DatasetSpec};
+use super::merge::{Finalized, finalize};
 use super::plan::{Plan, Shard};
 use crate::class::ClassId;
 use crate::error::{Error, RUN_AGAIN, Result};
 use crate::frame::{Frame, RockLabel};
 use crate::output::edges::EdgePolicy;
-use crate::output::layout::interface::{FrameFiles, FrameLines as _, Layout, Sample, below_split};
-use crate::output::layout::{self, folder};
-use crate::output::{self, EncodeInput, EncodedFile, LabelIds, OUTPUTS, disk};
+use crate::output::layout::{
+    self, FrameFiles, FrameLine, FrameLines as _, Layout, Sample, below_split, folder,
+};
+use crate::output::{self, EncodeInput, EncodedFile, LabelIds, OUTPUTS, Output, disk};
 
-/// Frames that are read at a time.
+/// Frames that are converted at a time.
 const CHUNK: usize = 64;
 
-/// What is to be converted, and into what.
+/// A conversion of one dataset to one layout.
 #[derive(Debug)]
 pub struct Conversion {
     manifest: Map<String, Value>,
     layout: &'static dyn Layout,
-    contents: Contents,
-    outputs: Vec<&'static output::Output>,
+    spec: DatasetSpec,
+    outputs: Vec<&'static Output>,
     label_ids: LabelIds,
 }
 
 impl Conversion {
-    /// Of a dataset in its own layout into the layout of this name.
+    /// Prepares the conversion of a dataset in the `folder` layout to the layout of this name.
     ///
     /// # Errors
-    /// [`Error::Dataset`] if it is not finished, of another layout, or lacks an output; [`Error::Usage`] for an unknown
-    /// layout.
+    /// [`Error::Dataset`] if the dataset is not finished, has another layout, or lacks an output; [`Error::Usage`] for an
+    /// unknown layout.
     pub fn new(source: &Path, format: &str) -> Result<Self> {
         let (format, layout) = layout::find(format)?;
         let refused = |message: String| Error::Dataset { path: source.to_owned(), message };
         let path = source.join("manifest.json");
         if !path.is_file() {
-            return Err(refused("no dataset is here: it has no manifest.json".to_owned()));
+            return Err(refused("not a dataset: it has no manifest.json".to_owned()));
         }
-        let manifest = journal::read_manifest(&path)?;
+        let manifest = manifest::read(&path)?;
         let text = |key: &str| manifest.get(key).and_then(Value::as_str).unwrap_or_default();
         if text("format") != "folder" {
             return Err(refused(format!(
@@ -59,39 +63,39 @@ impl Conversion {
                 "it is not finished; run its dataset command again, or `dataset --merge`".to_owned(),
             ));
         }
-        let named = |name: &str| {
+        let has = |name: &str| {
             let list = manifest.get("outputs").and_then(Value::as_array);
             list.is_some_and(|list| list.iter().any(|output| output == name))
         };
-        if let Some(lacking) = layout.required_outputs().iter().find(|name| !named(name)) {
+        if let Some(lacking) = layout.required_outputs().iter().find(|name| !has(name)) {
             return Err(refused(format!(
-                "it lacks the output `{lacking}`, without which {format} cannot be; make it with --outputs rgb,mask,{lacking}"
+                "it lacks the output `{lacking}`, which {format} needs; make the dataset with --outputs rgb,mask,{lacking}"
             )));
         }
         let outputs: Vec<_> =
-            OUTPUTS.iter().filter(|output| named(output.name) && layout.supports(output.name)).collect();
-        let mut contents = Contents::of(&manifest);
+            OUTPUTS.iter().filter(|output| has(output.name) && layout.supports(output.name)).collect();
+        let mut spec = DatasetSpec::of_manifest(&manifest);
         let names: Vec<&str> = outputs.iter().map(|output| output.name).collect();
-        contents.identity.insert("format".to_owned(), format.into());
-        contents.identity.insert("outputs".to_owned(), names.into());
+        spec.identity.insert("format".to_owned(), format.into());
+        spec.identity.insert("outputs".to_owned(), names.into());
         let label_ids = LabelIds::of_manifest(&manifest);
         if layout.has_fixed_ids() {
-            contents.identity.extend(Plan::identity_of_ids(LabelIds::default()));
+            spec.identity.extend(Plan::identity_of_ids(LabelIds::default()));
         }
-        Ok(Self { contents, layout, outputs, label_ids, manifest })
+        Ok(Self { spec, layout, outputs, label_ids, manifest })
     }
 
-    /// Frames of the dataset.
+    /// Number of frames of the dataset.
     #[must_use]
     pub fn frames(&self) -> u64 {
         self.manifest.get("n_completed").and_then(Value::as_u64).unwrap_or_default()
     }
 
-    /// Converts what `out` lacks, and settles it. `watch` is told how many frames were there, and how many
-    /// were added.
+    /// Converts the frames that `out` lacks, and completes it. `watch` is called with the number of frames that existed
+    /// before and the number that were added.
     ///
     /// # Errors
-    /// [`Error::Stopped`] once `stop` is true; those of reading and writing. The same call goes on with what is there.
+    /// [`Error::Stopped`] once `stop` is true; those of reading and writing. The same call resumes the conversion.
     pub fn run(
         &self,
         source: &Path,
@@ -99,86 +103,57 @@ impl Conversion {
         force: bool,
         stop: &AtomicBool,
         mut watch: impl FnMut(u64, u64),
-    ) -> Result<Settled> {
-        let mut journal = Journal::open(out, &self.contents, force)?;
-        let tag = journal::tag(Shard::WHOLE);
-        let found = journal.done().len() as u64;
+    ) -> Result<Finalized> {
+        let mut log = FrameLogWriter::open(out, &self.spec, force)?;
+        let tag = Shard::WHOLE.tag();
+        let found = log.finished().len() as u64;
         let mut chunk = Vec::new();
-        let mut convert_chunk = |chunk: &mut Vec<Map<String, Value>>| -> Result<()> {
-            let made: Vec<Result<(Map<String, Value>, FrameFiles)>> =
+        let mut convert_chunk = |chunk: &mut Vec<FrameLine>| -> Result<()> {
+            let converted: Vec<Result<(FrameLine, FrameFiles)>> =
                 chunk.par_drain(..).map(|line| self.convert(source, line)).collect();
-            for made in made {
-                let (line, placed) = made?;
-                disk::write_all_tagged(out, &tag, &placed.files)?;
-                journal.record(index_of(&line).unwrap_or_default(), &line)?;
+            for frame in converted {
+                let (line, files) = frame?;
+                disk::write_all_tagged(out, &tag, &files.files)?;
+                log.append(&line)?;
             }
-            watch(found, journal.done().len() as u64 - found);
+            watch(found, log.finished().len() as u64 - found);
             if stop.load(Ordering::Relaxed) {
-                journal.write_manifest("stopped")?;
-                let (done, wanted) = (journal.done().len() as u64, self.frames());
+                log.write_manifest("stopped")?;
+                let (done, wanted) = (log.finished().len() as u64, self.frames());
                 return Err(Error::Stopped { done, wanted, remedy: RUN_AGAIN });
             }
             Ok(())
         };
-        let there = Journal::done_in(out)?;
-        Book::new(source).for_each(&mut |line| {
-            if index_of(&line).is_some_and(|index| !there.contains(&index)) {
+        let finished = finished_frames(out)?;
+        FrameLog::new(source).for_each(&mut |line| {
+            if !finished.contains(&line.index) {
                 chunk.push(line);
             }
             if chunk.len() == CHUNK { convert_chunk(&mut chunk) } else { Ok(()) }
         })?;
         convert_chunk(&mut chunk)?;
-        journal.write_manifest("done")?;
-        drop(journal);
-        journal::settle(out)
+        log.write_manifest("done")?;
+        drop(log);
+        finalize(out)
     }
 
-    /// A frame's line and files in the other layout.
-    fn convert(
-        &self,
-        source: &Path,
-        mut line: Map<String, Value>,
-    ) -> Result<(Map<String, Value>, FrameFiles)> {
-        let index = index_of(&line).unwrap_or_default();
-        let split = line.get("split").and_then(Value::as_str).unwrap_or_default().to_owned();
-        let recorded: Map<String, Value> =
-            hashes(&line).map(|(path, hash)| (path.to_owned(), hash.into())).collect();
-        let ms = line.remove("ms");
-        line.remove("hashes");
-        line.remove("entry");
-        let read = |output: &str, stem: &str, extension: &str| -> Result<Vec<u8>> {
-            let path = below_split(&split, &folder::file_path(output, stem, extension, index));
-            let bytes = disk::read(&source.join(&path))?;
-            if recorded.get(&path).and_then(Value::as_str) == Some(disk::content_hash(&bytes).as_str()) {
-                return Ok(bytes);
-            }
-            let path = source.join(path);
-            Err(Error::CheckFailed(format!(
-                "{}: its content is not what was written; `verify` tells more",
-                path.display()
-            )))
-        };
+    /// A frame's line and files in the new layout.
+    fn convert(&self, source: &Path, mut line: FrameLine) -> Result<(FrameLine, FrameFiles)> {
+        let ms = std::mem::take(&mut line.ms);
+        let hashes = std::mem::take(&mut line.hashes);
+        line.entry = Value::Null;
         let mut frame = Frame::default();
-        let mut files = Vec::new();
-        for output in &self.outputs {
+        let mut encoded = Vec::new();
+        for &output in &self.outputs {
             for (stem, extension) in output.file_kinds() {
-                let file = |bytes| EncodedFile { output: output.name, stem, extension, bytes };
-                let again = output.name == "preview" || (output.name == "mask" && extension == "json");
-                // What the folder has once, or not of every frame, is made again from the mask, which comes first.
-                let bytes = if again {
-                    let input = EncodeInput {
-                        frame: &frame,
-                        meta: &Value::Null,
-                        label_ids: self.label_ids,
-                        edges: EdgePolicy::Hard,
-                    };
-                    let made = output::encode(&input, &[*output])?;
-                    made.into_iter()
-                        .find(|made| made.extension == extension)
-                        .map(|made| made.bytes)
-                        .unwrap_or_default()
+                // What the folder layout stores once, or not for every frame, is encoded again from the mask, which
+                // comes earlier in the table of outputs.
+                let is_derived = output.name == "preview" || (output.name == "mask" && extension == "json");
+                let bytes = if is_derived {
+                    self.encode_again(output, extension, &frame)?
                 } else {
-                    read(output.name, stem, extension)?
+                    let path = folder::file_path(output.name, stem, extension, line.index);
+                    read_checked(source, &below_split(&line.split, &path), &hashes)?
                 };
                 match (output.name, extension) {
                     ("mask", "png") => self.read_mask(&bytes, &mut frame)?,
@@ -186,14 +161,24 @@ impl Conversion {
                     ("instances", "json") => frame.rocks = read_rocks(&bytes)?,
                     _ => {}
                 }
-                files.push(file(bytes));
+                encoded.push(EncodedFile { output: output.name, stem, extension, bytes });
             }
         }
-        let sample = Sample { index, split: &split, frame: &frame, files: &files, record: &line };
-        let placed = self.layout.frame_files(&sample)?;
-        super::add_files(&mut line, &placed);
-        line.extend(ms.map(|ms| ("ms".to_owned(), ms)));
-        Ok((line, placed))
+        let sample =
+            Sample { index: line.index, split: &line.split, frame: &frame, files: &encoded, record: &line };
+        let files = self.layout.frame_files(&sample)?;
+        record_files(&mut line, &files);
+        line.ms = ms;
+        Ok((line, files))
+    }
+
+    /// An output's file with this extension, encoded from the mask.
+    fn encode_again(&self, output: &'static Output, extension: &str, frame: &Frame) -> Result<Vec<u8>> {
+        let input =
+            EncodeInput { frame, meta: &Value::Null, label_ids: self.label_ids, edges: EdgePolicy::Hard };
+        let files = output::encode(&input, &[output])?;
+        let file = files.into_iter().find(|file| file.extension == extension);
+        Ok(file.map(|file| file.bytes).unwrap_or_default())
     }
 
     fn read_mask(&self, bytes: &[u8], frame: &mut Frame) -> Result<()> {
@@ -208,28 +193,41 @@ impl Conversion {
     }
 }
 
+/// Reads a file of the dataset and compares it with its recorded hash.
+fn read_checked(source: &Path, path: &str, hashes: &Map<String, Value>) -> Result<Vec<u8>> {
+    let bytes = disk::read(&source.join(path))?;
+    if hashes.get(path).and_then(Value::as_str) == Some(disk::content_hash(&bytes).as_str()) {
+        return Ok(bytes);
+    }
+    Err(Error::CheckFailed(format!(
+        "{}: its content has changed since it was written; `verify` says more",
+        source.join(path).display()
+    )))
+}
+
 fn decode(bytes: &[u8]) -> Result<image::DynamicImage> {
     image::load_from_memory(bytes).map_err(|error| Error::Encode {
-        name: "a picture of the dataset".to_owned(),
+        name: "an image of the dataset".to_owned(),
         message: error.to_string(),
     })
 }
 
+/// The rocks of an instance mapping.
 fn read_rocks(bytes: &[u8]) -> Result<Vec<RockLabel>> {
-    let wrong =
+    let incomplete =
         || Error::Encode { name: "an instance mapping".to_owned(), message: "it lacks a number".to_owned() };
-    let rows: Map<String, Value> = serde_json::from_slice(bytes).map_err(|_| wrong())?;
+    let rows: Map<String, Value> = serde_json::from_slice(bytes).map_err(|_| incomplete())?;
     rows.iter()
         .map(|(instance, row)| {
             let number = |value: &Value| value.as_u64().and_then(|number| u32::try_from(number).ok());
             let visible_px = number(&row["visible_px"])?;
-            let side = |place: usize| number(&row["box_px"][place]);
+            let side = |i: usize| number(&row["box_px"][i]);
             let box_px = [side(0)?, side(1)?, side(2)?, side(3)?];
-            // How much of it is hidden no layout asks for.
             let metres = |name: &str| row[name].as_f64().unwrap_or(0.0) as f32;
             Some(RockLabel {
                 instance: instance.parse().ok()?,
                 visible_px,
+                // The mapping has the occluded fraction instead, which no layout reads.
                 exposed_px: visible_px,
                 box_px,
                 height_m: metres("height_m"),
@@ -237,5 +235,5 @@ fn read_rocks(bytes: &[u8]) -> Result<Vec<RockLabel>> {
             })
         })
         .collect::<Option<Vec<_>>>()
-        .ok_or_else(wrong)
+        .ok_or_else(incomplete)
 }

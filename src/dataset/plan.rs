@@ -1,9 +1,9 @@
-//! What a dataset is to be: which frames, of what, in which layout.
+//! What a dataset consists of: which frames, of which scenes, in which layout.
 //!
 //! Frame i is a function of the base seed, i and the configuration alone. Its scene's seed is
 //! `first_seed(base) + attempt * 2^32 + i` (modulo 2^53, so that JSON readers keep every digit): frames of one base
-//! seed never share a scene, whichever splits, shards and attempts they belong to, and the range of seeds in a manifest
-//! proves it between datasets.
+//! seed never share a scene, whichever splits, shards and attempts they belong to. The range of seeds in a manifest shows
+//! the same for two datasets.
 //! Must not know: threads, files.
 
 use std::str::FromStr;
@@ -20,57 +20,57 @@ use crate::output::{self, LabelIds, Output};
 use crate::params::sampler::Config;
 use crate::render::RenderSettings;
 
-/// Seeds are below this.
+/// All seeds are smaller than this.
 const SEEDS: u64 = 1 << 53;
-/// Frames that a base seed has; attempts are this far apart.
+/// Largest number of frames of a base seed, and distance between the seeds of a frame's attempts.
 pub const MAX_FRAMES: u64 = 1 << 32;
 
-/// What a dataset is to be.
+/// What a dataset consists of.
 #[derive(Clone, Debug)]
 pub struct Plan {
-    /// What each knob is drawn from.
+    /// The distribution of each knob.
     pub config: Config,
-    /// What frames are taken.
+    /// Which frames are accepted.
     pub rules: Rules,
-    /// What every frame's seed comes from.
+    /// The seed from which every frame's seed is derived.
     pub base_seed: u64,
-    /// Size, samples, annotations.
+    /// Size, samples per pixel, annotations.
     pub settings: RenderSettings,
-    /// What is written of a frame.
+    /// The outputs that are written for each frame.
     pub outputs: Vec<&'static Output>,
-    /// What the mask says where classes meet.
+    /// What the mask holds where classes meet.
     pub edges: EdgePolicy,
-    /// Which ids the mask carries.
+    /// The numbering of the classes in the mask.
     pub label_ids: LabelIds,
-    /// Name of the layout.
+    /// Name of the layout in the table of layouts.
     pub format: &'static str,
     /// The layout.
     pub layout: &'static dyn Layout,
-    /// The frames.
+    /// The frames of the dataset.
     pub range: Range,
-    /// Names of the splits and their numbers of frames, in order from the first frame; none for a dataset in one.
+    /// Name and number of frames of each split, in order from the first frame; empty for a dataset without splits.
     pub splits: Vec<(String, u64)>,
-    /// Which of the frames this run makes.
+    /// The part of the frames that this run makes.
     pub shard: Shard,
 }
 
 /// Frames from `start` to `start + count - 1`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Range {
-    /// The first.
+    /// Index of the first frame.
     pub start: u64,
-    /// How many.
+    /// Number of frames.
     pub count: u64,
 }
 
 impl Range {
-    /// The frame after the last.
+    /// The index after the last frame.
     #[must_use]
     pub const fn end(self) -> u64 {
         self.start + self.count
     }
 
-    /// The smallest range that has both.
+    /// The smallest range that contains both.
     #[must_use]
     pub fn hull(self, other: Self) -> Self {
         let start = self.start.min(other.start);
@@ -81,20 +81,26 @@ impl Range {
 /// The frames i with i mod `of` = `number`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shard {
-    /// From 0.
+    /// Number of the shard, from 0.
     pub number: u64,
-    /// How many shards there are.
+    /// Number of shards.
     pub of: u64,
 }
 
 impl Shard {
-    /// All frames.
+    /// The one shard that has all frames.
     pub const WHOLE: Self = Self { number: 0, of: 1 };
 
-    /// Whether a frame is in it.
+    /// Whether a frame belongs to the shard.
     #[must_use]
-    pub const fn has(self, index: u64) -> bool {
+    pub const fn contains(self, index: u64) -> bool {
         index % self.of == self.number
+    }
+
+    /// The tag of its temporary files, by which shards that share a folder know their own.
+    #[must_use]
+    pub fn tag(self) -> String {
+        format!("{}of{}-", self.number, self.of)
     }
 }
 
@@ -109,10 +115,10 @@ impl FromStr for Shard {
     }
 }
 
-/// Reads `train=1500,val=200`.
+/// Parses a list of splits, as in `train=1500,val=200`.
 ///
 /// # Errors
-/// [`Error::Usage`].
+/// [`Error::Usage`] for an empty or repeated name, or a missing number of frames.
 pub fn parse_splits(text: &str) -> Result<Vec<(String, u64)>> {
     let refused = |why: &str| {
         Error::Usage(format!("--split {text}: {why}; the form is NAME=FRAMES,..., as in train=1500,val=200"))
@@ -121,41 +127,47 @@ pub fn parse_splits(text: &str) -> Result<Vec<(String, u64)>> {
     for part in text.split(',') {
         let (name, count) = part.split_once('=').ok_or_else(|| refused(&format!("`{part}` has no `=`")))?;
         let name = name.trim();
-        let plain =
+        let is_valid =
             !name.is_empty() && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-');
-        if !plain {
-            return Err(refused(&format!("`{name}` is no name of letters, digits, - and _")));
+        if !is_valid {
+            return Err(refused(&format!("`{name}` is not a name; allowed are letters, digits, - and _")));
         }
         if splits.iter().any(|(known, _)| known == name) {
-            return Err(refused(&format!("`{name}` stands twice")));
+            return Err(refused(&format!("`{name}` occurs twice")));
         }
         let count = count.trim().parse().ok().filter(|count| *count > 0);
         splits.push((
             name.to_owned(),
-            count.ok_or_else(|| refused(&format!("`{part}` has no number of frames")))?,
+            count.ok_or_else(|| refused(&format!("`{part}` has no positive number of frames")))?,
         ));
     }
     Ok(splits)
 }
 
-/// The seed of frame 0 of a base seed, at its first attempt.
+/// The seed of the first attempt at frame 0.
 #[must_use]
 pub fn first_seed(base_seed: u64) -> u64 {
     let hash = XxHash3_128::oneshot(&[b"dataset".as_slice(), &base_seed.to_le_bytes()].concat());
     (hash % u128::from(SEEDS)) as u64
 }
 
-/// The seed of a frame's scene.
+/// The seed of the scene of an attempt at a frame.
 #[must_use]
 pub fn frame_seed(base_seed: u64, index: u64, attempt: u32) -> u64 {
     (first_seed(base_seed) + u64::from(attempt) * MAX_FRAMES + index) % SEEDS
 }
 
 impl Plan {
-    /// What is written of a frame unless something else is asked for.
-    pub const USUAL_OUTPUTS: &'static str = "rgb,mask,preview";
+    /// The outputs of a frame when `--outputs` is not given.
+    pub const DEFAULT_OUTPUTS: &'static str = "rgb,mask,preview";
 
-    /// The split that a frame belongs to; empty if there are none.
+    /// The indices of the frames that this run makes, ascending.
+    pub fn own_indices(&self) -> impl Iterator<Item = u64> + Clone + Send + use<> {
+        let shard = self.shard;
+        (self.range.start..self.range.end()).filter(move |index| shard.contains(*index))
+    }
+
+    /// The split that a frame belongs to; empty if there are no splits.
     #[must_use]
     pub fn split_of(&self, index: u64) -> &str {
         let mut end = self.range.start;
@@ -168,7 +180,7 @@ impl Plan {
         ""
     }
 
-    /// The splits with their frames and the seeds of these at the first attempt, both ends included.
+    /// The `splits` of a manifest: frames, and the first and last seed of their first attempts.
     #[must_use]
     pub fn splits_json(&self) -> Value {
         let mut start = self.range.start;
@@ -182,7 +194,7 @@ impl Plan {
         rows.collect::<Map<_, _>>().into()
     }
 
-    /// Everything that decides what is in the files: two runs that agree in it make the same dataset.
+    /// Everything that decides the content of the files: two runs with the same identity make the same dataset.
     #[must_use]
     pub fn identity(&self) -> Map<String, Value> {
         let outputs: Vec<&str> = self.outputs.iter().map(|output| output.name).collect();
@@ -208,21 +220,21 @@ impl Plan {
         }
     }
 
-    /// The ids of the masks, if the layout leaves that open.
+    /// Checks the requested numbering of the classes against the layout.
     ///
     /// # Errors
-    /// [`Error::Usage`] for others than it has.
-    pub fn label_ids(asked: LabelIds, format: &str, layout: &dyn Layout) -> Result<LabelIds> {
-        if layout.has_fixed_ids() && asked != LabelIds::default() {
+    /// [`Error::Usage`] if the layout numbers the classes itself.
+    pub fn label_ids(requested: LabelIds, format: &str, layout: &dyn Layout) -> Result<LabelIds> {
+        if layout.has_fixed_ids() && requested != LabelIds::default() {
             return Err(Error::Usage(format!(
                 "--label-ids {}: --format {format} has ids of its own; leave out --label-ids, or choose another format",
-                asked.name()
+                requested.name()
             )));
         }
-        Ok(asked)
+        Ok(requested)
     }
 
-    /// What of [`Self::identity`] tells the ids of the masks.
+    /// The part of [`Self::identity`] that describes the ids in the masks.
     #[must_use]
     pub fn identity_of_ids(label_ids: LabelIds) -> Map<String, Value> {
         let classes: Map<String, Value> = ClassId::ALL
@@ -239,27 +251,28 @@ impl Plan {
         .collect()
     }
 
-    /// The outputs that are asked for (if none are, the usual ones of a dataset as far as the layout holds them) and
-    /// those that the layout cannot be without.
+    /// The requested outputs (without a list, the default ones that the layout supports) and those that the layout
+    /// requires.
     ///
     /// # Errors
-    /// [`Error::Usage`] for an unknown one, or one that the layout has no place for.
+    /// [`Error::Usage`] for an unknown output, or one that the layout does not support.
     pub fn outputs(list: Option<&str>, format: &str, layout: &dyn Layout) -> Result<Vec<&'static Output>> {
-        let asked = output::parse_outputs(list.unwrap_or(Self::USUAL_OUTPUTS))?;
-        let any = list.is_none_or(|list| list.split(',').any(|word| word.trim() == "all"));
-        if let Some(homeless) = asked.iter().find(|output| !any && !layout.supports(output.name)) {
-            let held: Vec<&str> = output::OUTPUTS
+        let requested = output::parse_outputs(list.unwrap_or(Self::DEFAULT_OUTPUTS))?;
+        let takes_any = list.is_none_or(|list| list.split(',').any(|word| word.trim() == "all"));
+        if let Some(unsupported) = requested.iter().find(|output| !takes_any && !layout.supports(output.name))
+        {
+            let supported: Vec<&str> = output::OUTPUTS
                 .iter()
                 .map(|output| output.name)
                 .filter(|name| layout.supports(name))
                 .collect();
             return Err(Error::Usage(format!(
-                "--outputs {}: --format {format} has no place for it; it holds {}",
-                homeless.name,
-                held.join(", ")
+                "--outputs {}: --format {format} has no place for it; it supports {}",
+                unsupported.name,
+                supported.join(", ")
             )));
         }
-        let named = |name: &str| asked.iter().any(|output| output.name == name);
+        let named = |name: &str| requested.iter().any(|output| output.name == name);
         Ok(output::OUTPUTS
             .iter()
             .filter(|o| {
@@ -269,11 +282,11 @@ impl Plan {
     }
 }
 
-/// Where two identities differ, a line each.
+/// Where two identities differ, one line for each knob or key: the value in the folder and that of the run.
 #[must_use]
 pub fn differences(folder: &Map<String, Value>, run: &Map<String, Value>) -> Vec<String> {
     fn collect(prefix: &str, a: &Value, b: &Value, lines: &mut Vec<String>) {
-        // A distribution is told as a whole.
+        // A distribution is shown as a whole.
         let section = |value: &Value, prefix: &str| value.is_object() && matches!(prefix, "config" | "rules");
         if section(a, prefix) && section(b, prefix) {
             let (Value::Object(a), Value::Object(b)) = (a, b) else { return };
@@ -315,10 +328,10 @@ mod tests {
     }
 
     #[test]
-    fn shards_part_the_frames() {
+    fn shards_partition_the_frames() {
         let shards: Vec<Shard> = (0..3).map(|i| format!("{i}/3").parse().expect("a shard")).collect();
         for index in 0..30 {
-            assert_eq!(shards.iter().filter(|shard| shard.has(index)).count(), 1);
+            assert_eq!(shards.iter().filter(|shard| shard.contains(index)).count(), 1);
         }
         for wrong in ["3/3", "1", "-1/2", "a/b", "0/0", ""] {
             let message = wrong.parse::<Shard>().expect_err(wrong).to_string();
@@ -327,7 +340,7 @@ mod tests {
     }
 
     #[test]
-    fn splits_are_read_in_order_and_wrong_ones_refused() {
+    fn splits_keep_their_order_and_invalid_ones_are_refused() {
         let splits = parse_splits("train=1500, val=200").expect("read");
         assert_eq!(splits, [("train".to_owned(), 1500), ("val".to_owned(), 200)]);
         for wrong in ["train", "train=", "train=0", "=3", "a=1,a=2", "a/b=1", "../x=2"] {

@@ -1,7 +1,7 @@
-//! What frames a dataset takes. A frame that breaks a rule is drawn again under its next attempt number.
+//! Which frames a dataset accepts. A frame that breaks a rule is rendered again under its next attempt number.
 //!
 //! Must not know: threads, files.
-//! To add a rule: a field (or a line in [`Rules::broken_by`] if it has no setting), its arm in [`Rules::from_config`].
+//! To add a rule: a field (or a line in [`Rules::violation`] if it has no setting), its arm in [`Rules::from_config`].
 
 use serde_json::{Value, json};
 
@@ -11,21 +11,21 @@ use crate::frame::Frame;
 use crate::params::sampler::{Config, RuleSetting};
 use crate::scene::Scene;
 
-/// The largest value that the tone curve gives: a channel that has it carries no more than "at least so bright".
+/// The largest value that the tone curve produces: a channel with this value is clipped.
 const WHITE: u8 = 249;
-/// A pixel is black up to here in every channel.
+/// A pixel is black if no channel exceeds this value.
 const BLACK: u8 = 2;
 
-/// The rules, with their settings.
+/// The rules and their settings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rules {
-    /// Largest share of the pixels that are not sky which may be black.
+    /// Largest fraction of the ground and rock pixels that may be black.
     pub black_max: f64,
-    /// Largest share of the pixels that are not sky which may be as bright as the tone curve goes.
+    /// Largest fraction of the ground and rock pixels that may be clipped.
     pub clipped_max: f64,
-    /// How often a frame is drawn before the run gives up.
+    /// Attempts at a frame before the run gives up.
     pub attempts_max: u32,
-    /// For classes (by place in [`ClassId::ALL`]): smallest and largest share of the picture.
+    /// Smallest and largest fraction of the image, for each class in the order of [`ClassId::ALL`].
     pub require: [Option<[f64; 2]>; ClassId::ALL.len()],
 }
 
@@ -35,17 +35,17 @@ impl Default for Rules {
     }
 }
 
-/// A rule that a frame breaks.
+/// A broken rule.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Broken {
-    /// Its name.
+pub struct Violation {
+    /// Name of the rule.
     pub rule: String,
-    /// What was found, and what is allowed.
+    /// The value found and the limit.
     pub found: String,
 }
 
 impl Rules {
-    /// The rules as a configuration sets them.
+    /// The rules that a configuration sets.
     ///
     /// # Errors
     /// [`Error::UnknownKnob`], [`Error::KnobType`], [`Error::KnobOutOfRange`].
@@ -53,8 +53,8 @@ impl Rules {
         let mut rules = Self::default();
         for setting in config.rules() {
             match setting.name.as_str() {
-                "black_max" => rules.black_max = share(setting)?,
-                "clipped_max" => rules.clipped_max = share(setting)?,
+                "black_max" => rules.black_max = fraction(setting)?,
+                "clipped_max" => rules.clipped_max = fraction(setting)?,
                 "attempts_max" => {
                     let attempts = setting.value.as_integer().filter(|n| (1..=1000).contains(n));
                     rules.attempts_max =
@@ -75,10 +75,10 @@ impl Rules {
     }
 
     fn set_require(&mut self, setting: &RuleSetting) -> Result<()> {
-        let form = "a table of classes and their share of the picture, as in { rock = [0.005, 0.6] }";
+        let form = "a table of classes and their fraction of the image, as in { rock = [0.005, 0.6] }";
         let table = setting.value.as_table().ok_or_else(|| refused(setting, form))?;
         for (name, range) in table {
-            let place = ClassId::ALL.iter().position(|class| class.name == name).ok_or_else(|| {
+            let index = ClassId::ALL.iter().position(|class| class.name == name).ok_or_else(|| {
                 let names: Vec<&str> = ClassId::ALL.iter().map(|class| class.name).collect();
                 refused(
                     setting,
@@ -94,12 +94,12 @@ impl Rules {
                 .filter(|(low, high)| 0.0 <= *low && low <= high && *high <= 1.0)
                 .map(|(low, high)| [low, high])
                 .ok_or_else(|| refused(setting, &format!("{form}; 0 <= smallest <= largest <= 1")))?;
-            self.require[place] = Some([low, high]);
+            self.require[index] = Some([low, high]);
         }
         Ok(())
     }
 
-    /// The rules as JSON, as they stand in a manifest.
+    /// The `rules` of a manifest.
     #[must_use]
     pub fn to_json(&self) -> Value {
         let require: serde_json::Map<String, Value> = ClassId::ALL
@@ -115,7 +115,7 @@ impl Rules {
         })
     }
 
-    /// The rules as TOML that a configuration reads.
+    /// The rules as TOML, in the form that a configuration reads.
     #[must_use]
     pub fn to_toml(&self) -> String {
         let require: Vec<String> = ClassId::ALL
@@ -126,11 +126,11 @@ impl Rules {
             })
             .collect();
         format!(
-            "# What frames a dataset takes; one that breaks a rule is drawn again.\n[rules]\n\
-             # Largest share of ground and rocks that may be black. Allowed: 0 to 1.\nblack_max = {}\n\
-             # Largest share of ground and rocks that may be as bright as the tone curve goes. Allowed: 0 to 1.\n\
-             clipped_max = {}\n# How often a frame is drawn before the run gives up. Allowed: whole numbers, 1 to 1000.\n\
-             attempts_max = {}\n# Smallest and largest share of the picture by class, as in {{ rock = [0.005, 0.6] }}.\n\
+            "# Which frames a dataset accepts; a frame that breaks a rule is rendered again.\n[rules]\n\
+             # Largest fraction of the ground and rock pixels that may be black. Allowed: 0 to 1.\nblack_max = {}\n\
+             # Largest fraction of the ground and rock pixels that may be clipped (as bright as the tone curve goes). Allowed: 0 to 1.\n\
+             clipped_max = {}\n# Attempts at a frame before the run gives up. Allowed: whole numbers, 1 to 1000.\n\
+             attempts_max = {}\n# Smallest and largest fraction of the image by class, as in {{ rock = [0.005, 0.6] }}.\n\
              require = {{{} }}\n",
             self.black_max,
             self.clipped_max,
@@ -141,25 +141,25 @@ impl Rules {
 
     /// The first rule that a frame breaks.
     #[must_use]
-    pub fn broken_by(&self, scene: &Scene, frame: &Frame) -> Option<Broken> {
-        let broken = |rule: &str, found: String| Some(Broken { rule: rule.to_owned(), found });
+    pub fn violation(&self, scene: &Scene, frame: &Frame) -> Option<Violation> {
+        let violation = |rule: &str, found: String| Some(Violation { rule: rule.to_owned(), found });
         let unlabelled = frame.count(ClassId::UNLABELLED);
         if unlabelled > 0 {
-            return broken("unlabelled", format!("{unlabelled} pixels carry no label"));
+            return violation("unlabelled", format!("{unlabelled} pixels carry no label"));
         }
         let eye = scene.camera.eye;
         let height_m = eye.z - scene.terrain.surface_height_at(eye.truncate());
         if height_m <= 0.0 {
-            return broken("eye_above_ground", format!("the eye is {height_m:.2} m above the ground"));
+            return violation("eye_above_ground", format!("the eye is {height_m:.2} m above the ground"));
         }
         let near_eye = scene.rocks.that_may(|rock| rock.may_lie_within(0.0, eye));
         if let Some((_, rock)) = near_eye.into_iter().find(|(_, rock)| rock.distance_to(eye, 1.0) <= 0.0) {
-            return broken("eye_outside_rocks", format!("the eye is inside rock {}", rock.index));
+            return violation("eye_outside_rocks", format!("the eye is inside rock {}", rock.index));
         }
-        let (mut things, mut black, mut clipped) = (0_u64, 0_u64, 0_u64);
+        let (mut foreground, mut black, mut clipped) = (0_u64, 0_u64, 0_u64);
         for (pixel, class) in frame.rgb.chunks_exact(3).zip(&frame.class) {
             if *class != ClassId::SKY.0 {
-                things += 1;
+                foreground += 1;
                 black += u64::from(pixel.iter().all(|value| *value <= BLACK));
                 clipped += u64::from(pixel.iter().any(|value| *value >= WHITE));
             }
@@ -167,10 +167,12 @@ impl Rules {
         for (rule, count, allowed) in
             [("black", black, self.black_max), ("clipped", clipped, self.clipped_max)]
         {
-            let share = count as f64 / things.max(1) as f64;
+            let share = count as f64 / foreground.max(1) as f64;
             if share > allowed {
-                let found = format!("{share:.3} of ground and rocks is {rule}; rules.{rule}_max = {allowed}");
-                return broken(rule, found);
+                let found = format!(
+                    "{share:.3} of the ground and rock pixels are {rule}; the limit is rules.{rule}_max = {allowed}"
+                );
+                return violation(rule, found);
             }
         }
         for (class, range) in ClassId::ALL.iter().zip(self.require) {
@@ -178,8 +180,8 @@ impl Rules {
             let share = frame.coverage(class.id);
             if !(low..=high).contains(&share) {
                 let found =
-                    format!("{} covers {share:.4} of the picture; wanted is {low} to {high}", class.name);
-                return broken(&format!("require.{}", class.name), found);
+                    format!("{} covers {share:.4} of the image; allowed is {low} to {high}", class.name);
+                return violation(&format!("require.{}", class.name), found);
             }
         }
         None
@@ -195,9 +197,9 @@ fn refused(setting: &RuleSetting, expected: &str) -> Error {
     }
 }
 
-fn share(setting: &RuleSetting) -> Result<f64> {
+fn fraction(setting: &RuleSetting) -> Result<f64> {
     let value = setting.value.as_float().or(setting.value.as_integer().map(|n| n as f64));
-    value.filter(|share| (0.0..=1.0).contains(share)).ok_or_else(|| refused(setting, "a share, 0 to 1"))
+    value.filter(|value| (0.0..=1.0).contains(value)).ok_or_else(|| refused(setting, "a fraction, 0 to 1"))
 }
 
 #[cfg(test)]
@@ -212,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn settings_are_read_and_wrong_ones_refused_by_name() {
+    fn invalid_settings_are_refused_by_name() {
         let read = rules("require = { rock = [0.005, 0.6] }\n[rules]\nclipped_max = 0.1\nattempts_max = 3")
             .expect("read");
         assert_eq!((read.clipped_max, read.attempts_max), (0.1, 3));
@@ -235,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn each_rule_finds_what_it_is_for() {
+    fn each_rule_detects_its_violation() {
         let scene = Scene::build(1, &Params::draw_default(1)).expect("a scene");
         let good = Frame {
             width: 10,
@@ -247,13 +249,13 @@ mod tests {
         let rule = |rules: &Rules, change: &dyn Fn(&mut Frame)| {
             let mut frame = good.clone();
             change(&mut frame);
-            rules.broken_by(&scene, &frame).map(|broken| broken.rule)
+            rules.violation(&scene, &frame).map(|violation| violation.rule)
         };
         let defaults = Rules::default();
         assert_eq!(rule(&defaults, &|_| {}), None);
         assert_eq!(rule(&defaults, &|frame| frame.class[9] = 255).as_deref(), Some("unlabelled"));
         assert_eq!(rule(&defaults, &|frame| frame.rgb.fill(1)).as_deref(), Some("black"));
-        assert_eq!(rule(&defaults, &|frame| frame.rgb[21..].fill(1)), None, "a black sky is as it should be");
+        assert_eq!(rule(&defaults, &|frame| frame.rgb[21..].fill(1)), None, "a black sky is allowed");
         assert_eq!(rule(&defaults, &|frame| frame.rgb[..12].fill(249)).as_deref(), Some("clipped"));
         assert_eq!(rule(&defaults, &|frame| frame.rgb[..9].fill(249)), None, "three of seven");
         let demand = Rules { require: [None, Some([0.3, 1.0]), None], ..defaults.clone() };
@@ -261,6 +263,9 @@ mod tests {
         assert_eq!(rule(&demand, &|frame| frame.class[0] = 1), None);
         let mut buried = scene.clone();
         buried.camera.eye.z -= 100.0;
-        assert_eq!(defaults.broken_by(&buried, &good).map(|b| b.rule).as_deref(), Some("eye_above_ground"));
+        assert_eq!(
+            defaults.violation(&buried, &good).map(|violation| violation.rule).as_deref(),
+            Some("eye_above_ground")
+        );
     }
 }

@@ -7,12 +7,14 @@ pub mod basic;
 pub mod cityscapes;
 pub mod coco;
 pub mod folder;
+pub mod frame_line;
 pub mod hugging_face;
 pub mod interface;
 pub mod webdataset;
 
 use crate::error::{Error, Result, nearest};
-pub use interface::{DatasetIndex, FrameFiles, FrameLines, Layout, Sample};
+pub use frame_line::FrameLine;
+pub use interface::{DatasetIndex, FrameFiles, FrameLines, Layout, Sample, below_split};
 
 /// A row of the table of layouts.
 #[derive(Debug)]

@@ -1,13 +1,14 @@
 //! JSON files: label files, the instance mapping, the frame's metadata.
 
-use serde_json::{Map, Value, json};
+use serde::Serialize;
+use serde_json::{Map, json};
 
 use super::EncodeInput;
 use super::label_sets::{FIVE_CLASSES, ROCK_SIZE_CLASSES};
 use crate::error::{Error, Result};
 
 /// Indented JSON with a final newline.
-pub(crate) fn to_bytes(value: &Value) -> Result<Vec<u8>> {
+pub(crate) fn to_bytes(value: &impl Serialize) -> Result<Vec<u8>> {
     let mut bytes = serde_json::to_vec_pretty(value)
         .map_err(|error| Error::Encode { name: String::new(), message: error.to_string() })?;
     bytes.push(b'\n');
@@ -38,13 +39,13 @@ pub(in crate::output) fn instance_mapping(input: &EncodeInput<'_>) -> Result<Vec
         });
         (rock.instance.to_string(), row)
     });
-    to_bytes(&rows.collect::<Map<_, _>>().into())
+    to_bytes(&rows.collect::<Map<_, _>>())
 }
 
 /// Names of the five classes by id.
 pub(in crate::output) fn five_classes(_: &EncodeInput<'_>) -> Result<Vec<u8>> {
     let rows = FIVE_CLASSES.iter().map(|(id, name, _)| (id.to_string(), json!({ "class": name })));
-    to_bytes(&rows.collect::<Map<_, _>>().into())
+    to_bytes(&rows.collect::<Map<_, _>>())
 }
 
 /// Names of the classes by rock size, by RGBA colour.
@@ -52,5 +53,5 @@ pub(in crate::output) fn rock_sizes(_: &EncodeInput<'_>) -> Result<Vec<u8>> {
     let rows = ROCK_SIZE_CLASSES
         .iter()
         .map(|(name, [r, g, b])| (format!("({r}, {g}, {b}, 255)"), json!({ "class": name })));
-    to_bytes(&rows.collect::<Map<_, _>>().into())
+    to_bytes(&rows.collect::<Map<_, _>>())
 }

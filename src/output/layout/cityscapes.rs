@@ -105,7 +105,7 @@ impl Layout for Cityscapes {
                 })
             })
             .collect();
-        write(Artifact { name: "labels.json".to_owned(), bytes: json::to_bytes(&labels.into())? })?;
+        write(Artifact { name: "labels.json".to_owned(), bytes: json::to_bytes(&labels)? })?;
         write(index.card_file())
     }
 }

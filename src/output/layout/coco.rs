@@ -92,19 +92,17 @@ fn write_annotations(
     let size = index.manifest.get("size").cloned().unwrap_or_default();
     let (mut images, mut instances, mut panoptic) = (Vec::new(), Vec::new(), Vec::new());
     index.lines.for_each(&mut |mut line| {
-        if split_or_train(line.get("split").and_then(Value::as_str).unwrap_or_default()) != split {
+        if split_or_train(&line.split) != split {
             return Ok(());
         }
-        let image_id = line.get("index").and_then(Value::as_u64).unwrap_or_default();
-        let name = file_name(image_id);
+        let (image_id, name) = (line.index, file_name(line.index));
         images.push(json!({
             "id": image_id, "file_name": name, "width": size[0], "height": size[1], "license": 1,
         }));
-        let mut entry = line.remove("entry").unwrap_or_default();
-        if let Value::Array(rows) = entry["instances"].take() {
+        if let Value::Array(rows) = line.entry["instances"].take() {
             instances.extend(rows);
         }
-        let segments = entry["segments"].take();
+        let segments = line.entry["segments"].take();
         panoptic.push(json!({ "image_id": image_id, "file_name": name, "segments_info": segments }));
         Ok(())
     })?;

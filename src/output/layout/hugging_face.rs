@@ -8,6 +8,7 @@ use std::fmt::Write as _;
 
 use serde_json::{Map, Value};
 
+use super::frame_line::FrameLine;
 use super::interface::{DatasetIndex, FrameFiles, Layout, Sample, split_or_train};
 use crate::class::ClassId;
 use crate::error::Result;
@@ -31,16 +32,15 @@ fn folder_and_column(output: &str, stem: &str, extension: &str) -> Option<(Strin
 }
 
 /// The row of `metadata.jsonl` for a line of `frames.jsonl`.
-fn metadata_row(mut line: Map<String, Value>) -> Map<String, Value> {
-    let mut row = match line.remove("entry") {
-        Some(Value::Object(columns)) => columns,
+fn metadata_row(line: FrameLine) -> Map<String, Value> {
+    let mut row = match line.entry {
+        Value::Object(columns) => columns,
         _ => Map::new(),
     };
-    for key in ["index", "seed"] {
-        row.insert(key.to_owned(), line.remove(key).unwrap_or_default());
-    }
+    row.insert("index".to_owned(), line.index.into());
+    row.insert("seed".to_owned(), line.seed.into());
     for class in ClassId::ALL {
-        let fraction = line.get("coverage").and_then(|coverage| coverage.get(class.name));
+        let fraction = line.coverage.get(class.name);
         row.insert(format!("{}_share", class.name), fraction.cloned().unwrap_or_default());
     }
     row
@@ -100,7 +100,7 @@ impl Layout for HuggingFace {
         for split in &splits {
             let mut rows = String::new();
             index.lines.for_each(&mut |line| {
-                if split_or_train(line.get("split").and_then(Value::as_str).unwrap_or_default()) == split {
+                if split_or_train(&line.split) == split {
                     let _ = writeln!(rows, "{}", Value::Object(metadata_row(line)));
                 }
                 Ok(())

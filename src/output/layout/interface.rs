@@ -8,6 +8,7 @@ use std::path::Path;
 
 use serde_json::{Map, Value};
 
+use super::frame_line::FrameLine;
 use crate::error::Result;
 use crate::frame::Frame;
 use crate::output::artifact::{Artifact, EncodedFile};
@@ -24,7 +25,7 @@ pub struct Sample<'a> {
     /// Its encoded outputs.
     pub files: &'a [EncodedFile],
     /// Its line of `frames.jsonl`, still without hashes, entry and times.
-    pub record: &'a Map<String, Value>,
+    pub record: &'a FrameLine,
 }
 
 impl Sample<'_> {
@@ -51,7 +52,7 @@ pub trait FrameLines: std::fmt::Debug {
     ///
     /// # Errors
     /// Those of reading and of `visit`.
-    fn for_each(&self, visit: &mut dyn FnMut(Map<String, Value>) -> Result<()>) -> Result<()>;
+    fn for_each(&self, visit: &mut dyn FnMut(FrameLine) -> Result<()>) -> Result<()>;
 }
 
 /// A complete dataset, from which its index files are made.

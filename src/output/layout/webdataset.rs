@@ -7,7 +7,7 @@
 
 use std::collections::BTreeMap;
 
-use serde_json::{Map, Value, json};
+use serde_json::{Map, json};
 
 use super::interface::{DatasetIndex, FrameFiles, Layout, Sample};
 use crate::error::{Error, Result};
@@ -64,11 +64,7 @@ impl Layout for WebDataset {
                 add_member(&mut bytes, &name, &file.bytes)?;
             }
         }
-        add_member(
-            &mut bytes,
-            &format!("{key}.json"),
-            &json::to_bytes(&Value::Object(sample.record.clone()))?,
-        )?;
+        add_member(&mut bytes, &format!("{key}.json"), &json::to_bytes(sample.record)?)?;
         let fragment = Artifact { name: fragment_name(sample.index), bytes };
         Ok(FrameFiles {
             files: vec![fragment],
@@ -106,17 +102,16 @@ impl Layout for WebDataset {
             frames.iter().try_for_each(|frame| disk::remove(&index.folder.join(fragment_name(*frame))))
         };
         index.lines.for_each(&mut |line| {
-            let bundle = line.get("entry").and_then(|entry| entry.get("bundle")).and_then(Value::as_str);
-            let name = bundle.unwrap_or_default();
+            let name = line.bundle().unwrap_or_default();
             if shard.0 != name {
                 flush(std::mem::replace(&mut shard, (name.to_owned(), Vec::new())))?;
             }
-            shard.1.extend(line.get("index").and_then(Value::as_u64));
+            shard.1.push(line.index);
             Ok(())
         })?;
         flush(shard)?;
         disk::remove_empty_folder(&index.folder.join(".parts"));
-        put(Artifact { name: "shards.json".to_owned(), bytes: json::to_bytes(&shards.into())? })?;
+        put(Artifact { name: "shards.json".to_owned(), bytes: json::to_bytes(&shards)? })?;
         put(index.card_file())
     }
 }

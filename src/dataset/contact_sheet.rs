@@ -1,0 +1,94 @@
+//! The contact sheet of a finished dataset: its first frames, each image beside its mask.
+//!
+//! Must not know: how frames are made.
+
+use std::path::Path;
+
+use image::imageops::{self, FilterType};
+use image::{ImageFormat, Rgb, RgbImage};
+
+use crate::class::ClassId;
+use crate::error::{Error, Result};
+use crate::output::layout::{FrameLines, Layout};
+use crate::output::{Artifact, LabelIds, disk};
+
+/// Frames on the sheet.
+const FRAMES: usize = 12;
+/// Frames in a row.
+const COLUMNS: u32 = 3;
+/// Width of an image or a mask on the sheet, pixels.
+const IMAGE_PX: u32 = 192;
+/// Gap between frames, pixels.
+const GAP_PX: u32 = 8;
+
+/// The sheet as `contact_sheet.png`; `None` if the layout does not store images and masks as files.
+///
+/// # Errors
+/// [`Error::Read`], [`Error::CheckFailed`] for a file that cannot be decoded, [`Error::Encode`].
+pub(super) fn png(folder: &Path, lines: &dyn FrameLines, layout: &dyn Layout) -> Result<Option<Artifact>> {
+    let mut first = Vec::new();
+    lines.for_each(&mut |line| {
+        if first.len() < FRAMES {
+            first.extend(layout.image_and_mask(&line.split, line.index));
+        }
+        Ok(())
+    })?;
+    if first.is_empty() {
+        return Ok(None);
+    }
+    let tiles = first.iter().map(|paths| tile(folder, paths)).collect::<Result<Vec<_>>>()?;
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    sheet(&tiles).write_to(&mut bytes, ImageFormat::Png).map_err(|error| Error::Encode {
+        name: "contact_sheet.png".to_owned(),
+        message: error.to_string(),
+    })?;
+    Ok(Some(Artifact { name: "contact_sheet.png".to_owned(), bytes: bytes.into_inner() }))
+}
+
+/// A frame's image and coloured mask, scaled.
+fn tile(folder: &Path, [image, mask]: &[String; 2]) -> Result<[RgbImage; 2]> {
+    let image = decode(folder, image)?.into_rgb8();
+    let height = (image.height() * IMAGE_PX / image.width()).max(1);
+    let mask = mask_colours(&decode(folder, mask)?.into_luma8());
+    Ok([
+        imageops::resize(&image, IMAGE_PX, height, FilterType::Triangle),
+        imageops::resize(&mask, IMAGE_PX, height, FilterType::Nearest),
+    ])
+}
+
+fn decode(folder: &Path, path: &str) -> Result<image::DynamicImage> {
+    let path = folder.join(path);
+    image::load_from_memory(&disk::read(&path)?).map_err(|error| {
+        Error::CheckFailed(format!(
+            "{}: it cannot be decoded ({error}); delete it and run the dataset's command, which makes it again",
+            path.display()
+        ))
+    })
+}
+
+/// Tiles in rows on white.
+fn sheet(tiles: &[[RgbImage; 2]]) -> RgbImage {
+    let (tile_width, tile_height) = (2 * IMAGE_PX + GAP_PX, tiles[0][0].height() + GAP_PX);
+    let count = tiles.len() as u32;
+    let (columns, rows) = (COLUMNS.min(count), count.div_ceil(COLUMNS));
+    let mut sheet =
+        RgbImage::from_pixel(columns * tile_width + GAP_PX, rows * tile_height + GAP_PX, Rgb([255; 3]));
+    for (i, [image, mask]) in (0..).zip(tiles) {
+        let x = i64::from(i % COLUMNS * tile_width + GAP_PX);
+        let y = i64::from(i / COLUMNS * tile_height + GAP_PX);
+        imageops::replace(&mut sheet, image, x, y);
+        imageops::replace(&mut sheet, mask, x + i64::from(IMAGE_PX), y);
+    }
+    sheet
+}
+
+/// A mask in the preview colours of its classes. Ids 3 and 4 occur in Replicator's numbering only.
+fn mask_colours(mask: &image::GrayImage) -> RgbImage {
+    let is_replicator = mask.pixels().any(|pixel| matches!(pixel.0[0], 3 | 4));
+    let label_ids = if is_replicator { LabelIds::Replicator } else { LabelIds::Canonical };
+    let colour = |id: u8| {
+        let class = ClassId::ALL.iter().find(|class| label_ids.mask_id(class.id.0) == id);
+        class.map_or([0; 3], |class| class.preview_rgb)
+    };
+    RgbImage::from_fn(mask.width(), mask.height(), |x, y| Rgb(colour(mask.get_pixel(x, y).0[0])))
+}

@@ -1,0 +1,86 @@
+//! `manifest.json`: what a dataset holds and how far it is.
+//!
+//! Must not know: the lines of frames.
+
+use std::path::Path;
+
+use serde_json::{Map, Value};
+
+use super::plan::{Plan, Range, Shard};
+use crate::error::{Error, Result};
+use crate::output::encode::json;
+use crate::output::{Artifact, disk};
+
+/// Keys of a manifest that describe its state; all others identify the dataset.
+const STATE_KEYS: [&str; 8] =
+    ["status", "start", "count", "n_completed", "seeds", "adapters", "totals", "index_files"];
+
+/// Which dataset a folder is to hold, and which of its frames.
+#[derive(Clone, Debug)]
+pub struct DatasetSpec {
+    /// Everything that decides the content of the files; see [`Plan::identity`].
+    pub identity: Map<String, Value>,
+    /// The frames.
+    pub range: Range,
+    /// Whether the frames are divided into splits, so that no other range can be added.
+    pub is_split: bool,
+    /// The frames of the range that this run makes.
+    pub shard: Shard,
+}
+
+impl DatasetSpec {
+    /// The dataset of a plan.
+    #[must_use]
+    pub fn of_plan(plan: &Plan) -> Self {
+        Self {
+            identity: plan.identity(),
+            range: plan.range,
+            is_split: !plan.splits.is_empty(),
+            shard: plan.shard,
+        }
+    }
+
+    /// The dataset that a manifest describes.
+    #[must_use]
+    pub fn of_manifest(manifest: &Map<String, Value>) -> Self {
+        let is_split =
+            manifest.get("splits").and_then(Value::as_object).is_some_and(|splits| !splits.is_empty());
+        let identity = identity_of(manifest.clone());
+        Self { identity, range: range_of(manifest), is_split, shard: Shard::WHOLE }
+    }
+}
+
+/// The part of a manifest that identifies the dataset.
+#[must_use]
+pub fn identity_of(mut manifest: Map<String, Value>) -> Map<String, Value> {
+    manifest.retain(|key, _| !STATE_KEYS.contains(&key.as_str()));
+    manifest
+}
+
+/// The frames of a manifest.
+#[must_use]
+pub fn range_of(manifest: &Map<String, Value>) -> Range {
+    let number = |key: &str| manifest.get(key).and_then(Value::as_u64).unwrap_or_default();
+    Range { start: number("start"), count: number("count") }
+}
+
+/// Reads a manifest.
+///
+/// # Errors
+/// [`Error::Read`], [`Error::CheckFailed`] if it is not a JSON object.
+pub fn read(path: &Path) -> Result<Map<String, Value>> {
+    serde_json::from_slice(&disk::read(path)?).map_err(|error| {
+        Error::CheckFailed(format!(
+            "{}: not a manifest ({error}); delete it and run the dataset's command with --force, which writes it again",
+            path.display()
+        ))
+    })
+}
+
+/// A manifest as a file of this name.
+///
+/// # Errors
+/// [`Error::Encode`].
+pub fn to_file(name: String, manifest: Map<String, Value>) -> Result<Artifact> {
+    Ok(Artifact { name, bytes: json::to_bytes(&manifest)? })
+}

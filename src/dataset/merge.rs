@@ -1,0 +1,150 @@
+//! Completing a dataset: the logs and manifests of all shards become one of each, and index files are written once
+//! every frame exists.
+//!
+//! Must not know: how frames are made.
+
+use std::collections::BTreeMap;
+use std::io::{Read as _, Seek as _, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use serde_json::{Map, Value, json};
+
+use super::lock::{acquire_merge_lock, remove_lock_files};
+use super::log::{FrameLog, LinePosition, MANIFEST, find_lines, shard_files};
+use super::plan::{Range, differences, frame_seed};
+use super::totals::Totals;
+use super::{contact_sheet, data_card, histograms, manifest};
+use crate::error::{Error, Result};
+use crate::output::layout::{self, DatasetIndex};
+use crate::output::{Artifact, disk};
+
+/// A folder with one log and one manifest.
+#[derive(Clone, Debug)]
+pub struct Finalized {
+    /// Its manifest.
+    pub manifest: Map<String, Value>,
+    /// Frames of the dataset that do not exist yet.
+    pub missing: Vec<u64>,
+}
+
+/// Makes one `frames.jsonl` in ascending order of index and one `manifest.json` out of those of all runs. Once every
+/// frame exists, also writes the index files, the data card, the histograms and the contact sheet, and removes the
+/// files of the shards. Can be repeated.
+///
+/// # Errors
+/// [`Error::Dataset`] if the folder has no manifest, [`Error::OtherDataset`] if its shards are of different
+/// configurations, [`Error::Read`], [`Error::Write`].
+pub fn finalize(folder: &Path) -> Result<Finalized> {
+    let no_dataset = || Error::Dataset {
+        path: folder.to_owned(),
+        message: "not a dataset: it has no manifest.json".to_owned(),
+    };
+    if !folder.is_dir() || shard_files(folder, MANIFEST)?.is_empty() {
+        return Err(no_dataset());
+    }
+    let lock = acquire_merge_lock(folder)?;
+    // Listed again: another shard that was merging meanwhile has removed its manifest.
+    let manifests = shard_files(folder, MANIFEST)?;
+    let (identity, range) = merged_identity(&manifests)?.ok_or_else(no_dataset)?;
+    let (logs, positions) = find_lines(folder)?;
+    merge_logs(folder, &logs, &positions)?;
+    let missing: Vec<u64> =
+        (range.start..range.end()).filter(|index| !positions.contains_key(index)).collect();
+    let totals = Totals::of(&FrameLog::new(folder))?;
+    let mut manifest = merged_manifest(identity, range, positions.len(), missing.is_empty(), &totals);
+    if missing.is_empty() {
+        let hashes = write_index_files(folder, &manifest, &totals)?;
+        manifest.insert("index_files".to_owned(), hashes.into());
+    }
+    disk::write_all(folder, &[manifest::to_file("manifest.json".to_owned(), manifest.clone())?])?;
+    if missing.is_empty() {
+        let merged = ["frames.jsonl", "manifest.json"].map(|name| folder.join(name));
+        for path in logs.iter().chain(&manifests).filter(|path| !merged.contains(path)) {
+            disk::remove(path)?;
+        }
+        disk::remove_temporary(folder, "")?;
+        remove_lock_files(folder)?;
+    }
+    drop(lock);
+    Ok(Finalized { manifest, missing })
+}
+
+/// What the manifests of all shards agree on, and the range that covers theirs; `None` if there is no manifest.
+fn merged_identity(manifests: &[PathBuf]) -> Result<Option<(Map<String, Value>, Range)>> {
+    let Some((first, others)) = manifests.split_first() else { return Ok(None) };
+    let first = manifest::read(first)?;
+    let mut range = manifest::range_of(&first);
+    let identity = manifest::identity_of(first);
+    for path in others {
+        let other = manifest::read(path)?;
+        let differences = differences(&other, &identity);
+        if !differences.is_empty() {
+            return Err(Error::OtherDataset { path: path.clone(), differences });
+        }
+        range = range.hull(manifest::range_of(&other));
+    }
+    Ok(Some((identity, range)))
+}
+
+/// Copies the lines at these positions to `frames.jsonl`, byte for byte.
+fn merge_logs(folder: &Path, logs: &[PathBuf], positions: &BTreeMap<u64, LinePosition>) -> Result<()> {
+    disk::write_streamed(&folder.join("frames.jsonl"), |out| {
+        let mut files = logs.iter().map(std::fs::File::open).collect::<std::io::Result<Vec<_>>>()?;
+        for &LinePosition { log, offset, length } in positions.values() {
+            let mut line = vec![0; length];
+            files[log].seek(SeekFrom::Start(offset))?;
+            files[log].read_exact(&mut line)?;
+            out.write_all(&line)?;
+        }
+        Ok(())
+    })
+}
+
+fn merged_manifest(
+    identity: Map<String, Value>,
+    range: Range,
+    completed: usize,
+    is_complete: bool,
+    totals: &Totals,
+) -> Map<String, Value> {
+    let status = if is_complete { "done" } else { "incomplete" };
+    let base_seed = identity.get("base_seed").and_then(Value::as_u64).unwrap_or_default();
+    let seeds = [range.start, range.end().saturating_sub(1)].map(|index| frame_seed(base_seed, index, 0));
+    let mut manifest = Map::new();
+    for (key, value) in [
+        ("status", status.into()),
+        ("start", range.start.into()),
+        ("count", range.count.into()),
+        ("n_completed", completed.into()),
+        ("seeds", json!(seeds)),
+        ("adapters", json!(totals.adapters)),
+        ("totals", totals.to_json()),
+    ] {
+        manifest.insert(key.to_owned(), value);
+    }
+    manifest.extend(identity);
+    manifest
+}
+
+/// Writes the files that a complete dataset has besides its frames, and returns their content hashes by name.
+fn write_index_files(
+    folder: &Path,
+    manifest: &Map<String, Value>,
+    totals: &Totals,
+) -> Result<Map<String, Value>> {
+    let format = manifest.get("format").and_then(Value::as_str).unwrap_or_default();
+    let (_, layout) = layout::find(format)?;
+    let lines = FrameLog::new(folder);
+    let card = data_card::markdown(manifest, totals);
+    let mut hashes = Map::new();
+    let mut write = |file: Artifact| {
+        hashes.insert(file.name.clone(), disk::content_hash(&file.bytes).into());
+        disk::write_all(folder, &[file]).map(drop)
+    };
+    layout.write_index(&DatasetIndex { folder, lines: &lines, manifest, card: &card }, &mut write)?;
+    write(histograms::svg(&lines)?)?;
+    if let Some(sheet) = contact_sheet::png(folder, &lines, layout)? {
+        write(sheet)?;
+    }
+    Ok(hashes)
+}
