@@ -1,26 +1,32 @@
-//! The scene as binary glTF 2.0: a node a rock, with class and instance as extras.
+//! The scene as binary glTF 2.0 (`.glb`): one node per rock, with class and instance as extras.
 //!
-//! glTF is Y-up: the root node `World` turns the scene's Z up.
-//! Must not know: how its numbers came about.
+//! glTF is Y-up, so the root node `World` rotates the scene's Z up to Y.
+//! Must not know: how the scene is made.
 
 use glam::Vec3;
 use serde_json::{Value, json};
 
 use super::sky::{HOLE_DEG, Sky};
-use super::{Stage, looks};
+use super::stage::{Stage, materials};
 use crate::class::ClassId;
 use crate::error::{Error, Result};
+use crate::scene::Scene;
+use crate::scene::camera::Camera;
 use crate::scene::mesh::{Icosphere, Vertex};
-use crate::scene::sky::STAR_LEVEL;
+use crate::scene::rocks::Material;
+use crate::scene::sky::{STAR_LEVEL, Sun};
 
-/// Component types and buffer targets of glTF.
+/// Bytes of the file header and of the headers of two chunks.
+const GLB_HEADERS_BYTES: usize = 28;
+
+// Component types of accessors and targets of buffer views.
 const UNSIGNED_SHORT: u32 = 5123;
 const UNSIGNED_INT: u32 = 5125;
 const FLOAT: u32 = 5126;
 const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 
-/// The binary chunk as it grows, with the views and accessors into it.
+/// The binary chunk with its buffer views and accessors.
 #[derive(Default)]
 struct Buffer {
     bytes: Vec<u8>,
@@ -29,27 +35,27 @@ struct Buffer {
 }
 
 impl Buffer {
-    /// Adds data and gives the index of their accessor.
+    /// Adds data with a buffer view of their own, and returns the index of their accessor.
     fn add(&mut self, data: &[u8], target: u32, mut accessor: Value) -> usize {
         self.views.push(json!({
             "buffer": 0, "byteOffset": self.bytes.len(), "byteLength": data.len(), "target": target,
         }));
         self.bytes.extend_from_slice(data);
-        // Every view starts at a multiple of four, whatever the component type.
+        // An accessor must start at a multiple of its component size: four suits every component type.
         self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
         accessor["bufferView"] = json!(self.views.len() - 1);
         self.accessors.push(accessor);
         self.accessors.len() - 1
     }
 
-    /// A mesh.
+    /// Adds vertices and indices, and returns the mesh that uses them.
     fn mesh(&mut self, name: &str, vertices: &[Vertex], triangles: &[[u32; 3]], material: usize) -> Value {
         let positions: Vec<[f32; 3]> = vertices.iter().map(|v| v.position.to_array()).collect();
         let normals: Vec<[f32; 3]> = vertices.iter().map(|v| v.normal.to_array()).collect();
         let bound = |start: f32, pick: fn(f32, f32) -> f32| {
             positions.iter().fold([start; 3], |bound, p| std::array::from_fn(|i| pick(bound[i], p[i])))
         };
-        let vectors = |more: Value| {
+        let vec3_accessor = |more: Value| {
             let mut accessor = json!({ "componentType": FLOAT, "count": positions.len(), "type": "VEC3" });
             if let (Some(accessor), Value::Object(more)) = (accessor.as_object_mut(), more) {
                 accessor.extend(more);
@@ -57,17 +63,16 @@ impl Buffer {
             accessor
         };
         let bounds = json!({ "min": bound(f32::MAX, f32::min), "max": bound(f32::MIN, f32::max) });
-        let position = self.add(bytemuck::cast_slice(&positions), ARRAY_BUFFER, vectors(bounds));
-        let normal = self.add(bytemuck::cast_slice(&normals), ARRAY_BUFFER, vectors(json!({})));
-        let scalars =
-            |kind: u32| json!({ "componentType": kind, "count": 3 * triangles.len(), "type": "SCALAR" });
-        let corners = triangles.as_flattened();
-        // The largest number of a type is not an index in glTF.
+        let position = self.add(bytemuck::cast_slice(&positions), ARRAY_BUFFER, vec3_accessor(bounds));
+        let normal = self.add(bytemuck::cast_slice(&normals), ARRAY_BUFFER, vec3_accessor(json!({})));
+        let index_accessor = |component_type: u32| json!({ "componentType": component_type, "count": 3 * triangles.len(), "type": "SCALAR" });
+        let vertex_indices = triangles.as_flattened();
+        // glTF reserves the largest value of an index type for primitive restart.
         let indices = if positions.len() <= usize::from(u16::MAX) {
-            let short: Vec<u16> = corners.iter().map(|&v| v as u16).collect();
-            self.add(bytemuck::cast_slice(&short), ELEMENT_ARRAY_BUFFER, scalars(UNSIGNED_SHORT))
+            let short: Vec<u16> = vertex_indices.iter().map(|&v| v as u16).collect();
+            self.add(bytemuck::cast_slice(&short), ELEMENT_ARRAY_BUFFER, index_accessor(UNSIGNED_SHORT))
         } else {
-            self.add(bytemuck::cast_slice(corners), ELEMENT_ARRAY_BUFFER, scalars(UNSIGNED_INT))
+            self.add(bytemuck::cast_slice(vertex_indices), ELEMENT_ARRAY_BUFFER, index_accessor(UNSIGNED_INT))
         };
         json!({
             "name": name,
@@ -80,87 +85,150 @@ impl Buffer {
     }
 }
 
+// Fixed nodes; ground, rocks and sky follow.
+const ROCKS_NODE: usize = 1;
+const CAMERA_NODE: usize = 2;
+const SUN_NODE: usize = 3;
+const FIXED_NODES: usize = 4;
+
+/// Encodes a stage as `.glb`.
 pub(super) fn encode(stage: &Stage<'_>) -> Result<Vec<u8>> {
-    let scene = stage.scene;
-    let mut buffer = Buffer::default();
-    let mut meshes = Vec::new();
-    // Node 0 is World, 1 Rocks, 2 the camera, 3 the sun; ground and rocks follow.
-    let (mut world, mut rocks, mut things) = (vec![1, 2, 3], Vec::new(), Vec::new());
-    let parts = stage.parts()?;
-    let (looks, look_of) = looks(&parts);
-    for (part, look) in parts.iter().zip(look_of) {
-        let children = if part.rock.is_some() { &mut rocks } else { &mut world };
-        children.push(4 + things.len());
-        let name = part.name();
-        meshes.push(buffer.mesh(&name, part.vertices, &part.triangles, look));
-        things.push(json!({
-            "name": name,
-            "mesh": meshes.len() - 1,
-            "translation": part.origin.to_array(),
-            "extras": {
-                "class": part.class.class().map(|class| class.name),
-                "class_id": part.class.0,
-                "instance_id": part.instance,
-            },
+    let mut document =
+        Document { world_children: vec![ROCKS_NODE, CAMERA_NODE, SUN_NODE], ..Document::default() };
+    document.add_parts(stage)?;
+    document.add_sky(stage.scene);
+    let (root, binary) = document.finish(stage);
+    glb(&root, binary)
+}
+
+/// The arrays of the glTF document as they grow.
+#[derive(Default)]
+struct Document {
+    buffer: Buffer,
+    meshes: Vec<Value>,
+    materials: Vec<Value>,
+    /// The nodes after the fixed ones.
+    nodes: Vec<Value>,
+    world_children: Vec<usize>,
+    rocks_children: Vec<usize>,
+}
+
+impl Document {
+    /// Index of the node that is added next.
+    const fn next_node(&self) -> usize {
+        FIXED_NODES + self.nodes.len()
+    }
+
+    /// Adds a node, a mesh and, unless known, a material for the ground and each rock.
+    fn add_parts(&mut self, stage: &Stage<'_>) -> Result<()> {
+        let parts = stage.parts()?;
+        let (materials, material_of) = materials(&parts);
+        for (part, material) in parts.iter().zip(material_of) {
+            let node = self.next_node();
+            let siblings =
+                if part.rock.is_some() { &mut self.rocks_children } else { &mut self.world_children };
+            siblings.push(node);
+            let name = part.name();
+            self.meshes.push(self.buffer.mesh(&name, part.vertices, &part.triangles, material));
+            self.nodes.push(json!({
+                "name": name,
+                "mesh": self.meshes.len() - 1,
+                "translation": part.origin.to_array(),
+                "extras": {
+                    "class": part.class.class().map(|class| class.name),
+                    "class_id": part.class.0,
+                    "instance_id": part.instance,
+                },
+            }));
+        }
+        self.materials.extend(materials.iter().map(|(name, material)| surface(name, *material)));
+        Ok(())
+    }
+
+    /// Adds the dome and the stars. All stars share one mesh.
+    fn add_sky(&mut self, scene: &Scene) {
+        let sky = Sky::of(scene);
+        let sphere = Icosphere::shared();
+        let inwards = sky.directions.iter().map(|&d| Vertex { position: scene.sky.radius_m * d, normal: -d });
+        let unit = &sphere.directions[..Icosphere::vertex_count(STAR_LEVEL)];
+        let unit: Vec<Vertex> = unit.iter().map(|&d| Vertex { position: d, normal: d }).collect();
+        let (dome_mesh, star_mesh) = (self.meshes.len(), self.meshes.len() + 1);
+        let (dome_material, star_material) = (self.materials.len(), self.materials.len() + 1);
+        let dome = self.buffer.mesh("StarDome", &inwards.collect::<Vec<_>>(), &sky.triangles, dome_material);
+        let star = self.buffer.mesh("Star", &unit, &sphere.triangles[STAR_LEVEL], star_material);
+        self.meshes.extend([dome, star]);
+        self.materials
+            .extend([emitter("StarDome", scene.sky.radiance), emitter("Star", scene.sky.star_radiance)]);
+        let label =
+            json!({ "class": ClassId::SKY.class().map(|class| class.name), "class_id": ClassId::SKY.0 });
+        let (dome_node, stars_node) = (self.next_node(), self.next_node() + 1);
+        self.world_children.extend([dome_node, stars_node]);
+        let children: Vec<usize> = (stars_node + 1..).take(sky.stars.len()).collect();
+        self.nodes.push(json!({
+            "name": "StarDome", "mesh": dome_mesh, "translation": scene.sky.centre.to_array(), "extras": label,
+        }));
+        self.nodes.push(json!({
+            "name": "Stars",
+            "children": children,
+            "extras": { "hole_half_angle_deg": HOLE_DEG, "stars_left_out_in_hole": sky.left_out },
+        }));
+        self.nodes.extend(sky.stars.iter().map(|(index, star)| {
+            json!({
+                "name": format!("Star_{index:03}"),
+                "mesh": star_mesh,
+                "translation": star.centre.to_array(),
+                "scale": Vec3::splat(star.radius_m).to_array(),
+                "extras": label,
+            })
         }));
     }
-    let mut materials: Vec<Value> = looks
-        .iter()
-        .map(|(name, material)| {
-            json!({
-                "name": name,
-                "pbrMetallicRoughness": {
-                    "baseColorFactor": material.albedo.extend(1.0).to_array(),
-                    "metallicFactor": 0.0,
-                    "roughnessFactor": material.roughness,
-                },
-            })
-        })
-        .collect();
-    let sky = Sky::of(scene);
-    let sphere = Icosphere::shared();
-    let inwards = sky.directions.iter().map(|&d| Vertex { position: scene.sky.radius_m * d, normal: -d });
-    let unit = &sphere.directions[..Icosphere::vertex_count(STAR_LEVEL)];
-    let unit: Vec<Vertex> = unit.iter().map(|&d| Vertex { position: d, normal: d }).collect();
-    let dome_mesh = meshes.len();
-    meshes.push(buffer.mesh("StarDome", &inwards.collect::<Vec<_>>(), &sky.triangles, materials.len()));
-    meshes.push(buffer.mesh("Star", &unit, &sphere.triangles[STAR_LEVEL], materials.len() + 1));
-    materials.push(emitter("StarDome", scene.sky.radiance));
-    materials.push(emitter("Star", scene.sky.star_radiance));
-    let of_sky = json!({ "class": ClassId::SKY.class().map(|class| class.name), "class_id": ClassId::SKY.0 });
-    world.extend([4 + things.len(), 5 + things.len()]);
-    let first_star = 6 + things.len();
-    let stars: Vec<usize> = (first_star..first_star + sky.stars.len()).collect();
-    things.push(json!({
-        "name": "StarDome", "mesh": dome_mesh, "translation": scene.sky.centre.to_array(), "extras": of_sky,
-    }));
-    things.push(json!({
-        "name": "Stars",
-        "children": stars,
-        "extras": { "hole_half_angle_deg": HOLE_DEG, "stars_left_out_in_hole": sky.left_out },
-    }));
-    things.extend(sky.stars.iter().map(|(index, star)| {
-        json!({
-            "name": format!("Star_{index:03}"),
-            "mesh": dome_mesh + 1,
-            "translation": star.centre.to_array(),
-            "scale": Vec3::splat(star.radius_m).to_array(),
-            "extras": of_sky,
-        })
-    }));
-    let camera = &scene.camera;
-    // Columns of a matrix: where the node's axes point (glTF looks along -Z with Y up), and its place.
-    let matrix = |x: Vec3, y: Vec3, z: Vec3, place: Vec3| {
-        let columns = [x.extend(0.0), y.extend(0.0), z.extend(0.0), place.extend(1.0)];
+
+    /// The JSON chunk and the binary chunk.
+    fn finish(self, stage: &Stage<'_>) -> (Value, Vec<u8>) {
+        let mut nodes = fixed_nodes(stage.scene, &self.world_children, &self.rocks_children);
+        nodes.extend(self.nodes);
+        for node in nodes.iter_mut().filter_map(Value::as_object_mut) {
+            // glTF forbids an empty list of children.
+            if node.get("children").and_then(Value::as_array).is_some_and(Vec::is_empty) {
+                node.remove("children");
+            }
+        }
+        let root = json!({
+            "asset": {
+                "version": "2.0",
+                "generator": format!("regolith-render {}", env!("CARGO_PKG_VERSION")),
+                "extras": { "seed": stage.seed, "knobs": stage.knobs },
+            },
+            "extensionsUsed": ["KHR_lights_punctual", "KHR_materials_emissive_strength", "KHR_materials_specular"],
+            "extensions": { "KHR_lights_punctual": { "lights": [directional_light(&stage.scene.sun)] } },
+            "scene": 0,
+            "scenes": [{ "name": "Lunar stage", "nodes": [0] }],
+            "nodes": nodes,
+            "meshes": self.meshes,
+            "materials": self.materials,
+            "cameras": [perspective_camera(&stage.scene.camera, stage.settings.size)],
+            "accessors": self.buffer.accessors,
+            "bufferViews": self.buffer.views,
+            "buffers": [{ "byteLength": self.buffer.bytes.len() }],
+        });
+        (root, self.buffer.bytes)
+    }
+}
+
+/// World, rocks, camera and sun. glTF cameras and lights look along -Z with Y up.
+fn fixed_nodes(scene: &Scene, world_children: &[usize], rocks_children: &[usize]) -> Vec<Value> {
+    // The columns of a node's matrix are its axes and its position.
+    let matrix = |x: Vec3, y: Vec3, z: Vec3, position: Vec3| {
+        let columns = [x.extend(0.0), y.extend(0.0), z.extend(0.0), position.extend(1.0)];
         json!(columns.map(|column| column.to_array()).as_flattened())
     };
-    let [across, up] = scene.sun.right_and_up();
-    let [width, height] = stage.settings.size;
-    let aspect = f64::from(width) / f64::from(height);
-    let turn = std::f64::consts::FRAC_1_SQRT_2;
-    let mut nodes = vec![
-        json!({ "name": "World", "rotation": [-turn, 0.0, 0.0, turn], "children": world }),
-        json!({ "name": "Rocks", "children": rocks }),
+    let camera = &scene.camera;
+    let [right, up] = scene.sun.right_and_up();
+    // A quaternion that rotates by -90 degrees about X.
+    let half = std::f64::consts::FRAC_1_SQRT_2;
+    vec![
+        json!({ "name": "World", "rotation": [-half, 0.0, 0.0, half], "children": world_children }),
+        json!({ "name": "Rocks", "children": rocks_children }),
         json!({
             "name": "RoverCam",
             "camera": 0,
@@ -168,59 +236,52 @@ pub(super) fn encode(stage: &Stage<'_>) -> Result<Vec<u8>> {
         }),
         json!({
             "name": "Sun",
-            "matrix": matrix(across, up, scene.sun.direction, Vec3::ZERO),
+            "matrix": matrix(right, up, scene.sun.direction, Vec3::ZERO),
             "extensions": { "KHR_lights_punctual": { "light": 0 } },
         }),
-    ];
-    nodes.extend(things);
-    for node in nodes.iter_mut().filter_map(Value::as_object_mut) {
-        // glTF forbids an empty list of children.
-        if node.get("children").and_then(Value::as_array).is_some_and(Vec::is_empty) {
-            node.remove("children");
-        }
-    }
-    let root = json!({
-        "asset": {
-            "version": "2.0",
-            "generator": format!("regolith-render {}", env!("CARGO_PKG_VERSION")),
-            "extras": { "seed": stage.seed, "knobs": stage.knobs },
+    ]
+}
+
+fn directional_light(sun: &Sun) -> Value {
+    let brightest = sun.irradiance.max_element();
+    json!({
+        "type": "directional",
+        "name": "Sun",
+        "color": (sun.irradiance / brightest.max(f32::MIN_POSITIVE)).to_array(),
+        "intensity": brightest,
+    })
+}
+
+fn perspective_camera(camera: &Camera, [width, height]: [u32; 2]) -> Value {
+    let aspect = f64::from(width) / f64::from(height);
+    json!({
+        "name": "RoverCam",
+        "type": "perspective",
+        "perspective": {
+            "yfov": 2.0 * libm::atan(f64::from(camera.tan_half_fov) / aspect),
+            "aspectRatio": aspect,
+            "znear": camera.near_m,
+            "zfar": camera.far_m,
         },
-        "extensionsUsed": ["KHR_lights_punctual", "KHR_materials_emissive_strength", "KHR_materials_specular"],
-        "extensions": { "KHR_lights_punctual": { "lights": [{
-            "type": "directional",
-            "name": "Sun",
-            "color": (scene.sun.irradiance / scene.sun.irradiance.max_element().max(f32::MIN_POSITIVE)).to_array(),
-            "intensity": scene.sun.irradiance.max_element(),
-        }] } },
-        "scene": 0,
-        "scenes": [{ "name": "Lunar stage", "nodes": [0] }],
-        "nodes": nodes,
-        "meshes": meshes,
-        "materials": materials,
-        "cameras": [{
-            "name": "RoverCam",
-            "type": "perspective",
-            "perspective": {
-                "yfov": 2.0 * libm::atan(f64::from(camera.tan_half_fov) / aspect),
-                "aspectRatio": aspect,
-                "znear": camera.near_m,
-                "zfar": camera.far_m,
-            },
-        }],
-        "accessors": buffer.accessors,
-        "bufferViews": buffer.views,
-        "buffers": [{ "byteLength": buffer.bytes.len() }],
-    });
+    })
+}
+
+/// A GLB container: a header, the JSON chunk and the binary chunk, each padded to a multiple of four bytes.
+fn glb(root: &Value, mut binary: Vec<u8>) -> Result<Vec<u8>> {
     let failed = |message: String| Error::Encode { name: "the .glb file".to_owned(), message };
-    let mut text = serde_json::to_vec(&root).map_err(|error| failed(error.to_string()))?;
+    let mut text = serde_json::to_vec(root).map_err(|error| failed(error.to_string()))?;
     text.resize(text.len().next_multiple_of(4), b' ');
-    buffer.bytes.resize(buffer.bytes.len().next_multiple_of(4), 0);
-    let total = u32::try_from(28 + text.len() + buffer.bytes.len())
-        .map_err(|_| failed("more than 4 GiB, which the format cannot hold".to_owned()))?;
+    binary.resize(binary.len().next_multiple_of(4), 0);
+    let total = u32::try_from(GLB_HEADERS_BYTES + text.len() + binary.len()).map_err(|_| {
+        failed(format!(
+            "{} bytes, and the format holds at most 4 GiB; export to .usdc or .npz",
+            GLB_HEADERS_BYTES + text.len() + binary.len()
+        ))
+    })?;
     let mut file = Vec::with_capacity(total as usize);
     file.extend(b"glTF");
     file.extend([2, total].map(u32::to_le_bytes).as_flattened());
-    for (kind, chunk) in [(b"JSON", &text), (b"BIN\0", &buffer.bytes)] {
+    for (kind, chunk) in [(b"JSON", &text), (b"BIN\0", &binary)] {
         file.extend((chunk.len() as u32).to_le_bytes());
         file.extend(kind);
         file.extend(chunk);
@@ -228,9 +289,21 @@ pub(super) fn encode(stage: &Stage<'_>) -> Result<Vec<u8>> {
     Ok(file)
 }
 
-/// A material that reflects nothing and has light of its own.
+/// A rough dielectric surface.
+fn surface(name: &str, material: Material) -> Value {
+    json!({
+        "name": name,
+        "pbrMetallicRoughness": {
+            "baseColorFactor": material.albedo.extend(1.0).to_array(),
+            "metallicFactor": 0.0,
+            "roughnessFactor": material.roughness,
+        },
+    })
+}
+
+/// A material that reflects nothing and emits light.
 fn emitter(name: &str, radiance: Vec3) -> Value {
-    // A colour ends at 1 there; what is brighter has a strength.
+    // An emissive factor is at most 1; brighter light has an emissive strength.
     let strength = radiance.max_element().max(1.0);
     json!({
         "name": name,
@@ -254,7 +327,7 @@ mod tests {
     use crate::scene::Scene;
 
     #[test]
-    fn chunks_nodes_and_accessors_are_those_of_the_scene() {
+    fn chunks_nodes_and_accessors_match_the_scene() {
         let params = Params::draw_default(7);
         let scene = Scene::build(7, &params).expect("a scene");
         let settings = RenderSettings::new([256, 128], 4).expect("settings");

@@ -1,10 +1,10 @@
-//! The scene as NumPy arrays: a stored zip of `.npy` members, the same bytes every time.
+//! The scene as NumPy arrays (`.npz`): an uncompressed zip archive of `.npy` members, the same bytes every time.
 //!
-//! Must not know: the sky, which has no geometry here.
+//! Must not know: the sky, whose geometry is not exported here.
 
 use std::io::{Cursor, Write as _};
 
-use super::Stage;
+use super::stage::Stage;
 use crate::error::{Error, Result};
 
 /// The arrays: `vertices` float32 N x 3 (metres, world), `normals` float32 N x 3, `triangles` uint32 M x 3,
@@ -44,16 +44,16 @@ pub(super) fn encode(stage: &Stage<'_>) -> Result<Vec<u8>> {
         .map_err(|error| Error::Encode { name: "the .npz file".to_owned(), message: error.to_string() })
 }
 
-/// A stored zip of arrays: name, type, shape, data.
+/// An uncompressed zip archive of arrays: name, dtype, shape, data.
 fn archive(members: &[(&str, &str, &[usize], &[u8])]) -> zip::result::ZipResult<Vec<u8>> {
     let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
-    for (name, kind, shape, bytes) in members {
+    for (name, dtype, shape, bytes) in members {
         let options = zip::write::SimpleFileOptions::default()
             .compression_method(zip::CompressionMethod::Stored)
             .last_modified_time(zip::DateTime::default())
             .large_file(bytes.len() > 1 << 31);
         zip.start_file(format!("{name}.npy"), options)?;
-        zip.write_all(&crate::output::encode::npy::header(kind, shape))?;
+        zip.write_all(&crate::output::encode::npy::header(dtype, shape))?;
         zip.write_all(bytes)?;
     }
     Ok(zip.finish()?.into_inner())
@@ -78,7 +78,7 @@ mod tests {
     }
 
     #[test]
-    fn arrays_hold_the_authored_scene_and_the_drawn_part_of_it() {
+    fn drawn_arrays_are_a_subset_of_the_authored_ones() {
         let params = Params::draw_default(7);
         let scene = Scene::build(7, &params).expect("a scene");
         let knobs = params.to_json();
@@ -116,16 +116,16 @@ mod tests {
                 && k[16..24] == 128_f64.to_le_bytes()
                 && k[40..48] == 64_f64.to_le_bytes()
         );
-        let places = |bytes: &[u8]| {
+        let positions = |bytes: &[u8]| {
             let data = member(bytes, "vertices").1;
             data.chunks_exact(12).map(<[u8]>::to_vec).collect::<std::collections::HashSet<_>>()
         };
-        let (all, some) = (places(&authored), places(&drawn));
+        let (all, some) = (positions(&authored), positions(&drawn));
         assert!(some.is_subset(&all) && some.len() < all.len());
     }
 
     #[test]
-    fn other_extensions_are_refused() {
+    fn unknown_extensions_are_refused() {
         let error = Format::from_path("scene.obj".as_ref()).expect_err("no such format").to_string();
         assert!(error.contains("scene.obj") && error.contains(".npz"), "{error}");
     }

@@ -1,10 +1,10 @@
-//! The scene as an OpenUSD stage, with the prims and labels of the stage that it stands in for.
+//! The scene as an OpenUSD stage, with the prim names and semantic labels of the reference stage.
 //!
-//! Dome and stars are geometry here, for other programs have no sky of ours; the dome has a hole around the sun, and
-//! stars in it are left out (their numbers are in the custom data of `/World/Stars`), so that a path tracer's shadow
-//! rays reach it.
-//! Must not know: which triangles a frame draws ([`Stage::parts`] gives them), how a file is laid out (`layer`, and its
-//! writers `text` and `crate_file`).
+//! Dome and stars are meshes, because other programs do not have this renderer's sky. The dome has a hole around the
+//! sun, and the stars in it are left out, so that a path tracer's shadow rays reach the sun; the indices of these stars
+//! are in the custom data of `/World/Stars`.
+//! Must not know: which triangles a frame draws ([`Stage::parts`] does), file formats (`layer`, and its writers `text` and
+//! `crate_file`).
 
 mod crate_file;
 mod layer;
@@ -13,7 +13,7 @@ mod text;
 use glam::Vec3;
 
 use super::sky::{HOLE_DEG, Sky};
-use super::{Part, Stage, looks};
+use super::stage::{Part, Stage, materials};
 use crate::class::ClassId;
 use crate::error::Result;
 use crate::scene::mesh::Icosphere;
@@ -21,40 +21,41 @@ use crate::scene::rocks::Material;
 use crate::scene::sky::{STAR_LEVEL, SUN_IRRADIANCE_PER_INTENSITY};
 use layer::{Layer, Prim, Property, Value};
 
-/// Width of the camera's film, millimetres.
+/// Horizontal aperture of the camera, millimetres.
 const APERTURE_MM: f64 = 24.0;
 
-/// The stage as text (`.usda`).
+/// Encodes a stage as text (`.usda`).
 pub(super) fn encode_text(stage: &Stage<'_>) -> Result<Vec<u8>> {
     Ok(text::encode(&layer(stage)?))
 }
 
-/// The stage as a binary crate (`.usdc`).
+/// Encodes a stage as a crate file (`.usdc`).
 pub(super) fn encode_crate(stage: &Stage<'_>) -> Result<Vec<u8>> {
     Ok(crate_file::encode(&layer(stage)?))
 }
 
+/// The root layer.
 fn layer(stage: &Stage<'_>) -> Result<Layer> {
     let parts = stage.parts()?;
-    let (looks, look_of) = looks(&parts);
+    let (materials, material_of) = materials(&parts);
     let mut world = Prim::new("World", "Xform");
     let mut rocks = Prim::new("Rocks", "Xform");
-    for (part, look) in parts.iter().zip(&look_of) {
-        let prim = part_mesh(part, &looks[*look].0);
+    for (part, material) in parts.iter().zip(&material_of) {
+        let prim = part_mesh(part, &materials[*material].0);
         if part.rock.is_some() {
             rocks.children.push(prim);
         } else {
             world.children.push(prim);
         }
     }
-    let mut materials = Prim::new("Looks", "Scope");
-    materials.children.extend(looks.iter().map(|(name, material)| surface(name, *material)));
-    materials.children.extend([
+    let mut looks = Prim::new("Looks", "Scope");
+    looks.children.extend(materials.iter().map(|(name, material)| surface(name, *material)));
+    looks.children.extend([
         emitter("StarDome", stage.scene.sky.radiance),
         emitter("Star", stage.scene.sky.star_radiance),
     ]);
     let [dome, stars] = sky(stage);
-    world.children.extend([rocks, sun(stage), dome, stars, camera(stage), materials]);
+    world.children.extend([rocks, sun(stage), dome, stars, camera(stage), looks]);
     let knobs = serde_json::Value::Object(stage.knobs.clone()).to_string();
     let metadata = vec![
         (
@@ -72,18 +73,18 @@ fn layer(stage: &Stage<'_>) -> Result<Layer> {
     Ok(Layer { metadata, prims: vec![world] })
 }
 
-fn part_mesh(part: &Part<'_>, look: &str) -> Prim {
+fn part_mesh(part: &Part<'_>, material: &str) -> Prim {
     let points = part.vertices.iter().map(|v| v.position).collect();
     let normals = part.vertices.iter().map(|v| v.normal).collect();
-    let mut prim = mesh(&part.name(), look, part.class, &part.triangles, points, Some(normals));
+    let mut prim = mesh(&part.name(), material, part.class, &part.triangles, points, Some(normals));
     prim.properties.extend(translation(part.origin));
     prim
 }
 
-/// A mesh with its labels and material.
+/// A mesh prim with its semantic labels and material binding.
 fn mesh(
     name: &str,
-    look: &str,
+    material: &str,
     class: ClassId,
     triangles: &[[u32; 3]],
     points: Vec<Vec3>,
@@ -111,7 +112,7 @@ fn mesh(
     prim.properties.extend([
         Property::new("orientation", "token", token("rightHanded")).uniform(),
         Property::new("subdivisionScheme", "token", token("none")).uniform(),
-        Property::relationship("material:binding", format!("/World/Looks/{look}")),
+        Property::relationship("material:binding", format!("/World/Looks/{material}")),
         Property::new("semantics:labels:class", "token[]", Value::TokenArray(vec![label.to_owned()])),
         Property::new(
             "semantic:Semantics_class:params:semanticData",
@@ -138,10 +139,10 @@ fn transform_order(operation: &str) -> Property {
     Property::new("xformOpOrder", "token[]", Value::TokenArray(vec![operation.to_owned()])).uniform()
 }
 
-/// A transform by where the prim's axes point, and its place: USD's rows are vectors.
-fn transform(x: Vec3, y: Vec3, z: Vec3, place: Vec3) -> [Property; 2] {
+/// A transform from the prim's axes and position in world space. USD multiplies row vectors, so these are the rows.
+fn transform(x: Vec3, y: Vec3, z: Vec3, position: Vec3) -> [Property; 2] {
     let row = |v: Vec3, last: f64| [f64::from(v.x), f64::from(v.y), f64::from(v.z), last];
-    let matrix = [row(x, 0.0), row(y, 0.0), row(z, 0.0), row(place, 1.0)];
+    let matrix = [row(x, 0.0), row(y, 0.0), row(z, 0.0), row(position, 1.0)];
     [
         Property::new("xformOp:transform", "matrix4d", Value::Matrix4d(matrix)),
         transform_order("xformOp:transform"),
@@ -151,9 +152,9 @@ fn transform(x: Vec3, y: Vec3, z: Vec3, place: Vec3) -> [Property; 2] {
 fn sun(stage: &Stage<'_>) -> Prim {
     let sun = &stage.scene.sun;
     let [right, up] = sun.right_and_up();
-    // A scene made by hand has no such knobs; then the sun's own irradiance gives them.
+    // A scene that was built without knobs has only the sun's irradiance.
     let knob = |name: &str| stage.knobs.get(name);
-    let own = sun.irradiance / SUN_IRRADIANCE_PER_INTENSITY;
+    let from_irradiance = sun.irradiance / SUN_IRRADIANCE_PER_INTENSITY;
     let colour = knob("sun.color").and_then(|colour| {
         let [red, green, blue] = colour.as_array()?.as_slice() else { return None };
         Some(Vec3::new(red.as_f64()? as f32, green.as_f64()? as f32, blue.as_f64()? as f32))
@@ -161,8 +162,8 @@ fn sun(stage: &Stage<'_>) -> Prim {
     let (intensity, colour) = match (knob("sun.intensity").and_then(serde_json::Value::as_f64), colour) {
         (Some(intensity), Some(colour)) => (intensity as f32, colour),
         _ => {
-            let brightest = own.max_element().max(f32::MIN_POSITIVE);
-            (brightest, own / brightest)
+            let brightest = from_irradiance.max_element().max(f32::MIN_POSITIVE);
+            (brightest, from_irradiance / brightest)
         }
     };
     let mut prim = Prim::new("Sun", "DistantLight");
@@ -171,15 +172,15 @@ fn sun(stage: &Stage<'_>) -> Prim {
         Property::new("inputs:color", "color3f", Value::Vec3f(colour)),
         Property::new("inputs:intensity", "float", Value::Float(intensity)),
     ];
-    // A distant light shines along its -Z.
+    // A distant light emits along its -Z axis.
     prim.properties.extend(transform(right, up, sun.direction, Vec3::ZERO));
     prim
 }
 
-/// Dome and stars.
+/// The dome and the stars.
 fn sky(stage: &Stage<'_>) -> [Prim; 2] {
     let sky = &stage.scene.sky;
-    let Sky { directions, triangles, stars: shown, left_out } = Sky::of(stage.scene);
+    let Sky { directions, triangles, stars: visible, left_out } = Sky::of(stage.scene);
     let sphere = Icosphere::shared();
     let points = directions.iter().map(|d| sky.centre + sky.radius_m * *d).collect();
     let no_shadow = || Property::new("primvars:doNotCastShadows", "bool", Value::Bool(true));
@@ -193,8 +194,8 @@ fn sky(stage: &Stage<'_>) -> [Prim; 2] {
         ("starsLeftOutInHole", Value::IntArray(left_out)),
     ];
     stars.metadata.push(("customData", Value::Dictionary(data)));
-    stars.children.extend(shown.into_iter().map(|(index, star)| {
-        // A mesh rather than a sphere prim, which not every program reads.
+    stars.children.extend(visible.into_iter().map(|(index, star)| {
+        // A mesh, because not every program reads sphere prims.
         let used = &sphere.directions[..Icosphere::vertex_count(STAR_LEVEL)];
         let points = used.iter().map(|d| star.radius_m * *d).collect();
         let name = format!("Star_{index:03}");
@@ -222,19 +223,20 @@ fn camera(stage: &Stage<'_>) -> Prim {
     prim
 }
 
-fn surface(name: &str, of: Material) -> Prim {
+/// A rough dielectric surface.
+fn surface(name: &str, surface: Material) -> Prim {
     material(
         name,
         vec![
-            Property::new("inputs:diffuseColor", "color3f", Value::Vec3f(of.albedo)),
+            Property::new("inputs:diffuseColor", "color3f", Value::Vec3f(surface.albedo)),
             Property::new("inputs:metallic", "float", Value::Float(0.0)),
-            Property::new("inputs:roughness", "float", Value::Float(of.roughness)),
+            Property::new("inputs:roughness", "float", Value::Float(surface.roughness)),
         ],
     )
 }
 
-/// Unlit: no diffuse, no specular reflection, only its own light. An index of refraction of 1 says so to programs that
-/// do not know the specular workflow.
+/// A material that only emits: no diffuse and no specular reflection. An index of refraction of 1 has the same effect in
+/// programs that do not support the specular workflow.
 fn emitter(name: &str, radiance: Vec3) -> Prim {
     material(
         name,
@@ -249,6 +251,7 @@ fn emitter(name: &str, radiance: Vec3) -> Prim {
     )
 }
 
+/// A material with a `UsdPreviewSurface` shader.
 fn material(name: &str, inputs: Vec<Property>) -> Prim {
     let mut shader = Prim::new("Surface", "Shader");
     shader
@@ -272,7 +275,7 @@ mod tests {
     use crate::scene::Scene;
 
     #[test]
-    fn the_stage_has_its_prims_labels_and_hole() {
+    fn the_stage_has_all_prims_and_labels_and_the_hole_in_the_dome() {
         let params = Params::draw_default(7);
         let scene = Scene::build(7, &params).expect("a scene");
         let settings = RenderSettings::new([256, 128], 4).expect("settings");
@@ -305,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn the_crate_holds_the_same_layer_and_is_small() {
+    fn the_crate_file_has_all_specs_of_the_layer() {
         let params = Params::draw_default(42);
         let scene = Scene::build(42, &params).expect("a scene");
         let settings = RenderSettings::new([64, 64], 1).expect("settings");
@@ -328,14 +331,14 @@ mod tests {
             .collect();
         let names: Vec<&str> = sections.iter().map(|section| section.0.as_str()).collect();
         assert_eq!(names, ["TOKENS", "STRINGS", "FIELDS", "FIELDSETS", "PATHS", "SPECS"]);
-        assert_eq!(sections[5].1 + sections[5].2, table, "the sections lie one behind the other");
-        // Prims and their properties, and the root.
+        assert_eq!(sections[5].1 + sections[5].2, table, "the table follows the last section");
+        // A spec for the root, for each prim and for each property.
         let layer = layer(&stage).expect("a layer");
         fn count(prim: &Prim) -> usize {
             1 + prim.properties.len() + prim.children.iter().map(count).sum::<usize>()
         }
         assert_eq!(number(sections[5].1), 1 + layer.prims.iter().map(count).sum::<usize>());
-        // The ground's first vertex stands there as it is.
+        // Vertex data are stored uncompressed.
         let first = bytemuck::bytes_of(&scene.terrain.vertices[0].position);
         assert!(bytes.windows(first.len()).any(|window| window == first));
     }

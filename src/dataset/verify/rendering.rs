@@ -17,8 +17,8 @@ use crate::params::sampler::Config;
 use crate::render::Renderer;
 use crate::scene::Scene;
 
-/// Tolerances for a frame that another adapter rendered; on the same adapter nothing may differ.
-mod other_adapter {
+/// Tolerances for a frame that another adapter or raster backend rendered; on the same ones nothing may differ.
+mod other_renderer {
     /// Largest fraction of a mask's pixels that may differ (at outlines).
     pub(super) const MASK_FRACTION: f64 = 2e-3;
     /// Largest mean difference of the 8-bit RGB values (from rounding).
@@ -74,8 +74,10 @@ fn check_frame(
         return Ok(());
     };
     let (frame, _) = renderer.render(&scene, &context.settings)?;
-    let is_same_adapter = line.adapter == renderer.gpu().info.name;
-    compare_images(context, line, &frame, &paths, is_same_adapter, report);
+    // Datasets of version 0.1 do not record the raster backend.
+    let is_same_renderer = line.adapter == renderer.gpu().info.name
+        && line.raster.as_deref().is_none_or(|raster| raster == renderer.raster().name());
+    compare_images(context, line, &frame, &paths, is_same_renderer, report);
     let depth_file = line.hashes().find(|(path, _)| path.contains("distance_to_image_plane"));
     if let Some((path, _)) = depth_file {
         depth::check_depth(context, line, path, &scene, renderer, report)?;
@@ -105,7 +107,7 @@ fn compare_images(
     line: &FrameLine,
     frame: &Frame,
     [rgb, mask]: &[String; 2],
-    is_same_adapter: bool,
+    is_same_renderer: bool,
     report: &mut Report,
 ) {
     let index = Some(line.index);
@@ -116,7 +118,7 @@ fn compare_images(
     let ids: Vec<u8> = context.edges.apply(frame).iter().map(|id| context.label_ids.mask_id(*id)).collect();
     if let Some(stored) = decode(mask) {
         let differing = stored.iter().zip(&ids).filter(|(a, b)| a != b).count();
-        let allowed = if is_same_adapter { 0.0 } else { other_adapter::MASK_FRACTION * ids.len() as f64 };
+        let allowed = if is_same_renderer { 0.0 } else { other_renderer::MASK_FRACTION * ids.len() as f64 };
         let is_good = stored.len() == ids.len() && differing as f64 <= allowed;
         report.expect("rendering", index, is_good, || {
             format!("{mask}: {differing} pixels come out as another class; allowed are {allowed:.0}")
@@ -125,7 +127,7 @@ fn compare_images(
     if let Some(stored) = decode(rgb) {
         let mean: f64 = stored.iter().zip(&frame.rgb).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>()
             / stored.len() as f64;
-        let allowed = if is_same_adapter { 0.0 } else { other_adapter::MEAN_RGB };
+        let allowed = if is_same_renderer { 0.0 } else { other_renderer::MEAN_RGB };
         let is_good = stored.len() == frame.rgb.len() && mean <= allowed;
         report.expect("rendering", index, is_good, || {
             format!("{rgb}: its values differ by {mean:.3} on average; allowed is {allowed}")

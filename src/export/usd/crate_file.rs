@@ -1,8 +1,9 @@
-//! A layer as a binary crate (`.usdc`), version 0.8.0: small, and read without parsing.
+//! A layer as a crate file (`.usdc`), the binary format of OpenUSD, version 0.8.0.
 //!
-//! A crate is a bootstrap, values, and six sections that point at each other by number: tokens, strings, fields (name
-//! and value), field sets (lists of fields that end with -1), paths (a tree, depth first) and specs (path, field set,
-//! kind). Values that fit into 48 bits stand in the field itself. Layout: OpenUSD, `pxr/usd/sdf/crateFile.h`,
+//! A crate file has a bootstrap header, values, and six sections that refer to each other by index: tokens, strings,
+//! fields (name and value representation), field sets (lists of fields, each terminated by -1), paths (a tree in
+//! depth-first order) and specs (path, field set, spec type). A value representation holds the type and either the
+//! value itself, if it fits into 48 bits (inlined), or its offset in the file. Source: OpenUSD, `pxr/usd/sdf/crateFile.h`,
 //! `crateFile.cpp` and `integerCoding.cpp`.
 //! Must not know: what the prims mean.
 
@@ -14,7 +15,7 @@ const MAGIC: &[u8; 8] = b"PXR-USDC";
 const VERSION: [u8; 8] = [0, 8, 0, 0, 0, 0, 0, 0];
 const BOOTSTRAP_BYTES: usize = 88;
 
-// Numbers of the types of values.
+// Type numbers (`crateDataTypes.h`).
 const BOOL: u64 = 1;
 const INT: u64 = 3;
 const FLOAT: u64 = 8;
@@ -34,61 +35,63 @@ const VARIABILITY: u64 = 44;
 
 const IS_ARRAY: u64 = 1 << 63;
 const IS_INLINED: u64 = 1 << 62;
-/// Bits of a list operation's first byte.
+// Bits of the first byte of a list operation (`ListOpHeader`).
 const EXPLICIT_ITEMS: u8 = 0b11;
 const PREPENDED_ITEMS: u8 = 1 << 5;
 
-// Kinds of specs.
+// Spec types (`SdfSpecType`).
 const ATTRIBUTE: u32 = 1;
 const PRIM: u32 = 6;
 const PSEUDO_ROOT: u32 = 7;
 const RELATIONSHIP: u32 = 8;
 
-/// What ends a list of fields.
-const END_OF_FIELDS: u32 = u32::MAX;
+/// Terminates a field set.
+const FIELD_SET_END: u32 = u32::MAX;
 
 pub(super) fn encode(layer: &Layer) -> Vec<u8> {
-    let mut writer = Writer::default();
+    let mut writer = CrateWriter::default();
     writer.bytes.resize(BOOTSTRAP_BYTES, 0);
-    let root = writer.number_paths(layer);
+    let root = writer.index_paths(layer);
     writer.root_spec(layer, &root);
     writer.finish(&root)
 }
 
-/// A path: the last part of its name, and the paths below it.
-struct Node {
-    number: u32,
-    /// Token, negative for a property.
+/// A path in the tree of paths.
+struct PathNode {
+    /// Index of the path.
+    index: u32,
+    /// Token of its last element, negated for a property.
     element: i32,
     children: Vec<Self>,
 }
 
+/// The tables of a crate file as they grow. Equal tokens, fields and field sets are stored once.
 #[derive(Default)]
-struct Writer {
-    /// The file so far: bootstrap and values.
+struct CrateWriter {
+    /// The file so far: bootstrap header and values.
     bytes: Vec<u8>,
     tokens: Vec<String>,
-    token_numbers: BTreeMap<String, u32>,
-    /// Tokens of the strings.
+    token_indices: BTreeMap<String, u32>,
+    /// Token of each string.
     strings: Vec<u32>,
-    path_numbers: BTreeMap<String, u32>,
-    /// Name and value of every field.
+    path_indices: BTreeMap<String, u32>,
+    /// Name token and value representation of each field.
     fields: Vec<(u32, u64)>,
-    field_numbers: BTreeMap<(u32, u64), u32>,
+    field_indices: BTreeMap<(u32, u64), u32>,
     field_sets: Vec<u32>,
-    field_set_numbers: BTreeMap<Vec<u32>, u32>,
-    /// Path, field set, kind.
+    field_set_indices: BTreeMap<Vec<u32>, u32>,
+    /// Path, field set and spec type of each spec.
     specs: Vec<[u32; 3]>,
 }
 
-impl Writer {
+impl CrateWriter {
     fn token(&mut self, text: &str) -> u32 {
-        if let Some(number) = self.token_numbers.get(text) {
+        if let Some(number) = self.token_indices.get(text) {
             return *number;
         }
         let number = self.tokens.len() as u32;
         self.tokens.push(text.to_owned());
-        self.token_numbers.insert(text.to_owned(), number);
+        self.token_indices.insert(text.to_owned(), number);
         number
     }
 
@@ -98,39 +101,39 @@ impl Writer {
         self.strings.len() as u32 - 1
     }
 
-    /// Numbers every path of a layer, depth first, before any value points at one.
-    fn number_paths(&mut self, layer: &Layer) -> Node {
-        // An element of its own, so that no other has token 0, which could not be negative.
+    /// Indexes every path of a layer in depth-first order, before any value refers to one.
+    fn index_paths(&mut self, layer: &Layer) -> PathNode {
+        // The root takes token 0, which cannot be negated to mark a property.
         let element = self.token("") as i32;
-        let number = self.path("/");
-        let children = layer.prims.iter().map(|prim| self.number_prim("", prim)).collect();
-        Node { number, element, children }
+        let index = self.path("/");
+        let children = layer.prims.iter().map(|prim| self.index_prim("", prim)).collect();
+        PathNode { index, element, children }
     }
 
     fn path(&mut self, path: &str) -> u32 {
-        let next = self.path_numbers.len() as u32;
-        *self.path_numbers.entry(path.to_owned()).or_insert(next)
+        let next = self.path_indices.len() as u32;
+        *self.path_indices.entry(path.to_owned()).or_insert(next)
     }
 
-    fn number_prim(&mut self, parent: &str, prim: &Prim) -> Node {
+    fn index_prim(&mut self, parent: &str, prim: &Prim) -> PathNode {
         let path = format!("{parent}/{}", prim.name);
-        let (number, element) = (self.path(&path), self.token(&prim.name) as i32);
+        let (index, element) = (self.path(&path), self.token(&prim.name) as i32);
         let mut children = Vec::with_capacity(prim.properties.len() + prim.children.len());
         for property in &prim.properties {
-            let number = self.path(&format!("{path}.{}", property.name));
+            let index = self.path(&format!("{path}.{}", property.name));
             let element = -(self.token(property.name) as i32);
-            children.push(Node { number, element, children: Vec::new() });
+            children.push(PathNode { index, element, children: Vec::new() });
         }
         for child in &prim.children {
-            children.push(self.number_prim(&path, child));
+            children.push(self.index_prim(&path, child));
         }
-        Node { number, element, children }
+        PathNode { index, element, children }
     }
 
-    fn root_spec(&mut self, layer: &Layer, root: &Node) {
+    fn root_spec(&mut self, layer: &Layer, root: &PathNode) {
         let mut fields = self.metadata(&layer.metadata);
         fields.extend(self.names("primChildren", layer.prims.iter().map(|prim| prim.name.as_str())));
-        self.spec(root.number, &fields, PSEUDO_ROOT);
+        self.spec(root.index, &fields, PSEUDO_ROOT);
         for prim in &layer.prims {
             self.prim_spec("", prim);
         }
@@ -145,8 +148,8 @@ impl Writer {
         fields.extend(self.metadata(&prim.metadata));
         fields.extend(self.names("properties", prim.properties.iter().map(|property| property.name)));
         fields.extend(self.names("primChildren", prim.children.iter().map(|child| child.name.as_str())));
-        let number = self.path(&path);
-        self.spec(number, &fields, PRIM);
+        let index = self.path(&path);
+        self.spec(index, &fields, PRIM);
         for property in &prim.properties {
             self.property_spec(&path, property);
         }
@@ -166,7 +169,7 @@ impl Writer {
         let variability = u32::from(property.is_uniform || is_relationship);
         fields.push(self.field("variability", inlined(VARIABILITY, variability)));
         match &property.content {
-            Content::Nothing => {}
+            Content::Declared => {}
             Content::Value(value) => {
                 let value = self.value(value);
                 fields.push(self.field("default", value));
@@ -181,20 +184,20 @@ impl Writer {
             }
         }
         fields.extend(self.metadata(&property.metadata));
-        let number = self.path(&format!("{prim}.{}", property.name));
-        self.spec(number, &fields, if is_relationship { RELATIONSHIP } else { ATTRIBUTE });
+        let index = self.path(&format!("{prim}.{}", property.name));
+        self.spec(index, &fields, if is_relationship { RELATIONSHIP } else { ATTRIBUTE });
     }
 
     fn metadata(&mut self, fields: &[Field]) -> Vec<u32> {
-        let mut numbers = Vec::new();
+        let mut indices = Vec::new();
         for (name, value) in fields {
             let value = self.value(value);
-            numbers.push(self.field(name, value));
+            indices.push(self.field(name, value));
         }
-        numbers
+        indices
     }
 
-    /// A field that lists names, if there are any.
+    /// A field with a list of names; `None` if the list is empty.
     fn names<'a>(&mut self, field: &str, names: impl Iterator<Item = &'a str>) -> Option<u32> {
         let tokens: Vec<u32> = names.map(|name| self.token(name)).collect();
         (!tokens.is_empty()).then(|| {
@@ -207,46 +210,46 @@ impl Writer {
     fn field(&mut self, name: &str, value: u64) -> u32 {
         let key = (self.token(name), value);
         let next = self.fields.len() as u32;
-        let number = *self.field_numbers.entry(key).or_insert(next);
-        if number == next {
+        let index = *self.field_indices.entry(key).or_insert(next);
+        if index == next {
             self.fields.push(key);
         }
-        number
+        index
     }
 
-    fn spec(&mut self, path: u32, fields: &[u32], kind: u32) {
+    fn spec(&mut self, path: u32, fields: &[u32], spec_type: u32) {
         let next = self.field_sets.len() as u32;
-        let set = *self.field_set_numbers.entry(fields.to_vec()).or_insert(next);
+        let set = *self.field_set_indices.entry(fields.to_vec()).or_insert(next);
         if set == next {
             self.field_sets.extend(fields);
-            self.field_sets.push(END_OF_FIELDS);
+            self.field_sets.push(FIELD_SET_END);
         }
-        self.specs.push([path, set, kind]);
+        self.specs.push([path, set, spec_type]);
     }
 
-    /// A value of this type that begins here.
-    fn start(&self, kind: u64) -> u64 {
-        kind << 48 | self.bytes.len() as u64
+    /// Representation of a value of this type that is written next.
+    fn start(&self, type_number: u64) -> u64 {
+        type_number << 48 | self.bytes.len() as u64
     }
 
     fn put<const N: usize>(&mut self, bytes: [u8; N]) {
         self.bytes.extend(bytes);
     }
 
-    fn put_list(&mut self, numbers: &[u32]) {
-        self.put((numbers.len() as u64).to_le_bytes());
-        numbers.iter().for_each(|number| self.bytes.extend(number.to_le_bytes()));
+    fn put_list(&mut self, indices: &[u32]) {
+        self.put((indices.len() as u64).to_le_bytes());
+        indices.iter().for_each(|index| self.bytes.extend(index.to_le_bytes()));
     }
 
     fn path_list(&mut self, path: &str) -> u64 {
-        let number = self.path(path);
+        let index = self.path(path);
         let value = self.start(PATH_LIST_OP);
         self.put([EXPLICIT_ITEMS]);
-        self.put_list(&[number]);
+        self.put_list(&[index]);
         value
     }
 
-    /// Writes a value, or all but its number into the number itself.
+    /// The representation of a value, which is written to the file unless it is inlined.
     fn value(&mut self, value: &Value) -> u64 {
         match value {
             Value::Bool(value) => inlined(BOOL, u32::from(*value)),
@@ -280,39 +283,39 @@ impl Writer {
                 for (key, entry) in entries {
                     let key = self.string(key);
                     self.put(key.to_le_bytes());
-                    // How far it is to the entry's number, then whatever it has to write, then the number.
+                    // The distance to the entry's representation, then its value, then the representation.
                     let start = self.bytes.len();
                     self.put(0_u64.to_le_bytes());
-                    let number = self.value(entry);
+                    let representation = self.value(entry);
                     let distance = (self.bytes.len() - start) as u64;
                     self.bytes[start..start + 8].copy_from_slice(&distance.to_le_bytes());
-                    self.put(number.to_le_bytes());
+                    self.put(representation.to_le_bytes());
                 }
                 value
             }
         }
     }
 
-    fn plain<T: bytemuck::NoUninit>(&mut self, kind: u64, numbers: &[T]) -> u64 {
-        let value = self.start(kind);
+    fn plain<T: bytemuck::NoUninit>(&mut self, type_number: u64, numbers: &[T]) -> u64 {
+        let value = self.start(type_number);
         self.bytes.extend(bytemuck::cast_slice::<T, u8>(numbers));
         value
     }
 
-    fn array<T: bytemuck::NoUninit>(&mut self, kind: u64, count: usize, numbers: &[T]) -> u64 {
+    fn array<T: bytemuck::NoUninit>(&mut self, type_number: u64, count: usize, numbers: &[T]) -> u64 {
         if count == 0 {
-            return kind << 48 | IS_ARRAY;
+            return type_number << 48 | IS_ARRAY;
         }
-        // Readers map arrays into memory, where numbers want their alignment.
+        // Readers map the file into memory and use aligned arrays in place.
         self.bytes.resize(self.bytes.len().next_multiple_of(8), 0);
-        let value = self.start(kind) | IS_ARRAY;
+        let value = self.start(type_number) | IS_ARRAY;
         self.put((count as u64).to_le_bytes());
         self.bytes.extend(bytemuck::cast_slice::<T, u8>(numbers));
         value
     }
 
-    /// Writes the sections and the table that finds them.
-    fn finish(mut self, root: &Node) -> Vec<u8> {
+    /// Writes the sections and the table of contents.
+    fn finish(mut self, root: &PathNode) -> Vec<u8> {
         let mut table: Vec<([u8; 16], usize, usize)> = Vec::new();
         let mut section = |name: &str, content: Vec<u8>| {
             let mut padded = [0; 16];
@@ -328,7 +331,7 @@ impl Writer {
         let mut field_sets = (self.field_sets.len() as u64).to_le_bytes().to_vec();
         field_sets.extend(compressed_integers(self.field_sets.iter().map(|n| n.cast_signed())));
         section("FIELDSETS", field_sets);
-        section("PATHS", paths_section(self.path_numbers.len(), root));
+        section("PATHS", paths_section(self.path_indices.len(), root));
         let mut specs = (self.specs.len() as u64).to_le_bytes().to_vec();
         for part in 0..3 {
             specs.extend(compressed_integers(self.specs.iter().map(|spec| spec[part].cast_signed())));
@@ -348,9 +351,9 @@ impl Writer {
     }
 }
 
-/// A value that stands in its own number.
-const fn inlined(kind: u64, payload: u32) -> u64 {
-    IS_INLINED | kind << 48 | payload as u64
+/// Representation of an inlined value.
+const fn inlined(type_number: u64, payload: u32) -> u64 {
+    IS_INLINED | type_number << 48 | payload as u64
 }
 
 fn tokens_section(tokens: &[String]) -> Vec<u8> {
@@ -373,20 +376,20 @@ fn fields_section(fields: &[(u32, u64)]) -> Vec<u8> {
     section
 }
 
-/// The tree of paths, depth first: number, element, and how to go on. -2: neither child nor sibling; -1: a child
-/// follows; 0: a sibling follows; n: a child follows, and a sibling n places on.
-fn paths_section(count: usize, root: &Node) -> Vec<u8> {
-    fn walk(node: &Node, has_sibling: bool, rows: &mut Vec<[i32; 3]>) {
-        let place = rows.len();
-        rows.push([node.number.cast_signed(), node.element, 0]);
+/// The tree of paths in depth-first order: path index, element token and jump of each. Jumps: -2, no child and no
+/// sibling; -1, a child follows; 0, a sibling follows; n, a child follows and a sibling n entries on.
+fn paths_section(count: usize, root: &PathNode) -> Vec<u8> {
+    fn walk(node: &PathNode, has_sibling: bool, rows: &mut Vec<[i32; 3]>) {
+        let row = rows.len();
+        rows.push([node.index.cast_signed(), node.element, 0]);
         for (i, child) in node.children.iter().enumerate() {
             walk(child, i + 1 < node.children.len(), rows);
         }
-        rows[place][2] = match (node.children.is_empty(), has_sibling) {
+        rows[row][2] = match (node.children.is_empty(), has_sibling) {
             (true, false) => -2,
             (false, false) => -1,
             (true, true) => 0,
-            (false, true) => (rows.len() - place) as i32,
+            (false, true) => (rows.len() - row) as i32,
         };
     }
     let mut rows = Vec::with_capacity(count);
@@ -399,14 +402,14 @@ fn paths_section(count: usize, root: &Node) -> Vec<u8> {
     section
 }
 
-/// As LZ4 in one chunk.
+/// LZ4 in one chunk, in the framing of `TfFastCompression`: the leading 0 says that there are no further chunks.
 fn compressed(bytes: &[u8]) -> Vec<u8> {
     let mut packed = vec![0];
     packed.extend(lz4_flex::block::compress(bytes));
     packed
 }
 
-/// Size and bytes of a list of integers: coded, then compressed.
+/// A list of integers, coded and compressed, with its compressed size in front.
 fn compressed_integers(numbers: impl Iterator<Item = i32>) -> Vec<u8> {
     let packed = compressed(&coded_integers(numbers));
     let mut bytes = (packed.len() as u64).to_le_bytes().to_vec();
@@ -414,14 +417,14 @@ fn compressed_integers(numbers: impl Iterator<Item = i32>) -> Vec<u8> {
     bytes
 }
 
-/// Integers as differences: the commonest, two bits for each (0 the commonest, 1 to 3 one that takes 8, 16 or 32 bits),
-/// then those that are not the commonest.
+/// Integers coded as differences: the most common difference, a two-bit code for each (0, the most common one; 1 to 3, one
+/// of 8, 16 or 32 bits), then the differences of the other codes.
 fn coded_integers(numbers: impl Iterator<Item = i32>) -> Vec<u8> {
-    let mut before = 0_i32;
+    let mut previous = 0_i32;
     let differences: Vec<i32> = numbers
         .map(|number| {
-            let difference = number.wrapping_sub(before);
-            before = number;
+            let difference = number.wrapping_sub(previous);
+            previous = number;
             difference
         })
         .collect();
@@ -429,25 +432,25 @@ fn coded_integers(numbers: impl Iterator<Item = i32>) -> Vec<u8> {
     for difference in &differences {
         *counts.entry(*difference).or_default() += 1;
     }
-    let commonest = counts.iter().max_by_key(|(_, count)| **count).map_or(0, |(difference, _)| *difference);
+    let most_common = counts.iter().max_by_key(|(_, count)| **count).map_or(0, |(difference, _)| *difference);
     let mut codes = vec![0_u8; differences.len().div_ceil(4)];
     let mut rest = Vec::new();
-    for (place, &difference) in differences.iter().enumerate() {
-        let code = if difference == commonest {
+    for (i, &difference) in differences.iter().enumerate() {
+        let code = if difference == most_common {
             0
         } else if let Ok(small) = i8::try_from(difference) {
             rest.extend(small.to_le_bytes());
             1
-        } else if let Ok(middling) = i16::try_from(difference) {
-            rest.extend(middling.to_le_bytes());
+        } else if let Ok(medium) = i16::try_from(difference) {
+            rest.extend(medium.to_le_bytes());
             2
         } else {
             rest.extend(difference.to_le_bytes());
             3
         };
-        codes[place / 4] |= code << (2 * (place % 4));
+        codes[i / 4] |= code << (2 * (i % 4));
     }
-    [commonest.to_le_bytes().to_vec(), codes, rest].concat()
+    [most_common.to_le_bytes().to_vec(), codes, rest].concat()
 }
 
 #[cfg(test)]
@@ -459,20 +462,20 @@ mod tests {
         // The example in OpenUSD's integerCoding.cpp.
         let numbers = [123, 124, 125, 100_125, 100_125, 100_126, 100_126];
         let coded = coded_integers(numbers.into_iter());
-        let (commonest, codes) = (1_i32.to_le_bytes(), [0b11_00_00_01, 0b00_01_00_01]);
+        let (most_common, codes) = (1_i32.to_le_bytes(), [0b11_00_00_01, 0b00_01_00_01]);
         let rest = [&[123][..], &100_000_i32.to_le_bytes(), &[0], &[0]].concat();
-        assert_eq!(coded, [&commonest[..], &codes, &rest].concat());
+        assert_eq!(coded, [&most_common[..], &codes, &rest].concat());
     }
 
     #[test]
-    fn paths_are_a_tree_depth_first() {
-        let leaf = |number, element| Node { number, element, children: Vec::new() };
-        let child = Node { number: 1, element: 5, children: vec![leaf(2, -6), leaf(3, 7)] };
-        let root = Node { number: 0, element: 0, children: vec![child, leaf(4, 8)] };
+    fn paths_are_stored_depth_first() {
+        let leaf = |index, element| PathNode { index, element, children: Vec::new() };
+        let child = PathNode { index: 1, element: 5, children: vec![leaf(2, -6), leaf(3, 7)] };
+        let root = PathNode { index: 0, element: 0, children: vec![child, leaf(4, 8)] };
         let section = paths_section(5, &root);
-        let numbers = coded_integers([0, 1, 2, 3, 4].into_iter());
+        let indices = coded_integers([0, 1, 2, 3, 4].into_iter());
         let jumps = coded_integers([-1, 3, 0, -2, -2].into_iter());
-        for part in [numbers, jumps] {
+        for part in [indices, jumps] {
             let packed = compressed(&part);
             assert!(section.windows(packed.len()).any(|window| window == packed), "{part:?}");
         }

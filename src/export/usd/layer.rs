@@ -1,22 +1,23 @@
-//! A layer of OpenUSD as plain data: prims with typed properties, before it is text or a crate.
+//! A layer of OpenUSD as plain data: prims with typed properties.
 //!
-//! Holds what the stage here needs of Sdf's data model (prims, attributes, relationships, metadata; no variants, no
-//! time samples, no composition).
-//! To add a type of value: a variant of [`Value`], its form in `text`, its code in `crate_file`.
+//! Covers the part of Sdf's data model that the exported stage needs: prims, attributes, relationships and metadata; no
+//! variants, time samples or composition arcs.
+//! Must not know: file formats.
+//! To add a type of value: a variant of [`Value`], its syntax in `text`, its type number and encoding in `crate_file`.
 
 use glam::Vec3;
 
-/// A field of metadata and its value.
+/// Name and value of a metadata field.
 pub(super) type Field = (&'static str, Value);
 
-/// A whole file.
+/// A layer: the content of one file.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Layer {
     pub metadata: Vec<Field>,
     pub prims: Vec<Prim>,
 }
 
-/// A prim that is defined.
+/// A prim with specifier `def`.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Prim {
     pub name: String,
@@ -37,16 +38,16 @@ pub(super) struct Property {
     pub metadata: Vec<Field>,
 }
 
-/// What a property holds.
+/// The content of a property.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Content {
-    /// It is declared only.
-    Nothing,
-    /// A value.
+    /// None: the property is only declared.
+    Declared,
+    /// The default value of an attribute.
     Value(Value),
-    /// The path of the attribute that it is connected to.
+    /// Path of the source attribute of a connection.
     Connection(String),
-    /// The path that a relationship has as target.
+    /// Path of the target of a relationship.
     Target(String),
 }
 
@@ -66,7 +67,7 @@ pub(super) enum Value {
     IntArray(Vec<i32>),
     Vec3fArray(Vec<Vec3>),
     TokenArray(Vec<String>),
-    /// A list operation that puts tokens before those of weaker layers.
+    /// A list operation that prepends tokens to those of weaker layers.
     PrependedTokens(Vec<String>),
     Dictionary(Vec<Field>),
 }
@@ -88,7 +89,7 @@ impl Property {
     }
 
     pub(super) fn declared(name: &'static str, type_name: &'static str) -> Self {
-        Self::with_content(name, type_name, Content::Nothing)
+        Self::with_content(name, type_name, Content::Declared)
     }
 
     pub(super) fn connected(name: &'static str, type_name: &'static str, source: String) -> Self {
@@ -111,7 +112,7 @@ impl Property {
 }
 
 impl Value {
-    /// Its type, as text names it in a dictionary.
+    /// Name of its type in the text format.
     pub(super) const fn type_name(&self) -> &'static str {
         match self {
             Self::Bool(_) => "bool",

@@ -1,4 +1,6 @@
-//! A layer as text (`.usda`), for people and for diffs.
+//! A layer as text (`.usda`).
+//!
+//! Must not know: what the prims mean.
 
 use std::fmt::{self, Display, Write as _};
 
@@ -31,8 +33,8 @@ fn write_prim(out: &mut String, indent: &str, prim: &Prim) -> fmt::Result {
     for property in &prim.properties {
         write_property(out, &deeper, property)?;
     }
-    for (place, child) in prim.children.iter().enumerate() {
-        if place > 0 || !prim.properties.is_empty() {
+    for (i, child) in prim.children.iter().enumerate() {
+        if i > 0 || !prim.properties.is_empty() {
             out.push('\n');
         }
         write_prim(out, &deeper, child)?;
@@ -40,7 +42,7 @@ fn write_prim(out: &mut String, indent: &str, prim: &Prim) -> fmt::Result {
     writeln!(out, "{indent}}}")
 }
 
-/// Fields in parentheses, and the line's end.
+/// Metadata fields in parentheses, and a newline.
 fn write_metadata(out: &mut String, indent: &str, fields: &[Field]) -> fmt::Result {
     if fields.is_empty() {
         return Ok(());
@@ -62,7 +64,7 @@ fn write_property(out: &mut String, indent: &str, property: &Property) -> fmt::R
     let Property { name, type_name, is_uniform, content, metadata } = property;
     let uniform = if *is_uniform { "uniform " } else { "" };
     match content {
-        Content::Nothing => write!(out, "{indent}{uniform}{type_name} {name}")?,
+        Content::Declared => write!(out, "{indent}{uniform}{type_name} {name}")?,
         Content::Connection(source) => {
             write!(out, "{indent}{uniform}{type_name} {name}.connect = <{source}>")?
         }
@@ -113,15 +115,15 @@ fn write_value(out: &mut String, indent: &str, value: &Value) -> fmt::Result {
 
 fn write_list<T: Display>(out: &mut String, items: impl IntoIterator<Item = T>) -> fmt::Result {
     out.push('[');
-    for (place, item) in items.into_iter().enumerate() {
-        let comma = if place > 0 { ", " } else { "" };
+    for (i, item) in items.into_iter().enumerate() {
+        let comma = if i > 0 { ", " } else { "" };
         write!(out, "{comma}{item}")?;
     }
     out.push(']');
     Ok(())
 }
 
-/// A vector as USD writes it.
+/// A vector in the syntax of USD.
 struct Tuple(Vec3);
 
 impl Display for Tuple {

@@ -87,7 +87,10 @@ mod tests {
         let line: FrameLine = serde_json::from_str(text).expect("a line");
         assert_eq!(serde_json::to_string(&line).expect("JSON"), text);
         assert_eq!((line.bundle(), line.coverage_of("regolith")), (Some("x.tar"), Some(0.1 + 0.2)));
-        let plain = text.replace(r#""split":"val","#, "").replace(r#","raster":"host""#, "").replace(r#","entry":{"bundle":"x.tar"}"#, "");
+        let plain = text
+            .replace(r#""split":"val","#, "")
+            .replace(r#","raster":"host""#, "")
+            .replace(r#","entry":{"bundle":"x.tar"}"#, "");
         let line: FrameLine = serde_json::from_str(&plain).expect("a line");
         assert_eq!(serde_json::to_string(&line).expect("JSON"), plain);
     }

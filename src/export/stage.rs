@@ -1,0 +1,133 @@
+//! What is exported: the scene, divided into parts with materials.
+//!
+//! Must not know: formats.
+
+use glam::Vec3;
+
+use crate::class::ClassId;
+use crate::error::Result;
+use crate::render::RenderSettings;
+use crate::render::select::near_plane;
+use crate::render::select::selection::Selection;
+use crate::scene::Scene;
+use crate::scene::mesh::Vertex;
+use crate::scene::rocks::Material;
+
+/// How much of the scene's detail is exported.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Detail {
+    /// Every triangle of the authored meshes.
+    Authored,
+    /// The triangles that a frame with the stage's settings draws or that cast shadows in it.
+    Drawn,
+}
+
+/// What is exported.
+#[derive(Clone, Copy, Debug)]
+pub struct Stage<'a> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// Its seed.
+    pub seed: u64,
+    /// The value of every knob.
+    pub knobs: &'a serde_json::Map<String, serde_json::Value>,
+    /// Image size for the camera's matrix, and what [`Detail::Drawn`] is drawn with.
+    pub settings: &'a RenderSettings,
+    /// How much of its detail.
+    pub detail: Detail,
+}
+
+/// The ground or one rock.
+pub(super) struct Part<'a> {
+    pub(super) class: ClassId,
+    /// Index of the rock; `None` for the ground.
+    pub(super) rock: Option<usize>,
+    /// Instance id; 0 for the ground.
+    pub(super) instance: u16,
+    /// Translation from object to world space.
+    pub(super) origin: Vec3,
+    pub(super) vertices: &'a [Vertex],
+    pub(super) triangles: Vec<[u32; 3]>,
+    pub(super) material: Material,
+}
+
+impl Part<'_> {
+    /// Name of its node or prim.
+    pub(super) fn name(&self) -> String {
+        self.rock.map_or_else(|| "Regolith".to_owned(), |rock| format!("Rock_{rock:03}"))
+    }
+}
+
+/// The distinct materials of these parts with their names, in order of first use, and for each part the index of its
+/// material. Rocks share a pool of materials, so there are far fewer of them than parts.
+pub(super) fn materials(parts: &[Part<'_>]) -> (Vec<(String, Material)>, Vec<usize>) {
+    let mut materials: Vec<(String, Material)> = Vec::new();
+    let (mut of_parts, mut rock_materials) = (Vec::with_capacity(parts.len()), 0);
+    for part in parts {
+        let known = materials.iter().position(|(name, material)| {
+            *material == part.material && (name == "Regolith") == part.rock.is_none()
+        });
+        of_parts.push(known.unwrap_or_else(|| {
+            let name = if part.rock.is_some() {
+                rock_materials += 1;
+                format!("RockMaterial_{:02}", rock_materials - 1)
+            } else {
+                "Regolith".to_owned()
+            };
+            materials.push((name, part.material));
+            materials.len() - 1
+        }));
+    }
+    (materials, of_parts)
+}
+
+impl Stage<'_> {
+    /// The ground, then the rocks in order of index.
+    ///
+    /// # Errors
+    /// Those of [`near_plane::drawn`].
+    pub(super) fn parts(&self) -> Result<Vec<Part<'_>>> {
+        let scene = self.scene;
+        let mut parts = vec![Part {
+            class: ClassId::REGOLITH,
+            rock: None,
+            instance: 0,
+            origin: Vec3::ZERO,
+            vertices: &scene.terrain.vertices,
+            // With every level of detail: the whole ground casts shadows.
+            triangles: scene.terrain.triangles().collect(),
+            material: scene.regolith,
+        }];
+        let levels: Vec<(usize, usize)> = match self.detail {
+            Detail::Authored => scene.rocks.iter().enumerate().map(|(rock, r)| (rock, r.level)).collect(),
+            Detail::Drawn => self
+                .drawn()?
+                .rocks
+                .iter()
+                .filter_map(|s| Some((s.rock, s.visible_level.or(s.caster.map(|(_, level)| level))?)))
+                .collect(),
+        };
+        parts.extend(levels.into_iter().map(|(index, level)| {
+            let rock = &scene.rocks[index];
+            let triangles = rock.triangles(level).to_vec();
+            let used = triangles.as_flattened().iter().max().map_or(0, |last| *last as usize + 1);
+            Part {
+                class: ClassId::ROCK,
+                rock: Some(index),
+                instance: rock.index as u16 + 1,
+                origin: rock.centre,
+                vertices: &rock.vertices[..used],
+                triangles,
+                material: rock.material,
+            }
+        }));
+        Ok(parts)
+    }
+
+    /// The rocks and levels of detail that a frame draws.
+    fn drawn(&self) -> Result<Selection> {
+        let (camera, size) = near_plane::drawn(&self.scene.camera, self.settings.size)?;
+        let settings = RenderSettings { size, ..*self.settings };
+        Ok(Selection::new(&Scene { camera, ..self.scene.clone() }, &settings))
+    }
+}
