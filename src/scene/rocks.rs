@@ -337,11 +337,16 @@ impl Rock {
         let lowest = lowest.unwrap_or_default();
         self.settle(terrain, place, embedding, lowest);
         if self.distance_to(eye, EYE_CLEARANCE_M) < EYE_CLEARANCE_M {
-            // Straight away from the eye until the whole ball around the rock is clear of it.
-            let away = place - eye.truncate();
-            let towards = if away.length() > 0.0 { away / away.length() } else { Vec2::Y };
+            // Straight away from the eye until the whole ball around the rock is clear of it; where that is beyond
+            // the border of the ground, to the opposite side of the eye or to one beside it.
+            let offset = place - eye.truncate();
+            let away = if offset.length() > 0.0 { offset / offset.length() } else { Vec2::Y };
             let clear_m = 1.01 * (self.radius_m + EYE_CLEARANCE_M);
-            self.settle(terrain, eye.truncate() + clear_m * towards, embedding, lowest);
+            let positions =
+                [away, -away, away.perp(), -away.perp()].map(|side| eye.truncate() + clear_m * side);
+            let max_m = terrain.half_extent_m - self.radius_m;
+            let on_ground = positions.into_iter().find(|position| position.abs().max_element() <= max_m);
+            self.settle(terrain, on_ground.unwrap_or(positions[0]), embedding, lowest);
             self.moved = true;
         }
     }
