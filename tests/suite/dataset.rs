@@ -375,14 +375,14 @@ fn wrong_configurations_are_refused_before_anything_is_written() {
 #[test]
 fn a_frame_that_breaks_a_rule_is_drawn_again_and_counted() {
     let folder = folder();
-    let demand = "--set=require={rock=[0.03,1]}";
+    let demand = "--set=require={rock=[0.05,1]}";
     run_ok(folder.path(), &dataset("data", &["--count", "12", "-q", demand]));
     let lines = lines(&folder.path().join("data"));
     let attempts: Vec<u64> = lines.iter().map(|line| line["attempt"].as_u64().expect("a number")).collect();
     let redrawn: u64 = attempts.iter().sum();
     assert!(redrawn > 0, "a demand that every frame meets shows nothing");
     for line in &lines {
-        assert!(line["coverage"]["rock"].as_f64() >= Some(0.03));
+        assert!(line["coverage"]["rock"].as_f64() >= Some(0.05));
         let rules = line.get("redrawn").and_then(Value::as_array).map_or(0, Vec::len);
         assert_eq!(Some(rules as u64), line["attempt"].as_u64());
     }

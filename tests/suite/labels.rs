@@ -75,7 +75,7 @@ fn rocks_of_less_than_the_least_diameter_are_ground() {
     let frame = |set: &[&str]| {
         let mut settings = RenderSettings::new([256; 2], 1).expect("settings");
         settings.annotations = [Annotation::Instances].into_iter().collect();
-        renderer().render(&scene(3, set), &settings).expect("a frame").0
+        renderer().render(&scene(4, set), &settings).expect("a frame").0
     };
     let (all, large) = (frame(&[]), frame(&["label.min_diameter_m=2.5"]));
     let seen = |frame: &Frame| frame.rocks.iter().map(|rock| rock.instance).collect::<Vec<_>>();

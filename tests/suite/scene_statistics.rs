@@ -272,8 +272,8 @@ fn every_knob_is_live() {
                 _ => "camera.roll_deg=0",
             };
             let set = format!("{}={other}", info.name);
-            let before = scene(31, &[&stage_name, needed]);
-            let after = scene(31, &[&stage_name, needed, &set]);
+            let before = scene(32, &[&stage_name, needed]);
+            let after = scene(32, &[&stage_name, needed, &set]);
             let frame = |scene: &Scene| {
                 let mut settings = RenderSettings::new([96, 96], 1).expect("settings");
                 if info.name.starts_with("label.crater") {

@@ -439,8 +439,8 @@ fn sky_is_black_and_shadows_are_dark() {
 /// A label rule is about the rock: it takes whole rocks out, and leaves the picture as it is.
 #[test]
 fn label_rules_take_whole_rocks_out() {
-    let all = scene(2, &[SURFACE]);
-    let few = scene(2, &[SURFACE, "label.min_pixels=30", "label.min_diameter_m=0.05"]);
+    let all = scene(3, &[SURFACE]);
+    let few = scene(3, &[SURFACE, "label.min_pixels=30", "label.min_diameter_m=0.05"]);
     let (before, after) =
         (frame(&all, 192, &[Annotation::Instances]), frame(&few, 192, &[Annotation::Instances]));
     assert!(before.rgb == after.rgb, "the picture changes");
