@@ -5,7 +5,7 @@ mod cli;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::process::ExitCode;
 
-use cli::progress::note;
+use cli::messages::note;
 
 fn main() -> ExitCode {
     silence_drivers();

@@ -1,4 +1,4 @@
-//! Throughput: `bench`.
+//! `bench`: frame throughput.
 
 use std::path::PathBuf;
 
@@ -13,37 +13,42 @@ use regolith::render::{FRAMES_IN_FLIGHT, Renderer};
 use regolith::{Error, Result};
 use serde_json::{Map, Value, json};
 
-use super::{ConfigArgs, Messages, PictureArgs, device, print, whole};
+use super::args::{ConfigArgs, DeviceArgs, ImageArgs, whole_number};
+use super::device;
+use super::messages::{Messages, print};
+use super::process::cores;
 
 #[derive(Args, Debug)]
 pub(super) struct BenchArgs {
-    /// Which cases: of camera, static-sun, scene, dataset
+    /// Cases to measure, separated by commas: camera, static-sun, scene, dataset
     #[arg(long, value_name = "LIST", default_value = "camera,static-sun,scene,dataset")]
     cases: String,
-    /// Frames of each case, after a warm-up
-    #[arg(long, value_name = "N", default_value_t = 30, value_parser = whole::<u64>(1, 1_000_000), allow_negative_numbers = true)]
+    /// Number of frames of each case, after a warm-up
+    #[arg(long, value_name = "N", default_value_t = 30, value_parser = whole_number::<u64>(1, 1_000_000))]
     frames: u64,
     /// Base seed
-    #[arg(long, value_name = "N", default_value_t = 42, value_parser = whole::<u64>(0, u64::MAX), allow_negative_numbers = true)]
+    #[arg(long, value_name = "N", default_value_t = 42, value_parser = whole_number::<u64>(0, u64::MAX))]
     seed: u64,
     #[command(flatten)]
     config: ConfigArgs,
     #[command(flatten)]
-    picture: PictureArgs,
-    /// What is read back (and written, in the case dataset): as for a frame
+    image: ImageArgs,
+    #[command(flatten)]
+    device: DeviceArgs,
+    /// Outputs to read back (and to write, in the case dataset), as for a frame
     #[arg(long, value_name = "LIST", default_value = "rgb,mask")]
     outputs: String,
-    /// Threads that build scenes, and as many that encode, in the case dataset; as many as there are cores if not given
-    #[arg(long, value_name = "N", value_parser = whole::<u16>(1, 256), allow_negative_numbers = true)]
+    /// Threads that build scenes, and as many that encode, in the case dataset [default: the number of cores]
+    #[arg(long, value_name = "N", value_parser = whole_number::<u16>(1, 256))]
     threads: Option<u16>,
-    /// Frames that the device may have at a time
-    #[arg(long, value_name = "N", default_value_t = FRAMES_IN_FLIGHT as u8, value_parser = whole::<u8>(1, 16), allow_negative_numbers = true)]
+    /// Frames that the device works on at the same time
+    #[arg(long, value_name = "N", default_value_t = FRAMES_IN_FLIGHT as u8, value_parser = whole_number::<u8>(1, 16))]
     frames_in_flight: u8,
-    /// Vary one thing: size, samples, rocks, frames-in-flight (the first of --cases) or threads (the case dataset); plots
-    /// how cost grows
+    /// Measure one case for several values of one setting, and plot the result: size, samples, rocks or frames-in-flight for
+    /// the first of --cases, threads for the case dataset
     #[arg(long, value_name = "NAME", value_parser = SWEEPS)]
     sweep: Option<String>,
-    /// File of the sweep's plot [default: sweep.svg]
+    /// File for the plot of the sweep [default: sweep.svg]
     #[arg(
         long,
         value_name = "FILE.svg",
@@ -59,8 +64,7 @@ pub(super) struct BenchArgs {
 pub(super) fn run(args: &BenchArgs, messages: Messages) -> Result<()> {
     let cases = parse_cases(&args.cases)?;
     let setup = setup(args)?;
-    let mut renderer =
-        Renderer::with_raster(device::open(args.picture.adapter.as_deref())?, args.picture.raster)?;
+    let mut renderer = args.device.renderer(args.device.open()?)?;
     match &args.sweep {
         Some(name) => sweep(args, messages, name, cases[0], &setup, &mut renderer),
         None => measure(args, messages, &cases, &setup, &mut renderer),
@@ -75,7 +79,7 @@ fn parse_cases(list: &str) -> Result<Vec<Case>> {
         let known = Case::ALL.iter().find(|row| row.1 == word);
         known.map(|row| row.0).ok_or_else(|| {
             let names: Vec<&str> = Case::ALL.iter().map(|row| row.1).collect();
-            Error::Usage(format!("--cases: unknown case `{word}`; there are {}", names.join(", ")))
+            Error::Usage(format!("--cases: unknown case `{word}`; the cases are {}", names.join(", ")))
         })
     });
     cases.collect()
@@ -85,9 +89,9 @@ fn setup(args: &BenchArgs) -> Result<Setup> {
     let config = args.config.build()?;
     let (format, layout) = layout::find("folder")?;
     let outputs = Plan::outputs(Some(&args.outputs), format, layout)?;
-    let mut settings = args.picture.settings()?;
+    let mut settings = args.image.settings()?;
     settings.annotations = output::annotations(&outputs);
-    // Every frame is taken: what is drawn again would be measured twice.
+    // Every frame is accepted: a redrawn one would be measured twice.
     let rules = Rules { black_max: 1.0, clipped_max: 1.0, ..Rules::from_config(&config)? };
     let plan = Plan {
         rules,
@@ -95,20 +99,20 @@ fn setup(args: &BenchArgs) -> Result<Setup> {
         base_seed: args.seed,
         settings,
         outputs,
-        edges: args.picture.edges()?,
-        label_ids: args.picture.label_ids(),
+        edges: args.image.edges()?,
+        label_ids: args.image.label_ids(),
         format,
         layout,
         range: Range { start: 0, count: args.frames },
         splits: Vec::new(),
         shard: Shard::WHOLE,
     };
-    let threads = args.threads.map_or_else(super::dataset::cores, usize::from);
+    let threads = args.threads.map_or_else(cores, usize::from);
     let concurrency = Concurrency { threads, frames_in_flight: args.frames_in_flight.into() };
     Ok(Setup { plan, concurrency, frames: args.frames })
 }
 
-/// Measures in a folder that goes away.
+/// Measures one case; what it writes goes into a temporary folder.
 fn measure_one(case: Case, setup: &Setup, renderer: &mut Renderer) -> Result<Measured> {
     let folder = tempfile::tempdir().map_err(|cause| Error::Write { path: std::env::temp_dir(), cause })?;
     bench::run(case, setup, folder.path(), renderer)
@@ -135,7 +139,7 @@ fn measure(
             "adapter": { "name": info.name, "backend": info.backend.to_string(), "driver": format!("{} {}", info.driver, info.driver_info) },
             "raster": renderer.raster().name(),
             "version": env!("CARGO_PKG_VERSION"),
-            "cores": super::dataset::cores(),
+            "cores": cores(),
             "size": settings.size,
             "samples": settings.samples_per_side.pow(2),
             "frames_in_flight": setup.concurrency.frames_in_flight,
@@ -146,12 +150,12 @@ fn measure(
         return print(&format!("{result:#}\n"));
     }
     let mut text = format!(
-        "{}\n{} x {} pixels, {} samples a pixel, {} cores\n\n{:<12}{:>10}{:>10}{:>10}{:>12}{:>12}  stages, median ms\n",
+        "{}\n{} x {} pixels, {} samples per pixel, {} cores\n\n{:<12}{:>10}{:>10}{:>10}{:>12}{:>12}  stages, median ms\n",
         regolith::gpu::adapter::describe(info),
         settings.size[0],
         settings.size[1],
         settings.samples_per_side.pow(2),
-        super::dataset::cores(),
+        cores(),
         "case",
         "frames/s",
         "median ms",

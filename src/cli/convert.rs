@@ -1,4 +1,4 @@
-//! Datasets in other layouts: `convert`.
+//! `convert`: a finished dataset in another format.
 
 use std::path::PathBuf;
 
@@ -7,20 +7,21 @@ use regolith::Result;
 use regolith::dataset::convert::Conversion;
 use serde_json::json;
 
+use super::messages::{Messages, print};
+use super::process::stop_on_signals;
 use super::progress::Meter;
-use super::{Messages, print};
 
 #[derive(Args, Debug)]
 pub(super) struct ConvertArgs {
-    /// A finished dataset of the format `folder`
+    /// A finished dataset in the format `folder`
     folder: PathBuf,
-    /// The other format: see the list below
+    /// The new format; see the list below
     #[arg(long, value_name = "NAME")]
     format: String,
-    /// Output folder, made if missing; the same command goes on with what is there
+    /// Output folder, created if missing; the same command resumes an interrupted run
     #[arg(long, value_name = "DIR", default_value = "out")]
     out: PathBuf,
-    /// Allow starting in a folder that has other content
+    /// Write into a folder even if it has other content
     #[arg(long)]
     force: bool,
     /// Print the summary as JSON
@@ -30,7 +31,7 @@ pub(super) struct ConvertArgs {
 
 pub(super) fn run(args: &ConvertArgs, messages: Messages) -> Result<()> {
     let conversion = Conversion::new(&args.folder, &args.format)?;
-    let stop = super::dataset::stop_on_signals()?;
+    let stop = stop_on_signals()?;
     let mut meter = Meter::new(messages, "frames");
     let result = conversion.run(&args.folder, &args.out, args.force, &stop, |found, made| {
         meter.show([found, made, conversion.frames()], "");

@@ -1,8 +1,7 @@
-//! Datasets: `dataset`.
+//! `dataset`: makes, resumes and merges datasets.
 
 use std::io::Write as _;
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
@@ -17,59 +16,60 @@ use regolith::dataset::rules::Rules;
 use regolith::dataset::{self, Concurrency, Progress};
 use regolith::output;
 use regolith::output::layout::{self, LAYOUTS, webdataset::archive_end};
-use regolith::render::Renderer;
 use regolith::{Error, Result};
 use serde_json::{Value, json};
 
-use super::progress::{Meter, duration, note};
-use super::{ConfigArgs, Messages, PictureArgs, device, print, whole};
+use super::args::{ConfigArgs, DeviceArgs, ImageArgs, output_names, whole_number};
+use super::device;
+use super::messages::{Messages, print};
+use super::process::{cores, stop_on_signals};
+use super::progress::{Meter, duration};
 
-/// Frames that a dry run tells of, unless fewer are asked for.
+/// Number of frames of a dry run, if the range has as many.
 const DRY_FRAMES: u64 = 5;
 
 #[derive(Args, Debug)]
 pub(super) struct DatasetArgs {
     /// Number of frames
-    #[arg(long, value_name = "N", required_unless_present_any = ["split", "merge"], conflicts_with = "split", value_parser = whole::<u64>(1, MAX_FRAMES), allow_negative_numbers = true)]
+    #[arg(long, value_name = "N", required_unless_present_any = ["split", "merge"], conflicts_with = "split", value_parser = whole_number::<u64>(1, MAX_FRAMES))]
     count: Option<u64>,
-    /// Splits with their numbers of frames, as in train=1500,val=200: a folder each, no scene in two of them
+    /// Splits with their numbers of frames, for example train=1500,val=200: one folder each, no scene in two of them
     #[arg(long, value_name = "LIST", conflicts_with = "start")]
     split: Option<String>,
-    /// Number of the first frame
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = whole::<u64>(0, MAX_FRAMES - 1), allow_negative_numbers = true)]
+    /// Index of the first frame
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = whole_number::<u64>(0, MAX_FRAMES - 1))]
     start: u64,
-    /// Make only the frames i with i mod N = I, as in 0/4; shards may share a folder, or be copied into one
+    /// Make only the frames i with i mod N = I, for example 0/4; shards may share a folder, or be copied into one
     #[arg(long, value_name = "I/N", default_value = "0/1")]
     shard: String,
-    /// Base seed: frame i depends on it, on i and on the settings alone
-    #[arg(long, value_name = "N", default_value_t = 42, value_parser = whole::<u64>(0, u64::MAX), allow_negative_numbers = true)]
+    /// Base seed; frame i depends only on it, on i and on the settings
+    #[arg(long, value_name = "N", default_value_t = 42, value_parser = whole_number::<u64>(0, u64::MAX))]
     seed: u64,
-    /// Output folder, made if missing; the same command goes on with what is there. With --format webdataset `-` streams one
+    /// Output folder, created if missing; the same command resumes an interrupted run. With --format webdataset, `-` streams one
     /// archive to standard output
     #[arg(long, value_name = "DIR", default_value = "out")]
     out: PathBuf,
     #[command(flatten)]
     config: ConfigArgs,
     #[command(flatten)]
-    picture: PictureArgs,
-    /// What to write: of rgb, mask, preview (every 25th), depth, normals, instances, shadow, hdr, coverage, slope, craters, angles, five_classes, rock_sizes, meta; or all that the
-    /// format holds. rgb and mask are always there, and what else the format cannot be without
-    /// [default: rgb,mask,preview, as far as the format holds them]
-    #[arg(long, value_name = "LIST")]
+    image: ImageArgs,
+    #[command(flatten)]
+    device: DeviceArgs,
+    #[arg(long, value_name = "LIST", help = format!("Outputs to write, separated by commas, or `all` that the format holds: {}. rgb and mask are always written, and what else the format requires; preview is written for every 25th frame [default: rgb,mask,preview, as far as the format holds them]", output_names()))]
     outputs: Option<String>,
-    /// Layout: see the list below
+    /// Layout of the files; see the list below
     #[arg(long, value_name = "NAME", default_value = "folder")]
     format: String,
-    /// Render nothing: make one frames.jsonl and one manifest out of the shards in --out
+    /// Render nothing: merge the shards in --out into one frames.jsonl and one manifest
     #[arg(long, conflicts_with_all = ["count", "split", "start", "shard"])]
     merge: bool,
     /// Render nothing: print the knobs of the first frames
     #[arg(long)]
     dry_run: bool,
-    /// Threads that build scenes, and as many that encode; as many as there are cores if not given
-    #[arg(long, value_name = "N", value_parser = whole::<u16>(1, 256), allow_negative_numbers = true)]
+    /// Threads that build scenes, and as many that encode [default: the number of cores]
+    #[arg(long, value_name = "N", value_parser = whole_number::<u16>(1, 256))]
     threads: Option<u16>,
-    /// Allow starting in a folder that has other content
+    /// Write into a folder even if it has other content
     #[arg(long)]
     force: bool,
     /// Print the summary as JSON on stdout
@@ -77,7 +77,7 @@ pub(super) struct DatasetArgs {
     json: bool,
 }
 
-/// The list of layouts for the help.
+/// The list of formats for the help.
 pub(super) fn formats_help() -> String {
     let rows = LAYOUTS.iter().map(|row| format!("  {:<15} {}\n", row.name, row.summary));
     format!("Formats:\n{}", rows.collect::<String>())
@@ -107,11 +107,11 @@ pub(super) fn run(args: &DatasetArgs, messages: Messages) -> Result<()> {
     }
     let start = Instant::now();
     // Before the folder is made, so that a machine without an adapter leaves nothing.
-    let gpu = device::open(args.picture.adapter.as_deref())?;
+    let gpu = args.device.open()?;
     let log = FrameLogWriter::open(&args.out, &spec, args.force)?;
     messages.note(format_args!("rendering on {}", regolith::gpu::adapter::describe(&gpu.info)));
-    let mut renderer = Renderer::with_raster(gpu, args.picture.raster)?;
-    super::inject_fault(&renderer);
+    let mut renderer = args.device.renderer(gpu)?;
+    device::inject_fault(&renderer);
     let mut meter = Meter::new(messages, "frames");
     let result =
         dataset::run(&plan, &mut renderer, log, concurrency, &stop, |progress| show(&mut meter, progress));
@@ -121,15 +121,11 @@ pub(super) fn run(args: &DatasetArgs, messages: Messages) -> Result<()> {
     report(args, messages, Some(&progress), &finalized, start.elapsed().as_secs_f64())
 }
 
-pub(super) fn cores() -> usize {
-    std::thread::available_parallelism().map_or(1, usize::from)
-}
-
 fn plan(args: &DatasetArgs) -> Result<Plan> {
     let config = args.config.build()?;
     let (format, layout) = layout::find(&args.format)?;
     let outputs = Plan::outputs(args.outputs.as_deref(), format, layout)?;
-    let mut settings = args.picture.settings()?;
+    let mut settings = args.image.settings()?;
     settings.annotations = output::annotations(&outputs);
     let splits = args.split.as_deref().map_or(Ok(Vec::new()), plan::parse_splits)?;
     let count = args.count.unwrap_or_else(|| splits.iter().map(|(_, count)| count).sum());
@@ -146,28 +142,14 @@ fn plan(args: &DatasetArgs) -> Result<Plan> {
         base_seed: args.seed,
         settings,
         outputs,
-        edges: args.picture.edges()?,
-        label_ids: Plan::label_ids(args.picture.label_ids(), format, layout)?,
+        edges: args.image.edges()?,
+        label_ids: Plan::label_ids(args.image.label_ids(), format, layout)?,
         format,
         layout,
         range: Range { start: args.start, count },
         splits,
         shard: args.shard.parse()?,
     })
-}
-
-/// A flag that Ctrl-C and the system's wish to end set; a second Ctrl-C ends at once.
-pub(super) fn stop_on_signals() -> Result<Arc<AtomicBool>> {
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&stop);
-    ctrlc::set_handler(move || {
-        if flag.swap(true, Ordering::Relaxed) {
-            std::process::exit(1);
-        }
-        note(format_args!("\nstopping: the frames in flight are finished first (once more to end at once)"));
-    })
-    .map_err(|error| Error::Usage(format!("cannot listen for Ctrl-C: {error}")))?;
-    Ok(stop)
 }
 
 /// Writes the archive of a WebDataset to standard output, in order.
@@ -183,9 +165,9 @@ fn stream(
             "--out - streams one archive: it needs --format webdataset and no --split".to_owned(),
         ));
     }
-    let gpu = device::open(args.picture.adapter.as_deref())?;
-    let mut renderer = Renderer::with_raster(gpu, args.picture.raster)?;
-    super::inject_fault(&renderer);
+    let gpu = args.device.open()?;
+    let mut renderer = args.device.renderer(gpu)?;
+    device::inject_fault(&renderer);
     let mut meter = Meter::new(messages, "frames");
     let (start, closed) = (Instant::now(), AtomicBool::new(false));
     let write = |bytes: &[u8]| match std::io::stdout().lock().write_all(bytes) {

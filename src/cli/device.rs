@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use regolith::error::Result;
 use regolith::gpu::Gpu;
 use regolith::output::{Artifact, disk};
+use regolith::render::Renderer;
 
 /// Opens an adapter, with the pipelines that an earlier run compiled for it.
 pub(super) fn open(adapter: Option<&str>) -> Result<Gpu> {
@@ -23,4 +24,11 @@ fn folder() -> Option<PathBuf> {
     let absolute = |name| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     let caches = absolute("XDG_CACHE_HOME").or_else(|| Some(absolute("HOME")?.join(".cache")))?;
     Some(caches.join("regolith-render"))
+}
+
+/// Destroys the device if `REGOLITH_FAULT` is `device-lost`, so that tests can check how a lost GPU is handled.
+pub(super) fn inject_fault(renderer: &Renderer) {
+    if std::env::var("REGOLITH_FAULT").is_ok_and(|fault| fault == "device-lost") {
+        renderer.gpu().device.destroy();
+    }
 }

@@ -1,56 +1,92 @@
 //! One frame: the command without a subcommand.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::Args;
 use regolith::class::ClassId;
 use regolith::dataset::rules::Rules;
+use regolith::frame::Frame;
 use regolith::gpu;
 use regolith::meta::FrameRecord;
-use regolith::output::{self, EncodeInput, OUTPUTS, disk};
-use regolith::render::{Renderer, StageTimes, select::selection};
+use regolith::output::{self, EncodeInput, OUTPUTS, Output, disk};
+use regolith::params::Params;
+use regolith::render::{RenderSettings, Renderer, StageTimes, select::selection};
 use regolith::scene::Scene;
 use regolith::{Error, Result};
 use serde_json::{Value, json};
 
-use super::{ConfigArgs, Messages, PictureArgs, device, print, whole};
+use super::args::{ConfigArgs, DeviceArgs, ImageArgs, output_names, whole_number};
+use super::device;
+use super::messages::{Messages, print};
+
+/// Index of a single frame in its file names.
+const INDEX: u64 = 0;
 
 #[derive(Args, Debug)]
 pub(super) struct FrameArgs {
-    /// Seed of the scene, 64 bits: the same seed and knobs give the same scene on every machine
-    #[arg(long, value_name = "N", default_value_t = 42, value_parser = whole::<u64>(0, u64::MAX), allow_negative_numbers = true)]
+    /// Seed of the scene, 64 bits; the same seed and knobs give the same scene on every machine
+    #[arg(long, value_name = "N", default_value_t = 42, value_parser = whole_number::<u64>(0, u64::MAX))]
     seed: u64,
-    /// Output folder, made if missing
+    /// Output folder, created if missing
     #[arg(long, value_name = "DIR", default_value = "out")]
     out: PathBuf,
     #[command(flatten)]
     config: ConfigArgs,
     #[command(flatten)]
-    picture: PictureArgs,
-    /// What to write: of rgb, mask, preview, depth, normals, instances, shadow, hdr, coverage, slope, craters, angles, five_classes, rock_sizes, meta; or all
-    #[arg(long, value_name = "LIST", default_value_t = output::default_list())]
+    image: ImageArgs,
+    #[command(flatten)]
+    device: DeviceArgs,
+    #[arg(long, value_name = "LIST", default_value_t = output::default_list(), help = format!("Outputs to write, separated by commas, or `all`: {}", output_names()))]
     outputs: String,
-    /// Allow writing into a folder that has other content
+    /// Write into a folder even if it has other content
     #[arg(long)]
     force: bool,
-    /// Print the frame's record and the paths of its files as JSON on stdout
+    /// Print the frame's record and the paths of its files as JSON
     #[arg(long)]
     json: bool,
 }
 
+/// A rendered frame and what it was made from.
+struct Rendered {
+    params: Params,
+    scene: Scene,
+    settings: RenderSettings,
+    renderer: Renderer,
+    frame: Frame,
+    times: StageTimes,
+}
+
 pub(super) fn run(args: &FrameArgs, messages: Messages) -> Result<()> {
-    const INDEX: u64 = 0;
     let start = Instant::now();
     let config = args.config.build()?;
     let params = config.draw(args.seed)?;
     let outputs = output::parse_outputs(&args.outputs)?;
-    let mut settings = args.picture.settings()?;
+    let mut settings = args.image.settings()?;
     settings.annotations = output::annotations(&outputs);
-    let (label_ids, edges) = (args.picture.label_ids(), args.picture.edges()?);
+    args.image.edges()?;
     output::check_folder(&args.out, INDEX, args.force)?;
 
-    // The device is opened while the scene is built.
+    let mut rendered = render(args, params, settings)?;
+    let (meta, paths) = write(args, &mut rendered, outputs)?;
+    summarise(args, messages, &rendered, &meta, start);
+    let rules = Rules::from_config(&config)?;
+    if let Some(violation) = rules.violation(&rendered.scene, &rendered.frame) {
+        messages.note(format_args!(
+            "a dataset would redraw this frame: {} ({})",
+            violation.found, violation.rule
+        ));
+    }
+    let older = older_files(&args.out, &paths);
+    if !older.is_empty() {
+        messages.note(format_args!("older files of another frame in this folder: {}", older.join(", ")));
+    }
+    device::store_pipelines(rendered.renderer.gpu());
+    Ok(())
+}
+
+/// Renders the frame. The device is opened while the scene is built.
+fn render(args: &FrameArgs, params: Params, settings: RenderSettings) -> Result<Rendered> {
     let (scene, renderer) = rayon::join(
         || {
             timed("scene", || {
@@ -60,102 +96,92 @@ pub(super) fn run(args: &FrameArgs, messages: Messages) -> Result<()> {
             })
         },
         || -> Result<_> {
-            let (gpu, adapter) = timed("adapter", || device::open(args.picture.adapter.as_deref()))?;
-            let (renderer, pipelines) =
-                timed("pipelines", || Renderer::with_raster(gpu, args.picture.raster))?;
+            let (gpu, adapter) = timed("adapter", || args.device.open())?;
+            let (renderer, pipelines) = timed("pipelines", || args.device.renderer(gpu))?;
             Ok((renderer, [adapter, pipelines]))
         },
     );
     let (scene, built) = scene?;
     let (mut renderer, opened) = renderer?;
     let mut times: StageTimes = [built].into_iter().chain(opened).collect();
-    super::inject_fault(&renderer);
+    device::inject_fault(&renderer);
     let (frame, render_times) = renderer.render(&scene, &settings)?;
     times.extend(render_times);
-    let unlabelled = frame.count(ClassId::UNLABELLED);
-    if unlabelled > 0 {
-        return Err(Error::Unlabelled { pixels: unlabelled, seed: args.seed });
+    let pixels = frame.count(ClassId::UNLABELLED);
+    if pixels > 0 {
+        return Err(Error::Unlabelled { pixels, seed: args.seed });
     }
-    let record = |times: &StageTimes| {
-        let adapter = &renderer.gpu().info;
-        FrameRecord {
-            seed: args.seed,
-            params: &params,
-            scene: &scene,
-            settings: &settings,
-            adapter,
-            raster: renderer.raster(),
-            frame: &frame,
-            edges,
-            times,
-        }
-        .to_json()
-    };
-    // The pictures first, so that the record can tell what encoding them took.
-    let (pictures, records): (Vec<_>, Vec<_>) = outputs.into_iter().partition(|output| output.name != "meta");
-    let input = EncodeInput { frame: &frame, meta: &Value::Null, label_ids, edges };
-    let (mut files, encoded) = timed("encode", || output::encode(&input, &pictures))?;
+    Ok(Rendered { params, scene, settings, renderer, frame, times })
+}
+
+/// Encodes and writes the outputs and prints their paths; returns the record of the frame, and the paths.
+fn write(
+    args: &FrameArgs,
+    rendered: &mut Rendered,
+    outputs: Vec<&'static Output>,
+) -> Result<(Value, Vec<PathBuf>)> {
+    let (label_ids, edges) = (args.image.label_ids(), args.image.edges()?);
+    // The record is encoded last, as it contains the time that encoding the others took.
+    let (images, records): (Vec<_>, Vec<_>) = outputs.into_iter().partition(|output| output.name != "meta");
+    let Rendered { params, scene, settings, renderer, frame, times } = rendered;
+    let input = EncodeInput { frame, meta: &Value::Null, label_ids, edges };
+    let (mut files, encoded) = timed("encode", || output::encode(&input, &images))?;
     times.push(encoded);
-    let meta = record(&times);
-    files.extend(output::encode(&EncodeInput { frame: &frame, meta: &meta, label_ids, edges }, &records)?);
+    let record = FrameRecord {
+        seed: args.seed,
+        params,
+        scene,
+        settings,
+        adapter: &renderer.gpu().info,
+        raster: renderer.raster(),
+        frame,
+        edges,
+        times,
+    };
+    let meta = record.to_json();
+    files.extend(output::encode(&EncodeInput { frame, meta: &meta, label_ids, edges }, &records)?);
     let artifacts: Vec<_> = files.into_iter().map(|file| file.into_artifact(INDEX)).collect();
     let paths = disk::write_all(&args.out, &artifacts)?;
 
-    let shown: Vec<String> = paths.iter().map(|path| path.display().to_string()).collect();
+    let names: Vec<String> = paths.iter().map(|path| path.display().to_string()).collect();
     if args.json {
-        print(&format!("{:#}\n", json!({ "files": shown, "frame": meta })))?;
+        print(&format!("{:#}\n", json!({ "files": names, "frame": meta })))?;
     } else {
-        print(&format!("{}\n", shown.join("\n")))?;
+        print(&format!("{}\n", names.join("\n")))?;
     }
-    summarise(args, messages, &renderer, &meta, &times, start);
-    if let Some(violation) = Rules::from_config(&config)?.violation(&scene, &frame) {
-        messages.note(format_args!(
-            "a dataset would draw this frame again: {} ({})",
-            violation.found, violation.rule
-        ));
-    }
-    let others: Vec<String> = OUTPUTS
-        .iter()
-        .flat_map(|output| output.file_names(INDEX))
-        .filter(|name| args.out.join(name).is_file() && !paths.contains(&args.out.join(name)))
-        .collect();
-    if !others.is_empty() {
-        messages.note(format_args!("older files beside these, of another picture: {}", others.join(", ")));
-    }
-    device::store_pipelines(renderer.gpu());
-    Ok(())
+    Ok((meta, paths))
 }
 
-/// What work comes to, and its milliseconds under a stage's name.
+/// Runs `work` and returns its result, with its milliseconds under the name of the stage.
 fn timed<T>(stage: &'static str, work: impl FnOnce() -> Result<T>) -> Result<(T, (&'static str, f64))> {
     let start = Instant::now();
-    let done = work()?;
-    Ok((done, (stage, start.elapsed().as_secs_f64() * 1e3)))
+    let result = work()?;
+    Ok((result, (stage, start.elapsed().as_secs_f64() * 1e3)))
 }
 
-fn summarise(
-    args: &FrameArgs,
-    messages: Messages,
-    renderer: &Renderer,
-    meta: &Value,
-    times: &StageTimes,
-    start: Instant,
-) {
-    let share = |name: &str| 100.0 * meta["coverage"][name].as_f64().unwrap_or_default();
+/// Names of files in the folder that an earlier frame wrote and this one did not replace.
+fn older_files(folder: &Path, written: &[PathBuf]) -> Vec<String> {
+    let names = OUTPUTS.iter().flat_map(|output| output.file_names(INDEX));
+    names.filter(|name| folder.join(name).is_file() && !written.contains(&folder.join(name))).collect()
+}
+
+fn summarise(args: &FrameArgs, messages: Messages, rendered: &Rendered, meta: &Value, start: Instant) {
+    let percent = |name: &str| 100.0 * meta["coverage"][name].as_f64().unwrap_or_default();
     messages.note(format_args!(
         "seed {}: regolith {:.1} %, rock {:.1} %, sky {:.1} %; RGB mean {:.1}, p99 {}, max {}; {:.2} s",
         args.seed,
-        share("regolith"),
-        share("rock"),
-        share("sky"),
+        percent("regolith"),
+        percent("rock"),
+        percent("sky"),
         meta["rgb"]["mean"].as_f64().unwrap_or_default(),
         meta["rgb"]["p99"],
         meta["rgb"]["max"],
         start.elapsed().as_secs_f64()
     ));
     if !meta["moved_rocks"].as_array().is_none_or(Vec::is_empty) {
-        messages.note(format_args!("moved away from the camera: rocks {}", meta["moved_rocks"]));
+        messages.note(format_args!("rocks moved away from the camera: {}", meta["moved_rocks"]));
     }
+    let Rendered { renderer, times, .. } = rendered;
     let cost = renderer.last_cost();
     messages.detail(format_args!("adapter: {}", gpu::adapter::describe(&renderer.gpu().info)));
     messages.detail(format_args!(

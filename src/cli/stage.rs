@@ -1,4 +1,4 @@
-//! What can be told without rendering: the stage as a file, the knobs, the adapters.
+//! Commands that render nothing: `export`, `params`, `adapters`.
 
 use std::path::{Path, PathBuf};
 
@@ -12,7 +12,8 @@ use regolith::scene::Scene;
 use regolith::{Error, Result, gpu};
 use serde_json::{Value, json};
 
-use super::{ConfigArgs, Messages, parse_size, print, whole};
+use super::args::{ConfigArgs, parse_size, whole_number};
+use super::messages::{Messages, print};
 
 #[derive(Args, Debug)]
 pub(super) struct ParamsArgs {
@@ -25,23 +26,23 @@ pub(super) struct ParamsArgs {
 
 #[derive(Args, Debug)]
 pub(super) struct ExportArgs {
-    /// The file
+    /// File to write; its extension selects the format: .npz, .glb, .usda or .usdc
     file: PathBuf,
     /// Seed of the scene
-    #[arg(long, value_name = "N", default_value_t = 42, value_parser = whole::<u64>(0, u64::MAX), allow_negative_numbers = true)]
+    #[arg(long, value_name = "N", default_value_t = 42, value_parser = whole_number::<u64>(0, u64::MAX))]
     seed: u64,
-    /// Pixels of the picture, for the camera's matrix and for --drawn: WxH, or N for a square
+    /// Image size in pixels, for the camera matrix and for --drawn: WxH, or N for a square
     #[arg(long, value_name = "WxH", default_value = "512x512", value_parser = parse_size, allow_hyphen_values = true)]
     size: [u32; 2],
     #[command(flatten)]
     config: ConfigArgs,
-    /// Only the triangles that a frame of this size draws or lets cast shadows, at the detail that it draws them
+    /// Export only the triangles that a frame of this size draws or that cast its shadows, at the level of detail it uses
     #[arg(long)]
     drawn: bool,
-    /// Replace the file if it is there
+    /// Replace an existing file
     #[arg(long)]
     force: bool,
-    /// Print what was written as JSON
+    /// Print a summary as JSON
     #[arg(long)]
     json: bool,
 }

@@ -1,31 +1,28 @@
-//! Check-up of a dataset: `verify`.
+//! `verify`: checks of a dataset.
 
 use std::path::PathBuf;
 
 use clap::Args;
 use regolith::dataset::verify::{self, CHECKS, Report};
-use regolith::render::{RasterMode, Renderer};
 use regolith::{Error, Result, gpu};
 
+use super::args::{DeviceArgs, whole_number};
+use super::device;
+use super::messages::{Messages, print};
 use super::progress::Meter;
-use super::{Messages, device, print, whole};
 
-/// Problems that are printed; JSON has all.
-const SHOWN: usize = 40;
+/// Number of problems in the table; `--json` lists all.
+const MAX_PRINTED: usize = 40;
 
 #[derive(Args, Debug)]
 pub(super) struct VerifyArgs {
-    /// The dataset's folder
+    /// Folder of the dataset
     folder: PathBuf,
-    /// Frames that are rendered again and compared, spread over the dataset; 0 for none, which needs no adapter
-    #[arg(long, value_name = "N", default_value_t = 4, value_parser = whole::<u64>(0, u64::MAX), allow_negative_numbers = true)]
+    /// Number of frames, spread over the dataset, to render again and compare; 0 needs no adapter
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = whole_number::<u64>(0, u64::MAX))]
     rerender: u64,
-    /// Use the adapter with this in its name, or `cpu`
-    #[arg(long, value_name = "TEXT")]
-    adapter: Option<String>,
-    /// Rasterise on the device or on the host: auto is the host on a software adapter, else the device
-    #[arg(long, value_name = "auto|device|host", default_value_t = RasterMode::Auto)]
-    raster: RasterMode,
+    #[command(flatten)]
+    device: DeviceArgs,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -36,7 +33,7 @@ pub(super) fn run(args: &VerifyArgs, messages: Messages) -> Result<()> {
     let report = verify::check(&args.folder, |checked, wanted| meter.show([0, checked, wanted], ""));
     meter.finish();
     let mut report = report?;
-    let rendered = if args.rerender > 0 && report.frames > 0 {
+    let rerendered = if args.rerender > 0 && report.frames > 0 {
         render_again(args, messages, &mut report)
     } else {
         Ok(())
@@ -46,23 +43,23 @@ pub(super) fn run(args: &VerifyArgs, messages: Messages) -> Result<()> {
     } else {
         print(&table(&report, messages.quiet))?;
     }
-    match (report.problems.len(), rendered) {
+    match (report.problems.len(), rerendered) {
         (0, Ok(())) => Ok(()),
-        // What needs no adapter has been checked and told all the same.
+        // The checks that need no adapter have run, and their results are printed.
         (_, Err(error @ Error::NoAdapter(_))) => Err(Error::CheckFailed(format!(
-            "no frame could be rendered again: {error}\nWith --rerender 0 everything else is checked, and no adapter is needed."
+            "no frame could be rendered again: {error}\nWith --rerender 0 all other checks run, without an adapter."
         ))),
         (_, Err(error)) => Err(error),
-        (wrong, Ok(())) => Err(Error::CheckFailed(format!(
-            "{}: {wrong} {} wrong; a frame's file that is damaged can be deleted: the dataset's own command makes it again",
+        (count, Ok(())) => Err(Error::CheckFailed(format!(
+            "{}: {count} {}; delete a damaged file of a frame, and the command that made the dataset makes it again",
             args.folder.display(),
-            if wrong == 1 { "thing is" } else { "things are" }
+            if count == 1 { "problem" } else { "problems" }
         ))),
     }
 }
 
 fn render_again(args: &VerifyArgs, messages: Messages, report: &mut Report) -> Result<()> {
-    let mut renderer = Renderer::with_raster(device::open(args.adapter.as_deref())?, args.raster)?;
+    let mut renderer = args.device.renderer(args.device.open()?)?;
     messages.detail(format_args!("rendering again on {}", gpu::adapter::describe(&renderer.gpu().info)));
     verify::check_rendering(&args.folder, &mut renderer, args.rerender, report)?;
     device::store_pipelines(renderer.gpu());
@@ -72,20 +69,20 @@ fn render_again(args: &VerifyArgs, messages: Messages, report: &mut Report) -> R
 fn table(report: &Report, quiet: bool) -> String {
     let mut text = String::new();
     if !quiet {
-        text.push_str(&format!("{:<11}{:>10}{:>8}  what\n", "check", "looked at", "wrong"));
+        text.push_str(&format!("{:<11}{:>10}{:>10}  what is checked\n", "check", "checked", "problems"));
         for (name, what) in CHECKS {
-            let wrong = report.problems.iter().filter(|problem| problem.check == name).count();
-            let looked = report.looked_at.get(name).map_or("-".to_owned(), ToString::to_string);
-            text.push_str(&format!("{name:<11}{looked:>10}{wrong:>8}  {what}\n"));
+            let problems = report.problems.iter().filter(|problem| problem.check == name).count();
+            let checked = report.looked_at.get(name).map_or("-".to_owned(), ToString::to_string);
+            text.push_str(&format!("{name:<11}{checked:>10}{problems:>10}  {what}\n"));
         }
         text.push_str(&format!("{} frames\n", report.frames));
     }
-    for problem in report.problems.iter().take(SHOWN) {
+    for problem in report.problems.iter().take(MAX_PRINTED) {
         let frame = problem.index.map_or(String::new(), |index| format!("frame {index}: "));
         text.push_str(&format!("{}: {frame}{}\n", problem.check, problem.found));
     }
-    if report.problems.len() > SHOWN {
-        text.push_str(&format!("... and {} more; --json has all\n", report.problems.len() - SHOWN));
+    if report.problems.len() > MAX_PRINTED {
+        text.push_str(&format!("... and {} more; --json lists all\n", report.problems.len() - MAX_PRINTED));
     }
     text
 }

@@ -161,7 +161,7 @@ fn a_frame_tells_of_older_files_and_of_the_rules_it_breaks() {
     assert!(!first.contains("older files") && !first.contains("again"), "{first}");
     let second = said(&["--size", "48", "--outputs", "rgb", demand]);
     assert!(second.contains("older files") && second.contains("distance_to_camera_0000.npy"), "{second}");
-    assert!(second.contains("a dataset would draw this frame again: rock covers"), "{second}");
+    assert!(second.contains("a dataset would redraw this frame: rock covers"), "{second}");
 }
 
 #[test]

@@ -1,0 +1,160 @@
+//! Options that several commands share.
+
+use std::any::TypeId;
+use std::path::PathBuf;
+
+use clap::Args;
+use regolith::Result;
+use regolith::dataset::rules::Rules;
+use regolith::gpu::Gpu;
+use regolith::output::edges::EdgePolicy;
+use regolith::output::{LabelIds, OUTPUTS};
+use regolith::params::sampler::Config;
+use regolith::render::{RasterMode, RenderSettings, Renderer};
+
+use super::device;
+
+/// Where the values of the knobs come from, weakest first: stage, preset, file, `--set`.
+#[derive(Args, Debug)]
+pub(super) struct ConfigArgs {
+    /// Stage: nominal or surface [default: that of the preset or the file, else nominal]
+    #[arg(long, value_name = "NAME")]
+    stage: Option<String>,
+    /// Named set of knobs, or several separated by commas, of which later ones win; `regolith-render --help` lists them
+    #[arg(long, value_name = "NAME")]
+    preset: Option<String>,
+    /// TOML file with knobs; `-` reads standard input
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// One knob, for example sun.elevation_deg=12 or 'rocks.scale_m={uniform=[0.2,2]}'; repeatable, wins over all other sources
+    #[arg(long, value_name = "KEY=VALUE", allow_hyphen_values = true)]
+    set: Vec<String>,
+}
+
+impl ConfigArgs {
+    /// The configuration, checked as a whole.
+    pub(super) fn build(&self) -> Result<Config> {
+        let mut config = Config::new();
+        if let Some(stage) = &self.stage {
+            config.set_stage(stage)?;
+        }
+        for preset in self.preset.iter().flat_map(|names| names.split(',')) {
+            config.apply_preset(preset.trim())?;
+        }
+        if let Some(path) = &self.config {
+            config.apply_file(path)?;
+        }
+        for assignment in &self.set {
+            config.apply_set(assignment)?;
+        }
+        if let Some(stage) = &self.stage {
+            config.check_stage(stage)?;
+        }
+        config.check()?;
+        // A single frame is not held to the rules, but a malformed rule is an error for every command.
+        Rules::from_config(&config)?;
+        Ok(config)
+    }
+}
+
+/// Size, sampling and labels of the image.
+#[derive(Args, Debug)]
+pub(super) struct ImageArgs {
+    /// Image size in pixels: WxH, or N for a square
+    #[arg(long, value_name = "WxH", default_value = "512x512", value_parser = parse_size, allow_hyphen_values = true)]
+    size: [u32; 2],
+    /// Samples per pixel: 1, 4 (2 x 2) or 16 (4 x 4)
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = whole_number::<u32>(0, u32::MAX.into()))]
+    samples: u32,
+    /// Ids in the mask: canonical (0 regolith, 1 rock, 2 sky), or those of a Replicator pipeline
+    #[arg(long, value_name = "KIND", default_value = "canonical", value_parser = ["canonical", "replicator"])]
+    label_ids: String,
+    /// Mask at class boundaries: hard, or ignore:N to write 255 within N pixels of another class
+    #[arg(long, value_name = "RULE", default_value = "hard")]
+    edges: String,
+}
+
+impl ImageArgs {
+    pub(super) fn settings(&self) -> Result<RenderSettings> {
+        RenderSettings::new(self.size, self.samples)
+    }
+
+    pub(super) fn label_ids(&self) -> LabelIds {
+        LabelIds::from_name(&self.label_ids).unwrap_or_default()
+    }
+
+    pub(super) fn edges(&self) -> Result<EdgePolicy> {
+        self.edges.parse()
+    }
+}
+
+/// What renders: the adapter and the rasteriser.
+#[derive(Args, Debug)]
+pub(super) struct DeviceArgs {
+    /// Adapter to use: a part of its name, or `cpu`
+    #[arg(long, value_name = "TEXT")]
+    adapter: Option<String>,
+    /// Where to rasterise: device, host, or auto (the host on a software adapter, else the device)
+    #[arg(long, value_name = "auto|device|host", default_value_t = RasterMode::Auto)]
+    raster: RasterMode,
+}
+
+impl DeviceArgs {
+    /// Opens the adapter.
+    pub(super) fn open(&self) -> Result<Gpu> {
+        device::open(self.adapter.as_deref())
+    }
+
+    /// A renderer on an open device.
+    pub(super) fn renderer(&self, gpu: Gpu) -> Result<Renderer> {
+        Renderer::with_raster(gpu, self.raster)
+    }
+}
+
+/// The names of all outputs, for the help.
+pub(super) fn output_names() -> String {
+    OUTPUTS.each_ref().map(|output| output.name).join(", ")
+}
+
+/// Reads `WxH`, or `N` for a square.
+pub(super) fn parse_size(text: &str) -> std::result::Result<[u32; 2], String> {
+    let (width, height) = text.split_once(['x', 'X']).unwrap_or((text, text));
+    let side = |part: &str| part.trim().parse().map_err(|_| "the form is WxH or N, pixels".to_owned());
+    Ok([side(width)?, side(height)?])
+}
+
+/// A parser of whole numbers from `min` to `max`, both included. (The range parsers of clap name the range in their message
+/// for some types only.)
+pub(super) fn whole_number<T: TryFrom<u64>>(
+    min: u64,
+    max: u64,
+) -> impl Fn(&str) -> std::result::Result<T, String> + Clone + Send + Sync + 'static {
+    move |text| {
+        let number = text.trim().parse().ok().filter(|number| (min..=max).contains(number));
+        let refused = || format!("it should be a whole number from {min} to {max}");
+        number.and_then(|number| T::try_from(number).ok()).ok_or_else(refused)
+    }
+}
+
+/// Lets `-5` reach the parser of every option that takes a whole number, in all commands: its message names the range, while
+/// clap would take `-5` for an unknown option.
+pub(super) fn pass_negative_numbers(command: clap::Command) -> clap::Command {
+    let numbers = [TypeId::of::<u8>(), TypeId::of::<u16>(), TypeId::of::<u32>(), TypeId::of::<u64>()];
+    let takes_number =
+        move |arg: &clap::Arg| numbers.iter().any(|id| arg.get_value_parser().type_id() == *id);
+    command
+        .mut_args(|arg| if takes_number(&arg) { arg.allow_negative_numbers(true) } else { arg })
+        .mut_subcommands(pass_negative_numbers)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_size_is_one_number_or_two() {
+        assert_eq!(parse_size("640x480"), Ok([640, 480]));
+        assert_eq!(parse_size("256"), Ok([256, 256]));
+        assert!(parse_size("0x").is_err() && parse_size("-5").is_err() && parse_size("big").is_err());
+    }
+}

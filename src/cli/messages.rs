@@ -1,0 +1,49 @@
+//! What a command tells people: results on stdout, messages on stderr.
+
+use std::fmt::Display;
+use std::io::Write as _;
+
+use clap::Args;
+use regolith::{Error, Result};
+
+/// How much a command says on stderr.
+#[derive(Args, Clone, Copy, Debug)]
+pub(super) struct Messages {
+    /// Print more: adapter, milliseconds by stage
+    #[arg(short, long, global = true, conflicts_with = "quiet")]
+    verbose: bool,
+    /// Print nothing but errors
+    #[arg(short, long, global = true)]
+    pub(super) quiet: bool,
+}
+
+impl Messages {
+    /// Prints a line, unless `--quiet` is set.
+    pub(super) fn note(self, text: impl Display) {
+        if !self.quiet {
+            note(text);
+        }
+    }
+
+    /// Prints a line if `--verbose` is set.
+    pub(super) fn detail(self, text: impl Display) {
+        if self.verbose {
+            note(text);
+        }
+    }
+}
+
+/// Prints a line on stderr. A failure is ignored: a closed terminal or a full disk behind stderr must not end a run.
+pub(crate) fn note(text: impl Display) {
+    // In one write, so that lines of several threads do not mix.
+    let _ = std::io::stderr().write_all(format!("{text}\n").as_bytes());
+}
+
+/// Prints a result on stdout. A closed pipe (`| head`) is not an error.
+pub(super) fn print(text: &str) -> Result<()> {
+    let mut stdout = std::io::stdout().lock();
+    match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
+        Err(cause) if cause.kind() != std::io::ErrorKind::BrokenPipe => Err(Error::Stdout(cause)),
+        _ => Ok(()),
+    }
+}
