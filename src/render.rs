@@ -1,11 +1,11 @@
 //! From a scene to a frame.
 //!
-//! A frame is planned ([`frame_plan`]), uploaded ([`scene_buffers`]), recorded ([`Renderer::record_frame`]: shadows, visibility,
-//! lighting, resolve, readback, in one function), and post-processed ([`post`]). Whether the device or the host rasterises shadows
+//! A frame is planned (`frame_plan`), uploaded (`scene_buffers`), recorded (`Renderer::record_frame`: shadows, visibility,
+//! lighting, resolve, readback, in one function), and post-processed (`post`). Whether the device or the host rasterises shadows
 //! and visibility is chosen once, in [`Renderer::with_raster`].
 //! Must not know: knobs, files.
 //! To add a pass: a file in the folder of its stage with its struct (`new`, `record`), its WGSL in `shaders/`, a line in
-//! [`Renderer::record_frame`].
+//! `Renderer::record_frame`.
 
 mod backend;
 pub mod device;
