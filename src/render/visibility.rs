@@ -56,7 +56,7 @@ pub(crate) enum VisibilityBackend {
     /// A render pass on the device.
     Device(VisibilityPass),
     /// The CPU rasteriser, whose samples are uploaded.
-    Host(VisibilityRaster),
+    Host(Box<VisibilityRaster>),
 }
 
 impl VisibilityBackend {
@@ -64,7 +64,7 @@ impl VisibilityBackend {
     pub(crate) fn new(backend: RasterBackend) -> Self {
         match backend {
             RasterBackend::Device => Self::Device(VisibilityPass::default()),
-            RasterBackend::Host => Self::Host(VisibilityRaster::default()),
+            RasterBackend::Host => Self::Host(Box::default()),
         }
     }
 

@@ -40,10 +40,10 @@ struct Map {
 }
 
 impl ShadowPass {
-    /// Compiles the pipelines, unless they are there, and makes a map of exactly so many columns and rows. Not a larger one:
+    /// Compiles the pipelines, unless they are there, and makes a map of exactly this many columns and rows. Not a larger one:
     /// positions in it would be rounded otherwise, and a frame would depend on those before it.
     pub(crate) fn prepare(&mut self, gpu: &Gpu, layouts: &BindLayouts, size_px: [u32; 2]) {
-        if !self.map.as_ref().is_some_and(|map| map.size_px == size_px) {
+        if self.map.as_ref().is_none_or(|map| map.size_px != size_px) {
             self.map = Some(Map::new(gpu, layouts, size_px));
         }
         self.pipelines.get_or_insert_with(|| Pipelines::new(gpu, layouts));
