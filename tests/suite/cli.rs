@@ -1,12 +1,12 @@
-//! The real program: what it writes, and what it says to wrong input.
+//! The command line, run as a process: the files it writes, and its messages on wrong input.
 
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 
 use crate::support::{folder, json, program, run, run_ok};
 
-/// Runs a command that must fail with this status, say all of this, and leave the folder as it was.
-fn assert_refused(words: &[&str], status: i32, said: &[&str]) {
+/// Runs a command that must fail with this status, name all of `expected` in its message, and leave the folder unchanged.
+fn assert_refused(words: &[&str], status: i32, expected: &[&str]) {
     let folder = folder();
     std::fs::write(folder.path().join("a_file"), "not a folder").expect("written");
     std::fs::write(folder.path().join("broken.toml"), "[sun]\nelevation_deg = = 3\n").expect("written");
@@ -15,8 +15,8 @@ fn assert_refused(words: &[&str], status: i32, said: &[&str]) {
     let output = run(folder.path(), words);
     let message = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(status), "{words:?}: {message}");
-    for text in said {
-        assert!(message.contains(text), "{words:?} should say `{text}`:\n{message}");
+    for text in expected {
+        assert!(message.contains(text), "{words:?} should mention `{text}`:\n{message}");
     }
     assert!(!message.contains("panicked") && !message.contains("backtrace"), "{message}");
     assert!(output.stdout.is_empty(), "{words:?} printed a result");
@@ -27,37 +27,37 @@ fn assert_refused(words: &[&str], status: i32, said: &[&str]) {
 }
 
 #[test]
-fn compiled_programs_are_kept_and_change_no_picture() {
+fn the_pipeline_cache_is_stored_and_changes_no_image() {
     let folder = folder();
-    let picture = |caches: &Path| {
+    let render = |caches: &Path| {
         let words = ["--seed", "3", "--size", "64", "--force"];
         let output = program(folder.path()).args(words).env("XDG_CACHE_HOME", caches).output();
         let output = output.expect("the program starts");
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        std::fs::read(folder.path().join("out/rgb_0000.png")).expect("a picture")
+        std::fs::read(folder.path().join("out/rgb_0000.png")).expect("an image")
     };
-    let kept = || {
-        let programs = folder.path().join("caches/regolith-render");
-        let mut files =
-            std::fs::read_dir(programs).expect("a folder").map(|file| file.expect("a file").path());
-        let file = files.next().expect("the programs of the driver");
+    let cache_file = || {
+        let cache = folder.path().join("caches/regolith-render");
+        let mut files = std::fs::read_dir(cache).expect("a folder").map(|file| file.expect("a file").path());
+        let file = files.next().expect("the cache of the driver");
         assert!(files.next().is_none(), "one file for one driver");
         file
     };
     let caches = folder.path().join("caches");
-    let first = picture(&caches);
-    let whole = std::fs::read(kept()).expect("programs");
-    assert!(first == picture(&caches), "with kept programs");
-    let damaged = &whole[..whole.len() / 2];
-    std::fs::write(kept(), damaged).expect("written");
-    assert!(first == picture(&caches), "with damaged programs");
-    assert!(std::fs::read(kept()).expect("programs").len() > damaged.len(), "damaged programs are replaced");
-    assert!(first == picture(&folder.path().join("out/rgb_0000.png")), "with no place to keep any");
+    let first = render(&caches);
+    let complete = std::fs::read(cache_file()).expect("the cache");
+    assert!(first == render(&caches), "with a stored cache");
+    let damaged = &complete[..complete.len() / 2];
+    std::fs::write(cache_file(), damaged).expect("written");
+    assert!(first == render(&caches), "with a damaged cache");
+    let replaced = std::fs::read(cache_file()).expect("the cache").len();
+    assert!(replaced > damaged.len(), "a damaged cache is replaced");
+    assert!(first == render(&folder.path().join("out/rgb_0000.png")), "where no cache can be stored");
 }
 
 #[test]
-fn wrong_settings_are_refused_by_name_value_and_remedy() {
-    for (words, said) in [
+fn a_wrong_setting_is_refused_with_name_value_and_remedy() {
+    for (words, expected) in [
         (
             &["--set", "sun.elevaton_deg=3"][..],
             &["unknown knob `sun.elevaton_deg`", "did you mean `sun.elevation_deg`"][..],
@@ -105,12 +105,12 @@ fn wrong_settings_are_refused_by_name_value_and_remedy() {
         (&["--edges", "ignore:0"], &["--edges ignore:0", "ignore:N"]),
         (&["--label-ids", "mine"], &["canonical", "replicator"]),
     ] {
-        assert_refused(words, 2, said);
+        assert_refused(words, 2, expected);
     }
 }
 
 #[test]
-fn no_adapter_at_all_says_how_to_get_one() {
+fn without_an_adapter_the_message_says_how_to_install_one() {
     let folder = folder();
     let output = program(folder.path())
         .env("VK_DRIVER_FILES", "/nonexistent.json")
@@ -125,7 +125,7 @@ fn no_adapter_at_all_says_how_to_get_one() {
 }
 
 #[test]
-fn a_backend_that_there_is_not_is_named_and_none_is_any() {
+fn an_unknown_backend_is_an_error_and_an_empty_one_means_any() {
     let folder = folder();
     let adapters = |backend| program(folder.path()).arg("adapters").env("WGPU_BACKEND", backend).output();
     let any = adapters("").expect("the program starts");
@@ -137,35 +137,35 @@ fn a_backend_that_there_is_not_is_named_and_none_is_any() {
 }
 
 #[test]
-fn nobody_who_reads_messages_is_no_reason_to_stop() {
+fn messages_that_cannot_be_written_do_not_stop_a_run() {
     let folder = folder();
-    let deaf = |words: &[&str]| {
+    let status = |words: &[&str]| {
         let full = std::fs::OpenOptions::new().write(true).open("/dev/full").expect("a device that is full");
         program(folder.path()).args(words).stderr(full).output().expect("the program starts").status.code()
     };
-    assert_eq!(deaf(&["--size", "32", "-v"]), Some(0));
-    assert_eq!(deaf(&["dataset", "--count", "2", "--size", "32", "--out", "data"]), Some(0));
-    assert_eq!(deaf(&["--set", "sun.elevation_deg=95"]), Some(2));
+    assert_eq!(status(&["--size", "32", "-v"]), Some(0));
+    assert_eq!(status(&["dataset", "--count", "2", "--size", "32", "--out", "data"]), Some(0));
+    assert_eq!(status(&["--set", "sun.elevation_deg=95"]), Some(2));
 }
 
 #[test]
-fn a_frame_tells_of_older_files_and_of_the_rules_it_breaks() {
+fn a_frame_reports_older_files_and_broken_rules() {
     let folder = folder();
-    let demand = "--set=require={rock=[0.9,1]}";
-    let said = |words: &[&str]| {
+    let rule = "--set=require={rock=[0.9,1]}";
+    let messages = |words: &[&str]| {
         let output = run(folder.path(), words);
         assert!(output.status.success());
         String::from_utf8_lossy(&output.stderr).into_owned()
     };
-    let first = said(&["--size", "32", "--outputs", "rgb,depth"]);
+    let first = messages(&["--size", "32", "--outputs", "rgb,depth"]);
     assert!(!first.contains("older files") && !first.contains("again"), "{first}");
-    let second = said(&["--size", "48", "--outputs", "rgb", demand]);
+    let second = messages(&["--size", "48", "--outputs", "rgb", rule]);
     assert!(second.contains("older files") && second.contains("distance_to_camera_0000.npy"), "{second}");
     assert!(second.contains("a dataset would redraw this frame: rock covers"), "{second}");
 }
 
 #[test]
-fn a_device_lost_in_mid_frame_is_an_error_and_leaves_nothing() {
+fn a_device_lost_during_a_frame_is_an_error_and_leaves_no_files() {
     let folder = folder();
     let output =
         program(folder.path()).env("REGOLITH_FAULT", "device-lost").output().expect("the program starts");
@@ -176,9 +176,9 @@ fn a_device_lost_in_mid_frame_is_an_error_and_leaves_nothing() {
     assert!(!folder.path().join("out").exists());
 }
 
-/// Root may write anywhere, so a place that refuses everybody stands in for a read-only disk.
+/// Tests may run as root, who may write to a read-only folder, so these are paths where nobody can create a folder.
 #[test]
-fn a_place_that_cannot_be_written_is_an_error() {
+fn an_output_folder_that_cannot_be_created_is_an_error() {
     let folder = folder();
     for out in ["/proc/regolith", "/dev/null/out"] {
         let output = run(folder.path(), &["--size", "16", "--out", out]);
@@ -188,9 +188,9 @@ fn a_place_that_cannot_be_written_is_an_error() {
     }
 }
 
-/// A file size limit makes the kernel refuse writes in the middle of a file, as a full disk does.
+/// A file size limit makes writes fail in the middle of a file, like a full disk.
 #[test]
-fn a_full_disk_leaves_no_half_written_file() {
+fn a_full_disk_leaves_no_partial_file() {
     let folder = folder();
     let script = format!(
         "trap '' XFSZ; ulimit -f 8; exec '{}' --seed 3 --out out --quiet",
@@ -210,7 +210,7 @@ fn a_full_disk_leaves_no_half_written_file() {
 }
 
 #[test]
-fn one_frame_is_the_five_files_of_the_contract() {
+fn one_frame_is_five_files_with_the_documented_names_and_keys() {
     let folder = folder();
     let printed = run_ok(folder.path(), &["--seed", "7", "--size", "200x120"]);
     let expected = [
@@ -228,7 +228,7 @@ fn one_frame_is_the_five_files_of_the_contract() {
     }
     let mask = image::open(folder.path().join(expected[1])).expect("a mask");
     assert_eq!((mask.width(), mask.height(), mask.color()), (200, 120, image::ColorType::L8));
-    let rgb = image::open(folder.path().join(expected[0])).expect("a picture");
+    let rgb = image::open(folder.path().join(expected[0])).expect("an image");
     assert_eq!((rgb.width(), rgb.height(), rgb.color()), (200, 120, image::ColorType::Rgb8));
 
     let meta = json(&folder.path().join("out/frame_0000.json"));
@@ -253,10 +253,9 @@ fn one_frame_is_the_five_files_of_the_contract() {
     assert!(meta["adapter"]["name"].as_str().is_some_and(|name| name.contains("llvmpipe")));
 }
 
-/// A point of the world, projected with the recorded matrices, falls on the pixel where it is drawn: the corner of
-/// the picture sees along the direction that K and the pose say.
+/// A world point, projected with the recorded K and pose, falls on the pixel where it is drawn.
 #[test]
-fn the_recorded_camera_projects_the_horizon_where_it_is() {
+fn the_recorded_camera_projects_the_horizon_to_its_row() {
     let folder = folder();
     let words = [
         "--size",
@@ -285,7 +284,7 @@ fn the_recorded_camera_projects_the_horizon_where_it_is() {
 }
 
 #[test]
-fn chosen_outputs_and_replicator_ids() {
+fn only_the_chosen_outputs_are_written_and_replicator_ids_are_used() {
     let folder = folder();
     run_ok(folder.path(), &["--size", "64", "--outputs", "mask", "--label-ids", "replicator"]);
     let mut names: Vec<_> = std::fs::read_dir(folder.path().join("out"))
@@ -319,13 +318,13 @@ fn set_wins_over_config_over_preset_over_defaults() {
 }
 
 #[test]
-fn the_listing_of_knobs_is_a_config() {
+fn the_output_of_params_is_a_config() {
     let folder = folder();
     let listing = run_ok(folder.path(), &["params", "--preset", "train_dr"]);
     std::fs::write(folder.path().join("my.toml"), listing).expect("written");
     run_ok(folder.path(), &["--config", "my.toml", "--size", "32", "--out", "a"]);
     run_ok(folder.path(), &["--preset", "train_dr", "--size", "32", "--out", "b"]);
-    let read = |out: &str| std::fs::read(folder.path().join(out).join("rgb_0000.png")).expect("a picture");
+    let read = |out: &str| std::fs::read(folder.path().join(out).join("rgb_0000.png")).expect("an image");
     assert!(read("a") == read("b"));
     let listing = std::fs::File::open(folder.path().join("my.toml")).expect("the file");
     let piped =
@@ -352,7 +351,7 @@ fn results_go_to_stdout_and_messages_to_stderr_without_noise() {
     assert!(run_ok(folder.path(), &["--help"]).contains("--preset reference"));
 }
 
-/// GL through EGL draws what Vulkan draws: the same classes but for a few pixels on outlines.
+/// GL through EGL draws the same frame as Vulkan: the same classes except for a few pixels on outlines.
 #[test]
 fn gl_agrees_with_vulkan() {
     let folder = folder();
@@ -363,10 +362,10 @@ fn gl_agrees_with_vulkan() {
             .output()
             .expect("the program starts");
         assert!(output.status.success(), "{backend}: {}", String::from_utf8_lossy(&output.stderr));
-        let open = |name: &str| image::open(folder.path().join(backend).join(name)).expect("a picture");
+        let open = |name: &str| image::open(folder.path().join(backend).join(name)).expect("an image");
         let meta = json(&folder.path().join(backend).join("frame_0000.json"));
         let used = meta["adapter"]["backend"].as_str().unwrap_or_default().to_lowercase();
-        assert_eq!(used, backend, "the backend that was asked for");
+        assert_eq!(used, backend, "the requested backend");
         (open("rgb_0000.png").into_rgb8(), open("semantic_segmentation_0000.png").into_luma8())
     };
     let (vulkan, gl) = (frame("vulkan"), frame("gl"));
@@ -390,16 +389,16 @@ fn a_folder_with_other_content_needs_force() {
     assert!(Path::exists(&out.join("notes.txt")) && Path::exists(&out.join("rgb_0000.png")));
 }
 
-/// Numbers of a float32 .npy file.
+/// The values of a float32 .npy file.
 fn npy(path: &Path) -> Vec<f32> {
     let bytes = std::fs::read(path).expect("an array");
     let data = 10 + usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
     bytes[data..].chunks_exact(4).map(|f| f32::from_le_bytes([f[0], f[1], f[2], f[3]])).collect()
 }
 
-/// Depth, K and pose, as a user has them, put every pixel of flat ground back on it; and both kinds of distance agree.
+/// Depth, K and pose from the files reproject every pixel of flat ground onto it, and both kinds of distance agree.
 #[test]
-fn depth_goes_back_to_the_world_through_k_and_pose() {
+fn depth_reprojects_to_the_world_through_k_and_pose() {
     let folder = folder();
     let flat = ["--set", "terrain.amplitude_m=0", "--set", "craters.count=0", "--set", "rocks.count=0"];
     let camera =
@@ -432,7 +431,7 @@ fn depth_goes_back_to_the_world_through_k_and_pose() {
         let length = z * ray.iter().map(|r| r * r).sum::<f64>().sqrt();
         assert!((f64::from(distance[pixel]) / length - 1.0).abs() < 1e-5);
         assert!((normals[3 * pixel + 2] - 1.0).abs() < 1e-3);
-        // Pixels cut by the horizon have their depth from part of their samples.
+        // Pixels on the horizon have their depth from only some of their samples.
         if y > 0 && mask.get_pixel(x, y - 1).0 == [0] && x > 0 && mask.get_pixel(x - 1, y).0 == [0] {
             assert!(height.abs() < 1e-4 * z, "pixel {x}, {y} lies {height} m off the ground, {z} m away");
             checked += 1;
@@ -455,16 +454,19 @@ fn every_output_is_written_and_agrees_with_the_mask() {
     let coverage = npy(&out.join("semantic_coverage_0000.npy"));
     let meta = json(&out.join("frame_0000.json"));
     assert_eq!(meta["edges"], "ignore:2");
-    assert_eq!(meta["coverage"]["unlabelled"], 0.0, "the rule is about the mask, not about the scene");
+    assert_eq!(
+        meta["coverage"]["unlabelled"], 0.0,
+        "the edge policy applies to the mask, not to the coverage of the scene"
+    );
     let mut ignored = 0;
     for (pixel, (id, instance)) in mask.iter().zip(instances.iter()).enumerate() {
         let shares = &coverage[3 * pixel..3 * pixel + 3];
         assert!((shares.iter().sum::<f32>() - 1.0).abs() < 1e-6);
         ignored += u32::from(*id == 255);
-        let most = shares.iter().copied().fold(0.0, f32::max);
+        let max = shares.iter().copied().fold(0.0, f32::max);
         assert!(
-            *id == 255 || shares[usize::from(*id)] == most,
-            "a pixel has the class of most of its samples"
+            *id == 255 || shares[usize::from(*id)] == max,
+            "a pixel has the majority class of its samples"
         );
         assert!(*id == 255 || (*id == 1) == (*instance > 0));
         assert!(
@@ -498,20 +500,20 @@ fn every_output_is_written_and_agrees_with_the_mask() {
     assert_eq!(open("shadow_0000.png").color(), image::ColorType::L8);
 }
 
-/// What is asked for besides changes neither colour nor mask.
+/// Additional outputs change neither colour nor mask.
 #[test]
-fn annotations_leave_picture_and_mask_as_they_are() {
+fn annotations_change_neither_image_nor_mask() {
     let folder = folder();
     run_ok(folder.path(), &["--size", "128", "--outputs", "all", "--out", "all"]);
     run_ok(folder.path(), &["--size", "128", "--out", "plain"]);
     for name in ["rgb_0000.png", "semantic_segmentation_0000.png"] {
-        let read = |out: &str| std::fs::read(folder.path().join(out).join(name)).expect("a picture");
+        let read = |out: &str| std::fs::read(folder.path().join(out).join(name)).expect("an image");
         assert!(read("all") == read("plain"), "{name}");
     }
 }
 
 #[test]
-fn export_writes_whole_files_and_replaces_none_unasked() {
+fn export_replaces_an_existing_file_only_with_force() {
     let folder = folder();
     for name in ["stage.npz", "stage.glb", "stage.usda"] {
         assert_eq!(run_ok(folder.path(), &["export", name, "--drawn", "--size", "128"]).trim_end(), name);
@@ -522,16 +524,16 @@ fn export_writes_whole_files_and_replaces_none_unasked() {
         assert!(String::from_utf8_lossy(&again.stderr).contains("add --force"));
     }
     let words = ["export", "stage.npz", "--force", "--json", "--preset", "surface_train_dr"];
-    let told: serde_json::Value = serde_json::from_str(&run_ok(folder.path(), &words)).expect("JSON");
-    assert_eq!([&told["file"], &told["stage"]], ["stage.npz", "surface"]);
-    assert_eq!(told["bytes"], std::fs::metadata(folder.path().join("stage.npz")).expect("a file").len());
+    let summary: serde_json::Value = serde_json::from_str(&run_ok(folder.path(), &words)).expect("JSON");
+    assert_eq!([&summary["file"], &summary["stage"]], ["stage.npz", "surface"]);
+    assert_eq!(summary["bytes"], std::fs::metadata(folder.path().join("stage.npz")).expect("a file").len());
     let wrong = run(folder.path(), &["export", "stage.obj"]);
     assert_eq!(wrong.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&wrong.stderr).contains(".npz, .glb, .usda"));
 }
 
 #[test]
-fn the_bench_tells_every_case_and_a_sweep_draws_its_curve() {
+fn the_bench_reports_every_case_and_a_sweep_plots_its_curve() {
     let folder = folder();
     let small =
         ["bench", "--frames", "3", "--size", "64", "--samples", "1", "-q", "--set", "terrain.cells=40"];
@@ -539,10 +541,10 @@ fn the_bench_tells_every_case_and_a_sweep_draws_its_curve() {
     let result: serde_json::Value = serde_json::from_str(&result).expect("JSON");
     assert_eq!((&result["size"], &result["samples"]), (&serde_json::json!([64, 64]), &1.into()));
     assert_eq!(result["stage"], "nominal");
-    let of_preset =
+    let preset_words =
         ["bench", "--frames=1", "--cases=scene", "--size=32", "-q", "--json", "--preset=surface_train_dr"];
     let of_preset: serde_json::Value =
-        serde_json::from_str(&run_ok(folder.path(), &of_preset)).expect("JSON");
+        serde_json::from_str(&run_ok(folder.path(), &preset_words)).expect("JSON");
     assert_eq!(of_preset["stage"], "surface", "a preset's stage");
     assert!(result["peak_rss_bytes"].as_u64() > Some(1 << 20) && result["adapter"]["name"].is_string());
     for case in ["camera", "static-sun", "scene", "dataset"] {

@@ -1,6 +1,6 @@
-//! Datasets: reproducible by number, whatever happens to the run; rules, shards, splits.
+//! Datasets: each frame reproducible from its index, interrupted runs resumed to the same bytes; rules, shards, splits.
 
-#![allow(clippy::print_stdout, reason = "figures for people who run it with --nocapture")]
+#![allow(clippy::print_stdout, reason = "measurements for runs with --nocapture")]
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -32,7 +32,7 @@ fn dataset<'a>(out: &'a str, words: &[&'a str]) -> Vec<&'a str> {
     [&["dataset", "--out", out], SMALL.as_slice(), words].concat()
 }
 
-/// Every file below a folder; of `frames.jsonl` all but the milliseconds.
+/// Every file below a folder; `frames.jsonl` without its milliseconds.
 fn content(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     fn collect(root: &Path, folder: &Path, files: &mut BTreeMap<String, Vec<u8>>) {
         for entry in std::fs::read_dir(folder).expect("a folder") {
@@ -70,7 +70,7 @@ fn assert_same(a: &Path, b: &Path) {
 }
 
 #[test]
-fn a_dataset_has_its_layout_and_each_frame_can_be_made_alone() {
+fn a_dataset_has_its_layout_and_each_frame_can_be_rendered_alone() {
     let folder = folder();
     run_ok(folder.path(), &dataset("data", &["--count", "27", "--outputs", "all", "-q"]));
     let data = folder.path().join("data");
@@ -111,7 +111,7 @@ fn a_dataset_has_its_layout_and_each_frame_can_be_made_alone() {
         ("mask/mask_00017.png", "semantic_segmentation_0000.png"),
         ("normals/normals_00017.npy", "normals_0000.npy"),
     ] {
-        assert!(files[in_dataset] == alone[by_itself], "{in_dataset} is not what its seed gives");
+        assert!(files[in_dataset] == alone[by_itself], "{in_dataset} differs from the frame of its seed");
     }
     let record: Value = serde_json::from_slice(&alone["frame_0000.json"]).expect("JSON");
     for key in ["knobs", "camera", "sun", "coverage", "rgb", "geometry_hash"] {
@@ -123,14 +123,14 @@ fn a_dataset_has_its_layout_and_each_frame_can_be_made_alone() {
 }
 
 #[test]
-fn killed_a_hundred_times_it_ends_with_the_same_bytes() {
+fn a_run_killed_a_hundred_times_ends_with_the_same_bytes() {
     const KILLS: u64 = 100;
     let folder = folder();
     let words =
         |out| dataset(out, &["--count", "700", "--preset", "train_dr", "-q", "--outputs", "rgb,mask"]);
     run_ok(folder.path(), &words("whole"));
     let killed = folder.path().join("killed");
-    // How long it takes here until the first frame is there.
+    // The time until the first frame exists, on this machine.
     let start = Instant::now();
     let mut child = program(folder.path()).args(words("first")).spawn().expect("started");
     wait_until(|| lines_that_parse(&folder.path().join("first")) > 0);
@@ -142,12 +142,12 @@ fn killed_a_hundred_times_it_ends_with_the_same_bytes() {
     for kill in 0..KILLS {
         let start = Instant::now();
         let mut child = program(folder.path()).args(words("killed")).spawn().expect("started");
-        // Every other one at any moment, starting up too; the rest some moment after a frame was made.
+        // Every other kill at any moment, also during startup; the rest shortly after a frame was made.
         if kill % 2 == 0 {
             std::thread::sleep(Duration::from_secs_f64(draw.uniform(0.02, 1.5 * first_s)));
         } else {
             wait_until(|| lines_that_parse(&killed) > before);
-            // A machine that was busy when the first run was timed may have become faster.
+            // The machine may have been busy while the first run was timed.
             first_s = first_s.min(start.elapsed().as_secs_f64());
             std::thread::sleep(Duration::from_secs_f64(draw.uniform(0.0, 0.3 * first_s)));
         }
@@ -157,24 +157,24 @@ fn killed_a_hundred_times_it_ends_with_the_same_bytes() {
         at_work += u64::from(there > before);
         before = there;
     }
-    assert!(before < 700, "nothing is left to do: the last kills hit no work");
+    assert!(before < 700, "the dataset was finished before the last kill");
     assert!(at_work > KILLS / 4, "only {at_work} kills came after a frame was made");
-    // What a power failure may do besides: a torn line, and a frame whose file is gone.
+    // A power failure can also leave a truncated line, and a frame without its file.
     use std::io::Write as _;
     let mut journal =
         std::fs::OpenOptions::new().append(true).open(killed.join("frames.jsonl")).expect("open");
-    journal.write_all(b"{\"index\": 3, \"seed").expect("torn");
+    journal.write_all(b"{\"index\": 3, \"seed").expect("truncated");
     std::fs::remove_file(killed.join("mask/mask_00002.png")).expect("removed");
     run_ok(folder.path(), &words("killed"));
     assert_same(&folder.path().join("whole"), &killed);
 }
 
-/// Waits for something that a process in the background will bring about.
+/// Waits until a condition holds that a background process will bring about.
 #[track_caller]
 fn wait_until(mut happened: impl FnMut() -> bool) {
     let start = Instant::now();
     while !happened() {
-        assert!(start.elapsed().as_secs() < 120, "it has not happened in two minutes");
+        assert!(start.elapsed().as_secs() < 120, "the condition did not hold within two minutes");
         std::thread::sleep(Duration::from_millis(5));
     }
 }
@@ -192,13 +192,13 @@ fn resident_kib(process: u32) -> Option<u64> {
 }
 
 #[test]
-fn memory_stays_what_it_is_over_two_thousand_frames() {
+fn memory_does_not_grow_over_two_thousand_frames() {
     let folder = folder();
     let words = dataset("data", &["--count", "2000", "-q", "--outputs", "rgb,mask"]);
     let mut child = program(folder.path()).args(&words).stdout(Stdio::null()).spawn().expect("started");
     let path = folder.path().join("data/frames.jsonl");
     let frames = || std::fs::read(&path).map_or(0, |text| text.iter().filter(|byte| **byte == b'\n').count());
-    // Scenes differ in size, so memory is taken as the mean over stretches of the run.
+    // Scenes differ in size, so the mean memory of two parts of the run is compared.
     let (mut early, mut late) = (Vec::new(), Vec::new());
     while child.try_wait().expect("a process").is_none() {
         let memory = resident_kib(child.id());
@@ -218,7 +218,7 @@ fn memory_stays_what_it_is_over_two_thousand_frames() {
 }
 
 #[test]
-fn ctrl_c_finishes_what_is_in_flight_and_says_how_to_go_on() {
+fn ctrl_c_finishes_frames_in_flight_and_says_how_to_continue() {
     let folder = folder();
     let words = dataset("data", &["--count", "400"]);
     let child = program(folder.path()).args(&words).stderr(Stdio::piped()).stdout(Stdio::piped()).spawn();
@@ -233,13 +233,13 @@ fn ctrl_c_finishes_what_is_in_flight_and_says_how_to_go_on() {
     let data = folder.path().join("data");
     assert_eq!(json(&data.join("manifest.json"))["status"], "stopped");
     let lines = lines(&data);
-    let pictures = std::fs::read_dir(data.join("rgb")).expect("pictures").count();
-    assert!(!lines.is_empty() && lines.len() == pictures, "{} lines, {pictures} pictures", lines.len());
+    let images = std::fs::read_dir(data.join("rgb")).expect("images").count();
+    assert!(!lines.is_empty() && lines.len() == images, "{} lines, {images} images", lines.len());
     assert_eq!(json(&data.join("manifest.json"))["n_completed"], lines.len());
 }
 
 #[test]
-fn shards_in_one_folder_or_copied_into_one_are_the_whole() {
+fn shards_in_one_folder_or_merged_equal_an_unsharded_run() {
     let folder = folder();
     run_ok(folder.path(), &dataset("whole", &["--count", "10", "-q"]));
     let words = |out, shard| dataset(out, &["--count", "10", "-q", "--shard", shard]);
@@ -273,7 +273,7 @@ fn shards_in_one_folder_or_copied_into_one_are_the_whole() {
 }
 
 #[test]
-fn neither_threads_nor_order_nor_growth_change_a_byte() {
+fn threads_order_and_later_growth_change_no_byte() {
     let folder = folder();
     run_ok(folder.path(), &dataset("one", &["--count", "8", "--threads", "1", "-q"]));
     for threads in ["2", "8"] {
@@ -292,11 +292,11 @@ fn neither_threads_nor_order_nor_growth_change_a_byte() {
 }
 
 #[test]
-fn a_folder_of_another_configuration_or_of_someone_else_is_refused() {
+fn a_folder_of_another_configuration_or_with_other_files_is_refused() {
     let folder = folder();
     run_ok(folder.path(), &dataset("data", &["--count", "2", "-q"]));
     let before = content(&folder.path().join("data"));
-    for (words, said) in [
+    for (words, expected) in [
         (
             vec!["--count", "2", "--set", "sun.elevation_deg=9"],
             "sun.elevation_deg: there {\"uniform\":[5.0,40.0]}, now 9.0",
@@ -309,7 +309,10 @@ fn a_folder_of_another_configuration_or_of_someone_else_is_refused() {
         let output = run(folder.path(), &dataset("data", &words));
         let message = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{message}");
-        assert!(message.contains("another configuration") && message.contains(said), "{words:?}: {message}");
+        assert!(
+            message.contains("another configuration") && message.contains(expected),
+            "{words:?}: {message}"
+        );
     }
     assert_eq!(content(&folder.path().join("data")), before);
 
@@ -323,13 +326,13 @@ fn a_folder_of_another_configuration_or_of_someone_else_is_refused() {
 }
 
 #[test]
-fn wrong_configurations_are_refused_before_anything_is_written() {
+fn a_wrong_configuration_is_refused_before_anything_is_written() {
     let folder = folder();
     std::fs::write(folder.path().join("broken.toml"), "[sun\nelevation_deg = 3\n").expect("written");
     std::fs::write(folder.path().join("typo.toml"), "[rocks]\ncuont = 3\n").expect("written");
     std::fs::write(folder.path().join("rules.toml"), "[rules]\nrequire = { boulder = [0, 1] }\n")
         .expect("written");
-    for (words, said) in [
+    for (words, expected) in [
         (vec![], "--count"),
         (vec!["--count", "0"], "from 1 to 4294967296"),
         (vec!["--count", "many"], "--count"),
@@ -367,20 +370,20 @@ fn wrong_configurations_are_refused_before_anything_is_written() {
         let output = run(folder.path(), &[&["dataset", "--out", "new"], words.as_slice()].concat());
         let message = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{words:?}: {message}");
-        assert!(message.contains(said), "{words:?}: {message}");
+        assert!(message.contains(expected), "{words:?}: {message}");
         assert!(!folder.path().join("new").exists(), "{words:?}");
     }
 }
 
 #[test]
-fn a_frame_that_breaks_a_rule_is_drawn_again_and_counted() {
+fn a_frame_that_breaks_a_rule_is_redrawn_and_counted() {
     let folder = folder();
-    let demand = "--set=require={rock=[0.05,1]}";
-    run_ok(folder.path(), &dataset("data", &["--count", "12", "-q", demand]));
+    let rule = "--set=require={rock=[0.05,1]}";
+    run_ok(folder.path(), &dataset("data", &["--count", "12", "-q", rule]));
     let lines = lines(&folder.path().join("data"));
     let attempts: Vec<u64> = lines.iter().map(|line| line["attempt"].as_u64().expect("a number")).collect();
     let redrawn: u64 = attempts.iter().sum();
-    assert!(redrawn > 0, "a demand that every frame meets shows nothing");
+    assert!(redrawn > 0, "the rule must fail for some frames, or this tests nothing");
     for line in &lines {
         assert!(line["coverage"]["rock"].as_f64() >= Some(0.05));
         let rules = line.get("redrawn").and_then(Value::as_array).map_or(0, Vec::len);
@@ -392,27 +395,27 @@ fn a_frame_that_breaks_a_rule_is_drawn_again_and_counted() {
     let output = run(folder.path(), &dataset("never", &impossible));
     let message = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{message}");
-    for said in ["require.rock", "drawn 3 times", "wanted is 0.99 to 1"] {
-        assert!(message.contains(said), "{message}");
+    for expected in ["require.rock", "drawn 3 times", "wanted is 0.99 to 1"] {
+        assert!(message.contains(expected), "{message}");
     }
-    // Nothing was made there, so another configuration may begin.
-    run_ok(folder.path(), &dataset("never", &["--count", "12", "-q", demand]));
+    // No frame was finished there, so another configuration may use the folder.
+    run_ok(folder.path(), &dataset("never", &["--count", "12", "-q", rule]));
     assert_same(&folder.path().join("never"), &folder.path().join("data"));
 }
 
 #[test]
-fn what_was_lost_or_damaged_is_made_again() {
+fn lost_and_damaged_files_are_made_again() {
     let folder = folder();
     let command = dataset("data", &["--count", "3", "-q"]);
     run_ok(folder.path(), &command);
     let data = folder.path().join("data");
     let before = content(&data);
-    // Empty, as a file can be after the power was cut.
+    // An empty file, as a power failure can leave.
     std::fs::write(data.join("mask/mask_00001.png"), "").expect("written");
     run_ok(folder.path(), &command);
     assert!(content(&data) == before);
-    // Damaged: it is named with the remedy, which holds.
-    std::fs::write(data.join("rgb/rgb_00002.png"), "no picture").expect("written");
+    // A damaged file: the message names it and a remedy that works.
+    std::fs::write(data.join("rgb/rgb_00002.png"), "not an image").expect("written");
     let output = run(folder.path(), &command);
     let message = String::from_utf8_lossy(&output.stderr);
     assert!(!output.status.success() && message.contains("rgb_00002.png: it cannot be decoded"), "{message}");
@@ -420,7 +423,7 @@ fn what_was_lost_or_damaged_is_made_again() {
     std::fs::remove_file(data.join("rgb/rgb_00002.png")).expect("removed");
     run_ok(folder.path(), &command);
     assert!(content(&data) == before);
-    // Without its manifest the folder is anybody's.
+    // Without its manifest the folder counts as one with other content.
     std::fs::remove_file(data.join("manifest.json")).expect("removed");
     let message = String::from_utf8_lossy(&run(folder.path(), &command).stderr).into_owned();
     assert!(message.contains("add --force"), "{message}");
@@ -429,7 +432,7 @@ fn what_was_lost_or_damaged_is_made_again() {
 }
 
 #[test]
-fn a_frame_s_record_in_a_dataset_is_that_of_a_frame_alone() {
+fn the_record_of_a_frame_is_the_same_in_a_dataset_and_alone() {
     let folder = folder();
     run_ok(folder.path(), &dataset("data", &["--count", "1", "-q", "--format", "basic", "--outputs", "all"]));
     let record = json(&folder.path().join("data/frame_0000.json"));
@@ -443,7 +446,7 @@ fn a_frame_s_record_in_a_dataset_is_that_of_a_frame_alone() {
 }
 
 #[test]
-fn splits_share_no_scene_and_say_so() {
+fn splits_share_no_scene_and_record_their_seed_ranges() {
     let folder = folder();
     run_ok(folder.path(), &dataset("data", &["--split", "train=5,val=2,test=3", "-q"]));
     let data = folder.path().join("data");
@@ -495,11 +498,11 @@ fn paired_presets_have_the_same_layout_frame_by_frame() {
 }
 
 #[test]
-fn a_full_disk_stops_with_a_message_and_the_run_goes_on_later() {
+fn a_run_stopped_by_a_full_disk_can_be_resumed() {
     let folder = folder();
     let words = |out| dataset(out, &["--count", "6", "-q"]);
     run_ok(folder.path(), &words("whole"));
-    // Files of more than 2 KiB cannot be written: the pictures.
+    // Files of more than 2 KiB, which are the images, cannot be written.
     let limited = format!(
         "trap '' XFSZ; ulimit -f 4; exec {} {}",
         env!("CARGO_BIN_EXE_regolith-render"),
@@ -516,14 +519,14 @@ fn a_full_disk_stops_with_a_message_and_the_run_goes_on_later() {
     assert_eq!(output.status.code(), Some(1), "{message}");
     assert!(message.contains("cannot write") && !message.contains("panicked"), "{message}");
     let data = folder.path().join("data");
-    let half_written = content(&data).into_keys().filter(|name| name.contains(".writing-")).count();
-    assert_eq!(half_written, 0);
+    let partial = content(&data).into_keys().filter(|name| name.contains(".writing-")).count();
+    assert_eq!(partial, 0);
     run_ok(folder.path(), &words("data"));
     assert_same(&folder.path().join("whole"), &data);
 }
 
 #[test]
-fn a_lost_device_stops_with_a_message_and_the_run_goes_on_later() {
+fn a_run_stopped_by_a_lost_device_can_be_resumed() {
     let folder = folder();
     let words = dataset("data", &["--count", "3", "-q"]);
     let output =
@@ -536,7 +539,7 @@ fn a_lost_device_stops_with_a_message_and_the_run_goes_on_later() {
 }
 
 #[test]
-fn a_second_run_of_the_same_shard_is_refused_while_the_first_writes() {
+fn a_second_run_of_a_shard_is_refused_while_the_first_writes() {
     let folder = folder();
     let words = dataset("data", &["--count", "300", "-q"]);
     let mut first = program(folder.path()).args(&words).stdout(Stdio::null()).spawn().expect("started");
@@ -550,7 +553,7 @@ fn a_second_run_of_the_same_shard_is_refused_while_the_first_writes() {
 }
 
 #[test]
-fn a_dry_run_tells_the_knobs_and_writes_nothing() {
+fn a_dry_run_prints_the_knobs_and_writes_nothing() {
     let folder = folder();
     let text = run_ok(folder.path(), &dataset("data", &["--count", "3", "--dry-run"]));
     assert!(

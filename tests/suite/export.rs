@@ -1,4 +1,4 @@
-//! Exported files, read back with readers of their own and held against the scene that they were made from.
+//! Exported files, read back by independent readers and compared with the scene.
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::io::{Cursor, Read as _};
@@ -34,7 +34,7 @@ impl Subject {
         export(&Stage { scene, seed: SEED, knobs, settings, detail }, format).expect("exported")
     }
 
-    /// Instance, class and number of triangles of each part that a file must hold, in its order.
+    /// Instance, class and number of triangles of each object that a file must hold, in order.
     fn expected(&self, detail: Detail) -> Vec<(u16, ClassId, usize)> {
         let cells = self.scene.terrain.columns as usize;
         let mut expected = vec![(0, ClassId::REGOLITH, 2 * cells * cells)];
@@ -47,7 +47,7 @@ impl Subject {
                 for selected in Selection::new(&self.scene, &self.settings).rocks {
                     let level = match (selected.visible_level, selected.caster) {
                         (Some(level), _) | (None, Some((_, level))) => level,
-                        (None, None) => panic!("selected for nothing"),
+                        (None, None) => panic!("selected, but neither visible nor a caster"),
                     };
                     expected.push(row(selected.rock, level));
                 }
@@ -60,7 +60,7 @@ impl Subject {
 /// A member of the archive: type, shape, data.
 type Array = (String, Vec<usize>, Vec<u8>);
 
-/// Every member by name, its header parsed and held against the length of its data.
+/// Every member by name; checks that its header matches the length of its data.
 fn arrays(bytes: &[u8]) -> BTreeMap<String, Array> {
     let mut archive = zip::ZipArchive::new(Cursor::new(bytes)).expect("a zip");
     let mut arrays = BTreeMap::new();
@@ -69,7 +69,7 @@ fn arrays(bytes: &[u8]) -> BTreeMap<String, Array> {
         assert_eq!(file.compression(), zip::CompressionMethod::Stored);
         let name = file.name().expect("a name").strip_suffix(".npy").expect("an array").to_owned();
         let mut content = Vec::new();
-        file.read_to_end(&mut content).expect("whole, with the right checksum");
+        file.read_to_end(&mut content).expect("complete, with the right checksum");
         assert_eq!(content[..8], *b"\x93NUMPY\x01\x00", "{name}");
         let data = 10 + usize::from(u16::from_le_bytes([content[8], content[9]]));
         assert_eq!(data % 64, 0, "{name}");
@@ -108,7 +108,7 @@ fn u16s(bytes: &[u8]) -> Vec<u16> {
     bytes.chunks_exact(2).map(|b| u16::from_le_bytes([b[0], b[1]])).collect()
 }
 
-/// Instances and classes of consecutive triangles with how many there are.
+/// Instance, class and length of each run of consecutive triangles.
 fn runs(instances: &[u16], classes: &[u8]) -> Vec<(u16, ClassId, usize)> {
     let mut runs: Vec<(u16, ClassId, usize)> = Vec::new();
     for (&instance, &class) in instances.iter().zip(classes) {
@@ -121,7 +121,7 @@ fn runs(instances: &[u16], classes: &[u8]) -> Vec<(u16, ClassId, usize)> {
 }
 
 #[test]
-fn arrays_have_their_types_and_shapes_and_each_rock_its_class_and_instance() {
+fn arrays_have_their_types_and_shapes_and_rocks_their_class_and_instance() {
     let subject = Subject::new(SEED, &[]);
     for detail in [Detail::Authored, Detail::Drawn] {
         let arrays = arrays(&subject.export(Format::Npz, detail));
@@ -150,7 +150,7 @@ fn arrays_have_their_types_and_shapes_and_each_rock_its_class_and_instance() {
         assert_eq!(runs(&u16s(&arrays["triangle_instance"].2), &arrays["triangle_class"].2), expected);
         let corners = u32s(&arrays["triangles"].2);
         let used: HashSet<u32> = corners.iter().copied().collect();
-        assert_eq!(used.len(), vertices, "every vertex is of some triangle");
+        assert_eq!(used.len(), vertices, "every vertex belongs to a triangle");
         assert!(corners.iter().all(|&v| (v as usize) < vertices));
         let albedo = f32s(&arrays["albedo"].2);
         assert_eq!(albedo[..3], subject.scene.regolith.albedo.to_array());
@@ -167,7 +167,7 @@ fn arrays_have_their_types_and_shapes_and_each_rock_its_class_and_instance() {
 }
 
 #[test]
-fn triangles_stand_in_the_world_where_the_scene_has_them() {
+fn vertices_are_at_the_world_positions_of_the_scene() {
     let subject = Subject::new(SEED, &[]);
     let arrays = arrays(&subject.export(Format::Npz, Detail::Authored));
     let (vertices, corners) = (f32s(&arrays["vertices"].2), u32s(&arrays["triangles"].2));
@@ -177,20 +177,20 @@ fn triangles_stand_in_the_world_where_the_scene_has_them() {
         for (i, triangle) in rock.triangles(rock.level).iter().enumerate() {
             for (j, &v) in triangle.iter().enumerate() {
                 let corner = 3 * corners[3 * (first + i) + j] as usize;
-                let place = rock.vertices[v as usize].position + rock.centre;
-                assert_eq!(vertices[corner..corner + 3], place.to_array(), "rock {}", rock.index);
+                let position = rock.vertices[v as usize].position + rock.centre;
+                assert_eq!(vertices[corner..corner + 3], position.to_array(), "rock {}", rock.index);
             }
         }
     }
 }
 
 #[test]
-fn what_is_drawn_is_part_of_what_was_authored() {
-    // A camera that looks away from most rocks, so that some are neither seen nor cast into view.
+fn drawn_geometry_is_a_subset_of_authored_geometry() {
+    // The camera looks away from most rocks, so that some are neither visible nor casters.
     let subject = Subject::new(SEED, &["camera.yaw_deg=150"]);
     let (authored, drawn) = (subject.expected(Detail::Authored), subject.expected(Detail::Drawn));
     assert!(drawn.len() < authored.len(), "every rock is drawn: this view tests nothing");
-    let places = |detail| {
+    let positions = |detail| {
         let arrays = arrays(&subject.export(Format::Npz, detail));
         assert_eq!(
             runs(&u16s(&arrays["triangle_instance"].2), &arrays["triangle_class"].2),
@@ -199,11 +199,11 @@ fn what_is_drawn_is_part_of_what_was_authored() {
         let data = &arrays["vertices"].2;
         data.chunks_exact(12).map(<[u8]>::to_vec).collect::<HashSet<_>>()
     };
-    assert!(places(Detail::Drawn).is_subset(&places(Detail::Authored)));
+    assert!(positions(Detail::Drawn).is_subset(&positions(Detail::Authored)));
 }
 
 #[test]
-fn the_same_scene_gives_the_same_bytes_and_another_one_others() {
+fn equal_scenes_give_equal_bytes_and_others_do_not() {
     let (once, again, other) = (Subject::new(SEED, &[]), Subject::new(SEED, &[]), Subject::new(12, &[]));
     for (format, name) in Format::ALL {
         for detail in [Detail::Authored, Detail::Drawn] {
@@ -214,7 +214,7 @@ fn the_same_scene_gives_the_same_bytes_and_another_one_others() {
     }
 }
 
-/// The same numbers, but for the last bit, which the reader of JSON may miss.
+/// Equal numbers, except for the last bit, which JSON may lose.
 fn assert_same(actual: &[f64], recorded: &[f64]) {
     assert_eq!(actual.len(), recorded.len());
     for (a, b) in actual.iter().zip(recorded) {
@@ -223,7 +223,7 @@ fn assert_same(actual: &[f64], recorded: &[f64]) {
 }
 
 #[test]
-fn what_a_lens_shows_is_among_what_is_drawn() {
+fn every_rock_in_a_distorted_frame_is_in_the_drawn_export() {
     let folder = folder();
     for (seed, more) in [
         ("4", &["--set", "camera.k1=-0.15", "--set", "rocks.count=400"][..]),
@@ -238,14 +238,14 @@ fn what_a_lens_shows_is_among_what_is_drawn() {
             .chunks_exact(2)
             .map(|b| u16::from_le_bytes([b[0], b[1]]).to_string())
             .collect();
-        let seen = json(&folder.path().join("out/instance_segmentation_mapping_0000.json"));
-        let seen = seen.as_object().expect("a mapping");
-        assert!(seen.len() > 20 && seen.keys().all(|rock| drawn.contains(rock)), "{seen:?}");
+        let visible = json(&folder.path().join("out/instance_segmentation_mapping_0000.json"));
+        let visible = visible.as_object().expect("a mapping");
+        assert!(visible.len() > 20 && visible.keys().all(|rock| drawn.contains(rock)), "{visible:?}");
     }
 }
 
 #[test]
-fn camera_of_the_arrays_is_that_of_the_frame_record() {
+fn the_arrays_have_the_camera_of_the_frame_record() {
     let folder = folder();
     let words =
         ["--seed", "5", "--size", "96x64", "--set", "camera.yaw_deg=20", "--set", "camera.roll_deg=5"];
@@ -286,7 +286,7 @@ fn chunks(file: &[u8]) -> (Value, &[u8]) {
 }
 
 #[test]
-fn gltf_accessors_lie_in_their_views_and_nodes_in_their_places() {
+fn gltf_accessors_fit_their_views_and_nodes_have_their_parents_and_positions() {
     let subject = Subject::new(SEED, &[]);
     for detail in [Detail::Authored, Detail::Drawn] {
         let file = subject.export(Format::Glb, detail);
@@ -359,13 +359,13 @@ fn gltf_accessors_lie_in_their_views_and_nodes_in_their_places() {
             .map(|(instance, ..)| subject.scene.rocks[usize::from(*instance) - 1].material)
             .map(|m| m.albedo.extend(m.roughness).to_array().map(f32::to_bits))
             .collect();
-        // Besides them the ground's, the dome's and the stars'.
+        // And the materials of the ground, the dome and the stars.
         assert_eq!(root["materials"].as_array().map(Vec::len), Some(pool.len() + 3));
         assert_eq!(root["asset"]["extras"]["knobs"]["sun.azimuth_deg"], subject.knobs["sun.azimuth_deg"]);
     }
 }
 
-/// Paths of all prims with their type, from the nesting of `def` and braces.
+/// Path and type of every prim, from the nesting of `def` and braces.
 fn prims(text: &str) -> BTreeMap<String, String> {
     let (mut prims, mut path, mut depth) = (BTreeMap::new(), Vec::<(usize, String)>::new(), 0);
     for line in text.lines().map(str::trim) {
@@ -388,7 +388,7 @@ fn prims(text: &str) -> BTreeMap<String, String> {
     prims
 }
 
-/// Numbers in what stands after `name` and an equals sign, on that line.
+/// The numbers of the value of `name`, on its line.
 fn numbers(text: &str, name: &str) -> Vec<f64> {
     let line = text.lines().find(|line| line.contains(name)).unwrap_or_else(|| panic!("no {name}"));
     line.split_once('=')
@@ -400,7 +400,7 @@ fn numbers(text: &str, name: &str) -> Vec<f64> {
         .collect()
 }
 
-/// Text from the definition of a prim on.
+/// The text from the definition of a prim to the end.
 fn from_prim<'a>(text: &'a str, name: &str) -> &'a str {
     text.split_once(&format!("\"{name}\"")).unwrap_or_else(|| panic!("no {name}")).1
 }
@@ -438,7 +438,7 @@ fn usd_has_the_prims_of_the_reference_stage() {
             let line = prim.lines().find(|line| line.contains("semantics:labels:class")).expect("a label");
             assert!(line.contains(&format!("[\"{label}\"]")), "{name}: {line}");
         }
-        // Every material that is bound is there.
+        // Every bound material exists.
         for line in text.lines().filter(|line| line.contains("rel material:binding")) {
             let path = line.split_once('<').and_then(|(_, rest)| rest.split_once('>')).expect("a path").0;
             assert_eq!(prims.get(path).map(String::as_str), Some("Material"), "{path}");
@@ -462,22 +462,22 @@ fn usd_sky_leaves_a_hole_around_a_sun_in_front() {
     let corners = numbers(dome, "int[] faceVertexIndices");
     assert!(points.iter().all(|p| (p.length() - f64::from(sky.radius_m)).abs() < 1e-2));
     assert!(points.iter().all(|p| cos(*p) <= edge + 1e-6), "a corner in the hole");
-    // What is left out is the cone, one more ring of triangles at most, and nothing else.
+    // Only the cone is missing, and at most one more ring of triangles.
     assert!(points.iter().any(|p| cos(*p) > 38.0_f64.to_radians().cos()));
     assert!(corners.len() > 3 * 4000);
     for triangle in corners.chunks_exact(3) {
         let [a, b, c] = [0, 1, 2].map(|i| points[triangle[i] as usize]);
-        assert!((b - a).cross(c - a).dot(a) < 0.0, "seen from inside");
+        assert!((b - a).cross(c - a).dot(a) < 0.0, "faces the inside");
     }
     let prims = prims(&text);
-    let (mut inside, mut kept) = (Vec::new(), 0);
+    let (mut inside, mut outside) = (Vec::new(), 0);
     for (index, star) in sky.stars.iter().enumerate() {
-        let hidden = cos((star.centre - sky.centre).as_dvec3()) > edge;
-        assert_eq!(prims.contains_key(&format!("/World/Stars/Star_{index:03}")), !hidden, "star {index}");
-        if hidden { inside.push(index as f64) } else { kept += 1 }
+        let is_inside = cos((star.centre - sky.centre).as_dvec3()) > edge;
+        assert_eq!(prims.contains_key(&format!("/World/Stars/Star_{index:03}")), !is_inside, "star {index}");
+        if is_inside { inside.push(index as f64) } else { outside += 1 }
     }
-    assert!(!inside.is_empty() && kept > 0, "{} stars in the hole", inside.len());
-    assert_eq!(numbers(&text, "int[] starsLeftOutInHole"), inside, "they are named");
+    assert!(!inside.is_empty() && outside > 0, "{} stars in the hole", inside.len());
+    assert_eq!(numbers(&text, "int[] starsLeftOutInHole"), inside, "the file lists them");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! The layouts of datasets: the same labels in each, and the same bytes whether rendered or converted.
+//! The formats of datasets: the same labels in each, and the same bytes whether rendered or converted.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -21,7 +21,7 @@ const SMALL: [&str; 9] = [
     "--outputs=rgb,mask,instances,preview",
 ];
 
-/// Outputs that every layout holds.
+/// Makes a small dataset with the outputs that every format can hold, and previews where the format has them.
 fn make(folder: &Path, out: &str, format: &str, more: &[&str]) {
     let format = format!("--format={format}");
     let outputs = if matches!(format.as_str(), "--format=folder" | "--format=basic") {
@@ -33,7 +33,7 @@ fn make(folder: &Path, out: &str, format: &str, more: &[&str]) {
     run_ok(folder, &[outputs, instances, &["--out", out, &format], more].concat());
 }
 
-/// Every file below a folder; of `frames.jsonl` all but the milliseconds.
+/// Every file below a folder; `frames.jsonl` without its milliseconds.
 fn content(root: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut files = BTreeMap::new();
     let mut folders = vec![root.to_owned()];
@@ -63,17 +63,17 @@ fn content(root: &Path) -> BTreeMap<String, Vec<u8>> {
     files
 }
 
-fn picture(files: &BTreeMap<String, Vec<u8>>, name: &str) -> DynamicImage {
+fn decode(files: &BTreeMap<String, Vec<u8>>, name: &str) -> DynamicImage {
     let bytes = files.get(name).unwrap_or_else(|| panic!("{name} is missing: {:?}", files.keys()));
-    image::load_from_memory(bytes).expect("a picture")
+    image::load_from_memory(bytes).expect("an image")
 }
 
 fn ids(files: &BTreeMap<String, Vec<u8>>, name: &str) -> Vec<u8> {
-    picture(files, name).into_luma8().into_raw()
+    decode(files, name).into_luma8().into_raw()
 }
 
 #[test]
-fn a_converted_dataset_is_the_rendered_one_to_the_byte() {
+fn a_converted_dataset_has_the_bytes_of_a_rendered_one() {
     for splits in [&["--count=4"][..], &["--split=train=3,val=2"]] {
         let folder = folder();
         make(folder.path(), "folder", "folder", splits);
@@ -82,12 +82,12 @@ fn a_converted_dataset_is_the_rendered_one_to_the_byte() {
             let converted = format!("converted_{format}");
             let words = ["convert", "folder", "--format", format, "--out", &converted, "-q"];
             run_ok(folder.path(), &words);
-            // Once more: nothing is left to do, and nothing changes.
+            // A second time there is nothing to do, and nothing changes.
             run_ok(folder.path(), &words);
             let (rendered, converted) =
                 (content(&folder.path().join(format)), content(&folder.path().join(&converted)));
             let names = |files: &BTreeMap<String, Vec<u8>>| files.keys().cloned().collect::<Vec<_>>();
-            // What of the folder's outputs the layout holds, it holds: previews in `basic` were asked for in both.
+            // A converted dataset has every output of the folder that its format can hold.
             assert_eq!(names(&rendered), names(&converted), "{format}");
             for (name, bytes) in &rendered {
                 assert!(*bytes == converted[name], "{format}: {name} differs");
@@ -99,7 +99,7 @@ fn a_converted_dataset_is_the_rendered_one_to_the_byte() {
 }
 
 #[test]
-fn every_layout_has_the_labels_of_the_folder() {
+fn every_format_has_the_labels_of_the_folder() {
     let folder = folder();
     for format in LAYOUTS.iter().map(|row| row.name) {
         make(folder.path(), format, format, &["--count=3"]);
@@ -110,7 +110,7 @@ fn every_layout_has_the_labels_of_the_folder() {
     let instances_json = json(&folder.path().join("coco/annotations/instances_train.json"));
     let panoptic_json = json(&folder.path().join("coco/annotations/panoptic_train.json"));
     let rows = |json: &Value| json["annotations"].as_array().expect("annotations").clone();
-    let mut seen_ids = std::collections::BTreeSet::new();
+    let mut used_ids = std::collections::BTreeSet::new();
     for index in 0..3 {
         let mask = ids(&plain, &format!("mask/mask_{index:05}.png"));
         assert!(mask.contains(&0) && mask.contains(&255), "regolith survives, outlines are ignored");
@@ -120,19 +120,19 @@ fn every_layout_has_the_labels_of_the_folder() {
         assert_eq!(ids(&cityscapes, &city("labelTrainIds")), mask);
         let labels: Vec<u8> = mask.iter().map(|id| id.wrapping_add(1)).collect();
         assert_eq!(ids(&cityscapes, &city("labelIds")), labels);
-        let city_instances = picture(&cityscapes, &city("instanceIds")).into_luma16().into_raw();
+        let city_instances = decode(&cityscapes, &city("instanceIds")).into_luma16().into_raw();
         assert!(city_instances.iter().zip(&labels).all(|(instance, label)| {
             let class = if *instance >= 1000 { instance / 1000 } else { *instance };
             class == u16::from(*label) && (*instance >= 1000) == (*label == 2)
         }));
 
-        // Rocks of COCO: each mask is exactly its rock's pixels.
-        let rocks = picture(&plain, &format!("instances/instance_segmentation_{index:05}.png"))
+        // COCO instances: each mask covers exactly the pixels of its rock.
+        let rocks = decode(&plain, &format!("instances/instance_segmentation_{index:05}.png"))
             .into_luma16()
             .into_raw();
         let mut covered = vec![false; mask.len()];
         for row in rows(&instances_json).iter().filter(|row| row["image_id"] == index) {
-            assert!(seen_ids.insert(row["id"].as_u64().expect("an id")) && row["category_id"] == 1);
+            assert!(used_ids.insert(row["id"].as_u64().expect("an id")) && row["category_id"] == 1);
             let pixels = decoded(row["segmentation"]["counts"].as_str().expect("text"), 56, 56);
             let rock = row["id"].as_u64().expect("an id") % 65536;
             for (pixel, inside) in pixels.iter().enumerate() {
@@ -140,21 +140,21 @@ fn every_layout_has_the_labels_of_the_folder() {
                 covered[pixel] |= inside;
             }
             assert_eq!(row["area"], pixels.iter().filter(|inside| **inside).count());
-            let at = |keep: fn(usize) -> usize| {
-                let places: Vec<usize> = (0..pixels.len()).filter(|p| pixels[*p]).map(keep).collect();
-                (*places.iter().min().expect("a pixel"), *places.iter().max().expect("a pixel"))
+            let extent = |coordinate: fn(usize) -> usize| {
+                let values: Vec<usize> = (0..pixels.len()).filter(|p| pixels[*p]).map(coordinate).collect();
+                (*values.iter().min().expect("a pixel"), *values.iter().max().expect("a pixel"))
             };
-            let ((left, right), (top, bottom)) = (at(|p| p % 56), at(|p| p / 56));
+            let ((left, right), (top, bottom)) = (extent(|p| p % 56), extent(|p| p / 56));
             let expected = [left, top, right - left + 1, bottom - top + 1].map(|side| side as f64);
             assert_eq!(row["bbox"], serde_json::json!(expected));
         }
         assert!(
             covered.iter().zip(&mask).all(|(covered, id)| *covered == (*id == 1)),
-            "every rock pixel is in one"
+            "every rock pixel belongs to an instance"
         );
 
-        // Panoptic segments tile the picture.
-        let colours = picture(&coco, &format!("annotations/panoptic_train/{index:06}.png")).into_rgb8();
+        // Panoptic segments cover the image without overlap.
+        let colours = decode(&coco, &format!("annotations/panoptic_train/{index:06}.png")).into_rgb8();
         let segments: Vec<u64> = colours
             .pixels()
             .map(|p| u64::from(p[0]) + 256 * u64::from(p[1]) + 65536 * u64::from(p[2]))
@@ -186,7 +186,7 @@ fn every_layout_has_the_labels_of_the_folder() {
     assert!(hf["README.md"].starts_with(b"---\nlicense: cc0-1.0\n"));
 }
 
-/// The pixels of a compressed run-length mask, row by row.
+/// The pixels of a mask in COCO's compressed run-length encoding, in row-major order.
 fn decoded(text: &str, width: usize, height: usize) -> Vec<bool> {
     let (mut counts, mut value, mut shift): (Vec<i64>, i64, u32) = (Vec::new(), 0, 0);
     for byte in text.bytes().map(|byte| i64::from(byte) - 48) {
@@ -212,7 +212,7 @@ fn decoded(text: &str, width: usize, height: usize) -> Vec<bool> {
     (0..width * height).map(|pixel| columns[pixel % width * height + pixel / width]).collect()
 }
 
-/// Names and content of a tar archive's members; checks what a fixed header must have.
+/// Names and content of the members of a tar archive; checks their headers.
 fn members(archive: &[u8]) -> Vec<(String, Vec<u8>)> {
     let (mut at, mut members) = (0, Vec::new());
     while archive[at] != 0 {
@@ -238,7 +238,7 @@ fn members(archive: &[u8]) -> Vec<(String, Vec<u8>)> {
 }
 
 #[test]
-fn shards_hold_whole_samples_in_order_and_a_stream_is_the_same() {
+fn shards_hold_complete_samples_in_order_and_a_stream_has_the_same_members() {
     let folder = folder();
     make(folder.path(), "shards", "webdataset", &["--count=3", "--start=999"]);
     make(folder.path(), "plain", "folder", &["--count=3", "--start=999"]);
@@ -253,10 +253,10 @@ fn shards_hold_whole_samples_in_order_and_a_stream_is_the_same() {
     let expected: Vec<String> =
         (999..1002).flat_map(|index| fields.map(|field| format!("{index:09}.{field}"))).collect();
     assert_eq!(names, expected);
-    for (place, index) in (999..1002).enumerate() {
-        assert!(all[5 * place].1 == plain[&format!("rgb/rgb_{index:05}.png")]);
-        assert!(all[5 * place + 1].1 == plain[&format!("mask/mask_{index:05}.png")]);
-        let record: Value = serde_json::from_slice(&all[5 * place + 4].1).expect("JSON");
+    for (sample, index) in (999..1002).enumerate() {
+        assert!(all[5 * sample].1 == plain[&format!("rgb/rgb_{index:05}.png")]);
+        assert!(all[5 * sample + 1].1 == plain[&format!("mask/mask_{index:05}.png")]);
+        let record: Value = serde_json::from_slice(&all[5 * sample + 4].1).expect("JSON");
         assert_eq!(record["index"], index);
     }
     let words = [&SMALL[..8], &["--outputs=rgb,mask,instances", "--format=webdataset", "--out=-"]].concat();
@@ -269,7 +269,7 @@ fn shards_hold_whole_samples_in_order_and_a_stream_is_the_same() {
 }
 
 #[test]
-fn every_layout_has_outputs_of_its_own_unless_others_are_asked_for() {
+fn every_format_has_its_own_default_outputs() {
     let folder = folder();
     for format in LAYOUTS.iter().map(|row| row.name) {
         run_ok(folder.path(), &[&SMALL[..8], &["--count=1", "--format", format, "--out", format]].concat());
@@ -286,7 +286,7 @@ fn every_layout_has_outputs_of_its_own_unless_others_are_asked_for() {
 }
 
 #[test]
-fn replicator_ids_are_named_where_a_layout_has_them_and_refused_where_not() {
+fn replicator_ids_are_named_by_formats_that_allow_them_and_refused_by_others() {
     let folder = folder();
     let ids = ["--count=2", "--label-ids=replicator"];
     for format in ["folder", "hf"] {
@@ -309,7 +309,7 @@ fn replicator_ids_are_named_where_a_layout_has_them_and_refused_where_not() {
         let message = String::from_utf8_lossy(&refused.stderr);
         assert!(refused.status.code() == Some(2) && message.contains("has ids of its own"), "{message}");
     }
-    // What has them converts all the same.
+    // A folder with such ids can still be converted to them.
     let all = ["--outputs=rgb,mask,instances", "--out=whole"];
     run_ok(folder.path(), &[&SMALL[..8], &ids, &all].concat());
     run_ok(folder.path(), &["convert", "whole", "--format", "cityscapes", "--out", "cityscapes", "-q"]);
@@ -320,14 +320,14 @@ fn replicator_ids_are_named_where_a_layout_has_them_and_refused_where_not() {
 }
 
 #[test]
-fn what_cannot_be_converted_is_refused_with_the_remedy() {
+fn an_impossible_conversion_is_refused_with_the_remedy() {
     let folder = folder();
     run_ok(folder.path(), &[&SMALL[..8], &["--outputs=rgb,mask", "--out=plain", "--count=2"]].concat());
     run_ok(
         folder.path(),
         &[&SMALL[..8], &["--outputs=rgb,mask", "--out=half", "--count=2", "--shard=0/2"]].concat(),
     );
-    for (words, said) in [
+    for (words, expected) in [
         (["plain", "coco"], "lacks the output `instances`"),
         (["half", "hf"], "not finished"),
         (["plain", "cocoo"], "unknown format"),
@@ -336,20 +336,20 @@ fn what_cannot_be_converted_is_refused_with_the_remedy() {
         let output = run(folder.path(), &["convert", words[0], "--format", words[1], "--out", "new"]);
         let message = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{message}");
-        assert!(message.contains(said), "{message}");
+        assert!(message.contains(expected), "{message}");
         assert!(!folder.path().join("new").exists());
     }
 }
 
 #[test]
-fn shards_grow_and_survive_a_stop_between_joining_and_removing() {
+fn a_shard_survives_a_stop_between_joining_and_removing_its_fragments() {
     let folder = folder();
     make(folder.path(), "whole", "webdataset", &["--count=5"]);
     make(folder.path(), "grown", "webdataset", &["--count=2"]);
     make(folder.path(), "grown", "webdataset", &["--count=5"]);
     let whole = content(&folder.path().join("whole"));
     assert!(whole == content(&folder.path().join("grown")));
-    // The shard is whole, some of its fragments are gone, and the manifest says that the run goes on.
+    // As after such a stop: the shard is complete, and some of its fragments still exist.
     let grown = folder.path().join("grown");
     let archive = std::fs::read(grown.join("000000.tar")).expect("a shard");
     let frame = archive.windows(9).position(|window| window == b"000000001").expect("the second sample");

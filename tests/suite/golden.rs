@@ -1,18 +1,18 @@
-//! Frames against golden ones, on the CPU driver: colour by perception, masks exactly.
+//! Frames compared with golden images, on the CPU driver: colour by similarity, masks exactly.
 
 use std::path::Path;
 
 use image::{GrayImage, RgbImage};
 
-use crate::support::compare::{assert_mask, assert_picture, golden};
+use crate::support::compare::{assert_image, assert_mask, golden};
 use crate::support::{folder, json, render, run_ok, scene};
 
 fn check(name: &str, seed: u64, set: &[&str]) {
     let side = 192;
     let frame = render(&scene(seed, set), side, 4);
-    let picture = RgbImage::from_raw(side, side, frame.rgb).expect("the planes have the picture's size");
-    let mask = GrayImage::from_raw(side, side, frame.class).expect("the planes have the picture's size");
-    assert_picture(&golden(&format!("{name}.png")), &picture, true);
+    let image = RgbImage::from_raw(side, side, frame.rgb).expect("planes of the image's size");
+    let mask = GrayImage::from_raw(side, side, frame.class).expect("planes of the image's size");
+    assert_image(&golden(&format!("{name}.png")), &image, true);
     assert_mask(&format!("{name}_mask.png"), &mask);
 }
 
@@ -48,15 +48,15 @@ fn surface_sensor_15() {
     check("surface_sensor_15", 15, &set);
 }
 
-/// The picture on the README's first screen is what the program makes of the command under it, and it is what
-/// section 7 of the scene's specification asks for.
+/// The image at the top of the README is the output of the command below it, with the coverage and brightness of the
+/// reference.
 #[test]
-fn reference_42_is_the_picture_in_the_readme_and_meets_its_numbers() {
+fn the_readme_image_is_the_output_of_its_command_and_matches_the_reference() {
     let folder = folder();
     run_ok(folder.path(), &["--preset", "reference", "--out", "out"]);
-    let picture = image::open(folder.path().join("out/rgb_0000.png")).expect("a picture").into_rgb8();
+    let image = image::open(folder.path().join("out/rgb_0000.png")).expect("an image").into_rgb8();
     let readme = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/reference_42.png");
-    assert_picture(&readme, &picture, false);
+    assert_image(&readme, &image, false);
     let meta = json(&folder.path().join("out/frame_0000.json"));
     for (class, expected) in [("regolith", 0.37), ("rock", 0.22), ("sky", 0.41)] {
         let covered = meta["coverage"][class].as_f64().expect("a fraction");

@@ -46,10 +46,10 @@ fn extreme_knobs_have_no_pixel_without_a_class() {
     }
 }
 
-/// Another way to the outline of the rocks: paint them another colour and see which pixels change. At one sample a
-/// pixel these are exactly the pixels that the mask calls rock.
+/// An independent check of the mask: repaint the rocks and compare. At one sample per pixel exactly the rock pixels of the mask
+/// change.
 #[test]
-fn repainting_the_rocks_changes_exactly_the_pixels_that_are_rock() {
+fn repainting_the_rocks_changes_exactly_the_rock_pixels() {
     for seed in [1, 2, 3] {
         let plain = scene(seed, &["sky.star_count=0"]);
         let mut painted = plain.clone();
@@ -69,33 +69,32 @@ fn repainting_the_rocks_changes_exactly_the_pixels_that_are_rock() {
     }
 }
 
-/// The rule for small rocks goes by the diameter that is told of each.
+/// The threshold for small rocks uses the diameter that is reported for each.
 #[test]
-fn rocks_of_less_than_the_least_diameter_are_ground() {
+fn rocks_below_the_minimum_diameter_are_labelled_as_ground() {
     let frame = |set: &[&str]| {
         let mut settings = RenderSettings::new([256; 2], 1).expect("settings");
         settings.annotations = [Annotation::Instances].into_iter().collect();
         renderer().render(&scene(4, set), &settings).expect("a frame").0
     };
     let (all, large) = (frame(&[]), frame(&["label.min_diameter_m=2.5"]));
-    let seen = |frame: &Frame| frame.rocks.iter().map(|rock| rock.instance).collect::<Vec<_>>();
+    let instances = |frame: &Frame| frame.rocks.iter().map(|rock| rock.instance).collect::<Vec<_>>();
     let expected: Vec<u16> =
         all.rocks.iter().filter(|rock| rock.diameter_m >= 2.5).map(|rock| rock.instance).collect();
     assert!(expected.len() > 3 && expected.len() < all.rocks.len());
-    assert_eq!(seen(&large), expected);
+    assert_eq!(instances(&large), expected);
 }
 
-/// Recounts the votes of the samples from a frame at one sample a pixel and twice the size, which draws the same
-/// sample positions.
+/// Counts the samples again in a frame of twice the size with one sample per pixel, which has the same sample positions.
 #[test]
-fn the_class_of_a_pixel_is_that_of_most_of_its_samples() {
+fn the_class_of_a_pixel_is_the_majority_of_its_samples() {
     let scene = scene(9, &[]);
-    let all_detail = |side, samples| {
+    let full_detail = |side, samples| {
         let settings = RenderSettings::new([side; 2], samples).expect("settings");
         let settings = RenderSettings { outline_error_px: 0.0, ..settings };
         renderer().render(&scene, &settings).expect("a frame").0
     };
-    let (samples, pixels) = (all_detail(256, 1), all_detail(128, 4));
+    let (samples, pixels) = (full_detail(256, 1), full_detail(128, 4));
     let mut mixed = 0;
     for y in 0..128 {
         for x in 0..128 {
@@ -104,20 +103,20 @@ fn the_class_of_a_pixel_is_that_of_most_of_its_samples() {
                 .map(|(dx, dy)| samples.class[(2 * y + dy) * 256 + 2 * x + dx])
                 .collect();
             let count = |class: u8| votes.iter().filter(|vote| **vote == class).count();
-            let most = votes.iter().map(|vote| count(*vote)).max().expect("four votes");
+            let max = votes.iter().map(|vote| count(*vote)).max().expect("four votes");
             let winner = pixels.class[y * 128 + x];
-            assert_eq!(count(winner), most, "pixel {x}, {y}: {votes:?} gave {winner}");
+            assert_eq!(count(winner), max, "pixel {x}, {y}: {votes:?} gave {winner}");
             // The sky is farthest: it never wins a tie.
-            let tied = votes.iter().any(|vote| *vote != winner && count(*vote) == most);
+            let tied = votes.iter().any(|vote| *vote != winner && count(*vote) == max);
             assert!(!(tied && winner == ClassId::SKY.0), "pixel {x}, {y}: {votes:?}");
-            mixed += u32::from(most < 4);
+            mixed += u32::from(max < 4);
         }
     }
     assert!(mixed > 100, "only {mixed} pixels had mixed votes");
 }
 
 #[test]
-fn raw_ids_of_a_replicator_pipeline_come_back_as_canonical_masks() {
+fn remap_turns_replicator_ids_into_canonical_masks() {
     let folder = folder();
     let frame = ["--size", "96", "--samples", "1", "--outputs", "mask", "-q"];
     run_ok(

@@ -1,6 +1,6 @@
-//! The one integration binary: the real program and the renderer on a CPU driver.
+//! The integration tests, in one binary: the command line and the renderer, on a CPU driver.
 
-#![allow(clippy::disallowed_methods, reason = "what is expected may be reckoned with std's functions")]
+#![allow(clippy::disallowed_methods, reason = "expected values may use std's functions")]
 
 mod architecture;
 mod cli;

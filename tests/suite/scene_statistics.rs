@@ -1,4 +1,4 @@
-//! 200 seeds against the specification of the nominal stage.
+//! The scenes of 200 seeds compared with the specification of the nominal stage.
 
 use std::sync::LazyLock;
 
@@ -21,8 +21,8 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
     sum / n
 }
 
-/// Largest distance between the distribution of the values and the uniform one over a range (Kolmogorov-Smirnov),
-/// times the root of their number: above 1.95 has a chance of one in a thousand.
+/// Kolmogorov-Smirnov statistic of the values against the uniform distribution over a range, times the square root of their
+/// number: it exceeds 1.95 with a probability of 0.001.
 fn ks_uniform(values: impl Iterator<Item = f64>, low: f64, high: f64) -> f64 {
     let mut sorted: Vec<f64> = values.map(|value| (value - low) / (high - low)).collect();
     sorted.sort_by(f64::total_cmp);
@@ -67,7 +67,7 @@ fn craters_have_the_stated_sizes() {
 }
 
 #[test]
-fn rocks_have_the_stated_sizes_places_and_detail() {
+fn rocks_have_the_stated_sizes_positions_and_detail() {
     let mut large = 0.0;
     let mut far_count = 0.0;
     for rock in SCENES.iter().flat_map(|scene| &scene.rocks) {
@@ -92,7 +92,7 @@ fn rocks_have_the_stated_sizes_places_and_detail() {
         assert!((0.05..0.14).contains(&grey), "{grey}");
         assert!((0.85..0.97).contains(&rock.material.roughness));
     }
-    // 15 % are made 2.0 to 3.3 times larger, which takes 62 % of those (by integration) beyond 1.3 m.
+    // 15 % are made 2.0 to 3.3 times larger; LARGE_BEYOND of those exceed 1.3 m (by integration).
     let share = large / far_count;
     assert!((share - 0.15 * LARGE_BEYOND).abs() < 0.01, "{share}");
     let near = |value: fn(&regolith::scene::rocks::Rock) -> f32| {
@@ -102,7 +102,7 @@ fn rocks_have_the_stated_sizes_places_and_detail() {
     assert!(ks_uniform(near(|rock| rock.base_scale_m), 1.2, 3.0) < 1.95);
     assert!(ks_uniform(near(|rock| rock.centre.y), -78.0, -48.0) < 1.95);
 }
-/// Chance that uniform(0.3, 1.3) x uniform(2.0, 3.3) is at least 1.3: 1 - (1.3 ln(3.3 / 2) / 1.3 - 0.3).
+/// Probability that uniform(0.3, 1.3) x uniform(2.0, 3.3) is at least 1.3: 1 - (1.3 ln(3.3 / 2) / 1.3 - 0.3).
 const LARGE_BEYOND: f64 = 1.3 - 0.500_775;
 
 #[test]
@@ -126,21 +126,21 @@ fn relief_has_the_stated_deviation() {
 }
 
 #[test]
-fn three_near_rocks_or_more_stand_in_the_field_of_view() {
-    let mut least = usize::MAX;
+fn at_least_three_near_rocks_are_in_the_field_of_view() {
+    let mut min = usize::MAX;
     for scene in SCENES.iter() {
         let eye = scene.camera.eye.truncate();
         let in_view = scene.rocks.iter().take(NEAR).filter(|rock| {
             let offset: Vec2 = rock.centre.truncate() - eye;
             offset.y > 0.0 && offset.x.abs() <= offset.y * scene.camera.tan_half_fov
         });
-        least = least.min(in_view.count());
+        min = min.min(in_view.count());
     }
-    assert!(least >= 3, "{least}");
+    assert!(min >= 3, "{min}");
 }
 
 #[test]
-fn no_rock_floats_and_none_comes_near_the_eye() {
+fn no_rock_floats_and_none_is_close_to_the_camera() {
     for scene in SCENES.iter() {
         for rock in &scene.rocks {
             let lowest =
@@ -153,7 +153,7 @@ fn no_rock_floats_and_none_comes_near_the_eye() {
                 .iter()
                 .map(|v| (v.position + rock.centre).distance(scene.camera.eye))
                 .fold(f32::INFINITY, f32::min);
-            assert!(nearest >= 0.5, "rock {} is {nearest} m from the eye", rock.index);
+            assert!(nearest >= 0.5, "rock {} is {nearest} m from the camera", rock.index);
         }
         let below = scene.camera.eye.z - scene.terrain.height_at(scene.camera.eye.truncate());
         assert!((below - 2.0).abs() < 1e-4);
@@ -174,28 +174,28 @@ fn no_rock_lies_beyond_the_border_of_the_ground() {
         let scene = scene(seed, set);
         assert!(scene.rocks.len() > 20, "{set:?}");
         for rock in &scene.rocks {
-            let places = rock.vertices.iter().map(|v| (v.position + rock.centre).truncate());
-            let beyond = places.filter(|place| !scene.terrain.contains(*place)).count();
+            let points = rock.vertices.iter().map(|v| (v.position + rock.centre).truncate());
+            let beyond = points.filter(|point| !scene.terrain.contains(*point)).count();
             assert_eq!(beyond, 0, "seed {seed}, {set:?}: rock {} at {}", rock.index, rock.centre);
         }
     }
 }
 
 #[test]
-fn no_two_scenes_have_an_object_at_the_same_place() {
-    let mut places: Vec<[u32; 2]> = SCENES
+fn no_two_scenes_have_a_rock_at_the_same_position() {
+    let mut positions: Vec<[u32; 2]> = SCENES
         .iter()
         .flat_map(|scene| scene.rocks.iter().map(|rock| [rock.centre.x.to_bits(), rock.centre.y.to_bits()]))
         .collect();
-    let count = places.len();
-    places.sort_unstable();
-    places.dedup();
-    assert_eq!(places.len(), count);
+    let count = positions.len();
+    positions.sort_unstable();
+    positions.dedup();
+    assert_eq!(positions.len(), count);
 }
 
-/// Shares of the classes over 200 pictures: a training frame has typically 1 to 10 % of rock.
+/// Mean coverage of the classes over 200 frames; a training frame typically has 1 to 10 % of rock.
 #[test]
-fn coverage_is_that_of_a_training_frame() {
+fn coverage_suits_training() {
     let mut typical = 0;
     let (mut rock_sum, mut sky_sum) = (0.0, 0.0);
     for scene in SCENES.iter() {
@@ -212,13 +212,13 @@ fn coverage_is_that_of_a_training_frame() {
 }
 
 #[test]
-fn every_knob_is_live() {
+fn every_knob_changes_the_frame() {
     use regolith::params::{KNOBS, Kind, Knob, Stage};
-    let mut asked = 0;
+    let mut checked = 0;
     for (stage, name) in Stage::ALL {
         let stage_name = format!("stage.name={name}");
         for info in KNOBS.iter().filter(|info| info.is_of(stage) && info.name != "stage.name") {
-            // One value for each knob that is far from its default, and what must be on for it to count.
+            // A value far from the default, and the setting without which the knob has no effect.
             let other = match info.name {
                 "sun.color" => "[0.5, 1.0, 0.5]",
                 "sun.angular_diameter_deg" => "5",
@@ -265,7 +265,7 @@ fn every_knob_is_live() {
                 "rocks" if info.name.starts_with("rocks.hero_") && info.name != "rocks.hero_scale_m" => {
                     "rocks.hero_scale_m=2"
                 }
-                // Hapke's law takes no other roughness.
+                // Hapke's law has its own roughness.
                 "regolith" | "rocks" if info.name.ends_with("roughness") => "photometry.law=oren_nayar",
                 "label" if stage == Stage::Nominal && info.name.contains("crater") => "craters.count=200",
                 "sky" if stage == Stage::Surface => "sky.star_count=5000",
@@ -281,12 +281,13 @@ fn every_knob_is_live() {
                 }
                 renderer().render(scene, &settings).expect("a frame").0
             };
-            let alive = after.geometry_hash() != before.geometry_hash() || frame(&after) != frame(&before);
-            assert!(alive, "{name}: {set} changes nothing");
-            asked += 1;
+            let has_changed =
+                after.geometry_hash() != before.geometry_hash() || frame(&after) != frame(&before);
+            assert!(has_changed, "{name}: {set} changes nothing");
+            checked += 1;
         }
         let names = KNOBS.iter().filter(|info| info.is_of(stage)).count();
         assert_eq!(params(31, &[&stage_name]).to_json().len(), names);
     }
-    assert!(asked > Knob::ALL.len());
+    assert!(checked > Knob::ALL.len());
 }

@@ -1,4 +1,4 @@
-//! `verify` finds whatever is wrong with a dataset, and nothing where all is well.
+//! `verify` finds every kind of damage to a dataset, and accepts an intact one.
 
 use std::fs;
 use std::path::Path;
@@ -16,7 +16,7 @@ fn make(folder: &Path) {
     run_ok(folder, &[words.as_slice(), &scene].concat());
 }
 
-/// Runs `verify` after a change; the names of the checks that find something, with all that is said.
+/// Runs `verify` after a change; returns the names of the checks that fail, and the report as text.
 fn found_after(change: impl FnOnce(&Path)) -> (Vec<String>, String) {
     let folder = folder();
     make(folder.path());
@@ -46,7 +46,7 @@ fn rewrite(data: &Path, change: impl Fn(usize, &mut Value)) {
     fs::write(path, changed).expect("written");
 }
 
-/// Replaces a file and its recorded hash, as someone would who meant it.
+/// Replaces a file together with its recorded hash.
 fn replace(data: &Path, frame: usize, name: &str, bytes: &[u8]) {
     fs::write(data.join(name), bytes).expect("written");
     rewrite(data, |i, line| {
@@ -67,7 +67,7 @@ fn mask(data: &Path, frame: usize) -> GrayImage {
 }
 
 #[test]
-fn a_whole_dataset_is_good_and_the_table_says_what_was_looked_at() {
+fn an_intact_dataset_passes_and_the_table_counts_what_was_checked() {
     let folder = folder();
     make(folder.path());
     let table = run_ok(folder.path(), &["verify", "data"]);
@@ -90,15 +90,15 @@ fn flipped_missing_truncated_and_swapped_files_are_found() {
         fs::write(path, bytes).expect("written");
     });
     assert!(checks.contains(&"hashes".to_owned()), "{checks:?}");
-    let (checks, said) =
+    let (checks, report) =
         found_after(|data| fs::remove_file(data.join("mask/mask_00002.png")).expect("removed"));
-    assert!(checks == ["files"] && said.contains("mask_00002.png"), "{said}");
-    let (checks, said) = found_after(|data| {
+    assert!(checks == ["files"] && report.contains("mask_00002.png"), "{report}");
+    let (checks, report) = found_after(|data| {
         let path = data.join("mask/mask_00003.png");
         let bytes = fs::read(&path).expect("read");
         fs::write(path, &bytes[..bytes.len() / 2]).expect("written");
     });
-    assert!(checks.contains(&"hashes".to_owned()) && checks.contains(&"pictures".to_owned()), "{said}");
+    assert!(checks.contains(&"hashes".to_owned()) && checks.contains(&"pictures".to_owned()), "{report}");
     let (checks, _) = found_after(|data| {
         let [a, b] = [4, 5].map(|i| data.join(format!("mask/mask_{i:05}.png")));
         let (first, second) = (fs::read(&a).expect("read"), fs::read(&b).expect("read"));
@@ -106,26 +106,26 @@ fn flipped_missing_truncated_and_swapped_files_are_found() {
         fs::write(b, first).expect("written");
     });
     assert!(checks.contains(&"hashes".to_owned()) && checks.contains(&"masks".to_owned()), "{checks:?}");
-    let (checks, said) = found_after(|data| {
+    let (checks, report) = found_after(|data| {
         fs::copy(data.join("rgb/rgb_00000.png"), data.join("rgb/rgb_00099.png")).map(drop).expect("copied");
     });
-    assert!(checks == ["files"] && said.contains("rgb_00099.png"), "{said}");
+    assert!(checks == ["files"] && report.contains("rgb_00099.png"), "{report}");
 }
 
 #[test]
-fn what_a_right_hash_cannot_hide_is_found() {
-    let (checks, said) = found_after(|data| {
+fn changes_with_matching_hashes_are_found() {
+    let (checks, report) = found_after(|data| {
         let mut image = mask(data, 2);
         image.put_pixel(3, 3, image::Luma([3]));
         replace(data, 2, "mask/mask_00002.png", &png(&image));
     });
-    assert!(checks.contains(&"masks".to_owned()) && said.contains("ids [3]"), "{said}");
-    // As many pixels of each class, in other places: only rendering tells.
-    let (checks, said) = found_after(|data| {
+    assert!(checks.contains(&"masks".to_owned()) && report.contains("ids [3]"), "{report}");
+    // The same number of pixels of each class at other positions: only rendering again finds it.
+    let (checks, report) = found_after(|data| {
         let image = image::imageops::flip_horizontal(&mask(data, 0));
         replace(data, 0, "mask/mask_00000.png", &png(&image));
     });
-    assert!(checks == ["rendering"] && said.contains("come out as another class"), "{said}");
+    assert!(checks == ["rendering"] && report.contains("come out as another class"), "{report}");
     let (checks, _) =
         found_after(|data| replace(data, 1, "mask/mask_00001.png", &png(&GrayImage::new(32, 64))));
     assert!(checks.contains(&"pictures".to_owned()), "{checks:?}");
@@ -156,29 +156,29 @@ fn wrong_books_and_a_wrong_camera_are_found() {
     assert_eq!(checks, ["books"]);
     let (checks, _) = found_after(|data| rewrite(data, |_, line| line["rgb"]["p99"] = 3.into()));
     assert_eq!(checks, ["statistics"]);
-    let (checks, said) = found_after(|data| {
+    let (checks, report) = found_after(|data| {
         rewrite(data, |_, line| line["camera"]["world_from_camera"][2][3] = 40.0.into());
     });
-    assert!(checks == ["depth", "records", "rendering"] && said.contains("off the surface"), "{said}");
-    // Of a frame that is not rendered again.
+    assert!(checks == ["depth", "records", "rendering"] && report.contains("off the surface"), "{report}");
+    // In a frame that is not rendered again.
     for (section, key) in
         [("camera", "K"), ("camera", "world_from_camera"), ("sun", "direction"), ("knobs", "rocks.count")]
     {
-        let (checks, said) = found_after(|data| {
+        let (checks, report) = found_after(|data| {
             rewrite(data, |i, line| {
                 if i == 3 {
                     line[section][key] = 3.into()
                 }
             });
         });
-        assert!(checks == ["records"] && said.contains(key), "{said}");
+        assert!(checks == ["records"] && report.contains(key), "{report}");
     }
     let (checks, _) =
         found_after(|data| rewrite(data, |_, line| line["coverage"]["unlabelled"] = 0.5.into()));
     assert_eq!(checks, ["records"]);
     let (checks, _) = found_after(|data| rewrite(data, |_, line| line["knobs"]["rocks.count"] = 3.into()));
     assert!(checks.contains(&"rendering".to_owned()), "{checks:?}");
-    // The manifest's own.
+    // In the manifest itself.
     let manifest = |change: fn(&mut Value)| {
         found_after(|data| {
             let path = data.join("manifest.json");
@@ -190,17 +190,17 @@ fn wrong_books_and_a_wrong_camera_are_found() {
     assert_eq!(manifest(|manifest| manifest["class_map"]["rock"] = 5.into()).0, ["labels"]);
     assert_eq!(manifest(|manifest| manifest["totals"]["rgb_mean"] = 5.into()).0, ["books"]);
     assert_eq!(manifest(|manifest| manifest["config"]["sun.elevation_deg"] = 44.into()).0, ["records"]);
-    // A torn line takes nothing from what is told of the rest.
-    let (checks, said) = found_after(|data| {
+    // A truncated line does not hide the findings about the others.
+    let (checks, report) = found_after(|data| {
         let path = data.join("frames.jsonl");
         let text = fs::read_to_string(&path).expect("read");
         fs::write(path, &text[..text.len() - 40]).expect("written");
     });
-    assert!(checks.contains(&"books".to_owned()) && said.contains("line 6 cannot be read"), "{said}");
+    assert!(checks.contains(&"books".to_owned()) && report.contains("line 6 cannot be read"), "{report}");
 }
 
 #[test]
-fn what_needs_no_adapter_is_told_without_one() {
+fn without_an_adapter_all_other_checks_run() {
     let folder = folder();
     make(folder.path());
     let output = program(folder.path())
@@ -222,7 +222,7 @@ fn what_needs_no_adapter_is_told_without_one() {
 }
 
 #[test]
-fn depth_of_edges_between_grounds_is_no_damage() {
+fn depth_at_edges_between_ground_meshes_passes() {
     let folder = folder();
     let words =
         ["dataset", "--out", "data", "--count", "8", "--size", "64", "--preset", "surface_train_full", "-q"];

@@ -1,4 +1,4 @@
-//! What the tests share: the device, scenes, the real program.
+//! Helpers that the tests share: the renderer, scenes, the command line as a process.
 
 pub(crate) mod compare;
 pub(crate) mod source;
@@ -14,8 +14,8 @@ use regolith::params::sampler::Config;
 use regolith::render::{RenderSettings, Renderer};
 use regolith::scene::Scene;
 
-/// A renderer on the CPU driver, shared by all tests. Without a driver every test that draws fails with the message
-/// a user would get: what is missing and how to install it.
+/// A renderer on the CPU driver, shared by all tests. Without a driver every test that renders fails with the message that a
+/// user would get: what is missing and how to install it.
 pub(crate) fn renderer() -> MutexGuard<'static, Renderer> {
     static RENDERER: LazyLock<Mutex<Renderer>> = LazyLock::new(|| {
         let gpu = Gpu::open(Some("cpu")).unwrap_or_else(|error| panic!("{error}"));
@@ -24,7 +24,7 @@ pub(crate) fn renderer() -> MutexGuard<'static, Renderer> {
     RENDERER.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The values of a seed with these settings (`key=value`).
+/// The parameters drawn for a seed with these settings (`key=value`).
 pub(crate) fn params(seed: u64, set: &[&str]) -> Params {
     let mut config = Config::new();
     for assignment in set {
@@ -44,26 +44,26 @@ pub(crate) fn render(scene: &Scene, side: u32, samples: u32) -> Frame {
     renderer().render(scene, &settings).unwrap_or_else(|error| panic!("{error}")).0
 }
 
-/// The real program, to be run in `folder` on the CPU driver unless a test says otherwise.
+/// The command `regolith-render`, run in `folder`, on the CPU driver unless a test overrides that.
 pub(crate) fn program(folder: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_regolith-render"));
     command.current_dir(folder).env_remove("WGPU_BACKEND").env("WGPU_ADAPTER_NAME", "cpu");
     command
 }
 
-/// Runs the program with these words.
+/// Runs the command with these arguments.
 pub(crate) fn run(folder: &Path, words: &[&str]) -> Output {
     program(folder).args(words).output().expect("the program starts")
 }
 
-/// Runs the program, which must succeed, and gives its standard output.
+/// Runs the command, which must succeed; returns its standard output.
 pub(crate) fn run_ok(folder: &Path, words: &[&str]) -> String {
     let output = run(folder, words);
     assert!(output.status.success(), "{words:?}: {}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
-/// An empty folder that goes away with the test.
+/// An empty temporary folder.
 pub(crate) fn folder() -> tempfile::TempDir {
     tempfile::tempdir().expect("a temporary folder")
 }
