@@ -1,4 +1,6 @@
-//! What is recorded of a frame besides its pixels: the content of `frame_N.json`.
+//! The metadata of a frame: the content of `frame_N.json`.
+//!
+//! Must not know: how files are written.
 
 use serde_json::{Map, Value, json};
 
@@ -11,31 +13,31 @@ use crate::scene::Scene;
 use crate::scene::camera::Camera;
 use crate::scene::sky::Sun;
 
-/// Everything that a frame was made from and with.
+/// Everything that a frame's metadata is made from.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameRecord<'a> {
     /// Seed of the scene.
     pub seed: u64,
-    /// Values as used.
+    /// The value of every knob.
     pub params: &'a Params,
     /// The scene.
     pub scene: &'a Scene,
-    /// Size and samples.
+    /// Image size and samples per pixel.
     pub settings: &'a RenderSettings,
-    /// The device.
+    /// The adapter that rendered it.
     pub adapter: &'a wgpu::AdapterInfo,
     /// How the device and the host share the work.
     pub raster: RasterOptions,
-    /// The picture.
+    /// The rendered frame.
     pub frame: &'a Frame,
-    /// What the mask says where classes meet.
+    /// What the mask holds where classes meet.
     pub edges: EdgePolicy,
-    /// Milliseconds of each stage of work.
+    /// Milliseconds of work by stage.
     pub times: &'a StageTimes,
 }
 
 impl FrameRecord<'_> {
-    /// The frame's JSON.
+    /// The metadata as JSON.
     #[must_use]
     pub fn to_json(&self) -> Value {
         let info = self.adapter;
@@ -74,7 +76,7 @@ impl FrameRecord<'_> {
     }
 }
 
-/// What is recorded of a sun.
+/// The `sun` of a frame's metadata.
 #[must_use]
 pub fn sun(sun: &Sun) -> Value {
     json!({
@@ -85,8 +87,8 @@ pub fn sun(sun: &Sun) -> Value {
     })
 }
 
-/// What is recorded of a camera: intrinsics in pixels (pixel (u, v) has its centre at (u + 0.5, v + 0.5)) and the pose,
-/// row-major.
+/// The `camera` of a frame's metadata: intrinsics in pixels (pixel (u, v) has its centre at (u + 0.5, v + 0.5)), lens
+/// distortion, and the pose as row-major matrices.
 #[must_use]
 pub fn camera(camera: &Camera, size: [u32; 2]) -> Value {
     let k = camera.intrinsics(size);

@@ -1,8 +1,9 @@
-//! Masks of other pipelines to the canonical ids, by the names in their label files.
+//! Converts the masks of other pipelines to the canonical ids, by the class names in their label files.
 //!
-//! A Replicator pipeline gives ids in the order in which it met the classes, so that only the label file beside each
-//! mask tells what they mean. Names are compared without case and surrounding space; what has no name of ours becomes
-//! 255. A label file that names no class is an error: a mask of nothing but 255 would train nothing, in silence.
+//! A Replicator pipeline numbers the classes in the order in which it meets them, so only the label file beside a mask
+//! says what its ids mean. Names are compared without regard to case and surrounding space. Pixels with any other name
+//! become 255. A label file without any known class is an error: a mask with nothing but 255 would be ignored in training
+//! without a warning.
 //! Must not know: scene, GPU.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -17,14 +18,14 @@ use crate::error::{Error, Result};
 use crate::output::encode::{json, png};
 use crate::output::{Artifact, LabelIds, disk};
 
-/// What the names of masks start with.
+/// Start of the file names of masks.
 const MASK_STEM: &str = "semantic_segmentation_";
-/// What the names of label files start with.
+/// Start of the file names of label files.
 const LABELS_STEM: &str = "semantic_segmentation_labels_";
-/// Names that a Replicator pipeline gives to what carries no label.
+/// Names that a Replicator pipeline uses for unlabelled pixels.
 const NO_LABEL: [&str; 2] = ["background", "unlabelled"];
 
-/// A mask and its label file, by their path below the folder.
+/// A mask and its label file, with paths below the folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Pair {
     /// The mask.
@@ -34,27 +35,27 @@ pub struct Pair {
 }
 
 impl Pair {
-    /// What of the output folder's own content it becomes: names of files, or of the folder that they lie in.
+    /// Names that it creates directly in the output folder: those of its files, or of the folder that contains them.
     pub fn top_names(&self) -> impl Iterator<Item = &OsStr> {
         [&self.mask, &self.labels].into_iter().filter_map(|path| path.iter().next())
     }
 }
 
-/// What was made of some masks.
+/// The result of remapping some masks.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 pub struct Remapped {
-    /// How many.
+    /// Number of masks.
     pub masks: u64,
-    /// Pixels of each class, and of 255 under `unlabelled`.
+    /// Number of pixels by class name; those of id 255 under `unlabelled`.
     pub pixels: BTreeMap<&'static str, u64>,
-    /// Names that are no class of ours; their pixels became 255.
+    /// Names that are not a known class; their pixels became 255.
     pub unknown_names: BTreeSet<String>,
-    /// Masks that have become nothing but 255.
+    /// Masks whose pixels all became 255.
     pub empty_masks: Vec<PathBuf>,
 }
 
 impl Remapped {
-    /// Adds what was made of others.
+    /// Adds the result of other masks.
     pub fn add(&mut self, other: Self) {
         self.masks += other.masks;
         for (class, pixels) in other.pixels {
@@ -69,7 +70,7 @@ fn wrong(path: &Path, message: impl Into<String>) -> Error {
     Error::Dataset { path: path.to_owned(), message: message.into() }
 }
 
-/// Every mask in a folder and the folders in it, with its label file.
+/// Finds every mask in a folder and its subfolders, with its label file.
 ///
 /// # Errors
 /// [`Error::Dataset`] if there is no mask, or one has no label file; [`Error::Read`].
@@ -79,7 +80,7 @@ pub fn find(folder: &Path) -> Result<Vec<Pair>> {
     if pairs.is_empty() {
         return Err(wrong(
             folder,
-            format!("no mask is here: files named {MASK_STEM}0000.png are looked for"),
+            format!("no mask is here; the names of masks have the form {MASK_STEM}0000.png"),
         ));
     }
     Ok(pairs)
@@ -96,7 +97,7 @@ fn find_below(folder: &Path, below: &Path, pairs: &mut Vec<Pair>) -> Result<()> 
                 return Err(wrong(
                     &folder.join(&path),
                     format!(
-                        "its label file {LABELS_STEM}{number}.json is missing; without it no id has a meaning"
+                        "its label file {LABELS_STEM}{number}.json is missing, and only that says what the ids mean; copy it here"
                     ),
                 ));
             }
@@ -106,24 +107,24 @@ fn find_below(folder: &Path, below: &Path, pairs: &mut Vec<Pair>) -> Result<()> 
     Ok(())
 }
 
-/// How the pixels of a mask are named in its label file.
-enum Names {
-    /// By number.
+/// The entries of a label file.
+enum Labels {
+    /// Canonical id by raw id.
     Ids(BTreeMap<u32, u8>),
-    /// By colour, RGBA.
+    /// Canonical id by RGBA colour.
     Colours(BTreeMap<[u8; 4], u8>),
 }
 
-/// Reads a label file: raw id (or colour) to canonical id. Names that are no class of ours go to `unknown`.
-fn read_labels(path: &Path, unknown: &mut BTreeSet<String>) -> Result<Names> {
+/// Reads a label file. Adds names that are not a known class to `unknown`.
+fn read_labels(path: &Path, unknown: &mut BTreeSet<String>) -> Result<Labels> {
     let bytes = disk::read(path)?;
     let content: Map<String, Value> = serde_json::from_slice(&bytes).map_err(|error| {
-        wrong(path, format!("not a label file: {error}; expected is {{\"2\": {{\"class\": \"sky\"}}}}"))
+        wrong(path, format!("not a label file: {error}; the form is {{\"2\": {{\"class\": \"sky\"}}}}"))
     })?;
     if content.is_empty() {
         return Err(wrong(
             path,
-            "it is empty: every pixel would become 255. Write the labels with the masks again",
+            "it is empty, so every pixel would become 255; write the labels together with the masks again",
         ));
     }
     let (mut ids, mut colours) = (BTreeMap::new(), BTreeMap::new());
@@ -131,7 +132,7 @@ fn read_labels(path: &Path, unknown: &mut BTreeSet<String>) -> Result<Names> {
     for (key, value) in &content {
         let name =
             value.get("class").and_then(Value::as_str).or_else(|| value.as_str()).ok_or_else(|| {
-                wrong(path, format!("`{key}` has no class; expected is {{\"class\": \"rock\"}}"))
+                wrong(path, format!("`{key}` has no class; the form is {{\"class\": \"rock\"}}"))
             })?;
         let class = class_of(name);
         known |= class.is_some();
@@ -152,17 +153,21 @@ fn read_labels(path: &Path, unknown: &mut BTreeSet<String>) -> Result<Names> {
         let ours: Vec<&str> = ClassId::ALL.iter().map(|class| class.name).collect();
         return Err(wrong(
             path,
-            format!("none of its names ({}) is a class; there are {}", names.join(", "), ours.join(", ")),
+            format!(
+                "none of its names ({}) is a class; the classes are {}",
+                names.join(", "),
+                ours.join(", ")
+            ),
         ));
     }
     match (ids.is_empty(), colours.is_empty()) {
-        (false, true) => Ok(Names::Ids(ids)),
-        (true, false) => Ok(Names::Colours(colours)),
-        _ => Err(wrong(path, "it names some pixels by id and others by colour")),
+        (false, true) => Ok(Labels::Ids(ids)),
+        (true, false) => Ok(Labels::Colours(colours)),
+        _ => Err(wrong(path, "some of its keys are ids and others colours; use one kind")),
     }
 }
 
-/// The class of a name; of names joined by commas, of the one that is a class.
+/// The class of a name, or of the one part of a comma-separated name that is a class.
 fn class_of(name: &str) -> Option<ClassId> {
     let mut found = name.split(',').filter_map(|part| {
         let part = part.trim().to_lowercase();
@@ -187,24 +192,25 @@ fn parse_colour(key: &str) -> Option<[u8; 4]> {
     }
 }
 
-/// Canonical ids of a mask's pixels.
-fn remap_pixels(path: &Path, mask: &DynamicImage, names: &Names) -> Result<Vec<u8>> {
+/// The canonical id of each pixel.
+fn remap_pixels(path: &Path, mask: &DynamicImage, labels: &Labels) -> Result<Vec<u8>> {
     let unlabelled = ClassId::UNLABELLED.0;
-    match names {
-        Names::Ids(ids) => {
+    match labels {
+        Labels::Ids(ids) => {
             let raw = raw_ids(mask).ok_or_else(|| {
-                wrong(path, "it is a picture of colours, but its label file names ids, not colours")
+                wrong(path, "it is a colour image, but its label file has ids, not colours; use a mask of raw ids, or the labels of the colours")
             })?;
             Ok(raw.iter().map(|id| ids.get(id).copied().unwrap_or(unlabelled)).collect())
         }
-        Names::Colours(colours) => {
+        Labels::Colours(colours) => {
             let pixels = mask.to_rgba8();
             Ok(pixels.pixels().map(|pixel| colours.get(&pixel.0).copied().unwrap_or(unlabelled)).collect())
         }
     }
 }
 
-/// Ids of a mask with one channel of 8 or 16 bits, grey in several channels, or 32 bits spread over red to alpha.
+/// The raw ids of a mask: one channel of 8 or 16 bits, several equal channels, or 32-bit ids spread over R, G, B and A.
+/// `None` for a colour image.
 fn raw_ids(mask: &DynamicImage) -> Option<Vec<u32>> {
     match mask {
         DynamicImage::ImageLuma8(image) => Some(image.iter().map(|id| u32::from(*id)).collect()),
@@ -214,23 +220,23 @@ fn raw_ids(mask: &DynamicImage) -> Option<Vec<u32>> {
             if pixels.iter().all(|[r, g, b, _]| r == g && g == b) {
                 return Some(pixels.iter().map(|pixel| u32::from(pixel[0])).collect());
             }
-            let spread = matches!(mask, DynamicImage::ImageRgba8(_));
-            spread.then(|| pixels.into_iter().map(u32::from_le_bytes).collect())
+            let is_rgba = matches!(mask, DynamicImage::ImageRgba8(_));
+            is_rgba.then(|| pixels.into_iter().map(u32::from_le_bytes).collect())
         }
     }
 }
 
-/// Remaps one mask; its files go to the same place below `out`.
+/// Remaps one mask. Its files get the same paths below `out`.
 ///
 /// # Errors
 /// [`Error::Dataset`], [`Error::Read`], [`Error::Write`].
 pub fn remap(folder: &Path, pair: &Pair, out: &Path) -> Result<Remapped> {
     let path = folder.join(&pair.mask);
     let mut result = Remapped { masks: 1, ..Remapped::default() };
-    let names = read_labels(&folder.join(&pair.labels), &mut result.unknown_names)?;
+    let labels = read_labels(&folder.join(&pair.labels), &mut result.unknown_names)?;
     let mask = image::load_from_memory_with_format(&disk::read(&path)?, image::ImageFormat::Png)
         .map_err(|error| wrong(&path, format!("it cannot be decoded: {error}")))?;
-    let ids = remap_pixels(&path, &mask, &names)?;
+    let ids = remap_pixels(&path, &mask, &labels)?;
     for class in ClassId::ALL {
         let count = ids.iter().filter(|id| **id == class.id.0).count() as u64;
         result.pixels.insert(class.name, count);
@@ -256,7 +262,7 @@ mod tests {
     use super::*;
     use image::{GrayImage, ImageBuffer, Luma, Rgba, RgbaImage};
 
-    /// Ids of a mask of four pixels in a row under these labels.
+    /// Canonical ids of a mask of four pixels in a row under these labels.
     fn remapped(mask: impl Into<DynamicImage>, labels: &str) -> Result<Vec<u8>> {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("semantic_segmentation_0003.png");
@@ -279,7 +285,7 @@ mod tests {
         "3": {"class": "ROCK"}, "4": {"class": "regolith"}, "9": {"class": "rock"}, "7": {"class": "lander"}}"#;
 
     #[test]
-    fn ids_of_every_width_become_canonical() {
+    fn ids_of_every_bit_depth_become_canonical() {
         let grey = |ids: [u8; 4]| GrayImage::from_raw(4, 1, ids.to_vec()).expect("a mask");
         assert_eq!(remapped(grey([2, 3, 4, 9]), LABELS).expect("remapped"), [2, 1, 0, 1]);
         assert_eq!(remapped(grey([0, 1, 7, 200]), LABELS).expect("remapped"), [255; 4]);
@@ -290,14 +296,14 @@ mod tests {
             Rgba([[2, 0, 0, 0], [3, 0, 0, 0], [4, 1, 0, 0], [4, 0, 0, 0]][x as usize])
         });
         assert_eq!(remapped(spread, LABELS).expect("remapped"), [2, 1, 255, 0]);
-        let shown = RgbaImage::from_fn(4, 1, |x, _| {
+        let equal_channels = RgbaImage::from_fn(4, 1, |x, _| {
             Rgba([[2, 2, 2, 255], [3, 3, 3, 255], [4, 4, 4, 255], [9, 9, 9, 255]][x as usize])
         });
-        assert_eq!(remapped(shown, LABELS).expect("remapped"), [2, 1, 0, 1]);
+        assert_eq!(remapped(equal_channels, LABELS).expect("remapped"), [2, 1, 0, 1]);
     }
 
     #[test]
-    fn colours_are_looked_up_where_the_labels_name_them() {
+    fn colours_are_mapped_if_the_labels_are_colours() {
         let labels = r#"{"(0, 0, 0, 0)": {"class": "BACKGROUND"}, "(140, 25, 255, 255)": {"class": "rock"},
             "(25,255,140,255)": {"class": "regolith,ground"}}"#;
         let mask = RgbaImage::from_fn(4, 1, |x, _| {
@@ -306,11 +312,11 @@ mod tests {
         assert_eq!(remapped(mask, labels).expect("remapped"), [255, 1, 0, 255]);
         let rgb = image::RgbImage::from_fn(4, 1, |x, _| image::Rgb([x as u8, 9, 1]));
         let message = remapped(rgb, LABELS).expect_err("ids").to_string();
-        assert!(message.contains("picture of colours"), "{message}");
+        assert!(message.contains("colour image"), "{message}");
     }
 
     #[test]
-    fn label_files_that_name_nothing_are_errors() {
+    fn invalid_label_files_are_errors() {
         for (labels, said) in [
             ("{}", "it is empty"),
             ("", "not a label file"),

@@ -267,7 +267,7 @@ impl Plan {
                 .filter(|name| layout.supports(name))
                 .collect();
             return Err(Error::Usage(format!(
-                "--outputs {}: --format {format} has no place for it; it supports {}",
+                "--outputs {}: --format {format} has no place for it; it holds {}",
                 unsupported.name,
                 supported.join(", ")
             )));

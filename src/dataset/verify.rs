@@ -26,6 +26,7 @@ use crate::error::Result;
 use crate::output::layout::FrameLine;
 use context::Context;
 pub use rendering::check_rendering;
+use report::name;
 pub use report::{CHECKS, Problem, Report};
 
 /// Lines that are checked at a time.
@@ -56,7 +57,7 @@ pub fn check(folder: &Path, mut watch: impl FnMut(u64, u64)) -> Result<Report> {
                 summary.add(&line, &mut report);
                 chunk.push(line);
             }
-            Err(error) => report.problem("books", None, error.to_string()),
+            Err(error) => report.problem(name::LOG, None, error.to_string()),
         }
         if chunk.len() == CHUNK {
             check_chunk(&mut chunk, &mut report);
@@ -65,7 +66,7 @@ pub fn check(folder: &Path, mut watch: impl FnMut(u64, u64)) -> Result<Report> {
     });
     check_chunk(&mut chunk, &mut report);
     if let Err(error) = read {
-        report.problem("books", None, error.to_string());
+        report.problem(name::LOG, None, error.to_string());
     }
     check_counts(&context, &manifest, &summary, &mut report);
     let mut known_files = summary.files;
@@ -87,7 +88,7 @@ struct LogSummary {
 impl LogSummary {
     fn add(&mut self, line: &FrameLine, report: &mut Report) {
         self.totals.add(line);
-        report.expect("books", Some(line.index), line.index == self.next, || {
+        report.expect(name::LOG, Some(line.index), line.index == self.next, || {
             format!("frames.jsonl: expected frame {} here", self.next)
         });
         self.next = line.index + 1;
@@ -98,11 +99,11 @@ impl LogSummary {
 /// Status and ids of the manifest.
 fn check_manifest(context: &Context<'_>, manifest: &Map<String, Value>, report: &mut Report) {
     let status = manifest.get("status").and_then(Value::as_str).unwrap_or_default();
-    report.expect("books", None, status == "done", || {
+    report.expect(name::LOG, None, status == "done", || {
         format!("manifest.json: status is `{status}`; run the dataset command again, or `dataset --merge` for shards")
     });
     for (key, value) in Plan::identity_of_ids(context.label_ids) {
-        report.expect("labels", None, manifest.get(&key) == Some(&value), || {
+        report.expect(name::LABELS, None, manifest.get(&key) == Some(&value), || {
             format!("manifest.json: {key} should be {value}")
         });
     }
@@ -116,7 +117,7 @@ fn check_counts(
     report: &mut Report,
 ) {
     let range = context.range;
-    report.expect("books", None, summary.next == range.end(), || {
+    report.expect(name::LOG, None, summary.next == range.end(), || {
         format!(
             "frames.jsonl ends before frame {}; the manifest has frames {} to {}",
             summary.next,
@@ -125,11 +126,14 @@ fn check_counts(
         )
     });
     let frames = report.frames;
-    report.expect("books", None, manifest.get("n_completed").and_then(Value::as_u64) == Some(frames), || {
-        format!("manifest.json: n_completed should be {frames}, the number of lines in frames.jsonl")
-    });
+    report.expect(
+        name::LOG,
+        None,
+        manifest.get("n_completed").and_then(Value::as_u64) == Some(frames),
+        || format!("manifest.json: n_completed should be {frames}, the number of lines in frames.jsonl"),
+    );
     let totals = summary.totals.to_json();
-    report.expect("books", None, manifest.get("totals") == Some(&totals), || {
+    report.expect(name::LOG, None, manifest.get("totals") == Some(&totals), || {
         format!("manifest.json: totals should be those of frames.jsonl, {totals}")
     });
 }

@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3, Vec3};
 use serde_json::Value;
 
 use super::context::Context;
-use super::report::Report;
+use super::report::{Report, name};
 use crate::class::ClassId;
 use crate::error::Result;
 use crate::frame::{Annotation, Frame};
@@ -29,7 +29,7 @@ const TOLERANCE_PX: f64 = 0.25;
 const MAX_EDGE_DIFFERENCE: f64 = 0.005;
 /// Fraction of the points that must be within the tolerance.
 const MIN_GOOD_FRACTION: f64 = 0.99;
-/// One pixel in so many is tested.
+/// Distance between tested pixels, in pixels of row-major order.
 const STRIDE: usize = 31;
 
 /// A frame rendered twice: with the dataset's samples, and with one sample at each pixel's centre. The pixels to test are
@@ -150,7 +150,7 @@ pub(super) fn check_depth(
     let camera = RecordedCamera::new(&line.camera, width);
     let counts = count_points(&depths_m, &camera, &reference, scene);
     let is_good = counts.off as f64 <= (1.0 - MIN_GOOD_FRACTION) * counts.tested as f64;
-    report.expect("depth", Some(line.index), is_good, || {
+    report.expect(name::DEPTH, Some(line.index), is_good, || {
         format!(
             "{path}: {} of {} points are off the surface, {:.3} m at worst",
             counts.off, counts.tested, counts.worst_m

@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use super::context::Context;
 use super::images;
-use super::report::Report;
+use super::report::{Report, name};
 use crate::error::Result;
 use crate::output::disk;
 use crate::output::layout::FrameLine;
@@ -22,7 +22,7 @@ pub(super) fn check_frame_files(context: &Context<'_>, line: &FrameLine, report:
     let index = Some(line.index);
     if line.bundle().is_some_and(|bundle| context.folder.join(bundle).is_file()) {
         // The frame's bytes are checked with the hash of its bundle.
-        report.look("files");
+        report.look(name::FILES);
         return;
     }
     for (path, hash) in line.hashes() {
@@ -32,19 +32,19 @@ pub(super) fn check_frame_files(context: &Context<'_>, line: &FrameLine, report:
             Some("json") if is_labels_file(path) => check_labels(context, path, &bytes, index, report),
             Some("json") => {
                 let is_json = serde_json::from_slice::<Value>(&bytes).is_ok();
-                report.expect("pictures", index, is_json, || format!("{path}: it is not JSON"));
+                report.expect(name::IMAGES, index, is_json, || format!("{path}: it is not JSON"));
             }
             Some("npy") => {
                 let [width, height] = context.settings.size;
                 let has_shape = String::from_utf8_lossy(&bytes[..bytes.len().min(128)])
                     .contains(&format!("({height}, {width}"));
-                report.expect("pictures", index, has_shape, || {
+                report.expect(name::IMAGES, index, has_shape, || {
                     format!("{path}: it is not an array of {height} x {width}")
                 });
             }
             Some("exr") => {
                 let is_exr = bytes.starts_with(&EXR_MAGIC);
-                report.expect("pictures", index, is_exr, || format!("{path}: it is not an OpenEXR file"));
+                report.expect(name::IMAGES, index, is_exr, || format!("{path}: it is not an OpenEXR file"));
             }
             _ => {}
         }
@@ -59,17 +59,17 @@ pub(super) fn read_checked(
     index: Option<u64>,
     report: &mut Report,
 ) -> Option<Vec<u8>> {
-    report.look("files");
+    report.look(name::FILES);
     match disk::read(&context.folder.join(path)) {
         Ok(bytes) => {
             let actual = disk::content_hash(&bytes);
-            report.expect("hashes", index, hash == Some(actual.as_str()), || {
+            report.expect(name::HASHES, index, hash == Some(actual.as_str()), || {
                 format!("{path}: its content has changed ({} bytes, hash {actual})", bytes.len())
             });
             Some(bytes)
         }
         Err(error) => {
-            report.problem("files", index, format!("{path}: {error}"));
+            report.problem(name::FILES, index, format!("{path}: {error}"));
             None
         }
     }
@@ -95,7 +95,7 @@ pub(super) fn check_labels(
         return;
     };
     let labels = serde_json::from_slice::<Value>(bytes).ok();
-    report.expect("labels", index, labels == Some(expected), || {
+    report.expect(name::LABELS, index, labels == Some(expected), || {
         format!("{path}: it does not name the ids of {} masks", context.label_ids.name())
     });
 }
@@ -115,7 +115,7 @@ pub(super) fn check_foreign_files(
         for name in disk::names(&path)? {
             let file = format!("{inner}/{name}");
             if !path.join(&name).is_dir() && !known.contains(&file) {
-                report.problem("files", None, format!("{file}: it belongs to no frame of the dataset"));
+                report.problem(name::FILES, None, format!("{file}: it belongs to no frame of the dataset"));
             }
         }
     }

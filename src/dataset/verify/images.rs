@@ -5,7 +5,7 @@
 use serde_json::json;
 
 use super::context::Context;
-use super::report::Report;
+use super::report::{Report, name};
 use crate::class::ClassId;
 use crate::frame::RgbStatistics;
 use crate::output::edges::EdgePolicy;
@@ -24,8 +24,8 @@ pub(super) fn check_image(
     let decoded = match image::load_from_memory_with_format(bytes, image::ImageFormat::Png) {
         Ok(decoded) => decoded,
         Err(error) => {
-            report.look("pictures");
-            return report.problem("pictures", index, format!("{path}: it cannot be decoded ({error})"));
+            report.look(name::IMAGES);
+            return report.problem(name::IMAGES, index, format!("{path}: it cannot be decoded ({error})"));
         }
     };
     let (size, colour_type) = ([decoded.width(), decoded.height()], decoded.color());
@@ -38,7 +38,7 @@ pub(super) fn check_image(
     };
     let is_good = size == context.settings.size
         && expected_type.is_none_or(|expected_type| expected_type == colour_type);
-    report.expect("pictures", index, is_good, || {
+    report.expect(name::IMAGES, index, is_good, || {
         let expected = context.settings.size;
         format!("{path}: it is {} x {} pixels of {colour_type:?}, not {expected:?}", size[0], size[1])
     });
@@ -49,7 +49,7 @@ pub(super) fn check_image(
         check_mask(context, line, path, decoded.as_bytes(), report);
     } else if path == rgb {
         let statistics = RgbStatistics::of(decoded.as_bytes());
-        report.expect("statistics", index, line.rgb == statistics, || {
+        report.expect(name::STATISTICS, index, line.rgb == statistics, || {
             format!("{path}: its brightness is {}, recorded is {}", json!(statistics), json!(line.rgb))
         });
     }
@@ -68,14 +68,16 @@ fn check_mask(context: &Context<'_>, line: &FrameLine, path: &str, ids: &[u8], r
     let unknown: Vec<u8> = (0..=u8::MAX)
         .filter(|&id| counts[usize::from(id)] > 0 && !is_class(id) && (is_hard || id != ignored))
         .collect();
-    report.expect("masks", index, unknown.is_empty(), || format!("{path}: it has pixels of ids {unknown:?}"));
+    report.expect(name::MASKS, index, unknown.is_empty(), || {
+        format!("{path}: it has pixels of ids {unknown:?}")
+    });
     for class in ClassId::ALL {
         let actual = counts[usize::from(context.label_ids.mask_id(class.id.0))] as f64 / ids.len() as f64;
         let recorded = line.coverage_of(class.name);
         // A band of ignored pixels takes some from every class.
         let is_good =
             recorded.is_some_and(|recorded| if is_hard { actual == recorded } else { actual <= recorded });
-        report.expect("masks", index, is_good, || {
+        report.expect(name::MASKS, index, is_good, || {
             let recorded = recorded.map_or_else(|| "nothing".to_owned(), |fraction| format!("{fraction:.6}"));
             format!("{path}: {} covers {actual:.6} of it, recorded is {recorded}", class.name)
         });

@@ -5,7 +5,7 @@
 use serde_json::Value;
 
 use super::context::Context;
-use super::report::Report;
+use super::report::{Report, name};
 use crate::dataset::plan::frame_seed;
 use crate::meta;
 use crate::output::layout::FrameLine;
@@ -18,15 +18,15 @@ use crate::scene::sky::Sun;
 pub(super) fn check_record(context: &Context<'_>, line: &FrameLine, report: &mut Report) {
     let index = Some(line.index);
     let seed = frame_seed(context.base_seed, line.index, line.attempt);
-    report.expect("books", index, line.seed == seed, || format!("frames.jsonl: its seed should be {seed}"));
+    report.expect(name::LOG, index, line.seed == seed, || format!("frames.jsonl: its seed should be {seed}"));
     let params = match context.config.draw(seed) {
         Ok(params) => params,
-        Err(error) => return report.problem("records", index, format!("manifest.json: {error}")),
+        Err(error) => return report.problem(name::RECORDS, index, format!("manifest.json: {error}")),
     };
     let eye_m = line.camera["world_from_camera"][2][3].as_f64().unwrap_or_default();
     let camera = meta::camera(&Camera::above(&params, eye_m as f32), context.settings.size);
     let mut expect = |name: &str, recorded: Option<&Value>, expected: &Value| {
-        report.expect("records", index, recorded == Some(expected), || {
+        report.expect(name::RECORDS, index, recorded == Some(expected), || {
             let recorded = recorded.unwrap_or(&Value::Null);
             format!("frames.jsonl: {name} should be {expected}, recorded is {recorded}")
         });

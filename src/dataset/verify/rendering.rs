@@ -6,7 +6,7 @@ use std::path::Path;
 
 use super::context::{self, Context};
 use super::depth;
-use super::report::Report;
+use super::report::{Report, name};
 use crate::dataset::log::FrameLog;
 use crate::error::{Error, Result};
 use crate::frame::Frame;
@@ -53,7 +53,7 @@ pub fn check_rendering(
         if let Err(error) = check_frame(&context, line, renderer, report) {
             match error {
                 Error::DeviceLost(_) | Error::Device(_) | Error::OutOfMemory => return Err(error),
-                other => report.problem("rendering", Some(line.index), other.to_string()),
+                other => report.problem(name::RENDERING, Some(line.index), other.to_string()),
             }
         }
     }
@@ -89,14 +89,14 @@ fn check_frame(
 fn check_scene(context: &Context<'_>, line: &FrameLine, scene: &Scene, report: &mut Report) {
     let index = Some(line.index);
     let hash = scene.geometry_hash();
-    report.expect("rendering", index, line.geometry_hash == hash, || {
+    report.expect(name::RENDERING, index, line.geometry_hash == hash, || {
         format!("frames.jsonl: geometry_hash should be {hash}, recorded is {}", line.geometry_hash)
     });
     let camera = meta::camera(&scene.camera, context.settings.size);
-    report.expect("rendering", index, line.camera == camera, || {
+    report.expect(name::RENDERING, index, line.camera == camera, || {
         "frames.jsonl: camera is not that of its scene".to_owned()
     });
-    report.expect("rendering", index, line.moved_rocks == scene.moved_rocks(), || {
+    report.expect(name::RENDERING, index, line.moved_rocks == scene.moved_rocks(), || {
         "frames.jsonl: moved_rocks is not that of its scene".to_owned()
     });
 }
@@ -120,7 +120,7 @@ fn compare_images(
         let differing = stored.iter().zip(&ids).filter(|(a, b)| a != b).count();
         let allowed = if is_same_renderer { 0.0 } else { other_renderer::MASK_FRACTION * ids.len() as f64 };
         let is_good = stored.len() == ids.len() && differing as f64 <= allowed;
-        report.expect("rendering", index, is_good, || {
+        report.expect(name::RENDERING, index, is_good, || {
             format!("{mask}: {differing} pixels come out as another class; allowed are {allowed:.0}")
         });
     }
@@ -129,7 +129,7 @@ fn compare_images(
             / stored.len() as f64;
         let allowed = if is_same_renderer { 0.0 } else { other_renderer::MEAN_RGB };
         let is_good = stored.len() == frame.rgb.len() && mean <= allowed;
-        report.expect("rendering", index, is_good, || {
+        report.expect(name::RENDERING, index, is_good, || {
             format!("{rgb}: its values differ by {mean:.3} on average; allowed is {allowed}")
         });
     }

@@ -6,18 +6,32 @@ use std::collections::BTreeMap;
 
 use serde_json::{Map, Value, json};
 
-/// Name and description of every check, in the order of the table. The names are keys of the JSON report.
+/// Names of the checks: keys of the JSON report, which scripts rely on.
+pub(super) mod name {
+    pub(in crate::dataset::verify) const LOG: &str = "books";
+    pub(in crate::dataset::verify) const RECORDS: &str = "records";
+    pub(in crate::dataset::verify) const FILES: &str = "files";
+    pub(in crate::dataset::verify) const HASHES: &str = "hashes";
+    pub(in crate::dataset::verify) const IMAGES: &str = "pictures";
+    pub(in crate::dataset::verify) const MASKS: &str = "masks";
+    pub(in crate::dataset::verify) const LABELS: &str = "labels";
+    pub(in crate::dataset::verify) const STATISTICS: &str = "statistics";
+    pub(in crate::dataset::verify) const RENDERING: &str = "rendering";
+    pub(in crate::dataset::verify) const DEPTH: &str = "depth";
+}
+
+/// Name and description of every check, in the order of the table.
 pub const CHECKS: [(&str, &str); 10] = [
-    ("books", "manifest.json and frames.jsonl agree, frames are contiguous, seeds are right"),
-    ("records", "knobs, camera and sun follow from seed and configuration"),
-    ("files", "every file exists, and there are no files of other frames"),
-    ("hashes", "file content is unchanged"),
-    ("pictures", "images decode and have the right size and type"),
-    ("masks", "mask ids are those of the classes, class fractions are as recorded"),
-    ("labels", "label files name the ids of the masks"),
-    ("statistics", "image brightness is as recorded"),
-    ("rendering", "a sample of frames, rendered again, is the same"),
-    ("depth", "depth of that sample, unprojected by K and pose, lies on the surface"),
+    (name::LOG, "manifest.json and frames.jsonl agree, frames are contiguous, seeds are right"),
+    (name::RECORDS, "knobs, camera and sun follow from seed and configuration"),
+    (name::FILES, "every file exists, and there are no files of other frames"),
+    (name::HASHES, "file content is unchanged"),
+    (name::IMAGES, "images decode and have the right size and type"),
+    (name::MASKS, "mask ids are those of the classes, class fractions are as recorded"),
+    (name::LABELS, "label files name the ids of the masks"),
+    (name::STATISTICS, "image brightness is as recorded"),
+    (name::RENDERING, "a sample of frames, rendered again, is the same"),
+    (name::DEPTH, "depth of that sample, unprojected by K and pose, lies on the surface"),
 ];
 
 /// Something that is wrong.

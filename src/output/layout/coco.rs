@@ -1,6 +1,7 @@
 //! COCO: images by split, instance annotations of rocks (boxes and run-length encoded masks), panoptic segments.
 //!
-//! Rock is the only thing category (1); regolith (2) and sky (3) are stuff and appear in the panoptic files only.
+//! Rock (1) is the only category with instances; regolith (2) and sky (3) are stuff and appear in the panoptic files
+//! only.
 //! Category 0 is not used, because common readers drop it. Annotation ids depend on frame and instance alone, so that
 //! every run gives the same ones.
 //! Must not know: scene, GPU, the disk.
@@ -84,7 +85,7 @@ fn write_annotations(
     write: &mut dyn FnMut(Artifact) -> Result<()>,
 ) -> Result<()> {
     let info = json!({
-        "description": "Labelled pictures of the Moon, rendered by regolith-render",
+        "description": "Labelled images of the Moon, rendered by regolith-render",
         "version": index.manifest.get("version"),
     });
     let licenses =
@@ -107,7 +108,7 @@ fn write_annotations(
         Ok(())
     })?;
     for (kind, annotations, categories) in
-        [("instances", instances, thing_categories()), ("panoptic", panoptic, panoptic_categories())]
+        [("instances", instances, instance_categories()), ("panoptic", panoptic, panoptic_categories())]
     {
         let content = json!({
             "info": info, "licenses": licenses, "images": images, "annotations": annotations,
@@ -124,14 +125,14 @@ fn file_name(index: u64) -> String {
     format!("{index:06}.png")
 }
 
-fn thing_categories() -> Value {
+fn instance_categories() -> Value {
     json!([{ "id": ROCK, "name": "rock", "supercategory": "hazard" }])
 }
 
 fn panoptic_categories() -> Value {
-    let row = |id: u32, class: ClassId, is_thing: u8| {
+    let row = |id: u32, class: ClassId, has_instances: u8| {
         let (name, colour) = class.class().map_or(("", [0; 3]), |class| (class.name, class.preview_rgb));
-        json!({ "id": id, "name": name, "supercategory": name, "isthing": is_thing, "color": colour })
+        json!({ "id": id, "name": name, "supercategory": name, "isthing": has_instances, "color": colour })
     };
     json!([row(ROCK, ClassId::ROCK, 1), row(REGOLITH, ClassId::REGOLITH, 0), row(SKY, ClassId::SKY, 0)])
 }

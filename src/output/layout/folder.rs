@@ -11,7 +11,7 @@ use crate::output::artifact::{Artifact, EncodedFile};
 use crate::output::encode::json;
 use crate::output::label_ids::LabelIds;
 
-/// One frame in so many has a preview.
+/// Only frames whose index is a multiple of this have a preview.
 pub const PREVIEW_STRIDE: u64 = 25;
 
 /// The folder layout.
