@@ -27,7 +27,7 @@ fn unreadable(path: &Path) -> impl FnOnce(std::io::Error) -> Error {
     move |cause| Error::Read { path, cause }
 }
 
-/// Refuses a folder that is a file, or that holds a name for which `is_ours` is false. Temporary files are let pass.
+/// Refuses a folder that is a file, or that holds a name for which `is_ours` is false. Temporary files are allowed.
 ///
 /// # Errors
 /// [`Error::OutIsFile`], [`Error::OutNotEmpty`] unless `force`, [`Error::Read`] if the folder cannot be listed.
@@ -37,8 +37,8 @@ pub fn check_content(folder: &Path, force: bool, is_ours: impl Fn(&str) -> bool)
     }
     if folder.as_os_str() == "-" {
         return Err(Error::Usage(
-            "--out -: only `dataset --format webdataset` streams to standard output; give a folder (./- for one of \
-             that name)"
+            "--out -: only `dataset --format webdataset` streams to standard output; give a folder (./- for a folder \
+             named -)"
                 .to_owned(),
         ));
     }

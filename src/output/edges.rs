@@ -1,4 +1,6 @@
-//! What a mask says where classes meet.
+//! The ids of a mask near the boundaries of classes.
+//!
+//! Must not know: files.
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,19 +9,19 @@ use crate::class::ClassId;
 use crate::error::{Error, Result};
 use crate::frame::Frame;
 
-/// The rule for pixels at the edges of classes.
+/// The rule for pixels near the boundaries of classes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum EdgePolicy {
-    /// Every pixel has the class of most of its samples.
+    /// Every pixel keeps its class, which is that of the majority of its samples.
     #[default]
     Hard,
-    /// Pixels from which a pixel of another class is at most this many columns and rows away are unlabelled, which is
-    /// the ignore index for training.
+    /// A pixel within this many columns and rows of a pixel of another class becomes unlabelled, the ignore index for
+    /// training.
     Ignore(u32),
 }
 
 impl EdgePolicy {
-    /// Widest band, pixels.
+    /// Largest width of the band, pixels.
     pub const MAX_BAND_PX: u32 = 64;
 
     /// The class ids of a frame under this rule.
@@ -27,8 +29,8 @@ impl EdgePolicy {
     pub fn apply(self, frame: &Frame) -> Vec<u8> {
         let Self::Ignore(band_px) = self else { return frame.class.clone() };
         let (width, height, band) = (frame.width as usize, frame.height as usize, band_px as usize);
-        // Smallest and largest id within the band along rows, then of those along columns.
-        let along = |lines: &[[u8; 2]], count: usize, step: usize, starts: &dyn Fn(usize) -> usize| {
+        // The filter is separable: smallest and largest id within the band along rows, then along columns.
+        let min_max_along = |lines: &[[u8; 2]], count: usize, step: usize, starts: &dyn Fn(usize) -> usize| {
             let mut result = lines.to_vec();
             for line in 0..lines.len() / count {
                 let at = |i: usize| starts(line) + i * step;
@@ -42,10 +44,10 @@ impl EdgePolicy {
             result
         };
         let ids: Vec<[u8; 2]> = frame.class.iter().map(|&id| [id, id]).collect();
-        let rows = along(&ids, width, 1, &|line| line * width);
-        let both = along(&rows, height, width, &|line| line);
-        let ruled = |(id, [low, high]): (&u8, [u8; 2])| if low == high { *id } else { ClassId::UNLABELLED.0 };
-        frame.class.iter().zip(both).map(ruled).collect()
+        let rows = min_max_along(&ids, width, 1, &|line| line * width);
+        let both = min_max_along(&rows, height, width, &|line| line);
+        let final_id = |(id, [low, high]): (&u8, [u8; 2])| if low == high { *id } else { ClassId::UNLABELLED.0 };
+        frame.class.iter().zip(both).map(final_id).collect()
     }
 }
 
@@ -79,31 +81,31 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_band_of_each_width_is_ignored_on_both_sides() {
+    fn bands_of_every_width_are_ignored_on_both_sides() {
         let class: Vec<u8> = (0..64).map(|i| if i % 8 < 4 { 0 } else { 1 }).collect();
         let frame = Frame { width: 8, height: 8, class: class.clone(), ..Frame::default() };
         assert_eq!(EdgePolicy::Hard.apply(&frame), class);
         for (band, row) in
             [(1, [0, 0, 0, 255, 255, 1, 1, 1]), (2, [0, 0, 255, 255, 255, 255, 1, 1]), (4, [255; 8])]
         {
-            let ruled = EdgePolicy::Ignore(band).apply(&frame);
-            assert!(ruled.chunks_exact(8).all(|line| line == row), "band {band}: {ruled:?}");
+            let ids = EdgePolicy::Ignore(band).apply(&frame);
+            assert!(ids.chunks_exact(8).all(|line| line == row), "band {band}: {ids:?}");
         }
     }
 
     #[test]
-    fn a_lone_pixel_clears_the_square_around_it() {
+    fn a_single_pixel_clears_the_square_around_it() {
         let mut class = vec![2; 49];
         class[3 * 7 + 3] = 1;
         let frame = Frame { width: 7, height: 7, class, ..Frame::default() };
-        let ruled = EdgePolicy::Ignore(2).apply(&frame);
-        let ignored = ruled.iter().filter(|id| **id == 255).count();
+        let ids = EdgePolicy::Ignore(2).apply(&frame);
+        let ignored = ids.iter().filter(|id| **id == 255).count();
         assert_eq!(ignored, 25);
-        assert_eq!(ruled[0], 2);
+        assert_eq!(ids[0], 2);
     }
 
     #[test]
-    fn the_words_are_checked() {
+    fn invalid_policies_are_refused() {
         for text in ["hard", "ignore:1", "ignore:64"] {
             assert_eq!(text.parse::<EdgePolicy>().expect(text).to_string(), text);
         }
