@@ -1,6 +1,6 @@
 //! From a frame to files: one row of [`OUTPUTS`] for each value of `--outputs`.
 //!
-//! [`encode`] turns planes into bytes, [`layout`] decides where the files of a dataset go, and [`disk`] alone touches the
+//! [`mod@encode`] turns planes into bytes, [`layout`] decides where the files of a dataset go, and [`disk`] alone touches the
 //! disk and leaves whole files or none.
 //! Must not know: scene, GPU.
 //! To add an output: a row in [`OUTPUTS`] with its encoder.

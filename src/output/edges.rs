@@ -30,23 +30,25 @@ impl EdgePolicy {
         let Self::Ignore(band_px) = self else { return frame.class.clone() };
         let (width, height, band) = (frame.width as usize, frame.height as usize, band_px as usize);
         // The filter is separable: smallest and largest id within the band along rows, then along columns.
-        let min_max_along = |lines: &[[u8; 2]], count: usize, step: usize, starts: &dyn Fn(usize) -> usize| {
-            let mut result = lines.to_vec();
-            for line in 0..lines.len() / count {
-                let at = |i: usize| starts(line) + i * step;
-                for i in 0..count {
-                    let near = i.saturating_sub(band)..(i + band + 1).min(count);
-                    result[at(i)] = near
-                        .map(|j| lines[at(j)])
-                        .fold([u8::MAX, 0], |[low, high], [a, b]| [low.min(a), high.max(b)]);
+        let min_max_along =
+            |lines: &[[u8; 2]], count: usize, step: usize, starts: &dyn Fn(usize) -> usize| {
+                let mut result = lines.to_vec();
+                for line in 0..lines.len() / count {
+                    let at = |i: usize| starts(line) + i * step;
+                    for i in 0..count {
+                        let near = i.saturating_sub(band)..(i + band + 1).min(count);
+                        result[at(i)] = near
+                            .map(|j| lines[at(j)])
+                            .fold([u8::MAX, 0], |[low, high], [a, b]| [low.min(a), high.max(b)]);
+                    }
                 }
-            }
-            result
-        };
+                result
+            };
         let ids: Vec<[u8; 2]> = frame.class.iter().map(|&id| [id, id]).collect();
         let rows = min_max_along(&ids, width, 1, &|line| line * width);
         let both = min_max_along(&rows, height, width, &|line| line);
-        let final_id = |(id, [low, high]): (&u8, [u8; 2])| if low == high { *id } else { ClassId::UNLABELLED.0 };
+        let final_id =
+            |(id, [low, high]): (&u8, [u8; 2])| if low == high { *id } else { ClassId::UNLABELLED.0 };
         frame.class.iter().zip(both).map(final_id).collect()
     }
 }
