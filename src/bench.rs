@@ -243,7 +243,7 @@ fn dataset(setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Meas
         setup.concurrency,
         &AtomicBool::new(false),
         |frame| {
-            disk::write_all(folder, &frame.files.files)?;
+            disk::write_all(folder, &frame.files.artifacts)?;
             done += 1;
             if done <= WARM_UP {
                 begun = Instant::now();

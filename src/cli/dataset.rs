@@ -181,7 +181,7 @@ fn stream(
     };
     let result = dataset::stream(plan, &mut renderer, concurrency, stop, |frame, progress| {
         show(&mut meter, progress);
-        frame.files.iter().try_for_each(|file| write(&file.bytes))
+        frame.artifacts.iter().try_for_each(|file| write(&file.bytes))
     });
     meter.finish();
     if closed.load(Ordering::Relaxed) {

@@ -113,7 +113,7 @@ impl Conversion {
                 chunk.par_drain(..).map(|line| self.convert(source, line)).collect();
             for frame in converted {
                 let (line, files) = frame?;
-                disk::write_all_tagged(out, &tag, &files.files)?;
+                disk::write_all_tagged(out, &tag, &files.artifacts)?;
                 log.append(&line)?;
             }
             watch(found, log.finished().len() as u64 - found);
@@ -164,8 +164,7 @@ impl Conversion {
                 encoded.push(EncodedFile { output: output.name, stem, extension, bytes });
             }
         }
-        let sample =
-            Sample { index: line.index, split: &line.split, frame: &frame, files: &encoded, record: &line };
+        let sample = Sample { frame: &frame, files: &encoded, record: &line };
         let files = self.layout.frame_files(&sample)?;
         record_files(&mut line, &files);
         line.ms = ms;

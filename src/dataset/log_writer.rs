@@ -102,6 +102,6 @@ impl FrameLogWriter {
 /// Adds to a frame's line the hashes of its files, and what its layout keeps for the index.
 pub(super) fn record_files(line: &mut FrameLine, files: &FrameFiles) {
     let hash = |file: &Artifact| (file.name.clone(), disk::content_hash(&file.bytes).into());
-    line.hashes = files.files.iter().map(hash).collect();
+    line.hashes = files.artifacts.iter().map(hash).collect();
     line.entry = files.entry.clone();
 }

@@ -189,13 +189,7 @@ fn encode(plan: &Plan, rendered: RenderedFrame) -> Result<FinishedFrame> {
     let input = EncodeInput { frame: &frame, meta: &meta, label_ids: plan.label_ids, edges: plan.edges };
     let encoded = output::encode(&input, &plan.outputs)?;
     frame.class = plan.edges.apply(&frame);
-    let sample = Sample {
-        index: source.index,
-        split: plan.split_of(source.index),
-        frame: &frame,
-        files: &encoded,
-        record: &line,
-    };
+    let sample = Sample { frame: &frame, files: &encoded, record: &line };
     let files = plan.layout.frame_files(&sample)?;
     let mut times = source.times;
     times.push(("encode", milliseconds_since(start)));

@@ -72,7 +72,7 @@ pub fn run(
     let mut manifest_written = Instant::now();
     let result = render_frames(plan, renderer, missing.into_iter(), concurrency, stop, |mut frame| {
         let start = Instant::now();
-        disk::write_all_tagged(&folder, &tag, &frame.files.files)?;
+        disk::write_all_tagged(&folder, &tag, &frame.files.artifacts)?;
         frame.times.push(("write", milliseconds_since(start)));
         frame.line.ms = milliseconds_json(&frame.times);
         log.append(&frame.line)?;

@@ -20,10 +20,13 @@ impl Layout for Basic {
 
     fn frame_files(&self, sample: &Sample<'_>) -> Result<FrameFiles> {
         let files = sample.files.iter().map(|file| Artifact {
-            name: below_split(sample.split, &frame_file_name(file.stem, sample.index, file.extension)),
+            name: below_split(
+                &sample.record.split,
+                &frame_file_name(file.stem, sample.record.index, file.extension),
+            ),
             bytes: file.bytes.clone(),
         });
-        Ok(FrameFiles { files: files.collect(), entry: Value::Null })
+        Ok(FrameFiles { artifacts: files.collect(), entry: Value::Null })
     }
 
     fn image_and_mask(&self, split: &str, index: u64) -> Option<[String; 2]> {

@@ -60,19 +60,19 @@ impl Layout for Cityscapes {
     }
 
     fn frame_files(&self, sample: &Sample<'_>) -> Result<FrameFiles> {
-        let split = split_or_train(sample.split);
+        let split = split_or_train(&sample.record.split);
         let frame = sample.frame;
         let (width, height) = (frame.width, frame.height);
         let labels: Vec<u8> = frame.class.iter().map(|class| label_id(*class)).collect();
         let colour = |class: &u8| ClassId(*class).class().map_or([0; 3], |class| class.preview_rgb);
         let colours: Vec<u8> = frame.class.iter().flat_map(colour).collect();
         let ground_truth = |kind: &str, bytes| Artifact {
-            name: format!("{}_{kind}.png", stem(split, "gtFine", sample.index)),
+            name: format!("{}_{kind}.png", stem(split, "gtFine", sample.record.index)),
             bytes,
         };
         let files = vec![
             Artifact {
-                name: format!("{}.png", stem(split, "leftImg8bit", sample.index)),
+                name: format!("{}.png", stem(split, "leftImg8bit", sample.record.index)),
                 bytes: sample.rgb().to_vec(),
             },
             ground_truth("labelTrainIds", png::ids_u8(width, height, &frame.class)?),
@@ -80,7 +80,7 @@ impl Layout for Cityscapes {
             ground_truth("instanceIds", png::ids_u16(width, height, &instance_ids(sample))?),
             ground_truth("color", png::label_colours(width, height, &colours)?),
         ];
-        Ok(FrameFiles { files, entry: Value::Null })
+        Ok(FrameFiles { artifacts: files, entry: Value::Null })
     }
 
     fn image_and_mask(&self, split: &str, index: u64) -> Option<[String; 2]> {

@@ -48,8 +48,8 @@ impl Layout for Coco {
     }
 
     fn frame_files(&self, sample: &Sample<'_>) -> Result<FrameFiles> {
-        let split = split_or_train(sample.split);
-        let (frame, name) = (sample.frame, file_name(sample.index));
+        let split = split_or_train(&sample.record.split);
+        let (frame, name) = (sample.frame, file_name(sample.record.index));
         let segments = panoptic_ids(frame);
         // A panoptic PNG stores the segment id as R + 256 G + 65536 B.
         let colours: Vec<u8> =
@@ -63,7 +63,7 @@ impl Layout for Coco {
         ];
         let entry =
             json!({ "instances": instance_annotations(sample), "segments": segments_info(frame, &segments) });
-        Ok(FrameFiles { files, entry })
+        Ok(FrameFiles { artifacts: files, entry })
     }
 
     fn write_index(
@@ -182,8 +182,8 @@ fn instance_annotations(sample: &Sample<'_>) -> Vec<Value> {
         .map(|(rock, region)| {
             let counts = run_lengths(frame, region.bounds, rock as u16);
             json!({
-                "id": sample.index * IDS_PER_FRAME + u64::from(rock),
-                "image_id": sample.index,
+                "id": sample.record.index * IDS_PER_FRAME + u64::from(rock),
+                "image_id": sample.record.index,
                 "category_id": ROCK,
                 "segmentation": { "size": [frame.height, frame.width], "counts": compress_counts(&counts) },
                 "area": region.area,

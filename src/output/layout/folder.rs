@@ -52,11 +52,15 @@ impl Layout for Folder {
     }
 
     fn frame_files(&self, sample: &Sample<'_>) -> Result<FrameFiles> {
-        let files = sample.files.iter().filter(|file| has_file(file, sample.index)).map(|file| Artifact {
-            name: below_split(sample.split, &file_path(file.output, file.stem, file.extension, sample.index)),
-            bytes: file.bytes.clone(),
-        });
-        Ok(FrameFiles { files: files.collect(), entry: Value::Null })
+        let files =
+            sample.files.iter().filter(|file| has_file(file, sample.record.index)).map(|file| Artifact {
+                name: below_split(
+                    &sample.record.split,
+                    &file_path(file.output, file.stem, file.extension, sample.record.index),
+                ),
+                bytes: file.bytes.clone(),
+            });
+        Ok(FrameFiles { artifacts: files.collect(), entry: Value::Null })
     }
 
     fn image_and_mask(&self, split: &str, index: u64) -> Option<[String; 2]> {

@@ -73,17 +73,17 @@ impl Layout for HuggingFace {
     }
 
     fn frame_files(&self, sample: &Sample<'_>) -> Result<FrameFiles> {
-        let split = split_or_train(sample.split);
+        let split = split_or_train(&sample.record.split);
         let (mut files, mut columns) = (Vec::new(), Map::new());
         for file in sample.files {
             let Some((folder, column)) = folder_and_column(file.output, file.stem, file.extension) else {
                 continue;
             };
-            let name = format!("{folder}/{:06}.{}", sample.index, file.extension);
+            let name = format!("{folder}/{:06}.{}", sample.record.index, file.extension);
             columns.insert(column, name.clone().into());
             files.push(Artifact { name: format!("{split}/{name}"), bytes: file.bytes.clone() });
         }
-        Ok(FrameFiles { files, entry: columns.into() })
+        Ok(FrameFiles { artifacts: files, entry: columns.into() })
     }
 
     fn image_and_mask(&self, split: &str, index: u64) -> Option<[String; 2]> {

@@ -16,10 +16,6 @@ use crate::output::artifact::{Artifact, EncodedFile};
 /// One frame of a dataset, rendered and encoded.
 #[derive(Clone, Copy, Debug)]
 pub struct Sample<'a> {
-    /// Its number in the dataset.
-    pub index: u64,
-    /// The split that it belongs to; empty in a dataset without splits.
-    pub split: &'a str,
     /// Its planes: `class` under the edge policy, and the planes of [`Layout::required_outputs`].
     pub frame: &'a Frame,
     /// Its encoded outputs.
@@ -40,7 +36,7 @@ impl Sample<'_> {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FrameFiles {
     /// The files, with their paths below the dataset's folder.
-    pub files: Vec<Artifact>,
+    pub artifacts: Vec<Artifact>,
     /// What [`Layout::write_index`] needs to know about the frame besides its record; null if nothing. It is kept in
     /// the frame's line of `frames.jsonl`.
     pub entry: Value,

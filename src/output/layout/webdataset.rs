@@ -63,7 +63,7 @@ impl Layout for WebDataset {
     }
 
     fn frame_files(&self, sample: &Sample<'_>) -> Result<FrameFiles> {
-        let key = sample_key(sample.index);
+        let key = sample_key(sample.record.index);
         let mut fragment = Vec::new();
         for file in sample.files {
             let is_stored =
@@ -75,8 +75,8 @@ impl Layout for WebDataset {
         }
         append_member(&mut fragment, &format!("{key}.json"), &json::to_bytes(sample.record)?)?;
         Ok(FrameFiles {
-            files: vec![Artifact { name: fragment_name(sample.index), bytes: fragment }],
-            entry: json!({ "bundle": shard_name(sample.split, sample.index) }),
+            artifacts: vec![Artifact { name: fragment_name(sample.record.index), bytes: fragment }],
+            entry: json!({ "bundle": shard_name(&sample.record.split, sample.record.index) }),
         })
     }
 
