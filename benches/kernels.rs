@@ -1,4 +1,4 @@
-//! What the CPU does for a frame, kernel by kernel, each with its throughput: `cargo bench`.
+//! The work of the CPU for a frame, kernel by kernel, each with its throughput: `cargo bench`.
 //!
 //! One thread. The scenes are those of fixed seeds with the default knobs.
 
@@ -71,8 +71,8 @@ fn geometry(c: &mut Criterion) {
     group.finish();
 }
 
-/// What is reckoned for a picture of a scene before the device is given anything.
-fn picture(c: &mut Criterion) {
+/// Everything that the host computes for a frame of a scene before the upload.
+fn frame_plan(c: &mut Criterion) {
     let scene = Scene::build(SEED, &Params::draw_default(SEED)).expect("the scene of the seed");
     let settings = RenderSettings::new([512, 512], 4).expect("settings");
     let selection = Selection::new(&scene, &settings);
@@ -85,11 +85,11 @@ fn picture(c: &mut Criterion) {
     let mut later = scene.clone();
     let Sun { elevation_deg, azimuth_deg, angular_diameter_deg, irradiance, .. } = scene.sun;
     later.sun = Sun::new(elevation_deg, azimuth_deg + 1.0, angular_diameter_deg, irradiance);
-    let mut group = c.benchmark_group("picture");
+    let mut group = c.benchmark_group("frame");
     group.bench_function("selection", |b| b.iter(|| Selection::new(black_box(&scene), &settings)));
     group.throughput(Throughput::Elements(horizon.heights_m.len() as u64));
     group.bench_function("horizon_map", |b| {
-        // Of the same sun it would be made once.
+        // The map is computed again only when the sun has moved.
         let (mut map, mut suns) = (HorizonMap::default(), [&scene.sun, &later.sun].into_iter().cycle());
         b.iter(|| map.update(&scene.terrain, black_box(suns.next().unwrap_or(&scene.sun)), &footprint));
     });
@@ -124,7 +124,7 @@ fn picture(c: &mut Criterion) {
     group.finish();
 }
 
-/// A frame that compresses like a real one: a horizon, a coarse grain, blobs of rock.
+/// A synthetic frame that compresses like a real one: a horizon, coarse grain, patches of rock.
 fn frame(side: u32) -> Frame {
     let grain = Fbm { octaves: 5, frequency: 0.05, lacunarity: 2.0, seed: 3 };
     let mut frame = Frame { width: side, height: side, ..Frame::default() };
@@ -157,7 +157,7 @@ fn encode(c: &mut Criterion) {
     group.finish();
 }
 
-/// Everything on one thread, so that figures do not depend on the number of cores.
+/// Runs everything on one thread, so that results do not depend on the number of cores.
 fn on_one_thread(_: &mut Criterion) {
     rayon::ThreadPoolBuilder::new()
         .num_threads(1)
@@ -166,5 +166,5 @@ fn on_one_thread(_: &mut Criterion) {
         .expect("the first pool");
 }
 
-criterion_group!(benches, on_one_thread, noise, geometry, picture, encode);
+criterion_group!(benches, on_one_thread, noise, geometry, frame_plan, encode);
 criterion_main!(benches);

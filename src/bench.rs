@@ -1,7 +1,7 @@
-//! How fast frames come, case by case, with the work of each stage.
+//! Frame throughput, case by case, with the time of each stage.
 //!
-//! Times are those of whole frames, read back to memory, after a warm-up; the median is what counts. Stages overlap
-//! where they can, so that their times need not add up to a frame's.
+//! A frame is timed from the end of the frame before it until it is read back, after a warm-up; the median is reported.
+//! Stages of several frames overlap, so their times need not add up to that of a frame.
 //! Must not know: the command line.
 //! To add a case: a variant of [`Case`] with its arm in [`run`].
 
@@ -23,9 +23,9 @@ use crate::scene::Scene;
 use crate::scene::camera::Camera;
 use crate::scene::sky::Sun;
 
-/// Frames before those that count.
+/// Number of frames before the measurement starts.
 const WARM_UP: u64 = 3;
-/// Frames in which camera and sun come back to where they were.
+/// Number of frames after which camera and sun are back where they started.
 const PERIOD: u64 = 40;
 
 /// What changes from frame to frame.
@@ -42,7 +42,7 @@ pub enum Case {
 }
 
 impl Case {
-    /// Every case with its name and what changes in it.
+    /// Every case with its name and a description of what changes from frame to frame.
     pub const ALL: [(Self, &'static str, &'static str); 4] = [
         (Self::Camera, "camera", "one scene, camera and sun move"),
         (Self::StaticSun, "static-sun", "one scene, the camera moves"),
@@ -50,14 +50,14 @@ impl Case {
         (Self::Dataset, "dataset", "a new scene for every frame, encoded and written"),
     ];
 
-    /// Its name.
+    /// Its name in `--cases` and in the JSON result.
     #[must_use]
     pub fn name(self) -> &'static str {
         Self::ALL[self as usize].1
     }
 }
 
-/// What a case came to.
+/// The measurements of a case.
 #[derive(Clone, Debug, Default)]
 pub struct Measured {
     /// Milliseconds from the end of one frame to that of the next.
@@ -66,15 +66,15 @@ pub struct Measured {
     pub total_ms: f64,
     /// Milliseconds of work by stage, of each frame.
     pub stages: Vec<StageTimes>,
-    /// Triangles drawn of what is seen, of each frame.
+    /// Triangles drawn for visibility, of each frame.
     pub triangles: Vec<f64>,
-    /// Bytes written to the device, of each frame.
+    /// Bytes uploaded to the device, of each frame.
     pub upload_bytes: Vec<f64>,
-    /// Bytes read back, of a frame.
+    /// Bytes read back for each frame.
     pub readback_bytes: u64,
 }
 
-/// The value that a share `q` of the values does not exceed; 0 for none.
+/// The quantile `q` of the values, without interpolation; 0 for an empty list.
 #[must_use]
 pub fn quantile(values: &[f64], q: f64) -> f64 {
     let mut sorted = values.to_vec();
@@ -92,7 +92,7 @@ impl Measured {
         1e3 * self.frames_ms.len() as f64 / self.total_ms.max(1e-9)
     }
 
-    /// Median milliseconds by stage, in the order in which the stages come.
+    /// Median milliseconds of each stage, in the order of execution.
     #[must_use]
     pub fn stage_ms(&self) -> StageTimes {
         let names =
@@ -107,7 +107,7 @@ impl Measured {
             .collect()
     }
 
-    /// As it stands in the JSON of the bench.
+    /// The entry of the case in `bench --json`.
     #[must_use]
     pub fn to_json(&self) -> Value {
         let stages: Map<String, Value> =
@@ -125,21 +125,21 @@ impl Measured {
     }
 }
 
-/// What is measured: of the plan, knobs, seed, size, samples and outputs count.
+/// What to measure.
 #[derive(Clone, Debug)]
 pub struct Setup {
-    /// What is drawn.
+    /// Knobs, seed, size, samples and outputs; its range, splits and shard are not used.
     pub plan: Plan,
-    /// How much is done at a time; threads are for datasets.
+    /// Frames in flight, and the threads of the case `dataset`.
     pub concurrency: Concurrency,
-    /// Frames that count.
+    /// Number of frames after the warm-up.
     pub frames: u64,
 }
 
-/// Measures a case. Datasets go into `folder`, which must be empty.
+/// Measures a case. The case `dataset` writes into `folder`, which must be empty.
 ///
 /// # Errors
-/// Those of drawing and writing.
+/// Those of rendering and writing.
 pub fn run(case: Case, setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Measured> {
     match case {
         Case::Camera => moving(setup, true, renderer),
@@ -149,8 +149,8 @@ pub fn run(case: Case, setup: &Setup, folder: &Path, renderer: &mut Renderer) ->
     }
 }
 
-/// Renders scenes one after the other, several frames in flight, and measures from the end of one frame to that of the
-/// next. `next` gives the scene of a frame and what making it took.
+/// Renders the scenes that `next` returns, several frames in flight. `next` gets the index of a frame and returns its scene with
+/// the times that building it took.
 fn measure(
     setup: &Setup,
     renderer: &mut Renderer,
@@ -158,17 +158,17 @@ fn measure(
 ) -> Result<Measured> {
     let Setup { plan, concurrency, frames } = setup;
     let mut measured = Measured::default();
-    let mut flying = VecDeque::new();
-    let (mut begun, mut last) = (Instant::now(), Instant::now());
+    let mut queue = VecDeque::new();
+    let (mut start, mut last) = (Instant::now(), Instant::now());
     let total = WARM_UP + frames;
     let (mut submitted, mut finished) = (0, 0);
     while finished < total {
-        if submitted < total && flying.len() < concurrency.frames_in_flight {
+        if submitted < total && queue.len() < concurrency.frames_in_flight {
             let (scene, times) = next(submitted)?;
             let in_flight = renderer.submit(&scene, &plan.settings)?;
-            flying.push_back((scene, times, in_flight));
+            queue.push_back((scene, times, in_flight));
             submitted += 1;
-        } else if let Some((scene, mut times, in_flight)) = flying.pop_front() {
+        } else if let Some((scene, mut times, in_flight)) = queue.pop_front() {
             measured.triangles.push(in_flight.cost.drawn_triangles as f64);
             measured.upload_bytes.push(in_flight.cost.uploaded_bytes as f64);
             let (frame, render_times) = renderer.finish(in_flight, &scene)?;
@@ -180,14 +180,15 @@ fn measure(
             finished += 1;
             if finished == WARM_UP {
                 measured = Measured::default();
-                begun = last;
+                start = last;
             }
         }
     }
-    measured.total_ms = begun.elapsed().as_secs_f64() * 1e3;
+    measured.total_ms = start.elapsed().as_secs_f64() * 1e3;
     Ok(measured)
 }
 
+/// One scene with a moving camera and, if `sun_moves`, a moving sun.
 fn moving(setup: &Setup, sun_moves: bool, renderer: &mut Renderer) -> Result<Measured> {
     let plan = &setup.plan;
     let params = plan.config.draw(plan.base_seed)?;
@@ -196,21 +197,22 @@ fn moving(setup: &Setup, sun_moves: bool, renderer: &mut Renderer) -> Result<Mea
     let angles = [Knob::CameraPitchDeg, Knob::CameraYawDeg, Knob::CameraRollDeg];
     let [pitch, yaw, roll] = angles.map(|knob| params.number(knob));
     let fov_deg = params.number(Knob::CameraFovDeg);
-    // A scene for each frame that can be in flight, so that none is copied while frames are measured.
+    // One copy of the scene for each frame that can be in flight, so that none is made during the measurement.
     let mut scenes: Vec<Arc<Scene>> =
         (0..setup.concurrency.frames_in_flight).map(|_| Arc::new(still.clone())).collect();
     scenes.push(Arc::new(still));
     measure(setup, renderer, |frame| {
         let turn = std::f64::consts::TAU * (frame % PERIOD) as f64 / PERIOD as f64;
         let start = Instant::now();
-        let kept = scenes.remove(0);
-        let mut scene = Arc::try_unwrap(kept).unwrap_or_else(|shared| Scene::clone(&shared));
-        let mut place = eye;
-        place.x += 2.0 * libm::sin(turn) as f32;
-        place.z += scene.terrain.height_at(place.truncate()) - scene.terrain.height_at(eye.truncate());
+        let oldest = scenes.remove(0);
+        let mut scene = Arc::try_unwrap(oldest).unwrap_or_else(|shared| Scene::clone(&shared));
+        let mut moved_eye = eye;
+        moved_eye.x += 2.0 * libm::sin(turn) as f32;
+        moved_eye.z +=
+            scene.terrain.height_at(moved_eye.truncate()) - scene.terrain.height_at(eye.truncate());
         let angles = [pitch + libm::cos(turn), yaw + 8.0 * libm::sin(turn), roll];
         let (far_m, exposure_ev) = (scene.camera.far_m, scene.camera.exposure_ev);
-        scene.camera = Camera::new(place, angles, fov_deg, far_m, exposure_ev);
+        scene.camera = Camera::new(moved_eye, angles, fov_deg, far_m, exposure_ev);
         if sun_moves {
             let azimuth_deg = (sun.azimuth_deg + 30.0 * libm::sin(turn)).rem_euclid(360.0);
             scene.sun = Sun::new(sun.elevation_deg, azimuth_deg, sun.angular_diameter_deg, sun.irradiance);
@@ -234,7 +236,7 @@ fn scenes(setup: &Setup, renderer: &mut Renderer) -> Result<Measured> {
 
 fn dataset(setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Measured> {
     let mut measured = Measured::default();
-    let (mut begun, mut last, mut done) = (Instant::now(), Instant::now(), 0);
+    let (mut start, mut last, mut done) = (Instant::now(), Instant::now(), 0);
     let indices = 0..WARM_UP + setup.frames;
     dataset::render_frames(
         &setup.plan,
@@ -246,7 +248,7 @@ fn dataset(setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Meas
             disk::write_all(folder, &frame.files.artifacts)?;
             done += 1;
             if done <= WARM_UP {
-                begun = Instant::now();
+                start = Instant::now();
             } else {
                 measured.frames_ms.push(last.elapsed().as_secs_f64() * 1e3);
                 measured.stages.push(frame.times);
@@ -258,11 +260,11 @@ fn dataset(setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Meas
             Ok(())
         },
     )?;
-    measured.total_ms = begun.elapsed().as_secs_f64() * 1e3;
+    measured.total_ms = start.elapsed().as_secs_f64() * 1e3;
     Ok(measured)
 }
 
-/// Largest resident memory that this process has had, bytes; `None` where the system does not say.
+/// Peak resident memory of this process, bytes; `None` where the system does not report it.
 #[must_use]
 pub fn peak_rss_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
@@ -270,36 +272,35 @@ pub fn peak_rss_bytes() -> Option<u64> {
     Some(1024 * line.split_whitespace().nth(1)?.parse::<u64>().ok()?)
 }
 
-/// Some points and how much a frame cost there.
+/// The cost of a frame as a function of one setting.
 #[derive(Clone, Debug)]
 pub struct Curve {
-    /// What was varied, with its unit.
+    /// The setting, with its unit.
     pub axis: &'static str,
-    /// Value and median milliseconds of a frame.
+    /// Value of the setting and median milliseconds of a frame.
     pub points: Vec<(f64, f64)>,
 }
 
 impl Curve {
-    /// A plot.
+    /// The curve as an SVG plot.
     #[must_use]
     pub fn to_svg(&self) -> String {
         const SIZE: [f64; 2] = [560.0, 320.0];
         const MARGIN: f64 = 48.0;
-        let most = |of: fn(&(f64, f64)) -> f64| self.points.iter().map(of).fold(0.0, f64::max).max(1e-9);
-        let (most_x, most_y) = (most(|point| point.0), 1.1 * most(|point| point.1));
-        let place = |&(x, y): &(f64, f64)| {
-            let at = [
-                MARGIN + (SIZE[0] - 2.0 * MARGIN) * x / most_x,
-                SIZE[1] - MARGIN - (SIZE[1] - 2.0 * MARGIN) * y / most_y,
-            ];
-            (at[0], at[1])
+        let max = |of: fn(&(f64, f64)) -> f64| self.points.iter().map(of).fold(0.0, f64::max).max(1e-9);
+        let (max_x, max_y) = (max(|point| point.0), 1.1 * max(|point| point.1));
+        let to_svg = |&(x, y): &(f64, f64)| {
+            (
+                MARGIN + (SIZE[0] - 2.0 * MARGIN) * x / max_x,
+                SIZE[1] - MARGIN - (SIZE[1] - 2.0 * MARGIN) * y / max_y,
+            )
         };
-        let line: String = self.points.iter().map(place).map(|(x, y)| format!("{x:.1},{y:.1} ")).collect();
+        let line: String = self.points.iter().map(to_svg).map(|(x, y)| format!("{x:.1},{y:.1} ")).collect();
         let marks: String = self
             .points
             .iter()
             .map(|point| {
-                let ((x, y), (value, ms)) = (place(point), point);
+                let ((x, y), (value, ms)) = (to_svg(point), point);
                 let base = SIZE[1] - MARGIN + 16.0;
                 format!(
                     "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3.5\" fill=\"#44628c\"/>\
@@ -314,7 +315,7 @@ impl Curve {
              font-family=\"sans-serif\" font-size=\"11\">\n<rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n\
              <polyline points=\"{line}\" fill=\"none\" stroke=\"#44628c\" stroke-width=\"2\"/>\n{marks}\
              <path d=\"M{MARGIN} {MARGIN}V{2}H{3}\" fill=\"none\" stroke=\"black\"/>\n\
-             <text x=\"{4}\" y=\"{5}\" text-anchor=\"middle\">{6}</text>\n<text x=\"8\" y=\"24\">median ms a frame</text>\n</svg>\n",
+             <text x=\"{4}\" y=\"{5}\" text-anchor=\"middle\">{6}</text>\n<text x=\"8\" y=\"24\">median ms per frame</text>\n</svg>\n",
             SIZE[0],
             SIZE[1],
             SIZE[1] - MARGIN,
@@ -326,10 +327,10 @@ impl Curve {
     }
 }
 
-/// What can be varied, in the order of the help.
+/// The settings that a sweep can vary, in the order of the help.
 pub const SWEEPS: [&str; 5] = ["size", "samples", "rocks", "threads", "frames-in-flight"];
 
-/// The setups of a sweep: what is varied, and each of its values with the setup.
+/// The setups of a sweep: the setting with its unit, and each of its values with the setup for it.
 ///
 /// # Errors
 /// Those of the settings.
@@ -359,7 +360,7 @@ pub fn sweep(name: &str, setup: &Setup) -> Result<(&'static str, Vec<(f64, Setup
                     Ok(())
                 })?;
             }
-            "samples a pixel"
+            "samples per pixel"
         }
         "rocks" => {
             for count in [0, 50, 100, 200, 400, 800] {

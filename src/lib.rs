@@ -1,16 +1,18 @@
-//! Labelled pictures of the Moon.
+//! Labelled images of the Moon.
 //!
-//! One frame comes about like this:
+//! From a seed to the files of one frame:
 //!
-//! 1. [`params::sampler::Config`] gathers defaults, preset, file and `--set`; its `draw` gives [`params::Params`]:
-//!    every value of one frame, checked.
-//! 2. [`scene::Scene::build`] makes the scene of a seed: meshes, materials, sun, camera; plain data.
-//! 3. [`render::Renderer::render`] plans what this camera and this sun need of it, uploads that, and draws: shadow map, visibility,
-//!    lighting, which writes colour **and** class id of each sample in one draw, then the resolve of samples to pixels.
-//! 4. A [`frame::Frame`] comes back: planes of bytes.
-//! 5. [`output`] encodes it and writes whole files.
+//! 1. [`params::sampler::Config`] combines defaults, presets, a file and `--set`; it draws [`params::Params`], every
+//!    value of one frame, checked.
+//! 2. [`scene::Scene::build`] generates the scene of a seed: meshes, materials, sun, camera. Plain data, no GPU.
+//! 3. [`render::Renderer::submit`] plans the frame: what this camera and this sun need, in which level of detail, which
+//!    rocks cast shadows into view. Plain data too, uploaded as it is.
+//! 4. It rasterises visibility and shadow map, on the device or on the host ([`render::RasterOptions`]).
+//! 5. One lighting draw writes radiance **and** class id of every sample; the resolve pass turns samples into pixels.
+//! 6. A [`frame::Frame`] is read back: one plane of bytes for colour, one for the classes, one for each annotation.
+//! 7. [`output`] encodes it and writes whole files.
 //!
-//! [`dataset`] does this thousands of times, checked and resumable; [`bench`] measures how fast.
+//! [`dataset`] does this for thousands of frames, checked and resumable; [`mod@bench`] measures the throughput.
 //!
 //! ```
 //! use regolith::{params::Params, scene::Scene};
@@ -20,8 +22,8 @@
 //! # Ok::<(), regolith::Error>(())
 //! ```
 //!
-//! `params` and `scene` know no GPU, `gpu` knows no Moon; they meet in `render`. `render` and `output` meet in
-//! `frame`.
+//! `params` and `scene` do not know the GPU, `gpu` does not know the Moon; they meet in `render`. `render` and `output`
+//! meet in `frame`.
 
 pub mod bench;
 pub mod class;

@@ -100,13 +100,13 @@ pub(super) fn run(args: &DatasetArgs, messages: Messages) -> Result<()> {
     let finished = lock::check_folder(&args.out, &spec, args.force)?;
     if plan.own_indices().all(|index| finished.contains(&index)) {
         if !lock::has_manifest(&args.out)? {
-            // The manifest was lost, and --force says that the frames are this run's.
+            // The manifest was lost, and --force confirms that the frames belong to this run.
             drop(FrameLogWriter::open(&args.out, &spec, args.force)?);
         }
         return report(args, messages, None, &finalize(&args.out)?, 0.0);
     }
     let start = Instant::now();
-    // Before the folder is made, so that a machine without an adapter leaves nothing.
+    // Before the folder is created, so that nothing is left behind on a machine without an adapter.
     let gpu = args.device.open()?;
     let log = FrameLogWriter::open(&args.out, &spec, args.force)?;
     messages.note(format_args!("rendering on {}", regolith::gpu::adapter::describe(&gpu.info)));
@@ -131,7 +131,7 @@ fn plan(args: &DatasetArgs) -> Result<Plan> {
     let count = args.count.unwrap_or_else(|| splits.iter().map(|(_, count)| count).sum());
     if count == 0 || args.start.checked_add(count).is_none_or(|end| end > MAX_FRAMES) {
         return Err(Error::Usage(format!(
-            "--start {} with {count} frames: a dataset has at least one, and none after number {}",
+            "--start {} with {count} frames: a dataset has at least one frame, and none after index {}",
             args.start,
             MAX_FRAMES - 1
         )));
@@ -152,7 +152,7 @@ fn plan(args: &DatasetArgs) -> Result<Plan> {
     })
 }
 
-/// Writes the archive of a WebDataset to standard output, in order.
+/// Writes a WebDataset as one archive to standard output, in the order of the frames.
 fn stream(
     args: &DatasetArgs,
     messages: Messages,
@@ -172,7 +172,7 @@ fn stream(
     let (start, closed) = (Instant::now(), AtomicBool::new(false));
     let write = |bytes: &[u8]| match std::io::stdout().lock().write_all(bytes) {
         Err(cause) if cause.kind() == std::io::ErrorKind::BrokenPipe => {
-            // Whoever reads has had enough.
+            // The reader closed the pipe: stop without an error.
             closed.store(true, Ordering::Relaxed);
             stop.store(true, Ordering::Relaxed);
             Ok(())
@@ -224,44 +224,45 @@ fn dry_run(args: &DatasetArgs, plan: &Plan) -> Result<()> {
     }
     for knob in rows[0].2.keys() {
         let values: Vec<&Value> = rows.iter().map(|row| &row.2[knob]).collect();
-        let shown = |value: &Value| {
+        let formatted = |value: &Value| {
             value.as_f64().map_or(value.to_string(), |number| {
                 if number.fract() == 0.0 { number.to_string() } else { format!("{number:.4}") }
             })
         };
         text.push_str(&format!("\n{knob:<26}"));
         if values.iter().all(|value| *value == values[0]) {
-            text.push_str(&format!("  {} in all", shown(values[0])));
+            text.push_str(&format!("  {} in all", formatted(values[0])));
         } else {
             for value in values {
-                text.push_str(&format!("{:>18}", shown(value)));
+                text.push_str(&format!("{:>18}", formatted(value)));
             }
         }
     }
     print(&format!("{text}\n"))
 }
 
-/// Settles the folder without rendering.
+/// Merges the shards of the folder without rendering.
 fn merge(args: &DatasetArgs, messages: Messages) -> Result<()> {
     let finalized = finalize(&args.out)?;
     report(args, messages, None, &finalized, 0.0)?;
     match finalized.missing.as_slice() {
         [] => Ok(()),
         missing => Err(Error::CheckFailed(format!(
-            "{} frames are missing from {}: {}. Make them with their --shard, or copy the other shards here",
+            "{} frames are missing from {}: {}. Make them with their --shard, or copy the other shards into the folder",
             missing.len(),
             args.out.display(),
-            some_of(missing)
+            abbreviated(missing)
         ))),
     }
 }
 
-fn some_of(indices: &[u64]) -> String {
-    let shown: Vec<String> = indices.iter().take(8).map(ToString::to_string).collect();
-    format!("{}{}", shown.join(", "), if indices.len() > 8 { ", ..." } else { "" })
+/// The first few of a list of frames.
+fn abbreviated(indices: &[u64]) -> String {
+    let first: Vec<String> = indices.iter().take(8).map(ToString::to_string).collect();
+    format!("{}{}", first.join(", "), if indices.len() > 8 { ", ..." } else { "" })
 }
 
-/// Tells of a run that has ended well.
+/// Prints the summary of a finished run; without `run`, of a folder in which nothing had to be rendered.
 fn report(
     args: &DatasetArgs,
     messages: Messages,
@@ -296,44 +297,45 @@ fn report(
     }
     match run {
         Some(run) => messages.note(format_args!(
-            "{} frames made ({} were there), {} drawn again, in {}: {:.2} frames/s",
+            "{} frames made ({} existed), {} redrawn, in {}: {:.2} frames/s",
             run.made,
             run.found,
             run.redraws,
             duration(seconds),
             run.made as f64 / seconds
         )),
-        None => messages.note(format_args!("no frame was rendered; {} are there", manifest["n_completed"])),
+        None => messages.note(format_args!("no frame was rendered; {} exist", manifest["n_completed"])),
     }
     let share = |class: &str| 100.0 * manifest["totals"]["coverage_mean"][class].as_f64().unwrap_or_default();
     let shares: Vec<String> =
         ClassId::ALL.iter().map(|class| format!("{} {:.1} %", class.name, share(class.name))).collect();
     let brightness = manifest["totals"]["rgb_mean"].as_f64().unwrap_or_default();
-    messages.note(format_args!("mean shares: {}; mean brightness {brightness:.1} of 255", shares.join(", ")));
+    messages
+        .note(format_args!("mean coverage: {}; mean brightness {brightness:.1} of 255", shares.join(", ")));
     let stages: Vec<String> =
         ms.iter().map(|(name, ms)| format!("{name} {:.1}", ms.as_f64().unwrap_or(0.0))).collect();
-    messages.detail(format_args!("milliseconds of work a frame: {}", stages.join(", ")));
+    messages.detail(format_args!("milliseconds of work per frame: {}", stages.join(", ")));
     if finalized.missing.is_empty() {
         let sheet = if args.out.join("contact_sheet.png").is_file() { "contact_sheet.png, " } else { "" };
         messages.note(format_args!(
-            "whole: {} frames in {}; see {sheet}histograms.svg, README.md",
+            "complete: {} frames in {}; see {sheet}histograms.svg, README.md",
             manifest["n_completed"],
             args.out.display()
         ));
     } else {
         messages.note(format_args!(
-            "{} frames of other shards are still missing: {}; once they are here, `regolith-render dataset --merge --out {}` completes the folder",
+            "{} frames of other shards are still missing: {}; once they are copied here, `regolith-render dataset --merge --out {}` completes the folder",
             finalized.missing.len(),
-            some_of(&finalized.missing),
+            abbreviated(&finalized.missing),
             args.out.display()
         ));
     }
     Ok(())
 }
 
-/// Tells how far a run has come.
+/// Shows the progress of a run.
 fn show(meter: &mut Meter, progress: &Progress) {
     let redrawn =
-        if progress.redraws > 0 { format!(", {} drawn again", progress.redraws) } else { String::new() };
+        if progress.redraws > 0 { format!(", {} redrawn", progress.redraws) } else { String::new() };
     meter.show([progress.found, progress.made, progress.wanted], &redrawn);
 }

@@ -1,4 +1,4 @@
-//! Scenes whose answer is known on paper.
+//! Scenes whose result follows from a formula.
 
 use std::sync::Arc;
 
@@ -63,7 +63,7 @@ fn ball(centre: Vec3, radius_m: f32) -> Rock {
     }
 }
 
-/// Radiance of flat Lambert ground of albedo 0.2 of which the sun is seen to this fraction.
+/// Radiance of flat Lambert ground of albedo 0.2 from which this fraction of the sun's disc is visible.
 fn ground_radiance(sun: &Sun, visible: f32) -> Vec3 {
     0.2 * (visible * sun.irradiance * sun.direction.z / PI + DOME_RADIANCE)
 }
@@ -87,7 +87,7 @@ fn lambert_ground_has_the_radiance_of_the_formula() {
 }
 
 #[test]
-fn the_sky_alone_is_sky_and_has_its_own_radiance() {
+fn a_view_of_the_sky_is_labelled_sky_and_has_its_radiance() {
     let frame = render(&scene(4, &["camera.pitch_deg=60", "camera.fov_deg=40", "sky.star_count=0"]), 64, 4);
     assert_eq!(frame.count(ClassId::SKY), 64 * 64);
     let expected = DOME_RADIANCE.to_array().map(|x| encoded(f64::from(x)).round() as u8);
@@ -99,24 +99,24 @@ fn the_sky_alone_is_sky_and_has_its_own_radiance() {
 }
 
 #[test]
-fn stars_are_sky() {
+fn stars_are_labelled_sky() {
     let frame = render(&scene(4, &["camera.pitch_deg=40", "sky.star_count=4000"]), 128, 4);
     assert_eq!(frame.count(ClassId::SKY), 128 * 128);
     assert!(frame.rgb.iter().filter(|value| **value > 200).count() > 100, "stars shine");
 }
 
 #[test]
-fn a_rock_before_the_lens_is_all_rock() {
+fn a_rock_that_fills_the_view_is_all_rock() {
     let mut scene = scene(4, &["rocks.count=0"]);
     scene.rocks = vec![ball(scene.camera.eye + Vec3::new(0.0, 25.0, 0.0), 24.0)].into();
     let frame = render(&scene, 64, 4);
     assert_eq!(frame.count(ClassId::ROCK), 64 * 64);
 }
 
-/// A ball at height H throws an ellipse of shadow: half width R across the sun, R / sin(elevation) along it, H /
-/// tan(elevation) away from the point under it.
+/// A ball at height H casts an ellipse: half axes R across the sun's direction and R / sin(elevation) along it, centred
+/// H / tan(elevation) from the point below the ball.
 #[test]
-fn the_shadow_of_a_ball_lies_where_geometry_puts_it() {
+fn the_shadow_of_a_ball_has_its_area_and_position() {
     for azimuth_deg in [0.0, 90.0, 120.0, 250.0] {
         let sun = Sun::new(17.0, azimuth_deg, 0.53, Vec3::splat(3.0));
         let (height_m, radius_m) = (4.0_f32, 1.0_f32);
@@ -145,10 +145,10 @@ fn the_shadow_of_a_ball_lies_where_geometry_puts_it() {
     }
 }
 
-/// Across the edge of the shadow of a ball at distance d the sun is uncovered over d x 2 tan(0.265 deg), by the area
-/// of a disc beyond a chord.
+/// The penumbra of a ball at distance d is d x 2 tan(0.265 deg) wide; across it the visible fraction of the sun is the area of a
+/// disc beyond a chord.
 #[test]
-fn the_penumbra_widens_with_distance_as_the_sun_s_disc_says() {
+fn the_penumbra_widens_with_distance_by_the_size_of_the_sun() {
     let sun = Sun::new(17.0, 90.0, 0.53, Vec3::splat(3.0));
     for distance_m in [2.0_f32, 5.0, 10.0, 40.0] {
         // The northern edge of the shadow: beside the middle of a ball so large that its outline is straight there.
@@ -176,7 +176,7 @@ fn the_penumbra_widens_with_distance_as_the_sun_s_disc_says() {
             n += 1;
         }
         // The width from a tenth to nine tenths of the sun, by interpolation between pixels.
-        let seen = |row: u32| {
+        let visible_at = |row: u32| {
             let i = (row * side + side / 2) as usize;
             let linear = |code: f64| {
                 let (mut low, mut high) = (0.0, 2.0);
@@ -190,9 +190,10 @@ fn the_penumbra_widens_with_distance_as_the_sun_s_disc_says() {
             (linear(f64::from(frame.rgb[3 * i])) - f64::from(dark)) / f64::from(lit - dark)
         };
         let row_at = |level: f64| {
-            let row =
-                (0..side - 1).find(|&row| seen(row) >= level && seen(row + 1) < level).expect("a crossing");
-            f64::from(row) + (seen(row) - level) / (seen(row) - seen(row + 1))
+            let row = (0..side - 1)
+                .find(|&row| visible_at(row) >= level && visible_at(row + 1) < level)
+                .expect("a crossing");
+            f64::from(row) + (visible_at(row) - level) / (visible_at(row) - visible_at(row + 1))
         };
         let metres_per_row = 5.0 * f64::from(width_m) / f64::from(side);
         let measured = (row_at(0.1) - row_at(0.9)) * metres_per_row;
@@ -220,7 +221,7 @@ fn flat_ground_at_grazing_sun_has_no_acne_and_no_leak_under_a_rock() {
         let metres_per_px = 2.0 * 20.0 * scene.camera.tan_half_fov / side as f32;
         let (lit, dark) = (ground_radiance(&sun, 1.0).x, ground_radiance(&sun, 0.0).x);
         let (lit, dark) = (encoded(f64::from(lit)), encoded(f64::from(dark)));
-        let (mut lit_seen, mut dark_seen) = (0, 0);
+        let (mut lit_count, mut dark_count) = (0, 0);
         for (i, pixel) in frame.rgb.chunks_exact(3).enumerate() {
             if frame.class[i] != ClassId::REGOLITH.0 {
                 continue;
@@ -232,20 +233,20 @@ fn flat_ground_at_grazing_sun_has_no_acne_and_no_leak_under_a_rock() {
             let value = f64::from(pixel[0]);
             if (along < -0.1 || across > 1.7) && p.length() > 1.6 {
                 assert!((value - lit).abs() <= 0.6, "{p} m, sun {elevation_deg}: {value} for {lit}");
-                lit_seen += 1;
+                lit_count += 1;
             } else if along > 0.0 && across < 1.3 && along < 1.9 && p.length() > 1.52 {
                 assert!((value - dark).abs() <= 0.6, "{p} m, sun {elevation_deg}: {value} for {dark}");
-                dark_seen += 1;
+                dark_count += 1;
             }
         }
-        assert!(lit_seen > 5000 && dark_seen > 100, "{lit_seen} lit, {dark_seen} dark");
+        assert!(lit_count > 5000 && dark_count > 100, "{lit_count} lit, {dark_count} dark");
     }
 }
 
-/// The shader's laws against those of the library, which the golden values check: level ground all around the camera, from
-/// straight down to grazing, at high and low sun.
+/// The photometric laws of the shader compared with their CPU counterparts, which golden values check: level ground all around
+/// the camera, from straight down to grazing, at high and low sun.
 #[test]
-fn every_law_is_that_of_the_library() {
+fn every_photometric_law_equals_its_cpu_counterpart() {
     let mut worst = 0.0_f64;
     for (law, _) in Law::ALL.into_iter().filter(|(law, _)| *law != Law::OrenNayar) {
         for (elevation_deg, pitch_deg) in [(60.0, -80.0), (17.0, -20.0), (5.0, -35.0)] {
@@ -284,13 +285,13 @@ fn every_law_is_that_of_the_library() {
     assert!((1e-6..0.01).contains(&worst), "off by {worst}");
 }
 
-/// Hapke's ground over phases from 0 to 90 degrees, looked at from straight above and at 45 degrees; from above, the surge
+/// Hapke's ground over phases from 0 to 90 degrees, viewed from straight above and at 45 degrees; from above, the surge
 /// from 5 to 0 degrees (Buratti 1996, Shkuratov 1998: 1.3 to 1.5 for the Moon).
 #[test]
-fn opposition_surge_is_that_of_hapkes_law() {
+fn the_opposition_surge_follows_hapkes_law() {
     let mut worst = 0.0_f64;
     for (pitch_deg, limit_deg) in [(-89.999, 89.0), (-45.0, 90.0)] {
-        let look = |phase_deg: f64| {
+        let measure = |phase_deg: f64| {
             // The sun moves from behind the camera over the zenith.
             let elevation_deg = -pitch_deg + phase_deg;
             let (elevation_deg, azimuth_deg) =
@@ -312,21 +313,22 @@ fn opposition_surge_is_that_of_hapkes_law() {
             (found, 0.2 * factor / std::f64::consts::PI)
         };
         for phase_deg in [0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 75.0, 90.0_f64] {
-            let (found, expected) = look(phase_deg.min(limit_deg));
+            let (found, expected) = measure(phase_deg.min(limit_deg));
             worst = worst.max((found / expected - 1.0).abs());
         }
-        // Seen from above the incidence hardly changes with the phase: what is left is the surge.
+        // From above the incidence hardly changes with the phase, so the ratio is the surge.
         if pitch_deg < -89.0 {
-            let surge = look(0.0).0 / look(5.0).0;
+            let surge = measure(0.0).0 / measure(5.0).0;
             assert!((1.3..=1.5).contains(&surge), "{surge}");
         }
     }
     assert!((1e-6..0.02).contains(&worst), "off by {worst}");
 }
 
-/// A full Earth gives 1.1e-4 of the sun's light: at most 4e-4 of what ground has that a sun at 17 degrees shines on.
+/// A full Earth gives 1.1e-4 of the sun's light: shadows then have at most 4e-4 of the radiance of ground lit by a sun at 17
+/// degrees.
 #[test]
-fn earthshine_lights_what_the_sun_does_not() {
+fn earthshine_lights_the_shadows() {
     let dark_and_lit = |earthshine: &str| {
         let shining = scene(1, &[earthshine, "sky.glow=0", "sun.elevation_deg=17"]);
         let mut scene = flat_scene(
@@ -339,16 +341,16 @@ fn earthshine_lights_what_the_sun_does_not() {
         let mut settings = RenderSettings::new([64, 64], 1).expect("settings");
         settings.annotations = [Annotation::Hdr, Annotation::Shadow].into_iter().collect();
         let frame = renderer().render(&scene, &settings).expect("a frame").0;
-        [255, 0].map(|hidden| {
+        [255, 0].map(|occlusion| {
             let pixels = (0..frame.class.len())
-                .filter(|p| frame.class[*p] == ClassId::REGOLITH.0 && frame.sun_occlusion[*p] == hidden);
+                .filter(|p| frame.class[*p] == ClassId::REGOLITH.0 && frame.sun_occlusion[*p] == occlusion);
             let values: Vec<f64> = pixels.map(|p| f64::from(frame.radiance[3 * p + 1].to_f32())).collect();
             assert!(values.len() > 20, "{} pixels", values.len());
             values.iter().sum::<f64>() / values.len() as f64
         })
     };
     let [dark, lit] = dark_and_lit("sky.earthshine=0");
-    // Where less than a 255th of the disc is seen there is a trace of sunlight.
+    // Less than a 255th of the disc may still be visible there.
     assert!(dark < 1e-5 * lit, "{dark}, {lit}");
     let without = dark;
     for share in [1.1e-4, 0.05] {
@@ -361,14 +363,14 @@ fn earthshine_lights_what_the_sun_does_not() {
     }
 }
 
-/// A barrel lens: every pixel of every plane is that of the pinhole's picture where the formula says, so that colour and
-/// labels move together.
+/// Through a barrel lens every plane is the pinhole image displaced by the distortion formula, so that colour and labels stay
+/// aligned.
 #[test]
 fn a_lens_moves_every_plane_by_the_formula() {
-    let asked = [Annotation::Depth, Annotation::Instances, Annotation::Hdr];
+    let annotations = [Annotation::Depth, Annotation::Instances, Annotation::Hdr];
     let take = |scene: &Scene| {
         let mut settings = RenderSettings::new([200, 160], 1).expect("settings");
-        settings.annotations = asked.into_iter().collect();
+        settings.annotations = annotations.into_iter().collect();
         renderer().render(scene, &settings).expect("a frame").0
     };
     for stage in ["nominal", "surface"] {
@@ -380,7 +382,7 @@ fn a_lens_moves_every_plane_by_the_formula() {
         assert_eq!(plain.geometry_hash(), bent.geometry_hash());
         let lens = bent.camera.lens;
         let (focal, middle) = (straight.focal_px, [100.0, 80.0]);
-        let (mut compared, mut alike, mut furthest) = (0.0, 0.0, 0.0_f64);
+        let (mut compared, mut equal, mut furthest) = (0.0, 0.0, 0.0_f64);
         for pixel in 0..200 * 160 {
             let at = [(pixel % 200) as f64 + 0.5, (pixel / 200) as f64 + 0.5];
             let across = [0, 1].map(|axis| (at[axis] - middle[axis]) / focal);
@@ -394,7 +396,7 @@ fn a_lens_moves_every_plane_by_the_formula() {
             let source = from[1] as usize * 200 + from[0] as usize;
             compared += 1.0;
             furthest = furthest.max((from[0] - at[0]).hypot(from[1] - at[1]));
-            // The depth is that of a place up to half a pixel away.
+            // Depth comes from a point up to half a pixel away.
             let (column, row) = (source % 200, source / 200);
             let around = (row.max(1) - 1..=row + 1)
                 .flat_map(|row| (column.max(1) - 1..=column + 1).map(move |c| row * 200 + c));
@@ -407,16 +409,16 @@ fn a_lens_moves_every_plane_by_the_formula() {
                 && moved.instances[pixel] == straight.instances[source]
                 && moved.depth_m[pixel] >= low * (1.0 - 1e-3)
                 && moved.depth_m[pixel] <= high * (1.0 + 1e-3);
-            alike += f64::from(u8::from(same));
+            equal += f64::from(u8::from(same));
         }
         assert!(compared > 20_000.0 && furthest > 5.0, "{compared} pixels, {furthest} px at most");
-        // The wider picture rounds its triangles' corners elsewhere.
-        assert!(alike / compared > 0.998, "{stage}: {alike} of {compared} are the source's");
+        // The wider image rounds its vertices to other subpixel positions.
+        assert!(equal / compared > 0.998, "{stage}: {equal} of {compared} are the source's");
     }
 }
 
 #[test]
-fn depth_through_a_lens_is_that_of_the_middle_of_the_pixel() {
+fn depth_through_a_lens_is_that_of_the_pixel_centre() {
     let mut scene =
         scene(3, &["terrain.amplitude_m=0", "craters.count=0", "rocks.count=0", "camera.pitch_deg=-30"]);
     scene.camera.lens = Lens { k1: -0.1, k2: 0.02, p1: 0.004, ..Lens::default() };
@@ -445,7 +447,7 @@ fn depth_through_a_lens_is_that_of_the_middle_of_the_pixel() {
 
 /// The shadow of a wall of height h ends in a penumbra h x 0.0093 / sin^2(elevation) wide on level ground.
 #[test]
-fn the_penumbra_of_a_wall_has_its_width_at_every_elevation() {
+fn the_penumbra_of_a_wall_has_its_width_at_every_sun_elevation() {
     let wall_m = 4.0_f32;
     for elevation_deg in [5.0_f32, 10.0, 17.0, 30.0] {
         let sun = Sun::new(f64::from(elevation_deg), 90.0, 0.53, Vec3::ONE);
@@ -459,12 +461,13 @@ fn the_penumbra_of_a_wall_has_its_width_at_every_elevation() {
         let mut settings = RenderSettings::new([256, 64], 1).expect("settings");
         settings.annotations = [Annotation::Shadow].into_iter().collect();
         let frame = renderer().render(&scene, &settings).expect("a frame").0;
-        // From the right, which is in shadow, to the left: where a tenth and nine tenths of the disc are hidden.
-        let hidden: Vec<f32> =
+        // From the right, which is in shadow, to the left: where a tenth and nine tenths of the disc are occluded.
+        let occlusion: Vec<f32> =
             (0..256).map(|x| f32::from(frame.sun_occlusion[32 * 256 + x]) / 255.0).collect();
         let crossing = |level: f32| {
-            let x = (0..255).find(|&x| hidden[x] <= level && hidden[x + 1] > level).expect("a crossing");
-            x as f32 + (level - hidden[x]) / (hidden[x + 1] - hidden[x])
+            let x =
+                (0..255).find(|&x| occlusion[x] <= level && occlusion[x + 1] > level).expect("a crossing");
+            x as f32 + (level - occlusion[x]) / (occlusion[x + 1] - occlusion[x])
         };
         let measured_m = (crossing(0.9) - crossing(0.1)) * 3.0 * width_m / 256.0;
         // Of a disc that a straight edge crosses, the middle 80 % of the area take 0.687 of the way.

@@ -336,7 +336,7 @@ fn a_wrong_configuration_is_refused_before_anything_is_written() {
         (vec![], "--count"),
         (vec!["--count", "0"], "from 1 to 4294967296"),
         (vec!["--count", "many"], "--count"),
-        (vec!["--count", "2", "--start", "4294967295"], "none after number 4294967295"),
+        (vec!["--count", "2", "--start", "4294967295"], "none after index 4294967295"),
         (vec!["--count", "1", "--shard", "2/2"], "I/N"),
         (vec!["--count", "1", "--shard", "half"], "I/N"),
         (vec!["--count", "1", "--split", "train=1"], "--split"),

@@ -1,6 +1,6 @@
-//! The surface stage against the published numbers: relief, craters, rocks, light.
+//! The surface stage compared with published values: relief, craters, rocks, light.
 
-#![allow(clippy::print_stdout, reason = "figures for people who run it with --nocapture")]
+#![allow(clippy::print_stdout, reason = "measurements for runs with --nocapture")]
 
 use std::sync::Arc;
 
@@ -33,7 +33,7 @@ const STEP_M: f32 = 0.005;
 /// Samples along its side.
 const SIDE: usize = 500;
 
-/// Heights of a square of 2.5 m, everything the function has.
+/// Heights on a square of 2.5 m, at full detail.
 fn heights(relief: &Relief, corner: Vec2) -> Vec<f32> {
     let half = 0.5 * STEP_M * SIDE as f32;
     let nearby = relief.nearby(corner + half, 1.5 * half, 1e-4);
@@ -45,14 +45,14 @@ fn heights(relief: &Relief, corner: Vec2) -> Vec<f32> {
     heights
 }
 
-/// Median slope, degrees, between samples so many steps apart along x.
+/// Median slope, degrees, between samples that are `steps` apart along x.
 fn median_slope_deg(heights: &[f32], steps: usize) -> f64 {
     let rows = heights.chunks_exact(SIDE).step_by(3);
     let rises = rows.flat_map(|row| row.iter().zip(&row[steps..]).map(|(a, b)| f64::from((b - a).abs())));
     (median(rises.collect()) / (steps as f64 * f64::from(STEP_M))).atan().to_degrees()
 }
 
-/// Deviations from the plane that fits best, of windows of 125 mm.
+/// Standard deviation of the heights in windows of 125 mm from their best-fitting planes, mm.
 fn window_deviations_mm(heights: &[f32]) -> Vec<f64> {
     const WINDOW: usize = 25;
     let middle = (WINDOW as f64 - 1.0) / 2.0;
@@ -111,7 +111,7 @@ fn ground_has_the_measured_relief() {
 }
 
 #[test]
-fn knobs_of_the_relief_do_what_they_say() {
+fn relief_knobs_set_the_slope() {
     for (deg, hurst) in [(7.0, 0.85), (13.0, 0.6)] {
         let set = [format!("relief.slope_deg={deg}"), format!("relief.hurst={hurst}")];
         let set: Vec<&str> = set.iter().map(String::as_str).collect();
@@ -124,21 +124,21 @@ fn knobs_of_the_relief_do_what_they_say() {
     }
 }
 
-/// What a coarser mesh leaves out is left out smoothly: the function changes little where the cell does.
+/// Detail below the cell size fades out smoothly: the height changes little when the cell size does.
 #[test]
 fn detail_fades_without_a_step() {
     let relief = relief(4, &[]);
     let mut worst = 0.0_f32;
     for k in 0..400_u16 {
-        let place = Vec2::new(f32::from(k) * 0.37, f32::from(k % 17) * 1.3);
+        let point = Vec2::new(f32::from(k) * 0.37, f32::from(k % 17) * 1.3);
         let cell_m = 0.01 * 1.02_f32.powi(i32::from(k));
-        let (fine, coarse) = (relief.height_at(place, cell_m), relief.height_at(place, 1.02 * cell_m));
+        let (fine, coarse) = (relief.height_at(point, cell_m), relief.height_at(point, 1.02 * cell_m));
         worst = worst.max((fine - coarse).abs() / cell_m);
     }
     assert!(worst < 0.06, "a change of 2 % of the cell moves the ground by {worst} cells");
 }
 
-/// A camera that drives ahead makes another mesh, which shows the same ground: no swimming. In pixels of a picture 512 wide.
+/// A camera that drives ahead gets another mesh of the same ground, which must not swim. In pixels of an image 512 wide.
 #[test]
 fn ground_does_not_swim_as_the_camera_drives() {
     let (first, second) = (scene(6, &[SURFACE]), scene(6, &[SURFACE, "camera.y_m=-89.75"]));
@@ -150,25 +150,25 @@ fn ground_does_not_swim_as_the_camera_drives() {
         let distance_m = 4.0 * 100.0_f64.powf(f64::from(k) / 4000.0);
         let angle = (f64::from(k % 41) - 20.0).to_radians();
         let offset = distance_m * glam::DVec2::new(angle.sin(), angle.cos());
-        let place = first.camera.eye.truncate() + offset.as_vec2();
-        let [a, b] = [&first, &second].map(|scene| f64::from(scene.terrain.surface_height_at(place)));
+        let point = first.camera.eye.truncate() + offset.as_vec2();
+        let [a, b] = [&first, &second].map(|scene| f64::from(scene.terrain.surface_height_at(point)));
         shifts_px.push((a - b).abs() * focal_px / distance_m);
     }
     shifts_px.sort_by(f64::total_cmp);
-    let [median, most] = [shifts_px.len() / 2, shifts_px.len() * 99 / 100].map(|place| shifts_px[place]);
+    let [median, p99] = [shifts_px.len() / 2, shifts_px.len() * 99 / 100].map(|index| shifts_px[index]);
     println!(
-        "the ground moves by {median:.3} px in the median, 99 % by up to {most:.3}, all {:.3}",
+        "the ground moves by {median:.3} px in the median, 99 % by up to {p99:.3}, all {:.3}",
         shifts_px[3999]
     );
     assert!(
-        median < 0.05 && most < 0.25,
-        "the ground moves by {median} px in the median, 99 % by up to {most}"
+        median < 0.05 && p99 < 0.25,
+        "the ground moves by {median} px in the median, 99 % by up to {p99}"
     );
 }
 
-fn pits(seed: u64, set: &[&str], radius_m: f32, least_m: f32) -> Vec<Pit> {
+fn pits(seed: u64, set: &[&str], radius_m: f32, min_diameter_m: f32) -> Vec<Pit> {
     let mut found = Vec::new();
-    relief(seed, set).craters.around(Vec2::ZERO, radius_m, least_m, |pit| {
+    relief(seed, set).craters.around(Vec2::ZERO, radius_m, min_diameter_m, |pit| {
         if pit.offset.length() < radius_m && pit.depth > 0.0 {
             found.push(pit);
         }
@@ -178,7 +178,7 @@ fn pits(seed: u64, set: &[&str], radius_m: f32, least_m: f32) -> Vec<Pit> {
 
 /// Trask 1966: N(>D) = 0.0794 D^-2 a square metre; Wu et al. 2021: mean depth over diameter 0.061.
 #[test]
-fn craters_are_in_equilibrium() {
+fn craters_have_the_equilibrium_density_and_depth() {
     let mut counts = Vec::new();
     let (mut depths, mut fresh) = (Vec::new(), 0.0);
     for (radius_m, diameters) in [
@@ -225,7 +225,7 @@ fn crater_profile_has_its_published_values() {
 }
 
 #[test]
-fn more_craters_leave_the_others_where_they_were() {
+fn a_higher_density_adds_craters_and_moves_none() {
     let (few, many) =
         (pits(5, &["craters.density=0.6"], 40.0, 1.0), pits(5, &["craters.density=1.2"], 40.0, 1.0));
     assert!(many.len() > few.len());
@@ -234,7 +234,7 @@ fn more_craters_leave_the_others_where_they_were() {
     }
 }
 
-/// The rocks near the camera, where all sizes are made, of many seeds.
+/// Diameters of the rocks near the camera, where all sizes are generated, for many seeds.
 fn diameters(seeds: std::ops::Range<u64>, set: &[&str], radius_m: f32) -> Vec<f64> {
     let set: Vec<&str> =
         [SURFACE, "camera.pitch_deg=-89", "craters.fresh_share=0"].iter().chain(set).copied().collect();
@@ -250,43 +250,41 @@ fn diameters(seeds: std::ops::Range<u64>, set: &[&str], radius_m: f32) -> Vec<f6
     found
 }
 
-/// Li and Wu 2018 from 10 cm up, the Surveyors' power law below; counts are Poisson's.
+/// Li and Wu 2018 above 10 cm, the power law of the Surveyors below; counts have a Poisson distribution.
 #[test]
 fn rocks_follow_the_lunar_law() {
     for (coverage, set) in [(0.008, "rocks.coverage=0.008"), (0.05, "rocks.coverage=0.05")] {
         let radius_m = 12.0;
         let mut found = diameters(0..20, &[set], radius_m);
         let area_m2 = 20.0 * std::f64::consts::PI * f64::from(radius_m).powi(2);
-        let least_m = 0.10;
-        let expected = area_m2 * rocks_larger_than(least_m, coverage);
-        found.retain(|diameter| *diameter > least_m);
+        let min_m = 0.10;
+        let expected = area_m2 * rocks_larger_than(min_m, coverage);
+        found.retain(|diameter| *diameter > min_m);
         println!("coverage {coverage}: {} rocks of more than 10 cm, {expected:.0} expected", found.len());
         assert!(
             (found.len() as f64 - expected).abs() < 2.576 * expected.sqrt(),
             "{} for {expected}",
             found.len()
         );
-        // Kolmogorov and Smirnov, at one in a hundred.
+        // Kolmogorov-Smirnov test at a level of 0.01.
         found.sort_by(f64::total_cmp);
         let n = found.len() as f64;
-        let law = |diameter: f64| {
-            1.0 - rocks_larger_than(diameter, coverage) / rocks_larger_than(least_m, coverage)
-        };
+        let law =
+            |diameter: f64| 1.0 - rocks_larger_than(diameter, coverage) / rocks_larger_than(min_m, coverage);
         let distance = found.iter().enumerate().fold(0.0_f64, |worst, (i, diameter)| {
             let i = i as f64;
             worst.max((law(*diameter) - i / n).abs()).max(((i + 1.0) / n - law(*diameter)).abs())
         });
         assert!(distance * n.sqrt() < 1.63, "{distance} over {n} rocks");
     }
-    // Values tabled from the law: rocks of more than 10 cm on 100 m^2.
+    // Tabulated values of the law: rocks larger than 10 cm per 100 m^2.
     for (coverage, per_100_m2) in [(0.0021, 4.4), (0.005, 9.0), (0.01, 14.0), (0.05, 40.0), (0.1, 69.0)] {
         let found = 100.0 * rocks_larger_than(0.1, coverage);
         assert!((found / per_100_m2 - 1.0).abs() < 0.06, "{found} at {coverage}");
     }
 }
 
-/// Tsuchiyama-like shape statistics: the height that stands out over the diameter, half of them within 0.41 to 0.57 (136
-/// scanned rocks of POLAR-digital).
+/// Exposed height over diameter: the middle half of 136 scanned rocks (POLAR-digital) lies within 0.41 to 0.57.
 #[test]
 fn rocks_stand_out_by_about_half_their_diameter() {
     let mut ratios = Vec::new();
@@ -317,24 +315,24 @@ fn rocks_lie_closer_around_fresh_craters() {
                 fresh.push(pit);
             }
         });
-        // Sizes that are made everywhere within 25 m.
+        // Sizes that are generated everywhere within 25 m.
         let large = |rock: &&regolith::scene::rocks::Rock| (0.05..0.10).contains(&(2.0 * rock.base_scale_m));
-        let ring = |place: Vec2| {
+        let ring = |point: Vec2| {
             fresh.iter().any(|pit| {
-                let r = 2.0 * (place - scene.terrain.centre).distance(pit.offset) / pit.diameter_m;
+                let r = 2.0 * (point - scene.terrain.centre).distance(pit.offset) / pit.diameter_m;
                 (1.0..2.0).contains(&r)
             })
         };
         for i in 0..40_000_u32 {
-            let place = Vec2::new((i % 200) as f32 - 100.0, (i / 200) as f32 - 100.0) * 0.4;
-            if place.length() < 25.0 && place.y > place.x.abs() {
-                let to = if ring(scene.terrain.centre + place) { &mut inside_m2 } else { &mut outside_m2 };
+            let point = Vec2::new((i % 200) as f32 - 100.0, (i / 200) as f32 - 100.0) * 0.4;
+            if point.length() < 25.0 && point.y > point.x.abs() {
+                let to = if ring(scene.terrain.centre + point) { &mut inside_m2 } else { &mut outside_m2 };
                 *to += 0.16;
             }
         }
         for rock in scene.rocks.iter().filter(large) {
-            let place = rock.centre.truncate() - scene.terrain.centre;
-            if place.length() < 25.0 && place.y > place.x.abs() {
+            let point = rock.centre.truncate() - scene.terrain.centre;
+            if point.length() < 25.0 && point.y > point.x.abs() {
                 let to = if ring(rock.centre.truncate()) { &mut inside } else { &mut outside };
                 *to += 1.0;
             }
@@ -358,7 +356,7 @@ fn rocks_are_brighter_and_darker_than_the_soil() {
 }
 
 #[test]
-fn no_rock_floats_and_every_one_is_a_star_shaped_solid() {
+fn no_rock_floats_and_each_has_the_vertices_of_its_level() {
     for seed in 0..4 {
         let scene = scene(seed, &[SURFACE]);
         assert!(scene.rocks.len() > 500, "{}", scene.rocks.len());
@@ -376,15 +374,15 @@ fn no_rock_floats_and_every_one_is_a_star_shaped_solid() {
     }
 }
 
-/// A rock is where it is from wherever it is looked at.
+/// The scene does not depend on where the camera looks.
 #[test]
 fn turning_the_camera_moves_no_rock() {
     let (ahead, aside) = (scene(6, &[SURFACE]), scene(6, &[SURFACE, "camera.yaw_deg=20"]));
-    let places = |scene: &Scene| -> Vec<[u32; 2]> {
+    let positions = |scene: &Scene| -> Vec<[u32; 2]> {
         scene.rocks.iter().map(|rock| rock.centre.truncate().to_array().map(f32::to_bits)).collect()
     };
-    let (first, second) = (places(&ahead), places(&aside));
-    let shared = first.iter().filter(|place| second.contains(place)).count();
+    let (first, second) = (positions(&ahead), positions(&aside));
+    let shared = first.iter().filter(|point| second.contains(point)).count();
     assert!(shared as f64 > 0.4 * first.len() as f64, "{shared} of {}", first.len());
 }
 
@@ -405,8 +403,8 @@ fn fifty_seeds_have_no_unlabelled_pixel() {
     }
 }
 
-/// Real skies over sunlit ground are 0 to 2 of 255. Path tracing leaves cast shadows below 1 % of lit soil, and rock faces that
-/// the sun does not see at 1 to 8 %.
+/// Real skies over sunlit ground are 0 to 2 of 255. In path-traced frames cast shadows are below 1 % of lit soil, and rock faces that
+/// the sun does not reach are at 1 to 8 %.
 #[test]
 fn sky_is_black_and_shadows_are_dark() {
     for seed in [1, 5] {
@@ -436,20 +434,20 @@ fn sky_is_black_and_shadows_are_dark() {
     }
 }
 
-/// A label rule is about the rock: it takes whole rocks out, and leaves the picture as it is.
+/// A label rule removes whole rocks from the labels and does not change the image.
 #[test]
-fn label_rules_take_whole_rocks_out() {
+fn label_rules_remove_whole_rocks() {
     let all = scene(3, &[SURFACE]);
     let few = scene(3, &[SURFACE, "label.min_pixels=30", "label.min_diameter_m=0.05"]);
     let (before, after) =
         (frame(&all, 192, &[Annotation::Instances]), frame(&few, 192, &[Annotation::Instances]));
-    assert!(before.rgb == after.rgb, "the picture changes");
+    assert!(before.rgb == after.rgb, "the image changes");
     let mut kept = 0;
     for label in &before.rocks {
         let pixels = before.instances.iter().enumerate().filter(|(_, id)| **id == label.instance);
         let pixels: Vec<usize> = pixels.map(|(pixel, _)| pixel).collect();
         let still = pixels.iter().filter(|pixel| after.class[**pixel] == ClassId::ROCK.0).count();
-        // At the outline of a rock the votes of the samples may fall the other way.
+        // At the outline of a rock the majority of the samples may change.
         assert!(
             still == 0 || 2 * still > pixels.len(),
             "rock {} is cut: {still} of {}",
@@ -462,14 +460,14 @@ fn label_rules_take_whole_rocks_out() {
     assert_eq!(few.geometry_hash(), all.geometry_hash());
 }
 
-/// The planes for planners against the scene itself.
+/// Hazard planes compared with values computed from the scene.
 #[test]
-fn hazard_planes_are_those_of_the_scene() {
+fn hazard_planes_agree_with_the_scene() {
     use regolith::render::post::hazards::{
         CRATER_INTERIOR, CRATER_RIM, FiveClasses, MOUNTAIN_FROM_M, SLOPE_BASELINE_M,
     };
     let scene = scene(11, &[SURFACE, "camera.pitch_deg=-15"]);
-    let asked = [
+    let annotations = [
         Annotation::Slope,
         Annotation::Craters,
         Annotation::Angles,
@@ -478,7 +476,7 @@ fn hazard_planes_are_those_of_the_scene() {
         Annotation::Normals,
         Annotation::Instances,
     ];
-    let frame = frame(&scene, 160, &asked);
+    let frame = frame(&scene, 160, &annotations);
     let camera = &scene.camera;
     let focal = camera.focal_px(160) as f32;
     let mut craters = Vec::new();
@@ -488,9 +486,9 @@ fn hazard_planes_are_those_of_the_scene() {
             craters.push((scene.terrain.centre + pit.offset, 0.5 * pit.diameter_m));
         }
     });
-    let mut seen = [0_u32; 5];
+    let mut counts = [0_u32; 5];
     for pixel in 0..frame.class.len() {
-        seen[usize::from(frame.five_classes[pixel])] += 1;
+        counts[usize::from(frame.five_classes[pixel])] += 1;
         let collapsed = match frame.five_classes[pixel] {
             FiveClasses::CRATER | FiveClasses::MOUNTAIN => ClassId::REGOLITH.0,
             id => id,
@@ -498,7 +496,7 @@ fn hazard_planes_are_those_of_the_scene() {
         assert_eq!(collapsed, frame.class[pixel], "five classes collapse to three");
         let (x, y) = ((pixel % 160) as f32 - 79.5, (pixel / 160) as f32 - 79.5);
         let ray = camera.forward + x / focal * camera.right - y / focal * camera.up;
-        let place = camera.eye + frame.depth_m[pixel] * ray;
+        let point = camera.eye + frame.depth_m[pixel] * ray;
         if frame.class[pixel] == ClassId::SKY.0 {
             assert!(frame.slope_deg[pixel].is_nan() && frame.phase_deg[pixel].is_nan());
             continue;
@@ -509,20 +507,20 @@ fn hazard_planes_are_those_of_the_scene() {
         let incidence = normal.dot(scene.sun.direction).clamp(-1.0, 1.0).acos().to_degrees();
         assert!((frame.incidence_deg[pixel] - incidence).abs() < 0.05, "{incidence}");
         if frame.class[pixel] != ClassId::REGOLITH.0 {
-            assert_eq!(frame.craters[pixel], 0, "rocks are no craters");
+            assert_eq!(frame.craters[pixel], 0, "a rock is not part of a crater");
             continue;
         }
         let half = 0.5 * SLOPE_BASELINE_M;
-        let height = |x: f32, y: f32| scene.terrain.surface_height_at(place.truncate() + Vec2::new(x, y));
+        let height = |x: f32, y: f32| scene.terrain.surface_height_at(point.truncate() + Vec2::new(x, y));
         let rise = Vec2::new(height(half, 0.0) - height(-half, 0.0), height(0.0, half) - height(0.0, -half));
         let slope = (rise / SLOPE_BASELINE_M).length().atan().to_degrees();
         assert!((frame.slope_deg[pixel] - slope).abs() < 0.5, "{} and {slope}", frame.slope_deg[pixel]);
         let nearest = craters
             .iter()
-            .map(|(centre, radius)| place.truncate().distance(*centre) / radius)
+            .map(|(centre, radius)| point.truncate().distance(*centre) / radius)
             .fold(f32::INFINITY, f32::min);
-        // Near, for the list's sake, and not where a rounding decides.
-        let is_near = place.distance(camera.eye) < 90.0;
+        // Only as far as the list of craters reaches, and not where rounding decides.
+        let is_near = point.distance(camera.eye) < 90.0;
         if is_near && [1.0, 1.3].iter().all(|edge: &f32| (nearest - edge).abs() > 1e-3) {
             let expected = if nearest < 1.0 {
                 CRATER_INTERIOR
@@ -534,9 +532,9 @@ fn hazard_planes_are_those_of_the_scene() {
             assert_eq!(frame.craters[pixel], expected, "{nearest} radii from a centre");
         }
         let far = frame.five_classes[pixel] == FiveClasses::MOUNTAIN;
-        assert!(!far || place.distance(camera.eye) >= MOUNTAIN_FROM_M * 0.999);
+        assert!(!far || point.distance(camera.eye) >= MOUNTAIN_FROM_M * 0.999);
     }
-    assert!(seen[0] > 1000 && seen[1] > 20 && seen[2] > 100 && seen[3] > 100, "{seen:?}");
+    assert!(counts[0] > 1000 && counts[1] > 20 && counts[2] > 100 && counts[3] > 100, "{counts:?}");
     for rock in &frame.rocks {
         let of = &scene.rocks[usize::from(rock.instance) - 1];
         assert!((rock.diameter_m / (2.0 * of.base_scale_m) - 1.0).abs() < 0.01, "{rock:?}");
@@ -544,8 +542,8 @@ fn hazard_planes_are_those_of_the_scene() {
     }
 }
 
-/// Contrast of a class in a band of 1 to 4 pixels, relative to its brightness: what blurring with 1 and with 4 pixels leaves
-/// between, over pixels whose surroundings are of that class.
+/// Contrast of a class at scales of 1 to 4 pixels, relative to its mean: the RMS difference between the image and a blurred copy,
+/// over lit pixels whose surroundings are of that class.
 fn band_contrast(frame: &Frame, side: usize, class: u8, phases_deg: [f32; 2]) -> Option<f64> {
     let value = |pixel: usize| f64::from(frame.radiance[3 * pixel + 1].to_f32());
     let mean = |x: usize, y: usize, reach: usize| {
@@ -555,10 +553,10 @@ fn band_contrast(frame: &Frame, side: usize, class: u8, phases_deg: [f32; 2]) ->
     };
     let (mut squares, mut sum, mut n) = (0.0, 0.0, 0.0);
     for (y, x) in (4..side - 4).flat_map(|y| (4..side - 4).map(move |x| (y, x))) {
-        let alike = (y - 2..=y + 2).all(|y| (x - 2..=x + 2).all(|x| frame.class[y * side + x] == class));
+        let is_uniform = (y - 2..=y + 2).all(|y| (x - 2..=x + 2).all(|x| frame.class[y * side + x] == class));
         let lit = (y - 2..=y + 2).all(|y| (x - 2..=x + 2).all(|x| frame.sun_occlusion[y * side + x] < 128));
         let phase_deg = frame.phase_deg[y * side + x];
-        if alike && lit && phases_deg[0] <= phase_deg && phase_deg <= phases_deg[1] {
+        if is_uniform && lit && phases_deg[0] <= phase_deg && phase_deg <= phases_deg[1] {
             squares += (value(y * side + x) - mean(x, y, 2)).powi(2);
             sum += value(y * side + x);
             n += 1.0;
@@ -611,7 +609,7 @@ fn smith_shadow(slope: f64, mu: f64) -> f64 {
 }
 
 #[test]
-fn smiths_formula_has_its_tabled_values() {
+fn smiths_formula_has_its_tabulated_values() {
     for (elevation, slope, expected) in
         [(5.0, 10.0, 0.51), (10.0, 10.0, 0.22), (17.0, 15.0, 0.17), (30.0, 20.0, 0.07)]
     {
@@ -621,9 +619,9 @@ fn smiths_formula_has_its_tabled_values() {
     }
 }
 
-/// A Gaussian surface (waves of random directions and phases) seen from straight above.
+/// A Gaussian surface (waves of random directions and phases) viewed from straight above.
 #[test]
-fn rough_ground_is_in_shadow_as_often_as_smith_says() {
+fn rough_ground_is_in_shadow_as_often_as_smiths_formula_says() {
     use regolith::scene::camera::Camera;
     use regolith::scene::sky::Sun;
     use regolith::scene::terrain::Terrain;
@@ -655,11 +653,12 @@ fn rough_ground_is_in_shadow_as_often_as_smith_says() {
                 Camera::new(glam::Vec3::new(0.0, 0.0, 2000.0), [-90.0, 0.0, 0.0], 8.0, 5000.0, 0.0);
             scene.sky.radius_m = 4000.0;
             let frame = frame(&scene, 256, &[Annotation::Shadow]);
-            let hidden = frame.sun_occlusion.iter().map(|value| f64::from(*value) / 255.0).sum::<f64>()
+            let occluded = frame.sun_occlusion.iter().map(|value| f64::from(*value) / 255.0).sum::<f64>()
                 / frame.sun_occlusion.len() as f64;
-            // The slopes that this piece of the surface has along the sun's direction.
-            let seen = terrain.vertices.iter().filter(|v| v.position.truncate().abs().max_element() < 139.0);
-            let squares: Vec<f64> = seen
+            // The slopes of this part of the surface along the sun's direction.
+            let visible =
+                terrain.vertices.iter().filter(|v| v.position.truncate().abs().max_element() < 139.0);
+            let squares: Vec<f64> = visible
                 .map(|v| {
                     f64::from(
                         v.normal.truncate().dot(scene.sun.direction.truncate().normalize()) / v.normal.z,
@@ -669,30 +668,30 @@ fn rough_ground_is_in_shadow_as_often_as_smith_says() {
                 .collect();
             let slope = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
             let expected = smith_shadow(slope, elevation_deg.to_radians().tan());
-            // The same by marching from places of the surface towards the sun.
+            // An independent value, by marching from points of the surface towards the sun.
             let towards = scene.sun.direction;
-            let is_hidden = |i: i32| {
-                let place = Vec2::new((i % 64 - 32) as f32, (i / 64 - 32) as f32) * 4.3;
-                let start = place.extend(terrain.surface_height_at(place) + 1e-3);
+            let is_occluded = |i: i32| {
+                let point = Vec2::new((i % 64 - 32) as f32, (i / 64 - 32) as f32) * 4.3;
+                let start = point.extend(terrain.surface_height_at(point) + 1e-3);
                 (1..1600).any(|step| {
                     let at = start + 0.1 * step as f32 * towards / towards.truncate().length();
                     terrain.surface_height_at(at.truncate()) > at.z
                 })
             };
-            let marched = (0..4096).filter(|i| is_hidden(*i)).count() as f64 / 4096.0;
+            let marched = (0..4096).filter(|i| is_occluded(*i)).count() as f64 / 4096.0;
             println!(
-                "slope {slope_deg}, sun {elevation_deg}: {hidden:.3} in shadow, marched {marched:.3}, Smith {expected:.3}"
+                "slope {slope_deg}, sun {elevation_deg}: {occluded:.3} in shadow, marched {marched:.3}, Smith {expected:.3}"
             );
-            worst = worst.max((hidden - marched).abs());
-            worst_formula = worst_formula.max((hidden - expected).abs());
+            worst = worst.max((occluded - marched).abs());
+            worst_formula = worst_formula.max((occluded - expected).abs());
         }
     }
     assert!(worst < 0.02, "off by {worst}");
-    // Smith takes heights and slopes as independent from place to place; marching differs from him by as much.
+    // Smith takes heights and slopes as independent of each other; marching differs from him by as much.
     assert!(worst_formula < 0.05, "off by {worst_formula} from Smith");
 }
 
-/// Slope of the power spectrum of ground in the picture, reported: real frames of Chang'e-3 have -1.6 to -2.2.
+/// Slope of the power spectrum of the ground in the image; real frames of Chang'e-3 have -1.6 to -2.2.
 #[test]
 fn ground_has_the_spectrum_of_a_photograph() {
     const PATCH: usize = 64;
@@ -702,7 +701,7 @@ fn ground_has_the_spectrum_of_a_photograph() {
         let frame = frame(&scene, 384, &[]);
         let value = |x: usize, y: usize| f64::from(frame.rgb[3 * (y * 384 + x) + 1]);
         for (x0, y0) in [(40, 200), (160, 220), (280, 260), (100, 300)] {
-            // Hann window, mean taken off; transform along rows, then along columns.
+            // Hann window after subtracting the mean; transform along rows, then along columns.
             let hann = |i: usize| 0.5 - 0.5 * (std::f64::consts::TAU * (i as f64 + 0.5) / PATCH as f64).cos();
             let mean = (0..PATCH * PATCH).map(|i| value(x0 + i % PATCH, y0 + i / PATCH)).sum::<f64>()
                 / (PATCH * PATCH) as f64;
@@ -751,8 +750,8 @@ fn ground_has_the_spectrum_of_a_photograph() {
     assert!((-3.0..=-1.2).contains(&slope), "{slope}");
 }
 
-/// The three classes of craters: radii of 14 to 40, 3 to 12 and 0.6 to 3 m, as many as asked for, and no other larger than
-/// 1.25 m.
+/// The three classes of craters: radii of 14 to 40, 3 to 12 and 0.6 to 3 m, in the numbers of the knobs, and no other
+/// larger than 1.25 m.
 #[test]
 fn craters_can_be_counted_by_class() {
     let relief = relief(7, &["craters.law=classes", "craters.small_count=250"]);
@@ -766,8 +765,8 @@ fn craters_can_be_counted_by_class() {
             r => panic!("a radius of {r} m"),
         };
         found[class] += 1;
-        let place = pit.offset + Vec2::new(0.0, -90.0);
-        assert!(place.abs().max_element() <= 383.0, "a crater at {place}");
+        let point = pit.offset + Vec2::new(0.0, -90.0);
+        assert!(point.abs().max_element() <= 383.0, "a crater at {point}");
         assert!((0.02..=0.15).contains(&pit.depth), "{}", pit.depth);
         let without = {
             let mut craters = relief.clone();
@@ -777,15 +776,15 @@ fn craters_can_be_counted_by_class() {
         deepened +=
             u32::from(relief.height_at(pit.offset, 0.05) < without - 0.5 * pit.depth * pit.diameter_m);
     });
-    // Of the small ones a few of 1.2 to 1.25 m are below what was asked for.
-    let asked = relief.craters.listed.iter().filter(|pit| pit.diameter_m > 1.25).count() as u32;
-    assert_eq!((found[0], found[1], found[2]), (7, 42, asked - 49));
-    assert_eq!((relief.craters.listed.len(), deepened), (7 + 42 + 250, asked));
+    // A few of the small ones, of 1.2 to 1.25 m, are below the smallest diameter of the search.
+    let expected = relief.craters.listed.iter().filter(|pit| pit.diameter_m > 1.25).count() as u32;
+    assert_eq!((found[0], found[1], found[2]), (7, 42, expected - 49));
+    assert_eq!((relief.craters.listed.len(), deepened), (7 + 42 + 250, expected));
 }
 
-/// The four bands of rocks: radii of 1.6 to 3.4, 0.5 to 1.4, 0.18 to 0.5 and 0.04 to 0.18 m, as many as asked for.
+/// The four bands of rocks: radii of 1.6 to 3.4, 0.5 to 1.4, 0.18 to 0.5 and 0.04 to 0.18 m, in the numbers of the knobs.
 #[test]
-fn rocks_can_be_counted_by_band_and_more_of_one_move_no_other_thing() {
+fn rocks_can_be_counted_by_band_and_more_of_one_band_move_nothing_else() {
     let bands = [
         "rocks.law=bands",
         "craters.law=classes",

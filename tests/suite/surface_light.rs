@@ -1,6 +1,6 @@
-//! The light of the surface stage against the published numbers: contrast of the soil, colour, exposure, stars.
+//! The light of the surface stage compared with published values: contrast of the soil, colour, exposure, stars.
 
-#![allow(clippy::print_stdout, reason = "figures for people who run it with --nocapture")]
+#![allow(clippy::print_stdout, reason = "measurements for runs with --nocapture")]
 
 use regolith::class::ClassId;
 use regolith::frame::{Annotation, Frame};
@@ -34,19 +34,19 @@ fn green(frame: &Frame, pixel: usize) -> f64 {
     f64::from(frame.radiance[3 * pixel + 1].to_f32())
 }
 
-/// Side of the patches that the soil's contrast is taken over, pixels: 0.22 m here, so that neither hills nor the change of
-/// phase over a picture count.
+/// Side of the patches in which contrast is measured, pixels: 0.22 m here, so that neither hills nor the change of phase across
+/// the image contribute.
 const PATCH: usize = 16;
 
-/// Deviation over mean of the linear picture of the soil, patch by patch, where the phase is at most this.
-fn soil_variation(frame: &Frame, most_phase_deg: f32) -> Vec<f64> {
+/// Standard deviation over mean of the linear radiance of each soil patch whose phase is at most `max_phase_deg`.
+fn soil_variation(frame: &Frame, max_phase_deg: f32) -> Vec<f64> {
     let side = frame.width as usize;
     let patches = side / PATCH;
     let mut found = Vec::new();
     for (row, column) in (0..patches).flat_map(|row| (0..patches).map(move |column| (row, column))) {
         let first = PATCH * (row * side + column);
         let pixels: Vec<usize> = (0..PATCH * PATCH).map(|i| first + i / PATCH * side + i % PATCH).collect();
-        if pixels.iter().any(|p| frame.class[*p] != REGOLITH || frame.phase_deg[*p] > most_phase_deg) {
+        if pixels.iter().any(|p| frame.class[*p] != REGOLITH || frame.phase_deg[*p] > max_phase_deg) {
             continue;
         }
         let n = pixels.len() as f64;
@@ -62,7 +62,7 @@ fn soil_variation(frame: &Frame, most_phase_deg: f32) -> Vec<f64> {
 /// frames: 0.05 and 0.09).
 #[test]
 fn soil_has_contrast_in_side_light_and_none_at_zero_phase() {
-    let variation = |azimuth_deg: f64, pitch_deg: f64, most_phase_deg: f32| {
+    let variation = |azimuth_deg: f64, pitch_deg: f64, max_phase_deg: f32| {
         // 64 pixels of 14 mm across the line of sight, where it meets the ground.
         let distance_m = 2.1 / (-pitch_deg).to_radians().sin();
         let fov_deg = 2.0 * (32.0 * 0.014 / distance_m).atan().to_degrees();
@@ -75,7 +75,7 @@ fn soil_has_contrast_in_side_light_and_none_at_zero_phase() {
         for seed in 0..4 {
             let set = ["rocks.coverage=0", "sun.elevation_deg=17", &set[0], &set[1], &set[2]];
             let frame = frame(&surface(seed, &set), 64, &[Annotation::Hdr, Annotation::Angles]);
-            found.extend(soil_variation(&frame, most_phase_deg));
+            found.extend(soil_variation(&frame, max_phase_deg));
         }
         println!("sun at {azimuth_deg}: {} patches, median {:.3}", found.len(), median(found.clone()));
         assert!(found.len() >= 12, "{} patches", found.len());
@@ -86,7 +86,7 @@ fn soil_has_contrast_in_side_light_and_none_at_zero_phase() {
     assert!(behind < 0.08, "zero phase: {behind}");
 }
 
-/// Mean of the linear picture over soil, red and blue by green.
+/// Mean linear radiance of the soil: red over green, blue over green.
 fn soil_colour(frame: &Frame) -> [f64; 2] {
     let mut sums = [0.0; 3];
     for (rgb, _) in frame.radiance.chunks_exact(3).zip(&frame.class).filter(|(_, id)| **id == REGOLITH) {
@@ -97,17 +97,21 @@ fn soil_colour(frame: &Frame) -> [f64; 2] {
 
 /// Published colour frames of Chang'e-3, linear: red over green 1.00 to 1.12, blue over green 0.72 to 0.95.
 #[test]
-fn soil_has_the_colour_of_the_moon_and_a_monochrome_sensor_none() {
+fn soil_has_the_colour_of_the_moon_and_a_monochrome_sensor_is_grey() {
     for preset in ["surface_train_dr", "surface_train_nodr", "surface_train_full", "surface_test_photoreal"] {
         let mut config = Config::new();
         config.apply_preset(preset).expect("a preset");
         let params = config.draw(5).expect("drawn");
         let frame = frame(&Scene::build(5, &params).expect("a scene"), 48, &[Annotation::Hdr]);
-        let asked = [Knob::RegolithRedOverGreen, Knob::RegolithBlueOverGreen].map(|knob| params.number(knob));
-        assert!((1.0..=1.12).contains(&asked[0]) && (0.72..=0.95).contains(&asked[1]), "{preset}: {asked:?}");
+        let wanted =
+            [Knob::RegolithRedOverGreen, Knob::RegolithBlueOverGreen].map(|knob| params.number(knob));
+        assert!(
+            (1.0..=1.12).contains(&wanted[0]) && (0.72..=0.95).contains(&wanted[1]),
+            "{preset}: {wanted:?}"
+        );
         // Half floats have steps of 0.0005 to 0.001 of themselves.
-        for (found, asked) in soil_colour(&frame).into_iter().zip(asked) {
-            assert!((found / asked - 1.0).abs() < 1e-3, "{preset}: {found}, not {asked}");
+        for (found, wanted) in soil_colour(&frame).into_iter().zip(wanted) {
+            assert!((found / wanted - 1.0).abs() < 1e-3, "{preset}: {found}, not {wanted}");
         }
     }
     let grey = |kind: &str| {
@@ -117,18 +121,18 @@ fn soil_has_the_colour_of_the_moon_and_a_monochrome_sensor_none() {
     assert!(grey("sensor.kind=mono") && !grey("sensor.kind=bayer"));
 }
 
-/// Part of the boundary between rock and soil has almost no contrast in frames of Chang'e-3: the two differ by less than 10 % at
-/// 15 % or more of the rocks' outermost pixels (counted where rock and soil are sunlit). With suns of the middle latitudes, where
-/// it landed: in low light from the side the faces of rocks are turned to the sun and soil is not, and fewer pixels are alike.
+/// In frames of Chang'e-3 part of the boundary between rock and soil has almost no contrast: the two differ by less than 10 % at
+/// 15 % or more of the outermost rock pixels, where both are sunlit. The sun has elevations of the middle latitudes, where it
+/// landed; low light from the side falls on faces of rocks more directly than on soil, and fewer boundary pixels are similar.
 #[test]
 fn part_of_the_boundary_of_rocks_has_almost_no_contrast() {
     const SIDE: usize = 512;
     const SEEDS: u64 = 12;
-    let (mut alike, mut sunlit, mut outermost) = (0.0, 0.0, 0.0);
+    let (mut similar, mut sunlit, mut outermost) = (0.0, 0.0, 0.0);
     for seed in 0..SEEDS {
         let share = (seed as f64 + 0.5) / SEEDS as f64;
         let elevation = format!("sun.elevation_deg={}", 15.0 + 30.0 * share);
-        // By the golden angle: spread evenly, and in no step with the elevation.
+        // By the golden angle: evenly spread, and uncorrelated with the elevation.
         let azimuth = format!("sun.azimuth_deg={}", (137.508 * seed as f64) % 360.0);
         let frame = frame(
             &surface(seed, &[&elevation, &azimuth]),
@@ -150,11 +154,11 @@ fn part_of_the_boundary_of_rocks_has_almost_no_contrast() {
             }
             let around = soil.iter().map(|pixel| green(&frame, *pixel)).sum::<f64>() / soil.len() as f64;
             sunlit += 1.0;
-            alike += f64::from(u8::from((green(&frame, pixel) / around - 1.0).abs() < 0.1));
+            similar += f64::from(u8::from((green(&frame, pixel) / around - 1.0).abs() < 0.1));
         }
     }
-    println!("{outermost} pixels, {sunlit} of them sunlit, {alike} of them with less contrast than 10 %");
-    assert!(sunlit > 5000.0 && alike / sunlit >= 0.15, "{alike} of {sunlit}");
+    println!("{outermost} pixels, {sunlit} of them sunlit, {similar} of them with less contrast than 10 %");
+    assert!(sunlit > 5000.0 && similar / sunlit >= 0.15, "{similar} of {sunlit}");
 }
 
 /// Real frames clip up to 3 % of the ground (1.8 % and 0 in two of Chang'e-3's) and have skies of 0 to 2 of 255.
@@ -171,7 +175,7 @@ fn a_sensor_clips_little_and_keeps_the_sky_black() {
                     clipped += f64::from(u8::from(rgb.iter().any(|value| *value >= 250)));
                 }
             }
-            // Clear of what is spread from the horizon.
+            // Away from the glare at the horizon.
             for (y, x) in (5..SIDE - 5).flat_map(|y| (5..SIDE - 5).map(move |x| (y, x))) {
                 let mut near = (y - 5..=y + 5).flat_map(|y| (x - 5..=x + 5).map(move |x| y * SIDE + x));
                 if near.all(|pixel| frame.class[pixel] == SKY) {
@@ -188,20 +192,20 @@ fn a_sensor_clips_little_and_keeps_the_sky_black() {
     }
 }
 
-/// The largest star is Sirius (-1.46): 2.54e-6 x 10^(-0.4 m) lux under a sun of 133 000 lux. By daylight it does not show; with
-/// the lens open for minutes it does.
+/// The largest star is Sirius (-1.46): 2.54e-6 x 10^(-0.4 m) lux under a sun of 133 000 lux. A daylight exposure does
+/// not show it; an exposure of minutes does.
 #[test]
 fn stars_are_as_bright_as_real_ones() {
     let sirius = 2.54e-6 * 10_f64.powf(0.4 * 1.46) / 133_000.0;
-    let look = |exposure: &str| {
+    let expose = |exposure: &str| {
         let set = ["camera.pitch_deg=25", "camera.fov_deg=25", "sky.star_count=400", exposure];
         let scene = surface(8, &set);
         let frame = frame(&scene, 256, &[Annotation::Hdr]);
         (scene, frame)
     };
-    let (scene, frame) = look("camera.exposure_ev=1.9");
+    let (scene, frame) = expose("camera.exposure_ev=1.9");
     assert!(frame.class.iter().all(|id| *id == SKY), "only sky is in view");
-    // Light of each star that is in view, clear of the others: radiance x solid angle of the pixels around.
+    // Flux of each star in view and away from the others: radiance x solid angle of the pixels around it.
     let focal = frame.focal_px;
     let mut brightest = 0.0_f64;
     for star in &scene.sky.stars {
@@ -217,7 +221,7 @@ fn stars_are_as_bright_as_real_ones() {
         let light: f64 = around.map(|(x, y)| green(&frame, (y * 256 + x) as usize)).sum();
         let own = f64::from(star.radius_m / offset.length()).powi(2) * std::f64::consts::PI;
         let flux = light * cos.powi(3) / (focal * focal);
-        // Others in the square would add to it.
+        // Another star in the square would add to the flux.
         if flux < 1.5 * own * f64::from(scene.sky.star_radiance.y) {
             brightest = brightest.max(flux / f64::from(scene.sun.irradiance.y));
         }
@@ -225,6 +229,6 @@ fn stars_are_as_bright_as_real_ones() {
     println!("the brightest star is {:.3} of Sirius", brightest / sirius);
     assert!((brightest / sirius - 1.0).abs() < 0.2, "{} of Sirius", brightest / sirius);
     assert!(frame.rgb.iter().all(|value| *value <= 1), "no star by daylight");
-    let long = look("camera.exposure_ev=10").1;
+    let long = expose("camera.exposure_ev=10").1;
     assert!(long.rgb.iter().filter(|value| **value > 30).count() > 30, "stars after ten stops");
 }
