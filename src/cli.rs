@@ -17,7 +17,7 @@ mod verify;
 
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use regolith::Result;
-use regolith::params::sampler;
+use regolith::params::presets;
 
 use args::pass_negative_numbers;
 use messages::{Messages, print};
@@ -86,9 +86,9 @@ enum Command {
 
 /// The command line, with presets and dataset formats in its help.
 fn command() -> clap::Command {
-    let presets: String = sampler::presets()
+    let presets: String = presets::presets()
         .iter()
-        .map(|(name, _)| format!("  {name:<22} {}\n", sampler::preset_description(name).unwrap_or_default()))
+        .map(|(name, _)| format!("  {name:<22} {}\n", presets::preset_description(name).unwrap_or_default()))
         .collect();
     let formats = dataset::formats_help();
     pass_negative_numbers(Cli::command())
@@ -142,7 +142,7 @@ mod tests {
     #[test]
     fn the_help_names_every_preset_and_output() {
         let help = command().render_long_help().to_string();
-        for (name, _) in sampler::presets() {
+        for (name, _) in presets::presets() {
             assert!(help.contains(name), "preset {name}");
         }
         for output in &regolith::output::OUTPUTS {

@@ -3,62 +3,26 @@
 //! A [`Config`] holds what each knob is drawn from; later settings win over earlier ones, and a setting that is
 //! refused changes nothing. [`Config::draw`] gives the values of a seed: every knob from a stream of its own.
 //! Must not know: what a knob does.
-//! To add a preset: a file in `assets/presets` and its row in [`presets`].
 
-use std::fmt::Write as _;
 use std::path::Path;
 
-use serde_json::json;
-
+use super::Params;
 use super::distribution::{Distribution, Value};
-use super::{KNOBS, Kind, Knob, KnobInfo, Params, Scope, Stage};
+use super::document::{collect_entries, has_non_finite};
+use super::knob_info::{KnobInfo, Scope, Stage};
+use super::knobs::{KNOBS, Knob};
+use super::presets::presets;
 use crate::error::{Error, Result, nearest};
 use crate::random::Streams;
 
 /// Element number of the stream that a knob's random ends are drawn from; no scene has as many elements.
 const ENDS: u64 = u64::MAX;
 
-macro_rules! preset_files {
-    ($($name:literal),*) => {
-        [$(($name, include_str!(concat!("../../assets/presets/", $name, ".toml")))),*]
-    };
-}
-
-/// Name and TOML text of every preset that ships; the text starts with a comment that says what it is.
-#[must_use]
-pub const fn presets() -> [(&'static str, &'static str); 16] {
-    preset_files![
-        "reference",
-        "train_dr",
-        "train_nodr",
-        "train_full",
-        "test_photoreal",
-        "surface_train_dr",
-        "surface_train_nodr",
-        "surface_train_full",
-        "surface_test_photoreal",
-        "sun_equatorial",
-        "sun_mid_latitude",
-        "sun_polar",
-        "camera_hasselblad",
-        "camera_navcam",
-        "camera_pcam",
-        "camera_colour"
-    ]
-}
-
-/// What a preset is, in a line: the comment that its text starts with.
-#[must_use]
-pub fn preset_description(name: &str) -> Option<&'static str> {
-    let (_, text) = presets().into_iter().find(|(preset, _)| *preset == name)?;
-    text.lines().next()?.strip_prefix("# ")
-}
-
 /// What each knob is drawn from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Config {
     /// What was set; the rest is the stage's.
-    settings: Vec<Option<Distribution>>,
+    pub(super) settings: Vec<Option<Distribution>>,
     rules: Vec<RuleSetting>,
 }
 
@@ -110,15 +74,6 @@ impl Config {
         let names: Vec<Value> = names.into_iter().collect();
         let is_named = |name: &str| names.iter().any(|known| *known == Value::Text(name.to_owned().into()));
         Stage::ALL.into_iter().filter(|(_, name)| is_named(name)).map(|(stage, _)| stage).collect()
-    }
-
-    /// The knobs that the stages have, with what they are drawn from on the first stage that has each.
-    fn rows(&self) -> impl Iterator<Item = (&'static KnobInfo, &Distribution)> {
-        let stages = self.stages();
-        Knob::ALL.into_iter().filter_map(move |knob| {
-            let stage = stages.iter().find(|stage| knob.info().is_of(**stage))?;
-            Some((knob.info(), self.distribution_on(*stage, knob)))
-        })
     }
 
     /// What was set of the rules for a dataset's frames, in the order in which it was.
@@ -194,10 +149,10 @@ impl Config {
             }
         };
         let table: toml::Table = toml::from_str(text).map_err(syntax)?;
-        let places = toml::de::DeTable::parse(text).map_err(syntax)?;
+        let spans = toml::de::DeTable::parse(text).map_err(syntax)?;
         let mut entries = Vec::new();
-        collect_entries("", &table, places.get_ref(), &mut entries);
-        entries.sort_by_key(|(place, ..)| *place);
+        collect_entries("", &table, spans.get_ref(), &mut entries);
+        entries.sort_by_key(|(offset, ..)| *offset);
         let mut changed = self.clone();
         for (_, name, value) in entries {
             if let Some(rule) = rule_name(&name) {
@@ -282,8 +237,8 @@ impl Config {
 
     fn set(&mut self, info: &KnobInfo, distribution: Distribution, origin: &str) -> Result<()> {
         info.check(&distribution, origin)?;
-        let place = KNOBS.iter().position(|row| row.name == info.name);
-        self.settings[place.expect("a row of the table")] = Some(distribution);
+        let index = KNOBS.iter().position(|row| row.name == info.name);
+        self.settings[index.expect("a row of the table")] = Some(distribution);
         Ok(())
     }
 
@@ -317,9 +272,10 @@ impl Config {
         };
         let half_m = 0.5 * numbers(Knob::TerrainSizeM).into_iter().fold(f64::INFINITY, f64::min);
         for knob in [Knob::CameraXM, Knob::CameraYM] {
-            if let Some(place) = numbers(knob).into_iter().find(|place| place.abs() >= half_m) {
+            if let Some(position_m) = numbers(knob).into_iter().find(|position_m| position_m.abs() >= half_m)
+            {
                 return Err(Error::Contradiction(format!(
-                    "{} = {place} puts the camera off the ground, which ends {half_m} m from the origin \
+                    "{} = {position_m} puts the camera off the ground, which ends {half_m} m from the origin \
                      (terrain.size_m = {}); the camera must stand on it",
                     knob.name(),
                     2.0 * half_m
@@ -356,97 +312,17 @@ impl Config {
             .collect();
         Ok(Params { settings })
     }
-
-    /// Every knob with what is known of it, as TOML that [`Self::apply_toml`] reads.
-    #[must_use]
-    pub fn to_toml(&self) -> String {
-        let mut text = String::new();
-        let mut section = "";
-        for (info, distribution) in self.rows() {
-            let (own_section, key) = info.name.split_once('.').unwrap_or(("", info.name));
-            if own_section != section {
-                section = own_section;
-                let _ = writeln!(text, "{}[{section}]", if text.is_empty() { "" } else { "\n" });
-            }
-            let each = match info.scope {
-                Scope::Frame => String::new(),
-                Scope::Element(element) => format!(" One draw a {element}."),
-            };
-            let _ =
-                writeln!(text, "# {}{each} Allowed: {}.\n{key} = {distribution}", info.doc, info.allowed());
-        }
-        text
-    }
-
-    /// What every knob of the stages is drawn from, by its dotted name. What frames of several stages draw from different
-    /// defaults is left to them.
-    #[must_use]
-    pub fn distributions_json(&self) -> serde_json::Map<String, serde_json::Value> {
-        let several = self.stages().len() > 1;
-        let is_set = |info: &KnobInfo| {
-            KNOBS.iter().zip(&self.settings).any(|(row, setting)| row.name == info.name && setting.is_some())
-        };
-        self.rows()
-            .filter(|(info, _)| !several || info.surface_default.is_none() || is_set(info))
-            .map(|(info, from)| (info.name.to_owned(), from.to_json(info.kind == Kind::Integer)))
-            .collect()
-    }
-
-    /// Every knob with what is known of it.
-    #[must_use]
-    pub fn to_json(&self) -> serde_json::Value {
-        let stage = self.stages()[0];
-        let rows = self.rows().map(|(info, distribution)| {
-            let mut row = json!({
-                "name": info.name,
-                "value": distribution.to_json(info.kind == Kind::Integer),
-                "default": info.default_on(stage).to_json(info.kind == Kind::Integer),
-                "unit": info.unit,
-                "drawn_per": match info.scope { Scope::Frame => "frame", Scope::Element(element) => element },
-                "doc": info.doc,
-            });
-            row[if matches!(info.kind, Kind::Text(_)) { "choices" } else { "range" }] = match info.kind {
-                Kind::Text(words) => json!(words),
-                _ => json!(info.range),
-            };
-            row
-        });
-        rows.collect()
-    }
 }
 
-/// The entries of a document under their dotted names, each with its place in the text: the table itself is
-/// sorted by name, and the first error that is reported should be the first that is read.
-fn collect_entries<'a>(
-    prefix: &str,
-    table: &'a toml::Table,
-    places: &toml::de::DeTable<'_>,
-    entries: &mut Vec<(usize, String, &'a toml::Value)>,
-) {
-    for (key, place) in places {
-        let name =
-            if prefix.is_empty() { key.get_ref().to_string() } else { format!("{prefix}.{}", key.get_ref()) };
-        match (&table[key.get_ref().as_ref()], place.get_ref()) {
-            (toml::Value::Table(inner), toml::de::DeValue::Table(places)) if is_section(&name) => {
-                collect_entries(&name, inner, places, entries);
-            }
-            (value, _) => entries.push((key.span().start, name, value)),
-        }
+impl Params {
+    /// The defaults, drawn for a seed.
+    ///
+    /// # Panics
+    /// Never: a test holds the table's defaults against their rules.
+    #[must_use]
+    pub fn draw_default(seed: u64) -> Self {
+        Config::new().draw(seed).expect("the defaults keep their own rules")
     }
-}
-
-/// Whether NaN or an infinity stands anywhere in it.
-fn has_non_finite(value: &toml::Value) -> bool {
-    match value {
-        toml::Value::Float(number) => !number.is_finite(),
-        toml::Value::Array(list) => list.iter().any(has_non_finite),
-        toml::Value::Table(table) => table.iter().any(|(_, inner)| has_non_finite(inner)),
-        _ => false,
-    }
-}
-
-fn is_section(name: &str) -> bool {
-    name == "rules" || KNOBS.iter().any(|info| info.name.split('.').next() == Some(name))
 }
 
 fn unknown(name: &str, origin: &str) -> Error {
@@ -476,28 +352,6 @@ mod tests {
         config.apply_set(assignment)?;
         config.check()?;
         Ok(config)
-    }
-
-    #[test]
-    fn the_listing_reads_back() {
-        for (name, text) in presets() {
-            let mut preset = Config::new();
-            preset.apply_preset(name).unwrap_or_else(|error| panic!("{name}: {error}"));
-            preset.check().unwrap_or_else(|error| panic!("{name}: {error}"));
-            let mut read = Config::new();
-            read.apply_toml(&preset.to_toml(), "listing").unwrap_or_else(|error| panic!("{name}: {error}"));
-            assert_eq!(read.distributions_json(), preset.distributions_json());
-            assert!(text.starts_with("# ") && preset != Config::new(), "{name}");
-            assert!(preset_description(name).is_some_and(|line| line.len() > 20), "{name}");
-        }
-        let mut from_json = Config::new();
-        let mut full = Config::new();
-        full.apply_preset("train_full").expect("a preset");
-        from_json.apply_json(&full.distributions_json(), "JSON").expect("read");
-        assert_eq!(from_json.distributions_json(), full.distributions_json());
-        assert_eq!(preset_description("train"), None);
-        let nominal = KNOBS.iter().filter(|info| info.is_of(Stage::Nominal)).count();
-        assert_eq!(Config::new().to_json().as_array().map(Vec::len), Some(nominal));
     }
 
     #[test]

@@ -3,7 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use regolith::params::sampler::{Config, presets};
+use regolith::params::presets::presets;
+use regolith::params::sampler::Config;
 
 use crate::support::{folder, run_ok};
 

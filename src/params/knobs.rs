@@ -1,0 +1,290 @@
+//! The table of knobs.
+//!
+//! To add a knob: a row here, and the line of code that uses it.
+
+use super::distribution::Distribution::{self, Fixed, Power, Uniform, UniformInt};
+use super::distribution::Value;
+use super::knob_info::Kind::{Integer, Number, Rgb, Text};
+use super::knob_info::Scope::{Element, Frame};
+use super::knob_info::{KnobInfo, Stage};
+
+const fn number(value: f64) -> Distribution {
+    Distribution::number(value)
+}
+
+const fn word(text: &'static str) -> Distribution {
+    Fixed(Value::Text(std::borrow::Cow::Borrowed(text)))
+}
+
+const fn uniform(low: f64, high: f64) -> Distribution {
+    Uniform { low, high }
+}
+
+macro_rules! knobs {
+    ($($knob:ident $name:literal $unit:literal $(in $stage:ident)? $kind:expr, $scope:expr, $default:expr
+        $(=> $surface:expr)?, $range:expr, $doc:literal;)*) => {
+        /// Every knob, by its place in [`KNOBS`].
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum Knob { $(#[doc = $doc] $knob,)* }
+
+        /// Every knob.
+        pub static KNOBS: [KnobInfo; [$($name),*].len()] = [$(KnobInfo {
+            name: $name, unit: $unit, kind: $kind, scope: $scope,
+            stage: knobs!(@or_none $(Stage::$stage)?),
+            default: $default,
+            surface_default: knobs!(@or_none $($surface)?),
+            range: $range, doc: $doc,
+        },)*];
+
+        impl Knob {
+            /// Every knob, in the order of [`KNOBS`].
+            pub const ALL: [Self; KNOBS.len()] = [$(Self::$knob,)*];
+        }
+    };
+    (@or_none) => { None };
+    (@or_none $value:expr) => { Some($value) };
+}
+
+knobs! {
+    StageName "stage.name" "" Text(&["nominal", "surface"]), Frame, word("nominal"), [0.0, 0.0],
+        "Stage to build: the nominal reference stage or the realistic surface.";
+    SunElevationDeg "sun.elevation_deg" "deg" Number, Frame, number(17.0) => number(13.0), [0.5, 90.0],
+        "Elevation of the sun above the horizontal plane.";
+    SunAzimuthDeg "sun.azimuth_deg" "deg" Number, Frame, number(120.0) => number(135.0), [0.0, 360.0],
+        "Azimuth of the sun, clockwise from +Y (the camera's nominal viewing direction) towards +X; at 0 the sun is in front of the camera.";
+    SunIntensity "sun.intensity" "" Number, Frame, number(14_000.0) => number(3500.0), [0.0, 200_000.0],
+        "Intensity of the sun on a relative scale; 14000 in the reference frame.";
+    SunAngularDiameterDeg "sun.angular_diameter_deg" "deg" Number, Frame, number(0.53), [0.0, 5.0],
+        "Angular diameter of the sun's disc; it sets how fast penumbrae widen.";
+    SunColor "sun.color" "" Rgb, Frame, Fixed(Value::Rgb([1.0, 0.97, 0.92])) => Fixed(Value::Rgb([1.0, 1.0, 1.0])), [0.0, 4.0],
+        "Colour of the sun's light, linear RGB.";
+    TerrainAmplitudeM "terrain.amplitude_m" "m" in Nominal Number, Frame, number(3.2), [0.0, 50.0],
+        "Amplitude of the relief; its standard deviation is about a quarter of this.";
+    TerrainSizeM "terrain.size_m" "m" Number, Frame, number(920.0) => number(2400.0), [100.0, 4000.0],
+        "Side of the square of ground, centred on the origin.";
+    TerrainCells "terrain.cells" "" in Nominal Integer, Frame, number(300.0), [10.0, 1000.0],
+        "Cells along each side of the ground's heightfield, two triangles per cell.";
+    TerrainCellMrad "terrain.cell_mrad" "mrad" in Surface Number, Frame, number(12.0), [2.0, 50.0],
+        "Angle that one cell of the ground mesh spans as seen from the camera; finer detail is added in shading.";
+    ReliefHillsM "relief.hills_m" "m" in Surface Number, Frame, number(9.0), [0.0, 60.0],
+        "Amplitude of hills with wavelengths of 250 m and below; their standard deviation is about a sixth of this.";
+    ReliefUndulationM "relief.undulation_m" "m" in Surface Number, Frame, number(2.4), [0.0, 20.0],
+        "Amplitude of undulations with wavelengths of 50 m and below; their standard deviation is about a sixth of this.";
+    ReliefSlopeDeg "relief.slope_deg" "deg" in Surface Number, Frame, number(10.0), [0.0, 25.0],
+        "Median slope of the fine relief over a 7 mm baseline (Guo et al. 2021: 10 at the Chang'e-4 site).";
+    ReliefHurst "relief.hurst" "" in Surface Number, Frame, number(0.75), [0.4, 1.0],
+        "Hurst exponent of the fine relief; at 1 it is smooth at small scales (Guo et al. 2021: 0.6 to 0.85).";
+    ReliefClods "relief.clods" "" in Surface Number, Frame, number(0.5), [0.0, 1.0],
+        "Fraction of clods among pits and clods up to 8 cm across.";
+    RegolithAlbedo "regolith.albedo" "" Number, Frame, number(0.205) => number(0.12), [0.0, 1.0],
+        "Mean diffuse reflectance of the ground.";
+    RegolithRoughness "regolith.roughness" "" Number, Frame, number(0.96), [0.0, 1.0],
+        "Roughness of the ground's diffuse lobe; 0 is Lambertian.";
+    RegolithRedOverGreen "regolith.red_over_green" "" in Surface Number, Frame, number(1.05), [0.5, 2.0],
+        "Soil colour: linear red over green; 1.00 to 1.12 for lunar soil.";
+    RegolithBlueOverGreen "regolith.blue_over_green" "" in Surface Number, Frame, number(0.88), [0.3, 2.0],
+        "Soil colour: linear blue over green; 0.72 to 0.95 for lunar soil.";
+    CratersCount "craters.count" "" in Nominal Integer, Frame, UniformInt { low: 6.0, high: 10.0 }, [0.0, 500.0],
+        "Number of craters.";
+    CratersRadiusM "craters.radius_m" "m" in Nominal Number, Element("crater"), uniform(10.0, 38.0), [0.5, 400.0],
+        "Radius of a crater, from its centre to the rim crest.";
+    CratersDepthM "craters.depth_m" "m" in Nominal Number, Element("crater"), uniform(1.5, 5.5), [0.0, 60.0],
+        "Depth of a crater's bowl below the surrounding ground.";
+    CratersRimRatio "craters.rim_ratio" "" in Nominal Number, Element("crater"), uniform(0.18, 0.35), [0.0, 1.0],
+        "Rim height as a fraction of the crater's depth.";
+    CratersLaw "craters.law" "" in Surface Text(&["equilibrium", "classes"]), Frame, word("equilibrium"), [0.0, 0.0],
+        "How craters larger than 1.25 m are populated: equilibrium of impacts and erosion, or three classes with fixed counts.";
+    CratersBigCount "craters.big_count" "" in Surface Integer, Frame, number(7.0), [0.0, 100.0],
+        "With craters.law = \"classes\": number of craters of 14 to 40 m radius in a 766 m square around the origin.";
+    CratersMediumCount "craters.medium_count" "" in Surface Integer, Frame, number(42.0), [0.0, 1000.0],
+        "With craters.law = \"classes\": number of craters of 3 to 12 m radius in the same square.";
+    CratersSmallCount "craters.small_count" "" in Surface Integer, Frame, number(240.0), [0.0, 5000.0],
+        "With craters.law = \"classes\": number of craters of 0.6 to 3 m radius in the same square.";
+    CratersDensity "craters.density" "" in Surface Number, Frame, number(1.0), [0.0, 1.6],
+        "Crater density relative to equilibrium, N(>D) = 0.0794 D^-2 per square metre (Trask 1966).";
+    CratersFreshShare "craters.fresh_share" "" in Surface Number, Frame, number(0.03), [0.0, 1.0],
+        "Fraction of craters that are fresh: deep, with a sharp rim and ejected rocks.";
+    RocksCount "rocks.count" "" in Nominal Integer, Frame, UniformInt { low: 75.0, high: 114.0 }, [0.0, 5000.0],
+        "Number of rocks.";
+    RocksNearCount "rocks.near_count" "" in Nominal Integer, Frame, number(12.0), [0.0, 200.0],
+        "Number of rocks placed near the camera; they are the first ones in rocks.count.";
+    RocksScaleM "rocks.scale_m" "m" in Nominal Number, Element("far rock"), uniform(0.3, 1.3), [0.02, 20.0],
+        "Base radius of a far rock.";
+    RocksNearScaleM "rocks.near_scale_m" "m" in Nominal Number, Element("near rock"), uniform(1.2, 3.0), [0.02, 20.0],
+        "Base radius of a near rock.";
+    RocksNearYM "rocks.near_y_m" "m" in Nominal Number, Element("near rock"), uniform(-78.0, -48.0), [-2000.0, 2000.0],
+        "Y coordinate of a near rock; the camera's default is -90.";
+    RocksLargeShare "rocks.large_share" "" in Nominal Number, Frame, number(0.15), [0.0, 1.0],
+        "Fraction of far rocks that are enlarged by rocks.large_factor.";
+    RocksLargeFactor "rocks.large_factor" "" in Nominal Number, Element("large far rock"), uniform(2.0, 3.3), [1.0, 10.0],
+        "Scale factor of an enlarged far rock.";
+    RocksEmbedding "rocks.embedding" "" in Nominal Number, Frame, number(0.30), [0.02, 0.95],
+        "Fraction of a rock's height that is buried.";
+    RocksAlbedo "rocks.albedo" "" in Nominal Number, Element("rock material"), Power { low: 0.058, high: 0.130, exponent: 1.6 }, [0.02, 0.55],
+        "Base grey of a rock material; a scene has twelve materials.";
+    RocksRoughness "rocks.roughness" "" Number, Element("rock material"), uniform(0.85, 0.97) => number(0.9), [0.0, 1.0],
+        "Roughness of a rock material's diffuse lobe.";
+    RocksDisplacement "rocks.displacement" "" Number, Frame, number(0.34) => number(0.30), [0.0, 0.8],
+        "Amplitude of the displacement that shapes the rocks, relative to their radius.";
+    RocksHeroScaleM "rocks.hero_scale_m" "m" in Nominal Number, Frame, number(0.0), [0.0, 20.0],
+        "Base radius of a single large boulder that replaces the first near rock; 0 for none.";
+    RocksHeroXM "rocks.hero_x_m" "m" in Nominal Number, Frame, number(0.0), [-2000.0, 2000.0],
+        "X coordinate of that boulder.";
+    RocksHeroYM "rocks.hero_y_m" "m" in Nominal Number, Frame, number(-76.0), [-2000.0, 2000.0],
+        "Y coordinate of that boulder.";
+    RocksLaw "rocks.law" "" in Surface Text(&["lunar", "bands"]), Frame, word("lunar"), [0.0, 0.0],
+        "How rocks are populated: the lunar size-frequency distribution with clusters at fresh craters, or four size bands with fixed counts.";
+    RocksPebbleCount "rocks.pebble_count" "" in Surface Integer, Frame, number(1300.0), [0.0, 20_000.0],
+        "With rocks.law = \"bands\": number of rocks of 0.04 to 0.18 m radius within 60 m ahead of the default camera position (0, -90).";
+    RocksSmallCount "rocks.small_count" "" in Surface Integer, Frame, number(420.0), [0.0, 5000.0],
+        "With rocks.law = \"bands\": number of rocks of 0.18 to 0.50 m radius within 120 m ahead of that position.";
+    RocksMidCount "rocks.mid_count" "" in Surface Integer, Frame, number(95.0), [0.0, 2000.0],
+        "With rocks.law = \"bands\": number of rocks of 0.50 to 1.40 m radius within 200 m ahead of that position.";
+    RocksLargeCount "rocks.large_count" "" in Surface Integer, Frame, number(12.0), [0.0, 500.0],
+        "With rocks.law = \"bands\": number of rocks of 1.6 to 3.4 m radius within 320 m ahead of that position.";
+    RocksCoverage "rocks.coverage" "" in Surface Number, Frame, number(0.008), [0.0, 0.1],
+        "Fraction k of the ground covered by rocks, F(>D) = k exp(-(0.5648 + 0.01285 / k) D) (Li and Wu 2018).";
+    RocksExposed "rocks.exposed" "" in Surface Number, Element("rock"), uniform(0.35, 0.95), [0.05, 1.0],
+        "Fraction of a rock's height above the ground.";
+    RocksAlbedoRatio "rocks.albedo_ratio" "" in Surface Number, Frame, number(1.35), [0.3, 4.0],
+        "Median ratio of rock albedo to soil albedo; drawn per rock, log-normal, clipped to 0.7 to 2.5.";
+    RocksAlbedoSpread "rocks.albedo_spread" "" in Surface Number, Frame, number(0.3), [0.0, 1.0],
+        "Standard deviation of the logarithm of that ratio.";
+    RocksDust "rocks.dust" "" in Surface Number, Element("rock"), uniform(0.1, 0.6), [0.0, 1.0],
+        "Fraction of a rock's upward-facing surface covered by soil.";
+    PhotometryLaw "photometry.law" "" Text(&["lambert", "oren_nayar", "lommel_seeliger", "hapke"]), Frame, word("oren_nayar") => word("hapke"), [0.0, 0.0],
+        "Photometric function of ground and rocks; the albedo is its value at normal incidence and zero phase.";
+    HapkeW "hapke.w" "" Number, Frame, number(0.32357), [0.05, 0.95],
+        "Single-scattering albedo of the grains.";
+    HapkeB "hapke.b" "" Number, Frame, number(0.23955), [0.0, 0.9],
+        "Asymmetry parameter b of the double Henyey-Greenstein phase function; 0 is isotropic.";
+    HapkeC "hapke.c" "" Number, Frame, number(0.30452), [-1.0, 1.0],
+        "Weight c of the backward lobe: 1 is backward only, -1 forward only (Hapke 2012).";
+    HapkeBS0 "hapke.b_s0" "" Number, Frame, number(1.80238), [0.0, 4.0],
+        "Amplitude of the shadow-hiding opposition effect of the ground.";
+    HapkeRockBS0 "hapke.rock_b_s0" "" Number, Frame, number(0.85), [0.0, 4.0],
+        "Amplitude of the shadow-hiding opposition effect of rocks.";
+    HapkeHS "hapke.h_s" "" Number, Frame, number(0.07145), [0.005, 1.0],
+        "Angular width of the opposition effect: the tangent of half the phase angle at half amplitude.";
+    HapkeThetaBarDeg "hapke.theta_bar_deg" "deg" Number, Frame, number(23.657), [0.0, 40.0],
+        "Mean slope angle of unresolved roughness (Sato et al. 2014: mean of the whole Moon).";
+    LabelMinPixels "label.min_pixels" "" Number, Frame, number(0.0), [0.0, 100_000.0],
+        "Rocks whose unoccluded disc would cover fewer pixels are labelled as regolith.";
+    LabelMinDiameterM "label.min_diameter_m" "m" Number, Frame, number(0.0), [0.0, 10.0],
+        "Rocks with a smaller diameter are labelled as regolith.";
+    LabelCraterMinDiameterM "label.crater_min_diameter_m" "m" Number, Frame, number(0.5), [0.1, 100.0],
+        "Craters with a smaller diameter are not labelled.";
+    LabelCraterMinDepth "label.crater_min_depth" "" Number, Frame, number(0.04), [0.0, 0.5],
+        "Craters with a smaller ratio of depth to diameter count as too degraded and are not labelled.";
+    CameraXM "camera.x_m" "m" Number, Frame, number(0.0), [-2000.0, 2000.0],
+        "X coordinate of the camera (right).";
+    CameraYM "camera.y_m" "m" Number, Frame, number(-90.0), [-2000.0, 2000.0],
+        "Y coordinate of the camera (forward).";
+    CameraHeightM "camera.height_m" "m" Number, Frame, number(2.0) => number(2.1), [0.2, 200.0],
+        "Height of the camera above the ground below it.";
+    CameraPitchDeg "camera.pitch_deg" "deg" Number, Frame, number(-0.8952) => number(-7.0), [-89.0, 89.0],
+        "Pitch of the camera; negative looks down.";
+    CameraYawDeg "camera.yaw_deg" "deg" Number, Frame, number(0.0), [-360.0, 360.0],
+        "Yaw of the camera, clockwise from +Y towards +X.";
+    CameraRollDeg "camera.roll_deg" "deg" Number, Frame, number(0.0), [-180.0, 180.0],
+        "Roll of the camera, clockwise about the optical axis.";
+    CameraFovDeg "camera.fov_deg" "deg" Number, Frame, number(61.9275) => number(60.0), [5.0, 150.0],
+        "Horizontal field of view; the default corresponds to a 20 mm lens and a 24 mm wide sensor.";
+    CameraK1 "camera.k1" "" Number, Frame, number(0.0), [-0.6, 0.6],
+        "Radial lens distortion k1 (Brown-Conrady, as in OpenCV); negative for barrel distortion.";
+    CameraK2 "camera.k2" "" Number, Frame, number(0.0), [-0.6, 0.6],
+        "Radial lens distortion k2, fourth power of the radius.";
+    CameraK3 "camera.k3" "" Number, Frame, number(0.0), [-0.6, 0.6],
+        "Radial lens distortion k3, sixth power of the radius.";
+    CameraP1 "camera.p1" "" Number, Frame, number(0.0), [-0.1, 0.1],
+        "Tangential lens distortion p1.";
+    CameraP2 "camera.p2" "" Number, Frame, number(0.0), [-0.1, 0.1],
+        "Tangential lens distortion p2.";
+    CameraExposureEv "camera.exposure_ev" "EV" Number, Frame, number(0.0) => number(1.9), [-10.0, 10.0],
+        "Exposure relative to the reference frame, in stops.";
+    SensorKind "sensor.kind" "" Text(&["off", "mono", "bayer"]), Frame, word("off"), [0.0, 0.0],
+        "Sensor model applied to the image: off, monochrome, or with a Bayer mosaic.";
+    SensorGroundLevel "sensor.ground_level" "" Number, Frame, number(0.0), [0.0, 0.95],
+        "Automatic exposure: encoded level of the median sunlit ground; 0 uses camera.exposure_ev.";
+    SensorGlare "sensor.glare" "" Number, Frame, number(0.01), [0.0, 0.3],
+        "Veiling glare: light spread over the whole image, as a fraction of its mean (0.005 to 0.03 is typical).";
+    SensorVignetting "sensor.vignetting" "" Number, Frame, number(0.5), [0.0, 1.0],
+        "Vignetting: fraction of the natural cos^4 falloff that is applied.";
+    SensorPsfPx "sensor.psf_px" "px" Number, Frame, number(0.47), [0.0, 5.0],
+        "Standard deviation of the point spread function, pixel aperture included; 0.47 gives a contrast of 0.33 at the Nyquist frequency, as PCAM's.";
+    SensorFullWellE "sensor.full_well_e" "e" Number, Frame, number(21_800.0), [100.0, 1_000_000.0],
+        "Full-well capacity in electrons (KAI-2020: 21 800).";
+    SensorReadNoiseE "sensor.read_noise_e" "e" Number, Frame, number(21.0), [0.0, 1000.0],
+        "Standard deviation of the read noise in electrons (KAI-2020: 21 to 22).";
+    SensorDarkE "sensor.dark_e" "e" Number, Frame, number(5.0), [0.0, 10_000.0],
+        "Mean dark signal per exposure in electrons.";
+    SensorDsnuE "sensor.dsnu_e" "e" Number, Frame, number(3.0), [0.0, 1000.0],
+        "Dark signal non-uniformity: standard deviation in electrons, a fixed pattern.";
+    SensorPrnu "sensor.prnu" "" Number, Frame, number(0.01), [0.0, 0.2],
+        "Photo response non-uniformity: relative standard deviation, a fixed pattern.";
+    SensorBlackLevel "sensor.black_level" "" Number, Frame, number(0.003), [0.0, 0.2],
+        "Fraction of full scale that maps to black; published images are stretched so that skies come to 0 to 2 of 255.";
+    SensorBits "sensor.bits" "" Integer, Frame, number(11.0), [4.0, 16.0],
+        "Bit depth of the analog-to-digital converter.";
+    SkyStarCount "sky.star_count" "" Integer, Frame, number(220.0), [0.0, 20_000.0],
+        "Number of stars.";
+    SkyStarGain "sky.star_gain" "" Number, Frame, number(1.0) => number(1e-5), [0.0, 100.0],
+        "Radiance of the stars relative to the nominal stage; 1e-5 is as faint as a bright star by daylight.";
+    SkyGlow "sky.glow" "" Number, Frame, number(1.0) => number(0.0), [0.0, 100.0],
+        "Radiance of the sky dome relative to the nominal stage; 0 on the real Moon.";
+    SkyEarthshine "sky.earthshine" "" Number, Frame, number(0.0), [0.0, 0.1],
+        "Irradiance of earthshine on level ground relative to the sun's at normal incidence, taken as uniform over the sky; 1.1e-4 for a full Earth.";
+    SkyDomeRadiusM "sky.dome_radius_m" "m" Number, Frame, number(600.0) => number(2000.0), [60.0, 5000.0],
+        "Radius of the sky dome around the camera.";
+}
+
+impl Knob {
+    /// Its row.
+    #[must_use]
+    pub fn info(self) -> &'static KnobInfo {
+        &KNOBS[self as usize]
+    }
+
+    /// Its dotted name, which is also that of its random stream.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        self.info().name
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_keeps_its_own_rules() {
+        for (place, info) in KNOBS.iter().enumerate() {
+            assert_eq!(Knob::ALL[place] as usize, place);
+            for default in [&info.default].into_iter().chain(&info.surface_default) {
+                info.check(default, "default").unwrap_or_else(|error| panic!("{error}"));
+            }
+            assert!(info.doc.ends_with('.') && info.doc.len() > 10, "{}", info.name);
+            let suffix = match info.unit {
+                "" => continue,
+                "m" => "_m",
+                "deg" => "_deg",
+                "EV" => "_ev",
+                "mrad" => "_mrad",
+                "px" => "_px",
+                "e" => "_e",
+                other => panic!("{}: a new unit {other}", info.name),
+            };
+            assert!(info.name.ends_with(suffix), "{} is in {}", info.name, info.unit);
+        }
+        for (i, a) in KNOBS.iter().enumerate() {
+            assert_eq!(a.name.matches('.').count(), 1, "{}", a.name);
+            assert!(KNOBS[i + 1..].iter().all(|b| a.name != b.name), "{} stands twice", a.name);
+        }
+        let mut sections: Vec<&str> = KNOBS.iter().filter_map(|info| info.name.split('.').next()).collect();
+        sections.dedup();
+        let mut once = sections.clone();
+        once.sort_unstable();
+        once.dedup();
+        assert_eq!(sections.len(), once.len(), "the knobs of a section stand together");
+    }
+}
