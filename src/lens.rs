@@ -1,25 +1,25 @@
-//! Distortion of a lens: where a straight line ends up on the picture.
+//! Lens distortion.
 //!
-//! The model of Brown 1966 ("Decentering Distortion of Lenses") and Conrady in the form and with the names of OpenCV, on
-//! coordinates divided by the focal length from the principal point, x to the right and y down.
-//! Must not know: what is seen through it.
+//! The Brown-Conrady model (Brown 1966, "Decentering Distortion of Lenses") in the form and with the names of OpenCV, on
+//! normalised image coordinates: relative to the principal point, divided by the focal length, x right and y down.
+//! Must not know: what is imaged.
 
-/// Coefficients; all 0 is a pinhole.
+/// Distortion coefficients; all 0 is a pinhole camera.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Lens {
-    /// Radial, of the square of the distance from the axis; negative for barrels.
+    /// Radial, of the squared radius; negative for barrel distortion.
     pub k1: f64,
-    /// Of its fourth power.
+    /// Radial, of the fourth power of the radius.
     pub k2: f64,
-    /// Of its sixth power.
+    /// Radial, of the sixth power of the radius.
     pub k3: f64,
-    /// Tangential.
+    /// Tangential (decentering), vertical.
     pub p1: f64,
-    /// Tangential.
+    /// Tangential (decentering), horizontal.
     pub p2: f64,
 }
 
-/// Steps of the inverse. Stands in `resolve.wgsl` too.
+/// Fixed-point iterations of the inverse; `resolve.wgsl` has the same number.
 const STEPS: u32 = 24;
 
 impl Lens {
@@ -29,20 +29,20 @@ impl Lens {
         *self == Self::default()
     }
 
-    /// Where a point of the pinhole's picture is on the distorted one.
+    /// Maps a point of the undistorted image to the distorted one.
     #[must_use]
     pub fn distort(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let (radial, [dx, dy]) = self.terms([x, y]);
         [x * radial + dx, y * radial + dy]
     }
 
-    /// The point of the pinhole's picture that is seen at a place of the distorted one.
+    /// Maps a point of the distorted image to the undistorted one, by fixed-point iteration.
     #[must_use]
-    pub fn undistort(&self, at: [f64; 2]) -> [f64; 2] {
-        let mut point = at;
+    pub fn undistort(&self, distorted: [f64; 2]) -> [f64; 2] {
+        let mut point = distorted;
         for _ in 0..STEPS {
             let (radial, [dx, dy]) = self.terms(point);
-            point = [(at[0] - dx) / radial, (at[1] - dy) / radial];
+            point = [(distorted[0] - dx) / radial, (distorted[1] - dy) / radial];
         }
         point
     }
@@ -58,19 +58,19 @@ impl Lens {
         (radial, shift)
     }
 
-    /// How far the pinhole's picture must reach, in halves of a picture with these half extents, to fill the distorted one;
-    /// `None` if the lens folds the picture over within it, or bends it so much that the inverse does not settle in its steps.
+    /// Half extents of the undistorted image that cover a distorted image with half extents `half`, as multiples of these;
+    /// `None` if the mapping folds within it or is too strong for the inverse to converge.
     #[must_use]
     pub fn reach(&self, half: [f64; 2]) -> Option<[f64; 2]> {
         let mut reach = [1.0_f64; 2];
         for step in -16..=16 {
-            let share = f64::from(step) / 16.0;
-            for at in [[share, -1.0], [share, 1.0], [-1.0, share], [1.0, share]] {
+            let along = f64::from(step) / 16.0;
+            for at in [[along, -1.0], [along, 1.0], [-1.0, along], [1.0, along]] {
                 let at = [at[0] * half[0], at[1] * half[1]];
                 let point = self.undistort(at);
                 let back = self.distort(point);
-                let off = (back[0] - at[0]).abs().max((back[1] - at[1]).abs());
-                if off.is_nan() || off > 1e-6 {
+                let error = (back[0] - at[0]).abs().max((back[1] - at[1]).abs());
+                if error.is_nan() || error > 1e-6 {
                     return None;
                 }
                 reach = [0, 1].map(|axis| reach[axis].max(point[axis].abs() / half[axis]));
@@ -87,7 +87,7 @@ mod tests {
     const LENS: Lens = Lens { k1: -0.25, k2: 0.06, k3: -0.005, p1: 0.002, p2: -0.001 };
 
     #[test]
-    fn undistort_takes_distort_back() {
+    fn undistort_inverts_distort() {
         for i in 0..100 {
             let point = [f64::from(i % 10) * 0.12 - 0.55, f64::from(i / 10) * 0.11 - 0.5];
             let back = LENS.undistort(LENS.distort(point));
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn a_point_goes_where_the_formula_says() {
+    fn distort_follows_the_formula() {
         let lens = Lens { k1: -0.2, k2: 0.05, p1: 0.01, ..Lens::default() };
         let [x, y] = lens.distort([0.5, 0.25]);
         let square = 0.3125;
@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn a_barrel_sees_further_and_a_lens_that_folds_is_told() {
+    fn barrel_distortion_reaches_farther_and_folding_is_refused() {
         let reach = Lens { k1: -0.2, ..Lens::default() }.reach([0.6, 0.4]).expect("a lens");
         assert!(reach[0] > 1.05 && reach[1] > 1.02, "{reach:?}");
         assert_eq!(Lens { k1: -2.0, ..Lens::default() }.reach([0.8, 0.8]), None);

@@ -8,15 +8,19 @@
 pub mod bounce;
 pub mod camera;
 pub mod craters;
+pub mod grid_cell;
 pub mod lattice;
 pub mod mesh;
 pub mod noise;
+pub mod nominal_craters;
 pub mod photometry;
 pub mod relief;
 pub mod rings;
+pub mod rings_mesh;
 pub mod rocks;
 pub mod sensor;
 pub mod sky;
+pub mod square_grid;
 pub mod terrain;
 
 use std::sync::Arc;
@@ -117,8 +121,8 @@ impl Scene {
         let centre = Vec2::new(params.number(Knob::CameraXM) as f32, params.number(Knob::CameraYM) as f32);
         let view = camera::ground_view(params);
         let mut relief = Relief::new(streams, params, centre);
-        let placed = lunar::place(streams, params, &relief, &view, centre);
-        relief.aprons = lunar::aprons(streams, &placed, centre);
+        let placements = lunar::place(streams, params, &relief, &view, centre);
+        relief.fillets = lunar::fillets(streams, &placements, centre);
         let terrain = Terrain::rings(&relief, &view, centre);
         let camera = Camera::build(params, &terrain)?;
         let number = |knob| params.number(knob);
@@ -130,7 +134,7 @@ impl Scene {
             ),
             roughness: number(Knob::RegolithRoughness) as f32,
         };
-        let rocks = lunar::build(streams, params, &terrain, camera.eye, &regolith, &placed);
+        let rocks = lunar::build(streams, params, &terrain, camera.eye, &regolith, &placements);
         let ground = (Arc::new(terrain), Some(relief));
         Ok(Self::assembled(streams, params, ground, rocks.into(), regolith, camera))
     }

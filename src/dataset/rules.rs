@@ -152,7 +152,7 @@ impl Rules {
         if height_m <= 0.0 {
             return violation("eye_above_ground", format!("the eye is {height_m:.2} m above the ground"));
         }
-        let near_eye = scene.rocks.that_may(|rock| rock.may_lie_within(0.0, eye));
+        let near_eye = scene.rocks.build_where(|rock| rock.may_lie_within(0.0, eye));
         if let Some((_, rock)) = near_eye.into_iter().find(|(_, rock)| rock.distance_to(eye, 1.0) <= 0.0) {
             return violation("eye_outside_rocks", format!("the eye is inside rock {}", rock.index));
         }

@@ -1,9 +1,9 @@
-//! Light that sunlit ground bounces, by Hapke's law.
+//! One bounce of sunlight from the ground, by Hapke's law.
 //!
-//! Lunar soil scatters back: level ground is brightest where it is looked at along the sun's light. A face that is turned
-//! from the sun looks at it so, and gets several times as much from it as a face on the sunny side; a rock's own shadow
-//! takes a part of that away. Ground gets light from ground that stands higher than it.
-//! Must not know: how things are drawn.
+//! Lunar soil is backscattering: level ground is brightest when viewed along the sun's rays. A rock face that points away
+//! from the sun sees the ground from that direction and receives several times as much from it as a face on the sunny side;
+//! the rock's own shadow takes part of it away. Ground receives light from ground that rises above it.
+//! Must not know: how surfaces are rendered.
 
 use std::f64::consts::{FRAC_PI_2, SQRT_2, TAU};
 
@@ -12,70 +12,71 @@ use glam::{DVec2, DVec3};
 use super::photometry::{Law, Photometry};
 use super::terrain::Terrain;
 
-/// Height of the upright cylinder that stands for a rock, in radii: rocks stand out by half of their diameter (the median
-/// of the scans of POLAR-digital is 0.49).
+/// Height of the upright cylinder that approximates a rock, in radii: the median ratio of exposed height to diameter is 0.49
+/// in the scans of POLAR-digital.
 const HEIGHT_RADII: f64 = 1.0;
-/// Where on its side the light is reckoned, parts of its height.
-const PLACES: [f64; 2] = [0.25, 0.75];
-/// Directions that the light is summed over: evenly in the root of their sine below the horizon, for what lies beyond a
-/// shadow is seen close to it; in angle above it; and around.
+/// Where on its side the irradiance is computed, as fractions of its height.
+const SIDE_HEIGHTS: [f64; 2] = [0.25, 0.75];
+/// Directions of the quadrature. Below the horizon the rings are uniform in the square root of the sine, denser near the
+/// horizon, where the ground beyond a shadow is; above it they are uniform in angle.
 const RINGS_BELOW: u32 = 24;
 const RINGS_ABOVE: u32 = 4;
 const SPOKES: u32 = 48;
-/// The normals for which it is summed up: cosines of their azimuth from the sun's; their heights on a rock; the sines of
-/// their angles with the vertical on the ground.
+/// Nodes of the fit: cosine of the normal's azimuth relative to the sun's.
 const COSINES: [f64; 4] = [-1.0, -1.0 / 3.0, 1.0 / 3.0, 1.0];
+/// Nodes on rocks: z of the normal.
 const ROCK_HEIGHTS: [f64; 4] = [-0.6, 0.0, 0.6, 0.95];
+/// Nodes on the ground: sine of the normal's angle to the vertical.
 const GROUND_SINES: [f64; 3] = [0.0, 0.25, 0.6];
-/// How far from its centre the ground's slopes count, metres: cast shadows are seen there.
+/// Radius around the ground's centre within which its slopes are averaged, metres: where cast shadows are visible.
 const SLOPES_WITHIN_M: f32 = 30.0;
-/// Of so many vertices one is asked.
+/// One vertex in this many is sampled.
 const SLOPES_EVERY: usize = 7;
 
-/// A polynomial: lines are rising powers of the height or the sine of a normal, in them are those of the cosine of its azimuth
-/// from the sun's.
+/// Coefficients of a bivariate polynomial: rows are ascending powers of the normal's z (rocks) or sine (ground), columns
+/// ascending powers of the cosine of its azimuth relative to the sun's.
 pub type Polynomial<const LINES: usize> = [[f32; COSINES.len()]; LINES];
 
-/// What the polynomials tell, in square roots.
+/// Fitted irradiance from bounced light; the polynomials give its square root.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Bounce {
-    /// On a face of a rock, by the height of its normal: relative to level ground of as much even radiance without shadows,
-    /// and to a face that reflects as the soil does.
+    /// On a rock face, by the z of its normal: relative to unshadowed level ground of uniform radiance with the same
+    /// exitance, for a face with the diffuse reflectance of the soil.
     pub on_rock: Polynomial<4>,
-    /// On ground, by the sine of its normal: relative to light of that radiance from everywhere.
+    /// On the ground, by the sine of its normal: relative to uniform light of that radiance from all directions.
     pub on_ground: Polynomial<3>,
-    /// The same where ground shades ground: what lies around and no higher is dark too, and lit is what rises above it.
+    /// The same in shadow cast by the ground: only ground that rises above the horizon is sunlit there.
     pub in_shadow: Polynomial<3>,
 }
 
-/// A direction that light comes from, and its radiance times the solid angle.
+/// A direction that light comes from, and its radiance times solid angle.
 type Ray = (DVec3, f64);
 
 impl Bounce {
-    /// For ground of this slope (root mean square along a line) under a sun of which `sine` is that of the elevation. Nothing
-    /// for other laws than Hapke's.
+    /// Fits the bounced light for ground of this RMS slope (along a line); `sine` is that of the sun's elevation. All zero for
+    /// laws other than Hapke's.
     #[must_use]
     pub fn new(photometry: &Photometry, slope: f64, sine: f64) -> Self {
         let Law::Hapke = photometry.law else { return Self::default() };
         let sine = sine.clamp(1e-3, 1.0);
         let sun = DVec2::new((1.0 - sine * sine).sqrt(), sine);
-        let seen_at = |way: DVec3, least: f64| {
-            let down = (-way.z).max(least);
+        let radiance_of = |way: DVec3, min_cosine: f64| {
+            let down = (-way.z).max(min_cosine);
             photometry.soil.radiance_factor(sine, down, -way.x * sun.x + down * sine)
         };
-        let horizon = libm::asin(view_of_rough_ground(slope).sqrt());
+        let horizon = libm::asin(horizon_view_factor(slope).sqrt());
         let below: Vec<Ray> = spokes(RINGS_BELOW)
             .map(|(ring, azimuth)| {
                 let way = direction(-ring * ring, azimuth);
-                (way, seen_at(way, 0.0) * 2.0 * ring * TAU / f64::from(RINGS_BELOW * SPOKES))
+                (way, radiance_of(way, 0.0) * 2.0 * ring * TAU / f64::from(RINGS_BELOW * SPOKES))
             })
             .collect();
-        // Ground that stands higher leans towards who sees it.
+        // Ground that rises above the horizon faces the receiver.
         let above: Vec<Ray> = spokes(RINGS_ABOVE)
             .map(|(ring, azimuth)| {
                 let way = direction(libm::sin(ring * horizon), azimuth);
                 let solid_angle = libm::cos(ring * horizon) * horizon * TAU / f64::from(RINGS_ABOVE * SPOKES);
-                (way, seen_at(way, libm::sin(libm::atan(slope))) * solid_angle)
+                (way, radiance_of(way, libm::sin(libm::atan(slope))) * solid_angle)
             })
             .collect();
         let exitance = irradiance(&below, DVec3::NEG_Z);
@@ -83,11 +84,12 @@ impl Bounce {
         let rock_over_soil = rock.diffuse_reflectance() / photometry.diffuse_reflectance();
         Self {
             on_rock: polynomial(ROCK_HEIGHTS, |out| {
-                let places = PLACES.map(|place| lit(&below, out, place * HEIGHT_RADII, sun));
+                let rays_at_heights =
+                    SIDE_HEIGHTS.map(|height| unshadowed(&below, out, height * HEIGHT_RADII, sun));
                 ROCK_HEIGHTS.map(|height| {
                     let normal = (out * (1.0 - height * height).sqrt()).extend(height);
-                    let sum: f64 = places.iter().map(|rays| irradiance(rays, normal)).sum();
-                    let even = places.len() as f64 * exitance * 0.5 * (1.0 - height);
+                    let sum: f64 = rays_at_heights.iter().map(|rays| irradiance(rays, normal)).sum();
+                    let even = rays_at_heights.len() as f64 * exitance * 0.5 * (1.0 - height);
                     (rock_over_soil * sum / even).sqrt()
                 })
             }),
@@ -97,7 +99,7 @@ impl Bounce {
     }
 }
 
-/// The polynomial for ground that gets these rays.
+/// Fits the polynomial for ground that receives these rays.
 fn on_ground(rays: &[&[Ray]], exitance: f64) -> Polynomial<3> {
     polynomial(GROUND_SINES, |out| {
         GROUND_SINES.map(|tilt| {
@@ -108,7 +110,7 @@ fn on_ground(rays: &[&[Ray]], exitance: f64) -> Polynomial<3> {
     })
 }
 
-/// Middles of rings in (0, 1), each with the azimuths around.
+/// Midpoints of rings in (0, 1), each with every azimuth.
 fn spokes(rings: u32) -> impl Iterator<Item = (f64, f64)> {
     let middle = |index: u32, of: u32| (f64::from(index) + 0.5) / f64::from(of);
     (0..rings).flat_map(move |ring| {
@@ -125,19 +127,19 @@ fn irradiance(rays: &[Ray], normal: DVec3) -> f64 {
     rays.iter().map(|(way, light)| light * normal.dot(*way).max(0.0)).sum()
 }
 
-/// Those of the rays to level ground that end where the cylinder of radius 1, on whose side they start, casts no shadow. The
-/// sun stands over the X axis at an elevation of this cosine and sine.
-fn lit(rays: &[Ray], start: DVec2, height: f64, sun: DVec2) -> Vec<Ray> {
-    let is_lit = |(way, _): &Ray| {
+/// Keeps the rays that hit level ground outside the shadow of a cylinder of radius 1, on whose side they start. The sun is
+/// above the X axis; `sun` holds the cosine and the sine of its elevation.
+fn unshadowed(rays: &[Ray], start: DVec2, height: f64, sun: DVec2) -> Vec<Ray> {
+    let is_sunlit = |(way, _): &Ray| {
         let end = start + height / -way.z * DVec2::new(way.x, way.y);
         let half_chord = (1.0 - end.y * end.y).max(0.0).sqrt();
         let (near, far) = (-end.x - half_chord, -end.x + half_chord);
         half_chord == 0.0 || far <= 0.0 || near.max(0.0) * sun.y >= HEIGHT_RADII * sun.x
     };
-    rays.iter().copied().filter(is_lit).collect()
+    rays.iter().copied().filter(is_sunlit).collect()
 }
 
-/// Root mean square of the slope of the ground's mesh along a line. What is finer lies in the same shadow as what it would light.
+/// RMS slope of the ground's mesh along a line. Finer relief is left out: it is in the same shadow as what it would light.
 #[must_use]
 pub fn rms_slope(terrain: &Terrain) -> f64 {
     let near = terrain.vertices.iter().step_by(SLOPES_EVERY).filter(|vertex| {
@@ -151,9 +153,9 @@ pub fn rms_slope(terrain: &Terrain) -> f64 {
     (0.5 * sum / f64::from(count.max(1))).sqrt()
 }
 
-/// Share of the view of a level place that ground around it fills, weighted with the cosine: Smith's chance (1967) that
-/// something on a rough surface of this slope hides a direction, summed over the directions.
-fn view_of_rough_ground(rms_slope: f64) -> f64 {
+/// Cosine-weighted fraction of the hemisphere above a level point that is occluded by the ground around it: Smith's (1967)
+/// masking probability of a Gaussian surface of this slope, integrated over the directions.
+fn horizon_view_factor(rms_slope: f64) -> f64 {
     let steps = 256;
     let step = FRAC_PI_2 / f64::from(steps);
     let sum: f64 = (0..steps)
@@ -169,8 +171,7 @@ fn view_of_rough_ground(rms_slope: f64) -> f64 {
     sum * step
 }
 
-/// The polynomial that goes through `values` at the nodes, which tells them for a horizontal direction with one of
-/// [`COSINES`] to the sun's.
+/// The polynomial that interpolates `values` at the nodes; it is called with a horizontal direction for each of [`COSINES`].
 fn polynomial<const N: usize>(nodes: [f64; N], values: impl Fn(DVec2) -> [f64; N]) -> Polynomial<N> {
     let mut coefficients = [[0.0_f64; COSINES.len()]; N];
     for (cosine, by_cosine) in COSINES.iter().zip(powers(COSINES)) {
@@ -186,7 +187,7 @@ fn polynomial<const N: usize>(nodes: [f64; N], values: impl Fn(DVec2) -> [f64; N
     coefficients.map(|line| line.map(|coefficient| coefficient as f32))
 }
 
-/// For each node the polynomial that is 1 there and 0 at the others (Lagrange): its coefficients by rising power.
+/// Lagrange basis: for each node the polynomial that is 1 there and 0 at the others, coefficients in ascending powers.
 fn powers<const N: usize>(nodes: [f64; N]) -> [[f64; N]; N] {
     nodes.map(|node| {
         let mut product = [0.0; N];
@@ -218,7 +219,7 @@ mod tests {
 
     /// Integrals over 800 x 480 directions by an independent program, for suns 10, 20 and 40 degrees high.
     #[test]
-    fn faces_get_what_an_integral_over_the_ground_gives() {
+    fn rock_faces_agree_with_an_integral_over_the_ground() {
         for (elevation_deg, azimuth_deg, height, expected) in [
             (10.0, 180.0, 0.0, 0.799),
             (10.0, 135.0, 0.6, 1.701),
@@ -243,20 +244,20 @@ mod tests {
     }
 
     #[test]
-    fn level_ground_sees_as_much_of_the_ground_as_smith_says_and_none_where_it_is_flat() {
+    fn the_view_factor_of_level_ground_is_smiths_and_zero_on_flat_ground() {
         for (slope, expected) in [(0.05, 0.000_739_4), (0.1, 0.002_924_9), (0.2, 0.011_227_8)] {
-            let found = view_of_rough_ground(slope);
+            let found = horizon_view_factor(slope);
             assert!((found / expected - 1.0).abs() < 0.01, "slope {slope}: {found}, not {expected}");
         }
         let flat = Bounce::new(&soil_and_rock_alike(), 0.0, 0.3);
         assert!(at(&flat.on_ground, 0.0, 0.0) < 1e-6);
         let rough = Bounce::new(&soil_and_rock_alike(), 0.1, 0.3);
-        let share = at(&rough.on_ground, 0.0, 0.0) / view_of_rough_ground(0.1);
+        let share = at(&rough.on_ground, 0.0, 0.0) / horizon_view_factor(0.1);
         assert!((0.5..3.0).contains(&share), "{share} times even light from the part of the view");
     }
 
     #[test]
-    fn a_rocks_own_reflection_counts() {
+    fn the_fit_depends_on_the_rocks_reflectance() {
         let lesser = Photometry { rock_b_s0: 0.0, ..soil_and_rock_alike() };
         let share = |photometry| at(&Bounce::new(photometry, 0.1, 0.3).on_rock, -1.0, 0.2);
         assert!(share(&lesser) < 0.95 * share(&soil_and_rock_alike()));

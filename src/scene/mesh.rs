@@ -1,4 +1,4 @@
-//! Triangle meshes: the icosphere with all its coarser levels, smooth normals, the vertex.
+//! Triangle meshes: the icosphere with all its levels of detail, smooth normals, the vertex.
 //!
 //! Must not know: what is modelled with them.
 
@@ -20,24 +20,24 @@ pub struct Vertex {
     pub normal: Vec3,
 }
 
-/// A unit sphere of triangles, made by splitting an icosahedron `levels` times.
+/// A unit icosphere: an icosahedron subdivided `levels` times.
 ///
-/// The vertices of a coarser level are the first vertices of every finer one, so that a displaced icosphere is
-/// drawn at any level with the same vertices and a shorter list of indices.
+/// The vertices of a level come first in every finer one, so that one vertex buffer serves all levels of detail of a
+/// displaced icosphere with an index buffer per level.
 #[derive(Debug)]
 pub struct Icosphere {
     /// Unit vectors; level `l` uses the first `10 * 4^l + 2`.
     pub directions: Vec<Vec3>,
-    /// The same, axis by axis.
+    /// The same as structure of arrays: one list per axis.
     pub axes: [Vec<f32>; 3],
     /// Triangles of each level, counter-clockwise seen from outside.
     pub triangles: Vec<Vec<[u32; 3]>>,
-    /// For every vertex beyond the twelve of the icosahedron: the two ends of the edge that it halves.
+    /// For every vertex after the first twelve: the two ends of the edge that it bisects.
     parents: Vec<[u32; 2]>,
 }
 
 impl Icosphere {
-    /// Finest level that is kept: 10,242 vertices, 20,480 triangles.
+    /// Finest level: 10,242 vertices, 20,480 triangles.
     pub const MAX_LEVEL: usize = 5;
 
     /// The shared icosphere with levels 0 to [`Self::MAX_LEVEL`].
@@ -87,11 +87,11 @@ impl Icosphere {
         Self { directions, axes, triangles, parents }
     }
 
-    /// For each level, a bound in metres on the distance between the surface drawn at that level and the one
-    /// drawn with all of `vertices` (which must be those of some level of this icosphere).
+    /// For each level, an upper bound in metres on the distance between the mesh of that level and the one of all
+    /// `vertices` (which must be those of some level of this icosphere).
     ///
-    /// Two neighbouring levels differ by at most the largest distance of a vertex left out from the middle of
-    /// the edge that it halves; over several levels these add up.
+    /// Two neighbouring levels differ by at most the largest distance of a vertex of the finer one from the midpoint of the
+    /// edge that it bisects; over several levels these distances add up.
     #[must_use]
     pub fn level_errors_m(&self, vertices: &[Vertex]) -> Vec<f32> {
         let positions = Positions::of(vertices);
@@ -103,9 +103,9 @@ impl Icosphere {
             let mut worst = 0.0;
             for (v, &[a, b]) in (first..).zip(&self.parents[first - 12..last - 12]) {
                 let middle = 0.5 * (positions.at(a as usize) + positions.at(b as usize));
-                let here = Vec3A::from_vec4(positions.at(v) - middle).length_squared();
-                // `f32::max` asks for more than a comparison.
-                worst = if here > worst { here } else { worst };
+                let error = Vec3A::from_vec4(positions.at(v) - middle).length_squared();
+                // `f32::max` is more than a comparison (NaN).
+                worst = if error > worst { error } else { worst };
             }
             errors.push(errors[errors.len() - 1] + worst.sqrt());
             level -= 1;
@@ -117,12 +117,12 @@ impl Icosphere {
     /// Sets the normals of the vertices of a level to the area-weighted mean of the normals of their triangles.
     ///
     /// # Panics
-    /// Unless the level is finer than the icosahedron, and has as many vertices.
+    /// If the level is 0 or has another number of vertices.
     pub fn set_smooth_normals(&self, vertices: &mut [Vertex], level: usize) {
         assert!(level > 0 && vertices.len() == Self::vertex_count(level), "the vertices of level {level}");
         let mut sums = Reused::filled(vertices.len(), Vec4::ZERO);
         let positions = Positions::of(vertices);
-        // The four that a coarser triangle was split into are one step, with a third of the loads and stores.
+        // The four triangles of a subdivided one are summed together: a third of the loads and stores.
         for &[[a, ..], [_, b, _], [.., c], [ab, bc, ca]] in self.triangles[level].as_chunks::<4>().0 {
             let [a, b, c, ab, bc, ca] =
                 [a as usize, b as usize, c as usize, ab as usize, bc as usize, ca as usize];
@@ -167,17 +167,18 @@ fn icosahedron_faces(directions: &[DVec3]) -> Vec<[u32; 3]> {
     faces
 }
 
-/// The cross product, and something in the fourth place. That of glam is fused on some machines.
+/// The cross product in the first three lanes; the fourth is arbitrary. glam's own uses fused multiply-add on some targets,
+/// which would change bits.
 #[inline(always)]
 fn cross(a: Vec4, b: Vec4) -> Vec4 {
     (a.zxyw() * b - b.zxyw() * a).zxyw()
 }
 
-/// Positions of vertices as vectors that fill a register: loaded with the number after them, which nothing comes of.
+/// Positions of vertices as four-lane vectors: loaded with the float that follows, which is ignored.
 #[derive(Clone, Copy)]
 struct Positions<'a>(&'a [[f32; FLOATS]]);
 
-/// Floats of a vertex.
+/// Floats per vertex.
 const FLOATS: usize = size_of::<Vertex>() / size_of::<f32>();
 
 impl<'a> Positions<'a> {
@@ -269,7 +270,7 @@ mod tests {
         let errors = sphere.level_errors_m(&vertices);
         assert_eq!(errors.len(), 4);
         assert_eq!(errors[3], 0.0);
-        // How far the middles of the faces lie inside the unit sphere.
+        // Depth of the face centres below the unit sphere.
         let sag = |level: usize| {
             sphere.triangles[level].iter().fold(0.0_f32, |worst, t| {
                 let centre = t.iter().map(|&v| vertices[v as usize].position).sum::<Vec3>() / 3.0;

@@ -1,29 +1,29 @@
-//! How ground and rocks reflect: the laws, as the shader has them (`shaders/common/brdf.wgsl` is the twin).
+//! Photometric functions of ground and rocks; the shader counterpart is `shaders/common/brdf.wgsl`.
 //!
-//! Must not know: what is lit.
+//! Must not know: which surface is shaded.
 
 use glam::Vec3;
 
 use crate::params::{Knob, Params};
 
-/// Largest angle from the normal that Hapke's shadowing is reckoned at, degrees: its terms run away at 90.
+/// Largest incidence and emission angle in Hapke's roughness correction, degrees: it diverges at 90.
 pub const GRAZING_DEG: f64 = 89.5;
 
-/// A law of reflection.
+/// A photometric function.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Law {
-    /// Even: radiance is the same from everywhere.
+    /// Lambertian: the radiance is the same in all directions.
     Lambert,
-    /// A rough diffuse surface.
+    /// A rough diffuse surface (Oren and Nayar 1994).
     OrenNayar,
-    /// Single scattering in a deep dark soil.
+    /// Single scattering in a semi-infinite medium of dark particles (Lommel-Seeliger).
     LommelSeeliger,
-    /// Hapke's model.
+    /// Hapke's model (Hapke 2012).
     Hapke,
 }
 
 impl Law {
-    /// Every law with its word in `photometry.law`. Its place here is its number in the shader.
+    /// Every law with its name in `photometry.law`. The index is the law's number in the shader.
     pub const ALL: [(Self, &'static str); 4] = [
         (Self::Lambert, "lambert"),
         (Self::OrenNayar, "oren_nayar"),
@@ -32,37 +32,37 @@ impl Law {
     ];
 }
 
-/// Parameters of Hapke's model in the form that the LROC WAC maps use (Sato et al. 2014, doi 10.1002/2013JE004580; Hapke
-/// 2012), without porosity and coherent backscatter.
+/// Parameters of Hapke's model as in the LROC WAC maps (Sato et al. 2014, doi 10.1002/2013JE004580; Hapke 2012), without
+/// porosity and coherent backscatter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hapke {
     /// Single-scattering albedo.
     pub w: f64,
-    /// Width of the phase function's lobes.
+    /// Asymmetry parameter of both lobes of the phase function.
     pub b: f64,
     /// Weight of the backward lobe.
     pub c: f64,
-    /// Height of the opposition surge.
+    /// Amplitude of the shadow-hiding opposition effect.
     pub b_s0: f64,
-    /// Its width.
+    /// Angular width of the opposition effect.
     pub h_s: f64,
-    /// Mean slope of the roughness below sight, degrees.
+    /// Mean slope angle of the unresolved roughness, degrees.
     pub theta_bar_deg: f64,
 }
 
-/// The laws of a scene.
+/// The photometric functions of a scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Photometry {
     /// The law of ground and rocks.
     pub law: Law,
     /// Hapke's parameters for the ground.
     pub soil: Hapke,
-    /// Height of the opposition surge on rocks.
+    /// Amplitude of the opposition effect on rocks.
     pub rock_b_s0: f64,
 }
 
 impl Default for Photometry {
-    /// The nominal stage's: a rough diffuse surface; of Hapke's parameters the set that fits most of the Moon at 643 nm.
+    /// The nominal stage's: Oren-Nayar; the Hapke parameters are those of Sato et al. 2014 at 643 nm.
     fn default() -> Self {
         let soil =
             Hapke { w: 0.32357, b: 0.23955, c: 0.30452, b_s0: 1.80238, h_s: 0.07145, theta_bar_deg: 23.657 };
@@ -71,7 +71,7 @@ impl Default for Photometry {
 }
 
 impl Photometry {
-    /// The laws of these settings.
+    /// The photometric functions of these parameters.
     #[must_use]
     pub fn build(params: &Params) -> Self {
         let word = params.text(Knob::PhotometryLaw);
@@ -91,13 +91,13 @@ impl Photometry {
         }
     }
 
-    /// Hapke's parameters for a surface with this opposition surge.
+    /// Hapke's parameters with another amplitude of the opposition effect.
     #[must_use]
     pub fn with_surge(&self, b_s0: f64) -> Hapke {
         Hapke { b_s0, ..self.soil }
     }
 
-    /// What the law gives at normal incidence and zero phase for a surface of unit albedo: the albedo is divided by it.
+    /// Radiance factor at normal incidence and zero phase of a surface of unit albedo; the albedo is divided by it.
     #[must_use]
     pub fn at_normal(&self, b_s0: f64) -> f64 {
         match self.law {
@@ -106,15 +106,15 @@ impl Photometry {
         }
     }
 
-    /// Part of even light from all around that the ground's law reflects before it is divided by what it gives at normal
-    /// incidence; taken as that of light from half way up.
+    /// Reflectance of the ground under uniform illumination, before division by [`Self::at_normal`]; approximated by that of
+    /// light whose incidence has a cosine of 0.5.
     #[must_use]
     pub fn diffuse_reflectance(&self) -> f64 {
         self.exitance(0.5) / 0.5 * self.at_normal(self.soil.b_s0)
     }
 
-    /// Light that level ground of unit albedo sends off in all directions, as a part of the sun's irradiance on a surface
-    /// that faces it; `cos_light` is the sine of the sun's elevation.
+    /// Exitance of level ground of unit albedo, relative to the sun's irradiance at normal incidence; `cos_light` is the sine
+    /// of the sun's elevation.
     #[must_use]
     pub fn exitance(&self, cos_light: f64) -> f64 {
         let Law::Hapke = self.law else { return cos_light };
@@ -122,7 +122,7 @@ impl Photometry {
         let mut sum = 0.0;
         let sin_light = (1.0 - cos_light * cos_light).max(0.0).sqrt();
         for ring in 0..rings {
-            // Evenly in the square of the cosine: each place stands for as much of the exitance.
+            // Uniform in the squared cosine: equal weights for the exitance.
             let cos_eye = ((f64::from(ring) + 0.5) / f64::from(rings)).sqrt();
             let sin_eye = (1.0 - cos_eye * cos_eye).sqrt();
             for spoke in 0..spokes {
@@ -136,15 +136,15 @@ impl Photometry {
 }
 
 impl Hapke {
-    /// Radiance factor (pi times the radiance over the irradiance of a surface that faces the sun) from the cosines of
-    /// incidence, emission and phase.
+    /// Radiance factor I/F (pi times the radiance over the irradiance at normal incidence) from the cosines of the incidence,
+    /// emission and phase angles.
     #[must_use]
     pub fn radiance_factor(&self, cos_light: f64, cos_eye: f64, cos_phase: f64) -> f64 {
-        let least = libm::cos(GRAZING_DEG.to_radians());
+        let min_cosine = libm::cos(GRAZING_DEG.to_radians());
         if cos_light <= 0.0 || cos_eye <= 0.0 {
             return 0.0;
         }
-        let (mu0, mu) = (cos_light.clamp(least, 1.0), cos_eye.clamp(least, 1.0));
+        let (mu0, mu) = (cos_light.clamp(min_cosine, 1.0), cos_eye.clamp(min_cosine, 1.0));
         let cos_phase = cos_phase.clamp(-1.0, 1.0);
         let (effective0, effective, shadowing) = self.roughness(mu0, mu, cos_phase);
         let tan_half_phase = ((1.0 - cos_phase) / (1.0 + cos_phase).max(1e-9)).sqrt();
@@ -154,7 +154,7 @@ impl Hapke {
             * shadowing
     }
 
-    /// The phase function of the grains: two lobes (Henyey and Greenstein), with a mean of 1 over the sphere.
+    /// Phase function of the grains: double Henyey-Greenstein, with a mean of 1 over the sphere.
     #[must_use]
     pub fn phase(&self, cos_phase: f64) -> f64 {
         let (b, square) = (self.b, self.b * self.b);
@@ -162,7 +162,7 @@ impl Hapke {
         0.5 * (1.0 + self.c) * lobe(-1.0) + 0.5 * (1.0 - self.c) * lobe(1.0)
     }
 
-    /// Chandrasekhar's function in Hapke's approximation of 2002.
+    /// Chandrasekhar's H function in the approximation of Hapke 2002.
     #[must_use]
     pub fn h(&self, x: f64) -> f64 {
         let gamma = (1.0 - self.w).sqrt();
@@ -170,7 +170,7 @@ impl Hapke {
         1.0 / (1.0 - self.w * x * (r0 + 0.5 * (1.0 - 2.0 * r0 * x) * libm::log((1.0 + x) / x)))
     }
 
-    /// Effective cosines and shadowing of a rough surface (Hapke 1984).
+    /// Effective cosines and shadowing function of a rough surface (Hapke 1984).
     fn roughness(&self, mu0: f64, mu: f64, cos_phase: f64) -> (f64, f64, f64) {
         let tan_bar = libm::tan(self.theta_bar_deg.to_radians());
         if tan_bar < 1e-4 {
@@ -193,7 +193,7 @@ impl Hapke {
         let eta_eye = chi * (mu + sin * tan_bar * e2_eye / (2.0 - e1_eye));
         let f = libm::exp(-2.0 * ((1.0 - cos_azimuth) / (1.0 + cos_azimuth).max(1e-9)).sqrt());
         let share = azimuth / pi;
-        // The larger of the two angles leads.
+        // The formulas differ by which of the two angles is larger.
         let (light_leads, below) = if mu0 <= mu {
             (true, 2.0 - e1_light - share * e1_eye)
         } else {
@@ -211,7 +211,7 @@ impl Hapke {
     }
 }
 
-/// A colour of soil or rock: linear RGB with this mean, redder by `warmth`.
+/// Linear RGB with this mean and these channel ratios.
 #[must_use]
 pub fn tinted(mean: f64, red_over_green: f64, blue_over_green: f64) -> Vec3 {
     let green = 3.0 * mean / (1.0 + red_over_green + blue_over_green);
@@ -219,7 +219,7 @@ pub fn tinted(mean: f64, red_over_green: f64, blue_over_green: f64) -> Vec3 {
 }
 
 #[cfg(test)]
-#[allow(clippy::disallowed_methods, reason = "what is expected may be reckoned with std's functions")]
+#[allow(clippy::disallowed_methods, reason = "expected values may be computed with std's functions")]
 mod tests {
     use super::*;
 
@@ -235,7 +235,7 @@ mod tests {
     /// Computed with an independent implementation, which agrees with the `hapke` plugin of eradiate-mitsuba 0.5.0 to five
     /// digits. The two values at emission 0 are published with fewer.
     #[test]
-    fn radiance_factors_are_the_golden_ones() {
+    fn radiance_factors_match_independent_values() {
         for (i, e, psi, surge, expected) in [
             (30.0, 10.0, 0.0, 1.80238, 0.09489),
             (30.0, 60.0, 0.0, 1.80238, 0.10358),
@@ -280,8 +280,8 @@ mod tests {
     }
 
     #[test]
-    fn level_ground_shows_the_contrast_of_a_panorama() {
-        // Sun 17 degrees high, a look 10 degrees down: 13 times brighter away from the sun than towards it.
+    fn level_ground_has_the_contrast_of_a_panorama() {
+        // Sun 17 degrees high, viewing 10 degrees down: 13 times brighter away from the sun than towards it.
         let around: Vec<f64> = (0..=36).map(|k| at(&WAC, 73.0, 80.0, f64::from(k) * 5.0)).collect();
         let (low, high) =
             around.iter().fold((f64::MAX, 0.0_f64), |(low, high), v| (low.min(*v), high.max(*v)));
@@ -289,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn every_law_sends_off_less_than_it_gets() {
+    fn no_law_reflects_more_light_than_it_receives() {
         for (law, _) in Law::ALL {
             let photometry = Photometry { law, soil: WAC, rock_b_s0: 0.8 };
             for sine in [0.1, 0.3, 0.8, 1.0] {

@@ -1,4 +1,4 @@
-//! The height function of the surface stage: hills to millimetres, craters, clods, aprons of soil around rocks.
+//! The height function of the surface stage: hills to millimetres, craters, clods, fillets of soil around rocks.
 //!
 //! One function of place and footprint: what is smaller than the footprint allows is left out smoothly, so that a mesh
 //! may sample it at the size of its cells. The shader adds the slopes of what is left out down to the size of a pixel
@@ -48,9 +48,9 @@ pub struct Octave {
     pub amplitude_m: f32,
 }
 
-/// An apron of soil around a rock.
+/// A fillet of soil around a rock.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Apron {
+pub struct Fillet {
     /// Centre of the rock, metres from the centre of the ground.
     pub offset: Vec2,
     /// Radius of the rock where it meets the ground, metres.
@@ -59,7 +59,7 @@ pub struct Apron {
     pub height_m: f32,
 }
 
-impl Apron {
+impl Fillet {
     /// How far it reaches, metres.
     fn reach_m(&self) -> f32 {
         2.0 * self.radius_m
@@ -80,15 +80,15 @@ pub struct Relief {
     pub octaves: Vec<Octave>,
     /// Craters and clods.
     pub craters: CraterField,
-    /// Aprons of soil.
-    pub aprons: Vec<Apron>,
+    /// Fillets of soil.
+    pub fillets: Vec<Fillet>,
 }
 
 /// What can change the ground somewhere.
 #[derive(Clone, Debug, Default)]
 pub struct Nearby {
     pits: Vec<Pit>,
-    aprons: Vec<Apron>,
+    fillets: Vec<Fillet>,
 }
 
 /// How much of something of this size a mesh with cells of this size shows.
@@ -130,7 +130,7 @@ impl Relief {
             })
             .collect();
         let craters = CraterField::new(streams, params, centre);
-        Self { octaves, craters, aprons: Vec::new() }
+        Self { octaves, craters, fillets: Vec::new() }
     }
 
     /// What can change the ground within a circle (metres from the centre), at a footprint or more.
@@ -138,9 +138,9 @@ impl Relief {
     pub fn nearby(&self, offset: Vec2, radius_m: f32, cell_m: f32) -> Nearby {
         let mut nearby = Nearby::default();
         self.craters.around(offset, radius_m, CELLS_LEAST * cell_m, |pit| nearby.pits.push(pit));
-        nearby.aprons.extend(self.aprons.iter().copied().filter(|apron| {
-            let reach_m = radius_m + apron.reach_m();
-            apron.offset.distance_squared(offset) < reach_m * reach_m
+        nearby.fillets.extend(self.fillets.iter().copied().filter(|fillet| {
+            let reach_m = radius_m + fillet.reach_m();
+            fillet.offset.distance_squared(offset) < reach_m * reach_m
         }));
         nearby
     }
@@ -182,10 +182,10 @@ impl Relief {
             }
         }
         let mut soil = [0.0; AT_A_TIME];
-        for apron in &nearby.aprons {
-            if is_any_within(apron.reach_m(), apron.offset, [x, y]) {
+        for fillet in &nearby.fillets {
+            if is_any_within(fillet.reach_m(), fillet.offset, [x, y]) {
                 for ((soil, x), y) in soil.iter_mut().zip(x).zip(y) {
-                    *soil += apron.height_at(Vec2::new(*x, *y));
+                    *soil += fillet.height_at(Vec2::new(*x, *y));
                 }
             }
         }

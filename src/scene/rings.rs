@@ -9,7 +9,7 @@ use std::ops::Range;
 
 use glam::Vec2;
 
-use super::terrain::CellPlace;
+use super::grid_cell::CellPoint;
 
 /// How fast columns widen outside the sector that is looked at, and how wide they become, relative to those within.
 const WIDENING: (f64, f64) = (1.12, 12.0);
@@ -164,11 +164,11 @@ impl Rings {
 
     /// The cell under a place, metres from the centre; beyond the last ring, the one inside it.
     #[must_use]
-    pub fn locate(&self, offset: Vec2) -> CellPlace {
+    pub fn locate(&self, offset: Vec2) -> CellPoint {
         let (turn, squared_m2) = (pseudo_angle(self.local(offset)), offset.length_squared());
         let (column, row) = (self.column_of(turn), self.row_of(squared_m2));
         let share = |x: f32, low: f32, high: f32| ((x - low) / (high - low)).clamp(0.0, 1.0);
-        CellPlace {
+        CellPoint {
             column: column as u32,
             row: row as u32,
             u: share(turn, self.turns[column], self.turns[column + 1]),

@@ -1,52 +1,52 @@
-//! The camera's sensor: what becomes of the light, as numbers.
+//! Parameters of the camera's sensor.
 //!
-//! Must not know: how it is reckoned.
+//! Must not know: how they are applied.
 
 use crate::params::{Knob, Params};
 use crate::random::Streams;
 
-/// How a sensor sees colour.
+/// Colour filter array of a sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mosaic {
-    /// Not at all.
+    /// None.
     Monochrome,
-    /// Through filters, one a pixel: red and green, green and blue in turn (Bayer 1976), filled in bilinearly.
+    /// Bayer pattern RGGB (Bayer 1976), demosaiced bilinearly.
     Bayer,
 }
 
-/// A sensor in the linear model of EMVA 1288 (release 4.0, part 2.2), and the optics before it.
+/// A sensor in the linear model of EMVA 1288 (release 4.0, section 2.2), and the optics in front of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sensor {
-    /// How it sees colour.
+    /// Colour filter array.
     pub mosaic: Mosaic,
-    /// Encoded level, 0 to 1, that the median of the sunlit ground is put at; 0 for the fixed exposure.
+    /// Automatic exposure: encoded level, 0 to 1, of the median of the sunlit ground; 0 for the fixed exposure.
     pub ground_level: f64,
-    /// Light that is spread evenly over the picture, as a part of its mean.
+    /// Veiling glare: light spread uniformly over the image, as a fraction of its mean.
     pub glare: f64,
-    /// Share of the natural fall of light to the corners (cos^4 of the angle from the axis).
+    /// Fraction of the natural vignetting (cos^4 of the angle to the optical axis), 0 to 1.
     pub vignetting: f64,
-    /// Standard deviation of a point's picture, pixels, the pixel's own width included: from 0.25 on.
+    /// Standard deviation of the point spread function, pixels, pixel aperture included; effective from 0.25 on.
     pub psf_px: f64,
-    /// Electrons that a pixel holds; more are clipped. Radiance 1 at exposure 0 EV fills it.
+    /// Full-well capacity, electrons. Radiance 1 at exposure 0 EV saturates it.
     pub full_well_e: f64,
-    /// Deviation of the electrons that reading adds.
+    /// Standard deviation of the read noise, electrons.
     pub read_noise_e: f64,
-    /// Electrons that come without light.
+    /// Mean dark signal, electrons.
     pub dark_e: f64,
-    /// Their deviation from pixel to pixel, the same in every frame.
+    /// Dark signal non-uniformity: standard deviation, electrons; a fixed pattern.
     pub dsnu_e: f64,
-    /// Deviation of the pixels' sensitivity, relative, the same in every frame.
+    /// Photo response non-uniformity: relative standard deviation; a fixed pattern.
     pub prnu: f64,
-    /// Part of the full scale that becomes black.
+    /// Fraction of full scale that maps to black.
     pub black_level: f64,
-    /// Bits of a reading.
+    /// Bit depth of the analog-to-digital converter.
     pub bits: u32,
     /// Seed of this frame's noise.
     pub noise_seed: u32,
 }
 
 impl Sensor {
-    /// The sensor of these settings; none where it is off.
+    /// The sensor of these parameters; `None` if it is off.
     #[must_use]
     pub fn build(streams: &Streams, params: &Params) -> Option<Self> {
         let mosaic = match params.text(Knob::SensorKind) {

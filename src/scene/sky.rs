@@ -1,7 +1,7 @@
 //! The sun, the dome and the stars.
 //!
-//! Dome and stars emit and are unlit; they cast no shadow.
-//! Must not know: how they are drawn.
+//! Dome and stars are emissive and unlit; they cast no shadows.
+//! Must not know: how they are rendered.
 
 use glam::{DVec3, Vec3};
 
@@ -12,38 +12,37 @@ use crate::random::Streams;
 pub const DOME_RADIANCE: Vec3 = Vec3::new(0.010, 0.010, 0.016);
 /// Radiance of a star.
 pub const STAR_RADIANCE: Vec3 = Vec3::new(4.0, 4.0, 4.2);
-/// Level of the icosphere that the dome is.
+/// Icosphere level of the dome.
 pub const DOME_LEVEL: usize = 4;
-/// Level of the icosphere that a star is.
+/// Icosphere level of a star.
 pub const STAR_LEVEL: usize = 1;
-/// How far inside the dome the stars hang, metres.
+/// Distance of the stars from the dome, inwards, metres.
 const STAR_INSET_M: f64 = 18.0;
-/// Smallest and largest radius of a star on a dome of [`STAR_DOME_M`], metres; on another they span the same angle.
+/// Range of the stars' radii on a dome of [`STAR_DOME_M`], metres; they scale with the dome, to span the same angle.
 pub const STAR_RADIUS_M: [f64; 2] = [0.5, 1.1];
-/// Radius of the dome that the stars' radii are given for, metres.
+/// Radius of the dome that [`STAR_RADIUS_M`] refers to, metres.
 pub const STAR_DOME_M: f64 = 600.0;
-/// Irradiance, on a surface that faces the sun, per unit of the intensity knob. Radiance 1 is what a picture at
-/// exposure 0 EV shows at the tone curve's middle; the factor was chosen with the tone curve on the reference
-/// frame.
+/// Irradiance at normal incidence per unit of the intensity knob. At exposure 0 EV, radiance 1 is the middle of the tone
+/// curve; the factor was chosen together with the tone curve on the reference frame.
 pub const SUN_IRRADIANCE_PER_INTENSITY: f32 = 1.66e-3;
 
-/// The distant sun: the only light there is, apart from the dome's own glow.
+/// The sun as a distant disc: the only light source besides the dome's glow and earthshine.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sun {
     /// Unit vector from the scene towards the sun.
     pub direction: Vec3,
-    /// Angle above the XY plane, degrees.
+    /// Elevation above the XY plane, degrees.
     pub elevation_deg: f64,
-    /// Compass angle from +Y towards +X, degrees.
+    /// Azimuth, clockwise from +Y towards +X, degrees.
     pub azimuth_deg: f64,
-    /// Angle that the disc spans, degrees.
+    /// Angular diameter of the disc, degrees.
     pub angular_diameter_deg: f64,
-    /// Irradiance on a surface that faces it, linear RGB.
+    /// Irradiance at normal incidence, linear RGB.
     pub irradiance: Vec3,
 }
 
 impl Sun {
-    /// The sun of these settings.
+    /// The sun of these parameters.
     #[must_use]
     pub fn build(params: &Params) -> Self {
         let colour = params.rgb(Knob::SunColor).map(|channel| channel as f32);
@@ -56,7 +55,7 @@ impl Sun {
         )
     }
 
-    /// A sun at these angles (degrees).
+    /// A sun at these angles, degrees.
     #[must_use]
     pub fn new(elevation_deg: f64, azimuth_deg: f64, angular_diameter_deg: f64, irradiance: Vec3) -> Self {
         let (elevation, azimuth) = (elevation_deg.to_radians(), azimuth_deg.to_radians());
@@ -66,7 +65,7 @@ impl Sun {
         Self { direction: direction.as_vec3(), elevation_deg, azimuth_deg, angular_diameter_deg, irradiance }
     }
 
-    /// Unit vectors of the plane across the sun's rays; the first is level, and `right x up` is the direction.
+    /// Orthonormal basis of the plane perpendicular to the sun's rays; `right` is horizontal, `right x up` is the direction.
     #[must_use]
     pub fn right_and_up(&self) -> [Vec3; 2] {
         let level = Vec3::new(-self.direction.y, self.direction.x, 0.0);
@@ -76,14 +75,14 @@ impl Sun {
         [up.cross(self.direction), up]
     }
 
-    /// Tangent of half the angle that the disc spans.
+    /// Tangent of half the angular diameter.
     #[must_use]
     pub fn tan_half_angle(&self) -> f32 {
         libm::tan(0.5 * self.angular_diameter_deg.to_radians()) as f32
     }
 }
 
-/// One star: a small sphere that hangs inside the dome.
+/// A star: a small sphere inside the dome.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Star {
     /// Centre, metres, world.
@@ -105,18 +104,18 @@ pub struct Sky {
     pub radiance: Vec3,
     /// Radiance of a star.
     pub star_radiance: Vec3,
-    /// Radiance of an even sky that gives as much light as the Earth does. Nothing in the picture shows it.
+    /// Radiance of a uniform sky with the irradiance of the Earth; only lights surfaces, not visible itself.
     pub earthshine: Vec3,
 }
 
-/// Distance from the foot of the eye within which there is no star, under a dome of this radius, metres.
+/// Distance from the dome's centre within which there is no star, metres.
 #[must_use]
 pub fn innermost_star_m(dome_radius_m: f64) -> f64 {
     dome_radius_m - STAR_INSET_M - STAR_RADIUS_M[1] * (dome_radius_m / STAR_DOME_M)
 }
 
 impl Sky {
-    /// The sky of these settings around a place on the ground.
+    /// The sky of these parameters around a point of the ground.
     #[must_use]
     pub fn build(streams: &Streams, params: &Params, centre: Vec3) -> Self {
         let radius_m = params.number(Knob::SkyDomeRadiusM);
@@ -136,7 +135,7 @@ impl Sky {
             stars,
             radiance: DOME_RADIANCE * params.number(Knob::SkyGlow) as f32,
             star_radiance: STAR_RADIANCE * params.number(Knob::SkyStarGain) as f32,
-            // An even sky of radiance L gives level ground pi L.
+            // A uniform sky of radiance L has an irradiance of pi L on level ground.
             earthshine: Sun::build(params).irradiance * params.number(Knob::SkyEarthshine) as f32
                 / std::f32::consts::PI,
         }
@@ -148,7 +147,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sun_direction_is_a_compass_angle() {
+    fn the_azimuth_is_a_compass_angle() {
         let towards = |elevation, azimuth| Sun::new(elevation, azimuth, 0.53, Vec3::ONE).direction;
         assert!(towards(0.0, 0.0).distance(Vec3::Y) < 1e-6);
         assert!(towards(0.0, 90.0).distance(Vec3::X) < 1e-6);
@@ -165,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn stars_hang_inside_the_dome_above_the_horizon_in_front() {
+    fn stars_lie_inside_the_dome_above_the_horizon_in_front() {
         let params = Params::draw_default(3);
         let centre = Vec3::new(1.0, -90.0, 0.5);
         let sky = Sky::build(&Streams::new(3), &params, centre);

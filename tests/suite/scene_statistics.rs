@@ -57,7 +57,7 @@ fn craters_have_the_stated_sizes() {
         assert!((10.0..38.0).contains(&crater.radius_m) && (1.5..5.5).contains(&crater.depth_m));
         assert!((0.18..0.35).contains(&(crater.rim_m / crater.depth_m)));
     }
-    let all = |value: fn(&regolith::scene::terrain::Crater) -> f32| {
+    let all = |value: fn(&regolith::scene::nominal_craters::Crater) -> f32| {
         craters.iter().map(move |c| f64::from(value(c)))
     };
     assert!(ks_uniform(all(|c| c.radius_m), 10.0, 38.0) < 1.95);

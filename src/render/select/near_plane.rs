@@ -86,7 +86,7 @@ fn is_cut(scene: &Scene, camera: &Camera, [width_px, height_px]: [u32; 2]) -> bo
     let (eye, around) = (camera.eye, Vec3::splat(reach_m));
     let [low, high] = [eye - around, eye + around].map(Vec3::truncate);
     let ground = scene.terrain.triangles_over(low, high);
-    let rocks = scene.rocks.that_may(|rock| rock.may_lie_within(reach_m, eye));
+    let rocks = scene.rocks.build_where(|rock| rock.may_lie_within(reach_m, eye));
     ground.map(|triangle| triangle.map(|corner| corner - eye)).any(is_cut)
         || rocks.iter().any(|(_, rock)| {
             let triangles = rock.triangles(rock.level).iter();

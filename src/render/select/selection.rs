@@ -107,7 +107,7 @@ pub fn build_rocks(scene: &Scene, settings: &RenderSettings) {
 /// The rocks that may be visible, or whose shadow may be, with their index in the scene. The test bounds a rock that is not built
 /// yet, so it accepts a few more than are drawn.
 fn cull_rocks<'a>(scene: &'a Scene, frustum: &Frustum) -> Vec<(usize, &'a Rock)> {
-    scene.rocks.that_may(|rock| {
+    scene.rocks.build_where(|rock| {
         let [low, high] = rock.centres;
         let (reach_m, width_m) = casters::shadow_extent_m(scene, high.z + rock.radius_m, rock.radius_m);
         let shadow = -reach_m * scene.sun.direction;

@@ -1,119 +1,99 @@
-//! The rocks of a scene, by number, each built when it is first asked for: a picture asks for those that it may show alone.
+//! The rocks of a scene by index. A rock is built on first access; a frame accesses only those that survive culling.
 //!
-//! Must not know: what a picture shows.
+//! Must not know: which rocks a frame needs.
 
 use std::ops::{Index, IndexMut};
 use std::sync::{Arc, OnceLock};
 
 use bytemuck::bytes_of;
-use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{Plan, Rock};
+use super::plan::{RockBounds, RockPlan};
+use super::rock::Rock;
 
-/// The rocks of a scene. Copies of it share those that were built, whichever asked for them.
+/// The rocks of a scene. Clones share the rocks that any of them has built.
 #[derive(Clone, Debug, Default)]
 pub struct Rocks(Arc<[Entry]>);
 
 #[derive(Clone, Debug)]
 struct Entry {
-    /// How to build it; none of a rock that was given as it is, or changed.
-    plan: Option<Plan>,
+    /// How to build it; `None` for a rock that was supplied as it is, or modified.
+    plan: Option<RockPlan>,
     built: OnceLock<Rock>,
-}
-
-/// Where all of a rock lies: within a ball somewhere on the way from one place to another above it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Whereabouts {
-    /// Lowest and highest place for its centre, metres.
-    pub centres: [Vec3; 2],
-    /// Not less than its greatest distance from the centre, metres.
-    pub radius_m: f32,
-}
-
-impl Whereabouts {
-    /// Whether the rock may be so near to a point.
-    #[must_use]
-    pub fn may_lie_within(&self, limit_m: f32, point: Vec3) -> bool {
-        let [low, high] = self.centres;
-        let nearest = low.with_z(point.z.clamp(low.z, high.z));
-        nearest.distance(point) <= self.radius_m + limit_m
-    }
 }
 
 impl Entry {
     fn rock(&self) -> &Rock {
-        self.built.get_or_init(|| self.plan.as_ref().expect("one without a plan is there").build())
+        self.built.get_or_init(|| self.plan.as_ref().expect("a rock without a plan is built").build())
     }
 
-    /// From here on it is as it is made now, not as it was planned.
+    /// The rock for modification; from now on it no longer follows its plan.
     fn rock_mut(&mut self) -> &mut Rock {
         self.rock();
         self.plan = None;
         self.built.get_mut().expect("it was just built")
     }
 
-    fn whereabouts(&self) -> Whereabouts {
+    fn bounds(&self) -> RockBounds {
         match &self.plan {
-            Some(plan) if self.built.get().is_none() => plan.whereabouts,
+            Some(plan) if self.built.get().is_none() => plan.bounds,
             _ => {
                 let rock = self.rock();
-                Whereabouts { centres: [rock.centre; 2], radius_m: rock.radius_m }
+                RockBounds { centres: [rock.centre; 2], radius_m: rock.radius_m }
             }
         }
     }
 }
 
 impl Rocks {
-    /// How many there are.
+    /// Number of rocks.
     #[must_use]
     pub fn len(&self) -> usize {
         self.0.len()
     }
 
-    /// Whether there is none.
+    /// Whether there are no rocks.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// The rock of a number, built if it was not yet.
+    /// The rock of an index, built if necessary.
     #[must_use]
-    pub fn get(&self, number: usize) -> Option<&Rock> {
-        self.0.get(number).map(Entry::rock)
+    pub fn get(&self, index: usize) -> Option<&Rock> {
+        self.0.get(index).map(Entry::rock)
     }
 
-    /// All of them, by number; those that were not built are.
+    /// All rocks by index; builds those that are missing.
     pub fn iter(&self) -> std::vec::IntoIter<&Rock> {
         self.0.par_iter().map(Entry::rock).collect::<Vec<_>>().into_iter()
     }
 
-    /// All of them, to be changed.
+    /// All rocks for modification.
     pub fn iter_mut(&mut self) -> impl Iterator<Item = &mut Rock> {
         Arc::make_mut(&mut self.0).iter_mut().map(Entry::rock_mut)
     }
 
-    /// Those that were built so far, by number. Which they are depends on what was asked for.
+    /// The rocks built so far, by index. Which ones depends on earlier accesses.
     pub fn built(&self) -> impl Iterator<Item = &Rock> {
         self.0.iter().filter_map(|entry| entry.built.get())
     }
 
-    /// Those of which something holds, with their numbers; no rock is built but for them. What is asked is whether it may hold
-    /// of a rock that lies somewhere there.
-    pub fn that_may(&self, mut may: impl FnMut(&Whereabouts) -> bool) -> Vec<(usize, &Rock)> {
+    /// Builds and returns, with their indices, the rocks whose bounds satisfy a predicate.
+    pub fn build_where(&self, mut predicate: impl FnMut(&RockBounds) -> bool) -> Vec<(usize, &Rock)> {
         let all = self.0.iter().enumerate();
-        let wanted: Vec<(usize, &Entry)> = all.filter(|(_, entry)| may(&entry.whereabouts())).collect();
+        let wanted: Vec<(usize, &Entry)> = all.filter(|(_, entry)| predicate(&entry.bounds())).collect();
         let is_missing = |(_, entry): &(usize, &Entry)| entry.built.get().is_none();
         let missing: Vec<_> = wanted.iter().copied().filter(is_missing).collect();
         missing.into_par_iter().for_each(|(_, entry)| _ = entry.rock());
-        wanted.into_iter().map(|(number, entry)| (number, entry.rock())).collect()
+        wanted.into_iter().map(|(index, entry)| (index, entry.rock())).collect()
     }
 
-    /// Gives the bytes of what tells these rocks from others: all vertices of those that were given as they are; of those that
-    /// are built when they are asked for, whether they were or not, what lays them and the vertices of their coarsest mesh.
+    /// Writes the bytes that identify these rocks: all vertices of rocks without a plan; of planned ones, built or not, their
+    /// position, their size and the vertices of a coarse mesh.
     pub fn write_to(&self, mut write: impl FnMut(&[u8])) {
-        for (entry, number) in self.0.iter().zip(0_u32..) {
-            write(&number.to_le_bytes());
+        for (entry, index) in self.0.iter().zip(0_u32..) {
+            write(&index.to_le_bytes());
             if let Some(plan) = &entry.plan {
                 plan.write_to(entry.built.get(), &mut write);
             } else {
@@ -124,8 +104,8 @@ impl Rocks {
         }
     }
 
-    /// Those that are built when they are asked for.
-    pub(super) fn planned(plans: impl Iterator<Item = Plan>) -> Self {
+    /// Rocks that are built on first access.
+    pub(super) fn planned(plans: impl Iterator<Item = RockPlan>) -> Self {
         Self(plans.map(|plan| Entry { plan: Some(plan), built: OnceLock::new() }).collect())
     }
 }
@@ -142,14 +122,14 @@ impl<'a> IntoIterator for &'a Rocks {
 impl Index<usize> for Rocks {
     type Output = Rock;
 
-    fn index(&self, number: usize) -> &Rock {
-        self.0[number].rock()
+    fn index(&self, index: usize) -> &Rock {
+        self.0[index].rock()
     }
 }
 
 impl IndexMut<usize> for Rocks {
-    fn index_mut(&mut self, number: usize) -> &mut Rock {
-        Arc::make_mut(&mut self.0)[number].rock_mut()
+    fn index_mut(&mut self, index: usize) -> &mut Rock {
+        Arc::make_mut(&mut self.0)[index].rock_mut()
     }
 }
 

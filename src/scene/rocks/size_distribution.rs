@@ -1,0 +1,81 @@
+//! The size-frequency distribution of rocks on the Moon.
+//!
+//! Must not know: where rocks lie.
+
+use crate::random::Stream;
+
+/// Diameter below which the exponential law misses rocks that the Surveyors counted and a power law takes over, metres.
+const TAIL_M: f64 = 0.10;
+/// Exponent of that power law (Shoemaker and Morris for Surveyor I: N proportional to D^-2.11).
+const TAIL_EXPONENT: f64 = 2.11;
+/// Cumulative size-frequency distribution: rocks larger than a diameter (metres) per square metre.
+///
+/// Li and Wu 2018's law for the Moon, in the form of JPL's LuNaSynth: rocks larger than D cover a fraction k exp(-q D) of
+/// the ground, q = 0.5648 + 0.01285 / k; below [`TAIL_M`] the Surveyors' power law.
+#[must_use]
+pub fn rocks_larger_than(diameter_m: f64, coverage: f64) -> f64 {
+    if coverage <= 0.0 {
+        return 0.0;
+    }
+    if diameter_m < TAIL_M {
+        return rocks_larger_than(TAIL_M, coverage) * libm::pow(diameter_m / TAIL_M, -TAIL_EXPONENT);
+    }
+    let q = 0.5648 + 0.01285 / coverage;
+    // Integral of k q exp(-q x) / (pi x^2 / 4) over the logarithm of x, by Simpson's rule.
+    let at = |log: f64| {
+        let x = libm::exp(log);
+        coverage * q * libm::exp(-q * x) * 4.0 / (std::f64::consts::PI * x)
+    };
+    let (low, high, steps) = (libm::log(diameter_m), libm::log(40.0), 64);
+    let step = (high - low) / f64::from(steps);
+    let inner: f64 =
+        (1..steps).map(|i| if i % 2 == 1 { 4.0 } else { 2.0 } * at(low + step * f64::from(i))).sum();
+    step / 3.0 * (at(low) + inner + at(high))
+}
+
+/// Tabulated inverse of the cumulative distribution within a range of diameters.
+pub(super) struct Sizes {
+    logs: Vec<f64>,
+    larger: Vec<f64>,
+}
+
+impl Sizes {
+    const STEPS: u32 = 24;
+
+    /// The table from `low_m` to `high_m`.
+    pub(super) fn new(low_m: f64, high_m: f64, coverage: f64) -> Self {
+        let logs: Vec<f64> = (0..=Self::STEPS)
+            .map(|i| {
+                libm::log(low_m)
+                    + (libm::log(high_m) - libm::log(low_m)) * f64::from(i) / f64::from(Self::STEPS)
+            })
+            .collect();
+        let larger = logs.iter().map(|log| rocks_larger_than(libm::exp(*log), coverage)).collect();
+        Self { logs, larger }
+    }
+
+    /// Rocks of the range per square metre.
+    pub(super) fn density(&self) -> f64 {
+        self.larger[0] - self.larger[self.larger.len() - 1]
+    }
+
+    /// Draws a diameter, metres.
+    pub(super) fn draw(&self, stream: &mut Stream) -> f64 {
+        let wanted = self.larger[0] - self.density() * stream.unit();
+        let after = self.larger.partition_point(|larger| *larger > wanted).clamp(1, self.larger.len() - 1);
+        let (high, low) = (self.larger[after - 1], self.larger[after]);
+        let t = if high > low { (high - wanted) / (high - low) } else { 0.0 };
+        libm::exp(self.logs[after - 1] + (self.logs[after] - self.logs[after - 1]) * t)
+    }
+}
+
+/// Draws from the Poisson distribution with this mean (Knuth's multiplication method; the means here are small).
+pub(super) fn poisson(mean: f64, stream: &mut Stream) -> u32 {
+    let limit = libm::exp(-mean);
+    let (mut count, mut product) = (0, stream.unit());
+    while product > limit && count < 10_000 {
+        count += 1;
+        product *= stream.unit();
+    }
+    count
+}
