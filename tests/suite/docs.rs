@@ -210,6 +210,33 @@ fn documented_commands_exist() {
     assert!(checked > 60, "only {checked} options were found");
 }
 
+/// How far an image of the README may be from what its command makes, mean of 8-bit values: adapters round differently.
+const MAX_MEAN_DIFFERENCE: f64 = 0.25;
+
+/// Mean absolute difference of two image files, 8-bit values.
+fn mean_difference(a: &Path, b: &Path) -> f64 {
+    let [a, b] = [a, b].map(|path| image::open(path).expect("an image").into_rgb8());
+    assert_eq!(a.dimensions(), b.dimensions(), "the images have one size");
+    let sum: u64 = a.iter().zip(b.iter()).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
+    sum as f64 / a.len() as f64
+}
+
+#[test]
+fn the_first_command_makes_the_first_images() {
+    let readme = std::fs::read_to_string(root().join("README.md")).expect("the README");
+    let (prose, _) = prose_and_blocks(&readme);
+    let (_, call) = documented_calls(&readme).into_iter().next().expect("a command");
+    let folder = folder();
+    run_ok(folder.path(), &call.iter().map(String::as_str).collect::<Vec<_>>());
+    for (shown, made) in targets(&prose).into_iter().zip(["rgb_0000.png", "preview_0000.png"]) {
+        let difference = mean_difference(&root().join(shown), &folder.path().join("out").join(made));
+        assert!(
+            difference <= MAX_MEAN_DIFFERENCE,
+            "{shown} differs from {made} by {difference:.3} in the mean"
+        );
+    }
+}
+
 /// Files and folders that a call reads.
 fn inputs(call: &[String]) -> Vec<&str> {
     let mut read: Vec<&str> = call
