@@ -66,9 +66,17 @@ fn anchors(text: &str) -> BTreeSet<String> {
         .collect()
 }
 
-/// Targets of the Markdown links and images in prose.
+/// Targets of the links and images in prose, Markdown and HTML, in order.
 fn targets(prose: &str) -> Vec<&str> {
-    prose.split("](").skip(1).filter_map(|rest| rest.split(')').next()).collect()
+    let after = |opening: &'static str, closing| {
+        prose.match_indices(opening).map(move |(at, _)| {
+            let target = &prose[at + opening.len()..];
+            (at, target.split(closing).next().unwrap_or_default())
+        })
+    };
+    let mut found: Vec<_> = after("](", ')').chain(after("src=\"", '"')).collect();
+    found.sort_unstable();
+    found.into_iter().map(|(_, target)| target).collect()
 }
 
 #[test]
