@@ -55,7 +55,7 @@ struct Slot {
     timer: Option<Timer>,
 }
 
-/// What a frame is rendered from.
+/// What the caller asked for, and what has to be rendered for it.
 #[derive(Debug)]
 struct FrameRequest {
     /// Annotations that the caller asked for.

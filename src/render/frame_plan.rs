@@ -1,4 +1,4 @@
-//! The plan of a frame: everything that is decided before anything is written to the device. Plain data.
+//! The plan of a frame: every decision that is made before anything is uploaded. Plain data.
 //!
 //! A plan is a function of scene, settings and options alone. It is kept from frame to frame for its memory, and for the two
 //! results that frames under an unmoved sun share: horizon map and bounced light.
@@ -28,7 +28,7 @@ use crate::scene::bounce::{Bounce, rms_slope};
 use crate::scene::photometry::Photometry;
 use crate::scene::terrain::Terrain;
 
-/// What a frame consists of.
+/// All that is needed to draw a frame.
 #[derive(Debug)]
 pub(crate) struct FramePlan {
     /// What is in view and what casts shadows into it, with levels of detail.

@@ -27,7 +27,7 @@ use host::{NewTile, ShadowMap};
 /// The room for new tiles in the staging buffer is a multiple of this, bytes: frames differ a little in what they need.
 const STAGING_STEP_BYTES: usize = 1 << 20;
 
-/// What rasterises the shadow map.
+/// Backend of the shadow map of the rocks.
 #[derive(Debug)]
 pub(crate) enum ShadowBackend {
     /// Render passes on the device.

@@ -36,7 +36,7 @@ use meshes::Meshes;
 /// Most bytes that are uploaded at once.
 const STAGING_BYTES: u32 = 32 << 20;
 
-/// What of a frame's plan the stage works from.
+/// The parts of a frame plan that the stage reads.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct VisibilityInputs<'a> {
     pub(crate) scene: &'a Scene,
@@ -50,7 +50,7 @@ pub(crate) struct VisibilityInputs<'a> {
     pub(crate) bin_by_shadow_sources: bool,
 }
 
-/// What finds the visible surfaces.
+/// Backend of the visibility stage.
 #[derive(Debug)]
 pub(crate) enum VisibilityBackend {
     /// A render pass on the device.
@@ -152,7 +152,7 @@ impl VisibilityBackend {
     }
 }
 
-/// The host backend; kept for its memory.
+/// The host backend. Its memory is used again for the next frame.
 #[derive(Debug, Default)]
 pub(crate) struct VisibilityRaster {
     triangles: VisibleTriangles,
