@@ -1,4 +1,4 @@
-// Dome and stars: unlit, their colour is their radiance.
+// Lighting of the sky's dome and of stars: they emit their colour.
 
 @fragment
 fn fs_main(in: LightVaryings) -> LightingOutput {

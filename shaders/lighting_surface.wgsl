@@ -1,112 +1,149 @@
-// Ground and rocks: lit radiance and labels of the samples that show them, from one draw.
+// Lighting of ground and rocks: radiance and labels of a sample, from one draw.
 
-// What can shade what is drawn (by its place in `Shades`, src/render/shadow.rs): nothing, so that what faces the sun sees
-// all of it; other ground; rocks; both.
+// What can shadow the surface, numbered as in `ShadowSources` (src/render/device/shading_bins.rs): bit 0 the ground, bit 1
+// rocks. Without a source every point that faces the sun sees all of it.
 override SHADOW_SOURCES: u32;
-// The law of reflection.
+// The photometric law: a constant of common/brdf.wgsl.
 override PHOTOMETRY_LAW: u32;
-// What detail below the mesh there is: none, that of the ground, that of rocks, that of the ground whose slopes are given.
+// The detail below the mesh: one of the DETAIL constants.
 override DETAIL_MODE: u32;
-// Whether it is one of many, so that each sample must look up which.
+// Whether the samples of the draw show several instances. Each then looks up its own.
 override PER_SAMPLE_INSTANCE: bool;
 
 const SHADOWED_BY_GROUND: u32 = 1u;
 const SHADOWED_BY_ROCKS: u32 = 2u;
+// src/render/lighting/pass.rs has the same constants.
+const DETAIL_NONE: u32 = 0u;
 const DETAIL_RELIEF: u32 = 1u;
 const DETAIL_ROCK_TEXTURE: u32 = 2u;
 const DETAIL_UPLOADED_SLOPES: u32 = 3u;
 
-// Of ground below its mesh, where a device is given them (src/render/slopes.rs): rise per metre along x and y.
+// Slope of the ground's relief below the mesh where the host computes it (src/render/lighting/slopes_host.rs): rise per
+// metre along x and y.
 @group(2) @binding(5) var slopes: texture_2d<f32>;
+
+// The material at a sample.
+struct Shading {
+    normal: vec3<f32>,
+    albedo: vec3<f32>,
+}
+
+// The sun as a point sees it.
+struct SunVisibility {
+    // Visible fraction of its disc past the ground.
+    horizon: f32,
+    // Past everything.
+    total: f32,
+}
 
 @fragment
 fn fs_main(in: LightVaryings) -> LightingOutput {
     light = light_from(in);
-    let surface = surface_at(in.clip.xy);
-    var thing = Instance();
-    thing.colour = light.colour;
-    thing.roughness = light.roughness;
-    thing.surge = light.surge;
-    thing.class_id = light.class_id;
-    if PER_SAMPLE_INSTANCE { thing = instances[surface.slot].instance; }
-    let smooth_normal = surface.normal;
+    let sample = in.position.xy;
+    let surface = surface_at(sample);
+    var instance = Instance();
+    instance.colour = light.colour;
+    instance.roughness = light.roughness;
+    instance.surge_height = light.surge_height;
+    instance.class_id = light.class_id;
+    if PER_SAMPLE_INSTANCE { instance = instances[surface.slot].instance; }
     let to_eye = -unit(surface.offset);
-    var normal = smooth_normal;
-    var albedo = thing.colour;
-    if DETAIL_MODE == DETAIL_RELIEF {
-        normal = ground_normal(smooth_normal, slope_below_mesh(surface.offset, smooth_normal, to_eye));
-    }
-    if DETAIL_MODE == DETAIL_UPLOADED_SLOPES {
-        normal = ground_normal(smooth_normal, textureLoad(slopes, vec2<i32>(in.clip.xy), 0).xy);
-    }
-    if DETAIL_MODE == DETAIL_ROCK_TEXTURE {
-        let sample_m = light.relief.sample_angle * length(surface.offset);
-        let seed = bitcast<u32>(thing.origin.x);
-        let texture = solid_texture(light.eye + surface.offset - thing.origin, sample_m, seed);
-        let across = texture.xyz - smooth_normal * dot(texture.xyz, smooth_normal);
-        normal = unit(smooth_normal - across);
-        // Soil lies where the rock is level enough, with an edge that its texture frays.
-        let dusty = smoothstep(-0.08, 0.08, smooth_normal.z - thing.dust_above + 0.12 * texture.w);
-        albedo = mix(thing.colour * (1.0 + 0.30 * texture.w), thing.dust, dusty);
-    }
-    if DETAIL_MODE != 0u {
-        // A slope that looks away lies behind a bump that is not drawn: what is seen there is turned to the eye.
-        let least = 0.3 * max(dot(smooth_normal, to_eye), 0.05);
-        normal = unit(normal + max(least - dot(normal, to_eye), 0.0) * to_eye);
-    }
+    let shading = shade_detail(surface, instance, to_eye, sample);
+    let normal = shading.normal;
     let cos_eye = max(dot(normal, to_eye), 0.0);
     let cos_light = max(dot(normal, light.sun_direction), 0.0);
-    let place = light.eye + surface.offset;
-    // A surface that is turned away from the sun hides it.
-    let faces_sun = dot(smooth_normal, light.sun_direction) > 0.0;
-    // How much of the sun's disc other ground leaves.
-    var open = 1.0;
-    var cell = GridCell();
-    if (SHADOW_SOURCES & SHADOWED_BY_ROCKS) != 0u { cell = grid_cell(place); }
-    if SHADOW_SOURCES == SHADOWED_BY_GROUND || (SHADOW_SOURCES == (SHADOWED_BY_GROUND | SHADOWED_BY_ROCKS) && cell.asks_horizon) {
-        open = horizon_visibility(place);
-    }
-    var visible = select(0.0, open, faces_sun);
-    if (SHADOW_SOURCES & SHADOWED_BY_ROCKS) != 0u && faces_sun {
-        let turn = 6.2831853 * pattern_turn(in.clip.xy);
-        let spoke = vec2(cos(turn), sin(turn));
-        visible = visibility_past_casters(cell, open, place, surface.facet_normal, smooth_normal, spoke);
-    }
+    let sun = sun_visibility(surface, sample);
     var direct = 0.0;
     if cos_light > 0.0 {
         let cos_phase = dot(light.sun_direction, to_eye);
-        direct = visible * reflected(PHOTOMETRY_LAW, thing.roughness, thing.surge, cos_light, cos_eye, cos_phase);
+        direct = sun.total
+            * reflected(PHOTOMETRY_LAW, instance.roughness, instance.surge_height, cos_light, cos_eye, cos_phase);
     }
-    var bounced = sky_light(light.sky_radiance, normal);
+    let indirect = indirect_irradiance(normal, sun.horizon);
+    let radiance = shading.albedo
+        * (direct * light.sun_irradiance + (PER_PI * light.diffuse_reflectance) * indirect);
+    return LightingOutput(
+        vec4(radiance, 1.0),
+        instance.class_id,
+        vec4(normal, 1.0),
+        instance.instance_id,
+        1.0 - sun.total,
+    );
+}
+
+// Normal and albedo with the detail below the mesh.
+fn shade_detail(surface: Surface, instance: Instance, to_eye: vec3<f32>, sample: vec2<f32>) -> Shading {
+    var normal = surface.normal;
+    var albedo = instance.colour;
+    if DETAIL_MODE == DETAIL_RELIEF {
+        normal = ground_normal(surface.normal, slope_below_mesh(surface.offset, surface.normal, to_eye));
+    }
+    if DETAIL_MODE == DETAIL_UPLOADED_SLOPES {
+        normal = ground_normal(surface.normal, textureLoad(slopes, vec2<i32>(sample), 0).xy);
+    }
+    if DETAIL_MODE == DETAIL_ROCK_TEXTURE {
+        let sample_m = light.relief_sample_angle * length(surface.offset);
+        let seed = bitcast<u32>(instance.origin.x);
+        let texture = rock_texture(light.eye + surface.offset - instance.origin, sample_m, seed);
+        let tangential = texture.xyz - surface.normal * dot(texture.xyz, surface.normal);
+        normal = unit(surface.normal - tangential);
+        // Dust lies where the rock is level enough; the texture frays the edge.
+        let dust = smoothstep(-0.08, 0.08, surface.normal.z - instance.dust_min_normal_z + 0.12 * texture.w);
+        albedo = mix(instance.colour * (1.0 + 0.30 * texture.w), instance.dust, dust);
+    }
+    if DETAIL_MODE != DETAIL_NONE {
+        // A slope that faces away from the eye is hidden behind a bump that the mesh lacks: turn it towards the eye.
+        let min_cosine = 0.3 * max(dot(surface.normal, to_eye), 0.05);
+        normal = unit(normal + max(min_cosine - dot(normal, to_eye), 0.0) * to_eye);
+    }
+    return Shading(normal, albedo);
+}
+
+// A surface that faces away from the sun occludes it itself.
+fn sun_visibility(surface: Surface, sample: vec2<f32>) -> SunVisibility {
+    let position = light.eye + surface.offset;
+    let faces_sun = dot(surface.normal, light.sun_direction) > 0.0;
+    var horizon = 1.0;
+    var cell = GridCell();
+    if (SHADOW_SOURCES & SHADOWED_BY_ROCKS) != 0u { cell = grid_cell(position); }
+    if SHADOW_SOURCES == SHADOWED_BY_GROUND
+        || (SHADOW_SOURCES == (SHADOWED_BY_GROUND | SHADOWED_BY_ROCKS) && cell.in_horizon) {
+        horizon = horizon_visibility(position);
+    }
+    var total = select(0.0, horizon, faces_sun);
+    if (SHADOW_SOURCES & SHADOWED_BY_ROCKS) != 0u && faces_sun {
+        let angle = 6.2831853 * interleaved_gradient_noise(sample);
+        let spoke = vec2(cos(angle), sin(angle));
+        total = visibility_past_casters(cell, horizon, position, surface.geometric_normal, surface.normal, spoke);
+    }
+    return SunVisibility(horizon, total);
+}
+
+// Irradiance from the sky and from sunlit ground. `horizon` is the visible fraction of the sun's disc past the ground: where
+// the ground shadows a point it shadows its surroundings too.
+fn indirect_irradiance(normal: vec3<f32>, horizon: f32) -> vec3<f32> {
+    var irradiance = sky_irradiance(light.sky_radiance, normal);
     if PHOTOMETRY_LAW == HAPKE {
         if DETAIL_MODE == DETAIL_RELIEF || DETAIL_MODE == DETAIL_UPLOADED_SLOPES {
-            // What lies in the shadow of ground has the same shadow around it.
-            bounced += bounce_on_ground(light.ground_radiance, normal, light.horizon_towards, open);
+            irradiance += bounce_on_ground(light.ground_radiance, normal, light.sun_horizontal, horizon);
         } else {
-            bounced += bounce_on_rock(light.ground_radiance, normal, light.horizon_towards);
+            irradiance += bounce_on_rock(light.ground_radiance, normal, light.sun_horizontal);
         }
     } else {
-        bounced += ground_bounce(light.ground_radiance, normal, light.horizon_towards);
+        irradiance += bounce_uniform(light.ground_radiance, normal, light.sun_horizontal);
     }
-    let radiance = albedo * (direct * light.sun_irradiance + (PER_PI * light.bounce_share) * bounced);
-    return LightingOutput(vec4(radiance, 1.0), thing.class_id, vec4(normal, 1.0), thing.instance_id, 1.0 - visible);
+    return irradiance;
 }
 
-// Rise per metre along x and y of the relief that the ground's mesh leaves out.
-fn slope_below_mesh(offset: vec3<f32>, smooth_normal: vec3<f32>, to_eye: vec3<f32>) -> vec2<f32> {
-    let facing = clamp(dot(smooth_normal, to_eye), 0.04, 1.0);
-    // Samples lie further apart in depth than across: the mean of the two, in the logarithm.
-    let sample_m = light.relief.sample_angle * length(offset) * inverseSqrt(facing);
-    return relief_slope(light.relief.eye_from_centre + offset.xy, sample_m);
+// Slope, rise per metre along x and y, of the relief that the ground's mesh leaves out.
+fn slope_below_mesh(offset: vec3<f32>, mesh_normal: vec3<f32>, to_eye: vec3<f32>) -> vec2<f32> {
+    let facing = clamp(dot(mesh_normal, to_eye), 0.04, 1.0);
+    // The footprint of a sample is longer in depth than across: take the geometric mean of the two.
+    let sample_m = light.relief_sample_angle * length(offset) * inverseSqrt(facing);
+    return relief_slope(light.relief_eye_from_centre + offset.xy, sample_m);
 }
 
-// The normal of the ground with it.
-fn ground_normal(smooth_normal: vec3<f32>, slope: vec2<f32>) -> vec3<f32> {
-    return unit(vec3(smooth_normal.xy * (1.0 / max(smooth_normal.z, 0.1)) - slope, 1.0));
-}
-
-// A number in [0, 1) that differs between neighbouring samples (Jimenez 2014, "Next Generation Post Processing in
-// Call of Duty: Advanced Warfare": interleaved gradient noise).
-fn pattern_turn(sample_px: vec2<f32>) -> f32 {
-    return fract(52.9829189 * fract(dot(sample_px, vec2(0.06711056, 0.00583715))));
+// Normal of the ground: that of the mesh with a further slope.
+fn ground_normal(mesh_normal: vec3<f32>, slope: vec2<f32>) -> vec3<f32> {
+    return unit(vec3(mesh_normal.xy * (1.0 / max(mesh_normal.z, 0.1)) - slope, 1.0));
 }

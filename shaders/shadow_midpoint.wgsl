@@ -1,21 +1,25 @@
-// The shadow map: half way between the fronts and the backs of the casters. Read by common/shadow_map.wgsl.
+// The midpoint shadow map: of each caster, the surface halfway between its front and its back faces as seen from the
+// sun (Woo 1992, "The Shadow Depth Map Revisited", Graphics Gems III). common/shadow_map.wgsl samples it.
+//
+// CPU counterpart: src/render/shadow/host.rs.
 
-// Fronts above backs. Depth, bound as plain numbers: GLSL cannot load from a depth texture.
+// Depth of the front faces, with that of the back faces below. Bound as a float texture: GLSL cannot load from a depth
+// texture.
 @group(2) @binding(0) var layers: texture_2d<f32>;
-// Height along the sun, half extents of the tile from the caster's centre.
+// Height along the sun above the caster's centre, in half extents of the tile.
 @group(2) @binding(1) var map: texture_storage_2d<r32float, write>;
 
-// What stands for the height where a tile shows no caster: far below. Stands in src/render/shadow_raster.rs too.
+// Height of texels without a caster: far below. src/render/shadow/host.rs has the same constant.
 const NO_CASTER: f32 = -1.0e9;
 
-// The side of a group stands in src/render/shadow_pass.rs too.
+// src/render/shadow/device.rs has the same workgroup size.
 @compute @workgroup_size(8, 8)
 fn cs_main(@builtin(global_invocation_id) id: vec3<u32>) {
     let size = textureDimensions(map);
     if any(id.xy >= size) { return; }
-    let at = vec2<i32>(id.xy);
-    let front = textureLoad(layers, at, 0).r;
-    let back = textureLoad(layers, at + vec2(0, i32(size.y)), 0).r;
-    let middle = select(front + back - 1.0, NO_CASTER, front == 0.0);
-    textureStore(map, at, vec4(middle));
+    let texel = vec2<i32>(id.xy);
+    let front = textureLoad(layers, texel, 0).r;
+    let back = textureLoad(layers, texel + vec2(0, i32(size.y)), 0).r;
+    let midpoint = select(front + back - 1.0, NO_CASTER, front == 0.0);
+    textureStore(map, texel, vec4(midpoint));
 }

@@ -1,4 +1,4 @@
-// What one draw of the scene pass writes: one location per `Plane` (src/render/targets.rs), always all of them.
+// What a lighting draw writes: one location per `Plane` (src/render/lighting/gbuffer.rs), always all of them.
 
 struct LightingOutput {
     // Linear radiance; alpha is 1 and unused.
@@ -8,6 +8,6 @@ struct LightingOutput {
     @location(2) normal: vec4<f32>,
     // 0 for what is no instance.
     @location(3) instance_id: u32,
-    // Fraction of the sun's disc that is hidden. 0 for the sky.
-    @location(4) hidden: f32,
+    // Fraction of the sun's disc that is occluded. 0 for the sky.
+    @location(4) sun_occlusion: f32,
 }

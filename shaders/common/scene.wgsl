@@ -1,53 +1,101 @@
-// The things in the scene. Twins: `Instance`, `CasterTile` in src/render/shaders.rs.
+// Bind group 1, the scene: instances, shadow tiles, relief. The structs have Rust counterparts of the same name in
+// src/render/device/shader_structs.rs (`Lattice`: `LatticeUniforms`).
 
-// One drawn thing. Class and instance ids are data of the scene: no shader knows what a rock is.
+// One drawn object. Class and instance ids are data: no shader knows what a rock is.
 struct Instance {
-    // Place of the mesh's origin, metres, world.
+    // Origin of the mesh, metres, world.
     origin: vec3<f32>,
     // Factor on the mesh's coordinates.
     scale: f32,
-    // Diffuse reflectance of a surface, radiance of a thing of the sky.
+    // Albedo of a surface, linear RGB; radiance of an object in the sky.
     colour: vec3<f32>,
     // Roughness of the diffuse lobe.
     roughness: f32,
     class_id: u32,
     instance_id: u32,
-    // Height of the opposition surge.
-    surge: f32,
-    // Of a caster, half the side of its shadow tile, metres.
+    // Amplitude of the opposition surge (Hapke's B_S0).
+    surge_height: f32,
+    // Of a caster: half the side of its shadow tile, metres.
     tile_half_extent_m: f32,
-    // Reflectance of the soil that lies on it, and from which z of the normal on.
+    // Albedo of the dust on it, and the least z of a normal that holds dust.
     dust: vec3<f32>,
-    dust_above: f32,
-    // LightVaryings and side of the tile, texels.
+    dust_min_normal_z: f32,
+    // Of a caster: corner and side of its shadow tile, texels.
     tile_origin_px: vec2<f32>,
     tile_size_px: f32,
     reserved: u32,
 }
 
-// Where in the shadow atlas a caster is drawn.
+// A caster's tile in the shadow atlas.
 struct CasterTile {
     // Centre of the caster, metres, world.
     centre: vec3<f32>,
-    // Half the side of the square across the sun (and half the depth range along it), metres.
+    // Half the side of the square across the sun, and half the depth range along it, metres.
     half_extent_m: f32,
-    // LightVaryings of the tile, texels.
+    // Corner of the tile, texels.
     origin_px: vec2<f32>,
     // Side of the tile, texels.
     size_px: f32,
-    // Length of the edges of the caster's facets, metres.
+    // Length of an edge of the caster's triangles, metres.
     facet_m: f32,
 }
 
-// Uniforms start at multiples of 256 bytes.
+// Dynamic offsets of uniforms are multiples of 256 bytes.
 struct InstanceSlot {
     instance: Instance,
     unused: array<vec4<u32>, 11>,
 }
 
-// The one that is lit, where all samples of a draw show the same: a uniform, so that none has to find it in a list.
+// A square lattice over the plane, for points in metres from the centre of the ground.
+struct Lattice {
+    // Cosine and sine of its angle, divided by the side of a cell.
+    turn: vec2<f32>,
+    // Position of the centre in its cell, cells.
+    phase: vec2<f32>,
+    // The cell of the centre.
+    base: vec2<i32>,
+    seed: u32,
+    // Of noise: its amplitude, metres. Of pits: the probability that a cell has one.
+    amount: f32,
+    // Side of a cell, metres.
+    cell_m: f32,
+    // Largest diameter of a pit, metres.
+    largest_m: f32,
+    // Fraction of the pits that are clods.
+    clods: f32,
+    // Pits are left out where a cell of the mesh is larger than this times a sixth of the largest diameter.
+    asked: f32,
+}
+
+// The part of the relief that a draw needs.
+struct ReliefView {
+    // Horizontal position of the eye, metres from the centre of the ground.
+    eye_from_centre: vec2<f32>,
+    // Height of the eye that the mesh is built for, metres.
+    eye_height_m: f32,
+    // Angle that a cell of the mesh spans from there, radians.
+    cell_angle: f32,
+    // Angle between two samples, radians.
+    sample_angle: f32,
+    // Fraction of the craters that are fresh.
+    fresh_share: f32,
+    // Octaves of noise and lattices of pits in use.
+    waves: u32,
+    pit_lattices: u32,
+}
+
+struct ReliefUniforms {
+    view: ReliefView,
+    // Coarse to fine.
+    noise: array<Lattice, 12>,
+    pits: array<Lattice, 12>,
+}
+
+// The instance of the draw, if all of its samples show the same.
 @group(1) @binding(0) var<uniform> instance: Instance;
-// `CasterTile`s, each in two fetches.
+// `CasterTile`s, each in two loads.
 @group(1) @binding(1) var<storage, read> tiles: array<array<vec4<f32>, 2>>;
-// All of them.
+// The relief of the draw (src/render/lighting/relief_bands.rs).
+@group(1) @binding(2) var<uniform> relief: ReliefUniforms;
+// All instances.
 @group(1) @binding(3) var<storage, read> instances: array<InstanceSlot>;

@@ -1,12 +1,12 @@
-// From linear radiance to the 8-bit picture. Twin: `tone` in src/render/resolve.rs.
+// From linear radiance to 8-bit sRGB. CPU counterpart: `tone` in src/render/resolve/tone.rs.
 
-// Below the knee the curve is the identity.
+// Display-linear value up to which the tone curve is the identity.
 override TONE_KNEE: f32;
-// What endless light comes to, display-linear.
+// Limit of the curve for endless radiance, display-linear.
 override TONE_WHITE: f32;
 
-// Linear up to the knee, then an exponential shoulder that joins with the same slope and ends at TONE_WHITE. The
-// curve is that of the largest channel; the others keep their ratio to it, so that bright ground keeps its hue.
+// Linear up to the knee, then an exponential shoulder that starts with the same slope and approaches TONE_WHITE. The curve
+// applies to the largest channel and the others keep their ratio to it, which preserves the hue.
 fn tone(x: vec3<f32>) -> vec3<f32> {
     let largest = max(x.r, max(x.g, x.b));
     if largest <= TONE_KNEE { return x; }

@@ -3,7 +3,9 @@
 
 pub mod bind_groups;
 pub mod depth;
+pub mod light_table;
 pub mod packing;
+pub mod shader_programs;
 pub mod shader_structs;
 pub mod shading_bins;
 pub mod timing;

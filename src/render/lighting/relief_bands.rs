@@ -56,7 +56,7 @@ impl ReliefBands {
         let view = ReliefView {
             eye_from_centre: scene.camera.eye.truncate() - terrain.centre,
             eye_height_m: rings.view.eye_height_m,
-            cell: rings.view.cell as f32,
+            cell_angle: rings.view.cell as f32,
             sample_angle: settings.sample_angle(&scene.camera),
             fresh_share: relief.craters.fresh_share,
             ..Default::default()

@@ -236,7 +236,7 @@ impl GroundBatch {
             let height = view.eye_height_m;
             ground.x[i] = x;
             ground.y[i] = y;
-            let cell_m = view.cell * (x * x + y * y + height * height).sqrt();
+            let cell_m = view.cell_angle * (x * x + y * y + height * height).sqrt();
             ground.cell_m[i] = cell_m;
             ground.sample_m[i] = sample_m;
             ground.per_mesh[i] = 1.0 / (CELLS_LEAST * cell_m);

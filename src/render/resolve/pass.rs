@@ -9,7 +9,7 @@ use crate::gpu::Gpu;
 use crate::gpu::readback::ReadbackBuffer;
 use crate::render::device::bind_groups::BindLayouts;
 use crate::render::device::packing::{Packing, WORKGROUP_SIZE};
-use crate::render::device::shader_structs::RESOLVE;
+use crate::render::device::shader_programs::RESOLVE;
 use crate::render::lighting::gbuffer::GBuffer;
 use crate::render::resolve::tile_list::{SkyStencil, TileList};
 

@@ -8,7 +8,7 @@ use wgpu::TextureUsages;
 use crate::gpu::Gpu;
 use crate::render::device::bind_groups::{BindLayouts, SHADOW_MAP_FORMAT, bind_group};
 use crate::render::device::depth::{SHADOW_LAYERS_FORMAT, depth_state};
-use crate::render::device::shader_structs::{SHADOW, SHADOW_MIDPOINT};
+use crate::render::device::shader_programs::{SHADOW, SHADOW_MIDPOINT};
 use crate::render::visibility::meshes::{Meshes, vertex_layout};
 
 /// Columns and rows of texels that a workgroup of `shadow_midpoint.wgsl` makes of the map; the shader has the same constant.

@@ -151,7 +151,7 @@ impl HorizonMap {
                 step_m: grid.step_m,
                 first_row: (self.heights_m.len() / width) as u32,
                 size: grid.size.map(|side| side as u32),
-                first: grid.first,
+                first_sample: grid.first,
             });
             if self.heights_m.is_empty() && grid.size[0] == width {
                 std::mem::swap(&mut self.heights_m, &mut grid.heights_m);
@@ -225,7 +225,8 @@ mod tests {
             let column = ((x - level.origin.x) / level.step_m).round();
             let row = (level.size[1] / 2) as usize;
             let at = level.origin.x + column * level.step_m;
-            let [lower, upper] = map.heights_m[row * map.width as usize + (column - level.first.x) as usize];
+            let [lower, upper] =
+                map.heights_m[row * map.width as usize + (column - level.first_sample.x) as usize];
             for (height, limb_deg) in [(lower, 17.0 - 0.265), (upper, 17.0 + 0.265)] {
                 let expected = 4.0 + at * f64::to_radians(limb_deg).tan() as f32;
                 assert!((height - expected).abs() < 0.15, "x = {at}: {height} m for {expected} m");
@@ -253,7 +254,7 @@ mod tests {
         let mut compared = 0;
         for (i, expected) in of_part.heights_m.iter().enumerate().filter(|(_, limbs)| limbs[0] > f32::MIN) {
             let at = [i % of_part.width as usize, i / of_part.width as usize];
-            let first = part_level.first - level.first;
+            let first = part_level.first_sample - level.first_sample;
             let (column, row) = (at[0] + first.x as usize, at[1] + first.y as usize);
             let whole = map.heights_m[row * map.width as usize + column];
             // Where nothing stands between a sample and the sun both are far below, at what the rows begin with.

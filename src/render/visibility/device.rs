@@ -4,7 +4,7 @@
 use crate::gpu::Gpu;
 use crate::render::device::bind_groups::BindLayouts;
 use crate::render::device::depth::{DEPTH_STENCIL_FORMAT, depth_state};
-use crate::render::device::shader_structs::VISIBILITY;
+use crate::render::device::shader_programs::VISIBILITY;
 use crate::render::device::shading_bins::LightingVariant;
 use crate::render::lighting::gbuffer::{GBuffer, VISIBILITY_FORMAT};
 use crate::render::visibility::meshes::{Meshes, vertex_layout};

@@ -1,0 +1,236 @@
+//! The WGSL programs.
+//!
+//! A program is a list of parts that are concatenated: WGSL has no order at module scope. A part is a file below
+//! `shaders/` or text that is generated from a table. [`PROGRAMS`] is what the renderer compiles and what the tests
+//! validate.
+//! To add a program: its file, a row in [`PROGRAMS`].
+
+use std::borrow::Cow;
+
+use crate::gpu::Gpu;
+use crate::render::device::light_table::light_wgsl;
+
+/// A WGSL program: the parts that make it.
+#[derive(Debug)]
+pub struct Program {
+    /// The name of its own file, without the extension.
+    pub name: &'static str,
+    parts: &'static [Part],
+}
+
+/// Text that programs share or own.
+#[derive(Debug)]
+struct Part {
+    /// Path below `shaders/`; of generated text, `generated/` and the name of what it declares.
+    path: &'static str,
+    source: Source,
+}
+
+#[derive(Debug)]
+enum Source {
+    File(&'static str),
+    Generated(fn() -> String),
+}
+
+/// `generated/light.wgsl`: see [`crate::render::device::light_table`].
+const LIGHT: Part = Part { path: "generated/light.wgsl", source: Source::Generated(light_wgsl) };
+
+macro_rules! file {
+    ($path:expr) => {
+        Part { path: $path, source: Source::File(include_str!(concat!("../../../shaders/", $path))) }
+    };
+}
+
+macro_rules! program {
+    ($name:literal, [$($common:literal),*], [$($generated:expr),*]) => {
+        Program {
+            name: $name,
+            parts: &[
+                file!(concat!($name, ".wgsl")),
+                $(file!(concat!("common/", $common, ".wgsl")),)*
+                $($generated),*
+            ],
+        }
+    };
+}
+
+/// Depth of the shadow casters seen from the sun.
+pub static SHADOW: Program = program!("shadow", ["frame", "scene"], []);
+/// The shadow map, from the two depth layers of [`SHADOW`].
+pub static SHADOW_MIDPOINT: Program = program!("shadow_midpoint", [], []);
+/// The visibility buffer.
+pub static VISIBILITY: Program = program!("visibility", ["frame", "scene", "octahedral"], []);
+/// Lighting of ground and rocks.
+pub static LIGHTING_SURFACE: Program = program!(
+    "lighting_surface",
+    [
+        "frame",
+        "scene",
+        "fullscreen",
+        "octahedral",
+        "gbuffer",
+        "planes",
+        "horizon_map",
+        "shadow_map",
+        "brdf",
+        "hapke",
+        "indirect",
+        "hash",
+        "relief",
+        "rock_texture"
+    ],
+    [LIGHT]
+);
+/// Lighting of the sky's dome and of stars.
+pub static LIGHTING_SKY: Program =
+    program!("lighting_sky", ["frame", "scene", "fullscreen", "planes"], [LIGHT]);
+/// Samples to pixels.
+pub static RESOLVE: Program = program!("resolve", ["frame", "tone"], []);
+
+/// Every program.
+pub static PROGRAMS: [&Program; 6] =
+    [&SHADOW, &SHADOW_MIDPOINT, &VISIBILITY, &LIGHTING_SURFACE, &LIGHTING_SKY, &RESOLVE];
+
+impl Part {
+    fn text(&self) -> Cow<'static, str> {
+        match self.source {
+            Source::File(text) => text.into(),
+            Source::Generated(generate) => generate().into(),
+        }
+    }
+}
+
+impl Program {
+    /// The text that is compiled: all parts, in order.
+    #[must_use]
+    pub fn text(&self) -> String {
+        self.parts.iter().map(Part::text).collect::<Vec<_>>().join("\n")
+    }
+
+    /// Path and line (from 1) of the part that a line (from 1) of [`Self::text`] comes from.
+    #[must_use]
+    pub fn locate(&self, line: usize) -> (&'static str, usize) {
+        let mut first = 1;
+        for part in self.parts {
+            let lines = part.text().matches('\n').count() + 1;
+            if line < first + lines {
+                return (part.path, line + 1 - first);
+            }
+            first += lines;
+        }
+        ("", line)
+    }
+
+    /// Compiles the program on a device.
+    #[must_use]
+    pub fn compile(&self, gpu: &Gpu) -> wgpu::ShaderModule {
+        gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some(self.name),
+            source: wgpu::ShaderSource::Wgsl(self.text().into()),
+        })
+    }
+}
+
+/// The naga module of a program.
+///
+/// # Panics
+/// Where the text does not parse, with naga's message and the line of the file.
+#[cfg(test)]
+pub(in crate::render) fn parse(program: &Program) -> naga::Module {
+    let text = program.text();
+    naga::front::wgsl::parse_str(&text).unwrap_or_else(|error| {
+        let line = error.location(&text).map_or(1, |l| l.line_number as usize);
+        let (file, line) = program.locate(line);
+        panic!("{file}:{line}: {}", error.emit_to_string(&text))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use naga::valid::{Capabilities, ValidationFlags, Validator};
+
+    #[test]
+    fn every_program_is_valid() {
+        for program in PROGRAMS {
+            let module = parse(program);
+            assert!(!module.entry_points.is_empty(), "{} has no entry point", program.name);
+            // All checks, and no optional capability but the packing of half floats, which Vulkan and GL both have.
+            let capabilities = Capabilities::SHADER_FLOAT16_IN_FLOAT32;
+            let result = Validator::new(ValidationFlags::all(), capabilities).validate(&module);
+            if let Err(error) = result {
+                panic!("{}: {}", program.name, error.emit_to_string(&program.text()));
+            }
+        }
+    }
+
+    #[test]
+    fn every_file_on_disk_is_part_of_a_program() {
+        let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("shaders");
+        let mut found = 0;
+        for folder in [root.clone(), root.join("common")] {
+            for entry in std::fs::read_dir(folder).expect("the shader folder") {
+                let path = entry.expect("an entry").path();
+                if path.extension().is_some_and(|e| e == "wgsl") {
+                    let name =
+                        path.strip_prefix(&root).expect("below the root").to_string_lossy().into_owned();
+                    assert!(
+                        PROGRAMS.iter().any(|p| p.parts.iter().any(|part| part.path == name)),
+                        "{name} is in no program"
+                    );
+                    found += 1;
+                }
+            }
+        }
+        assert!(found >= 10, "only {found} files");
+    }
+
+    #[test]
+    fn programs_that_light_write_every_plane_and_none_knows_a_class() {
+        for program in [&LIGHTING_SURFACE, &LIGHTING_SKY] {
+            let module = parse(program);
+            let entry = module.entry_points.iter().find(|e| e.name == "fs_main").expect("fs_main");
+            let result = entry.function.result.as_ref().expect("a result").ty;
+            assert_eq!(module.types[result].name.as_deref(), Some("LightingOutput"), "{}", program.name);
+        }
+        for program in PROGRAMS {
+            let text = program.text().to_lowercase();
+            for class in crate::class::ClassId::ALL {
+                for form in ["const class_", &format!("const {}", class.name)] {
+                    assert!(!text.contains(form), "{} names a class", program.name);
+                }
+            }
+            for (_, variable) in parse(program).global_variables.iter() {
+                if let Some(binding) = &variable.binding {
+                    let expected = match variable.name.as_deref().unwrap_or_default() {
+                        "frame" => 0,
+                        "instance" | "instances" | "tiles" | "relief" => 1,
+                        _ => 2,
+                    };
+                    assert_eq!(binding.group, expected, "groups are 0 frame, 1 scene, 2 pass");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_line_of_the_joined_text_is_found_in_its_file() {
+        let text = LIGHTING_SURFACE.text();
+        let line = text.lines().position(|l| l.contains("fn grid_cell")).expect("the function") + 1;
+        let (file, line) = LIGHTING_SURFACE.locate(line);
+        assert_eq!(file, "common/shadow_map.wgsl");
+        let own = LIGHTING_SURFACE.parts.iter().find(|part| part.path == file).expect("the file").text();
+        assert!(own.lines().nth(line - 1).is_some_and(|l| l.contains("fn grid_cell")));
+    }
+
+    /// `cargo test --lib write_joined_text -- --ignored` writes what is compiled to `target/shaders/`, to be read.
+    #[test]
+    #[ignore = "writes files for people"]
+    fn write_joined_text() {
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("target/shaders");
+        std::fs::create_dir_all(&folder).expect("a folder");
+        for program in PROGRAMS {
+            std::fs::write(folder.join(format!("{}.wgsl", program.name)), program.text()).expect("a file");
+        }
+    }
+}
