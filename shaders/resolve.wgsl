@@ -6,21 +6,18 @@
 // Depth, normal, sun occlusion: means over the samples of that class and instance, so that nothing bleeds across an outline.
 // Depth is averaged as inverse depth, which is linear in the image: the mean is the depth of a plane at the pixel's centre.
 //
-// An invocation packs a quad of four pixels in reading order: three words of RGB bytes, one word of class bytes, and of each
-// annotation its words, pixel by pixel (src/render/device/packing.rs).
+// An invocation packs a quad of four pixels in reading order: three words of RGB bytes and one word of class bytes. Behind
+// all quads each annotation has its words, pixel by pixel (src/render/device/packing.rs). `resolve_annotations` is generated
+// from the table of planes (src/render/device/planes.rs).
 
-@group(2) @binding(0) var radiance_samples: texture_2d<f32>;
-@group(2) @binding(1) var class_samples: texture_2d<u32>;
-@group(2) @binding(2) var normal_samples: texture_2d<f32>;
-@group(2) @binding(3) var instance_samples: texture_2d<u32>;
-@group(2) @binding(4) var sun_occlusion_samples: texture_2d<f32>;
 // The visibility buffer, of which the inverse depth is read.
-@group(2) @binding(5) var visibility_buffer: texture_2d<u32>;
-@group(2) @binding(6) var<storage, read_write> packed_words: array<u32>;
+@group(2) @binding(0) var visibility_buffer: texture_2d<u32>;
+@group(2) @binding(1) var<storage, read_write> packed_words: array<u32>;
 // Samples are sampled or gathered, not loaded: see common/horizon_map.wgsl.
-@group(2) @binding(7) var nearest: sampler;
+@group(2) @binding(2) var nearest: sampler;
 // Indices of the workgroups that have work, if USES_TILE_LIST.
-@group(2) @binding(8) var<storage, read> tile_list: array<u32>;
+@group(2) @binding(3) var<storage, read> tile_list: array<u32>;
+// generated/resolve_planes.wgsl has the textures of the planes, from binding 4 on.
 
 // A constant, so that loops over the samples of a pixel unroll.
 override SAMPLES_PER_SIDE: u32;
@@ -136,11 +133,11 @@ fn centre_uv(sample: vec2<i32>) -> vec2<f32> {
 
 // Integer textures cannot be sampled, but gathered: at the sample's far corner, of whose four texels it is the last.
 fn class_at(sample: vec2<i32>) -> u32 {
-    return textureGather(0, class_samples, nearest, (vec2<f32>(sample) + 1.0) * sample_uv_size).w;
+    return textureGather(0, class_id_samples, nearest, (vec2<f32>(sample) + 1.0) * sample_uv_size).w;
 }
 
 fn instance_at(sample: vec2<i32>) -> u32 {
-    return textureGather(0, instance_samples, nearest, (vec2<f32>(sample) + 1.0) * sample_uv_size).w;
+    return textureGather(0, instance_id_samples, nearest, (vec2<f32>(sample) + 1.0) * sample_uv_size).w;
 }
 
 fn inverse_depth_at(sample: vec2<i32>) -> f32 {
@@ -213,7 +210,7 @@ fn majority_class(first: vec2<u32>) -> u32 {
 fn majority_class_of_four(first: vec2<u32>) -> u32 {
     let corner = vec2<f32>(first + 1u) * sample_uv_size;
     // Swizzled to reading order.
-    let classes = textureGather(0, class_samples, nearest, corner).wzxy;
+    let classes = textureGather(0, class_id_samples, nearest, corner).wzxy;
     if all(classes == classes.xxxx) { return classes.x; }
     let inverse_depths = bitcast<vec4<f32>>(textureGather(3, visibility_buffer, nearest, corner).wzxy);
     var best = 0u;
@@ -255,52 +252,17 @@ fn majority_instance(first: vec2<u32>, class_id: u32) -> u32 {
     return best;
 }
 
-fn resolve_annotations(pixel: u32, first: vec2<u32>, class_id: u32, radiance: vec3<f32>) {
-    let count = SAMPLES_PER_SIDE * SAMPLES_PER_SIDE;
-    if frame.radiance_at != NOT_ASKED {
-        packed_words[frame.radiance_at + 2u * pixel] = pack2x16float(radiance.rg);
-        packed_words[frame.radiance_at + 2u * pixel + 1u] = pack2x16float(vec2(radiance.b, 0.0));
+// Samples of each of the classes 0 to 3, one byte each.
+fn class_counts(first: vec2<u32>) -> u32 {
+    var counts = 0u;
+    for (var i = 0u; i < SAMPLES_PER_SIDE * SAMPLES_PER_SIDE; i++) {
+        let other = class_at(rendered_sample(first, i));
+        if other < 4u { counts += 1u << (8u * other); }
     }
-    if frame.coverage_at != NOT_ASKED {
-        // Samples of each of the classes 0 to 3, one byte each.
-        var counts = 0u;
-        for (var i = 0u; i < count; i++) {
-            let other = class_at(rendered_sample(first, i));
-            if other < 4u { counts += 1u << (8u * other); }
-        }
-        packed_words[frame.coverage_at + pixel] = counts;
-    }
-    let wanted = min(min(frame.depth_at, frame.normals_at), min(frame.instances_at, frame.sun_occlusion_at));
-    if wanted == NOT_ASKED { return; }
-    // Without instances the texture holds a single 0, which every gather returns.
-    let instance_id = majority_instance(first, class_id);
-    var samples = 0.0;
-    var inverse_depth = 0.0;
-    var sun_occlusion = 0.0;
-    var normal = vec3(0.0);
-    for (var i = 0u; i < count; i++) {
-        let sample = rendered_sample(first, i);
-        if class_at(sample) != class_id || instance_at(sample) != instance_id { continue; }
-        samples += 1.0;
-        if frame.depth_at != NOT_ASKED { inverse_depth += inverse_depth_of(first, i, sample); }
-        sun_occlusion += textureSampleLevel(sun_occlusion_samples, nearest, centre_uv(sample), 0.0).r;
-        normal += textureSampleLevel(normal_samples, nearest, centre_uv(sample), 0.0).xyz;
-    }
-    if frame.depth_at != NOT_ASKED {
-        let metres = samples / inverse_depth;
-        packed_words[frame.depth_at + pixel] = bitcast<u32>(metres);
-    }
-    if frame.normals_at != NOT_ASKED {
-        let length_squared = dot(normal, normal);
-        let unit = select(vec3(0.0), normal * inverseSqrt(max(length_squared, 1.0e-12)), length_squared > 1.0e-6);
-        packed_words[frame.normals_at + 3u * pixel] = bitcast<u32>(unit.x);
-        packed_words[frame.normals_at + 3u * pixel + 1u] = bitcast<u32>(unit.y);
-        packed_words[frame.normals_at + 3u * pixel + 2u] = bitcast<u32>(unit.z);
-    }
-    if frame.instances_at != NOT_ASKED {
-        packed_words[frame.instances_at + pixel] = instance_id;
-    }
-    if frame.sun_occlusion_at != NOT_ASKED {
-        packed_words[frame.sun_occlusion_at + pixel] = u32(255.0 * sun_occlusion / samples + 0.5);
-    }
+    return counts;
+}
+
+fn unit_or_zero(v: vec3<f32>) -> vec3<f32> {
+    let length_squared = dot(v, v);
+    return select(vec3(0.0), v * inverseSqrt(max(length_squared, 1.0e-12)), length_squared > 1.0e-6);
 }

@@ -2,57 +2,13 @@
 //!
 //! Must not know: how it was made.
 
+mod annotation;
+pub mod plane;
+
 use crate::class::ClassId;
 use crate::lens::Lens;
-
-/// What can be asked for besides colour and class.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Annotation {
-    /// Distance along the optical axis.
-    Depth,
-    /// World normals.
-    Normals,
-    /// Instance ids.
-    Instances,
-    /// How much of the sun is hidden.
-    Shadow,
-    /// Linear radiance.
-    Hdr,
-    /// Shares of the classes within a pixel.
-    Coverage,
-    /// Slope of the ground.
-    Slope,
-    /// Insides and rims of craters.
-    Craters,
-    /// Angles of the light.
-    Angles,
-    /// Classes with craters and mountains told apart.
-    FiveClasses,
-}
-
-/// A set of [`Annotation`]s.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Annotations(u16);
-
-impl Annotations {
-    /// The set with one more.
-    #[must_use]
-    pub const fn with(self, annotation: Annotation) -> Self {
-        Self(self.0 | 1 << annotation as u8)
-    }
-
-    /// Whether it is in the set.
-    #[must_use]
-    pub const fn contains(self, annotation: Annotation) -> bool {
-        self.0 & 1 << annotation as u8 != 0
-    }
-}
-
-impl FromIterator<Annotation> for Annotations {
-    fn from_iter<T: IntoIterator<Item = Annotation>>(annotations: T) -> Self {
-        annotations.into_iter().fold(Self::default(), Self::with)
-    }
-}
+pub use annotation::{Annotation, Annotations};
+use plane::{PLANES, Plane, Values};
 
 /// The planes of one frame, rows from top to bottom without padding. Annotations that were not asked for are empty.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -133,16 +89,30 @@ pub struct RgbStatistics {
 }
 
 impl Frame {
+    /// The values of a plane.
+    #[must_use]
+    pub fn plane(&self, plane: Plane) -> Values<'_> {
+        match plane {
+            Plane::Rgb => Values::U8(&self.rgb),
+            Plane::Class => Values::U8(&self.class),
+            Plane::Depth => Values::F32(&self.depth_m),
+            Plane::Normals => Values::F32(&self.normals),
+            Plane::Instances => Values::U16(&self.instances),
+            Plane::SunOcclusion => Values::U8(&self.sun_occlusion),
+            Plane::Radiance => Values::F16(&self.radiance),
+            Plane::SampleCounts => Values::U8(self.sample_counts.as_flattened()),
+            Plane::Slope => Values::F32(&self.slope_deg),
+            Plane::Craters => Values::U8(&self.craters),
+            Plane::Incidence => Values::F32(&self.incidence_deg),
+            Plane::Phase => Values::F32(&self.phase_deg),
+            Plane::FiveClasses => Values::U8(&self.five_classes),
+        }
+    }
+
     /// Bytes of all planes.
     #[must_use]
     pub fn bytes(&self) -> u64 {
-        let angles = self.slope_deg.len() + self.incidence_deg.len() + self.phase_deg.len();
-        let floats = self.depth_m.len() + self.normals.len() + angles;
-        let halves = self.instances.len() + self.radiance.len();
-        let bytes =
-            self.rgb.len() + self.class.len() + self.sun_occlusion.len() + 3 * self.sample_counts.len();
-        let bytes = bytes + self.craters.len() + self.five_classes.len();
-        (bytes + 2 * halves + 4 * floats) as u64
+        PLANES.iter().map(|row| (self.plane(row.plane).len() * row.dtype.bytes()) as u64).sum()
     }
 
     /// Number of pixels of a class.
@@ -212,5 +182,14 @@ mod tests {
         assert_eq!((statistics.p99, statistics.max), (200, 250));
         assert_eq!(frame.count(ClassId::REGOLITH), 60);
         assert!((frame.coverage(ClassId::SKY) - 0.1).abs() < 1e-12);
+    }
+
+    #[test]
+    fn rows_stand_in_the_order_of_the_enum_and_agree_with_the_frame() {
+        for (index, row) in PLANES.iter().enumerate() {
+            assert_eq!(row.plane as usize, index, "{}", row.name);
+            assert_eq!(Frame::default().plane(row.plane).dtype(), row.dtype, "{}", row.name);
+            assert_eq!(PLANES.iter().filter(|other| other.name == row.name).count(), 1, "{}", row.name);
+        }
     }
 }

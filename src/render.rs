@@ -383,9 +383,13 @@ impl Renderer {
             nearest.clone(),
             view(gbuffer.slopes_view()),
         ];
-        let planes = gbuffer.planes.iter().chain([&gbuffer.visibility.1]).map(view);
-        let own = [packed.buffer.as_entire_binding(), nearest, packed.list.as_entire_binding()];
-        let resolve: Vec<_> = planes.chain(own).collect();
+        let resolve = [
+            view(&gbuffer.visibility.1),
+            packed.buffer.as_entire_binding(),
+            nearest,
+            packed.tile_list.as_entire_binding(),
+        ];
+        let resolve: Vec<_> = resolve.into_iter().chain(gbuffer.planes.iter().map(view)).collect();
         BindGroups {
             frame: buffers.frame_group(gpu, layouts),
             scene: buffers.scene_group(gpu, layouts),

@@ -60,14 +60,8 @@ struct FrameUniforms {
     hapke_c: f32,
     hapke_h_s: f32,
     hapke_tan_theta_bar: f32,
-    // Offset of each annotation in the packed frame, words, or NOT_ASKED.
-    depth_at: u32,
-    normals_at: u32,
-    instances_at: u32,
-    sun_occlusion_at: u32,
-    radiance_at: u32,
-    coverage_at: u32,
-    reserved: vec2<u32>,
+    // Offset of each packed plane in the packed frame, words, or NOT_REQUESTED (src/render/device/packing.rs).
+    plane_offsets: array<vec4<u32>, 2>,
     horizon: array<HorizonLevel, 12>,
 }
 
@@ -85,6 +79,6 @@ struct HorizonLevel {
     first_sample: vec2<f32>,
 }
 
-const NOT_ASKED: u32 = 0xffffffffu;
+const NOT_REQUESTED: u32 = 0xffffffffu;
 
 @group(0) @binding(0) var<uniform> frame: FrameUniforms;

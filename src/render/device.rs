@@ -5,6 +5,7 @@ pub mod bind_groups;
 pub mod depth;
 pub mod light_table;
 pub mod packing;
+pub mod planes;
 pub mod shader_programs;
 pub mod shader_structs;
 pub mod shading_bins;

@@ -9,13 +9,12 @@ use std::sync::{Arc, Weak};
 use glam::Mat4;
 
 use crate::class::ClassId;
-use crate::frame::Annotation;
 use crate::render::backend::RasterOptions;
 use crate::render::device::packing::Packing;
 use crate::render::device::shader_structs::{CasterTile, FrameUniforms, HorizonLevel, Instance};
 use crate::render::device::shading_bins::ShadingBins;
 use crate::render::lighting::relief_bands::ReliefBands;
-use crate::render::resolve::pass;
+use crate::render::resolve::tone;
 use crate::render::select::caster_grid::{CasterGrids, caster_grid};
 use crate::render::select::draw_list::DrawList;
 use crate::render::select::footprint::Footprint;
@@ -191,7 +190,7 @@ fn frame_uniforms(
         clip_from_offset,
         ray_from_sample: settings.rays(camera).map(|ray| ray.extend(0.0).into()),
         eye: camera.eye,
-        exposure: pass::exposure(camera.exposure_ev),
+        exposure: tone::exposure(camera.exposure_ev),
         sun_direction: sun.direction,
         sun_tan_half_angle: sun.tan_half_angle(),
         sun_irradiance: sun.irradiance,
@@ -223,13 +222,7 @@ fn frame_uniforms(
         lens_k: [lens.k1 as f32, lens.k2 as f32, lens.k3 as f32],
         focal_samples: settings.focal_samples(camera),
         lens_p: glam::Vec2::new(lens.p1 as f32, lens.p2 as f32),
-        depth_at: packing.start(Annotation::Depth),
-        normals_at: packing.start(Annotation::Normals),
-        instances_at: packing.start(Annotation::Instances),
-        sun_occlusion_at: packing.start(Annotation::Shadow),
-        radiance_at: packing.start(Annotation::Hdr),
-        coverage_at: packing.start(Annotation::Coverage),
-        reserved: [0; 2],
+        plane_offsets: packing.offsets(),
         horizon: levels,
     }
 }

@@ -3,3 +3,5 @@
 
 pub mod pass;
 pub mod tile_list;
+pub mod tone;
+pub mod unpack;

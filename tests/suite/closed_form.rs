@@ -7,7 +7,7 @@ use regolith::class::ClassId;
 use regolith::frame::Annotation;
 use regolith::lens::Lens;
 use regolith::render::RenderSettings;
-use regolith::render::resolve::pass::encoded;
+use regolith::render::resolve::tone::srgb_code;
 use regolith::reuse::Reused;
 use regolith::scene::camera::Camera;
 use regolith::scene::mesh::{Icosphere, Vertex};
@@ -73,7 +73,7 @@ fn lambert_ground_has_the_radiance_of_the_formula() {
     for elevation_deg in [5.0, 17.0, 60.0] {
         let sun = Sun::new(elevation_deg, 120.0, 0.53, Vec3::new(3.0, 2.0, 1.0));
         let frame = render(&flat_scene(sun, Vec::new(), Vec3::new(0.0, 0.0, 30.0), 40.0), 32, 4);
-        let expected = ground_radiance(&sun, 1.0).to_array().map(|x| encoded(f64::from(x)));
+        let expected = ground_radiance(&sun, 1.0).to_array().map(|x| srgb_code(f64::from(x)));
         for pixel in frame.rgb.chunks_exact(3) {
             for (value, expected) in pixel.iter().zip(expected) {
                 assert!(
@@ -90,7 +90,7 @@ fn lambert_ground_has_the_radiance_of_the_formula() {
 fn a_view_of_the_sky_is_labelled_sky_and_has_its_radiance() {
     let frame = render(&scene(4, &["camera.pitch_deg=60", "camera.fov_deg=40", "sky.star_count=0"]), 64, 4);
     assert_eq!(frame.count(ClassId::SKY), 64 * 64);
-    let expected = DOME_RADIANCE.to_array().map(|x| encoded(f64::from(x)).round() as u8);
+    let expected = DOME_RADIANCE.to_array().map(|x| srgb_code(f64::from(x)).round() as u8);
     assert!(
         frame.rgb.chunks_exact(3).all(|pixel| pixel == expected),
         "{expected:?}, not {:?}",
@@ -127,7 +127,7 @@ fn the_shadow_of_a_ball_has_its_area_and_position() {
         let scene = flat_scene(sun, vec![ball(Vec3::new(0.0, 0.0, height_m), radius_m)], eye, 16.0);
         let side = 256;
         let frame = render(&scene, side, 4);
-        let lit = encoded(f64::from(ground_radiance(&sun, 0.5).x));
+        let lit = srgb_code(f64::from(ground_radiance(&sun, 0.5).x));
         let metres_per_px = 2.0 * 40.0 * scene.camera.tan_half_fov / side as f32;
         let (mut dark, mut offset) = (0.0_f32, Vec2::ZERO);
         for (i, pixel) in frame.rgb.chunks_exact(3).enumerate() {
@@ -169,7 +169,7 @@ fn the_penumbra_widens_with_distance_by_the_size_of_the_sun() {
             }
             let u = (2.0 * y / f64::from(width_m)).clamp(-1.0, 1.0);
             let visible = 0.5 + (u * (1.0 - u * u).sqrt() + u.asin()) / std::f64::consts::PI;
-            let expected = encoded(f64::from(ground_radiance(&sun, visible as f32).x));
+            let expected = srgb_code(f64::from(ground_radiance(&sun, visible as f32).x));
             let error = (f64::from(frame.rgb[3 * i]) - expected).abs() / 255.0;
             sum += error;
             worst = worst.max(error);
@@ -182,7 +182,7 @@ fn the_penumbra_widens_with_distance_by_the_size_of_the_sun() {
                 let (mut low, mut high) = (0.0, 2.0);
                 for _ in 0..40 {
                     let middle = 0.5 * (low + high);
-                    if encoded(middle) < code { low = middle } else { high = middle }
+                    if srgb_code(middle) < code { low = middle } else { high = middle }
                 }
                 low
             };
@@ -220,7 +220,7 @@ fn flat_ground_at_grazing_sun_has_no_acne_and_no_leak_under_a_rock() {
         let away = -sun.direction.truncate() / sun.direction.truncate().length();
         let metres_per_px = 2.0 * 20.0 * scene.camera.tan_half_fov / side as f32;
         let (lit, dark) = (ground_radiance(&sun, 1.0).x, ground_radiance(&sun, 0.0).x);
-        let (lit, dark) = (encoded(f64::from(lit)), encoded(f64::from(dark)));
+        let (lit, dark) = (srgb_code(f64::from(lit)), srgb_code(f64::from(dark)));
         let (mut lit_count, mut dark_count) = (0, 0);
         for (i, pixel) in frame.rgb.chunks_exact(3).enumerate() {
             if frame.class[i] != ClassId::REGOLITH.0 {

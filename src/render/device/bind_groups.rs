@@ -4,6 +4,7 @@
 use wgpu::{BindingType, ShaderStages, TextureFormat, TextureSampleType};
 
 use crate::gpu::Gpu;
+use crate::render::device::planes::SAMPLE_PLANES;
 use crate::render::device::shader_structs::{Instance, ReliefUniforms};
 
 /// Format of the shadow map, which a compute pass writes as a storage texture.
@@ -20,7 +21,7 @@ pub struct BindLayouts {
     pub layers: wgpu::BindGroupLayout,
     /// Group 2 of the lighting pass: visibility, shadow map, horizon, caster grid, sampler, slopes.
     pub light: wgpu::BindGroupLayout,
-    /// Group 2 of the resolve pass: planes, visibility, packed frame, sampler, tile list.
+    /// Group 2 of the resolve pass: visibility, packed frame, sampler, tile list, then the planes of samples.
     pub resolve: wgpu::BindGroupLayout,
 }
 
@@ -65,6 +66,8 @@ impl BindLayouts {
             view_dimension: wgpu::TextureViewDimension::D2,
         };
         let nearest = BindingType::Sampler(wgpu::SamplerBindingType::NonFiltering);
+        let resolve = [uint, write, nearest, read];
+        let sample_planes = SAMPLE_PLANES.map(|row| if row.is_uint() { uint } else { float });
         let drawing = ShaderStages::VERTEX_FRAGMENT;
         Self {
             frame: group(
@@ -75,11 +78,7 @@ impl BindLayouts {
             scene: group("scene", drawing, &[instance, read, relief, read]),
             layers: group("layers", ShaderStages::COMPUTE, &[float, map]),
             light: group("light", ShaderStages::FRAGMENT, &[uint, float, float, read, nearest, float]),
-            resolve: group(
-                "resolve",
-                ShaderStages::COMPUTE,
-                &[float, uint, float, uint, float, uint, write, nearest, read],
-            ),
+            resolve: group("resolve", ShaderStages::COMPUTE, &[&resolve[..], &sample_planes].concat()),
         }
     }
 }

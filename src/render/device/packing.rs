@@ -1,7 +1,11 @@
 //! Layout of the packed frame: what the resolve pass writes and the readback unpacks.
 //! Must not know: a pass.
 
-use crate::frame::{Annotation, Annotations};
+use std::ops::Range;
+
+use crate::frame::Annotations;
+use crate::frame::plane::Plane;
+use crate::render::device::planes::{MAX_PACKED_PLANES, packed_planes};
 
 /// Invocations in a workgroup of the resolve pass, each of four pixels; `resolve.wgsl` has the same constants.
 pub const WORKGROUP_SIZE: u32 = 64;
@@ -13,18 +17,8 @@ pub struct Packing {
     annotations: Annotations,
 }
 
-/// Offset of an annotation that is not rendered; `common/frame.wgsl` has the same constant.
-pub const NOT_ASKED: u32 = u32::MAX;
-
-/// Annotations in the order in which they are packed, with their words per pixel.
-const PACKED: [(Annotation, u64); 6] = [
-    (Annotation::Depth, 1),
-    (Annotation::Normals, 3),
-    (Annotation::Instances, 1),
-    (Annotation::Shadow, 1),
-    (Annotation::Hdr, 2),
-    (Annotation::Coverage, 1),
-];
+/// Offset of a plane that is not requested; `common/frame.wgsl` has the same constant.
+pub const NOT_REQUESTED: u32 = u32::MAX;
 
 impl Packing {
     /// Packing of an image of this size with these annotations.
@@ -45,30 +39,31 @@ impl Packing {
         self.annotations
     }
 
-    /// Range of the words of an annotation, `None` if it is not rendered.
-    #[must_use]
-    pub fn words(self, wanted: Annotation) -> Option<std::ops::Range<u64>> {
-        let mut start = 4 * self.quads();
-        for (annotation, words) in PACKED {
-            let end = start + if self.annotations.contains(annotation) { words * self.pixels } else { 0 };
-            if annotation == wanted {
-                return (end > start).then_some(start..end);
-            }
-            start = end;
-        }
-        None
+    /// The planes that are packed behind the quads, with the range of their words.
+    pub fn planes(self) -> impl Iterator<Item = (Plane, Range<u64>)> {
+        let mut end = 4 * self.quads();
+        packed_planes().filter(move |(plane, _)| plane.is_in(self.annotations)).map(move |(plane, words)| {
+            let start = end;
+            end += words.len() as u64 * self.pixels;
+            (plane, start..end)
+        })
     }
 
-    /// First word of an annotation, or [`NOT_ASKED`].
+    /// First word of each of [`packed_planes`], or [`NOT_REQUESTED`]: `plane_offsets` of the frame's uniforms.
     #[must_use]
-    pub fn start(self, annotation: Annotation) -> u32 {
-        self.words(annotation).map_or(NOT_ASKED, |words| words.start as u32)
+    pub fn offsets(self) -> [[u32; 4]; MAX_PACKED_PLANES / 4] {
+        let mut offsets = [[NOT_REQUESTED; 4]; MAX_PACKED_PLANES / 4];
+        for (offset, (plane, _)) in offsets.as_flattened_mut().iter_mut().zip(packed_planes()) {
+            if let Some((_, words)) = self.planes().find(|(packed, _)| *packed == plane) {
+                *offset = words.start as u32;
+            }
+        }
+        offsets
     }
 
     /// Size of the packed frame, bytes.
     #[must_use]
     pub fn bytes(self) -> u64 {
-        let annotated = PACKED.iter().filter(|(annotation, _)| self.annotations.contains(*annotation));
-        16 * self.quads() + annotated.map(|(_, words)| 4 * words * self.pixels).sum::<u64>()
+        4 * self.planes().last().map_or(4 * self.quads(), |(_, words)| words.end)
     }
 }

@@ -9,6 +9,7 @@ use std::borrow::Cow;
 
 use crate::gpu::Gpu;
 use crate::render::device::light_table::light_wgsl;
+use crate::render::device::planes::{lighting_output_wgsl, resolve_planes_wgsl};
 
 /// A WGSL program: the parts that make it.
 #[derive(Debug)]
@@ -34,6 +35,12 @@ enum Source {
 
 /// `generated/light.wgsl`: see [`crate::render::device::light_table`].
 const LIGHT: Part = Part { path: "generated/light.wgsl", source: Source::Generated(light_wgsl) };
+/// `generated/lighting_output.wgsl`: see [`crate::render::device::planes`].
+const LIGHTING_OUTPUT: Part =
+    Part { path: "generated/lighting_output.wgsl", source: Source::Generated(lighting_output_wgsl) };
+/// `generated/resolve_planes.wgsl`: see [`crate::render::device::planes`].
+const RESOLVE_PLANES: Part =
+    Part { path: "generated/resolve_planes.wgsl", source: Source::Generated(resolve_planes_wgsl) };
 
 macro_rules! file {
     ($path:expr) => {
@@ -69,7 +76,6 @@ pub static LIGHTING_SURFACE: Program = program!(
         "fullscreen",
         "octahedral",
         "gbuffer",
-        "planes",
         "horizon_map",
         "shadow_map",
         "brdf",
@@ -79,13 +85,13 @@ pub static LIGHTING_SURFACE: Program = program!(
         "relief",
         "rock_texture"
     ],
-    [LIGHT]
+    [LIGHT, LIGHTING_OUTPUT]
 );
 /// Lighting of the sky's dome and of stars.
 pub static LIGHTING_SKY: Program =
-    program!("lighting_sky", ["frame", "scene", "fullscreen", "planes"], [LIGHT]);
+    program!("lighting_sky", ["frame", "scene", "fullscreen"], [LIGHT, LIGHTING_OUTPUT]);
 /// Samples to pixels.
-pub static RESOLVE: Program = program!("resolve", ["frame", "tone"], []);
+pub static RESOLVE: Program = program!("resolve", ["frame", "tone"], [RESOLVE_PLANES]);
 
 /// Every program.
 pub static PROGRAMS: [&Program; 6] =

@@ -64,13 +64,7 @@ shader_struct! {
         hapke_c: f32,
         hapke_h_s: f32,
         hapke_tan_theta_bar: f32,
-        depth_at: u32,
-        normals_at: u32,
-        instances_at: u32,
-        sun_occlusion_at: u32,
-        radiance_at: u32,
-        coverage_at: u32,
-        reserved: [u32; 2],
+        plane_offsets: [[u32; 4]; 2],
         horizon: [HorizonLevel; 12],
     }
 }

@@ -1,7 +1,5 @@
-//! The planes that the lighting pass draws: format, cleared value, and the textures at sample resolution.
-//!
-//! To add an annotation: a variant of [`Plane`], its arms here, a field in `shaders/common/planes.wgsl` and its
-//! value in `lighting_surface.wgsl` and `lighting_sky.wgsl`, its rule in `resolve.wgsl`.
+//! The G-buffer: the textures at sample resolution that visibility and lighting write. The formats of the planes that
+//! lighting writes are in the table [`SAMPLE_PLANES`].
 
 use std::ops::Range;
 
@@ -10,71 +8,12 @@ use wgpu::{TextureFormat, TextureUsages};
 
 use crate::class::ClassId;
 use crate::error::{Error, Result};
-use crate::frame::{Annotation, Annotations};
+use crate::frame::Annotations;
 use crate::gpu::Gpu;
 use crate::render::device::packing::Packing;
+use crate::render::device::planes::SAMPLE_PLANES;
 use crate::render::select::draw_list::DrawBatch;
 use crate::render::settings::RenderSettings;
-
-/// What a sample of the lighting pass carries. The location in `LightingOutput` is the place in [`Plane::ALL`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Plane {
-    /// Linear radiance.
-    Radiance,
-    /// Class id.
-    Class,
-    /// World normal.
-    Normal,
-    /// Instance id.
-    Instance,
-    /// Fraction of the sun that is hidden.
-    SunOcclusion,
-}
-
-impl Plane {
-    /// Every plane, by location.
-    pub const ALL: [Self; 5] =
-        [Self::Radiance, Self::Class, Self::Normal, Self::Instance, Self::SunOcclusion];
-
-    /// Format of its texture. Together they must stay within 32 bytes a sample, which every device offers.
-    #[must_use]
-    pub const fn format(self) -> TextureFormat {
-        match self {
-            Self::Radiance | Self::Normal => TextureFormat::Rgba16Float,
-            Self::Class => TextureFormat::R8Uint,
-            Self::Instance => TextureFormat::R16Uint,
-            Self::SunOcclusion => TextureFormat::R8Unorm,
-        }
-    }
-
-    /// Its value before anything is drawn: that of the background, if there is one.
-    #[must_use]
-    pub fn cleared(self, background: Option<&Background>) -> wgpu::Color {
-        let [r, g, b] = background.map_or([0.0; 3], |background| background.radiance.as_dvec3().to_array());
-        let class = background.map_or(ClassId::UNLABELLED, |background| background.class);
-        match self {
-            Self::Radiance if background.is_some() => wgpu::Color { r, g, b, a: 1.0 },
-            Self::Radiance | Self::Normal | Self::Instance | Self::SunOcclusion => wgpu::Color::TRANSPARENT,
-            Self::Class => wgpu::Color { r: class.0.into(), g: 0.0, b: 0.0, a: 0.0 },
-        }
-    }
-
-    /// Whether it is drawn when these annotations are asked for. What is averaged over the samples of an instance
-    /// needs the instances.
-    #[must_use]
-    pub fn is_drawn(self, asked: Annotations) -> bool {
-        let any =
-            |annotations: &[Annotation]| annotations.iter().any(|&annotation| asked.contains(annotation));
-        match self {
-            Self::Radiance | Self::Class => true,
-            Self::Normal => any(&[Annotation::Normals]),
-            Self::Instance => {
-                any(&[Annotation::Instances, Annotation::Depth, Annotation::Normals, Annotation::Shadow])
-            }
-            Self::SunOcclusion => any(&[Annotation::Shadow]),
-        }
-    }
-}
 
 /// A surface of one radiance and one class.
 #[derive(Clone, Copy, Debug)]
@@ -118,8 +57,8 @@ pub struct GBuffer {
     pub annotations: Annotations,
     /// How it is filled.
     pub layout: GBufferLayout,
-    /// One view for each plane, as in [`Plane::ALL`]; of a single sample where the plane is not rendered.
-    pub planes: [wgpu::TextureView; Plane::ALL.len()],
+    /// One view for each plane, as in [`SAMPLE_PLANES`]; of a single sample where the plane is not rendered.
+    pub planes: [wgpu::TextureView; SAMPLE_PLANES.len()],
     /// The visible surface at each sample: instance, normals, inverse depth.
     pub visibility: (wgpu::Texture, wgpu::TextureView),
     /// Slopes of the relief below the mesh, where the host computes them. Without them the lighting pass does.
@@ -155,9 +94,9 @@ impl GBuffer {
             sample_size,
             annotations,
             layout,
-            planes: Plane::ALL.map(|plane| {
-                let size = if plane.is_drawn(annotations) { sample_size } else { [1, 1] };
-                gpu.texture(&format!("gbuffer/{plane:?}"), size, plane.format(), drawn).1
+            planes: SAMPLE_PLANES.map(|row| {
+                let size = if row.plane.is_needed(annotations) { sample_size } else { [1, 1] };
+                gpu.texture(&format!("gbuffer/{}", row.name), size, row.format, drawn).1
             }),
             visibility: gpu.texture(
                 "gbuffer/visibility",
@@ -220,18 +159,4 @@ fn check_limits(gpu: &Gpu, settings: &RenderSettings) -> Result<()> {
         return Err(too_large(format!("{} in one buffer", mebibytes(packed_bytes)), limit));
     }
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn planes_fit_into_the_guaranteed_bytes_per_sample() {
-        let bytes: u32 = Plane::ALL
-            .iter()
-            .map(|plane| plane.format().target_pixel_byte_cost().expect("a colour format"))
-            .sum();
-        assert!(bytes <= 32, "{bytes} bytes");
-    }
 }

@@ -8,10 +8,11 @@ use wgpu::TextureFormat;
 use crate::frame::Annotations;
 use crate::gpu::Gpu;
 use crate::render::device::bind_groups::{BindLayouts, slot_stride};
+use crate::render::device::planes::SAMPLE_PLANES;
 use crate::render::device::shader_programs::{LIGHTING_SKY, LIGHTING_SURFACE};
 use crate::render::device::shader_structs::{Instance, ReliefUniforms};
 use crate::render::device::shading_bins::LightingVariant;
-use crate::render::lighting::gbuffer::{GBuffer, Plane};
+use crate::render::lighting::gbuffer::GBuffer;
 use crate::scene::Scene;
 use crate::scene::photometry::Law;
 use crate::scene::terrain::Layout;
@@ -124,9 +125,9 @@ impl LightingPass {
             }
             LightingVariant::Sky => (LIGHTING_SKY.name, &self.sky, Vec::new()),
         };
-        let targets = Plane::ALL.map(|plane| {
-            plane.is_drawn(key.annotations).then(|| wgpu::ColorTargetState {
-                format: plane.format(),
+        let targets = SAMPLE_PLANES.map(|row| {
+            row.plane.is_needed(key.annotations).then(|| wgpu::ColorTargetState {
+                format: row.format,
                 blend: None,
                 write_mask: wgpu::ColorWrites::ALL,
             })
@@ -176,16 +177,18 @@ impl LightingPass {
         gbuffer: &GBuffer,
         timestamps: Option<wgpu::RenderPassTimestampWrites<'_>>,
     ) {
-        let attachments: Vec<_> = Plane::ALL
+        let background =
+            gbuffer.background.as_ref().map(|background| (background.radiance, background.class));
+        let attachments: Vec<_> = SAMPLE_PLANES
             .iter()
             .zip(&gbuffer.planes)
-            .map(|(plane, view)| {
-                plane.is_drawn(gbuffer.annotations).then(|| wgpu::RenderPassColorAttachment {
+            .map(|(row, view)| {
+                row.plane.is_needed(gbuffer.annotations).then(|| wgpu::RenderPassColorAttachment {
                     view,
                     depth_slice: None,
                     resolve_target: None,
                     ops: wgpu::Operations {
-                        load: wgpu::LoadOp::Clear(plane.cleared(gbuffer.background.as_ref())),
+                        load: wgpu::LoadOp::Clear(row.plane.clear_value(background)),
                         store: wgpu::StoreOp::Store,
                     },
                 })

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::class::ClassId;
 use crate::frame::Frame;
-use crate::render::resolve::pass::exposure;
+use crate::render::resolve::tone::exposure;
 use crate::scene::noise::lattice_hash;
 use crate::scene::sensor::{Mosaic, Sensor};
 

@@ -1,0 +1,414 @@
+//! The planes on the device: what a lighting draw writes per sample ([`SAMPLE_PLANES`]), and how the resolve pass turns
+//! samples into the planes of a frame ([`resolve_rule`]).
+//!
+//! The WGSL that repeats these tables is generated from them: `struct LightingOutput` (`generated/lighting_output.wgsl`)
+//! and `resolve_annotations` (`generated/resolve_planes.wgsl`).
+//!
+//! To add a plane of samples: a variant of [`SamplePlane`] with its row here, and its value where the entry points in
+//! `lighting_surface.wgsl` and `lighting_sky.wgsl` build a `LightingOutput`; for the plane of the frame that comes from it
+//! see [`crate::frame::plane`], and here its arm in [`resolve_rule`].
+//! Must not know: a pass.
+
+use std::fmt::Write as _;
+
+use glam::Vec3;
+use wgpu::TextureFormat;
+
+use crate::class::ClassId;
+use crate::frame::Annotations;
+use crate::frame::plane::{PLANES, Plane};
+
+/// What lighting writes per sample. The location in `LightingOutput` and the binding in `resolve.wgsl` are the index in
+/// [`SAMPLE_PLANES`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SamplePlane {
+    /// Linear radiance.
+    Radiance,
+    /// Class id.
+    Class,
+    /// World normal.
+    Normal,
+    /// Instance id.
+    Instance,
+    /// Fraction of the sun's disc that is occluded.
+    SunOcclusion,
+}
+
+/// A row of [`SAMPLE_PLANES`].
+#[derive(Clone, Copy, Debug)]
+pub struct SamplePlaneRow {
+    /// The plane.
+    pub plane: SamplePlane,
+    /// Field of `LightingOutput`.
+    pub name: &'static str,
+    /// WGSL type of the field.
+    wgsl: &'static str,
+    /// Format of its texture.
+    pub format: TextureFormat,
+    /// Comment on the field.
+    comment: &'static str,
+}
+
+const fn row(
+    plane: SamplePlane,
+    name: &'static str,
+    wgsl: &'static str,
+    format: TextureFormat,
+    comment: &'static str,
+) -> SamplePlaneRow {
+    SamplePlaneRow { plane, name, wgsl, format, comment }
+}
+
+/// Every plane of samples, by location. Together they must stay within 32 bytes per sample, which every device offers.
+pub static SAMPLE_PLANES: [SamplePlaneRow; 5] = {
+    use TextureFormat::{R8Uint, R8Unorm, R16Uint, Rgba16Float};
+    [
+        row(
+            SamplePlane::Radiance,
+            "radiance",
+            "vec4<f32>",
+            Rgba16Float,
+            "Linear radiance; alpha is 1 and unused.",
+        ),
+        row(SamplePlane::Class, "class_id", "u32", R8Uint, "A `ClassId`."),
+        row(
+            SamplePlane::Normal,
+            "normal",
+            "vec4<f32>",
+            Rgba16Float,
+            "World normal, 0 for the sky; alpha is 1 and unused.",
+        ),
+        row(SamplePlane::Instance, "instance_id", "u32", R16Uint, "0 for what is no instance."),
+        row(
+            SamplePlane::SunOcclusion,
+            "sun_occlusion",
+            "f32",
+            R8Unorm,
+            "Fraction of the sun's disc that is occluded, 0 for the sky.",
+        ),
+    ]
+};
+
+impl SamplePlaneRow {
+    /// Whether its values are unsigned integers.
+    #[must_use]
+    pub fn is_uint(&self) -> bool {
+        self.wgsl == "u32"
+    }
+}
+
+impl SamplePlane {
+    /// Its row.
+    #[must_use]
+    pub fn row(self) -> &'static SamplePlaneRow {
+        &SAMPLE_PLANES[self as usize]
+    }
+
+    /// Value of samples that no draw covers: zero, or the radiance and class of the background.
+    #[must_use]
+    pub fn clear_value(self, background: Option<(Vec3, ClassId)>) -> wgpu::Color {
+        match self {
+            Self::Radiance => background.map_or(wgpu::Color::TRANSPARENT, |(radiance, _)| {
+                let [r, g, b] = radiance.as_dvec3().to_array();
+                wgpu::Color { r, g, b, a: 1.0 }
+            }),
+            Self::Class => {
+                let class = background.map_or(ClassId::UNLABELLED, |(_, class)| class);
+                wgpu::Color { r: class.0.into(), g: 0.0, b: 0.0, a: 0.0 }
+            }
+            Self::Normal | Self::Instance | Self::SunOcclusion => wgpu::Color::TRANSPARENT,
+        }
+    }
+
+    /// Whether a frame with these annotations needs it.
+    #[must_use]
+    pub fn is_needed(self, annotations: Annotations) -> bool {
+        let needs = |rule: ResolveRule| match rule {
+            ResolveRule::Quads(planes) => planes.contains(&self),
+            ResolveRule::Pixel { .. } | ResolveRule::Host => false,
+            ResolveRule::Instance { .. } => self == Self::Instance,
+            ResolveRule::InstanceMean { sum, .. } => self == Self::Instance || sum == Sum::Plane(self),
+        };
+        PLANES.iter().any(|row| row.plane.is_in(annotations) && needs(resolve_rule(row.plane)))
+    }
+}
+
+/// What a mean adds up over samples.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sum {
+    /// A plane of samples.
+    Plane(SamplePlane),
+    /// A scalar WGSL expression of the pixel's `first`, the index `i` and the rendered `sample`. It is expensive, and
+    /// evaluated only if the plane is requested.
+    Expression(&'static str),
+}
+
+/// How the samples of a pixel become its value in a plane. Each of `words` is the WGSL expression of a packed word.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ResolveRule {
+    /// Of every frame, packed for quads of four pixels by `cs_main` in `resolve.wgsl`, from these planes of samples.
+    Quads(&'static [SamplePlane]),
+    /// Of the pixel's `first` sample and mean `radiance`.
+    Pixel {
+        /// See [`ResolveRule`].
+        words: &'static [&'static str],
+    },
+    /// Of `instance_id`, the instance of most samples among those of the pixel's class.
+    Instance {
+        /// See [`ResolveRule`].
+        words: &'static [&'static str],
+    },
+    /// Of `$sum` over the samples of the pixel's class and instance, and the count of these `samples`.
+    InstanceMean {
+        /// What is added up.
+        sum: Sum,
+        /// See [`ResolveRule`].
+        words: &'static [&'static str],
+    },
+    /// Computed on the host from other planes (`render/post/`).
+    Host,
+}
+
+impl ResolveRule {
+    /// Expressions of the words that a pixel has beside the quads.
+    #[must_use]
+    pub const fn words(self) -> &'static [&'static str] {
+        match self {
+            Self::Pixel { words } | Self::Instance { words } | Self::InstanceMean { words, .. } => words,
+            Self::Quads(_) | Self::Host => &[],
+        }
+    }
+}
+
+/// The rule of each plane of a frame. `PackedFrame::read` has the reverse of the packing.
+#[must_use]
+pub const fn resolve_rule(plane: Plane) -> ResolveRule {
+    use ResolveRule::{Host, Instance, InstanceMean, Pixel, Quads};
+    match plane {
+        Plane::Rgb => Quads(&[SamplePlane::Radiance]),
+        Plane::Class => Quads(&[SamplePlane::Class]),
+        // The mean of the inverse depth, which is linear in the image: the depth of a plane at the pixel's centre.
+        Plane::Depth => InstanceMean {
+            sum: Sum::Expression("inverse_depth_of(first, i, sample)"),
+            words: &["bitcast<u32>(samples / $sum)"],
+        },
+        Plane::Normals => InstanceMean {
+            sum: Sum::Plane(SamplePlane::Normal),
+            words: &[
+                "bitcast<u32>(unit_or_zero($sum).x)",
+                "bitcast<u32>(unit_or_zero($sum).y)",
+                "bitcast<u32>(unit_or_zero($sum).z)",
+            ],
+        },
+        Plane::Instances => Instance { words: &["instance_id"] },
+        Plane::SunOcclusion => InstanceMean {
+            sum: Sum::Plane(SamplePlane::SunOcclusion),
+            words: &["u32(255.0 * $sum / samples + 0.5)"],
+        },
+        Plane::Radiance => {
+            Pixel { words: &["pack2x16float(radiance.rg)", "pack2x16float(vec2(radiance.b, 0.0))"] }
+        }
+        Plane::SampleCounts => Pixel { words: &["class_counts(first)"] },
+        Plane::Slope | Plane::Craters | Plane::Incidence | Plane::Phase | Plane::FiveClasses => Host,
+    }
+}
+
+/// Elements of `plane_offsets` in `FrameUniforms`.
+pub const MAX_PACKED_PLANES: usize = 8;
+
+/// Binding of the first plane of samples in the bind group of the resolve pass: behind those that `resolve.wgsl` declares.
+const FIRST_BINDING: u32 = 4;
+
+/// Planes that have words of their own in the packed frame, in the order in which they are packed.
+pub fn packed_planes() -> impl Iterator<Item = (Plane, &'static [&'static str])> {
+    let words = PLANES.iter().map(|row| (row.plane, resolve_rule(row.plane).words()));
+    words.filter(|(_, words)| !words.is_empty())
+}
+
+fn push(text: &mut String, line: std::fmt::Arguments<'_>) {
+    text.write_fmt(line).expect("a string takes everything");
+}
+
+/// `generated/lighting_output.wgsl`.
+#[must_use]
+pub(in crate::render) fn lighting_output_wgsl() -> String {
+    let mut text =
+        "// Generated from the table in src/render/device/planes.rs.\n\nstruct LightingOutput {\n".to_owned();
+    for (location, row) in SAMPLE_PLANES.iter().enumerate() {
+        push(&mut text, format_args!("    // {}\n", row.comment));
+        push(&mut text, format_args!("    @location({location}) {}: {},\n", row.name, row.wgsl));
+    }
+    text.push_str("}\n");
+    text
+}
+
+/// `generated/resolve_planes.wgsl`.
+#[must_use]
+pub(in crate::render) fn resolve_planes_wgsl() -> String {
+    let mut text = "// Generated from the tables in src/render/device/planes.rs.\n\n".to_owned();
+    for (binding, row) in (FIRST_BINDING..).zip(&SAMPLE_PLANES) {
+        let kind = if row.is_uint() { "u32" } else { "f32" };
+        let name = row.name;
+        push(
+            &mut text,
+            format_args!("@group(2) @binding({binding}) var {name}_samples: texture_2d<{kind}>;\n"),
+        );
+    }
+    text.push_str(
+        "\nfn resolve_annotations(pixel: u32, first: vec2<u32>, class_id: u32, radiance: vec3<f32>) {\n",
+    );
+    let mut pixel = String::new();
+    let (mut sums, mut additions, mut instance) = (String::new(), String::new(), String::new());
+    let mut of_instance = Vec::new();
+    for (index, (plane, words)) in packed_planes().enumerate() {
+        let (name, component) = (plane.row().name, ["x", "y", "z", "w"][index % 4]);
+        push(
+            &mut text,
+            format_args!("    let {name}_at = frame.plane_offsets[{}].{component};\n", index / 4),
+        );
+        match resolve_rule(plane) {
+            ResolveRule::Pixel { .. } => push_words(&mut pixel, name, words),
+            ResolveRule::Instance { .. } => {
+                of_instance.push(name);
+                push_words(&mut instance, name, words);
+            }
+            ResolveRule::InstanceMean { sum, .. } => {
+                of_instance.push(name);
+                push_sum(&mut sums, &mut additions, name, sum);
+                let words: Vec<String> =
+                    words.iter().map(|word| word.replace("$sum", &format!("{name}_sum"))).collect();
+                push_words(&mut instance, name, &words);
+            }
+            ResolveRule::Quads(_) | ResolveRule::Host => {}
+        }
+    }
+    let first_at = of_instance
+        .iter()
+        .skip(1)
+        .fold(format!("{}_at", of_instance[0]), |first, name| format!("min({first}, {name}_at)"));
+    text.push_str(&pixel);
+    push(&mut text, format_args!("    if {first_at} == NOT_REQUESTED {{ return; }}\n"));
+    text.push_str("    // Without instances the texture holds a single 0, which every gather returns.\n");
+    text.push_str("    let instance_id = majority_instance(first, class_id);\n    var samples = 0.0;\n");
+    text.push_str(&sums);
+    text.push_str("    for (var i = 0u; i < SAMPLES_PER_SIDE * SAMPLES_PER_SIDE; i++) {\n");
+    text.push_str("        let sample = rendered_sample(first, i);\n");
+    text.push_str(
+        "        if class_at(sample) != class_id || instance_at(sample) != instance_id { continue; }\n",
+    );
+    text.push_str("        samples += 1.0;\n");
+    text.push_str(&additions);
+    text.push_str("    }\n");
+    text.push_str(&instance);
+    text.push_str("}\n");
+    text
+}
+
+/// Stores the words of a plane, if it is requested.
+fn push_words<T: AsRef<str>>(text: &mut String, name: &str, words: &[T]) {
+    push(text, format_args!("    if {name}_at != NOT_REQUESTED {{\n"));
+    let stride = if words.len() == 1 { String::new() } else { format!("{}u * ", words.len()) };
+    for (k, word) in words.iter().enumerate() {
+        let further = if k == 0 { String::new() } else { format!(" + {k}u") };
+        let word = word.as_ref();
+        push(text, format_args!("        packed_words[{name}_at + {stride}pixel{further}] = {word};\n"));
+    }
+    text.push_str("    }\n");
+}
+
+/// Declares the sum of a plane and adds a sample to it.
+fn push_sum(declarations: &mut String, additions: &mut String, name: &str, sum: Sum) {
+    let (zero, addition) = match sum {
+        Sum::Expression(expression) => {
+            ("0.0", format!("if {name}_at != NOT_REQUESTED {{ {name}_sum += {expression}; }}"))
+        }
+        Sum::Plane(plane) => {
+            let row = plane.row();
+            let (zero, components) = if row.wgsl == "f32" { ("0.0", "r") } else { ("vec3(0.0)", "rgb") };
+            let texel = format!(
+                "textureSampleLevel({}_samples, nearest, centre_uv(sample), 0.0).{components}",
+                row.name
+            );
+            (zero, format!("{name}_sum += {texel};"))
+        }
+    };
+    push(declarations, format_args!("    var {name}_sum = {zero};\n"));
+    push(additions, format_args!("        {addition}\n"));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::Annotation;
+    use crate::render::device::shader_programs::{LIGHTING_SKY, LIGHTING_SURFACE, RESOLVE, parse};
+
+    #[test]
+    fn sample_planes_fit_into_the_guaranteed_bytes_per_sample() {
+        let cost = |row: &SamplePlaneRow| row.format.target_pixel_byte_cost().expect("a colour format");
+        let bytes: u32 = SAMPLE_PLANES.iter().map(cost).sum();
+        assert!(bytes <= 32, "{bytes} bytes");
+    }
+
+    #[test]
+    fn rows_stand_in_the_order_of_the_enum_and_types_fit_formats() {
+        for (index, row) in SAMPLE_PLANES.iter().enumerate() {
+            assert_eq!(row.plane as usize, index, "{}", row.name);
+            let is_uint = row.format.sample_type(None, None) == Some(wgpu::TextureSampleType::Uint);
+            assert_eq!(row.is_uint(), is_uint, "{}", row.name);
+            assert_eq!(row.wgsl == "vec4<f32>", row.format.components() == 4, "{}", row.name);
+        }
+        assert!(packed_planes().count() <= MAX_PACKED_PLANES);
+    }
+
+    #[test]
+    fn an_annotation_needs_the_samples_that_it_is_resolved_from() {
+        let needed = |annotations: &[Annotation]| {
+            let annotations = annotations.iter().copied().collect();
+            SAMPLE_PLANES.map(|row| row.plane.is_needed(annotations))
+        };
+        assert_eq!(needed(&[]), [true, true, false, false, false]);
+        assert_eq!(needed(&[Annotation::Hdr, Annotation::Coverage]), [true, true, false, false, false]);
+        assert_eq!(needed(&[Annotation::Depth]), [true, true, false, true, false]);
+        assert_eq!(needed(&[Annotation::Instances]), [true, true, false, true, false]);
+        assert_eq!(needed(&[Annotation::Normals]), [true, true, true, true, false]);
+        assert_eq!(needed(&[Annotation::Shadow]), [true, true, false, true, true]);
+    }
+
+    /// Every fragment entry point of lighting writes every plane, and the resolve pass reads every one.
+    #[test]
+    fn no_plane_of_samples_is_left_out_by_a_program() {
+        for program in [&LIGHTING_SURFACE, &LIGHTING_SKY] {
+            let module = parse(program);
+            let entries = module.entry_points.iter().filter(|e| e.stage == naga::ShaderStage::Fragment);
+            for entry in entries {
+                let result = entry.function.result.as_ref().expect("a result").ty;
+                assert_eq!(module.types[result].name.as_deref(), Some("LightingOutput"), "{}", program.name);
+                let naga::TypeInner::Struct { members, .. } = &module.types[result].inner else {
+                    panic!("a struct")
+                };
+                let written: Vec<_> = members
+                    .iter()
+                    .map(|member| match member.binding {
+                        Some(naga::Binding::Location { location, .. }) => (location, member.name.as_deref()),
+                        _ => panic!("a location"),
+                    })
+                    .collect();
+                let rows: Vec<_> =
+                    (0..).zip(&SAMPLE_PLANES).map(|(location, row)| (location, Some(row.name))).collect();
+                assert_eq!(written, rows, "{}", program.name);
+            }
+        }
+        let module = parse(&RESOLVE);
+        for row in &SAMPLE_PLANES {
+            let name = format!("{}_samples", row.name);
+            let texture =
+                module.global_variables.iter().find(|(_, variable)| variable.name.as_deref() == Some(&name));
+            let (texture, _) = texture.unwrap_or_else(|| panic!("{name} is not declared"));
+            let is_read = module.functions.iter().any(|(_, function)| {
+                let mut expressions = function.expressions.iter();
+                expressions.any(|(_, e)| matches!(e, naga::Expression::GlobalVariable(g) if *g == texture))
+            });
+            assert!(is_read, "{name} is not read");
+        }
+    }
+}
