@@ -254,7 +254,7 @@ impl GroundBatch {
     }
 }
 
-/// A vector along the normal with these octahedral coordinates. CPU counterpart of the function in `common/octahedron.wgsl`, which
+/// A vector along the normal with these octahedral coordinates. CPU counterpart of the function in `common/octahedral.wgsl`, which
 /// also normalises it.
 #[inline(always)]
 fn octahedral_decode(code_x: u32, code_y: u32) -> [f32; 3] {

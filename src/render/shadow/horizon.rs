@@ -9,7 +9,7 @@
 //! grid to grid, with samples as far apart as the cells of the ground there. Where a finer grid ends towards the sun, its rows
 //! start with the heights of the coarser one.
 //! It stands in `shadow/` and uses `select/` for footprints; what `select/` needs of it, it hands over as [`ShadowedGround`].
-//! Must not know: how the map is sampled (`common/shadow_map.wgsl`).
+//! Must not know: how the map is sampled (`common/horizon_map.wgsl`).
 
 mod heightfield;
 mod sweep;
