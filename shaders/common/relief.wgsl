@@ -36,10 +36,10 @@ fn relief_slope(point: vec2<f32>, sample_m: f32) -> vec2<f32> {
     }
     // The smallest pits of a lattice are half as large as its largest; 0.499 and 1.001 leave room for rounding.
     k = 0u;
-    while k < light.relief_pit_lattices && mesh_share(0.499 * relief.pits[k].largest_m, cell_m) == 1.0 { k++; }
+    while k < light.relief_pit_lattices && mesh_share(0.499 * relief.pits[k].max_diameter_m, cell_m) == 1.0 { k++; }
     for (; k < light.relief_pit_lattices; k++) {
         let pits = relief.pits[k];
-        if sample_share(1.001 * pits.largest_m, sample_m) == 0.0 { break; }
+        if sample_share(1.001 * pits.max_diameter_m, sample_m) == 0.0 { break; }
         slope += pits_slope(pits, point, cell_m, sample_m);
     }
     return slope;
@@ -48,16 +48,16 @@ fn relief_slope(point: vec2<f32>, sample_m: f32) -> vec2<f32> {
 // Coordinates in cells of the lattice, relative to its base cell.
 fn to_lattice(lattice: Lattice, point: vec2<f32>) -> vec2<f32> {
     return vec2(
-        lattice.turn.x * point.x + lattice.turn.y * point.y,
-        lattice.turn.x * point.y - lattice.turn.y * point.x,
+        lattice.rotation_per_m.x * point.x + lattice.rotation_per_m.y * point.y,
+        lattice.rotation_per_m.x * point.y - lattice.rotation_per_m.y * point.x,
     ) + lattice.phase;
 }
 
 // From a slope per cell along the lattice's axes to a slope per metre along x and y.
 fn slope_from_lattice(lattice: Lattice, slope: vec2<f32>) -> vec2<f32> {
     return vec2(
-        lattice.turn.x * slope.x - lattice.turn.y * slope.y,
-        lattice.turn.y * slope.x + lattice.turn.x * slope.y,
+        lattice.rotation_per_m.x * slope.x - lattice.rotation_per_m.y * slope.y,
+        lattice.rotation_per_m.y * slope.x + lattice.rotation_per_m.x * slope.y,
     );
 }
 
@@ -101,19 +101,19 @@ fn pits_slope(lattice: Lattice, point: vec2<f32>, cell_m: f32, sample_m: f32) ->
     second ^= second >> 12u;
     let jitter = (vec2(f32(second & 0x3ffu), f32((second >> 10u) & 0x3ffu)) / 512.0 - 1.0) * JITTER_CELLS + 0.5;
     // One over the radius, metres.
-    let per_radius = 4.0 / lattice.largest_m * sqrt(1.0 - 0.75 * f32(second >> 20u) / 4096.0);
+    let per_radius = 4.0 / lattice.max_diameter_m * sqrt(1.0 - 0.75 * f32(second >> 20u) / 4096.0);
     let diameter_m = 2.0 / per_radius;
     let offset = local - corner - jitter;
     let per_cells = inverseSqrt(max(dot(offset, offset), 1.0e-12));
     let r = lattice.cell_m * per_radius / per_cells;
     let age = f32(first >> 16u) / 65536.0;
     let steepness = select(
-        crater_steepness(r, (age - lattice.clods) / (1.0 - lattice.clods)),
+        crater_steepness(r, (age - lattice.clod_share) / (1.0 - lattice.clod_share)),
         -8.0 * CLOD_HEIGHT * r * max(1.0 - r * r, 0.0),
-        age < lattice.clods,
+        age < lattice.clod_share,
     );
     let share = (1.0 - mesh_share(diameter_m, cell_m)) * sample_share(diameter_m, sample_m);
-    let is_in_range = lattice.asked * lattice.largest_m >= 2.0 * MIN_CELLS * cell_m;
+    let is_in_range = lattice.cutoff_diameters * lattice.max_diameter_m >= 2.0 * MIN_CELLS * cell_m;
     let exists = is_in_range && f32(first & 0xffffu) / 65536.0 < lattice.amount;
     let slope = select(0.0, share * steepness, exists) * per_cells * offset;
     return lattice.cell_m * slope_from_lattice(lattice, slope);

@@ -49,7 +49,7 @@ struct InstanceSlot {
 // A square lattice over the plane, for points in metres from the centre of the ground.
 struct Lattice {
     // Cosine and sine of its angle, divided by the side of a cell.
-    turn: vec2<f32>,
+    rotation_per_m: vec2<f32>,
     // Position of the centre in its cell, cells.
     phase: vec2<f32>,
     // The cell of the centre.
@@ -60,11 +60,11 @@ struct Lattice {
     // Side of a cell, metres.
     cell_m: f32,
     // Largest diameter of a pit, metres.
-    largest_m: f32,
+    max_diameter_m: f32,
     // Fraction of the pits that are clods.
-    clods: f32,
+    clod_share: f32,
     // Pits are left out where a cell of the mesh is larger than this times a sixth of the largest diameter.
-    asked: f32,
+    cutoff_diameters: f32,
 }
 
 // The part of the relief that a draw needs.

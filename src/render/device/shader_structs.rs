@@ -83,15 +83,15 @@ shader_struct! {
 shader_struct! {
     /// `Lattice` in `common/relief.wgsl`.
     LatticeUniforms {
-        turn: Vec2,
+        rotation_per_m: Vec2,
         phase: Vec2,
         base: [i32; 2],
         seed: u32,
         amount: f32,
         cell_m: f32,
-        largest_m: f32,
-        clods: f32,
-        asked: f32,
+        max_diameter_m: f32,
+        clod_share: f32,
+        cutoff_diameters: f32,
     }
 }
 

@@ -106,22 +106,23 @@ fn band_uniforms(
     }
     // Of the first octave that is not whole both lattices are sampled, of the next ones only the first.
     let lattices = relief.craters.lattices.iter().enumerate().filter_map(|(index, pits)| {
-        let asked = match (index as u32 / LATTICES, index as u32 % LATTICES) {
+        let cutoff_diameters = match (index as u32 / LATTICES, index as u32 % LATTICES) {
             (0, _) => NO_LIMIT,
             (_, 0) => FIRST_LATTICES_ASKED,
             _ => 1.0,
         };
-        let is_sampled = asked * pits.largest_m >= 2.0 * CELLS_LEAST * smallest_m;
+        let is_sampled = cutoff_diameters * pits.largest_m >= 2.0 * CELLS_LEAST * smallest_m;
         // The smallest pits of a lattice are half as large as its largest.
         let is_below_mesh = 0.5 * pits.largest_m < whole_m;
         let has_pits = pits.chance > 0.0;
-        (is_sampled && is_below_mesh && has_pits && is_resolved(pits.largest_m)).then_some((pits, asked))
+        (is_sampled && is_below_mesh && has_pits && is_resolved(pits.largest_m))
+            .then_some((pits, cutoff_diameters))
     });
-    for (slot, (lattice, asked)) in uniforms.pits.iter_mut().zip(lattices) {
+    for (slot, (lattice, cutoff_diameters)) in uniforms.pits.iter_mut().zip(lattices) {
         *slot = LatticeUniforms {
-            largest_m: lattice.largest_m,
-            clods: lattice.clods,
-            asked,
+            max_diameter_m: lattice.largest_m,
+            clod_share: lattice.clods,
+            cutoff_diameters,
             ..lattice_uniforms(&lattice.lattice, lattice.chance)
         };
         uniforms.view.pit_lattices += 1;
@@ -162,7 +163,7 @@ fn min_sample_m(scene: &Scene, [columns, rows]: &[Range<u32>; 2]) -> f32 {
 
 fn lattice_uniforms(lattice: &Lattice, amount: f32) -> LatticeUniforms {
     LatticeUniforms {
-        turn: lattice.turn,
+        rotation_per_m: lattice.turn,
         phase: lattice.phase,
         base: lattice.base,
         seed: lattice.seed,
@@ -176,7 +177,7 @@ impl LatticeUniforms {
     /// The lattice that these uniforms hold; the inverse of [`lattice_uniforms`].
     #[inline(always)]
     pub(crate) const fn lattice(&self) -> Lattice {
-        let &Self { turn, phase, base, seed, cell_m, .. } = self;
+        let &Self { rotation_per_m: turn, phase, base, seed, cell_m, .. } = self;
         Lattice { cell_m, turn, base, phase, seed }
     }
 }

@@ -206,9 +206,9 @@ fn relief_slope(
     }
     for pits in &relief.pits[..view.pit_lattices as usize] {
         // The smallest pits of a lattice are half as large as its largest; a little room for how sizes are rounded.
-        let is_resolved = sample_share(1.001 * pits.largest_m, nearest_m) > 0.0;
-        let is_below_mesh = mesh_share(0.499 * pits.largest_m, largest_cell_m) < 1.0;
-        let is_sampled = pits.asked * pits.largest_m >= 2.0 * CELLS_LEAST * smallest_cell_m;
+        let is_resolved = sample_share(1.001 * pits.max_diameter_m, nearest_m) > 0.0;
+        let is_below_mesh = mesh_share(0.499 * pits.max_diameter_m, largest_cell_m) < 1.0;
+        let is_sampled = pits.cutoff_diameters * pits.max_diameter_m >= 2.0 * CELLS_LEAST * smallest_cell_m;
         if is_resolved && is_below_mesh && is_sampled {
             pits_slope(pits, view.fresh_share, &ground, sums);
         }
@@ -276,8 +276,8 @@ fn noise_slope(wave: &LatticeUniforms, ground: &GroundBatch, sums: &mut SlopeSum
         let ([column, row], t) = lattice.cell(lattice.local(Vec2::new(ground.x[i], ground.y[i])));
         let [along, across] = gradient_noise_slope_2d([column, row], t, wave.seed);
         let share = wave.amount * ground.share(i, wave.cell_m);
-        sums.x[i] += share * (wave.turn.x * along - wave.turn.y * across);
-        sums.y[i] += share * (wave.turn.y * along + wave.turn.x * across);
+        sums.x[i] += share * (wave.rotation_per_m.x * along - wave.rotation_per_m.y * across);
+        sums.y[i] += share * (wave.rotation_per_m.y * along + wave.rotation_per_m.x * across);
     }
 }
 
@@ -285,9 +285,9 @@ fn noise_slope(wave: &LatticeUniforms, ground: &GroundBatch, sums: &mut SlopeSum
 #[inline(always)]
 fn pits_slope(pits: &LatticeUniforms, fresh_share: f32, ground: &GroundBatch, sums: &mut SlopeSums) {
     let lattice = pits.lattice();
-    let ages = CraterAges::new(pits.clods, fresh_share);
+    let ages = CraterAges::new(pits.clod_share, fresh_share);
     // Radius of the largest pit, cells.
-    let largest = 0.5 * pits.largest_m / pits.cell_m;
+    let largest = 0.5 * pits.max_diameter_m / pits.cell_m;
     let per_largest = 1.0 / largest;
     for i in 0..BATCH {
         let (cell, position) = lattice.cell(lattice.local(Vec2::new(ground.x[i], ground.y[i])));
@@ -300,14 +300,14 @@ fn pits_slope(pits: &LatticeUniforms, fresh_share: f32, ground: &GroundBatch, su
         // Distance from the centre in radii, and one over it.
         let (r, per_r) = (cells * pit.shrink * per_largest, per_cells * pit.radius);
         let crater = crater_steepness(r, per_r, ages.depth(pit.age));
-        let steepness = if pit.age < pits.clods { clod_steepness(r) } else { crater };
-        let is_sampled = pits.asked * pits.largest_m >= 2.0 * CELLS_LEAST * ground.cell_m[i];
+        let steepness = if pit.age < pits.clod_share { clod_steepness(r) } else { crater };
+        let is_sampled = pits.cutoff_diameters * pits.max_diameter_m >= 2.0 * CELLS_LEAST * ground.cell_m[i];
         let exists = is_sampled & (pit.draw < pits.amount);
         let share = ground.share(i, 2.0 * pits.cell_m * pit.radius);
         let slope = if exists { pits.cell_m * share * steepness * per_cells } else { 0.0 };
         let (along, across) = (slope * along, slope * across);
-        sums.x[i] += pits.turn.x * along - pits.turn.y * across;
-        sums.y[i] += pits.turn.y * along + pits.turn.x * across;
+        sums.x[i] += pits.rotation_per_m.x * along - pits.rotation_per_m.y * across;
+        sums.y[i] += pits.rotation_per_m.y * along + pits.rotation_per_m.x * across;
     }
 }
 
