@@ -192,13 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn programs_that_light_write_every_plane_and_none_knows_a_class() {
-        for program in [&LIGHTING_SURFACE, &LIGHTING_SKY] {
-            let module = parse(program);
-            let entry = module.entry_points.iter().find(|e| e.name == "fs_main").expect("fs_main");
-            let result = entry.function.result.as_ref().expect("a result").ty;
-            assert_eq!(module.types[result].name.as_deref(), Some("LightingOutput"), "{}", program.name);
-        }
+    fn no_program_names_a_class() {
         for program in PROGRAMS {
             let text = program.text().to_lowercase();
             for class in crate::class::ClassId::ALL {
@@ -206,16 +200,76 @@ mod tests {
                     assert!(!text.contains(form), "{} names a class", program.name);
                 }
             }
+        }
+    }
+
+    #[test]
+    fn bind_groups_are_the_frame_the_scene_and_the_pass() {
+        for program in PROGRAMS {
             for (_, variable) in parse(program).global_variables.iter() {
-                if let Some(binding) = &variable.binding {
-                    let expected = match variable.name.as_deref().unwrap_or_default() {
-                        "frame" => 0,
-                        "instance" | "instances" | "tiles" | "relief" => 1,
-                        _ => 2,
-                    };
-                    assert_eq!(binding.group, expected, "groups are 0 frame, 1 scene, 2 pass");
-                }
+                let Some(binding) = &variable.binding else { continue };
+                let name = variable.name.as_deref().unwrap_or_default();
+                let expected = match name {
+                    "frame" => 0,
+                    "instance" | "instances" | "tiles" | "relief" => 1,
+                    _ => 2,
+                };
+                assert_eq!(binding.group, expected, "`{name}` in {}", program.name);
             }
+        }
+    }
+
+    /// GLSL cannot load from depth textures.
+    #[test]
+    fn no_program_binds_a_depth_texture() {
+        for program in PROGRAMS {
+            let module = parse(program);
+            for (_, variable) in module.global_variables.iter() {
+                let kind = &module.types[variable.ty].inner;
+                let class = match kind {
+                    naga::TypeInner::Image { class, .. } => Some(class),
+                    _ => None,
+                };
+                assert!(!matches!(class, Some(naga::ImageClass::Depth { .. })), "{}", program.name);
+            }
+        }
+    }
+
+    #[test]
+    fn constants_that_rust_has_too_are_equal() {
+        use crate::render::device::packing::{NOT_REQUESTED, WORKGROUP_SIZE};
+        use crate::render::device::shading_bins::ShadowSources;
+        use crate::render::select::caster_grid::TEST_HORIZON;
+        use crate::scene::craters::{CLOD_HEIGHT, JITTER_CELLS, PROFILE_DEPTH, RIM};
+        use crate::scene::photometry::Law;
+        use crate::scene::relief::CELLS_LEAST;
+        let constants = [
+            (&RESOLVE, "WORKGROUP_SIZE", f64::from(WORKGROUP_SIZE)),
+            (&RESOLVE, "NOT_REQUESTED", f64::from(NOT_REQUESTED)),
+            (&LIGHTING_SURFACE, "TEST_HORIZON", f64::from(TEST_HORIZON)),
+            (&LIGHTING_SURFACE, "SHADOWED_BY_GROUND", f64::from(ShadowSources::Ground as u32)),
+            (&LIGHTING_SURFACE, "SHADOWED_BY_ROCKS", f64::from(ShadowSources::Rocks as u32)),
+            (&LIGHTING_SURFACE, "MIN_CELLS", f64::from(CELLS_LEAST)),
+            (&LIGHTING_SURFACE, "JITTER_CELLS", f64::from(JITTER_CELLS)),
+            (&LIGHTING_SURFACE, "PROFILE_DEPTH", f64::from(PROFILE_DEPTH)),
+            (&LIGHTING_SURFACE, "RIM", f64::from(RIM)),
+            (&LIGHTING_SURFACE, "CLOD_HEIGHT", f64::from(CLOD_HEIGHT)),
+            (&LIGHTING_SURFACE, "LAMBERT", f64::from(Law::Lambert as u32)),
+            (&LIGHTING_SURFACE, "OREN_NAYAR", f64::from(Law::OrenNayar as u32)),
+            (&LIGHTING_SURFACE, "LOMMEL_SEELIGER", f64::from(Law::LommelSeeliger as u32)),
+            (&LIGHTING_SURFACE, "HAPKE", f64::from(Law::Hapke as u32)),
+        ];
+        for (program, name, expected) in constants {
+            let module = parse(program);
+            let constant =
+                module.constants.iter().find(|(_, constant)| constant.name.as_deref() == Some(name));
+            let (_, constant) = constant.unwrap_or_else(|| panic!("{name} in {}", program.name));
+            let value = match module.global_expressions[constant.init] {
+                naga::Expression::Literal(naga::Literal::U32(value)) => f64::from(value),
+                naga::Expression::Literal(naga::Literal::F32(value)) => f64::from(value),
+                ref other => panic!("{name}: {other:?}"),
+            };
+            assert_eq!(value, expected, "{name} in {}", program.name);
         }
     }
 
