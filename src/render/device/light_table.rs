@@ -1,12 +1,12 @@
 //! The light table: the numbers that lighting depends on and that are the same for every sample of a draw.
 //!
-//! A row of [`LIGHT_TABLE`] names each number once. The WGSL of the lighting programs that declares the numbers, hands
+//! A row of `LIGHT_TABLE` names each number once. The WGSL of the lighting programs that declares the numbers, hands
 //! them from the vertex stage to the fragment stage and reads them there is generated from the rows: the part
 //! `generated/light.wgsl` of a [`Program`](crate::render::device::shader_programs::Program).
 //!
-//! The numbers travel as flat varyings of the full-screen triangle ([`Transport::Varyings`]) because llvmpipe, Mesa's
+//! The numbers travel as flat varyings of the full-screen triangle (`Transport::Varyings`) because llvmpipe, Mesa's
 //! CPU driver, loads each component of a uniform again for every fragment, which costs more than the lighting itself.
-//! A GPU reads uniforms for free ([`Transport::Uniforms`]).
+//! A GPU reads uniforms for free (`Transport::Uniforms`).
 //!
 //! To add a number: a row, and `light.NAME` where a shader uses it.
 
