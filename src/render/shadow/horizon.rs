@@ -3,7 +3,7 @@
 //! For each point of a grid that is aligned with the sun the map holds two heights: those from which the lower and the upper limb of
 //! the sun are just visible past all the ground in between. It is the horizon map of Max 1988 ("Horizon mapping: shadows for
 //! bump-mapped surfaces", The Visual Computer 4) for a single azimuth, kept as heights in place of angles, so that it also serves
-//! surfaces above the ground. [`sweep`] computes it.
+//! surfaces above the ground. `horizon/sweep.rs` computes it.
 //!
 //! A square ground has one grid. Rings have several, like a clipmap: each over the points within a distance that doubles from
 //! grid to grid, with samples as far apart as the cells of the ground there. Where a finer grid ends towards the sun, its rows
