@@ -69,29 +69,29 @@ impl CasterGrids {
         }
     }
 
-    /// What can shadow a surface within a box, seen from above: lowest and highest corner, world, metres.
+    /// What can shadow a surface within a rectangle of the map: lowest and highest corner, world, metres.
     #[must_use]
     pub fn shadow_sources_over(&self, grid: &[u32], low: Vec2, high: Vec2) -> ShadowSources {
         let (from, to) = (low - self.centre, high - self.centre);
+        // Distances along the axes (Chebyshev's) of the nearest and the furthest point of the rectangle.
         let nearest = Vec2::ZERO.clamp(from, to).abs().max_element();
         let furthest = from.abs().max(to.abs()).max_element();
         let (mut has_casters, mut tests_horizon) = (false, false);
         for level in 0..self.levels {
             let half_m = self.half_m * (1_u32 << level) as f32;
-            // With a margin: a device may round the choice of the grid near their borders otherwise than the host.
+            // With a margin, here and for the cells: near a border a device may round to the other side of it than the host.
             let serves = (level == 0 || furthest * 1.001 >= 0.5 * half_m)
                 && (level + 1 == self.levels || nearest <= 1.001 * half_m);
             if !serves {
                 continue;
             }
             let cells_per_m = 0.5 * self.cells as f32 / half_m;
-            let coordinate = |metres: f32| (metres + half_m) * cells_per_m;
-            let first =
-                |metres: f32| (coordinate(metres) - 1e-3).floor().clamp(0.0, (self.cells - 1) as f32) as u32;
-            let last =
-                |metres: f32| (coordinate(metres) + 1e-3).floor().clamp(0.0, (self.cells - 1) as f32) as u32;
-            for row in first(from.y)..=last(to.y) {
-                for column in first(from.x)..=last(to.x) {
+            let cell = |metres: f32, margin: f32| {
+                let coordinate = (metres + half_m) * cells_per_m + margin;
+                coordinate.floor().clamp(0.0, (self.cells - 1) as f32) as u32
+            };
+            for row in cell(from.y, -1e-3)..=cell(to.y, 1e-3) {
+                for column in cell(from.x, -1e-3)..=cell(to.x, 1e-3) {
                     let cell = ((level * self.cells + row) * self.cells + column) as usize;
                     has_casters |= grid[cell] & !TEST_HORIZON != grid[cell + 1] & !TEST_HORIZON;
                     tests_horizon |= grid[cell] & TEST_HORIZON != 0;
