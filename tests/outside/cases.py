@@ -121,7 +121,7 @@ def run(*words: str) -> subprocess.CompletedProcess[str]:
 def formats() -> list[str]:
     """Export formats, by extension, as the binary lists them in its error message."""
     message = run("export", "stage.unknown").stderr
-    return re.findall(r"\.([a-z0-9]+)", message.partition("there are")[2])
+    return re.findall(r"\.([a-z0-9]+)", message.partition("use one of")[2])
 
 
 def export(case: Case, extension: str, drawn: bool) -> Path:
