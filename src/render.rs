@@ -12,7 +12,7 @@ pub mod device;
 mod frame_plan;
 pub mod lighting;
 pub mod post;
-pub mod raster;
+mod raster;
 pub mod resolve;
 mod scene_buffers;
 pub mod select;

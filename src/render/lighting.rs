@@ -1,7 +1,7 @@
 //! Lighting: from the G-buffer to radiance and class, in one draw for each shading bin.
 //! Must not know: how visibility was found.
 
-pub mod gbuffer;
-pub mod pass;
+pub(crate) mod gbuffer;
+pub(crate) mod pass;
 pub mod relief_bands;
-pub mod slopes_host;
+pub(crate) mod slopes_host;

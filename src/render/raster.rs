@@ -13,14 +13,14 @@
 //!
 //! Must not know: scene, camera, GPU.
 
-pub mod bounds;
-pub mod clip;
+pub(super) mod bounds;
+pub(super) mod clip;
 #[cfg(test)]
 pub(in crate::render) mod coverage;
-pub mod cull;
+pub(super) mod cull;
 mod edge;
-pub mod fill;
-pub mod fixed_point;
-pub mod lanes;
-pub mod setup;
-pub mod setup8;
+pub(super) mod fill;
+pub(super) mod fixed_point;
+pub(super) mod lanes;
+pub(super) mod setup;
+pub(super) mod setup8;

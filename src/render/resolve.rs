@@ -2,6 +2,6 @@
 //! Must not know: a scene.
 
 pub mod pass;
-pub mod tile_list;
+mod tile_list;
 pub mod tone;
-pub mod unpack;
+mod unpack;

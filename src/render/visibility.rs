@@ -2,10 +2,10 @@
 //! `prepare`, `record`.
 //! Must not know: how surfaces are shaded.
 
-pub mod device;
+mod device;
 pub mod geometry;
 pub mod host;
-pub mod meshes;
+pub(crate) mod meshes;
 
 use std::time::Instant;
 

@@ -8,7 +8,7 @@ use crate::render::device::planes::SAMPLE_PLANES;
 use crate::render::device::shader_structs::{Instance, ReliefUniforms};
 
 /// Format of the shadow map, which a compute pass writes as a storage texture.
-pub const SHADOW_MAP_FORMAT: TextureFormat = TextureFormat::R32Float;
+pub(crate) const SHADOW_MAP_FORMAT: TextureFormat = TextureFormat::R32Float;
 
 /// One layout for each kind of bind group.
 #[derive(Debug)]
@@ -85,13 +85,13 @@ impl BindLayouts {
 
 /// Bytes from one slot of a buffer of uniforms to the next: by WebGPU's default limits, dynamic offsets are multiples of 256.
 #[must_use]
-pub const fn slot_stride<T>() -> u32 {
+pub(crate) const fn slot_stride<T>() -> u32 {
     size_of::<T>().next_multiple_of(256) as u32
 }
 
 /// A bind group of these resources, in the order of their bindings.
 #[must_use]
-pub fn bind_group(
+pub(crate) fn bind_group(
     gpu: &Gpu,
     label: &str,
     layout: &wgpu::BindGroupLayout,

@@ -6,16 +6,16 @@
 use wgpu::TextureFormat;
 
 /// Format of the two depth layers that the device makes the shadow map of.
-pub const SHADOW_LAYERS_FORMAT: TextureFormat = TextureFormat::Depth32Float;
+pub(crate) const SHADOW_LAYERS_FORMAT: TextureFormat = TextureFormat::Depth32Float;
 /// Format of depth and stencil of the samples where the device rasterises them. The stencil holds shading bins.
-pub const DEPTH_STENCIL_FORMAT: TextureFormat = TextureFormat::Depth32FloatStencil8;
+pub(crate) const DEPTH_STENCIL_FORMAT: TextureFormat = TextureFormat::Depth32FloatStencil8;
 /// Format of the stencil of the samples where it is uploaded: no depth test is made there.
-pub const STENCIL_FORMAT: TextureFormat = TextureFormat::Stencil8;
+pub(crate) const STENCIL_FORMAT: TextureFormat = TextureFormat::Stencil8;
 
 /// Depth state of passes that rasterise surfaces: the nearer wins, of two at the same depth the first. The stencil, where the
 /// format has one, takes the pass's reference.
 #[must_use]
-pub fn depth_state(format: TextureFormat) -> wgpu::DepthStencilState {
+pub(crate) fn depth_state(format: TextureFormat) -> wgpu::DepthStencilState {
     let replace = wgpu::StencilFaceState { pass_op: wgpu::StencilOperation::Replace, ..Default::default() };
     wgpu::DepthStencilState {
         format,

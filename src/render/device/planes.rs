@@ -21,7 +21,7 @@ use crate::frame::plane::{PLANES, Plane};
 /// What lighting writes per sample. The location in `LightingOutput` and the binding in `resolve.wgsl` are the index in
 /// [`SAMPLE_PLANES`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SamplePlane {
+pub(crate) enum SamplePlane {
     /// Linear radiance.
     Radiance,
     /// Class id.
@@ -36,7 +36,7 @@ pub enum SamplePlane {
 
 /// A row of [`SAMPLE_PLANES`].
 #[derive(Clone, Copy, Debug)]
-pub struct SamplePlaneRow {
+pub(crate) struct SamplePlaneRow {
     /// The plane.
     pub plane: SamplePlane,
     /// Field of `LightingOutput`.
@@ -60,7 +60,7 @@ const fn row(
 }
 
 /// Every plane of samples, by location. Together they must stay within 32 bytes per sample, which every device offers.
-pub static SAMPLE_PLANES: [SamplePlaneRow; 5] = {
+pub(crate) static SAMPLE_PLANES: [SamplePlaneRow; 5] = {
     use TextureFormat::{R8Uint, R8Unorm, R16Uint, Rgba16Float};
     [
         row(
@@ -92,7 +92,7 @@ pub static SAMPLE_PLANES: [SamplePlaneRow; 5] = {
 impl SamplePlaneRow {
     /// Whether its values are unsigned integers.
     #[must_use]
-    pub fn is_uint(&self) -> bool {
+    pub(crate) fn is_uint(&self) -> bool {
         self.wgsl == "u32"
     }
 }
@@ -100,13 +100,13 @@ impl SamplePlaneRow {
 impl SamplePlane {
     /// Its row.
     #[must_use]
-    pub fn row(self) -> &'static SamplePlaneRow {
+    pub(crate) fn row(self) -> &'static SamplePlaneRow {
         &SAMPLE_PLANES[self as usize]
     }
 
     /// Value of samples that no draw covers: zero, or the radiance and class of the background.
     #[must_use]
-    pub fn clear_value(self, background: Option<(Vec3, ClassId)>) -> wgpu::Color {
+    pub(crate) fn clear_value(self, background: Option<(Vec3, ClassId)>) -> wgpu::Color {
         match self {
             Self::Radiance => background.map_or(wgpu::Color::TRANSPARENT, |(radiance, _)| {
                 let [r, g, b] = radiance.as_dvec3().to_array();
@@ -122,7 +122,7 @@ impl SamplePlane {
 
     /// Whether a frame with these annotations needs it.
     #[must_use]
-    pub fn is_needed(self, annotations: Annotations) -> bool {
+    pub(crate) fn is_needed(self, annotations: Annotations) -> bool {
         let needs = |rule: ResolveRule| match rule {
             ResolveRule::Quads(planes) => planes.contains(&self),
             ResolveRule::Pixel { .. } | ResolveRule::Host => false,
@@ -135,7 +135,7 @@ impl SamplePlane {
 
 /// What a mean adds up over samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sum {
+pub(crate) enum Sum {
     /// A plane of samples.
     Plane(SamplePlane),
     /// A scalar WGSL expression of the pixel's `first`, the index `i` and the rendered `sample`. It is expensive, and
@@ -145,7 +145,7 @@ pub enum Sum {
 
 /// How the samples of a pixel become its value in a plane. Each of `words` is the WGSL expression of a packed word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ResolveRule {
+pub(crate) enum ResolveRule {
     /// Of every frame, packed for quads of four pixels by `cs_main` in `resolve.wgsl`, from these planes of samples.
     Quads(&'static [SamplePlane]),
     /// Of the pixel's `first` sample and mean `radiance`.
@@ -172,7 +172,7 @@ pub enum ResolveRule {
 impl ResolveRule {
     /// Expressions of the words that a pixel has beside the quads.
     #[must_use]
-    pub const fn words(self) -> &'static [&'static str] {
+    pub(crate) const fn words(self) -> &'static [&'static str] {
         match self {
             Self::Pixel { words } | Self::Instance { words } | Self::InstanceMean { words, .. } => words,
             Self::Quads(_) | Self::Host => &[],
@@ -182,7 +182,7 @@ impl ResolveRule {
 
 /// The rule of each plane of a frame. `PackedFrame::read` has the reverse of the packing.
 #[must_use]
-pub const fn resolve_rule(plane: Plane) -> ResolveRule {
+pub(crate) const fn resolve_rule(plane: Plane) -> ResolveRule {
     use ResolveRule::{Host, Instance, InstanceMean, Pixel, Quads};
     match plane {
         Plane::Rgb => Quads(&[SamplePlane::Radiance]),
@@ -214,13 +214,13 @@ pub const fn resolve_rule(plane: Plane) -> ResolveRule {
 }
 
 /// Elements of `plane_offsets` in `FrameUniforms`.
-pub const MAX_PACKED_PLANES: usize = 8;
+pub(crate) const MAX_PACKED_PLANES: usize = 8;
 
 /// Binding of the first plane of samples in the bind group of the resolve pass: behind those that `resolve.wgsl` declares.
 const FIRST_BINDING: u32 = 4;
 
 /// Planes that have words of their own in the packed frame, in the order in which they are packed.
-pub fn packed_planes() -> impl Iterator<Item = (Plane, &'static [&'static str])> {
+pub(crate) fn packed_planes() -> impl Iterator<Item = (Plane, &'static [&'static str])> {
     let words = PLANES.iter().map(|row| (row.plane, resolve_rule(row.plane).words()));
     words.filter(|(_, words)| !words.is_empty())
 }

@@ -56,7 +56,7 @@ impl LightingVariant {
 }
 
 /// Number of a bin.
-pub type ShadingBin = u8;
+pub(crate) type ShadingBin = u8;
 
 /// The bins of a frame: rocks, ground by relief band, stars, dome.
 #[derive(Clone, Copy, Debug, Default)]

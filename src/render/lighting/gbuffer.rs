@@ -27,9 +27,9 @@ pub struct Background {
 }
 
 /// Format of the visibility texture (`visibility.wgsl` has its layout).
-pub const VISIBILITY_FORMAT: TextureFormat = TextureFormat::Rgba32Uint;
+pub(crate) const VISIBILITY_FORMAT: TextureFormat = TextureFormat::Rgba32Uint;
 /// Format of the slopes: rise per metre along x and y.
-pub const SLOPES_FORMAT: TextureFormat = TextureFormat::Rg32Float;
+pub(crate) const SLOPES_FORMAT: TextureFormat = TextureFormat::Rg32Float;
 
 /// How the textures are filled, which their usages and formats depend on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

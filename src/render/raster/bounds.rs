@@ -25,7 +25,11 @@ pub struct PixelBounds {
 /// there are any.
 #[must_use]
 #[inline(always)]
-pub fn pixel_bounds([a, b, c]: [SubpixelPoint; 3], width: usize, rows: &Range<i32>) -> Option<PixelBounds> {
+pub(crate) fn pixel_bounds(
+    [a, b, c]: [SubpixelPoint; 3],
+    width: usize,
+    rows: &Range<i32>,
+) -> Option<PixelBounds> {
     let columns = centres_between(a.x, b.x, c.x, 0, width as i32);
     let rows = centres_between(a.y, b.y, c.y, rows.start, rows.end);
     (((columns.1 - columns.0) | (rows.1 - rows.0)) >= 0).then_some(PixelBounds { columns, rows })

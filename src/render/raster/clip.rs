@@ -7,7 +7,7 @@
 /// An edge that two polygons share is cut at the same point in both, whichever way each runs along it: `interpolate` gets the
 /// inner vertex, the outer one, and how far the new vertex is from the first to the second (0 to 1).
 #[must_use]
-pub fn clip_polygon<T: Copy>(
+pub(crate) fn clip_polygon<T: Copy>(
     polygon: &[T],
     distance: impl Fn(&T) -> f32,
     interpolate: impl Fn(&T, &T, f32) -> T,

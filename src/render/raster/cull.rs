@@ -13,7 +13,7 @@ use super::lanes::{LANES, load_i32};
 
 /// Orientation of a triangle's vertices in the image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Winding {
+pub(crate) enum Winding {
     /// Counter-clockwise: a front face.
     Front,
     /// Clockwise: a back face.
@@ -24,7 +24,7 @@ impl Winding {
     /// The winding of three vertices; none of a degenerate triangle.
     #[must_use]
     #[inline(always)]
-    pub fn of([a, b, c]: [SubpixelPoint; 3]) -> Option<Self> {
+    pub(crate) fn of([a, b, c]: [SubpixelPoint; 3]) -> Option<Self> {
         match twice_area(a, b, c) {
             ..0 => Some(Self::Front),
             0 => None,
@@ -35,7 +35,7 @@ impl Winding {
 
 /// Which faces are dropped, as `cull_mode` of WebGPU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum CullMode {
+pub(crate) enum CullMode {
     /// Back faces.
     Back,
     /// No faces.
@@ -43,11 +43,11 @@ pub enum CullMode {
 }
 
 /// Triangles that are culled at once.
-pub const CULL_BATCH: usize = 256;
+pub(crate) const CULL_BATCH: usize = 256;
 
 /// Indices of the triangles of a batch that survive culling.
 #[derive(Clone, Debug)]
-pub struct Survivors {
+pub(crate) struct Survivors {
     /// With room for the last eight to be written before they are counted.
     indices: [u16; CULL_BATCH + LANES],
     count: usize,
@@ -56,7 +56,7 @@ pub struct Survivors {
 impl Survivors {
     /// All triangles of a batch, for one that cannot be culled yet.
     #[must_use]
-    pub fn all(count: usize) -> Self {
+    pub(crate) fn all(count: usize) -> Self {
         Self { indices: std::array::from_fn(|index| index as u16), count }
     }
 
@@ -66,7 +66,7 @@ impl Survivors {
     /// Most triangles are dropped, in no order that a branch predictor learns: the indices are written without branches.
     #[must_use]
     #[inline(always)]
-    pub fn cull<S: Simd>(
+    pub(crate) fn cull<S: Simd>(
         simd: S,
         triangles: &[[u32; 3]],
         position_of: impl Fn(u32) -> SubpixelPoint,
@@ -98,7 +98,7 @@ impl Survivors {
 
     /// In ascending order.
     #[must_use]
-    pub fn indices(&self) -> &[u16] {
+    pub(crate) fn indices(&self) -> &[u16] {
         &self.indices[..self.count]
     }
 }

@@ -7,12 +7,12 @@ use glam::Vec2;
 use crate::scene::noise::floor;
 
 /// Fractional bits of a position, as `VkPhysicalDeviceLimits::subPixelPrecisionBits` of common devices.
-pub const SUBPIXEL_BITS: i32 = 8;
+pub(crate) const SUBPIXEL_BITS: i32 = 8;
 /// Steps per pixel that positions are rounded to.
-pub const SUBPIXEL_STEPS: i32 = 1 << SUBPIXEL_BITS;
+pub(crate) const SUBPIXEL_STEPS: i32 = 1 << SUBPIXEL_BITS;
 /// Largest magnitude of a coordinate that [`SubpixelPoint::rounded`] takes, pixels. What reaches further is clipped: the guard
 /// band around the image.
-pub const GUARD_BAND_PX: f32 = 16_384.0;
+pub(crate) const GUARD_BAND_PX: f32 = 16_384.0;
 
 /// A position in sub-pixel steps from the centre of the first pixel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -43,6 +43,6 @@ impl SubpixelPoint {
 /// counter-clockwise in the image.
 #[must_use]
 #[inline(always)]
-pub fn twice_area(a: SubpixelPoint, b: SubpixelPoint, c: SubpixelPoint) -> i64 {
+pub(crate) fn twice_area(a: SubpixelPoint, b: SubpixelPoint, c: SubpixelPoint) -> i64 {
     i64::from(b.x - a.x) * i64::from(c.y - a.y) - i64::from(b.y - a.y) * i64::from(c.x - a.x)
 }

@@ -19,7 +19,7 @@ use super::setup::Interpolant;
 
 /// Vertices of eight triangles: one array of lanes for each corner and component.
 #[derive(Clone, Copy, Debug)]
-pub struct TriangleVertices8<const N: usize> {
+pub(crate) struct TriangleVertices8<const N: usize> {
     /// Sub-pixel position.
     x: [[i32; LANES]; 3],
     y: [[i32; LANES]; 3],
@@ -32,7 +32,7 @@ pub struct TriangleVertices8<const N: usize> {
 
 impl<const N: usize> TriangleVertices8<N> {
     /// Eight degenerate triangles.
-    pub const EMPTY: Self = Self {
+    pub(crate) const EMPTY: Self = Self {
         x: [[0; LANES]; 3],
         y: [[0; LANES]; 3],
         x_px: [[0.0; LANES]; 3],
@@ -42,7 +42,7 @@ impl<const N: usize> TriangleVertices8<N> {
 
     /// Sets a corner of the triangle in a lane.
     #[inline(always)]
-    pub fn set(
+    pub(crate) fn set(
         &mut self,
         lane: usize,
         corner: usize,
@@ -85,7 +85,7 @@ impl Interpolant8 {
 /// Eight triangles that are ready to be filled, front or back faces: [`super::setup::TriangleSetup`] in structures of arrays, with
 /// `N` interpolants.
 #[derive(Clone, Copy, Debug)]
-pub struct TriangleSetup8<const N: usize> {
+pub(crate) struct TriangleSetup8<const N: usize> {
     edges: [EdgeFunction8; 3],
     /// First and last.
     columns: [[i32; LANES]; 2],
@@ -101,7 +101,12 @@ impl<const N: usize> TriangleSetup8<N> {
     /// Sets up eight triangles that have survived culling, for a render area of `width` columns and of these rows.
     #[must_use]
     #[inline(always)]
-    pub fn new<S: Simd>(simd: S, vertices: &TriangleVertices8<N>, width: usize, rows: &Range<i32>) -> Self {
+    pub(crate) fn new<S: Simd>(
+        simd: S,
+        vertices: &TriangleVertices8<N>,
+        width: usize,
+        rows: &Range<i32>,
+    ) -> Self {
         let (x, y) = (load_i32(simd, &vertices.x), load_i32(simd, &vertices.y));
         let bounds = Bounds8::new(simd, x, y, width, rows);
         let is_front = bounds.twice_area.simd_lt(0);
@@ -176,21 +181,21 @@ impl<const N: usize> TriangleSetup8<N> {
     /// Whether the triangle in a lane is small enough for [`Self::fill`]; the others need [`super::setup::TriangleSetup`].
     #[must_use]
     #[inline(always)]
-    pub fn is_small(&self, lane: usize) -> bool {
+    pub(crate) fn is_small(&self, lane: usize) -> bool {
         self.small >> lane & 1 != 0
     }
 
     /// The winding of the triangle in a lane, if it is small.
     #[must_use]
     #[inline(always)]
-    pub fn winding(&self, lane: usize) -> Winding {
+    pub(crate) fn winding(&self, lane: usize) -> Winding {
         if self.front >> lane & 1 == 0 { Winding::Back } else { Winding::Front }
     }
 
     /// The interpolants of the triangle in a lane.
     #[must_use]
     #[inline(always)]
-    pub fn interpolants(&self, lane: usize) -> [Interpolant; N] {
+    pub(crate) fn interpolants(&self, lane: usize) -> [Interpolant; N] {
         let mut interpolants = [Interpolant::ZERO; N];
         for (interpolant, lanes) in interpolants.iter_mut().zip(&self.interpolants) {
             *interpolant = Interpolant {
@@ -204,7 +209,7 @@ impl<const N: usize> TriangleSetup8<N> {
 
     /// Fills the triangle in a lane, as [`super::setup::TriangleSetup::fill`] does.
     #[inline(always)]
-    pub fn fill<S: Simd>(
+    pub(crate) fn fill<S: Simd>(
         &self,
         simd: S,
         lane: usize,

@@ -11,7 +11,7 @@ const TILE_PIXELS: usize = 4 * WORKGROUP_SIZE as usize;
 
 /// The stencil of an image, where samples that no surface covers have the value of the dome.
 #[derive(Clone, Copy, Debug)]
-pub struct SkyStencil<'a> {
+pub(super) struct SkyStencil<'a> {
     /// Values of the samples, row by row.
     pub stencil: &'a [u8],
     /// Value of the dome.
@@ -22,7 +22,7 @@ pub struct SkyStencil<'a> {
 
 /// Tiles, by index.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct TileList {
+pub(super) struct TileList {
     /// Tiles that are resolved.
     pub resolved: Vec<u32>,
     /// Tiles of the dome alone: the first is among those that are resolved, and the others get its values.
@@ -32,7 +32,7 @@ pub struct TileList {
 impl TileList {
     /// Lists the tiles of an image of this size: all of them without a stencil.
     #[must_use]
-    pub fn new([width, height]: [u32; 2], sky: Option<SkyStencil<'_>>) -> Self {
+    pub(super) fn new([width, height]: [u32; 2], sky: Option<SkyStencil<'_>>) -> Self {
         let (width, pixels) = (width as usize, width as usize * height as usize);
         let Some(SkyStencil { stencil, dome, samples_per_side: side }) = sky else {
             return Self { resolved: (0..pixels.div_ceil(TILE_PIXELS) as u32).collect(), empty: Vec::new() };
@@ -67,7 +67,7 @@ impl TileList {
     }
 
     /// Fills the empty tiles of a plane that were not resolved.
-    pub fn spread<T: Copy>(&self, plane: &mut [T], values_per_pixel: usize) {
+    pub(super) fn spread<T: Copy>(&self, plane: &mut [T], values_per_pixel: usize) {
         let [first, others @ ..] = self.empty.as_slice() else { return };
         if plane.is_empty() {
             return;

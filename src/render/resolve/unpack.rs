@@ -9,7 +9,7 @@ use crate::render::resolve::tile_list::TileList;
 
 /// The frame of this size that `bytes` packs. The tiles that were not resolved take the values of the one that stands for them.
 #[must_use]
-pub fn unpack(bytes: &[u8], [width, height]: [u32; 2], packing: Packing, tiles: &TileList) -> Frame {
+pub(super) fn unpack(bytes: &[u8], [width, height]: [u32; 2], packing: Packing, tiles: &TileList) -> Frame {
     let pixels = width as usize * height as usize;
     let first_class = 12 * packing.quads() as usize;
     let mut frame = Frame {

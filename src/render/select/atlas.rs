@@ -6,7 +6,7 @@
 
 /// A rectangle in which squares are allocated and freed.
 #[derive(Clone, Debug, Default)]
-pub struct AtlasAllocator {
+pub(crate) struct AtlasAllocator {
     /// Columns and rows.
     size: [u32; 2],
     /// The skyline, from left to right: each segment by its first column and the first row that is free above it.
@@ -17,7 +17,7 @@ pub struct AtlasAllocator {
 
 /// A square of the atlas.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Allocation {
+pub(crate) struct Allocation {
     /// First column and first row.
     pub corner: [u32; 2],
     /// Its side. A smaller square may be allocated here after this one is freed.
@@ -27,18 +27,18 @@ pub struct Allocation {
 impl AtlasAllocator {
     /// An empty atlas of so many columns and rows.
     #[must_use]
-    pub fn new(size: [u32; 2]) -> Self {
+    pub(crate) fn new(size: [u32; 2]) -> Self {
         Self { size, skyline: vec![[0, 0]], free: Vec::new() }
     }
 
     /// Columns and rows.
     #[must_use]
-    pub const fn size(&self) -> [u32; 2] {
+    pub(crate) const fn size(&self) -> [u32; 2] {
         self.size
     }
 
     /// Allocates a square; `None` if none fits.
-    pub fn allocate(&mut self, side: u32) -> Option<Allocation> {
+    pub(crate) fn allocate(&mut self, side: u32) -> Option<Allocation> {
         let fitting = self.free.iter().enumerate().filter(|(_, square)| square.side >= side);
         let tightest = fitting.min_by_key(|(_, square)| square.side).map(|(index, _)| index);
         // A freed square that is much too large is left to others while the skyline has room.
@@ -51,7 +51,7 @@ impl AtlasAllocator {
     }
 
     /// Frees a square.
-    pub fn free(&mut self, allocation: Allocation) {
+    pub(crate) fn free(&mut self, allocation: Allocation) {
         self.free.push(allocation);
     }
 

@@ -19,7 +19,7 @@ const TEXELS_PER_PIXEL: f32 = 3.0;
 /// Smallest and largest side of a tile, texels. The side is also at most four times the longer side of the image.
 const TILE_PX: [u32; 2] = [16, 2048];
 /// Maximum columns of the atlas and rows of one of its layers, texels. All tiles shrink until they fit.
-pub const ATLAS_PX: u32 = 4096;
+pub(crate) const ATLAS_PX: u32 = 4096;
 /// Minimum columns of the atlas, texels.
 const MIN_ATLAS_PX: u32 = 512;
 
@@ -37,7 +37,7 @@ pub struct Caster {
 /// Bounds of the shadow volume of a rock whose highest point is at `top_m`: its length along the sun's rays from the centre of the
 /// rock, and half of its width at the far end, with the penumbra, metres.
 #[must_use]
-pub fn shadow_extent_m(scene: &Scene, top_m: f32, radius_m: f32) -> (f32, f32) {
+pub(crate) fn shadow_extent_m(scene: &Scene, top_m: f32, radius_m: f32) -> (f32, f32) {
     let [lowest_ground_m, _] = scene.terrain.z_range_m;
     let drop_m = (top_m - lowest_ground_m).max(0.0);
     let along_m = drop_m / scene.sun.direction.z.max(1e-3);
@@ -48,7 +48,7 @@ pub fn shadow_extent_m(scene: &Scene, top_m: f32, radius_m: f32) -> (f32, f32) {
 /// The casters among `rocks` (with their indices in the scene) whose shadow volume intersects the frustum, with their tiles packed
 /// into the atlas.
 #[must_use]
-pub fn select_casters(
+pub(crate) fn select_casters(
     scene: &Scene,
     rocks: &[(usize, &Rock)],
     frustum: &Frustum,
@@ -94,7 +94,7 @@ const fn quantized_side(side_px: u32) -> u32 {
 
 /// Columns of the atlas, and rows of each of its layers, that these casters need. Rounded up, so that scenes share textures.
 #[must_use]
-pub fn atlas_size_px(casters: &[Caster]) -> [u32; 2] {
+pub(crate) fn atlas_size_px(casters: &[Caster]) -> [u32; 2] {
     let last_row = |caster: &Caster| (caster.tile.origin_px.y + caster.tile.size_px) as u32;
     [width_px(casters), casters.iter().map(last_row).max().unwrap_or(1).next_multiple_of(128)]
 }
@@ -122,7 +122,7 @@ fn pack(casters: &mut [Caster]) -> bool {
 
 /// Indices of the casters, those with the largest tiles first.
 #[must_use]
-pub fn largest_first(casters: &[Caster]) -> Vec<usize> {
+pub(crate) fn largest_first(casters: &[Caster]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..casters.len()).collect();
     order.sort_by_key(|&caster| std::cmp::Reverse(casters[caster].tile.size_px as u32));
     order

@@ -13,7 +13,7 @@ use crate::scene::sky::{DOME_LEVEL, STAR_LEVEL};
 
 /// A mesh of the scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum MeshRef {
+pub(crate) enum MeshRef {
     /// A rock, by its index in the scene, at a level of detail.
     Rock {
         /// Index in the scene.
@@ -29,7 +29,7 @@ pub enum MeshRef {
 
 /// One instanced draw of a mesh.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct MeshDraw {
+pub(crate) struct MeshDraw {
     /// The mesh.
     pub mesh: MeshRef,
     /// Slots of its instances.
@@ -55,7 +55,7 @@ pub struct DrawBatch {
 
 /// The draws of a frame.
 #[derive(Clone, Debug, Default)]
-pub struct DrawList {
+pub(crate) struct DrawList {
     /// What the device rasterises: casters first, then each batch's draws, near ones first.
     pub draws: Vec<MeshDraw>,
     /// The shadow casters in [`Self::draws`].
@@ -67,7 +67,7 @@ pub struct DrawList {
 impl DrawList {
     /// Lists the draws of a selection. `band_of_block` gives the relief band of a block of the ground.
     #[must_use]
-    pub fn new(
+    pub(crate) fn new(
         scene: &Scene,
         settings: &RenderSettings,
         slots: Slots<'_>,

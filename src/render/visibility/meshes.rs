@@ -38,7 +38,7 @@ const MIN_PAGES_PER_THREAD: usize = 16;
 /// One indexed draw, in WebGPU's layout for indirect draws.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
-pub struct Draw {
+pub(crate) struct Draw {
     /// Number of indices.
     pub index_count: u32,
     /// Number of instances.
@@ -54,7 +54,7 @@ pub struct Draw {
 impl Draw {
     /// Triangles of all its instances.
     #[must_use]
-    pub fn triangles(&self) -> u64 {
+    pub(crate) fn triangles(&self) -> u64 {
         u64::from(self.index_count / 3) * u64::from(self.instance_count)
     }
 }
@@ -89,7 +89,7 @@ pub(crate) fn vertex_layout(attributes: usize) -> wgpu::VertexBufferLayout<'stat
 
 /// The meshes of a scene, and the draws of a frame.
 #[derive(Debug)]
-pub struct Meshes {
+pub(crate) struct Meshes {
     /// Vertices of the unit sphere, the ground, then rocks.
     vertices: GrowingBuffer,
     vertex_count: usize,
