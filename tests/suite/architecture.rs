@@ -1,9 +1,9 @@
-//! Who may import whom, and how long a file and a function may be. The tables are the rules; the sources are held against
+//! Who may import whom, and how long a file and a function may be. The tables are the rules; the sources are checked against
 //! them.
 //!
-//! `cargo test --release --test suite architecture -- --nocapture` prints every import circle with the imports it is made of.
+//! To add a module: its name in the row of its room in [`LAYERS`], or a row in [`MAY_USE`] for a new room.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use crate::support::source::{self, ImportGraph, circles, functions, import_graph};
 
@@ -16,7 +16,7 @@ const MAX_FUNCTION_LINES: usize = 80;
 /// A comment line that starts so, directly above a function, allows it to be longer, and says why it is.
 const LONG_BECAUSE: &str = "// Long because: ";
 
-/// Module and the modules of ours that it may use. A module may always use what is below its own folder.
+/// Each room (a module directly below `src`) and the rooms that it may use.
 const MAY_USE: [(&str, &[&str]); 16] = [
     ("error", &[]),
     ("class", &[]),
@@ -36,37 +36,71 @@ const MAY_USE: [(&str, &[&str]); 16] = [
     ("dataset", &["params", "scene", "render", "output", "meta", "frame", "lens", "class", "error"]),
 ];
 
-/// Files that are in an import circle today. To be emptied: a file that is in none any more must leave the list.
-const KNOWN_IN_CIRCLES: &[&str] = &[
-    "src/cli.rs",
-    "src/cli/bench.rs",
-    "src/cli/convert.rs",
-    "src/cli/dataset.rs",
-    "src/cli/frame.rs",
-    "src/cli/progress.rs",
-    "src/cli/remap.rs",
-    "src/cli/stage.rs",
-    "src/cli/verify.rs",
-    "src/params.rs",
-    "src/params/sampler.rs",
-    "src/render/shadow/device.rs",
-    "src/scene/rings.rs",
-    "src/scene/rocks.rs",
-    "src/scene/rocks/on_demand.rs",
-    "src/scene/terrain.rs",
-];
+/// The room's own file, in a row of [`LAYERS`]; it is the top layer where it is not named.
+const SELF: &str = "self";
 
-/// Files that are too long today. To be emptied.
-const KNOWN_LONG_FILES: &[&str] = &[
-    "src/params.rs",
-    "src/params/sampler.rs",
-    "src/scene/noise.rs",
-    "src/scene/rocks.rs",
-    "src/scene/terrain.rs",
+/// The modules of each room, from the bottom layer to the top one. A module may use those of lower layers only.
+const LAYERS: [(&str, &[&[&str]]); 8] = [
+    (
+        "params",
+        &[
+            &["distribution", "presets"],
+            &["knob_info"],
+            &["knobs"],
+            &["document"],
+            &[SELF],
+            &["sampler"],
+            &["listing"],
+        ],
+    ),
+    (
+        "scene",
+        &[
+            &["grid_cell", "mesh", "noise", "nominal_craters", "photometry", "sensor", "sky"],
+            &["lattice", "rings"],
+            &["craters"],
+            &["relief"],
+            &["terrain"],
+            &["bounce", "camera", "rings_mesh", "square_grid"],
+            &["rocks"],
+        ],
+    ),
+    ("gpu", &[&["adapter", "pipeline_cache"], &[SELF], &["growing_buffer", "readback", "staging"]]),
+    (
+        "render",
+        &[
+            &["backend", "device", "raster", "settings"],
+            &["select"],
+            &["lighting"],
+            &["resolve", "visibility"],
+            &["post", "shadow"],
+            &["frame_plan"],
+            &["scene_buffers"],
+        ],
+    ),
+    ("output", &[&["artifact", "edges", "label_ids"], &["disk", "encode"], &["layout"]]),
+    ("export", &[&["sky", "stage"], &["gltf", "npz", "usd"]]),
+    (
+        "dataset",
+        &[
+            &["contact_sheet", "histograms", "rules", "totals"],
+            &["data_card", "plan"],
+            &["attempt", "log", "manifest"],
+            &["lock"],
+            &["log_writer", "merge", "verify"],
+            &["convert", "pipeline"],
+            &["run"],
+        ],
+    ),
+    (
+        "cli",
+        &[
+            &["device", "messages"],
+            &["args", "process", "progress"],
+            &["bench", "convert", "dataset", "frame", "remap", "stage", "verify"],
+        ],
+    ),
 ];
-
-/// Functions that are too long today, as `file::function`. To be emptied.
-const KNOWN_LONG_FUNCTIONS: &[&str] = &["src/cli/frame.rs::run"];
 
 /// The sources of the library and of the binary, apart: they are two crates.
 fn crates() -> [BTreeMap<String, String>; 2] {
@@ -80,14 +114,6 @@ fn crates() -> [BTreeMap<String, String>; 2] {
 fn top_module(file: &str) -> &str {
     let path = file.trim_start_matches("src/").trim_end_matches(".rs");
     path.split('/').next().unwrap_or(path)
-}
-
-/// Holds offenders against the list of known ones: an unknown offender is a fault, a known one that is none any more too.
-fn assert_only_known(offenders: &BTreeSet<String>, known: &[&str], rule: &str) {
-    let new: Vec<&String> = offenders.iter().filter(|name| !known.contains(&name.as_str())).collect();
-    assert!(new.is_empty(), "{rule}:\n  {}", new.iter().map(|n| n.as_str()).collect::<Vec<_>>().join("\n  "));
-    let gone: Vec<&&str> = known.iter().filter(|name| !offenders.contains(**name)).collect();
-    assert!(gone.is_empty(), "no offender any more, remove from the list of known ones: {gone:?}");
 }
 
 #[test]
@@ -117,7 +143,53 @@ fn modules_import_only_what_they_may() {
     }
 }
 
-/// A circle with the import that makes each step, for people.
+/// The module of a room that a file belongs to; [`SELF`] for the room's own file.
+fn module_in_room<'a>(file: &'a str, room: &str) -> Option<&'a str> {
+    let path = file.strip_prefix("src/")?.strip_suffix(".rs")?;
+    let below = path.strip_prefix(room)?;
+    if below.is_empty() { Some(SELF) } else { below.strip_prefix('/')?.split('/').next() }
+}
+
+/// The number of the layer of a module of a room, from the bottom; `None` if it is in none.
+fn layer_of(layers: &[&[&str]], module: &str) -> Option<usize> {
+    let listed = layers.iter().position(|layer| layer.contains(&module));
+    listed.or((module == SELF).then_some(layers.len()))
+}
+
+/// Imports in a room that do not lead to a lower layer, and modules without a layer.
+fn wrong_imports(graph: &ImportGraph, room: &str, layers: &[&[&str]]) -> Vec<String> {
+    let mut wrong = Vec::new();
+    for (file, imports) in graph {
+        let Some(module) = module_in_room(file, room) else { continue };
+        let Some(layer) = layer_of(layers, module) else {
+            wrong.push(format!("{file}: `{module}` is in no layer of `{room}`: add it to LAYERS"));
+            continue;
+        };
+        for (target, import) in imports {
+            let used = module_in_room(target, room).filter(|used| *used != module);
+            if used.and_then(|used| layer_of(layers, used)).is_some_and(|used| used >= layer) {
+                wrong.push(format!("{file}:{}: {} is not in a lower layer", import.line, import.path));
+            }
+        }
+    }
+    wrong
+}
+
+#[test]
+fn modules_import_only_from_lower_layers_of_their_room() {
+    let graphs = crates().map(|sources| import_graph(&sources));
+    let mut wrong = Vec::new();
+    for (room, layers) in LAYERS {
+        wrong.extend(graphs.iter().flat_map(|graph| wrong_imports(graph, room, layers)));
+        for module in layers.iter().copied().flatten().filter(|module| **module != SELF) {
+            let exists = source::root().join("src").join(room).join(format!("{module}.rs")).is_file();
+            assert!(exists, "LAYERS names `{module}` in `{room}`, which does not exist");
+        }
+    }
+    assert!(wrong.is_empty(), "\n{}", wrong.join("\n"));
+}
+
+/// A circle with the import of each step, one a line.
 fn described(graph: &ImportGraph, circle: &[String]) -> String {
     let steps = circle.iter().zip(circle.iter().cycle().skip(1)).map(|(from, to)| {
         let import = &graph[from][to];
@@ -128,20 +200,10 @@ fn described(graph: &ImportGraph, circle: &[String]) -> String {
 
 #[test]
 fn no_files_import_each_other_in_a_circle() {
-    let (mut offenders, mut report) = (BTreeSet::new(), Vec::new());
-    for sources in crates() {
-        let graph = import_graph(&sources);
-        for circle in circles(&graph) {
-            report.push(described(&graph, &circle));
-            offenders.extend(circle);
-        }
+    for graph in crates().map(|sources| import_graph(&sources)) {
+        let circles: Vec<String> = circles(&graph).iter().map(|circle| described(&graph, circle)).collect();
+        assert!(circles.is_empty(), "{} import circles:\n{}", circles.len(), circles.join("\n"));
     }
-    println!("{} import circles\n{}", report.len(), report.join("\n"));
-    assert_only_known(
-        &offenders,
-        KNOWN_IN_CIRCLES,
-        "files in an import circle (--nocapture prints the imports)",
-    );
 }
 
 /// Every source and shader.
@@ -153,15 +215,14 @@ fn code_files() -> BTreeMap<String, String> {
 
 #[test]
 fn no_file_is_too_long() {
-    let mut offenders = BTreeSet::new();
+    let mut long = Vec::new();
     for (file, text) in code_files() {
         let lines = text.lines().count();
         if lines > MAX_FILE_LINES {
-            println!("{file}: {lines} lines");
-            offenders.insert(file);
+            long.push(format!("{file}: {lines} lines"));
         }
     }
-    assert_only_known(&offenders, KNOWN_LONG_FILES, &format!("files of more than {MAX_FILE_LINES} lines"));
+    assert!(long.is_empty(), "files of more than {MAX_FILE_LINES} lines:\n{}", long.join("\n"));
 }
 
 /// Whether the comments and attributes directly above a line (from 1) allow a long function.
@@ -176,20 +237,23 @@ fn has_reason_above(lines: &[&str], line: usize) -> bool {
 
 #[test]
 fn no_function_is_too_long_without_a_reason() {
-    let mut offenders = BTreeSet::new();
+    let mut long = Vec::new();
     for (file, text) in code_files() {
         let lines: Vec<&str> = text.lines().collect();
         for function in functions(&source::without_comments_and_strings(&text)) {
-            let is_long = function.lines > MAX_FUNCTION_LINES;
-            if is_long && !has_reason_above(&lines, function.line) {
-                println!("{file}:{}: {} has {} lines", function.line, function.name, function.lines);
-                offenders.insert(format!("{file}::{}", function.name));
+            if function.lines > MAX_FUNCTION_LINES && !has_reason_above(&lines, function.line) {
+                long.push(format!(
+                    "{file}:{}: {} has {} lines",
+                    function.line, function.name, function.lines
+                ));
             }
         }
     }
-    let rule =
-        format!("functions of more than {MAX_FUNCTION_LINES} lines without `{LONG_BECAUSE}` above them");
-    assert_only_known(&offenders, KNOWN_LONG_FUNCTIONS, &rule);
+    assert!(
+        long.is_empty(),
+        "functions of more than {MAX_FUNCTION_LINES} lines without `{LONG_BECAUSE}` above them:\n{}",
+        long.join("\n")
+    );
 }
 
 #[test]

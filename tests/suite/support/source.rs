@@ -222,15 +222,31 @@ pub(crate) struct Import {
 /// Which files import which: file to file, with the first import of each pair. Paths start from `src/`.
 pub(crate) type ImportGraph = BTreeMap<String, BTreeMap<String, Import>>;
 
-/// The graph of imports between the files of one crate, tests aside. `files` are paths with their text.
+/// Modules in files of their own that a module declares under `#[cfg(test)]`.
+fn test_modules(module: &[String], code: &str) -> Vec<Vec<String>> {
+    let declared = code.split("#[cfg(test)]").skip(1).filter_map(|item| {
+        let declaration = item.split([';', '{']).next()?;
+        let name = declaration.split_whitespace().skip_while(|word| *word != "mod").nth(1)?;
+        item[declaration.len()..].starts_with(';').then(|| [module, &[name.to_owned()]].concat())
+    });
+    declared.collect()
+}
+
+/// The graph of imports between the files of one crate, without tests. `files` are paths with their text.
 pub(crate) fn import_graph(files: &BTreeMap<String, String>) -> ImportGraph {
-    let by_module: BTreeMap<Vec<String>, &String> =
-        files.keys().map(|file| (module_path(file), file)).collect();
+    let code: BTreeMap<&String, String> =
+        files.iter().map(|(file, text)| (file, without_comments_and_strings(text))).collect();
+    let tests: BTreeSet<Vec<String>> =
+        code.iter().flat_map(|(file, code)| test_modules(&module_path(file), code)).collect();
+    let by_module: BTreeMap<Vec<String>, &String> = files
+        .keys()
+        .map(|file| (module_path(file), file))
+        .filter(|(module, _)| !(1..=module.len()).any(|n| tests.contains(&module[..n])))
+        .collect();
     let mut graph = ImportGraph::new();
-    for (file, text) in files {
+    for (module, &file) in &by_module {
         let imports = graph.entry(file.clone()).or_default();
-        let module = module_path(file);
-        let code = without_tests(&without_comments_and_strings(text));
+        let code = without_tests(&code[file]);
         for (line, path) in paths(&code) {
             let mut absolute = match path[0].as_str() {
                 "crate" => Vec::new(),
@@ -392,7 +408,11 @@ fn imports_are_resolved_to_files_and_circles_are_found() {
         ("src/lib.rs", "pub mod a; pub mod b; pub use b::X;"),
         ("src/a.rs", "mod c; use crate::b::{self, X, Y as Z}; fn f() { c::g() }"),
         ("src/a/c.rs", "pub(in crate::a) fn g() { super::super::b::h(\"crate::b\") } // crate::lib"),
-        ("src/b.rs", "#[cfg(test)] use crate::a; pub struct X; use crate::a::c::{d::E, *};"),
+        (
+            "src/b.rs",
+            "#[cfg(test)] use crate::a; pub struct X; use crate::a::c::{d::E, *};\n#[cfg(test)]\nmod t;",
+        ),
+        ("src/b/t.rs", "use super::X;"),
     ];
     let files = files.map(|(name, text)| (name.to_owned(), text.to_owned())).into();
     let graph = import_graph(&files);
@@ -401,5 +421,6 @@ fn imports_are_resolved_to_files_and_circles_are_found() {
     assert_eq!(of("src/a.rs"), ["src/a/c.rs", "src/b.rs"]);
     assert_eq!(of("src/a/c.rs"), ["src/b.rs"]);
     assert_eq!(of("src/b.rs"), ["src/a/c.rs"]);
+    assert!(!graph.contains_key("src/b/t.rs"), "a module of tests");
     assert_eq!(circles(&graph), [["src/a/c.rs", "src/b.rs"]]);
 }
