@@ -76,7 +76,7 @@ impl ReliefBands {
         Self { bands, rows: Some(rows), columns }
     }
 
-    /// The band of a block, by its index in [`ground_blocks`].
+    /// The band of a block, by its index in `ground_blocks`.
     #[must_use]
     pub fn of_block(&self, block: usize) -> usize {
         self.rows.map_or(0, |rows| 1 + block / self.columns / rows)

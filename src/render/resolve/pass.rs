@@ -1,5 +1,5 @@
 //! The resolve pass: samples to pixels, packed for the readback. `resolve.wgsl` states the rules, the table in
-//! [`crate::render::device::planes`] those of each plane.
+//! `crate::render::device::planes` those of each plane.
 
 use wgpu::BufferUsages;
 

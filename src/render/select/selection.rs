@@ -21,7 +21,7 @@ const CASTER_ERROR_PX: f32 = 0.25;
 /// What is drawn for one frame.
 #[derive(Clone, Debug)]
 pub struct Selection {
-    /// Blocks of ground that intersect the frustum: index in [`ground_blocks`] and distance from the eye, metres. All of the
+    /// Blocks of ground that intersect the frustum: index in `ground_blocks` and distance from the eye, metres. All of the
     /// ground casts shadows.
     pub blocks: Vec<(usize, f32)>,
     /// Rocks that may be visible, or whose shadow may be, by rising index.

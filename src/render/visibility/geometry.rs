@@ -4,8 +4,8 @@
 //! that no shadow reaches or only that of other ground, rock that faces away from the sun. Each class is a shading bin, lit by a
 //! pipeline without the rest.
 //!
-//! [`surfaces`] walks the ground, the rocks and the sky, [`projection`] brings their vertices onto the samples, and
-//! [`screen_mesh`] culls and clips their triangles.
+//! `surfaces` walks the ground, the rocks and the sky, `projection` brings their vertices onto the samples, and
+//! `screen_mesh` culls and clips their triangles.
 //! Must not know: textures and buffers.
 
 mod face_normal;

@@ -36,7 +36,7 @@ thread_local! {
 #[derive(Debug, Default)]
 pub struct ShadingBinMask {
     /// One more than the bin, row by row; 0 where no surface was drawn. The bins of all relief bands are merged
-    /// ([`ShadingBins::merge_bands`]).
+    /// (`ShadingBins::merge_bands`).
     pub values: Vec<u8>,
     /// Whether a sample has no surface.
     pub has_holes: bool,

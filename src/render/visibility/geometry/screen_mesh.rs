@@ -44,7 +44,7 @@ pub struct ScreenTriangle {
 pub struct ScreenMesh {
     /// Slot of its instance.
     pub slot: u32,
-    /// Shading bins of its triangles, by their [`ShadowSources`].
+    /// Shading bins of its triangles, by their `ShadowSources`.
     pub bins: [ShadingBin; SHADOW_SOURCES],
     /// Bounds of the triangles of each bin.
     pub bounds: [ScreenBounds; SHADOW_SOURCES],
