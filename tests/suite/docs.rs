@@ -307,3 +307,37 @@ fn named_paths_exist() {
     }
     assert!(checked > 60, "only {checked} paths were found");
 }
+
+/// Text of every source file below a folder of the repository.
+fn text_below(folder: &Path) -> String {
+    let mut text = String::new();
+    for entry in std::fs::read_dir(folder).expect("a folder of sources") {
+        let path = entry.expect("an entry").path();
+        if path.is_dir() {
+            text += &text_below(&path);
+        } else {
+            text += &std::fs::read_to_string(&path).expect("a source");
+        }
+    }
+    text
+}
+
+#[test]
+fn identifiers_in_the_architecture_exist() {
+    let page = std::fs::read_to_string(root().join("docs/architecture.md")).expect("the page");
+    let (prose, _) = prose_and_blocks(&page);
+    let sources = ["src", "shaders"].map(|folder| text_below(&root().join(folder))).concat();
+    let is_of_name = |c: char| c.is_alphanumeric() || c == '_' || c == ':';
+    let names = prose.split('`').skip(1).step_by(2).filter(|code| code.chars().all(is_of_name));
+    let mut checked = 0;
+    for name in names.filter(|name| name.contains(['_', ':']) || name.contains(char::is_uppercase)) {
+        for part in name.split("::") {
+            assert!(
+                sources.contains(part),
+                "docs/architecture.md names `{name}`, which is not in the sources"
+            );
+        }
+        checked += 1;
+    }
+    assert!(checked > 15, "only {checked} identifiers were found");
+}
