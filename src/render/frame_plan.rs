@@ -1,7 +1,7 @@
 //! The plan of a frame: every decision that is made before anything is uploaded. Plain data.
 //!
-//! A plan is a function of scene, settings and options alone. It is kept from frame to frame for its memory, and for the two
-//! results that frames under an unmoved sun share: horizon map and bounced light.
+//! A frame depends on scene, settings and options alone. The plan of the frame before gives the next one its memory, and what both
+//! share under an unmoved sun: bounced light, and from the second frame on the horizon map of all of the ground.
 //! Must not know: a device.
 
 use std::sync::{Arc, Weak};
@@ -292,22 +292,34 @@ mod tests {
     }
 
     #[test]
-    fn a_plan_does_not_depend_on_the_plan_before_it() {
+    fn a_plan_does_not_depend_on_that_of_another_scene() {
         let options = options(RasterBackend::Device);
         let (first, second) = (scene(3), scene(4));
         let alone = plan(None, &second, &options);
         let after_another = plan(Some(plan(None, &first, &options)), &second, &options);
-        let after_itself = plan(Some(plan(None, &second, &options)), &second, &options);
-        assert!(alone.is_horizon_new && after_another.is_horizon_new && !after_itself.is_horizon_new);
-        for other in [&after_another, &after_itself] {
-            assert_eq!(bytemuck::bytes_of(&other.uniforms), bytemuck::bytes_of(&alone.uniforms));
-            assert_eq!(other.instances.len(), alone.instances.len());
-            let bytes = |plan: &FramePlan| bytemuck::cast_slice::<_, u8>(&plan.instances).to_vec();
-            assert!(bytes(other) == bytes(&alone), "instances");
-            assert!(other.caster_grid[..] == alone.caster_grid[..], "caster grid");
-            assert!(other.horizon.heights_m == alone.horizon.heights_m, "horizon");
-            assert_eq!(other.draws.draws, alone.draws.draws);
-            assert_eq!(other.shadow_map_px, alone.shadow_map_px);
-        }
+        assert!(alone.is_horizon_new && after_another.is_horizon_new);
+        assert_eq!(bytemuck::bytes_of(&after_another.uniforms), bytemuck::bytes_of(&alone.uniforms));
+        assert!(after_another.caster_grid[..] == alone.caster_grid[..], "caster grid");
+        assert!(after_another.horizon.heights_m == alone.horizon.heights_m, "horizon");
+        assert_same_draws(&after_another, &alone);
+    }
+
+    #[test]
+    fn plans_under_an_unmoved_sun_share_the_horizon_of_all_of_the_ground() {
+        let (options, scene) = (options(RasterBackend::Device), scene(4));
+        let first = plan(None, &scene, &options);
+        let second = plan(Some(plan(None, &scene, &options)), &scene, &options);
+        assert!(second.is_horizon_new, "that of all of the ground is made once the sun has not moved");
+        assert_same_draws(&second, &first);
+        let third = plan(Some(second), &scene, &options);
+        assert!(!third.is_horizon_new);
+        assert_same_draws(&third, &first);
+    }
+
+    fn assert_same_draws(left: &FramePlan, right: &FramePlan) {
+        let bytes = |plan: &FramePlan| bytemuck::cast_slice::<_, u8>(&plan.instances).to_vec();
+        assert!(bytes(left) == bytes(right), "instances");
+        assert_eq!(left.draws.draws, right.draws.draws);
+        assert_eq!(left.shadow_map_px, right.shadow_map_px);
     }
 }
