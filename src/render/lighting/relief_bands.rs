@@ -17,11 +17,11 @@ use crate::scene::relief::{CELLS_LEAST, Relief};
 use crate::scene::rings::Rings;
 use crate::scene::terrain::Layout;
 
-/// How many times smaller than the mesh's limit the largest pits of the first lattice of an octave may be: as many as three octaves
-/// after the first one below the limit.
-const FIRST_LATTICES_ASKED: f32 = 8.0;
+/// Cutoff of the first lattice of an octave: how many times smaller than the limit of the mesh its largest pits may be, as three octaves
+/// after the first one below that limit are.
+const FIRST_LATTICE_CUTOFF: f32 = 8.0;
 /// Larger than any ratio of cells and pits.
-const NO_LIMIT: f32 = 1e6;
+const NO_CUTOFF: f32 = 1e6;
 /// Safety factor for what a device may compute otherwise than the host.
 const MARGIN: f32 = 1.01;
 /// Safety factor for normals between vertices, which may face the eye more than those of the vertices.
@@ -107,8 +107,8 @@ fn band_uniforms(
     // Of the first octave that is not whole both lattices are sampled, of the next ones only the first.
     let lattices = relief.craters.lattices.iter().enumerate().filter_map(|(index, pits)| {
         let cutoff_diameters = match (index as u32 / LATTICES, index as u32 % LATTICES) {
-            (0, _) => NO_LIMIT,
-            (_, 0) => FIRST_LATTICES_ASKED,
+            (0, _) => NO_CUTOFF,
+            (_, 0) => FIRST_LATTICE_CUTOFF,
             _ => 1.0,
         };
         let is_sampled = cutoff_diameters * pits.largest_m >= 2.0 * CELLS_LEAST * smallest_m;
