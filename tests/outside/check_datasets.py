@@ -85,7 +85,7 @@ def check_coco(data: Path) -> None:
         if masks.toBbox(row["segmentation"]).tolist() != row["bbox"]:
             fail(f"coco: annotation {row['id']}: box {row['bbox']} differs from its mask's")
     panoptic = json.loads((data / "annotations/panoptic_train.json").read_text())
-    things = {row["id"]: row["isthing"] for row in panoptic["categories"]}
+    is_thing = {row["id"]: row["isthing"] for row in panoptic["categories"]}
     for row in panoptic["annotations"]:
         colours = np.asarray(Image.open(data / "annotations/panoptic_train" / row["file_name"])).astype(np.uint32)
         segments = colours @ np.array([1, 256, 65536], np.uint32)
@@ -98,7 +98,7 @@ def check_coco(data: Path) -> None:
             box = [columns.min(), rows.min(), np.ptp(columns) + 1, np.ptp(rows) + 1]
             if listed[segment]["area"] != area or listed[segment]["bbox"] != [float(side) for side in box]:
                 fail(f"coco: {row['file_name']}: area or box of segment {segment}")
-        stuff = [s["category_id"] for s in row["segments_info"] if not things[s["category_id"]]]
+        stuff = [s["category_id"] for s in row["segments_info"] if not is_thing[s["category_id"]]]
         if len(stuff) != len(set(stuff)):
             fail(f"coco: {row['file_name']}: a stuff class has two segments")
     print(f"{'coco':<12} {len(instances['annotations'])} rocks: areas and boxes; panoptic segments tile the images")
