@@ -326,7 +326,7 @@ fn text_below(folder: &Path) -> String {
 fn identifiers_in_the_architecture_exist() {
     let page = std::fs::read_to_string(root().join("docs/architecture.md")).expect("the page");
     let (prose, _) = prose_and_blocks(&page);
-    let sources = ["src", "shaders"].map(|folder| text_below(&root().join(folder))).concat();
+    let sources = ["src", "shaders", "tests/suite"].map(|folder| text_below(&root().join(folder))).concat();
     let is_of_name = |c: char| c.is_alphanumeric() || c == '_' || c == ':';
     let names = prose.split('`').skip(1).step_by(2).filter(|code| code.chars().all(is_of_name));
     let mut checked = 0;
