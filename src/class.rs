@@ -1,13 +1,13 @@
-//! The classes: id, name, preview colour. The only place where these numbers are written.
+//! The classes: id, name, preview colour, defined here only.
 //!
-//! Shaders get ids as data and contain no class constant.
+//! Shaders receive ids as data and contain no class constants.
 //! To add a class: a row in [`ClassId::ALL`] with its constant.
 
-/// A semantic class as it stands in the mask.
+/// Id of a semantic class in the mask.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ClassId(pub u8);
 
-/// What is known of one class.
+/// One semantic class.
 #[derive(Clone, Copy, Debug)]
 pub struct Class {
     /// Its id in the mask.
@@ -16,7 +16,7 @@ pub struct Class {
     pub name: &'static str,
     /// Its colour in previews, 8-bit sRGB.
     pub preview_rgb: [u8; 3],
-    /// The raw id a Replicator pipeline would have given it (0 is BACKGROUND, 1 UNLABELLED).
+    /// Its raw id in a Replicator pipeline (0 is BACKGROUND, 1 UNLABELLED).
     pub replicator_id: u8,
 }
 
@@ -27,10 +27,10 @@ impl ClassId {
     pub const ROCK: Self = Self(1);
     /// Dome and stars.
     pub const SKY: Self = Self(2);
-    /// Nothing was drawn here: never in a correct frame. Also the ignore index for training.
+    /// Clear value, never left in a correct frame; also the ignore index for training.
     pub const UNLABELLED: Self = Self(255);
 
-    /// Every class that a pixel of a correct frame can have, by rising id.
+    /// Every class that a pixel of a correct frame can have, by ascending id.
     pub const ALL: [Class; 3] = [
         Class { id: Self::REGOLITH, name: "regolith", preview_rgb: [170, 140, 110], replicator_id: 4 },
         Class { id: Self::ROCK, name: "rock", preview_rgb: [220, 45, 40], replicator_id: 3 },

@@ -21,9 +21,9 @@ pub use distribution::{Distribution, Value};
 pub use knob_info::{Kind, KnobInfo, Scope, Stage};
 pub use knobs::{KNOBS, Knob};
 
-/// The values of one frame, checked.
+/// The parameters of one frame, validated.
 ///
-/// Knobs that are drawn once a frame have their value; those drawn for each element keep their distribution.
+/// A knob that is drawn once per frame has its value; one that is drawn for each element keeps its distribution.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Params {
     settings: Vec<Distribution>,
@@ -37,10 +37,10 @@ impl Params {
         }
     }
 
-    /// The number of a knob that is drawn once a frame.
+    /// The value of a number knob that is drawn once per frame.
     ///
     /// # Panics
-    /// If the table says that it is something else.
+    /// If the knob is of another type or scope.
     #[must_use]
     pub fn number(&self, knob: Knob) -> f64 {
         match self.value(knob) {
@@ -49,19 +49,19 @@ impl Params {
         }
     }
 
-    /// The whole number of a knob that is drawn once a frame.
+    /// The value of an integer knob that is drawn once per frame.
     ///
     /// # Panics
-    /// If the table says that it is something else.
+    /// If the knob is of another type or scope.
     #[must_use]
     pub fn count(&self, knob: Knob) -> u32 {
         self.number(knob) as u32
     }
 
-    /// The colour of a knob.
+    /// The value of a colour knob, linear RGB.
     ///
     /// # Panics
-    /// If the table says that it is something else.
+    /// If the knob is of another type or scope.
     #[must_use]
     pub fn rgb(&self, knob: Knob) -> [f64; 3] {
         match self.value(knob) {
@@ -70,10 +70,10 @@ impl Params {
         }
     }
 
-    /// The word of a knob.
+    /// The value of a text knob.
     ///
     /// # Panics
-    /// If the table says that it is something else.
+    /// If the knob is of another type or scope.
     #[must_use]
     pub fn text(&self, knob: Knob) -> &str {
         match self.value(knob) {
@@ -82,10 +82,10 @@ impl Params {
         }
     }
 
-    /// Draws the number of a knob for one element.
+    /// Draws the value of a number knob for one element.
     ///
     /// # Panics
-    /// If the table says that it is something else.
+    /// If the knob is of another type.
     #[must_use]
     pub fn sample(&self, knob: Knob, stream: &mut Stream) -> f64 {
         match self.settings[knob as usize].sample(stream) {
@@ -97,13 +97,13 @@ impl Params {
     /// The stage.
     ///
     /// # Panics
-    /// Never: the table allows no other word.
+    /// Never: the table allows no other value.
     #[must_use]
     pub fn stage(&self) -> Stage {
-        Stage::from_name(self.text(Knob::StageName)).expect("a stage that there is")
+        Stage::from_name(self.text(Knob::StageName)).expect("the table allows stages only")
     }
 
-    /// Every knob of the stage as used, under its dotted name; those drawn for each element as what they are drawn from.
+    /// Every knob of the stage under its dotted name: values, or distributions for knobs that are drawn per element.
     #[must_use]
     pub fn to_json(&self) -> Map<String, Json> {
         KNOBS
@@ -122,7 +122,7 @@ mod tests {
     use Scope::{Element, Frame};
 
     #[test]
-    fn every_knob_can_be_asked_as_its_kind() {
+    fn every_knob_has_a_value_of_its_kind() {
         let mut stream = crate::random::Streams::new(1).stream("test", 0);
         for (stage, name) in Stage::ALL {
             let mut config = sampler::Config::new();

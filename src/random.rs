@@ -1,8 +1,8 @@
-//! Keyed random streams: every draw has a stream of its own, so that no draw moves another.
+//! Keyed random streams: every quantity is drawn from a stream of its own, so that no draw affects another.
 //!
-//! A stream is ChaCha8 keyed by (seed, purpose, element). The purpose is a name ("rocks.scale_m",
-//! "sky.star"), the element a number within it (rock 17). Asking for more elements, adding a purpose, or
-//! drawing more numbers from one stream leaves all others as they were.
+//! A stream is ChaCha8 (Bernstein 2008) keyed by (seed, purpose, element). The purpose is a name ("rocks.scale_m",
+//! "sky.star"), the element an index within it (rock 17). More elements, another purpose, or more numbers drawn from one
+//! stream leave all other streams unchanged.
 //! Must not know: what anything is drawn for.
 
 use rand_chacha::ChaCha8Rng;
@@ -22,7 +22,7 @@ impl Streams {
         Self { seed }
     }
 
-    /// The stream of `element` of `purpose`, from its start.
+    /// The stream of an element of a purpose, at its start.
     #[must_use]
     pub fn stream(&self, purpose: &str, element: u64) -> Stream {
         let mut key = [0_u8; 32];
@@ -34,8 +34,7 @@ impl Streams {
     }
 }
 
-/// One stream of random numbers. Its methods use no floating-point function whose result may differ between
-/// machines.
+/// One stream of random numbers; the same bits on every machine.
 #[derive(Clone, Debug)]
 pub struct Stream(ChaCha8Rng);
 
@@ -50,19 +49,19 @@ impl Stream {
         low + (high - low) * self.unit()
     }
 
-    /// Uniform over the integers low..=high (bias below 2^-60 for any range that occurs).
+    /// Uniform over the integers low..=high (Lemire's multiplication; bias below range / 2^64).
     pub fn uniform_int(&mut self, low: i64, high: i64) -> i64 {
         let count = (high - low) as u128 + 1;
         low + ((u128::from(self.0.next_u64()) * count) >> 64) as i64
     }
 
-    /// Standard normal (Box and Muller 1958), two uniforms a draw.
+    /// Standard normal (Box and Muller 1958), two uniforms per draw.
     pub fn normal(&mut self) -> f64 {
         let radius = (-2.0 * libm::log(1.0 - self.unit())).sqrt();
         radius * libm::cos(std::f64::consts::TAU * self.unit())
     }
 
-    /// 32 random bits, for instance the seed of a lattice noise.
+    /// 32 random bits.
     pub fn bits(&mut self) -> u32 {
         self.0.next_u32()
     }
@@ -73,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn streams_are_repeatable_and_apart() {
+    fn streams_are_repeatable_and_distinct() {
         let first = |seed, purpose, element| Streams::new(seed).stream(purpose, element).unit();
         let reference = first(42, "rocks.scale_m", 17);
         assert_eq!(reference.to_bits(), first(42, "rocks.scale_m", 17).to_bits());
@@ -86,7 +85,7 @@ mod tests {
 
     #[test]
     fn first_numbers_never_change() {
-        // Computed by an independent ChaCha8 and XXH3. A change here changes every scene ever made.
+        // Computed with an independent ChaCha8 and XXH3. A change here changes every scene.
         let mut stream = Streams::new(42).stream("rocks.scale_m", 0);
         let drawn: Vec<u32> = (0..4).map(|_| stream.bits()).collect();
         assert_eq!(drawn, FIRST_BITS);

@@ -1,6 +1,6 @@
-//! Memory that is used again: a scene is made in that of the scenes before it, and so is a picture of it.
+//! A pool of buffers: scenes and frames reuse the memory of earlier ones, which saves page faults and zeroing.
 //!
-//! Must not know: what lies in it.
+//! Must not know: what the buffers hold.
 
 use std::any::{Any, TypeId};
 use std::cell::RefCell;
@@ -10,73 +10,74 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use bytemuck::Pod;
 
-/// Least that is worth it, bytes: what is smaller would be outnumbered by what is kept of it.
-const LEAST_BYTES: usize = 1 << 10;
-/// Most that is left unused for what may come, bytes.
-const MOST_BYTES: usize = 128 << 20;
-/// Most of that which a thread keeps to itself, as it may be in its core's cache.
-const MOST_OWN_BYTES: usize = 1 << 20;
+/// Minimum size of a pooled buffer, bytes: for smaller ones the allocator is as fast.
+const MIN_BYTES: usize = 1 << 10;
+/// Capacity of the shared pool, bytes.
+const MAX_BYTES: usize = 128 << 20;
+/// Capacity of a thread's own pool, bytes: about what stays in its core's cache.
+const MAX_OWN_BYTES: usize = 1 << 20;
 
-/// What nothing uses.
-static SPARE: Mutex<Spare> = Mutex::new(Spare::new());
+/// Unused buffers, shared by all threads.
+static SHARED: Mutex<Pool> = Mutex::new(Pool::new());
 thread_local! {
-    /// The same, of this thread.
-    static OWN: RefCell<Spare> = const { RefCell::new(Spare::new()) };
+    /// Unused buffers of this thread.
+    static OWN: RefCell<Pool> = const { RefCell::new(Pool::new()) };
 }
 
-struct Spare {
+struct Pool {
     bytes: usize,
-    /// Lists by what they are of and how many they have room for.
+    /// Buffers by element type and capacity.
     lists: BTreeMap<(TypeId, usize), Vec<Box<dyn Any + Send>>>,
 }
 
-impl Spare {
+impl Pool {
     const fn new() -> Self {
         Self { bytes: 0, lists: BTreeMap::new() }
     }
 
-    fn take<T: Value>(&mut self, room: usize) -> Option<Vec<T>> {
-        let list = self.lists.get_mut(&(TypeId::of::<T>(), room))?.pop()?;
-        self.bytes -= room * size_of::<T>();
+    fn take<T: Value>(&mut self, capacity: usize) -> Option<Vec<T>> {
+        let list = self.lists.get_mut(&(TypeId::of::<T>(), capacity))?.pop()?;
+        self.bytes -= capacity * size_of::<T>();
         list.downcast().ok().map(|list| *list)
     }
 
-    /// Gives it back if there would be more than `most_bytes`.
-    fn keep<T: Value>(&mut self, list: Vec<T>, most_bytes: usize) -> Option<Vec<T>> {
-        let (room, bytes) = (list.capacity(), list.capacity() * size_of::<T>());
-        if self.bytes + bytes > most_bytes {
+    /// Adds a buffer, or returns it if the pool would hold more than `max_bytes`.
+    fn put<T: Value>(&mut self, list: Vec<T>, max_bytes: usize) -> Option<Vec<T>> {
+        let (capacity, bytes) = (list.capacity(), list.capacity() * size_of::<T>());
+        if self.bytes + bytes > max_bytes {
             return Some(list);
         }
         self.bytes += bytes;
-        self.lists.entry((TypeId::of::<T>(), room)).or_default().push(Box::new(list));
+        self.lists.entry((TypeId::of::<T>(), capacity)).or_default().push(Box::new(list));
         None
     }
 }
 
-fn shared() -> MutexGuard<'static, Spare> {
-    SPARE.lock().unwrap_or_else(PoisonError::into_inner)
+fn shared() -> MutexGuard<'static, Pool> {
+    SHARED.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A value that may be of any bits.
+/// An element type for which any bit pattern is valid.
 pub trait Value: Pod + Send {}
 impl<T: Pod + Send> Value for T {}
 
-/// Some values, whose memory is used again after them.
+/// A fixed-length buffer whose memory returns to the pool when dropped.
 #[derive(Debug, PartialEq)]
 pub struct Reused<T: Value>(Vec<T>);
 
 impl<T: Value> Reused<T> {
-    /// So many values, which may be any: those of what lay there before.
+    /// A buffer with arbitrary contents: whatever its memory held before.
     #[must_use]
     pub fn of_any(len: usize) -> Self {
-        let room = room_for(len);
-        let own = OWN.try_with(|own| own.borrow_mut().take(room)).ok().flatten();
-        let mut list = own.or_else(|| shared().take(room)).unwrap_or_else(|| Vec::with_capacity(room));
+        let capacity = capacity_for(len);
+        let own = OWN.try_with(|own| own.borrow_mut().take(capacity)).ok().flatten();
+        let mut list =
+            own.or_else(|| shared().take(capacity)).unwrap_or_else(|| Vec::with_capacity(capacity));
         list.resize(len, T::zeroed());
         Self(list)
     }
 
-    /// So many of one value.
+    /// A buffer filled with one value.
     #[must_use]
     pub fn filled(len: usize, value: T) -> Self {
         let mut values = Self::of_any(len);
@@ -85,8 +86,8 @@ impl<T: Value> Reused<T> {
     }
 }
 
-/// Room that is made for so many values: one of four sizes an octave, so that what differs a little shares them.
-const fn room_for(len: usize) -> usize {
+/// Capacity for a length, rounded up to one of four sizes per octave, so that similar lengths share buffers.
+const fn capacity_for(len: usize) -> usize {
     let step = (len / 8 + 1).next_power_of_two();
     len.next_multiple_of(step)
 }
@@ -94,13 +95,13 @@ const fn room_for(len: usize) -> usize {
 impl<T: Value> Drop for Reused<T> {
     fn drop(&mut self) {
         let list = std::mem::take(&mut self.0);
-        if list.capacity() * size_of::<T>() < LEAST_BYTES {
+        if list.capacity() * size_of::<T>() < MIN_BYTES {
             return;
         }
-        // A thread that ends has nothing of its own any more, and lets go of this.
-        let left = OWN.try_with(|own| own.borrow_mut().keep(list, MOST_OWN_BYTES)).ok().flatten();
+        // While a thread ends its own pool is gone, and the buffer is freed.
+        let left = OWN.try_with(|own| own.borrow_mut().put(list, MAX_OWN_BYTES)).ok().flatten();
         if let Some(list) = left {
-            drop(shared().keep(list, MOST_BYTES));
+            drop(shared().put(list, MAX_BYTES));
         }
     }
 }
@@ -158,28 +159,28 @@ mod tests {
     use super::*;
 
     #[test]
-    fn room_is_enough_and_at_most_a_quarter_more() {
-        let mut rooms: Vec<usize> = (0..100_000).map(room_for).collect();
-        for (len, room) in rooms.iter().enumerate() {
-            assert!(*room >= len && *room <= len + len / 4 + 1, "{room} for {len}");
+    fn capacity_exceeds_the_length_by_at_most_a_quarter() {
+        let mut capacities: Vec<usize> = (0..100_000).map(capacity_for).collect();
+        for (len, capacity) in capacities.iter().enumerate() {
+            assert!(*capacity >= len && *capacity <= len + len / 4 + 1, "{capacity} for {len}");
         }
-        rooms.dedup();
-        assert!(rooms.len() < 100, "{} rooms", rooms.len());
+        capacities.dedup();
+        assert!(capacities.len() < 100, "{} capacities", capacities.len());
     }
 
     #[test]
-    fn what_is_small_or_empty_is_not_hoarded() {
-        let kept = || OWN.with_borrow(|own| own.lists.values().map(Vec::len).sum::<usize>());
-        for len in [0, 1, LEAST_BYTES / size_of::<f32>() / 2] {
+    fn small_buffers_are_not_pooled() {
+        let pooled = || OWN.with_borrow(|own| own.lists.values().map(Vec::len).sum::<usize>());
+        for len in [0, 1, MIN_BYTES / size_of::<f32>() / 2] {
             drop(Reused::filled(len, 1.0_f32));
-            assert_eq!(kept(), 0, "{len} values");
+            assert_eq!(pooled(), 0, "{len} values");
         }
-        drop(Reused::filled(LEAST_BYTES / size_of::<f32>(), 1.0_f32));
-        assert_eq!(kept(), 1);
+        drop(Reused::filled(MIN_BYTES / size_of::<f32>(), 1.0_f32));
+        assert_eq!(pooled(), 1);
     }
 
     #[test]
-    fn memory_comes_back_and_values_are_their_owners() {
+    fn memory_is_reused_and_clones_are_independent() {
         let len = 123_457;
         let mut first = Reused::filled(len, 7.0_f32);
         let address = first.as_ptr();
@@ -189,9 +190,9 @@ mod tests {
         assert_eq!((second[len - 1], first[len - 1]), (7.0, 8.0));
         drop(second);
         drop(first);
-        // For a few more.
+        // Slightly larger, of the same capacity.
         let again = Reused::<f32>::of_any(len + 2);
         assert_eq!(again.len(), len + 2);
-        assert_eq!(again.as_ptr(), address, "what was left last on this thread is taken first");
+        assert_eq!(again.as_ptr(), address, "the buffer last dropped on this thread is taken first");
     }
 }

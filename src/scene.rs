@@ -1,9 +1,8 @@
-//! A scene: everything there is to draw, as plain data in metres, made from one seed and one set of values.
+//! A scene: everything there is to render, as plain data in metres, built from one seed and one set of parameters.
 //!
-//! Must not know: wgpu, picture sizes, files. `Scene` is made by [`Scene::build`], or by hand in a test: the
-//! renderer sees no difference.
-//! To add an element: a file in `scene/` with its `build`, one line in [`Scene::build`], one in
-//! [`Scene::hash_geometry`], and a class in `class.rs` if it is a new one.
+//! Must not know: wgpu, image sizes, files. `Scene` is built by [`Scene::build`], or field by field in a test.
+//! To add an element: a file in `scene/` with its `build`, one line in [`Scene::build`], one in `Scene::hash_geometry`, and a
+//! class in `class.rs` if it is a new one.
 
 pub mod bounce;
 pub mod camera;
@@ -44,20 +43,20 @@ use terrain::Terrain;
 /// Colour of the regolith before it is scaled to the albedo knob, linear RGB.
 const REGOLITH_TINT: [f64; 3] = [0.22, 0.205, 0.19];
 
-/// Everything that a frame shows.
+/// Everything that can be rendered.
 #[derive(Clone, Debug)]
 pub struct Scene {
-    /// The ground. Copies of a scene share it.
+    /// The ground. Clones of a scene share it.
     pub terrain: Arc<Terrain>,
-    /// Of the surface stage: the height function that the ground was sampled from.
+    /// Surface stage: the height function that the ground was sampled from.
     pub relief: Option<Relief>,
-    /// How the ground reflects.
+    /// Material of the ground.
     pub regolith: Material,
-    /// The law by which ground and rocks reflect.
+    /// Photometric functions of ground and rocks.
     pub photometry: Photometry,
-    /// Which rocks count as regolith.
+    /// Which rocks are labelled as regolith.
     pub label_rule: LabelRule,
-    /// The boulders, by number.
+    /// The rocks, by index.
     pub rocks: Rocks,
     /// Dome and stars.
     pub sky: Sky,
@@ -65,26 +64,26 @@ pub struct Scene {
     pub sun: Sun,
     /// The rover's camera.
     pub camera: Camera,
-    /// What takes its picture; none for the plain one.
+    /// Sensor model applied to the image, if any.
     pub sensor: Option<Sensor>,
 }
 
-/// Which rocks are too small to count as rocks, and which craters are marked: rules on the things, not on the mask.
+/// Which rocks are too small to be labelled as rocks, and which craters are labelled: rules on objects, not on pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LabelRule {
-    /// Those that would cover fewer pixels with nothing before them.
+    /// Rocks that would cover fewer pixels if unoccluded are labelled as regolith.
     pub min_pixels: f32,
-    /// Those with a smaller diameter, metres.
+    /// Rocks with a smaller diameter, metres, are labelled as regolith.
     pub min_diameter_m: f32,
-    /// Smaller craters are not marked, metres.
+    /// Craters with a smaller diameter, metres, are not labelled.
     pub crater_min_diameter_m: f32,
-    /// Nor are those with a smaller depth, diameters.
+    /// Craters with a smaller depth, in diameters, are not labelled.
     pub crater_min_depth: f32,
 }
 
 impl LabelRule {
-    /// Whether a rock counts as one in a picture in which a length of a metre, a metre away, spans `focal_px` pixels. Its
-    /// outline is taken as a disc of its diameter.
+    /// Whether a rock is labelled as a rock in an image with a focal length of `focal_px` pixels. Its silhouette is approximated
+    /// by a disc of its diameter.
     #[must_use]
     pub fn counts(&self, rock: &Rock, eye: Vec3, focal_px: f32) -> bool {
         if self.min_diameter_m <= 0.0 && self.min_pixels <= 0.0 {
@@ -98,10 +97,10 @@ impl LabelRule {
 }
 
 impl Scene {
-    /// The scene of a seed and its values. The same on every machine and for every number of threads.
+    /// The scene of a seed and its parameters: the same bits on every machine and for every number of threads.
     ///
     /// # Errors
-    /// [`crate::Error::Scene`] if the camera cannot stand where it was put.
+    /// [`crate::Error::Scene`] if the camera is too low or outside the sky dome.
     pub fn build(seed: u64, params: &Params) -> Result<Self> {
         let streams = Streams::new(seed);
         match params.stage() {
@@ -147,9 +146,9 @@ impl Scene {
         regolith: Material,
         camera: Camera,
     ) -> Self {
-        let place = camera.eye.truncate();
+        let below_eye = camera.eye.truncate();
         Self {
-            sky: Sky::build(streams, params, place.extend(terrain.height_at(place))),
+            sky: Sky::build(streams, params, below_eye.extend(terrain.height_at(below_eye))),
             photometry: Photometry::build(params),
             label_rule: LabelRule {
                 min_pixels: params.number(Knob::LabelMinPixels) as f32,
@@ -167,15 +166,14 @@ impl Scene {
         }
     }
 
-    /// Numbers of the rocks that were moved because they came too near to the eye, which are built with the scene.
+    /// Indices of the rocks that were moved because they overlapped the camera.
     #[must_use]
     pub fn moved_rocks(&self) -> Vec<u32> {
         self.rocks.built().filter(|rock| rock.moved).map(|rock| rock.index).collect()
     }
 
-    /// Hash (XXH3, 128 bits, hexadecimal) of what there is, whichever part of it a picture shows: every vertex of the ground,
-    /// dome and stars, and the rocks: where a rock is built only when it is asked for, its place, its size and the vertices of its
-    /// coarsest mesh, else all its vertices and where they lie.
+    /// Hash (XXH3, 128 bits, hexadecimal) of the geometry, independent of the camera on the nominal stage: every vertex of
+    /// the ground, dome and stars, and the rocks ([`Rocks::write_to`]).
     #[must_use]
     pub fn geometry_hash(&self) -> String {
         let mut hasher = XxHash3_128::new();

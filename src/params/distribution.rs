@@ -1,4 +1,4 @@
-//! Values of knobs and the distributions that they are drawn from, with their form in TOML.
+//! Values of knobs and the distributions that they are drawn from, with their form in TOML and JSON.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -14,7 +14,7 @@ pub enum Value {
     Number(f64),
     /// A colour, linear RGB.
     Rgb([f64; 3]),
-    /// A word.
+    /// A text.
     Text(Cow<'static, str>),
 }
 
@@ -44,13 +44,13 @@ pub enum Distribution {
         /// Upper end.
         high: f64,
     },
-    /// Normal; a draw beyond the clip becomes its nearer end.
+    /// Normal; draws are clamped to the clip range.
     Normal {
         /// Mean.
         mean: f64,
         /// Standard deviation.
         sigma: f64,
-        /// Lower and upper end of what may come out.
+        /// Clip range: lower and upper end.
         clip: [f64; 2],
     },
     /// `low + (high - low) * u^exponent` with u uniform in [0, 1).
@@ -62,7 +62,7 @@ pub enum Distribution {
         /// Above 1 for more small values.
         exponent: f64,
     },
-    /// A power (uniform for an exponent of 1) whose ends are drawn themselves, once a frame.
+    /// A power distribution (uniform if the exponent is 1) whose ends are themselves drawn once per frame.
     Between {
         /// Value for u = 0.
         low: Box<Self>,
@@ -75,7 +75,7 @@ pub enum Distribution {
     Choice {
         /// The values.
         values: Vec<Value>,
-        /// Their weights, as many.
+        /// One weight per value.
         weights: Vec<f64>,
     },
 }
@@ -87,7 +87,7 @@ impl Distribution {
         Self::Fixed(Value::Number(value))
     }
 
-    /// The distribution of one frame: random ends are drawn, lower then upper; one without them is as it is.
+    /// The distribution for one frame: draws random ends, lower then upper; others are returned unchanged.
     #[must_use]
     pub fn with_ends(&self, stream: &mut Stream) -> Self {
         let Self::Between { low, high, exponent } = self else { return self.clone() };
@@ -130,7 +130,7 @@ impl Distribution {
         Value::Number(number)
     }
 
-    /// Every value that bounds what can come out.
+    /// The values that bound the support.
     #[must_use]
     pub fn bounds(&self) -> Vec<Value> {
         match *self {
@@ -145,10 +145,10 @@ impl Distribution {
         }
     }
 
-    /// Reads the TOML form; `range` is what clips a normal distribution that has no clip of its own.
+    /// Parses the TOML form; `range` clips a normal distribution without a clip of its own.
     ///
     /// # Errors
-    /// What would be right instead.
+    /// A description of what is expected.
     pub fn from_toml(value: &toml::Value, range: [f64; 2]) -> Result<Self, String> {
         match value {
             toml::Value::Table(table) => Self::from_table(table, range),
@@ -264,7 +264,7 @@ impl Distribution {
         Ok(Self::Choice { values, weights })
     }
 
-    /// The same form as JSON; whole numbers without a point where `whole`.
+    /// The same form as JSON; integers if `whole`.
     #[must_use]
     pub fn to_json(&self, whole: bool) -> serde_json::Value {
         match self {
@@ -332,7 +332,7 @@ fn pair(value: &toml::Value) -> Option<[f64; 2]> {
     }
 }
 
-/// A number as TOML: whole ones without a point, those beyond TOML's integers with an exponent.
+/// Formats a number as TOML: integers without a decimal point, large ones with an exponent.
 struct Plain(f64);
 
 impl fmt::Display for Plain {
@@ -381,7 +381,7 @@ impl fmt::Display for Distribution {
 }
 
 #[cfg(test)]
-#[allow(clippy::disallowed_methods, reason = "what is expected may be reckoned with std's functions")]
+#[allow(clippy::disallowed_methods, reason = "expected values may be computed with std's functions")]
 mod tests {
     use super::*;
     use crate::random::Streams;
@@ -392,7 +392,7 @@ mod tests {
     }
 
     #[test]
-    fn every_form_is_read_and_written_alike() {
+    fn every_form_round_trips() {
         for text in [
             "17",
             "-0.5",
@@ -418,7 +418,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_is_refused_with_what_would_be_right() {
+    fn invalid_forms_are_refused_with_what_is_expected() {
         for (text, expected) in [
             ("nan", "finite"),
             ("inf", "finite"),
@@ -445,7 +445,7 @@ mod tests {
     }
 
     #[test]
-    fn random_ends_are_drawn_once_and_then_hold() {
+    fn random_ends_are_drawn_once_per_frame() {
         let from =
             parse("{ power = [{ uniform = [1, 2] }, { uniform = [3, 4] }], exponent = 2 }").expect("read");
         let mut lows = Vec::new();
@@ -463,7 +463,7 @@ mod tests {
     }
 
     #[test]
-    fn draws_have_the_range_and_mean_of_their_distribution() {
+    fn samples_have_the_range_and_mean_of_their_distribution() {
         for (text, mean, tolerance) in [
             ("{ uniform = [2, 4] }", 3.0, 0.02),
             ("{ uniform_int = [1, 4] }", 2.5, 0.03),

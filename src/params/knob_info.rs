@@ -1,4 +1,4 @@
-//! What is known of a knob: its type, its range, its stage, and the checks that follow from them.
+//! The type, range and stage of a knob, and the checks that follow from them.
 //!
 //! Must not know: which knobs there are.
 
@@ -7,7 +7,7 @@ use super::distribution::Value;
 use crate::error::{Error, Result, nearest};
 use Kind::{Integer, Number, Rgb, Text};
 
-/// What sort of value a knob takes.
+/// Type of a knob's value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Kind {
     /// Any number in the range.
@@ -16,25 +16,25 @@ pub enum Kind {
     Integer,
     /// A colour, each channel in the range.
     Rgb,
-    /// One of these words.
+    /// One of these texts.
     Text(&'static [&'static str]),
 }
 
-/// How often a knob is drawn.
+/// What a knob is drawn for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scope {
-    /// Once a frame.
+    /// Once per frame.
     Frame,
-    /// Once for each of these.
+    /// Once for each of these elements.
     Element(&'static str),
 }
 
-/// A stage.
+/// The kind of scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
     /// The reference stage: simple and exactly specified.
     Nominal,
-    /// The realistic ground.
+    /// The realistic lunar surface.
     Surface,
 }
 
@@ -55,31 +55,31 @@ impl Stage {
     }
 }
 
-/// All that is known of a knob.
+/// One row of the table of knobs.
 #[derive(Debug)]
 pub struct KnobInfo {
     /// Dotted name.
     pub name: &'static str,
     /// Unit, empty for none.
     pub unit: &'static str,
-    /// What it takes.
+    /// Type of its value.
     pub kind: Kind,
-    /// How often it is drawn.
+    /// What it is drawn for.
     pub scope: Scope,
-    /// The stage that it belongs to; none for those of every stage.
+    /// The only stage that has it; `None` if every stage has.
     pub stage: Option<Stage>,
     /// Its default.
     pub default: Distribution,
-    /// Its default on the surface stage, where that is another one.
+    /// Its default on the surface stage, if different.
     pub surface_default: Option<Distribution>,
     /// Smallest and largest allowed number.
     pub range: [f64; 2],
-    /// What it does.
+    /// One-line description for users.
     pub doc: &'static str,
 }
 
 impl KnobInfo {
-    /// Whether a stage has it.
+    /// Whether a stage has this knob.
     #[must_use]
     pub fn is_of(&self, stage: Stage) -> bool {
         self.stage.is_none_or(|own| own == stage)
@@ -91,7 +91,7 @@ impl KnobInfo {
         self.surface_default.as_ref().filter(|_| stage == Stage::Surface).unwrap_or(&self.default)
     }
 
-    /// The allowed values in words, with the unit.
+    /// The allowed values as text, with the unit.
     #[must_use]
     pub fn allowed(&self) -> String {
         let [low, high] = self.range;
@@ -104,7 +104,7 @@ impl KnobInfo {
         }
     }
 
-    /// Checks that whatever the distribution can give is right for this knob.
+    /// Checks that every value that the distribution can give is allowed.
     pub(super) fn check(&self, distribution: &Distribution, origin: &str) -> Result<()> {
         let wrong_type = |expected: &str| Error::KnobType {
             name: self.name.to_owned(),

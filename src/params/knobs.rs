@@ -23,7 +23,7 @@ const fn uniform(low: f64, high: f64) -> Distribution {
 macro_rules! knobs {
     ($($knob:ident $name:literal $unit:literal $(in $stage:ident)? $kind:expr, $scope:expr, $default:expr
         $(=> $surface:expr)?, $range:expr, $doc:literal;)*) => {
-        /// Every knob, by its place in [`KNOBS`].
+        /// Every knob; the discriminant is its index in [`KNOBS`].
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum Knob { $(#[doc = $doc] $knob,)* }
 
@@ -239,7 +239,7 @@ knobs! {
 }
 
 impl Knob {
-    /// Its row.
+    /// Its row in the table.
     #[must_use]
     pub fn info(self) -> &'static KnobInfo {
         &KNOBS[self as usize]
@@ -258,8 +258,8 @@ mod tests {
 
     #[test]
     fn the_table_keeps_its_own_rules() {
-        for (place, info) in KNOBS.iter().enumerate() {
-            assert_eq!(Knob::ALL[place] as usize, place);
+        for (index, info) in KNOBS.iter().enumerate() {
+            assert_eq!(Knob::ALL[index] as usize, index);
             for default in [&info.default].into_iter().chain(&info.surface_default) {
                 info.check(default, "default").unwrap_or_else(|error| panic!("{error}"));
             }

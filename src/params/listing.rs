@@ -12,7 +12,7 @@ use super::knobs::{KNOBS, Knob};
 use super::sampler::Config;
 
 impl Config {
-    /// The knobs that the stages have, with what they are drawn from on the first stage that has each.
+    /// The knobs of the stages with their distributions, on the first stage that has each.
     fn rows(&self) -> impl Iterator<Item = (&'static KnobInfo, &Distribution)> {
         let stages = self.stages();
         Knob::ALL.into_iter().filter_map(move |knob| {
@@ -21,7 +21,7 @@ impl Config {
         })
     }
 
-    /// Every knob with what is known of it, as TOML that [`Self::apply_toml`] reads.
+    /// Every knob with its description, as TOML that [`Self::apply_toml`] reads.
     #[must_use]
     pub fn to_toml(&self) -> String {
         let mut text = String::new();
@@ -56,7 +56,7 @@ impl Config {
             .collect()
     }
 
-    /// Every knob with what is known of it.
+    /// Every knob with its type, unit, default and description.
     #[must_use]
     pub fn to_json(&self) -> serde_json::Value {
         let stage = self.stages()[0];

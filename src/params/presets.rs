@@ -9,7 +9,7 @@ macro_rules! preset_files {
     };
 }
 
-/// Name and TOML text of every preset that ships; the text starts with a comment that says what it is.
+/// Name and TOML text of every preset; the text starts with a comment that describes it.
 #[must_use]
 pub const fn presets() -> [(&'static str, &'static str); 16] {
     preset_files![
@@ -32,7 +32,7 @@ pub const fn presets() -> [(&'static str, &'static str); 16] {
     ]
 }
 
-/// What a preset is, in a line: the comment that its text starts with.
+/// One-line description of a preset: the comment that its text starts with.
 #[must_use]
 pub fn preset_description(name: &str) -> Option<&'static str> {
     let (_, text) = presets().into_iter().find(|(preset, _)| *preset == name)?;

@@ -1,7 +1,7 @@
-//! From presets, files and `--set` to the values of one frame.
+//! From presets, files and `--set` to the parameters of one frame.
 //!
-//! A [`Config`] holds what each knob is drawn from; later settings win over earlier ones, and a setting that is
-//! refused changes nothing. [`Config::draw`] gives the values of a seed: every knob from a stream of its own.
+//! A [`Config`] holds the distribution of each knob; later settings override earlier ones, and a setting that is refused
+//! changes nothing. [`Config::draw`] draws the parameters of a seed, every knob from a random stream of its own.
 //! Must not know: what a knob does.
 
 use std::path::Path;
@@ -15,29 +15,29 @@ use super::presets::presets;
 use crate::error::{Error, Result, nearest};
 use crate::random::Streams;
 
-/// Element number of the stream that a knob's random ends are drawn from; no scene has as many elements.
+/// Element of the stream that a knob's random ends are drawn from; no scene has that many elements.
 const ENDS: u64 = u64::MAX;
 
-/// What each knob is drawn from.
+/// The distribution of each knob.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Config {
-    /// What was set; the rest is the stage's.
+    /// Distributions that were set; the others are the stage's defaults.
     pub(super) settings: Vec<Option<Distribution>>,
     rules: Vec<RuleSetting>,
 }
 
-/// A setting of the section `[rules]`, which says what frames a dataset takes: kept for the dataset to read.
+/// A setting of the section `[rules]`, which says which frames a dataset accepts; stored for the dataset to read.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RuleSetting {
     /// Its name without `rules.`.
     pub name: String,
-    /// As it was given.
+    /// Its value, unchecked.
     pub value: toml::Value,
-    /// Where it was given.
+    /// Where it was set, for error messages.
     pub origin: String,
 }
 
-/// The name within `[rules]` of a setting; the demands on classes may also stand alone.
+/// The name within `[rules]` of a setting; `require` is also allowed at the top level.
 fn rule_name(name: &str) -> Option<&str> {
     name.strip_prefix("rules.").or((name == "require").then_some(name))
 }
@@ -55,19 +55,19 @@ impl Config {
         Self { settings: vec![None; KNOBS.len()], rules: Vec::new() }
     }
 
-    /// What a knob is drawn from on a stage.
+    /// The distribution of a knob on a stage.
     #[must_use]
     pub fn distribution_on(&self, stage: Stage, knob: Knob) -> &Distribution {
         self.settings[knob as usize].as_ref().unwrap_or_else(|| knob.info().default_on(stage))
     }
 
-    /// What a knob is drawn from; where there are several stages, on the first of them.
+    /// The distribution of a knob, on the first stage if there are several.
     #[must_use]
     pub fn distribution(&self, knob: Knob) -> &Distribution {
         self.distribution_on(self.stages()[0], knob)
     }
 
-    /// The stages that frames may show.
+    /// The stages that frames may have.
     #[must_use]
     pub fn stages(&self) -> Vec<Stage> {
         let names = self.distribution_on(Stage::Nominal, Knob::StageName).bounds();
@@ -76,7 +76,7 @@ impl Config {
         Stage::ALL.into_iter().filter(|(_, name)| is_named(name)).map(|(stage, _)| stage).collect()
     }
 
-    /// What was set of the rules for a dataset's frames, in the order in which it was.
+    /// The settings of `[rules]`, in order.
     #[must_use]
     pub fn rules(&self) -> &[RuleSetting] {
         &self.rules
@@ -85,7 +85,7 @@ impl Config {
     /// Starts from the defaults of a stage.
     ///
     /// # Errors
-    /// [`Error::KnobOutOfRange`] for a stage that there is not.
+    /// [`Error::KnobOutOfRange`] for an unknown stage.
     pub fn set_stage(&mut self, name: &str) -> Result<()> {
         self.set(Knob::StageName.info(), Distribution::Fixed(Value::Text(name.to_owned().into())), "--stage")
     }
@@ -104,7 +104,7 @@ impl Config {
         )))
     }
 
-    /// Takes over a preset.
+    /// Applies a preset.
     ///
     /// # Errors
     /// [`Error::UnknownPreset`].
@@ -120,7 +120,7 @@ impl Config {
         }
     }
 
-    /// Takes over a TOML file, or what comes from standard input where its name is `-`.
+    /// Applies a TOML file, or standard input if the path is `-`.
     ///
     /// # Errors
     /// [`Error::Read`], or those of [`Self::apply_toml`].
@@ -133,11 +133,11 @@ impl Config {
         self.apply_toml(&text, &path.display().to_string())
     }
 
-    /// Takes over knobs from TOML: `[sun]` and `elevation_deg = 3` in it, or `sun.elevation_deg = 3`.
+    /// Applies knobs from TOML: `elevation_deg = 3` below `[sun]`, or `sun.elevation_deg = 3`.
     ///
     /// # Errors
     /// [`Error::Toml`], [`Error::UnknownKnob`], [`Error::KnobType`], [`Error::KnobOutOfRange`]: the first in the
-    /// text; nothing is taken over then.
+    /// text; nothing is applied then.
     pub fn apply_toml(&mut self, text: &str, origin: &str) -> Result<()> {
         let syntax = |error: toml::de::Error| {
             let before = &text[..error.span().map_or(0, |span| span.start.min(text.len()))];
@@ -167,7 +167,7 @@ impl Config {
         Ok(())
     }
 
-    /// Takes over knobs as [`Self::distributions_json`] or [`Params::to_json`] gives them.
+    /// Applies knobs in the form of [`Self::distributions_json`] or [`Params::to_json`].
     ///
     /// # Errors
     /// As [`Self::apply_toml`].
@@ -189,7 +189,7 @@ impl Config {
         Ok(())
     }
 
-    /// Takes over one `key=value`.
+    /// Applies one `key=value`.
     ///
     /// # Errors
     /// [`Error::Usage`] without a `=`, else as [`Self::apply_toml`].
@@ -211,7 +211,7 @@ impl Config {
         let info = KNOBS.iter().find(|info| info.name == name).ok_or_else(|| unknown(name, origin))?;
         match value {
             Some(value) => self.set_toml(info, &value, origin),
-            // A word needs no quotes here.
+            // Text needs no quotes here.
             None => self.set(info, Distribution::Fixed(Value::Text(text.to_owned().into())), origin),
         }
     }
@@ -242,7 +242,7 @@ impl Config {
         Ok(())
     }
 
-    /// Checks what a single knob's range cannot: that the values can hold together, whatever is drawn.
+    /// Checks constraints across knobs, for every value that can be drawn.
     ///
     /// # Errors
     /// [`Error::Contradiction`].
@@ -285,7 +285,7 @@ impl Config {
         Ok(())
     }
 
-    /// The values of a seed.
+    /// Draws the parameters of a seed.
     ///
     /// # Errors
     /// [`Error::Contradiction`].
@@ -326,7 +326,7 @@ impl Params {
 }
 
 fn unknown(name: &str, origin: &str) -> Error {
-    // What is said on the command line alone.
+    // Options that exist on the command line only.
     const OPTIONS: [&str; 12] = [
         "seed", "size", "samples", "outputs", "out", "count", "start", "split", "format", "adapter",
         "preset", "edges",

@@ -1,6 +1,6 @@
-//! The rover's camera: where it stands, how it looks, how a point falls on the picture.
+//! The rover's camera: pose, projection, and the part of the ground it views.
 //!
-//! Must not know: pixels are drawn by a GPU.
+//! Must not know: how images are rendered.
 
 use glam::camera::rh::proj::directx::perspective;
 use glam::{DVec3, Mat4, Vec2, Vec3};
@@ -14,19 +14,19 @@ use crate::params::{Knob, Params};
 
 /// Distance of the near plane, metres.
 const NEAR_M: f32 = 0.05;
-/// The eye must be this far above the drawn ground, metres.
+/// Minimum height of the eye above the ground mesh, metres.
 const MIN_CLEARANCE_M: f32 = 2.0 * NEAR_M;
 
-/// A pinhole camera with square pixels and the principal point in the middle.
+/// A pinhole camera with square pixels and the principal point in the centre of the image.
 #[derive(Clone, Copy, Debug)]
 pub struct Camera {
     /// Eye, metres, world.
     pub eye: Vec3,
     /// Unit vector along the optical axis.
     pub forward: Vec3,
-    /// Unit vector towards the right edge of the picture.
+    /// Unit vector towards the right edge of the image.
     pub right: Vec3,
-    /// Unit vector towards the top edge of the picture.
+    /// Unit vector towards the top edge of the image.
     pub up: Vec3,
     /// Tangent of half the horizontal field of view.
     pub tan_half_fov: f32,
@@ -36,12 +36,12 @@ pub struct Camera {
     pub far_m: f32,
     /// Exposure relative to the reference, in stops.
     pub exposure_ev: f32,
-    /// How its lens distorts.
+    /// Distortion of its lens.
     pub lens: Lens,
 }
 
-/// Where the camera of these settings stands, seen from above.
-fn place(params: &Params) -> Vec2 {
+/// Horizontal position of the camera, metres.
+fn position(params: &Params) -> Vec2 {
     Vec2::new(params.number(Knob::CameraXM) as f32, params.number(Knob::CameraYM) as f32)
 }
 
@@ -53,14 +53,15 @@ fn lens(params: &Params) -> Lens {
 }
 
 impl Camera {
-    /// The camera of these settings above its own ground.
+    /// The camera of these parameters, on this ground.
     ///
     /// # Errors
-    /// [`Error::Scene`] if the drawn ground comes to the lens: a very low camera on very rough ground.
+    /// [`Error::Scene`] if the ground mesh reaches the near plane (a very low camera on very rough ground) or the camera
+    /// is outside the sky dome.
     pub fn build(params: &Params, terrain: &Terrain) -> Result<Self> {
-        let place = place(params);
+        let position = position(params);
         let height_m = params.number(Knob::CameraHeightM) as f32;
-        let eye = place.extend(terrain.height_at(place) + height_m);
+        let eye = position.extend(terrain.height_at(position) + height_m);
         let dome_m = params.number(Knob::SkyDomeRadiusM);
         if f64::from(height_m) >= innermost_star_m(dome_m) {
             return Err(Error::Scene(format!(
@@ -68,7 +69,7 @@ impl Camera {
                  {dome_m}; lower it, or make the dome larger"
             )));
         }
-        let clearance_m = eye.z - terrain.surface_height_at(place);
+        let clearance_m = eye.z - terrain.surface_height_at(position);
         if clearance_m < MIN_CLEARANCE_M {
             return Err(Error::Scene(format!(
                 "camera.height_m = {height_m} leaves the eye {clearance_m:.3} m above the drawn ground, \
@@ -78,11 +79,11 @@ impl Camera {
         Ok(Self::above(params, eye.z))
     }
 
-    /// The camera of these settings with its eye at a height, metres, world.
+    /// The camera of these parameters with its eye at this z, metres, world.
     #[must_use]
     pub fn above(params: &Params, z_m: f32) -> Self {
         let mut camera = Self::new(
-            place(params).extend(z_m),
+            position(params).extend(z_m),
             [Knob::CameraPitchDeg, Knob::CameraYawDeg, Knob::CameraRollDeg].map(|knob| params.number(knob)),
             params.number(Knob::CameraFovDeg),
             2.0 * params.number(Knob::SkyDomeRadiusM) as f32 + params.number(Knob::TerrainSizeM) as f32,
@@ -92,8 +93,8 @@ impl Camera {
         camera
     }
 
-    /// A camera at `eye` that looks along +Y, then is turned by pitch (up), yaw (compass, towards +X) and roll
-    /// (clockwise), all in degrees.
+    /// A camera at `eye` that looks along +Y, then is rotated by pitch (up), yaw (clockwise from above, towards +X) and
+    /// roll (clockwise), all in degrees.
     #[must_use]
     pub fn new(eye: Vec3, pitch_yaw_roll_deg: [f64; 3], fov_deg: f64, far_m: f32, exposure_ev: f32) -> Self {
         let [pitch, yaw, roll] = pitch_yaw_roll_deg.map(f64::to_radians);
@@ -122,19 +123,19 @@ impl Camera {
         2.0 * libm::atan(f64::from(self.tan_half_fov)).to_degrees()
     }
 
-    /// Focal length in pixels of a picture `width_px` wide.
+    /// Focal length in pixels for an image `width_px` wide.
     #[must_use]
     pub fn focal_px(&self, width_px: u32) -> f64 {
         0.5 * f64::from(width_px) / f64::from(self.tan_half_fov)
     }
 
-    /// The camera with a wider field of view whose picture holds all that the lens brings onto a picture of this size, and
-    /// the size of that picture; focal length in pixels and middle stay. None if [`Lens::reach`] has none.
+    /// The camera with the wider field of view that an undistorted image needs to cover a distorted one of this size, and
+    /// the size of that image; focal length in pixels and principal point stay. `None` if [`Lens::reach`] is.
     #[must_use]
     pub fn widened(&self, [width_px, height_px]: [u32; 2]) -> Option<(Self, [u32; 2])> {
         let half_x = f64::from(self.tan_half_fov);
         let reach = self.lens.reach([half_x, half_x * f64::from(height_px) / f64::from(width_px)])?;
-        // By whole pixels on each side, and one more for what rounding may ask.
+        // Whole pixels on each side, plus one for rounding.
         let wide =
             |side: u32, reach: f64| side + 2 * (libm::ceil(0.5 * f64::from(side) * (reach - 1.0)) as u32 + 1);
         let size = [wide(width_px, reach[0]), wide(height_px, reach[1])];
@@ -142,7 +143,7 @@ impl Camera {
         Some((Self { tan_half_fov, ..*self }, size))
     }
 
-    /// Intrinsic matrix for a picture of this size, pixels; pixel (u, v) has its centre at (u + 0.5, v + 0.5).
+    /// Intrinsic matrix for an image of this size, pixels; pixel (u, v) has its centre at (u + 0.5, v + 0.5).
     #[must_use]
     pub fn intrinsics(&self, [width_px, height_px]: [u32; 2]) -> [[f64; 3]; 3] {
         let focal = self.focal_px(width_px);
@@ -179,7 +180,7 @@ impl Camera {
         )
     }
 
-    /// World to clip space for a picture of this size, with reversed depth: 1 at the near plane, 0 at the far.
+    /// World to clip space for an image of this size, with reversed z: depth 1 at the near plane, 0 at the far plane.
     #[must_use]
     pub fn clip_from_world(&self, [width_px, height_px]: [u32; 2]) -> Mat4 {
         let aspect = width_px as f32 / height_px as f32;
@@ -188,29 +189,29 @@ impl Camera {
     }
 }
 
-/// Least height of the eye that the ground's mesh is made for, metres.
-const LEAST_EYE_M: f32 = 0.5;
-/// What the sector of fine ground, and of small rocks, has beyond what a square picture shows, on each side, radians: for lenses
-/// and for pictures that are somewhat taller. (A scene knows no picture's size.)
+/// Minimum eye height for the cell sizes of the ground mesh, metres.
+const MIN_EYE_M: f32 = 0.5;
+/// Margin of the viewed sector on each side of a square image, radians: for lens distortion and taller images. (A scene does
+/// not know the image size.)
 const SECTOR_MARGIN: f64 = 0.12;
 
-/// What the rings of the surface stage are made for with these settings.
+/// The view that the rings of the surface stage are built for.
 #[must_use]
 pub fn ground_view(params: &Params) -> View {
     let angles = [Knob::CameraPitchDeg, Knob::CameraYawDeg, Knob::CameraRollDeg].map(|k| params.number(k));
     let camera = Camera::new(Vec3::ZERO, angles, params.number(Knob::CameraFovDeg), 1.0, 0.0);
     let azimuth = angles[1].to_radians();
     let ahead = Vec2::new(libm::sin(azimuth) as f32, libm::cos(azimuth) as f32);
-    // The widest azimuth of the picture's border; where it goes round below the eye, all around.
+    // The largest azimuth along the image border; a full circle if the border passes below the eye.
     let mut half_sector = 0.0_f64;
     for (across, up) in (-4..=4).flat_map(|i| [(i, -4), (i, 4), (-4, i), (4, i)]) {
-        let [across, up] = [across, up].map(|share: i32| share as f32 / 4.0 * camera.tan_half_fov);
+        let [across, up] = [across, up].map(|quarter: i32| quarter as f32 / 4.0 * camera.tan_half_fov);
         let ray = (camera.forward + across * camera.right + up * camera.up).truncate();
         let angle = libm::atan2(f64::from(ray.perp_dot(ahead)).abs(), f64::from(ray.dot(ahead)));
         half_sector = half_sector.max(angle);
     }
     View {
-        eye_height_m: (params.number(Knob::CameraHeightM) as f32).max(LEAST_EYE_M),
+        eye_height_m: (params.number(Knob::CameraHeightM) as f32).max(MIN_EYE_M),
         azimuth,
         half_sector: (half_sector + SECTOR_MARGIN).min(std::f64::consts::PI),
         cell: 1e-3 * params.number(Knob::TerrainCellMrad),
@@ -218,7 +219,7 @@ pub fn ground_view(params: &Params) -> View {
     }
 }
 
-/// Rows of a rigid transform: where the axes point, and the origin.
+/// Rows of a rigid transform from its axes and its origin.
 fn pose(x: Vec3, y: Vec3, z: Vec3, origin: Vec3) -> [[f64; 4]; 4] {
     let row = |i: usize| [x[i], y[i], z[i], origin[i]].map(f64::from);
     [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]]

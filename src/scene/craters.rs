@@ -1,11 +1,11 @@
 //! The craters of the surface stage: from decimetres (and, as pits, centimetres) to tens of metres, in equilibrium.
 //!
-//! Their numbers follow Trask's law N(>D) = 0.0794 D^-2 a square metre (Trask 1966, as in the CraterStats function
-//! file), their sections the profile of Yang et al. 2021 (GRL 48, 2021GL095537) scaled to a depth that age has worn.
-//! Craters of an octave of diameters lie on two lattices, at most one a cell: where and how large is a hash of the
-//! cell, so that nobody has to make a list of millions to know those around a place.
-//! Instead of those of more than [`UNCLASSED_M`] there may be three classes of counted craters, which are a list.
-//! Must not know: who asks. Twin of the slopes: `shaders/common/relief.wgsl`.
+//! Their numbers follow Trask's law N(>D) = 0.0794 D^-2 per square metre (Trask 1966, as in the CraterStats function
+//! file), their cross-sections the profile of Yang et al. 2021 (GRL 48, 2021GL095537), scaled to a depth that decreases with
+//! age. Craters of one octave of diameters lie on two lattices, at most one per cell: position and size are a hash of the
+//! cell, so that the craters around a point are found without a list of millions.
+//! Craters above [`UNCLASSED_M`] may be replaced by a list: three classes with fixed counts.
+//! Must not know: who asks. GPU counterpart of the slopes: `shaders/common/relief.wgsl`.
 
 use glam::Vec2;
 
@@ -14,34 +14,34 @@ use super::noise::lattice_hash;
 use crate::params::{Knob, Params};
 use crate::random::Streams;
 
-/// Craters larger than 1 m in diameter a square metre, in equilibrium (Trask 1966).
+/// Craters larger than 1 m in diameter per square metre, in equilibrium (Trask 1966).
 pub const TRASK_DENSITY: f64 = 0.0794;
-/// Counted craters: the knob of their number, the purpose of their streams, smallest and largest radius, metres.
+/// Crater classes: the knob of the count, the purpose of the random streams, the range of radii, metres.
 const CLASSES: [(Knob, &str, [f64; 2]); 3] = [
     (Knob::CratersBigCount, "craters.big", [14.0, 40.0]),
     (Knob::CratersMediumCount, "craters.medium", [3.0, 12.0]),
     (Knob::CratersSmallCount, "craters.small", [0.6, 3.0]),
 ];
-/// Half the side of the square around the origin in which their centres lie, metres: that of the nominal stage's.
+/// Half the side of the square around the origin in which their centres lie, metres: as on the nominal stage.
 const CLASSES_HALF_M: f64 = 383.0;
-/// Where craters are counted by class, those up to this diameter are in equilibrium all the same, metres.
+/// With classes, craters up to this diameter are still in equilibrium, metres.
 pub const UNCLASSED_M: f64 = 1.25;
 /// Largest diameter, metres.
 pub const LARGEST_M: f64 = 80.0;
-/// Octaves of diameters, each half the one before: from 80 m to 2 cm.
+/// Octaves of diameters, halving from 80 m to 2 cm.
 pub const OCTAVES: u32 = 12;
-/// Lattices an octave.
+/// Lattices per octave.
 pub const LATTICES: u32 = 2;
 /// Largest diameter of an octave, cells of its lattice.
 pub const DIAMETER_CELLS: f64 = 0.44;
 /// Largest distance of a centre from the middle of its cell along an axis, cells.
 pub const JITTER_CELLS: f32 = 0.17;
-/// How far a crater changes the ground, in radii.
+/// Radius within which a crater changes the height, in crater radii.
 pub const REACH_RADII: f32 = 2.5;
-/// Depth from crest to floor of the profile, diameters.
+/// Rim-to-floor depth of the profile, diameters.
 pub const PROFILE_DEPTH: f32 = 0.114;
-/// Depths of the craters that are not fresh, diameters: from the youngest to the oldest, evenly in the logarithm. With 3 %
-/// of fresh ones the mean is 0.058 (Wu et al. 2021 found 0.061 at the site of Chang'e-4).
+/// Depths of degraded craters, diameters, from the youngest to the oldest: log-uniform. With 3 % fresh craters the mean is
+/// 0.058 (Wu et al. 2021: 0.061 at the Chang'e-4 site).
 pub const WORN_DEPTHS: [f32; 2] = [0.12, 0.02];
 /// Depths of fresh craters, diameters (Stopar et al. 2017: 0.11 to 0.17 for the small ones).
 pub const FRESH_DEPTHS: [f32; 2] = [0.11, 0.15];
@@ -49,44 +49,44 @@ pub const FRESH_DEPTHS: [f32; 2] = [0.11, 0.15];
 pub const CLOD_LARGEST_M: f64 = 0.08;
 /// Height of a clod, diameters.
 pub const CLOD_HEIGHT: f32 = 0.22;
-/// Factor of [`second_hash`].
+/// Multiplier of [`second_hash`].
 const SECOND_HASH: u32 = 0x2c1b_3c6d;
 
-/// Inside the crest the profile is `RIM + (1 - r) p(r)`, r in radii, heights in diameters: a polynomial that follows
-/// Yang's curve for a diameter of 1 m within 0.0003.
+/// Inside the rim crest the profile is `RIM + (1 - r) p(r)`, r in radii, heights in diameters: these are the coefficients of
+/// p, a fit to Yang's curve for a diameter of 1 m, accurate to 0.0003.
 pub const BOWL: [f32; 5] = [-0.114_206_6, -0.062_823_4, -0.138_060_8, 0.841_136_2, -0.574_270_8];
-/// Height of the crest above the ground around, diameters.
+/// Height of the rim crest above the surrounding ground, diameters.
 pub const RIM: f32 = 0.025_13;
-/// Exponent of the ejecta's thickness over the distance from the centre.
+/// Exponent of the ejecta thickness as a function of the distance from the centre.
 pub const EJECTA_EXPONENT: f32 = -3.1906;
 
-/// A crater, or a clod.
+/// A crater or a clod.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pit {
     /// Centre, metres from the centre of the ground.
     pub offset: Vec2,
-    /// Diameter from crest to crest, metres.
+    /// Rim-to-rim diameter, metres.
     pub diameter_m: f32,
-    /// Depth from crest to floor, diameters; negative for the height of a clod.
+    /// Rim-to-floor depth, diameters; for a clod, its negative height.
     pub depth: f32,
-    /// What tells it from all others of the scene.
+    /// Unique key in the scene.
     pub key: u64,
 }
 
 impl Pit {
-    /// Whether it is a crater that has not been worn.
+    /// Whether it is a fresh crater.
     #[must_use]
     pub fn is_fresh(&self) -> bool {
         self.depth >= FRESH_DEPTHS[0]
     }
 
-    /// How far it changes the ground, metres.
+    /// Radius within which it changes the height, metres.
     #[must_use]
     pub fn reach_m(&self) -> f32 {
         reach_m(self.diameter_m)
     }
 
-    /// Height that it adds at a place (metres from the centre of the ground), metres.
+    /// Height that it adds at a point (metres from the centre of the ground), metres.
     #[must_use]
     #[inline(always)]
     pub fn height_at(&self, offset: Vec2) -> f32 {
@@ -103,12 +103,12 @@ impl Pit {
     }
 }
 
-/// How far a crater of this diameter changes the ground, metres.
+/// Radius within which a crater of this diameter changes the height, metres.
 fn reach_m(diameter_m: f32) -> f32 {
     0.5 * REACH_RADII * diameter_m
 }
 
-/// The profile of a fresh crater: height in diameters at a distance in radii below [`REACH_RADII`], where it fades out.
+/// Profile of a fresh crater: height in diameters at a distance in radii below [`REACH_RADII`], where it fades to 0.
 #[must_use]
 #[inline(always)]
 pub fn profile(r: f32) -> f32 {
@@ -116,7 +116,7 @@ pub fn profile(r: f32) -> f32 {
         let p = BOWL.iter().rev().fold(0.0, |sum, coefficient| sum * r + coefficient);
         return RIM + (1.0 - r) * p;
     }
-    // r^-3.1906, its fractional part by Pade's approximant of order 1: within 1 %.
+    // r^-3.1906 as r^-3 times a [1/1] Pade approximant of the rest, accurate to 1 %.
     let (x, a) = (r - 1.0, -3.0 - EJECTA_EXPONENT);
     let bend = (1.0 + 0.5 * (1.0 - a) * x) / (1.0 + 0.5 * (1.0 + a) * x);
     let fade = ((REACH_RADII - r) / 0.4).min(1.0);
@@ -126,29 +126,29 @@ pub fn profile(r: f32) -> f32 {
 /// One lattice of craters.
 #[derive(Clone, Copy, Debug)]
 pub struct PitLattice {
-    /// Where the cells are.
+    /// The cells.
     pub lattice: Lattice,
     /// Largest diameter, metres; the smallest is half of it.
     pub largest_m: f32,
-    /// Chance of a cell to have a crater.
+    /// Probability that a cell has a crater.
     pub chance: f32,
-    /// Share of clods.
+    /// Fraction of clods.
     pub clods: f32,
 }
 
 /// All craters of a scene.
 #[derive(Clone, Debug)]
 pub struct CraterField {
-    /// From the largest to the smallest.
+    /// In order of decreasing size.
     pub lattices: Vec<PitLattice>,
-    /// Craters that are counted by class, big ones first; none where all are in equilibrium.
+    /// Craters of the classes, big ones first; empty if all are in equilibrium.
     pub listed: Vec<Pit>,
-    /// Share of fresh craters.
+    /// Fraction of fresh craters.
     pub fresh_share: f32,
 }
 
 impl CraterField {
-    /// The craters of these settings, for places around `centre` (metres, world).
+    /// The craters of these parameters, for points around `centre` (metres, world).
     #[must_use]
     pub fn new(streams: &Streams, params: &Params, centre: Vec2) -> Self {
         let number = |knob| params.number(knob);
@@ -159,9 +159,9 @@ impl CraterField {
             .map(|k| {
                 let largest_m = LARGEST_M / f64::from(1_u32 << (k / LATTICES));
                 let cell_m = largest_m / DIAMETER_CELLS;
-                // Craters with diameters from half the largest to the largest: 4 - 1 parts of those beyond it.
-                let a_cell = 3.0 * TRASK_DENSITY / (largest_m * largest_m) * cell_m * cell_m;
-                let chance = if counted && largest_m > UNCLASSED_M { 0.0 } else { density * a_cell };
+                // Craters from half the largest diameter to the largest: (4 - 1) N(> largest).
+                let per_cell = 3.0 * TRASK_DENSITY / (largest_m * largest_m) * cell_m * cell_m;
+                let chance = if counted && largest_m > UNCLASSED_M { 0.0 } else { density * per_cell };
                 PitLattice {
                     lattice: Lattice::new(cell_m, centre, &mut streams.stream("craters.lattice", k.into())),
                     largest_m: largest_m as f32,
@@ -174,15 +174,15 @@ impl CraterField {
         Self { lattices, listed, fresh_share }
     }
 
-    /// Calls `give` with everything that can change the ground within a circle (metres from the centre of the ground) and
-    /// may be as large as `least_m`, always in the same order.
-    pub fn around(&self, offset: Vec2, radius_m: f32, least_m: f32, mut give: impl FnMut(Pit)) {
-        let is_near = |place: Vec2, diameter_m: f32| {
+    /// Calls `visit` with every crater and clod larger than `min_m` that can change the height within a circle (metres from the
+    /// centre of the ground), always in the same order.
+    pub fn around(&self, offset: Vec2, radius_m: f32, min_m: f32, mut visit: impl FnMut(Pit)) {
+        let is_near = |position: Vec2, diameter_m: f32| {
             let reach_m = radius_m + reach_m(diameter_m);
-            diameter_m > least_m && place.distance_squared(offset) < reach_m * reach_m
+            diameter_m > min_m && position.distance_squared(offset) < reach_m * reach_m
         };
-        self.listed.iter().copied().filter(|pit| is_near(pit.offset, pit.diameter_m)).for_each(&mut give);
-        let wanted = self.lattices.iter().take_while(|lattice| lattice.largest_m > least_m);
+        self.listed.iter().copied().filter(|pit| is_near(pit.offset, pit.diameter_m)).for_each(&mut visit);
+        let wanted = self.lattices.iter().take_while(|lattice| lattice.largest_m > min_m);
         for lattice in wanted.filter(|lattice| lattice.chance > 0.0) {
             let reach = (radius_m + reach_m(lattice.largest_m)) / lattice.lattice.cell_m;
             let margin = Vec2::splat(reach + JITTER_CELLS);
@@ -190,49 +190,49 @@ impl CraterField {
             let (low, high) = ((local - margin - 0.5).ceil(), (local + margin - 0.5).floor());
             for y in low.y as i32..=high.y as i32 {
                 for x in low.x as i32..=high.x as i32 {
-                    lattice.pit([x, y], self.fresh_share, is_near).into_iter().for_each(&mut give);
+                    lattice.pit([x, y], self.fresh_share, is_near).into_iter().for_each(&mut visit);
                 }
             }
         }
     }
 }
 
-/// The counted craters, each from a stream of its own; offsets are from `centre`.
+/// The craters of the classes, each from a random stream of its own; offsets are from `centre`.
 fn classed(streams: &Streams, params: &Params, fresh_share: f32, centre: Vec2) -> Vec<Pit> {
     let of_class = |(class, (knob, purpose, radii_m)): (u64, (Knob, &'static str, [f64; 2]))| {
         (0..u64::from(params.count(knob))).map(move |k| {
             let mut draw = streams.stream(purpose, k);
             let mut across = || draw.uniform(-CLASSES_HALF_M, CLASSES_HALF_M) as f32;
-            let place = Vec2::new(across(), across());
+            let position = Vec2::new(across(), across());
             let diameter_m = 2.0 * draw.uniform(radii_m[0], radii_m[1]) as f32;
             let depth = worn_depth(draw.unit() as f32, fresh_share);
-            Pit { offset: place - centre, diameter_m, depth, key: (class + 1) << 32 | k }
+            Pit { offset: position - centre, diameter_m, depth, key: (class + 1) << 32 | k }
         })
     };
     (0..).zip(CLASSES).flat_map(of_class).collect()
 }
 
 impl PitLattice {
-    /// What the cell has, if its place and diameter are wanted; cells count from that of the lattice's base.
+    /// The crater or clod of a cell, if it has one whose position and diameter are wanted; cells count from the lattice's base.
     fn pit(&self, [x, y]: [i32; 2], fresh_share: f32, is_wanted: impl Fn(Vec2, f32) -> bool) -> Option<Pit> {
         let lattice = &self.lattice;
         let (cell_x, cell_y) = (lattice.base[0].wrapping_add(x), lattice.base[1].wrapping_add(y));
         let first = lattice_hash(cell_x, cell_y, 0, lattice.seed);
-        let share = |bits: u32, count: u32| bits as f32 / (1_u32 << count) as f32;
-        if share(first & 0xffff, 16) >= self.chance {
+        let fraction = |bits: u32, count: u32| bits as f32 / (1_u32 << count) as f32;
+        if fraction(first & 0xffff, 16) >= self.chance {
             return None;
         }
         let second = second_hash(first);
-        let jitter = |bits: u32| (2.0 * share(bits & 0x3ff, 10) - 1.0) * JITTER_CELLS + 0.5;
+        let jitter = |bits: u32| (2.0 * fraction(bits & 0x3ff, 10) - 1.0) * JITTER_CELLS + 0.5;
         let local = Vec2::new(x as f32 + jitter(second), y as f32 + jitter(second >> 10));
-        // Inverse of the cumulative law within the octave.
-        let diameter_m = 0.5 * self.largest_m / (1.0 - 0.75 * share(second >> 20, 12)).sqrt();
+        // Inverse transform sampling of D^-2 within the octave.
+        let diameter_m = 0.5 * self.largest_m / (1.0 - 0.75 * fraction(second >> 20, 12)).sqrt();
         let offset = lattice.offset(local);
         if !is_wanted(offset, diameter_m) {
             return None;
         }
-        // A power: what takes longest.
-        let age = share(first >> 16, 16);
+        // Last, because of its power function.
+        let age = fraction(first >> 16, 16);
         let depth = if age < self.clods {
             -CLOD_HEIGHT
         } else {
@@ -242,7 +242,7 @@ impl PitLattice {
     }
 }
 
-/// The second hash of a cell, which is made of the first (a round of Wellons' hash).
+/// The second hash of a cell, from the first (one round of Wellons' hash).
 #[must_use]
 #[inline(always)]
 pub const fn second_hash(first: u32) -> u32 {
@@ -250,12 +250,12 @@ pub const fn second_hash(first: u32) -> u32 {
     second ^ (second >> 12)
 }
 
-/// Depth from crest to floor, diameters, of a crater of an age in [0, 1).
+/// Rim-to-floor depth, diameters, of a crater of an age in [0, 1).
 fn worn_depth(age: f32, fresh_share: f32) -> f32 {
     if age < fresh_share {
         return FRESH_DEPTHS[0] + (FRESH_DEPTHS[1] - FRESH_DEPTHS[0]) * (1.0 - age / fresh_share);
     }
     let wear = (age - fresh_share) / (1.0 - fresh_share);
-    // What is a hair as deep as a fresh one is not fresh.
+    // A degraded crater is always shallower than a fresh one.
     (WORN_DEPTHS[0] * libm::powf(WORN_DEPTHS[1] / WORN_DEPTHS[0], wear)).min(FRESH_DEPTHS[0] - 1e-4)
 }

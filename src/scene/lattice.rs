@@ -1,7 +1,7 @@
-//! A square lattice laid over the plane at an angle of its own: what noise and craters are drawn on.
+//! A rotated square lattice on the plane, for noise and craters.
 //!
-//! Places come as metres from a centre near which precision matters (the camera's place); the lattice itself is
-//! anchored in the world, so that the same place is in the same cell from wherever it is looked at.
+//! Points are given in metres from a centre near which precision matters (the camera); the lattice itself is anchored in the
+//! world, so that a world position is in the same cell from every camera.
 //! Must not know: what is drawn on it.
 
 use glam::{DVec2, Vec2};
@@ -9,7 +9,7 @@ use glam::{DVec2, Vec2};
 use super::noise;
 use crate::random::Stream;
 
-/// A lattice: turned, scaled and shifted.
+/// A rotated, scaled and shifted lattice.
 #[derive(Clone, Copy, Debug)]
 pub struct Lattice {
     /// Side of a cell, metres.
@@ -18,14 +18,14 @@ pub struct Lattice {
     pub turn: Vec2,
     /// The cell in which the centre lies.
     pub base: [i32; 2],
-    /// Where in that cell, in cells.
+    /// Position of the centre in that cell, in cells.
     pub phase: Vec2,
-    /// Seed of what is drawn on it.
+    /// Seed of the hashes of its cells.
     pub seed: u32,
 }
 
 impl Lattice {
-    /// A lattice with cells of this side, at an angle, shift and seed from a stream, for places around `centre`.
+    /// A lattice with cells of this side; angle, shift and seed are drawn from a stream. For points around `centre`.
     #[must_use]
     pub fn new(cell_m: f64, centre: Vec2, stream: &mut Stream) -> Self {
         let angle = stream.uniform(0.0, std::f64::consts::TAU);
@@ -43,7 +43,7 @@ impl Lattice {
         }
     }
 
-    /// A place (metres from the centre) in cells, relative to [`Self::base`].
+    /// Converts metres from the centre to cells from [`Self::base`].
     #[must_use]
     #[inline(always)]
     pub fn local(&self, offset: Vec2) -> Vec2 {
@@ -53,14 +53,14 @@ impl Lattice {
         )
     }
 
-    /// Where a place given as by [`Self::local`] lies, metres from the centre.
+    /// Converts cells from [`Self::base`] to metres from the centre.
     #[must_use]
     pub fn offset(&self, local: Vec2) -> Vec2 {
         let (p, square) = (local - self.phase, self.cell_m * self.cell_m);
         Vec2::new(self.turn.x * p.x - self.turn.y * p.y, self.turn.y * p.x + self.turn.x * p.y) * square
     }
 
-    /// The cell that holds a place given as by [`Self::local`], and where in it.
+    /// The cell that contains a point (in cells from [`Self::base`]), and the fractions within it.
     #[must_use]
     #[inline(always)]
     pub fn cell(&self, local: Vec2) -> ([i32; 2], [f32; 2]) {
@@ -75,7 +75,7 @@ mod tests {
     use crate::random::Streams;
 
     #[test]
-    fn a_place_is_in_the_same_cell_from_any_centre() {
+    fn a_point_is_in_the_same_cell_from_any_centre() {
         let lattice = |centre| Lattice::new(0.7, centre, &mut Streams::new(3).stream("test", 0));
         let (a, b) = (lattice(Vec2::ZERO), lattice(Vec2::new(40.0, -90.0)));
         for i in 0..200_u16 {

@@ -1,8 +1,8 @@
 //! The height function of the surface stage: hills to millimetres, craters, clods, fillets of soil around rocks.
 //!
-//! One function of place and footprint: what is smaller than the footprint allows is left out smoothly, so that a mesh
-//! may sample it at the size of its cells. The shader adds the slopes of what is left out down to the size of a pixel
-//! (`shaders/common/relief.wgsl`, the twin of the slopes here).
+//! One function of position and footprint: detail below the footprint is faded out (band-limiting), so that a mesh can sample
+//! it at the size of its cells. The shader adds the slopes of the detail between the cell and the pixel
+//! (`shaders/common/relief.wgsl`, the GPU counterpart).
 //! Must not know: who asks.
 
 use fearless_simd::{Level, dispatch};
@@ -19,8 +19,7 @@ const COARSE_OCTAVES: u32 = 5;
 /// First frequency of hills and of undulation, per metre.
 const HILLS: f64 = 0.004;
 const UNDULATION: f64 = 0.02;
-/// Standard deviation of hills and undulation, relative to their knobs: that of such a sum of octaves, each within about
-/// 1 of its mean, divided by the sum of their heights.
+/// Standard deviation of hills and undulation relative to their knobs.
 const COARSE_DEVIATION: f64 = 0.17;
 /// Longest wavelength of the fine relief, metres: half the shortest of the undulation.
 const FINE_LONGEST_M: f64 = 1.5625;
@@ -28,27 +27,27 @@ const FINE_LONGEST_M: f64 = 1.5625;
 const FINE_OCTAVES: u32 = 9;
 /// Baseline of the slope that the fine relief is made for, metres.
 const SLOPE_BASELINE_M: f64 = 0.007;
-/// Slope, degrees, that hills, craters and clods add at that baseline with their defaults: the fine relief has the rest.
+/// Slope, degrees, that hills, craters and clods contribute at that baseline with their defaults.
 const OTHER_SLOPE_DEG: f64 = 3.6;
-/// Median of the absolute value of a normal variable, in deviations.
+/// Median absolute value of a normal variable, in standard deviations.
 const MEDIAN_PER_DEVIATION: f64 = 0.674_489_75;
-/// A wave or a crater is left out of a mesh whose cells are this fraction of it or larger, and whole in one whose cells
-/// are half that large. Both stand in `relief.wgsl`.
-pub const CELLS_LEAST: f32 = 3.0;
+/// A wave or a crater fades in from this many mesh cells across, and is complete at twice as many; `relief.wgsl` has the
+/// same constants.
+pub const MIN_CELLS: f32 = 3.0;
 
-/// Places whose heights are summed up together.
-const AT_A_TIME: usize = 32;
+/// Points per batch.
+const BATCH: usize = 32;
 
 /// One octave of noise.
 #[derive(Clone, Copy, Debug)]
 pub struct Octave {
-    /// Where its lattice lies.
+    /// Its lattice.
     pub lattice: Lattice,
-    /// Factor on the noise, metres.
+    /// Amplitude of the noise, metres.
     pub amplitude_m: f32,
 }
 
-/// A fillet of soil around a rock.
+/// A fillet: the apron of soil around a rock.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fillet {
     /// Centre of the rock, metres from the centre of the ground.
@@ -60,7 +59,7 @@ pub struct Fillet {
 }
 
 impl Fillet {
-    /// How far it reaches, metres.
+    /// Radius within which it changes the height, metres.
     fn reach_m(&self) -> f32 {
         2.0 * self.radius_m
     }
@@ -76,7 +75,7 @@ impl Fillet {
 /// The height function.
 #[derive(Clone, Debug)]
 pub struct Relief {
-    /// From the longest wavelength to the shortest.
+    /// In order of decreasing wavelength.
     pub octaves: Vec<Octave>,
     /// Craters and clods.
     pub craters: CraterField,
@@ -84,22 +83,22 @@ pub struct Relief {
     pub fillets: Vec<Fillet>,
 }
 
-/// What can change the ground somewhere.
+/// The craters, clods and fillets that can change the height in some region.
 #[derive(Clone, Debug, Default)]
 pub struct Nearby {
     pits: Vec<Pit>,
     fillets: Vec<Fillet>,
 }
 
-/// How much of something of this size a mesh with cells of this size shows.
+/// Fade-in factor, 0 to 1, of a feature of this size on a mesh with cells of this size.
 #[must_use]
 #[inline(always)]
 pub fn mesh_share(size_m: f32, cell_m: f32) -> f32 {
-    (size_m / (CELLS_LEAST * cell_m) - 1.0).clamp(0.0, 1.0)
+    (size_m / (MIN_CELLS * cell_m) - 1.0).clamp(0.0, 1.0)
 }
 
 impl Relief {
-    /// The relief of these settings, for places around `centre` (metres, world).
+    /// The relief of these parameters, for points around `centre` (metres, world).
     #[must_use]
     pub fn new(streams: &Streams, params: &Params, centre: Vec2) -> Self {
         let number = |knob| params.number(knob);
@@ -108,7 +107,7 @@ impl Relief {
             (Knob::ReliefHillsM, HILLS, "relief.hills"),
             (Knob::ReliefUndulationM, UNDULATION, "relief.undulation"),
         ] {
-            // Each octave half as high as the one before: deviation of the sum of their squares.
+            // The amplitude halves per octave; variances add.
             let sum: f64 = (0..COARSE_OCTAVES).map(|k| 1.0 / f64::from(1_u32 << (2 * k))).sum();
             let first = COARSE_DEVIATION * number(knob) / (f64::from(GRADIENT_NOISE_SIGMA) * sum.sqrt());
             octaves.extend((0..COARSE_OCTAVES).map(|k| {
@@ -133,11 +132,11 @@ impl Relief {
         Self { octaves, craters, fillets: Vec::new() }
     }
 
-    /// What can change the ground within a circle (metres from the centre), at a footprint or more.
+    /// What can change the height within a circle (metres from the centre), at this cell size or a larger one.
     #[must_use]
     pub fn nearby(&self, offset: Vec2, radius_m: f32, cell_m: f32) -> Nearby {
         let mut nearby = Nearby::default();
-        self.craters.around(offset, radius_m, CELLS_LEAST * cell_m, |pit| nearby.pits.push(pit));
+        self.craters.around(offset, radius_m, MIN_CELLS * cell_m, |pit| nearby.pits.push(pit));
         nearby.fillets.extend(self.fillets.iter().copied().filter(|fillet| {
             let reach_m = radius_m + fillet.reach_m();
             fillet.offset.distance_squared(offset) < reach_m * reach_m
@@ -145,20 +144,20 @@ impl Relief {
         nearby
     }
 
-    /// Heights of places (their coordinates, metres from the centre) for a mesh with cells of this size, metres. `nearby` must
-    /// hold what is near the places.
+    /// Sets the heights at points (structure of arrays, metres from the centre) for a mesh with cells of this size, metres.
+    /// `nearby` must cover the points.
     ///
     /// # Panics
-    /// Unless there is a height for every place.
+    /// If the slices differ in length.
     pub fn set_heights(&self, [x, y]: [&[f32]; 2], cell_m: f32, nearby: &Nearby, heights: &mut [f32]) {
-        assert!(x.len() == heights.len() && y.len() == heights.len(), "a height for every place");
-        let places = x.chunks(AT_A_TIME).zip(y.chunks(AT_A_TIME));
-        for ((x, y), heights) in places.zip(heights.chunks_mut(AT_A_TIME)) {
+        assert!(x.len() == heights.len() && y.len() == heights.len(), "one height per point");
+        let points = x.chunks(BATCH).zip(y.chunks(BATCH));
+        for ((x, y), heights) in points.zip(heights.chunks_mut(BATCH)) {
             dispatch!(Level::new(), _simd => self.set_in_vectors([x, y], cell_m, nearby, heights));
         }
     }
 
-    // Inlined wholly, to be compiled for each width of vectors.
+    // Must be inlined into the dispatched code to be compiled for its SIMD width.
     #[inline(always)]
     fn set_in_vectors(&self, [x, y]: [&[f32]; 2], cell_m: f32, nearby: &Nearby, heights: &mut [f32]) {
         heights.fill(0.0);
@@ -181,7 +180,7 @@ impl Relief {
                 }
             }
         }
-        let mut soil = [0.0; AT_A_TIME];
+        let mut soil = [0.0; BATCH];
         for fillet in &nearby.fillets {
             if is_any_within(fillet.reach_m(), fillet.offset, [x, y]) {
                 for ((soil, x), y) in soil.iter_mut().zip(x).zip(y) {
@@ -194,7 +193,7 @@ impl Relief {
         }
     }
 
-    /// Height of a single place (metres from the centre) for a mesh with cells of this size, metres.
+    /// Height at a single point (metres from the centre) for a mesh with cells of this size, metres.
     #[must_use]
     pub fn height_at(&self, offset: Vec2, cell_m: f32) -> f32 {
         let mut height = [0.0];
@@ -204,24 +203,24 @@ impl Relief {
     }
 }
 
-/// Whether one of these places, or nearly, is within a distance of another.
+/// Whether any of these points is within a distance of `centre` (conservative by 1 %).
 #[inline(always)]
 fn is_any_within(reach_m: f32, centre: Vec2, [x, y]: [&[f32]; 2]) -> bool {
-    // Numbers that are not negative are in the order of their bits.
-    let mut least = u32::MAX;
+    // Non-negative floats are ordered like their bits.
+    let mut min_bits = u32::MAX;
     for (x, y) in x.iter().zip(y) {
-        least = least.min(Vec2::new(*x, *y).distance_squared(centre).to_bits());
+        min_bits = min_bits.min(Vec2::new(*x, *y).distance_squared(centre).to_bits());
     }
-    f32::from_bits(least) < 1.01 * reach_m * reach_m
+    f32::from_bits(min_bits) < 1.01 * reach_m * reach_m
 }
 
-/// Wavelength and amplitude, metres, of each octave of the fine relief: a power law with this Hurst exponent, as high as
-/// makes the median of the slope between places 7 mm apart what is wanted.
+/// Wavelength and amplitude, metres, of each octave of the fine relief: a power law with this Hurst exponent, scaled to a
+/// median slope over a 7 mm baseline.
 fn fine_octaves(hurst: f64, median_deg: f64) -> Vec<(f64, f64)> {
     let unit: Vec<(f64, f64)> = (0..FINE_OCTAVES)
         .map(|k| {
-            let share = 1.0 / f64::from(1_u32 << k);
-            (FINE_LONGEST_M * share, libm::pow(share, hurst))
+            let scale = 1.0 / f64::from(1_u32 << k);
+            (FINE_LONGEST_M * scale, libm::pow(scale, hurst))
         })
         .collect();
     let difference: f64 = unit

@@ -1,8 +1,8 @@
-//! A grid of rings around a place whose cells are as wide as they are seen: the ground of the surface stage.
+//! A polar grid around the camera with cells of constant angular size: the ground of the surface stage.
 //!
-//! Rings follow each other at the size of a cell, which grows with the distance from an eye above the centre; rays cut
-//! them into columns, close together over the sector that is looked at, further apart elsewhere. One regular grid, so
-//! that nothing has to be stitched, and no distance at which the detail changes by a step.
+//! The spacing of the rings is the cell size, which grows with the distance from the eye above the centre; rays divide them
+//! into columns, dense over the viewed sector, sparse elsewhere. Unlike the nested levels of geometry clipmaps (Losasso and
+//! Hoppe 2004) it is one regular grid: no seams to stitch, and no distance at which the level of detail steps.
 //! Must not know: heights.
 
 use std::ops::Range;
@@ -11,21 +11,21 @@ use glam::Vec2;
 
 use super::grid_cell::CellPoint;
 
-/// How fast columns widen outside the sector that is looked at, and how wide they become, relative to those within.
+/// Growth factor of the columns outside the viewed sector, and their largest width, relative to those inside.
 const WIDENING: (f64, f64) = (1.12, 12.0);
-/// Bins of a whole turn that find a column.
+/// Bins of the pseudo-angle in the lookup table of columns.
 const TURN_BINS: usize = 2048;
-/// Bins of the distance (in its square's binary logarithm) that find a ring: so many an octave.
+/// Binary logarithm of the number of bins per octave of the squared radius, in the lookup table of rings.
 const BINS_PER_OCTAVE_LOG2: u32 = 5;
 
-/// Rings and rays.
+/// The grid: radii of the rings and directions of the rays.
 #[derive(Clone, Debug)]
 pub struct Rings {
-    /// What it is made for.
+    /// The view that it is built for.
     pub view: View,
-    /// Unit vector along the middle of the sector that is looked at.
+    /// Unit vector along the middle of the viewed sector.
     ahead: Vec2,
-    /// Radius of each ring, metres, rising from 0.
+    /// Radius of each ring, metres, ascending from 0.
     pub radii_m: Vec<f32>,
     /// Direction of each ray, clockwise seen from above from straight behind to straight behind; unit.
     pub rays: Vec<Vec2>,
@@ -33,20 +33,20 @@ pub struct Rings {
     turns: Vec<f32>,
     /// First ray at or after the start of each bin of the pseudo-angle.
     turn_bins: Vec<u32>,
-    /// The same for rings; the first bin starts at the first ring after the centre.
+    /// Lookup table of rings; the first bin starts at the first ring after the centre.
     radius_bins: Vec<u32>,
 }
 
-/// What the grid is made for.
+/// What the grid is built for.
 #[derive(Clone, Copy, Debug)]
 pub struct View {
     /// Height of the eye above the centre, metres.
     pub eye_height_m: f32,
-    /// Compass angle of the middle of the sector that is looked at, radians from +Y towards +X.
+    /// Azimuth of the middle of the viewed sector, radians from +Y towards +X.
     pub azimuth: f64,
-    /// Half of the sector, radians.
+    /// Half the angle of the viewed sector, radians.
     pub half_sector: f64,
-    /// Angle that a cell spans seen from the eye, radians.
+    /// Angular size of a cell as seen from the eye, radians.
     pub cell: f64,
     /// Radius of the outermost ring, metres.
     pub radius_m: f64,
@@ -60,8 +60,8 @@ impl View {
     }
 }
 
-/// A number in [0, 4) that rises as a direction turns clockwise from -Y: where it meets a diamond. No function of it
-/// differs between machines, and it is as good as an angle to find a sector by.
+/// Diamond angle: a number in [0, 4) that increases monotonically as a direction turns clockwise from -Y. It needs no
+/// transcendental function, so that it is the same on every machine.
 fn pseudo_angle(p: Vec2) -> f32 {
     let sum = p.x.abs() + p.y.abs();
     if sum == 0.0 {
@@ -78,7 +78,7 @@ fn pseudo_angle(p: Vec2) -> f32 {
     .min(3.999_999_8)
 }
 
-/// Bin of a squared radius: the leading bits of the number.
+/// Bin of a squared radius: the exponent and the leading bits of the mantissa.
 fn radius_bin(squared_m2: f32, first: u32) -> usize {
     ((squared_m2.to_bits() >> (23 - BINS_PER_OCTAVE_LOG2)).saturating_sub(first)) as usize
 }
@@ -98,7 +98,7 @@ impl Rings {
             .iter()
             .map(|angle| Vec2::new(libm::sin(*angle) as f32, libm::cos(*angle) as f32))
             .collect();
-        // Both ends are the same ray, to the bit.
+        // The first and the last ray coincide, to the bit.
         let (first, last) = (Vec2::new(0.0, -1.0), rays.len() - 1);
         let mut rays = rays;
         (rays[0], rays[last]) = (first, first);
@@ -151,28 +151,28 @@ impl Rings {
         self.radii_m.len() as u32 - 1
     }
 
-    /// Metres from the centre of the vertex at a column and a row.
+    /// Offset from the centre of the vertex at a column and a row, metres.
     #[must_use]
     pub fn offset(&self, column: u32, row: u32) -> Vec2 {
         self.radii_m[row as usize] * self.rays[column as usize]
     }
 
-    /// In the frame of the rays: x to the right, y ahead.
+    /// Rotates into the frame of the rays: x right, y ahead.
     fn local(&self, offset: Vec2) -> Vec2 {
         Vec2::new(offset.x * self.ahead.y - offset.y * self.ahead.x, offset.dot(self.ahead))
     }
 
-    /// The cell under a place, metres from the centre; beyond the last ring, the one inside it.
+    /// The cell that contains a point, metres from the centre; beyond the last ring, a cell inside it.
     #[must_use]
     pub fn locate(&self, offset: Vec2) -> CellPoint {
         let (turn, squared_m2) = (pseudo_angle(self.local(offset)), offset.length_squared());
         let (column, row) = (self.column_of(turn), self.row_of(squared_m2));
-        let share = |x: f32, low: f32, high: f32| ((x - low) / (high - low)).clamp(0.0, 1.0);
+        let fraction = |x: f32, low: f32, high: f32| ((x - low) / (high - low)).clamp(0.0, 1.0);
         CellPoint {
             column: column as u32,
             row: row as u32,
-            u: share(turn, self.turns[column], self.turns[column + 1]),
-            v: share(squared_m2.sqrt(), self.radii_m[row], self.radii_m[row + 1]),
+            u: fraction(turn, self.turns[column], self.turns[column + 1]),
+            v: fraction(squared_m2.sqrt(), self.radii_m[row], self.radii_m[row + 1]),
         }
     }
 
@@ -212,16 +212,15 @@ impl Rings {
         row
     }
 
-    /// Columns and rows of vertices whose cells hold all that lies in a box (its lowest and highest corner, metres from
-    /// the centre), and maybe more.
+    /// Columns and rows of vertices whose cells cover a box (its lowest and highest corner, metres from the centre): a superset.
     #[must_use]
     pub fn vertices_over(&self, low: Vec2, high: Vec2) -> [Range<u32>; 2] {
         let corners = [low, Vec2::new(high.x, low.y), Vec2::new(low.x, high.y), high];
         let nearest = Vec2::ZERO.clamp(low, high);
-        let furthest = corners.iter().fold(0.0_f32, |furthest, corner| furthest.max(corner.length_squared()));
+        let farthest = corners.iter().fold(0.0_f32, |farthest, corner| farthest.max(corner.length_squared()));
         let first = (self.row_of(nearest.length_squared()) as u32).saturating_sub(1);
-        let rows = first..(self.row_of(furthest) as u32 + 3).min(self.rows() + 1);
-        // A chord lies inside its arc: a cell more on each side.
+        let rows = first..(self.row_of(farthest) as u32 + 3).min(self.rows() + 1);
+        // A chord lies inside its arc: one more cell on each side.
         let all = 0..self.columns() + 1;
         if nearest == Vec2::ZERO {
             return [all, rows];
@@ -259,7 +258,7 @@ fn angles(view: &View) -> Vec<f64> {
 }
 
 #[cfg(test)]
-#[allow(clippy::disallowed_methods, reason = "what is expected may be reckoned with std's functions")]
+#[allow(clippy::disallowed_methods, reason = "expected values may be computed with std's functions")]
 mod tests {
     use super::*;
 
@@ -268,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn cells_are_as_large_as_they_are_seen() {
+    fn cells_have_a_constant_angular_size() {
         let rings = rings();
         for pair in rings.radii_m[..rings.radii_m.len() - 1].windows(2) {
             let expected = 0.02 * (pair[0] * pair[0] + 4.0).sqrt();
@@ -284,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn places_are_found_in_the_cells_that_hold_them() {
+    fn points_are_located_in_their_cells() {
         let rings = rings();
         for i in 0..4000_u16 {
             let (angle, radius) = (f32::from(i) * 0.37, 299.0 * (f32::from(i) / 4000.0).powi(3) + 1e-4);

@@ -242,14 +242,14 @@ mod tests {
         use crate::render::select::caster_grid::TEST_HORIZON;
         use crate::scene::craters::{CLOD_HEIGHT, JITTER_CELLS, PROFILE_DEPTH, RIM};
         use crate::scene::photometry::Law;
-        use crate::scene::relief::CELLS_LEAST;
+        use crate::scene::relief::MIN_CELLS;
         let constants = [
             (&RESOLVE, "WORKGROUP_SIZE", f64::from(WORKGROUP_SIZE)),
             (&RESOLVE, "NOT_REQUESTED", f64::from(NOT_REQUESTED)),
             (&LIGHTING_SURFACE, "TEST_HORIZON", f64::from(TEST_HORIZON)),
             (&LIGHTING_SURFACE, "SHADOWED_BY_GROUND", f64::from(ShadowSources::Ground as u32)),
             (&LIGHTING_SURFACE, "SHADOWED_BY_ROCKS", f64::from(ShadowSources::Rocks as u32)),
-            (&LIGHTING_SURFACE, "MIN_CELLS", f64::from(CELLS_LEAST)),
+            (&LIGHTING_SURFACE, "MIN_CELLS", f64::from(MIN_CELLS)),
             (&LIGHTING_SURFACE, "JITTER_CELLS", f64::from(JITTER_CELLS)),
             (&LIGHTING_SURFACE, "PROFILE_DEPTH", f64::from(PROFILE_DEPTH)),
             (&LIGHTING_SURFACE, "RIM", f64::from(RIM)),

@@ -13,7 +13,7 @@ use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
 use crate::scene::craters::LATTICES;
 use crate::scene::lattice::Lattice;
-use crate::scene::relief::{CELLS_LEAST, Relief};
+use crate::scene::relief::{MIN_CELLS, Relief};
 use crate::scene::rings::Rings;
 use crate::scene::terrain::Layout;
 
@@ -95,7 +95,7 @@ fn band_uniforms(
     // The sampling theorem: a wave needs two samples.
     let is_resolved = |size_m: f32| size_m > 2.0 * sample_m;
     // Everywhere in the band the mesh shows relief of this size whole.
-    let whole_m = 2.0 * CELLS_LEAST * largest_m;
+    let whole_m = 2.0 * MIN_CELLS * largest_m;
     let octaves = relief.octaves.iter().filter(|octave| {
         let size_m = octave.lattice.cell_m;
         size_m < whole_m && is_resolved(size_m)
@@ -111,7 +111,7 @@ fn band_uniforms(
             (_, 0) => FIRST_LATTICE_CUTOFF,
             _ => 1.0,
         };
-        let is_sampled = cutoff_diameters * pits.largest_m >= 2.0 * CELLS_LEAST * smallest_m;
+        let is_sampled = cutoff_diameters * pits.largest_m >= 2.0 * MIN_CELLS * smallest_m;
         // The smallest pits of a lattice are half as large as its largest.
         let is_below_mesh = 0.5 * pits.largest_m < whole_m;
         let has_pits = pits.chance > 0.0;
@@ -220,7 +220,7 @@ mod tests {
                     let cell_m = rings.cell_m(offset.length());
                     let first = relief
                         .octaves
-                        .partition_point(|octave| octave.lattice.cell_m >= 2.0 * CELLS_LEAST * cell_m);
+                        .partition_point(|octave| octave.lattice.cell_m >= 2.0 * MIN_CELLS * cell_m);
                     for octave in relief.octaves.iter().skip(first) {
                         let size_m = octave.lattice.cell_m;
                         if mesh_share(size_m, cell_m) < 1.0 && sample_share(size_m, sample_m) > 0.0 {
@@ -230,7 +230,7 @@ mod tests {
                     }
                     let lattices = &relief.craters.lattices;
                     let whole =
-                        lattices.partition_point(|pits| 0.5 * pits.largest_m >= 2.0 * CELLS_LEAST * cell_m);
+                        lattices.partition_point(|pits| 0.5 * pits.largest_m >= 2.0 * MIN_CELLS * cell_m);
                     for index in [whole, whole + 1, whole + 2, whole + 4, whole + 6] {
                         let Some(wanted) = lattices.get(index) else { continue };
                         if sample_share(wanted.largest_m, sample_m) > 0.0 {

@@ -16,7 +16,7 @@ use crate::scene::craters::{
     CLOD_HEIGHT, EJECTA_EXPONENT, FRESH_DEPTHS, JITTER_CELLS, PROFILE_DEPTH, RIM, WORN_DEPTHS, second_hash,
 };
 use crate::scene::noise::{gradient_noise_slope_2d, lattice_hash};
-use crate::scene::relief::{CELLS_LEAST, mesh_share};
+use crate::scene::relief::{MIN_CELLS, mesh_share};
 
 /// Samples whose slopes are summed together.
 const BATCH: usize = 64;
@@ -208,7 +208,7 @@ fn relief_slope(
         // The smallest pits of a lattice are half as large as its largest; a little room for how sizes are rounded.
         let is_resolved = sample_share(1.001 * pits.max_diameter_m, nearest_m) > 0.0;
         let is_below_mesh = mesh_share(0.499 * pits.max_diameter_m, largest_cell_m) < 1.0;
-        let is_sampled = pits.cutoff_diameters * pits.max_diameter_m >= 2.0 * CELLS_LEAST * smallest_cell_m;
+        let is_sampled = pits.cutoff_diameters * pits.max_diameter_m >= 2.0 * MIN_CELLS * smallest_cell_m;
         if is_resolved && is_below_mesh && is_sampled {
             pits_slope(pits, view.fresh_share, &ground, sums);
         }
@@ -239,7 +239,7 @@ impl GroundBatch {
             let cell_m = view.cell_angle * (x * x + y * y + height * height).sqrt();
             ground.cell_m[i] = cell_m;
             ground.sample_m[i] = sample_m;
-            ground.per_mesh[i] = 1.0 / (CELLS_LEAST * cell_m);
+            ground.per_mesh[i] = 1.0 / (MIN_CELLS * cell_m);
             ground.per_sample[i] = 0.5 / sample_m;
         }
         ground
@@ -301,7 +301,7 @@ fn pits_slope(pits: &LatticeUniforms, fresh_share: f32, ground: &GroundBatch, su
         let (r, per_r) = (cells * pit.shrink * per_largest, per_cells * pit.radius);
         let crater = crater_steepness(r, per_r, ages.depth(pit.age));
         let steepness = if pit.age < pits.clod_share { clod_steepness(r) } else { crater };
-        let is_sampled = pits.cutoff_diameters * pits.max_diameter_m >= 2.0 * CELLS_LEAST * ground.cell_m[i];
+        let is_sampled = pits.cutoff_diameters * pits.max_diameter_m >= 2.0 * MIN_CELLS * ground.cell_m[i];
         let exists = is_sampled & (pit.draw < pits.amount);
         let share = ground.share(i, 2.0 * pits.cell_m * pit.radius);
         let slope = if exists { pits.cell_m * share * steepness * per_cells } else { 0.0 };
