@@ -40,6 +40,7 @@ pub mod random;
 pub mod remap;
 pub mod render;
 pub mod reuse;
+pub mod rounding;
 pub mod scene;
 
 pub use error::{Error, Result};

@@ -6,8 +6,8 @@
 
 use glam::{DVec2, Vec2};
 
-use super::noise;
 use crate::random::Stream;
+use crate::rounding::floor_and_fraction;
 
 /// A rotated, scaled and shifted lattice.
 #[derive(Clone, Copy, Debug)]
@@ -64,7 +64,7 @@ impl Lattice {
     #[must_use]
     #[inline(always)]
     pub fn cell(&self, local: Vec2) -> ([i32; 2], [f32; 2]) {
-        let ((x, u), (y, v)) = (noise::cell(local.x), noise::cell(local.y));
+        let ((x, u), (y, v)) = (floor_and_fraction(local.x), floor_and_fraction(local.y));
         ([self.base[0].wrapping_add(x), self.base[1].wrapping_add(y)], [u, v])
     }
 }

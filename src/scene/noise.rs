@@ -12,7 +12,7 @@ mod hash;
 use fearless_simd::{Level, dispatch};
 
 use crate::reuse::Reused;
-pub use cells::{cell, floor};
+use crate::rounding::floor_and_fraction;
 use cells::{lerp, smoothstep};
 pub use gradient::{
     GRADIENT_NOISE_SIGMA, gradient_noise_2d, gradient_noise_difference, gradient_noise_slope_2d,
@@ -151,7 +151,7 @@ impl Lines<'_> {
     fn set_in_vectors(&mut self, y: f32, sums: &mut [f32]) {
         sums.fill(0.0);
         for OctaveLines { octave: Octave { gain, frequency, seed }, row, sides } in &mut self.octaves {
-            let (south, v) = cell(y * *frequency);
+            let (south, v) = floor_and_fraction(y * *frequency);
             if *row != Some(south) {
                 let terms = HashTerms::new(south, HASH_Y);
                 if *row == Some(south.wrapping_sub(1)) {
@@ -178,7 +178,7 @@ impl Lines<'_> {
 #[inline(always)]
 fn set_along_row(x: &[f32], frequency: f32, rest: u32, values: &mut [f32]) {
     for (value, x) in values.iter_mut().zip(x) {
-        let (x, u) = cell(x * frequency);
+        let (x, u) = floor_and_fraction(x * frequency);
         *value = between(HashTerms::new(x, HASH_X), rest, smoothstep(u));
     }
 }
@@ -192,7 +192,7 @@ fn to_signed(sum: f32, total: f32) -> f32 {
 /// 2-D value noise in [0, 1): lattice values blended bilinearly with cubic smoothstep weights.
 #[must_use]
 pub fn value_noise_2d([x, y]: [f32; 2], seed: u32) -> f32 {
-    let ((x, u), (y, v)) = (cell(x), cell(y));
+    let ((x, u), (y, v)) = (floor_and_fraction(x), floor_and_fraction(y));
     let (x, y, seed) = (HashTerms::new(x, HASH_X), HashTerms::new(y, HASH_Y), first_mixed(seed));
     let (south, north) = (between(x, y.low ^ seed, smoothstep(u)), between(x, y.high ^ seed, smoothstep(u)));
     HASH_UNIT * lerp(south, north, smoothstep(v))
@@ -231,7 +231,7 @@ pub fn value_noise_3d(point: [f32; 3], seed: u32) -> f32 {
 /// multiplications changes no bit.
 #[inline(always)]
 fn hash_noise_3d([px, py, pz]: [f32; 3], seed: u32) -> f32 {
-    let ((x, u), (y, v), (z, w)) = (cell(px), cell(py), cell(pz));
+    let ((x, u), (y, v), (z, w)) = (floor_and_fraction(px), floor_and_fraction(py), floor_and_fraction(pz));
     let (x, y, z) = (HashTerms::new(x, HASH_X), HashTerms::new(y, HASH_Y), HashTerms::new(z, HASH_Z));
     let (u, v, w) = (smoothstep(u), smoothstep(v), smoothstep(w));
     let seed = first_mixed(seed);

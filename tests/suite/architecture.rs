@@ -17,17 +17,18 @@ const MAX_FUNCTION_LINES: usize = 80;
 const LONG_BECAUSE: &str = "// Long because: ";
 
 /// Each room (a module directly below `src`) and the rooms that it may use.
-const MAY_USE: [(&str, &[&str]); 16] = [
+const MAY_USE: [(&str, &[&str]); 17] = [
     ("error", &[]),
     ("class", &[]),
     ("random", &[]),
     ("lens", &[]),
     ("reuse", &[]),
+    ("rounding", &[]),
     ("frame", &["class", "lens"]),
     ("params", &["error", "random"]),
-    ("scene", &["params", "random", "lens", "reuse", "class", "error"]),
+    ("scene", &["params", "random", "lens", "reuse", "rounding", "class", "error"]),
     ("gpu", &["error"]),
-    ("render", &["scene", "gpu", "frame", "lens", "reuse", "class", "error"]),
+    ("render", &["scene", "gpu", "frame", "lens", "reuse", "rounding", "class", "error"]),
     ("output", &["frame", "lens", "class", "error"]),
     ("remap", &["output", "class", "error"]),
     ("export", &["scene", "render", "output", "class", "error"]),
@@ -254,6 +255,20 @@ fn no_function_is_too_long_without_a_reason() {
         "functions of more than {MAX_FUNCTION_LINES} lines without `{LONG_BECAUSE}` above them:\n{}",
         long.join("\n")
     );
+}
+
+/// The host rasteriser knows neither the Moon nor the GPU.
+#[test]
+fn the_rasteriser_imports_only_rounding() {
+    let [library, _] = crates();
+    for (file, imports) in
+        import_graph(&library).iter().filter(|(file, _)| file.starts_with("src/render/raster"))
+    {
+        for (target, import) in imports {
+            let is_allowed = target.starts_with("src/render/raster") || target == "src/rounding.rs";
+            assert!(is_allowed, "{file}:{}: the rasteriser may not use {}", import.line, import.path);
+        }
+    }
 }
 
 #[test]

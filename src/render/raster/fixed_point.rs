@@ -4,7 +4,7 @@
 
 use glam::Vec2;
 
-use crate::scene::noise::floor;
+use crate::rounding::floor;
 
 /// Fractional bits of a position, as `VkPhysicalDeviceLimits::subPixelPrecisionBits` of common devices.
 pub(crate) const SUBPIXEL_BITS: i32 = 8;

@@ -21,9 +21,9 @@ use crate::render::select::draw_list::{MeshDraw, MeshRef};
 use crate::render::select::ground_blocks::ground_blocks;
 use crate::render::select::selection::Selection;
 use crate::reuse::Reused;
+use crate::rounding::floor;
 use crate::scene::Scene;
 use crate::scene::mesh::{Icosphere, Vertex};
-use crate::scene::noise::floor;
 use crate::scene::sky::DOME_LEVEL;
 use crate::scene::terrain::{Layout, Terrain};
 

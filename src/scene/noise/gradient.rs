@@ -87,7 +87,7 @@ pub fn gradient_noise_difference(cells: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::noise::{cell, floor};
+    use crate::rounding::{floor, floor_and_fraction};
 
     fn fraction(x: f32) -> f32 {
         x - floor(x) as f32
@@ -118,7 +118,7 @@ mod tests {
         let step = 5e-3_f32;
         for i in 0..400 {
             let (x, y) = (0.173 * i as f32 - 31.0, 0.059 * i as f32 - 7.0);
-            let ((column, u), (row, v)) = (cell(x), cell(y));
+            let ((column, u), (row, v)) = (floor_and_fraction(x), floor_and_fraction(y));
             // The differences stay within the cell.
             let t = [u.clamp(step, 1.0 - step), v.clamp(step, 1.0 - step)];
             let slope = gradient_noise_slope_2d([column, row], t, 5);

@@ -4,7 +4,7 @@
 
 use glam::{BVec2, Vec2, Vec3};
 
-use crate::scene::noise::floor;
+use crate::rounding::floor;
 
 /// The normal on the side of the eye, octahedral coordinates in 16 bits each, from the offsets of the corners from the eye.
 #[inline]
