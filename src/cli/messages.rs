@@ -1,4 +1,4 @@
-//! What a command tells people: results on stdout, messages on stderr.
+//! Output of the commands: results on stdout, messages on stderr.
 
 use std::fmt::Display;
 use std::io::Write as _;

@@ -2,7 +2,7 @@
 //! statistics, a sample of frames against a new rendering, depth against the scene's surface.
 //!
 //! Must not know: the command line.
-//! To add a check: a row in [`CHECKS`](report::CHECKS), and its code where the frame, the folder or the rendered frame is
+//! To add a check: a row in [`CHECKS`], and its code where the frame, the folder or the rendered frame is
 //! examined.
 
 mod context;

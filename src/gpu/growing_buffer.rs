@@ -59,7 +59,7 @@ impl GrowingBuffer {
         bytes as u64
     }
 
-    /// Writes `bytes` bytes at `offset` (both multiples of four) and keeps what lies before them. Returns false, with
+    /// Writes `bytes` bytes at `offset` (both multiples of four) and keeps the content before them. Returns false, with
     /// nothing written, if they do not fit.
     pub fn try_write_at(
         &mut self,

@@ -1,5 +1,5 @@
 //! Compiled pipelines, kept from run to run where the backend can export them, so that a driver need not compile them
-//! again. Most drivers have a cache of their own besides.
+//! again. Most drivers also have a cache of their own.
 //!
 //! Must not know: where the data is stored.
 

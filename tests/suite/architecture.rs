@@ -103,7 +103,7 @@ const LAYERS: [(&str, &[&[&str]]); 8] = [
     ),
 ];
 
-/// The sources of the library and of the binary, apart: they are two crates.
+/// The sources of the library and those of the binary, which are two crates.
 fn crates() -> [BTreeMap<String, String>; 2] {
     let (binary, library) = source::files("src", &["rs"])
         .into_iter()

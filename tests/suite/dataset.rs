@@ -287,8 +287,8 @@ fn threads_order_and_later_growth_change_no_byte() {
     run_ok(folder.path(), &dataset("grown", &["--count", "3", "--start", "5", "-q"]));
     run_ok(folder.path(), &dataset("grown", &["--count", "8", "-q"]));
     assert_same(&folder.path().join("one"), &folder.path().join("grown"));
-    let apart = run(folder.path(), &dataset("grown", &["--count", "1", "--start", "50", "-q"]));
-    assert!(String::from_utf8_lossy(&apart.stderr).contains("frames in between would be missing"));
+    let separate = run(folder.path(), &dataset("grown", &["--count", "1", "--start", "50", "-q"]));
+    assert!(String::from_utf8_lossy(&separate.stderr).contains("frames in between would be missing"));
 }
 
 #[test]

@@ -11,7 +11,7 @@ const TAIL_EXPONENT: f64 = 2.11;
 /// Cumulative size-frequency distribution: rocks larger than a diameter (metres) per square metre.
 ///
 /// Li and Wu 2018's law for the Moon, in the form of JPL's LuNaSynth: rocks larger than D cover a fraction k exp(-q D) of
-/// the ground, q = 0.5648 + 0.01285 / k; below [`TAIL_M`] the Surveyors' power law.
+/// the ground, q = 0.5648 + 0.01285 / k; below `TAIL_M` the Surveyors' power law.
 #[must_use]
 pub fn rocks_larger_than(diameter_m: f64, coverage: f64) -> f64 {
     if coverage <= 0.0 {

@@ -212,7 +212,7 @@ fn module_path(file: &str) -> Vec<String> {
     if ["lib", "main"].contains(&path) { Vec::new() } else { path.split('/').map(str::to_owned).collect() }
 }
 
-/// One import: the line where it stands and the path as written.
+/// An import: its line, from 1, and its path as written.
 #[derive(Clone, Debug)]
 pub(crate) struct Import {
     pub(crate) line: usize,
