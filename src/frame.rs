@@ -1,6 +1,6 @@
-//! A rendered frame as plain memory: what the renderer hands to the encoders.
+//! A rendered frame in memory: the planes that the renderer returns and the encoders write.
 //!
-//! Must not know: how it was made.
+//! Must not know: how it was rendered.
 
 mod annotation;
 pub mod plane;
@@ -10,79 +10,79 @@ use crate::lens::Lens;
 pub use annotation::{Annotation, Annotations};
 use plane::{PLANES, Plane, Values};
 
-/// The planes of one frame, rows from top to bottom without padding. Annotations that were not asked for are empty.
+/// The planes of one frame, rows from top to bottom without padding. Planes that were not requested are empty.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Frame {
-    /// Pixels in a row.
+    /// Width, pixels.
     pub width: u32,
-    /// Rows.
+    /// Height, pixels.
     pub height: u32,
-    /// Focal length, pixels; the principal point is the middle of the picture.
+    /// Focal length, pixels; the principal point is the centre of the image.
     pub focal_px: f64,
-    /// How the lens distorted it.
+    /// The distortion of the lens, which is applied to every plane.
     pub lens: Lens,
-    /// 8-bit sRGB, three bytes a pixel.
+    /// 8-bit sRGB, three values per pixel.
     pub rgb: Vec<u8>,
-    /// Class id, one byte a pixel.
+    /// Class id.
     pub class: Vec<u8>,
-    /// Metres along the optical axis at the pixel's centre, infinite for the sky.
+    /// Distance along the optical axis at the pixel's centre, metres; infinite for the sky.
     pub depth_m: Vec<f32>,
-    /// World normal, unit, three numbers a pixel; 0 for the sky.
+    /// Unit normal in world space, three values per pixel; 0 for the sky.
     pub normals: Vec<f32>,
-    /// Instance id; 0 for what is no rock.
+    /// Instance id of the rock; 0 where there is none.
     pub instances: Vec<u16>,
-    /// Fraction of the sun's disc that is hidden, 0 to 255; 0 for the sky.
+    /// Occluded fraction of the sun's disc, 0 (lit) to 255 (full shadow); 0 for the sky.
     pub sun_occlusion: Vec<u8>,
-    /// Linear radiance before exposure and tone curve, half floats, three a pixel.
+    /// Linear radiance before exposure and tone curve, three values per pixel.
     pub radiance: Vec<half::f16>,
-    /// Samples of each class, three counts a pixel by class id.
+    /// Number of samples of each class, by class id.
     pub sample_counts: Vec<[u8; 3]>,
-    /// Slope of the ground over half a metre, degrees; NaN for what is no ground.
+    /// Slope of the ground over half a metre, degrees; NaN where there is no ground.
     pub slope_deg: Vec<f32>,
     /// 1 inside a crater, 2 on its rim, else 0.
     pub craters: Vec<u8>,
     /// Angle between the normal and the sun, degrees; NaN for the sky.
     pub incidence_deg: Vec<f32>,
-    /// Angle at the place between the sun and the eye, degrees; NaN for the sky.
+    /// Phase angle: at the surface, between the sun and the camera, degrees; NaN for the sky.
     pub phase_deg: Vec<f32>,
     /// Class id, with 3 for the inside of craters and 4 for far ground.
     pub five_classes: Vec<u8>,
-    /// The rocks that are seen, if instances were asked for.
+    /// The visible rocks, if instances were requested.
     pub rocks: Vec<RockLabel>,
 }
 
-/// What is told of a rock in the picture.
+/// Size and visibility of a rock in the image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RockLabel {
     /// Its instance id.
     pub instance: u16,
-    /// Pixels that are its own.
+    /// Number of pixels of its instance id.
     pub visible_px: u32,
-    /// Pixels of the picture that it would have if no other thing stood before it; what the ground it lies in buries
-    /// does not count.
+    /// Number of pixels that it would have if no other rock and no ground stood in front of it; its part below the ground does
+    /// not count.
     pub exposed_px: u32,
     /// Smallest and largest column and row of its pixels: left, top, right, bottom, all included.
     pub box_px: [u32; 4],
     /// Height of its top above the ground at its centre, metres.
     pub height_m: f32,
-    /// Mean of its extents along two axes seen from above, metres.
+    /// Mean of its two horizontal extents, metres.
     pub diameter_m: f32,
 }
 
 impl RockLabel {
-    /// Fraction of it that other things hide.
+    /// The fraction of `exposed_px` that is not visible, 0 to 1.
     #[must_use]
     pub fn occluded(&self) -> f64 {
         1.0 - f64::from(self.visible_px) / f64::from(self.exposed_px.max(self.visible_px))
     }
 }
 
-/// Statistics of the 8-bit picture over all pixels and channels.
+/// Statistics of the 8-bit image over all pixels and channels.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct RgbStatistics {
-    /// Mean value.
+    /// Mean value, 0 to 255.
     pub mean: f64,
-    /// 99th percentile: the smallest value that at least 99 % do not exceed.
+    /// 99th percentile: the smallest value that 99 % of the values do not exceed.
     pub p99: u8,
     /// Largest value.
     pub max: u8,
@@ -127,7 +127,7 @@ impl Frame {
         self.count(class) as f64 / self.class.len() as f64
     }
 
-    /// Mean, 99th percentile and maximum of the picture.
+    /// Mean, 99th percentile and maximum of the image.
     #[must_use]
     pub fn rgb_statistics(&self) -> RgbStatistics {
         RgbStatistics::of(&self.rgb)
@@ -135,7 +135,7 @@ impl Frame {
 }
 
 impl RgbStatistics {
-    /// Of all values of a picture.
+    /// The statistics of a list of values, which must not be empty.
     #[must_use]
     pub fn of(rgb: &[u8]) -> Self {
         let mut histogram = [0_u64; 256];
@@ -164,7 +164,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn statistics_of_a_known_picture() {
+    fn statistics_and_coverage_of_a_known_frame() {
         let mut rgb = vec![10_u8; 300];
         rgb[0] = 250;
         rgb[1] = 200;
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_stand_in_the_order_of_the_enum_and_agree_with_the_frame() {
+    fn rows_are_in_the_order_of_the_enum_and_agree_with_the_frame() {
         for (index, row) in PLANES.iter().enumerate() {
             assert_eq!(row.plane as usize, index, "{}", row.name);
             assert_eq!(Frame::default().plane(row.plane).dtype(), row.dtype, "{}", row.name);

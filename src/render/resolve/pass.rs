@@ -115,13 +115,13 @@ impl ResolvePass {
     }
 }
 
-/// Columns and rows of a dispatch that has at least so many workgroups.
+/// Columns and rows of a dispatch of at least `workgroups` workgroups.
 fn dispatch_size(workgroups: usize) -> [u32; 2] {
     let count = workgroups as u32;
     [count.min(DISPATCH_WIDTH), count.div_ceil(DISPATCH_WIDTH)]
 }
 
-/// Length of the tile list for so many workgroups: an entry for each one that is dispatched.
+/// Length of the tile list for a number of workgroups: an entry for each one that is dispatched.
 fn tile_list_len(workgroups: usize) -> u64 {
     dispatch_size(workgroups).map(u64::from).iter().product()
 }
