@@ -12,6 +12,7 @@ mod export;
 mod formats;
 mod golden;
 mod labels;
+mod language;
 mod raster;
 mod scene_statistics;
 mod support;
