@@ -78,7 +78,8 @@ fn check_mask(context: &Context<'_>, line: &FrameLine, path: &str, ids: &[u8], r
         let is_good =
             recorded.is_some_and(|recorded| if is_hard { actual == recorded } else { actual <= recorded });
         report.expect(name::MASKS, index, is_good, || {
-            let recorded = recorded.map_or_else(|| "nothing".to_owned(), |fraction| format!("{fraction:.6}"));
+            let recorded =
+                recorded.map_or_else(|| "no value".to_owned(), |fraction| format!("{fraction:.6}"));
             format!("{path}: {} covers {actual:.6} of it, recorded is {recorded}", class.name)
         });
     }

@@ -432,11 +432,12 @@ fn coded_integers(numbers: impl Iterator<Item = i32>) -> Vec<u8> {
     for difference in &differences {
         *counts.entry(*difference).or_default() += 1;
     }
-    let most_common = counts.iter().max_by_key(|(_, count)| **count).map_or(0, |(difference, _)| *difference);
+    let common_value =
+        counts.iter().max_by_key(|(_, count)| **count).map_or(0, |(difference, _)| *difference);
     let mut codes = vec![0_u8; differences.len().div_ceil(4)];
     let mut rest = Vec::new();
     for (i, &difference) in differences.iter().enumerate() {
-        let code = if difference == most_common {
+        let code = if difference == common_value {
             0
         } else if let Ok(small) = i8::try_from(difference) {
             rest.extend(small.to_le_bytes());
@@ -450,7 +451,7 @@ fn coded_integers(numbers: impl Iterator<Item = i32>) -> Vec<u8> {
         };
         codes[i / 4] |= code << (2 * (i % 4));
     }
-    [most_common.to_le_bytes().to_vec(), codes, rest].concat()
+    [common_value.to_le_bytes().to_vec(), codes, rest].concat()
 }
 
 #[cfg(test)]
@@ -462,9 +463,9 @@ mod tests {
         // The example in OpenUSD's integerCoding.cpp.
         let numbers = [123, 124, 125, 100_125, 100_125, 100_126, 100_126];
         let coded = coded_integers(numbers.into_iter());
-        let (most_common, codes) = (1_i32.to_le_bytes(), [0b11_00_00_01, 0b00_01_00_01]);
+        let (common_value, codes) = (1_i32.to_le_bytes(), [0b11_00_00_01, 0b00_01_00_01]);
         let rest = [&[123][..], &100_000_i32.to_le_bytes(), &[0], &[0]].concat();
-        assert_eq!(coded, [&most_common[..], &codes, &rest].concat());
+        assert_eq!(coded, [&common_value[..], &codes, &rest].concat());
     }
 
     #[test]
