@@ -126,7 +126,7 @@ impl LightingPass {
             LightingVariant::Sky => (LIGHTING_SKY.name, &self.sky, Vec::new()),
         };
         let targets = SAMPLE_PLANES.map(|row| {
-            row.plane.is_needed(key.annotations).then(|| wgpu::ColorTargetState {
+            row.plane.is_needed(key.annotations).then_some(wgpu::ColorTargetState {
                 format: row.format,
                 blend: None,
                 write_mask: wgpu::ColorWrites::ALL,

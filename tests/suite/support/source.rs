@@ -276,7 +276,7 @@ fn paths(code: &str) -> Vec<(usize, Vec<String>)> {
     let tokens = tokens(code);
     let text = |i: usize| tokens.get(i).map_or("", |token| token.1);
     let declared: BTreeSet<&str> =
-        (1..tokens.len()).filter(|&i| text(i - 1) == "mod" && text(i + 1) == ";").map(|i| text(i)).collect();
+        (1..tokens.len()).filter(|&i| text(i - 1) == "mod" && text(i + 1) == ";").map(text).collect();
     let mut found = Vec::new();
     let mut i = 0;
     while i < tokens.len() {
