@@ -1,6 +1,6 @@
 // Integer hashes and noise from them.
 
-// Hash of a cell of a 3-D lattice. CPU counterpart: `lattice_hash` in src/scene/noise.rs. The mixing is the 32-bit
+// Hash of a cell of a 3-D lattice. CPU counterpart: `lattice_hash` in src/scene/noise/hash.rs. The mixing is the 32-bit
 // finalizer "lowbias32" (Wellons 2018, "Prospecting for Hash Functions").
 fn lattice_hash(x: i32, y: i32, z: i32, seed: u32) -> u32 {
     var h = (u32(x) * 0x8da6b343u) ^ (u32(y) * 0xd8163841u) ^ (u32(z) * 0xcb1ab31fu) ^ seed;

@@ -69,7 +69,7 @@ fn lattice_corner(cell: vec2<i32>, seed: u32) -> vec3<f32> {
 }
 
 // Slope of one octave of gradient noise with quintic weights (Perlin 2002, "Improving Noise"): the derivative of
-// `gradient_noise_2d` in src/scene/noise.rs.
+// `gradient_noise_2d` in src/scene/noise/gradient.rs.
 fn noise_slope(lattice: Lattice, point: vec2<f32>) -> vec2<f32> {
     let local = to_lattice(lattice, point);
     let corner = floor(local);
@@ -100,7 +100,7 @@ fn pits_slope(lattice: Lattice, point: vec2<f32>, cell_m: f32, sample_m: f32) ->
     var second = (first ^ (first >> 15u)) * SECOND_HASH;
     second ^= second >> 12u;
     let jitter = (vec2(f32(second & 0x3ffu), f32((second >> 10u) & 0x3ffu)) / 512.0 - 1.0) * JITTER_CELLS + 0.5;
-    // One over the radius, metres.
+    // Inverse radius, 1/m.
     let per_radius = 4.0 / lattice.max_diameter_m * sqrt(1.0 - 0.75 * f32(second >> 20u) / 4096.0);
     let diameter_m = 2.0 / per_radius;
     let offset = local - corner - jitter;
@@ -119,13 +119,14 @@ fn pits_slope(lattice: Lattice, point: vec2<f32>, cell_m: f32, sample_m: f32) ->
     return lattice.cell_m * slope_from_lattice(lattice, slope);
 }
 
-// Rise per metre away from the centre of a crater of an age in [0, 1), at a distance `r` in radii. The profile is that of
-// src/scene/craters.rs.
+// Rise per metre away from the centre of a crater of an age in [0, 1), at a distance `r` in radii. Depths are in diameters.
+// src/scene/craters.rs has the profile (a fit to that of Yang et al. 2021) and the depths (Stopar et al. 2017, Wu et al. 2021);
+// src/render/lighting/slopes_host.rs derives the numbers.
 fn crater_steepness(r: f32, age: f32) -> f32 {
     let fresh_share = light.relief_fresh_share;
     let wear = (age - fresh_share) / (1.0 - fresh_share);
     let fresh = 0.15 - 0.04 / max(fresh_share, 1.0e-6) * age;
-    // Depth over diameter: from 0.12 to 0.02, even in the logarithm.
+    // A worn crater's depth falls from 0.12 to 0.02 with age, evenly in the logarithm.
     let depth = select(min(0.12 * exp2(-2.5849625 * wear), 0.1099), fresh, age < fresh_share);
     // Inside the crest the derivative of the profile's polynomial; outside that of the ejecta's power law, faded out before
     // the next cell.

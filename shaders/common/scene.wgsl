@@ -37,7 +37,7 @@ struct CasterTile {
     // Side of the tile, texels.
     size_px: f32,
     // Length of an edge of the caster's triangles, metres.
-    facet_m: f32,
+    edge_m: f32,
 }
 
 // Dynamic offsets of uniforms are multiples of 256 bytes.

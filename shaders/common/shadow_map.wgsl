@@ -107,7 +107,7 @@ fn caster_visibility(
     let texel = vec2(across.x, -across.y) * texels_per_m + vec2(0.5 * tile.size_px);
     let search_px = search_m * texels_per_m;
     let slope = vec2(rise.x, -rise.y) * m_per_texel;
-    let plane = vec3(slope, along + terminator_bias * tile.facet_m - dot(slope, texel));
+    let plane = vec3(slope, along + terminator_bias * tile.edge_m - dot(slope, texel));
     let receiver = Receiver(texel, plane);
 
     // The filter is never wider than the search, which is left out where it is too narrow to matter. Both are loops without

@@ -143,7 +143,7 @@ shader_struct! {
         half_extent_m: f32,
         origin_px: Vec2,
         size_px: f32,
-        facet_m: f32,
+        edge_m: f32,
     }
 }
 

@@ -72,9 +72,9 @@ pub(crate) fn select_casters(
             let half_extent_m = rock.radius_m * 1.02;
             let size_px = side_px.clamp(TILE_PX[0], largest_px) as f32;
             // An edge of the icosahedron spans 63 degrees of the sphere, and each level of subdivision halves it.
-            let facet_m = 1.1 * rock.radius_m / (1 << rock.level) as f32;
+            let edge_m = 1.1 * rock.radius_m / (1 << rock.level) as f32;
             let tile =
-                CasterTile { centre: rock.centre, half_extent_m, size_px, facet_m, ..Default::default() };
+                CasterTile { centre: rock.centre, half_extent_m, size_px, edge_m, ..Default::default() };
             Some(Caster { rock: index, tile, reach_m })
         })
         .collect();
