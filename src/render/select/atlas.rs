@@ -25,7 +25,7 @@ pub(crate) struct Allocation {
 }
 
 impl AtlasAllocator {
-    /// An empty atlas of so many columns and rows.
+    /// An empty atlas; `size` is its columns and rows.
     #[must_use]
     pub(crate) fn new(size: [u32; 2]) -> Self {
         Self { size, skyline: vec![[0, 0]], free: Vec::new() }
