@@ -143,26 +143,26 @@ pub(crate) enum Sum {
     Expression(&'static str),
 }
 
-/// How the samples of a pixel become its value in a plane. Each of `words` is the WGSL expression of a packed word.
+/// How the samples of a pixel become its value in a plane, packed into 32-bit words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ResolveRule {
-    /// Of every frame, packed for quads of four pixels by `cs_main` in `resolve.wgsl`, from these planes of samples.
+    /// Every frame has it. `cs_main` in `resolve.wgsl` packs it for quads of four pixels, from these planes of samples.
     Quads(&'static [SamplePlane]),
-    /// Of the pixel's `first` sample and mean `radiance`.
+    /// A function of the pixel's `first` sample and mean `radiance`.
     Pixel {
-        /// See [`ResolveRule`].
+        /// WGSL of each packed word.
         words: &'static [&'static str],
     },
-    /// Of `instance_id`, the instance of most samples among those of the pixel's class.
+    /// A function of `instance_id`: the instance of most samples among those of the pixel's class.
     Instance {
-        /// See [`ResolveRule`].
+        /// WGSL of each packed word.
         words: &'static [&'static str],
     },
-    /// Of `$sum` over the samples of the pixel's class and instance, and the count of these `samples`.
+    /// A function of `$sum` over the samples of the pixel's class and instance, and of `samples`, their number.
     InstanceMean {
         /// What is added up.
         sum: Sum,
-        /// See [`ResolveRule`].
+        /// WGSL of each packed word.
         words: &'static [&'static str],
     },
     /// Computed on the host from other planes (`render/post/`).
@@ -180,7 +180,7 @@ impl ResolveRule {
     }
 }
 
-/// The rule of each plane of a frame. `PackedFrame::read` has the reverse of the packing.
+/// The rule of each plane of a frame. `unpack_plane` in `render/resolve/unpack.rs` reverses its packing.
 #[must_use]
 pub(crate) const fn resolve_rule(plane: Plane) -> ResolveRule {
     use ResolveRule::{Host, Instance, InstanceMean, Pixel, Quads};
