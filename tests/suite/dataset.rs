@@ -340,8 +340,8 @@ fn a_wrong_configuration_is_refused_before_anything_is_written() {
         (vec!["--count", "1", "--shard", "2/2"], "I/N"),
         (vec!["--count", "1", "--shard", "half"], "I/N"),
         (vec!["--count", "1", "--split", "train=1"], "--split"),
-        (vec!["--split", "train=2,train=3"], "stands twice"),
-        (vec!["--split", "../up=2"], "no name of letters"),
+        (vec!["--split", "train=2,train=3"], "occurs twice"),
+        (vec!["--split", "../up=2"], "is not a name; allowed are letters"),
         (vec!["--split", "train"], "has no `=`"),
         (vec!["--count", "1", "--format", "cocoo"], "unknown format"),
         (vec!["--count", "1", "--outputs", "rgb,masks"], "did you mean `mask`"),
@@ -395,7 +395,7 @@ fn a_frame_that_breaks_a_rule_is_redrawn_and_counted() {
     let output = run(folder.path(), &dataset("never", &impossible));
     let message = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{message}");
-    for expected in ["require.rock", "drawn 3 times", "wanted is 0.99 to 1"] {
+    for expected in ["require.rock", "drawn 3 times", "allowed is 0.99 to 1"] {
         assert!(message.contains(expected), "{message}");
     }
     // No frame was finished there, so another configuration may use the folder.
