@@ -45,7 +45,7 @@ impl Params {
     pub fn number(&self, knob: Knob) -> f64 {
         match self.value(knob) {
             Value::Number(value) => *value,
-            _ => panic!("{} is no number", knob.name()),
+            _ => panic!("{} is not a number", knob.name()),
         }
     }
 
@@ -66,7 +66,7 @@ impl Params {
     pub fn rgb(&self, knob: Knob) -> [f64; 3] {
         match self.value(knob) {
             Value::Rgb(rgb) => *rgb,
-            _ => panic!("{} is no colour", knob.name()),
+            _ => panic!("{} is not a colour", knob.name()),
         }
     }
 
@@ -78,7 +78,7 @@ impl Params {
     pub fn text(&self, knob: Knob) -> &str {
         match self.value(knob) {
             Value::Text(text) => text,
-            _ => panic!("{} is no word", knob.name()),
+            _ => panic!("{} is not a text", knob.name()),
         }
     }
 
@@ -90,7 +90,7 @@ impl Params {
     pub fn sample(&self, knob: Knob, stream: &mut Stream) -> f64 {
         match self.settings[knob as usize].sample(stream) {
             Value::Number(value) => value,
-            _ => panic!("{} is no number", knob.name()),
+            _ => panic!("{} is not a number", knob.name()),
         }
     }
 

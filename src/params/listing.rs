@@ -34,7 +34,7 @@ impl Config {
             }
             let each = match info.scope {
                 Scope::Frame => String::new(),
-                Scope::Element(element) => format!(" One draw a {element}."),
+                Scope::Element(element) => format!(" Drawn per {element}."),
             };
             let _ =
                 writeln!(text, "# {}{each} Allowed: {}.\n{key} = {distribution}", info.doc, info.allowed());

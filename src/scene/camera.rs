@@ -65,15 +65,15 @@ impl Camera {
         let dome_m = params.number(Knob::SkyDomeRadiusM);
         if f64::from(height_m) >= innermost_star_m(dome_m) {
             return Err(Error::Scene(format!(
-                "camera.height_m = {height_m} puts the eye among the stars or out of the sky's dome, sky.dome_radius_m = \
-                 {dome_m}; lower it, or make the dome larger"
+                "camera.height_m = {height_m} puts the camera outside the sky dome or among its stars, sky.dome_radius_m = \
+                 {dome_m}; lower it, or enlarge the dome"
             )));
         }
         let clearance_m = eye.z - terrain.surface_height_at(position);
         if clearance_m < MIN_CLEARANCE_M {
             return Err(Error::Scene(format!(
-                "camera.height_m = {height_m} leaves the eye {clearance_m:.3} m above the drawn ground, \
-                 and {MIN_CLEARANCE_M} m is the least; raise it, or lower terrain.amplitude_m"
+                "camera.height_m = {height_m} leaves the camera {clearance_m:.3} m above the ground mesh, and \
+                 the minimum is {MIN_CLEARANCE_M} m; raise it, or lower terrain.amplitude_m"
             )));
         }
         Ok(Self::above(params, eye.z))
