@@ -1,6 +1,7 @@
 //! What is computed on the host after the readback: rock labels, hazard maps, the sensor.
 //! Must not know: wgpu.
 
+pub mod amodal;
 pub mod hazards;
 pub mod rock_labels;
 pub mod sensor;

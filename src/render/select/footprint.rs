@@ -5,6 +5,7 @@
 
 use glam::{DMat3, DVec3, DVec4, Vec2};
 
+use crate::render::raster::clip::clip_polygon;
 use crate::render::select::selection::Selection;
 use crate::scene::Scene;
 
@@ -100,21 +101,11 @@ impl Footprint {
     /// The part within a square around a place.
     #[must_use]
     pub fn within(&self, centre: Vec2, half_m: f32) -> Self {
-        let mut corners = self.corners.clone();
-        for normal in [Vec2::X, Vec2::NEG_X, Vec2::Y, Vec2::NEG_Y] {
-            let inside_m = |corner: Vec2| half_m - (corner - centre).dot(normal);
-            let next = corners.iter().cycle().skip(1);
-            corners = corners
-                .iter()
-                .zip(next)
-                .flat_map(|(&from, &to)| {
-                    let (a, b) = (inside_m(from), inside_m(to));
-                    let crosses = (a < 0.0) != (b < 0.0);
-                    [(a >= 0.0).then_some(from), crosses.then(|| from + (to - from) * (a / (a - b)))]
-                })
-                .flatten()
-                .collect();
-        }
+        let interpolate = |inner: &Vec2, outer: &Vec2, t: f32| *inner + (*outer - *inner) * t;
+        let sides = [Vec2::X, Vec2::NEG_X, Vec2::Y, Vec2::NEG_Y];
+        let corners = sides.iter().fold(self.corners.clone(), |corners, normal| {
+            clip_polygon(&corners, |corner| half_m - (*corner - centre).dot(*normal), interpolate)
+        });
         Self { corners }
     }
 }
