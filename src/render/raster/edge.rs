@@ -41,7 +41,7 @@ impl Edge {
 
     /// The edge function of a small triangle from a pixel on.
     #[inline(always)]
-    pub(super) fn from_pixel(&self, column: i32, row: i32) -> EdgeFunction {
+    pub(super) fn stepping_from(&self, column: i32, row: i32) -> EdgeFunction {
         let (x, y) = (column * SUBPIXEL_STEPS - self.from.x, row * SUBPIXEL_STEPS - self.from.y);
         EdgeFunction {
             first: self.dx * y - self.dy * x - self.top_left_bias,

@@ -114,7 +114,7 @@ impl TriangleSetup {
         sink: &mut impl FragmentSink<S>,
     ) {
         let (column, row) = (self.bounds.columns.0, self.bounds.rows.0);
-        let edges = self.edges.map(|edge| edge.from_pixel(column, row));
+        let edges = self.edges.map(|edge| edge.stepping_from(column, row));
         fill_small(simd, edges, self.bounds, (first_row, stride), sink);
     }
 

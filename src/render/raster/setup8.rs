@@ -127,7 +127,7 @@ impl<const N: usize> TriangleSetup8<N> {
         setup
     }
 
-    /// Edge functions of front faces, as [`super::edge::Edge::from_pixel`].
+    /// Edge functions of front faces, as [`super::edge::Edge::stepping_from`].
     #[inline(always)]
     fn set_edges<S: Simd>(
         &mut self,
