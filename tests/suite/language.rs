@@ -3,7 +3,7 @@
 //! The rules hold for sources, shaders, tests, documents, presets, recipes and everything that `--help` prints. Identifiers
 //! are split into their words, so that `PictureArgs` and `picture_px` are found as well as "picture".
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use crate::support::{self, source};
 
@@ -65,11 +65,8 @@ const BANNED_PREFIXES: [(&str, &str); 5] =
 /// Doc comments that say nothing beyond the name they stand at.
 const EMPTY_DOCS: [&str; 6] = ["Them.", "It.", "Its.", "As above.", "The same.", "Likewise."];
 
-/// Names that contain a banned word and stay: a check in the reports of `verify`, a term of COCO, the value of a mode.
-const EXEMPT: [&str; 3] = ["\"pictures\"", "is_thing", "most_common"];
-
-/// Files that still break a rule. To be emptied: a file that breaks none any more must leave the list.
-const KNOWN: &[&str] = &["src/render/post/rock_labels.rs", "src/render/select/near_plane.rs"];
+/// Names that contain a banned word and stay: a check in the reports of `verify`, a term of COCO.
+const EXEMPT: [&str; 2] = ["\"pictures\"", "is_thing"];
 
 /// Small words of a text, each with its line from 1: identifiers split, comment marks dropped. The end of a sentence is an empty
 /// word, so that no phrase is found across it.
@@ -149,20 +146,14 @@ fn the_repository_is_written_in_the_words_of_its_field() {
         texts.insert(file.to_owned(), text.unwrap_or_else(|error| panic!("{file}: {error}")));
     }
     texts.remove("tests/suite/language.rs");
-    let (mut wrong, mut offenders) = (Vec::new(), BTreeSet::new());
-    for (file, text) in &texts {
-        let is_code = [".rs", ".wgsl", ".py"].iter().any(|extension| file.ends_with(extension));
-        let found = findings(file, text, is_code);
-        if !found.is_empty() {
-            offenders.insert(file.as_str());
-        }
-        if !KNOWN.contains(&file.as_str()) {
-            wrong.extend(found);
-        }
-    }
+    let wrong: Vec<String> = texts
+        .iter()
+        .flat_map(|(file, text)| {
+            let is_code = [".rs", ".wgsl", ".py"].iter().any(|extension| file.ends_with(extension));
+            findings(file, text, is_code)
+        })
+        .collect();
     assert!(wrong.is_empty(), "{} words to replace:\n{}", wrong.len(), wrong.join("\n"));
-    let clean: Vec<&&str> = KNOWN.iter().filter(|file| !offenders.contains(**file)).collect();
-    assert!(clean.is_empty(), "these files break no rule any more, remove them from KNOWN: {clean:?}");
 }
 
 #[test]
