@@ -36,10 +36,10 @@ pub mod lens;
 pub mod meta;
 pub mod output;
 pub mod params;
+pub mod pool;
 pub mod random;
 pub mod remap;
 pub mod render;
-pub mod reuse;
 pub mod rounding;
 pub mod scene;
 

@@ -9,6 +9,7 @@ use std::sync::{Arc, Weak};
 use glam::Mat4;
 
 use crate::class::ClassId;
+use crate::pool::PooledVec;
 use crate::render::backend::RasterOptions;
 use crate::render::device::packing::Packing;
 use crate::render::device::shader_structs::{CasterTile, FrameUniforms, HorizonLevel, Instance};
@@ -21,7 +22,6 @@ use crate::render::select::footprint::Footprint;
 use crate::render::select::selection::{Selection, Slots};
 use crate::render::settings::RenderSettings;
 use crate::render::shadow::horizon::{self, HorizonMap};
-use crate::reuse::Reused;
 use crate::scene::Scene;
 use crate::scene::bounce::{Bounce, rms_slope};
 use crate::scene::photometry::Photometry;
@@ -39,7 +39,7 @@ pub(crate) struct FramePlan {
     /// Whether the horizon differs from that of the plan before.
     pub(crate) is_horizon_new: bool,
     /// Which casters can shade each cell of the ground ([`caster_grid`]).
-    pub(crate) caster_grid: Reused<u32>,
+    pub(crate) caster_grid: PooledVec<u32>,
     /// Tile of each caster in the shadow map.
     pub(crate) caster_tiles: Vec<CasterTile>,
     /// Relief below the mesh, by distance.

@@ -8,7 +8,7 @@ use std::sync::LazyLock;
 use bytemuck::{Pod, Zeroable};
 use glam::{DVec3, Vec3, Vec3A, Vec4, Vec4Swizzles};
 
-use crate::reuse::Reused;
+use crate::pool::PooledVec;
 
 /// A vertex as it is hashed, uploaded and exported.
 #[repr(C)]
@@ -120,7 +120,7 @@ impl Icosphere {
     /// If the level is 0 or has another number of vertices.
     pub fn set_smooth_normals(&self, vertices: &mut [Vertex], level: usize) {
         assert!(level > 0 && vertices.len() == Self::vertex_count(level), "the vertices of level {level}");
-        let mut sums = Reused::filled(vertices.len(), Vec4::ZERO);
+        let mut sums = PooledVec::filled(vertices.len(), Vec4::ZERO);
         let positions = Positions::of(vertices);
         // The four triangles of a subdivided one are summed together: a third of the loads and stores.
         for &[[a, ..], [_, b, _], [.., c], [ab, bc, ca]] in self.triangles[level].as_chunks::<4>().0 {

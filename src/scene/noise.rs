@@ -11,7 +11,7 @@ mod hash;
 
 use fearless_simd::{Level, dispatch};
 
-use crate::reuse::Reused;
+use crate::pool::PooledVec;
 use crate::rounding::floor_and_fraction;
 use cells::{lerp, smoothstep};
 pub use gradient::{
@@ -60,8 +60,11 @@ impl Fbm {
     /// Evaluates a grid whose columns have these x coordinates, line by line.
     #[must_use]
     pub fn lines<'a>(&self, x: &'a [f32]) -> Lines<'a> {
-        let line =
-            |octave| OctaveLines { octave, row: None, sides: [(); 2].map(|()| Reused::of_any(x.len())) };
+        let line = |octave| OctaveLines {
+            octave,
+            row: None,
+            sides: [(); 2].map(|()| PooledVec::unspecified(x.len())),
+        };
         Lines { x, octaves: self.octaves().map(line).collect(), total: self.total() }
     }
 
@@ -134,7 +137,7 @@ struct OctaveLines {
     /// The southern (lower) row.
     row: Option<i32>,
     /// Values along the southern and the northern row, in units of [`HASH_UNIT`].
-    sides: [Reused<f32>; 2],
+    sides: [PooledVec<f32>; 2],
 }
 
 impl Lines<'_> {

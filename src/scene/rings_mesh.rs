@@ -13,7 +13,7 @@ use super::mesh::Vertex;
 use super::relief::Relief;
 use super::rings::{Rings, View};
 use super::terrain::{Layout, Terrain, z_range_m};
-use crate::reuse::Reused;
+use crate::pool::PooledVec;
 
 /// Rows and columns of a tile, whose vertices share one search for nearby craters and fillets.
 const TILE: (usize, usize) = (16, 32);
@@ -25,7 +25,7 @@ impl Terrain {
         let rings = Rings::new(view);
         let (columns, rows) = (rings.columns(), rings.rows());
         let row_len = columns as usize + 1;
-        let mut vertices: Reused<Vertex> = Reused::of_any(row_len * (rows as usize + 1));
+        let mut vertices: PooledVec<Vertex> = PooledVec::unspecified(row_len * (rows as usize + 1));
         vertices.par_chunks_mut(TILE.0 * row_len).enumerate().for_each(|(chunk, vertices)| {
             for first in (0..row_len).step_by(TILE.1) {
                 let columns = first..(first + TILE.1).min(row_len);
@@ -90,7 +90,7 @@ fn set_tile_positions(
 /// Sets all normals by central differences along rings and rays.
 fn set_normals(vertices: &mut [Vertex], columns: usize, last_row: usize) {
     let row_len = columns + 1;
-    let mut positions: Reused<Vec3> = Reused::of_any(vertices.len());
+    let mut positions: PooledVec<Vec3> = PooledVec::unspecified(vertices.len());
     for (position, vertex) in positions.iter_mut().zip(vertices.iter()) {
         *position = vertex.position;
     }

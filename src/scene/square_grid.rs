@@ -11,8 +11,8 @@ use super::noise::Fbm;
 use super::nominal_craters::{Crater, draw_craters, set_crater_heights};
 use super::terrain::{Layout, Terrain, z_range_m};
 use crate::params::{Knob, Params};
+use crate::pool::PooledVec;
 use crate::random::Streams;
-use crate::reuse::Reused;
 
 /// Octaves and first frequency (per metre) of the broad relief.
 const BROAD: (u32, f32) = (5, 0.010);
@@ -36,7 +36,7 @@ impl Terrain {
         let (broad, fine) = (layer(BROAD, seeds.bits()), layer(FINE, seeds.bits()));
         Self::from_lines(size_m, cells, craters.clone(), |x, y, heights| {
             let (mut broad, mut fine) = (broad.lines(x), fine.lines(x));
-            let [mut finer, mut crater_m] = [(); 2].map(|()| Reused::of_any(x.len()));
+            let [mut finer, mut crater_m] = [(); 2].map(|()| PooledVec::unspecified(x.len()));
             for (heights, &y) in heights.chunks_mut(x.len()).zip(y) {
                 broad.set(y, heights);
                 fine.set(y, &mut finer);
@@ -73,16 +73,16 @@ impl Terrain {
         set_heights: impl Fn(&[f32], &[f32], &mut [f32]) + Sync,
     ) -> Self {
         let row_len = cells as usize + 1;
-        let mut vertices: Reused<Vertex> = Reused::of_any(row_len * row_len);
+        let mut vertices: PooledVec<Vertex> = PooledVec::unspecified(row_len * row_len);
         let coordinates: Vec<f32> = (0..row_len).map(|i| (i as f32 / cells as f32 - 0.5) * size_m).collect();
-        let mut heights: Reused<f32> = Reused::of_any(row_len * row_len);
+        let mut heights: PooledVec<f32> = PooledVec::unspecified(row_len * row_len);
         heights
             .par_chunks_mut(LINES * row_len)
             .zip(coordinates.par_chunks(LINES))
             .for_each(|(heights, y)| set_heights(&coordinates, y, heights));
         let cell_m = size_m / cells as f32;
         vertices.par_chunks_mut(row_len).enumerate().for_each_init(
-            || [(); 3].map(|()| Reused::of_any(row_len)),
+            || [(); 3].map(|()| PooledVec::unspecified(row_len)),
             |normals, (row, vertices)| {
                 let heights = |row: usize| &heights[row * row_len..][..row_len];
                 let [south, here, north] =
@@ -111,7 +111,7 @@ impl Terrain {
 /// Sets the normals of a line of vertices, one slice per axis, by central differences of the heights: its own and those
 /// of the lines on both sides, which are `rows` cells apart.
 #[inline(always)]
-fn set_normals([south, here, north]: [&[f32]; 3], cell_m: f32, rows: f32, normals: &mut [Reused<f32>; 3]) {
+fn set_normals([south, here, north]: [&[f32]; 3], cell_m: f32, rows: f32, normals: &mut [PooledVec<f32>; 3]) {
     let [x, y, z] = normals.each_mut().map(|axis| &mut axis[..]);
     let last = here.len() - 1;
     x[0] = -((here[1] - here[0]) / cell_m);

@@ -12,7 +12,7 @@ use super::grid_cell::CellPoint;
 use super::mesh::Vertex;
 use super::nominal_craters::Crater;
 use super::rings::Rings;
-use crate::reuse::Reused;
+use crate::pool::PooledVec;
 
 /// How the ground's grid lies over the plane.
 #[derive(Clone, Debug)]
@@ -40,7 +40,7 @@ pub struct Terrain {
     pub rows: u32,
     /// `(columns + 1) x (rows + 1)` vertices, row by row. In a square, y grows with the row and x along it; with rings, a
     /// row is a ring, from the innermost outwards.
-    pub vertices: Reused<Vertex>,
+    pub vertices: PooledVec<Vertex>,
     /// The craters of the nominal stage; empty on the surface stage.
     pub craters: Vec<Crater>,
 }

@@ -6,9 +6,9 @@ use glam::{Vec2, Vec3};
 use regolith::class::ClassId;
 use regolith::frame::Annotation;
 use regolith::lens::Lens;
+use regolith::pool::PooledVec;
 use regolith::render::RenderSettings;
 use regolith::render::resolve::tone::srgb_code;
-use regolith::reuse::Reused;
 use regolith::scene::camera::Camera;
 use regolith::scene::mesh::{Icosphere, Vertex};
 use regolith::scene::photometry::{Law, Photometry};
@@ -53,7 +53,7 @@ fn ball(centre: Vec3, radius_m: f32) -> Rock {
         centre,
         level: Icosphere::MAX_LEVEL,
         level_errors_m: sphere.level_errors_m(&vertices),
-        vertices: Arc::new(Reused::from(&vertices[..])),
+        vertices: Arc::new(PooledVec::from(&vertices[..])),
         radius_m,
         z_range_m: [-radius_m, radius_m],
         base_scale_m: radius_m,

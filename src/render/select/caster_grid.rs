@@ -10,10 +10,10 @@ use std::ops::Range;
 use glam::Vec2;
 use rayon::prelude::*;
 
+use crate::pool::PooledVec;
 use crate::render::device::shading_bins::ShadowSources;
 use crate::render::select::casters::Caster;
 use crate::render::select::footprint::Footprint;
-use crate::reuse::Reused;
 use crate::scene::Scene;
 use crate::scene::sky::Sun;
 use crate::scene::terrain::{Layout, Terrain};
@@ -122,7 +122,7 @@ pub fn caster_grid(
     casters: &[Caster],
     shadowed_ground: ShadowedGround<'_>,
     footprint: &Footprint,
-) -> Reused<u32> {
+) -> PooledVec<u32> {
     let grids = CasterGrids::new(&scene.terrain);
     let bands: Vec<_> = (0..grids.levels)
         .flat_map(|level| (0..grids.cells as usize).step_by(BAND_ROWS).map(move |row| (level, row)))
@@ -139,10 +139,10 @@ pub fn caster_grid(
 }
 
 /// Joins the lists of all bands, in order, and sets the flags of the cells' offsets.
-fn join_lists(grids: &CasterGrids, bands: &[CasterLists], horizon_flags: &[u8]) -> Reused<u32> {
+fn join_lists(grids: &CasterGrids, bands: &[CasterLists], horizon_flags: &[u8]) -> PooledVec<u32> {
     let offset_count = grids.cell_count() + 1;
     let listed: usize = bands.iter().map(|band| band.casters.len()).sum();
-    let mut grid: Reused<u32> = Reused::of_any(offset_count + listed);
+    let mut grid: PooledVec<u32> = PooledVec::unspecified(offset_count + listed);
     let (mut offsets, mut lists) = grid.split_at_mut(offset_count);
     let (mut start, mut flags) = (offset_count as u32, horizon_flags);
     let mut parts = Vec::new();
@@ -172,9 +172,9 @@ fn join_lists(grids: &CasterGrids, bands: &[CasterLists], horizon_flags: &[u8]) 
 }
 
 /// Of each cell, 1 if ground may occlude the sun from a surface above it, else 0.
-fn horizon_flags(grids: &CasterGrids, ground: ShadowedGround<'_>) -> Reused<u8> {
+fn horizon_flags(grids: &CasterGrids, ground: ShadowedGround<'_>) -> PooledVec<u8> {
     // Rings have relief everywhere.
-    let mut flags = Reused::filled(grids.cell_count(), u8::from(grids.levels > 1));
+    let mut flags = PooledVec::filled(grids.cell_count(), u8::from(grids.levels > 1));
     if grids.levels == 1 {
         let side = grids.cells as usize;
         let (origin, cell_m) = (grids.centre - grids.half_m, 2.0 * grids.half_m / grids.cells as f32);
@@ -289,9 +289,9 @@ impl<'a> ShadowStrip<'a> {
 /// The caster lists of some cells, one after the other.
 struct CasterLists {
     /// End of the list of each cell.
-    ends: Reused<u32>,
+    ends: PooledVec<u32>,
     /// Indices of casters.
-    casters: Reused<u32>,
+    casters: PooledVec<u32>,
 }
 
 /// Some rows of one of the grids, while their lists are made.
@@ -306,7 +306,7 @@ struct GridBand<'a> {
     /// Columns and rows that the next finer grid covers; their cells here are never looked up.
     finer: Range<usize>,
     /// Of each cell, a lower bound of the height of its ground, metres; NaN until it is computed.
-    min_ground_m: Reused<f32>,
+    min_ground_m: PooledVec<f32>,
     /// Of each row, the columns that may be looked up.
     spans: Vec<Range<usize>>,
 }
@@ -327,7 +327,7 @@ impl<'a> GridBand<'a> {
             cell_m: 2.0 * half_m / grids.cells as f32,
             origin: grids.centre - half_m,
             finer: if level == 0 { 0..0 } else { cells / 4..cells - cells / 4 },
-            min_ground_m: Reused::filled(rows.len() * cells, f32::NAN),
+            min_ground_m: PooledVec::filled(rows.len() * cells, f32::NAN),
             spans: Vec::new(),
             rows: rows.clone(),
         };
@@ -360,8 +360,8 @@ impl<'a> GridBand<'a> {
             let strip = ShadowStrip::new(scene, &rays, caster, self.cell_m);
             self.for_cells_shadowed_by(&strip, |cell| pairs.push((cell as u32, index)));
         }
-        let mut ends = Reused::filled(self.rows.len() * self.cells, 0);
-        let mut casters: Reused<u32> = Reused::of_any(pairs.len());
+        let mut ends = PooledVec::filled(self.rows.len() * self.cells, 0);
+        let mut casters: PooledVec<u32> = PooledVec::unspecified(pairs.len());
         if pairs.is_empty() {
             return CasterLists { ends, casters };
         }

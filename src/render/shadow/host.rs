@@ -18,6 +18,7 @@ use glam::{UVec2, Vec2, Vec3};
 use rayon::prelude::*;
 
 use crate::gpu::staging::{PAGE_BYTES, Page, PageWriter, ROW_ALIGNMENT, TextureRegion};
+use crate::pool::PooledVec;
 use crate::render::device::shader_structs::CasterTile;
 use crate::render::raster::cull::{CULL_BATCH, CullMode, Survivors, Winding};
 use crate::render::raster::fill::FragmentSink;
@@ -30,7 +31,6 @@ use crate::render::raster::setup8::{TriangleSetup8, TriangleVertices8};
 use crate::render::select::atlas::{Allocation, AtlasAllocator};
 use crate::render::select::casters;
 use crate::render::select::selection::Selection;
-use crate::reuse::Reused;
 use crate::scene::Scene;
 use crate::scene::mesh::{Icosphere, Vertex};
 
@@ -60,7 +60,7 @@ pub struct ShadowMap {
 #[derive(Clone, Debug)]
 struct Tile {
     /// Identifies the mesh: while this exists its address goes to no other mesh, though the mesh itself may be dropped.
-    mesh: Weak<Reused<Vertex>>,
+    mesh: Weak<PooledVec<Vertex>>,
     level: usize,
     size_px: f32,
     half_extent_m: f32,

@@ -16,11 +16,11 @@ use wgpu::{BufferUsages, IndexFormat};
 use crate::gpu::Gpu;
 use crate::gpu::growing_buffer::GrowingBuffer;
 use crate::gpu::staging::{PAGE_BYTES, Page};
+use crate::pool::PooledVec;
 use crate::render::raster::lanes::{VERTEX_BATCH, to_soa};
 use crate::render::select::draw_list::{MeshDraw, MeshRef};
 use crate::render::select::ground_blocks::ground_blocks;
 use crate::render::select::selection::Selection;
-use crate::reuse::Reused;
 use crate::rounding::floor;
 use crate::scene::Scene;
 use crate::scene::mesh::{Icosphere, Vertex};
@@ -111,7 +111,7 @@ pub(crate) struct Meshes {
     /// First vertex of the ground.
     ground: i32,
     /// Mesh and first vertex of each rock of the scene; a dangling reference where it is not uploaded.
-    rocks: Vec<(Weak<Reused<Vertex>>, i32)>,
+    rocks: Vec<(Weak<PooledVec<Vertex>>, i32)>,
 }
 
 impl Default for Meshes {

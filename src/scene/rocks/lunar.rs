@@ -13,8 +13,8 @@ use super::shape::{Shape, rotated};
 pub use super::size_distribution::rocks_larger_than;
 use super::size_distribution::{Sizes, poisson};
 use crate::params::{Knob, Params};
+use crate::pool::PooledVec;
 use crate::random::{Stream, Streams};
-use crate::reuse::Reused;
 use crate::scene::craters::Pit;
 use crate::scene::mesh::{Icosphere, Vertex};
 use crate::scene::relief::{Fillet, Relief};
@@ -325,7 +325,7 @@ pub fn build(
     soil: &Material,
     placements: &[Placement],
 ) -> Vec<Rock> {
-    let prototypes: Vec<Reused<Vec3>> = (0..PROTOTYPES)
+    let prototypes: Vec<PooledVec<Vec3>> = (0..PROTOTYPES)
         .into_par_iter()
         .map(|k| form(&mut streams.stream("rocks.prototype", k), params, PROTOTYPE_LEVEL))
         .collect();
@@ -365,10 +365,10 @@ fn albedo_ratio(params: &Params, draw: &mut Stream) -> f64 {
 }
 
 /// A displaced unit sphere, cut by planes.
-fn form(draw: &mut Stream, params: &Params, level: usize) -> Reused<Vec3> {
+fn form(draw: &mut Stream, params: &Params, level: usize) -> PooledVec<Vec3> {
     let shape = Shape::draw(draw, params.number(Knob::RocksDisplacement));
     let directions = &Icosphere::shared().directions;
-    let mut positions: Reused<Vec3> = Reused::of_any(Icosphere::vertex_count(level));
+    let mut positions: PooledVec<Vec3> = PooledVec::unspecified(Icosphere::vertex_count(level));
     for ((position, &u), radius) in positions.iter_mut().zip(directions).zip(&shape.radii(level)) {
         *position = radius * u;
     }
@@ -392,10 +392,10 @@ fn form(draw: &mut Stream, params: &Params, level: usize) -> Reused<Vec3> {
 }
 
 /// A form scaled along its axes, rotated, and scaled to its diameter.
-fn posed(draw: &mut Stream, form: &[Vec3], level: usize, diameter_m: f32) -> Reused<Vertex> {
+fn posed(draw: &mut Stream, form: &[Vec3], level: usize, diameter_m: f32) -> PooledVec<Vertex> {
     let scale = [draw.uniform(0.85, 1.18), draw.uniform(0.85, 1.18), draw.uniform(0.55, 0.95)];
     let world_from_form: Mat3 = rotated(draw, scale.map(|s| s as f32));
-    let mut vertices: Reused<Vertex> = Reused::of_any(form.len());
+    let mut vertices: PooledVec<Vertex> = PooledVec::unspecified(form.len());
     let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
     for (vertex, &p) in vertices.iter_mut().zip(form) {
         vertex.position = world_from_form * p;

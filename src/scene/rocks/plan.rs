@@ -10,8 +10,8 @@ use glam::{Mat3, Vec2, Vec3};
 use super::rock::{Material, Rock};
 use super::shape::{Shape, draw_scale_and_rotation};
 use crate::params::{Knob, Params};
+use crate::pool::PooledVec;
 use crate::random::{Stream, Streams};
-use crate::reuse::Reused;
 use crate::scene::mesh::{Icosphere, Vertex};
 use crate::scene::terrain::Terrain;
 
@@ -146,9 +146,9 @@ impl RockPlan {
     }
 
     /// Vertices of a level without their normals; a finer level begins with the same vertices.
-    fn vertices(&self, level: usize) -> Reused<Vertex> {
+    fn vertices(&self, level: usize) -> PooledVec<Vertex> {
         let sphere = Icosphere::shared();
-        let mut vertices: Reused<Vertex> = Reused::of_any(Icosphere::vertex_count(level));
+        let mut vertices: PooledVec<Vertex> = PooledVec::unspecified(Icosphere::vertex_count(level));
         for ((vertex, &u), radius) in
             vertices.iter_mut().zip(&sphere.directions).zip(&self.shape.radii(level))
         {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use glam::{Vec2, Vec3};
 
-use crate::reuse::Reused;
+use crate::pool::PooledVec;
 use crate::scene::mesh::{Icosphere, Vertex, distance_to_triangle};
 use crate::scene::terrain::Terrain;
 
@@ -34,7 +34,7 @@ pub struct Rock {
     /// Origin of its vertices in the world, metres.
     pub centre: Vec3,
     /// Displaced icosphere of level [`Self::level`]: metres from the centre, world axes. Clones of a rock share it.
-    pub vertices: Arc<Reused<Vertex>>,
+    pub vertices: Arc<PooledVec<Vertex>>,
     /// Subdivision level of the icosphere, as authored.
     pub level: usize,
     /// Per level, upper bound on the distance between the mesh of that level and the authored one, metres.
@@ -57,7 +57,7 @@ impl Rock {
     /// A rock with its centre at the origin.
     pub(super) fn of_vertices(
         index: u32,
-        vertices: Reused<Vertex>,
+        vertices: PooledVec<Vertex>,
         level: usize,
         material: Material,
     ) -> Self {

@@ -5,8 +5,8 @@
 use fearless_simd::{Level, dispatch};
 use glam::{Mat3, Vec3};
 
+use crate::pool::PooledVec;
 use crate::random::Stream;
-use crate::reuse::Reused;
 use crate::scene::mesh::Icosphere;
 use crate::scene::noise::Fbm;
 
@@ -77,8 +77,8 @@ impl Shape {
     }
 
     /// Radius of the displaced unit sphere in the direction of each vertex of an icosphere level.
-    pub(super) fn radii(&self, level: usize) -> Reused<f32> {
-        let mut radii: Reused<f32> = Reused::of_any(Icosphere::vertex_count(level));
+    pub(super) fn radii(&self, level: usize) -> PooledVec<f32> {
+        let mut radii: PooledVec<f32> = PooledVec::unspecified(Icosphere::vertex_count(level));
         for (chunk, radii) in radii.chunks_mut(BATCH).enumerate() {
             let first = chunk * BATCH;
             let axes = Icosphere::shared().axes.each_ref().map(|axis| &axis[first..first + radii.len()]);

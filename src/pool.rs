@@ -63,12 +63,12 @@ impl<T: Pod + Send> Value for T {}
 
 /// A fixed-length buffer whose memory returns to the pool when dropped.
 #[derive(Debug, PartialEq)]
-pub struct Reused<T: Value>(Vec<T>);
+pub struct PooledVec<T: Value>(Vec<T>);
 
-impl<T: Value> Reused<T> {
+impl<T: Value> PooledVec<T> {
     /// A buffer with arbitrary contents: whatever its memory held before.
     #[must_use]
-    pub fn of_any(len: usize) -> Self {
+    pub fn unspecified(len: usize) -> Self {
         let capacity = capacity_for(len);
         let own = OWN.try_with(|own| own.borrow_mut().take(capacity)).ok().flatten();
         let mut list =
@@ -80,7 +80,7 @@ impl<T: Value> Reused<T> {
     /// A buffer filled with one value.
     #[must_use]
     pub fn filled(len: usize, value: T) -> Self {
-        let mut values = Self::of_any(len);
+        let mut values = Self::unspecified(len);
         values.fill(value);
         values
     }
@@ -92,7 +92,7 @@ const fn capacity_for(len: usize) -> usize {
     len.next_multiple_of(step)
 }
 
-impl<T: Value> Drop for Reused<T> {
+impl<T: Value> Drop for PooledVec<T> {
     fn drop(&mut self) {
         let list = std::mem::take(&mut self.0);
         if list.capacity() * size_of::<T>() < MIN_BYTES {
@@ -106,7 +106,7 @@ impl<T: Value> Drop for Reused<T> {
     }
 }
 
-impl<T: Value> Deref for Reused<T> {
+impl<T: Value> Deref for PooledVec<T> {
     type Target = [T];
 
     #[inline]
@@ -115,14 +115,14 @@ impl<T: Value> Deref for Reused<T> {
     }
 }
 
-impl<T: Value> DerefMut for Reused<T> {
+impl<T: Value> DerefMut for PooledVec<T> {
     #[inline]
     fn deref_mut(&mut self) -> &mut [T] {
         &mut self.0
     }
 }
 
-impl<'a, T: Value> IntoIterator for &'a Reused<T> {
+impl<'a, T: Value> IntoIterator for &'a PooledVec<T> {
     type Item = &'a T;
     type IntoIter = std::slice::Iter<'a, T>;
 
@@ -131,7 +131,7 @@ impl<'a, T: Value> IntoIterator for &'a Reused<T> {
     }
 }
 
-impl<'a, T: Value> IntoIterator for &'a mut Reused<T> {
+impl<'a, T: Value> IntoIterator for &'a mut PooledVec<T> {
     type Item = &'a mut T;
     type IntoIter = std::slice::IterMut<'a, T>;
 
@@ -140,15 +140,15 @@ impl<'a, T: Value> IntoIterator for &'a mut Reused<T> {
     }
 }
 
-impl<T: Value> Clone for Reused<T> {
+impl<T: Value> Clone for PooledVec<T> {
     fn clone(&self) -> Self {
         Self::from(&self[..])
     }
 }
 
-impl<T: Value> From<&[T]> for Reused<T> {
+impl<T: Value> From<&[T]> for PooledVec<T> {
     fn from(values: &[T]) -> Self {
-        let mut copies = Self::of_any(values.len());
+        let mut copies = Self::unspecified(values.len());
         copies.copy_from_slice(values);
         copies
     }
@@ -172,17 +172,17 @@ mod tests {
     fn small_buffers_are_not_pooled() {
         let pooled = || OWN.with_borrow(|own| own.lists.values().map(Vec::len).sum::<usize>());
         for len in [0, 1, MIN_BYTES / size_of::<f32>() / 2] {
-            drop(Reused::filled(len, 1.0_f32));
+            drop(PooledVec::filled(len, 1.0_f32));
             assert_eq!(pooled(), 0, "{len} values");
         }
-        drop(Reused::filled(MIN_BYTES / size_of::<f32>(), 1.0_f32));
+        drop(PooledVec::filled(MIN_BYTES / size_of::<f32>(), 1.0_f32));
         assert_eq!(pooled(), 1);
     }
 
     #[test]
     fn memory_is_reused_and_clones_are_independent() {
         let len = 123_457;
-        let mut first = Reused::filled(len, 7.0_f32);
+        let mut first = PooledVec::filled(len, 7.0_f32);
         let address = first.as_ptr();
         let second = first.clone();
         assert!(second == first && second.as_ptr() != address);
@@ -191,7 +191,7 @@ mod tests {
         drop(second);
         drop(first);
         // Slightly larger, of the same capacity.
-        let again = Reused::<f32>::of_any(len + 2);
+        let again = PooledVec::<f32>::unspecified(len + 2);
         assert_eq!(again.len(), len + 2);
         assert_eq!(again.as_ptr(), address, "the buffer last dropped on this thread is taken first");
     }
