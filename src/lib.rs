@@ -2,7 +2,7 @@
 //!
 //! From a seed to the files of one frame:
 //!
-//! 1. [`params::sampler::Config`] combines defaults, presets, a file and `--set`; it draws [`params::Params`], every
+//! 1. [`params::config::Config`] combines defaults, presets, a file and `--set`; it draws [`params::Params`], every
 //!    value of one frame, checked.
 //! 2. [`scene::Scene::build`] generates the scene of a seed: meshes, materials, sun, camera. Plain data, no GPU.
 //! 3. [`render::Renderer::submit`] plans the frame: what this camera and this sun need, in which level of detail, which

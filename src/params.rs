@@ -4,13 +4,13 @@
 //! Must not know: what a knob does.
 //! To add a knob: a row in `params/knobs.rs`, and the line of code that uses it.
 
+pub mod config;
 pub mod distribution;
 mod document;
 mod knob_info;
 mod knobs;
 mod listing;
 pub mod presets;
-pub mod sampler;
 
 use serde_json::{Map, Value as Json};
 
@@ -125,7 +125,7 @@ mod tests {
     fn every_knob_has_a_value_of_its_kind() {
         let mut stream = crate::random::Streams::new(1).stream("test", 0);
         for (stage, name) in Stage::ALL {
-            let mut config = sampler::Config::new();
+            let mut config = super::config::Config::new();
             config.set_stage(name).expect("a stage");
             let params = config.draw(1).expect("drawn");
             assert_eq!(params.stage(), stage);

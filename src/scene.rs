@@ -120,7 +120,7 @@ impl Scene {
         let centre = Vec2::new(params.number(Knob::CameraXM) as f32, params.number(Knob::CameraYM) as f32);
         let view = camera::ground_view(params);
         let mut relief = Relief::new(streams, params, centre);
-        let placements = lunar::place(streams, params, &relief, &view, centre);
+        let placements = lunar::placements(streams, params, &relief, &view, centre);
         relief.fillets = lunar::fillets(streams, &placements, centre);
         let terrain = Terrain::rings(&relief, &view, centre);
         let camera = Camera::build(params, &terrain)?;
@@ -207,7 +207,7 @@ fn nominal_regolith(params: &Params) -> Material {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::params::sampler::Config;
+    use crate::params::config::Config;
 
     fn scene(seed: u64, set: &[&str]) -> Scene {
         let mut config = Config::new();

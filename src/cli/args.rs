@@ -9,7 +9,7 @@ use regolith::dataset::rules::Rules;
 use regolith::gpu::Gpu;
 use regolith::output::edges::EdgePolicy;
 use regolith::output::{LabelIds, OUTPUTS};
-use regolith::params::sampler::Config;
+use regolith::params::config::Config;
 use regolith::render::{RasterMode, RenderSettings, Renderer};
 
 use super::device;

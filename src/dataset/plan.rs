@@ -17,7 +17,7 @@ use crate::error::{Error, Result};
 use crate::output::edges::EdgePolicy;
 use crate::output::layout::Layout;
 use crate::output::{self, LabelIds, Output};
-use crate::params::sampler::Config;
+use crate::params::config::Config;
 use crate::render::RenderSettings;
 
 /// All seeds are smaller than this.

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use crate::class::ClassId;
 use crate::error::{Error, Result, nearest};
 use crate::frame::Frame;
-use crate::params::sampler::{Config, RuleSetting};
+use crate::params::config::{Config, RuleSetting};
 use crate::scene::Scene;
 
 /// The largest value that the tone curve produces: a channel with this value is clipped.

@@ -6,10 +6,10 @@ use std::fmt::Write as _;
 
 use serde_json::json;
 
+use super::config::Config;
 use super::distribution::Distribution;
 use super::knob_info::{Kind, KnobInfo, Scope};
 use super::knobs::{KNOBS, Knob};
-use super::sampler::Config;
 
 impl Config {
     /// The knobs of the stages with their distributions, on the first stage that has each.

@@ -50,7 +50,7 @@ const LAYERS: [(&str, &[&[&str]]); 8] = [
             &["knobs"],
             &["document"],
             &[SELF],
-            &["sampler"],
+            &["config"],
             &["listing"],
         ],
     ),

@@ -8,7 +8,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use regolith::params::Knob;
-use regolith::params::sampler::Config;
+use regolith::params::config::Config;
 use regolith::random::Streams;
 use regolith::scene::Scene;
 use serde_json::{Map, Value};

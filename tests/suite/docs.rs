@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
+use regolith::params::config::Config;
 use regolith::params::presets::presets;
-use regolith::params::sampler::Config;
 
 use crate::support::{folder, run_ok};
 

@@ -5,7 +5,7 @@
 use regolith::class::ClassId;
 use regolith::frame::{Annotation, Frame};
 use regolith::params::Knob;
-use regolith::params::sampler::Config;
+use regolith::params::config::Config;
 use regolith::render::RenderSettings;
 use regolith::scene::Scene;
 

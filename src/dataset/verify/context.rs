@@ -12,7 +12,7 @@ use crate::error::{Error, Result};
 use crate::output::edges::EdgePolicy;
 use crate::output::layout::{self, Layout};
 use crate::output::{LabelIds, disk};
-use crate::params::sampler::Config;
+use crate::params::config::Config;
 use crate::render::RenderSettings;
 
 /// What the manifest says about all frames, and where they are.

@@ -13,7 +13,7 @@ use crate::frame::Frame;
 use crate::meta;
 use crate::output::disk;
 use crate::output::layout::FrameLine;
-use crate::params::sampler::Config;
+use crate::params::config::Config;
 use crate::render::Renderer;
 use crate::scene::Scene;
 

@@ -185,7 +185,7 @@ impl LatticeUniforms {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::params::sampler::Config;
+    use crate::params::config::Config;
     use crate::scene::relief::mesh_share;
 
     #[test]

@@ -97,7 +97,7 @@ fn near_plane_cuts_view(scene: &Scene, camera: &Camera, [width_px, height_px]: [
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::params::sampler::Config;
+    use crate::params::config::Config;
 
     fn view_of(size: [u32; 2], set: &[&str]) -> Result<(Camera, [u32; 2])> {
         let mut config = Config::new();

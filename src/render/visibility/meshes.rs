@@ -350,7 +350,7 @@ fn pack(vertices: &[Vertex], packed: &mut [PackedVertex]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::params::sampler::Config;
+    use crate::params::config::Config;
     use glam::{Vec2, Vec3};
 
     fn ground(stage: &str) -> Terrain {

@@ -137,7 +137,7 @@ const fn rock_key(of: u64, octave: u32, k: u32) -> u64 {
 
 /// Positions and sizes of all rocks, the largest octave or band first.
 #[must_use]
-pub fn place(
+pub fn placements(
     streams: &Streams,
     params: &Params,
     relief: &Relief,
@@ -351,7 +351,7 @@ pub fn build(
         // The upper half of a sphere is uniformly distributed over z.
         rock.dust_above = 1.0 - params.sample(Knob::RocksDust, &mut draw("rocks.dust")) as f32;
         let exposed = params.sample(Knob::RocksExposed, &mut draw("rocks.exposed")) as f32;
-        rock.place(terrain, eye, placement.position, 1.0 - exposed);
+        rock.put_on_ground(terrain, eye, placement.position, 1.0 - exposed);
         rock
     };
     placements.par_iter().enumerate().map(build).collect()

@@ -163,7 +163,7 @@ mod tests {
 
     #[test]
     fn one_rock_more_leaves_the_others_as_they_were() {
-        let mut config = crate::params::sampler::Config::new();
+        let mut config = crate::params::config::Config::new();
         let mut rocks = |count: &str| {
             config.apply_set(&format!("rocks.count={count}")).expect("a count");
             let params = config.draw(21).expect("drawn");
@@ -180,7 +180,7 @@ mod tests {
     fn a_rock_lies_within_its_bounds() {
         let slope = Arc::new(Terrain::from_height(920.0, 300, Vec::new(), |p| 0.6 * p.x + 0.3 * p.y));
         for displacement in ["0", "0.34", "0.8"] {
-            let mut config = crate::params::sampler::Config::new();
+            let mut config = crate::params::config::Config::new();
             config.apply_set(&format!("rocks.displacement={displacement}")).expect("a displacement");
             let params = config.draw(6).expect("drawn");
             let rocks = plan(&Streams::new(6), &params, &slope, Vec3::new(0.0, -90.0, 500.0));
@@ -207,7 +207,7 @@ mod tests {
             bytes
         };
         let of = |seed, embedding: &str| {
-            let mut config = crate::params::sampler::Config::new();
+            let mut config = crate::params::config::Config::new();
             config.apply_set(&format!("rocks.embedding={embedding}")).expect("an embedding");
             plan(&Streams::new(seed), &config.draw(9).expect("drawn"), &flat(), Vec3::new(0.0, -90.0, 2.0))
         };

@@ -117,7 +117,7 @@ impl RockPlan {
         let position = onto_ground(position, band, site.terrain.half_extent_m - radius_m, || {
             streams.stream("rocks.place_on_ground", k)
         });
-        // `Rock::settle` puts the centre between these heights.
+        // `Rock::set_centre` puts the centre between these heights.
         let [lowest_ground_m, _] = site.terrain.z_range_m;
         let (low_m, high_m) =
             (lowest_ground_m - 1.1 * radius_m, site.terrain.surface_height_at(position) + radius_m);
@@ -141,7 +141,7 @@ impl RockPlan {
         Icosphere::shared().set_smooth_normals(&mut vertices, self.level);
         let mut rock = Rock::of_vertices(self.index, vertices, self.level, self.material);
         rock.base_scale_m = self.base_scale_m;
-        rock.place(&self.site.terrain, self.site.eye, self.position, self.site.embedding);
+        rock.put_on_ground(&self.site.terrain, self.site.eye, self.position, self.site.embedding);
         rock
     }
 

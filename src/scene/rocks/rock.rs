@@ -86,10 +86,10 @@ impl Rock {
     }
 
     /// Puts the rock on the ground at a position, with a fraction `embedding` of its height buried, and clear of the eye.
-    pub(super) fn place(&mut self, terrain: &Terrain, eye: Vec3, position: Vec2, embedding: f32) {
+    pub(super) fn put_on_ground(&mut self, terrain: &Terrain, eye: Vec3, position: Vec2, embedding: f32) {
         let lowest = self.vertices.iter().map(|v| v.position).find(|point| point.z == self.z_range_m[0]);
         let lowest = lowest.unwrap_or_default();
-        self.settle(terrain, position, embedding, lowest);
+        self.set_centre(terrain, position, embedding, lowest);
         if self.distance_to(eye, EYE_CLEARANCE_M) < EYE_CLEARANCE_M {
             // Straight away from the eye until the whole ball around the rock is clear of it; where that is beyond
             // the border of the ground, to the opposite side of the eye or to one beside it.
@@ -100,7 +100,7 @@ impl Rock {
                 [away, -away, away.perp(), -away.perp()].map(|side| eye.truncate() + clear_m * side);
             let max_m = terrain.half_extent_m - self.radius_m;
             let on_ground = positions.into_iter().find(|position| position.abs().max_element() <= max_m);
-            self.settle(terrain, on_ground.unwrap_or(positions[0]), embedding, lowest);
+            self.set_centre(terrain, on_ground.unwrap_or(positions[0]), embedding, lowest);
             self.moved = true;
         }
     }
@@ -123,7 +123,7 @@ impl Rock {
 
     /// Sets the centre so that the fraction `embedding` of the height is below the ground at a position, and lower if its
     /// lowest point would not be below the ground.
-    fn settle(&mut self, terrain: &Terrain, position: Vec2, embedding: f32, lowest: Vec3) {
+    fn set_centre(&mut self, terrain: &Terrain, position: Vec2, embedding: f32, lowest: Vec3) {
         let [bottom_m, top_m] = self.z_range_m;
         let extent_m = top_m - bottom_m;
         let z = terrain.surface_height_at(position) - (bottom_m + embedding * extent_m);

@@ -10,7 +10,7 @@ use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
 use regolith::frame::Frame;
 use regolith::gpu::Gpu;
 use regolith::params::Params;
-use regolith::params::sampler::Config;
+use regolith::params::config::Config;
 use regolith::render::{RenderSettings, Renderer};
 use regolith::scene::Scene;
 
