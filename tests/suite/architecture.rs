@@ -17,7 +17,7 @@ const MAX_FUNCTION_LINES: usize = 80;
 const LONG_BECAUSE: &str = "// Long because: ";
 
 /// Each room (a module directly below `src`) and the rooms that it may use.
-const MAY_USE: [(&str, &[&str]); 17] = [
+pub(crate) const MAY_USE: [(&str, &[&str]); 17] = [
     ("error", &[]),
     ("class", &[]),
     ("random", &[]),

@@ -341,3 +341,20 @@ fn identifiers_in_the_architecture_exist() {
     }
     assert!(checked > 15, "only {checked} identifiers were found");
 }
+
+#[test]
+fn the_table_of_modules_is_that_of_the_architecture_test() {
+    let page = std::fs::read_to_string(root().join("docs/architecture.md")).expect("the page");
+    let names = |cell: &str| cell.split('`').skip(1).step_by(2).map(str::to_owned).collect::<BTreeSet<_>>();
+    let mut documented: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+    for line in page.lines() {
+        let cells: Vec<&str> = line.split('|').collect();
+        if let [_, modules, _, used, _] = cells[..] {
+            documented.extend(names(modules).into_iter().map(|module| (module, names(used))));
+        }
+    }
+    for (module, may_use) in crate::architecture::MAY_USE {
+        let expected = may_use.iter().map(|&used| used.to_owned()).collect();
+        assert_eq!(documented.get(module), Some(&expected), "docs/architecture.md: `{module}`");
+    }
+}
