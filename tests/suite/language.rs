@@ -165,6 +165,8 @@ fn the_help_of_every_command_is_written_in_the_words_of_the_field() {
         .skip_while(|line| *line != "Commands:")
         .skip(1)
         .take_while(|line| !line.is_empty())
+        // Continuation lines of a wrapped description are indented further.
+        .filter(|line| !line.starts_with("   "))
         .filter_map(|line| line.split_whitespace().next())
         .filter(|command| *command != "help")
         .collect();
