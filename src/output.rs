@@ -17,7 +17,7 @@ use std::path::Path;
 use crate::error::{Error, Result, nearest};
 use crate::frame::{Annotation, Annotations};
 use artifact::frame_file_name;
-pub use artifact::{Artifact, EncodedFile};
+pub use artifact::{Artifact, EncodedFile, FileKind};
 pub use encode::EncodeInput;
 use encode::{exr, json, npy, png};
 pub use label_ids::LabelIds;
@@ -136,9 +136,9 @@ pub fn annotations(outputs: &[&'static Output]) -> Annotations {
 }
 
 impl Output {
-    /// Stem and extension of each of its files.
-    pub fn file_kinds(&self) -> impl Iterator<Item = (&'static str, &'static str)> {
-        self.files.iter().map(|&(stem, extension, _)| (stem, extension))
+    /// The kind of each of its files.
+    pub fn file_kinds(&self) -> impl Iterator<Item = FileKind> {
+        self.files.iter().map(|&(stem, extension, _)| FileKind { output: self.name, stem, extension })
     }
 
     /// Names of its files for frame `index`, as written for a single frame.

@@ -12,6 +12,9 @@ use crate::error::{Error, Result};
 use crate::output::layout::{FrameLines, Layout};
 use crate::output::{Artifact, LabelIds, disk};
 
+/// Its file name.
+pub(super) const CONTACT_SHEET_FILE: &str = "contact_sheet.png";
+
 /// Frames on the sheet.
 const FRAMES: usize = 12;
 /// Frames in a row.
@@ -21,7 +24,7 @@ const IMAGE_PX: u32 = 192;
 /// Gap between frames, pixels.
 const GAP_PX: u32 = 8;
 
-/// The sheet as `contact_sheet.png`; `None` if the layout does not store images and masks as files.
+/// The sheet as [`CONTACT_SHEET_FILE`]; `None` if the layout does not store images and masks as files.
 ///
 /// # Errors
 /// [`Error::Read`], [`Error::CheckFailed`] for a file that cannot be decoded, [`Error::Encode`].
@@ -38,11 +41,10 @@ pub(super) fn png(folder: &Path, lines: &dyn FrameLines, layout: &dyn Layout) ->
     }
     let tiles = first.iter().map(|paths| tile(folder, paths)).collect::<Result<Vec<_>>>()?;
     let mut bytes = std::io::Cursor::new(Vec::new());
-    sheet(&tiles).write_to(&mut bytes, ImageFormat::Png).map_err(|error| Error::Encode {
-        name: "contact_sheet.png".to_owned(),
-        message: error.to_string(),
-    })?;
-    Ok(Some(Artifact { name: "contact_sheet.png".to_owned(), bytes: bytes.into_inner() }))
+    sheet(&tiles)
+        .write_to(&mut bytes, ImageFormat::Png)
+        .map_err(|error| Error::Encode { name: CONTACT_SHEET_FILE.to_owned(), message: error.to_string() })?;
+    Ok(Some(Artifact { name: CONTACT_SHEET_FILE.to_owned(), bytes: bytes.into_inner() }))
 }
 
 /// A frame's image and coloured mask, scaled.

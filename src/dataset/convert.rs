@@ -19,10 +19,8 @@ use crate::class::ClassId;
 use crate::error::{Error, RUN_AGAIN, Result};
 use crate::frame::{Frame, RockLabel};
 use crate::output::edges::EdgePolicy;
-use crate::output::layout::{
-    self, FrameFiles, FrameLine, FrameLines as _, Layout, Sample, below_split, folder,
-};
-use crate::output::{self, EncodeInput, EncodedFile, LabelIds, OUTPUTS, Output, disk};
+use crate::output::layout::{self, FrameFiles, FrameLine, FrameLines as _, Layout, Sample, folder};
+use crate::output::{self, EncodeInput, EncodedFile, FileKind, LabelIds, OUTPUTS, Output, disk};
 
 /// Frames that are converted at a time.
 const CHUNK: usize = 64;
@@ -145,15 +143,15 @@ impl Conversion {
         let mut frame = Frame::default();
         let mut encoded = Vec::new();
         for &output in &self.outputs {
-            for (stem, extension) in output.file_kinds() {
+            for kind in output.file_kinds() {
+                let FileKind { stem, extension, .. } = kind;
                 // What the folder layout stores once, or not for every frame, is encoded again from the mask, which
                 // comes earlier in the table of outputs.
                 let is_derived = output.name == "preview" || (output.name == "mask" && extension == "json");
                 let bytes = if is_derived {
                     self.encode_again(output, extension, &frame)?
                 } else {
-                    let path = folder::file_path(output.name, stem, extension, line.index);
-                    read_checked(source, &below_split(&line.split, &path), &hashes)?
+                    read_checked(source, &folder::file_path(kind, &line.split, line.index), &hashes)?
                 };
                 match (output.name, extension) {
                     ("mask", "png") => self.read_mask(&bytes, &mut frame)?,

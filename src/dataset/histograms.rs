@@ -11,6 +11,9 @@ use crate::error::Result;
 use crate::output::Artifact;
 use crate::output::layout::{FrameLine, FrameLines};
 
+/// Their file name.
+pub(super) const HISTOGRAMS_FILE: &str = "histograms.svg";
+
 /// Bins of a histogram.
 const BINS: usize = 24;
 
@@ -29,7 +32,7 @@ impl Histogram {
     }
 }
 
-/// The histograms as `histograms.svg`. Reads the lines twice: for the ranges, then for the counts.
+/// The histograms as [`HISTOGRAMS_FILE`]. Reads the lines twice: for the ranges, then for the counts.
 ///
 /// # Errors
 /// Those of reading.
@@ -61,7 +64,7 @@ pub(super) fn svg(lines: &dyn FrameLines) -> Result<Artifact> {
         }
         Ok(())
     })?;
-    Ok(Artifact { name: "histograms.svg".to_owned(), bytes: draw(&histograms).into_bytes() })
+    Ok(Artifact { name: HISTOGRAMS_FILE.to_owned(), bytes: draw(&histograms).into_bytes() })
 }
 
 /// The numbers of a line that differ from frame to frame, with their names.

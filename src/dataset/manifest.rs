@@ -6,9 +6,12 @@ use std::path::Path;
 
 use serde_json::{Map, Value};
 
+use super::contact_sheet::CONTACT_SHEET_FILE;
+use super::histograms::HISTOGRAMS_FILE;
 use super::plan::{Plan, Range, Shard};
 use crate::error::{Error, Result};
 use crate::output::encode::json;
+use crate::output::layout::{Layout, SplitRange};
 use crate::output::{Artifact, disk};
 
 /// Keys of a manifest that describe its state; all others identify the dataset.
@@ -62,6 +65,36 @@ pub fn identity_of(mut manifest: Map<String, Value>) -> Map<String, Value> {
 pub fn range_of(manifest: &Map<String, Value>) -> Range {
     let number = |key: &str| manifest.get(key).and_then(Value::as_u64).unwrap_or_default();
     Range { start: number("start"), count: number("count") }
+}
+
+/// The splits of a manifest in their order; one without a name, with all frames, if there are none.
+#[must_use]
+pub fn splits_of(manifest: &Map<String, Value>) -> Vec<SplitRange> {
+    let number = |row: &Value, key: &str| row.get(key).and_then(Value::as_u64).unwrap_or_default();
+    let rows = manifest.get("splits").and_then(Value::as_object).into_iter().flatten();
+    let mut splits: Vec<SplitRange> = rows
+        .map(|(name, row)| SplitRange {
+            name: name.clone(),
+            start: number(row, "start"),
+            count: number(row, "count"),
+        })
+        .collect();
+    if splits.is_empty() {
+        let Range { start, count } = range_of(manifest);
+        splits.push(SplitRange { name: String::new(), start, count });
+    }
+    splits
+}
+
+/// Paths of the files that a complete dataset has besides its frames, its log and its manifest: the keys of
+/// `index_files`.
+pub fn index_paths<'a>(
+    layout: &'static dyn Layout,
+    splits: &'a [SplitRange],
+) -> impl Iterator<Item = String> + 'a {
+    let has_sheet = layout.image_and_mask("", 0).is_some();
+    let own = [Some(HISTOGRAMS_FILE), has_sheet.then_some(CONTACT_SHEET_FILE)];
+    layout.index_paths(splits).chain(own.into_iter().flatten().map(str::to_owned))
 }
 
 /// Reads a manifest.

@@ -11,6 +11,17 @@ pub struct Artifact {
     pub bytes: Vec<u8>,
 }
 
+/// Which of its outputs' files a file of a frame is: with split and index, all that a layout needs to give it a path.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FileKind {
+    /// Name of the output that it belongs to, as in `--outputs`.
+    pub output: &'static str,
+    /// The part of its file name before the frame number.
+    pub stem: &'static str,
+    /// File name extension, without the dot.
+    pub extension: &'static str,
+}
+
 /// One encoded file of a frame, before a layout gives it a path.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct EncodedFile {
@@ -25,6 +36,12 @@ pub struct EncodedFile {
 }
 
 impl EncodedFile {
+    /// Its kind.
+    #[must_use]
+    pub const fn kind(&self) -> FileKind {
+        FileKind { output: self.output, stem: self.stem, extension: self.extension }
+    }
+
     /// The file under its BasicWriter name, as written for a single frame.
     #[must_use]
     pub fn into_artifact(self, index: u64) -> Artifact {

@@ -14,7 +14,7 @@ pub mod webdataset;
 
 use crate::error::{Error, Result, nearest};
 pub use frame_line::FrameLine;
-pub use interface::{DatasetIndex, FrameFiles, FrameLines, Layout, Sample, below_split};
+pub use interface::{DatasetIndex, FrameFiles, FrameLines, FrameNames, Layout, Sample, SplitRange};
 
 /// A row of the table of layouts.
 #[derive(Debug)]

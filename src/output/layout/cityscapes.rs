@@ -5,12 +5,14 @@
 //! rocks beyond the first thousand, carry the label id alone, which Cityscapes reserves for stuff and groups.
 //! Must not know: scene, GPU, the disk.
 
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 
-use super::interface::{DatasetIndex, FrameFiles, Layout, Sample, split_or_train};
+use super::interface::{
+    CARD_FILE, DatasetIndex, FrameFiles, FrameNames, Layout, Sample, SplitRange, split_or_train,
+};
 use crate::class::ClassId;
 use crate::error::Result;
-use crate::output::artifact::Artifact;
+use crate::output::artifact::{Artifact, FileKind};
 use crate::output::encode::{json, png};
 
 /// The Cityscapes layout.
@@ -23,9 +25,23 @@ const SEQUENCE_FRAMES: u64 = 1_000_000;
 /// Instances that a label id can number.
 const INSTANCES_PER_LABEL: u16 = 1000;
 
-fn stem(split: &str, kind: &str, index: u64) -> String {
+/// File name of the description of the classes.
+const LABELS_FILE: &str = "labels.json";
+
+/// Paths of a frame's files: the image, then the ground truth as train ids, label ids, instance ids and colours.
+fn file_paths(split: &str, index: u64) -> [String; 5] {
     let (sequence, frame) = (index / SEQUENCE_FRAMES, index % SEQUENCE_FRAMES);
-    format!("{kind}/{split}/{CITY}/{CITY}_{sequence:06}_{frame:06}_{kind}")
+    let split = split_or_train(split);
+    let path = |kind: &str, name: &str| {
+        format!("{kind}/{split}/{CITY}/{CITY}_{sequence:06}_{frame:06}_{kind}{name}.png")
+    };
+    [
+        path("leftImg8bit", ""),
+        path("gtFine", "_labelTrainIds"),
+        path("gtFine", "_labelIds"),
+        path("gtFine", "_instanceIds"),
+        path("gtFine", "_color"),
+    ]
 }
 
 fn label_id(class: u8) -> u8 {
@@ -60,35 +76,34 @@ impl Layout for Cityscapes {
     }
 
     fn frame_files(&self, sample: &Sample<'_>) -> Result<FrameFiles> {
-        let split = split_or_train(&sample.record.split);
         let frame = sample.frame;
         let (width, height) = (frame.width, frame.height);
         let labels: Vec<u8> = frame.class.iter().map(|class| label_id(*class)).collect();
         let colour = |class: &u8| ClassId(*class).class().map_or([0; 3], |class| class.preview_rgb);
         let colours: Vec<u8> = frame.class.iter().flat_map(colour).collect();
-        let ground_truth = |kind: &str, bytes| Artifact {
-            name: format!("{}_{kind}.png", stem(split, "gtFine", sample.record.index)),
-            bytes,
-        };
-        let files = vec![
-            Artifact {
-                name: format!("{}.png", stem(split, "leftImg8bit", sample.record.index)),
-                bytes: sample.rgb().to_vec(),
-            },
-            ground_truth("labelTrainIds", png::ids_u8(width, height, &frame.class)?),
-            ground_truth("labelIds", png::ids_u8(width, height, &labels)?),
-            ground_truth("instanceIds", png::ids_u16(width, height, &instance_ids(sample))?),
-            ground_truth("color", png::label_colours(width, height, &colours)?),
+        let contents = [
+            sample.rgb().to_vec(),
+            png::ids_u8(width, height, &frame.class)?,
+            png::ids_u8(width, height, &labels)?,
+            png::ids_u16(width, height, &instance_ids(sample))?,
+            png::label_colours(width, height, &colours)?,
         ];
-        Ok(FrameFiles { artifacts: files, entry: Value::Null })
+        let paths = file_paths(&sample.record.split, sample.record.index);
+        let files = paths.into_iter().zip(contents).map(|(name, bytes)| Artifact { name, bytes });
+        Ok(FrameFiles { artifacts: files.collect(), entry: Value::Null })
+    }
+
+    fn frame_names(&self, _kinds: &[FileKind], split: &str, index: u64) -> FrameNames {
+        FrameNames { files: file_paths(split, index).into(), entry: Map::new() }
     }
 
     fn image_and_mask(&self, split: &str, index: u64) -> Option<[String; 2]> {
-        let split = split_or_train(split);
-        Some([
-            format!("{}.png", stem(split, "leftImg8bit", index)),
-            format!("{}_labelTrainIds.png", stem(split, "gtFine", index)),
-        ])
+        let [image, train_ids, ..] = file_paths(split, index);
+        Some([image, train_ids])
+    }
+
+    fn index_paths<'a>(&self, _splits: &'a [SplitRange]) -> Box<dyn Iterator<Item = String> + 'a> {
+        Box::new([LABELS_FILE, CARD_FILE].into_iter().map(str::to_owned))
     }
 
     fn write_index(
@@ -105,7 +120,7 @@ impl Layout for Cityscapes {
                 })
             })
             .collect();
-        write(Artifact { name: "labels.json".to_owned(), bytes: json::to_bytes(&labels)? })?;
+        write(Artifact { name: LABELS_FILE.to_owned(), bytes: json::to_bytes(&labels)? })?;
         write(index.card_file())
     }
 }

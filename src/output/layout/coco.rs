@@ -10,11 +10,13 @@ use std::collections::BTreeMap;
 
 use serde_json::{Map, Value, json};
 
-use super::interface::{DatasetIndex, FrameFiles, Layout, Sample, split_or_train};
+use super::interface::{
+    CARD_FILE, DatasetIndex, FrameFiles, FrameNames, Layout, Sample, SplitRange, split_or_train,
+};
 use crate::class::ClassId;
 use crate::error::Result;
 use crate::frame::Frame;
-use crate::output::artifact::Artifact;
+use crate::output::artifact::{Artifact, FileKind};
 use crate::output::encode::png;
 
 /// The COCO layout.
@@ -30,6 +32,9 @@ const SKY: u32 = 3;
 const REGOLITH_SEGMENT: u32 = 1;
 const SKY_SEGMENT: u32 = 2;
 const ROCK_SEGMENT_BASE: u32 = 2;
+
+/// Kinds of annotation files.
+const ANNOTATION_KINDS: [&str; 2] = ["instances", "panoptic"];
 
 /// Annotation ids of consecutive frames are this far apart; instance ids are smaller.
 const IDS_PER_FRAME: u64 = 1 << 16;
@@ -48,22 +53,30 @@ impl Layout for Coco {
     }
 
     fn frame_files(&self, sample: &Sample<'_>) -> Result<FrameFiles> {
-        let split = split_or_train(&sample.record.split);
-        let (frame, name) = (sample.frame, file_name(sample.record.index));
+        let frame = sample.frame;
         let segments = panoptic_ids(frame);
         // A panoptic PNG stores the segment id as R + 256 G + 65536 B.
         let colours: Vec<u8> =
             segments.iter().flat_map(|id| [*id as u8, (*id >> 8) as u8, (*id >> 16) as u8]).collect();
+        let [image, panoptic] = file_paths(&sample.record.split, sample.record.index);
         let files = vec![
-            Artifact { name: format!("{split}/{name}"), bytes: sample.rgb().to_vec() },
-            Artifact {
-                name: format!("annotations/panoptic_{split}/{name}"),
-                bytes: png::label_colours(frame.width, frame.height, &colours)?,
-            },
+            Artifact { name: image, bytes: sample.rgb().to_vec() },
+            Artifact { name: panoptic, bytes: png::label_colours(frame.width, frame.height, &colours)? },
         ];
         let entry =
             json!({ "instances": instance_annotations(sample), "segments": segments_info(frame, &segments) });
         Ok(FrameFiles { artifacts: files, entry })
+    }
+
+    fn frame_names(&self, _kinds: &[FileKind], split: &str, index: u64) -> FrameNames {
+        FrameNames { files: file_paths(split, index).into(), entry: Map::new() }
+    }
+
+    fn index_paths<'a>(&self, splits: &'a [SplitRange]) -> Box<dyn Iterator<Item = String> + 'a> {
+        let annotations = splits.iter().flat_map(|split| {
+            ANNOTATION_KINDS.map(|kind| annotations_path(kind, split_or_train(&split.name)))
+        });
+        Box::new(annotations.chain([CARD_FILE.to_owned()]))
     }
 
     fn write_index(
@@ -107,22 +120,32 @@ fn write_annotations(
         panoptic.push(json!({ "image_id": image_id, "file_name": name, "segments_info": segments }));
         Ok(())
     })?;
-    for (kind, annotations, categories) in
-        [("instances", instances, instance_categories()), ("panoptic", panoptic, panoptic_categories())]
-    {
+    let contents = [(instances, instance_categories()), (panoptic, panoptic_categories())];
+    for (kind, (annotations, categories)) in ANNOTATION_KINDS.into_iter().zip(contents) {
         let content = json!({
             "info": info, "licenses": licenses, "images": images, "annotations": annotations,
             "categories": categories,
         });
         let mut bytes = content.to_string().into_bytes();
         bytes.push(b'\n');
-        write(Artifact { name: format!("annotations/{kind}_{split}.json"), bytes })?;
+        write(Artifact { name: annotations_path(kind, split), bytes })?;
     }
     Ok(())
 }
 
 fn file_name(index: u64) -> String {
     format!("{index:06}.png")
+}
+
+/// Paths of a frame's image and its panoptic segments.
+fn file_paths(split: &str, index: u64) -> [String; 2] {
+    let (split, name) = (split_or_train(split), file_name(index));
+    [format!("{split}/{name}"), format!("annotations/panoptic_{split}/{name}")]
+}
+
+/// Path of the file with a split's annotations of a kind.
+fn annotations_path(kind: &str, split: &str) -> String {
+    format!("annotations/{kind}_{split}.json")
 }
 
 fn instance_categories() -> Value {

@@ -9,10 +9,12 @@ use std::fmt::Write as _;
 use serde_json::{Map, Value};
 
 use super::frame_line::FrameLine;
-use super::interface::{DatasetIndex, FrameFiles, Layout, Sample, split_or_train};
+use super::interface::{
+    CARD_FILE, DatasetIndex, FrameFiles, FrameNames, Layout, Sample, SplitRange, split_or_train,
+};
 use crate::class::ClassId;
 use crate::error::Result;
-use crate::output::artifact::Artifact;
+use crate::output::artifact::{Artifact, EncodedFile, FileKind};
 use crate::output::encode::json;
 use crate::output::label_ids::LabelIds;
 
@@ -20,15 +22,31 @@ use crate::output::label_ids::LabelIds;
 #[derive(Debug)]
 pub struct HuggingFace;
 
-/// Folder and metadata column of an encoded file; `None` if the layout does not store it.
-fn folder_and_column(output: &str, stem: &str, extension: &str) -> Option<(String, String)> {
-    match (output, extension) {
+/// File name of the class names.
+const LABELS_FILE: &str = "id2label.json";
+
+/// Folder and metadata column of a file; `None` if the layout does not store it.
+fn folder_and_column(kind: FileKind) -> Option<(String, String)> {
+    let stem = kind.stem;
+    match (kind.output, kind.extension) {
         ("rgb", _) => Some(("images".to_owned(), "file_name".to_owned())),
         ("mask", "png") => Some(("masks".to_owned(), "mask_file_name".to_owned())),
         ("mask" | "preview" | "meta", _) => None,
         (_, "png") => Some((stem.to_owned(), format!("{stem}_file_name"))),
         _ => Some((stem.to_owned(), format!("{stem}_path"))),
     }
+}
+
+/// Path of a file of frame `index` below its split's folder, and its metadata column; `None` if the layout does not
+/// store it.
+fn path_and_column(kind: FileKind, index: u64) -> Option<(String, String)> {
+    let (folder, column) = folder_and_column(kind)?;
+    Some((format!("{folder}/{index:06}.{}", kind.extension), column))
+}
+
+/// Path of the metadata of a split.
+fn metadata_path(split: &str) -> String {
+    format!("{split}/metadata.jsonl")
 }
 
 /// The row of `metadata.jsonl` for a line of `frames.jsonl`.
@@ -73,22 +91,35 @@ impl Layout for HuggingFace {
     }
 
     fn frame_files(&self, sample: &Sample<'_>) -> Result<FrameFiles> {
-        let split = split_or_train(&sample.record.split);
-        let (mut files, mut columns) = (Vec::new(), Map::new());
-        for file in sample.files {
-            let Some((folder, column)) = folder_and_column(file.output, file.stem, file.extension) else {
-                continue;
-            };
-            let name = format!("{folder}/{:06}.{}", sample.record.index, file.extension);
-            columns.insert(column, name.clone().into());
-            files.push(Artifact { name: format!("{split}/{name}"), bytes: file.bytes.clone() });
+        let kinds: Vec<FileKind> = sample.files.iter().map(EncodedFile::kind).collect();
+        let names = self.frame_names(&kinds, &sample.record.split, sample.record.index);
+        let stored = sample.files.iter().filter(|file| folder_and_column(file.kind()).is_some());
+        let files = names
+            .files
+            .into_iter()
+            .zip(stored)
+            .map(|(name, file)| Artifact { name, bytes: file.bytes.clone() });
+        Ok(FrameFiles { artifacts: files.collect(), entry: names.entry.into() })
+    }
+
+    fn frame_names(&self, kinds: &[FileKind], split: &str, index: u64) -> FrameNames {
+        let split = split_or_train(split);
+        let mut names = FrameNames::default();
+        for (path, column) in kinds.iter().filter_map(|kind| path_and_column(*kind, index)) {
+            names.files.push(format!("{split}/{path}"));
+            names.entry.insert(column, path.into());
         }
-        Ok(FrameFiles { artifacts: files, entry: columns.into() })
+        names
     }
 
     fn image_and_mask(&self, split: &str, index: u64) -> Option<[String; 2]> {
         let split = split_or_train(split);
         Some(["images", "masks"].map(|folder| format!("{split}/{folder}/{index:06}.png")))
+    }
+
+    fn index_paths<'a>(&self, splits: &'a [SplitRange]) -> Box<dyn Iterator<Item = String> + 'a> {
+        let metadata = splits.iter().map(|split| metadata_path(split_or_train(&split.name)));
+        Box::new(metadata.chain([LABELS_FILE, CARD_FILE].map(str::to_owned)))
     }
 
     fn write_index(
@@ -105,12 +136,12 @@ impl Layout for HuggingFace {
                 }
                 Ok(())
             })?;
-            write(Artifact { name: format!("{split}/metadata.jsonl"), bytes: rows.into_bytes() })?;
+            write(Artifact { name: metadata_path(split), bytes: rows.into_bytes() })?;
         }
         let id2label = LabelIds::of_manifest(index.manifest).id2label();
-        write(Artifact { name: "id2label.json".to_owned(), bytes: json::to_bytes(&id2label)? })?;
+        write(Artifact { name: LABELS_FILE.to_owned(), bytes: json::to_bytes(&id2label)? })?;
         let frames = index.manifest.get("n_completed").and_then(Value::as_u64).unwrap_or_default();
         let card = yaml_header(frames, &splits) + index.card;
-        write(Artifact { name: "README.md".to_owned(), bytes: card.into_bytes() })
+        write(Artifact { name: CARD_FILE.to_owned(), bytes: card.into_bytes() })
     }
 }

@@ -11,7 +11,10 @@ use serde_json::{Map, Value};
 use super::frame_line::FrameLine;
 use crate::error::Result;
 use crate::frame::Frame;
-use crate::output::artifact::{Artifact, EncodedFile};
+use crate::output::artifact::{Artifact, EncodedFile, FileKind};
+
+/// File name of the data card, which every layout has.
+pub const CARD_FILE: &str = "README.md";
 
 /// One frame of a dataset, rendered and encoded.
 #[derive(Clone, Copy, Debug)]
@@ -40,6 +43,26 @@ pub struct FrameFiles {
     /// What [`Layout::write_index`] needs to know about the frame besides its record; null if nothing. It is kept in
     /// the frame's line of `frames.jsonl`.
     pub entry: Value,
+}
+
+/// What is known about a frame's [`FrameFiles`] before it is rendered.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FrameNames {
+    /// Paths of its files below the dataset's folder, in the order of [`FrameFiles::artifacts`].
+    pub files: Vec<String>,
+    /// The part of [`FrameFiles::entry`] that consists of names, by key; empty if there are none.
+    pub entry: Map<String, Value>,
+}
+
+/// Name and frames of a split; the one of a dataset without splits has an empty name.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SplitRange {
+    /// Its name.
+    pub name: String,
+    /// Index of its first frame.
+    pub start: u64,
+    /// Number of its frames.
+    pub count: u64,
 }
 
 /// The lines of `frames.jsonl` in ascending order of frame index, read one at a time: there may be too many for memory.
@@ -73,10 +96,10 @@ impl DatasetIndex<'_> {
         splits.map_or_else(|| vec!["train".to_owned()], |splits| splits.keys().cloned().collect())
     }
 
-    /// The data card as `README.md`.
+    /// The data card as [`CARD_FILE`].
     #[must_use]
     pub fn card_file(&self) -> Artifact {
-        Artifact { name: "README.md".to_owned(), bytes: self.card.as_bytes().to_vec() }
+        Artifact { name: CARD_FILE.to_owned(), bytes: self.card.as_bytes().to_vec() }
     }
 }
 
@@ -101,11 +124,17 @@ pub trait Layout: std::fmt::Debug + Sync {
     /// [`crate::Error::Encode`].
     fn frame_files(&self, sample: &Sample<'_>) -> Result<FrameFiles>;
 
+    /// The paths and names that [`Self::frame_files`] gives to a frame with files of these kinds.
+    fn frame_names(&self, kinds: &[FileKind], split: &str, index: u64) -> FrameNames;
+
     /// Paths of a frame's RGB image and mask for the contact sheet and `verify`; `None` if they are not files of their
     /// own.
     fn image_and_mask(&self, _split: &str, _index: u64) -> Option<[String; 2]> {
         None
     }
+
+    /// Paths of the files that [`Self::write_index`] writes for a complete dataset with these splits, in that order.
+    fn index_paths<'a>(&self, splits: &'a [SplitRange]) -> Box<dyn Iterator<Item = String> + 'a>;
 
     /// Passes the files that index the whole dataset to `write`, one by one. Called again whenever the dataset has
     /// grown.

@@ -10,11 +10,11 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::Path;
 
-use serde_json::{Map, json};
+use serde_json::Map;
 
-use super::interface::{DatasetIndex, FrameFiles, Layout, Sample};
+use super::interface::{CARD_FILE, DatasetIndex, FrameFiles, FrameNames, Layout, Sample, SplitRange};
 use crate::error::{Error, Result};
-use crate::output::artifact::Artifact;
+use crate::output::artifact::{Artifact, FileKind};
 use crate::output::disk;
 use crate::output::encode::json;
 
@@ -32,6 +32,9 @@ const BLOCK: usize = 512;
 pub fn archive_end() -> Vec<u8> {
     vec![0; 2 * BLOCK]
 }
+
+/// File name of the table of shards.
+const SHARDS_FILE: &str = "shards.json";
 
 /// File name of a frame's shard. Each split has shards of its own; frames keep their index in the dataset.
 fn shard_name(split: &str, index: u64) -> String {
@@ -74,10 +77,25 @@ impl Layout for WebDataset {
             }
         }
         append_member(&mut fragment, &format!("{key}.json"), &json::to_bytes(sample.record)?)?;
-        Ok(FrameFiles {
-            artifacts: vec![Artifact { name: fragment_name(sample.record.index), bytes: fragment }],
-            entry: json!({ "bundle": shard_name(&sample.record.split, sample.record.index) }),
-        })
+        let names = self.frame_names(&[], &sample.record.split, sample.record.index);
+        let files =
+            names.files.into_iter().map(|name| Artifact { name, bytes: std::mem::take(&mut fragment) });
+        Ok(FrameFiles { artifacts: files.collect(), entry: names.entry.into() })
+    }
+
+    fn frame_names(&self, _kinds: &[FileKind], split: &str, index: u64) -> FrameNames {
+        let entry = [("bundle".to_owned(), shard_name(split, index).into())].into_iter().collect();
+        FrameNames { files: vec![fragment_name(index)], entry }
+    }
+
+    fn index_paths<'a>(&self, splits: &'a [SplitRange]) -> Box<dyn Iterator<Item = String> + 'a> {
+        let shards = splits.iter().flat_map(|split| {
+            let end = split.start.saturating_add(split.count);
+            // A shard begins at a multiple of its size, or with its split.
+            let first = split.start / SHARD_FRAMES * SHARD_FRAMES;
+            (first..end).step_by(SHARD_FRAMES as usize).map(|index| shard_name(&split.name, index))
+        });
+        Box::new(shards.chain([SHARDS_FILE, CARD_FILE].map(str::to_owned)))
     }
 
     fn write_index(
@@ -105,7 +123,7 @@ impl Layout for WebDataset {
         })?;
         finish(shard)?;
         disk::remove_empty_folder(&index.folder.join(".parts"));
-        write(Artifact { name: "shards.json".to_owned(), bytes: json::to_bytes(&counts)? })?;
+        write(Artifact { name: SHARDS_FILE.to_owned(), bytes: json::to_bytes(&counts)? })?;
         write(index.card_file())
     }
 }
