@@ -14,6 +14,7 @@ pub mod attempt;
 mod contact_sheet;
 pub mod convert;
 mod data_card;
+mod digest;
 mod histograms;
 pub mod lock;
 pub mod log;

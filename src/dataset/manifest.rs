@@ -7,6 +7,7 @@ use std::path::Path;
 use serde_json::{Map, Value};
 
 use super::contact_sheet::CONTACT_SHEET_FILE;
+use super::digest;
 use super::histograms::HISTOGRAMS_FILE;
 use super::plan::{Plan, Range, Shard};
 use crate::error::{Error, Result};
@@ -15,8 +16,8 @@ use crate::output::layout::{Layout, SplitRange};
 use crate::output::{Artifact, disk};
 
 /// Keys of a manifest that describe its state; all others identify the dataset.
-const STATE_KEYS: [&str; 8] =
-    ["status", "start", "count", "n_completed", "seeds", "adapters", "totals", "index_files"];
+const STATE_KEYS: [&str; 9] =
+    ["status", "start", "count", "n_completed", "seeds", "adapters", "totals", "index_files", digest::KEY];
 
 /// Which dataset a folder is to hold, and which of its frames.
 #[derive(Clone, Debug)]

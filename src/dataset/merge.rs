@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value, json};
 
+use super::digest::{self, Digest};
 use super::lock::{acquire_merge_lock, remove_lock_files};
 use super::log::{FrameLog, LinePosition, MANIFEST, find_lines, shard_files};
 use super::plan::{Range, differences, frame_seed};
@@ -55,6 +56,8 @@ pub fn finalize(folder: &Path) -> Result<Finalized> {
     if missing.is_empty() {
         let hashes = write_index_files(folder, &manifest, &totals)?;
         manifest.insert("index_files".to_owned(), hashes.into());
+        let digest = Digest::of(&manifest::identity_of(manifest.clone()), &FrameLog::new(folder))?;
+        manifest.insert(digest::KEY.to_owned(), digest.into());
     }
     disk::write_all(folder, &[manifest::to_file("manifest.json".to_owned(), manifest.clone())?])?;
     if missing.is_empty() {

@@ -180,22 +180,37 @@ fn encode_frames(
 }
 
 /// Encodes a frame and lays out its files.
-fn encode(plan: &Plan, rendered: RenderedFrame) -> Result<FinishedFrame> {
+fn encode(plan: &Plan, mut rendered: RenderedFrame) -> Result<FinishedFrame> {
     let start = Instant::now();
-    let meta = record(plan, &rendered);
-    let RenderedFrame { source, mut frame, adapter, cost, .. } = rendered;
-    let mut line = frame_line(meta.clone(), &adapter)?;
-    let meta = Value::Object(meta);
-    let input = EncodeInput { frame: &frame, meta: &meta, label_ids: plan.label_ids, edges: plan.edges };
-    let encoded = output::encode(&input, &plan.outputs)?;
-    frame.class = plan.edges.apply(&frame);
-    let sample = Sample { frame: &frame, files: &encoded, record: &line };
-    let files = plan.layout.frame_files(&sample)?;
+    let EncodedFrame { mut line, files } = encode_frame(plan, &mut rendered)?;
+    let RenderedFrame { source, cost, .. } = rendered;
     let mut times = source.times;
     times.push(("encode", milliseconds_since(start)));
-    record_files(&mut line, &files);
     line.ms = milliseconds_json(&times);
     Ok(FinishedFrame { index: source.index, line, files, times, redraws: source.attempt, cost })
+}
+
+/// What a rendered frame is in a dataset.
+pub(super) struct EncodedFrame {
+    /// Its line of `frames.jsonl`, without times.
+    pub(super) line: FrameLine,
+    /// Its files in the dataset's layout.
+    pub(super) files: FrameFiles,
+}
+
+/// The line and the files of a rendered frame; its classes are then those under the edge policy.
+pub(super) fn encode_frame(plan: &Plan, rendered: &mut RenderedFrame) -> Result<EncodedFrame> {
+    let meta = record(plan, rendered);
+    let mut line = frame_line(meta.clone(), &rendered.adapter)?;
+    let meta = Value::Object(meta);
+    let frame = &mut rendered.frame;
+    let input = EncodeInput { frame, meta: &meta, label_ids: plan.label_ids, edges: plan.edges };
+    let encoded = output::encode(&input, &plan.outputs)?;
+    frame.class = plan.edges.apply(frame);
+    let sample = Sample { frame, files: &encoded, record: &line };
+    let files = plan.layout.frame_files(&sample)?;
+    record_files(&mut line, &files);
+    Ok(EncodedFrame { line, files })
 }
 
 /// The frame's metadata as for a single frame, without times, and with its position in the dataset.

@@ -6,6 +6,8 @@
 //! the same for two datasets.
 //! Must not know: threads, files.
 
+mod of_manifest;
+
 use std::str::FromStr;
 
 use serde_json::{Map, Value, json};
@@ -127,9 +129,7 @@ pub fn parse_splits(text: &str) -> Result<Vec<(String, u64)>> {
     for part in text.split(',') {
         let (name, count) = part.split_once('=').ok_or_else(|| refused(&format!("`{part}` has no `=`")))?;
         let name = name.trim();
-        let is_valid =
-            !name.is_empty() && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-');
-        if !is_valid {
+        if !is_split_name(name) {
             return Err(refused(&format!("`{name}` is not a name; allowed are letters, digits, - and _")));
         }
         if splits.iter().any(|(known, _)| known == name) {
@@ -142,6 +142,11 @@ pub fn parse_splits(text: &str) -> Result<Vec<(String, u64)>> {
         ));
     }
     Ok(splits)
+}
+
+/// Whether a split can have this name, which is also that of a folder.
+fn is_split_name(name: &str) -> bool {
+    !name.is_empty() && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-')
 }
 
 /// The seed of the first attempt at frame 0.

@@ -50,8 +50,12 @@ impl Rules {
     /// # Errors
     /// [`Error::UnknownKnob`], [`Error::KnobType`], [`Error::KnobOutOfRange`].
     pub fn from_config(config: &Config) -> Result<Self> {
+        Self::from_settings(config.rules())
+    }
+
+    fn from_settings(settings: &[RuleSetting]) -> Result<Self> {
         let mut rules = Self::default();
-        for setting in config.rules() {
+        for setting in settings {
             match setting.name.as_str() {
                 "black_max" => rules.black_max = fraction(setting)?,
                 "clipped_max" => rules.clipped_max = fraction(setting)?,
@@ -113,6 +117,29 @@ impl Rules {
             "attempts_max": self.attempts_max,
             "require": require,
         })
+    }
+
+    /// The rules in the form of [`Self::to_json`]; `None` for any other value.
+    #[must_use]
+    pub fn from_json(json: &Value) -> Option<Self> {
+        let settings = json.as_object()?.iter().map(|(name, value)| {
+            Some(RuleSetting {
+                name: name.clone(),
+                value: toml::Value::try_from(value).ok()?,
+                origin: "manifest.json".to_owned(),
+            })
+        });
+        Self::from_settings(&settings.collect::<Option<Vec<_>>>()?).ok()
+    }
+
+    /// Whether a frame can break a rule of this name, as [`Self::violation`] and a failing scene name them.
+    #[must_use]
+    pub fn has(&self, rule: &str) -> bool {
+        let require = ClassId::ALL.iter().zip(self.require).filter(|(_, range)| range.is_some());
+        matches!(
+            rule,
+            "scene" | "unlabelled" | "eye_above_ground" | "eye_outside_rocks" | "black" | "clipped"
+        ) || require.into_iter().any(|(class, _)| rule == format!("require.{}", class.name))
     }
 
     /// The rules as TOML, in the form that a configuration reads.
@@ -222,6 +249,7 @@ mod tests {
         assert_eq!(rules("[rules]\nrequire = { rock = [0.005, 0.6] }").expect("read").require, read.require);
         for rules_as_set in [Rules::default(), read] {
             assert_eq!(rules(&rules_as_set.to_toml()).expect("its own listing"), rules_as_set);
+            assert_eq!(Rules::from_json(&rules_as_set.to_json()), Some(rules_as_set));
         }
         for (text, said) in [
             ("[rules]\nclipped_maks = 1", "did you mean `rules.clipped_max`"),

@@ -84,7 +84,7 @@ const LAYERS: [(&str, &[&[&str]]); 8] = [
     (
         "dataset",
         &[
-            &["contact_sheet", "histograms", "rules", "totals"],
+            &["contact_sheet", "digest", "histograms", "rules", "totals"],
             &["data_card", "plan"],
             &["attempt", "log", "manifest"],
             &["lock"],

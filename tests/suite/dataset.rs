@@ -568,3 +568,34 @@ fn a_dry_run_prints_the_knobs_and_writes_nothing() {
         assert_eq!((&row["seed"], &row["knobs"]), (&line["seed"], &line["knobs"]));
     }
 }
+
+#[test]
+fn the_digest_is_that_of_the_frames_and_not_of_the_run() {
+    let folder = folder();
+    let make = |out: &str, more: &[&str]| {
+        let words =
+            ["dataset", "-q", "--size=32", "--samples=1", "--set=terrain.cells=60", "--set=rocks.count=9"];
+        run_ok(folder.path(), &[&words[..], &["--out", out], more].concat());
+        json(&folder.path().join(out).join("manifest.json"))["digest"].clone()
+    };
+    let whole = make("whole", &["--count=4", "--threads=1"]);
+    assert_eq!(whole.as_str().map(str::len), Some(32));
+    assert_eq!(make("threads", &["--count=4", "--threads=4"]), whole);
+    make("grown", &["--count=2"]);
+    assert_eq!(make("grown", &["--count=4"]), whole);
+    assert!(make("shards", &["--count=4", "--shard=0/2"]).is_null(), "an incomplete dataset has none");
+    assert_eq!(make("shards", &["--count=4", "--shard=1/2"]), whole);
+    assert_ne!(make("other", &["--count=4", "--seed=43"]), whole);
+    assert_ne!(make("rules", &["--count=4", "--set=rules.black_max=0.94"]), whole);
+    // The rule of the documentation, applied to the text of the files.
+    let manifest = std::fs::read_to_string(folder.path().join("whole/manifest.json")).expect("read");
+    let mut manifest: serde_json::Map<String, Value> = serde_json::from_str(&manifest).expect("JSON");
+    let state = "status start count n_completed seeds adapters totals index_files digest";
+    state.split(' ').for_each(|key| drop(manifest.shift_remove(key).expect(key)));
+    let mut text = Value::from(manifest).to_string() + "\n";
+    for line in std::fs::read_to_string(folder.path().join("whole/frames.jsonl")).expect("read").lines() {
+        let end = line.rfind(",\"ms\":").expect("times");
+        text += &format!("{}}}\n", &line[..end]);
+    }
+    assert_eq!(whole, regolith::output::disk::content_hash(text.as_bytes()));
+}
