@@ -16,7 +16,7 @@ use super::plan::{Range, differences, frame_seed};
 use super::totals::Totals;
 use super::{contact_sheet, data_card, histograms, manifest};
 use crate::error::{Error, Result};
-use crate::output::layout::{self, DatasetIndex};
+use crate::output::layout::{self, DatasetIndex, Layout};
 use crate::output::{Artifact, disk};
 
 /// A folder with one log and one manifest.
@@ -52,7 +52,7 @@ pub fn finalize(folder: &Path) -> Result<Finalized> {
     let missing: Vec<u64> =
         (range.start..range.end()).filter(|index| !positions.contains_key(index)).collect();
     let totals = Totals::of(&FrameLog::new(folder))?;
-    let mut manifest = merged_manifest(identity, range, positions.len(), missing.is_empty(), &totals);
+    let mut manifest = merged_manifest(identity, range, positions.len() as u64, missing.is_empty(), &totals);
     if missing.is_empty() {
         let hashes = write_index_files(folder, &manifest, &totals)?;
         manifest.insert("index_files".to_owned(), hashes.into());
@@ -103,10 +103,11 @@ fn merge_logs(folder: &Path, logs: &[PathBuf], positions: &BTreeMap<u64, LinePos
     })
 }
 
-fn merged_manifest(
+/// The manifest of a folder with this range and these totals, still without the hashes of a complete one.
+pub(super) fn merged_manifest(
     identity: Map<String, Value>,
     range: Range,
-    completed: usize,
+    completed: u64,
     is_complete: bool,
     totals: &Totals,
 ) -> Map<String, Value> {
@@ -135,19 +136,40 @@ fn write_index_files(
     manifest: &Map<String, Value>,
     totals: &Totals,
 ) -> Result<Map<String, Value>> {
-    let format = manifest.get("format").and_then(Value::as_str).unwrap_or_default();
-    let (_, layout) = layout::find(format)?;
+    let (_, layout) = layout_of(manifest)?;
     let lines = FrameLog::new(folder);
-    let card = data_card::markdown(manifest, totals);
     let mut hashes = Map::new();
     let mut write = |file: Artifact| {
         hashes.insert(file.name.clone(), disk::content_hash(&file.bytes).into());
         disk::write_all(folder, &[file]).map(drop)
     };
-    layout.write_index(&DatasetIndex { folder, lines: &lines, manifest, card: &card }, &mut write)?;
+    layout.write_bundles(&DatasetIndex { folder, lines: &lines, manifest, card: "" }, &mut write)?;
+    index_files(folder, manifest, totals, &mut write)?;
+    Ok(hashes)
+}
+
+/// Passes the files that a complete dataset has besides its frames and their bundles to `write`, one by one. They follow
+/// from the manifest, the lines and, for the contact sheet, the first frames; nothing is written.
+///
+/// # Errors
+/// Those of reading, encoding and `write`.
+pub(super) fn index_files(
+    folder: &Path,
+    manifest: &Map<String, Value>,
+    totals: &Totals,
+    write: &mut dyn FnMut(Artifact) -> Result<()>,
+) -> Result<()> {
+    let (_, layout) = layout_of(manifest)?;
+    let lines = FrameLog::new(folder);
+    let card = data_card::markdown(manifest, totals);
+    layout.index_files(&DatasetIndex { folder, lines: &lines, manifest, card: &card }, write)?;
     write(histograms::svg(&lines)?)?;
     if let Some(sheet) = contact_sheet::png(folder, &lines, layout)? {
         write(sheet)?;
     }
-    Ok(hashes)
+    Ok(())
+}
+
+fn layout_of(manifest: &Map<String, Value>) -> Result<(&'static str, &'static dyn Layout)> {
+    layout::find(manifest.get("format").and_then(Value::as_str).unwrap_or_default())
 }

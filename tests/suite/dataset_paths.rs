@@ -122,7 +122,8 @@ fn the_paths_of_the_index_files_are_those_that_are_written() {
                 written.push(file.name);
                 Ok(())
             };
-            row.layout.write_index(&index, &mut write).expect("written");
+            row.layout.write_bundles(&index, &mut write).expect("written");
+            row.layout.index_files(&index, &mut write).expect("written");
             let paths: Vec<String> = row.layout.index_paths(&splits).collect();
             assert_eq!(paths, written, "{}", row.name);
         }

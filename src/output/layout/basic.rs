@@ -46,7 +46,7 @@ impl Layout for Basic {
         Box::new([CARD_FILE.to_owned()].into_iter())
     }
 
-    fn write_index(
+    fn index_files(
         &self,
         index: &DatasetIndex<'_>,
         write: &mut dyn FnMut(Artifact) -> Result<()>,

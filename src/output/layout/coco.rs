@@ -79,7 +79,25 @@ impl Layout for Coco {
         Box::new(annotations.chain([CARD_FILE.to_owned()]))
     }
 
-    fn write_index(
+    fn decode_labels(&self, path: &str, image: &image::DynamicImage) -> Option<Frame> {
+        if !path.starts_with(&format!("annotations/{}_", ANNOTATION_KINDS[1])) {
+            return None;
+        }
+        let (width, height, image) = (image.width(), image.height(), image.to_rgb8());
+        let segments = image.pixels().map(|pixel| {
+            let [r, g, b] = pixel.0.map(u32::from);
+            match r | g << 8 | b << 16 {
+                0 => (ClassId::UNLABELLED.0, 0),
+                REGOLITH_SEGMENT => (ClassId::REGOLITH.0, 0),
+                SKY_SEGMENT => (ClassId::SKY.0, 0),
+                rock => (ClassId::ROCK.0, (rock - ROCK_SEGMENT_BASE) as u16),
+            }
+        });
+        let (class, instances) = segments.unzip();
+        Some(Frame { width, height, class, instances, ..Frame::default() })
+    }
+
+    fn index_files(
         &self,
         index: &DatasetIndex<'_>,
         write: &mut dyn FnMut(Artifact) -> Result<()>,

@@ -82,7 +82,7 @@ impl Layout for Folder {
         Box::new([LABELS_FILE, CARD_FILE].into_iter().map(str::to_owned))
     }
 
-    fn write_index(
+    fn index_files(
         &self,
         index: &DatasetIndex<'_>,
         write: &mut dyn FnMut(Artifact) -> Result<()>,

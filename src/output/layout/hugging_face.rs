@@ -122,7 +122,7 @@ impl Layout for HuggingFace {
         Box::new(metadata.chain([LABELS_FILE, CARD_FILE].map(str::to_owned)))
     }
 
-    fn write_index(
+    fn index_files(
         &self,
         index: &DatasetIndex<'_>,
         write: &mut dyn FnMut(Artifact) -> Result<()>,

@@ -40,7 +40,7 @@ impl Sample<'_> {
 pub struct FrameFiles {
     /// The files, with their paths below the dataset's folder.
     pub artifacts: Vec<Artifact>,
-    /// What [`Layout::write_index`] needs to know about the frame besides its record; null if nothing. It is kept in
+    /// What [`Layout::index_files`] needs to know about the frame besides its record; null if nothing. It is kept in
     /// the frame's line of `frames.jsonl`.
     pub entry: Value,
 }
@@ -133,19 +133,39 @@ pub trait Layout: std::fmt::Debug + Sync {
         None
     }
 
-    /// Paths of the files that [`Self::write_index`] writes for a complete dataset with these splits, in that order.
+    /// Paths of the files of [`Self::write_bundles`] and [`Self::index_files`] for a complete dataset with these splits, in
+    /// that order.
     fn index_paths<'a>(&self, splits: &'a [SplitRange]) -> Box<dyn Iterator<Item = String> + 'a>;
 
-    /// Passes the files that index the whole dataset to `write`, one by one. Called again whenever the dataset has
-    /// grown.
+    /// Passes the archives that bundle the files of frames to `write`, one by one, and removes the bundled files. Called
+    /// before [`Self::index_files`].
     ///
     /// # Errors
-    /// Those of reading, encoding and `write`.
-    fn write_index(
+    /// Those of reading and `write`.
+    fn write_bundles(
+        &self,
+        _index: &DatasetIndex<'_>,
+        _write: &mut dyn FnMut(Artifact) -> Result<()>,
+    ) -> Result<()> {
+        Ok(())
+    }
+
+    /// Passes the files that index the whole dataset to `write`, one by one. Their content follows from the manifest and the
+    /// lines; nothing else is read. Called again whenever the dataset has grown.
+    ///
+    /// # Errors
+    /// Those of reading the lines, encoding and `write`.
+    fn index_files(
         &self,
         index: &DatasetIndex<'_>,
         write: &mut dyn FnMut(Artifact) -> Result<()>,
     ) -> Result<()>;
+
+    /// The classes and rock instances in a label image of a frame, if `path` is one and the layout has a form of its own for
+    /// them.
+    fn decode_labels(&self, _path: &str, _image: &image::DynamicImage) -> Option<Frame> {
+        None
+    }
 }
 
 /// The split's name; `train` in a dataset without splits, for layouts that need one.

@@ -7,6 +7,7 @@
 //! Must not know: scene, GPU.
 
 use std::collections::BTreeMap;
+use std::io::{Read, Seek};
 use std::ops::Range;
 use std::path::Path;
 
@@ -47,7 +48,8 @@ fn fragment_name(index: u64) -> String {
 }
 
 /// A frame's key: the part of its members' names before the first dot.
-fn sample_key(index: u64) -> String {
+#[must_use]
+pub fn sample_key(index: u64) -> String {
     format!("{index:09}")
 }
 
@@ -98,18 +100,16 @@ impl Layout for WebDataset {
         Box::new(shards.chain([SHARDS_FILE, CARD_FILE].map(str::to_owned)))
     }
 
-    fn write_index(
+    fn write_bundles(
         &self,
         index: &DatasetIndex<'_>,
         write: &mut dyn FnMut(Artifact) -> Result<()>,
     ) -> Result<()> {
-        let mut counts = Map::new();
         let mut shard = Shard::default();
         let mut finish = |shard: Shard| {
             if shard.frames.is_empty() {
                 return Ok(());
             }
-            counts.insert(shard.name.clone(), shard.frames.len().into());
             write(Artifact { name: shard.name.clone(), bytes: shard.join(index.folder)? })?;
             shard.frames.iter().try_for_each(|frame| disk::remove(&index.folder.join(fragment_name(*frame))))
         };
@@ -123,6 +123,24 @@ impl Layout for WebDataset {
         })?;
         finish(shard)?;
         disk::remove_empty_folder(&index.folder.join(".parts"));
+        Ok(())
+    }
+
+    fn index_files(
+        &self,
+        index: &DatasetIndex<'_>,
+        write: &mut dyn FnMut(Artifact) -> Result<()>,
+    ) -> Result<()> {
+        let mut counts: Vec<(String, u64)> = Vec::new();
+        index.lines.for_each(&mut |line| {
+            let name = line.bundle().unwrap_or_default();
+            match counts.last_mut().filter(|(last, _)| last == name) {
+                Some((_, count)) => *count += 1,
+                None => counts.push((name.to_owned(), 1)),
+            }
+            Ok(())
+        })?;
+        let counts: Map<_, _> = counts.into_iter().map(|(name, count)| (name, count.into())).collect();
         write(Artifact { name: SHARDS_FILE.to_owned(), bytes: json::to_bytes(&counts)? })?;
         write(index.card_file())
     }
@@ -141,7 +159,7 @@ impl Shard {
     fn join(&self, folder: &Path) -> Result<Vec<u8>> {
         let path = folder.join(&self.name);
         let existing = if path.is_file() { disk::read(&path)? } else { Vec::new() };
-        let samples = samples(&existing).map_err(|error| {
+        let samples = samples(std::io::Cursor::new(&existing)).map_err(|error| {
             Error::CheckFailed(format!(
                 "{}: it is not a tar archive ({error}); delete it and run the dataset's command, which makes its frames \
                  again",
@@ -152,7 +170,10 @@ impl Shard {
         for frame in &self.frames {
             let fragment = folder.join(fragment_name(*frame));
             match samples.get(&sample_key(*frame)) {
-                Some(sample) if !fragment.is_file() => bytes.extend(&existing[sample.clone()]),
+                Some(sample) if !fragment.is_file() => {
+                    let end = existing.len().min(sample.end as usize);
+                    bytes.extend(&existing[sample.start as usize..end]);
+                }
                 _ => bytes.extend(disk::read(&fragment)?),
             }
         }
@@ -161,18 +182,37 @@ impl Shard {
     }
 }
 
-/// Where each sample of an archive is, by key: all its members with their headers, bytes.
-fn samples(archive: &[u8]) -> std::io::Result<BTreeMap<String, Range<usize>>> {
-    let mut samples: BTreeMap<String, Range<usize>> = BTreeMap::new();
-    for member in tar::Archive::new(archive).entries()? {
+/// Where each sample of an archive is, by key: all its members with their headers, bytes. Reads headers only.
+///
+/// # Errors
+/// Those of reading, also for bytes that are not an archive.
+pub fn samples(archive: impl Read + Seek) -> std::io::Result<BTreeMap<String, Range<u64>>> {
+    let mut samples: BTreeMap<String, Range<u64>> = BTreeMap::new();
+    for member in tar::Archive::new(archive).entries_with_seek()? {
         let member = member?;
         let name = String::from_utf8_lossy(&member.path_bytes()).into_owned();
         let key = name.split('.').next().unwrap_or_default();
-        let start = member.raw_header_position() as usize;
-        let end = member.raw_file_position() as usize + (member.size() as usize).next_multiple_of(BLOCK);
-        samples.entry(key.to_owned()).or_insert(start..end).end = end.min(archive.len());
+        let start = member.raw_header_position();
+        let end = member.raw_file_position() + member.size().next_multiple_of(BLOCK as u64);
+        samples.entry(key.to_owned()).or_insert(start..end).end = end;
     }
     Ok(samples)
+}
+
+/// Names and contents of the members of a fragment or an archive.
+///
+/// # Errors
+/// Those of reading bytes that are not an archive.
+pub fn members(archive: &[u8]) -> std::io::Result<Vec<(String, Vec<u8>)>> {
+    let mut members = Vec::new();
+    for member in tar::Archive::new(archive).entries()? {
+        let mut member = member?;
+        let name = String::from_utf8_lossy(&member.path_bytes()).into_owned();
+        let mut bytes = Vec::new();
+        member.read_to_end(&mut bytes)?;
+        members.push((name, bytes));
+    }
+    Ok(members)
 }
 
 /// Appends a file to an archive, with owner 0 and time 0.
@@ -208,10 +248,13 @@ mod tests {
             sizes.push(archive.len() - before);
         }
         archive.extend(archive_end());
-        let samples = samples(&archive).expect("an archive");
-        assert_eq!(samples.keys().collect::<Vec<_>>(), ["000000007", "000000008"]);
-        assert_eq!(samples.values().map(Range::len).collect::<Vec<_>>(), sizes);
-        assert_eq!(samples["000000007"].start, 0);
-        assert_eq!(samples["000000008"], sizes[0]..archive.len() - 2 * BLOCK);
+        let samples = samples(std::io::Cursor::new(&archive)).expect("an archive");
+        let ranges: Vec<_> = samples.into_iter().collect();
+        let [first, both] = [sizes[0], sizes[0] + sizes[1]].map(|size| size as u64);
+        assert_eq!(both + 2 * BLOCK as u64, archive.len() as u64);
+        assert_eq!(ranges, [("000000007".to_owned(), 0..first), ("000000008".to_owned(), first..both)]);
+        let names: Vec<String> =
+            members(&archive).expect("an archive").into_iter().map(|member| member.0).collect();
+        assert_eq!(names, ["000000007.rgb.png", "000000007.json", "000000008.rgb.png", "000000008.json"]);
     }
 }
