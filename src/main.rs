@@ -8,7 +8,7 @@ use std::process::ExitCode;
 use cli::messages::note;
 
 fn main() -> ExitCode {
-    silence_drivers();
+    hide_displays();
     // A lost device is a panic inside wgpu; the library catches it and returns an error. Any other panic is a bug of
     // regolith-render and is reported as one, without a backtrace.
     std::panic::set_hook(Box::new(|_| {}));
@@ -29,12 +29,17 @@ fn main() -> ExitCode {
     }
 }
 
-/// Sets `XDG_RUNTIME_DIR` if it is missing, as in containers and on servers: without it Mesa's Vulkan layers and EGL, which
-/// look for a Wayland display, print warnings to stderr. Any folder will do, as no display is used.
-#[expect(unsafe_code, reason = "`set_var` is the only way to change the environment; see SAFETY")]
-fn silence_drivers() {
-    if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
-        // SAFETY: called first in `main`, while no other thread exists that could read the environment.
-        unsafe { std::env::set_var("XDG_RUNTIME_DIR", std::env::temp_dir()) };
+/// Hides the displays of the environment from drivers, which would look for one to choose a GPU by: Mesa's Vulkan layer
+/// connects to the Wayland socket `wayland-0` of the runtime folder and to the X server, and waits for their answer without a
+/// limit. Frames need no display, and a socket may belong to another user or to a server that is stuck.
+#[expect(unsafe_code, reason = "there is no other way to change the environment; see SAFETY")]
+fn hide_displays() {
+    // SAFETY: called first in `main`, while no other thread exists that could read the environment.
+    unsafe {
+        std::env::remove_var("DISPLAY");
+        std::env::remove_var("WAYLAND_SOCKET");
+        // Unset, it would mean `wayland-0`. To an absolute path no runtime folder is added, so that none needs to exist; what
+        // is no socket refuses the connection.
+        std::env::set_var("WAYLAND_DISPLAY", "/dev/null");
     }
 }

@@ -9,6 +9,7 @@ mod dataset;
 mod dataset_paths;
 mod determinism;
 mod docs;
+mod environment;
 mod export;
 mod formats;
 mod golden;
