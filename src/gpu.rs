@@ -74,6 +74,10 @@ impl Gpu {
     fn open_adapter(adapter: &wgpu::Adapter, load: impl FnOnce(&str) -> Option<Vec<u8>>) -> Result<Self> {
         let info = adapter.get_info();
         let unfit = |reason: String| Error::AdapterUnfit { adapter: info.name.clone(), reason };
+        let missing = adapter::missing(adapter.features(), adapter.get_downlevel_capabilities().flags);
+        if !missing.is_empty() {
+            return Err(unfit(format!("it lacks {}; update its driver", missing.join(", "))));
+        }
         let offered = adapter.limits();
         let base =
             if info.backend == Backend::Gl { Limits::downlevel_defaults() } else { Limits::defaults() };
@@ -88,19 +92,19 @@ impl Gpu {
         let wanted = Features::TIMESTAMP_QUERY | Features::INDIRECT_FIRST_INSTANCE | Features::PIPELINE_CACHE;
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("regolith/device"),
-            required_features: Features::DEPTH32FLOAT_STENCIL8 | (adapter.features() & wanted),
+            required_features: adapter::REQUIRED_FEATURES | (adapter.features() & wanted),
             required_limits,
             memory_hints: wgpu::MemoryHints::Performance,
             ..Default::default()
         };
-        let (device, queue) =
-            pollster::block_on(adapter.request_device(&descriptor)).map_err(|e| unfit(e.to_string()))?;
+        let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
+            .map_err(|e| unfit(one_line(&e.to_string())))?;
         let pending_error = Arc::new(Mutex::new(None));
         let (on_error, on_loss) = (Arc::clone(&pending_error), Arc::clone(&pending_error));
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
             let error = match error {
                 wgpu::Error::OutOfMemory { .. } => Error::OutOfMemory,
-                other => Error::Device(other.to_string().trim().to_owned()),
+                other => Error::Device(one_line(&other.to_string())),
             };
             // The first error is the cause of those that follow it.
             on_error.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
@@ -221,5 +225,34 @@ impl Gpu {
         };
         let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
         self.queue.write_texture(texture.as_image_copy(), bytemuck::cast_slice(texels), layout, size);
+    }
+}
+
+/// A report of wgpu in one line: its causes, without the excerpts of shader text that naga adds in frames of box characters.
+fn one_line(report: &str) -> String {
+    let is_excerpt = |line: &&str| line.contains(['│', '┌', '╭', '╰', '└']);
+    let lines = report.lines().map(str::trim).filter(|line| !line.is_empty() && *line != "Caused by:");
+    lines.filter(|line| !is_excerpt(line)).collect::<Vec<_>>().join(": ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_of_a_shader_is_one_line_without_its_text() {
+        let gpu = Gpu::open(Some("cpu")).expect("a device");
+        let text = "fn half_of(x: f32) -> f32 {\n    return 0.5 * y;\n}\n";
+        for text in
+            [text, "@fragment fn fs_main() -> @location(0) vec4<f32> {\n    return vec4(1.0) + 1u;\n}\n"]
+        {
+            let _ = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+                label: Some("wrong"),
+                source: wgpu::ShaderSource::Wgsl(text.into()),
+            });
+            let message = gpu.check().expect_err("an error").to_string();
+            assert!(message.contains("wrong") && message.contains("shader"), "{message}");
+            assert!(!message.contains("return") && !message.contains('\n'), "{message}");
+        }
     }
 }

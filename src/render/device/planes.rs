@@ -205,9 +205,7 @@ pub(crate) const fn resolve_rule(plane: Plane) -> ResolveRule {
             sum: Sum::Plane(SamplePlane::SunOcclusion),
             words: &["u32(255.0 * $sum / samples + 0.5)"],
         },
-        Plane::Radiance => {
-            Pixel { words: &["pack2x16float(radiance.rg)", "pack2x16float(vec2(radiance.b, 0.0))"] }
-        }
+        Plane::Radiance => Pixel { words: &["packed_halves(radiance.rg)", "half_bits(radiance.b)"] },
         Plane::SampleCounts => Pixel { words: &["class_counts(first)"] },
         Plane::Slope | Plane::Craters | Plane::Incidence | Plane::Phase | Plane::FiveClasses => Host,
     }
