@@ -236,6 +236,7 @@ fn scenes(setup: &Setup, renderer: &mut Renderer) -> Result<Measured> {
 
 fn dataset(setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Measured> {
     let mut measured = Measured::default();
+    let mut files = disk::FileWriter::new(folder, "bench");
     let (mut start, mut last, mut done) = (Instant::now(), Instant::now(), 0);
     let indices = 0..WARM_UP + setup.frames;
     dataset::render_frames(
@@ -245,7 +246,10 @@ fn dataset(setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Meas
         setup.concurrency,
         &AtomicBool::new(false),
         |frame| {
-            disk::write_all(folder, &frame.files.artifacts)?;
+            files.write_all(&frame.files.artifacts)?;
+            if files.is_sync_due() {
+                files.sync_folders()?;
+            }
             done += 1;
             if done <= WARM_UP {
                 start = Instant::now();

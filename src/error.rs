@@ -193,8 +193,26 @@ pub enum Error {
         differences: Vec<String>,
     },
     /// A folder that another process is writing to.
-    #[error("another run is writing {}; wait for it, or stop it first", .0.display())]
-    Busy(PathBuf),
+    #[error("another run is writing {}: {holder}. Wait for it or stop it, or choose another --out", .path.display())]
+    Busy {
+        /// The folder.
+        path: PathBuf,
+        /// What the other run is.
+        holder: String,
+    },
+    /// A run's log that something else removed or replaced.
+    #[error("{}: the log of this run is no longer there: while the run was writing, the file was removed or replaced, or its folder was removed or renamed. Put the folder back as it was, or run the same command again, and let nothing else write there meanwhile", .0.display())]
+    LogLost(PathBuf),
+    /// Frames of a run that are not on the disk at its end.
+    #[error("{}: {missing} of the {wanted} frames of this run are not on the disk: while the run was writing, something removed or replaced their files or lines. Run the same command again, which makes them, and let nothing else write there meanwhile", .path.display())]
+    FramesLost {
+        /// The folder.
+        path: PathBuf,
+        /// Number of missing frames.
+        missing: u64,
+        /// Number of frames of the run.
+        wanted: u64,
+    },
     /// A run that was interrupted.
     #[error("stopped: {done} of {wanted} frames are finished. {remedy}")]
     Stopped {
@@ -258,7 +276,9 @@ impl Error {
             | Self::OutOfMemory
             | Self::Unlabelled { .. }
             | Self::RuleBroken { .. }
-            | Self::Busy(_)
+            | Self::Busy { .. }
+            | Self::LogLost(_)
+            | Self::FramesLost { .. }
             | Self::Stopped { .. }
             | Self::CheckFailed(_)
             | Self::Encode { .. } => 1,

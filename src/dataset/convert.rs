@@ -13,8 +13,8 @@ use serde_json::{Map, Value};
 use super::log::{FrameLog, finished_frames};
 use super::log_writer::{FrameLogWriter, record_files};
 use super::manifest::{self, DatasetSpec};
-use super::merge::{Finalized, finalize};
-use super::plan::{Plan, Shard};
+use super::merge::{Finalized, finalize_run};
+use super::plan::Plan;
 use crate::class::ClassId;
 use crate::error::{Error, RUN_AGAIN, Result};
 use crate::frame::{Frame, RockLabel};
@@ -103,7 +103,6 @@ impl Conversion {
         mut watch: impl FnMut(u64, u64),
     ) -> Result<Finalized> {
         let mut log = FrameLogWriter::open(out, &self.spec, force)?;
-        let tag = Shard::WHOLE.tag();
         let found = log.finished().len() as u64;
         let mut chunk = Vec::new();
         let mut convert_chunk = |chunk: &mut Vec<FrameLine>| -> Result<()> {
@@ -111,9 +110,10 @@ impl Conversion {
                 chunk.par_drain(..).map(|line| self.convert(source, line)).collect();
             for frame in converted {
                 let (line, files) = frame?;
-                disk::write_all_tagged(out, &tag, &files.artifacts)?;
+                log.write_files(&files)?;
                 log.append(&line)?;
             }
+            log.flush()?;
             watch(found, log.finished().len() as u64 - found);
             if stop.load(Ordering::Relaxed) {
                 log.write_manifest("stopped")?;
@@ -131,8 +131,8 @@ impl Conversion {
         })?;
         convert_chunk(&mut chunk)?;
         log.write_manifest("done")?;
-        drop(log);
-        finalize(out)
+        let range = self.spec.range;
+        finalize_run(out, log.close(), range.start..range.end())
     }
 
     /// A frame's line and files in the new layout.

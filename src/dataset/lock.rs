@@ -1,15 +1,46 @@
-//! Who may write to a dataset's folder: only runs of the same dataset, and one process per shard.
+//! Who may write to a dataset's folder, and when: only runs of the same dataset, and only those that do not disturb each
+//! other. Every writer follows these rules: runs with and without `--shard`, `convert`, `dataset --merge`, and the merge at
+//! the end of each run.
+//!
+//! There are three kinds of lock. Each is a file in the folder, whose name [`own_name`](crate::output::disk::own_name) has:
+//!
+//! | lock | taken by | how |
+//! |---|---|---|
+//! | `folder` | a run of all frames, or `convert`: its log is `frames.jsonl` | exclusively |
+//! | | the run of a shard, whose log is its own | shared with shards of the same N |
+//! | | a merge, which replaces `frames.jsonl` and the manifest | exclusively, else shared with shards |
+//! | `I-of-N` | the run of shard I/N | exclusively |
+//! | `merge` | a merge; and a run, while it takes its locks | exclusively |
+//!
+//! * Nobody waits for `folder` or `I-of-N`: who cannot have it ends with [`Error::Busy`]. `merge` is waited for; its holder
+//!   waits for nothing. So there is no deadlock.
+//! * As locks are taken under `merge`, no run starts during a merge.
+//! * A merge that has `folder` for itself is alone: it removes the logs of shards, what killed runs left, and the lock
+//!   files. Beside running shards it leaves all of these, and the last of them to finish removes them.
+//! * The text of the `folder` lock is the N of the shards that share it.
+//! * The system releases the locks of a process that ends, however it ends. A lock file that is removed under a process that
+//!   waits for it does not count as locked; see [`Lock`].
+//! * On a file system without locks every lock is granted, and nothing that another run may have left is removed. There, the
+//!   count of frames at the end of a run is what shows that two runs disturbed each other.
 //!
 //! Must not know: how frames are made.
 
 use std::collections::BTreeSet;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::log::{self, LOG, MANIFEST, finished_frames, is_shard_file, shard_file_name, shard_files};
 use super::manifest::{self, DatasetSpec};
 use super::plan::{Range, Shard, differences};
 use crate::error::{Error, Result};
+use crate::output::disk::own_name::{lock_file_name, lock_name};
 use crate::output::disk::{self, Lock};
+
+/// Name of the lock on a folder's logs and manifests.
+const FOLDER: &str = "folder";
+/// Name of the lock of merges.
+const MERGE: &str = "merge";
+/// Tag of the temporary files of a merge.
+pub(super) const MERGE_TAG: &str = "merge";
 
 /// Checks whether a run may continue in a folder, and returns the frames that are finished there. Writes nothing.
 ///
@@ -46,7 +77,7 @@ pub(super) fn merged_range(folder: &Path, spec: &DatasetSpec, force: bool) -> Re
         let differences = spec_differences(spec, &manifest, existing);
         if !differences.is_empty() {
             let is_own = path.ends_with(shard_file_name(MANIFEST, spec.shard)) && manifests.len() == 1;
-            if is_own && log::find_lines(folder)?.1.is_empty() {
+            if is_own && log::find_lines(folder)?.positions.is_empty() {
                 // An earlier run that finished no frame: nothing is lost by replacing it.
                 continue;
             }
@@ -65,9 +96,8 @@ pub(super) fn merged_range(folder: &Path, spec: &DatasetSpec, force: bool) -> Re
         range = range.hull(existing);
     }
     if manifests.is_empty() {
-        // A run that was stopped right at its start, or another shard that is starting, leaves only these.
-        let is_ours = |name: &str| name.starts_with(".lock") || is_shard_file(name, LOG);
-        if let Err(foreign) = disk::check_content(folder, force, is_ours) {
+        // A run that was stopped right at its start, or another shard that is starting, leaves only logs and locks.
+        if let Err(foreign) = disk::check_content(folder, force, |name| is_shard_file(name, LOG)) {
             // Another shard may have started since the manifests were listed.
             return if has_manifest(folder)? { merged_range(folder, spec, force) } else { Err(foreign) };
         }
@@ -88,31 +118,179 @@ fn spec_differences(
     differences
 }
 
-/// The lock of a shard's run.
-///
-/// # Errors
-/// [`Error::Busy`] if another process runs this shard, [`Error::Write`].
-pub(super) fn acquire_run_lock(folder: &Path, shard: Shard) -> Result<Lock> {
-    let path = folder.join(format!(".lock-{}-of-{}", shard.number, shard.of));
-    Lock::try_acquire(&path)?.ok_or_else(|| Error::Busy(folder.to_owned()))
+fn lock_path(folder: &Path, name: &str) -> PathBuf {
+    folder.join(lock_file_name(name))
 }
 
-/// The lock of a merge; waits for another process that is merging.
-///
-/// # Errors
-/// [`Error::Write`].
-pub(super) fn acquire_merge_lock(folder: &Path) -> Result<Lock> {
-    Lock::acquire(&folder.join(".lock"))
+/// The error of a writer that cannot have a lock.
+fn busy(folder: &Path, holder: impl Into<String>) -> Error {
+    Error::Busy { path: folder.to_owned(), holder: holder.into() }
 }
 
-/// Removes all lock files of a completed folder.
-///
-/// # Errors
-/// [`Error::Read`], [`Error::Write`].
-pub(super) fn remove_lock_files(folder: &Path) -> Result<()> {
-    let names = disk::names(folder)?;
-    names
-        .iter()
-        .filter(|name| name.starts_with(".lock"))
-        .try_for_each(|name| disk::remove(&folder.join(name)))
+/// The locks of a run.
+#[derive(Debug)]
+pub(super) struct RunLock {
+    folder: PathBuf,
+    shard: Shard,
+    /// `None` once a merge has taken it over.
+    folder_lock: Option<Lock>,
+    shard_lock: Option<Lock>,
+}
+
+impl RunLock {
+    /// Takes the locks of a run in an existing folder.
+    ///
+    /// # Errors
+    /// [`Error::Busy`] if a run is writing there that this one would disturb, [`Error::Write`].
+    pub(super) fn acquire(folder: &Path, shard: Shard) -> Result<Self> {
+        let taking = Lock::wait(&lock_path(folder, MERGE))?;
+        let run = Self::acquire_alone(folder, shard);
+        taking.remove();
+        run
+    }
+
+    /// Takes the locks while no other process takes or releases any.
+    fn acquire_alone(folder: &Path, shard: Shard) -> Result<Self> {
+        let path = lock_path(folder, FOLDER);
+        let mut run = Self {
+            folder: folder.to_owned(),
+            shard,
+            folder_lock: Lock::try_exclusive(&path)?,
+            shard_lock: None,
+        };
+        let shards = shard.of.to_string();
+        if let Some(lock) = &mut run.folder_lock {
+            // Nobody else has the folder. Only a shard's run lets others in.
+            lock.set_text(&shards)?;
+            if shard != Shard::WHOLE {
+                run.folder_lock = None;
+            }
+        } else if shard == Shard::WHOLE {
+            return Err(busy(folder, "its frames.jsonl is being written"));
+        }
+        if shard != Shard::WHOLE {
+            let mut lock = Lock::try_shared(&path)?
+                .ok_or_else(|| busy(folder, "a run of all frames, without --shard"))?;
+            let text = lock.text()?;
+            if lock.is_held() && text != shards {
+                return Err(busy(folder, format!("its frames are divided into {text} shards, not {shards}")));
+            }
+            run.folder_lock = Some(lock);
+            let name = format!("{}-of-{}", shard.number, shard.of);
+            let lock = Lock::try_exclusive(&lock_path(folder, &name))?;
+            run.shard_lock = Some(lock.ok_or_else(|| busy(folder, "the same shard"))?);
+        }
+        Ok(run)
+    }
+
+    /// Removes what a killed run of this shard, or of all frames, left in the folder and in these folders below it.
+    ///
+    /// # Errors
+    /// [`Error::Read`], [`Error::Write`].
+    pub(super) fn remove_leftovers(&self, below: &BTreeSet<String>) -> Result<()> {
+        let own_lock = self.shard_lock.as_ref().or(self.folder_lock.as_ref());
+        let is_held = own_lock.is_some_and(Lock::is_held);
+        let tag = self.shard.tag();
+        remove_temporary(&self.folder, below, |other| is_held && other == tag)
+    }
+}
+
+impl Drop for RunLock {
+    fn drop(&mut self) {
+        // Those that are exclusive: a shared lock's file belongs to the others as well.
+        let exclusive =
+            if self.shard == Shard::WHOLE { self.folder_lock.take() } else { self.shard_lock.take() };
+        if let Some(lock) = exclusive {
+            lock.remove();
+        }
+    }
+}
+
+/// The locks of a merge.
+#[derive(Debug)]
+pub(super) struct MergeLock {
+    folder: PathBuf,
+    merge: Lock,
+    folder_lock: Lock,
+    is_alone: bool,
+}
+
+impl MergeLock {
+    /// Takes the locks of a merge; waits for another merge.
+    ///
+    /// # Errors
+    /// [`Error::Busy`] if a run of all frames is writing to the folder, [`Error::Write`].
+    pub(super) fn acquire(folder: &Path) -> Result<Self> {
+        Self::with(folder, Lock::wait(&lock_path(folder, MERGE))?)
+    }
+
+    /// Like [`acquire`](Self::acquire), for the merge at the end of a run.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub(super) fn after(mut run: RunLock) -> Result<Self> {
+        let folder = run.folder.clone();
+        let merge = Lock::wait(&lock_path(&folder, MERGE))?;
+        if run.shard == Shard::WHOLE
+            && let Some(folder_lock) = run.folder_lock.take()
+        {
+            return Ok(Self { folder, merge, folder_lock, is_alone: true });
+        }
+        drop(run);
+        Self::with(&folder, merge)
+    }
+
+    fn with(folder: &Path, merge: Lock) -> Result<Self> {
+        let path = lock_path(folder, FOLDER);
+        let of = |folder_lock, is_alone| Self { folder: folder.to_owned(), merge, folder_lock, is_alone };
+        if let Some(lock) = Lock::try_exclusive(&path)? {
+            return Ok(of(lock, true));
+        }
+        let lock = Lock::try_shared(&path)?;
+        Ok(of(lock.ok_or_else(|| busy(folder, "a run of all frames, without --shard"))?, false))
+    }
+
+    /// Whether no run is writing to the folder.
+    pub(super) const fn is_alone(&self) -> bool {
+        self.is_alone
+    }
+
+    /// Removes what killed merges and, if there is none that runs, killed runs left in the folder and in these folders
+    /// below it.
+    ///
+    /// # Errors
+    /// [`Error::Read`], [`Error::Write`].
+    pub(super) fn remove_leftovers(&self, below: &BTreeSet<String>) -> Result<()> {
+        let no_runs = self.is_alone && self.folder_lock.is_held();
+        let no_merges = self.merge.is_held();
+        remove_temporary(&self.folder, below, |tag| {
+            if tag == MERGE_TAG { no_merges } else { no_runs && Shard::has_tag(tag) }
+        })
+    }
+
+    /// Releases the locks. Removes all lock files if no run is writing to the folder.
+    ///
+    /// # Errors
+    /// [`Error::Read`], [`Error::Write`].
+    pub(super) fn release(self) -> Result<()> {
+        if self.is_alone && self.folder_lock.is_held() {
+            let names = disk::names(&self.folder)?;
+            let of_shards = names.iter().filter(|name| lock_name(name).is_some_and(is_shard_lock));
+            of_shards.map(|name| self.folder.join(name)).try_for_each(|path| disk::remove(&path))?;
+            self.folder_lock.remove();
+        }
+        self.merge.remove();
+        Ok(())
+    }
+}
+
+/// Whether a lock of this name is that of a shard.
+fn is_shard_lock(name: &str) -> bool {
+    let numbers = name.split_once("-of-");
+    numbers.is_some_and(|(i, n)| i.parse::<u64>().is_ok() && n.parse::<u64>().is_ok())
+}
+
+fn remove_temporary(folder: &Path, below: &BTreeSet<String>, is_dead: impl Fn(&str) -> bool) -> Result<()> {
+    disk::remove_temporary(folder, &is_dead)?;
+    below.iter().try_for_each(|below| disk::remove_temporary(&folder.join(below), &is_dead))
 }

@@ -57,10 +57,35 @@ pub(super) struct LinePosition {
     pub(super) length: usize,
 }
 
-/// The logs of a folder, and for each frame whose files exist the position of its last complete line.
-pub(super) fn find_lines(folder: &Path) -> Result<(Vec<PathBuf>, BTreeMap<u64, LinePosition>)> {
+/// What the logs of a folder contain.
+#[derive(Default)]
+pub(super) struct FoundLines {
+    /// The logs, sorted by name.
+    pub(super) logs: Vec<PathBuf>,
+    /// For each frame whose files exist, the position of its last complete line.
+    pub(super) positions: BTreeMap<u64, LinePosition>,
+    /// Paths of the folders, below the dataset's, that frames' files are in; with those above them.
+    pub(super) folders: BTreeSet<String>,
+}
+
+impl FoundLines {
+    fn add_folders(&mut self, line: &FrameLine) {
+        for (path, _) in line.hashes() {
+            let mut path = path;
+            while let Some((folder, _)) = path.rsplit_once('/')
+                && !self.folders.contains(folder)
+            {
+                self.folders.insert(folder.to_owned());
+                path = folder;
+            }
+        }
+    }
+}
+
+/// Reads the logs of a folder.
+pub(super) fn find_lines(folder: &Path) -> Result<FoundLines> {
     let logs = shard_files(folder, LOG)?;
-    let mut positions = BTreeMap::new();
+    let mut found = FoundLines { logs: logs.clone(), ..FoundLines::default() };
     for (log, path) in logs.iter().enumerate() {
         let unreadable = |cause| Error::Read { path: path.clone(), cause };
         let mut reader = match std::fs::File::open(path) {
@@ -68,22 +93,26 @@ pub(super) fn find_lines(folder: &Path) -> Result<(Vec<PathBuf>, BTreeMap<u64, L
             Err(cause) if cause.kind() == std::io::ErrorKind::NotFound => continue,
             file => BufReader::new(file.map_err(unreadable)?),
         };
-        let (mut offset, mut text) = (0, String::new());
+        let (mut offset, mut text) = (0, Vec::new());
         loop {
             text.clear();
-            let length = reader.read_line(&mut text).map_err(unreadable)?;
+            let length = reader.read_until(b'\n', &mut text).map_err(unreadable)?;
             if length == 0 {
                 break;
             }
-            // A line that is incomplete or not a frame's does not count.
-            let line = text.ends_with('\n').then(|| serde_json::from_str::<FrameLine>(&text).ok()).flatten();
-            if let Some(line) = line.filter(|line| has_files(folder, line)) {
-                positions.insert(line.index, LinePosition { log, offset, length });
+            // A line that is incomplete, damaged or not a frame's does not count.
+            let is_whole = text.ends_with(b"\n");
+            let line = is_whole.then(|| serde_json::from_slice::<FrameLine>(&text).ok()).flatten();
+            if let Some(line) = line {
+                found.add_folders(&line);
+                if has_files(folder, &line) {
+                    found.positions.insert(line.index, LinePosition { log, offset, length });
+                }
             }
             offset += length as u64;
         }
     }
-    Ok((logs, positions))
+    Ok(found)
 }
 
 /// Whether a frame's files exist, on their own or in their bundle.
@@ -99,7 +128,7 @@ fn has_files(folder: &Path, line: &FrameLine) -> bool {
 /// # Errors
 /// [`Error::Read`].
 pub fn finished_frames(folder: &Path) -> Result<BTreeSet<u64>> {
-    Ok(if folder.exists() { find_lines(folder)?.1.into_keys().collect() } else { BTreeSet::new() })
+    Ok(if folder.exists() { find_lines(folder)?.positions.into_keys().collect() } else { BTreeSet::new() })
 }
 
 /// The merged log of a dataset: `frames.jsonl` in ascending order of index.

@@ -1,5 +1,9 @@
 //! The log and the manifest of one run, written as frames are finished.
 //!
+//! A line promises that its frame survives a power cut. So lines wait until the frames' files and their names are on the
+//! disk: names are synchronised for all frames that were finished within a fraction of a second, and then their lines are
+//! appended. A killed process loses the lines that wait; their frames are made again.
+//!
 //! Must not know: how frames are made.
 
 use std::collections::BTreeSet;
@@ -7,25 +11,27 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value};
 
-use super::lock::{acquire_run_lock, merged_range};
-use super::log::{LOG, MANIFEST, finished_frames, shard_file_name};
+use super::lock::{RunLock, merged_range};
+use super::log::{LOG, MANIFEST, find_lines, shard_file_name};
 use super::manifest::{self, DatasetSpec};
 use super::plan::{Range, Shard};
 use crate::error::{Error, Result};
 use crate::output::Artifact;
-use crate::output::disk::{self, LineFile, Lock};
+use crate::output::disk::{self, FileWriter, LineFile};
 use crate::output::layout::{FrameFiles, FrameLine};
 
-/// The log of a run; holds the lock of its shard.
+/// The log of a run; holds its locks.
 #[derive(Debug)]
 pub struct FrameLogWriter {
-    folder: PathBuf,
     identity: Map<String, Value>,
     range: Range,
     shard: Shard,
+    files: FileWriter,
     lines: LineFile,
+    /// Lines of frames whose files are written, but whose names may not be on the disk yet.
+    waiting: Vec<(u64, String)>,
     finished: BTreeSet<u64>,
-    _lock: Lock,
+    lock: RunLock,
 }
 
 impl FrameLogWriter {
@@ -34,20 +40,24 @@ impl FrameLogWriter {
     /// # Errors
     /// Those of [`check_folder`](super::lock::check_folder), [`Error::Busy`], [`Error::Write`].
     pub fn open(folder: &Path, spec: &DatasetSpec, force: bool) -> Result<Self> {
-        let range = merged_range(folder, spec, force)?;
+        // Before the folder is created and locked, so that nothing is left in one that is refused.
+        merged_range(folder, spec, force)?;
         let shard = spec.shard;
-        std::fs::create_dir_all(folder).map_err(|cause| Error::Write { path: folder.to_owned(), cause })?;
-        let lock = acquire_run_lock(folder, shard)?;
-        disk::remove_temporary(folder, &shard.tag())?;
-        let finished = finished_frames(folder)?;
-        let log = Self {
+        let mut files = FileWriter::new(folder, &shard.tag());
+        files.create_folder()?;
+        let lock = RunLock::acquire(folder, shard)?;
+        let range = merged_range(folder, spec, force)?;
+        let found = find_lines(folder)?;
+        lock.remove_leftovers(&found.folders)?;
+        let mut log = Self {
             lines: LineFile::open(&folder.join(shard_file_name(LOG, shard)))?,
-            folder: folder.to_owned(),
+            files,
             identity: spec.identity.clone(),
             range,
             shard,
-            finished,
-            _lock: lock,
+            waiting: Vec::new(),
+            finished: found.positions.into_keys().collect(),
+            lock,
         };
         log.write_manifest("running")?;
         Ok(log)
@@ -56,34 +66,64 @@ impl FrameLogWriter {
     /// The dataset's folder.
     #[must_use]
     pub fn folder(&self) -> &Path {
-        &self.folder
+        self.files.folder()
     }
 
-    /// The frames that are finished, of all shards.
+    /// The frames that are finished, of all shards, as far as their lines are written.
     #[must_use]
     pub const fn finished(&self) -> &BTreeSet<u64> {
         &self.finished
     }
 
-    /// Appends the line of a frame whose files are on the disk.
+    /// Writes the files of a frame.
     ///
     /// # Errors
-    /// [`Error::Encode`], [`Error::Write`].
+    /// [`Error::Write`], [`Error::LogLost`].
+    pub fn write_files(&mut self, files: &FrameFiles) -> Result<()> {
+        self.check_folder()?;
+        self.files.write_all(&files.artifacts).map(drop)
+    }
+
+    /// Adds the line of a frame whose files are written. It is appended with those of other frames, after a fraction of a
+    /// second or with [`flush`](Self::flush).
+    ///
+    /// # Errors
+    /// [`Error::Encode`]; those of [`flush`](Self::flush).
     pub fn append(&mut self, line: &FrameLine) -> Result<()> {
         let text = serde_json::to_string(line).map_err(|error| Error::Encode {
             name: "a line of frames.jsonl".to_owned(),
             message: error.to_string(),
         })?;
-        self.lines.append(&text)?;
-        self.finished.insert(line.index);
+        self.waiting.push((line.index, text));
+        if self.files.is_sync_due() { self.flush() } else { Ok(()) }
+    }
+
+    /// Appends the lines that wait, after the names of their frames' files are on the disk.
+    ///
+    /// # Errors
+    /// [`Error::Write`]; [`Error::LogLost`] if the log was removed or replaced, or its folder renamed.
+    pub fn flush(&mut self) -> Result<()> {
+        if self.waiting.is_empty() {
+            return Ok(());
+        }
+        if !self.lines.is_in_place() {
+            return Err(self.lost());
+        }
+        self.files.sync_folders()?;
+        for (index, text) in self.waiting.drain(..) {
+            self.lines.append(&text)?;
+            self.finished.insert(index);
+        }
         Ok(())
     }
 
-    /// Writes the run's manifest.
+    /// Appends the lines that wait, and writes the run's manifest.
     ///
     /// # Errors
-    /// [`Error::Write`].
-    pub fn write_manifest(&self, status: &str) -> Result<()> {
+    /// Those of [`flush`](Self::flush).
+    pub fn write_manifest(&mut self, status: &str) -> Result<()> {
+        self.check_folder()?;
+        self.flush()?;
         self.lines.sync()?;
         let range = self.range;
         let own = self.finished.range(range.start..range.end());
@@ -95,7 +135,23 @@ impl FrameLogWriter {
         manifest.insert("n_completed".to_owned(), own.into());
         manifest.extend(self.identity.clone());
         let file = manifest::to_file(shard_file_name(MANIFEST, self.shard), manifest)?;
-        disk::write_all_tagged(&self.folder, &self.shard.tag(), &[file]).map(drop)
+        self.files.write_all(&[file])?;
+        self.files.sync_folders()
+    }
+
+    /// Closes the log; the locks stay, for the merge.
+    pub(super) fn close(self) -> RunLock {
+        self.lock
+    }
+
+    /// A folder that was removed is not created again: its frames would be missing from the new one.
+    fn check_folder(&self) -> Result<()> {
+        if self.folder().is_dir() { Ok(()) } else { Err(self.lost()) }
+    }
+
+    fn lost(&self) -> Error {
+        let path: PathBuf = self.lines.path().to_owned();
+        Error::LogLost(path)
     }
 }
 

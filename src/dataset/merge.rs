@@ -10,14 +10,15 @@ use std::path::{Path, PathBuf};
 use serde_json::{Map, Value, json};
 
 use super::digest::{self, Digest};
-use super::lock::{acquire_merge_lock, remove_lock_files};
-use super::log::{FrameLog, LinePosition, MANIFEST, find_lines, shard_files};
+use super::lock::{MERGE_TAG, MergeLock, RunLock};
+use super::log::{FoundLines, FrameLog, LinePosition, MANIFEST, find_lines, shard_files};
 use super::plan::{Range, differences, frame_seed};
 use super::totals::Totals;
 use super::{contact_sheet, data_card, histograms, manifest};
 use crate::error::{Error, Result};
+use crate::output::Artifact;
+use crate::output::disk::{self, FileWriter};
 use crate::output::layout::{self, DatasetIndex, Layout};
-use crate::output::{Artifact, disk};
 
 /// A folder with one log and one manifest.
 #[derive(Clone, Debug)]
@@ -34,41 +35,70 @@ pub struct Finalized {
 ///
 /// # Errors
 /// [`Error::Dataset`] if the folder has no manifest, [`Error::OtherDataset`] if its shards are of different
-/// configurations, [`Error::Read`], [`Error::Write`].
+/// configurations, [`Error::Busy`] if a run of all frames is writing to it, [`Error::Read`], [`Error::Write`].
 pub fn finalize(folder: &Path) -> Result<Finalized> {
-    let no_dataset = || Error::Dataset {
-        path: folder.to_owned(),
-        message: "not a dataset: it has no manifest.json".to_owned(),
-    };
     if !folder.is_dir() || shard_files(folder, MANIFEST)?.is_empty() {
-        return Err(no_dataset());
+        return Err(no_dataset(folder));
     }
-    let lock = acquire_merge_lock(folder)?;
-    // Listed again: another shard that was merging meanwhile has removed its manifest.
+    finalize_locked(folder, MergeLock::acquire(folder)?)
+}
+
+/// Like [`finalize`], at the end of a run of these frames. Counts what is on the disk.
+///
+/// # Errors
+/// [`Error::FramesLost`] if one of the run's frames is missing; those of [`finalize`].
+pub(super) fn finalize_run(
+    folder: &Path,
+    lock: RunLock,
+    own: impl Iterator<Item = u64>,
+) -> Result<Finalized> {
+    let finalized = finalize_locked(folder, MergeLock::after(lock)?)?;
+    let range = manifest::range_of(&finalized.manifest);
+    let is_missing = |index: &u64| {
+        finalized.missing.binary_search(index).is_ok() || !(range.start..range.end()).contains(index)
+    };
+    let (mut wanted, mut missing) = (0, 0);
+    for index in own {
+        wanted += 1;
+        missing += u64::from(is_missing(&index));
+    }
+    if missing > 0 {
+        return Err(Error::FramesLost { path: folder.to_owned(), missing, wanted });
+    }
+    Ok(finalized)
+}
+
+fn no_dataset(folder: &Path) -> Error {
+    Error::Dataset { path: folder.to_owned(), message: "not a dataset: it has no manifest.json".to_owned() }
+}
+
+fn finalize_locked(folder: &Path, lock: MergeLock) -> Result<Finalized> {
     let manifests = shard_files(folder, MANIFEST)?;
-    let (identity, range) = merged_identity(&manifests)?.ok_or_else(no_dataset)?;
-    let (logs, positions) = find_lines(folder)?;
-    merge_logs(folder, &logs, &positions)?;
+    let (identity, range) = merged_identity(&manifests)?.ok_or_else(|| no_dataset(folder))?;
+    let FoundLines { logs, positions, folders } = find_lines(folder)?;
+    lock.remove_leftovers(&folders)?;
+    let mut files = FileWriter::new(folder, MERGE_TAG);
+    merge_logs(&mut files, &logs, &positions)?;
     let missing: Vec<u64> =
         (range.start..range.end()).filter(|index| !positions.contains_key(index)).collect();
     let totals = Totals::of(&FrameLog::new(folder))?;
     let mut manifest = merged_manifest(identity, range, positions.len() as u64, missing.is_empty(), &totals);
     if missing.is_empty() {
-        let hashes = write_index_files(folder, &manifest, &totals)?;
+        let hashes = write_index_files(&mut files, &manifest, &totals)?;
         manifest.insert("index_files".to_owned(), hashes.into());
         let digest = Digest::of(&manifest::identity_of(manifest.clone()), &FrameLog::new(folder))?;
         manifest.insert(digest::KEY.to_owned(), digest.into());
     }
-    disk::write_all(folder, &[manifest::to_file("manifest.json".to_owned(), manifest.clone())?])?;
-    if missing.is_empty() {
+    files.write_all(&[manifest::to_file("manifest.json".to_owned(), manifest.clone())?])?;
+    files.sync_folders()?;
+    // Beside runs that have yet to finish, their logs stay; the last of them removes all.
+    if missing.is_empty() && lock.is_alone() {
         let merged = ["frames.jsonl", "manifest.json"].map(|name| folder.join(name));
         for path in logs.iter().chain(&manifests).filter(|path| !merged.contains(path)) {
             disk::remove(path)?;
         }
-        disk::remove_temporary(folder, "")?;
-        remove_lock_files(folder)?;
     }
-    drop(lock);
+    lock.release()?;
     Ok(Finalized { manifest, missing })
 }
 
@@ -90,8 +120,12 @@ fn merged_identity(manifests: &[PathBuf]) -> Result<Option<(Map<String, Value>, 
 }
 
 /// Copies the lines at these positions to `frames.jsonl`, byte for byte.
-fn merge_logs(folder: &Path, logs: &[PathBuf], positions: &BTreeMap<u64, LinePosition>) -> Result<()> {
-    disk::write_streamed(&folder.join("frames.jsonl"), |out| {
+fn merge_logs(
+    files: &mut FileWriter,
+    logs: &[PathBuf],
+    positions: &BTreeMap<u64, LinePosition>,
+) -> Result<()> {
+    files.write_streamed("frames.jsonl", |out| {
         let mut files = logs.iter().map(std::fs::File::open).collect::<std::io::Result<Vec<_>>>()?;
         for &LinePosition { log, offset, length } in positions.values() {
             let mut line = vec![0; length];
@@ -132,19 +166,22 @@ pub(super) fn merged_manifest(
 
 /// Writes the files that a complete dataset has besides its frames, and returns their content hashes by name.
 fn write_index_files(
-    folder: &Path,
+    files: &mut FileWriter,
     manifest: &Map<String, Value>,
     totals: &Totals,
 ) -> Result<Map<String, Value>> {
     let (_, layout) = layout_of(manifest)?;
-    let lines = FrameLog::new(folder);
+    let folder = files.folder().to_owned();
+    let lines = FrameLog::new(&folder);
     let mut hashes = Map::new();
     let mut write = |file: Artifact| {
         hashes.insert(file.name.clone(), disk::content_hash(&file.bytes).into());
-        disk::write_all(folder, &[file]).map(drop)
+        files.write_all(&[file])?;
+        // What a bundle contains is removed once the bundle is on the disk.
+        files.sync_folders()
     };
-    layout.write_bundles(&DatasetIndex { folder, lines: &lines, manifest, card: "" }, &mut write)?;
-    index_files(folder, manifest, totals, &mut write)?;
+    layout.write_bundles(&DatasetIndex { folder: &folder, lines: &lines, manifest, card: "" }, &mut write)?;
+    index_files(&folder, manifest, totals, &mut write)?;
     Ok(hashes)
 }
 

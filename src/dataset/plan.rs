@@ -102,7 +102,14 @@ impl Shard {
     /// The tag of its temporary files, by which shards that share a folder know their own.
     #[must_use]
     pub fn tag(self) -> String {
-        format!("{}of{}-", self.number, self.of)
+        format!("{}of{}", self.number, self.of)
+    }
+
+    /// Whether a tag is that of some shard.
+    #[must_use]
+    pub fn has_tag(tag: &str) -> bool {
+        let numbers = tag.split_once("of");
+        numbers.is_some_and(|(i, n)| i.parse::<u64>().is_ok() && n.parse::<u64>().is_ok())
     }
 }
 

@@ -7,11 +7,10 @@ use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use super::log_writer::FrameLogWriter;
-use super::merge::{Finalized, finalize};
+use super::merge::{Finalized, finalize_run};
 use super::pipeline::{Concurrency, FinishedFrame, milliseconds_json, milliseconds_since, render_frames};
 use super::plan::Plan;
 use crate::error::{Error, RUN_AGAIN, Result};
-use crate::output::disk;
 use crate::output::layout::FrameFiles;
 use crate::render::{Renderer, StageTimes};
 
@@ -53,8 +52,8 @@ impl Progress {
 /// Makes the frames of a plan that its folder lacks, then completes the folder. `watch` is called after every frame.
 ///
 /// # Errors
-/// Those of [`render_frames`]; [`Error::Stopped`] if `stop` became true. Finished frames stay, and the same call resumes
-/// the run.
+/// Those of [`render_frames`]; [`Error::Stopped`] if `stop` became true; [`Error::LogLost`] and [`Error::FramesLost`] if the
+/// frames were not left alone. Finished frames stay, and the same call resumes the run.
 pub fn run(
     plan: &Plan,
     renderer: &mut Renderer,
@@ -68,11 +67,10 @@ pub fn run(
     let mut progress = Progress::new(wanted - missing.len() as u64, wanted);
     watch(&progress);
     let folder = log.folder().to_owned();
-    let tag = plan.shard.tag();
     let mut manifest_written = Instant::now();
     let result = render_frames(plan, renderer, missing.into_iter(), concurrency, stop, |mut frame| {
         let start = Instant::now();
-        disk::write_all_tagged(&folder, &tag, &frame.files.artifacts)?;
+        log.write_files(&frame.files)?;
         frame.times.push(("write", milliseconds_since(start)));
         frame.line.ms = milliseconds_json(&frame.times);
         log.append(&frame.line)?;
@@ -96,11 +94,10 @@ pub fn run(
     let manifest = log.write_manifest(status);
     result?;
     manifest?;
-    drop(log);
     if !is_complete {
         return Err(Error::Stopped { done: progress.found + progress.made, wanted, remedy: RUN_AGAIN });
     }
-    Ok((progress, finalize(&folder)?))
+    Ok((progress, finalize_run(&folder, log.close(), plan.own_indices())?))
 }
 
 /// Makes the frames of a plan and passes the files of each to `sink`, in ascending order of index.

@@ -6,6 +6,7 @@ mod architecture;
 mod cli;
 mod closed_form;
 mod dataset;
+mod dataset_locks;
 mod dataset_paths;
 mod determinism;
 mod docs;

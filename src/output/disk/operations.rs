@@ -1,0 +1,254 @@
+//! The operations that change the disk, one function for each.
+//!
+//! In unit tests a thread can record them, so that every state in which a power cut may leave the disk can be built from
+//! the record.
+//! Must not know: names of files, what the bytes mean.
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, Read as _, Seek as _, SeekFrom, Write};
+use std::path::Path;
+
+use tempfile::NamedTempFile;
+
+use crate::error::Error;
+
+/// One change of the disk.
+#[cfg(test)]
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Operation {
+    /// A folder was created.
+    CreateFolder(std::path::PathBuf),
+    /// An empty file was created.
+    Create(std::path::PathBuf),
+    /// Bytes were written at an offset of a file.
+    Write(std::path::PathBuf, u64, Vec<u8>),
+    /// A file was cut to a length.
+    Truncate(std::path::PathBuf, u64),
+    /// A file's content was synchronised.
+    SyncFile(std::path::PathBuf),
+    /// A folder's entries were synchronised.
+    SyncFolder(std::path::PathBuf),
+    /// A file was renamed within its folder.
+    Rename(std::path::PathBuf, std::path::PathBuf),
+    /// A file or an empty folder was removed.
+    Remove(std::path::PathBuf),
+}
+
+#[cfg(test)]
+pub(crate) mod recorder {
+    use std::cell::RefCell;
+
+    use super::Operation;
+
+    thread_local! {
+        static RECORD: RefCell<Option<Vec<Operation>>> = const { RefCell::new(None) };
+    }
+
+    #[allow(dead_code, reason = "for the test of power cuts")]
+    /// Runs `work` and returns its result with the operations of this thread.
+    pub(crate) fn record<T>(work: impl FnOnce() -> T) -> (T, Vec<Operation>) {
+        RECORD.set(Some(Vec::new()));
+        let result = work();
+        (result, RECORD.take().unwrap_or_default())
+    }
+
+    pub(super) fn add(operation: impl FnOnce() -> Operation) {
+        RECORD.with_borrow_mut(|record| record.as_mut().map(|record| record.push(operation())));
+    }
+}
+
+macro_rules! record {
+    ($operation:expr) => {
+        #[cfg(test)]
+        recorder::add(|| {
+            use Operation::*;
+            $operation
+        });
+    };
+}
+
+/// The error of a file that cannot be written.
+pub(super) fn failed(path: &Path) -> impl FnOnce(io::Error) -> Error {
+    let path = path.to_owned();
+    move |cause| Error::Write { path, cause }
+}
+
+/// Creates a folder in an existing one. It is no error if it exists.
+pub(super) fn create_folder(path: &Path) -> io::Result<()> {
+    match std::fs::create_dir(path) {
+        Err(cause) if cause.kind() == io::ErrorKind::AlreadyExists && path.is_dir() => Ok(()),
+        Err(cause) => Err(cause),
+        Ok(()) => {
+            record!(CreateFolder(path.to_owned()));
+            Ok(())
+        }
+    }
+}
+
+/// Waits until the names in a folder are on the disk. Does nothing where folders cannot be synchronised.
+pub(super) fn sync_folder(path: &Path) -> io::Result<()> {
+    use io::ErrorKind::{InvalidInput, PermissionDenied, Unsupported};
+    let sync = || if cfg!(unix) { File::open(path)?.sync_all() } else { Ok(()) };
+    match sync() {
+        Err(cause) if !matches!(cause.kind(), InvalidInput | PermissionDenied | Unsupported) => Err(cause),
+        _ => {
+            record!(SyncFolder(path.to_owned()));
+            Ok(())
+        }
+    }
+}
+
+/// Removes a file.
+pub(super) fn remove_file(path: &Path) -> io::Result<()> {
+    std::fs::remove_file(path)?;
+    record!(Remove(path.to_owned()));
+    Ok(())
+}
+
+/// Removes an empty folder.
+pub(super) fn remove_folder(path: &Path) -> io::Result<()> {
+    std::fs::remove_dir(path)?;
+    record!(Remove(path.to_owned()));
+    Ok(())
+}
+
+/// A file under a temporary name; it is removed when dropped.
+pub(super) struct TemporaryFile {
+    file: NamedTempFile,
+    #[cfg(test)]
+    length: u64,
+}
+
+impl TemporaryFile {
+    /// Creates it in a folder. Its name consists of `prefix`, `random` letters and digits, and `suffix`.
+    pub(super) fn create(folder: &Path, prefix: &str, random: usize, suffix: &str) -> io::Result<Self> {
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(prefix).rand_bytes(random).suffix(suffix);
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+        let file = builder.tempfile_in(folder)?;
+        record!(Create(file.path().to_owned()));
+        Ok(Self {
+            file,
+            #[cfg(test)]
+            length: 0,
+        })
+    }
+
+    /// Waits until its content is on the disk.
+    pub(super) fn sync(&self) -> io::Result<()> {
+        self.file.as_file().sync_data()?;
+        record!(SyncFile(self.file.path().to_owned()));
+        Ok(())
+    }
+
+    /// Renames it; a file of that name is replaced.
+    pub(super) fn rename(self, path: &Path) -> io::Result<()> {
+        #[cfg(test)]
+        let from = self.file.path().to_owned();
+        self.file.persist(path).map_err(|error| error.error)?;
+        record!(Rename(from, path.to_owned()));
+        Ok(())
+    }
+}
+
+impl Write for TemporaryFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = self.file.write(bytes)?;
+        record!(Write(self.file.path().to_owned(), self.length, bytes[..written].to_vec()));
+        #[cfg(test)]
+        {
+            self.length += written as u64;
+        }
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+/// A file that grows at its end.
+#[derive(Debug)]
+pub(super) struct GrowingFile {
+    file: File,
+    length: u64,
+    #[cfg(test)]
+    path: std::path::PathBuf,
+}
+
+impl GrowingFile {
+    /// Opens the file, or creates it, and returns it with its content.
+    pub(super) fn open(path: &Path) -> io::Result<(Self, Vec<u8>)> {
+        #[cfg(test)]
+        let is_new = !path.exists();
+        let mut file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path)?;
+        #[cfg(test)]
+        if is_new {
+            record!(Create(path.to_owned()));
+        }
+        let mut content = Vec::new();
+        file.read_to_end(&mut content)?;
+        let opened = Self {
+            file,
+            length: content.len() as u64,
+            #[cfg(test)]
+            path: path.to_owned(),
+        };
+        Ok((opened, content))
+    }
+
+    /// The open file.
+    pub(super) const fn file(&self) -> &File {
+        &self.file
+    }
+
+    /// Cuts it to this length, bytes.
+    pub(super) fn truncate(&mut self, length: u64) -> io::Result<()> {
+        self.file.set_len(length)?;
+        record!(Truncate(self.path.clone(), length));
+        self.length = length;
+        Ok(())
+    }
+
+    /// Appends bytes. On an error the file keeps its length.
+    pub(super) fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.file.seek(SeekFrom::Start(self.length))?;
+        if let Err(cause) = self.file.write_all(bytes) {
+            // A full disk may have accepted a part.
+            let _ = self.file.set_len(self.length);
+            return Err(cause);
+        }
+        record!(Write(self.path.clone(), self.length, bytes.to_vec()));
+        self.length += bytes.len() as u64;
+        Ok(())
+    }
+
+    /// Waits until its content is on the disk.
+    pub(super) fn sync(&self) -> io::Result<()> {
+        self.file.sync_data()?;
+        record!(SyncFile(self.path.clone()));
+        Ok(())
+    }
+}
+
+/// Opens a file for reading and writing, or creates it empty.
+pub(super) fn open_or_create(path: &Path) -> io::Result<File> {
+    OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path)
+}
+
+/// Whether an open file is the one that has this path now.
+pub(super) fn is_at(file: &File, path: &Path) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt as _;
+        let id = |file: std::fs::Metadata| (file.dev(), file.ino());
+        let (open, there) = (file.metadata().map(id), path.metadata().map(id));
+        open.is_ok_and(|open| there.is_ok_and(|there| open == there))
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = file;
+        path.exists()
+    }
+}
