@@ -105,9 +105,16 @@ pub enum Error {
     Stdout(std::io::Error),
     /// No adapter was found.
     #[error(
-        "no graphics adapter was found{0}.\nOn a machine without a GPU, install Mesa's CPU driver: `sudo apt-get install mesa-vulkan-drivers` (Debian, Ubuntu).\nOn a machine with a GPU, install its Vulkan driver; in a container, pass the GPU through with its graphics capability."
+        "no graphics adapter was found{limit}.\nOn a machine without a GPU, install Mesa's CPU driver: `sudo apt-get install {packages}` (Debian, Ubuntu).\nOn a machine with a GPU, install its {api} driver; in a container, pass the GPU through with its graphics capability."
     )]
-    NoAdapter(String),
+    NoAdapter {
+        /// What `WGPU_BACKEND` allows, in parentheses; empty if it is not set.
+        limit: String,
+        /// Packages of Debian with the CPU driver for the allowed backends.
+        packages: &'static str,
+        /// The interface of the driver that a GPU needs.
+        api: &'static str,
+    },
     /// No adapter has the requested name.
     #[error("no adapter matches `{wanted}`; the adapters are:\n{}", .available.join("\n"))]
     AdapterNotFound {
@@ -269,7 +276,7 @@ impl Error {
             | Self::Scene(_) => 2,
             Self::Write { .. }
             | Self::Stdout(_)
-            | Self::NoAdapter(_)
+            | Self::NoAdapter { .. }
             | Self::AdapterUnfit { .. }
             | Self::DeviceLost(_)
             | Self::Device(_)

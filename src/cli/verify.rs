@@ -46,7 +46,7 @@ pub(super) fn run(args: &VerifyArgs, messages: Messages) -> Result<()> {
     match (report.problems.len(), rerendered) {
         (0, Ok(())) => Ok(()),
         // The checks that need no adapter have run, and their results are printed.
-        (_, Err(error @ Error::NoAdapter(_))) => Err(Error::CheckFailed(format!(
+        (_, Err(error @ Error::NoAdapter { .. })) => Err(Error::CheckFailed(format!(
             "no frame could be rendered again: {error}\nWith --rerender 0 all other checks run, without an adapter."
         ))),
         (_, Err(error)) => Err(error),

@@ -80,7 +80,10 @@ fn backends_allowed() -> Result<Option<Backends>> {
 fn no_adapter() -> Error {
     let named = std::env::var("WGPU_BACKEND").unwrap_or_default();
     let limit = if named.is_empty() { String::new() } else { format!(" (WGPU_BACKEND allows only {named})") };
-    Error::NoAdapter(limit)
+    let is_gl_only = backends_allowed().is_ok_and(|allowed| allowed == Some(Backends::GL));
+    let (packages, api) =
+        if is_gl_only { ("libegl1 libgl1-mesa-dri", "EGL") } else { ("mesa-vulkan-drivers", "Vulkan") };
+    Error::NoAdapter { limit, packages, api }
 }
 
 /// One line for people: name, kind, backend, driver.

@@ -111,17 +111,23 @@ fn a_wrong_setting_is_refused_with_name_value_and_remedy() {
 
 #[test]
 fn without_an_adapter_the_message_says_how_to_install_one() {
-    let folder = folder();
-    let output = program(folder.path())
-        .env("VK_DRIVER_FILES", "/nonexistent.json")
-        .env("VK_ICD_FILENAMES", "/nonexistent.json")
-        .env("WGPU_BACKEND", "vulkan")
-        .output()
-        .expect("the program starts");
-    let message = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{message}");
-    assert!(message.contains("no graphics adapter") && message.contains("mesa-vulkan-drivers"), "{message}");
-    assert!(!folder.path().join("out").exists());
+    for (backend, packages) in [
+        ("vulkan", "apt-get install mesa-vulkan-drivers`"),
+        ("gl", "apt-get install libegl1 libgl1-mesa-dri`"),
+    ] {
+        let folder = folder();
+        let output = program(folder.path())
+            .env("VK_DRIVER_FILES", "/nonexistent.json")
+            .env("VK_ICD_FILENAMES", "/nonexistent.json")
+            .env("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent.json")
+            .env("WGPU_BACKEND", backend)
+            .output()
+            .expect("the program starts");
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{message}");
+        assert!(message.contains("no graphics adapter") && message.contains(packages), "{message}");
+        assert!(!folder.path().join("out").exists());
+    }
 }
 
 #[test]
