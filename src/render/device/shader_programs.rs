@@ -169,6 +169,36 @@ mod tests {
         }
     }
 
+    /// Direct3D and Metal, which no test renders on: at least their shaders can be written.
+    #[test]
+    fn every_program_translates_to_hlsl_and_msl() {
+        use naga::back::{PipelineConstants, hlsl, msl, pipeline_constants::process_overrides};
+        for program in PROGRAMS {
+            let module = parse(program);
+            let info = Validator::new(ValidationFlags::all(), Capabilities::empty())
+                .validate(&module)
+                .unwrap_or_else(|error| panic!("{}: {error}", program.name));
+            let overrides = module.overrides.iter().filter_map(|(_, constant)| constant.name.clone());
+            let constants: PipelineConstants = overrides.map(|name| (name, 1.0)).collect();
+            let (module, info) = process_overrides(&module, &info, None, &constants)
+                .unwrap_or_else(|error| panic!("{}: {error}", program.name));
+            let (options, pipeline) = (hlsl::Options::default(), hlsl::PipelineOptions::default());
+            let mut text = String::new();
+            hlsl::Writer::new(&mut text, &options, &pipeline)
+                .write(&module, &info, None)
+                .unwrap_or_else(|error| panic!("{} as HLSL: {error}", program.name));
+            // Metal 2.1: macOS 10.14.
+            let options = msl::Options { lang_version: (2, 1), ..Default::default() };
+            let pipeline = msl::PipelineOptions::default();
+            let translation = msl::Writer::new(String::new())
+                .write(&module, &info, &options, &pipeline)
+                .unwrap_or_else(|error| panic!("{} as MSL: {error}", program.name));
+            for entry_point in translation.entry_point_names {
+                entry_point.unwrap_or_else(|error| panic!("{} as MSL: {error}", program.name));
+            }
+        }
+    }
+
     #[test]
     fn every_file_on_disk_is_part_of_a_program() {
         let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("shaders");

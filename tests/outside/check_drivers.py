@@ -1,0 +1,176 @@
+"""Renders on two independent Vulkan drivers under the validation layers: no message, and the same masks.
+
+The drivers are Mesa's lavapipe and Google's SwiftShader. SwiftShader and the layers, which also check synchronization, come
+from Debian's package chromium-common; nothing is installed. Run through check.sh.
+"""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from report import Report
+
+PACKAGE = "chromium-common"
+PROGRAM = os.environ["REGOLITH_BINARY"]
+WORK = Path(os.environ["REGOLITH_OUTSIDE"]) / "drivers"
+LAYER = "VK_LAYER_KHRONOS_validation"
+# Performance hints are left out: naga writes every output of a vertex stage, whether or not the fragment stage reads it.
+SETTINGS = """\
+khronos_validation.debug_action = VK_DBG_LAYER_ACTION_LOG_MSG
+khronos_validation.report_flags = error,warn,info
+khronos_validation.log_filename = {log}
+khronos_validation.validate_sync = true
+"""
+MESSAGE = re.compile(r"^Validation (Error|Warning): \[ (\S+) \]", re.MULTILINE)
+# What the layers say first, if they run with all checks; a frame counts only then.
+ACTIVE = ("Current Validation Enabled", "- Core Checks", "- Synchronization")
+# A known defect of naga, which gives local arrays and structs the layout that only those in buffers may have. Drivers ignore
+# it there (SPIRV-Tools, issue 6193).
+KNOWN = {"VUID-StandaloneSpirv-None-10684"}
+# Largest fraction of the pixels whose class differs between the drivers; each of them lies on an outline.
+MAX_DIFFERENT = 0.001
+# Options of a scene, and the raster backends to try.
+SCENES = {
+    "nominal, seed 42": (["--seed", "42"], ("device", "host")),
+    "nominal, sun in front": (["--seed", "7", "--set", "sun.elevation_deg=5", "--set", "sun.azimuth_deg=0"], ("device",)),
+    "surface, seed 42": (["--stage", "surface", "--seed", "42"], ("device",)),
+    "surface, lens": (["--stage", "surface", "--seed", "3", "--set", "camera.k1=-0.1"], ("device", "host")),
+}
+SIZE = ["--size", "256", "--outputs", "all"]
+
+
+@dataclass(frozen=True)
+class Driver:
+    """A Vulkan driver: its name, the text that its adapter's name contains, and the file that describes it."""
+
+    name: str
+    adapter: str
+    icd: Path
+
+
+def unpacked() -> Path:
+    """The package's folder with SwiftShader and the layers, below the work folder."""
+    root = WORK / PACKAGE
+    if not root.is_dir():
+        partial = WORK / "partial"
+        shutil.rmtree(partial, ignore_errors=True)
+        partial.mkdir(parents=True)
+        subprocess.run(["apt-get", "download", "-qq", PACKAGE], cwd=partial, check=True, stderr=subprocess.DEVNULL)
+        for archive in partial.glob("*.deb"):
+            subprocess.run(["dpkg", "-x", archive.name, "."], cwd=partial, check=True)
+            archive.unlink()
+        partial.rename(root)
+    return only(root.rglob("libvk_swiftshader.so"), f"SwiftShader in {PACKAGE}").parent
+
+
+def only(paths: Iterable[Path], what: str) -> Path:
+    """The first of some paths; there must be one."""
+    found = sorted(paths)
+    if not found:
+        sys.exit(f"tests/outside: {what} was not found")
+    return found[0]
+
+
+def describe_layer(folder: Path) -> None:
+    """Writes the file by which the Vulkan loader finds the layer."""
+    library = only(folder.glob("libVkLayer_khronos_validation.so"), f"the validation layer in {PACKAGE}")
+    layer = {
+        "name": LAYER,
+        "type": "GLOBAL",
+        "library_path": str(library),
+        "api_version": "1.4.0",
+        "implementation_version": "1",
+        "description": "Khronos validation layer",
+    }
+    (WORK / "layer.json").write_text(json.dumps({"file_format_version": "1.2.0", "layer": layer}))
+
+
+def render(driver: Driver, scene: list[str], raster: str) -> tuple[Path, str]:
+    """Renders a frame under the layers. Returns its folder and what the layers wrote."""
+    out, log, settings, cache = (WORK / name for name in ("frame", "messages.txt", "vk_layer_settings.txt", "cache"))
+    shutil.rmtree(out, ignore_errors=True)
+    # Without a cache every shader is compiled, so that the layers see it.
+    shutil.rmtree(cache, ignore_errors=True)
+    log.unlink(missing_ok=True)
+    settings.write_text(SETTINGS.format(log=log))
+    environment = {
+        **os.environ,
+        "VK_INSTANCE_LAYERS": LAYER,
+        "VK_LAYER_PATH": str(WORK),
+        "VK_LAYER_SETTINGS_PATH": str(settings),
+        "VK_DRIVER_FILES": str(driver.icd),
+        "VK_ICD_FILENAMES": str(driver.icd),
+        "WGPU_BACKEND": "vulkan",
+        "WGPU_ADAPTER_NAME": driver.adapter,
+        "XDG_CACHE_HOME": str(cache),
+    }
+    command = [PROGRAM, *scene, *SIZE, "--raster", raster, "--out", str(out), "--quiet"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(command)}: {done.stderr.strip()}")
+    return out, log.read_text() if log.exists() else ""
+
+
+def on_outline(mask: np.ndarray) -> np.ndarray:
+    """Pixels that have a neighbour of another class, of the eight around them."""
+    padded = np.pad(mask, 1, mode="edge")
+    height, width = mask.shape
+    shifted = [padded[y : y + height, x : x + width] for y in range(3) for x in range(3)]
+    return np.any([other != mask for other in shifted], axis=0)
+
+
+def check_frame(report: Report, name: str, driver: Driver, scene: list[str], raster: str) -> np.ndarray:
+    """Renders a frame, adds what the layers found to the report, and returns the mask."""
+    out, text = render(driver, scene, raster)
+    record = json.loads((out / "frame_0000.json").read_text())
+    adapter = f"{record['adapter']['name']}, {record['raster']}"
+    is_right = driver.adapter in record["adapter"]["name"].lower() and record["raster"] == raster
+    report.none(f"{name}: adapter and raster", [] if is_right else [adapter], adapter)
+    missing = [what for what in ACTIVE if what not in text]
+    report.none(f"{name}: layers run", [f"not {what}" for what in missing], "all checks")
+    faults = [found[2] for found in MESSAGE.finditer(text) if found[2] not in KNOWN]
+    report.none(f"{name}: messages of the layers", faults, "none")
+    return np.array(Image.open(out / "semantic_segmentation_0000.png"))
+
+
+def check_scene(report: Report, drivers: list[Driver], scene: list[str], rasters: tuple[str, ...]) -> None:
+    """Renders a scene on every driver, and compares masks with those of the first."""
+    runs = [(f"{driver.name}, {raster}", driver, raster) for raster in rasters for driver in drivers]
+    (first, reference), *others = [(name, check_frame(report, name, driver, scene, raster)) for name, driver, raster in runs]
+    for name, mask in others:
+        different = mask != reference
+        outline = on_outline(mask) | on_outline(reference)
+        what = f"{name}: pixels of another class than {first}"
+        report.at_most(what, 100 * different.mean(), 100 * MAX_DIFFERENT, " %")
+        inside = int((different & ~outline).sum())
+        report.none(f"{what}, not on an outline", [f"{inside} px"] if inside else [], int(outline.sum()))
+
+
+def main() -> int:
+    """Renders every scene; returns the exit status."""
+    WORK.mkdir(parents=True, exist_ok=True)
+    package = unpacked()
+    describe_layer(package)
+    lavapipe = only(Path("/usr/share/vulkan/icd.d").glob("lvp_icd*.json"), "lavapipe (apt-get install mesa-vulkan-drivers)")
+    swiftshader = only(package.glob("vk_swiftshader_icd.json"), f"the description of SwiftShader in {PACKAGE}")
+    drivers = [Driver("lavapipe", "llvmpipe", lavapipe), Driver("SwiftShader", "swiftshader", swiftshader)]
+    report = Report()
+    for name, (scene, rasters) in SCENES.items():
+        report.case = name
+        check_scene(report, drivers, scene, rasters)
+    report.print()
+    failed = len(report.failed())
+    print(f"{len(report.rows) - failed} of {len(report.rows)} hold")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
