@@ -78,7 +78,7 @@ impl RockLabel {
 }
 
 /// Statistics of the 8-bit image over all pixels and channels.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct RgbStatistics {
     /// Mean value, 0 to 255.
     pub mean: f64,

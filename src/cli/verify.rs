@@ -6,7 +6,7 @@ use clap::Args;
 use regolith::dataset::verify::{self, CHECKS, Report};
 use regolith::{Error, Result, gpu};
 
-use super::args::{DeviceArgs, whole_number};
+use super::args::DeviceArgs;
 use super::device;
 use super::messages::{Messages, print};
 use super::progress::Meter;
@@ -18,14 +18,20 @@ const MAX_PRINTED: usize = 40;
 pub(super) struct VerifyArgs {
     /// Folder of the dataset
     folder: PathBuf,
-    /// Number of frames, spread over the dataset, to render again and compare; 0 needs no adapter
-    #[arg(long, value_name = "N", default_value_t = 4, value_parser = whole_number::<u64>(0, u64::MAX))]
+    /// Number of frames, spread over the dataset, to render again and compare in every output, or `all`; 0 needs no adapter
+    #[arg(long, value_name = "N", default_value = "4", value_parser = frames_to_render)]
     rerender: u64,
     #[command(flatten)]
     device: DeviceArgs,
     /// Print JSON
     #[arg(long)]
     json: bool,
+}
+
+/// A number of frames; `all` is more than any dataset has.
+fn frames_to_render(text: &str) -> std::result::Result<u64, String> {
+    let number = || text.parse().map_err(|_| "allowed are whole numbers and `all`".to_owned());
+    if text == "all" { Ok(u64::MAX) } else { number() }
 }
 
 pub(super) fn run(args: &VerifyArgs, messages: Messages) -> Result<()> {

@@ -108,6 +108,21 @@ impl Attempt {
     }
 }
 
+/// Renders one attempt at a frame, whether or not it keeps the rules.
+pub(super) fn render_attempt(
+    plan: &Plan,
+    renderer: &mut Renderer,
+    index: u64,
+    attempt: u32,
+    redrawn: Vec<String>,
+) -> Result<RenderedFrame> {
+    let source = build_scene(plan, index, attempt, redrawn)?;
+    let in_flight = renderer.submit(&source.scene, &plan.settings)?;
+    let (frame, _) = renderer.finish(in_flight, &source.scene)?;
+    let (adapter, raster) = (renderer.gpu().info.clone(), renderer.raster());
+    Ok(RenderedFrame { source, frame, adapter, raster, cost: RenderCost::default() })
+}
+
 /// Waits for a submitted frame, and says which rule it breaks, if any.
 fn read_back(
     plan: &Plan,

@@ -1,5 +1,9 @@
-//! Checks whether a dataset holds what it claims: every file against its hash, every mask against its recorded
-//! statistics, a sample of frames against a new rendering, depth against the scene's surface.
+//! Checks whether a dataset holds what it claims.
+//!
+//! Everything that must be there is derived from the manifest: the paths of all files, every key of every line, the manifest's
+//! own keys, the files that index the dataset. Files are compared with their hashes, masks and images with their recorded
+//! statistics, the lines with the manifest's digest, and a sample of frames with a new rendering of all their outputs. Memory does
+//! not grow with the number of frames.
 //!
 //! Must not know: the command line.
 //! To add a check: a row in [`CHECKS`], and its code where the frame, the folder or the rendered frame is
@@ -7,27 +11,33 @@
 
 mod context;
 mod depth;
+mod differences;
 mod files;
 mod images;
+mod index;
+mod inventory;
 mod record;
 mod rendering;
 mod report;
+mod store;
+mod templates;
+mod tolerance;
 
-use std::collections::BTreeSet;
 use std::path::Path;
 
 use rayon::prelude::*;
-use serde_json::{Map, Value};
 
 use super::log::FrameLog;
-use super::plan::Plan;
-use super::totals::Totals;
 use crate::error::Result;
 use crate::output::layout::FrameLine;
-use context::Context;
+use context::{Context, Version};
+use index::{LogSummary, check_index};
+use inventory::Inventory;
 pub use rendering::check_rendering;
 use report::name;
 pub use report::{CHECKS, Problem, Report};
+use store::Archives;
+use templates::ExpectedFrame;
 
 /// Lines that are checked at a time.
 const CHUNK: usize = 256;
@@ -42,121 +52,124 @@ pub fn check(folder: &Path, mut watch: impl FnMut(u64, u64)) -> Result<Report> {
     let manifest = context::open(folder)?;
     let context = Context::new(folder, &manifest)?;
     let mut report = Report::default();
-    check_manifest(&context, &manifest, &mut report);
-    let mut summary = LogSummary { next: context.range.start, ..LogSummary::default() };
-    let mut chunk = Vec::new();
-    let mut check_chunk = |chunk: &mut Vec<FrameLine>, report: &mut Report| {
-        let parts: Vec<Report> = chunk.par_iter().map(|line| check_frame(&context, line)).collect();
-        parts.into_iter().for_each(|part| report.add(part));
+    check_version(&context, &mut report);
+    let mut summary = LogSummary::new(&context);
+    let mut inventory = Inventory::default();
+    let mut chunk: Vec<(u64, FrameLine)> = Vec::new();
+    let mut check_chunk = |chunk: &mut Vec<(u64, FrameLine)>, report: &mut Report| -> Result<()> {
+        for (part, files) in check_frames(&context, chunk)? {
+            report.add(part);
+            inventory.merge(files);
+        }
         chunk.clear();
-        watch(report.frames, context.range.count);
+        watch(report.frames, context.plan.range.count);
+        Ok(())
     };
+    let mut number = 0;
     let read = FrameLog::new(folder).for_each_result(&mut |line| {
+        number += 1;
         match line {
             Ok(line) => {
-                summary.add(&line, &mut report);
-                chunk.push(line);
+                if summary.add(&context, &line, number, &mut report) {
+                    chunk.push((number, line));
+                }
             }
-            Err(error) => report.problem(name::LOG, None, error.to_string()),
+            Err(error) => {
+                summary.is_readable = false;
+                report.problem(name::LOG, None, error.to_string());
+            }
         }
-        if chunk.len() == CHUNK {
-            check_chunk(&mut chunk, &mut report);
-        }
-        Ok(())
+        if chunk.len() == CHUNK { check_chunk(&mut chunk, &mut report) } else { Ok(()) }
     });
-    check_chunk(&mut chunk, &mut report);
+    check_chunk(&mut chunk, &mut report)?;
     if let Err(error) = read {
+        summary.is_readable = false;
         report.problem(name::LOG, None, error.to_string());
     }
-    check_counts(&context, &manifest, &summary, &mut report);
-    let mut known_files = summary.files;
-    known_files.extend(check_index_files(&context, &manifest, &mut report));
-    files::check_foreign_files(folder, &known_files, &mut report)?;
+    if is_finished(&context, &mut report) && context.version != Version::Other {
+        let mut paths = check_index(&context, &summary, &mut report)?;
+        paths.extend(["manifest.json", "frames.jsonl"].map(str::to_owned));
+        paths.iter().for_each(|path| inventory.add(&context, path));
+        inventory.check(&context, summary.next - context.plan.range.start, &paths, &mut report)?;
+        if summary.is_readable {
+            check_form(folder, &mut report)?;
+        }
+    }
     Ok(report)
 }
 
-/// What the lines of a log amount to.
-#[derive(Default)]
-struct LogSummary {
-    /// The index that the next line should have.
-    next: u64,
-    totals: Totals,
-    /// Paths of the frames' files.
-    files: BTreeSet<String>,
-}
-
-impl LogSummary {
-    fn add(&mut self, line: &FrameLine, report: &mut Report) {
-        self.totals.add(line);
-        report.expect(name::LOG, Some(line.index), line.index == self.next, || {
-            format!("frames.jsonl: expected frame {} here", self.next)
-        });
-        self.next = line.index + 1;
-        self.files.extend(line.hashes().map(|(path, _)| path.to_owned()));
-    }
-}
-
-/// Status and ids of the manifest.
-fn check_manifest(context: &Context<'_>, manifest: &Map<String, Value>, report: &mut Report) {
-    let status = manifest.get("status").and_then(Value::as_str).unwrap_or_default();
-    report.expect(name::LOG, None, status == "done", || {
-        format!("manifest.json: status is `{status}`; run the dataset command again, or `dataset --merge` for shards")
+/// Checks the files and the lines of frames.
+fn check_frames(context: &Context<'_>, chunk: &[(u64, FrameLine)]) -> Result<Vec<(Report, Inventory)>> {
+    let expected: Vec<ExpectedFrame> = chunk
+        .par_iter()
+        .map(|(_, line)| ExpectedFrame::new(&context.plan, &context.templates, line))
+        .collect::<Result<_>>()?;
+    let bundles = expected.iter().filter_map(|frame| frame.bundle.as_deref());
+    let archives = Archives::open(context.folder, bundles);
+    let results = chunk.par_iter().zip(&expected).map(|((number, line), frame)| {
+        let mut report = Report { frames: 1, ..Report::default() };
+        record::check_record(context, line, *number, frame, &mut report);
+        files::check_frame_files(context, &archives, line, frame, &mut report);
+        let mut inventory = Inventory::default();
+        inventory.add_frame(context, frame);
+        (report, inventory)
     });
-    for (key, value) in Plan::identity_of_ids(context.label_ids) {
-        report.expect(name::LABELS, None, manifest.get(&key) == Some(&value), || {
-            format!("manifest.json: {key} should be {value}")
-        });
-    }
+    Ok(results.collect())
 }
 
-/// Counts and totals of the manifest against the lines.
-fn check_counts(
-    context: &Context<'_>,
-    manifest: &Map<String, Value>,
-    summary: &LogSummary,
-    report: &mut Report,
-) {
-    let range = context.range;
-    report.expect(name::LOG, None, summary.next == range.end(), || {
+/// Whether the scenes of the dataset's version can be made here.
+fn check_version(context: &Context<'_>, report: &mut Report) {
+    let own = env!("CARGO_PKG_VERSION");
+    report.expect(name::LOG, None, context.version != Version::Other, || {
+        let recorded = context.manifest.get("version").cloned().unwrap_or_default();
         format!(
-            "frames.jsonl ends before frame {}; the manifest has frames {} to {}",
-            summary.next,
-            range.start,
-            range.end() - 1
+            "manifest.json: version is {recorded}; this is version {own}, which makes other scenes from the same seeds. Files \
+             and hashes were checked; records, index files and frames can only be checked by the version that made them"
         )
     });
-    let frames = report.frames;
-    report.expect(
-        name::LOG,
-        None,
-        manifest.get("n_completed").and_then(Value::as_u64) == Some(frames),
-        || format!("manifest.json: n_completed should be {frames}, the number of lines in frames.jsonl"),
-    );
-    let totals = summary.totals.to_json();
-    report.expect(name::LOG, None, manifest.get("totals") == Some(&totals), || {
-        format!("manifest.json: totals should be those of frames.jsonl, {totals}")
+}
+
+/// Whether the dataset is complete; only then all files are there.
+fn is_finished(context: &Context<'_>, report: &mut Report) -> bool {
+    let status = context.manifest.get("status").cloned().unwrap_or_default();
+    let is_finished = status == "done";
+    report.expect(name::LOG, None, is_finished, || {
+        format!("manifest.json: status is {status}; run the dataset command again, or `dataset --merge` for shards")
     });
+    is_finished
 }
 
-/// Checks the dataset's index files, and returns their paths.
-fn check_index_files(
-    context: &Context<'_>,
-    manifest: &Map<String, Value>,
-    report: &mut Report,
-) -> Vec<String> {
-    let index_files = manifest.get("index_files").and_then(Value::as_object);
-    for (path, hash) in index_files.into_iter().flatten() {
-        if let Some(bytes) = files::read_checked(context, path, hash.as_str(), None, report) {
-            files::check_labels(context, path, &bytes, None, report);
-        }
-    }
-    index_files.map(|files| files.keys().cloned().collect()).unwrap_or_default()
+/// Checks that `frames.jsonl` has the text of its lines and no more: surplus keys that a reader skips, spaces, an end without
+/// newline.
+fn check_form(folder: &Path, report: &mut Report) -> Result<()> {
+    let path = folder.join("frames.jsonl");
+    let mut length = 0;
+    let mut hasher = twox_hash::XxHash3_128::new();
+    FrameLog::new(folder).for_each_result(&mut |line| {
+        let text = serde_json::to_string(&line?).unwrap_or_default() + "\n";
+        length += text.len();
+        hasher.write(text.as_bytes());
+        Ok(())
+    })?;
+    let expected = format!("{:032x}", hasher.finish_128());
+    let actual = store::hash_of_file(&path)?;
+    report.expect(name::LOG, None, actual == expected, || {
+        let line = first_other_line(&path).map_or(String::new(), |line| format!(", line {line}"));
+        format!(
+            "frames.jsonl{line}: it has keys that do not belong there, another order of keys, or spaces; its text should have \
+             {length} bytes"
+        )
+    });
+    Ok(())
 }
 
-/// Everything that a frame's line and files show without rendering.
-fn check_frame(context: &Context<'_>, line: &FrameLine) -> Report {
-    let mut report = Report { frames: 1, ..Report::default() };
-    record::check_record(context, line, &mut report);
-    files::check_frame_files(context, line, &mut report);
-    report
+/// The number of the first line, from 1, that is not written as this version writes it.
+fn first_other_line(path: &Path) -> Option<usize> {
+    use std::io::BufRead as _;
+    let file = std::io::BufReader::new(std::fs::File::open(path).ok()?);
+    let is_other = |text: &[u8]| {
+        let line = serde_json::from_slice::<FrameLine>(text).ok();
+        line.and_then(|line| serde_json::to_vec(&line).ok()).is_none_or(|written| written != text)
+    };
+    file.split(b'\n').map_while(std::result::Result::ok).position(|text| is_other(&text)).map(|line| line + 1)
 }

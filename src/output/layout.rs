@@ -33,11 +33,7 @@ const fn row(name: &'static str, summary: &'static str, layout: &'static dyn Lay
 
 /// Every layout, in the order of the help.
 pub static LAYOUTS: [LayoutRow; 6] = [
-    row(
-        "folder",
-        "one folder per output; the format that convert reads and verify checks in full",
-        &folder::Folder,
-    ),
+    row("folder", "one folder per output; the format that convert reads", &folder::Folder),
     row("basic", "flat, with the names of Replicator's BasicWriter", &basic::Basic),
     row("coco", "COCO: rock instances and panoptic segments", &coco::Coco),
     row("cityscapes", "Cityscapes: leftImg8bit and gtFine, with the one city moon", &cityscapes::Cityscapes),

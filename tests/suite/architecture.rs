@@ -88,9 +88,9 @@ const LAYERS: [(&str, &[&[&str]]); 8] = [
             &["data_card", "plan"],
             &["attempt", "log", "manifest"],
             &["lock"],
-            &["log_writer", "merge", "verify"],
+            &["log_writer", "merge"],
             &["convert", "pipeline"],
-            &["run"],
+            &["run", "verify"],
         ],
     ),
     (

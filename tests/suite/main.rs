@@ -16,6 +16,7 @@ mod formats;
 mod golden;
 mod labels;
 mod language;
+mod mutation;
 mod raster;
 mod scene_statistics;
 mod support;

@@ -6,63 +6,78 @@ use std::path::Path;
 
 use serde_json::{Map, Value};
 
+use super::templates::{self, Template};
 use crate::dataset::manifest;
-use crate::dataset::plan::Range;
+use crate::dataset::plan::Plan;
 use crate::error::{Error, Result};
-use crate::output::edges::EdgePolicy;
-use crate::output::layout::{self, Layout};
-use crate::output::{LabelIds, disk};
-use crate::params::config::Config;
-use crate::render::RenderSettings;
+use crate::output::disk;
+
+/// How the version that made a dataset is related to this one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Version {
+    /// This version.
+    Same,
+    /// Another patch of the same minor version: the same scenes and pixels, perhaps other bytes.
+    SameScenes,
+    /// Any other, which makes other scenes of the same seeds.
+    Other,
+}
+
+impl Version {
+    fn of(manifest: &Map<String, Value>) -> Self {
+        let own = env!("CARGO_PKG_VERSION");
+        let recorded = manifest.get("version").and_then(Value::as_str).unwrap_or_default();
+        let minor = |version: &str| version.rsplit_once('.').map(|(minor, _)| minor.to_owned());
+        if recorded == own {
+            Self::Same
+        } else if minor(recorded) == minor(own) {
+            Self::SameScenes
+        } else {
+            Self::Other
+        }
+    }
+}
 
 /// What the manifest says about all frames, and where they are.
 pub(super) struct Context<'a> {
     pub(super) folder: &'a Path,
-    pub(super) layout: &'static dyn Layout,
-    pub(super) base_seed: u64,
-    pub(super) range: Range,
-    pub(super) settings: RenderSettings,
-    pub(super) edges: EdgePolicy,
-    pub(super) label_ids: LabelIds,
-    pub(super) config: Config,
+    pub(super) manifest: &'a Map<String, Value>,
+    pub(super) plan: Plan,
+    pub(super) version: Version,
+    /// One for each file of the outputs.
+    pub(super) templates: Vec<Template>,
 }
 
 impl<'a> Context<'a> {
     /// The context of a dataset with this manifest.
     ///
     /// # Errors
-    /// [`Error::CheckFailed`] if the manifest lacks something.
-    pub(super) fn new(folder: &'a Path, manifest: &Map<String, Value>) -> Result<Self> {
-        Self::from_manifest(folder, manifest).ok_or_else(|| {
-            Error::CheckFailed(format!(
-                "{}: base seed, range, size, samples, format, edges, label ids or configuration is missing or invalid; \
-                 delete the file and run the dataset's command with --force, which writes it again",
-                folder.join("manifest.json").display()
-            ))
-        })
+    /// [`Error::CheckFailed`] if a key of the manifest from which others are derived is missing or invalid.
+    pub(super) fn new(folder: &'a Path, manifest: &'a Map<String, Value>) -> Result<Self> {
+        let version = Version::of(manifest);
+        let plan = match Plan::of_manifest(manifest) {
+            // Other versions have other knobs.
+            Err(_) if version == Version::Other => {
+                let mut without_knobs = manifest.clone();
+                without_knobs.insert("config".to_owned(), Map::new().into());
+                Plan::of_manifest(&without_knobs)
+            }
+            plan => plan,
+        };
+        let plan = plan.map_err(|error| match error {
+            Error::CheckFailed(found) => Error::CheckFailed(format!("{}: {found}", folder.display())),
+            other => other,
+        })?;
+        Ok(Self { folder, manifest, version, templates: templates::of(&plan)?, plan })
     }
 
-    fn from_manifest(folder: &'a Path, manifest: &Map<String, Value>) -> Option<Self> {
-        let number = |key: &str| manifest.get(key)?.as_u64();
-        let text = |key: &str| manifest.get(key)?.as_str();
-        let size = manifest.get("size")?.as_array()?;
-        let side = |i: usize| u32::try_from(size.get(i)?.as_u64()?).ok();
-        let layout = layout::find(text("format")?).ok()?.1;
-        let recorded = LabelIds::from_name(text("label_ids")?)?;
-        let label_ids = if layout.has_fixed_ids() { LabelIds::default() } else { recorded };
-        let mut config = Config::new();
-        config.apply_json(manifest.get("config")?.as_object()?, "manifest.json").ok()?;
-        Some(Self {
-            folder,
-            layout,
-            base_seed: number("base_seed")?,
-            range: Range { start: number("start")?, count: number("count")? },
-            settings: RenderSettings::new([side(0)?, side(1)?], u32::try_from(number("samples")?).ok()?)
-                .ok()?,
-            edges: text("edges")?.parse().ok()?,
-            label_ids,
-            config,
-        })
+    /// What identifies the dataset, derived from the parts of the manifest that nothing else follows from.
+    pub(super) fn identity(&self) -> Map<String, Value> {
+        let mut identity = self.plan.identity();
+        if let (Some(version), true) = (self.manifest.get("version"), self.version == Version::SameScenes) {
+            identity.insert("version".to_owned(), version.clone());
+        }
+        identity
     }
 }
 

@@ -7,11 +7,11 @@ use serde_json::Value;
 
 use super::context::Context;
 use super::report::{Report, name};
+use super::store::StoredFile;
 use crate::class::ClassId;
 use crate::error::Result;
 use crate::frame::{Annotation, Frame};
 use crate::lens::Lens;
-use crate::output::disk;
 use crate::output::layout::FrameLine;
 use crate::render::{RenderSettings, Renderer};
 use crate::scene::Scene;
@@ -134,19 +134,19 @@ struct PointCounts {
     worst_m: f64,
 }
 
-/// Checks the depth file at `path` of a frame. A file that cannot be read is already in the report.
+/// Checks a depth file of a frame.
 pub(super) fn check_depth(
     context: &Context<'_>,
     line: &FrameLine,
-    path: &str,
+    stored: &StoredFile,
     scene: &Scene,
     renderer: &mut Renderer,
     report: &mut Report,
 ) -> Result<()> {
-    let [width, height] = context.settings.size.map(|side| side as usize);
-    let Ok(bytes) = disk::read(&context.folder.join(path)) else { return Ok(()) };
-    let depths_m = read_depths(&bytes, width * height);
-    let reference = Reference::render(scene, &context.settings, renderer)?;
+    let [width, height] = context.plan.settings.size.map(|side| side as usize);
+    let path = &stored.path;
+    let depths_m = read_depths(&stored.bytes, width * height);
+    let reference = Reference::render(scene, &context.plan.settings, renderer)?;
     let camera = RecordedCamera::new(&line.camera, width);
     let counts = count_points(&depths_m, &camera, &reference, scene);
     let is_good = counts.off as f64 <= (1.0 - MIN_GOOD_FRACTION) * counts.tested as f64;

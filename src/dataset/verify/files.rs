@@ -1,123 +1,182 @@
-//! The files of a dataset against their hashes and the lines that list them.
+//! The files of a frame against their hashes and the form that they must have.
 //!
 //! Must not know: rendering.
-
-use std::collections::BTreeSet;
-use std::path::Path;
 
 use serde_json::Value;
 
 use super::context::Context;
+use super::differences::differences;
 use super::images;
 use super::report::{Report, name};
-use crate::error::Result;
+use super::store::{Archives, StoredFile, files_in, read_hashed};
+use super::templates::{ExpectedFile, ExpectedFrame};
+use crate::dataset::plan::Plan;
+use crate::error::Error;
 use crate::output::disk;
 use crate::output::layout::FrameLine;
 
-/// First bytes of an OpenEXR file.
-const EXR_MAGIC: [u8; 4] = [0x76, 0x2f, 0x31, 0x01];
-
 /// Checks all files of a frame.
-pub(super) fn check_frame_files(context: &Context<'_>, line: &FrameLine, report: &mut Report) {
-    let index = Some(line.index);
-    if line.bundle().is_some_and(|bundle| context.folder.join(bundle).is_file()) {
-        // The frame's bytes are checked with the hash of its bundle.
-        report.look(name::FILES);
-        return;
-    }
-    for (path, hash) in line.hashes() {
-        let Some(bytes) = read_checked(context, path, Some(hash), index, report) else { continue };
-        match Path::new(path).extension().and_then(|extension| extension.to_str()) {
-            Some("png") => images::check_image(context, line, path, &bytes, report),
-            Some("json") if is_labels_file(path) => check_labels(context, path, &bytes, index, report),
-            Some("json") => {
-                let is_json = serde_json::from_slice::<Value>(&bytes).is_ok();
-                report.expect(name::IMAGES, index, is_json, || format!("{path}: it is not JSON"));
-            }
-            Some("npy") => {
-                let [width, height] = context.settings.size;
-                let has_shape = String::from_utf8_lossy(&bytes[..bytes.len().min(128)])
-                    .contains(&format!("({height}, {width}"));
-                report.expect(name::IMAGES, index, has_shape, || {
-                    format!("{path}: it is not an array of {height} x {width}")
-                });
-            }
-            Some("exr") => {
-                let is_exr = bytes.starts_with(&EXR_MAGIC);
-                report.expect(name::IMAGES, index, is_exr, || format!("{path}: it is not an OpenEXR file"));
-            }
-            _ => {}
-        }
-    }
-}
-
-/// Reads a file and compares it with its hash; `None` if it cannot be read.
-pub(super) fn read_checked(
+pub(super) fn check_frame_files(
     context: &Context<'_>,
-    path: &str,
-    hash: Option<&str>,
-    index: Option<u64>,
-    report: &mut Report,
-) -> Option<Vec<u8>> {
-    report.look(name::FILES);
-    match disk::read(&context.folder.join(path)) {
-        Ok(bytes) => {
-            let actual = disk::content_hash(&bytes);
-            report.expect(name::HASHES, index, hash == Some(actual.as_str()), || {
-                format!("{path}: its content has changed ({} bytes, hash {actual})", bytes.len())
-            });
-            Some(bytes)
-        }
-        Err(error) => {
-            report.problem(name::FILES, index, format!("{path}: {error}"));
-            None
-        }
-    }
-}
-
-fn is_labels_file(path: &str) -> bool {
-    path.contains("semantic_segmentation_labels")
-}
-
-/// Checks a file that names the ids of the masks; other files pass.
-pub(super) fn check_labels(
-    context: &Context<'_>,
-    path: &str,
-    bytes: &[u8],
-    index: Option<u64>,
+    archives: &Archives,
+    line: &FrameLine,
+    frame: &ExpectedFrame,
     report: &mut Report,
 ) {
-    let expected = if path == "id2label.json" {
-        context.label_ids.id2label()
-    } else if is_labels_file(path) {
-        context.label_ids.labels()
+    let index = Some(line.index);
+    for path in &frame.paths {
+        report.look(name::FILES);
+        let stored = match read_hashed(context.folder, archives, frame, line.index, path) {
+            Ok(stored) => stored,
+            Err(error) => {
+                report.problem(name::FILES, index, named(path, &error));
+                continue;
+            }
+        };
+        let recorded = line.hashes.get(path).and_then(Value::as_str).unwrap_or("nothing");
+        let actual = disk::content_hash(&stored.bytes);
+        report.expect(name::HASHES, index, recorded == actual, || {
+            let length = stored.bytes.len();
+            format!(
+                "{}: its content has changed ({length} bytes, hash {actual}; recorded is {recorded})",
+                stored.path
+            )
+        });
+        match files_in(frame, stored) {
+            Ok(files) => check_files(context, line, frame, path, files, report),
+            Err(error) => report.problem(name::IMAGES, index, error.to_string()),
+        }
+    }
+}
+
+/// A message that begins with the path.
+fn named(path: &str, error: &Error) -> String {
+    format!("{path}: {error}")
+}
+
+/// Checks the files under a key of a frame's hashes.
+fn check_files(
+    context: &Context<'_>,
+    line: &FrameLine,
+    frame: &ExpectedFrame,
+    key: &str,
+    files: Vec<(String, StoredFile)>,
+    report: &mut Report,
+) {
+    let index = Some(line.index);
+    if let Some(bundle) = &frame.bundle {
+        let names: Vec<&str> = files.iter().map(|(name, _)| name.as_str()).collect();
+        let expected: Vec<&str> = frame.files.iter().map(|file| file.path.as_str()).collect();
+        report.expect(name::FILES, index, names == expected, || {
+            format!("{bundle}: the members of the frame are {names:?}, expected are {expected:?}")
+        });
+    }
+    for (name, stored) in files {
+        let expected = frame.files.iter().find(|file| file.path == name);
+        if let Some(expected) = expected.filter(|_| frame.bundle.is_some() || name == key) {
+            check_content(context, line, expected, &stored, report);
+        }
+    }
+}
+
+/// Checks the form of a file, and its content as far as it is known without rendering.
+fn check_content(
+    context: &Context<'_>,
+    line: &FrameLine,
+    expected: &ExpectedFile,
+    stored: &StoredFile,
+    report: &mut Report,
+) {
+    let (index, path) = (Some(line.index), &stored.path);
+    match expected.path.rsplit_once('.').map(|(_, extension)| extension) {
+        Some("png") => images::check_image(context, line, expected, stored, report),
+        Some("json") => check_json(context, line, expected, stored, report),
+        Some("npy") => {
+            let problem = array_problem(&stored.bytes, &expected.template, context.plan.settings.size);
+            report.expect(name::IMAGES, index, problem.is_none(), || {
+                format!("{path}: {}", problem.unwrap_or_default())
+            });
+        }
+        Some("exr") => {
+            let size = images::decode_exr(&stored.bytes).map(|(size, _)| size);
+            let expected = context.plan.settings.size;
+            report.expect(name::IMAGES, index, size == Some(expected), || {
+                let found =
+                    size.map_or("no OpenEXR file of RGB".to_owned(), |size| format!("{size:?} pixels"));
+                format!("{path}: it is {found}, expected are {expected:?} pixels")
+            });
+        }
+        _ => {}
+    }
+}
+
+/// Shape of the values of an `.npy` file of float32, and where they begin.
+pub(super) fn array_header(npy: &[u8]) -> Option<(Vec<usize>, usize)> {
+    let length = usize::from(u16::from_le_bytes([*npy.get(8)?, *npy.get(9)?]));
+    let header = std::str::from_utf8(npy.get(10..10 + length)?).ok()?;
+    let is_float32 = npy.starts_with(b"\x93NUMPY\x01\x00") && header.contains("'descr': '<f4'");
+    let shape = header.split_once("'shape': (")?.1.split_once(')')?.0;
+    let shape = shape.split(',').map(|side| side.trim().parse().ok()).collect::<Option<Vec<_>>>()?;
+    is_float32.then_some((shape, 10 + length))
+}
+
+fn array_problem(npy: &[u8], template: &[u8], [width, height]: [u32; 2]) -> Option<String> {
+    let (mut expected, _) = array_header(template)?;
+    expected[..2].copy_from_slice(&[height as usize, width as usize]);
+    let Some((shape, start)) = array_header(npy) else {
+        return Some("it is not an array of float32".to_owned());
+    };
+    if shape != expected {
+        return Some(format!("it is an array of shape {shape:?}, expected is {expected:?}"));
+    }
+    let (values, needed) = (npy.len() - start, 4 * expected.iter().product::<usize>());
+    (values != needed).then(|| format!("it has {values} bytes of values, expected are {needed}"))
+}
+
+fn check_json(
+    context: &Context<'_>,
+    line: &FrameLine,
+    expected: &ExpectedFile,
+    stored: &StoredFile,
+    report: &mut Report,
+) {
+    let (index, path) = (Some(line.index), &stored.path);
+    let Ok(found) = serde_json::from_slice::<Value>(&stored.bytes) else {
+        report.look(name::IMAGES);
+        return report.problem(name::IMAGES, index, format!("{path}: it is not JSON"));
+    };
+    report.look(name::IMAGES);
+    let is_meta = expected.kind.is_some_and(|kind| kind.output == "meta");
+    let (check, wanted) = if is_meta {
+        (name::RECORDS, expected_meta(&context.plan, context.manifest.get("version"), line, &found))
+    } else if expected.is_constant {
+        let wanted = serde_json::from_slice(&expected.template).unwrap_or_default();
+        (if expected.kind.is_some() { name::LABELS } else { name::RECORDS }, wanted)
     } else {
         return;
     };
-    let labels = serde_json::from_slice::<Value>(bytes).ok();
-    report.expect(name::LABELS, index, labels == Some(expected), || {
-        format!("{path}: it does not name the ids of {} masks", context.label_ids.name())
-    });
+    report.look(check);
+    for difference in differences(&found, &wanted) {
+        report.problem(check, index, format!("{path}: {}", difference.text));
+    }
 }
 
-/// Reports files in the folders of frames that no frame and no index lists.
-pub(super) fn check_foreign_files(
-    folder: &Path,
-    known: &BTreeSet<String>,
-    report: &mut Report,
-) -> Result<()> {
-    let folders: BTreeSet<&str> = known.iter().filter_map(|path| Some(path.rsplit_once('/')?.0)).collect();
-    for inner in folders {
-        let path = folder.join(inner);
-        if !path.is_dir() {
-            continue;
-        }
-        for name in disk::names(&path)? {
-            let file = format!("{inner}/{name}");
-            if !path.join(&name).is_dir() && !known.contains(&file) {
-                report.problem(name::FILES, None, format!("{file}: it belongs to no frame of the dataset"));
+/// The content of a frame's metadata file, by its line and the manifest. Backend and driver are stored nowhere else.
+fn expected_meta(plan: &Plan, version: Option<&Value>, line: &FrameLine, found: &Value) -> Value {
+    let mut meta = serde_json::to_value(line).unwrap_or_default();
+    if let Value::Object(meta) = &mut meta {
+        meta.retain(|key, _| !matches!(key.as_str(), "hashes" | "entry" | "ms"));
+        let text = |key: &str| Value::from(found["adapter"][key].as_str().unwrap_or_default());
+        let adapter =
+            [("name", line.adapter.clone().into()), ("backend", text("backend")), ("driver", text("driver"))];
+        let adapter = adapter.map(|(key, value)| (key.to_owned(), value)).into_iter().collect();
+        meta.insert("adapter".to_owned(), Value::Object(adapter));
+        for (key, value) in plan.identity() {
+            if matches!(key.as_str(), "size" | "samples" | "edges") {
+                meta.insert(key, value);
             }
         }
+        meta.insert("version".to_owned(), version.cloned().unwrap_or_default());
     }
-    Ok(())
+    meta
 }

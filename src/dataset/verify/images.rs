@@ -6,65 +6,128 @@ use serde_json::json;
 
 use super::context::Context;
 use super::report::{Report, name};
+use super::store::StoredFile;
+use super::templates::ExpectedFile;
 use crate::class::ClassId;
-use crate::frame::RgbStatistics;
+use crate::frame::{Frame, RgbStatistics};
+use crate::output::LabelIds;
 use crate::output::edges::EdgePolicy;
-use crate::output::layout::FrameLine;
+use crate::output::layout::{FrameLine, Sample};
+
+/// What an image of a frame shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Role {
+    Rgb,
+    Mask,
+    Other,
+}
+
+fn role(context: &Context<'_>, line: &FrameLine, expected: &ExpectedFile) -> Role {
+    let mask = context.plan.layout.image_and_mask(context.plan.split_of(line.index), line.index);
+    match expected.kind {
+        Some(kind) if kind.output == "rgb" => Role::Rgb,
+        Some(kind) if kind.output == "mask" => Role::Mask,
+        _ if mask.is_some_and(|[_, mask]| mask == expected.path) => Role::Mask,
+        _ => Role::Other,
+    }
+}
+
+/// Decodes a PNG file.
+pub(super) fn decode_png(bytes: &[u8]) -> image::ImageResult<image::DynamicImage> {
+    image::load_from_memory_with_format(bytes, image::ImageFormat::Png)
+}
+
+/// Decodes an OpenEXR file of RGB: its width and height, and three values per pixel.
+pub(super) fn decode_exr(bytes: &[u8]) -> Option<([u32; 2], Vec<f32>)> {
+    use exr::prelude::{ReadChannels as _, ReadLayers as _};
+    let image = exr::prelude::read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .rgb_channels(
+            |size, _| (size.width(), vec![0.0_f32; 3 * size.area()]),
+            |(width, values), at, (r, g, b): (f32, f32, f32)| {
+                let first = 3 * (at.y() * *width + at.x());
+                values[first..first + 3].copy_from_slice(&[r, g, b]);
+            },
+        )
+        .first_valid_layer()
+        .all_attributes()
+        .non_parallel()
+        .from_buffered(std::io::Cursor::new(bytes))
+        .ok()?;
+    let size = image.layer_data.size;
+    Some(([size.width() as u32, size.height() as u32], image.layer_data.channel_data.pixels.1))
+}
 
 /// Decodes a PNG file and checks it; the RGB image and the mask in detail.
 pub(super) fn check_image(
     context: &Context<'_>,
     line: &FrameLine,
-    path: &str,
-    bytes: &[u8],
+    expected: &ExpectedFile,
+    stored: &StoredFile,
     report: &mut Report,
 ) {
-    let index = Some(line.index);
-    let [rgb, mask] = context.layout.image_and_mask(&line.split, line.index).unwrap_or_default();
-    let decoded = match image::load_from_memory_with_format(bytes, image::ImageFormat::Png) {
+    let (index, path) = (Some(line.index), &stored.path);
+    report.look(name::IMAGES);
+    let decoded = match decode_png(&stored.bytes) {
         Ok(decoded) => decoded,
         Err(error) => {
-            report.look(name::IMAGES);
             return report.problem(name::IMAGES, index, format!("{path}: it cannot be decoded ({error})"));
         }
     };
+    let template = decode_png(&expected.template).map(|image| image.color()).ok();
     let (size, colour_type) = ([decoded.width(), decoded.height()], decoded.color());
-    let expected_type = if path == rgb {
-        Some(image::ColorType::Rgb8)
-    } else if path == mask {
-        Some(image::ColorType::L8)
-    } else {
-        None
-    };
-    let is_good = size == context.settings.size
-        && expected_type.is_none_or(|expected_type| expected_type == colour_type);
-    report.expect(name::IMAGES, index, is_good, || {
-        let expected = context.settings.size;
-        format!("{path}: it is {} x {} pixels of {colour_type:?}, not {expected:?}", size[0], size[1])
-    });
-    if !is_good {
-        return;
+    let expected_size = context.plan.settings.size;
+    if size != expected_size || template.is_some_and(|template| template != colour_type) {
+        let [width, height] = size;
+        let found = format!(
+            "{path}: it is {width} x {height} pixels of {colour_type:?}, expected are {expected_size:?} of {template:?}"
+        );
+        return report.problem(name::IMAGES, index, found);
     }
-    if path == mask {
-        check_mask(context, line, path, decoded.as_bytes(), report);
-    } else if path == rgb {
-        let statistics = RgbStatistics::of(decoded.as_bytes());
-        report.expect(name::STATISTICS, index, line.rgb == statistics, || {
-            format!("{path}: its brightness is {}, recorded is {}", json!(statistics), json!(line.rgb))
-        });
+    match role(context, line, expected) {
+        Role::Rgb => {
+            let statistics = RgbStatistics::of(decoded.as_bytes());
+            report.expect(name::STATISTICS, index, line.rgb == statistics, || {
+                format!("{path}: its brightness is {}, recorded is {}", json!(statistics), json!(line.rgb))
+            });
+        }
+        Role::Mask => check_mask(context, line, path, context.plan.label_ids, decoded.as_bytes(), report),
+        Role::Other => {
+            if let Some(frame) = context.plan.layout.decode_labels(&expected.path, &decoded) {
+                check_mask(context, line, path, LabelIds::default(), &frame.class, report);
+                check_entry(context, line, path, &frame, report);
+            }
+        }
     }
 }
 
+/// Checks what the layout keeps in the line against the labels that it is made from.
+fn check_entry(context: &Context<'_>, line: &FrameLine, path: &str, frame: &Frame, report: &mut Report) {
+    let files = context.plan.layout.frame_files(&Sample { frame, files: &[], record: line });
+    let is_good = files.is_ok_and(|files| files.entry == line.entry);
+    report.expect(name::RECORDS, Some(line.index), is_good, || {
+        format!("frames.jsonl: entry is not that of the labels in {path}")
+    });
+}
+
 /// Checks which ids a mask has, and how many pixels of each class.
-fn check_mask(context: &Context<'_>, line: &FrameLine, path: &str, ids: &[u8], report: &mut Report) {
+fn check_mask(
+    context: &Context<'_>,
+    line: &FrameLine,
+    path: &str,
+    label_ids: LabelIds,
+    ids: &[u8],
+    report: &mut Report,
+) {
     let index = Some(line.index);
     let mut counts = [0_u64; 256];
     for id in ids {
         counts[usize::from(*id)] += 1;
     }
-    let ignored = context.label_ids.mask_id(ClassId::UNLABELLED.0);
-    let is_class = |id: u8| ClassId::ALL.iter().any(|class| context.label_ids.mask_id(class.id.0) == id);
-    let is_hard = context.edges == EdgePolicy::Hard;
+    let ignored = label_ids.mask_id(ClassId::UNLABELLED.0);
+    let is_class = |id: u8| ClassId::ALL.iter().any(|class| label_ids.mask_id(class.id.0) == id);
+    let is_hard = context.plan.edges == EdgePolicy::Hard;
     let unknown: Vec<u8> = (0..=u8::MAX)
         .filter(|&id| counts[usize::from(id)] > 0 && !is_class(id) && (is_hard || id != ignored))
         .collect();
@@ -72,7 +135,7 @@ fn check_mask(context: &Context<'_>, line: &FrameLine, path: &str, ids: &[u8], r
         format!("{path}: it has pixels of ids {unknown:?}")
     });
     for class in ClassId::ALL {
-        let actual = counts[usize::from(context.label_ids.mask_id(class.id.0))] as f64 / ids.len() as f64;
+        let actual = counts[usize::from(label_ids.mask_id(class.id.0))] as f64 / ids.len() as f64;
         let recorded = line.coverage_of(class.name);
         // A band of ignored pixels takes some from every class.
         let is_good =

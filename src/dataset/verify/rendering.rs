@@ -1,32 +1,26 @@
-//! A sample of frames, rendered again and compared.
+//! A sample of frames, made again from the manifest by the code that makes datasets, and compared in every output.
 //!
 //! Must not know: the folder's other files.
 
 use std::path::Path;
 
-use super::context::{self, Context};
-use super::depth;
+use serde_json::{Value, json};
+
+use super::context::{self, Context, Version};
+use super::differences::differences;
 use super::report::{Report, name};
+use super::store::{Archives, StoredFile, files_in, read_hashed};
+use super::templates::{ExpectedFile, ExpectedFrame};
+use super::{depth, tolerance};
+use crate::dataset::attempt::{Attempt, RenderedFrame, build_scene, render_attempt};
 use crate::dataset::log::FrameLog;
+use crate::dataset::pipeline::{EncodedFrame, encode_frame};
 use crate::error::{Error, Result};
-use crate::frame::Frame;
-use crate::meta;
-use crate::output::disk;
 use crate::output::layout::FrameLine;
-use crate::params::config::Config;
 use crate::render::Renderer;
-use crate::scene::Scene;
 
-/// Tolerances for a frame that another adapter or raster backend rendered; on the same ones nothing may differ.
-mod other_renderer {
-    /// Largest fraction of a mask's pixels that may differ (at outlines).
-    pub(super) const MASK_FRACTION: f64 = 2e-3;
-    /// Largest mean difference of the 8-bit RGB values (from rounding).
-    pub(super) const MEAN_RGB: f64 = 1.0;
-}
-
-/// Renders a sample of frames again, spread evenly over the dataset, compares them with what is stored, and checks their
-/// depth. Adds to the report.
+/// Renders a sample of frames again, spread evenly over the dataset, compares all their outputs with what is stored, and checks
+/// their depth. Adds to the report. A sample as large as the dataset takes every frame.
 ///
 /// # Errors
 /// Those of reading the manifest and the log; those of a device that no longer works.
@@ -38,99 +32,149 @@ pub fn check_rendering(
 ) -> Result<()> {
     let manifest = context::open(folder)?;
     let context = Context::new(folder, &manifest)?;
-    let stride = (context.range.count / sample.max(1)).max(1);
-    let mut lines = Vec::new();
+    if context.version == Version::Other {
+        // That is in the report already.
+        return Ok(());
+    }
+    let range = context.plan.range;
+    let is_sampled = |index: u64| {
+        let offset = u128::from(index - range.start);
+        offset * u128::from(sample) % u128::from(range.count) < u128::from(sample)
+    };
+    let mut number = 0;
     FrameLog::new(folder).for_each_result(&mut |line| {
-        // Lines that cannot be read are already in the report.
+        number += 1;
+        // Lines that cannot be read, and lines of no frame, are already in the report.
         let Ok(line) = line else { return Ok(()) };
-        let offset = line.index.saturating_sub(context.range.start);
-        if offset.is_multiple_of(stride) && (lines.len() as u64) < sample {
-            lines.push(line);
+        if !(range.start..range.end()).contains(&line.index) || !is_sampled(line.index) {
+            return Ok(());
         }
-        Ok(())
-    })?;
-    for line in &lines {
-        if let Err(error) = check_frame(&context, line, renderer, report) {
-            match error {
-                Error::DeviceLost(_) | Error::Device(_) | Error::OutOfMemory => return Err(error),
-                other => report.problem(name::RENDERING, Some(line.index), other.to_string()),
+        let mut check = FrameCheck { context: &context, line: &line, number, report };
+        match check.run(renderer) {
+            Err(error @ (Error::DeviceLost(_) | Error::Device(_) | Error::OutOfMemory)) => Err(error),
+            Err(other) => {
+                report.problem(name::RENDERING, Some(line.index), other.to_string());
+                Ok(())
+            }
+            Ok(()) => Ok(()),
+        }
+    })
+}
+
+/// The comparison of one frame.
+struct FrameCheck<'a> {
+    context: &'a Context<'a>,
+    line: &'a FrameLine,
+    /// Number of the line in `frames.jsonl`.
+    number: u64,
+    report: &'a mut Report,
+}
+
+impl FrameCheck<'_> {
+    fn problem(&mut self, found: String) {
+        self.report.problem(name::RENDERING, Some(self.line.index), found);
+    }
+
+    /// Whether every bit must be equal.
+    fn is_same_renderer(&self, renderer: &Renderer) -> bool {
+        self.context.version == Version::Same
+            && self.line.adapter == renderer.gpu().info.name
+            && self.line.raster.as_deref() == Some(renderer.raster().name())
+    }
+
+    fn run(&mut self, renderer: &mut Renderer) -> Result<()> {
+        let (plan, line) = (&self.context.plan, self.line);
+        let is_same = self.is_same_renderer(renderer);
+        let mut rendered = if is_same {
+            // With all attempts, so that those that were rejected are rejected again.
+            let first = build_scene(plan, line.index, 0, Vec::new());
+            Attempt::submit(plan, renderer, first)?.finish(plan, renderer, line.index)?
+        } else if line.attempt < plan.rules.attempts_max {
+            // Where a rule is at its limit, another renderer may decide otherwise.
+            render_attempt(plan, renderer, line.index, line.attempt, line.redrawn.clone())?
+        } else {
+            return Ok(());
+        };
+        let again = encode_frame(plan, &mut rendered)?;
+        self.compare_lines(&again.line, is_same);
+        self.compare_files(&again, &rendered, is_same, renderer)
+    }
+
+    fn compare_lines(&mut self, again: &FrameLine, is_same: bool) {
+        self.report.look(name::RENDERING);
+        // Hashes are compared with the files, and the files with those made again.
+        let (ms, hashes) = (self.line.ms.clone(), self.line.hashes.clone());
+        let mut expected = json!(FrameLine { ms, hashes, ..again.clone() });
+        let mut found = json!(self.line);
+        if !is_same {
+            tolerance::forgive_record(&mut found, &mut expected);
+        }
+        for difference in differences(&found, &expected) {
+            self.problem(format!("frames.jsonl, line {}: {}", self.number, difference.text));
+        }
+    }
+
+    fn compare_files(
+        &mut self,
+        again: &EncodedFrame,
+        rendered: &RenderedFrame,
+        is_same: bool,
+        renderer: &mut Renderer,
+    ) -> Result<()> {
+        let expected = ExpectedFrame::new(&self.context.plan, &self.context.templates, self.line)?;
+        let bundle = expected.bundle.as_deref();
+        let archives = Archives::open(self.context.folder, bundle.into_iter());
+        for artifact in &again.files.artifacts {
+            // Files that cannot be read are already in the report.
+            let read =
+                read_hashed(self.context.folder, &archives, &expected, self.line.index, &artifact.name);
+            let Ok(stored) = read.and_then(|stored| files_in(&expected, stored)) else { continue };
+            let made = StoredFile { path: artifact.name.clone(), bytes: artifact.bytes.clone() };
+            let made = files_in(&expected, made)?;
+            for (name, made) in made {
+                let file = expected.files.iter().find(|file| file.path == name);
+                let stored = stored.iter().find(|(stored, _)| *stored == name);
+                if let (Some(file), Some((_, stored))) = (file, stored) {
+                    self.compare_file(file, stored, &made.bytes, is_same);
+                    if file.kind.is_some_and(|kind| kind.stem == "distance_to_image_plane") {
+                        depth::check_depth(
+                            self.context,
+                            self.line,
+                            stored,
+                            &rendered.source.scene,
+                            renderer,
+                            self.report,
+                        )?;
+                    }
+                }
             }
         }
+        Ok(())
     }
-    Ok(())
-}
 
-fn check_frame(
-    context: &Context<'_>,
-    line: &FrameLine,
-    renderer: &mut Renderer,
-    report: &mut Report,
-) -> Result<()> {
-    let mut config = Config::new();
-    config.apply_json(&line.knobs, "frames.jsonl")?;
-    let scene = Scene::build(line.seed, &config.draw(line.seed)?)?;
-    check_scene(context, line, &scene, report);
-    let Some(paths) = context.layout.image_and_mask(&line.split, line.index) else {
-        return Ok(());
-    };
-    let (frame, _) = renderer.render(&scene, &context.settings)?;
-    // Datasets of version 0.1 do not record the raster backend.
-    let is_same_renderer = line.adapter == renderer.gpu().info.name
-        && line.raster.as_deref().is_none_or(|raster| raster == renderer.raster().name());
-    compare_images(context, line, &frame, &paths, is_same_renderer, report);
-    let depth_file = line.hashes().find(|(path, _)| path.contains("distance_to_image_plane"));
-    if let Some((path, _)) = depth_file {
-        depth::check_depth(context, line, path, &scene, renderer, report)?;
-    }
-    Ok(())
-}
-
-/// The parts of the line that only the scene knows.
-fn check_scene(context: &Context<'_>, line: &FrameLine, scene: &Scene, report: &mut Report) {
-    let index = Some(line.index);
-    let hash = scene.geometry_hash();
-    report.expect(name::RENDERING, index, line.geometry_hash == hash, || {
-        format!("frames.jsonl: geometry_hash should be {hash}, recorded is {}", line.geometry_hash)
-    });
-    let camera = meta::camera(&scene.camera, context.settings.size);
-    report.expect(name::RENDERING, index, line.camera == camera, || {
-        "frames.jsonl: camera is not that of its scene".to_owned()
-    });
-    report.expect(name::RENDERING, index, line.moved_rocks == scene.moved_rocks(), || {
-        "frames.jsonl: moved_rocks is not that of its scene".to_owned()
-    });
-}
-
-/// The stored image and mask against the rendered frame. Files that cannot be read are already in the report.
-fn compare_images(
-    context: &Context<'_>,
-    line: &FrameLine,
-    frame: &Frame,
-    [rgb, mask]: &[String; 2],
-    is_same_renderer: bool,
-    report: &mut Report,
-) {
-    let index = Some(line.index);
-    let decode = |path: &str| {
-        let bytes = disk::read(&context.folder.join(path)).ok()?;
-        Some(image::load_from_memory(&bytes).ok()?.as_bytes().to_vec())
-    };
-    let ids: Vec<u8> = context.edges.apply(frame).iter().map(|id| context.label_ids.mask_id(*id)).collect();
-    if let Some(stored) = decode(mask) {
-        let differing = stored.iter().zip(&ids).filter(|(a, b)| a != b).count();
-        let allowed = if is_same_renderer { 0.0 } else { other_renderer::MASK_FRACTION * ids.len() as f64 };
-        let is_good = stored.len() == ids.len() && differing as f64 <= allowed;
-        report.expect(name::RENDERING, index, is_good, || {
-            format!("{mask}: {differing} pixels come out as another class; allowed are {allowed:.0}")
-        });
-    }
-    if let Some(stored) = decode(rgb) {
-        let mean: f64 = stored.iter().zip(&frame.rgb).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>()
-            / stored.len() as f64;
-        let allowed = if is_same_renderer { 0.0 } else { other_renderer::MEAN_RGB };
-        let is_good = stored.len() == frame.rgb.len() && mean <= allowed;
-        report.expect(name::RENDERING, index, is_good, || {
-            format!("{rgb}: its values differ by {mean:.3} on average; allowed is {allowed}")
-        });
+    fn compare_file(&mut self, file: &ExpectedFile, stored: &StoredFile, made: &[u8], is_same: bool) {
+        self.report.look(name::RENDERING);
+        if stored.bytes == made {
+            return;
+        }
+        let path = &stored.path;
+        let records = [&stored.bytes[..], made].map(serde_json::from_slice::<Value>);
+        if let [Ok(mut found), Ok(mut expected)] = records {
+            if file.kind.is_some_and(|kind| kind.output == "meta") {
+                // Another driver of the same adapter is not a fault; the name is compared with the line.
+                tolerance::forgive_driver(&mut found, &mut expected);
+            }
+            if !is_same {
+                tolerance::forgive_record(&mut found, &mut expected);
+                tolerance::forgive_rocks(&mut found, &mut expected);
+            }
+            for difference in differences(&found, &expected) {
+                self.problem(format!("{path}: {}", difference.text));
+            }
+            return;
+        }
+        if let Some(found) = tolerance::difference(file, &stored.bytes, made, is_same) {
+            self.problem(format!("{path}: {found}"));
+        }
     }
 }

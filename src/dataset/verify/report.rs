@@ -16,21 +16,23 @@ pub(super) mod name {
     pub(in crate::dataset::verify) const MASKS: &str = "masks";
     pub(in crate::dataset::verify) const LABELS: &str = "labels";
     pub(in crate::dataset::verify) const STATISTICS: &str = "statistics";
+    pub(in crate::dataset::verify) const DIGEST: &str = "digest";
     pub(in crate::dataset::verify) const RENDERING: &str = "rendering";
     pub(in crate::dataset::verify) const DEPTH: &str = "depth";
 }
 
 /// Name and description of every check, in the order of the table.
-pub const CHECKS: [(&str, &str); 10] = [
-    (name::LOG, "manifest.json and frames.jsonl agree, frames are contiguous, seeds are right"),
-    (name::RECORDS, "knobs, camera and sun follow from seed and configuration"),
-    (name::FILES, "every file exists, and there are no files of other frames"),
+pub const CHECKS: [(&str, &str); 11] = [
+    (name::LOG, "manifest.json, frames.jsonl and index files agree, frames are contiguous, seeds are right"),
+    (name::RECORDS, "every key of a line follows from seed and configuration, or from the frame's files"),
+    (name::FILES, "every file exists, and there is nothing else in the folder"),
     (name::HASHES, "file content is unchanged"),
-    (name::IMAGES, "images decode and have the right size and type"),
+    (name::IMAGES, "images and arrays decode and have the right size and type"),
     (name::MASKS, "mask ids are those of the classes, class fractions are as recorded"),
     (name::LABELS, "label files name the ids of the masks"),
     (name::STATISTICS, "image brightness is as recorded"),
-    (name::RENDERING, "a sample of frames, rendered again, is the same"),
+    (name::DIGEST, "the digest in manifest.json is that of all lines"),
+    (name::RENDERING, "a sample of frames, rendered again, is the same in every output"),
     (name::DEPTH, "depth of that sample, unprojected by K and pose, lies on the surface"),
 ];
 

@@ -131,10 +131,11 @@ fn write_annotations(
         images.push(json!({
             "id": image_id, "file_name": name, "width": size[0], "height": size[1], "license": 1,
         }));
-        if let Value::Array(rows) = line.entry["instances"].take() {
+        let mut take = |key: &str| line.entry.get_mut(key).map(Value::take).unwrap_or_default();
+        let segments = take("segments");
+        if let Value::Array(rows) = take("instances") {
             instances.extend(rows);
         }
-        let segments = line.entry["segments"].take();
         panoptic.push(json!({ "image_id": image_id, "file_name": name, "segments_info": segments }));
         Ok(())
     })?;

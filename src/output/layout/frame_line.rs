@@ -9,7 +9,7 @@ use serde_json::{Map, Value};
 use crate::frame::RgbStatistics;
 
 /// A line of `frames.jsonl`. Fields are written in this order; absent and empty ones are left out where marked.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FrameLine {
     /// Number of the frame in the dataset.
     pub index: u64,

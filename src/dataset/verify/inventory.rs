@@ -1,0 +1,116 @@
+//! What is in a dataset's folder, against the paths that it must have.
+//!
+//! Must not know: what files contain.
+
+use std::collections::{BTreeSet, HashSet};
+
+use twox_hash::XxHash3_128;
+
+use super::context::Context;
+use super::report::{Report, name};
+use super::templates::ExpectedFrame;
+use crate::error::Result;
+use crate::output::disk;
+use crate::output::layout::FrameLine;
+
+/// The expected folders, and the number of expected files that exist: paths of all files may be too many for memory.
+#[derive(Debug, Default)]
+pub(super) struct Inventory {
+    folders: BTreeSet<String>,
+    files: u64,
+}
+
+impl Inventory {
+    /// Adds an expected file.
+    pub(super) fn add(&mut self, context: &Context<'_>, path: &str) {
+        for (end, _) in path.match_indices('/') {
+            if !self.folders.contains(&path[..end]) {
+                self.folders.insert(path[..end].to_owned());
+            }
+        }
+        // A file that does not exist is reported where it is read.
+        self.files += u64::from(context.folder.join(path).is_file());
+    }
+
+    /// Adds the expected files of a frame. Those of a bundle are added as such.
+    pub(super) fn add_frame(&mut self, context: &Context<'_>, frame: &ExpectedFrame) {
+        if frame.bundle.is_none() {
+            frame.paths.iter().for_each(|path| self.add(context, path));
+        }
+    }
+
+    /// Adds the expected files of other frames.
+    pub(super) fn merge(&mut self, other: Self) {
+        self.folders.extend(other.folders);
+        self.files += other.files;
+    }
+
+    /// Reports everything in the folder that is not expected. `lines` are the frames that were checked, from the first on, and
+    /// `others` the expected files that are not frames'.
+    pub(super) fn check(
+        &self,
+        context: &Context<'_>,
+        frames: u64,
+        others: &[String],
+        report: &mut Report,
+    ) -> Result<()> {
+        let mut files = 0;
+        let mut foreign_folders = Vec::new();
+        self.walk(context, &mut |_| files += 1, &mut |folder| foreign_folders.push(folder))?;
+        for path in foreign_folders {
+            report.problem(name::FILES, None, format!("{path}: this folder is no part of the dataset"));
+        }
+        if files == self.files {
+            return Ok(());
+        }
+        let hash = |path: &str| XxHash3_128::oneshot(path.as_bytes());
+        let mut known: HashSet<u128> = others.iter().map(|path| hash(path)).collect();
+        for index in (context.plan.range.start..).take(frames as usize) {
+            let line = FrameLine { index, ..FrameLine::default() };
+            let frame = ExpectedFrame::new(&context.plan, &context.templates, &line)?;
+            if frame.bundle.is_none() {
+                known.extend(frame.paths.iter().map(|path| hash(path)));
+            }
+        }
+        let mut foreign = Vec::new();
+        let mut add = |path: &str| {
+            if !known.contains(&hash(path)) {
+                foreign.push(path.to_owned());
+            }
+        };
+        self.walk(context, &mut add, &mut |_| {})?;
+        for path in foreign {
+            report.problem(name::FILES, None, format!("{path}: it belongs to no frame of the dataset"));
+        }
+        Ok(())
+    }
+
+    /// Calls `file` with everything in the expected folders that is not a folder, and `foreign` with folders that are not
+    /// expected.
+    fn walk(
+        &self,
+        context: &Context<'_>,
+        file: &mut dyn FnMut(&str),
+        foreign: &mut dyn FnMut(String),
+    ) -> Result<()> {
+        let root = std::iter::once("");
+        for folder in root.chain(self.folders.iter().map(String::as_str)) {
+            let path = context.folder.join(folder);
+            if !path.is_dir() {
+                continue;
+            }
+            for name in disk::names(&path)? {
+                let below = if folder.is_empty() { name.clone() } else { format!("{folder}/{name}") };
+                if self.folders.contains(&below) {
+                    continue;
+                }
+                if path.join(&name).is_dir() {
+                    foreign(below);
+                } else {
+                    file(&below);
+                }
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,168 @@
+//! How much a frame may differ that another adapter, raster backend or version rendered. On the same ones nothing may.
+//!
+//! Must not know: files, rendering.
+
+use serde_json::Value;
+
+use super::files::array_header;
+use super::images::{decode_exr, decode_png};
+use super::templates::ExpectedFile;
+
+/// Largest fraction of the pixels of a label map that may differ (at outlines).
+const LABEL_FRACTION: f64 = 2e-3;
+/// The same for rock instances and what is coloured by them, which have more outlines.
+const INSTANCE_FRACTION: f64 = 5e-3;
+/// Largest mean difference of 8-bit values, of colour and of shadow.
+const MEAN_U8: f64 = 1.0;
+/// Values of an array that differ by less than this, plus this fraction of the value, are equal.
+const EQUAL: f64 = 1e-2;
+/// Largest fraction of an array's values that may differ by more (at outlines).
+const ARRAY_FRACTION: f64 = 2e-2;
+/// Largest mean difference of radiance, as a fraction of the mean.
+const RADIANCE_FRACTION: f64 = 1e-2;
+/// Largest difference of the 99th percentile and of the largest 8-bit value.
+const EXTREME_U8: f64 = 8.0;
+/// Rocks of fewer pixels may be missing, or be added.
+const SMALL_ROCK_PX: f64 = 8.0;
+/// Largest difference of a rock's pixels, as a fraction of them, and of its box in pixels.
+const ROCK_FRACTION: f64 = 0.15;
+const ROCK_BOX_PX: f64 = 2.0;
+
+/// Copies a value of the other to a record where the two may differ.
+fn forgive(found: &Value, expected: &mut Value, path: &[&str], is_near: impl FnOnce(f64, f64) -> bool) {
+    let at = |value: &Value| path.iter().try_fold(value, |value, key| value.get(key)).cloned();
+    if let (Some(a), Some(b)) = (at(found), at(expected))
+        && a.as_f64().zip(b.as_f64()).is_some_and(|(a, b)| is_near(a, b))
+        && let Some(slot) = path.iter().try_fold(expected, |value, key| value.get_mut(key))
+    {
+        *slot = a;
+    }
+}
+
+/// Makes `expected` equal to `found` in what another renderer may change in a line or a metadata file.
+pub(super) fn forgive_record(found: &mut Value, expected: &mut Value) {
+    let (Value::Object(record), Value::Object(wanted)) = (&*found, &mut *expected) else { return };
+    // Segments follow from label images, which are compared themselves.
+    for key in ["adapter", "raster", "entry", "version"] {
+        if let (Some(value), Some(slot)) = (record.get(key), wanted.get_mut(key)) {
+            slot.clone_from(value);
+        }
+    }
+    for class in ["regolith", "rock", "sky", "unlabelled"] {
+        forgive(found, expected, &["coverage", class], |a, b| (a - b).abs() <= LABEL_FRACTION);
+    }
+    forgive(found, expected, &["rgb", "mean"], |a, b| (a - b).abs() <= MEAN_U8);
+    for key in ["p99", "max"] {
+        forgive(found, expected, &["rgb", key], |a, b| (a - b).abs() <= EXTREME_U8);
+    }
+}
+
+/// Makes `expected` equal to `found` in the backend and the driver of a metadata file.
+pub(super) fn forgive_driver(found: &mut Value, expected: &mut Value) {
+    for key in ["backend", "driver"] {
+        if let (Some(found), Some(expected)) =
+            (found["adapter"].get(key), expected.get_mut("adapter").and_then(|adapter| adapter.get_mut(key)))
+            && found.is_string()
+        {
+            expected.clone_from(found);
+        }
+    }
+}
+
+/// Makes `expected` equal to `found` in what another renderer may change in an instance mapping.
+pub(super) fn forgive_rocks(found: &mut Value, expected: &mut Value) {
+    let visible = |row: &Value| row.get("visible_px").and_then(Value::as_f64);
+    let (Value::Object(rocks), Value::Object(wanted)) = (&mut *found, &mut *expected) else { return };
+    let is_small = |row: &Value| visible(row).is_some_and(|pixels| pixels < SMALL_ROCK_PX);
+    rocks.retain(|id, row| wanted.contains_key(id) || !is_small(row));
+    wanted.retain(|id, row| rocks.contains_key(id) || !is_small(row));
+    for (id, row) in rocks.iter() {
+        let Some(wanted) = wanted.get_mut(id) else { continue };
+        let Some(pixels) = visible(row) else { continue };
+        let allowed_px = 2.0 + ROCK_FRACTION * pixels;
+        forgive(row, wanted, &["visible_px"], |a, b| (a - b).abs() <= allowed_px);
+        forgive(row, wanted, &["occluded"], |a, b| (a - b).abs() <= ROCK_FRACTION + 2.0 / pixels);
+        if let (Some(a), Some(b)) = (row["box_px"].as_array(), wanted["box_px"].as_array_mut())
+            && a.len() == b.len()
+        {
+            for (a, b) in a.iter().zip(b) {
+                if a.as_f64().zip(b.as_f64()).is_some_and(|(a, b)| (a - b).abs() <= ROCK_BOX_PX) {
+                    b.clone_from(a);
+                }
+            }
+        }
+    }
+}
+
+/// What differs between a stored file and the same file made again, if it is more than allowed.
+pub(super) fn difference(file: &ExpectedFile, stored: &[u8], made: &[u8], is_same: bool) -> Option<String> {
+    let found = match file.path.rsplit_once('.').map(|(_, extension)| extension) {
+        Some("png") => image_difference(file, stored, made, is_same),
+        Some("npy") => array_difference(stored, made, is_same),
+        Some("exr") => radiance_difference(stored, made, is_same),
+        _ => Some("it differs".to_owned()),
+    };
+    let is_other_form = is_same && found.is_none();
+    if is_other_form { Some("its bytes differ, though its values are the same".to_owned()) } else { found }
+}
+
+fn image_difference(file: &ExpectedFile, stored: &[u8], made: &[u8], is_same: bool) -> Option<String> {
+    let decode = |bytes: &[u8]| decode_png(bytes).ok();
+    // A file that cannot be decoded is already in the report.
+    let (stored, made) = decode(stored).zip(decode(made))?;
+    if (stored.width(), stored.height(), stored.color()) != (made.width(), made.height(), made.color()) {
+        return Some("it has another size or type".to_owned());
+    }
+    let stem = file.kind.map_or("labels", |kind| kind.stem);
+    if matches!(stem, "rgb" | "shadow") {
+        let (a, b) = (stored.as_bytes(), made.as_bytes());
+        let mean = a.iter().zip(b).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / a.len() as f64;
+        let allowed = if is_same { 0.0 } else { MEAN_U8 };
+        return (mean > allowed)
+            .then(|| format!("its values differ by {mean:.3} on average; allowed is {allowed}"));
+    }
+    let pixel = usize::from(stored.color().bytes_per_pixel());
+    let pixels = stored.as_bytes().chunks_exact(pixel).zip(made.as_bytes().chunks_exact(pixel));
+    let (count, differing) = (pixels.len(), pixels.filter(|(a, b)| a != b).count());
+    let fraction = match stem {
+        "semantic_segmentation" | "preview" | "craters" => LABEL_FRACTION,
+        _ => INSTANCE_FRACTION,
+    };
+    let allowed = if is_same { 0.0 } else { fraction * count as f64 };
+    (differing as f64 > allowed)
+        .then(|| format!("{differing} pixels come out as another class; allowed are {allowed:.0}"))
+}
+
+fn array_difference(stored: &[u8], made: &[u8], is_same: bool) -> Option<String> {
+    let values = |npy: &[u8]| {
+        let (shape, start) = array_header(npy)?;
+        let floats =
+            npy[start..].chunks_exact(4).map(|b| f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]])));
+        Some((shape, floats.collect::<Vec<_>>()))
+    };
+    let ((shape, a), (expected_shape, b)) = values(stored).zip(values(made))?;
+    if shape != expected_shape || a.len() != b.len() {
+        return Some("it has another shape".to_owned());
+    }
+    let is_equal = |(a, b): (&f64, &f64)| {
+        let is_near = !is_same && (a - b).abs() <= EQUAL + EQUAL * b.abs();
+        a.to_bits() == b.to_bits() || (a.is_nan() && b.is_nan()) || is_near
+    };
+    let differing = a.iter().zip(&b).filter(|pair| !is_equal(*pair)).count();
+    let allowed = if is_same { 0.0 } else { ARRAY_FRACTION * a.len() as f64 };
+    (differing as f64 > allowed)
+        .then(|| format!("{differing} of {} values differ; allowed are {allowed:.0}", a.len()))
+}
+
+fn radiance_difference(stored: &[u8], made: &[u8], is_same: bool) -> Option<String> {
+    let ((size, a), (expected_size, b)) = decode_exr(stored).zip(decode_exr(made))?;
+    if size != expected_size {
+        return Some("it has another size".to_owned());
+    }
+    let sum = |values: &mut dyn Iterator<Item = f64>| values.sum::<f64>();
+    let difference = sum(&mut a.iter().zip(&b).map(|(a, b)| f64::from((a - b).abs())));
+    let fraction = difference / sum(&mut b.iter().map(|value| f64::from(value.abs()))).max(f64::MIN_POSITIVE);
+    let allowed = if is_same { 0.0 } else { RADIANCE_FRACTION };
+    (fraction > allowed || fraction.is_nan())
+        .then(|| format!("its values differ by {fraction:.5} of their mean; allowed is {allowed}"))
+}
