@@ -12,6 +12,7 @@ use regolith::dataset::merge::finalize;
 use regolith::dataset::verify::{Report, check, check_rendering};
 use regolith::output::disk::content_hash;
 use regolith::output::layout::LAYOUTS;
+use regolith::render::{RasterBackend, RasterOptions};
 use serde_json::Value;
 
 use crate::support::{self, folder, json, renderer, run_ok};
@@ -386,6 +387,41 @@ fn every_output_of_a_frame_that_is_rendered_again_is_compared() {
         }
         assert!(outputs >= 2, "{}", row.name);
     }
+}
+
+/// Frames of another raster backend pass, in every output and format, and those of another scene do not.
+#[test]
+fn tolerances_for_other_renderers_hold_and_show_another_scene() {
+    let root = DATASETS.path().join("folder");
+    let line = Copy::new("folder").line(0);
+    let (mut wrong, mut missed) = (Vec::new(), Vec::new());
+    let mut renderer = renderer();
+    let own = renderer.raster();
+    renderer.set_raster(RasterOptions {
+        visibility: RasterBackend::Device,
+        shadow: RasterBackend::Device,
+        ..own
+    });
+    for row in &LAYOUTS {
+        let mut report = Report::default();
+        let result = check_rendering(&DATASETS.path().join(row.name), &mut renderer, u64::MAX, &mut report);
+        wrong.extend(report.problems.into_iter().map(|problem| format!("{}: {problem:?}", row.name)));
+        wrong.extend(result.err().map(|error| error.to_string()));
+    }
+    for (path, bytes) in files(&root).into_iter().filter(|(path, _)| line["hashes"].get(path).is_some()) {
+        let Some(other) = file_of_another_frame(&root, &path, &bytes) else { continue };
+        let copy = Copy::new("folder");
+        forge(&copy, 0, &path, &other);
+        let mut report = Report::default();
+        let result = check_rendering(copy.path(), &mut renderer, 1, &mut report);
+        if result.is_ok() && report.problems.is_empty() {
+            missed.push(path);
+        }
+    }
+    renderer.set_raster(own);
+    drop(renderer);
+    assert!(wrong.is_empty(), "{wrong:#?}");
+    assert!(missed.is_empty(), "not found: {missed:#?}");
 }
 
 #[test]

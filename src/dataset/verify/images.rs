@@ -37,9 +37,20 @@ pub(super) fn decode_png(bytes: &[u8]) -> image::ImageResult<image::DynamicImage
     image::load_from_memory_with_format(bytes, image::ImageFormat::Png)
 }
 
-/// Decodes an OpenEXR file of RGB: its width and height, and three values per pixel.
-pub(super) fn decode_exr(bytes: &[u8]) -> Option<([u32; 2], Vec<f32>)> {
+/// Width and height of an OpenEXR file, from its header.
+pub(super) fn size_of_exr(bytes: &[u8]) -> Option<[u32; 2]> {
+    let meta = exr::meta::MetaData::read_from_buffered(std::io::Cursor::new(bytes), true).ok()?;
+    let size = meta.headers.first()?.layer_size;
+    Some([u32::try_from(size.width()).ok()?, u32::try_from(size.height()).ok()?])
+}
+
+/// Decodes an OpenEXR file of RGB of this size: three values per pixel.
+pub(super) fn decode_exr(bytes: &[u8], size: [u32; 2]) -> Option<Vec<f32>> {
     use exr::prelude::{ReadChannels as _, ReadLayers as _};
+    // A damaged header may ask for any amount of memory.
+    if size_of_exr(bytes) != Some(size) {
+        return None;
+    }
     let image = exr::prelude::read()
         .no_deep_data()
         .largest_resolution_level()
@@ -55,8 +66,7 @@ pub(super) fn decode_exr(bytes: &[u8]) -> Option<([u32; 2], Vec<f32>)> {
         .non_parallel()
         .from_buffered(std::io::Cursor::new(bytes))
         .ok()?;
-    let size = image.layer_data.size;
-    Some(([size.width() as u32, size.height() as u32], image.layer_data.channel_data.pixels.1))
+    Some(image.layer_data.channel_data.pixels.1)
 }
 
 /// Decodes a PNG file and checks it; the RGB image and the mask in detail.

@@ -37,7 +37,12 @@ impl Archives {
 
 fn read_samples(path: &Path) -> Result<BTreeMap<String, Range<u64>>> {
     let read = |cause| Error::Read { path: path.to_owned(), cause };
-    samples(File::open(path).map_err(read)?).map_err(read)
+    samples(open(path).map_err(read)?).map_err(read)
+}
+
+/// Opens a file, and nothing that is not one: a pipe would never end.
+fn open(path: &Path) -> std::io::Result<File> {
+    if path.metadata()?.is_file() { File::open(path) } else { Err(std::io::ErrorKind::InvalidInput.into()) }
 }
 
 /// A stored file, or a member of an archive.
@@ -68,7 +73,7 @@ pub(super) fn read_hashed(
 }
 
 fn read_range(path: &PathBuf, range: &Range<u64>) -> std::io::Result<Vec<u8>> {
-    let mut file = File::open(path)?;
+    let mut file = open(path)?;
     file.seek(SeekFrom::Start(range.start))?;
     let mut bytes = Vec::new();
     file.take(range.end - range.start).read_to_end(&mut bytes)?;
@@ -115,7 +120,7 @@ pub(super) fn archive_problem(folder: &Path, name: &str, frames: Range<u64>) -> 
     }
     let end_of_archive = archive_end();
     let length = path.metadata().map(|file| file.len()).unwrap_or_default();
-    let expected = end + end_of_archive.len() as u64;
+    let expected = end.saturating_add(end_of_archive.len() as u64);
     let tail = read_range(&path, &(end..expected)).unwrap_or_default();
     (length != expected || tail != end_of_archive)
         .then(|| format!("{name}: it has {length} bytes, expected are {expected}, the last of them zero"))
@@ -127,7 +132,7 @@ pub(super) fn archive_problem(folder: &Path, name: &str, frames: Range<u64>) -> 
 /// [`Error::Read`].
 pub(super) fn hash_of_file(path: &Path) -> Result<String> {
     let hash = || {
-        let (mut file, mut hasher) = (File::open(path)?, XxHash3_128::new());
+        let (mut file, mut hasher) = (open(path)?, XxHash3_128::new());
         let mut block = vec![0; BLOCK];
         loop {
             match file.read(&mut block)? {

@@ -193,7 +193,9 @@ pub fn samples(archive: impl Read + Seek) -> std::io::Result<BTreeMap<String, Ra
         let name = String::from_utf8_lossy(&member.path_bytes()).into_owned();
         let key = name.split('.').next().unwrap_or_default();
         let start = member.raw_header_position();
-        let end = member.raw_file_position() + member.size().next_multiple_of(BLOCK as u64);
+        let size = member.size().checked_next_multiple_of(BLOCK as u64);
+        let end = size.and_then(|size| member.raw_file_position().checked_add(size));
+        let end = end.ok_or(std::io::ErrorKind::InvalidData)?;
         samples.entry(key.to_owned()).or_insert(start..end).end = end;
     }
     Ok(samples)
