@@ -233,3 +233,63 @@ fn depth_at_edges_between_ground_meshes_passes() {
     run_ok(folder.path(), &[&words[..], &["--outputs=rgb,mask,depth"]].concat());
     run_ok(folder.path(), &["verify", "data", "--rerender", "8"]);
 }
+
+#[test]
+fn datasets_of_other_versions_are_named_as_such() {
+    let folder = folder();
+    make(folder.path());
+    let path = folder.path().join("data/manifest.json");
+    let mut manifest = json(&path);
+    let own = manifest["version"].as_str().expect("a version").to_owned();
+    let mut report_of = |version: &str| {
+        manifest["version"] = version.into();
+        fs::write(&path, format!("{manifest:#}\n")).expect("written");
+        let output = run(folder.path(), &["verify", "data", "--json", "--rerender", "1"]);
+        let report: Value = serde_json::from_slice(&output.stdout).expect("a report");
+        (output.status.code(), report)
+    };
+    // Another minor version makes other scenes: one problem says so, and files are checked.
+    let (status, report) = report_of("0.1.0");
+    let problems = report["problems"].as_array().expect("problems");
+    assert_eq!((status, problems.len()), (Some(1), 1), "{report:#}");
+    let found = problems[0]["found"].as_str().expect("text");
+    assert!(found.contains("\"0.1.0\"") && found.contains(&own), "{found}");
+    assert_eq!(
+        (&report["checks"]["hashes"]["looked_at"], &report["checks"]["rendering"]["looked_at"]),
+        (&24.into(), &Value::Null)
+    );
+    // Another patch makes the same scenes, and only the digest knows which it was.
+    let (status, report) = report_of(&format!("{}.999", own.rsplit_once('.').expect("numbers").0));
+    let checks = report["problems"].as_array().expect("problems").iter().map(|problem| &problem["check"]);
+    assert_eq!((status, checks.collect::<Vec<_>>()), (Some(1), vec![&Value::from("digest")]), "{report:#}");
+    assert_eq!(report["checks"]["rendering"]["looked_at"], 5);
+}
+
+#[test]
+fn all_frames_can_be_rendered_again() {
+    let folder = folder();
+    make(folder.path());
+    let report = run_ok(folder.path(), &["verify", "data", "--rerender", "all", "--json"]);
+    let report: Value = serde_json::from_str(&report).expect("JSON");
+    // The line, the image, the mask and two arrays of each frame.
+    assert_eq!(report["checks"]["rendering"]["looked_at"], 6 * 5);
+    assert_eq!(report["checks"]["depth"]["looked_at"], 6);
+    let output = run(folder.path(), &["verify", "data", "--rerender", "many"]);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(2) && message.contains("whole numbers and `all`"), "{message}");
+}
+
+#[test]
+fn a_dataset_that_is_not_finished_is_named_as_such_and_its_frames_pass() {
+    let folder = folder();
+    for format in ["folder", "webdataset"] {
+        let words =
+            ["dataset", "--count=4", "--size=32", "--samples=1", "--shard=0/2", "-q", "--out", format];
+        run_ok(folder.path(), &[&words[..], &["--set=rocks.count=5", "--format", format]].concat());
+        let output = run(folder.path(), &["verify", format, "--json", "--rerender", "2"]);
+        let report: Value = serde_json::from_slice(&output.stdout).expect("a report");
+        let problems = report["problems"].as_array().expect("problems");
+        assert!(problems.iter().all(|problem| problem["check"] == "books"), "{report:#}");
+        assert!(report.to_string().contains("dataset --merge"), "{report:#}");
+    }
+}

@@ -58,7 +58,11 @@ impl Inventory {
         let mut foreign_folders = Vec::new();
         self.walk(context, &mut |_| files += 1, &mut |folder| foreign_folders.push(folder))?;
         for path in foreign_folders {
-            report.problem(name::FILES, None, format!("{path}: this folder is no part of the dataset"));
+            report.problem(
+                name::FILES,
+                None,
+                format!("{path}: this folder is no part of the dataset; move it elsewhere, or remove it"),
+            );
         }
         if files == self.files {
             return Ok(());
@@ -80,7 +84,11 @@ impl Inventory {
         };
         self.walk(context, &mut add, &mut |_| {})?;
         for path in foreign {
-            report.problem(name::FILES, None, format!("{path}: it belongs to no frame of the dataset"));
+            report.problem(
+                name::FILES,
+                None,
+                format!("{path}: it is no part of the dataset; move it elsewhere, or remove it"),
+            );
         }
         Ok(())
     }

@@ -65,9 +65,15 @@ pub(super) fn read_hashed(
     };
     let key = sample_key(index);
     let file = folder.join(bundle);
-    let range = archives.0.get(bundle).and_then(|samples| samples.get(&key)).ok_or_else(|| {
-        Error::CheckFailed(format!("{}: it cannot be read, or has no sample {key}", file.display()))
-    })?;
+    let range = archives.0.get(bundle).and_then(|samples| samples.get(&key));
+    // Before a dataset is complete its frames are not in archives.
+    let fragment = folder.join(path);
+    let Some(range) = range else {
+        let bytes = disk::read(&fragment).map_err(|_| {
+            Error::CheckFailed(format!("{}: it cannot be read, or has no sample {key}", file.display()))
+        })?;
+        return Ok(StoredFile { path: path.to_owned(), bytes });
+    };
     let bytes = read_range(&file, range).map_err(|cause| Error::Read { path: file, cause })?;
     Ok(StoredFile { path: format!("{bundle}/{key}"), bytes })
 }
