@@ -23,6 +23,8 @@ pub mod manifest;
 pub mod merge;
 pub mod pipeline;
 pub mod plan;
+#[cfg(test)]
+mod power_cut;
 pub mod rules;
 pub mod run;
 pub mod totals;

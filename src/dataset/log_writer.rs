@@ -7,7 +7,7 @@
 //! Must not know: how frames are made.
 
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde_json::{Map, Value};
 
@@ -80,8 +80,8 @@ impl FrameLogWriter {
     /// # Errors
     /// [`Error::Write`], [`Error::LogLost`].
     pub fn write_files(&mut self, files: &FrameFiles) -> Result<()> {
-        self.check_folder()?;
-        self.files.write_all(&files.artifacts).map(drop)
+        let written = self.files.write_all(&files.artifacts);
+        written.map(drop).map_err(|error| self.lost_or(error))
     }
 
     /// Adds the line of a frame whose files are written. It is appended with those of other frames, after a fraction of a
@@ -109,7 +109,7 @@ impl FrameLogWriter {
         if !self.lines.is_in_place() {
             return Err(self.lost());
         }
-        self.files.sync_folders()?;
+        self.files.sync_folders().map_err(|error| self.lost_or(error))?;
         for (index, text) in self.waiting.drain(..) {
             self.lines.append(&text)?;
             self.finished.insert(index);
@@ -122,7 +122,6 @@ impl FrameLogWriter {
     /// # Errors
     /// Those of [`flush`](Self::flush).
     pub fn write_manifest(&mut self, status: &str) -> Result<()> {
-        self.check_folder()?;
         self.flush()?;
         self.lines.sync()?;
         let range = self.range;
@@ -135,8 +134,8 @@ impl FrameLogWriter {
         manifest.insert("n_completed".to_owned(), own.into());
         manifest.extend(self.identity.clone());
         let file = manifest::to_file(shard_file_name(MANIFEST, self.shard), manifest)?;
-        self.files.write_all(&[file])?;
-        self.files.sync_folders()
+        let written = self.files.write_all(&[file]).and_then(|_| self.files.sync_folders());
+        written.map_err(|error| self.lost_or(error))
     }
 
     /// Closes the log; the locks stay, for the merge.
@@ -144,14 +143,13 @@ impl FrameLogWriter {
         self.lock
     }
 
-    /// A folder that was removed is not created again: its frames would be missing from the new one.
-    fn check_folder(&self) -> Result<()> {
-        if self.folder().is_dir() { Ok(()) } else { Err(self.lost()) }
+    /// The error, or its cause if that is a folder that was removed or renamed.
+    fn lost_or(&self, error: Error) -> Error {
+        if self.folder().is_dir() { error } else { self.lost() }
     }
 
     fn lost(&self) -> Error {
-        let path: PathBuf = self.lines.path().to_owned();
-        Error::LogLost(path)
+        Error::LogLost(self.lines.path().to_owned())
     }
 }
 

@@ -22,6 +22,8 @@ use super::artifact::Artifact;
 use crate::error::{Error, Result};
 pub use line_file::LineFile;
 pub use lock::Lock;
+#[cfg(test)]
+pub(crate) use operations::{Operation, recorder};
 use operations::{TemporaryFile, failed};
 use own_name::{RANDOM_LENGTH, TEMPORARY_SUFFIX, is_own_name, temporary_prefix, temporary_tag};
 
@@ -97,7 +99,10 @@ pub fn content_hash(bytes: &[u8]) -> String {
 pub fn write_all(folder: &Path, artifacts: &[Artifact]) -> Result<Vec<PathBuf>> {
     let mut writer = FileWriter::new(folder, SINGLE_TAG);
     let is_new = !folder.exists();
-    let result = writer.write_all(artifacts).and_then(|paths| writer.sync_folders().map(|()| paths));
+    let result = writer
+        .create_folders(folder, Path::new(""))
+        .and_then(|()| writer.write_all(artifacts))
+        .and_then(|paths| writer.sync_folders().map(|()| paths));
     if is_new && result.is_err() {
         // Removes the folder only if it is empty: another process may have written there meanwhile.
         let _ = std::fs::remove_dir(folder);
@@ -136,13 +141,15 @@ impl FileWriter {
     /// [`Error::Write`].
     pub fn create_folder(&mut self) -> Result<()> {
         let folder = self.folder.clone();
-        self.create_folders(&folder)?;
+        self.create_folders(&folder, Path::new(""))?;
         self.unsynced.extend([parent(&folder), folder]);
         Ok(())
     }
 
-    fn create_folders(&mut self, folder: &Path) -> Result<()> {
-        let is_missing = |folder: &&Path| !folder.as_os_str().is_empty() && !folder.exists();
+    /// Creates a folder and those above it, as far as they are missing and below `base`.
+    fn create_folders(&mut self, folder: &Path, base: &Path) -> Result<()> {
+        let is_missing =
+            |folder: &&Path| *folder != base && !folder.as_os_str().is_empty() && !folder.exists();
         let missing: Vec<&Path> = folder.ancestors().take_while(is_missing).collect();
         for new in missing.into_iter().rev() {
             operations::create_folder(new).map_err(failed(folder))?;
@@ -152,13 +159,12 @@ impl FileWriter {
     }
 
     /// Writes all files, or none: each is written under a temporary name, and all are renamed once all are complete.
-    /// Returns their paths.
+    /// Returns their paths. The writer's folder must exist: one that was removed meanwhile is not created again.
     ///
     /// # Errors
     /// [`Error::Write`].
     pub fn write_all(&mut self, artifacts: &[Artifact]) -> Result<Vec<PathBuf>> {
         let folder = self.folder.clone();
-        self.create_folders(&folder)?;
         let mut written = Vec::new();
         for artifact in artifacts {
             let path = folder.join(&artifact.name);
@@ -166,7 +172,7 @@ impl FileWriter {
                 return Err(Error::Write { path, cause: std::io::ErrorKind::IsADirectory.into() });
             }
             if artifact.name.contains('/') {
-                self.create_folders(&parent(&path))?;
+                self.create_folders(&parent(&path), &folder)?;
             }
             let mut file = self.temporary_for(&path)?;
             file.write_all(&artifact.bytes).and_then(|()| file.sync()).map_err(failed(&path))?;

@@ -90,7 +90,7 @@ const LAYERS: [(&str, &[&[&str]]); 8] = [
             &["lock"],
             &["log_writer", "merge"],
             &["convert", "pipeline"],
-            &["run", "verify"],
+            &["power_cut", "run", "verify"],
         ],
     ),
     (

@@ -44,7 +44,6 @@ pub(crate) mod recorder {
         static RECORD: RefCell<Option<Vec<Operation>>> = const { RefCell::new(None) };
     }
 
-    #[allow(dead_code, reason = "for the test of power cuts")]
     /// Runs `work` and returns its result with the operations of this thread.
     pub(crate) fn record<T>(work: impl FnOnce() -> T) -> (T, Vec<Operation>) {
         RECORD.set(Some(Vec::new()));
