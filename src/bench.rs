@@ -8,7 +8,7 @@
 use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use serde_json::{Map, Value, json};
@@ -134,12 +134,14 @@ pub struct Setup {
     pub concurrency: Concurrency,
     /// Number of frames after the warm-up.
     pub frames: u64,
+    /// Once it is true, no further frame is measured.
+    pub stop: Arc<AtomicBool>,
 }
 
 /// Measures a case. The case `dataset` writes into `folder`, which must be empty.
 ///
 /// # Errors
-/// Those of rendering and writing.
+/// Those of rendering and writing; [`Error::Stopped`].
 pub fn run(case: Case, setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Measured> {
     match case {
         Case::Camera => moving(setup, true, renderer),
@@ -149,6 +151,10 @@ pub fn run(case: Case, setup: &Setup, folder: &Path, renderer: &mut Renderer) ->
     }
 }
 
+const fn stopped(done: u64, wanted: u64) -> Error {
+    Error::Stopped { done, wanted, remedy: "A measurement cannot be resumed; run it again" }
+}
+
 /// Renders the scenes that `next` returns, several frames in flight. `next` gets the index of a frame and returns its scene with
 /// the times that building it took.
 fn measure(
@@ -156,13 +162,16 @@ fn measure(
     renderer: &mut Renderer,
     mut next: impl FnMut(u64) -> Result<(Arc<Scene>, StageTimes)>,
 ) -> Result<Measured> {
-    let Setup { plan, concurrency, frames } = setup;
+    let Setup { plan, concurrency, frames, stop } = setup;
     let mut measured = Measured::default();
     let mut queue = VecDeque::new();
     let (mut start, mut last) = (Instant::now(), Instant::now());
     let total = WARM_UP + frames;
     let (mut submitted, mut finished) = (0, 0);
     while finished < total {
+        if stop.load(Ordering::Relaxed) {
+            return Err(stopped(finished, total));
+        }
         if submitted < total && queue.len() < concurrency.frames_in_flight {
             let (scene, times) = next(submitted)?;
             let in_flight = renderer.submit(&scene, &plan.settings)?;
@@ -239,31 +248,27 @@ fn dataset(setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Meas
     let mut files = disk::FileWriter::new(folder, "bench");
     let (mut start, mut last, mut done) = (Instant::now(), Instant::now(), 0);
     let indices = 0..WARM_UP + setup.frames;
-    dataset::render_frames(
-        &setup.plan,
-        renderer,
-        indices,
-        setup.concurrency,
-        &AtomicBool::new(false),
-        |frame| {
-            files.write_all(&frame.files.artifacts)?;
-            if files.is_sync_due() {
-                files.sync_folders()?;
-            }
-            done += 1;
-            if done <= WARM_UP {
-                start = Instant::now();
-            } else {
-                measured.frames_ms.push(last.elapsed().as_secs_f64() * 1e3);
-                measured.stages.push(frame.times);
-                measured.triangles.push(frame.cost.triangles as f64);
-                measured.upload_bytes.push(frame.cost.uploaded_bytes as f64);
-                measured.readback_bytes = frame.cost.readback_bytes;
-            }
-            last = Instant::now();
-            Ok(())
-        },
-    )?;
+    dataset::render_frames(&setup.plan, renderer, indices, setup.concurrency, &setup.stop, |frame| {
+        files.write_all(&frame.files.artifacts)?;
+        if files.is_sync_due() {
+            files.sync_folders()?;
+        }
+        done += 1;
+        if done <= WARM_UP {
+            start = Instant::now();
+        } else {
+            measured.frames_ms.push(last.elapsed().as_secs_f64() * 1e3);
+            measured.stages.push(frame.times);
+            measured.triangles.push(frame.cost.triangles as f64);
+            measured.upload_bytes.push(frame.cost.uploaded_bytes as f64);
+            measured.readback_bytes = frame.cost.readback_bytes;
+        }
+        last = Instant::now();
+        Ok(())
+    })?;
+    if setup.stop.load(Ordering::Relaxed) {
+        return Err(stopped(done, WARM_UP + setup.frames));
+    }
     measured.total_ms = start.elapsed().as_secs_f64() * 1e3;
     Ok(measured)
 }

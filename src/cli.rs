@@ -9,7 +9,7 @@ mod dataset;
 mod device;
 mod frame;
 pub(crate) mod messages;
-mod process;
+pub(crate) mod process;
 mod progress;
 mod remap;
 mod stage;
@@ -40,7 +40,7 @@ Examples:
                                                          a dataset; run it again to resume after a stop
   regolith-render params --preset train_dr > my.toml     every knob, to be edited and passed to --config
 
-Exit status: 0 success, 2 wrong usage or configuration, 1 any other error.
+Exit status: 0 success, 2 wrong usage or configuration, 130 stopped by Ctrl-C, 143 stopped by the signal TERM, 1 any other error.
 Environment: WGPU_BACKEND (vulkan, gl), WGPU_ADAPTER_NAME.";
 
 /// Labelled images of the Moon.
@@ -99,6 +99,7 @@ fn command() -> clap::Command {
 
 /// Parses the command line and runs the command.
 pub(crate) fn run() -> Result<()> {
+    process::survive_file_size_limit();
     let cli = Cli::from_arg_matches(&command().get_matches()).unwrap_or_else(|error| error.exit());
     match cli.command {
         None => frame::run(&cli.frame, cli.messages),

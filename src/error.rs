@@ -1,7 +1,7 @@
 //! Every error that a user can meet, on one page, so that all messages have the same form.
 //!
 //! A message says what is wrong, which value caused it, what is allowed, and what to do. `exit_status` is 2 for wrong
-//! usage or configuration and 1 for everything else.
+//! usage or configuration, 130 for an interrupted run, and 1 for everything else.
 //! Must not know: any other module of this crate.
 //! To add one: a variant with its message, and an arm in [`Error::exit_status`].
 
@@ -255,10 +255,12 @@ pub enum Error {
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 impl Error {
-    /// Exit status of the command: 2 for wrong usage or configuration, 1 for anything else.
+    /// Exit status of the command: 2 for wrong usage or configuration, 130 for a run that was interrupted by Ctrl-C, 1 for
+    /// anything else.
     #[must_use]
     pub const fn exit_status(&self) -> u8 {
         match self {
+            Self::Stopped { .. } => 130,
             Self::UnknownKnob { .. }
             | Self::KnobOutOfRange { .. }
             | Self::KnobType { .. }
@@ -286,7 +288,6 @@ impl Error {
             | Self::Busy { .. }
             | Self::LogLost(_)
             | Self::FramesLost { .. }
-            | Self::Stopped { .. }
             | Self::CheckFailed(_)
             | Self::Encode { .. } => 1,
         }
@@ -315,6 +316,10 @@ fn write_remedy(cause: &std::io::Error) -> &'static str {
     match cause.kind() {
         std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded => {
             "; free some space or choose another --out, then run the same command again"
+        }
+        std::io::ErrorKind::FileTooLarge => {
+            "; a limit of the file size forbids it: raise that of the process (`ulimit -f`) or choose an --out on another file \
+             system, then run the same command again"
         }
         std::io::ErrorKind::PermissionDenied | std::io::ErrorKind::ReadOnlyFilesystem => {
             "; choose an --out where you have write permission"

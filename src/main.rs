@@ -6,6 +6,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::process::ExitCode;
 
 use cli::messages::note;
+use cli::process::stopped_status;
 
 fn main() -> ExitCode {
     hide_displays();
@@ -16,7 +17,8 @@ fn main() -> ExitCode {
         Ok(Ok(())) => ExitCode::SUCCESS,
         Ok(Err(error)) => {
             note(format_args!("error: {error}"));
-            ExitCode::from(error.exit_status())
+            let stopped = matches!(error, regolith::Error::Stopped { .. }).then(stopped_status).flatten();
+            ExitCode::from(stopped.unwrap_or_else(|| error.exit_status()))
         }
         Err(panic) => {
             let text = panic.downcast_ref::<String>().map(String::as_str);

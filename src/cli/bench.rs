@@ -16,7 +16,7 @@ use serde_json::{Map, Value, json};
 use super::args::{ConfigArgs, DeviceArgs, ImageArgs, whole_number};
 use super::device;
 use super::messages::{Messages, print};
-use super::process::cores;
+use super::process::{cores, stop_on_signals};
 
 #[derive(Args, Debug)]
 pub(super) struct BenchArgs {
@@ -109,7 +109,7 @@ fn setup(args: &BenchArgs) -> Result<Setup> {
     };
     let threads = args.threads.map_or_else(cores, usize::from);
     let concurrency = Concurrency { threads, frames_in_flight: args.frames_in_flight.into() };
-    Ok(Setup { plan, concurrency, frames: args.frames })
+    Ok(Setup { plan, concurrency, frames: args.frames, stop: stop_on_signals()? })
 }
 
 /// Measures one case; what it writes goes into a temporary folder.
@@ -217,5 +217,6 @@ fn sweep(
     for (value, ms) in &curve.points {
         text.push_str(&format!("{value:<20}{ms:>12.1}\n"));
     }
-    print(&format!("{text}{}\n", path.display()))
+    print(&text)?;
+    messages.paths(&format!("{}\n", path.display()))
 }

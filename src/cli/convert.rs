@@ -45,5 +45,5 @@ pub(super) fn run(args: &ConvertArgs, messages: Messages) -> Result<()> {
         });
         return print(&format!("{summary:#}\n"));
     }
-    print(&format!("{}\n", args.out.display()))
+    messages.paths(&format!("{}\n", args.out.display()))
 }

@@ -293,7 +293,7 @@ fn report(
         });
         print(&format!("{summary:#}\n"))?;
     } else {
-        print(&format!("{}\n", args.out.display()))?;
+        messages.paths(&format!("{}\n", args.out.display()))?;
     }
     match run {
         Some(run) => messages.note(format_args!(

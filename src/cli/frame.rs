@@ -68,7 +68,7 @@ pub(super) fn run(args: &FrameArgs, messages: Messages) -> Result<()> {
     output::check_folder(&args.out, INDEX, args.force)?;
 
     let mut rendered = render(args, params, settings)?;
-    let (meta, paths) = write(args, &mut rendered, outputs)?;
+    let (meta, paths) = write(args, messages, &mut rendered, outputs)?;
     summarise(args, messages, &rendered, &meta, start);
     let rules = Rules::from_config(&config)?;
     if let Some(violation) = rules.violation(&rendered.scene, &rendered.frame) {
@@ -117,6 +117,7 @@ fn render(args: &FrameArgs, params: Params, settings: RenderSettings) -> Result<
 /// Encodes and writes the outputs and prints their paths; returns the record of the frame, and the paths.
 fn write(
     args: &FrameArgs,
+    messages: Messages,
     rendered: &mut Rendered,
     outputs: Vec<&'static Output>,
 ) -> Result<(Value, Vec<PathBuf>)> {
@@ -147,7 +148,7 @@ fn write(
     if args.json {
         print(&format!("{:#}\n", json!({ "files": names, "frame": meta })))?;
     } else {
-        print(&format!("{}\n", names.join("\n")))?;
+        messages.paths(&format!("{}\n", names.join("\n")))?;
     }
     Ok((meta, paths))
 }

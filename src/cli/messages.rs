@@ -12,7 +12,7 @@ pub(super) struct Messages {
     /// Print more: adapter, milliseconds by stage
     #[arg(short, long, global = true, conflicts_with = "quiet")]
     verbose: bool,
-    /// Print nothing but errors
+    /// Print nothing but errors and what was asked for (--json, listings, tables): no messages, no paths of written files
     #[arg(short, long, global = true)]
     pub(super) quiet: bool,
 }
@@ -23,6 +23,11 @@ impl Messages {
         if !self.quiet {
             note(text);
         }
+    }
+
+    /// Prints paths of written files on stdout, unless `--quiet` is set.
+    pub(super) fn paths(self, text: &str) -> Result<()> {
+        if self.quiet { Ok(()) } else { print(text) }
     }
 
     /// Prints a line if `--verbose` is set.

@@ -24,6 +24,32 @@ fn style(template: &str) -> ProgressStyle {
     ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar())
 }
 
+/// Progress of a run at a moment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Estimate {
+    /// Frames made per second of this run.
+    rate: f64,
+    /// Seconds until all are made; infinite before the first.
+    seconds_left: f64,
+}
+
+impl Estimate {
+    /// After `seconds`: of `wanted`, `found` existed at the start, which says nothing about the rate, and `made` are new.
+    fn new([found, made, wanted]: [u64; 3], seconds: f64) -> Self {
+        let rate = made as f64 / seconds.max(1e-3);
+        let left = wanted.saturating_sub(found + made);
+        Self { rate, seconds_left: if left == 0 { 0.0 } else { left as f64 / rate } }
+    }
+
+    fn time_left(self) -> String {
+        if self.seconds_left.is_finite() {
+            format!("{} left", duration(self.seconds_left))
+        } else {
+            "time left unknown".to_owned()
+        }
+    }
+}
+
 /// Shows how many frames (or masks) are finished.
 pub(super) struct Meter {
     unit: &'static str,
@@ -48,24 +74,19 @@ impl Meter {
 
     /// Updates the display: of `wanted`, `found` existed at the start and `made` are new. `more` is printed after the rate.
     pub(super) fn show(&mut self, [found, made, wanted]: [u64; 3], more: &str) {
-        let (unit, rate) = (self.unit, made as f64 / self.start.elapsed().as_secs_f64().max(1e-3));
+        let unit = self.unit;
+        let estimate = Estimate::new([found, made, wanted], self.start.elapsed().as_secs_f64());
+        let message = format!("{:.2} {unit}/s{more}, {}", estimate.rate, estimate.time_left());
         if let Some(bar) = &self.bar {
             if bar.length().is_none() {
-                bar.set_style(style(&format!("{{bar:32}} {{pos}}/{{len}} {unit}, {{msg}}, {{eta}} left")));
+                bar.set_style(style(&format!("{{bar:32}} {{pos}}/{{len}} {unit}, {{msg}}")));
                 bar.set_length(wanted);
-                bar.set_position(found);
-                bar.reset_eta();
             }
             bar.set_position(found + made);
-            bar.set_message(format!("{rate:.2} {unit}/s{more}"));
+            bar.set_message(message);
         } else if self.last_line.elapsed().as_secs() >= PLAIN_SECONDS && made > 0 {
             self.last_line = Instant::now();
-            let left = wanted.saturating_sub(found + made) as f64 / rate.max(1e-9);
-            self.messages.note(format_args!(
-                "{}/{wanted} {unit}, {rate:.2} {unit}/s{more}, {} left",
-                found + made,
-                duration(left)
-            ));
+            self.messages.note(format_args!("{}/{wanted} {unit}, {message}", found + made));
         }
     }
 
@@ -80,6 +101,17 @@ impl Meter {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn frames_that_existed_do_not_shorten_the_estimate() {
+        // 60 of 200 existed; 10 more took 5 s, so that the other 130 take 65 s.
+        let estimate = Estimate::new([60, 10, 200], 5.0);
+        assert_eq!(estimate, Estimate { rate: 2.0, seconds_left: 65.0 });
+        assert_eq!(estimate.time_left(), "1 min 05 s left");
+        assert_eq!(Estimate::new([0, 10, 140], 5.0), estimate, "as if none had existed");
+        assert_eq!(Estimate::new([60, 0, 200], 5.0).time_left(), "time left unknown");
+        assert_eq!(Estimate::new([60, 140, 200], 70.0).time_left(), "0.0 s left");
+    }
 
     #[test]
     fn durations_have_units_that_suit_their_length() {

@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
 
 use clap::Args;
 use regolith::output::disk;
@@ -11,6 +12,7 @@ use regolith::{Error, Result};
 use serde_json::json;
 
 use super::messages::{Messages, print};
+use super::process::stop_on_signals;
 use super::progress::Meter;
 
 #[derive(Args, Debug)]
@@ -39,17 +41,27 @@ pub(super) fn run(args: &RemapArgs, messages: Messages) -> Result<()> {
     }
     let own_names: BTreeSet<&OsStr> = pairs.iter().flat_map(Pair::top_names).collect();
     disk::check_content(&args.out, args.force, |name| own_names.contains(OsStr::new(name)))?;
+    let stop = stop_on_signals()?;
     let mut meter = Meter::new(messages, "masks");
     let mut total = Remapped::default();
-    for (made, pair) in (1..).zip(&pairs) {
+    let wanted = pairs.len() as u64;
+    for (done, pair) in (0..).zip(&pairs) {
+        if stop.load(Ordering::Relaxed) {
+            meter.finish();
+            return Err(Error::Stopped {
+                done,
+                wanted,
+                remedy: "Run the same command again; it starts over",
+            });
+        }
         total.add(remap::remap(&args.folder, pair, &args.out)?);
-        meter.show([0, made, pairs.len() as u64], "");
+        meter.show([0, done + 1, wanted], "");
     }
     meter.finish();
     if args.json {
         return print(&format!("{:#}\n", json!(total)));
     }
-    print(&format!("{}\n", args.out.display()))?;
+    messages.paths(&format!("{}\n", args.out.display()))?;
     summarise(args, messages, &total);
     Ok(())
 }

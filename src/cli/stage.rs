@@ -71,7 +71,7 @@ pub(super) fn export_stage(args: &ExportArgs, messages: Messages) -> Result<()> 
         return print(&format!("{result:#}\n"));
     }
     messages.detail(format_args!("{} rocks, {written} bytes", scene.rocks.len()));
-    print(&format!("{}\n", args.file.display()))
+    messages.paths(&format!("{}\n", args.file.display()))
 }
 
 pub(super) fn list_params(args: &ParamsArgs) -> Result<()> {

@@ -564,7 +564,7 @@ fn the_bench_reports_every_case_and_a_sweep_plots_its_curve() {
     }
     let sweep =
         run_ok(folder.path(), &[&small[..], &["--sweep", "samples", "--plot", "samples.svg"]].concat());
-    assert_eq!(sweep.lines().count(), 5, "{sweep}");
+    assert_eq!(sweep.lines().count(), 4, "{sweep}");
     let plot = std::fs::read_to_string(folder.path().join("samples.svg")).expect("a plot");
     assert!(plot.starts_with("<svg") && plot.matches("<circle").count() == 3);
     assert_refused(&["bench", "--cases", "camra"], 2, &["unknown case `camra`", "static-sun"]);

@@ -230,7 +230,7 @@ fn ctrl_c_finishes_frames_in_flight_and_says_how_to_continue() {
     assert!(signal.success());
     let output = child.wait_with_output().expect("ended");
     let message = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert_eq!(output.status.code(), Some(130), "{message}");
     assert!(message.contains("of 400 frames are finished") && message.contains("same command"), "{message}");
     let data = folder.path().join("data");
     assert_eq!(json(&data.join("manifest.json"))["status"], "stopped");

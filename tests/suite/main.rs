@@ -17,6 +17,7 @@ mod golden;
 mod labels;
 mod language;
 mod mutation;
+mod process;
 mod raster;
 mod scene_statistics;
 mod support;
