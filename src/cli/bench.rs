@@ -63,7 +63,7 @@ pub(super) struct BenchArgs {
 
 pub(super) fn run(args: &BenchArgs, messages: Messages) -> Result<()> {
     let cases = parse_cases(&args.cases)?;
-    let setup = setup(args)?;
+    let setup = setup(args, messages)?;
     let mut renderer = args.device.renderer(args.device.open()?)?;
     match &args.sweep {
         Some(name) => sweep(args, messages, name, cases[0], &setup, &mut renderer),
@@ -85,7 +85,7 @@ fn parse_cases(list: &str) -> Result<Vec<Case>> {
     cases.collect()
 }
 
-fn setup(args: &BenchArgs) -> Result<Setup> {
+fn setup(args: &BenchArgs, messages: Messages) -> Result<Setup> {
     let config = args.config.build()?;
     let (format, layout) = layout::find("folder")?;
     let outputs = Plan::outputs(Some(&args.outputs), format, layout)?;
@@ -109,7 +109,7 @@ fn setup(args: &BenchArgs) -> Result<Setup> {
     };
     let threads = args.threads.map_or_else(cores, usize::from);
     let concurrency = Concurrency { threads, frames_in_flight: args.frames_in_flight.into() };
-    Ok(Setup { plan, concurrency, frames: args.frames, stop: stop_on_signals()? })
+    Ok(Setup { plan, concurrency, frames: args.frames, stop: stop_on_signals(messages)? })
 }
 
 /// Measures one case; what it writes goes into a temporary folder.

@@ -31,7 +31,7 @@ pub(super) struct ConvertArgs {
 
 pub(super) fn run(args: &ConvertArgs, messages: Messages) -> Result<()> {
     let conversion = Conversion::new(&args.folder, &args.format)?;
-    let stop = stop_on_signals()?;
+    let stop = stop_on_signals(messages)?;
     let mut meter = Meter::new(messages, "frames");
     let result = conversion.run(&args.folder, &args.out, args.force, &stop, |found, made| {
         meter.show([found, made, conversion.frames()], "");

@@ -10,7 +10,7 @@ use regolith::class::ClassId;
 use regolith::dataset::lock;
 use regolith::dataset::log_writer::FrameLogWriter;
 use regolith::dataset::manifest::DatasetSpec;
-use regolith::dataset::merge::{Finalized, finalize};
+use regolith::dataset::merge::{Finalized, finalize, finalize_frames};
 use regolith::dataset::plan::{self, MAX_FRAMES, Plan, Range, frame_seed};
 use regolith::dataset::rules::Rules;
 use regolith::dataset::{self, Concurrency, Progress};
@@ -91,7 +91,7 @@ pub(super) fn run(args: &DatasetArgs, messages: Messages) -> Result<()> {
     if args.dry_run {
         return dry_run(args, &plan);
     }
-    let stop = stop_on_signals()?;
+    let stop = stop_on_signals(messages)?;
     let concurrency = Concurrency::with_threads(args.threads.map_or_else(cores, usize::from));
     if args.out.as_os_str() == "-" {
         return stream(args, messages, &plan, concurrency, &stop);
@@ -103,7 +103,7 @@ pub(super) fn run(args: &DatasetArgs, messages: Messages) -> Result<()> {
             // The manifest was lost, and --force confirms that the frames belong to this run.
             drop(FrameLogWriter::open(&args.out, &spec, args.force)?);
         }
-        return report(args, messages, None, &finalize(&args.out)?, 0.0);
+        return report(args, messages, None, &finalize_frames(&args.out, plan.own_indices())?, 0.0);
     }
     let start = Instant::now();
     // Before the folder is created, so that nothing is left behind on a machine without an adapter.

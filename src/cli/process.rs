@@ -8,7 +8,7 @@ use signal_hook::consts::signal::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
 use signal_hook::iterator::Signals;
 use signal_hook::low_level;
 
-use super::messages::note;
+use super::messages::Messages;
 
 /// Exit status of a command that a signal ended, less the number of the signal; as shells report it.
 const SIGNAL_STATUS: i32 = 128;
@@ -22,7 +22,7 @@ pub(super) fn cores() -> usize {
 }
 
 /// A flag that is set by Ctrl-C and by the signals that ask a process to end; a second one ends it at once.
-pub(super) fn stop_on_signals() -> Result<Arc<AtomicBool>> {
+pub(super) fn stop_on_signals(messages: Messages) -> Result<Arc<AtomicBool>> {
     let failed = |error| Error::Usage(format!("cannot listen for Ctrl-C: {error}"));
     let mut wanted = vec![SIGINT, SIGTERM];
     if !ignores_hangup() {
@@ -37,7 +37,7 @@ pub(super) fn stop_on_signals() -> Result<Arc<AtomicBool>> {
                 low_level::exit(SIGNAL_STATUS + signal);
             }
             flag.store(true, Ordering::Relaxed);
-            note(format_args!("\nstopping after the frames in flight (Ctrl-C again stops at once)"));
+            messages.note(format_args!("\nstopping after the frames in flight (Ctrl-C again stops at once)"));
         }
     };
     std::thread::Builder::new().name("signals".to_owned()).spawn(listen).map_err(failed)?;

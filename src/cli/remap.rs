@@ -41,7 +41,7 @@ pub(super) fn run(args: &RemapArgs, messages: Messages) -> Result<()> {
     }
     let own_names: BTreeSet<&OsStr> = pairs.iter().flat_map(Pair::top_names).collect();
     disk::check_content(&args.out, args.force, |name| own_names.contains(OsStr::new(name)))?;
-    let stop = stop_on_signals()?;
+    let stop = stop_on_signals(messages)?;
     let mut meter = Meter::new(messages, "masks");
     let mut total = Remapped::default();
     let wanted = pairs.len() as u64;

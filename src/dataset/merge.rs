@@ -52,7 +52,18 @@ pub(super) fn finalize_run(
     lock: RunLock,
     own: impl Iterator<Item = u64>,
 ) -> Result<Finalized> {
-    let finalized = finalize_locked(folder, MergeLock::after(lock)?)?;
+    check_frames(folder, finalize_locked(folder, MergeLock::after(lock)?)?, own)
+}
+
+/// Like [`finalize`], where these frames were found. Counts what is on the disk.
+///
+/// # Errors
+/// [`Error::FramesLost`] if one of them is missing; those of [`finalize`].
+pub fn finalize_frames(folder: &Path, own: impl Iterator<Item = u64>) -> Result<Finalized> {
+    check_frames(folder, finalize(folder)?, own)
+}
+
+fn check_frames(folder: &Path, finalized: Finalized, own: impl Iterator<Item = u64>) -> Result<Finalized> {
     let range = manifest::range_of(&finalized.manifest);
     let is_missing = |index: &u64| {
         finalized.missing.binary_search(index).is_ok() || !(range.start..range.end()).contains(index)
