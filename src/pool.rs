@@ -4,7 +4,7 @@
 
 use std::any::{Any, TypeId};
 use std::cell::RefCell;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::ops::{Deref, DerefMut};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -12,33 +12,45 @@ use bytemuck::Pod;
 
 /// Minimum size of a pooled buffer, bytes: for smaller ones the allocator is as fast.
 const MIN_BYTES: usize = 1 << 10;
-/// Capacity of the shared pool, bytes.
-const MAX_BYTES: usize = 128 << 20;
+/// Capacity of the shared pool, bytes: some scenes' worth.
+const MAX_BYTES: usize = 64 << 20;
 /// Capacity of a thread's own pool, bytes: about what stays in its core's cache.
 const MAX_OWN_BYTES: usize = 1 << 20;
 
-/// Unused buffers, shared by all threads.
+/// Unused buffers, shared by all threads. When it is full, those that have been unused the longest are freed: otherwise it would
+/// fill with sizes that no scene needs any more.
 static SHARED: Mutex<Pool> = Mutex::new(Pool::new());
 thread_local! {
     /// Unused buffers of this thread.
     static OWN: RefCell<Pool> = const { RefCell::new(Pool::new()) };
 }
 
+/// Unused buffers.
 struct Pool {
     bytes: usize,
-    /// Buffers by element type and capacity.
-    lists: BTreeMap<(TypeId, usize), Vec<Box<dyn Any + Send>>>,
+    /// Number of buffers that were added so far.
+    added: u64,
+    /// Buffers by element type and capacity, the oldest first.
+    lists: BTreeMap<(TypeId, usize), VecDeque<Unused>>,
+}
+
+struct Unused {
+    /// Number of buffers that were added before it.
+    number: u64,
+    bytes: usize,
+    list: Box<dyn Any + Send>,
 }
 
 impl Pool {
     const fn new() -> Self {
-        Self { bytes: 0, lists: BTreeMap::new() }
+        Self { bytes: 0, added: 0, lists: BTreeMap::new() }
     }
 
+    /// The buffer of this capacity that was added last.
     fn take<T: Value>(&mut self, capacity: usize) -> Option<Vec<T>> {
-        let list = self.lists.get_mut(&(TypeId::of::<T>(), capacity))?.pop()?;
-        self.bytes -= capacity * size_of::<T>();
-        list.downcast().ok().map(|list| *list)
+        let unused = self.lists.get_mut(&(TypeId::of::<T>(), capacity))?.pop_back()?;
+        self.bytes -= unused.bytes;
+        unused.list.downcast().ok().map(|list| *list)
     }
 
     /// Adds a buffer, or returns it if the pool would hold more than `max_bytes`.
@@ -47,9 +59,24 @@ impl Pool {
         if self.bytes + bytes > max_bytes {
             return Some(list);
         }
+        let unused = Unused { number: self.added, bytes, list: Box::new(list) };
+        self.added += 1;
         self.bytes += bytes;
-        self.lists.entry((TypeId::of::<T>(), capacity)).or_default().push(Box::new(list));
+        self.lists.entry((TypeId::of::<T>(), capacity)).or_default().push_back(unused);
         None
+    }
+
+    /// Removes the buffers that have been unused the longest, until one of `bytes` has room among `max_bytes`.
+    fn make_room(&mut self, bytes: usize, max_bytes: usize) -> Vec<Unused> {
+        let mut removed = Vec::new();
+        while self.bytes + bytes > max_bytes {
+            let lists = self.lists.values_mut().filter(|list| !list.is_empty());
+            let oldest = lists.min_by_key(|list| list.front().map(|unused| unused.number));
+            let Some(unused) = oldest.and_then(VecDeque::pop_front) else { break };
+            self.bytes -= unused.bytes;
+            removed.push(unused);
+        }
+        removed
     }
 }
 
@@ -101,7 +128,12 @@ impl<T: Value> Drop for PooledVec<T> {
         // While a thread ends its own pool is gone, and the buffer is freed.
         let left = OWN.try_with(|own| own.borrow_mut().put(list, MAX_OWN_BYTES)).ok().flatten();
         if let Some(list) = left {
-            drop(shared().put(list, MAX_BYTES));
+            let mut shared = shared();
+            let removed = shared.make_room(list.capacity() * size_of::<T>(), MAX_BYTES);
+            let too_large = shared.put(list, MAX_BYTES);
+            // Freed once others may use the pool.
+            drop(shared);
+            drop((removed, too_large));
         }
     }
 }
@@ -170,13 +202,31 @@ mod tests {
 
     #[test]
     fn small_buffers_are_not_pooled() {
-        let pooled = || OWN.with_borrow(|own| own.lists.values().map(Vec::len).sum::<usize>());
+        let pooled = || OWN.with_borrow(|own| own.lists.values().map(VecDeque::len).sum::<usize>());
         for len in [0, 1, MIN_BYTES / size_of::<f32>() / 2] {
             drop(PooledVec::filled(len, 1.0_f32));
             assert_eq!(pooled(), 0, "{len} values");
         }
         drop(PooledVec::filled(MIN_BYTES / size_of::<f32>(), 1.0_f32));
         assert_eq!(pooled(), 1);
+    }
+
+    #[test]
+    fn a_full_pool_frees_what_was_unused_the_longest() {
+        let mut pool = Pool::new();
+        for len in [100, 300, 200, 100] {
+            assert!(pool.put(vec![0_u8; len], 700).is_none());
+        }
+        assert!(pool.put(vec![0_u8; 1], 700).is_some(), "it is full");
+        let removed: Vec<usize> = pool.make_room(350, 700).iter().map(|unused| unused.bytes).collect();
+        assert_eq!((removed, pool.bytes), (vec![100, 300], 300));
+        assert_eq!(pool.take::<u8>(300).map(|list| list.len()), None, "it was removed");
+        assert_eq!(pool.take::<u8>(100).map(|list| list.len()), Some(100));
+        assert_eq!(pool.take::<u8>(100).map(|list| list.len()), None);
+        assert_eq!(pool.take::<i8>(200).map(|list| list.len()), None, "another type");
+        assert_eq!(pool.make_room(1000, 700).len(), 1);
+        assert_eq!(pool.bytes, 0);
+        assert_eq!(pool.make_room(1000, 700).len(), 0, "it is empty");
     }
 
     #[test]

@@ -6,6 +6,7 @@ use std::sync::{Mutex, PoisonError};
 use allocation_counter::measure;
 use regolith::gpu::Gpu;
 use regolith::params::Params;
+use regolith::params::config::Config;
 use regolith::render::select::selection::build_rocks;
 use regolith::render::{RenderSettings, Renderer};
 use regolith::scene::Scene;
@@ -15,6 +16,9 @@ const MAX_LISTS_BYTES: u64 = 100_000;
 
 /// Largest allocation for a frame besides its planes, with that of the driver's interface, bytes.
 const MAX_FRAME_BYTES: u64 = 700_000;
+
+/// Largest growth in 15 frames of different scenes, bytes.
+const MAX_ADDED_BYTES: i64 = 20_000_000;
 
 /// Runs `work` on one thread, as allocations are counted per thread, and one test at a time, as memory is shared.
 fn on_one_thread(work: impl FnOnce() + Send) {
@@ -52,6 +56,30 @@ fn a_scene_reuses_the_memory_of_earlier_scenes() {
             let (_, allocated) = build(seed);
             assert!(allocated < MAX_LISTS_BYTES, "seed {seed}: {allocated} bytes");
         }
+    });
+}
+
+/// The sizes of meshes, lists and tiles differ from scene to scene. What is kept of one must serve the next.
+#[test]
+fn memory_does_not_grow_with_the_number_of_scenes() {
+    on_one_thread(|| {
+        let mut renderer = Renderer::new(Gpu::open(Some("cpu")).expect("a device")).expect("a renderer");
+        let settings = RenderSettings::new([96, 72], 1).expect("settings");
+        let mut render = |seeds: std::ops::Range<u64>| {
+            measure(|| {
+                for seed in seeds {
+                    let mut config = Config::new();
+                    config.apply_preset("surface_train_full").expect("a preset");
+                    let params = config.draw(seed).expect("parameters");
+                    let scene = Scene::build(seed, &params).expect("a scene");
+                    renderer.render(&scene, &settings).expect("a frame");
+                }
+            })
+            .bytes_current
+        };
+        render(0..10);
+        let added = render(10..25);
+        assert!(added < MAX_ADDED_BYTES, "{added} bytes in 15 frames");
     });
 }
 

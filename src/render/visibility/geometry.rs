@@ -43,6 +43,9 @@ enum Source {
 /// Meshes that a thread takes at a time: few, for their costs differ widely.
 const MAX_MESHES_PER_TASK: usize = 4;
 
+/// Memory that meshes may keep beyond twice what the frame needs, bytes.
+const MAX_SPARE_BYTES: usize = 8 << 20;
+
 /// The last meshes are those of the sky: stars and dome.
 const SKY_MESHES: usize = 2;
 
@@ -110,6 +113,18 @@ impl VisibleTriangles {
                 mesh.add_sphere(&frame, DOME_LEVEL, scene.sky.centre, scene.sky.radius_m);
             }
         });
+        self.free_excess();
+    }
+
+    /// Frees memory where much more is kept than the frame needs. The meshes of another scene come in another order, so that
+    /// without an end each would grow to the size of the largest.
+    fn free_excess(&mut self) {
+        let needed: usize = self.meshes().iter().map(ScreenMesh::needed_bytes).sum();
+        let kept: usize = self.meshes.iter().map(ScreenMesh::kept_bytes).sum();
+        if kept > 2 * needed + MAX_SPARE_BYTES {
+            self.meshes.truncate(self.mesh_count);
+            self.meshes.par_iter_mut().for_each(ScreenMesh::free_excess);
+        }
     }
 
     /// The shading bins of the frame.
@@ -144,4 +159,28 @@ fn in_drawing_order(selection: &Selection) -> Vec<Source> {
         .chain(blocks.iter().map(|&(_, index)| Source::Block(index)))
         .chain([Source::Stars, Source::Dome])
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn meshes_do_not_keep_the_memory_of_larger_ones() {
+        let mut triangles = VisibleTriangles::default();
+        triangles.meshes.resize_with(100, ScreenMesh::default);
+        triangles.mesh_count = 10;
+        for mesh in &mut triangles.meshes {
+            mesh.triangles.reserve(1 << 16);
+        }
+        let kept = |triangles: &VisibleTriangles| -> usize {
+            triangles.meshes.iter().map(ScreenMesh::kept_bytes).sum()
+        };
+        assert!(kept(&triangles) > 10 * MAX_SPARE_BYTES);
+        triangles.free_excess();
+        assert!(kept(&triangles) <= MAX_SPARE_BYTES, "{} bytes", kept(&triangles));
+        triangles.meshes[0].triangles.reserve(100);
+        triangles.free_excess();
+        assert!(triangles.meshes[0].triangles.capacity() >= 100, "a little is kept");
+    }
 }

@@ -93,6 +93,28 @@ impl ScreenMesh {
         self.clipped_interpolants.clear();
     }
 
+    /// Bytes of its lists.
+    pub(super) fn needed_bytes(&self) -> usize {
+        size_of_val(&self.vertices[..])
+            + size_of_val(&self.triangles[..])
+            + size_of_val(&self.clipped_interpolants[..])
+    }
+
+    /// Bytes that are allocated for its lists.
+    pub(super) fn kept_bytes(&self) -> usize {
+        fn bytes<T>(list: &Vec<T>) -> usize {
+            list.capacity() * size_of::<T>()
+        }
+        bytes(&self.vertices) + bytes(&self.triangles) + bytes(&self.clipped_interpolants)
+    }
+
+    /// Frees what is allocated beyond twice the needed.
+    pub(super) fn free_excess(&mut self) {
+        self.vertices.shrink_to(2 * self.vertices.len());
+        self.triangles.shrink_to(2 * self.triangles.len());
+        self.clipped_interpolants.shrink_to(2 * self.clipped_interpolants.len());
+    }
+
     /// Adds the vertices of a surface at `origin`, metres from the eye.
     pub(super) fn add_vertices(&mut self, projection: &Projection, origin: Vec3, vertices: &[Vertex]) {
         self.vertices.reserve(vertices.len());
