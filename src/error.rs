@@ -115,6 +115,17 @@ pub enum Error {
         /// The interface of the driver that a GPU needs.
         api: &'static str,
     },
+    /// A limit on the address space (`ulimit -v`) under which drivers crash.
+    #[error(
+        "the address space of this process is limited to {:.1} GB, and rendering needs {:.1} GB here; raise the limit, for instance with `ulimit -v unlimited`, or in the memory request of the batch system",
+        *.limit_bytes as f64 * 1e-9, *.needed_bytes as f64 * 1e-9
+    )]
+    AddressSpace {
+        /// The limit, bytes.
+        limit_bytes: u64,
+        /// What rendering needs on a machine with this number of cores, bytes.
+        needed_bytes: u64,
+    },
     /// No adapter has the requested name.
     #[error("no adapter matches `{wanted}`; the adapters are:\n{}", .available.join("\n"))]
     AdapterNotFound {
@@ -279,6 +290,7 @@ impl Error {
             Self::Write { .. }
             | Self::Stdout(_)
             | Self::NoAdapter { .. }
+            | Self::AddressSpace { .. }
             | Self::AdapterUnfit { .. }
             | Self::DeviceLost(_)
             | Self::Device(_)

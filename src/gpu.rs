@@ -5,8 +5,10 @@
 //! Must not know: the Moon.
 
 pub mod adapter;
+mod address_space;
 pub mod growing_buffer;
 pub mod pipeline_cache;
+mod processor;
 pub mod readback;
 pub mod staging;
 
@@ -56,7 +58,8 @@ impl Gpu {
     /// honoured.
     ///
     /// # Errors
-    /// [`Error::NoAdapter`], [`Error::AdapterNotFound`], [`Error::AdapterUnfit`] or [`Error::Usage`].
+    /// [`Error::NoAdapter`], [`Error::AddressSpace`], [`Error::AdapterNotFound`], [`Error::AdapterUnfit`] or
+    /// [`Error::Usage`].
     pub fn open(wanted: Option<&str>) -> Result<Self> {
         Self::open_with_cache(wanted, |_| None)
     }
@@ -65,7 +68,8 @@ impl Gpu {
     /// [`PipelineCache`].
     ///
     /// # Errors
-    /// [`Error::NoAdapter`], [`Error::AdapterNotFound`], [`Error::AdapterUnfit`] or [`Error::Usage`].
+    /// [`Error::NoAdapter`], [`Error::AddressSpace`], [`Error::AdapterNotFound`], [`Error::AdapterUnfit`] or
+    /// [`Error::Usage`].
     pub fn open_with_cache(wanted: Option<&str>, load: impl FnOnce(&str) -> Option<Vec<u8>>) -> Result<Self> {
         let adapter = adapter::choose(wanted)?;
         Self::open_adapter(&adapter, load)
@@ -94,7 +98,7 @@ impl Gpu {
             label: Some("regolith/device"),
             required_features: adapter::REQUIRED_FEATURES | (adapter.features() & wanted),
             required_limits,
-            memory_hints: wgpu::MemoryHints::Performance,
+            memory_hints: memory_hints(&info),
             ..Default::default()
         };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
@@ -225,6 +229,16 @@ impl Gpu {
         };
         let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
         self.queue.write_texture(texture.as_image_copy(), bytemuck::cast_slice(texels), layout, size);
+    }
+}
+
+/// How device memory is allocated. That of a software adapter is memory of the process: in large blocks much of it would lie idle.
+fn memory_hints(info: &AdapterInfo) -> wgpu::MemoryHints {
+    if adapter::is_software(info) {
+        let range = 16 << 20..64 << 20;
+        wgpu::MemoryHints::Manual { suballocated_device_memory_block_size: range }
+    } else {
+        wgpu::MemoryHints::Performance
     }
 }
 

@@ -6,13 +6,15 @@
 use twox_hash::XxHash3_128;
 use wgpu::{AdapterInfo, Device, Features, PipelineCacheDescriptor};
 
+use crate::gpu::processor;
+
 /// Size of the hash in front of the cached data, bytes.
 const HASH_BYTES: usize = size_of::<u128>();
 
 /// The pipeline cache of a device, with what is needed to store it between runs.
 #[derive(Debug)]
 pub struct PipelineCache {
-    /// Name to store the data under: kind of adapter and version of this crate.
+    /// Name to store the data under: see [`key`].
     pub key: String,
     cache: wgpu::PipelineCache,
     /// The stored data that the cache was created from, hash included.
@@ -30,7 +32,7 @@ impl PipelineCache {
         if !device.features().contains(Features::PIPELINE_CACHE) {
             return None;
         }
-        let key = format!("{}-{}", wgpu::util::pipeline_cache_key(info)?, env!("CARGO_PKG_VERSION"));
+        let key = key(info, processor::description())?;
         let stored = load(&key);
         let cache = create(device, stored.as_deref().and_then(without_hash));
         Some(Self { key, cache, stored })
@@ -48,6 +50,15 @@ impl PipelineCache {
         let data = with_hash(&self.cache.get_data()?);
         (self.stored.as_ref() != Some(&data)).then_some(data)
     }
+}
+
+/// The name of a cache: kind of adapter, build of its driver, processor, version of this crate. A software adapter compiles for
+/// the processor, and several machines may share a home folder. `None` for a backend without caches.
+fn key(info: &AdapterInfo, processor: &str) -> Option<String> {
+    let adapter = wgpu::util::pipeline_cache_key(info)?;
+    let machine = [&info.name, &info.driver, &info.driver_info, processor].join("\n");
+    let hash = XxHash3_128::oneshot(machine.as_bytes()) as u64;
+    Some(format!("{adapter}-{hash:016x}-{}", env!("CARGO_PKG_VERSION")))
 }
 
 #[expect(unsafe_code, reason = "wgpu has no safe way to create a cache from data; see SAFETY")]
@@ -86,6 +97,18 @@ mod tests {
             damaged[index] ^= 1;
             assert_eq!(without_hash(&damaged), None, "damaged at {index}");
         }
+    }
+
+    #[test]
+    fn drivers_and_processors_do_not_share_a_cache() {
+        let info = crate::gpu::Gpu::open(Some("cpu")).expect("a device").info;
+        let updated = AdapterInfo { driver_info: format!("{} (git)", info.driver_info), ..info.clone() };
+        let wider = AdapterInfo { name: format!("{}, 512 bits", info.name), ..info.clone() };
+        let keys = [(&info, "fma avx2"), (&info, "sse4.2"), (&updated, "fma avx2"), (&wider, "fma avx2")]
+            .map(|(info, processor)| key(info, processor).expect("a key"));
+        let distinct: std::collections::BTreeSet<_> = keys.iter().collect();
+        assert_eq!(distinct.len(), keys.len(), "{keys:?}");
+        assert_eq!(key(&info, "sse4.2").as_ref(), Some(&keys[1]));
     }
 
     #[test]

@@ -66,7 +66,15 @@ const LAYERS: [(&str, &[&[&str]]); 8] = [
             &["rocks"],
         ],
     ),
-    ("gpu", &[&["adapter", "pipeline_cache"], &[SELF], &["growing_buffer", "readback", "staging"]]),
+    (
+        "gpu",
+        &[
+            &["address_space", "processor"],
+            &["adapter", "pipeline_cache"],
+            &[SELF],
+            &["growing_buffer", "readback", "staging"],
+        ],
+    ),
     (
         "render",
         &[

@@ -73,3 +73,71 @@ fn no_run_connects_to_a_display() {
         }
     }
 }
+
+/// Below a limit on the address space, drivers crash: a run says so before it loads one.
+#[test]
+fn a_limit_of_memory_is_an_error_in_one_line() {
+    let folder = folder();
+    let frame = ["--size", "64", "--force"];
+    let dataset =
+        ["dataset", "--count=2", "--size=64", "--preset=surface_train_full", "--threads=8", "--out=data"];
+    for (kibibytes, words) in [
+        (300_000, &frame[..]),
+        (600_000, &frame),
+        (900_000, &dataset),
+        (1_200_000, &dataset),
+        (1_200_000, &["adapters"]),
+        (2_000_000, &frame),
+    ] {
+        let unlimited = program_without_display(folder.path());
+        let mut limited = Command::new("sh");
+        limited.arg("-c").arg(format!("ulimit -v {kibibytes}; exec \"$0\" \"$@\""));
+        limited.arg(unlimited.get_program()).args(words).current_dir(folder.path());
+        for (name, value) in unlimited.get_envs() {
+            match value {
+                Some(value) => limited.env(name, value),
+                None => limited.env_remove(name),
+            };
+        }
+        let output = output_within_limit(&mut limited);
+        let message = String::from_utf8_lossy(&output.stderr);
+        let is_refused = output.status.code() == Some(1)
+            && message.trim_end().lines().count() == 1
+            && message.contains("address space of this process")
+            && message.contains("ulimit -v");
+        let may_run = kibibytes == 2_000_000 && output.status.success();
+        assert!(is_refused || may_run, "{kibibytes} KiB, {words:?}: {:?}: {message}", output.status);
+    }
+}
+
+/// Mesa's CPU driver compiles for the instruction sets of the processor. They make frames faster and change none of their bytes.
+#[test]
+fn pixels_do_not_depend_on_the_instruction_sets_of_the_driver() {
+    let frame = |instruction_sets: Option<&str>| {
+        let folder = folder();
+        let mut command = program_without_display(folder.path());
+        command.args([
+            "--seed",
+            "5",
+            "--stage",
+            "surface",
+            "--size",
+            "64",
+            "--outputs",
+            "all",
+            "--out",
+            "out",
+        ]);
+        if let Some(names) = instruction_sets {
+            command.env("GALLIUM_OVERRIDE_CPU_CAPS", names);
+        }
+        let output = output_within_limit(&mut command);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let names = ["rgb_0000.png", "semantic_segmentation_0000.png", "shadow_0000.png", "hdr_0000.exr"];
+        names.map(|name| std::fs::read(folder.path().join("out").join(name)).expect("a file"))
+    };
+    let expected = frame(None);
+    for instruction_sets in ["sse4.1", "avx"] {
+        assert!(frame(Some(instruction_sets)) == expected, "{instruction_sets}");
+    }
+}
