@@ -49,7 +49,7 @@ pub(super) fn run(args: &VerifyArgs, messages: Messages) -> Result<()> {
     } else {
         print(&table(&report, messages.quiet))?;
     }
-    match (report.problems.len(), rerendered) {
+    match (report.count(), rerendered) {
         (0, Ok(())) => Ok(()),
         // The checks that need no adapter have run, and their results are printed.
         (_, Err(error @ Error::NoAdapter { .. })) => Err(Error::CheckFailed(format!(
@@ -77,7 +77,7 @@ fn table(report: &Report, quiet: bool) -> String {
     if !quiet {
         text.push_str(&format!("{:<11}{:>10}{:>10}  what is checked\n", "check", "checked", "problems"));
         for (name, what) in CHECKS {
-            let problems = report.problems.iter().filter(|problem| problem.check == name).count();
+            let problems = report.wrong_in(name);
             let checked = report.looked_at.get(name).map_or("-".to_owned(), ToString::to_string);
             text.push_str(&format!("{name:<11}{checked:>10}{problems:>10}  {what}\n"));
         }
@@ -87,8 +87,9 @@ fn table(report: &Report, quiet: bool) -> String {
         let frame = problem.index.map_or(String::new(), |index| format!("frame {index}: "));
         text.push_str(&format!("{}: {frame}{}\n", problem.check, problem.found));
     }
-    if report.problems.len() > MAX_PRINTED {
-        text.push_str(&format!("... and {} more; --json lists all\n", report.problems.len() - MAX_PRINTED));
+    let more = report.count().saturating_sub(MAX_PRINTED as u64);
+    if more > 0 {
+        text.push_str(&format!("... and {more} more; --json lists them\n"));
     }
     text
 }

@@ -107,7 +107,7 @@ fn check_frames(context: &Context<'_>, chunk: &[(u64, FrameLine)]) -> Result<Vec
     let bundles = expected.iter().filter_map(|frame| frame.bundle.as_deref());
     let archives = Archives::open(context.folder, bundles);
     let results = chunk.par_iter().zip(&expected).map(|((number, line), frame)| {
-        let mut report = Report { frames: 1, ..Report::default() };
+        let mut report = Report::of_frame();
         record::check_record(context, line, *number, frame, &mut report);
         files::check_frame_files(context, &archives, line, frame, &mut report);
         let mut inventory = Inventory::default();

@@ -36,6 +36,10 @@ pub const CHECKS: [(&str, &str); 11] = [
     (name::DEPTH, "depth of that sample, unprojected by K and pose, lies on the surface"),
 ];
 
+/// Problems of a check that are listed; further ones are only counted, so that a dataset that is wrong throughout needs no more
+/// memory than another.
+const MAX_LISTED: u64 = 10_000;
+
 /// Something that is wrong.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Problem {
@@ -52,20 +56,47 @@ pub struct Problem {
 pub struct Report {
     /// Number of items that each check examined, by name; absent if the check was not made.
     pub looked_at: BTreeMap<&'static str, u64>,
-    /// Everything that is wrong.
+    /// What is wrong, the first of each check: [`Self::count`] has all.
     pub problems: Vec<Problem>,
+    /// Number of problems that each check found, by name.
+    wrong: BTreeMap<&'static str, u64>,
     /// Number of frames.
     pub frames: u64,
 }
 
 impl Report {
+    /// The report of one frame.
+    pub(super) fn of_frame() -> Self {
+        Self { frames: 1, ..Self::default() }
+    }
+
     /// Counts an item that a check examined.
     pub(super) fn look(&mut self, check: &'static str) {
         *self.looked_at.entry(check).or_default() += 1;
     }
 
     pub(super) fn problem(&mut self, check: &'static str, index: Option<u64>, found: String) {
-        self.problems.push(Problem { check, index, found });
+        self.list(Problem { check, index, found });
+        *self.wrong.entry(check).or_default() += 1;
+    }
+
+    /// Lists a problem, unless its check has many already.
+    fn list(&mut self, problem: Problem) {
+        if self.wrong_in(problem.check) < MAX_LISTED {
+            self.problems.push(problem);
+        }
+    }
+
+    /// Number of problems that a check found.
+    #[must_use]
+    pub fn wrong_in(&self, check: &str) -> u64 {
+        self.wrong.get(check).copied().unwrap_or_default()
+    }
+
+    /// Number of all problems, also those that are not listed.
+    #[must_use]
+    pub fn count(&self) -> u64 {
+        self.wrong.values().sum()
     }
 
     /// Counts an item, and adds a problem if it is not good.
@@ -87,7 +118,10 @@ impl Report {
         for (check, count) in other.looked_at {
             *self.looked_at.entry(check).or_default() += count;
         }
-        self.problems.extend(other.problems);
+        other.problems.into_iter().for_each(|problem| self.list(problem));
+        for (check, count) in other.wrong {
+            *self.wrong.entry(check).or_default() += count;
+        }
         self.frames += other.frames;
     }
 
@@ -97,11 +131,33 @@ impl Report {
         let checks: Map<String, Value> = CHECKS
             .iter()
             .map(|(name, what)| {
-                let wrong = self.problems.iter().filter(|problem| problem.check == *name).count();
-                let row = json!({ "what": what, "looked_at": self.looked_at.get(name), "wrong": wrong });
+                let looked_at = self.looked_at.get(name);
+                let row = json!({ "what": what, "looked_at": looked_at, "wrong": self.wrong_in(name) });
                 ((*name).to_owned(), row)
             })
             .collect();
         json!({ "good": self.problems.is_empty(), "frames": self.frames, "checks": checks, "problems": self.problems })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_flood_of_problems_is_counted_and_hides_no_other_check() {
+        let mut report = Report::default();
+        for frame in 0..3 * MAX_LISTED {
+            let mut part = Report::of_frame();
+            part.expect(name::HASHES, Some(frame), false, || "changed".to_owned());
+            report.add(part);
+        }
+        report.problem(name::LOG, None, "status".to_owned());
+        assert_eq!(report.count(), 3 * MAX_LISTED + 1);
+        assert!(report.problems.len() as u64 <= MAX_LISTED + 1);
+        assert_eq!(report.problems.last().map(|problem| problem.check), Some(name::LOG));
+        let json = report.to_json();
+        assert_eq!(json["checks"][name::HASHES]["wrong"], 3 * MAX_LISTED);
+        assert_eq!((&json["good"], &json["frames"]), (&false.into(), &(3 * MAX_LISTED).into()));
     }
 }

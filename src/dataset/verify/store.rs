@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{Read as _, Seek as _, SeekFrom};
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use twox_hash::XxHash3_128;
 
@@ -78,7 +78,7 @@ pub(super) fn read_hashed(
     Ok(StoredFile { path: format!("{bundle}/{key}"), bytes })
 }
 
-fn read_range(path: &PathBuf, range: &Range<u64>) -> std::io::Result<Vec<u8>> {
+fn read_range(path: &Path, range: &Range<u64>) -> std::io::Result<Vec<u8>> {
     let mut file = open(path)?;
     file.seek(SeekFrom::Start(range.start))?;
     let mut bytes = Vec::new();
