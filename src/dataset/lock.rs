@@ -210,8 +210,9 @@ impl Drop for RunLock {
 #[derive(Debug)]
 pub(super) struct MergeLock {
     folder: PathBuf,
-    merge: Lock,
+    // Released before `merge`, in this order: the next merge must not find it shared by one that has ended.
     folder_lock: Lock,
+    merge: Lock,
     is_alone: bool,
 }
 
@@ -278,6 +279,8 @@ impl MergeLock {
             let of_shards = names.iter().filter(|name| lock_name(name).is_some_and(is_shard_lock));
             of_shards.map(|name| self.folder.join(name)).try_for_each(|path| disk::remove(&path))?;
             self.folder_lock.remove();
+        } else {
+            drop(self.folder_lock);
         }
         self.merge.remove();
         Ok(())
@@ -293,4 +296,46 @@ fn is_shard_lock(name: &str) -> bool {
 fn remove_temporary(folder: &Path, below: &BTreeSet<String>, is_dead: impl Fn(&str) -> bool) -> Result<()> {
     disk::remove_temporary(folder, &is_dead)?;
     below.iter().try_for_each(|below| disk::remove_temporary(&folder.join(below), &is_dead))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Barrier;
+
+    use super::*;
+
+    /// Else the logs of shards would stay in a complete folder.
+    #[test]
+    fn of_the_merges_after_shards_the_last_is_alone() {
+        const SHARDS: u64 = 4;
+        for round in 0..100 {
+            let folder = tempfile::tempdir().expect("a folder");
+            let path = folder.path();
+            let barrier = Barrier::new(SHARDS as usize);
+            let is_alone = |lock: MergeLock| {
+                let is_alone = lock.is_alone();
+                lock.release().expect("released");
+                is_alone
+            };
+            let shard = |number| {
+                let run = RunLock::acquire(path, Shard { number, of: SHARDS }).expect("shared");
+                assert!(matches!(RunLock::acquire(path, Shard::WHOLE), Err(Error::Busy { .. })));
+                barrier.wait();
+                is_alone(MergeLock::after(run).expect("a lock"))
+            };
+            let alone: Vec<bool> = std::thread::scope(|scope| {
+                let threads: Vec<_> = (0..SHARDS)
+                    .map(|number| {
+                        scope.spawn({
+                            let shard = &shard;
+                            move || shard(number)
+                        })
+                    })
+                    .collect();
+                threads.into_iter().map(|thread| thread.join().expect("ended")).collect()
+            });
+            assert!(alone.contains(&true), "round {round}: {alone:?}");
+            assert_eq!(disk::names(path).expect("read"), [""; 0], "round {round}");
+        }
+    }
 }
