@@ -15,6 +15,8 @@ mod contact_sheet;
 pub mod convert;
 mod data_card;
 mod digest;
+mod frame_image;
+pub mod gate;
 mod histograms;
 pub mod lock;
 pub mod log;

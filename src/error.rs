@@ -70,7 +70,15 @@ pub enum Error {
         /// The message of the parser.
         message: String,
     },
-    /// A configuration file that cannot be read.
+    /// A file that the user named on the command line and that cannot be read.
+    #[error("cannot read {}: {cause}", .path.display())]
+    Config {
+        /// The file.
+        path: PathBuf,
+        /// The error of the operating system, or why it is not read.
+        cause: std::io::Error,
+    },
+    /// Any other file that cannot be read.
     #[error("cannot read {}: {cause}", .path.display())]
     Read {
         /// The file.
@@ -278,7 +286,7 @@ impl Error {
             | Self::Contradiction(_)
             | Self::UnknownPreset { .. }
             | Self::Toml { .. }
-            | Self::Read { .. }
+            | Self::Config { .. }
             | Self::Usage(_)
             | Self::OutIsFile(_)
             | Self::OutNotEmpty { .. }
@@ -287,7 +295,8 @@ impl Error {
             | Self::OtherDataset { .. }
             | Self::Dataset { .. }
             | Self::Scene(_) => 2,
-            Self::Write { .. }
+            Self::Read { .. }
+            | Self::Write { .. }
             | Self::Stdout(_)
             | Self::NoAdapter { .. }
             | Self::AddressSpace { .. }

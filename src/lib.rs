@@ -32,6 +32,7 @@ pub mod error;
 pub mod export;
 pub mod frame;
 pub mod gpu;
+pub mod input;
 pub mod lens;
 pub mod meta;
 pub mod output;

@@ -6,6 +6,7 @@
 //! To add an output: a row in [`OUTPUTS`] with its encoder.
 
 pub mod artifact;
+pub mod dataset_path;
 pub mod disk;
 pub mod edges;
 pub mod encode;

@@ -15,6 +15,7 @@ use serde_json::{Map, Value};
 
 use crate::class::ClassId;
 use crate::error::{Error, Result};
+use crate::input::{self, MIB};
 use crate::output::encode::{json, png};
 use crate::output::{Artifact, LabelIds, disk};
 
@@ -22,6 +23,10 @@ use crate::output::{Artifact, LabelIds, disk};
 const MASK_STEM: &str = "semantic_segmentation_";
 /// Start of the file names of label files.
 const LABELS_STEM: &str = "semantic_segmentation_labels_";
+/// Largest size of a label file: a row for each of 65536 ids.
+const MAX_LABELS_BYTES: u64 = 16 * MIB;
+/// Largest size of a mask.
+const MAX_MASK_BYTES: u64 = 4096 * MIB;
 /// Names that a Replicator pipeline uses for unlabelled pixels.
 const NO_LABEL: [&str; 2] = ["background", "unlabelled"];
 
@@ -70,11 +75,14 @@ fn wrong(path: &Path, message: impl Into<String>) -> Error {
     Error::Dataset { path: path.to_owned(), message: message.into() }
 }
 
-/// Finds every mask in a folder and its subfolders, with its label file.
+/// Finds every mask in a folder and its subfolders, with its label file. Links to folders are refused, not followed.
 ///
 /// # Errors
-/// [`Error::Dataset`] if there is no mask, or one has no label file; [`Error::Read`].
+/// [`Error::Dataset`] if there is no mask, one has no label file, or a folder is a link; [`Error::Read`].
 pub fn find(folder: &Path) -> Result<Vec<Pair>> {
+    if !folder.is_dir() {
+        return Err(wrong(folder, "there is no such folder; name the folder of the masks"));
+    }
     let mut pairs = Vec::new();
     find_below(folder, Path::new(""), &mut pairs)?;
     if pairs.is_empty() {
@@ -90,6 +98,13 @@ fn find_below(folder: &Path, below: &Path, pairs: &mut Vec<Pair>) -> Result<()> 
     for name in disk::names(&folder.join(below))? {
         let path = below.join(&name);
         if folder.join(&path).is_dir() {
+            if folder.join(&path).is_symlink() {
+                return Err(wrong(
+                    &folder.join(&path),
+                    "it is a symbolic link to a folder, which is not followed; remove it, or run remap for the folder that it \
+                     leads to",
+                ));
+            }
             find_below(folder, &path, pairs)?;
         } else if let Some(number) = name.strip_prefix(MASK_STEM).and_then(|rest| rest.strip_suffix(".png")) {
             let labels = below.join(format!("{LABELS_STEM}{number}.json"));
@@ -117,8 +132,8 @@ enum Labels {
 
 /// Reads a label file. Adds names that are not a known class to `unknown`.
 fn read_labels(path: &Path, unknown: &mut BTreeSet<String>) -> Result<Labels> {
-    let bytes = disk::read(path)?;
-    let content: Map<String, Value> = serde_json::from_slice(&bytes).map_err(|error| {
+    let bytes = input::read(path, MAX_LABELS_BYTES)?;
+    let content: Map<String, Value> = input::json::parse(&bytes).map_err(|error| {
         wrong(path, format!("not a label file: {error}; the form is {{\"2\": {{\"class\": \"sky\"}}}}"))
     })?;
     if content.is_empty() {
@@ -140,10 +155,14 @@ fn read_labels(path: &Path, unknown: &mut BTreeSet<String>) -> Result<Labels> {
             unknown.insert(name.trim().to_owned());
         }
         let id = class.unwrap_or(ClassId::UNLABELLED).0;
+        let refuse_twice = |is_known: bool| {
+            let refused = || Err(wrong(path, format!("`{key}` occurs twice, in another spelling")));
+            if is_known { refused() } else { Ok(()) }
+        };
         if let Ok(raw) = key.trim().parse::<u32>() {
-            ids.insert(raw, id);
+            refuse_twice(ids.insert(raw, id).is_some())?;
         } else if let Some(colour) = parse_colour(key) {
-            colours.insert(colour, id);
+            refuse_twice(colours.insert(colour, id).is_some())?;
         } else {
             return Err(wrong(path, format!("`{key}` is neither an id nor a colour (r, g, b, a)")));
         }
@@ -234,8 +253,9 @@ pub fn remap(folder: &Path, pair: &Pair, out: &Path) -> Result<Remapped> {
     let path = folder.join(&pair.mask);
     let mut result = Remapped { masks: 1, ..Remapped::default() };
     let labels = read_labels(&folder.join(&pair.labels), &mut result.unknown_names)?;
-    let mask = image::load_from_memory_with_format(&disk::read(&path)?, image::ImageFormat::Png)
-        .map_err(|error| wrong(&path, format!("it cannot be decoded: {error}")))?;
+    let mask =
+        image::load_from_memory_with_format(&input::read(&path, MAX_MASK_BYTES)?, image::ImageFormat::Png)
+            .map_err(|error| wrong(&path, format!("it cannot be decoded: {error}")))?;
     let ids = remap_pixels(&path, &mask, &labels)?;
     for class in ClassId::ALL {
         let count = ids.iter().filter(|id| **id == class.id.0).count() as u64;

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use regolith::Result;
 use regolith::dataset::convert::Conversion;
+use regolith::output::dataset_path;
 use serde_json::json;
 
 use super::messages::{Messages, print};
@@ -31,6 +32,7 @@ pub(super) struct ConvertArgs {
 
 pub(super) fn run(args: &ConvertArgs, messages: Messages) -> Result<()> {
     let conversion = Conversion::new(&args.folder, &args.format)?;
+    dataset_path::check_apart(&args.folder, &args.out)?;
     let stop = stop_on_signals(messages)?;
     let mut meter = Meter::new(messages, "frames");
     let result = conversion.run(&args.folder, &args.out, args.force, &stop, |found, made| {

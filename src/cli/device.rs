@@ -4,12 +4,16 @@ use std::path::PathBuf;
 
 use regolith::error::Result;
 use regolith::gpu::Gpu;
+use regolith::input;
 use regolith::output::{Artifact, disk};
 use regolith::render::Renderer;
 
+/// Largest size of the compiled pipelines of an adapter.
+const MAX_CACHE_BYTES: u64 = 256 * input::MIB;
+
 /// Opens an adapter, with the pipelines that an earlier run compiled for it.
 pub(super) fn open(adapter: Option<&str>) -> Result<Gpu> {
-    Gpu::open_with_cache(adapter, |key| disk::read(&folder()?.join(key)).ok())
+    Gpu::open_with_cache(adapter, |key| input::read(&folder()?.join(key), MAX_CACHE_BYTES).ok())
 }
 
 /// Stores the compiled pipelines for the next run. If that fails, the next run compiles them again.

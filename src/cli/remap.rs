@@ -2,11 +2,11 @@
 
 use std::collections::BTreeSet;
 use std::ffi::OsStr;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 
 use clap::Args;
-use regolith::output::disk;
+use regolith::output::{dataset_path, disk};
 use regolith::remap::{self, Pair, Remapped};
 use regolith::{Error, Result};
 use serde_json::json;
@@ -32,13 +32,7 @@ pub(super) struct RemapArgs {
 
 pub(super) fn run(args: &RemapArgs, messages: Messages) -> Result<()> {
     let pairs = remap::find(&args.folder)?;
-    let is_same =
-        |a: &Path, b: &Path| a.canonicalize().ok().is_some_and(|a| b.canonicalize().is_ok_and(|b| a == b));
-    if is_same(&args.folder, &args.out) {
-        return Err(Error::Usage(
-            "--out is the folder that the masks are read from; choose another".to_owned(),
-        ));
-    }
+    dataset_path::check_apart(&args.folder, &args.out)?;
     let own_names: BTreeSet<&OsStr> = pairs.iter().flat_map(Pair::top_names).collect();
     disk::check_content(&args.out, args.force, |name| own_names.contains(OsStr::new(name)))?;
     let stop = stop_on_signals(messages)?;

@@ -7,10 +7,11 @@ use std::path::Path;
 use image::imageops::{self, FilterType};
 use image::{ImageFormat, Rgb, RgbImage};
 
+use super::frame_image::decode_image;
 use crate::class::ClassId;
 use crate::error::{Error, Result};
 use crate::output::layout::{FrameLines, Layout};
-use crate::output::{Artifact, LabelIds, disk};
+use crate::output::{Artifact, LabelIds};
 
 /// Its file name.
 pub(super) const CONTACT_SHEET_FILE: &str = "contact_sheet.png";
@@ -28,7 +29,12 @@ const GAP_PX: u32 = 8;
 ///
 /// # Errors
 /// [`Error::Read`], [`Error::CheckFailed`] for a file that cannot be decoded, [`Error::Encode`].
-pub(super) fn png(folder: &Path, lines: &dyn FrameLines, layout: &dyn Layout) -> Result<Option<Artifact>> {
+pub(super) fn png(
+    folder: &Path,
+    lines: &dyn FrameLines,
+    layout: &dyn Layout,
+    size: [u32; 2],
+) -> Result<Option<Artifact>> {
     let mut first = Vec::new();
     lines.for_each(&mut |line| {
         if first.len() < FRAMES {
@@ -39,7 +45,7 @@ pub(super) fn png(folder: &Path, lines: &dyn FrameLines, layout: &dyn Layout) ->
     if first.is_empty() {
         return Ok(None);
     }
-    let tiles = first.iter().map(|paths| tile(folder, paths)).collect::<Result<Vec<_>>>()?;
+    let tiles = first.iter().map(|paths| tile(folder, size, paths)).collect::<Result<Vec<_>>>()?;
     let mut bytes = std::io::Cursor::new(Vec::new());
     sheet(&tiles)
         .write_to(&mut bytes, ImageFormat::Png)
@@ -48,24 +54,14 @@ pub(super) fn png(folder: &Path, lines: &dyn FrameLines, layout: &dyn Layout) ->
 }
 
 /// A frame's image and coloured mask, scaled.
-fn tile(folder: &Path, [image, mask]: &[String; 2]) -> Result<[RgbImage; 2]> {
-    let image = decode(folder, image)?.into_rgb8();
+fn tile(folder: &Path, size: [u32; 2], [image, mask]: &[String; 2]) -> Result<[RgbImage; 2]> {
+    let image = decode_image(folder, image, size)?.into_rgb8();
     let height = (image.height() * IMAGE_PX / image.width()).max(1);
-    let mask = mask_colours(&decode(folder, mask)?.into_luma8());
+    let mask = mask_colours(&decode_image(folder, mask, size)?.into_luma8());
     Ok([
         imageops::resize(&image, IMAGE_PX, height, FilterType::Triangle),
         imageops::resize(&mask, IMAGE_PX, height, FilterType::Nearest),
     ])
-}
-
-fn decode(folder: &Path, path: &str) -> Result<image::DynamicImage> {
-    let path = folder.join(path);
-    image::load_from_memory(&disk::read(&path)?).map_err(|error| {
-        Error::CheckFailed(format!(
-            "{}: it cannot be decoded ({error}); delete it and run the dataset's command, which makes it again",
-            path.display()
-        ))
-    })
 }
 
 /// Tiles in rows on white.

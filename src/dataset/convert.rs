@@ -7,20 +7,26 @@
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use image::DynamicImage;
 use rayon::prelude::*;
 use serde_json::{Map, Value};
 
+use super::frame_image::decode;
+use super::gate::{Gate, read_manifest};
 use super::log::{FrameLog, finished_frames};
 use super::log_writer::{FrameLogWriter, record_files};
-use super::manifest::{self, DatasetSpec};
+use super::manifest::DatasetSpec;
 use super::merge::{Finalized, finalize_run};
 use super::plan::Plan;
 use crate::class::ClassId;
 use crate::error::{Error, RUN_AGAIN, Result};
 use crate::frame::{Frame, RockLabel};
+use crate::input;
 use crate::output::edges::EdgePolicy;
 use crate::output::layout::{self, FrameFiles, FrameLine, FrameLines as _, Layout, Sample, folder};
-use crate::output::{self, EncodeInput, EncodedFile, FileKind, LabelIds, OUTPUTS, Output, disk};
+use crate::output::{
+    self, EncodeInput, EncodedFile, FileKind, LabelIds, OUTPUTS, Output, dataset_path, disk,
+};
 
 /// Frames that are converted at a time.
 const CHUNK: usize = 64;
@@ -29,6 +35,7 @@ const CHUNK: usize = 64;
 #[derive(Debug)]
 pub struct Conversion {
     manifest: Map<String, Value>,
+    gate: Gate,
     layout: &'static dyn Layout,
     spec: DatasetSpec,
     outputs: Vec<&'static Output>,
@@ -48,7 +55,7 @@ impl Conversion {
         if !path.is_file() {
             return Err(refused("not a dataset: it has no manifest.json".to_owned()));
         }
-        let manifest = manifest::read(&path)?;
+        let manifest = read_manifest(&path)?;
         let text = |key: &str| manifest.get(key).and_then(Value::as_str).unwrap_or_default();
         if text("format") != "folder" {
             return Err(refused(format!(
@@ -80,7 +87,8 @@ impl Conversion {
         if layout.has_fixed_ids() {
             spec.identity.extend(Plan::identity_of_ids(LabelIds::default()));
         }
-        Ok(Self { spec, layout, outputs, label_ids, manifest })
+        let gate = Gate::of_manifest(&manifest)?;
+        Ok(Self { spec, layout, outputs, label_ids, gate, manifest })
     }
 
     /// Number of frames of the dataset.
@@ -122,8 +130,8 @@ impl Conversion {
             }
             Ok(())
         };
-        let finished = finished_frames(out)?;
-        FrameLog::new(source).for_each(&mut |line| {
+        let finished = finished_frames(out, &Gate::of_spec(&self.spec)?)?;
+        FrameLog::new(source, self.gate.clone()).for_each(&mut |line| {
             if !finished.contains(&line.index) {
                 chunk.push(line);
             }
@@ -140,23 +148,29 @@ impl Conversion {
         let ms = std::mem::take(&mut line.ms);
         let hashes = std::mem::take(&mut line.hashes);
         line.entry = Value::Null;
+        let size = self.gate.size();
         let mut frame = Frame::default();
         let mut encoded = Vec::new();
         for &output in &self.outputs {
             for kind in output.file_kinds() {
                 let FileKind { stem, extension, .. } = kind;
+                let path = folder::file_path(kind, &line.split, line.index);
                 // What the folder layout stores once, or not for every frame, is encoded again from the mask, which
                 // comes earlier in the table of outputs.
                 let is_derived = output.name == "preview" || (output.name == "mask" && extension == "json");
                 let bytes = if is_derived {
                     self.encode_again(output, extension, &frame)?
                 } else {
-                    read_checked(source, &folder::file_path(kind, &line.split, line.index), &hashes)?
+                    read_checked(source, &path, &hashes, size)?
                 };
                 match (output.name, extension) {
-                    ("mask", "png") => self.read_mask(&bytes, &mut frame)?,
-                    ("instances", "png") => frame.instances = decode(&bytes)?.into_luma16().into_raw(),
-                    ("instances", "json") => frame.rocks = read_rocks(&bytes)?,
+                    ("mask", "png") => {
+                        self.read_mask(&decode(&source.join(&path), &bytes, size)?, &mut frame)
+                    }
+                    ("instances", "png") => {
+                        frame.instances = decode(&source.join(&path), &bytes, size)?.to_luma16().into_raw();
+                    }
+                    ("instances", "json") => frame.rocks = read_rocks(&source.join(&path), &bytes)?,
                     _ => {}
                 }
                 encoded.push(EncodedFile { output: output.name, stem, extension, bytes });
@@ -178,21 +192,20 @@ impl Conversion {
         Ok(file.map(|file| file.bytes).unwrap_or_default())
     }
 
-    fn read_mask(&self, bytes: &[u8], frame: &mut Frame) -> Result<()> {
-        let mask = decode(bytes)?.into_luma8();
+    fn read_mask(&self, mask: &DynamicImage, frame: &mut Frame) {
+        let mask = mask.to_luma8();
         (frame.width, frame.height) = mask.dimensions();
         let class_of = |id: u8| {
             let class = ClassId::ALL.iter().find(|class| self.label_ids.mask_id(class.id.0) == id);
             class.map_or(ClassId::UNLABELLED.0, |class| class.id.0)
         };
         frame.class = mask.into_raw().into_iter().map(class_of).collect();
-        Ok(())
     }
 }
 
 /// Reads a file of the dataset and compares it with its recorded hash.
-fn read_checked(source: &Path, path: &str, hashes: &Map<String, Value>) -> Result<Vec<u8>> {
-    let bytes = disk::read(&source.join(path))?;
+fn read_checked(source: &Path, path: &str, hashes: &Map<String, Value>, size: [u32; 2]) -> Result<Vec<u8>> {
+    let bytes = dataset_path::read(source, path, dataset_path::max_frame_file_bytes(size))?;
     if hashes.get(path).and_then(Value::as_str) == Some(disk::content_hash(&bytes).as_str()) {
         return Ok(bytes);
     }
@@ -202,18 +215,12 @@ fn read_checked(source: &Path, path: &str, hashes: &Map<String, Value>) -> Resul
     )))
 }
 
-fn decode(bytes: &[u8]) -> Result<image::DynamicImage> {
-    image::load_from_memory(bytes).map_err(|error| Error::Encode {
-        name: "an image of the dataset".to_owned(),
-        message: error.to_string(),
-    })
-}
-
 /// The rocks of an instance mapping.
-fn read_rocks(bytes: &[u8]) -> Result<Vec<RockLabel>> {
-    let incomplete =
-        || Error::Encode { name: "an instance mapping".to_owned(), message: "it lacks a number".to_owned() };
-    let rows: Map<String, Value> = serde_json::from_slice(bytes).map_err(|_| incomplete())?;
+fn read_rocks(path: &Path, bytes: &[u8]) -> Result<Vec<RockLabel>> {
+    let refused =
+        |why: &str| Error::CheckFailed(format!("{}: not an instance mapping: {why}", path.display()));
+    let incomplete = || refused("it lacks a number");
+    let rows: Map<String, Value> = input::json::parse(bytes).map_err(|error| refused(&error.to_string()))?;
     rows.iter()
         .map(|(instance, row)| {
             let number = |value: &Value| value.as_u64().and_then(|number| u32::try_from(number).ok());

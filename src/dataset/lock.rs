@@ -28,6 +28,7 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+use super::gate::{Gate, read_manifest};
 use super::log::{self, LOG, MANIFEST, finished_frames, is_shard_file, shard_file_name, shard_files};
 use super::manifest::{self, DatasetSpec};
 use super::plan::{Range, Shard, differences};
@@ -49,7 +50,7 @@ pub(super) const MERGE_TAG: &str = "merge";
 /// leave a gap.
 pub fn check_folder(folder: &Path, spec: &DatasetSpec, force: bool) -> Result<BTreeSet<u64>> {
     merged_range(folder, spec, force)?;
-    finished_frames(folder)
+    finished_frames(folder, &Gate::of_spec(spec)?)
 }
 
 /// Whether a folder has a manifest of some run.
@@ -68,7 +69,7 @@ pub(super) fn merged_range(folder: &Path, spec: &DatasetSpec, force: bool) -> Re
     let mut range = spec.range;
     let manifests = if folder.exists() { shard_files(folder, MANIFEST)? } else { Vec::new() };
     for path in &manifests {
-        let manifest = match manifest::read(path) {
+        let manifest = match read_manifest(path) {
             // Another shard has just completed the folder and removed its manifest.
             Err(Error::Read { .. }) if !path.exists() => continue,
             manifest => manifest?,
@@ -77,7 +78,7 @@ pub(super) fn merged_range(folder: &Path, spec: &DatasetSpec, force: bool) -> Re
         let differences = spec_differences(spec, &manifest, existing);
         if !differences.is_empty() {
             let is_own = path.ends_with(shard_file_name(MANIFEST, spec.shard)) && manifests.len() == 1;
-            if is_own && log::find_lines(folder)?.positions.is_empty() {
+            if is_own && log::find_lines(folder, &Gate::of_manifest(&manifest)?)?.positions.is_empty() {
                 // An earlier run that finished no frame: nothing is lost by replacing it.
                 continue;
             }

@@ -6,13 +6,14 @@
 //! Must not know: how frames are made, who writes.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 
+use super::gate::{Gate, MAX_LINE_BYTES};
 use super::plan::Shard;
 use crate::error::{Error, Result};
-use crate::output::disk;
+use crate::input::Lines;
 use crate::output::layout::{FrameLine, FrameLines};
+use crate::output::{dataset_path, disk};
 
 /// Stem and extension of the log's file name.
 pub(super) const LOG: (&str, &str) = ("frames", "jsonl");
@@ -83,79 +84,119 @@ impl FoundLines {
 }
 
 /// Reads the logs of a folder.
-pub(super) fn find_lines(folder: &Path) -> Result<FoundLines> {
+///
+/// # Errors
+/// [`Error::Read`]; [`Error::CheckFailed`] for a line that the gate refuses.
+pub(super) fn find_lines(folder: &Path, gate: &Gate) -> Result<FoundLines> {
     let logs = shard_files(folder, LOG)?;
     let mut found = FoundLines { logs: logs.clone(), ..FoundLines::default() };
     for (log, path) in logs.iter().enumerate() {
-        let unreadable = |cause| Error::Read { path: path.clone(), cause };
-        let mut reader = match std::fs::File::open(path) {
+        let mut lines = match open_log(path) {
             // Another shard has just completed the folder; these lines are in its merged log.
-            Err(cause) if cause.kind() == std::io::ErrorKind::NotFound => continue,
-            file => BufReader::new(file.map_err(unreadable)?),
+            Err(Error::Read { cause, .. }) if cause.kind() == std::io::ErrorKind::NotFound => continue,
+            lines => lines?,
         };
         let (mut offset, mut text) = (0, Vec::new());
-        loop {
-            text.clear();
-            let length = reader.read_until(b'\n', &mut text).map_err(unreadable)?;
-            if length == 0 {
-                break;
-            }
+        while let Some(number) = lines.next_into(&mut text)? {
             // A line that is incomplete, damaged or not a frame's does not count.
-            let is_whole = text.ends_with(b"\n");
-            let line = is_whole.then(|| serde_json::from_slice::<FrameLine>(&text).ok()).flatten();
+            let line = text.ends_with(b"\n").then(|| FrameLine::parse(&text).ok()).flatten();
             if let Some(line) = line {
+                gate.check(&line).map_err(|message| refused(path, number, &message))?;
+                let has_files = has_files(folder, &line)?;
                 found.add_folders(&line);
-                if has_files(folder, &line) {
-                    found.positions.insert(line.index, LinePosition { log, offset, length });
+                if has_files && gate.lists_all_files(&line) {
+                    found.positions.insert(line.index, LinePosition { log, offset, length: text.len() });
                 }
             }
-            offset += length as u64;
+            offset += text.len() as u64;
         }
     }
     Ok(found)
 }
 
+/// Opens a log in a dataset's folder.
+fn open_log(path: &Path) -> Result<Lines> {
+    Lines::open(&dataset_path::own_file(path)?, MAX_LINE_BYTES)
+}
+
+/// The error for a line that the gate refuses.
+fn refused(log: &Path, number: u64, message: &str) -> Error {
+    Error::CheckFailed(format!("{}: line {number}: {message}", log.display()))
+}
+
 /// Whether a frame's files exist, on their own or in their bundle.
-fn has_files(folder: &Path, line: &FrameLine) -> bool {
+fn has_files(folder: &Path, line: &FrameLine) -> Result<bool> {
     // A file of a frame is never empty; an empty one is the result of a crash.
-    let exists = |path: &str| folder.join(path).metadata().is_ok_and(|file| file.is_file() && file.len() > 0);
-    line.bundle().is_some_and(exists)
-        || (line.hashes().next().is_some() && line.hashes().all(|(path, _)| exists(path)))
+    let exists = |path: &str| -> Result<bool> {
+        let path = dataset_path::for_reading(folder, path)?;
+        Ok(path.symlink_metadata().is_ok_and(|file| file.is_file() && file.len() > 0))
+    };
+    let mut has_own = true;
+    for (path, _) in line.hashes() {
+        has_own &= exists(path)?;
+    }
+    let has_bundle = line.bundle().map_or(Ok(false), exists)?;
+    Ok(has_own || has_bundle)
 }
 
 /// The frames that are finished in a folder, which need not exist.
 ///
 /// # Errors
-/// [`Error::Read`].
-pub fn finished_frames(folder: &Path) -> Result<BTreeSet<u64>> {
-    Ok(if folder.exists() { find_lines(folder)?.positions.into_keys().collect() } else { BTreeSet::new() })
+/// [`Error::Read`]; [`Error::CheckFailed`] for a line that the gate refuses.
+pub fn finished_frames(folder: &Path, gate: &Gate) -> Result<BTreeSet<u64>> {
+    Ok(if folder.exists() {
+        find_lines(folder, gate)?.positions.into_keys().collect()
+    } else {
+        BTreeSet::new()
+    })
 }
 
-/// The merged log of a dataset: `frames.jsonl` in ascending order of index.
+/// The merged log of a dataset: `frames.jsonl` in ascending order of index. Every line passes the gate.
 #[derive(Debug)]
-pub struct FrameLog(PathBuf);
+pub struct FrameLog {
+    path: PathBuf,
+    gate: Gate,
+}
 
 impl FrameLog {
     /// The log in a dataset's folder.
     #[must_use]
-    pub fn new(folder: &Path) -> Self {
-        Self(folder.join("frames.jsonl"))
+    pub fn new(folder: &Path, gate: Gate) -> Self {
+        Self { path: folder.join("frames.jsonl"), gate }
     }
 
-    /// Calls `visit` with each line, or with the reason why it cannot be read.
+    /// Calls `visit` with each line, or with the reason why it cannot be read or is refused.
     ///
     /// # Errors
     /// [`Error::Read`], and those of `visit`.
     pub fn for_each_result(&self, visit: &mut dyn FnMut(Result<FrameLine>) -> Result<()>) -> Result<()> {
-        let unreadable = |cause| Error::Read { path: self.0.clone(), cause };
-        let file = std::fs::File::open(&self.0).map_err(unreadable)?;
-        for (i, text) in BufReader::new(file).split(b'\n').enumerate() {
-            let line = serde_json::from_slice(&text.map_err(unreadable)?);
-            visit(line.map_err(|error| {
-                Error::CheckFailed(format!("{}: line {} cannot be read: {error}", self.0.display(), i + 1))
-            }))?;
+        let mut lines = open_log(&self.path)?;
+        let mut text = Vec::new();
+        while let Some(number) = lines.next_into(&mut text)? {
+            visit(self.parse(number, &text))?;
         }
         Ok(())
+    }
+
+    /// The number of the first line, from 1, that is not written as this version writes it.
+    pub(super) fn first_other_line(&self) -> Option<u64> {
+        let mut lines = open_log(&self.path).ok()?;
+        let mut text = Vec::new();
+        while let Ok(Some(number)) = lines.next_into(&mut text) {
+            let written = FrameLine::parse(&text).ok().and_then(|line| serde_json::to_vec(&line).ok());
+            if written.is_none_or(|written| [&written[..], b"\n"].concat() != text) {
+                return Some(number);
+            }
+        }
+        None
+    }
+
+    fn parse(&self, number: u64, text: &[u8]) -> Result<FrameLine> {
+        let line = FrameLine::parse(text).map_err(|error| {
+            Error::CheckFailed(format!("{}: line {number} cannot be read: {error}", self.path.display()))
+        })?;
+        self.gate.check(&line).map_err(|message| refused(&self.path, number, &message))?;
+        Ok(line)
     }
 }
 

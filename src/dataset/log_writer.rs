@@ -11,6 +11,7 @@ use std::path::Path;
 
 use serde_json::{Map, Value};
 
+use super::gate::Gate;
 use super::lock::{RunLock, merged_range};
 use super::log::{LOG, MANIFEST, find_lines, shard_file_name};
 use super::manifest::{self, DatasetSpec};
@@ -47,7 +48,7 @@ impl FrameLogWriter {
         files.create_folder()?;
         let lock = RunLock::acquire(folder, shard)?;
         let range = merged_range(folder, spec, force)?;
-        let found = find_lines(folder)?;
+        let found = find_lines(folder, &Gate::of_spec(spec)?)?;
         lock.remove_leftovers(&found.folders)?;
         let mut log = Self {
             lines: LineFile::open(&folder.join(shard_file_name(LOG, shard)))?,

@@ -2,18 +2,16 @@
 //!
 //! Must not know: the lines of frames.
 
-use std::path::Path;
-
 use serde_json::{Map, Value};
 
 use super::contact_sheet::CONTACT_SHEET_FILE;
 use super::digest;
 use super::histograms::HISTOGRAMS_FILE;
 use super::plan::{Plan, Range, Shard};
-use crate::error::{Error, Result};
+use crate::error::Result;
+use crate::output::Artifact;
 use crate::output::encode::json;
 use crate::output::layout::{Layout, SplitRange};
-use crate::output::{Artifact, disk};
 
 /// Keys of a manifest that describe its state; all others identify the dataset.
 const STATE_KEYS: [&str; 9] =
@@ -71,18 +69,19 @@ pub fn range_of(manifest: &Map<String, Value>) -> Range {
 /// The splits of a manifest in their order; one without a name, with all frames, if there are none.
 #[must_use]
 pub fn splits_of(manifest: &Map<String, Value>) -> Vec<SplitRange> {
-    let number = |row: &Value, key: &str| row.get(key).and_then(Value::as_u64).unwrap_or_default();
+    let range = range_of(manifest);
+    let mut start = range.start;
     let rows = manifest.get("splits").and_then(Value::as_object).into_iter().flatten();
     let mut splits: Vec<SplitRange> = rows
-        .map(|(name, row)| SplitRange {
-            name: name.clone(),
-            start: number(row, "start"),
-            count: number(row, "count"),
+        .map(|(name, row)| {
+            let count = row.get("count").and_then(Value::as_u64).unwrap_or_default();
+            let split = SplitRange { name: name.clone(), start, count };
+            start = start.saturating_add(count);
+            split
         })
         .collect();
     if splits.is_empty() {
-        let Range { start, count } = range_of(manifest);
-        splits.push(SplitRange { name: String::new(), start, count });
+        splits.push(SplitRange { name: String::new(), start: range.start, count: range.count });
     }
     splits
 }
@@ -96,19 +95,6 @@ pub fn index_paths<'a>(
     let has_sheet = layout.image_and_mask("", 0).is_some();
     let own = [Some(HISTOGRAMS_FILE), has_sheet.then_some(CONTACT_SHEET_FILE)];
     layout.index_paths(splits).chain(own.into_iter().flatten().map(str::to_owned))
-}
-
-/// Reads a manifest.
-///
-/// # Errors
-/// [`Error::Read`], [`Error::CheckFailed`] if it is not a JSON object.
-pub fn read(path: &Path) -> Result<Map<String, Value>> {
-    serde_json::from_slice(&disk::read(path)?).map_err(|error| {
-        Error::CheckFailed(format!(
-            "{}: not a manifest ({error}); delete it and run the dataset's command with --force, which writes it again",
-            path.display()
-        ))
-    })
 }
 
 /// A manifest as a file of this name.

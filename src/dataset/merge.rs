@@ -10,12 +10,14 @@ use std::path::{Path, PathBuf};
 use serde_json::{Map, Value, json};
 
 use super::digest::{self, Digest};
+use super::gate::{Gate, read_manifest};
 use super::lock::{MERGE_TAG, MergeLock, RunLock};
 use super::log::{FoundLines, FrameLog, LinePosition, MANIFEST, find_lines, shard_files};
 use super::plan::{Range, differences, frame_seed};
 use super::totals::Totals;
 use super::{contact_sheet, data_card, histograms, manifest};
 use crate::error::{Error, Result};
+use crate::input;
 use crate::output::Artifact;
 use crate::output::disk::{self, FileWriter};
 use crate::output::layout::{self, DatasetIndex, Layout};
@@ -86,18 +88,19 @@ fn no_dataset(folder: &Path) -> Error {
 fn finalize_locked(folder: &Path, lock: MergeLock) -> Result<Finalized> {
     let manifests = shard_files(folder, MANIFEST)?;
     let (identity, range) = merged_identity(&manifests)?.ok_or_else(|| no_dataset(folder))?;
-    let FoundLines { logs, positions, folders } = find_lines(folder)?;
+    let gate = Gate::of_identity(&identity, range)?;
+    let FoundLines { logs, positions, folders } = find_lines(folder, &gate)?;
     lock.remove_leftovers(&folders)?;
     let mut files = FileWriter::new(folder, MERGE_TAG);
     merge_logs(&mut files, &logs, &positions)?;
     let missing: Vec<u64> =
         (range.start..range.end()).filter(|index| !positions.contains_key(index)).collect();
-    let totals = Totals::of(&FrameLog::new(folder))?;
+    let totals = Totals::of(&FrameLog::new(folder, gate.clone()))?;
     let mut manifest = merged_manifest(identity, range, positions.len() as u64, missing.is_empty(), &totals);
     if missing.is_empty() {
         let hashes = write_index_files(&mut files, &manifest, &totals)?;
         manifest.insert("index_files".to_owned(), hashes.into());
-        let digest = Digest::of(&manifest::identity_of(manifest.clone()), &FrameLog::new(folder))?;
+        let digest = Digest::of(&manifest::identity_of(manifest.clone()), &FrameLog::new(folder, gate))?;
         manifest.insert(digest::KEY.to_owned(), digest.into());
     }
     files.write_all(&[manifest::to_file("manifest.json".to_owned(), manifest.clone())?])?;
@@ -116,11 +119,11 @@ fn finalize_locked(folder: &Path, lock: MergeLock) -> Result<Finalized> {
 /// What the manifests of all shards agree on, and the range that covers theirs; `None` if there is no manifest.
 fn merged_identity(manifests: &[PathBuf]) -> Result<Option<(Map<String, Value>, Range)>> {
     let Some((first, others)) = manifests.split_first() else { return Ok(None) };
-    let first = manifest::read(first)?;
+    let first = read_manifest(first)?;
     let mut range = manifest::range_of(&first);
     let identity = manifest::identity_of(first);
     for path in others {
-        let other = manifest::read(path)?;
+        let other = read_manifest(path)?;
         let differences = differences(&other, &identity);
         if !differences.is_empty() {
             return Err(Error::OtherDataset { path: path.clone(), differences });
@@ -137,7 +140,11 @@ fn merge_logs(
     positions: &BTreeMap<u64, LinePosition>,
 ) -> Result<()> {
     files.write_streamed("frames.jsonl", |out| {
-        let mut files = logs.iter().map(std::fs::File::open).collect::<std::io::Result<Vec<_>>>()?;
+        let mut files = logs
+            .iter()
+            .map(|path| input::open(path))
+            .collect::<Result<Vec<_>>>()
+            .map_err(std::io::Error::other)?;
         for &LinePosition { log, offset, length } in positions.values() {
             let mut line = vec![0; length];
             files[log].seek(SeekFrom::Start(offset))?;
@@ -183,7 +190,7 @@ fn write_index_files(
 ) -> Result<Map<String, Value>> {
     let (_, layout) = layout_of(manifest)?;
     let folder = files.folder().to_owned();
-    let lines = FrameLog::new(&folder);
+    let lines = FrameLog::new(&folder, Gate::of_manifest(manifest)?);
     let mut hashes = Map::new();
     let mut write = |file: Artifact| {
         hashes.insert(file.name.clone(), disk::content_hash(&file.bytes).into());
@@ -208,11 +215,13 @@ pub(super) fn index_files(
     write: &mut dyn FnMut(Artifact) -> Result<()>,
 ) -> Result<()> {
     let (_, layout) = layout_of(manifest)?;
-    let lines = FrameLog::new(folder);
+    let gate = Gate::of_manifest(manifest)?;
+    let lines = FrameLog::new(folder, gate.clone());
     let card = data_card::markdown(manifest, totals);
+    let size = gate.size();
     layout.index_files(&DatasetIndex { folder, lines: &lines, manifest, card: &card }, write)?;
     write(histograms::svg(&lines)?)?;
-    if let Some(sheet) = contact_sheet::png(folder, &lines, layout)? {
+    if let Some(sheet) = contact_sheet::png(folder, &lines, layout, size)? {
         write(sheet)?;
     }
     Ok(())

@@ -14,6 +14,7 @@ use rayon::prelude::*;
 use serde_json::json;
 use twox_hash::XxHash3_128;
 
+use super::gate::Gate;
 use super::log::{FrameLog, find_lines};
 use super::log_writer::{FrameLogWriter, record_files};
 use super::manifest::DatasetSpec;
@@ -51,6 +52,11 @@ fn plan(format: &str, shard: Shard) -> Plan {
         splits: Vec::new(),
         shard,
     }
+}
+
+/// The gate of the run's dataset.
+fn gate(format: &str) -> Gate {
+    Gate::of_spec(&DatasetSpec::of_plan(&plan(format, Shard::WHOLE))).expect("a gate")
 }
 
 /// A frame that takes no device: its image depends on its index.
@@ -308,7 +314,11 @@ fn problem(format: &str, shards: u64, left: &Tree, whole: &Tree, is_complete: bo
         }
     }
     write_tree(folder.path(), left);
-    let finished = if data.is_dir() { find_lines(&data).expect("read").positions } else { BTreeMap::new() };
+    let finished = if data.is_dir() {
+        find_lines(&data, &gate(format)).expect("read").positions
+    } else {
+        BTreeMap::new()
+    };
     for name in ["frames.jsonl", "frames-0-of-2.jsonl", "frames-1-of-2.jsonl"] {
         let text = std::fs::read(data.join(name)).unwrap_or_default();
         let lines = text.split_inclusive(|byte| *byte == b'\n').filter(|line| line.ends_with(b"\n"));
@@ -348,7 +358,7 @@ fn problems(
     operations.retain(is_kept);
     let whole = read_tree(folder.path());
     let mut lines = 0;
-    FrameLog::new(&data).for_each(&mut |_| Ok(lines += 1)).expect("read");
+    FrameLog::new(&data, gate(format)).for_each(&mut |_| Ok(lines += 1)).expect("read");
     assert_eq!(lines, FRAMES);
     let effects = effects(&operations);
     let mut drawn = 0_u64;

@@ -29,6 +29,7 @@ use rayon::prelude::*;
 
 use super::log::FrameLog;
 use crate::error::Result;
+use crate::output::dataset_path;
 use crate::output::layout::FrameLine;
 use context::{Context, Version};
 use index::{LogSummary, check_index};
@@ -66,7 +67,7 @@ pub fn check(folder: &Path, mut watch: impl FnMut(u64, u64)) -> Result<Report> {
         Ok(())
     };
     let mut number = 0;
-    let read = FrameLog::new(folder).for_each_result(&mut |line| {
+    let read = FrameLog::new(folder, context.gate.clone()).for_each_result(&mut |line| {
         number += 1;
         match line {
             Ok(line) => {
@@ -92,7 +93,7 @@ pub fn check(folder: &Path, mut watch: impl FnMut(u64, u64)) -> Result<Report> {
         paths.iter().for_each(|path| inventory.add(&context, path));
         inventory.check(&context, summary.next - context.plan.range.start, &paths, &mut report)?;
         if summary.is_readable {
-            check_form(folder, &mut report)?;
+            check_form(&context, &mut report)?;
         }
     }
     Ok(report)
@@ -141,35 +142,24 @@ fn is_finished(context: &Context<'_>, report: &mut Report) -> bool {
 
 /// Checks that `frames.jsonl` has the text of its lines and no more: surplus keys that a reader skips, spaces, an end without
 /// newline.
-fn check_form(folder: &Path, report: &mut Report) -> Result<()> {
-    let path = folder.join("frames.jsonl");
+fn check_form(context: &Context<'_>, report: &mut Report) -> Result<()> {
+    let log = FrameLog::new(context.folder, context.gate.clone());
     let mut length = 0;
     let mut hasher = twox_hash::XxHash3_128::new();
-    FrameLog::new(folder).for_each_result(&mut |line| {
+    log.for_each_result(&mut |line| {
         let text = serde_json::to_string(&line?).unwrap_or_default() + "\n";
         length += text.len();
         hasher.write(text.as_bytes());
         Ok(())
     })?;
     let expected = format!("{:032x}", hasher.finish_128());
-    let actual = store::hash_of_file(&path)?;
+    let (_, actual) = dataset_path::hash(context.folder, "frames.jsonl")?;
     report.expect(name::LOG, None, actual == expected, || {
-        let line = first_other_line(&path).map_or(String::new(), |line| format!(", line {line}"));
+        let line = log.first_other_line().map_or(String::new(), |line| format!(", line {line}"));
         format!(
             "frames.jsonl{line}: it has keys that do not belong there, another order of keys, or spaces; its text should have \
              {length} bytes"
         )
     });
     Ok(())
-}
-
-/// The number of the first line, from 1, that is not written as this version writes it.
-fn first_other_line(path: &Path) -> Option<usize> {
-    use std::io::BufRead as _;
-    let file = std::io::BufReader::new(std::fs::File::open(path).ok()?);
-    let is_other = |text: &[u8]| {
-        let line = serde_json::from_slice::<FrameLine>(text).ok();
-        line.and_then(|line| serde_json::to_vec(&line).ok()).is_none_or(|written| written != text)
-    };
-    file.split(b'\n').map_while(std::result::Result::ok).position(|text| is_other(&text)).map(|line| line + 1)
 }

@@ -19,6 +19,7 @@ use std::time::{Duration, Instant};
 use twox_hash::XxHash3_128;
 
 use super::artifact::Artifact;
+use super::dataset_path;
 use crate::error::{Error, Result};
 pub use line_file::LineFile;
 pub use lock::Lock;
@@ -75,14 +76,6 @@ pub fn names(folder: &Path) -> Result<Vec<String>> {
     }
     names.sort_unstable();
     Ok(names)
-}
-
-/// The content of a file.
-///
-/// # Errors
-/// [`Error::Read`].
-pub fn read(path: &Path) -> Result<Vec<u8>> {
-    std::fs::read(path).map_err(unreadable(path))
 }
 
 /// 128-bit XXH3 hash in hexadecimal, as printed by `xxhsum -H2`.
@@ -167,7 +160,7 @@ impl FileWriter {
         let folder = self.folder.clone();
         let mut written = Vec::new();
         for artifact in artifacts {
-            let path = folder.join(&artifact.name);
+            let path = dataset_path::for_writing(&folder, &artifact.name)?;
             if path.is_dir() {
                 return Err(Error::Write { path, cause: std::io::ErrorKind::IsADirectory.into() });
             }
@@ -190,7 +183,7 @@ impl FileWriter {
         name: &str,
         content: impl FnOnce(&mut dyn std::io::Write) -> std::io::Result<()>,
     ) -> Result<()> {
-        let path = self.folder.join(name);
+        let path = dataset_path::for_writing(&self.folder, name)?;
         let mut out = std::io::BufWriter::new(self.temporary_for(&path)?);
         content(&mut out).map_err(failed(&path))?;
         let file = out.into_inner().map_err(|error| failed(&path)(error.into_error()))?;

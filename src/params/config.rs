@@ -13,7 +13,11 @@ use super::knob_info::{KnobInfo, Scope, Stage};
 use super::knobs::{KNOBS, Knob};
 use super::presets::presets;
 use crate::error::{Error, Result, nearest};
+use crate::input::{self, MIB};
 use crate::random::Streams;
+
+/// Largest size of a configuration.
+const MAX_FILE_BYTES: u64 = 16 * MIB;
 
 /// Element of the stream that a knob's random ends are drawn from; no scene has that many elements.
 const ENDS: u64 = u64::MAX;
@@ -120,16 +124,13 @@ impl Config {
         }
     }
 
-    /// Applies a TOML file, or standard input if the path is `-`.
+    /// Applies a TOML file, or standard input if the path is `-`. A pipe is read too, a device is not.
     ///
     /// # Errors
-    /// [`Error::Read`], or those of [`Self::apply_toml`].
+    /// [`Error::Config`], or those of [`Self::apply_toml`].
     pub fn apply_file(&mut self, path: &Path) -> Result<()> {
-        let text = match path.to_str() {
-            Some("-") => std::io::read_to_string(std::io::stdin()),
-            _ => std::fs::read_to_string(path),
-        };
-        let text = text.map_err(|cause| Error::Read { path: path.to_owned(), cause })?;
+        let text = input::read_named_text(path, MAX_FILE_BYTES)
+            .map_err(|cause| Error::Config { path: path.to_owned(), cause })?;
         self.apply_toml(&text, &path.display().to_string())
     }
 

@@ -17,24 +17,25 @@ const MAX_FUNCTION_LINES: usize = 80;
 const LONG_BECAUSE: &str = "// Long because: ";
 
 /// Each room (a module directly below `src`) and the rooms that it may use.
-pub(crate) const MAY_USE: [(&str, &[&str]); 17] = [
+pub(crate) const MAY_USE: [(&str, &[&str]); 18] = [
     ("error", &[]),
     ("class", &[]),
     ("random", &[]),
     ("lens", &[]),
     ("pool", &[]),
     ("rounding", &[]),
+    ("input", &["error"]),
     ("frame", &["class", "lens"]),
-    ("params", &["error", "random"]),
+    ("params", &["input", "error", "random"]),
     ("scene", &["params", "random", "lens", "pool", "rounding", "class", "error"]),
     ("gpu", &["error"]),
     ("render", &["scene", "gpu", "frame", "lens", "pool", "rounding", "class", "error"]),
-    ("output", &["frame", "lens", "class", "error"]),
-    ("remap", &["output", "class", "error"]),
+    ("output", &["frame", "lens", "class", "input", "error"]),
+    ("remap", &["output", "class", "input", "error"]),
     ("export", &["scene", "render", "output", "class", "error"]),
     ("meta", &["params", "scene", "render", "output", "frame", "class"]),
     ("bench", &["dataset", "params", "scene", "render", "output", "error"]),
-    ("dataset", &["params", "scene", "render", "output", "meta", "frame", "lens", "class", "error"]),
+    ("dataset", &["params", "scene", "render", "output", "meta", "frame", "lens", "class", "input", "error"]),
 ];
 
 /// The room's own file, in a row of [`LAYERS`]; it is the top layer where it is not named.
@@ -87,14 +88,17 @@ const LAYERS: [(&str, &[&[&str]]); 8] = [
             &["scene_buffers"],
         ],
     ),
-    ("output", &[&["artifact", "edges", "label_ids"], &["disk", "encode"], &["layout"]]),
+    ("output", &[&["artifact", "dataset_path", "edges", "label_ids"], &["disk", "encode"], &["layout"]]),
     ("export", &[&["sky", "stage"], &["gltf", "npz", "usd"]]),
     (
         "dataset",
         &[
+            &["frame_image"],
             &["contact_sheet", "digest", "histograms", "rules", "totals"],
             &["data_card", "plan"],
-            &["attempt", "log", "manifest"],
+            &["attempt", "manifest"],
+            &["gate"],
+            &["log"],
             &["lock"],
             &["log_writer", "merge"],
             &["convert", "pipeline"],

@@ -14,6 +14,7 @@ mod environment;
 mod export;
 mod formats;
 mod golden;
+mod hostile;
 mod labels;
 mod language;
 mod mutation;

@@ -7,37 +7,70 @@ use serde_json::{Map, Value};
 use super::{MAX_FRAMES, Plan, Range, Shard, is_split_name};
 use crate::dataset::rules::Rules;
 use crate::error::{Error, Result};
-use crate::output::{self, LabelIds, OUTPUTS, Output, layout};
+use crate::output::layout::{self, Layout};
+use crate::output::{self, LabelIds, OUTPUTS, Output};
 use crate::params::config::Config;
 use crate::render::RenderSettings;
 
 /// Largest side of an image, pixels; no device renders a larger one.
-const MAX_SIDE_PX: u64 = 1 << 16;
+const MAX_SIDE_PX: u64 = 1 << 15;
+
+/// Which files a dataset has: the part of its plan that every reader of its folder needs.
+#[derive(Clone, Debug)]
+pub struct Content {
+    /// Name of the layout.
+    pub format: &'static str,
+    /// The layout.
+    pub layout: &'static dyn Layout,
+    /// The outputs of each frame.
+    pub outputs: Vec<&'static Output>,
+    /// The frames.
+    pub range: Range,
+    /// Name and number of frames of each split, in order.
+    pub splits: Vec<(String, u64)>,
+    /// Width and height of every image, pixels.
+    pub size: [u32; 2],
+}
 
 impl Plan {
-    /// The plan of the dataset that a manifest describes. Keys that follow from others (class map, seeds of splits) are not
-    /// read: [`Self::identity`] gives them.
+    /// Which files the dataset has that a manifest describes.
     ///
     /// # Errors
     /// [`Error::CheckFailed`] that names the key, its value and what is expected.
-    pub fn of_manifest(manifest: &Map<String, Value>) -> Result<Self> {
+    pub fn content_of_manifest(manifest: &Map<String, Value>) -> Result<Content> {
         let (format, layout) = read(manifest, "format", "the name of a dataset format", |value| {
             layout::find(value.as_str()?).ok()
-        })?;
-        let recorded_ids = read(manifest, "label_ids", "canonical or replicator", |value| {
-            LabelIds::from_name(value.as_str()?)
         })?;
         let listed = read(manifest, "outputs", "a list of outputs", output_names)?;
         let is_written = |output: &&Output| {
             layout.supports(output.name)
                 && (listed.contains(&output.name) || layout.required_outputs().contains(&output.name))
         };
-        let outputs: Vec<_> = OUTPUTS.iter().filter(is_written).collect();
         let range = range_of(manifest)?;
         let splits = read(manifest, "splits", "names with numbers of frames, `count` in all", |value| {
             splits(value, range.count)
         })?;
-        let mut settings = settings_of(manifest)?;
+        Ok(Content {
+            format,
+            layout,
+            outputs: OUTPUTS.iter().filter(is_written).collect(),
+            range,
+            splits,
+            size: size_of(manifest)?,
+        })
+    }
+
+    /// The plan of the dataset that a manifest describes. Keys that follow from others (class map, seeds of splits) are not
+    /// read: [`Self::identity`] gives them.
+    ///
+    /// # Errors
+    /// [`Error::CheckFailed`] that names the key, its value and what is expected.
+    pub fn of_manifest(manifest: &Map<String, Value>) -> Result<Self> {
+        let Content { format, layout, outputs, range, splits, size } = Self::content_of_manifest(manifest)?;
+        let recorded_ids = read(manifest, "label_ids", "canonical or replicator", |value| {
+            LabelIds::from_name(value.as_str()?)
+        })?;
+        let mut settings = settings_of(manifest, size)?;
         settings.annotations = output::annotations(&outputs);
         Ok(Self {
             config: config_of(manifest)?,
@@ -109,13 +142,16 @@ fn splits(value: &Value, frames: u64) -> Option<Vec<(String, u64)>> {
     (rows.is_empty() || left == 0).then_some(rows)
 }
 
-fn settings_of(manifest: &Map<String, Value>) -> Result<RenderSettings> {
-    let size = read(manifest, "size", "[width, height] in pixels", |value| {
+fn size_of(manifest: &Map<String, Value>) -> Result<[u32; 2]> {
+    read(manifest, "size", "[width, height] in pixels", |value| {
         let [width, height] = value.as_array()?.as_slice() else { return None };
         let side =
             |value: &Value| Some(value.as_u64().filter(|side| (1..=MAX_SIDE_PX).contains(side))? as u32);
         Some([side(width)?, side(height)?])
-    })?;
+    })
+}
+
+fn settings_of(manifest: &Map<String, Value>, size: [u32; 2]) -> Result<RenderSettings> {
     read(manifest, "samples", "1, 4 or 16", |value| {
         RenderSettings::new(size, u32::try_from(value.as_u64()?).ok()?).ok()
     })

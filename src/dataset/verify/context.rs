@@ -7,7 +7,7 @@ use std::path::Path;
 use serde_json::{Map, Value};
 
 use super::templates::{self, Template};
-use crate::dataset::manifest;
+use crate::dataset::gate::{Gate, read_manifest};
 use crate::dataset::plan::Plan;
 use crate::error::{Error, Result};
 use crate::output::disk;
@@ -43,6 +43,7 @@ pub(super) struct Context<'a> {
     pub(super) folder: &'a Path,
     pub(super) manifest: &'a Map<String, Value>,
     pub(super) plan: Plan,
+    pub(super) gate: Gate,
     pub(super) version: Version,
     /// One for each file of the outputs.
     pub(super) templates: Vec<Template>,
@@ -68,7 +69,8 @@ impl<'a> Context<'a> {
             Error::CheckFailed(found) => Error::CheckFailed(format!("{}: {found}", folder.display())),
             other => other,
         })?;
-        Ok(Self { folder, manifest, version, templates: templates::of(&plan)?, plan })
+        let gate = Gate::of_manifest(manifest)?;
+        Ok(Self { folder, manifest, version, templates: templates::of(&plan)?, plan, gate })
     }
 
     /// What identifies the dataset, derived from the parts of the manifest that nothing else follows from.
@@ -97,5 +99,5 @@ pub(super) fn open(folder: &Path) -> Result<Map<String, Value>> {
         };
         return Err(Error::Dataset { path: folder.to_owned(), message: message.to_owned() });
     }
-    manifest::read(&path)
+    read_manifest(&path)
 }

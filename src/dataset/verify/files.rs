@@ -26,7 +26,7 @@ pub(super) fn check_frame_files(
     let index = Some(line.index);
     for path in &frame.paths {
         report.look(name::FILES);
-        let stored = match read_hashed(context.folder, archives, frame, line.index, path) {
+        let stored = match read_hashed(context, archives, frame, line.index, path) {
             Ok(stored) => stored,
             Err(error) => {
                 report.problem(name::FILES, index, named(path, &error));

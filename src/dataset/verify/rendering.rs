@@ -42,7 +42,7 @@ pub fn check_rendering(
         offset * u128::from(sample) % u128::from(range.count) < u128::from(sample)
     };
     let mut number = 0;
-    FrameLog::new(folder).for_each_result(&mut |line| {
+    FrameLog::new(folder, context.gate.clone()).for_each_result(&mut |line| {
         number += 1;
         // Lines that cannot be read, and lines of no frame, are already in the report.
         let Ok(line) = line else { return Ok(()) };
@@ -126,8 +126,7 @@ impl FrameCheck<'_> {
         let archives = Archives::open(self.context.folder, bundle.into_iter());
         for artifact in &again.files.artifacts {
             // Files that cannot be read are already in the report.
-            let read =
-                read_hashed(self.context.folder, &archives, &expected, self.line.index, &artifact.name);
+            let read = read_hashed(self.context, &archives, &expected, self.line.index, &artifact.name);
             let Ok(stored) = read.and_then(|stored| files_in(&expected, stored)) else { continue };
             let made = StoredFile { path: artifact.name.clone(), bytes: artifact.bytes.clone() };
             let made = files_in(&expected, made)?;

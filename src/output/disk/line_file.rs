@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::operations::{GrowingFile, failed, is_at};
 use crate::error::Result;
+use crate::output::dataset_path;
 
 /// A text file to which whole lines are appended. Opening it cuts off an incomplete last line of a killed process.
 #[derive(Debug)]
@@ -20,6 +21,7 @@ impl LineFile {
     /// # Errors
     /// [`Error::Write`](crate::Error::Write).
     pub fn open(path: &Path) -> Result<Self> {
+        dataset_path::check_own_file(path)?;
         let open = || {
             let (mut file, content) = GrowingFile::open(path)?;
             let whole = content.iter().rposition(|byte| *byte == b'\n').map_or(0, |last| last + 1);

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 
 use super::operations::{failed, is_at, open_or_create};
 use crate::error::Result;
+use crate::output::dataset_path;
 
 /// How often a lock file that another process removed is opened again.
 const ATTEMPTS_MAX: usize = 1000;
@@ -54,6 +55,7 @@ impl Lock {
         lock: impl Fn(&File) -> std::result::Result<(), TryLockError>,
     ) -> Result<Option<Self>> {
         for attempt in 1.. {
+            dataset_path::check_own_file(path)?;
             let file = open_or_create(path).map_err(failed(path))?;
             let is_held = match lock(&file) {
                 Err(TryLockError::WouldBlock) => return Ok(None),

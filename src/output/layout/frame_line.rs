@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 use crate::frame::RgbStatistics;
+use crate::input;
 
 /// A line of `frames.jsonl`. Fields are written in this order; absent and empty ones are left out where marked.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -59,6 +60,14 @@ pub struct FrameLine {
 }
 
 impl FrameLine {
+    /// Reads a line. A key that occurs twice is an error.
+    ///
+    /// # Errors
+    /// Those of the parser.
+    pub fn parse(text: &[u8]) -> serde_json::Result<Self> {
+        input::json::parse(text)
+    }
+
     /// Fraction of the pixels that a class covers; `None` if the line does not say.
     #[must_use]
     pub fn coverage_of(&self, class: &str) -> Option<f64> {

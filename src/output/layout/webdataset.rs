@@ -16,8 +16,8 @@ use serde_json::Map;
 use super::interface::{CARD_FILE, DatasetIndex, FrameFiles, FrameNames, Layout, Sample, SplitRange};
 use crate::error::{Error, Result};
 use crate::output::artifact::{Artifact, FileKind};
-use crate::output::disk;
 use crate::output::encode::json;
+use crate::output::{dataset_path, disk};
 
 /// The WebDataset layout.
 #[derive(Debug)]
@@ -25,6 +25,8 @@ pub struct WebDataset;
 
 /// Frames of a shard.
 pub const SHARD_FRAMES: u64 = 1000;
+/// Largest size of a shard, which is held in memory.
+const MAX_ARCHIVE_BYTES: u64 = 64 << 30;
 /// Bytes of a block of a tar archive.
 const BLOCK: usize = 512;
 
@@ -158,7 +160,11 @@ impl Shard {
     /// dataset has grown, or a run was interrupted between joining and removing.
     fn join(&self, folder: &Path) -> Result<Vec<u8>> {
         let path = folder.join(&self.name);
-        let existing = if path.is_file() { disk::read(&path)? } else { Vec::new() };
+        let existing = if path.is_file() {
+            dataset_path::read(folder, &self.name, MAX_ARCHIVE_BYTES)?
+        } else {
+            Vec::new()
+        };
         let samples = samples(std::io::Cursor::new(&existing)).map_err(|error| {
             Error::CheckFailed(format!(
                 "{}: it is not a tar archive ({error}); delete it and run the dataset's command, which makes its frames \
@@ -174,7 +180,7 @@ impl Shard {
                     let end = existing.len().min(sample.end as usize);
                     bytes.extend(&existing[sample.start as usize..end]);
                 }
-                _ => bytes.extend(disk::read(&fragment)?),
+                _ => bytes.extend(dataset_path::read(folder, &fragment_name(*frame), MAX_ARCHIVE_BYTES)?),
             }
         }
         bytes.extend(archive_end());
