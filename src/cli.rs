@@ -100,6 +100,7 @@ fn command() -> clap::Command {
 /// Parses the command line and runs the command.
 pub(crate) fn run() -> Result<()> {
     process::survive_file_size_limit();
+    process::fail_on_abort();
     let cli = Cli::from_arg_matches(&command().get_matches()).unwrap_or_else(|error| error.exit());
     match cli.command {
         None => frame::run(&cli.frame, cli.messages),

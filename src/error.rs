@@ -123,12 +123,16 @@ pub enum Error {
         /// The interface of the driver that a GPU needs.
         api: &'static str,
     },
-    /// A limit on the address space (`ulimit -v`) under which drivers crash.
+    /// A limit on the memory of the process (`ulimit`) under which drivers crash.
     #[error(
-        "the address space of this process is limited to {:.1} GB, and rendering needs {:.1} GB here; raise the limit, for instance with `ulimit -v unlimited`, or in the memory request of the batch system",
+        "{what} of this process is limited to {:.1} GB, and rendering needs {:.1} GB here; raise the limit, for instance with `ulimit {option} unlimited`, or in the memory request of the batch system",
         *.limit_bytes as f64 * 1e-9, *.needed_bytes as f64 * 1e-9
     )]
-    AddressSpace {
+    MemoryLimit {
+        /// What is limited, in words.
+        what: &'static str,
+        /// The option of `ulimit`.
+        option: &'static str,
         /// The limit, bytes.
         limit_bytes: u64,
         /// What rendering needs on a machine with this number of cores, bytes.
@@ -299,7 +303,7 @@ impl Error {
             | Self::Write { .. }
             | Self::Stdout(_)
             | Self::NoAdapter { .. }
-            | Self::AddressSpace { .. }
+            | Self::MemoryLimit { .. }
             | Self::AdapterUnfit { .. }
             | Self::DeviceLost(_)
             | Self::Device(_)

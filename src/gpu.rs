@@ -5,8 +5,8 @@
 //! Must not know: the Moon.
 
 pub mod adapter;
-mod address_space;
 pub mod growing_buffer;
+mod memory_limits;
 pub mod pipeline_cache;
 mod processor;
 pub mod readback;
@@ -58,7 +58,7 @@ impl Gpu {
     /// honoured.
     ///
     /// # Errors
-    /// [`Error::NoAdapter`], [`Error::AddressSpace`], [`Error::AdapterNotFound`], [`Error::AdapterUnfit`] or
+    /// [`Error::NoAdapter`], [`Error::MemoryLimit`], [`Error::AdapterNotFound`], [`Error::AdapterUnfit`] or
     /// [`Error::Usage`].
     pub fn open(wanted: Option<&str>) -> Result<Self> {
         Self::open_with_cache(wanted, |_| None)
@@ -68,7 +68,7 @@ impl Gpu {
     /// [`PipelineCache`].
     ///
     /// # Errors
-    /// [`Error::NoAdapter`], [`Error::AddressSpace`], [`Error::AdapterNotFound`], [`Error::AdapterUnfit`] or
+    /// [`Error::NoAdapter`], [`Error::MemoryLimit`], [`Error::AdapterNotFound`], [`Error::AdapterUnfit`] or
     /// [`Error::Usage`].
     pub fn open_with_cache(wanted: Option<&str>, load: impl FnOnce(&str) -> Option<Vec<u8>>) -> Result<Self> {
         let adapter = adapter::choose(wanted)?;

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 
 use regolith::{Error, Result};
-use signal_hook::consts::signal::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
+use signal_hook::consts::signal::{SIGABRT, SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
 use signal_hook::iterator::Signals;
 use signal_hook::low_level;
 
@@ -64,4 +64,12 @@ pub(crate) fn stopped_status() -> Option<u8> {
 pub(super) fn survive_file_size_limit() {
     // If it fails, the signal ends the process, as it does with most programs.
     let _ = signal_hook::flag::register(SIGXFSZ, Arc::new(AtomicBool::new(false)));
+}
+
+/// Ends the process with status 1 where it is aborted, as by an allocation that fails: its message is printed by then, and the
+/// process must not look as if it had crashed.
+pub(super) fn fail_on_abort() {
+    let always = Arc::new(AtomicBool::new(true));
+    // If it fails, the signal ends the process.
+    let _ = signal_hook::flag::register_conditional_shutdown(SIGABRT, 1, always);
 }

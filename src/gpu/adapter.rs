@@ -7,7 +7,7 @@ use wgpu::{
 };
 
 use crate::error::{Error, Result};
-use crate::gpu::address_space;
+use crate::gpu::memory_limits;
 
 /// Optional features that rendering cannot do without.
 pub(super) const REQUIRED_FEATURES: Features = Features::DEPTH32FLOAT_STENCIL8;
@@ -29,7 +29,7 @@ pub(super) fn missing(features: Features, flags: DownlevelFlags) -> Vec<&'static
 
 /// The adapter whose description contains `wanted`, or the best one; see [`crate::gpu::Gpu::open`].
 pub(super) fn choose(wanted: Option<&str>) -> Result<wgpu::Adapter> {
-    address_space::check()?;
+    memory_limits::check()?;
     let from_environment = std::env::var("WGPU_ADAPTER_NAME").ok().filter(|name| !name.is_empty());
     let wanted = wanted.map(str::to_owned).or(from_environment);
     // GL is tried only where Vulkan has no match: its libraries are slow to load and print warnings.
@@ -56,9 +56,9 @@ pub(super) fn choose(wanted: Option<&str>) -> Result<wgpu::Adapter> {
 /// Every usable adapter, best first; at least one.
 ///
 /// # Errors
-/// [`Error::NoAdapter`]; [`Error::AddressSpace`]; [`Error::Usage`] if `WGPU_BACKEND` names an unknown backend.
+/// [`Error::NoAdapter`]; [`Error::MemoryLimit`]; [`Error::Usage`] if `WGPU_BACKEND` names an unknown backend.
 pub fn list() -> Result<Vec<AdapterInfo>> {
-    address_space::check()?;
+    memory_limits::check()?;
     let backends = backends_allowed()?.unwrap_or(Backends::VULKAN | Backends::GL);
     let mut infos: Vec<AdapterInfo> = enumerate(backends).iter().map(wgpu::Adapter::get_info).collect();
     infos.sort_by_key(rank);

@@ -70,7 +70,7 @@ const LAYERS: [(&str, &[&[&str]]); 8] = [
     (
         "gpu",
         &[
-            &["address_space", "processor"],
+            &["memory_limits", "processor"],
             &["adapter", "pipeline_cache"],
             &[SELF],
             &["growing_buffer", "readback", "staging"],

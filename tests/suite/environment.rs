@@ -74,24 +74,26 @@ fn no_run_connects_to_a_display() {
     }
 }
 
-/// Below a limit on the address space, drivers crash: a run says so before it loads one.
+/// Below a limit on the memory of a process, drivers crash: a run says so before it loads one.
 #[test]
 fn a_limit_of_memory_is_an_error_in_one_line() {
     let folder = folder();
     let frame = ["--size", "64", "--force"];
     let dataset =
         ["dataset", "--count=2", "--size=64", "--preset=surface_train_full", "--threads=8", "--out=data"];
-    for (kibibytes, words) in [
-        (300_000, &frame[..]),
-        (600_000, &frame),
-        (900_000, &dataset),
-        (1_200_000, &dataset),
-        (1_200_000, &["adapters"]),
-        (2_000_000, &frame),
+    for (option, kibibytes, words) in [
+        ("-v", 300_000, &frame[..]),
+        ("-v", 600_000, &frame),
+        ("-v", 900_000, &dataset),
+        ("-v", 1_200_000, &dataset),
+        ("-v", 1_200_000, &["adapters"]),
+        ("-v", 2_000_000, &frame),
+        ("-d", 50_000, &dataset),
+        ("-d", 200_000, &dataset),
     ] {
         let unlimited = program_without_display(folder.path());
         let mut limited = Command::new("sh");
-        limited.arg("-c").arg(format!("ulimit -v {kibibytes}; exec \"$0\" \"$@\""));
+        limited.arg("-c").arg(format!("ulimit {option} {kibibytes}; exec \"$0\" \"$@\""));
         limited.arg(unlimited.get_program()).args(words).current_dir(folder.path());
         for (name, value) in unlimited.get_envs() {
             match value {
@@ -103,10 +105,14 @@ fn a_limit_of_memory_is_an_error_in_one_line() {
         let message = String::from_utf8_lossy(&output.stderr);
         let is_refused = output.status.code() == Some(1)
             && message.trim_end().lines().count() == 1
-            && message.contains("address space of this process")
-            && message.contains("ulimit -v");
+            && message.contains("of this process is limited to")
+            && message.contains(&format!("ulimit {option} unlimited"));
         let may_run = kibibytes == 2_000_000 && output.status.success();
-        assert!(is_refused || may_run, "{kibibytes} KiB, {words:?}: {:?}: {message}", output.status);
+        assert!(
+            is_refused || may_run,
+            "ulimit {option} {kibibytes}, {words:?}: {:?}: {message}",
+            output.status
+        );
     }
 }
 
