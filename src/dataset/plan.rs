@@ -166,7 +166,8 @@ pub fn first_seed(base_seed: u64) -> u64 {
 /// The seed of the scene of an attempt at a frame.
 #[must_use]
 pub fn frame_seed(base_seed: u64, index: u64, attempt: u32) -> u64 {
-    (first_seed(base_seed) + u64::from(attempt) * MAX_FRAMES + index) % SEEDS
+    let offset = u64::from(attempt) * MAX_FRAMES % SEEDS;
+    (first_seed(base_seed) + offset + index) % SEEDS
 }
 
 impl Plan {
@@ -337,6 +338,7 @@ mod tests {
         assert!(near > MAX_FRAMES, "{near}");
         // A change here changes every dataset ever made.
         assert_eq!(frame_seed(42, 17, 0), 8_006_897_132_670_268);
+        assert!(frame_seed(42, MAX_FRAMES - 1, u32::MAX) < SEEDS);
     }
 
     #[test]

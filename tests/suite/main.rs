@@ -13,6 +13,7 @@ mod docs;
 mod environment;
 mod export;
 mod formats;
+mod fuzz;
 mod golden;
 mod hostile;
 mod labels;
