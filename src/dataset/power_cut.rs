@@ -358,7 +358,11 @@ fn problems(
     operations.retain(is_kept);
     let whole = read_tree(folder.path());
     let mut lines = 0;
-    FrameLog::new(&data, gate(format)).for_each(&mut |_| Ok(lines += 1)).expect("read");
+    let mut count = |_| {
+        lines += 1;
+        Ok(())
+    };
+    FrameLog::new(&data, gate(format)).for_each(&mut count).expect("read");
     assert_eq!(lines, FRAMES);
     let effects = effects(&operations);
     let mut drawn = 0_u64;
