@@ -13,7 +13,7 @@ use regolith::random::Streams;
 use regolith::scene::Scene;
 use serde_json::{Map, Value};
 
-use crate::support::{folder, json, program, run, run_ok};
+use crate::support::{folder, json, program, run, run_ok, send_signal};
 
 /// Small frames of a small scene.
 const SMALL: [&str; 9] = [
@@ -224,10 +224,7 @@ fn ctrl_c_finishes_frames_in_flight_and_says_how_to_continue() {
     let child = program(folder.path()).args(&words).stderr(Stdio::piped()).stdout(Stdio::piped()).spawn();
     let child = child.expect("started");
     wait_until(|| lines_that_parse(&folder.path().join("data")) > 2);
-    // The shell's own `kill`: a minimal system has no other.
-    let signal =
-        Command::new("sh").args(["-c", &format!("kill -INT {}", child.id())]).status().expect("a shell");
-    assert!(signal.success());
+    send_signal(&child, "-INT");
     let output = child.wait_with_output().expect("ended");
     let message = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(130), "{message}");

@@ -2,10 +2,10 @@
 
 use std::collections::BTreeSet;
 use std::path::Path;
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::support::{folder, json, program, run, run_ok};
+use crate::support::{folder, json, program, run, run_ok, send_signal};
 
 /// Small frames of a small scene.
 const SMALL: [&str; 6] = [
@@ -45,8 +45,7 @@ impl PausedRun {
     }
 
     fn signal(&self, signal: &str) {
-        let sent = Command::new("kill").args([signal, &self.0.id().to_string()]).status().expect("kill");
-        assert!(sent.success());
+        send_signal(&self.0, signal);
     }
 
     /// Lets it continue to its end.

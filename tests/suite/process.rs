@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::support::{folder, program, run, run_ok};
+use crate::support::{folder, program, run, run_ok, send_signal};
 
 /// Small frames of a small scene.
 const SMALL: [&str; 5] =
@@ -23,19 +23,14 @@ fn wait_until(mut happened: impl FnMut() -> bool) {
     }
 }
 
-fn signal(child: &Child, signal: &str) {
-    let sent = Command::new("kill").args([signal, &child.id().to_string()]).status().expect("kill");
-    assert!(sent.success());
-}
-
 /// Starts a command, sends it signals once `exists` is there, and returns how it ended.
 fn stopped(folder: &Path, words: &[&str], exists: &str, signals: &[&str]) -> Output {
     let child = start(folder, words);
     wait_until(|| folder.join(exists).exists());
     // Held while the signals are sent, so that it cannot finish between them.
-    signal(&child, "-STOP");
-    signals.iter().for_each(|name| signal(&child, name));
-    signal(&child, "-CONT");
+    send_signal(&child, "-STOP");
+    signals.iter().for_each(|name| send_signal(&child, name));
+    send_signal(&child, "-CONT");
     child.wait_with_output().expect("ended")
 }
 
@@ -83,7 +78,7 @@ fn a_stopped_measurement_leaves_no_files() {
         .expect("started");
     let entries = || std::fs::read_dir(folder.path()).expect("a folder").count();
     wait_until(|| entries() > 0);
-    signal(&child, "-INT");
+    send_signal(&child, "-INT");
     let output = child.wait_with_output().expect("ended");
     assert_eq!(output.status.code(), Some(130), "{}", String::from_utf8_lossy(&output.stderr));
     assert_eq!(entries(), 0);
@@ -113,7 +108,7 @@ fn nohup_protects_a_run_from_the_end_of_its_terminal() {
         .spawn()
         .expect("started");
     wait_until(|| folder.path().join("data/rgb/rgb_00002.png").exists());
-    signal(&child, "-HUP");
+    send_signal(&child, "-HUP");
     let output = child.wait_with_output().expect("ended");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }

@@ -4,7 +4,7 @@ pub(crate) mod compare;
 pub(crate) mod source;
 
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::{Child, Command, Output};
 use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
 
 use regolith::frame::Frame;
@@ -61,6 +61,12 @@ pub(crate) fn run_ok(folder: &Path, words: &[&str]) -> String {
     let output = run(folder, words);
     assert!(output.status.success(), "{words:?}: {}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
+/// Sends a signal (`-INT`, `-KILL`, ...) to a process, by the shell's own `kill`: a minimal system has no other.
+pub(crate) fn send_signal(child: &Child, signal: &str) {
+    let sent = Command::new("sh").args(["-c", &format!("kill {signal} {}", child.id())]).status();
+    assert!(sent.expect("a shell").success());
 }
 
 /// An empty temporary folder.
