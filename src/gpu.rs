@@ -82,17 +82,7 @@ impl Gpu {
         if !missing.is_empty() {
             return Err(unfit(format!("it lacks {}; update its driver", missing.join(", "))));
         }
-        let offered = adapter.limits();
-        let base =
-            if info.backend == Backend::Gl { Limits::downlevel_defaults() } else { Limits::defaults() };
-        let required_limits = Limits {
-            max_texture_dimension_2d: offered.max_texture_dimension_2d,
-            max_color_attachments: offered.max_color_attachments.min(8),
-            max_color_attachment_bytes_per_sample: offered.max_color_attachment_bytes_per_sample.min(32),
-            max_buffer_size: offered.max_buffer_size,
-            max_storage_buffer_binding_size: offered.max_storage_buffer_binding_size,
-            ..base
-        };
+        let required_limits = required_limits(&info, &adapter.limits());
         let wanted = Features::TIMESTAMP_QUERY | Features::INDIRECT_FIRST_INSTANCE | Features::PIPELINE_CACHE;
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("regolith/device"),
@@ -229,6 +219,19 @@ impl Gpu {
         };
         let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
         self.queue.write_texture(texture.as_image_copy(), bytemuck::cast_slice(texels), layout, size);
+    }
+}
+
+/// The limits that are requested of an adapter that offers these.
+fn required_limits(info: &AdapterInfo, offered: &Limits) -> Limits {
+    let base = if info.backend == Backend::Gl { Limits::downlevel_defaults() } else { Limits::defaults() };
+    Limits {
+        max_texture_dimension_2d: offered.max_texture_dimension_2d,
+        max_color_attachments: offered.max_color_attachments.min(8),
+        max_color_attachment_bytes_per_sample: offered.max_color_attachment_bytes_per_sample.min(32),
+        max_buffer_size: offered.max_buffer_size,
+        max_storage_buffer_binding_size: offered.max_storage_buffer_binding_size,
+        ..base
     }
 }
 
