@@ -103,6 +103,8 @@ fn draw_chart(svg: &mut String, [x, y]: [usize; 2], histogram: &Histogram) -> st
     const CHART_HEIGHT: f64 = 80.0;
     const BAR_WIDTH: usize = 9;
     let Histogram { name, range: [low, high], counts } = histogram;
+    // The name may be a key of somebody else's line: as text of XML it cannot become an element.
+    let name = name.replace('&', "&amp;").replace('<', "&lt;");
     writeln!(svg, "<g transform=\"translate({x} {y})\">\n<text font-weight=\"bold\">{name}</text>")?;
     let max = counts.iter().copied().max().unwrap_or(1).max(1);
     for (bar, count) in counts.iter().enumerate() {
@@ -134,4 +136,16 @@ fn short(value: f64) -> String {
         4
     };
     format!("{value:.digits$}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_never_becomes_an_element() {
+        let name = "<script>&</script>".to_owned();
+        let svg = draw(&[Histogram { name, range: [0.0, 1.0], counts: [1; BINS] }]);
+        assert!(svg.contains(">&lt;script>&amp;&lt;/script></text>"), "{svg}");
+    }
 }
