@@ -39,8 +39,9 @@ fn fs_main(in: VertexOutput) -> @location(0) vec4<u32> {
     return vec4(normal | (slot << vec2(24u)), packed_geometric, bitcast<u32>(in.position.w));
 }
 
-// Lighting of the sky does not read the visibility buffer.
+// The sky has no normals and no inverse depth. Its slot, which is not 0, tells it from where nothing is drawn.
 @fragment
-fn fs_sky() -> @location(0) vec4<u32> {
-    return vec4(0u);
+fn fs_sky(in: VertexOutput) -> @location(0) vec4<u32> {
+    let slot = vec2(in.slot & 0xffu, in.slot >> 8u);
+    return vec4(slot << vec2(24u), 0u, 0u);
 }

@@ -33,6 +33,19 @@ pub struct Capabilities {
     pub stencil_upload: bool,
     /// One command can issue many indirect draws, each with its own first instance.
     pub multi_draw: bool,
+    /// There is a depth format of 32 bits with a stencil beside it.
+    pub depth_stencil: bool,
+}
+
+/// What is requested of a device beyond what rendering cannot do without.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum Requested {
+    /// All that its adapter offers and rendering gains from.
+    #[default]
+    Offered,
+    /// No optional feature, and no limit beyond [`Limits::downlevel_defaults`]: every fall-back is taken.
+    #[cfg_attr(not(test), expect(dead_code, reason = "tests of the fall-backs request it"))]
+    Least,
 }
 
 /// An open device with its queue.
@@ -72,21 +85,33 @@ impl Gpu {
     /// [`Error::Usage`].
     pub fn open_with_cache(wanted: Option<&str>, load: impl FnOnce(&str) -> Option<Vec<u8>>) -> Result<Self> {
         let adapter = adapter::choose(wanted)?;
-        Self::open_adapter(&adapter, load)
+        Self::open_adapter(&adapter, Requested::Offered, load)
     }
 
-    fn open_adapter(adapter: &wgpu::Adapter, load: impl FnOnce(&str) -> Option<Vec<u8>>) -> Result<Self> {
+    /// Opens an adapter like [`Self::open`], and requests no more of it than `requested` says.
+    ///
+    /// # Errors
+    /// Those of [`Self::open`].
+    #[cfg(test)]
+    pub(crate) fn open_with(wanted: Option<&str>, requested: Requested) -> Result<Self> {
+        Self::open_adapter(&adapter::choose(wanted)?, requested, |_| None)
+    }
+
+    fn open_adapter(
+        adapter: &wgpu::Adapter,
+        requested: Requested,
+        load: impl FnOnce(&str) -> Option<Vec<u8>>,
+    ) -> Result<Self> {
         let info = adapter.get_info();
         let unfit = |reason: String| Error::AdapterUnfit { adapter: info.name.clone(), reason };
-        let missing = adapter::missing(adapter.features(), adapter.get_downlevel_capabilities().flags);
+        let missing = adapter::missing(adapter.get_downlevel_capabilities().flags);
         if !missing.is_empty() {
             return Err(unfit(format!("it lacks {}; update its driver", missing.join(", "))));
         }
-        let required_limits = required_limits(&info, &adapter.limits());
-        let wanted = Features::TIMESTAMP_QUERY | Features::INDIRECT_FIRST_INSTANCE | Features::PIPELINE_CACHE;
+        let (required_features, required_limits) = requested.of(&info, adapter.features(), &adapter.limits());
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("regolith/device"),
-            required_features: adapter::REQUIRED_FEATURES | (adapter.features() & wanted),
+            required_features,
             required_limits,
             memory_hints: memory_hints(&info),
             ..Default::default()
@@ -114,6 +139,7 @@ impl Gpu {
             stencil_upload: flags.contains(DownlevelFlags::DEPTH_TEXTURE_AND_BUFFER_COPIES),
             multi_draw: flags.contains(DownlevelFlags::INDIRECT_EXECUTION)
                 && device.features().contains(Features::INDIRECT_FIRST_INSTANCE),
+            depth_stencil: device.features().contains(Features::DEPTH32FLOAT_STENCIL8),
         };
         let pipeline_cache = PipelineCache::new(&device, &info, load);
         Ok(Self { device, queue, info, capabilities, pipeline_cache, pending_error })
@@ -222,7 +248,22 @@ impl Gpu {
     }
 }
 
-/// The limits that are requested of an adapter that offers these.
+impl Requested {
+    /// Features and limits to request of an adapter that offers these.
+    fn of(self, info: &AdapterInfo, features: Features, offered: &Limits) -> (Features, Limits) {
+        let wanted = Features::TIMESTAMP_QUERY
+            | Features::INDIRECT_FIRST_INSTANCE
+            | Features::PIPELINE_CACHE
+            | Features::DEPTH32FLOAT_STENCIL8;
+        match self {
+            Self::Offered => (features & wanted, required_limits(info, offered)),
+            Self::Least => (Features::empty(), Limits::downlevel_defaults().or_worse_values_from(offered)),
+        }
+    }
+}
+
+/// The limits that are requested of an adapter that offers these. None is beyond what it offers: where that is too little, what needs
+/// more says so.
 fn required_limits(info: &AdapterInfo, offered: &Limits) -> Limits {
     let base = if info.backend == Backend::Gl { Limits::downlevel_defaults() } else { Limits::defaults() };
     Limits {
@@ -231,7 +272,7 @@ fn required_limits(info: &AdapterInfo, offered: &Limits) -> Limits {
         max_color_attachment_bytes_per_sample: offered.max_color_attachment_bytes_per_sample.min(32),
         max_buffer_size: offered.max_buffer_size,
         max_storage_buffer_binding_size: offered.max_storage_buffer_binding_size,
-        ..base
+        ..base.or_worse_values_from(offered)
     }
 }
 

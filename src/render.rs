@@ -9,6 +9,8 @@
 
 mod backend;
 pub mod device;
+#[cfg(test)]
+mod fallbacks;
 mod frame_plan;
 pub mod lighting;
 pub mod post;
@@ -27,7 +29,7 @@ use crate::frame::{Annotation, Annotations, Frame};
 use crate::gpu::Gpu;
 use crate::gpu::staging::StagingBuffer;
 use crate::scene::Scene;
-pub use backend::{RasterBackend, RasterMode, RasterOptions};
+pub use backend::{LightingMode, RasterBackend, RasterMode, RasterOptions};
 pub use device::timing::StageTimes;
 pub use settings::RenderSettings;
 
@@ -36,7 +38,7 @@ use device::shading_bins::LightingVariant;
 use device::timing::{Pass, Timer, milliseconds};
 use frame_plan::FramePlan;
 use lighting::gbuffer::GBuffer;
-use lighting::pass::{LightingPass, PipelineKey};
+use lighting::pass::{FrameKey, LightingPass};
 use resolve::pass::{PackedFrame, ResolvePass};
 use scene_buffers::SceneBuffers;
 use shadow::ShadowBackend;
@@ -92,7 +94,7 @@ struct PreparedFrame {
     plan: FramePlan,
     gbuffer: GBuffer,
     slot: Slot,
-    pipelines: PipelineKey,
+    pipelines: FrameKey,
     uploaded_bytes: u64,
 }
 
@@ -116,7 +118,7 @@ pub struct InFlight {
 pub struct FrameCost {
     /// Triangles that were rasterised for visibility.
     pub drawn_triangles: u64,
-    /// Draws of the lighting pass, one for each shading bin that is visible.
+    /// Draws of the lighting pass: one for each shading bin that is visible, or one for all.
     pub lighting_draws: usize,
     /// Bytes that were uploaded.
     pub uploaded_bytes: u64,
@@ -171,7 +173,7 @@ impl Renderer {
             nearest: gpu.device.create_sampler(&nearest),
             raster,
             shadow: ShadowBackend::new(raster.shadow),
-            visibility: VisibilityBackend::new(raster.visibility),
+            visibility: VisibilityBackend::new(&raster),
             lighting: LightingPass::new(&gpu, &layouts),
             resolve: ResolvePass::new(&gpu, &layouts),
             buffers: SceneBuffers::default(),
@@ -203,8 +205,9 @@ impl Renderer {
         if raster.shadow != self.raster.shadow {
             self.shadow = ShadowBackend::new(raster.shadow);
         }
-        if raster.visibility != self.raster.visibility {
-            self.visibility = VisibilityBackend::new(raster.visibility);
+        let visibility = |raster: &RasterOptions| (raster.visibility, raster.lighting);
+        if visibility(&raster) != visibility(&self.raster) {
+            self.visibility = VisibilityBackend::new(&raster);
         }
         self.raster = raster;
     }
@@ -258,7 +261,7 @@ impl Renderer {
         let PreparedFrame { plan, gbuffer, slot, uploaded_bytes, .. } = frame;
         let cost = FrameCost {
             drawn_triangles: self.visibility.triangles(&self.buffers.meshes, &gbuffer.batches),
-            lighting_draws: gbuffer.batches.len(),
+            lighting_draws: self.lighting_draws(&gbuffer),
             uploaded_bytes,
         };
         (self.plan, self.gbuffer, self.last_cost) = (Some(plan), Some(gbuffer), cost);
@@ -280,7 +283,7 @@ impl Renderer {
         let (scene, settings) = request.rendered(scene);
         let mut gbuffer = self.take_gbuffer(scene, settings)?;
         let mut slot = self.take_slot(&request.image);
-        let pipelines = PipelineKey::new(scene, &gbuffer);
+        let pipelines = FrameKey::new(scene, &gbuffer);
         let resolve_variant = resolve::pass::Variant::new(&gbuffer, image_size);
         // Compiling a pipeline takes longer than it saves in one frame: the first is lit by as few pipelines as possible, which are
         // compiled while it is prepared.
@@ -314,14 +317,20 @@ impl Renderer {
             },
             || {
                 resolve.prepare(gpu, resolve_variant);
-                if is_first {
-                    lighting.prepare(gpu, pipelines, LightingVariant::GENERAL);
+                match raster.lighting {
+                    LightingMode::Bins if is_first => {
+                        lighting.prepare(gpu, pipelines, LightingVariant::GENERAL);
+                    }
+                    LightingMode::OneDraw => lighting.prepare(gpu, pipelines, [LightingVariant::Any]),
+                    LightingMode::Bins => {}
                 }
             },
         );
         let (plan, mut uploaded_bytes) = prepared?;
         uploaded_bytes += slot.packed.choose(gpu, &gbuffer);
-        lighting.prepare(gpu, pipelines, gbuffer.batches.iter().map(|batch| batch.variant));
+        if raster.lighting == LightingMode::Bins {
+            lighting.prepare(gpu, pipelines, gbuffer.batches.iter().map(|batch| batch.variant));
+        }
         gpu.check()?;
         Ok(PreparedFrame { plan, gbuffer, slot, pipelines, uploaded_bytes })
     }
@@ -362,6 +371,13 @@ impl Renderer {
         packed.copy(encoder);
         if let Some(timer) = timer {
             timer.copy(encoder, &self.device_passes());
+        }
+    }
+
+    const fn lighting_draws(&self, gbuffer: &GBuffer) -> usize {
+        match self.raster.lighting {
+            LightingMode::Bins => gbuffer.batches.len(),
+            LightingMode::OneDraw => 1,
         }
     }
 

@@ -27,18 +27,18 @@ fn relief_slope(point: vec2<f32>, sample_m: f32) -> vec2<f32> {
     var slope = vec2(0.0);
     // Coarse to fine: skip the octaves that are wholly in the mesh, stop at the first that samples cannot resolve.
     var k = 0u;
-    while k < light.relief_waves && mesh_share(relief.noise[k].cell_m, cell_m) == 1.0 { k++; }
+    while k < light.relief_waves && mesh_share(relief_noise(k).cell_m, cell_m) == 1.0 { k++; }
     for (; k < light.relief_waves; k++) {
-        let octave = relief.noise[k];
+        let octave = relief_noise(k);
         let resolved = sample_share(octave.cell_m, sample_m);
         if resolved == 0.0 { break; }
         slope += (1.0 - mesh_share(octave.cell_m, cell_m)) * resolved * noise_slope(octave, point);
     }
     // The smallest pits of a lattice are half as large as its largest; 0.499 and 1.001 leave room for rounding.
     k = 0u;
-    while k < light.relief_pit_lattices && mesh_share(0.499 * relief.pits[k].max_diameter_m, cell_m) == 1.0 { k++; }
+    while k < light.relief_pit_lattices && mesh_share(0.499 * relief_pits(k).max_diameter_m, cell_m) == 1.0 { k++; }
     for (; k < light.relief_pit_lattices; k++) {
-        let pits = relief.pits[k];
+        let pits = relief_pits(k);
         if sample_share(1.001 * pits.max_diameter_m, sample_m) == 0.0 { break; }
         slope += pits_slope(pits, point, cell_m, sample_m);
     }

@@ -23,7 +23,8 @@ struct Instance {
     // Of a caster: corner and side of its shadow tile, texels.
     tile_origin_px: vec2<f32>,
     tile_size_px: f32,
-    reserved: u32,
+    // Detail below the mesh (common/shading.wgsl), and above its 8 bits the index of the relief.
+    detail: u32,
 }
 
 // A caster's tile in the shadow atlas.
@@ -91,6 +92,12 @@ struct ReliefUniforms {
     pits: array<Lattice, 12>,
 }
 
+// Dynamic offsets of uniforms are multiples of 256 bytes.
+struct ReliefSlot {
+    relief: ReliefUniforms,
+    unused: array<vec4<u32>, 6>,
+}
+
 // The instance of the draw, if all of its samples show the same.
 @group(1) @binding(0) var<uniform> instance: Instance;
 // `CasterTile`s, each in two loads.
@@ -99,3 +106,5 @@ struct ReliefUniforms {
 @group(1) @binding(2) var<uniform> relief: ReliefUniforms;
 // All instances.
 @group(1) @binding(3) var<storage, read> instances: array<InstanceSlot>;
+// All reliefs.
+@group(1) @binding(4) var<storage, read> reliefs: array<ReliefSlot>;

@@ -9,7 +9,7 @@ use regolith::dataset::plan::{Plan, Range, Shard};
 use regolith::dataset::rules::Rules;
 use regolith::output::{self, Artifact, disk, layout};
 use regolith::params::Knob;
-use regolith::render::{FRAMES_IN_FLIGHT, Renderer};
+use regolith::render::{FRAMES_IN_FLIGHT, LightingMode, Renderer};
 use regolith::{Error, Result};
 use serde_json::{Map, Value, json};
 
@@ -56,6 +56,10 @@ pub(super) struct BenchArgs {
         default_value_if("sweep", clap::builder::ArgPredicate::IsPresent, "sweep.svg")
     )]
     plot: Option<PathBuf>,
+    /// How lighting is divided into draws: bins (one for each kind of surface, selected by the stencil) or one-draw (all at once;
+    /// needs --raster device where that is not the default) [default: bins on a software adapter, else one-draw]
+    #[arg(long, value_name = "bins|one-draw")]
+    lighting: Option<LightingMode>,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -65,6 +69,9 @@ pub(super) fn run(args: &BenchArgs, messages: Messages) -> Result<()> {
     let cases = parse_cases(&args.cases)?;
     let setup = setup(args, messages)?;
     let mut renderer = args.device.renderer(args.device.open()?)?;
+    if let Some(lighting) = args.lighting {
+        renderer.set_raster(renderer.raster().with_lighting(lighting, renderer.gpu())?);
+    }
     match &args.sweep {
         Some(name) => sweep(args, messages, name, cases[0], &setup, &mut renderer),
         None => measure(args, messages, &cases, &setup, &mut renderer),
@@ -138,6 +145,7 @@ fn measure(
         let result = json!({
             "adapter": { "name": info.name, "backend": info.backend.to_string(), "driver": format!("{} {}", info.driver, info.driver_info) },
             "raster": renderer.raster().name(),
+            "lighting": renderer.raster().lighting.name(),
             "version": env!("CARGO_PKG_VERSION"),
             "cores": cores(),
             "size": settings.size,

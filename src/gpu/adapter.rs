@@ -2,15 +2,10 @@
 //!
 //! Must not know: how a device is opened.
 
-use wgpu::{
-    AdapterInfo, Backend, Backends, DeviceType, DownlevelFlags, Features, InstanceDescriptor, InstanceFlags,
-};
+use wgpu::{AdapterInfo, Backend, Backends, DeviceType, DownlevelFlags, InstanceDescriptor, InstanceFlags};
 
 use crate::error::{Error, Result};
 use crate::gpu::memory_limits;
-
-/// Optional features that rendering cannot do without.
-pub(super) const REQUIRED_FEATURES: Features = Features::DEPTH32FLOAT_STENCIL8;
 
 /// What of WebGPU the passes use and an adapter may lack, in words. Shaders need nothing optional: tests validate every program
 /// without any capability.
@@ -20,11 +15,9 @@ const REQUIRED_FLAGS: [(DownlevelFlags, &str); 3] = [
     (DownlevelFlags::FRAGMENT_STORAGE, "storage buffers in fragment shaders"),
 ];
 
-/// What an adapter with these features and flags lacks, in words.
-pub(super) fn missing(features: Features, flags: DownlevelFlags) -> Vec<&'static str> {
-    let depth = (!features.contains(REQUIRED_FEATURES)).then_some("32-bit depth buffers with a stencil");
-    let flags = REQUIRED_FLAGS.iter().filter(|(flag, _)| !flags.contains(*flag)).map(|(_, name)| *name);
-    depth.into_iter().chain(flags).collect()
+/// What an adapter with these flags lacks, in words.
+pub(super) fn missing(flags: DownlevelFlags) -> Vec<&'static str> {
+    REQUIRED_FLAGS.iter().filter(|(flag, _)| !flags.contains(*flag)).map(|(_, name)| *name).collect()
 }
 
 /// The adapter whose description contains `wanted`, or the best one; see [`crate::gpu::Gpu::open`].
@@ -146,9 +139,8 @@ mod tests {
     #[test]
     fn what_an_adapter_lacks_is_named() {
         let all = DownlevelFlags::all();
-        assert_eq!(missing(REQUIRED_FEATURES, all), [""; 0]);
-        assert_eq!(missing(REQUIRED_FEATURES, all - DownlevelFlags::SHADER_F16_IN_F32), [""; 0]);
-        assert_eq!(missing(REQUIRED_FEATURES, all - DownlevelFlags::COMPUTE_SHADERS), ["compute shaders"]);
-        assert_eq!(missing(Features::empty(), all), ["32-bit depth buffers with a stencil"]);
+        assert_eq!(missing(all), [""; 0]);
+        assert_eq!(missing(all - DownlevelFlags::SHADER_F16_IN_F32), [""; 0]);
+        assert_eq!(missing(all - DownlevelFlags::COMPUTE_SHADERS), ["compute shaders"]);
     }
 }

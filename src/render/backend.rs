@@ -1,4 +1,4 @@
-//! Which backend rasterises: the device, or the host with its CPU rasteriser.
+//! Which backend rasterises: the device, or the host with its CPU rasteriser. And in how many draws the samples are shaded.
 //!
 //! The host backend exists because a software adapter runs every stage of a pipeline on the CPU anyway, and slower than the CPU
 //! rasteriser does. Labels agree to within the rounding of vertex positions.
@@ -52,6 +52,35 @@ pub enum RasterBackend {
     Host,
 }
 
+/// How lighting divides the samples into draws. Changes no bit of any plane.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LightingMode {
+    /// One draw for each shading bin, with a pipeline that does no more than the bin needs: for software adapters, which take the
+    /// time of branches that are not taken. The stencil selects the samples.
+    Bins,
+    /// One draw for all samples, each by what its instance says. Needs no stencil, but visibility that the device rasterises.
+    OneDraw,
+}
+
+impl LightingMode {
+    const NAMES: [(&'static str, Self); 2] = [("bins", Self::Bins), ("one-draw", Self::OneDraw)];
+
+    /// Name for records.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        Self::NAMES[self as usize].0
+    }
+}
+
+impl FromStr for LightingMode {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        let found = Self::NAMES.iter().find(|(name, _)| *name == text);
+        found.map(|(_, mode)| *mode).ok_or_else(|| "allowed are bins and one-draw".to_owned())
+    }
+}
+
 /// How a renderer rasterises.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RasterOptions {
@@ -64,6 +93,8 @@ pub struct RasterOptions {
     pub bin_by_shadow_sources: bool,
     /// The device takes all draws of a batch in one indirect command. Changes no bit of any plane.
     pub multi_draw: bool,
+    /// How samples are divided into draws of lighting. [`RasterOptions::with_lighting`] sets it.
+    pub lighting: LightingMode,
 }
 
 impl RasterOptions {
@@ -87,7 +118,35 @@ impl RasterOptions {
             }
             RasterMode::Host => (RasterBackend::Host, RasterBackend::Host),
         };
-        Ok(Self { visibility, shadow, bin_by_shadow_sources: true, multi_draw: gpu.capabilities.multi_draw })
+        let lighting = if visibility == RasterBackend::Device && !Self::gains_from_bins(gpu) {
+            LightingMode::OneDraw
+        } else {
+            LightingMode::Bins
+        };
+        let multi_draw = gpu.capabilities.multi_draw;
+        Ok(Self { visibility, shadow, bin_by_shadow_sources: true, multi_draw, lighting })
+    }
+
+    /// Whether the device can draw shading bins where it rasterises visibility itself, and is faster with them.
+    const fn gains_from_bins(gpu: &Gpu) -> bool {
+        gpu.capabilities.software_adapter && gpu.capabilities.depth_stencil
+    }
+
+    /// The same with this lighting.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for what the device or the backend of the visibility stage does not support.
+    pub fn with_lighting(self, lighting: LightingMode, gpu: &Gpu) -> Result<Self> {
+        let refused = match (lighting, self.visibility) {
+            (LightingMode::OneDraw, RasterBackend::Host) => Some("the host rasterises; use --raster device"),
+            (LightingMode::Bins, RasterBackend::Device) if !gpu.capabilities.depth_stencil => {
+                Some("the device has no depth of 32 bits with a stencil; use one-draw")
+            }
+            _ => None,
+        };
+        refused.map_or(Ok(Self { lighting, ..self }), |reason| {
+            Err(Error::Usage(format!("--lighting {}: {reason}", lighting.name())))
+        })
     }
 
     /// Name for records: `device` or `host`; `mixed` where the device rasterises visibility and the host shadows, or the other
@@ -113,5 +172,9 @@ mod tests {
             assert_eq!(mode.to_string(), name);
         }
         assert!("cpu".parse::<RasterMode>().is_err());
+        for (name, mode) in LightingMode::NAMES {
+            assert_eq!((name.parse(), mode.name()), (Ok(mode), name));
+        }
+        assert!("draws".parse::<LightingMode>().is_err());
     }
 }

@@ -10,10 +10,10 @@ use glam::Mat4;
 
 use crate::class::ClassId;
 use crate::pool::PooledVec;
-use crate::render::backend::RasterOptions;
+use crate::render::backend::{LightingMode, RasterOptions};
 use crate::render::device::packing::Packing;
 use crate::render::device::shader_structs::{CasterTile, FrameUniforms, HorizonLevel, Instance};
-use crate::render::device::shading_bins::ShadingBins;
+use crate::render::device::shading_bins::{Detail, ShadingBins};
 use crate::render::lighting::relief_bands::ReliefBands;
 use crate::render::resolve::tone;
 use crate::render::select::caster_grid::{CasterGrids, caster_grid};
@@ -106,7 +106,7 @@ impl FramePlan {
             is_horizon_new,
             caster_grid,
             caster_tiles,
-            instances: instances(scene, settings, slots),
+            instances: instances(scene, settings, slots, bands.bands.len(), options.lighting),
             draws,
             uniforms: frame_uniforms(scene, settings, image_size, &horizon, shadow_map_px, &bounced),
             bands,
@@ -117,8 +117,16 @@ impl FramePlan {
     }
 }
 
-/// The instances of a frame, by slot: ground, rocks, stars, dome.
-fn instances(scene: &Scene, settings: &RenderSettings, slots: Slots<'_>) -> Vec<Instance> {
+/// The instances of a frame, by slot: ground, rocks, stars, dome; then the ground of each relief band where samples look up their
+/// relief by their instance.
+fn instances(
+    scene: &Scene,
+    settings: &RenderSettings,
+    slots: Slots<'_>,
+    bands: usize,
+    lighting: LightingMode,
+) -> Vec<Instance> {
+    let detail = |detail: Detail| if scene.relief.is_some() { detail } else { Detail::None };
     let selection = slots.selection();
     let photometry = &scene.photometry;
     let (soil_surge, rock_surge) = (photometry.soil.b_s0 as f32, photometry.rock_b_s0 as f32);
@@ -130,6 +138,7 @@ fn instances(scene: &Scene, settings: &RenderSettings, slots: Slots<'_>) -> Vec<
         surge_height: soil_surge,
         roughness: scene.regolith.roughness,
         class_id: ClassId::REGOLITH.0.into(),
+        detail: detail(Detail::Relief).with_relief(0),
         ..Default::default()
     }];
     let rock_at_normal = at_normal(rock_surge);
@@ -150,7 +159,7 @@ fn instances(scene: &Scene, settings: &RenderSettings, slots: Slots<'_>) -> Vec<
             dust_min_normal_z: rock.dust_above,
             tile_origin_px: tile.origin_px,
             tile_size_px: tile.size_px,
-            reserved: 0,
+            detail: detail(Detail::RockTexture).with_relief(0),
         }
     }));
     let in_sky = |origin, scale, colour| Instance {
@@ -158,6 +167,7 @@ fn instances(scene: &Scene, settings: &RenderSettings, slots: Slots<'_>) -> Vec<
         scale,
         colour,
         class_id: ClassId::SKY.0.into(),
+        detail: Detail::Emissive.with_relief(0),
         ..Default::default()
     };
     instances.extend(selection.stars.iter().map(|&star| {
@@ -165,6 +175,11 @@ fn instances(scene: &Scene, settings: &RenderSettings, slots: Slots<'_>) -> Vec<
         in_sky(star.centre, star.radius_m, scene.sky.star_radiance)
     }));
     instances.push(in_sky(scene.sky.centre, scene.sky.radius_m, scene.sky.radiance));
+    if lighting == LightingMode::OneDraw {
+        let ground = instances[Slots::GROUND as usize];
+        let of_band = |band| Instance { detail: detail(Detail::Relief).with_relief(band), ..ground };
+        instances.extend((0..bands as u32).map(of_band));
+    }
     instances
 }
 
@@ -244,7 +259,13 @@ mod tests {
     }
 
     const fn options(backend: RasterBackend) -> RasterOptions {
-        RasterOptions { visibility: backend, shadow: backend, bin_by_shadow_sources: true, multi_draw: false }
+        RasterOptions {
+            visibility: backend,
+            shadow: backend,
+            bin_by_shadow_sources: true,
+            multi_draw: false,
+            lighting: LightingMode::Bins,
+        }
     }
 
     fn scene(seed: u64) -> Scene {

@@ -1,4 +1,4 @@
-//! Lighting: from the G-buffer to radiance and class, in one draw for each shading bin.
+//! Lighting: from the G-buffer to radiance and class, in one draw for each shading bin or in one for all.
 //! Must not know: how visibility was found.
 
 pub(crate) mod gbuffer;

@@ -36,7 +36,7 @@ impl Default for SceneBuffers {
         Self {
             meshes: Meshes::default(),
             frame: GrowingBuffer::new("frame/uniforms", BufferUsages::UNIFORM),
-            relief: GrowingBuffer::new("scene/relief", BufferUsages::UNIFORM),
+            relief: GrowingBuffer::new("scene/relief", BufferUsages::UNIFORM.union(BufferUsages::STORAGE)),
             instances: GrowingBuffer::new(
                 "scene/instances",
                 BufferUsages::UNIFORM.union(BufferUsages::STORAGE),
@@ -100,6 +100,7 @@ impl SceneBuffers {
             self.caster_tiles.buffer().as_entire_binding(),
             self.relief.bind_first(size_of::<ReliefUniforms>()),
             self.instances.buffer().as_entire_binding(),
+            self.relief.buffer().as_entire_binding(),
         ];
         bind_group(gpu, "scene", &layouts.scene, &resources)
     }

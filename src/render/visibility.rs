@@ -15,9 +15,9 @@ use crate::class::ClassId;
 use crate::error::Result;
 use crate::gpu::Gpu;
 use crate::gpu::staging::{PAGE_BYTES, Page, StagingBuffer, TextureRegion};
-use crate::render::backend::RasterBackend;
+use crate::render::backend::{LightingMode, RasterBackend, RasterOptions};
 use crate::render::device::bind_groups::BindLayouts;
-use crate::render::device::depth::{DEPTH_STENCIL_FORMAT, STENCIL_FORMAT};
+use crate::render::device::depth::{DEPTH_FORMAT, DEPTH_STENCIL_FORMAT, STENCIL_FORMAT};
 use crate::render::device::timing::{Pass, Timer, milliseconds};
 use crate::render::lighting::gbuffer::{
     Background, GBuffer, GBufferLayout, SLOPES_FORMAT, VISIBILITY_FORMAT,
@@ -61,9 +61,12 @@ pub(crate) enum VisibilityBackend {
 
 impl VisibilityBackend {
     /// A backend that has rasterised nothing yet.
-    pub(crate) fn new(backend: RasterBackend) -> Self {
-        match backend {
-            RasterBackend::Device => Self::Device(VisibilityPass::default()),
+    pub(crate) fn new(options: &RasterOptions) -> Self {
+        match options.visibility {
+            RasterBackend::Device => Self::Device(VisibilityPass::new(match options.lighting {
+                LightingMode::Bins => DEPTH_STENCIL_FORMAT,
+                LightingMode::OneDraw => DEPTH_FORMAT,
+            })),
             RasterBackend::Host => Self::Host(Box::default()),
         }
     }
@@ -71,15 +74,15 @@ impl VisibilityBackend {
     /// The G-buffer that it fills for a scene.
     pub(crate) const fn gbuffer_layout(&self, scene: &Scene) -> GBufferLayout {
         match self {
-            Self::Device(_) => GBufferLayout {
+            Self::Device(pass) => GBufferLayout {
                 write_usage: TextureUsages::RENDER_ATTACHMENT,
-                stencil_format: DEPTH_STENCIL_FORMAT,
+                depth_stencil_format: pass.depth_stencil_format,
                 has_slopes: false,
                 has_host_stencil: false,
             },
             Self::Host(_) => GBufferLayout {
                 write_usage: TextureUsages::COPY_DST,
-                stencil_format: STENCIL_FORMAT,
+                depth_stencil_format: STENCIL_FORMAT,
                 has_slopes: scene.relief.is_some(),
                 has_host_stencil: true,
             },
@@ -235,7 +238,7 @@ impl VisibilityRaster {
                 staging.copy_to(gpu, slopes, &[TextureRegion { offset_bytes: each_bytes[0], ..part }])?;
             }
         }
-        gpu.guard(|| gpu.write_texels(&gbuffer.stencil.0, gbuffer.sample_size, &stencil.values))?;
+        gpu.guard(|| gpu.write_texels(&gbuffer.depth_stencil.0, gbuffer.sample_size, &stencil.values))?;
         let bytes = row_bytes as u64 * written.len() as u64 + stencil.values.len() as u64;
         gbuffer.host_stencil = Some(stencil.values);
         Ok((bytes, stencil.has_holes))

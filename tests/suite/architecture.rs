@@ -86,6 +86,8 @@ const LAYERS: [(&str, &[&[&str]]); 8] = [
             &["post", "shadow"],
             &["frame_plan"],
             &["scene_buffers"],
+            &[SELF],
+            &["fallbacks"],
         ],
     ),
     ("output", &[&["artifact", "dataset_path", "edges", "label_ids"], &["disk", "encode"], &["layout"]]),

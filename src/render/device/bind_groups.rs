@@ -15,7 +15,7 @@ pub(crate) const SHADOW_MAP_FORMAT: TextureFormat = TextureFormat::R32Float;
 pub struct BindLayouts {
     /// Group 0 of every pass: `FrameUniforms`.
     pub frame: wgpu::BindGroupLayout,
-    /// Group 1 of the drawing passes: the instance of the draw, caster tiles, its relief, all instances.
+    /// Group 1 of the drawing passes: the instance of the draw, caster tiles, its relief, all instances, all reliefs.
     pub scene: wgpu::BindGroupLayout,
     /// Group 2 of the shadow map's compute pass: depth layers, map.
     pub layers: wgpu::BindGroupLayout,
@@ -75,7 +75,7 @@ impl BindLayouts {
                 drawing | ShaderStages::COMPUTE,
                 &[buffer(wgpu::BufferBindingType::Uniform)],
             ),
-            scene: group("scene", drawing, &[instance, read, relief, read]),
+            scene: group("scene", drawing, &[instance, read, relief, read, read]),
             layers: group("layers", ShaderStages::COMPUTE, &[float, map]),
             light: group("light", ShaderStages::FRAGMENT, &[uint, float, float, read, nearest, float]),
             resolve: group("resolve", ShaderStages::COMPUTE, &[&resolve[..], &sample_planes].concat()),

@@ -9,6 +9,8 @@ use wgpu::TextureFormat;
 pub(crate) const SHADOW_LAYERS_FORMAT: TextureFormat = TextureFormat::Depth32Float;
 /// Format of depth and stencil of the samples where the device rasterises them. The stencil holds shading bins.
 pub(crate) const DEPTH_STENCIL_FORMAT: TextureFormat = TextureFormat::Depth32FloatStencil8;
+/// Format of depth of the samples where the device rasterises them and lighting needs no stencil.
+pub(crate) const DEPTH_FORMAT: TextureFormat = TextureFormat::Depth32Float;
 /// Format of the stencil of the samples where it is uploaded: no depth test is made there.
 pub(crate) const STENCIL_FORMAT: TextureFormat = TextureFormat::Stencil8;
 

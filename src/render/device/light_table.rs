@@ -12,6 +12,8 @@
 
 use std::fmt::Write as _;
 
+use crate::gpu::Gpu;
+
 /// WGSL type of a number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum LightType {
@@ -83,16 +85,25 @@ static LIGHT_TABLE: [LightNumber; 36] = {
 
 /// How the numbers reach the fragment stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Transport {
+pub(crate) enum Transport {
     /// Packed into flat varyings.
     Varyings,
-    /// Read from the uniforms by the fragment stage, whose bind group layouts must then show them to it.
-    #[cfg_attr(not(test), expect(dead_code, reason = "for GPUs; no adapter selects it yet"))]
+    /// Read from the uniforms by the fragment stage.
     Uniforms,
 }
 
-/// The transport of every adapter.
-const TRANSPORT: Transport = Transport::Varyings;
+impl Transport {
+    /// That of a device: varyings on a software adapter, if it can pass so many from stage to stage.
+    #[must_use]
+    pub(crate) fn of(gpu: &Gpu) -> Self {
+        let limit = gpu.device.limits().max_inter_stage_shader_variables;
+        Self::choose(gpu.capabilities.software_adapter, limit)
+    }
+
+    fn choose(is_software: bool, max_varyings: u32) -> Self {
+        if is_software && pack().1.len() <= max_varyings as usize { Self::Varyings } else { Self::Uniforms }
+    }
+}
 
 /// Bits of a whole number that an `f32` holds exactly.
 const EXACT_BITS: u32 = 24;
@@ -163,11 +174,7 @@ fn pack() -> (Vec<Slot>, Vec<usize>) {
 
 /// The WGSL that the table stands for: `Light`, `LightVaryings`, `light_varyings` and `light_from`.
 #[must_use]
-pub(in crate::render) fn light_wgsl() -> String {
-    light_wgsl_for(TRANSPORT)
-}
-
-fn light_wgsl_for(transport: Transport) -> String {
+pub(in crate::render) fn light_wgsl(transport: Transport) -> String {
     let mut text =
         "// Generated from the table in src/render/device/light_table.rs.\n\nstruct Light {\n".to_owned();
     for row in &LIGHT_TABLE {
@@ -240,7 +247,9 @@ fn unpacked_expression(kind: LightType, slot: Slot) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::render::device::shader_programs::{LIGHTING_SKY, LIGHTING_SURFACE, parse};
+    use crate::render::device::shader_programs::{
+        LIGHTING_ONE_DRAW, LIGHTING_SKY, LIGHTING_SURFACE, TextOptions, parse,
+    };
 
     /// Inter-stage variables of WebGPU's default limits: 16, of which the position takes none.
     const MAX_VARYINGS: usize = 15;
@@ -271,7 +280,7 @@ mod tests {
     #[test]
     fn the_struct_has_a_field_per_row_and_shaders_read_each() {
         let text = LIGHTING_SURFACE.text();
-        for program in [&LIGHTING_SURFACE, &LIGHTING_SKY] {
+        for program in [&LIGHTING_SURFACE, &LIGHTING_SKY, &LIGHTING_ONE_DRAW] {
             let module = parse(program);
             let (_, light) =
                 module.types.iter().find(|(_, kind)| kind.name.as_deref() == Some("Light")).expect("Light");
@@ -287,16 +296,25 @@ mod tests {
 
     #[test]
     fn both_transports_are_valid() {
-        let joined = LIGHTING_SURFACE.text();
-        for transport in [Transport::Varyings, Transport::Uniforms] {
-            let text = joined.replace(&light_wgsl(), &light_wgsl_for(transport));
-            assert_eq!(text == joined, transport == TRANSPORT);
-            let module = naga::front::wgsl::parse_str(&text)
-                .unwrap_or_else(|error| panic!("{transport:?}: {}", error.emit_to_string(&text)));
-            let capabilities = naga::valid::Capabilities::empty();
-            naga::valid::Validator::new(naga::valid::ValidationFlags::all(), capabilities)
-                .validate(&module)
-                .unwrap_or_else(|error| panic!("{transport:?}: {}", error.emit_to_string(&text)));
+        for program in [&LIGHTING_SURFACE, &LIGHTING_SKY, &LIGHTING_ONE_DRAW] {
+            for transport in [Transport::Varyings, Transport::Uniforms] {
+                let text = program.text_for(TextOptions { transport, ..TextOptions::default() });
+                assert_eq!(text == program.text(), transport == TextOptions::default().transport);
+                let module = naga::front::wgsl::parse_str(&text)
+                    .unwrap_or_else(|error| panic!("{transport:?}: {}", error.emit_to_string(&text)));
+                let capabilities = naga::valid::Capabilities::empty();
+                naga::valid::Validator::new(naga::valid::ValidationFlags::all(), capabilities)
+                    .validate(&module)
+                    .unwrap_or_else(|error| panic!("{transport:?}: {}", error.emit_to_string(&text)));
+            }
         }
+    }
+
+    #[test]
+    fn varyings_are_for_software_adapters_with_enough_of_them() {
+        let needed = pack().1.len() as u32;
+        assert_eq!(Transport::choose(true, needed), Transport::Varyings);
+        assert_eq!(Transport::choose(true, needed - 1), Transport::Uniforms);
+        assert_eq!(Transport::choose(false, needed), Transport::Uniforms);
     }
 }

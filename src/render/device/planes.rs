@@ -4,8 +4,10 @@
 //! The WGSL that repeats these tables is generated from them: `struct LightingOutput` (`generated/lighting_output.wgsl`)
 //! and `resolve_annotations` (`generated/resolve_planes.wgsl`).
 //!
-//! To add a plane of samples: a variant of [`SamplePlane`] with its row here, and its value where the entry points in
-//! `lighting_surface.wgsl` and `lighting_sky.wgsl` build a `LightingOutput`; for the plane of the frame that comes from it
+//! Devices differ in how many planes a pass can write: [`lighting_passes`] divides them.
+//!
+//! To add a plane of samples: a variant of [`SamplePlane`] with its row here, and its value where the
+//! lighting shaders call `lighting_output`; for the plane of the frame that comes from it
 //! see [`crate::frame::plane`], and here its arm in [`resolve_rule`].
 //! Must not know: a pass.
 
@@ -59,7 +61,7 @@ const fn row(
     SamplePlaneRow { plane, name, wgsl, format, comment }
 }
 
-/// Every plane of samples, by location. Together they must stay within 32 bytes per sample, which every device offers.
+/// Every plane of samples, by location.
 pub(crate) static SAMPLE_PLANES: [SamplePlaneRow; 5] = {
     use TextureFormat::{R8Uint, R8Unorm, R16Uint, Rgba16Float};
     [
@@ -131,6 +133,53 @@ impl SamplePlane {
         };
         PLANES.iter().any(|row| row.plane.is_in(annotations) && needs(resolve_rule(row.plane)))
     }
+}
+
+/// The planes that one pass of lighting writes, by index in [`SAMPLE_PLANES`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct PlaneSet([bool; SAMPLE_PLANES.len()]);
+
+impl PlaneSet {
+    /// Every plane.
+    pub(crate) const ALL: Self = Self([true; SAMPLE_PLANES.len()]);
+
+    /// Its rows, by location: the n-th has location n in the pass.
+    pub(crate) fn rows(self) -> impl Iterator<Item = &'static SamplePlaneRow> {
+        SAMPLE_PLANES.iter().filter(move |row| self.0[row.plane as usize])
+    }
+
+    /// Whether a pass within these limits can write all of them.
+    fn fits(self, limits: &wgpu::Limits) -> bool {
+        let bytes = self.rows().fold(0_u32, |bytes, row| {
+            let alignment = row.format.target_component_alignment().unwrap_or(1);
+            bytes.next_multiple_of(alignment) + row.format.target_pixel_byte_cost().unwrap_or(0)
+        });
+        self.rows().count() <= limits.max_color_attachments as usize
+            && bytes <= limits.max_color_attachment_bytes_per_sample
+    }
+}
+
+/// The passes that write what a frame with these annotations needs on a device with these limits: one for all planes where the
+/// limits allow, else one for as many as they allow at a time. Radiance and class are written by the same draw everywhere: they
+/// are first, and every device can write four planes.
+#[must_use]
+pub(crate) fn lighting_passes(annotations: Annotations, limits: &wgpu::Limits) -> Vec<PlaneSet> {
+    if PlaneSet::ALL.fits(limits) {
+        return vec![PlaneSet::ALL];
+    }
+    let mut passes: Vec<PlaneSet> = Vec::new();
+    for row in SAMPLE_PLANES.iter().filter(|row| row.plane.is_needed(annotations)) {
+        let with_row = |mut set: PlaneSet| {
+            set.0[row.plane as usize] = true;
+            set
+        };
+        let none = PlaneSet([false; SAMPLE_PLANES.len()]);
+        match passes.last_mut() {
+            Some(last) if with_row(*last).fits(limits) => *last = with_row(*last),
+            _ => passes.push(with_row(none)),
+        }
+    }
+    passes
 }
 
 /// What a mean adds up over samples.
@@ -227,16 +276,26 @@ fn push(text: &mut String, line: std::fmt::Arguments<'_>) {
     text.write_fmt(line).expect("a string takes everything");
 }
 
-/// `generated/lighting_output.wgsl`.
+/// `generated/lighting_output.wgsl` for a pass that writes these planes.
 #[must_use]
-pub(in crate::render) fn lighting_output_wgsl() -> String {
+pub(in crate::render) fn lighting_output_wgsl(planes: PlaneSet) -> String {
     let mut text =
         "// Generated from the table in src/render/device/planes.rs.\n\nstruct LightingOutput {\n".to_owned();
-    for (location, row) in SAMPLE_PLANES.iter().enumerate() {
+    for (location, row) in planes.rows().enumerate() {
         push(&mut text, format_args!("    // {}\n", row.comment));
         push(&mut text, format_args!("    @location({location}) {}: {},\n", row.name, row.wgsl));
     }
-    text.push_str("}\n");
+    let list = |entries: Vec<String>| entries.join(", ");
+    let parameters = SAMPLE_PLANES.iter().map(|row| format!("{}: {}", row.name, row.wgsl)).collect();
+    let written = planes.rows().map(|row| row.name.to_owned()).collect();
+    push(
+        &mut text,
+        format_args!(
+            "}}\n\nfn lighting_output({}) -> LightingOutput {{\n    return LightingOutput({});\n}}\n",
+            list(parameters),
+            list(written)
+        ),
+    );
     text
 }
 
@@ -338,13 +397,30 @@ fn push_sum(declarations: &mut String, additions: &mut String, name: &str, sum: 
 mod tests {
     use super::*;
     use crate::frame::Annotation;
-    use crate::render::device::shader_programs::{LIGHTING_SKY, LIGHTING_SURFACE, RESOLVE, parse};
+    use crate::render::device::shader_programs::{
+        LIGHTING_ONE_DRAW, LIGHTING_SKY, LIGHTING_SURFACE, RESOLVE, parse,
+    };
 
     #[test]
-    fn sample_planes_fit_into_the_guaranteed_bytes_per_sample() {
-        let cost = |row: &SamplePlaneRow| row.format.target_pixel_byte_cost().expect("a colour format");
-        let bytes: u32 = SAMPLE_PLANES.iter().map(cost).sum();
-        assert!(bytes <= 32, "{bytes} bytes");
+    fn passes_write_every_needed_plane_once_and_colour_with_class() {
+        let every: Annotations = PLANES.iter().filter_map(|row| row.annotation).collect();
+        let defaults = wgpu::Limits::downlevel_defaults();
+        let sixteen_bytes = wgpu::Limits { max_color_attachment_bytes_per_sample: 16, ..defaults.clone() };
+        for annotations in [Annotations::default(), every] {
+            assert_eq!(lighting_passes(annotations, &wgpu::Limits::defaults()), [PlaneSet::ALL]);
+            for (limits, passes_of_every) in [(&defaults, 2), (&sixteen_bytes, 2)] {
+                let passes = lighting_passes(annotations, limits);
+                assert_eq!(passes.len(), if annotations == every { passes_of_every } else { 1 });
+                assert!(passes.iter().all(|pass| pass.fits(limits)), "{passes:?}");
+                assert!(
+                    passes[0].0[SamplePlane::Radiance as usize] && passes[0].0[SamplePlane::Class as usize]
+                );
+                for row in &SAMPLE_PLANES {
+                    let writers = passes.iter().filter(|pass| pass.0[row.plane as usize]).count();
+                    assert_eq!(writers, usize::from(row.plane.is_needed(annotations)), "{}", row.name);
+                }
+            }
+        }
     }
 
     #[test]
@@ -375,7 +451,7 @@ mod tests {
     /// Every fragment entry point of lighting writes every plane, and the resolve pass reads every one.
     #[test]
     fn no_plane_of_samples_is_left_out_by_a_program() {
-        for program in [&LIGHTING_SURFACE, &LIGHTING_SKY] {
+        for program in [&LIGHTING_SURFACE, &LIGHTING_SKY, &LIGHTING_ONE_DRAW] {
             let module = parse(program);
             let entries = module.entry_points.iter().filter(|e| e.stage == naga::ShaderStage::Fragment);
             for entry in entries {

@@ -8,8 +8,8 @@
 use std::borrow::Cow;
 
 use crate::gpu::Gpu;
-use crate::render::device::light_table::light_wgsl;
-use crate::render::device::planes::{lighting_output_wgsl, resolve_planes_wgsl};
+use crate::render::device::light_table::{Transport, light_wgsl};
+use crate::render::device::planes::{PlaneSet, lighting_output_wgsl, resolve_planes_wgsl};
 
 /// A WGSL program: the parts that make it.
 #[derive(Debug)]
@@ -30,17 +30,35 @@ struct Part {
 #[derive(Debug)]
 enum Source {
     File(&'static str),
-    Generated(fn() -> String),
+    Generated(fn(TextOptions) -> String),
+}
+
+/// What generated text depends on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct TextOptions {
+    /// How light numbers reach the fragment stage.
+    pub(crate) transport: Transport,
+    /// What a pass of lighting writes.
+    pub(crate) planes: PlaneSet,
+}
+
+impl Default for TextOptions {
+    fn default() -> Self {
+        Self { transport: Transport::Varyings, planes: PlaneSet::ALL }
+    }
 }
 
 /// `generated/light.wgsl`: see [`crate::render::device::light_table`].
-const LIGHT: Part = Part { path: "generated/light.wgsl", source: Source::Generated(light_wgsl) };
+const LIGHT: Part =
+    Part { path: "generated/light.wgsl", source: Source::Generated(|options| light_wgsl(options.transport)) };
 /// `generated/lighting_output.wgsl`: see [`crate::render::device::planes`].
-const LIGHTING_OUTPUT: Part =
-    Part { path: "generated/lighting_output.wgsl", source: Source::Generated(lighting_output_wgsl) };
+const LIGHTING_OUTPUT: Part = Part {
+    path: "generated/lighting_output.wgsl",
+    source: Source::Generated(|options| lighting_output_wgsl(options.planes)),
+};
 /// `generated/resolve_planes.wgsl`: see [`crate::render::device::planes`].
 const RESOLVE_PLANES: Part =
-    Part { path: "generated/resolve_planes.wgsl", source: Source::Generated(resolve_planes_wgsl) };
+    Part { path: "generated/resolve_planes.wgsl", source: Source::Generated(|_| resolve_planes_wgsl()) };
 
 macro_rules! file {
     ($path:expr) => {
@@ -67,7 +85,7 @@ pub static SHADOW: Program = program!("shadow", ["frame", "scene"], []);
 pub static SHADOW_MIDPOINT: Program = program!("shadow_midpoint", [], []);
 /// The visibility buffer.
 pub static VISIBILITY: Program = program!("visibility", ["frame", "scene", "octahedral"], []);
-/// Lighting of ground and rocks.
+/// Lighting of ground and rocks, one shading bin at a time.
 pub static LIGHTING_SURFACE: Program = program!(
     "lighting_surface",
     [
@@ -83,34 +101,64 @@ pub static LIGHTING_SURFACE: Program = program!(
         "indirect",
         "hash",
         "relief",
-        "rock_texture"
+        "rock_texture",
+        "shading",
+        "relief_of_draw"
     ],
     [LIGHT, LIGHTING_OUTPUT]
 );
 /// Lighting of the sky's dome and of stars.
 pub static LIGHTING_SKY: Program =
     program!("lighting_sky", ["frame", "scene", "fullscreen"], [LIGHT, LIGHTING_OUTPUT]);
+/// Lighting of all surfaces in one draw.
+pub static LIGHTING_ONE_DRAW: Program = program!(
+    "lighting_one_draw",
+    [
+        "frame",
+        "scene",
+        "fullscreen",
+        "octahedral",
+        "gbuffer",
+        "horizon_map",
+        "shadow_map",
+        "brdf",
+        "hapke",
+        "indirect",
+        "hash",
+        "relief",
+        "rock_texture",
+        "shading",
+        "relief_of_sample"
+    ],
+    [LIGHT, LIGHTING_OUTPUT]
+);
 /// Samples to pixels.
 pub static RESOLVE: Program = program!("resolve", ["frame", "tone", "half"], [RESOLVE_PLANES]);
 
 /// Every program.
-pub static PROGRAMS: [&Program; 6] =
-    [&SHADOW, &SHADOW_MIDPOINT, &VISIBILITY, &LIGHTING_SURFACE, &LIGHTING_SKY, &RESOLVE];
+pub static PROGRAMS: [&Program; 7] =
+    [&SHADOW, &SHADOW_MIDPOINT, &VISIBILITY, &LIGHTING_SURFACE, &LIGHTING_SKY, &LIGHTING_ONE_DRAW, &RESOLVE];
 
 impl Part {
-    fn text(&self) -> Cow<'static, str> {
+    fn text(&self, options: TextOptions) -> Cow<'static, str> {
         match self.source {
             Source::File(text) => text.into(),
-            Source::Generated(generate) => generate().into(),
+            Source::Generated(generate) => generate(options).into(),
         }
     }
 }
 
 impl Program {
-    /// The text that is compiled: all parts, in order.
+    /// The text that is compiled for a software adapter: all parts, in order.
     #[must_use]
     pub fn text(&self) -> String {
-        self.parts.iter().map(Part::text).collect::<Vec<_>>().join("\n")
+        self.text_for(TextOptions::default())
+    }
+
+    /// The text that is compiled with these options.
+    #[must_use]
+    pub(crate) fn text_for(&self, options: TextOptions) -> String {
+        self.parts.iter().map(|part| part.text(options)).collect::<Vec<_>>().join("\n")
     }
 
     /// Path and line (from 1) of the part that a line (from 1) of [`Self::text`] comes from.
@@ -118,7 +166,7 @@ impl Program {
     pub fn locate(&self, line: usize) -> (&'static str, usize) {
         let mut first = 1;
         for part in self.parts {
-            let lines = part.text().matches('\n').count() + 1;
+            let lines = part.text(TextOptions::default()).matches('\n').count() + 1;
             if line < first + lines {
                 return (part.path, line + 1 - first);
             }
@@ -130,9 +178,15 @@ impl Program {
     /// Compiles the program on a device.
     #[must_use]
     pub fn compile(&self, gpu: &Gpu) -> wgpu::ShaderModule {
+        self.compile_for(gpu, TextOptions::default())
+    }
+
+    /// Compiles the program with these options on a device.
+    #[must_use]
+    pub(crate) fn compile_for(&self, gpu: &Gpu, options: TextOptions) -> wgpu::ShaderModule {
         gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(self.name),
-            source: wgpu::ShaderSource::Wgsl(self.text().into()),
+            source: wgpu::ShaderSource::Wgsl(self.text_for(options).into()),
         })
     }
 }
@@ -240,7 +294,7 @@ mod tests {
                 let name = variable.name.as_deref().unwrap_or_default();
                 let expected = match name {
                     "frame" => 0,
-                    "instance" | "instances" | "tiles" | "relief" => 1,
+                    "instance" | "instances" | "tiles" | "relief" | "reliefs" => 1,
                     _ => 2,
                 };
                 assert_eq!(binding.group, expected, "`{name}` in {}", program.name);
@@ -308,7 +362,8 @@ mod tests {
         let line = text.lines().position(|l| l.contains("fn grid_cell")).expect("the function") + 1;
         let (file, line) = LIGHTING_SURFACE.locate(line);
         assert_eq!(file, "common/shadow_map.wgsl");
-        let own = LIGHTING_SURFACE.parts.iter().find(|part| part.path == file).expect("the file").text();
+        let own = LIGHTING_SURFACE.parts.iter().find(|part| part.path == file).expect("the file");
+        let own = own.text(TextOptions::default());
         assert!(own.lines().nth(line - 1).is_some_and(|l| l.contains("fn grid_cell")));
     }
 

@@ -132,7 +132,7 @@ shader_struct! {
         dust_min_normal_z: f32,
         tile_origin_px: Vec2,
         tile_size_px: f32,
-        reserved: u32,
+        detail: u32,
     }
 }
 

@@ -3,6 +3,8 @@
 //! The visibility stage writes one more than the number of a sample's bin to the stencil, 0 where there is no surface; the lighting
 //! pass shades each bin with one draw. Bins are numbered in the order in which they are rasterised, near surfaces before those that
 //! they may occlude.
+//!
+//! Where the device does not gain from bins, one draw shades all samples, each by the [`Detail`] of its instance.
 //! Must not know: a pass.
 
 /// What can occlude the sun at a surface. The values are those of `SHADOW_SOURCES` in `lighting_surface.wgsl`.
@@ -29,6 +31,32 @@ impl ShadowSources {
     }
 }
 
+/// What lighting adds to a surface below its mesh. The values are those of the DETAIL constants in `common/shading.wgsl` and
+/// `lighting_one_draw.wgsl`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Detail {
+    /// Nothing.
+    None = 0,
+    /// The relief of the ground.
+    Relief = 1,
+    /// The texture of rocks.
+    RockTexture = 2,
+    /// Slopes of the ground that the host computed.
+    UploadedSlopes = 3,
+    /// The surface emits light, and reflects none.
+    Emissive = 4,
+}
+
+impl Detail {
+    /// Bits of `Instance::detail` below the index of its relief.
+    pub(crate) const BITS: u32 = 8;
+
+    /// `Instance::detail`, with the slot of its relief uniforms.
+    pub(crate) const fn with_relief(self, relief: u32) -> u32 {
+        self as u32 | (relief << Self::BITS)
+    }
+}
+
 /// The pipeline that shades a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LightingVariant {
@@ -44,6 +72,8 @@ pub enum LightingVariant {
     },
     /// Dome and stars.
     Sky,
+    /// All surfaces, each sample by its instance: for lighting in one draw.
+    Any,
 }
 
 impl LightingVariant {

@@ -36,12 +36,21 @@ pub(crate) const SLOPES_FORMAT: TextureFormat = TextureFormat::Rg32Float;
 pub struct GBufferLayout {
     /// Usage through which visibility and stencil are written.
     pub write_usage: TextureUsages,
-    /// Format of the stencil, with depth beside it where a pass needs it.
-    pub stencil_format: TextureFormat,
+    /// Format of depth, stencil or both: depth where the device rasterises visibility, a stencil where it selects the samples of a
+    /// shading bin.
+    pub depth_stencil_format: TextureFormat,
     /// There are slopes of the relief below the mesh.
     pub has_slopes: bool,
     /// The stencil is known to the host too.
     pub has_host_stencil: bool,
+}
+
+impl GBufferLayout {
+    /// The format with the stencil that selects samples, if there is one.
+    #[must_use]
+    pub fn stencil_format(&self) -> Option<TextureFormat> {
+        Some(self.depth_stencil_format).filter(TextureFormat::has_stencil_aspect)
+    }
 }
 
 /// The textures of one image size, and what is known about their content.
@@ -63,8 +72,8 @@ pub struct GBuffer {
     pub visibility: (wgpu::Texture, wgpu::TextureView),
     /// Slopes of the relief below the mesh, where the host computes them. Without them the lighting pass does.
     pub slopes: Option<(wgpu::Texture, wgpu::TextureView)>,
-    /// One more than the shading bin of each sample, 0 where there is no surface; maybe with depth.
-    pub stencil: (wgpu::Texture, wgpu::TextureView),
+    /// The stencil holds one more than the shading bin of each sample, 0 where there is no surface.
+    pub depth_stencil: (wgpu::Texture, wgpu::TextureView),
     /// The same in host memory, row by row, if it is known there.
     pub host_stencil: Option<Vec<u8>>,
     /// Rows of `visibility` that may hold anything but zeros, if it is written by upload.
@@ -107,10 +116,10 @@ impl GBuffer {
             slopes: layout
                 .has_slopes
                 .then(|| gpu.texture("gbuffer/slopes", sample_size, SLOPES_FORMAT, uploaded)),
-            stencil: gpu.texture(
-                "gbuffer/stencil",
+            depth_stencil: gpu.texture(
+                "gbuffer/depth_stencil",
                 sample_size,
-                layout.stencil_format,
+                layout.depth_stencil_format,
                 layout.write_usage | TextureUsages::RENDER_ATTACHMENT,
             ),
             host_stencil: layout.has_host_stencil.then(Vec::new),

@@ -1,5 +1,6 @@
-//! The lighting pass: deferred shading of the G-buffer. One draw for each shading bin writes every plane, so that colour and class
-//! cannot disagree.
+//! The lighting pass: deferred shading of the G-buffer. One draw for each shading bin, or one for all, writes every plane, so that
+//! colour and class cannot disagree. Where a device cannot write all planes at once, some are written by further passes; colour
+//! and class never.
 //! Must not know: who filled the G-buffer.
 
 use rayon::prelude::*;
@@ -8,10 +9,13 @@ use wgpu::TextureFormat;
 use crate::frame::Annotations;
 use crate::gpu::Gpu;
 use crate::render::device::bind_groups::{BindLayouts, slot_stride};
-use crate::render::device::planes::SAMPLE_PLANES;
-use crate::render::device::shader_programs::{LIGHTING_SKY, LIGHTING_SURFACE};
+use crate::render::device::light_table::Transport;
+use crate::render::device::planes::{PlaneSet, lighting_passes};
+use crate::render::device::shader_programs::{
+    LIGHTING_ONE_DRAW, LIGHTING_SKY, LIGHTING_SURFACE, Program, TextOptions,
+};
 use crate::render::device::shader_structs::{Instance, ReliefUniforms};
-use crate::render::device::shading_bins::LightingVariant;
+use crate::render::device::shading_bins::{Detail, LightingVariant, ShadowSources};
 use crate::render::lighting::gbuffer::GBuffer;
 use crate::scene::Scene;
 use crate::scene::photometry::Law;
@@ -20,16 +24,25 @@ use crate::scene::terrain::Layout;
 /// Pipelines of the pass.
 #[derive(Debug)]
 pub(crate) struct LightingPass {
-    surface: wgpu::ShaderModule,
-    sky: wgpu::ShaderModule,
+    /// How light numbers reach the fragment stage.
+    pub(crate) transport: Transport,
+    limits: wgpu::Limits,
     layout: wgpu::PipelineLayout,
-    /// All that were needed so far.
-    pipelines: Vec<((PipelineKey, LightingVariant), wgpu::RenderPipeline)>,
+    /// All modules that were needed so far.
+    modules: Vec<(ModuleKey, wgpu::ShaderModule)>,
+    /// All pipelines that were needed so far.
+    pipelines: Vec<(PipelineKey, wgpu::RenderPipeline)>,
 }
+
+/// A program for a pass that writes these planes, by the program's name.
+type ModuleKey = (&'static str, PlaneSet);
+
+/// A pipeline: what a frame's have in common, what it shades, and the planes that it writes.
+type PipelineKey = (FrameKey, LightingVariant, PlaneSet);
 
 /// What all pipelines of a frame have in common.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct PipelineKey {
+pub(crate) struct FrameKey {
     /// Annotations that are rendered.
     annotations: Annotations,
     /// Law of reflection.
@@ -40,11 +53,11 @@ pub(crate) struct PipelineKey {
     has_detail: bool,
     /// The G-buffer has the slopes of that detail.
     has_slopes: bool,
-    /// Format of the stencil that selects samples.
-    stencil_format: TextureFormat,
+    /// Format of the stencil that selects samples. Without one, each sample says what it is.
+    stencil_format: Option<TextureFormat>,
 }
 
-impl PipelineKey {
+impl FrameKey {
     /// For a scene in this G-buffer.
     pub(crate) fn new(scene: &Scene, gbuffer: &GBuffer) -> Self {
         Self {
@@ -53,19 +66,22 @@ impl PipelineKey {
             has_rings: matches!(scene.terrain.layout, Layout::Rings(_)),
             has_detail: scene.relief.is_some(),
             has_slopes: gbuffer.layout.has_slopes,
-            stencil_format: gbuffer.layout.stencil_format,
+            stencil_format: gbuffer.layout.stencil_format(),
         }
     }
 }
 
-/// Values of `DETAIL_MODE` in `lighting_surface.wgsl`.
-const DETAIL_NONE: f64 = 0.0;
-const DETAIL_RELIEF: f64 = 1.0;
-const DETAIL_ROCK_TEXTURE: f64 = 2.0;
-const DETAIL_UPLOADED_SLOPES: f64 = 3.0;
+/// The program of a variant.
+const fn program(variant: LightingVariant) -> &'static Program {
+    match variant {
+        LightingVariant::Ground { .. } | LightingVariant::Rocks { .. } => &LIGHTING_SURFACE,
+        LightingVariant::Sky => &LIGHTING_SKY,
+        LightingVariant::Any => &LIGHTING_ONE_DRAW,
+    }
+}
 
 impl LightingPass {
-    /// Compiles the shader modules.
+    /// A pass that has compiled nothing yet.
     #[must_use]
     pub(crate) fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
         let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
@@ -73,68 +89,69 @@ impl LightingPass {
             bind_group_layouts: &[Some(&layouts.frame), Some(&layouts.scene), Some(&layouts.light)],
             immediate_size: 0,
         });
-        Self {
-            surface: LIGHTING_SURFACE.compile(gpu),
-            sky: LIGHTING_SKY.compile(gpu),
-            layout,
-            pipelines: Vec::new(),
-        }
+        let (transport, limits) = (Transport::of(gpu), gpu.device.limits());
+        Self { transport, limits, layout, modules: Vec::new(), pipelines: Vec::new() }
     }
 
     /// Whether there is any pipeline with this key.
     #[must_use]
-    pub(crate) fn has(&self, key: PipelineKey) -> bool {
-        self.pipelines.iter().any(|((found, _), _)| *found == key)
+    pub(crate) fn has(&self, key: FrameKey) -> bool {
+        self.pipelines.iter().any(|((found, ..), _)| *found == key)
+    }
+
+    /// The planes that each pass of a frame writes.
+    fn passes(&self, key: FrameKey) -> Vec<PlaneSet> {
+        lighting_passes(key.annotations, &self.limits)
     }
 
     /// Compiles the pipelines of these variants that are missing.
     pub(crate) fn prepare(
         &mut self,
         gpu: &Gpu,
-        key: PipelineKey,
+        key: FrameKey,
         variants: impl IntoIterator<Item = LightingVariant>,
     ) {
-        let mut missing: Vec<(PipelineKey, LightingVariant)> = Vec::new();
-        for needed in variants.into_iter().map(|variant| (key, variant)) {
-            if !missing.contains(&needed) && !self.pipelines.iter().any(|(found, _)| *found == needed) {
-                missing.push(needed);
+        let passes = self.passes(key);
+        let mut missing: Vec<PipelineKey> = Vec::new();
+        for variant in variants {
+            for needed in passes.iter().map(|planes| (key, variant, *planes)) {
+                if !missing.contains(&needed) && !self.pipelines.iter().any(|(found, _)| *found == needed) {
+                    missing.push(needed);
+                }
             }
         }
-        let compiled = missing.par_iter().map(|&(key, variant)| self.compile(gpu, key, variant));
+        for (_, variant, planes) in &missing {
+            let program = program(*variant);
+            if self.module(program, *planes).is_none() {
+                let options = TextOptions { transport: self.transport, planes: *planes };
+                self.modules.push(((program.name, *planes), program.compile_for(gpu, options)));
+            }
+        }
+        let compiled = missing.par_iter().map(|&key| self.compile(gpu, key));
         let compiled: Vec<_> = compiled.collect();
         self.pipelines.extend(missing.into_iter().zip(compiled));
     }
 
-    fn compile(&self, gpu: &Gpu, key: PipelineKey, variant: LightingVariant) -> wgpu::RenderPipeline {
-        let surface = |sources, detail, per_sample_instance: bool| {
-            vec![
-                ("SHADOW_SOURCES", f64::from(sources as u32)),
-                ("RINGS", f64::from(u8::from(key.has_rings))),
-                ("PHOTOMETRY_LAW", f64::from(key.law as u32)),
-                ("DETAIL_MODE", if key.has_detail { detail } else { DETAIL_NONE }),
-                ("PER_SAMPLE_INSTANCE", f64::from(u8::from(per_sample_instance))),
-            ]
-        };
-        let (label, module, constants) = match variant {
-            LightingVariant::Ground { sources } => {
-                let detail = if key.has_slopes { DETAIL_UPLOADED_SLOPES } else { DETAIL_RELIEF };
-                (LIGHTING_SURFACE.name, &self.surface, surface(sources, detail, false))
-            }
-            LightingVariant::Rocks { sources } => {
-                (LIGHTING_SURFACE.name, &self.surface, surface(sources, DETAIL_ROCK_TEXTURE, true))
-            }
-            LightingVariant::Sky => (LIGHTING_SKY.name, &self.sky, Vec::new()),
-        };
-        let targets = SAMPLE_PLANES.map(|row| {
-            row.plane.is_needed(key.annotations).then_some(wgpu::ColorTargetState {
-                format: row.format,
-                blend: None,
-                write_mask: wgpu::ColorWrites::ALL,
+    fn module(&self, program: &Program, planes: PlaneSet) -> Option<&wgpu::ShaderModule> {
+        let found = self.modules.iter().find(|(found, _)| *found == (program.name, planes));
+        found.map(|(_, module)| module)
+    }
+
+    fn compile(&self, gpu: &Gpu, (key, variant, planes): PipelineKey) -> wgpu::RenderPipeline {
+        let module = self.module(program(variant), planes).expect("modules are compiled before pipelines");
+        let targets: Vec<_> = planes
+            .rows()
+            .map(|row| {
+                row.plane.is_needed(key.annotations).then_some(wgpu::ColorTargetState {
+                    format: row.format,
+                    blend: None,
+                    write_mask: wgpu::ColorWrites::ALL,
+                })
             })
-        });
+            .collect();
         let equal = wgpu::StencilFaceState { compare: wgpu::CompareFunction::Equal, ..Default::default() };
         gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-            label: Some(label),
+            label: Some(program(variant).name),
             layout: Some(&self.layout),
             vertex: wgpu::VertexState {
                 module,
@@ -143,8 +160,8 @@ impl LightingPass {
                 buffers: &[],
             },
             primitive: wgpu::PrimitiveState::default(),
-            depth_stencil: Some(wgpu::DepthStencilState {
-                format: key.stencil_format,
+            depth_stencil: key.stencil_format.map(|format| wgpu::DepthStencilState {
+                format,
                 depth_write_enabled: Some(false),
                 depth_compare: Some(wgpu::CompareFunction::Always),
                 stencil: wgpu::StencilState { front: equal, back: equal, read_mask: !0, write_mask: 0 },
@@ -155,7 +172,7 @@ impl LightingPass {
                 module,
                 entry_point: Some("fs_main"),
                 compilation_options: wgpu::PipelineCompilationOptions {
-                    constants: &constants,
+                    constants: &constants(key, variant),
                     ..Default::default()
                 },
                 targets: &targets,
@@ -165,7 +182,7 @@ impl LightingPass {
         })
     }
 
-    /// Records the pass.
+    /// Records the pass. `timestamps` are those of its start and of its end.
     ///
     /// # Panics
     /// If [`Self::prepare`] has not compiled the pipelines of the G-buffer's batches.
@@ -173,52 +190,111 @@ impl LightingPass {
         &self,
         encoder: &mut wgpu::CommandEncoder,
         groups: [&wgpu::BindGroup; 3],
-        key: PipelineKey,
+        key: FrameKey,
         gbuffer: &GBuffer,
         timestamps: Option<wgpu::RenderPassTimestampWrites<'_>>,
     ) {
-        let background =
-            gbuffer.background.as_ref().map(|background| (background.radiance, background.class));
-        let attachments: Vec<_> = SAMPLE_PLANES
-            .iter()
-            .zip(&gbuffer.planes)
-            .map(|(row, view)| {
-                row.plane.is_needed(gbuffer.annotations).then(|| wgpu::RenderPassColorAttachment {
-                    view,
-                    depth_slice: None,
-                    resolve_target: None,
-                    ops: wgpu::Operations {
-                        load: wgpu::LoadOp::Clear(row.plane.clear_value(background)),
-                        store: wgpu::StoreOp::Store,
-                    },
-                })
-            })
-            .collect();
-        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some("lighting"),
-            color_attachments: &attachments,
-            // Read only: the stencil selects the samples of a batch.
-            depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                view: &gbuffer.stencil.1,
-                depth_ops: None,
-                stencil_ops: None,
-            }),
-            timestamp_writes: timestamps,
-            ..Default::default()
-        });
-        let [frame, instances, light] = groups;
-        pass.set_bind_group(0, frame, &[]);
-        pass.set_bind_group(2, light, &[]);
-        for batch in &gbuffer.batches {
-            let pipeline = self.pipelines.iter().find(|(found, _)| *found == (key, batch.variant));
-            pass.set_pipeline(&pipeline.expect("pipelines are prepared before they are used").1);
-            pass.set_stencil_reference(u32::from(batch.bin) + 1);
-            let slots =
-                [batch.instance * slot_stride::<Instance>(), batch.relief * slot_stride::<ReliefUniforms>()];
-            pass.set_bind_group(1, instances, &slots);
-            let [x, y, width, height] = batch.bounds.scissor_rect(gbuffer.sample_size);
-            pass.set_scissor_rect(x, y, width, height);
-            pass.draw(0..3, 0..1);
+        let passes = self.passes(key);
+        let last = passes.len() - 1;
+        for (number, planes) in passes.into_iter().enumerate() {
+            // Each of several passes has the timestamp that it begins or ends with, if any.
+            let timestamps = timestamps.clone().map(|all| wgpu::RenderPassTimestampWrites {
+                beginning_of_pass_write_index: all.beginning_of_pass_write_index.filter(|_| number == 0),
+                end_of_pass_write_index: all.end_of_pass_write_index.filter(|_| number == last),
+                ..all
+            });
+            let is_timed = number == 0 || number == last;
+            let mut pass = begin_pass(encoder, key, planes, gbuffer, timestamps.filter(|_| is_timed));
+            let [frame, instances, light] = groups;
+            pass.set_bind_group(0, frame, &[]);
+            pass.set_bind_group(2, light, &[]);
+            let pipeline = |variant| {
+                let found = self.pipelines.iter().find(|(found, _)| *found == (key, variant, planes));
+                &found.expect("pipelines are prepared before they are used").1
+            };
+            if key.stencil_format.is_none() {
+                pass.set_pipeline(pipeline(LightingVariant::Any));
+                pass.set_bind_group(1, instances, &[0, 0]);
+                pass.draw(0..3, 0..1);
+                continue;
+            }
+            for batch in &gbuffer.batches {
+                pass.set_pipeline(pipeline(batch.variant));
+                pass.set_stencil_reference(u32::from(batch.bin) + 1);
+                let slots = [
+                    batch.instance * slot_stride::<Instance>(),
+                    batch.relief * slot_stride::<ReliefUniforms>(),
+                ];
+                pass.set_bind_group(1, instances, &slots);
+                let [x, y, width, height] = batch.bounds.scissor_rect(gbuffer.sample_size);
+                pass.set_scissor_rect(x, y, width, height);
+                pass.draw(0..3, 0..1);
+            }
         }
+    }
+}
+
+/// Begins a pass that writes these planes.
+fn begin_pass<'a>(
+    encoder: &'a mut wgpu::CommandEncoder,
+    key: FrameKey,
+    planes: PlaneSet,
+    gbuffer: &GBuffer,
+    timestamps: Option<wgpu::RenderPassTimestampWrites<'_>>,
+) -> wgpu::RenderPass<'a> {
+    let background = gbuffer.background.as_ref().map(|background| (background.radiance, background.class));
+    let attachments: Vec<_> = planes
+        .rows()
+        .map(|row| {
+            row.plane.is_needed(key.annotations).then(|| wgpu::RenderPassColorAttachment {
+                view: &gbuffer.planes[row.plane as usize],
+                depth_slice: None,
+                resolve_target: None,
+                ops: wgpu::Operations {
+                    load: wgpu::LoadOp::Clear(row.plane.clear_value(background)),
+                    store: wgpu::StoreOp::Store,
+                },
+            })
+        })
+        .collect();
+    encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+        label: Some("lighting"),
+        color_attachments: &attachments,
+        // Read only: the stencil selects the samples of a batch.
+        depth_stencil_attachment: key.stencil_format.map(|_| wgpu::RenderPassDepthStencilAttachment {
+            view: &gbuffer.depth_stencil.1,
+            depth_ops: None,
+            stencil_ops: None,
+        }),
+        timestamp_writes: timestamps,
+        ..Default::default()
+    })
+}
+
+/// The constants that a pipeline is specialised for.
+fn constants(key: FrameKey, variant: LightingVariant) -> Vec<(&'static str, f64)> {
+    let shading = |sources: ShadowSources| {
+        vec![
+            ("SHADOW_SOURCES", f64::from(sources as u32)),
+            ("RINGS", f64::from(u8::from(key.has_rings))),
+            ("PHOTOMETRY_LAW", f64::from(key.law as u32)),
+        ]
+    };
+    let surface = |sources, detail: Detail, per_sample_instance: bool| {
+        let detail = if key.has_detail { detail } else { Detail::None };
+        let own = [
+            ("DETAIL_MODE", f64::from(detail as u32)),
+            ("PER_SAMPLE_INSTANCE", f64::from(u8::from(per_sample_instance))),
+        ];
+        [shading(sources), own.to_vec()].concat()
+    };
+    match variant {
+        LightingVariant::Ground { sources } => {
+            let detail = if key.has_slopes { Detail::UploadedSlopes } else { Detail::Relief };
+            surface(sources, detail, false)
+        }
+        LightingVariant::Rocks { sources } => surface(sources, Detail::RockTexture, true),
+        LightingVariant::Sky => Vec::new(),
+        LightingVariant::Any => shading(ShadowSources::GroundAndRocks),
     }
 }

@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use crate::render::backend::{RasterBackend, RasterOptions};
+use crate::render::backend::{LightingMode, RasterBackend, RasterOptions};
 use crate::render::device::shading_bins::{LightingVariant, ShadingBin, ShadingBins, ShadowSources};
 use crate::render::select::screen_bounds::ScreenBounds;
 use crate::render::select::selection::{Slots, front_to_back};
@@ -80,7 +80,7 @@ impl DrawList {
             list.add_casters(slots);
         }
         if options.visibility == RasterBackend::Device {
-            list.add_visible(scene, settings, slots, bins, band_of_block);
+            list.add_visible(scene, settings, slots, bins, band_of_block, options.lighting);
         }
         list
     }
@@ -102,6 +102,7 @@ impl DrawList {
         slots: Slots<'_>,
         bins: ShadingBins,
         band_of_block: impl Fn(usize) -> usize,
+        lighting: LightingMode,
     ) {
         let selection = slots.selection();
         let mut binned: Vec<(ShadingBin, MeshDraw)> = Vec::new();
@@ -121,9 +122,14 @@ impl DrawList {
         }
         let blocks = selection.blocks.iter().map(|&(block, nearest_m)| (nearest_m, block));
         for (_, block) in front_to_back(blocks) {
-            let bin = ShadingBins::ground(band_of_block(block), ShadowSources::GroundAndRocks);
-            let slots = Slots::GROUND..Slots::GROUND + 1;
-            add(bin, MeshDraw { mesh: MeshRef::Block(block), slots }, ScreenBounds::UNBOUNDED);
+            let band = band_of_block(block);
+            let bin = ShadingBins::ground(band, ShadowSources::GroundAndRocks);
+            let slot = match lighting {
+                LightingMode::Bins => Slots::GROUND,
+                LightingMode::OneDraw => slots.ground_of_band(band),
+            };
+            let draw = MeshDraw { mesh: MeshRef::Block(block), slots: slot..slot + 1 };
+            add(bin, draw, ScreenBounds::UNBOUNDED);
         }
         let sky = [(bins.stars(), STAR_LEVEL, slots.stars()), (bins.dome(), DOME_LEVEL, slots.dome())];
         for (bin, level, slots) in sky.into_iter().filter(|(.., slots)| !slots.is_empty()) {

@@ -118,7 +118,7 @@ fn cull_rocks<'a>(scene: &'a Scene, frustum: &Frustum) -> Vec<(usize, &'a Rock)>
     })
 }
 
-/// Indices of the instances of a frame in the instance buffer, in this order: ground, rocks, stars, dome.
+/// Indices of the instances of a frame in the instance buffer, in this order: ground, rocks, stars, dome, ground by relief band.
 #[derive(Clone, Copy, Debug)]
 pub struct Slots<'a> {
     selection: &'a Selection,
@@ -147,11 +147,17 @@ impl<'a> Slots<'a> {
         first..first + self.selection.stars.len() as u32
     }
 
-    /// Slot of the sky's dome, the last.
+    /// Slot of the sky's dome.
     #[must_use]
     pub fn dome(self) -> Range<u32> {
         let dome = self.stars().end;
         dome..dome + 1
+    }
+
+    /// Slot of the ground of a relief band, where samples look up their relief by their instance.
+    #[must_use]
+    pub fn ground_of_band(self, band: usize) -> u32 {
+        self.dome().end + band as u32
     }
 }
 

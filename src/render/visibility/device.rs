@@ -1,17 +1,21 @@
 //! The device backend of visibility: one render pass writes the visible surface of each sample, and one more than its shading bin
-//! to the stencil.
+//! to the stencil if there is one.
+
+use wgpu::TextureFormat;
 
 use crate::gpu::Gpu;
 use crate::render::device::bind_groups::BindLayouts;
-use crate::render::device::depth::{DEPTH_STENCIL_FORMAT, depth_state};
+use crate::render::device::depth::depth_state;
 use crate::render::device::shader_programs::VISIBILITY;
 use crate::render::device::shading_bins::LightingVariant;
 use crate::render::lighting::gbuffer::{GBuffer, VISIBILITY_FORMAT};
 use crate::render::visibility::meshes::{Meshes, vertex_layout};
 
 /// The pass.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(crate) struct VisibilityPass {
+    /// Format of depth, with a stencil beside it where lighting is divided into shading bins.
+    pub(crate) depth_stencil_format: TextureFormat,
     pipelines: Option<Pipelines>,
 }
 
@@ -19,12 +23,12 @@ pub(crate) struct VisibilityPass {
 struct Pipelines {
     /// Of ground and rocks, with back-face culling.
     surfaces: wgpu::RenderPipeline,
-    /// Of the sky, whose dome is seen from inside: writes nothing but depth and stencil.
+    /// Of the sky, whose dome is seen from inside. Its samples are known by the stencil; without one, by their slot.
     sky: wgpu::RenderPipeline,
 }
 
 impl Pipelines {
-    fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
+    fn new(gpu: &Gpu, layouts: &BindLayouts, depth_stencil_format: TextureFormat) -> Self {
         let module = VISIBILITY.compile(gpu);
         let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some(VISIBILITY.name),
@@ -42,7 +46,7 @@ impl Pipelines {
                     buffers: &[Some(vertex_layout(2))],
                 },
                 primitive: wgpu::PrimitiveState { cull_mode, ..Default::default() },
-                depth_stencil: Some(depth_state(DEPTH_STENCIL_FORMAT)),
+                depth_stencil: Some(depth_state(depth_stencil_format)),
                 multisample: wgpu::MultisampleState::default(),
                 fragment: Some(wgpu::FragmentState {
                     module: &module,
@@ -54,17 +58,25 @@ impl Pipelines {
                 cache: gpu.pipeline_cache(),
             })
         };
+        let has_stencil = depth_stencil_format.has_stencil_aspect();
+        let sky_writes = if has_stencil { wgpu::ColorWrites::empty() } else { wgpu::ColorWrites::ALL };
         Self {
             surfaces: pipeline("fs_main", Some(wgpu::Face::Back), wgpu::ColorWrites::ALL),
-            sky: pipeline("fs_sky", None, wgpu::ColorWrites::empty()),
+            sky: pipeline("fs_sky", None, sky_writes),
         }
     }
 }
 
 impl VisibilityPass {
+    /// A pass with this format of depth, which compiles nothing yet.
+    pub(crate) const fn new(depth_stencil_format: TextureFormat) -> Self {
+        Self { depth_stencil_format, pipelines: None }
+    }
+
     /// Compiles the pass, unless it is there.
     pub(crate) fn prepare(&mut self, gpu: &Gpu, layouts: &BindLayouts) {
-        self.pipelines.get_or_insert_with(|| Pipelines::new(gpu, layouts));
+        let format = self.depth_stencil_format;
+        self.pipelines.get_or_insert_with(|| Pipelines::new(gpu, layouts, format));
     }
 
     /// Records the pass.
@@ -76,6 +88,7 @@ impl VisibilityPass {
         gbuffer: &GBuffer,
         timestamps: Option<wgpu::RenderPassTimestampWrites<'_>>,
     ) {
+        let has_stencil = self.depth_stencil_format.has_stencil_aspect();
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("visibility"),
             color_attachments: &[Some(wgpu::RenderPassColorAttachment {
@@ -88,12 +101,12 @@ impl VisibilityPass {
                 },
             })],
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                view: &gbuffer.stencil.1,
+                view: &gbuffer.depth_stencil.1,
                 depth_ops: Some(wgpu::Operations {
                     load: wgpu::LoadOp::Clear(0.0),
                     store: wgpu::StoreOp::Discard,
                 }),
-                stencil_ops: Some(wgpu::Operations {
+                stencil_ops: has_stencil.then_some(wgpu::Operations {
                     load: wgpu::LoadOp::Clear(0),
                     store: wgpu::StoreOp::Store,
                 }),

@@ -1,0 +1,9 @@
+// The relief of a draw, whose samples all have the same.
+
+fn relief_noise(k: u32) -> Lattice {
+    return relief.noise[k];
+}
+
+fn relief_pits(k: u32) -> Lattice {
+    return relief.pits[k];
+}

@@ -1,0 +1,12 @@
+// The relief of a sample, where the samples of a draw have several.
+
+// Its index among the reliefs.
+var<private> relief_slot: u32;
+
+fn relief_noise(k: u32) -> Lattice {
+    return reliefs[relief_slot].relief.noise[k];
+}
+
+fn relief_pits(k: u32) -> Lattice {
+    return reliefs[relief_slot].relief.pits[k];
+}

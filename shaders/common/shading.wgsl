@@ -1,0 +1,137 @@
+// Shading of ground and rocks: radiance and labels of a sample.
+
+// What can shadow the surface, numbered as in `ShadowSources` (src/render/device/shading_bins.rs): bit 0 the ground, bit 1
+// rocks. Without a source every point that faces the sun sees all of it.
+override SHADOW_SOURCES: u32;
+// The photometric law: a constant of common/brdf.wgsl.
+override PHOTOMETRY_LAW: u32;
+
+const SHADOWED_BY_GROUND: u32 = 1u;
+const SHADOWED_BY_ROCKS: u32 = 2u;
+// The detail below the mesh of a surface. `Detail` in src/render/device/shading_bins.rs has the same values.
+const DETAIL_NONE: u32 = 0u;
+const DETAIL_RELIEF: u32 = 1u;
+const DETAIL_ROCK_TEXTURE: u32 = 2u;
+const DETAIL_UPLOADED_SLOPES: u32 = 3u;
+
+// Slope of the ground's relief below the mesh where the host computes it (src/render/lighting/slopes_host.rs): rise per
+// metre along x and y.
+@group(2) @binding(5) var slopes: texture_2d<f32>;
+
+// The material at a sample.
+struct Shading {
+    normal: vec3<f32>,
+    albedo: vec3<f32>,
+}
+
+// The sun as a point sees it.
+struct SunVisibility {
+    // Visible fraction of its disc past the ground.
+    horizon: f32,
+    // Past everything.
+    total: f32,
+}
+
+// Lighting of a surface of this instance with one of the DETAIL constants, at the centre of a sample, given by its
+// framebuffer position.
+fn shade(surface: Surface, instance: Instance, detail: u32, sample: vec2<f32>) -> LightingOutput {
+    let to_eye = -unit(surface.offset);
+    let shading = shade_detail(surface, instance, detail, to_eye, sample);
+    let normal = shading.normal;
+    let cos_eye = max(dot(normal, to_eye), 0.0);
+    let cos_light = max(dot(normal, light.sun_direction), 0.0);
+    let sun = sun_visibility(surface, sample);
+    var direct = 0.0;
+    if cos_light > 0.0 {
+        let cos_phase = dot(light.sun_direction, to_eye);
+        direct = sun.total
+            * reflected(PHOTOMETRY_LAW, instance.roughness, instance.surge_height, cos_light, cos_eye, cos_phase);
+    }
+    let indirect = indirect_irradiance(normal, sun.horizon, detail);
+    let radiance = shading.albedo
+        * (direct * light.sun_irradiance + (PER_PI * light.diffuse_reflectance) * indirect);
+    return lighting_output(
+        vec4(radiance, 1.0),
+        instance.class_id,
+        vec4(normal, 1.0),
+        instance.instance_id,
+        1.0 - sun.total,
+    );
+}
+
+// Normal and albedo with the detail below the mesh.
+fn shade_detail(surface: Surface, instance: Instance, detail: u32, to_eye: vec3<f32>, sample: vec2<f32>) -> Shading {
+    var normal = surface.normal;
+    var albedo = instance.colour;
+    if detail == DETAIL_RELIEF {
+        normal = ground_normal(surface.normal, slope_below_mesh(surface.offset, surface.normal, to_eye));
+    }
+    if detail == DETAIL_UPLOADED_SLOPES {
+        normal = ground_normal(surface.normal, textureLoad(slopes, vec2<i32>(sample), 0).xy);
+    }
+    if detail == DETAIL_ROCK_TEXTURE {
+        let sample_m = light.relief_sample_angle * length(surface.offset);
+        let seed = bitcast<u32>(instance.origin.x);
+        let texture = rock_texture(light.eye + surface.offset - instance.origin, sample_m, seed);
+        let tangential = texture.xyz - surface.normal * dot(texture.xyz, surface.normal);
+        normal = unit(surface.normal - tangential);
+        // Dust lies where the rock is level enough; the texture frays the edge.
+        let dust = smoothstep(-0.08, 0.08, surface.normal.z - instance.dust_min_normal_z + 0.12 * texture.w);
+        albedo = mix(instance.colour * (1.0 + 0.30 * texture.w), instance.dust, dust);
+    }
+    if detail != DETAIL_NONE {
+        // A slope that faces away from the eye is hidden behind a bump that the mesh lacks: turn it towards the eye.
+        let min_cosine = 0.3 * max(dot(surface.normal, to_eye), 0.05);
+        normal = unit(normal + max(min_cosine - dot(normal, to_eye), 0.0) * to_eye);
+    }
+    return Shading(normal, albedo);
+}
+
+// A surface that faces away from the sun occludes it itself.
+fn sun_visibility(surface: Surface, sample: vec2<f32>) -> SunVisibility {
+    let position = light.eye + surface.offset;
+    let faces_sun = dot(surface.normal, light.sun_direction) > 0.0;
+    var horizon = 1.0;
+    var cell = GridCell();
+    if (SHADOW_SOURCES & SHADOWED_BY_ROCKS) != 0u { cell = grid_cell(position); }
+    if SHADOW_SOURCES == SHADOWED_BY_GROUND
+        || (SHADOW_SOURCES == (SHADOWED_BY_GROUND | SHADOWED_BY_ROCKS) && cell.in_horizon) {
+        horizon = horizon_visibility(position);
+    }
+    var total = select(0.0, horizon, faces_sun);
+    if (SHADOW_SOURCES & SHADOWED_BY_ROCKS) != 0u && faces_sun {
+        let angle = 6.2831853 * interleaved_gradient_noise(sample);
+        let spoke = vec2(cos(angle), sin(angle));
+        total = visibility_past_casters(cell, horizon, position, surface.geometric_normal, surface.normal, spoke);
+    }
+    return SunVisibility(horizon, total);
+}
+
+// Irradiance from the sky and from sunlit ground. `horizon` is the visible fraction of the sun's disc past the ground: where
+// the ground shadows a point it shadows its surroundings too.
+fn indirect_irradiance(normal: vec3<f32>, horizon: f32, detail: u32) -> vec3<f32> {
+    var irradiance = sky_irradiance(light.sky_radiance, normal);
+    if PHOTOMETRY_LAW == HAPKE {
+        if detail == DETAIL_RELIEF || detail == DETAIL_UPLOADED_SLOPES {
+            irradiance += bounce_on_ground(light.ground_radiance, normal, light.sun_horizontal, horizon);
+        } else {
+            irradiance += bounce_on_rock(light.ground_radiance, normal, light.sun_horizontal);
+        }
+    } else {
+        irradiance += bounce_uniform(light.ground_radiance, normal, light.sun_horizontal);
+    }
+    return irradiance;
+}
+
+// Slope, rise per metre along x and y, of the relief that the ground's mesh leaves out.
+fn slope_below_mesh(offset: vec3<f32>, mesh_normal: vec3<f32>, to_eye: vec3<f32>) -> vec2<f32> {
+    let facing = clamp(dot(mesh_normal, to_eye), 0.04, 1.0);
+    // The footprint of a sample is longer in depth than across: take the geometric mean of the two.
+    let sample_m = light.relief_sample_angle * length(offset) * inverseSqrt(facing);
+    return relief_slope(light.relief_eye_from_centre + offset.xy, sample_m);
+}
+
+// Normal of the ground: that of the mesh with a further slope.
+fn ground_normal(mesh_normal: vec3<f32>, slope: vec2<f32>) -> vec3<f32> {
+    return unit(vec3(mesh_normal.xy * (1.0 / max(mesh_normal.z, 0.1)) - slope, 1.0));
+}
