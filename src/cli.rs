@@ -4,9 +4,11 @@
 
 mod args;
 mod bench;
+mod child;
 mod convert;
 mod dataset;
 mod device;
+mod doctor;
 mod frame;
 pub(crate) mod messages;
 pub(crate) mod process;
@@ -41,7 +43,8 @@ Examples:
   regolith-render params --preset train_dr > my.toml     every knob, to be edited and passed to --config
 
 Exit status: 0 success, 2 wrong usage or configuration, 130 stopped by Ctrl-C, 143 stopped by the signal TERM, 1 any other error.
-Environment: WGPU_BACKEND (vulkan, gl), WGPU_ADAPTER_NAME.";
+Environment: WGPU_BACKEND (vulkan, gl), WGPU_ADAPTER_NAME.
+`regolith-render doctor` says why a GPU is not used, and whether the labels of this machine are right.";
 
 /// Labelled images of the Moon.
 #[derive(Debug, Parser)]
@@ -75,6 +78,9 @@ enum Command {
         #[arg(long)]
         json: bool,
     },
+    /// Examine this machine: GPUs, drivers, containers; render test frames with every backend and compare them; exit status 1 if
+    /// labels are not right
+    Doctor(doctor::DoctorArgs),
     /// Export the stage for other software, in the format of the file's extension: .npz, .glb, .usda or .usdc
     Export(stage::ExportArgs),
     /// Print the completion script for a shell
@@ -111,6 +117,7 @@ pub(crate) fn run() -> Result<()> {
         Some(Command::Remap(args)) => remap::run(&args, cli.messages),
         Some(Command::Params(args)) => stage::list_params(&args),
         Some(Command::Adapters { json }) => stage::list_adapters(json),
+        Some(Command::Doctor(args)) => doctor::run(&args, cli.messages),
         Some(Command::Export(args)) => stage::export_stage(&args, cli.messages),
         Some(Command::Completions { shell }) => {
             let mut script = Vec::new();

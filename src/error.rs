@@ -113,7 +113,7 @@ pub enum Error {
     Stdout(std::io::Error),
     /// No adapter was found.
     #[error(
-        "no graphics adapter was found{limit}.\nOn a machine without a GPU, install Mesa's CPU driver: `sudo apt-get install {packages}` (Debian, Ubuntu).\nOn a machine with a GPU, install its {api} driver; in a container, pass the GPU through with its graphics capability."
+        "no graphics adapter was found{limit}.\nOn a machine without a GPU, install Mesa's CPU driver: `sudo apt-get install {packages}` (Debian, Ubuntu).\nOn a machine with a GPU, install its {api} driver; in a container, pass the GPU through with its graphics capability. `regolith-render doctor` says what is missing."
     )]
     NoAdapter {
         /// What `WGPU_BACKEND` allows, in parentheses; empty if it is not set.

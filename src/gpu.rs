@@ -11,6 +11,7 @@ pub mod pipeline_cache;
 mod processor;
 pub mod readback;
 pub mod staging;
+pub mod survey;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -299,7 +300,7 @@ mod tests {
 
     #[test]
     fn an_error_of_a_shader_is_one_line_without_its_text() {
-        let gpu = Gpu::open(Some("cpu")).expect("a device");
+        let gpu = Gpu::open(Some(&adapter::adapter_of_tests())).expect("a device");
         let text = "fn half_of(x: f32) -> f32 {\n    return 0.5 * y;\n}\n";
         for text in
             [text, "@fragment fn fs_main() -> @location(0) vec4<f32> {\n    return vec4(1.0) + 1u;\n}\n"]

@@ -28,6 +28,7 @@
 pub mod bench;
 pub mod class;
 pub mod dataset;
+pub mod doctor;
 pub mod error;
 pub mod export;
 pub mod frame;

@@ -13,6 +13,7 @@ use regolith::params::config::Config;
 use regolith::render::{RasterMode, RenderSettings, Renderer};
 
 use super::device;
+use super::messages::Messages;
 
 /// Where the values of the knobs come from, weakest first: stage, preset, file, `--set`.
 #[derive(Args, Debug)]
@@ -101,8 +102,8 @@ pub(super) struct DeviceArgs {
 
 impl DeviceArgs {
     /// Opens the adapter.
-    pub(super) fn open(&self) -> Result<Gpu> {
-        device::open(self.adapter.as_deref())
+    pub(super) fn open(&self, messages: Messages) -> Result<Gpu> {
+        device::open(self.adapter.as_deref(), messages)
     }
 
     /// A renderer on an open device.

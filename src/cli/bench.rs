@@ -68,7 +68,7 @@ pub(super) struct BenchArgs {
 pub(super) fn run(args: &BenchArgs, messages: Messages) -> Result<()> {
     let cases = parse_cases(&args.cases)?;
     let setup = setup(args, messages)?;
-    let mut renderer = args.device.renderer(args.device.open()?)?;
+    let mut renderer = args.device.renderer(args.device.open(messages)?)?;
     if let Some(lighting) = args.lighting {
         renderer.set_raster(renderer.raster().with_lighting(lighting, renderer.gpu())?);
     }

@@ -107,7 +107,7 @@ pub(super) fn run(args: &DatasetArgs, messages: Messages) -> Result<()> {
     }
     let start = Instant::now();
     // Before the folder is created, so that nothing is left behind on a machine without an adapter.
-    let gpu = args.device.open()?;
+    let gpu = args.device.open(messages)?;
     let log = FrameLogWriter::open(&args.out, &spec, args.force)?;
     messages.note(format_args!("rendering on {}", regolith::gpu::adapter::describe(&gpu.info)));
     let mut renderer = args.device.renderer(gpu)?;
@@ -165,7 +165,7 @@ fn stream(
             "--out - streams one archive: it needs --format webdataset and no --split".to_owned(),
         ));
     }
-    let gpu = args.device.open()?;
+    let gpu = args.device.open(messages)?;
     let mut renderer = args.device.renderer(gpu)?;
     device::inject_fault(&renderer);
     let mut meter = Meter::new(messages, "frames");

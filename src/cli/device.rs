@@ -2,18 +2,36 @@
 
 use std::path::PathBuf;
 
+use regolith::doctor::hardware::{Machine, device_files};
 use regolith::error::Result;
-use regolith::gpu::Gpu;
+use regolith::gpu::{Gpu, adapter};
 use regolith::input;
 use regolith::output::{Artifact, disk};
 use regolith::render::Renderer;
 
+use super::messages::Messages;
+
 /// Largest size of the compiled pipelines of an adapter.
 const MAX_CACHE_BYTES: u64 = 256 * input::MIB;
 
-/// Opens an adapter, with the pipelines that an earlier run compiled for it.
-pub(super) fn open(adapter: Option<&str>) -> Result<Gpu> {
-    Gpu::open_with_cache(adapter, |key| input::read(&folder()?.join(key), MAX_CACHE_BYTES).ok())
+/// Opens an adapter, with the pipelines that an earlier run compiled for it. Says so if it is a CPU driver that nobody asked for
+/// on a machine with a GPU.
+pub(super) fn open(wanted: Option<&str>, messages: Messages) -> Result<Gpu> {
+    let gpu = Gpu::open_with_cache(wanted, |key| input::read(&folder()?.join(key), MAX_CACHE_BYTES).ok())?;
+    let is_chosen =
+        wanted.is_some() || std::env::var_os("WGPU_ADAPTER_NAME").is_some_and(|name| !name.is_empty());
+    if gpu.capabilities.software_adapter && !is_chosen {
+        if let Some(file) = device_files(&Machine::here()).first() {
+            messages.note(format_args!(
+                "warning: rendering on the CPU ({}), although {} belongs to {} GPU: `regolith-render doctor` says what its driver \
+                 lacks; --adapter cpu silences this warning",
+                adapter::describe(&gpu.info),
+                file.path,
+                file.vendor.with_article()
+            ));
+        }
+    }
+    Ok(gpu)
 }
 
 /// Stores the compiled pipelines for the next run. If that fails, the next run compiles them again.

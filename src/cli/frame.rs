@@ -67,7 +67,7 @@ pub(super) fn run(args: &FrameArgs, messages: Messages) -> Result<()> {
     args.image.edges()?;
     output::check_folder(&args.out, INDEX, args.force)?;
 
-    let mut rendered = render(args, params, settings)?;
+    let mut rendered = render(args, messages, params, settings)?;
     let (meta, paths) = write(args, messages, &mut rendered, outputs)?;
     summarise(args, messages, &rendered, &meta, start);
     let rules = Rules::from_config(&config)?;
@@ -86,7 +86,12 @@ pub(super) fn run(args: &FrameArgs, messages: Messages) -> Result<()> {
 }
 
 /// Renders the frame. The device is opened while the scene is built.
-fn render(args: &FrameArgs, params: Params, settings: RenderSettings) -> Result<Rendered> {
+fn render(
+    args: &FrameArgs,
+    messages: Messages,
+    params: Params,
+    settings: RenderSettings,
+) -> Result<Rendered> {
     let (scene, renderer) = rayon::join(
         || {
             timed("scene", || {
@@ -96,7 +101,7 @@ fn render(args: &FrameArgs, params: Params, settings: RenderSettings) -> Result<
             })
         },
         || -> Result<_> {
-            let (gpu, adapter) = timed("adapter", || args.device.open())?;
+            let (gpu, adapter) = timed("adapter", || args.device.open(messages))?;
             let (renderer, pipelines) = timed("pipelines", || args.device.renderer(gpu))?;
             Ok((renderer, [adapter, pipelines]))
         },

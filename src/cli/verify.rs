@@ -65,7 +65,7 @@ pub(super) fn run(args: &VerifyArgs, messages: Messages) -> Result<()> {
 }
 
 fn render_again(args: &VerifyArgs, messages: Messages, report: &mut Report) -> Result<()> {
-    let mut renderer = args.device.renderer(args.device.open()?)?;
+    let mut renderer = args.device.renderer(args.device.open(messages)?)?;
     messages.detail(format_args!("rendering again on {}", gpu::adapter::describe(&renderer.gpu().info)));
     verify::check_rendering(&args.folder, &mut renderer, args.rerender, report)?;
     device::store_pipelines(renderer.gpu());

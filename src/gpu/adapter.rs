@@ -51,11 +51,25 @@ pub(super) fn choose(wanted: Option<&str>) -> Result<wgpu::Adapter> {
 /// # Errors
 /// [`Error::NoAdapter`]; [`Error::MemoryLimit`]; [`Error::Usage`] if `WGPU_BACKEND` names an unknown backend.
 pub fn list() -> Result<Vec<AdapterInfo>> {
-    memory_limits::check()?;
-    let backends = backends_allowed()?.unwrap_or(Backends::VULKAN | Backends::GL);
-    let mut infos: Vec<AdapterInfo> = enumerate(backends).iter().map(wgpu::Adapter::get_info).collect();
-    infos.sort_by_key(rank);
+    let infos: Vec<AdapterInfo> = enumerate_allowed()?.iter().map(wgpu::Adapter::get_info).collect();
     if infos.is_empty() { Err(no_adapter()) } else { Ok(infos) }
+}
+
+/// Checks what can be wrong before a driver is loaded: the limits of the process, and `WGPU_BACKEND`.
+///
+/// # Errors
+/// [`Error::MemoryLimit`] or [`Error::Usage`].
+pub fn check_environment() -> Result<()> {
+    memory_limits::check()?;
+    backends_allowed().map(drop)
+}
+
+/// Every adapter of the allowed backends, best first.
+pub(super) fn enumerate_allowed() -> Result<Vec<wgpu::Adapter>> {
+    memory_limits::check()?;
+    let mut adapters = enumerate(backends_allowed()?.unwrap_or(Backends::VULKAN | Backends::GL));
+    adapters.sort_by_key(|adapter| rank(&adapter.get_info()));
+    Ok(adapters)
 }
 
 /// The backends that `WGPU_BACKEND` allows; `None` if it is not set.
@@ -110,8 +124,13 @@ fn enumerate(backends: Backends) -> Vec<wgpu::Adapter> {
 }
 
 fn matches(info: &AdapterInfo, wanted: &str) -> bool {
+    is_wanted(&describe(info), is_software(info), wanted)
+}
+
+/// Whether a text of `--adapter` selects the adapter with this description.
+pub(super) fn is_wanted(description: &str, is_software: bool, wanted: &str) -> bool {
     let wanted = wanted.to_lowercase();
-    (wanted == "cpu" && is_software(info)) || describe(info).to_lowercase().contains(&wanted)
+    (wanted == "cpu" && is_software) || description.to_lowercase().contains(&wanted)
 }
 
 /// Whether an adapter rasterises on the CPU. GL reports llvmpipe as another kind of device, so the name counts too.
@@ -130,6 +149,13 @@ fn rank(info: &AdapterInfo) -> (u8, bool) {
         DeviceType::Other | DeviceType::Cpu => 3,
     };
     (kind, info.backend == Backend::Gl)
+}
+
+/// The adapter of unit tests: a part of its name, from `REGOLITH_TEST_ADAPTER`; else `cpu`.
+#[cfg(test)]
+pub(crate) fn adapter_of_tests() -> String {
+    let named = std::env::var("REGOLITH_TEST_ADAPTER").ok().filter(|name| !name.is_empty());
+    named.unwrap_or_else(|| "cpu".to_owned())
 }
 
 #[cfg(test)]

@@ -17,7 +17,7 @@ const MAX_FUNCTION_LINES: usize = 80;
 const LONG_BECAUSE: &str = "// Long because: ";
 
 /// Each room (a module directly below `src`) and the rooms that it may use.
-pub(crate) const MAY_USE: [(&str, &[&str]); 18] = [
+pub(crate) const MAY_USE: [(&str, &[&str]); 19] = [
     ("error", &[]),
     ("class", &[]),
     ("random", &[]),
@@ -35,6 +35,13 @@ pub(crate) const MAY_USE: [(&str, &[&str]); 18] = [
     ("export", &["scene", "render", "output", "class", "error"]),
     ("meta", &["params", "scene", "render", "output", "frame", "class"]),
     ("bench", &["dataset", "params", "scene", "render", "output", "error"]),
+    (
+        "doctor",
+        &[
+            "bench", "dataset", "params", "scene", "render", "gpu", "output", "frame", "class", "input",
+            "error",
+        ],
+    ),
     ("dataset", &["params", "scene", "render", "output", "meta", "frame", "lens", "class", "input", "error"]),
 ];
 
@@ -42,7 +49,7 @@ pub(crate) const MAY_USE: [(&str, &[&str]); 18] = [
 const SELF: &str = "self";
 
 /// The modules of each room, from the bottom layer to the top one. A module may use those of lower layers only.
-const LAYERS: [(&str, &[&[&str]]); 8] = [
+const LAYERS: [(&str, &[&[&str]]); 9] = [
     (
         "params",
         &[
@@ -73,7 +80,7 @@ const LAYERS: [(&str, &[&[&str]]); 8] = [
             &["memory_limits", "processor"],
             &["adapter", "pipeline_cache"],
             &[SELF],
-            &["growing_buffer", "readback", "staging"],
+            &["growing_buffer", "readback", "staging", "survey"],
         ],
     ),
     (
@@ -108,11 +115,23 @@ const LAYERS: [(&str, &[&[&str]]); 8] = [
         ],
     ),
     (
+        "doctor",
+        &[
+            &["cases", "machine", "planes", "vendor"],
+            &["compare", "drivers", "reference", "worker"],
+            &["hardware"],
+            &["findings"],
+            &["examination"],
+            &["markdown"],
+        ],
+    ),
+    (
         "cli",
         &[
-            &["device", "messages"],
-            &["args", "process", "progress"],
-            &["bench", "convert", "dataset", "frame", "remap", "stage", "verify"],
+            &["messages"],
+            &["device"],
+            &["args", "child", "process", "progress"],
+            &["bench", "convert", "dataset", "doctor", "frame", "remap", "stage", "verify"],
         ],
     ),
 ];

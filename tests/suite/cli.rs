@@ -3,7 +3,7 @@
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 
-use crate::support::{folder, json, program, run, run_ok};
+use crate::support::{adapter, folder, json, program, run, run_ok};
 
 /// Runs a command that must fail with this status, name all of `expected` in its message, and leave the folder unchanged.
 fn assert_refused(words: &[&str], status: i32, expected: &[&str]) {
@@ -205,7 +205,7 @@ fn a_full_disk_leaves_no_partial_file() {
     let output = std::process::Command::new("bash")
         .args(["-c", &script])
         .current_dir(folder.path())
-        .env("WGPU_ADAPTER_NAME", "cpu")
+        .env("WGPU_ADAPTER_NAME", adapter())
         .env("MESA_SHADER_CACHE_DISABLE", "true")
         .output()
         .expect("bash");

@@ -13,7 +13,7 @@ use regolith::random::Streams;
 use regolith::scene::Scene;
 use serde_json::{Map, Value};
 
-use crate::support::{folder, json, program, run, run_ok, send_signal};
+use crate::support::{adapter, folder, json, program, run, run_ok, send_signal};
 
 /// Small frames of a small scene.
 const SMALL: [&str; 9] = [
@@ -510,7 +510,7 @@ fn a_run_stopped_by_a_full_disk_can_be_resumed() {
     let output = Command::new("sh")
         .args(["-c", &limited])
         .current_dir(folder.path())
-        .env("WGPU_ADAPTER_NAME", "cpu")
+        .env("WGPU_ADAPTER_NAME", adapter())
         .env("MESA_SHADER_CACHE_DISABLE", "true")
         .output()
         .expect("started");

@@ -11,7 +11,7 @@ use regolith::render::select::selection::Selection;
 use regolith::render::{InFlight, RasterBackend, RasterOptions, RenderSettings, Renderer};
 use regolith::scene::Scene;
 
-use crate::support::{folder, json, program, render, renderer, run_ok, scene};
+use crate::support::{adapter, folder, json, program, render, renderer, run_ok, scene};
 
 #[test]
 fn two_runs_write_the_same_bytes() {
@@ -182,7 +182,7 @@ fn multi_draw_and_single_draws_give_the_same_planes() {
 /// The first frame uses fewer lighting variants, so that it waits for fewer pipelines to compile.
 #[test]
 fn the_first_frame_uses_fewer_lighting_variants_and_equals_the_second() {
-    let gpu = Gpu::open(Some("cpu")).expect("a device");
+    let gpu = Gpu::open(Some(&adapter())).expect("a device");
     let mut renderer = Renderer::new(gpu).expect("a renderer");
     let scene = scene(4, &["sun.elevation_deg=12"]);
     let mut frame = || {

@@ -185,8 +185,19 @@ fn documented_calls(text: &str) -> Vec<(String, Vec<String>)> {
 
 #[test]
 fn documented_commands_exist() {
-    let subcommands =
-        ["", "dataset", "bench", "verify", "convert", "remap", "params", "adapters", "export", "completions"];
+    let subcommands = [
+        "",
+        "dataset",
+        "bench",
+        "verify",
+        "convert",
+        "remap",
+        "params",
+        "adapters",
+        "doctor",
+        "export",
+        "completions",
+    ];
     let options: BTreeMap<&str, BTreeSet<String>> =
         subcommands.into_iter().map(|subcommand| (subcommand, options_of(subcommand))).collect();
     let preset_names: BTreeSet<&str> = presets().into_iter().map(|(name, _)| name).collect();

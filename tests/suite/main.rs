@@ -10,6 +10,7 @@ mod dataset_locks;
 mod dataset_paths;
 mod determinism;
 mod docs;
+mod doctor;
 mod environment;
 mod export;
 mod formats;

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::support::{folder, program, run, run_ok, send_signal};
+use crate::support::{adapter, folder, program, run, run_ok, send_signal};
 
 /// Small frames of a small scene.
 const SMALL: [&str; 5] =
@@ -103,7 +103,7 @@ fn nohup_protects_a_run_from_the_end_of_its_terminal() {
     let child = Command::new("sh")
         .args(["-c", &script])
         .current_dir(folder.path())
-        .env("WGPU_ADAPTER_NAME", "cpu")
+        .env("WGPU_ADAPTER_NAME", adapter())
         .stderr(Stdio::piped())
         .spawn()
         .expect("started");
@@ -124,7 +124,7 @@ fn a_limit_of_the_file_size_is_named_as_such() {
         let output = Command::new("bash")
             .args(["-c", &script])
             .current_dir(folder.path())
-            .env("WGPU_ADAPTER_NAME", "cpu")
+            .env("WGPU_ADAPTER_NAME", adapter())
             .env("MESA_SHADER_CACHE_DISABLE", "true")
             .output()
             .expect("bash");

@@ -133,7 +133,7 @@ mod tests {
         let spread = (0..=u16::MAX).map(|k| u32::from(k).wrapping_mul(0x1_0001).rotate_left(7));
         let mut values: Vec<u32> = halves.chain(midpoints.iter().copied()).collect();
         values.extend(beside(1).chain(beside(u32::MAX)).chain(spread));
-        let gpu = Gpu::open(Some("cpu")).expect("a device");
+        let gpu = Gpu::open(Some(&crate::gpu::adapter::adapter_of_tests())).expect("a device");
         let packed = half_bits(&gpu, &values);
         gpu.check().expect("no error");
         assert_eq!(packed.len(), 5 * 65536);

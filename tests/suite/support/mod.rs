@@ -14,11 +14,19 @@ use regolith::params::config::Config;
 use regolith::render::{RenderSettings, Renderer};
 use regolith::scene::Scene;
 
-/// A renderer on the CPU driver, shared by all tests. Without a driver every test that renders fails with the message that a
+/// What `--adapter` of the tests is: a part of an adapter's name, from `REGOLITH_TEST_ADAPTER`; else `cpu`.
+pub(crate) fn adapter() -> String {
+    std::env::var("REGOLITH_TEST_ADAPTER")
+        .ok()
+        .filter(|name| !name.is_empty())
+        .unwrap_or_else(|| "cpu".to_owned())
+}
+
+/// A renderer on the adapter of the tests, shared by all tests. Without a driver every test that renders fails with the message that a
 /// user would get: what is missing and how to install it.
 pub(crate) fn renderer() -> MutexGuard<'static, Renderer> {
     static RENDERER: LazyLock<Mutex<Renderer>> = LazyLock::new(|| {
-        let gpu = Gpu::open(Some("cpu")).unwrap_or_else(|error| panic!("{error}"));
+        let gpu = Gpu::open(Some(&adapter())).unwrap_or_else(|error| panic!("{error}"));
         Mutex::new(Renderer::new(gpu).unwrap_or_else(|error| panic!("{error}")))
     });
     RENDERER.lock().unwrap_or_else(PoisonError::into_inner)
@@ -44,10 +52,10 @@ pub(crate) fn render(scene: &Scene, side: u32, samples: u32) -> Frame {
     renderer().render(scene, &settings).unwrap_or_else(|error| panic!("{error}")).0
 }
 
-/// The command `regolith-render`, run in `folder`, on the CPU driver unless a test overrides that.
+/// The command `regolith-render`, run in `folder`, on the adapter of the tests unless a test overrides that.
 pub(crate) fn program(folder: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_regolith-render"));
-    command.current_dir(folder).env_remove("WGPU_BACKEND").env("WGPU_ADAPTER_NAME", "cpu");
+    command.current_dir(folder).env_remove("WGPU_BACKEND").env("WGPU_ADAPTER_NAME", adapter());
     command
 }
 
