@@ -1,4 +1,5 @@
-"""Renders on two independent Vulkan drivers under the validation layers: no message, and the same masks.
+"""Renders on two independent Vulkan drivers under the validation layers: no message, and the same masks; and runs `doctor` on
+them and on Mesa's GL driver.
 
 The drivers are Mesa's lavapipe and Google's SwiftShader. SwiftShader and the layers, which also check synchronization, come
 from Debian's package chromium-common; nothing is installed. Run through check.sh.
@@ -154,6 +155,38 @@ def check_scene(report: Report, drivers: list[Driver], scene: list[str], rasters
         report.none(f"{what}, not on an outline", [f"{inside} px"] if inside else [], int(outline.sum()))
 
 
+def check_doctor(report: Report, name: str, driver: Driver, backend: str, rasters: set[str]) -> None:
+    """Runs `doctor` without layers: every raster backend of the adapter runs and is right."""
+    out = WORK / "doctor"
+    shutil.rmtree(out, ignore_errors=True)
+    environment = {
+        **os.environ,
+        "VK_DRIVER_FILES": str(driver.icd),
+        "VK_ICD_FILENAMES": str(driver.icd),
+        "WGPU_BACKEND": backend,
+        "WGPU_ADAPTER_NAME": driver.adapter,
+    }
+    command = [PROGRAM, "doctor", "--json", "--quiet", "--out", str(out)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    result = json.loads(done.stdout)
+    devices = [run["device"] for run in result["runs"] if run["device"]]
+    found = {device["raster"] for device in devices}
+    adapters = {device["adapter"] for device in devices}
+    is_right = all(driver.adapter in adapter.lower() and backend in adapter for adapter in adapters)
+    report.none(f"{name}: adapter", [] if is_right else sorted(adapters), " ".join(sorted(adapters)))
+    report.none(f"{name}: raster backends", sorted(found ^ rasters), ", ".join(sorted(found)))
+    wrong = [
+        f"{check['case']} {check['backend']} {check['plane']}: {check['text']}"
+        for check in result["checks"]
+        if check["verdict"] == "wrong"
+    ]
+    failed = [failure["message"] for run in result["runs"] for failure in run["failures"]]
+    report.none(f"{name}: wrong planes", wrong, f"none of {len(result['checks'])}")
+    report.none(f"{name}: failed steps", failed, "none")
+    status = [f"{done.returncode}"] if done.returncode else []
+    report.none(f"{name}: exit status", status, "0")
+
+
 def main() -> int:
     """Renders every scene; returns the exit status."""
     WORK.mkdir(parents=True, exist_ok=True)
@@ -166,6 +199,9 @@ def main() -> int:
     for name, (scene, rasters) in SCENES.items():
         report.case = name
         check_scene(report, drivers, scene, rasters)
+    report.case = "doctor"
+    check_doctor(report, drivers[0].name, drivers[0], "vulkan", {"device", "host"})
+    check_doctor(report, f"{drivers[0].name}, GL", drivers[0], "gl", {"device", "mixed"})
     report.print()
     failed = len(report.failed())
     print(f"{len(report.rows) - failed} of {len(report.rows)} hold")
