@@ -10,10 +10,9 @@ use super::findings::{Finding, findings};
 use super::hardware::Hardware;
 use super::planes::{Hashes, Planes};
 use super::reference::{DEPTH_PRECISION, Reference, reference};
-use super::worker::{Event, FrameResult, Job, Memory, Opened, PASSES};
+use super::worker::{Backend, Event, FrameResult, Job, Memory, Opened, PASSES};
 use crate::error::Result;
 use crate::gpu::survey::AdapterReport;
-use crate::render::RasterMode;
 
 /// The version of the form of `doctor.json`.
 const FORMAT: u32 = 1;
@@ -82,10 +81,12 @@ impl Run {
         self.frames.iter().find(|(frame, _)| frame.case == case && frame.pass == pass)
     }
 
-    /// Name of the backend in reports.
+    /// Name of the backend in reports: that of the job, or what `auto` meant.
     #[must_use]
     pub fn backend(&self) -> String {
-        self.opened.as_ref().map_or_else(|| self.job.name(), |opened| opened.raster.clone())
+        let is_named = matches!(self.job, Job::Render(backend) if backend != Backend::AUTO);
+        let opened = self.opened.as_ref().filter(|_| !is_named);
+        opened.map_or_else(|| self.job.name(), |opened| opened.raster.clone())
     }
 }
 
@@ -158,22 +159,11 @@ impl Examination {
         }
     }
 
-    /// The jobs after the list of adapters: both backends, what `auto` means if it is neither of them, and the measurements.
-    #[must_use]
-    pub fn jobs() -> [Job; 4] {
-        [
-            Job::Render(RasterMode::Host),
-            Job::Render(RasterMode::Device),
-            Job::Render(RasterMode::Auto),
-            Job::Bench,
-        ]
-    }
-
     /// Whether a job would render what another has rendered.
     #[must_use]
     pub fn is_redundant(&self, job: Job) -> bool {
         let opened = || self.runs.iter().filter_map(|run| run.opened.as_ref());
-        job == Job::Render(RasterMode::Auto)
+        job == Job::Render(Backend::AUTO)
             && opened().all(|auto| opened().any(|done| done.raster == auto.auto_raster))
     }
 
@@ -184,7 +174,7 @@ impl Examination {
 
     /// The host rasteriser's frame of a case, where it has one with the right labels.
     fn host_frame(&self, case: &Case, shipped: &Reference) -> Option<&Planes> {
-        let host = self.render_runs().find(|run| run.backend() == "host")?;
+        let host = self.render_runs().find(|run| run.job == Job::Render(Backend::HOST))?;
         let (_, planes) = host.frame(case.name, 0)?;
         let (found, expected) = (planes.hashes(), &shipped.hashes.planes);
         let is_right = found.mask == expected.mask && found.instances == expected.instances;
@@ -220,7 +210,7 @@ impl Examination {
             let text = format!("geometry {} instead of {}", frame.geometry, shipped.hashes.geometry);
             checks.push(check("the reference", wrong("geometry", text)));
         }
-        let is_host = run.backend() == "host";
+        let is_host = run.job == Job::Render(Backend::HOST);
         match self.host_frame(case, &shipped).filter(|_| !is_host) {
             Some(host) => {
                 let rule = Rule { exact_labels: false, equal_depth: EQUAL_DEPTH };

@@ -26,13 +26,16 @@ fn verdict(examination: &Examination) -> String {
     }
     match right.as_slice() {
         [] => format!("LABELS ARE NOT RIGHT on {}, with any backend; {auto}.", opened.adapter),
-        names => format!(
-            "NOT EVERYTHING IS RIGHT on {}: of the backends only {} is; {auto}. Until this is fixed, use `--raster {}`, or \
-             another `--adapter`.",
-            opened.adapter,
-            names.join(", "),
-            names[0]
-        ),
+        names => {
+            let has_host = names.iter().any(|name| name == "host");
+            let way_out =
+                if has_host { "`--raster host` or another `--adapter`" } else { "another `--adapter`" };
+            format!(
+                "NOT EVERYTHING IS RIGHT on {}: of the backends only {} is right; {auto}. Until this is fixed, use {way_out}.",
+                opened.adapter,
+                names.join(", "),
+            )
+        }
     }
 }
 
@@ -215,10 +218,18 @@ fn limits(text: &mut String, examination: &Examination) {
         .iter()
         .find(|adapter| opened.is_some_and(|opened| opened.adapter == adapter.describe()));
     let Some(adapter) = chosen else { return };
-    let _ = writeln!(text, "\n## Limits of {}\n\n| limit | needed | offered |\n|---|---|---|", adapter.name);
+    let _ = writeln!(
+        text,
+        "\n## Limits of {}\n\n| limit | needed | requested | offered |\n|---|---|---|---|",
+        adapter.name
+    );
     for limit in &adapter.limits {
         let mark = if limit.offered < limit.needed { " (TOO LITTLE)" } else { "" };
-        let _ = writeln!(text, "| {} | {} | {}{mark} |", limit.name, limit.needed, limit.offered);
+        let _ = writeln!(
+            text,
+            "| {} | {} | {} | {}{mark} |",
+            limit.name, limit.needed, limit.requested, limit.offered
+        );
     }
     let capabilities = opened.into_iter().flat_map(|opened| &opened.capabilities);
     let capabilities: Vec<String> = capabilities

@@ -3,6 +3,7 @@
 //!
 //! Must not know: processes, how events are transported.
 
+use std::fmt;
 use std::path::Path;
 use std::str::FromStr;
 use std::sync::Arc;
@@ -25,7 +26,7 @@ use crate::gpu::survey::{AdapterReport, survey};
 use crate::output::edges::EdgePolicy;
 use crate::output::{Artifact, LabelIds, disk, layout};
 use crate::params::config::Config;
-use crate::render::{FRAMES_IN_FLIGHT, RasterMode, RenderSettings, Renderer};
+use crate::render::{FRAMES_IN_FLIGHT, LightingMode, RasterMode, RasterOptions, RenderSettings, Renderer};
 
 /// Times that each case is rendered.
 pub const PASSES: usize = 2;
@@ -43,24 +44,63 @@ const BENCHES: [(&str, bench::Case); 6] = [
     ("surface", bench::Case::Scene),
 ];
 
+/// A way to render: who rasterises, and how lighting is divided into draws.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Backend {
+    /// Who rasterises.
+    pub raster: RasterMode,
+    /// How lighting is divided; `None` for what the adapter is best at.
+    pub lighting: Option<LightingMode>,
+}
+
+impl Backend {
+    /// What `--raster auto` means on the adapter.
+    pub const AUTO: Self = Self { raster: RasterMode::Auto, lighting: None };
+    /// The host, which has one lighting only.
+    pub const HOST: Self = Self { raster: RasterMode::Host, lighting: None };
+    /// The device as GPUs run it.
+    pub const ONE_DRAW: Self = Self { raster: RasterMode::Device, lighting: Some(LightingMode::OneDraw) };
+    /// The device as software adapters run it.
+    pub const BINS: Self = Self { raster: RasterMode::Device, lighting: Some(LightingMode::Bins) };
+}
+
+impl fmt::Display for Backend {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.lighting {
+            Some(lighting) => write!(f, "{}-{}", self.raster, lighting.name()),
+            None => self.raster.fmt(f),
+        }
+    }
+}
+
 /// What a worker is to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Job {
     /// List the adapters.
     Adapters,
     /// Render every case, each twice.
-    Render(RasterMode),
+    Render(Backend),
     /// Measure frame times.
     Bench,
 }
 
 impl Job {
+    /// Every job, in order.
+    pub const ALL: [Self; 6] = [
+        Self::Adapters,
+        Self::Render(Backend::HOST),
+        Self::Render(Backend::BINS),
+        Self::Render(Backend::ONE_DRAW),
+        Self::Render(Backend::AUTO),
+        Self::Bench,
+    ];
+
     /// Its name on the command line and in reports.
     #[must_use]
     pub fn name(self) -> String {
         match self {
             Self::Adapters => "adapters".to_owned(),
-            Self::Render(mode) => mode.to_string(),
+            Self::Render(backend) => backend.to_string(),
             Self::Bench => "bench".to_owned(),
         }
     }
@@ -80,11 +120,8 @@ impl FromStr for Job {
     type Err = String;
 
     fn from_str(text: &str) -> std::result::Result<Self, String> {
-        match text {
-            "adapters" => Ok(Self::Adapters),
-            "bench" => Ok(Self::Bench),
-            mode => mode.parse().map(Self::Render),
-        }
+        let found = Self::ALL.into_iter().find(|job| job.name() == text);
+        found.ok_or_else(|| format!("the jobs are {}", Self::ALL.map(Self::name).join(", ")))
     }
 }
 
@@ -138,6 +175,8 @@ pub struct Opened {
     pub is_software: bool,
     /// Who rasterises: `device`, `host` or `mixed`.
     pub raster: String,
+    /// How lighting is divided into draws: `bins` or `one-draw`.
+    pub lighting: String,
     /// Who would rasterise without `--raster`.
     pub auto_raster: String,
     /// Optional capabilities, by name.
@@ -187,8 +226,8 @@ pub struct Worker<'a> {
     pub tamper: Tamper<'a>,
 }
 
-impl std::fmt::Debug for Worker<'_> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+impl fmt::Debug for Worker<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Worker").field("adapter", &self.adapter).finish_non_exhaustive()
     }
 }
@@ -198,7 +237,7 @@ impl Worker<'_> {
     pub fn run(&mut self, job: Job) {
         let memory = match job {
             Job::Adapters => self.adapters(),
-            Job::Render(mode) => self.render(mode),
+            Job::Render(backend) => self.render(backend),
             Job::Bench => self.bench(),
         };
         (self.emit)(Event::Done(memory));
@@ -222,7 +261,7 @@ impl Worker<'_> {
     }
 
     /// A renderer on a fresh device, without pipelines of earlier runs, which could be at fault.
-    fn open(&mut self, mode: RasterMode) -> Option<Renderer> {
+    fn open(&mut self, backend: Backend) -> Option<Renderer> {
         self.begin("opening the adapter");
         let gpu = Gpu::open(self.adapter).map_err(|error| self.fail("opening the adapter", &error)).ok()?;
         let adapter = crate::gpu::adapter::describe(&gpu.info);
@@ -231,16 +270,18 @@ impl Worker<'_> {
         let timestamps = has(wgpu::Features::TIMESTAMP_QUERY);
         let by_name = [
             ("stencil_upload", capabilities.stencil_upload),
+            ("depth_stencil", capabilities.depth_stencil),
             ("multi_draw", capabilities.multi_draw),
             ("timestamps", timestamps),
             ("pipeline_cache", gpu.pipeline_cache().is_some()),
         ];
-        match Renderer::with_raster(gpu, mode) {
+        match renderer(gpu, backend) {
             Ok(renderer) => {
                 (self.emit)(Event::Opened(Opened {
                     adapter,
                     is_software: capabilities.software_adapter,
                     raster: renderer.raster().name().to_owned(),
+                    lighting: renderer.raster().lighting.name().to_owned(),
                     auto_raster: auto_raster(&renderer),
                     capabilities: by_name
                         .map(|(name, has)| (name.to_owned(), has.into()))
@@ -261,18 +302,18 @@ impl Worker<'_> {
     }
 
     /// Renders all cases, then all again in the opposite order, so that what one frame leaves behind would show in another.
-    fn render(&mut self, mode: RasterMode) -> Memory {
-        let Some(mut renderer) = self.open(mode) else { return Memory::default() };
+    fn render(&mut self, backend: Backend) -> Memory {
+        let Some(mut renderer) = self.open(backend) else { return Memory::default() };
         let order = CASES.iter().map(|case| (0, case)).chain(CASES.iter().rev().map(|case| (1, case)));
         for (pass, case) in order {
             let step = format!("{} ({})", case.name, pass + 1);
             self.begin(&step);
-            match self.frame(&mut renderer, mode, case, pass) {
+            match self.frame(&mut renderer, backend, case, pass) {
                 Ok(frame) => (self.emit)(Event::Frame(frame)),
                 Err(error) => {
                     self.fail(&step, &error);
                     // A lost device takes no other frame with it.
-                    match self.open(mode) {
+                    match self.open(backend) {
                         Some(fresh) => renderer = fresh,
                         None => return memory(&renderer),
                     }
@@ -285,7 +326,7 @@ impl Worker<'_> {
     fn frame(
         &mut self,
         renderer: &mut Renderer,
-        mode: RasterMode,
+        backend: Backend,
         case: &Case,
         pass: usize,
     ) -> Result<FrameResult> {
@@ -294,7 +335,7 @@ impl Worker<'_> {
         let (mut frame, times) = renderer.render(&scene, &case.settings()?)?;
         let host_ms = start.elapsed().as_secs_f64() * 1e3;
         (self.tamper)(renderer, &mut frame);
-        let name = format!("{mode}_{}_{pass}.planes", case.name);
+        let name = format!("{backend}_{}_{pass}.planes", case.name);
         let bytes = Planes::from(frame).to_bytes();
         disk::write_all(self.folder, &[Artifact { name: name.clone(), bytes }])?;
         Ok(FrameResult {
@@ -308,7 +349,7 @@ impl Worker<'_> {
     }
 
     fn bench(&mut self) -> Memory {
-        let Some(mut renderer) = self.open(RasterMode::Auto) else { return Memory::default() };
+        let Some(mut renderer) = self.open(Backend::AUTO) else { return Memory::default() };
         for (number, (stage, case)) in BENCHES.into_iter().enumerate() {
             let name = format!("{stage}, {}", case.name());
             self.begin(&name);
@@ -321,7 +362,7 @@ impl Worker<'_> {
                 Ok(measured) => (self.emit)(Event::Bench { name, result: measured.to_json() }),
                 Err(error) => {
                     self.fail(&name, &error);
-                    match self.open(RasterMode::Auto) {
+                    match self.open(Backend::AUTO) {
                         Some(fresh) => renderer = fresh,
                         None => return memory(&renderer),
                     }
@@ -332,9 +373,17 @@ impl Worker<'_> {
     }
 }
 
+fn renderer(gpu: Gpu, backend: Backend) -> Result<Renderer> {
+    let mut renderer = Renderer::with_raster(gpu, backend.raster)?;
+    if let Some(lighting) = backend.lighting {
+        renderer.set_raster(renderer.raster().with_lighting(lighting, renderer.gpu())?);
+    }
+    Ok(renderer)
+}
+
 /// Who rasterises without `--raster` on the device of a renderer.
 fn auto_raster(renderer: &Renderer) -> String {
-    let options = crate::render::RasterOptions::new(RasterMode::Auto, renderer.gpu());
+    let options = RasterOptions::new(RasterMode::Auto, renderer.gpu());
     options.map_or_else(|error| error.to_string(), |options| options.name().to_owned())
 }
 

@@ -36,8 +36,10 @@ pub struct AdapterReport {
 pub struct LimitReport {
     /// Its name in WebGPU, in snake case.
     pub name: String,
-    /// What a device is opened with, at least.
+    /// What rendering needs in some way; below it some frame or adapter is refused.
     pub needed: u64,
+    /// What a device is opened with.
+    pub requested: u64,
     /// What the adapter offers.
     pub offered: u64,
 }
@@ -57,7 +59,7 @@ impl AdapterReport {
 
     fn new(adapter: &wgpu::Adapter) -> Self {
         let info = adapter.get_info();
-        let missing = adapter::missing(adapter.features(), adapter.get_downlevel_capabilities().flags);
+        let missing = adapter::missing(adapter.get_downlevel_capabilities().flags);
         Self {
             kind: adapter::kind(&info).to_owned(),
             backend: info.backend.to_string(),
@@ -72,15 +74,16 @@ impl AdapterReport {
     }
 }
 
-/// Needed and offered limits. Of those that are requested as high as the adapter goes, the default is needed.
+/// Needed, requested and offered limits. WebGPU's downlevel defaults are enough, with fall-backs.
 fn limits(info: &AdapterInfo, offered: &Limits) -> Vec<LimitReport> {
-    let floor = Limits::downlevel_defaults();
-    let needed = required_limits(info, &floor);
+    let needed = Limits::downlevel_defaults();
+    let requested = required_limits(info, offered);
     macro_rules! rows {
         ($($name:ident),*) => {
             vec![$(LimitReport {
                 name: stringify!($name).to_owned(),
                 needed: u64::from(needed.$name),
+                requested: u64::from(requested.$name),
                 offered: u64::from(offered.$name),
             }),*]
         };

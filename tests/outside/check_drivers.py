@@ -170,7 +170,7 @@ def check_doctor(report: Report, name: str, driver: Driver, backend: str, raster
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     result = json.loads(done.stdout)
     devices = [run["device"] for run in result["runs"] if run["device"]]
-    found = {device["raster"] for device in devices}
+    found = {run["backend"] for run in result["runs"] if run["frames"]}
     adapters = {device["adapter"] for device in devices}
     is_right = all(driver.adapter in adapter.lower() and backend in adapter for adapter in adapters)
     report.none(f"{name}: adapter", [] if is_right else sorted(adapters), " ".join(sorted(adapters)))
@@ -200,8 +200,8 @@ def main() -> int:
         report.case = name
         check_scene(report, drivers, scene, rasters)
     report.case = "doctor"
-    check_doctor(report, drivers[0].name, drivers[0], "vulkan", {"device", "host"})
-    check_doctor(report, f"{drivers[0].name}, GL", drivers[0], "gl", {"device", "mixed"})
+    check_doctor(report, drivers[0].name, drivers[0], "vulkan", {"host", "device-bins", "device-one-draw"})
+    check_doctor(report, f"{drivers[0].name}, GL", drivers[0], "gl", {"device-bins", "device-one-draw", "mixed"})
     report.print()
     failed = len(report.failed())
     print(f"{len(report.rows) - failed} of {len(report.rows)} hold")

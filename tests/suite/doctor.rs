@@ -110,7 +110,7 @@ fn a_machine_with_right_labels_passes() {
     assert!(output.status.success(), "{message}{:#}", report["checks"]);
     assert_eq!(report, json(&folder.path().join("doctor/doctor.json")), "--json prints what is written");
     assert_eq!((&report["verdict"]["labels"], &report["verdict"]["wrong"]), (&"right".into(), &0.into()));
-    for job in ["host", "device", "bench"] {
+    for job in ["host", "device-bins", "device-one-draw", "bench"] {
         let run = report["runs"].as_array().expect("runs").iter().find(|run| run["job"] == job).expect(job);
         assert!(run["memory"]["peak_rss_bytes"].as_u64() > Some(10_000_000), "{job}: {}", run["memory"]);
         let count =
@@ -130,7 +130,7 @@ fn a_machine_with_right_labels_passes() {
 #[test]
 fn wrong_labels_and_a_driver_that_crashes_are_reported_and_the_rest_goes_on() {
     let folder = folder();
-    let (output, report) = doctor(folder.path(), "wrong-label:host,wrong-id:host,driver-crash:device");
+    let (output, report) = doctor(folder.path(), "wrong-label:host,wrong-id:host,driver-crash:device-bins");
     assert_eq!(output.status.code(), Some(1));
     let found = not_right(&report, "host");
     let case = CASES[1].name;
@@ -138,10 +138,10 @@ fn wrong_labels_and_a_driver_that_crashes_are_reported_and_the_rest_goes_on() {
         assert!(found.contains(&format!("{case} {plane}")), "{plane}: {found:?}");
     }
     assert_eq!(found.len(), 5, "{found:?}");
-    let failed = failures(&report, "device");
+    let failed = failures(&report, "device-bins");
     assert!(failed.len() == 1 && failed[0].contains("the driver ended the process (signal: 4"), "{failed:?}");
     assert!(failed[0].starts_with(case), "{failed:?}");
-    assert_eq!(report["verdict"]["right_backends"], serde_json::json!([]));
+    assert_eq!(report["verdict"]["right_backends"], serde_json::json!(["device-one-draw"]));
     let bench = report["runs"].as_array().expect("runs").last().expect("a run");
     assert_eq!(bench["bench"].as_object().map(serde_json::Map::len), Some(6), "{bench}");
 }
@@ -149,12 +149,13 @@ fn wrong_labels_and_a_driver_that_crashes_are_reported_and_the_rest_goes_on() {
 #[test]
 fn wrong_depth_and_colour_and_a_lost_device_are_reported_and_the_rest_goes_on() {
     let folder = folder();
-    let (output, report) = doctor(folder.path(), "wrong-depth:host,wrong-colour:host,device-lost:device");
+    let (output, report) =
+        doctor(folder.path(), "wrong-depth:host,wrong-colour:host,device-lost:device-bins");
     assert_eq!(output.status.code(), Some(1));
     let case = CASES[1].name;
     let found = not_right(&report, "host");
     assert_eq!(found, ["repeat", "depth", "colour"].map(|plane| format!("{case} {plane}")));
-    let failed = failures(&report, "device");
+    let failed = failures(&report, "device-bins");
     assert!(failed.len() == 1 && failed[0].contains("device was lost"), "{failed:?}");
     let run = &report["runs"].as_array().expect("runs")[2];
     assert_eq!(run["frames"].as_array().map(Vec::len), Some(2 * CASES.len() - 1), "on a fresh device");
