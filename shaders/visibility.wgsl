@@ -31,12 +31,42 @@ fn vs_main(
 //   w     inverse depth, 1/m, as the bits of a float
 @fragment
 fn fs_main(in: VertexOutput) -> @location(0) vec4<u32> {
-    let geometric_normal = cross(dpdx(in.offset), dpdy(in.offset));
-    let towards_eye = select(-geometric_normal, geometric_normal, dot(geometric_normal, in.offset) < 0.0);
-    let normal = vec2<u32>((0.5 + 0.5 * octahedral_encode(in.normal)) * 16777215.0 + 0.5);
+    let across = dpdx(in.offset);
+    let down = dpdy(in.offset);
+    let normal_across = dpdx(in.normal);
+    let normal_down = dpdy(in.normal);
+    let plane_normal = cross(across, down);
+
+    // The ray through the centre of the sample, where it is one metre along the optical axis.
+    let ray = frame.ray_from_sample[0].xyz
+        + in.position.x * frame.ray_from_sample[1].xyz
+        + in.position.y * frame.ray_from_sample[2].xyz;
+    let inverse_depth = inverse_depth_on_plane(in.position.w, in.offset, plane_normal, ray);
+
+    // From the point that was interpolated to the one on the ray, in columns and rows.
+    let shift = ray / inverse_depth - in.offset;
+    let steps = vec2(dot(cross(shift, down), plane_normal), dot(cross(across, shift), plane_normal))
+        / dot(plane_normal, plane_normal);
+    let moved_normal = in.normal + steps.x * normal_across + steps.y * normal_down;
+    let shading_normal = select(in.normal, moved_normal, all(abs(steps) < vec2(1.0)));
+
+    let towards_eye = select(-plane_normal, plane_normal, dot(plane_normal, in.offset) < 0.0);
+    let normal = vec2<u32>((0.5 + 0.5 * octahedral_encode(shading_normal)) * 16777215.0 + 0.5);
     let slot = vec2(in.slot & 0xffu, in.slot >> 8u);
     let packed_geometric = pack2x16snorm(octahedral_encode(towards_eye));
-    return vec4(normal | (slot << vec2(24u)), packed_geometric, bitcast<u32>(in.position.w));
+    return vec4(normal | (slot << vec2(24u)), packed_geometric, bitcast<u32>(inverse_depth));
+}
+
+// Inverse depth where a ray meets the plane through `offset`, near which the inverse depth is `interpolated`.
+//
+// Devices interpolate between corners that they have rounded to sub-pixel steps (Vulkan specification, "Rasterization"). So
+// what they give belongs to a point of the triangle's plane that lies beside the ray: at a grazing angle a 256th of a
+// pixel changes depth by a thousandth. As `offset` is that near the ray, errors of the plane's normal hardly count.
+fn inverse_depth_on_plane(interpolated: f32, offset: vec3<f32>, plane_normal: vec3<f32>, ray: vec3<f32>) -> f32 {
+    let beside = ray - interpolated * offset;
+    let exact = interpolated + dot(beside, plane_normal) / dot(offset, plane_normal);
+    // Not of a plane that is seen edge-on, within a fraction of a pixel; nor of one without area.
+    return select(interpolated, exact, exact > 0.5 * interpolated && exact < 2.0 * interpolated);
 }
 
 // The sky has no normals and no inverse depth. Its slot, which is not 0, tells it from where nothing is drawn.

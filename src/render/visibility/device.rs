@@ -11,6 +11,10 @@ use crate::render::device::shading_bins::LightingVariant;
 use crate::render::lighting::gbuffer::{GBuffer, VISIBILITY_FORMAT};
 use crate::render::visibility::meshes::{Meshes, vertex_layout};
 
+/// Of depth and stencil alike. Nothing reads the depth afterwards, but where one aspect is stored and the other discarded, wgpu
+/// inserts a pass that clears the discarded one.
+const STORE: wgpu::StoreOp = wgpu::StoreOp::Store;
+
 /// The pass.
 #[derive(Debug)]
 pub(crate) struct VisibilityPass {
@@ -102,14 +106,9 @@ impl VisibilityPass {
             })],
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
                 view: &gbuffer.depth_stencil.1,
-                depth_ops: Some(wgpu::Operations {
-                    load: wgpu::LoadOp::Clear(0.0),
-                    store: wgpu::StoreOp::Discard,
-                }),
-                stencil_ops: has_stencil.then_some(wgpu::Operations {
-                    load: wgpu::LoadOp::Clear(0),
-                    store: wgpu::StoreOp::Store,
-                }),
+                depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: STORE }),
+                stencil_ops: has_stencil
+                    .then_some(wgpu::Operations { load: wgpu::LoadOp::Clear(0), store: STORE }),
             }),
             timestamp_writes: timestamps,
             ..Default::default()
