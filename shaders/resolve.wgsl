@@ -2,7 +2,7 @@
 //
 // Colour: mean of the samples in linear light; then exposure, tone curve, sRGB, 8 bits rounded to nearest.
 // Labels: the class of most samples; among classes with as many samples, that of the nearest sample. Among the samples of
-// that class, the instance likewise. Ids are never averaged.
+// that class, the instance likewise. Ids are never averaged. A pixel with a sample that no draw wrote is UNWRITTEN.
 // Depth, normal, sun occlusion: means over the samples of that class and instance, so that nothing bleeds across an outline.
 // Depth is averaged as inverse depth, which is linear in the image: the mean is the depth of a plane at the pixel's centre.
 //
@@ -27,6 +27,9 @@ override HAS_ANNOTATIONS: bool;
 override HAS_LENS_DISTORTION: bool;
 // Whether only the workgroups of `tile_list` are resolved.
 override USES_TILE_LIST: bool;
+
+// Class that samples are cleared to: `clear_value` in src/render/device/planes.rs. The host refuses a frame that has it.
+const UNWRITTEN: u32 = 255u;
 
 // Extent of a sample in texture coordinates.
 var<private> sample_uv_size: vec2<f32>;
@@ -192,6 +195,7 @@ fn majority_class(first: vec2<u32>) -> u32 {
     for (var i = 0u; i < count; i++) {
         let sample = rendered_sample(first, i);
         let candidate = class_at(sample);
+        if candidate == UNWRITTEN { return UNWRITTEN; }
         let inverse_depth = inverse_depth_at(sample);
         var votes = 0u;
         for (var j = 0u; j < count; j++) {
@@ -212,6 +216,7 @@ fn majority_class_of_four(first: vec2<u32>) -> u32 {
     // Swizzled to reading order.
     let classes = textureGather(0, class_id_samples, nearest, corner).wzxy;
     if all(classes == classes.xxxx) { return classes.x; }
+    if any(classes == vec4(UNWRITTEN)) { return UNWRITTEN; }
     let inverse_depths = bitcast<vec4<f32>>(textureGather(3, visibility_buffer, nearest, corner).wzxy);
     var best = 0u;
     var best_votes = 0u;

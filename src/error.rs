@@ -187,15 +187,19 @@ pub enum Error {
         "the graphics device rejected a command, which is a bug in regolith-render or in the driver; please report it: {0}"
     )]
     Device(String),
-    /// A frame with pixels that no geometry covers.
+    /// A frame with samples that no draw wrote.
     #[error(
-        "{pixels} pixels of the frame have no label (seed {seed}); the frame is not written. This is a bug: please report the seed and the settings"
+        "{frame}: no draw of the graphics device wrote {pixels} pixels, the first at column {column}, row {row}; the frame is not written. Run the same command again; if it happens again, add `--raster host` or choose another --adapter, and please report the settings: it is a bug in the driver or in regolith-render"
     )]
     Unlabelled {
-        /// Number of unlabelled pixels.
+        /// Number of pixels with such samples.
         pixels: u64,
-        /// The scene's seed.
-        seed: u64,
+        /// Column of the first of them, from 0.
+        column: u32,
+        /// Its row.
+        row: u32,
+        /// The frame, by its seed.
+        frame: String,
     },
     /// Settings that allow no valid scene.
     #[error("no valid scene with these settings: {0}")]
@@ -315,6 +319,19 @@ impl Error {
             | Self::FramesLost { .. }
             | Self::CheckFailed(_)
             | Self::Encode { .. } => 1,
+        }
+    }
+}
+
+impl Error {
+    /// The same, with the seed of the frame that it is about, if it is about one.
+    #[must_use]
+    pub fn of_seed(self, seed: u64) -> Self {
+        match self {
+            Self::Unlabelled { pixels, column, row, .. } => {
+                Self::Unlabelled { pixels, column, row, frame: format!("seed {seed}") }
+            }
+            other => other,
         }
     }
 }

@@ -20,6 +20,8 @@ mod scene_buffers;
 pub mod select;
 mod settings;
 pub mod shadow;
+#[cfg(test)]
+mod unwritten;
 pub mod visibility;
 
 use std::time::Instant;
@@ -247,6 +249,16 @@ impl Renderer {
         let start = Instant::now();
         let request = FrameRequest::new(scene, settings)?;
         let frame = self.prepare(scene, &request)?;
+        self.submit_prepared(request, frame, start)
+    }
+
+    /// Records a frame whose preparation began at `start`, and submits it.
+    fn submit_prepared(
+        &mut self,
+        request: FrameRequest,
+        frame: PreparedFrame,
+        start: Instant,
+    ) -> Result<InFlight> {
         let submitted = Instant::now();
         let submission = self.gpu.guard(|| {
             let descriptor = wgpu::CommandEncoderDescriptor { label: Some("frame") };
@@ -417,8 +429,9 @@ impl Renderer {
     /// Waits for a frame of `scene` that was submitted, and post-processes it. Frames may be finished in any order.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`] or [`Error::Device`].
+    /// [`Error::DeviceLost`] or [`Error::Device`]; [`Error::Unlabelled`] if a draw of it was lost.
     ///
+    /// [`Error::Unlabelled`]: crate::Error::Unlabelled
     /// [`Error::DeviceLost`]: crate::Error::DeviceLost
     /// [`Error::Device`]: crate::Error::Device
     pub fn finish(&mut self, in_flight: InFlight, scene: &Scene) -> Result<(Frame, StageTimes)> {

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::Args;
-use regolith::class::ClassId;
+use regolith::Result;
 use regolith::dataset::rules::Rules;
 use regolith::frame::Frame;
 use regolith::gpu;
@@ -13,7 +13,6 @@ use regolith::output::{self, EncodeInput, OUTPUTS, Output, disk};
 use regolith::params::Params;
 use regolith::render::{RenderSettings, Renderer, StageTimes, select::selection};
 use regolith::scene::Scene;
-use regolith::{Error, Result};
 use serde_json::{Value, json};
 
 use super::args::{ConfigArgs, DeviceArgs, ImageArgs, output_names, whole_number};
@@ -110,12 +109,9 @@ fn render(
     let (mut renderer, opened) = renderer?;
     let mut times: StageTimes = [built].into_iter().chain(opened).collect();
     device::inject_fault(&renderer);
-    let (frame, render_times) = renderer.render(&scene, &settings)?;
+    let rendered = renderer.render(&scene, &settings);
+    let (frame, render_times) = rendered.map_err(|error| error.of_seed(args.seed))?;
     times.extend(render_times);
-    let pixels = frame.count(ClassId::UNLABELLED);
-    if pixels > 0 {
-        return Err(Error::Unlabelled { pixels, seed: args.seed });
-    }
     Ok(Rendered { params, scene, settings, renderer, frame, times })
 }
 

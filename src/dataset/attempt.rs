@@ -118,7 +118,7 @@ pub(super) fn render_attempt(
 ) -> Result<RenderedFrame> {
     let source = build_scene(plan, index, attempt, redrawn)?;
     let in_flight = renderer.submit(&source.scene, &plan.settings)?;
-    let (frame, _) = renderer.finish(in_flight, &source.scene)?;
+    let (frame, _) = renderer.finish(in_flight, &source.scene).map_err(|error| error.of_seed(source.seed))?;
     let (adapter, raster) = (renderer.gpu().info.clone(), renderer.raster());
     Ok(RenderedFrame { source, frame, adapter, raster, cost: RenderCost::default() })
 }
@@ -135,7 +135,8 @@ fn read_back(
         uploaded_bytes: in_flight.cost.uploaded_bytes,
         readback_bytes: 0,
     };
-    let (frame, times) = renderer.finish(in_flight, &source.scene)?;
+    let (frame, times) =
+        renderer.finish(in_flight, &source.scene).map_err(|error| error.of_seed(source.seed))?;
     cost.readback_bytes = frame.bytes();
     source.times.extend(times);
     Ok(match plan.rules.violation(&source.scene, &frame) {

@@ -11,7 +11,6 @@ use std::time::Instant;
 
 use wgpu::{TextureFormat, TextureUsages};
 
-use crate::class::ClassId;
 use crate::error::Result;
 use crate::gpu::Gpu;
 use crate::gpu::staging::{PAGE_BYTES, Page, StagingBuffer, TextureRegion};
@@ -19,9 +18,7 @@ use crate::render::backend::{LightingMode, RasterBackend, RasterOptions};
 use crate::render::device::bind_groups::BindLayouts;
 use crate::render::device::depth::{DEPTH_FORMAT, DEPTH_STENCIL_FORMAT, STENCIL_FORMAT};
 use crate::render::device::timing::{Pass, Timer, milliseconds};
-use crate::render::lighting::gbuffer::{
-    Background, GBuffer, GBufferLayout, SLOPES_FORMAT, VISIBILITY_FORMAT,
-};
+use crate::render::lighting::gbuffer::{GBuffer, GBufferLayout, SLOPES_FORMAT, VISIBILITY_FORMAT};
 use crate::render::lighting::relief_bands::ReliefBands;
 use crate::render::select::draw_list::DrawBatch;
 use crate::render::select::screen_bounds::ScreenBounds;
@@ -89,7 +86,7 @@ impl VisibilityBackend {
         }
     }
 
-    /// Prepares everything for [`Self::record`], and sets the G-buffer's batches and background. Returns the bytes that were
+    /// Prepares everything for [`Self::record`], and sets the G-buffer's batches. Returns the bytes that were
     /// uploaded.
     ///
     /// # Errors
@@ -106,7 +103,7 @@ impl VisibilityBackend {
             Self::Device(pass) => {
                 pass.prepare(gpu, layouts);
                 gbuffer.batches = inputs.batches.to_vec();
-                gbuffer.background = None;
+                gbuffer.dome_stencil = None;
                 0
             }
             Self::Host(raster) => raster.prepare(gpu, inputs, gbuffer, staging)?,
@@ -181,26 +178,19 @@ impl VisibilityRaster {
                 batch.bounds = batch.bounds.union(bounds);
             }
         }
-        let (bytes, has_holes) = self.rasterise(gpu, gbuffer, staging)?;
-        // Where every sample shows a surface, those that no other batch covers show the dome.
-        gbuffer.background = (!has_holes).then(|| Background {
-            radiance: scene.sky.radiance,
-            class: ClassId::SKY,
-            stencil: bins.dome() + 1,
-        });
-        gbuffer.batches.retain(|batch| has_holes || batch.bin != bins.dome());
+        let bytes = self.rasterise(gpu, gbuffer, staging)?;
+        gbuffer.dome_stencil = Some(bins.dome() + 1);
         self.elapsed_ms = milliseconds(start.elapsed());
         Ok(bytes)
     }
 
-    /// Rasterises in parts that fit into the staging buffer and uploads each. Returns the bytes that were uploaded, and whether
-    /// there is a sample without a surface.
+    /// Rasterises in parts that fit into the staging buffer and uploads each. Returns the bytes that were uploaded.
     fn rasterise(
         &self,
         gpu: &Gpu,
         gbuffer: &mut GBuffer,
         staging: &mut Option<StagingBuffer>,
-    ) -> Result<(u64, bool)> {
+    ) -> Result<u64> {
         let [width, height] = gbuffer.sample_size;
         // Rows are shared out to threads, and so begin with pages.
         let bytes_of = |format: TextureFormat| {
@@ -217,8 +207,7 @@ impl VisibilityRaster {
         let before = std::mem::replace(&mut gbuffer.written_rows, covered.clone());
         let written = [covered, before].into_iter().filter(|rows| !rows.is_empty());
         let written = written.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end)).unwrap_or(0..0);
-        let mut stencil =
-            ShadingBinMask { values: gbuffer.host_stencil.take().unwrap_or_default(), has_holes: false };
+        let mut stencil = ShadingBinMask { values: gbuffer.host_stencil.take().unwrap_or_default() };
         stencil.restart(gbuffer.sample_size);
         for first in (0..height).step_by(rows_at_once as usize) {
             let rows = first..height.min(first + rows_at_once);
@@ -241,7 +230,7 @@ impl VisibilityRaster {
         gpu.guard(|| gpu.write_texels(&gbuffer.depth_stencil.0, gbuffer.sample_size, &stencil.values))?;
         let bytes = row_bytes as u64 * written.len() as u64 + stencil.values.len() as u64;
         gbuffer.host_stencil = Some(stencil.values);
-        Ok((bytes, stencil.has_holes))
+        Ok(bytes)
     }
 
     fn triangles(&self) -> u64 {

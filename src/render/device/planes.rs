@@ -13,7 +13,6 @@
 
 use std::fmt::Write as _;
 
-use glam::Vec3;
 use wgpu::TextureFormat;
 
 use crate::class::ClassId;
@@ -106,18 +105,13 @@ impl SamplePlane {
         &SAMPLE_PLANES[self as usize]
     }
 
-    /// Value of samples that no draw covers: zero, or the radiance and class of the background.
+    /// Value of samples that no draw writes. They make a frame an error (`resolve.wgsl`), so magenta is never seen but by those
+    /// who look for the cause.
     #[must_use]
-    pub(crate) fn clear_value(self, background: Option<(Vec3, ClassId)>) -> wgpu::Color {
+    pub(crate) fn clear_value(self) -> wgpu::Color {
         match self {
-            Self::Radiance => background.map_or(wgpu::Color::TRANSPARENT, |(radiance, _)| {
-                let [r, g, b] = radiance.as_dvec3().to_array();
-                wgpu::Color { r, g, b, a: 1.0 }
-            }),
-            Self::Class => {
-                let class = background.map_or(ClassId::UNLABELLED, |(_, class)| class);
-                wgpu::Color { r: class.0.into(), g: 0.0, b: 0.0, a: 0.0 }
-            }
+            Self::Radiance => wgpu::Color { r: 1.0, g: 0.0, b: 1.0, a: 1.0 },
+            Self::Class => wgpu::Color { r: ClassId::UNLABELLED.0.into(), ..wgpu::Color::TRANSPARENT },
             Self::Normal | Self::Instance | Self::SunOcclusion => wgpu::Color::TRANSPARENT,
         }
     }

@@ -3,10 +3,8 @@
 
 use std::ops::Range;
 
-use glam::Vec3;
 use wgpu::{TextureFormat, TextureUsages};
 
-use crate::class::ClassId;
 use crate::error::{Error, Result};
 use crate::frame::Annotations;
 use crate::gpu::Gpu;
@@ -14,17 +12,6 @@ use crate::render::device::packing::Packing;
 use crate::render::device::planes::SAMPLE_PLANES;
 use crate::render::select::draw_list::DrawBatch;
 use crate::render::settings::RenderSettings;
-
-/// A surface of one radiance and one class.
-#[derive(Clone, Copy, Debug)]
-pub struct Background {
-    /// Its radiance.
-    pub radiance: Vec3,
-    /// Its class.
-    pub class: ClassId,
-    /// Its value in the stencil.
-    pub stencil: u8,
-}
 
 /// Format of the visibility texture (`visibility.wgsl` has its layout).
 pub(crate) const VISIBILITY_FORMAT: TextureFormat = TextureFormat::Rgba32Uint;
@@ -80,8 +67,8 @@ pub struct GBuffer {
     pub written_rows: Range<u32>,
     /// The shading bins that samples are in.
     pub batches: Vec<DrawBatch>,
-    /// What is visible in all samples that no batch covers, if it is known that nothing else is.
-    pub background: Option<Background>,
+    /// Value in the host's stencil of the samples of the sky's dome, which all have the same values in every plane.
+    pub dome_stencil: Option<u8>,
     /// Bound where there are no slopes.
     no_slopes: wgpu::TextureView,
 }
@@ -125,7 +112,7 @@ impl GBuffer {
             host_stencil: layout.has_host_stencil.then(Vec::new),
             written_rows: 0..0,
             batches: Vec::new(),
-            background: None,
+            dome_stencil: None,
             no_slopes: gpu.texture("gbuffer/no_slopes", [1, 1], SLOPES_FORMAT, uploaded).1,
         })
     }

@@ -242,7 +242,6 @@ fn begin_pass<'a>(
     gbuffer: &GBuffer,
     timestamps: Option<wgpu::RenderPassTimestampWrites<'_>>,
 ) -> wgpu::RenderPass<'a> {
-    let background = gbuffer.background.as_ref().map(|background| (background.radiance, background.class));
     let attachments: Vec<_> = planes
         .rows()
         .map(|row| {
@@ -251,7 +250,7 @@ fn begin_pass<'a>(
                 depth_slice: None,
                 resolve_target: None,
                 ops: wgpu::Operations {
-                    load: wgpu::LoadOp::Clear(row.plane.clear_value(background)),
+                    load: wgpu::LoadOp::Clear(row.plane.clear_value()),
                     store: wgpu::StoreOp::Store,
                 },
             })

@@ -3,7 +3,8 @@
 
 use wgpu::BufferUsages;
 
-use crate::error::Result;
+use crate::class::ClassId;
+use crate::error::{Error, Result};
 use crate::frame::{Annotations, Frame};
 use crate::gpu::Gpu;
 use crate::gpu::readback::ReadbackBuffer;
@@ -169,10 +170,10 @@ impl PackedFrame {
     /// were uploaded.
     pub fn choose(&mut self, gpu: &Gpu, gbuffer: &GBuffer) -> u64 {
         let uses_tile_list = Variant::new(gbuffer, self.size).uses_tile_list;
-        let sky = gbuffer.host_stencil.as_deref().zip(gbuffer.background.as_ref());
-        let sky = sky.map(|(stencil, background)| SkyStencil {
+        let sky = gbuffer.host_stencil.as_deref().zip(gbuffer.dome_stencil);
+        let sky = sky.map(|(stencil, dome)| SkyStencil {
             stencil,
-            dome: background.stencil,
+            dome,
             samples_per_side: gbuffer.samples_per_side as usize,
         });
         self.tiles = TileList::new(self.size, sky.filter(|_| uses_tile_list));
@@ -200,8 +201,18 @@ impl PackedFrame {
     /// Waits for the submission and unpacks the frame.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`](crate::error::Error::DeviceLost) or [`Error::Device`](crate::error::Error::Device).
+    /// [`Error::DeviceLost`], [`Error::Device`], or [`Error::Unlabelled`] if a sample was written by no draw.
     pub fn read(&self, gpu: &Gpu, submission: &wgpu::SubmissionIndex) -> Result<Frame> {
-        self.readback.read(gpu, submission, |bytes| unpack(bytes, self.size, self.packing, &self.tiles))
+        let unpacked = |bytes: &[u8]| unpack(bytes, self.size, self.packing, &self.tiles);
+        let frame = self.readback.read(gpu, submission, unpacked)?;
+        match frame.class.iter().position(|id| *id == ClassId::UNLABELLED.0) {
+            None => Ok(frame),
+            Some(first) => Err(Error::Unlabelled {
+                pixels: frame.count(ClassId::UNLABELLED),
+                column: first as u32 % frame.width,
+                row: first as u32 / frame.width,
+                frame: "a frame".to_owned(),
+            }),
+        }
     }
 }

@@ -38,8 +38,6 @@ pub struct ShadingBinMask {
     /// One more than the bin, row by row; 0 where no surface was drawn. The bins of all relief bands are merged
     /// (`ShadingBins::merge_bands`).
     pub values: Vec<u8>,
-    /// Whether a sample has no surface.
-    pub has_holes: bool,
 }
 
 /// A band of rows that one thread rasterises.
@@ -55,7 +53,6 @@ impl ShadingBinMask {
     /// Resizes it for this many columns and rows of samples, none of which is drawn yet.
     pub fn restart(&mut self, [width, height]: [u32; 2]) {
         self.values.resize(width as usize * height as usize, 0);
-        self.has_holes = false;
     }
 
     /// Rasterises these rows of samples. The rows among them that are `uploaded` are written to `pages`: the G-buffer row as
@@ -80,11 +77,9 @@ impl ShadingBinMask {
             })
             .collect();
         // One job at a time per thread: their costs differ widely.
-        self.has_holes |= jobs
-            .into_par_iter()
+        jobs.into_par_iter()
             .with_max_len(1)
-            .map(|job| BAND.with_borrow_mut(|band| band.run(job, triangles, width, row_bytes)))
-            .reduce(|| false, |a, b| a || b);
+            .for_each(|job| BAND.with_borrow_mut(|band| band.run(job, triangles, width, row_bytes)));
     }
 }
 
@@ -117,14 +112,8 @@ struct Row<'a> {
 }
 
 impl GBufferBand {
-    /// Rasterises a band and writes its mask and its uploaded rows; whether a sample has no surface.
-    fn run(
-        &mut self,
-        job: BandJob<'_>,
-        triangles: &VisibleTriangles,
-        width: usize,
-        row_bytes: [usize; 2],
-    ) -> bool {
+    /// Rasterises a band and writes its mask and its uploaded rows.
+    fn run(&mut self, job: BandJob<'_>, triangles: &VisibleTriangles, width: usize, row_bytes: [usize; 2]) {
         let BandJob { rows, mask, uploaded, pages } = job;
         let bins = triangles.bins();
         self.clear(width, rows.len());
@@ -150,7 +139,6 @@ impl GBufferBand {
             }
         }
         (self.packed_row, self.slopes_row) = (packed_row, slopes_row);
-        mask.contains(&0)
     }
 
     fn clear(&mut self, width: usize, rows: usize) {

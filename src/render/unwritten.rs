@@ -1,0 +1,108 @@
+//! Tests of the promise that no sample gets a value that no draw wrote: frames that lose a draw between preparation and recording.
+
+use std::time::Instant;
+
+use super::{FrameRequest, LightingMode, RasterMode, RasterOptions, RenderSettings, Renderer};
+use crate::error::{Error, Result};
+use crate::frame::Frame;
+use crate::gpu::Gpu;
+use crate::params::config::Config;
+use crate::render::device::shading_bins::LightingVariant;
+use crate::render::lighting::gbuffer::GBuffer;
+use crate::render::select::screen_bounds::ScreenBounds;
+use crate::scene::Scene;
+
+const SIZE: [u32; 2] = [96, 64];
+
+/// A frame whose G-buffer a fault has changed before it is recorded.
+fn render_with(
+    renderer: &mut Renderer,
+    scene: &Scene,
+    samples: u32,
+    fault: impl FnOnce(&mut GBuffer),
+) -> Result<Frame> {
+    let settings = RenderSettings::new(SIZE, samples).expect("settings");
+    let request = FrameRequest::new(scene, &settings)?;
+    let mut frame = renderer.prepare(scene, &request)?;
+    fault(&mut frame.gbuffer);
+    let in_flight = renderer.submit_prepared(request, frame, Instant::now())?;
+    Ok(renderer.finish(in_flight, scene)?.0)
+}
+
+/// Asserts that a frame is refused, with as many pixels as `expected` allows.
+fn assert_refused(what: &str, result: Result<Frame>, expected: impl Fn(u64) -> bool) {
+    match result {
+        Err(Error::Unlabelled { pixels, column, row, .. }) => {
+            assert!(expected(pixels), "{what}: {pixels} pixels");
+            assert!(column < SIZE[0] && row < SIZE[1], "{what}: {column}, {row}");
+        }
+        Err(other) => panic!("{what}: {other}"),
+        Ok(_) => panic!("{what}: the frame passed"),
+    }
+}
+
+#[test]
+fn a_frame_that_loses_a_draw_is_refused_by_both_backends() {
+    let mut renderer = Renderer::new(Gpu::open(Some("cpu")).expect("an adapter")).expect("a renderer");
+    let mut lost = [0; 2];
+    for (set, samples) in [("stage.name=surface", 1), ("camera.k1=-0.1", 4)] {
+        let mut config = Config::new();
+        config.apply_set(set).expect("a setting");
+        let scene = Scene::build(5, &config.draw(5).expect("parameters")).expect("a scene");
+        for (index, mode) in [RasterMode::Host, RasterMode::Device].into_iter().enumerate() {
+            let options = RasterOptions::new(mode, renderer.gpu()).expect("a mode");
+            renderer.set_raster(options);
+            let mut batches = Vec::new();
+            // The second frame is binned by what shades it.
+            for _ in 0..2 {
+                let whole = render_with(&mut renderer, &scene, samples, |gbuffer| {
+                    batches.clone_from(&gbuffer.batches);
+                });
+                whole.expect("a frame that lost nothing");
+            }
+            assert!(batches.iter().any(|batch| batch.variant == LightingVariant::Sky), "the dome has a draw");
+            for batch in 0..batches.len() {
+                let what = format!("{set}, {mode}, without batch {batch}, {:?}", batches[batch].variant);
+                // The lighting draw of a batch covers nothing: what it should have lit is unwritten.
+                let unlit = render_with(&mut renderer, &scene, samples, |gbuffer| {
+                    gbuffer.batches[batch].bounds = ScreenBounds::EMPTY;
+                });
+                // A batch may have no sample, as that of stars behind a hill.
+                if unlit.is_err() {
+                    assert_refused(&what, unlit, |pixels| pixels > 0);
+                    lost[index] += 1;
+                }
+            }
+            let nothing = render_with(&mut renderer, &scene, samples, |gbuffer| gbuffer.batches.clear());
+            assert_refused(&format!("{set}, {mode}, without batches"), nothing, |pixels| {
+                pixels == u64::from(SIZE[0] * SIZE[1])
+            });
+        }
+    }
+    let one_draw = renderer.raster().with_lighting(LightingMode::OneDraw, renderer.gpu());
+    renderer.set_raster(one_draw.expect("a mode"));
+    let scene = Scene::build(5, &Config::new().draw(5).expect("parameters")).expect("a scene");
+    render_with(&mut renderer, &scene, 4, |_| ()).expect("a frame that lost nothing");
+    let nothing = render_with(&mut renderer, &scene, 4, |gbuffer| gbuffer.batches.clear());
+    assert_refused("one draw, without batches", nothing, |pixels| pixels == u64::from(SIZE[0] * SIZE[1]));
+    assert!(lost.iter().all(|&lost| lost >= 6), "{lost:?}");
+}
+
+/// Of four samples, one that is unwritten suffices.
+#[test]
+fn a_pixel_with_one_unwritten_sample_is_unlabelled() {
+    let gpu = Gpu::open(Some("cpu")).expect("an adapter");
+    // The host resolves one of all tiles that show nothing but the dome.
+    let mut renderer = Renderer::with_raster(gpu, RasterMode::Device).expect("a renderer");
+    let scene = Scene::build(5, &Config::new().draw(5).expect("parameters")).expect("a scene");
+    for samples in [4, 16] {
+        // All lighting draws leave out the last column of samples.
+        let cut = render_with(&mut renderer, &scene, samples, |gbuffer| {
+            let [width, height] = gbuffer.sample_size.map(|side| side as i32);
+            for batch in &mut gbuffer.batches {
+                batch.bounds = ScreenBounds::of_samples((0, width - 3), (0, height));
+            }
+        });
+        assert_refused(&format!("{samples} samples"), cut, |pixels| pixels == u64::from(SIZE[1]));
+    }
+}
