@@ -1,7 +1,7 @@
 //! Frames against an independent ray tracer over the same triangles.
 //!
 //! The ray tracer is a maintained BVH library that knows nothing of shaders, levels of detail or shadow maps. It casts a ray through
-//! the centre of every pixel, and from the hit point 64 shadow rays at the sun's disc.
+//! the centre of every pixel, and from the hit point 64 shadow rays at the sun's disc. Frames of both raster backends are checked.
 
 #![allow(clippy::print_stdout, reason = "figures for people who run it with --nocapture")]
 
@@ -17,13 +17,13 @@ use rayon::prelude::*;
 use regolith::class::ClassId;
 use regolith::frame::{Annotation, Frame};
 use regolith::random::Streams;
-use regolith::render::RenderSettings;
 use regolith::render::select::selection::{SelectedRock, Selection};
+use regolith::render::{RasterMode, RenderSettings};
 use regolith::scene::Scene;
 use regolith::scene::mesh::Vertex;
 use regolith::scene::photometry::Law;
 
-use crate::support::{renderer, scene};
+use crate::support::{BACKENDS, render_by, scene};
 
 const SIDE: u32 = 256;
 /// Shadow rays at the sun's disc from each hit point that is checked.
@@ -70,7 +70,7 @@ const CASES: [(u64, &[&str]); 16] = [
 ];
 
 /// The triangles of a scene in a BVH, with the attributes of their hits.
-struct Truth {
+pub(crate) struct Truth {
     triangles: Vec<Triangle>,
     normals: Vec<[Vec3; 3]>,
     instances: Vec<u16>,
@@ -86,7 +86,7 @@ struct Hit {
 
 impl Truth {
     /// The triangles at the levels of detail that a frame with these settings draws, or at the finest.
-    fn new(scene: &Scene, settings: Option<&RenderSettings>) -> Self {
+    pub(crate) fn new(scene: &Scene, settings: Option<&RenderSettings>) -> Self {
         let (mut triangles, mut normals, mut instances) = (Vec::new(), Vec::new(), Vec::new());
         let mut add = |vertices: &[Vertex], triangle: [u32; 3], offset: Vec3, instance: u16| {
             let [a, b, c] = triangle.map(|v| vertices[v as usize]);
@@ -136,6 +136,16 @@ impl Truth {
                 normal: (weight(b, c) * na + weight(c, a) * nb + weight(a, b) * nc).normalize(),
             }
         })
+    }
+
+    /// The index of the triangle that a ray hits first, and its distance, metres.
+    pub(crate) fn triangle(&self, origin: Vec3, direction: Vec3) -> Option<(usize, f32)> {
+        let ray = Ray::new_inf(origin.into(), direction.into());
+        let mut hit = RayHit::none();
+        let index = |id: usize| self.bvh.primitive_indices[id] as usize;
+        self.bvh
+            .ray_traverse(ray, &mut hit, |ray, id| self.triangles[index(id)].intersect(ray))
+            .then(|| (index(hit.primitive_id as usize), hit.t))
     }
 
     /// Whether a shadow ray hits anything.
@@ -267,13 +277,20 @@ fn check(case: usize) {
         [Annotation::Depth, Annotation::Normals, Annotation::Instances, Annotation::Shadow]
             .into_iter()
             .collect();
-    let frame: Frame = renderer().render(&scene, &settings).expect("a frame").0;
-
     let truth = Truth::new(&scene, Some(&settings));
     let hits = cast_image(&scene, &truth);
+    let finest = cast_image(&scene, &Truth::new(&scene, None));
+    for backend in BACKENDS {
+        let frame = render_by(backend, &scene, &settings);
+        check_frame(&format!("{name}, {backend}"), &scene, &frame, (&truth, &hits));
+        check_against_finest(&format!("{name}, {backend}"), &scene, &frame, &finest);
+    }
+}
+
+fn check_frame(name: &str, scene: &Scene, frame: &Frame, (truth, hits): (&Truth, &[Option<(Hit, Vec3)>])) {
     let classes: Vec<u8> = hits.iter().map(class).collect();
     for class in ClassId::ALL {
-        assert_agreement(&name, &frame.class, &classes, class.id.0, 0.999, ROUNDED_SHARE);
+        assert_agreement(name, &frame.class, &classes, class.id.0, 0.999, ROUNDED_SHARE);
     }
 
     let instance = |pixel: usize| hits[pixel].as_ref().map_or(0, |(hit, _)| hit.instance);
@@ -303,13 +320,13 @@ fn check(case: usize) {
         let faces_sun =
             hit.facet_normal.dot(scene.sun.direction) > 0.0 && hit.normal.dot(scene.sun.direction) > 0.0;
         if pixel % SHADOW_STRIDE == 0 && faces_sun {
-            shadows.push((pixel, shadow_ray_origin(&scene, hit, *point)));
+            shadows.push((pixel, shadow_ray_origin(scene, hit, *point)));
         }
     }
     let (median, tail, normal) =
         (quantile(depths.clone(), 0.5), quantile(depths, 0.999), quantile(angles, 0.5));
     println!("{name}: depth error median {median:.1e}, 99.9 % {tail:.1e}; normals median {normal:.3} deg");
-    assert!(median < 1e-4 && tail < 0.01, "{name}: depth error median {median}, 99.9 % {tail}");
+    assert!(median < 1e-5 && tail < 3e-5, "{name}: depth error median {median}, 99.9 % {tail}");
     // The normals of the surface stage include the relief below its mesh.
     let bound = if scene.relief.is_some() { 15.0 } else { 1.0 };
     assert!(normal < bound, "{name}: normals {normal} degrees");
@@ -317,7 +334,7 @@ fn check(case: usize) {
     let errors: Vec<f32> = shadows
         .par_iter()
         .map(|&(pixel, origin)| {
-            f32::from(frame.sun_occlusion[pixel]) / 255.0 - truth.sun_occlusion(&scene, origin, pixel as u64)
+            f32::from(frame.sun_occlusion[pixel]) / 255.0 - truth.sun_occlusion(scene, origin, pixel as u64)
         })
         .collect();
     let n = errors.len() as f32;
@@ -331,8 +348,10 @@ fn check(case: usize) {
     assert!(mean < 0.01, "{name}: mean shadow error {mean}");
     assert!(signed.abs() < 0.005, "{name}: signed shadow error {signed}");
     assert!(far_off < 0.01, "{name}: {far_off} of the pixels are off by over 0.25");
+}
 
-    let finest = cast_image(&scene, &Truth::new(&scene, None));
+/// Classes against the finest meshes, whose levels of detail a frame may not show.
+fn check_against_finest(name: &str, scene: &Scene, frame: &Frame, finest: &[Option<(Hit, Vec3)>]) {
     let classes: Vec<u8> = finest.iter().map(class).collect();
     for class in ClassId::ALL {
         assert_agreement(
@@ -363,11 +382,14 @@ fn check_majority(case: usize) {
     let name = format!("seed {seed}, {set:?}");
     let scene = scene(seed, set);
     let settings = RenderSettings::new([SIDE; 2], 4).expect("settings");
-    let frame = renderer().render(&scene, &settings).expect("a frame").0;
     let truth = Truth::new(&scene, Some(&settings));
     let classes = majority_of_four(&scene, &cast_samples(&scene, &truth, 2));
-    for class in ClassId::ALL {
-        assert_agreement(&name, &frame.class, &classes, class.id.0, 0.999, ROUNDED_SHARE);
+    for backend in BACKENDS {
+        let frame = render_by(backend, &scene, &settings);
+        for class in ClassId::ALL {
+            let name = format!("{name}, {backend}");
+            assert_agreement(&name, &frame.class, &classes, class.id.0, 0.999, ROUNDED_SHARE);
+        }
     }
 }
 
@@ -393,9 +415,20 @@ fn check_radiance(case: usize) {
     scene.rocks.iter_mut().for_each(|rock| rock.material.roughness = 0.0);
     let mut settings = RenderSettings::new([SIDE; 2], 1).expect("settings");
     settings.annotations = [Annotation::Hdr, Annotation::Instances].into_iter().collect();
-    let frame = renderer().render(&scene, &settings).expect("a frame").0;
     let truth = Truth::new(&scene, Some(&settings));
     let hits = cast_image(&scene, &truth);
+    for backend in BACKENDS {
+        let frame = render_by(backend, &scene, &settings);
+        check_radiance_of(&format!("{name}, {backend}"), &scene, &frame, (&truth, &hits));
+    }
+}
+
+fn check_radiance_of(
+    name: &str,
+    scene: &Scene,
+    frame: &Frame,
+    (truth, hits): (&Truth, &[Option<(Hit, Vec3)>]),
+) {
     let label = |pixel: usize| {
         hits[pixel].as_ref().map_or((ClassId::SKY.0, 0), |(hit, _)| (class(&hits[pixel]), hit.instance))
     };
@@ -407,10 +440,10 @@ fn check_radiance(case: usize) {
             let cos_light = hit.normal.dot(scene.sun.direction);
             let is_sunlit = cos_light > 0.02
                 && hit.facet_normal.dot(scene.sun.direction) > 0.0
-                && truth.sun_occlusion(&scene, shadow_ray_origin(&scene, hit, *point), pixel as u64) == 0.0;
+                && truth.sun_occlusion(&scene, shadow_ray_origin(scene, hit, *point), pixel as u64) == 0.0;
             let rock = hit.instance.checked_sub(1).map(|rock| &scene.rocks[usize::from(rock)]);
             let albedo = rock.map_or(scene.regolith, |rock| rock.material).albedo;
-            let others = albedo * ambient(&scene, hit.normal) / std::f32::consts::PI;
+            let others = albedo * ambient(scene, hit.normal) / std::f32::consts::PI;
             let direct = albedo * cos_light * scene.sun.irradiance / std::f32::consts::PI;
             let radiance = &frame.radiance[3 * pixel..3 * pixel + 3];
             let measured = Vec3::from_slice(&[0, 1, 2].map(|c| radiance[c].to_f32())) - others;
@@ -429,13 +462,13 @@ fn check_radiance(case: usize) {
 /// Ground is at a contact if a rock is no further away than this, metres.
 const CONTACT_M: f32 = 0.25;
 
-/// Errors of the sun occlusion: on ground at contacts with rocks, and on the rocks.
-fn contact_errors(case: usize) -> [Vec<f32>; 2] {
+/// Errors of a backend's sun occlusion: on ground at contacts with rocks, and on the rocks.
+fn contact_errors(backend: RasterMode, case: usize) -> [Vec<f32>; 2] {
     let (seed, set) = CASES[case];
     let scene = scene(seed, set);
     let mut settings = RenderSettings::new([SIDE; 2], 1).expect("settings");
     settings.annotations = [Annotation::Instances, Annotation::Shadow].into_iter().collect();
-    let frame = renderer().render(&scene, &settings).expect("a frame").0;
+    let frame = render_by(backend, &scene, &settings);
     let truth = Truth::new(&scene, Some(&settings));
     let hits = cast_image(&scene, &truth);
     let rock_is_near = |point: Vec3, direction: Vec3| {
@@ -474,15 +507,22 @@ fn contact_errors(case: usize) -> [Vec<f32>; 2] {
 /// late, so that their mean is a little below 0 everywhere, not only at contacts.
 #[test]
 fn shadows_neither_detach_nor_creep_at_contacts() {
-    let cases: Vec<[Vec<f32>; 2]> = (0..CASES.len()).map(contact_errors).collect();
+    BACKENDS.into_iter().for_each(check_contacts);
+}
+
+fn check_contacts(backend: RasterMode) {
+    let cases: Vec<[Vec<f32>; 2]> = (0..CASES.len()).map(|case| contact_errors(backend, case)).collect();
     for (index, what, bound) in [(0, "ground at contacts", 0.005), (1, "rocks", 0.01)] {
         let errors: Vec<f64> = cases.iter().flat_map(|case| &case[index]).map(|e| f64::from(*e)).collect();
         let n = errors.len() as f64;
         let mean = errors.iter().sum::<f64>() / n;
         let spread = (errors.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / n).sqrt();
-        println!("{what}: signed shadow error {mean:.4} +- {:.4} over {n} pixels", spread / n.sqrt());
+        println!(
+            "{what}, {backend}: signed shadow error {mean:.4} +- {:.4} over {n} pixels",
+            spread / n.sqrt()
+        );
         assert!(n > 1000.0, "{what}: too few pixels: {n}");
-        assert!(mean.abs() < bound, "{what}: the mean shadow error is {mean}");
+        assert!(mean.abs() < bound, "{what}, {backend}: the mean shadow error is {mean}");
     }
 }
 

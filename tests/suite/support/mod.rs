@@ -11,7 +11,7 @@ use regolith::frame::Frame;
 use regolith::gpu::Gpu;
 use regolith::params::Params;
 use regolith::params::config::Config;
-use regolith::render::{RenderSettings, Renderer};
+use regolith::render::{RasterMode, RenderSettings, Renderer};
 use regolith::scene::Scene;
 
 /// What `--adapter` of the tests is: a part of an adapter's name, from `REGOLITH_TEST_ADAPTER`; else `cpu`.
@@ -25,11 +25,25 @@ pub(crate) fn adapter() -> String {
 /// A renderer on the adapter of the tests, shared by all tests. Without a driver every test that renders fails with the message that a
 /// user would get: what is missing and how to install it.
 pub(crate) fn renderer() -> MutexGuard<'static, Renderer> {
-    static RENDERER: LazyLock<Mutex<Renderer>> = LazyLock::new(|| {
-        let gpu = Gpu::open(Some(&adapter())).unwrap_or_else(|error| panic!("{error}"));
-        Mutex::new(Renderer::new(gpu).unwrap_or_else(|error| panic!("{error}")))
-    });
+    static RENDERER: LazyLock<Mutex<Renderer>> = LazyLock::new(|| open(RasterMode::Auto));
     RENDERER.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The raster backends: whatever is asserted of a frame holds for both.
+pub(crate) const BACKENDS: [RasterMode; 2] = [RasterMode::Host, RasterMode::Device];
+
+/// A frame by a raster backend. Each has a renderer of its own, which keeps its pipelines.
+pub(crate) fn render_by(backend: RasterMode, scene: &Scene, settings: &RenderSettings) -> Frame {
+    static RENDERERS: [LazyLock<Mutex<Renderer>>; 2] =
+        [LazyLock::new(|| open(RasterMode::Host)), LazyLock::new(|| open(RasterMode::Device))];
+    let renderer = &RENDERERS[usize::from(backend == RasterMode::Device)];
+    let mut renderer = renderer.lock().unwrap_or_else(PoisonError::into_inner);
+    renderer.render(scene, settings).unwrap_or_else(|error| panic!("{backend}: {error}")).0
+}
+
+fn open(mode: RasterMode) -> Mutex<Renderer> {
+    let gpu = Gpu::open(Some(&adapter())).unwrap_or_else(|error| panic!("{error}"));
+    Mutex::new(Renderer::with_raster(gpu, mode).unwrap_or_else(|error| panic!("{error}")))
 }
 
 /// The parameters drawn for a seed with these settings (`key=value`).
