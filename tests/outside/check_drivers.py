@@ -1,5 +1,5 @@
-"""Renders on two independent Vulkan drivers under the validation layers: no message, and the same masks; and runs `doctor` on
-them and on Mesa's GL driver.
+"""Renders on two independent Vulkan drivers under the validation layers: no message, and the same masks; runs `doctor` on them
+and on Mesa's GL driver; and compares the host's frames with the device's on each driver, by the suite's test in backends.rs.
 
 The drivers are Mesa's lavapipe and Google's SwiftShader. SwiftShader and the layers, which also check synchronization, come
 from Debian's package chromium-common; nothing is installed. Run through check.sh.
@@ -20,6 +20,7 @@ from PIL import Image
 from report import Report
 
 PACKAGE = "chromium-common"
+ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = os.environ["REGOLITH_BINARY"]
 WORK = Path(os.environ["REGOLITH_OUTSIDE"]) / "drivers"
 LAYER = "VK_LAYER_KHRONOS_validation"
@@ -46,6 +47,10 @@ SCENES = {
     "surface, lens": (["--stage", "surface", "--seed", "3", "--set", "camera.k1=-0.1"], ("device", "host")),
 }
 SIZE = ["--size", "256", "--outputs", "all"]
+# The test that compares the raster backends, the scenes that it gets on each driver, and the lines that it prints.
+BACKENDS = "backends::backends_agree_in_depth_colour_and_class"
+BACKEND_SCENES = 100
+FIGURES = re.compile(rf"{BACKEND_SCENES} scenes: (.*)")
 
 
 @dataclass(frozen=True)
@@ -94,6 +99,17 @@ def describe_layer(folder: Path) -> None:
     (WORK / "layer.json").write_text(json.dumps({"file_format_version": "1.2.0", "layer": layer}))
 
 
+def environment_of(driver: Driver) -> dict[str, str]:
+    """Environment in which this driver is the only one."""
+    return {
+        **os.environ,
+        "VK_DRIVER_FILES": str(driver.icd),
+        "VK_ICD_FILENAMES": str(driver.icd),
+        "WGPU_BACKEND": "vulkan",
+        "WGPU_ADAPTER_NAME": driver.adapter,
+    }
+
+
 def render(driver: Driver, scene: list[str], raster: str) -> tuple[Path, str]:
     """Renders a frame under the layers. Returns its folder and what the layers wrote."""
     out, log, settings, cache = (WORK / name for name in ("frame", "messages.txt", "vk_layer_settings.txt", "cache"))
@@ -103,14 +119,10 @@ def render(driver: Driver, scene: list[str], raster: str) -> tuple[Path, str]:
     log.unlink(missing_ok=True)
     settings.write_text(SETTINGS.format(log=log))
     environment = {
-        **os.environ,
+        **environment_of(driver),
         "VK_INSTANCE_LAYERS": LAYER,
         "VK_LAYER_PATH": str(WORK),
         "VK_LAYER_SETTINGS_PATH": str(settings),
-        "VK_DRIVER_FILES": str(driver.icd),
-        "VK_ICD_FILENAMES": str(driver.icd),
-        "WGPU_BACKEND": "vulkan",
-        "WGPU_ADAPTER_NAME": driver.adapter,
         "XDG_CACHE_HOME": str(cache),
     }
     command = [PROGRAM, *scene, *SIZE, "--raster", raster, "--out", str(out), "--quiet"]
@@ -159,13 +171,7 @@ def check_doctor(report: Report, name: str, driver: Driver, backend: str, raster
     """Runs `doctor` without layers: every raster backend of the adapter runs and is right."""
     out = WORK / "doctor"
     shutil.rmtree(out, ignore_errors=True)
-    environment = {
-        **os.environ,
-        "VK_DRIVER_FILES": str(driver.icd),
-        "VK_ICD_FILENAMES": str(driver.icd),
-        "WGPU_BACKEND": backend,
-        "WGPU_ADAPTER_NAME": driver.adapter,
-    }
+    environment = {**environment_of(driver), "WGPU_BACKEND": backend}
     command = [PROGRAM, "doctor", "--json", "--quiet", "--out", str(out)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     result = json.loads(done.stdout)
@@ -187,6 +193,19 @@ def check_doctor(report: Report, name: str, driver: Driver, backend: str, raster
     report.none(f"{name}: exit status", status, "0")
 
 
+def check_backends(report: Report, driver: Driver) -> None:
+    """Compares the raster backends on a driver, over many scenes."""
+    command = ["cargo", "test", "--release", "--quiet", "--test", "suite", "--", "--exact", "--nocapture", BACKENDS]
+    environment = {**environment_of(driver), "REGOLITH_BACKEND_SCENES": str(BACKEND_SCENES)}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    figures = FIGURES.search(done.stdout)
+    faults = [line for line in done.stderr.splitlines() if "differs by" in line or "another class" in line]
+    if done.returncode and not faults:
+        faults = [done.stderr.strip() or done.stdout.strip()]
+    is_right = figures is not None and driver.adapter in done.stdout.lower()
+    report.none(f"{driver.name}: host and device", faults, figures[1] if is_right else 0)
+
+
 def main() -> int:
     """Renders every scene; returns the exit status."""
     WORK.mkdir(parents=True, exist_ok=True)
@@ -202,6 +221,9 @@ def main() -> int:
     report.case = "doctor"
     check_doctor(report, drivers[0].name, drivers[0], "vulkan", {"host", "device-bins", "device-one-draw"})
     check_doctor(report, f"{drivers[0].name}, GL", drivers[0], "gl", {"device-bins", "device-one-draw", "mixed"})
+    report.case = f"{BACKEND_SCENES} scenes"
+    for driver in drivers:
+        check_backends(report, driver)
     report.print()
     failed = len(report.failed())
     print(f"{len(report.rows) - failed} of {len(report.rows)} hold")

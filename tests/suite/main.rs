@@ -3,6 +3,7 @@
 #![allow(clippy::disallowed_methods, reason = "expected values may use std's functions")]
 
 mod architecture;
+mod backends;
 mod cli;
 mod closed_form;
 mod dataset;

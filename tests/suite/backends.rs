@@ -1,0 +1,189 @@
+//! The host's frames against the device's, over many scenes: depth, colour and class.
+//!
+//! Both round the corners of triangles to a grid before they decide which samples a triangle covers (Vulkan specification,
+//! `subPixelPrecisionBits`). The host's grid has 256 steps a pixel, as that of nearly every device. Where the device's is
+//! coarser, a sample near an edge may belong to another triangle on the device: such samples are counted apart.
+//!
+//! `tests/outside/check_drivers.py` runs this on other drivers and on more scenes.
+
+#![allow(clippy::print_stdout, reason = "figures for people who run it with --nocapture")]
+
+use glam::Vec2;
+use regolith::frame::{Annotation, Frame};
+use regolith::render::{RasterMode, RenderSettings};
+use regolith::scene::Scene;
+
+use crate::support::{render_by, renderer, scene};
+use crate::truth::Truth;
+
+/// Variable with the number of scenes.
+const SCENES: &str = "REGOLITH_BACKEND_SCENES";
+/// Scenes where it is not set: all kinds, twice.
+const DEFAULT_SCENES: u64 = 2 * KINDS;
+/// Pixels along a side.
+const SIDE: u32 = 72;
+
+/// Sub-pixel steps of the host's grid, per pixel.
+const HOST_STEPS: u32 = 256;
+/// Sub-pixel steps of devices with a coarser grid, by a part of the adapter's name.
+const COARSE_STEPS: [(&str, u32); 1] = [("SwiftShader", 16)];
+
+/// Largest relative difference of depth, and the share of the pixels that may exceed it.
+const DEPTH: (f32, f64) = (1e-5, 0.001);
+/// Largest difference of a colour value, steps of 255, and the share of the values that may exceed it.
+const COLOUR: (u8, f64) = (2, 0.0005);
+
+const STAGES: [&str; 2] = ["nominal", "surface"];
+const SAMPLES: [u32; 2] = [1, 4];
+const VIEWS: [&str; 4] =
+    ["camera.height_m=3", "camera.height_m=1.5", "camera.fov_deg=85", "sun.elevation_deg=5"];
+const KINDS: u64 = (STAGES.len() * SAMPLES.len() * VIEWS.len()) as u64;
+
+/// How often the backends differ.
+#[derive(Default)]
+struct Tally {
+    pixels: u64,
+    depth: u64,
+    /// Of colour values, three a pixel.
+    colour: u64,
+    class: u64,
+    /// The same, away from edges.
+    depth_inside: u64,
+    colour_inside: u64,
+    class_inside: u64,
+}
+
+impl Tally {
+    fn add(&mut self, other: &Self) {
+        self.pixels += other.pixels;
+        self.depth += other.depth;
+        self.colour += other.colour;
+        self.class += other.class;
+        self.depth_inside += other.depth_inside;
+        self.colour_inside += other.colour_inside;
+        self.class_inside += other.class_inside;
+    }
+
+    fn share(&self, count: u64) -> f64 {
+        count as f64 / self.pixels as f64
+    }
+
+    fn print(&self, name: &str) {
+        let percent = |count| 100.0 * self.share(count);
+        println!(
+            "{name}: {} px; depth off {:.4} % (away from edges {:.4} %), colour {:.4} % ({:.4} %), class {} px ({})",
+            self.pixels,
+            percent(self.depth),
+            percent(self.depth_inside),
+            percent(self.colour) / 3.0,
+            percent(self.colour_inside) / 3.0,
+            self.class,
+            self.class_inside,
+        );
+    }
+}
+
+/// The points of an image, by rays.
+struct Rays<'a> {
+    scene: &'a Scene,
+    truth: Truth,
+    samples_per_side: u32,
+}
+
+impl Rays<'_> {
+    /// The triangle at a position in samples, none in the sky.
+    fn triangle_at(&self, position: Vec2) -> Option<usize> {
+        let (camera, side) = (&self.scene.camera, SIDE * self.samples_per_side);
+        let across = (position - 0.5 * side as f32) / camera.focal_px(side) as f32;
+        let ray = (camera.forward + across.x * camera.right - across.y * camera.up).normalize();
+        let (triangle, distance_m) = self.truth.triangle(camera.eye, ray)?;
+        let point = camera.eye + distance_m * ray;
+        (point.distance(self.scene.sky.centre) < self.scene.sky.radius_m).then_some(triangle)
+    }
+
+    /// Whether one triangle ends and another begins within a distance, samples, of a sample of a pixel.
+    fn is_near_edge(&self, pixel: usize, distance: f32) -> bool {
+        let side = self.samples_per_side as usize;
+        let first = [pixel % SIDE as usize, pixel / SIDE as usize].map(|at| at * side);
+        (0..side * side).any(|i| {
+            let centre = Vec2::new((first[0] + i % side) as f32, (first[1] + i / side) as f32) + 0.5;
+            let own = self.triangle_at(centre);
+            let mut around = (0..8).map(|i| Vec2::from_angle(std::f32::consts::TAU * i as f32 / 8.0));
+            around.any(|direction| self.triangle_at(centre + distance * direction) != own)
+        })
+    }
+}
+
+/// Differences in a scene, on a device with this many sub-pixel steps.
+fn compare(scene: &Scene, samples: u32, steps: u32) -> Tally {
+    let mut settings = RenderSettings::new([SIDE; 2], samples).expect("settings");
+    settings.annotations = [Annotation::Depth].into_iter().collect();
+    let [host, device]: [Frame; 2] =
+        [RasterMode::Host, RasterMode::Device].map(|backend| render_by(backend, scene, &settings));
+    let mut tally = Tally { pixels: host.class.len() as u64, ..Tally::default() };
+    let mut rays = None;
+    for pixel in 0..host.class.len() {
+        let (expected, found) = (host.depth_m[pixel], device.depth_m[pixel]);
+        let is_near = expected == found || (found / expected - 1.0).abs() <= DEPTH.0;
+        let colours = 3 * pixel..3 * pixel + 3;
+        let colours = host.rgb[colours.clone()].iter().zip(&device.rgb[colours]);
+        let depth = u64::from(!is_near);
+        let colour = colours.filter(|(a, b)| a.abs_diff(**b) > COLOUR.0).count() as u64;
+        let class = u64::from(host.class[pixel] != device.class[pixel]);
+        if depth + colour + class == 0 {
+            continue;
+        }
+        let mut is_near_edge = false;
+        // The rays need a while to set up.
+        if class > 0 || steps < HOST_STEPS {
+            let rays = rays.get_or_insert_with(|| Rays {
+                scene,
+                truth: Truth::new(scene, Some(&settings)),
+                samples_per_side: settings.samples_per_side,
+            });
+            is_near_edge = rays.is_near_edge(pixel, 1.0 / steps as f32);
+        }
+        tally.add(&Tally {
+            pixels: 0,
+            depth,
+            colour,
+            class,
+            depth_inside: if is_near_edge { 0 } else { depth },
+            colour_inside: if is_near_edge { 0 } else { colour },
+            class_inside: if is_near_edge { 0 } else { class },
+        });
+    }
+    tally
+}
+
+#[test]
+fn backends_agree_in_depth_colour_and_class() {
+    let count =
+        std::env::var(SCENES).map_or(DEFAULT_SCENES, |text| text.parse().expect("a number of scenes"));
+    let adapter = renderer().gpu().info.name.clone();
+    let coarse = COARSE_STEPS.iter().find(|(name, _)| adapter.contains(name));
+    let steps = coarse.map_or(HOST_STEPS, |(_, steps)| *steps);
+    let mut all = Tally::default();
+    for (k, stage) in STAGES.iter().enumerate() {
+        for (l, samples) in SAMPLES.into_iter().enumerate() {
+            let mut tally = Tally::default();
+            let kind = (k * SAMPLES.len() + l) as u64;
+            for seed in (0..count).filter(|seed| seed % (STAGES.len() * SAMPLES.len()) as u64 == kind) {
+                let view = VIEWS[(seed / (STAGES.len() * SAMPLES.len()) as u64) as usize % VIEWS.len()];
+                tally.add(&compare(&scene(seed, &[&format!("stage.name={stage}"), view]), samples, steps));
+            }
+            tally.print(&format!("{adapter}, {stage}, {samples} samples"));
+            all.add(&tally);
+        }
+    }
+    all.print(&format!("{adapter}, {count} scenes"));
+    assert!(all.pixels > 0, "no scene: {SCENES}={count}");
+    // On a grid as fine as the host's no sample is excused.
+    let (depth, colour) =
+        if steps < HOST_STEPS { (all.depth_inside, all.colour_inside) } else { (all.depth, all.colour) };
+    let depth = all.share(depth);
+    assert!(depth <= DEPTH.1, "depth differs by over {:e} in {depth} of the pixels", DEPTH.0);
+    let colour = all.share(colour) / 3.0;
+    assert!(colour <= COLOUR.1, "colour differs by over {} steps in {colour} of the values", COLOUR.0);
+    assert_eq!(all.class_inside, 0, "of {} pixels of another class: not at an edge", all.class);
+}
