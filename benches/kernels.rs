@@ -17,10 +17,11 @@ use regolith::render::lighting::relief_bands::ReliefBands;
 use regolith::render::select::caster_grid::caster_grid;
 use regolith::render::select::footprint::Footprint;
 use regolith::render::select::selection::{SelectedRock, Selection};
+use regolith::render::select::tiles::PixelRect;
 use regolith::render::shadow::horizon::HorizonMap;
 use regolith::render::shadow::host::{self, ShadowMap};
 use regolith::render::visibility::geometry::VisibleTriangles;
-use regolith::render::visibility::host::ShadingBinMask;
+use regolith::render::visibility::host::{RowsPart, ShadingBinMask};
 use regolith::scene::Scene;
 use regolith::scene::mesh::Icosphere;
 use regolith::scene::noise::Fbm;
@@ -113,12 +114,14 @@ fn frame_plan(c: &mut Criterion) {
         b.iter(|| visible.find(black_box(&scene), &selection, &settings, &grid, &bands, true));
     });
     let [width, height] = settings.sample_size();
+    let samples = PixelRect::whole([width, height]);
+    let part = RowsPart { image_width: width as usize, samples, rows: 0..height, uploaded: 0..0 };
     group.throughput(Throughput::Elements(u64::from(width) * u64::from(height)));
     group.bench_function("visibility", |b| {
         b.iter(|| {
             stencil.restart([width, height]);
             let nowhere = (&mut std::iter::empty() as &mut dyn Iterator<Item = _>, [0; 2]);
-            stencil.draw(black_box(&visible), width as usize, &(0..height), &(0..0), nowhere);
+            stencil.draw(black_box(&visible), &part, nowhere);
         });
     });
     group.finish();

@@ -9,10 +9,10 @@ const DETAIL_EMISSIVE: u32 = 4u;
 @fragment
 fn fs_main(in: LightVaryings) -> LightingOutput {
     light = light_from(in);
-    let sample = in.position.xy;
+    let position = in.position.xy;
     // No surface is in slot 0 with an inverse depth of 0: nothing was drawn here, and the planes keep their clear values.
-    if all(textureLoad(visibility_buffer, vec2<i32>(sample), 0) == vec4(0u)) { discard; }
-    let surface = surface_at(sample);
+    if all(textureLoad(visibility_buffer, vec2<i32>(position), 0) == vec4(0u)) { discard; }
+    let surface = surface_at(position);
     let instance = instances[surface.slot].instance;
     let detail = instance.detail & ((1u << DETAIL_BITS) - 1u);
     if detail == DETAIL_EMISSIVE {
@@ -27,5 +27,5 @@ fn fs_main(in: LightVaryings) -> LightingOutput {
     light.relief_fresh_share = view.fresh_share;
     light.relief_waves = view.waves;
     light.relief_pit_lattices = view.pit_lattices;
-    return shade(surface, instance, detail, sample);
+    return shade(surface, instance, detail, position);
 }

@@ -8,13 +8,13 @@ override PER_SAMPLE_INSTANCE: bool;
 @fragment
 fn fs_main(in: LightVaryings) -> LightingOutput {
     light = light_from(in);
-    let sample = in.position.xy;
-    let surface = surface_at(sample);
+    let position = in.position.xy;
+    let surface = surface_at(position);
     var instance = Instance();
     instance.colour = light.colour;
     instance.roughness = light.roughness;
     instance.surge_height = light.surge_height;
     instance.class_id = light.class_id;
     if PER_SAMPLE_INSTANCE { instance = instances[surface.slot].instance; }
-    return shade(surface, instance, DETAIL_MODE, sample);
+    return shade(surface, instance, DETAIL_MODE, position);
 }

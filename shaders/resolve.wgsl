@@ -41,8 +41,8 @@ const DISPATCH_WIDTH: u32 = 1024u;
 
 @compute @workgroup_size(64)
 fn cs_main(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) invocation: u32) {
-    let pixels = frame.image_size_px.x * frame.image_size_px.y;
-    sample_uv_size = 1.0 / vec2<f32>(SAMPLES_PER_SIDE * frame.render_size_px);
+    let pixels = frame.image_tile.z * frame.image_tile.w;
+    sample_uv_size = 1.0 / vec2<f32>(SAMPLES_PER_SIDE * frame.rendered_tile.zw);
     let quads = (pixels + 3u) / 4u;
     var workgroup = id.y * DISPATCH_WIDTH + id.x;
     if USES_TILE_LIST { workgroup = tile_list[workgroup]; }
@@ -66,10 +66,10 @@ fn cs_main(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index
     packed_words[3u * quads + quad] = classes;
 }
 
-// Column and row of a pixel. llvmpipe divides integers lane by lane, so the row is computed in floating point, where it can
+// Column and row of a pixel in the tile. llvmpipe divides integers lane by lane, so the row is computed in floating point, where it can
 // be one off.
 fn column_and_row(pixel: u32) -> vec2<u32> {
-    let width = frame.image_size_px.x;
+    let width = frame.image_tile.z;
     var row = u32(f32(pixel) / f32(width));
     var column = i32(pixel - row * width);
     if column < 0 {
@@ -82,7 +82,8 @@ fn column_and_row(pixel: u32) -> vec2<u32> {
     return vec2(u32(column), row);
 }
 
-// A pixel is given by `first`, the column and row of its first sample in the distorted image.
+// A pixel is given by `first`, the column and row of its first sample in the tile of the distorted image. The rendered samples
+// that it takes its values from count from the first of the G-buffer.
 
 fn mean_radiance(first: vec2<u32>) -> vec3<f32> {
     var sum = vec3(0.0);
@@ -102,11 +103,17 @@ fn rendered_sample(first: vec2<u32>, i: u32) -> vec2<i32> {
     let sample = first + vec2(i % SAMPLES_PER_SIDE, i / SAMPLES_PER_SIDE);
     if !HAS_LENS_DISTORTION { return vec2<i32>(sample); }
     let last = vec2<i32>(SAMPLES_PER_SIDE * frame.render_size_px) - 1;
-    return clamp(vec2<i32>(floor(rendered_position(sample))), vec2(0), last);
+    return clamp(vec2<i32>(floor(rendered_position(sample))), vec2(0), last) - first_rendered();
 }
 
-// Position among the rendered samples of the centre of a sample of the distorted image.
-fn rendered_position(sample: vec2<u32>) -> vec2<f32> {
+// The first sample of the G-buffer among all rendered samples.
+fn first_rendered() -> vec2<i32> {
+    return vec2<i32>(SAMPLES_PER_SIDE * frame.rendered_tile.xy);
+}
+
+// Position among all rendered samples of the centre of a sample of the tile.
+fn rendered_position(sample_of_tile: vec2<u32>) -> vec2<f32> {
+    let sample = sample_of_tile + SAMPLES_PER_SIDE * frame.image_tile.xy;
     let principal_point = 0.5 * f32(SAMPLES_PER_SIDE) * vec2<f32>(frame.image_size_px);
     let point = undistorted((vec2<f32>(sample) + 0.5 - principal_point) / frame.focal_samples);
     return point * frame.focal_samples + 0.5 * vec2<f32>(SAMPLES_PER_SIDE * frame.render_size_px);
@@ -153,7 +160,7 @@ fn inverse_depth_of(first: vec2<u32>, i: u32, sample: vec2<i32>) -> f32 {
     let inverse_depth = inverse_depth_at(sample);
     if !HAS_LENS_DISTORTION { return inverse_depth; }
     let position = rendered_position(first + vec2(i % SAMPLES_PER_SIDE, i / SAMPLES_PER_SIDE));
-    let offset = position - (vec2<f32>(sample) + 0.5);
+    let offset = position - (vec2<f32>(sample + first_rendered()) + 0.5);
     let slope = vec2(
         inverse_depth_step(sample, vec2(1, 0), inverse_depth),
         inverse_depth_step(sample, vec2(0, 1), inverse_depth),
@@ -164,11 +171,12 @@ fn inverse_depth_of(first: vec2<u32>, i: u32, sample: vec2<i32>) -> f32 {
 
 // Change of the inverse depth from a rendered sample to the next one along `step`.
 fn inverse_depth_step(sample: vec2<i32>, step: vec2<i32>, inverse_depth: f32) -> f32 {
-    let last = vec2<i32>(SAMPLES_PER_SIDE * frame.render_size_px) - 1;
+    let first = -first_rendered();
+    let last = vec2<i32>(SAMPLES_PER_SIDE * frame.render_size_px) - 1 + first;
     var slope = 0.0;
     var neighbours = 0;
     for (var side = -1; side <= 1; side += 2) {
-        let neighbour = clamp(sample + side * step, vec2(0), last);
+        let neighbour = clamp(sample + side * step, first, last);
         if any(neighbour != sample)
             && class_at(neighbour) == class_at(sample)
             && instance_at(neighbour) == instance_at(sample) {

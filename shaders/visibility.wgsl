@@ -22,7 +22,9 @@ fn vs_main(
 ) -> VertexOutput {
     let origin = instances[slot].instance.origin;
     let offset = (origin - frame.eye) + instances[slot].instance.scale * position;
-    return VertexOutput(frame.clip_from_offset * vec4(offset, 1.0), offset, octahedral_decode(normal), slot);
+    let clip = frame.clip_from_offset * vec4(offset, 1.0);
+    let in_tile = clip.xy * frame.tile_from_clip.xz + clip.w * frame.tile_from_clip.yw;
+    return VertexOutput(vec4(in_tile, clip.zw), offset, octahedral_decode(normal), slot);
 }
 
 // `surface_at` in common/gbuffer.wgsl unpacks it:
@@ -38,9 +40,10 @@ fn fs_main(in: VertexOutput) -> @location(0) vec4<u32> {
     let plane_normal = cross(across, down);
 
     // The ray through the centre of the sample, where it is one metre along the optical axis.
+    let sample = in.position.xy + frame.first_sample;
     let ray = frame.ray_from_sample[0].xyz
-        + in.position.x * frame.ray_from_sample[1].xyz
-        + in.position.y * frame.ray_from_sample[2].xyz;
+        + sample.x * frame.ray_from_sample[1].xyz
+        + sample.y * frame.ray_from_sample[2].xyz;
     let inverse_depth = inverse_depth_on_plane(in.position.w, in.offset, plane_normal, ray);
 
     // From the point that was interpolated to the one on the ray, in columns and rows.

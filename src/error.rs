@@ -112,16 +112,12 @@ pub enum Error {
     #[error("cannot write to standard output: {0}")]
     Stdout(std::io::Error),
     /// No adapter was found.
-    #[error(
-        "no graphics adapter was found{limit}.\nOn a machine without a GPU, install Mesa's CPU driver: `sudo apt-get install {packages}` (Debian, Ubuntu).\nOn a machine with a GPU, install its {api} driver; in a container, pass the GPU through with its graphics capability. `regolith-render doctor` says what is missing."
-    )]
+    #[error("no graphics adapter was found{limit}.\n{advice} `regolith-render doctor` says what is missing.")]
     NoAdapter {
         /// What `WGPU_BACKEND` allows, in parentheses; empty if it is not set.
         limit: String,
-        /// Packages of Debian with the CPU driver for the allowed backends.
-        packages: &'static str,
-        /// The interface of the driver that a GPU needs.
-        api: &'static str,
+        /// What to do on this platform.
+        advice: String,
     },
     /// A limit on the memory of the process (`ulimit`) under which drivers crash.
     #[error(

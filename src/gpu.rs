@@ -8,6 +8,7 @@ pub mod adapter;
 pub mod growing_buffer;
 mod memory_limits;
 pub mod pipeline_cache;
+mod platform;
 mod processor;
 pub mod readback;
 pub mod staging;
@@ -68,7 +69,7 @@ impl Gpu {
     /// Opens the adapter whose name contains `wanted` (any case; `cpu` means any software adapter), or the best one: a
     /// discrete GPU before an integrated one before a software adapter, Vulkan before GL.
     ///
-    /// The environment variables `WGPU_BACKEND` (`vulkan`, `gl`) and, without `wanted`, `WGPU_ADAPTER_NAME` are
+    /// The environment variables `WGPU_BACKEND` (`vulkan`, `gl`; on macOS `metal`, on Windows `dx12` and `vulkan`) and, without `wanted`, `WGPU_ADAPTER_NAME` are
     /// honoured.
     ///
     /// # Errors

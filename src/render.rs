@@ -11,15 +11,19 @@ mod backend;
 pub mod device;
 #[cfg(test)]
 mod fallbacks;
+mod frame_packet;
 mod frame_plan;
 pub mod lighting;
 pub mod post;
 mod raster;
+mod raw_frame;
 pub mod resolve;
 mod scene_buffers;
 pub mod select;
 mod settings;
 pub mod shadow;
+mod slots;
+mod tiling;
 #[cfg(test)]
 mod unwritten;
 pub mod visibility;
@@ -27,9 +31,8 @@ pub mod visibility;
 use std::time::Instant;
 
 use crate::error::Result;
-use crate::frame::{Annotation, Annotations, Frame};
+use crate::frame::Frame;
 use crate::gpu::Gpu;
-use crate::gpu::staging::StagingBuffer;
 use crate::scene::Scene;
 pub use backend::{LightingMode, RasterBackend, RasterMode, RasterOptions};
 pub use device::timing::StageTimes;
@@ -37,63 +40,29 @@ pub use settings::RenderSettings;
 
 use device::bind_groups::{BindLayouts, bind_group};
 use device::shading_bins::LightingVariant;
-use device::timing::{Pass, Timer, milliseconds};
+use device::timing::{Pass, milliseconds};
+use frame_packet::FrameRequest;
 use frame_plan::FramePlan;
-use lighting::gbuffer::GBuffer;
+use lighting::gbuffer::{GBuffer, GBufferPool};
 use lighting::pass::{FrameKey, LightingPass};
+use raw_frame::post_process;
 use resolve::pass::{PackedFrame, ResolvePass};
 use scene_buffers::SceneBuffers;
+use select::tiles::ImageTile;
 use shadow::ShadowBackend;
+use slots::{Slot, SlotPool};
+use tiling::{TileLimits, TiledFrame};
 use visibility::{VisibilityBackend, VisibilityInputs};
 
 /// Frames in flight that keep a device and the threads that feed it busy: one is rendered while the next is prepared.
 pub const FRAMES_IN_FLIGHT: usize = 2;
 
-/// Buffers that belong to one frame in flight.
-#[derive(Debug)]
-struct Slot {
-    packed: PackedFrame,
-    /// Uploads of the host backends.
-    shadow_staging: Option<StagingBuffer>,
-    visibility_staging: Option<StagingBuffer>,
-    timer: Option<Timer>,
-}
-
-/// What the caller asked for, and what has to be rendered for it.
-#[derive(Debug)]
-struct FrameRequest {
-    /// Annotations that the caller asked for.
-    annotations: Annotations,
-    /// Settings of the image, with what post-processing needs besides.
-    image: RenderSettings,
-    /// If a lens distorts the image: the wider pinhole image that is rendered, from which the resolve pass takes its samples.
-    undistorted: Option<(Scene, RenderSettings)>,
-}
-
-impl FrameRequest {
-    fn new(scene: &Scene, settings: &RenderSettings) -> Result<Self> {
-        let annotations = settings.annotations;
-        let mut image = *settings;
-        image.annotations = post::hazards::with_inputs(annotations);
-        if scene.sensor.is_some() {
-            image.annotations = image.annotations.with(Annotation::Hdr);
-        }
-        let (camera, size) = select::near_plane::checked(scene, image.size)?;
-        let undistorted = (!camera.lens.is_pinhole())
-            .then(|| (Scene { camera, ..scene.clone() }, RenderSettings { size, ..image }));
-        Ok(Self { annotations, image, undistorted })
-    }
-
-    /// Scene and settings of the image before distortion.
-    fn rendered<'a>(&'a self, scene: &'a Scene) -> (&'a Scene, &'a RenderSettings) {
-        self.undistorted.as_ref().map_or((scene, &self.image), |(scene, settings)| (scene, settings))
-    }
-}
-
 /// A frame that is ready to be recorded.
 #[derive(Debug)]
 struct PreparedFrame {
     plan: FramePlan,
+    /// One, or those that the frame is drawn in. The first is prepared.
+    tiles: Vec<ImageTile>,
     gbuffer: GBuffer,
     slot: Slot,
     pipelines: FrameKey,
@@ -107,6 +76,8 @@ pub struct InFlight {
     slot: Slot,
     submission: wgpu::SubmissionIndex,
     submitted: Instant,
+    /// The frame, if it was drawn in tiles and is read back already.
+    drawn: Option<Frame>,
     upload_ms: f64,
     /// Times of the host backends.
     host_times: StageTimes,
@@ -140,10 +111,11 @@ pub struct Renderer {
     buffers: SceneBuffers,
     /// The plan of the last frame, whose memory the next one uses.
     plan: Option<FramePlan>,
-    gbuffer: Option<GBuffer>,
-    /// Slots of frames that are not in flight any more.
-    spare: Vec<Slot>,
+    gbuffers: GBufferPool,
+    slots: SlotPool,
     last_cost: FrameCost,
+    /// How large a frame may be that is drawn whole.
+    tile_limits: TileLimits,
 }
 
 impl Renderer {
@@ -180,9 +152,10 @@ impl Renderer {
             resolve: ResolvePass::new(&gpu, &layouts),
             buffers: SceneBuffers::default(),
             plan: None,
-            gbuffer: None,
-            spare: Vec::new(),
+            gbuffers: GBufferPool::default(),
+            slots: SlotPool::default(),
             last_cost: FrameCost::default(),
+            tile_limits: TileLimits::of(&gpu),
             layouts,
             gpu,
         };
@@ -229,7 +202,8 @@ impl Renderer {
         self.finish(in_flight, scene)
     }
 
-    /// Submits a frame to the device, behind those that it works on, and does not wait for it.
+    /// Submits a frame to the device, behind those that it works on, and does not wait for it, unless it is so large that it is drawn
+    /// in tiles.
     ///
     /// # Errors
     /// [`Error::SizeBeyondDevice`], [`Error::DeviceLost`] or [`Error::Device`]; those of [`select::near_plane::checked`].
@@ -249,23 +223,33 @@ impl Renderer {
         let start = Instant::now();
         let request = FrameRequest::new(scene, settings)?;
         let frame = self.prepare(scene, &request)?;
-        self.submit_prepared(request, frame, start)
+        self.submit_prepared(scene, request, frame, start)
     }
 
-    /// Records a frame whose preparation began at `start`, and submits it.
+    /// Records a frame whose preparation began at `start`, and submits it; of a frame in tiles, one after the other.
     fn submit_prepared(
         &mut self,
+        scene: &Scene,
         request: FrameRequest,
-        frame: PreparedFrame,
+        mut frame: PreparedFrame,
         start: Instant,
     ) -> Result<InFlight> {
         let submitted = Instant::now();
-        let submission = self.gpu.guard(|| {
-            let descriptor = wgpu::CommandEncoderDescriptor { label: Some("frame") };
-            let mut encoder = self.gpu.device.create_command_encoder(&descriptor);
-            self.record_frame(&mut encoder, &frame);
-            self.gpu.queue.submit([encoder.finish()])
-        })?;
+        let mut submission = self.submit_tile(&frame, true)?;
+        let mut drawn = None;
+        if frame.tiles.len() > 1 {
+            let (_, settings) = request.rendered(scene);
+            let mut whole = TiledFrame::new(request.image.size);
+            for number in 0..frame.tiles.len() {
+                let tile = frame.tiles[number];
+                if number > 0 {
+                    self.prepare_tile(settings, &mut frame, tile)?;
+                    submission = self.submit_tile(&frame, false)?;
+                }
+                whole.add(tile, frame.slot.packed.read(&self.gpu, &submission))?;
+            }
+            drawn = Some(whole.finish());
+        }
         let mut host_times = StageTimes::new();
         host_times.extend(self.shadow.host_ms().map(|ms| ("shadow", ms)));
         host_times.extend(self.visibility.host_ms().map(|ms| ("visibility", ms)));
@@ -276,12 +260,14 @@ impl Renderer {
             lighting_draws: self.lighting_draws(&gbuffer),
             uploaded_bytes,
         };
-        (self.plan, self.gbuffer, self.last_cost) = (Some(plan), Some(gbuffer), cost);
+        (self.plan, self.last_cost) = (Some(plan), cost);
+        self.gbuffers.keep(gbuffer);
         Ok(InFlight {
             request,
             slot,
             submission,
             submitted,
+            drawn,
             upload_ms: milliseconds(submitted - start) - host_ms,
             host_times,
             device_passes: self.device_passes(),
@@ -289,14 +275,31 @@ impl Renderer {
         })
     }
 
-    /// Plans a frame, uploads it, rasterises what is the host's part, and compiles the pipelines that are missing.
+    /// Records and submits a tile, the first of a frame with the frame's shadows.
+    fn submit_tile(&self, frame: &PreparedFrame, is_first: bool) -> Result<wgpu::SubmissionIndex> {
+        self.gpu.guard(|| {
+            let descriptor = wgpu::CommandEncoderDescriptor { label: Some("frame") };
+            let mut encoder = self.gpu.device.create_command_encoder(&descriptor);
+            self.record_frame(&mut encoder, frame, is_first);
+            self.gpu.queue.submit([encoder.finish()])
+        })
+    }
+
+    /// Plans a frame, uploads it, rasterises what is the host's part of its first tile, and compiles the pipelines that are missing.
     fn prepare(&mut self, scene: &Scene, request: &FrameRequest) -> Result<PreparedFrame> {
         let image_size = request.image.size;
         let (scene, settings) = request.rendered(scene);
-        let mut gbuffer = self.take_gbuffer(scene, settings)?;
-        let mut slot = self.take_slot(&request.image);
+        let layout = self.visibility.gbuffer_layout(scene);
+        let tiles = tiling::tiles(&self.gpu, &request.image, (scene, settings), layout, self.tile_limits)?;
+        let tile = tiles[0];
+        let of_tile = RenderSettings { size: tile.rendered.size, ..*settings };
+        let mut gbuffer = self.gbuffers.take(&self.gpu, &of_tile, layout, self.tile_limits.bytes);
+        let mut slot = self.slots.take(&self.gpu, &RenderSettings { size: tile.image.size, ..request.image });
+        // Timestamps are those of one submission.
+        slot.timer = slot.timer.filter(|_| tile.image.size == image_size);
         let pipelines = FrameKey::new(scene, &gbuffer);
-        let resolve_variant = resolve::pass::Variant::new(&gbuffer, image_size);
+        gbuffer.is_distorted = request.undistorted.is_some();
+        let resolve_variant = resolve::pass::Variant::new(&gbuffer);
         // Compiling a pipeline takes longer than it saves in one frame: the first is lit by as few pipelines as possible, which are
         // compiled while it is prepared.
         let is_first = !self.lighting.has(pipelines);
@@ -308,9 +311,10 @@ impl Renderer {
         let Self { gpu, layouts, buffers, shadow, visibility, lighting, resolve, .. } = self;
         let (prepared, ()) = rayon::join(
             || {
-                let plan = FramePlan::new(previous, scene, settings, image_size, &raster, |selection| {
+                let mut plan = FramePlan::new(previous, scene, settings, image_size, &raster, |selection| {
                     shadow.place_tiles(scene, selection)
                 });
+                plan.uniforms = frame_plan::of_tile(&plan.uniforms, tile, settings);
                 let mut bytes = gpu.guard(|| buffers.upload(gpu, scene, &plan, raster.multi_draw))?;
                 let size_px = plan.shadow_map_px;
                 bytes += shadow.prepare(gpu, layouts, scene, size_px, &mut slot.shadow_staging)?;
@@ -320,11 +324,12 @@ impl Renderer {
                     selection: &plan.selection,
                     caster_grid: &plan.caster_grid,
                     bands: &plan.bands,
-                    batches: &plan.draws.batches,
                     bin_by_shadow_sources: raster.bin_by_shadow_sources,
                 };
                 let staging = &mut slot.visibility_staging;
-                bytes += visibility.prepare(gpu, layouts, inputs, &mut gbuffer, staging)?;
+                visibility.find(gpu, layouts, inputs);
+                let samples = tile.rendered.samples(settings.samples_per_side);
+                bytes += visibility.fill(gpu, &plan.draws.batches, samples, &mut gbuffer, staging)?;
                 Result::Ok((plan, bytes))
             },
             || {
@@ -344,36 +349,38 @@ impl Renderer {
             lighting.prepare(gpu, pipelines, gbuffer.batches.iter().map(|batch| batch.variant));
         }
         gpu.check()?;
-        Ok(PreparedFrame { plan, gbuffer, slot, pipelines, uploaded_bytes })
+        Ok(PreparedFrame { plan, tiles, gbuffer, slot, pipelines, uploaded_bytes })
     }
 
-    /// The G-buffer of the frame before, if it serves this one.
-    fn take_gbuffer(&mut self, scene: &Scene, settings: &RenderSettings) -> Result<GBuffer> {
-        let layout = self.visibility.gbuffer_layout(scene);
-        match self.gbuffer.take() {
-            Some(kept) if kept.serves(settings, layout) => Ok(kept),
-            _ => GBuffer::new(&self.gpu, settings, layout),
+    /// Prepares a further tile of a frame. `settings` are those of the image before distortion.
+    fn prepare_tile(
+        &mut self,
+        settings: &RenderSettings,
+        frame: &mut PreparedFrame,
+        tile: ImageTile,
+    ) -> Result<()> {
+        let Self { gpu, buffers, visibility, lighting, .. } = self;
+        let PreparedFrame { plan, gbuffer, slot, pipelines, uploaded_bytes, .. } = frame;
+        *uploaded_bytes += buffers.upload_uniforms(gpu, &frame_plan::of_tile(&plan.uniforms, tile, settings));
+        let samples = tile.rendered.samples(settings.samples_per_side);
+        let staging = &mut slot.visibility_staging;
+        *uploaded_bytes += visibility.fill(gpu, &plan.draws.batches, samples, gbuffer, staging)?;
+        *uploaded_bytes += slot.packed.choose(gpu, gbuffer);
+        if self.raster.lighting == LightingMode::Bins {
+            lighting.prepare(gpu, *pipelines, gbuffer.batches.iter().map(|batch| batch.variant));
         }
+        gpu.check()
     }
 
-    fn take_slot(&mut self, image: &RenderSettings) -> Slot {
-        let &RenderSettings { size, annotations, .. } = image;
-        self.spare.retain(|slot| slot.packed.serves(size, annotations));
-        self.spare.pop().unwrap_or_else(|| Slot {
-            packed: PackedFrame::new(&self.gpu, size, annotations),
-            shadow_staging: None,
-            visibility_staging: None,
-            timer: Timer::new(&self.gpu),
-        })
-    }
-
-    /// The frame: shadows, visibility, lighting, resolve, readback.
-    fn record_frame(&self, encoder: &mut wgpu::CommandEncoder, frame: &PreparedFrame) {
+    /// The frame, or a tile of one: shadows with the first, visibility, lighting, resolve, readback.
+    fn record_frame(&self, encoder: &mut wgpu::CommandEncoder, frame: &PreparedFrame, is_first: bool) {
         let PreparedFrame { plan, gbuffer, slot: Slot { packed, timer, .. }, pipelines, .. } = frame;
         let (meshes, timer) = (&self.buffers.meshes, timer.as_ref());
         let groups = self.bind_groups(gbuffer, packed);
         let drawing = [&groups.frame, &groups.scene];
-        self.shadow.record(encoder, meshes, &plan.draws.casters, drawing, timer);
+        if is_first {
+            self.shadow.record(encoder, meshes, &plan.draws.casters, drawing, timer);
+        }
         self.visibility.record(encoder, meshes, drawing, gbuffer, timer);
         let light = [&groups.frame, &groups.scene, &groups.light];
         let timestamps = timer.map(|timer| timer.render_pass(Pass::Lighting));
@@ -435,11 +442,21 @@ impl Renderer {
     /// [`Error::DeviceLost`]: crate::Error::DeviceLost
     /// [`Error::Device`]: crate::Error::Device
     pub fn finish(&mut self, in_flight: InFlight, scene: &Scene) -> Result<(Frame, StageTimes)> {
-        let InFlight { request, slot, submission, submitted, upload_ms, host_times, device_passes, .. } =
-            in_flight;
+        let InFlight {
+            request,
+            slot,
+            submission,
+            submitted,
+            drawn,
+            upload_ms,
+            host_times,
+            device_passes,
+            ..
+        } = in_flight;
         self.gpu.wait(&submission)?;
         let done = Instant::now();
-        let mut frame = slot.packed.read(&self.gpu, &submission)?;
+        let is_whole = drawn.is_none();
+        let mut frame = drawn.map_or_else(|| slot.packed.read(&self.gpu, &submission), Ok)?;
         let read = Instant::now();
         let mut times = vec![("upload", upload_ms)];
         times.extend(host_times);
@@ -447,7 +464,9 @@ impl Renderer {
             times.extend(timer.read(&self.gpu, &submission, &device_passes)?);
         }
         times.extend([("gpu", milliseconds(done - submitted)), ("readback", milliseconds(read - done))]);
-        self.spare.push(slot);
+        if is_whole {
+            self.slots.keep(slot);
+        }
         post_process(&mut frame, &request, scene, &mut times);
         Ok((frame, times))
     }
@@ -458,32 +477,4 @@ struct BindGroups {
     scene: wgpu::BindGroup,
     light: wgpu::BindGroup,
     resolve: wgpu::BindGroup,
-}
-
-/// Adds to a frame what is not computed on the device, and the time that each stage took.
-fn post_process(frame: &mut Frame, request: &FrameRequest, scene: &Scene, times: &mut StageTimes) {
-    let (rendered_scene, rendered) = request.rendered(scene);
-    frame.focal_px = rendered_scene.camera.focal_px(rendered.size[0]);
-    frame.lens = rendered_scene.camera.lens;
-    let mut timed = |stage, work: &mut dyn FnMut(&mut Frame)| {
-        let start = Instant::now();
-        work(frame);
-        times.push((stage, milliseconds(start.elapsed())));
-    };
-    if rendered.annotations.contains(Annotation::Instances) {
-        timed("labels", &mut |frame| {
-            frame.rocks = post::rock_labels::rocks(rendered_scene, rendered, request.image.size, frame);
-        });
-    }
-    if let Some(sensor) = &scene.sensor {
-        timed("sensor", &mut |frame| {
-            post::sensor::expose(frame, sensor, scene.camera.exposure_ev);
-            if !request.annotations.contains(Annotation::Hdr) {
-                frame.radiance = Vec::new();
-            }
-        });
-    }
-    if post::hazards::any_requested(request.annotations) {
-        timed("hazards", &mut |frame| post::hazards::add(frame, scene, request.annotations));
-    }
 }

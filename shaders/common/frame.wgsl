@@ -60,6 +60,15 @@ struct FrameUniforms {
     hapke_c: f32,
     hapke_h_s: f32,
     hapke_tan_theta_bar: f32,
+    // Origin and size of the tile of the image that is resolved, pixels (src/render/select/tiles.rs).
+    image_tile: vec4<u32>,
+    // Origin and size of the rendered pixels that its samples are taken from: those of the G-buffer.
+    rendered_tile: vec4<u32>,
+    // Scale and offset from clip space to that of the tile: horizontal scale and offset, vertical scale and offset.
+    tile_from_clip: vec4<f32>,
+    // Column and row of the G-buffer's first sample among all rendered samples.
+    first_sample: vec2<f32>,
+    reserved: vec2<u32>,
     // Offset of each packed plane in the packed frame, words, or NOT_REQUESTED (src/render/device/packing.rs).
     plane_offsets: array<vec4<u32>, 2>,
     horizon: array<HorizonLevel, 12>,

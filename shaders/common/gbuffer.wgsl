@@ -14,8 +14,9 @@ struct Surface {
 }
 
 // The surface at the centre of a sample, given by its framebuffer position.
-fn surface_at(sample: vec2<f32>) -> Surface {
-    let packed = textureLoad(visibility_buffer, vec2<i32>(sample), 0);
+fn surface_at(position: vec2<f32>) -> Surface {
+    let packed = textureLoad(visibility_buffer, vec2<i32>(position), 0);
+    let sample = sample_position(position);
     // Where the ray through the sample is one metre along the optical axis.
     let ray = light.ray_origin + sample.x * light.ray_per_column + sample.y * light.ray_per_row;
     return Surface(
@@ -24,6 +25,11 @@ fn surface_at(sample: vec2<f32>) -> Surface {
         octahedral_decode(unpack_snorm(packed.z)),
         (packed.x >> 24u) | ((packed.y >> 24u) << 8u),
     );
+}
+
+// Position among all samples of the image of a framebuffer position, which counts from the first sample of the tile.
+fn sample_position(position: vec2<f32>) -> vec2<f32> {
+    return position + light.first_sample;
 }
 
 // `unpack2x16snorm` of what `pack2x16snorm` packed, without a division.

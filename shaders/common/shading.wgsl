@@ -34,13 +34,13 @@ struct SunVisibility {
 
 // Lighting of a surface of this instance with one of the DETAIL constants, at the centre of a sample, given by its
 // framebuffer position.
-fn shade(surface: Surface, instance: Instance, detail: u32, sample: vec2<f32>) -> LightingOutput {
+fn shade(surface: Surface, instance: Instance, detail: u32, position: vec2<f32>) -> LightingOutput {
     let to_eye = -unit(surface.offset);
-    let shading = shade_detail(surface, instance, detail, to_eye, sample);
+    let shading = shade_detail(surface, instance, detail, to_eye, position);
     let normal = shading.normal;
     let cos_eye = max(dot(normal, to_eye), 0.0);
     let cos_light = max(dot(normal, light.sun_direction), 0.0);
-    let sun = sun_visibility(surface, sample);
+    let sun = sun_visibility(surface, sample_position(position));
     var direct = 0.0;
     if cos_light > 0.0 {
         let cos_phase = dot(light.sun_direction, to_eye);
@@ -60,14 +60,14 @@ fn shade(surface: Surface, instance: Instance, detail: u32, sample: vec2<f32>) -
 }
 
 // Normal and albedo with the detail below the mesh.
-fn shade_detail(surface: Surface, instance: Instance, detail: u32, to_eye: vec3<f32>, sample: vec2<f32>) -> Shading {
+fn shade_detail(surface: Surface, instance: Instance, detail: u32, to_eye: vec3<f32>, position: vec2<f32>) -> Shading {
     var normal = surface.normal;
     var albedo = instance.colour;
     if detail == DETAIL_RELIEF {
         normal = ground_normal(surface.normal, slope_below_mesh(surface.offset, surface.normal, to_eye));
     }
     if detail == DETAIL_UPLOADED_SLOPES {
-        normal = ground_normal(surface.normal, textureLoad(slopes, vec2<i32>(sample), 0).xy);
+        normal = ground_normal(surface.normal, textureLoad(slopes, vec2<i32>(position), 0).xy);
     }
     if detail == DETAIL_ROCK_TEXTURE {
         let sample_m = light.relief_sample_angle * length(surface.offset);

@@ -4,9 +4,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 
 use regolith::{Error, Result};
-use signal_hook::consts::signal::{SIGABRT, SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
-use signal_hook::iterator::Signals;
-use signal_hook::low_level;
+use signal_hook::consts::signal::{SIGABRT, SIGINT, SIGTERM};
+#[cfg(unix)]
+use signal_hook::consts::signal::{SIGHUP, SIGXFSZ};
 
 use super::messages::Messages;
 
@@ -23,28 +23,57 @@ pub(super) fn cores() -> usize {
 
 /// A flag that is set by Ctrl-C and by the signals that ask a process to end; a second one ends it at once.
 pub(super) fn stop_on_signals(messages: Messages) -> Result<Arc<AtomicBool>> {
-    let failed = |error| Error::Usage(format!("cannot listen for Ctrl-C: {error}"));
+    let stop = Arc::new(AtomicBool::new(false));
+    let set = Arc::clone(&stop);
+    let note = move || {
+        set.store(true, Ordering::Relaxed);
+        messages.note(format_args!("\nstopping after the frames in flight (Ctrl-C again stops at once)"));
+    };
+    let listening = listen(note);
+    listening.map_err(|error| Error::Usage(format!("cannot listen for Ctrl-C: {error}")))?;
+    Ok(stop)
+}
+
+/// Calls `stop` in a thread on the first signal, and exits on the second.
+#[cfg(unix)]
+fn listen(stop: impl Fn() + Send + 'static) -> std::io::Result<()> {
     let mut wanted = vec![SIGINT, SIGTERM];
     if !ignores_hangup() {
         wanted.push(SIGHUP);
     }
-    let mut signals = Signals::new(wanted).map_err(failed)?;
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&stop);
+    let mut signals = signal_hook::iterator::Signals::new(wanted)?;
     let listen = move || {
         for signal in signals.forever() {
             if RECEIVED.swap(signal, Ordering::Relaxed) != 0 {
-                low_level::exit(SIGNAL_STATUS + signal);
+                signal_hook::low_level::exit(SIGNAL_STATUS + signal);
             }
-            flag.store(true, Ordering::Relaxed);
-            messages.note(format_args!("\nstopping after the frames in flight (Ctrl-C again stops at once)"));
+            stop();
         }
     };
-    std::thread::Builder::new().name("signals".to_owned()).spawn(listen).map_err(failed)?;
-    Ok(stop)
+    std::thread::Builder::new().name("signals".to_owned()).spawn(listen).map(drop)
+}
+
+/// Calls `stop` in a thread on the first signal, and exits on the second. Windows tells of signals by flags alone.
+#[cfg(windows)]
+fn listen(stop: impl Fn() + Send + 'static) -> std::io::Result<()> {
+    let is_received = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        let status = SIGNAL_STATUS + signal;
+        signal_hook::flag::register_conditional_shutdown(signal, status, Arc::clone(&is_received))?;
+        signal_hook::flag::register(signal, Arc::clone(&is_received))?;
+    }
+    let listen = move || {
+        while !is_received.load(Ordering::Relaxed) {
+            std::thread::sleep(std::time::Duration::from_millis(50));
+        }
+        RECEIVED.store(SIGINT, Ordering::Relaxed);
+        stop();
+    };
+    std::thread::Builder::new().name("signals".to_owned()).spawn(listen).map(drop)
 }
 
 /// Whether the process was started by `nohup`, to go on without its terminal.
+#[cfg(unix)]
 fn ignores_hangup() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
@@ -63,6 +92,7 @@ pub(crate) fn stopped_status() -> Option<u8> {
 /// Lets writes beyond the limit of the file size (`ulimit -f`) fail with an error. Without this, a signal ends the process.
 pub(super) fn survive_file_size_limit() {
     // If it fails, the signal ends the process, as it does with most programs.
+    #[cfg(unix)]
     let _ = signal_hook::flag::register(SIGXFSZ, Arc::new(AtomicBool::new(false)));
 }
 

@@ -6,6 +6,7 @@ use wgpu::{AdapterInfo, Backend, Backends, DeviceType, DownlevelFlags, InstanceD
 
 use crate::error::{Error, Result};
 use crate::gpu::memory_limits;
+use crate::gpu::platform::Platform;
 
 /// What of WebGPU the passes use and an adapter may lack, in words. Shaders need nothing optional: tests validate every program
 /// without any capability.
@@ -25,9 +26,7 @@ pub(super) fn choose(wanted: Option<&str>) -> Result<wgpu::Adapter> {
     memory_limits::check()?;
     let from_environment = std::env::var("WGPU_ADAPTER_NAME").ok().filter(|name| !name.is_empty());
     let wanted = wanted.map(str::to_owned).or(from_environment);
-    // GL is tried only where Vulkan has no match: its libraries are slow to load and print warnings.
-    let allowed = backends_allowed()?;
-    let rounds = allowed.map_or_else(|| vec![Backends::VULKAN, Backends::GL], |allowed| vec![allowed]);
+    let rounds = backends_allowed()?.map_or_else(|| Platform::HERE.rounds(), |allowed| vec![allowed]);
     let mut available = Vec::new();
     for backends in rounds {
         let adapters = enumerate(backends);
@@ -67,7 +66,8 @@ pub fn check_environment() -> Result<()> {
 /// Every adapter of the allowed backends, best first.
 pub(super) fn enumerate_allowed() -> Result<Vec<wgpu::Adapter>> {
     memory_limits::check()?;
-    let mut adapters = enumerate(backends_allowed()?.unwrap_or(Backends::VULKAN | Backends::GL));
+    let mut adapters =
+        enumerate(backends_allowed()?.unwrap_or_else(|| Platform::HERE.rounds().into_iter().collect()));
     adapters.sort_by_key(|adapter| rank(&adapter.get_info()));
     Ok(adapters)
 }
@@ -77,12 +77,11 @@ fn backends_allowed() -> Result<Option<Backends>> {
     let named = std::env::var("WGPU_BACKEND").unwrap_or_default();
     let words = named.split(',').map(|word| word.trim().to_lowercase()).filter(|word| !word.is_empty());
     words
-        .map(|word| match word.as_str() {
-            "vulkan" | "vk" => Ok(Backends::VULKAN),
-            "gl" | "gles" | "opengl" => Ok(Backends::GL),
-            _ => Err(Error::Usage(format!(
-                "WGPU_BACKEND={named}: unknown backend `{word}`; the backends are vulkan and gl"
-            ))),
+        .map(|word| {
+            Platform::HERE.backend(&word).ok_or_else(|| {
+                let names = Platform::HERE.backend_names();
+                Error::Usage(format!("WGPU_BACKEND={named}: unknown backend `{word}`; {names}"))
+            })
         })
         .try_fold(None, |allowed, backend| Ok(Some(allowed.unwrap_or(Backends::empty()) | backend?)))
 }
@@ -90,10 +89,7 @@ fn backends_allowed() -> Result<Option<Backends>> {
 fn no_adapter() -> Error {
     let named = std::env::var("WGPU_BACKEND").unwrap_or_default();
     let limit = if named.is_empty() { String::new() } else { format!(" (WGPU_BACKEND allows only {named})") };
-    let is_gl_only = backends_allowed().is_ok_and(|allowed| allowed == Some(Backends::GL));
-    let (packages, api) =
-        if is_gl_only { ("libegl1 libgl1-mesa-dri", "EGL") } else { ("mesa-vulkan-drivers", "Vulkan") };
-    Error::NoAdapter { limit, packages, api }
+    Error::NoAdapter { limit, advice: Platform::HERE.advice(backends_allowed().ok().flatten()) }
 }
 
 /// One line for people: name, kind, backend, driver.

@@ -1,11 +1,12 @@
 //! Tests: devices that offer less than others render the same.
 
 use crate::error::Error;
-use crate::frame::plane::{PLANES, Values};
+use crate::frame::plane::{PLANES, Plane, Values};
 use crate::frame::{Annotations, Frame};
 use crate::gpu::{Gpu, Requested};
 use crate::params::config::Config;
 use crate::render::device::light_table::Transport;
+use crate::render::tiling::TileLimits;
 use crate::render::{LightingMode, RasterMode, RasterOptions, RenderSettings, Renderer};
 use crate::scene::Scene;
 
@@ -121,4 +122,91 @@ fn lighting_that_a_device_cannot_draw_is_refused() {
     assert!(refused(RasterMode::Host, LightingMode::OneDraw), "of samples from the host");
     assert!(!refused(RasterMode::Device, LightingMode::OneDraw));
     assert!(!refused(RasterMode::Host, LightingMode::Bins));
+}
+
+/// Three columns and several rows of tiles, with and without a lens.
+#[test]
+fn tiles_make_the_frame_that_is_drawn_whole() {
+    for mode in MODES {
+        let mut renderer = renderer(Requested::Offered, mode);
+        let whole = renderer.tile_limits;
+        let lens = ["camera.k1=-0.12", "camera.p1=0.004"];
+        let [nominal, surface] = scenes();
+        let distorted = scene(4, &[&["camera.pitch_deg=5"][..], &lens].concat());
+        for (scene, size, samples) in [
+            (&nominal, [101, 75], 4),
+            (&surface, [96, 70], 4),
+            (&distorted, [90, 61], 4),
+            (&surface, [48, 40], 16),
+        ] {
+            let settings = all_planes(size, samples);
+            renderer.tile_limits = whole;
+            let expected = frame(&mut renderer, scene, &settings);
+            let side_samples = size[0] * settings.samples_per_side / 2 - 3;
+            renderer.tile_limits = TileLimits { bytes: 400_000, side_samples };
+            let tiled = frame(&mut renderer, scene, &settings);
+            match mode {
+                RasterMode::Device => assert_close(&tiled, &expected, &format!("{size:?}")),
+                _ => assert_equal(&tiled, &expected, &format!("{size:?}")),
+            }
+        }
+    }
+}
+
+/// A device rounds the corners of triangles and what it interpolates relative to the tile: where the host rasterises every bit is that
+/// of the whole frame, else nearly every value.
+fn assert_close(tiled: &Frame, whole: &Frame, what: &str) {
+    let differing = |plane: Plane| {
+        let [tiled, whole] = [tiled, whole].map(|frame| bytes(frame.plane(plane)));
+        assert_eq!(tiled.len(), whole.len(), "{what}: {plane:?}");
+        tiled.iter().zip(whole).filter(|(tiled, whole)| tiled != whole).count()
+    };
+    let found =
+        [Plane::Class, Plane::Instances, Plane::Rgb, Plane::SunOcclusion, Plane::SampleCounts].map(differing);
+    let pixels = tiled.class.len();
+    let most = [pixels / 2000, pixels / 1000, pixels / 100, pixels / 200, pixels / 500];
+    let is_within = found.iter().zip(most).all(|(found, most)| *found <= most);
+    assert!(
+        is_within,
+        "{what}: {found:?} values of class, instance, colour, shadow and coverage, of {pixels} pixels"
+    );
+    let beyond =
+        tiled.rgb.iter().zip(&whole.rgb).filter(|(tiled, whole)| tiled.abs_diff(**whole) > 3).count();
+    assert!(beyond <= pixels / 1000, "{what}: {beyond} values of colour by more than 3 steps");
+}
+
+#[test]
+fn a_frame_beyond_the_guard_band_is_refused() {
+    let mut renderer = renderer(Requested::Offered, RasterMode::Host);
+    let [scene, _] = scenes();
+    let settings = RenderSettings::new([9000, 100], 16).expect("settings");
+    let error = renderer.render(&scene, &settings).expect_err("too large");
+    assert!(matches!(error, Error::SizeBeyondDevice { .. }), "{error}");
+    assert!(error.to_string().contains("36000 samples"), "{error}");
+}
+
+#[test]
+fn frames_of_two_sizes_in_turn_find_their_textures_again() {
+    for mode in MODES {
+        let mut renderer = renderer(Requested::Offered, mode);
+        let [scene, _] = scenes();
+        let settings = [all_planes([80, 64], 4), RenderSettings::new([48, 40], 4).expect("settings")];
+        let alone = settings.map(|settings| frame(&mut renderer, &scene, &settings));
+        let mut first = renderer.gbuffers.textures();
+        for _ in 0..2 {
+            for (settings, alone) in settings.iter().zip(&alone) {
+                assert_equal(&frame(&mut renderer, &scene, settings), alone, "again");
+            }
+        }
+        let mut later = renderer.gbuffers.textures();
+        assert_eq!((first.len(), renderer.slots.len()), (2, 2));
+        for list in [&mut first, &mut later] {
+            list.sort_by_key(wgpu::Texture::width);
+        }
+        assert!(first == later, "{mode}: textures were made again");
+        // They give way to what needs their room.
+        renderer.tile_limits.bytes = 2_000_000;
+        frame(&mut renderer, &scene, &all_planes([96, 80], 4));
+        assert_eq!(renderer.gbuffers.textures().len(), 2, "{mode}");
+    }
 }

@@ -6,7 +6,7 @@
 
 use std::sync::{Arc, Weak};
 
-use glam::Mat4;
+use glam::{Mat4, UVec2};
 
 use crate::class::ClassId;
 use crate::pool::PooledVec;
@@ -20,6 +20,7 @@ use crate::render::select::caster_grid::{CasterGrids, caster_grid};
 use crate::render::select::draw_list::DrawList;
 use crate::render::select::footprint::Footprint;
 use crate::render::select::selection::{Selection, Slots};
+use crate::render::select::tiles::{ImageTile, PixelRect};
 use crate::render::settings::RenderSettings;
 use crate::render::shadow::horizon::{self, HorizonMap};
 use crate::scene::Scene;
@@ -194,14 +195,13 @@ fn frame_uniforms(
     let (camera, sun) = (&scene.camera, &scene.sun);
     let [sun_right, sun_up] = sun.right_and_up();
     let clip_from_offset = camera.clip_from_world(settings.size) * Mat4::from_translation(camera.eye);
-    let packing = Packing::new(image_size, settings.annotations);
     let lens = camera.lens;
     let grids = CasterGrids::new(&scene.terrain);
     let photometry = &scene.photometry;
     let exitance = photometry.exitance(f64::from(sun.direction.z)) as f32;
     let mut levels = [HorizonLevel::default(); horizon::MAX_LEVELS];
     levels[..horizon.levels.len()].copy_from_slice(&horizon.levels);
-    FrameUniforms {
+    let uniforms = FrameUniforms {
         clip_from_offset,
         ray_from_sample: settings.rays(camera).map(|ray| ray.extend(0.0).into()),
         eye: camera.eye,
@@ -237,8 +237,32 @@ fn frame_uniforms(
         lens_k: [lens.k1 as f32, lens.k2 as f32, lens.k3 as f32],
         focal_samples: settings.focal_samples(camera),
         lens_p: glam::Vec2::new(lens.p1 as f32, lens.p2 as f32),
-        plane_offsets: packing.offsets(),
         horizon: levels,
+        ..Default::default()
+    };
+    let [image, rendered] = [image_size, settings.size].map(PixelRect::whole);
+    of_tile(&uniforms, ImageTile { image, rendered }, settings)
+}
+
+/// The uniforms for a tile of the image.
+pub(crate) fn of_tile(
+    uniforms: &FrameUniforms,
+    ImageTile { image, rendered }: ImageTile,
+    settings: &RenderSettings,
+) -> FrameUniforms {
+    let flat = |PixelRect { origin: [x, y], size: [width, height] }| [x, y, width, height];
+    // From the normalised device coordinates of the image to those of the tile; y points up.
+    let [whole, size, origin] =
+        [uniforms.render_size_px, rendered.size, rendered.origin].map(|v| v.map(f64::from));
+    let scale = [0, 1].map(|axis: usize| whole[axis] / size[axis]);
+    let shift = [0, 1].map(|axis: usize| (whole[axis] - size[axis] - 2.0 * origin[axis]) / size[axis]);
+    FrameUniforms {
+        image_tile: flat(image),
+        rendered_tile: flat(rendered),
+        tile_from_clip: [scale[0], shift[0], scale[1], -shift[1]].map(|number| number as f32),
+        first_sample: UVec2::from(rendered.samples(settings.samples_per_side).origin).as_vec2(),
+        plane_offsets: Packing::new(image.size, settings.annotations).offsets(),
+        ..*uniforms
     }
 }
 

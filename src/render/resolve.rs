@@ -1,6 +1,7 @@
 //! Resolve: from samples to pixels.
 //! Must not know: a scene.
 
+pub(crate) mod assemble;
 pub mod pass;
 mod tile_list;
 pub mod tone;

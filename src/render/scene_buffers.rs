@@ -6,7 +6,7 @@ use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 use crate::gpu::Gpu;
 use crate::gpu::growing_buffer::GrowingBuffer;
 use crate::render::device::bind_groups::{BindLayouts, bind_group, slot_stride};
-use crate::render::device::shader_structs::{Instance, ReliefUniforms};
+use crate::render::device::shader_structs::{FrameUniforms, Instance, ReliefUniforms};
 use crate::render::frame_plan::FramePlan;
 use crate::render::shadow::horizon::HorizonMap;
 use crate::render::visibility::meshes::Meshes;
@@ -51,7 +51,7 @@ impl Default for SceneBuffers {
 impl SceneBuffers {
     /// Writes a plan to the device and returns how many bytes that took.
     pub(crate) fn upload(&mut self, gpu: &Gpu, scene: &Scene, plan: &FramePlan, multi_draw: bool) -> u64 {
-        let mut bytes = self.frame.write(gpu, &[plan.uniforms]);
+        let mut bytes = self.upload_uniforms(gpu, &plan.uniforms);
         bytes += self.relief.write(gpu, &slots(&plan.bands.bands));
         bytes += self.instances.write(gpu, &slots(&plan.instances));
         bytes += self.caster_tiles.write(gpu, &plan.caster_tiles);
@@ -61,6 +61,11 @@ impl SceneBuffers {
             bytes += self.meshes.set_draws(gpu, &plan.draws.draws, multi_draw);
         }
         bytes + self.upload_horizon(gpu, &plan.horizon, plan.is_horizon_new)
+    }
+
+    /// Writes the uniforms of the frame, or of a tile, and returns how many bytes that took.
+    pub(crate) fn upload_uniforms(&mut self, gpu: &Gpu, uniforms: &FrameUniforms) -> u64 {
+        self.frame.write(gpu, &[*uniforms])
     }
 
     fn upload_horizon(&mut self, gpu: &Gpu, map: &HorizonMap, is_new: bool) -> u64 {

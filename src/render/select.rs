@@ -11,3 +11,4 @@ pub(crate) mod ground_blocks;
 pub mod near_plane;
 pub(crate) mod screen_bounds;
 pub mod selection;
+pub mod tiles;

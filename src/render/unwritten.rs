@@ -25,7 +25,7 @@ fn render_with(
     let request = FrameRequest::new(scene, &settings)?;
     let mut frame = renderer.prepare(scene, &request)?;
     fault(&mut frame.gbuffer);
-    let in_flight = renderer.submit_prepared(request, frame, Instant::now())?;
+    let in_flight = renderer.submit_prepared(scene, request, frame, Instant::now())?;
     Ok(renderer.finish(in_flight, scene)?.0)
 }
 

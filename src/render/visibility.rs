@@ -1,5 +1,5 @@
 //! Visibility: the nearest surface at each sample, written to the G-buffer by one of two backends with the same stages:
-//! `prepare`, `record`.
+//! `find`, then for each tile of the image `fill` and `record`.
 //! Must not know: how surfaces are shaded.
 
 mod device;
@@ -7,6 +7,7 @@ pub mod geometry;
 pub mod host;
 pub(crate) mod meshes;
 
+use std::ops::Range;
 use std::time::Instant;
 
 use wgpu::{TextureFormat, TextureUsages};
@@ -23,11 +24,12 @@ use crate::render::lighting::relief_bands::ReliefBands;
 use crate::render::select::draw_list::DrawBatch;
 use crate::render::select::screen_bounds::ScreenBounds;
 use crate::render::select::selection::Selection;
+use crate::render::select::tiles::PixelRect;
 use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
 use device::VisibilityPass;
 use geometry::VisibleTriangles;
-use host::ShadingBinMask;
+use host::{RowsPart, ShadingBinMask};
 use meshes::Meshes;
 
 /// Most bytes that are uploaded at once.
@@ -41,8 +43,6 @@ pub(crate) struct VisibilityInputs<'a> {
     pub(crate) selection: &'a Selection,
     pub(crate) caster_grid: &'a [u32],
     pub(crate) bands: &'a ReliefBands,
-    /// A batch for each shading bin, by bin.
-    pub(crate) batches: &'a [DrawBatch],
     /// Triangles are binned by what can shade them ([`crate::render::backend::RasterOptions`]).
     pub(crate) bin_by_shadow_sources: bool,
 }
@@ -86,29 +86,39 @@ impl VisibilityBackend {
         }
     }
 
-    /// Prepares everything for [`Self::record`], and sets the G-buffer's batches. Returns the bytes that were
-    /// uploaded.
+    /// Finds what may be visible in the image, for [`Self::fill`].
+    pub(crate) fn find(&mut self, gpu: &Gpu, layouts: &BindLayouts, inputs: VisibilityInputs<'_>) {
+        match self {
+            Self::Device(pass) => pass.prepare(gpu, layouts),
+            Self::Host(raster) => raster.find(inputs),
+        }
+    }
+
+    /// Prepares everything for [`Self::record`] of a rectangle of the image's samples, the G-buffer's, and sets the G-buffer's
+    /// batches. `batches` are those of the plan. Returns the bytes that were uploaded.
     ///
     /// # Errors
     /// [`crate::Error::DeviceLost`] or [`crate::Error::Device`].
-    pub(crate) fn prepare(
+    pub(crate) fn fill(
         &mut self,
         gpu: &Gpu,
-        layouts: &BindLayouts,
-        inputs: VisibilityInputs<'_>,
+        batches: &[DrawBatch],
+        samples: PixelRect,
         gbuffer: &mut GBuffer,
         staging: &mut Option<StagingBuffer>,
     ) -> Result<u64> {
+        gbuffer.batches = batches.to_vec();
         let bytes = match self {
-            Self::Device(pass) => {
-                pass.prepare(gpu, layouts);
-                gbuffer.batches = inputs.batches.to_vec();
+            Self::Device(_) => {
                 gbuffer.dome_stencil = None;
                 0
             }
-            Self::Host(raster) => raster.prepare(gpu, inputs, gbuffer, staging)?,
+            Self::Host(raster) => raster.fill(gpu, samples, gbuffer, staging)?,
         };
         gbuffer.batches.retain(|batch| batch.bounds != ScreenBounds::EMPTY);
+        for batch in &mut gbuffer.batches {
+            batch.bounds = batch.bounds.relative_to(samples.origin);
+        }
         Ok(bytes)
     }
 
@@ -156,31 +166,38 @@ impl VisibilityBackend {
 #[derive(Debug, Default)]
 pub(crate) struct VisibilityRaster {
     triangles: VisibleTriangles,
+    /// Columns and rows of samples of the image.
+    sample_size: [u32; 2],
     elapsed_ms: f64,
 }
 
 impl VisibilityRaster {
-    fn prepare(
+    fn find(&mut self, inputs: VisibilityInputs<'_>) {
+        let start = Instant::now();
+        let VisibilityInputs { scene, settings, selection, caster_grid, bands, .. } = inputs;
+        self.triangles.find(scene, selection, settings, caster_grid, bands, inputs.bin_by_shadow_sources);
+        self.sample_size = settings.sample_size();
+        self.elapsed_ms = milliseconds(start.elapsed());
+    }
+
+    fn fill(
         &mut self,
         gpu: &Gpu,
-        inputs: VisibilityInputs<'_>,
+        samples: PixelRect,
         gbuffer: &mut GBuffer,
         staging: &mut Option<StagingBuffer>,
     ) -> Result<u64> {
         let start = Instant::now();
-        let VisibilityInputs { scene, settings, selection, caster_grid, bands, .. } = inputs;
-        self.triangles.find(scene, selection, settings, caster_grid, bands, inputs.bin_by_shadow_sources);
         let bins = self.triangles.bins();
-        gbuffer.batches = inputs.batches.to_vec();
         for mesh in self.triangles.meshes() {
             for (bin, bounds) in mesh.bins.iter().zip(mesh.bounds) {
                 let batch = &mut gbuffer.batches[usize::from(bins.merge_bands(*bin))];
                 batch.bounds = batch.bounds.union(bounds);
             }
         }
-        let bytes = self.rasterise(gpu, gbuffer, staging)?;
+        let bytes = self.rasterise(gpu, samples, gbuffer, staging)?;
         gbuffer.dome_stencil = Some(bins.dome() + 1);
-        self.elapsed_ms = milliseconds(start.elapsed());
+        self.elapsed_ms += milliseconds(start.elapsed());
         Ok(bytes)
     }
 
@@ -188,43 +205,61 @@ impl VisibilityRaster {
     fn rasterise(
         &self,
         gpu: &Gpu,
+        samples: PixelRect,
         gbuffer: &mut GBuffer,
         staging: &mut Option<StagingBuffer>,
     ) -> Result<u64> {
-        let [width, height] = gbuffer.sample_size;
+        let [width, _] = samples.size;
         // Rows are shared out to threads, and so begin with pages.
-        let bytes_of = |format: TextureFormat| {
+        let bytes_of = |format: TextureFormat, width: u32| {
             (format.block_copy_size(None).unwrap_or(0) as usize * width as usize).next_multiple_of(PAGE_BYTES)
         };
-        let slopes_bytes = gbuffer.slopes.as_ref().map_or(0, |_| bytes_of(SLOPES_FORMAT));
-        let each_bytes = [bytes_of(VISIBILITY_FORMAT), slopes_bytes];
+        let each_bytes = |width: u32| {
+            let slopes_bytes = gbuffer.slopes.as_ref().map_or(0, |_| bytes_of(SLOPES_FORMAT, width));
+            [bytes_of(VISIBILITY_FORMAT, width), slopes_bytes]
+        };
+        // The image is divided into the same bands of rows whether it is drawn whole or in tiles: numbers are rounded relative to the
+        // first row of a band.
+        let [image_width, image_height] = self.sample_size;
+        let rows_at_once =
+            (STAGING_BYTES / each_bytes(image_width).iter().sum::<usize>() as u32).clamp(1, image_height);
+        let each_bytes = each_bytes(width);
         let row_bytes = each_bytes[0] + each_bytes[1];
-        let rows_at_once = (STAGING_BYTES / row_bytes as u32).clamp(1, height);
-        let staging =
-            StagingBuffer::with_capacity(staging, gpu, "gbuffer/staging", row_bytes * rows_at_once as usize)?;
+        let largest_part = rows_at_once.min(samples.size[1]) as usize * row_bytes;
+        let staging = StagingBuffer::with_capacity(staging, gpu, "gbuffer/staging", largest_part)?;
+        let [first_row, end_row] = [samples.origin[1], samples.origin[1] + samples.size[1]];
         // Rows that only the frame before covered are cleared.
-        let covered = self.triangles.surface_rows();
-        let before = std::mem::replace(&mut gbuffer.written_rows, covered.clone());
+        let within =
+            |rows: Range<u32>| rows.start.clamp(first_row, end_row)..rows.end.clamp(first_row, end_row);
+        let covered = within(self.triangles.surface_rows());
+        let before =
+            std::mem::replace(&mut gbuffer.written_rows, covered.start - first_row..covered.end - first_row);
+        let before = first_row + before.start..first_row + before.end;
         let written = [covered, before].into_iter().filter(|rows| !rows.is_empty());
         let written = written.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end)).unwrap_or(0..0);
         let mut stencil = ShadingBinMask { values: gbuffer.host_stencil.take().unwrap_or_default() };
         stencil.restart(gbuffer.sample_size);
-        for first in (0..height).step_by(rows_at_once as usize) {
-            let rows = first..height.min(first + rows_at_once);
+        for first in (0..image_height).step_by(rows_at_once as usize) {
+            let rows = first..image_height.min(first + rows_at_once);
+            if rows.end <= first_row || rows.start >= end_row {
+                continue;
+            }
             let uploaded = written.start.max(rows.start)..written.end.min(rows.end);
+            let part =
+                RowsPart { image_width: image_width as usize, samples, rows, uploaded: uploaded.clone() };
             let mut draw = |pages: &mut dyn Iterator<Item = Page<'_>>| {
-                stencil.draw(&self.triangles, width as usize, &rows, &uploaded, (pages, each_bytes));
+                stencil.draw(&self.triangles, &part, (pages, each_bytes));
             };
             if uploaded.is_empty() {
                 draw(&mut std::iter::empty());
                 continue;
             }
             staging.write(gpu, draw)?;
-            let size = [width, uploaded.len() as u32];
-            let part = TextureRegion { offset_bytes: 0, row_bytes, origin: [0, uploaded.start], size };
-            staging.copy_to(gpu, &gbuffer.visibility.0, &[part])?;
+            let (origin, size) = ([0, uploaded.start - first_row], [width, uploaded.len() as u32]);
+            let region = TextureRegion { offset_bytes: 0, row_bytes, origin, size };
+            staging.copy_to(gpu, &gbuffer.visibility.0, &[region])?;
             if let Some((slopes, _)) = &gbuffer.slopes {
-                staging.copy_to(gpu, slopes, &[TextureRegion { offset_bytes: each_bytes[0], ..part }])?;
+                staging.copy_to(gpu, slopes, &[TextureRegion { offset_bytes: each_bytes[0], ..region }])?;
             }
         }
         gpu.guard(|| gpu.write_texels(&gbuffer.depth_stencil.0, gbuffer.sample_size, &stencil.values))?;

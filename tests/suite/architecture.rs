@@ -77,7 +77,7 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
     (
         "gpu",
         &[
-            &["memory_limits", "processor"],
+            &["memory_limits", "platform", "processor"],
             &["adapter", "pipeline_cache"],
             &[SELF],
             &["growing_buffer", "readback", "staging", "survey"],
@@ -91,10 +91,10 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
             &["lighting"],
             &["resolve", "visibility"],
             &["post", "shadow"],
-            &["frame_plan"],
-            &["scene_buffers"],
+            &["frame_packet", "frame_plan"],
+            &["raw_frame", "scene_buffers", "slots", "tiling"],
             &[SELF],
-            &["fallbacks"],
+            &["fallbacks", "unwritten"],
         ],
     ),
     ("output", &[&["artifact", "dataset_path", "edges", "label_ids"], &["disk", "encode"], &["layout"]]),

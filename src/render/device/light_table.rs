@@ -41,13 +41,14 @@ const fn row(name: &'static str, kind: LightType, source: &'static str) -> Light
 }
 
 /// Every light number.
-static LIGHT_TABLE: [LightNumber; 36] = {
+static LIGHT_TABLE: [LightNumber; 37] = {
     use LightType::{F32, Uint, Vec2, Vec3};
     [
         row("eye", Vec3, "frame.eye"),
         row("ray_origin", Vec3, "frame.ray_from_sample[0].xyz"),
         row("ray_per_column", Vec3, "frame.ray_from_sample[1].xyz"),
         row("ray_per_row", Vec3, "frame.ray_from_sample[2].xyz"),
+        row("first_sample", Vec2, "frame.first_sample"),
         row("sun_direction", Vec3, "frame.sun_direction"),
         row("sun_right", Vec3, "frame.sun_right"),
         row("sun_up", Vec3, "frame.sun_up"),

@@ -64,6 +64,11 @@ shader_struct! {
         hapke_c: f32,
         hapke_h_s: f32,
         hapke_tan_theta_bar: f32,
+        image_tile: [u32; 4],
+        rendered_tile: [u32; 4],
+        tile_from_clip: [f32; 4],
+        first_sample: Vec2,
+        reserved: [u32; 2],
         plane_offsets: [[u32; 4]; 2],
         horizon: [HorizonLevel; 12],
     }

@@ -5,10 +5,8 @@ use std::ops::Range;
 
 use wgpu::{TextureFormat, TextureUsages};
 
-use crate::error::{Error, Result};
 use crate::frame::Annotations;
 use crate::gpu::Gpu;
-use crate::render::device::packing::Packing;
 use crate::render::device::planes::SAMPLE_PLANES;
 use crate::render::select::draw_list::DrawBatch;
 use crate::render::settings::RenderSettings;
@@ -33,6 +31,22 @@ pub struct GBufferLayout {
 }
 
 impl GBufferLayout {
+    /// Bytes of a sample in all textures of a G-buffer with these annotations.
+    #[must_use]
+    pub fn bytes_per_sample(&self, annotations: Annotations) -> u64 {
+        let planes =
+            SAMPLE_PLANES.iter().filter(|row| row.plane.is_needed(annotations)).map(|row| row.format);
+        let slopes = self.has_slopes.then_some(SLOPES_FORMAT);
+        let copied = planes.chain([VISIBILITY_FORMAT]).chain(slopes);
+        let copied: u64 = copied.map(|format| u64::from(format.block_copy_size(None).unwrap_or(0))).sum();
+        let depth_stencil = match self.depth_stencil_format {
+            TextureFormat::Stencil8 => 1,
+            TextureFormat::Depth32Float => 4,
+            _ => 8,
+        };
+        copied + depth_stencil
+    }
+
     /// The format with the stencil that selects samples, if there is one.
     #[must_use]
     pub fn stencil_format(&self) -> Option<TextureFormat> {
@@ -69,22 +83,21 @@ pub struct GBuffer {
     pub batches: Vec<DrawBatch>,
     /// Value in the host's stencil of the samples of the sky's dome, which all have the same values in every plane.
     pub dome_stencil: Option<u8>,
+    /// A lens distorts the image: the samples are those of the image before.
+    pub is_distorted: bool,
     /// Bound where there are no slopes.
     no_slopes: wgpu::TextureView,
 }
 
 impl GBuffer {
-    /// Textures for an image with these settings.
-    ///
-    /// # Errors
-    /// [`Error::SizeBeyondDevice`].
-    pub fn new(gpu: &Gpu, settings: &RenderSettings, layout: GBufferLayout) -> Result<Self> {
+    /// Textures for an image, or for a tile of one, with these settings. It must be within the device's limits.
+    #[must_use]
+    pub fn new(gpu: &Gpu, settings: &RenderSettings, layout: GBufferLayout) -> Self {
         let &RenderSettings { size, samples_per_side, annotations, .. } = settings;
-        check_limits(gpu, settings)?;
         let sample_size = settings.sample_size();
         let drawn = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
         let uploaded = TextureUsages::COPY_DST | TextureUsages::TEXTURE_BINDING;
-        Ok(Self {
+        Self {
             size,
             samples_per_side,
             sample_size,
@@ -113,8 +126,15 @@ impl GBuffer {
             written_rows: 0..0,
             batches: Vec::new(),
             dome_stencil: None,
+            is_distorted: false,
             no_slopes: gpu.texture("gbuffer/no_slopes", [1, 1], SLOPES_FORMAT, uploaded).1,
-        })
+        }
+    }
+
+    /// Bytes of its textures.
+    fn bytes(&self) -> u64 {
+        self.sample_size.map(u64::from).iter().product::<u64>()
+            * self.layout.bytes_per_sample(self.annotations)
     }
 
     /// Whether it serves these settings.
@@ -131,28 +151,42 @@ impl GBuffer {
     }
 }
 
-fn check_limits(gpu: &Gpu, settings: &RenderSettings) -> Result<()> {
-    let &RenderSettings { size, samples_per_side, annotations, .. } = settings;
-    let limits = gpu.device.limits();
-    let [width, height] = size;
-    let too_large = |needed: String, limit: String| Error::SizeBeyondDevice {
-        width,
-        height,
-        samples: samples_per_side * samples_per_side,
-        needed,
-        limit,
-        adapter: gpu.info.name.clone(),
-    };
-    let side_px = u64::from(width.max(height)) * u64::from(samples_per_side);
-    if side_px > u64::from(limits.max_texture_dimension_2d) {
-        let limit = format!("{} px", limits.max_texture_dimension_2d);
-        return Err(too_large(format!("a target with a side of {side_px} px"), limit));
+/// The G-buffers of the last frames: where sizes alternate, none is made again for each frame.
+#[derive(Debug, Default)]
+pub(crate) struct GBufferPool {
+    /// Those that are not in use, the oldest first.
+    kept: Vec<GBuffer>,
+}
+
+impl GBufferPool {
+    /// A G-buffer that serves these settings: a kept one, or a new one in place of the oldest if all would take more than `max_bytes`.
+    pub(crate) fn take(
+        &mut self,
+        gpu: &Gpu,
+        settings: &RenderSettings,
+        layout: GBufferLayout,
+        max_bytes: u64,
+    ) -> GBuffer {
+        if let Some(index) = self.kept.iter().position(|kept| kept.serves(settings, layout)) {
+            return self.kept.remove(index);
+        }
+        let samples: u64 = settings.sample_size().map(u64::from).iter().product();
+        let needed = samples * layout.bytes_per_sample(settings.annotations);
+        while !self.kept.is_empty() && needed + self.kept.iter().map(GBuffer::bytes).sum::<u64>() > max_bytes
+        {
+            self.kept.remove(0);
+        }
+        GBuffer::new(gpu, settings, layout)
     }
-    let packed_bytes = Packing::new(size, annotations).bytes();
-    if packed_bytes > limits.max_storage_buffer_binding_size {
-        let mebibytes = |bytes: u64| format!("{} MiB", bytes.div_ceil(1 << 20));
-        let limit = mebibytes(limits.max_storage_buffer_binding_size);
-        return Err(too_large(format!("{} in one buffer", mebibytes(packed_bytes)), limit));
+
+    /// Keeps one for later frames. Those that the device still reads may be taken: it works in order.
+    pub(crate) fn keep(&mut self, gbuffer: GBuffer) {
+        self.kept.push(gbuffer);
     }
-    Ok(())
+
+    /// The visibility textures of those that are kept.
+    #[cfg(test)]
+    pub(crate) fn textures(&self) -> Vec<wgpu::Texture> {
+        self.kept.iter().map(|kept| kept.visibility.0.clone()).collect()
+    }
 }

@@ -38,10 +38,10 @@ pub struct Variant {
 }
 
 impl Variant {
-    /// For an image of this size from the samples of a G-buffer, which is larger where a lens distorts the image.
+    /// For an image from the samples of a G-buffer.
     #[must_use]
-    pub fn new(gbuffer: &GBuffer, image_size: [u32; 2]) -> Self {
-        let has_lens_distortion = gbuffer.size != image_size;
+    pub fn new(gbuffer: &GBuffer) -> Self {
+        let has_lens_distortion = gbuffer.is_distorted;
         Self {
             samples_per_side: gbuffer.samples_per_side,
             has_annotations: gbuffer.annotations != Annotations::default(),
@@ -106,7 +106,7 @@ impl ResolvePass {
             label: Some("resolve"),
             timestamp_writes: timestamps,
         });
-        let variant = Variant::new(gbuffer, packed.size);
+        let variant = Variant::new(gbuffer);
         let pipeline = self.pipelines.iter().find(|(compiled, _)| *compiled == variant);
         pass.set_pipeline(&pipeline.expect("a pipeline is prepared before it is used").1);
         pass.set_bind_group(0, frame_group, &[]);
@@ -169,7 +169,7 @@ impl PackedFrame {
     /// Lists the tiles to resolve: all of them, unless the host knows the stencil of an undistorted image. Returns the bytes that
     /// were uploaded.
     pub fn choose(&mut self, gpu: &Gpu, gbuffer: &GBuffer) -> u64 {
-        let uses_tile_list = Variant::new(gbuffer, self.size).uses_tile_list;
+        let uses_tile_list = Variant::new(gbuffer).uses_tile_list;
         let sky = gbuffer.host_stencil.as_deref().zip(gbuffer.dome_stencil);
         let sky = sky.map(|(stencil, dome)| SkyStencil {
             stencil,

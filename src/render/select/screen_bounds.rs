@@ -50,6 +50,13 @@ impl ScreenBounds {
         Self { low: self.low.min(other.low), high: self.high.max(other.high) }
     }
 
+    /// The same bounds in coordinates that count from this sample.
+    #[must_use]
+    pub fn relative_to(self, first_sample: [u32; 2]) -> Self {
+        let first = UVec2::from(first_sample).as_vec2();
+        Self { low: self.low - first, high: self.high - first }
+    }
+
     /// Left, top, width and height of the scissor rectangle for a target of this many samples, with a margin of one sample.
     #[must_use]
     pub fn scissor_rect(self, sample_size: [u32; 2]) -> [u32; 4] {

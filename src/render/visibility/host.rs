@@ -20,6 +20,7 @@ use crate::render::raster::lanes::{
 };
 use crate::render::raster::setup::{Interpolant, TriangleSetup};
 use crate::render::raster::setup8::{TriangleSetup8, TriangleVertices8};
+use crate::render::select::tiles::PixelRect;
 use crate::render::visibility::geometry::{ScreenMesh, ScreenTriangle, VisibleTriangles};
 
 /// Rows of a band.
@@ -40,13 +41,46 @@ pub struct ShadingBinMask {
     pub values: Vec<u8>,
 }
 
+/// Rows that are rasterised at once.
+#[derive(Clone, Debug)]
+pub struct RowsPart {
+    /// Columns of the image's samples.
+    pub image_width: usize,
+    /// The samples of the image that are kept: those of a tile.
+    pub samples: PixelRect,
+    /// Rows that are divided into bands; those beside the tile are left out.
+    pub rows: Range<u32>,
+    /// Those of its rows in the tile that are uploaded.
+    pub uploaded: Range<u32>,
+}
+
 /// A band of rows that one thread rasterises.
 struct BandJob<'a> {
     rows: Range<usize>,
+    /// Those of its rows that are kept, and their mask.
+    kept: Range<usize>,
     mask: &'a mut [u8],
     /// Those of its rows that are uploaded, and the memory that they are written to.
     uploaded: Range<usize>,
     pages: Vec<Page<'a>>,
+}
+
+/// What the bands of a part have in common.
+#[derive(Clone, Copy)]
+struct BandTarget<'a> {
+    triangles: &'a VisibleTriangles,
+    /// Columns of the image's samples.
+    image_width: usize,
+    /// First and end of the columns that are kept.
+    columns: [usize; 2],
+    /// Bytes of a row of the visibility buffer and of the slopes.
+    row_bytes: [usize; 2],
+}
+
+/// The rows that are in both.
+fn intersection(a: &Range<usize>, b: &Range<usize>) -> Range<usize> {
+    let start = a.start.max(b.start);
+    start..a.end.min(b.end).max(start)
 }
 
 impl ShadingBinMask {
@@ -55,31 +89,42 @@ impl ShadingBinMask {
         self.values.resize(width as usize * height as usize, 0);
     }
 
-    /// Rasterises these rows of samples. The rows among them that are `uploaded` are written to `pages`: the G-buffer row as
+    /// Rasterises the rows of a part that lie in its tile. Those that are uploaded are written to `pages`: the G-buffer row as
     /// `visibility.wgsl` writes it, then the slopes of the ground if there are any, `row_bytes` of each.
     pub fn draw(
         &mut self,
         triangles: &VisibleTriangles,
-        width: usize,
-        rows: &Range<u32>,
-        uploaded: &Range<u32>,
+        part: &RowsPart,
         (pages, row_bytes): (&mut dyn Iterator<Item = Page<'_>>, [usize; 2]),
     ) {
+        let range = |first: u32, count: u32| first as usize..(first + count) as usize;
+        let (rows, uploaded) = (&part.rows, &part.uploaded);
         let [rows, uploaded] = [rows, uploaded].map(|rows| rows.start as usize..rows.end as usize);
-        let mask = &mut self.values[rows.start * width..rows.end * width];
-        let bands = rows.step_by(BAND_ROWS).zip(mask.chunks_mut(BAND_ROWS * width));
+        let PixelRect { origin: [left, top], size: [width, height] } = part.samples;
+        let (columns, tile_rows) = (range(left, width), range(top, height));
+        let width = columns.len();
+        let drawn = intersection(&rows, &tile_rows);
+        let mut mask = &mut self.values[(drawn.start - tile_rows.start) * width..][..drawn.len() * width];
+        let bands = rows.clone().step_by(BAND_ROWS).map(|first| first..rows.end.min(first + BAND_ROWS));
         let jobs: Vec<_> = bands
-            .map(|(first, mask)| {
-                let rows = first..first + mask.len() / width;
-                let uploaded = rows.start.max(uploaded.start)..rows.end.min(uploaded.end);
+            .filter_map(|rows| {
+                let kept = intersection(&rows, &tile_rows);
+                let uploaded = intersection(&kept, &uploaded);
+                let of_band = mask.split_off_mut(..kept.len() * width)?;
                 let pages = pages.take(uploaded.len() * (row_bytes[0] + row_bytes[1]) / PAGE_BYTES).collect();
-                BandJob { rows, mask, uploaded, pages }
+                (!kept.is_empty()).then_some(BandJob { rows, kept, mask: of_band, uploaded, pages })
             })
             .collect();
+        let target = BandTarget {
+            triangles,
+            image_width: part.image_width,
+            columns: [columns.start, columns.end],
+            row_bytes,
+        };
         // One job at a time per thread: their costs differ widely.
         jobs.into_par_iter()
             .with_max_len(1)
-            .for_each(|job| BAND.with_borrow_mut(|band| band.run(job, triangles, width, row_bytes)));
+            .for_each(|job| BAND.with_borrow_mut(|band| band.run(job, target)));
     }
 }
 
@@ -113,29 +158,32 @@ struct Row<'a> {
 
 impl GBufferBand {
     /// Rasterises a band and writes its mask and its uploaded rows.
-    fn run(&mut self, job: BandJob<'_>, triangles: &VisibleTriangles, width: usize, row_bytes: [usize; 2]) {
-        let BandJob { rows, mask, uploaded, pages } = job;
+    fn run(&mut self, job: BandJob<'_>, target: BandTarget<'_>) {
+        let BandJob { rows, kept, mask, uploaded, pages } = job;
+        let BandTarget { triangles, image_width, columns: [left, right], row_bytes } = target;
         let bins = triangles.bins();
-        self.clear(width, rows.len());
+        self.clear(image_width, rows.len());
         let raster_rows = rows.start as i32..rows.end as i32;
         dispatch!(Level::new(), simd => {
-            self.rasterise(simd, triangles.meshes(), bins, width, &raster_rows);
+            self.rasterise(simd, triangles.meshes(), bins, image_width, &raster_rows);
         });
-        for (row, mask) in mask.chunks_exact_mut(width).enumerate() {
-            dispatch!(Level::new(), _simd => self.row(row, width).write_mask(bins, mask));
+        for (number, mask) in kept.zip(mask.chunks_exact_mut(right - left)) {
+            let row = self.row(number - rows.start, left..right);
+            dispatch!(Level::new(), _simd => row.write_mask(bins, mask));
         }
         let mut packed_row = std::mem::take(&mut self.packed_row);
         let mut slopes_row = std::mem::take(&mut self.slopes_row);
-        packed_row.resize(width, [0; 4]);
-        slopes_row.resize(width, [0.0; 2]);
+        packed_row.resize(right - left, [0; 4]);
+        slopes_row.resize(image_width, [0.0; 2]);
         let mut writer = PageWriter::new(pages);
         for number in uploaded {
-            let row = self.row(number - rows.start, width);
+            let row = self.row(number - rows.start, left..right);
             dispatch!(Level::new(), _simd => row.pack(bins, &mut packed_row));
             writer.write_row(bytemuck::cast_slice(&packed_row), row_bytes[0]);
             if let Some(slopes) = triangles.slopes() {
+                let row = self.row(number - rows.start, 0..image_width);
                 slopes.set_row(number, &row.for_slopes(), &mut slopes_row);
-                writer.write_row(bytemuck::cast_slice(&slopes_row), row_bytes[1]);
+                writer.write_row(bytemuck::cast_slice(&slopes_row[left..right]), row_bytes[1]);
             }
         }
         (self.packed_row, self.slopes_row) = (packed_row, slopes_row);
@@ -239,8 +287,9 @@ impl GBufferBand {
         GBufferWriter { band: self, inverse_w, normal, face_normal: triangle.face_normal, bin_and_slot }
     }
 
-    fn row(&self, row: usize, width: usize) -> Row<'_> {
-        let range = row * self.stride..row * self.stride + width;
+    /// These columns of a row.
+    fn row(&self, row: usize, columns: Range<usize>) -> Row<'_> {
+        let range = row * self.stride + columns.start..row * self.stride + columns.end;
         Row {
             inverse_w: &self.inverse_w[range.clone()],
             normal_x: &self.normal_x[range.clone()],
