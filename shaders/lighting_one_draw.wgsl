@@ -10,7 +10,7 @@ const DETAIL_EMISSIVE: u32 = 4u;
 fn fs_main(in: LightVaryings) -> LightingOutput {
     light = light_from(in);
     let position = in.position.xy;
-    // No surface is in slot 0 with an inverse depth of 0: nothing was drawn here, and the planes keep their clear values.
+    // No surface is in slot 0 with an inverse depth of 0: no draw wrote the sample, and the planes keep their clear values.
     if all(textureLoad(visibility_buffer, vec2<i32>(position), 0) == vec4(0u)) { discard; }
     let surface = surface_at(position);
     let instance = instances[surface.slot].instance;

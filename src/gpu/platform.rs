@@ -23,7 +23,7 @@ const METAL: BackendNames = (Backends::METAL, &["metal", "mtl"]);
 const DX12: BackendNames = (Backends::DX12, &["dx12", "d3d12"]);
 
 impl Platform {
-    /// The one that this program is compiled for.
+    /// The one that `regolith-render` is compiled for.
     pub(super) const HERE: Self = if cfg!(target_os = "macos") {
         Self::MacOs
     } else if cfg!(windows) {

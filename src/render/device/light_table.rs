@@ -94,7 +94,7 @@ pub(crate) enum Transport {
 }
 
 impl Transport {
-    /// That of a device: varyings on a software adapter, if it can pass so many from stage to stage.
+    /// That of a device: varyings on a software adapter, if it can pass them all from stage to stage.
     #[must_use]
     pub(crate) fn of(gpu: &Gpu) -> Self {
         let limit = gpu.device.limits().max_inter_stage_shader_variables;
