@@ -79,7 +79,7 @@ fn frame_plan(c: &mut Criterion) {
     let selection = Selection::new(&scene, &settings);
     let footprint = Footprint::new(&scene, &selection);
     let mut horizon = HorizonMap::default();
-    horizon.update(&scene.terrain, &scene.sun, &footprint);
+    horizon.compute(&scene.terrain, &scene.sun, &footprint);
     let grid = caster_grid(&scene, &selection.casters, horizon.shadowed_ground(), &footprint);
     let bands = ReliefBands::new(&scene, &selection, &settings);
     let (mut visible, mut stencil) = (VisibleTriangles::default(), ShadingBinMask::default());
@@ -92,7 +92,7 @@ fn frame_plan(c: &mut Criterion) {
     group.bench_function("horizon_map", |b| {
         // The map is computed again only when the sun has moved.
         let (mut map, mut suns) = (HorizonMap::default(), [&scene.sun, &later.sun].into_iter().cycle());
-        b.iter(|| map.update(&scene.terrain, black_box(suns.next().unwrap_or(&scene.sun)), &footprint));
+        b.iter(|| map.compute(&scene.terrain, black_box(suns.next().unwrap_or(&scene.sun)), &footprint));
     });
     group.throughput(Throughput::Elements(selection.casters.len() as u64));
     group.bench_function("caster_grid", |b| {

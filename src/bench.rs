@@ -1,7 +1,8 @@
 //! Frame throughput, case by case, with the time of each stage.
 //!
 //! A frame is timed from the end of the frame before it until it is read back, after a warm-up; the median is reported.
-//! Stages of several frames overlap, so their times need not add up to that of a frame.
+//! Stages of several frames overlap, so their times need not add up to that of a frame. The time of the host is that of the program's
+//! own threads on a processor, without the threads of the driver.
 //! Must not know: the command line.
 //! To add a case: a variant of [`Case`] with its arm in [`run`].
 
@@ -16,6 +17,7 @@ use serde_json::{Map, Value, json};
 use crate::dataset::plan::{Plan, frame_seed};
 use crate::dataset::{self, Concurrency};
 use crate::error::{Error, Result};
+use crate::host_time;
 use crate::output::disk;
 use crate::params::Knob;
 use crate::render::{Renderer, StageTimes, select::selection};
@@ -64,6 +66,9 @@ pub struct Measured {
     pub frames_ms: Vec<f64>,
     /// Milliseconds from the start of the first frame to the end of the last.
     pub total_ms: f64,
+    /// Processor time of the program's own threads from the start of the first frame to the end of the last, milliseconds; `None`
+    /// where the system does not report it.
+    pub host_total_ms: Option<f64>,
     /// Milliseconds of work by stage, of each frame.
     pub stages: Vec<StageTimes>,
     /// Triangles drawn for visibility, of each frame.
@@ -92,6 +97,12 @@ impl Measured {
         1e3 * self.frames_ms.len() as f64 / self.total_ms.max(1e-9)
     }
 
+    /// Mean processor time of the program's own threads for a frame, milliseconds.
+    #[must_use]
+    pub fn host_ms(&self) -> Option<f64> {
+        self.host_total_ms.map(|ms| ms / self.frames_ms.len().max(1) as f64)
+    }
+
     /// Median milliseconds of each stage, in the order of execution.
     #[must_use]
     pub fn stage_ms(&self) -> StageTimes {
@@ -117,6 +128,7 @@ impl Measured {
             "median_ms": quantile(&self.frames_ms, 0.5),
             "p95_ms": quantile(&self.frames_ms, 0.95),
             "frames_per_second": self.frames_per_second(),
+            "host_ms": self.host_ms(),
             "stage_ms": stages,
             "triangles": quantile(&self.triangles, 0.5) as u64,
             "upload_bytes": quantile(&self.upload_bytes, 0.5) as u64,
@@ -143,6 +155,8 @@ pub struct Setup {
 /// # Errors
 /// Those of rendering and writing; [`Error::Stopped`].
 pub fn run(case: Case, setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Measured> {
+    let _registration = host_time::register();
+    let _pool = rayon::broadcast(|_| host_time::register());
     match case {
         Case::Camera => moving(setup, true, renderer),
         Case::StaticSun => moving(setup, false, renderer),
@@ -155,6 +169,25 @@ const fn stopped(done: u64, wanted: u64) -> Error {
     Error::Stopped { done, wanted, remedy: "A measurement cannot be resumed; run it again" }
 }
 
+/// Starts the measurement of a case.
+#[derive(Clone, Copy)]
+struct Start {
+    at: Instant,
+    host_ms: Option<f64>,
+}
+
+impl Start {
+    fn now() -> Self {
+        Self { at: Instant::now(), host_ms: host_time::total_ms() }
+    }
+
+    /// Sets the times from the start to now.
+    fn end(self, measured: &mut Measured) {
+        measured.total_ms = self.at.elapsed().as_secs_f64() * 1e3;
+        measured.host_total_ms = host_time::total_ms().zip(self.host_ms).map(|(end, start)| end - start);
+    }
+}
+
 /// Renders the scenes that `next` returns, several frames in flight. `next` gets the index of a frame and returns its scene with
 /// the times that building it took.
 fn measure(
@@ -165,7 +198,7 @@ fn measure(
     let Setup { plan, concurrency, frames, stop } = setup;
     let mut measured = Measured::default();
     let mut queue = VecDeque::new();
-    let (mut start, mut last) = (Instant::now(), Instant::now());
+    let (mut start, mut last) = (Start::now(), Instant::now());
     let total = WARM_UP + frames;
     let (mut submitted, mut finished) = (0, 0);
     while finished < total {
@@ -189,11 +222,11 @@ fn measure(
             finished += 1;
             if finished == WARM_UP {
                 measured = Measured::default();
-                start = last;
+                start = Start::now();
             }
         }
     }
-    measured.total_ms = start.elapsed().as_secs_f64() * 1e3;
+    start.end(&mut measured);
     Ok(measured)
 }
 
@@ -246,7 +279,7 @@ fn scenes(setup: &Setup, renderer: &mut Renderer) -> Result<Measured> {
 fn dataset(setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Measured> {
     let mut measured = Measured::default();
     let mut files = disk::FileWriter::new(folder, "bench");
-    let (mut start, mut last, mut done) = (Instant::now(), Instant::now(), 0);
+    let (mut start, mut last, mut done) = (Start::now(), Instant::now(), 0);
     let indices = 0..WARM_UP + setup.frames;
     dataset::render_frames(&setup.plan, renderer, indices, setup.concurrency, &setup.stop, |frame| {
         files.write_all(&frame.files.artifacts)?;
@@ -255,7 +288,7 @@ fn dataset(setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Meas
         }
         done += 1;
         if done <= WARM_UP {
-            start = Instant::now();
+            start = Start::now();
         } else {
             measured.frames_ms.push(last.elapsed().as_secs_f64() * 1e3);
             measured.stages.push(frame.times);
@@ -269,7 +302,7 @@ fn dataset(setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Meas
     if setup.stop.load(Ordering::Relaxed) {
         return Err(stopped(done, WARM_UP + setup.frames));
     }
-    measured.total_ms = start.elapsed().as_secs_f64() * 1e3;
+    start.end(&mut measured);
     Ok(measured)
 }
 
@@ -396,7 +429,7 @@ pub fn sweep(name: &str, setup: &Setup) -> Result<(&'static str, Vec<(f64, Setup
                     Ok(())
                 })?;
             }
-            "threads that build scenes and encode"
+            "worker threads"
         }
     };
     Ok((axis, setups))

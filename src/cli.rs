@@ -63,6 +63,9 @@ enum Command {
     /// Make a labelled dataset: randomised frames, checked, resumable, each reproducible from its index
     Dataset(Box<dataset::DatasetArgs>),
     /// Measure frame throughput by case and stage, as a table or as JSON
+    ///
+    /// The column "host ms" (host_ms in JSON) is the processor time of the program's own threads for a frame, where the system reports
+    /// it (Linux does): without that of a driver's threads, with that of its calls.
     Bench(Box<bench::BenchArgs>),
     /// Check a dataset: files, hashes, masks, statistics, some frames rendered again; exit status 1 if a check fails
     Verify(verify::VerifyArgs),

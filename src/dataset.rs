@@ -1,9 +1,12 @@
 //! Thousands of checked frames in a folder that survives interruption at any moment.
 //!
-//! Threads build scenes, one thread renders, others encode and write; every queue between them is bounded:
+//! Workers build scenes and plan frames, one thread renders them, and the workers post-process and encode; a frame that breaks a rule
+//! goes back to them:
 //!
 //! ```text
-//! indices -> scenes (threads) -> frames (one device) -> files (threads) -> line of frames.jsonl
+//! indices -> packets (workers) -> frames (one device) -> files (workers) -> line of frames.jsonl
+//!               ^                                           |
+//!               +---------------- redraws ------------------+
 //! ```
 //!
 //! [`plan`] says what frame i is, [`rules`] which frames are accepted, [`pipeline`] renders them, [`log`] knows which are
@@ -31,6 +34,7 @@ pub mod rules;
 pub mod run;
 pub mod totals;
 pub mod verify;
+mod work_queue;
 
 pub use pipeline::{Concurrency, render_frames};
 pub use run::{Progress, run, stream};

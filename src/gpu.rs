@@ -15,6 +15,7 @@ pub mod staging;
 pub mod survey;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -63,6 +64,7 @@ pub struct Gpu {
     pub capabilities: Capabilities,
     pipeline_cache: Option<PipelineCache>,
     pending_error: Arc<Mutex<Option<Error>>>,
+    waits: AtomicU64,
 }
 
 impl Gpu {
@@ -144,7 +146,15 @@ impl Gpu {
             depth_stencil: device.features().contains(Features::DEPTH32FLOAT_STENCIL8),
         };
         let pipeline_cache = PipelineCache::new(&device, &info, load);
-        Ok(Self { device, queue, info, capabilities, pipeline_cache, pending_error })
+        Ok(Self {
+            device,
+            queue,
+            info,
+            capabilities,
+            pipeline_cache,
+            pending_error,
+            waits: AtomicU64::new(0),
+        })
     }
 
     /// The cache to create pipelines with.
@@ -182,11 +192,18 @@ impl Gpu {
     /// # Errors
     /// Those of [`Self::check`]; [`Error::DeviceLost`] also when the device does not answer for minutes.
     pub fn wait(&self, submission: &wgpu::SubmissionIndex) -> Result<()> {
+        self.waits.fetch_add(1, Ordering::Relaxed);
         let submission_index = Some(submission.clone());
         let poll = wgpu::PollType::Wait { submission_index, timeout: Some(FRAME_TIMEOUT) };
         let outcome = self.guard(|| self.device.poll(poll))?;
         self.check()?;
         outcome.map(|_| ()).map_err(|e| Error::DeviceLost(e.to_string()))
+    }
+
+    /// Number of calls of [`Self::wait`] so far: each polls the device once.
+    #[must_use]
+    pub fn waits(&self) -> u64 {
+        self.waits.load(Ordering::Relaxed)
     }
 
     /// Runs `work`, in which wgpu may panic if the device is lost, and returns such a panic as an error.

@@ -33,6 +33,7 @@ pub mod error;
 pub mod export;
 pub mod frame;
 pub mod gpu;
+pub mod host_time;
 pub mod input;
 pub mod lens;
 pub mod meta;

@@ -1,8 +1,9 @@
 //! From a scene to a frame.
 //!
-//! A frame is planned (`frame_plan`), uploaded (`scene_buffers`), recorded (`Renderer::record_frame`: shadows, visibility,
-//! lighting, resolve, readback, in one function), and post-processed (`post`). Whether the device or the host rasterises shadows
-//! and visibility is chosen once, in [`Renderer::with_raster`].
+//! A frame is planned (`frame_packet`), uploaded (`scene_buffers`), recorded (`Renderer::record_frame`: shadows, visibility,
+//! lighting, resolve, readback, in one function), and post-processed (`raw_frame`). The first and the last step need no device and
+//! run on any thread; the thread that owns the [`Renderer`] does what lies between. Whether the device or the host rasterises
+//! shadows and visibility is chosen once, in [`Renderer::with_raster`].
 //! Must not know: knobs, files.
 //! To add a pass: a file in the folder of its stage with its struct (`new`, `record`), its WGSL in `shaders/`, a line in
 //! `Renderer::record_frame`.
@@ -28,6 +29,7 @@ mod tiling;
 mod unwritten;
 pub mod visibility;
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use crate::error::Result;
@@ -36,6 +38,8 @@ use crate::gpu::Gpu;
 use crate::scene::Scene;
 pub use backend::{LightingMode, RasterBackend, RasterMode, RasterOptions};
 pub use device::timing::StageTimes;
+pub use frame_packet::{FramePacket, FramePlanner};
+pub use raw_frame::RawFrame;
 pub use settings::RenderSettings;
 
 use device::bind_groups::{BindLayouts, bind_group};
@@ -45,7 +49,6 @@ use frame_packet::FrameRequest;
 use frame_plan::FramePlan;
 use lighting::gbuffer::{GBuffer, GBufferPool};
 use lighting::pass::{FrameKey, LightingPass};
-use raw_frame::post_process;
 use resolve::pass::{PackedFrame, ResolvePass};
 use scene_buffers::SceneBuffers;
 use select::tiles::ImageTile;
@@ -78,9 +81,8 @@ pub struct InFlight {
     submitted: Instant,
     /// The frame, if it was drawn in tiles and is read back already.
     drawn: Option<Frame>,
-    upload_ms: f64,
-    /// Times of the host backends.
-    host_times: StageTimes,
+    /// Times of the stages before the submission.
+    times: StageTimes,
     device_passes: Vec<Pass>,
     /// How much was drawn and uploaded for it.
     pub cost: FrameCost,
@@ -109,8 +111,7 @@ pub struct Renderer {
     lighting: LightingPass,
     resolve: ResolvePass,
     buffers: SceneBuffers,
-    /// The plan of the last frame, whose memory the next one uses.
-    plan: Option<FramePlan>,
+    planner: Arc<FramePlanner>,
     gbuffers: GBufferPool,
     slots: SlotPool,
     last_cost: FrameCost,
@@ -151,7 +152,7 @@ impl Renderer {
             lighting: LightingPass::new(&gpu, &layouts),
             resolve: ResolvePass::new(&gpu, &layouts),
             buffers: SceneBuffers::default(),
-            plan: None,
+            planner: Arc::new(FramePlanner::new(raster)),
             gbuffers: GBufferPool::default(),
             slots: SlotPool::default(),
             last_cost: FrameCost::default(),
@@ -184,7 +185,16 @@ impl Renderer {
         if visibility(&raster) != visibility(&self.raster) {
             self.visibility = VisibilityBackend::new(&raster);
         }
+        if raster != self.raster {
+            self.planner = Arc::new(FramePlanner::new(raster));
+        }
         self.raster = raster;
+    }
+
+    /// The planner of its frames, for threads that plan while this one submits. [`Self::set_raster`] replaces it.
+    #[must_use]
+    pub fn planner(&self) -> Arc<FramePlanner> {
+        Arc::clone(&self.planner)
     }
 
     /// How much was drawn and uploaded for the frame that was submitted last.
@@ -202,37 +212,55 @@ impl Renderer {
         self.finish(in_flight, scene)
     }
 
-    /// Submits a frame to the device, behind those that it works on, and does not wait for it, unless it is so large that it is drawn
-    /// in tiles.
+    /// Plans a frame and submits it to the device, behind those that it works on, and does not wait for it.
     ///
     /// # Errors
-    /// [`Error::SizeBeyondDevice`], [`Error::DeviceLost`] or [`Error::Device`]; those of [`select::near_plane::checked`].
+    /// Those of [`FramePlanner::plan`] and [`Self::submit_packet`].
+    pub fn submit(&mut self, scene: &Scene, settings: &RenderSettings) -> Result<InFlight> {
+        // On a thread of the pool: a job from any other thread would wait for one of the pool to take it up.
+        rayon::scope(|_| {
+            let packet = self.planner.plan(scene, settings)?;
+            self.submit_packet(scene, packet)
+        })
+    }
+
+    /// Submits a frame of `scene` that [`Self::planner`] planned, behind those that the device works on, and does not wait for it,
+    /// unless it is so large that it is drawn in tiles.
+    ///
+    /// # Errors
+    /// [`Error::SizeBeyondDevice`], [`Error::DeviceLost`] or [`Error::Device`].
     ///
     /// [`Error::SizeBeyondDevice`]: crate::Error::SizeBeyondDevice
     /// [`Error::DeviceLost`]: crate::Error::DeviceLost
     /// [`Error::Device`]: crate::Error::Device
-    pub fn submit(&mut self, scene: &Scene, settings: &RenderSettings) -> Result<InFlight> {
-        // On a thread of the pool: a job from any other thread would wait for one of the pool to take it up.
-        rayon::scope(|_| self.try_submit(scene, settings)).inspect_err(|_| {
+    pub fn submit_packet(&mut self, scene: &Scene, packet: FramePacket) -> Result<InFlight> {
+        let submitted = if self.raster.uses_host() {
+            // The host backends share their work out to the pool.
+            rayon::scope(|_| self.try_submit(scene, packet))
+        } else {
+            self.try_submit(scene, packet)
+        };
+        submitted.inspect_err(|_| {
             self.buffers.invalidate();
             self.shadow.invalidate();
         })
     }
 
-    fn try_submit(&mut self, scene: &Scene, settings: &RenderSettings) -> Result<InFlight> {
+    fn try_submit(&mut self, scene: &Scene, packet: FramePacket) -> Result<InFlight> {
         let start = Instant::now();
-        let request = FrameRequest::new(scene, settings)?;
-        let frame = self.prepare(scene, &request)?;
-        self.submit_prepared(scene, request, frame, start)
+        let FramePacket { request, plan, plan_ms } = packet;
+        let frame = self.prepare(scene, &request, plan)?;
+        self.submit_prepared(scene, request, frame, (start, plan_ms))
     }
 
-    /// Records a frame whose preparation began at `start`, and submits it; of a frame in tiles, one after the other.
+    /// Records a frame whose preparation began at `start`, after this many milliseconds of planning, and submits it; of a frame in
+    /// tiles, one after the other.
     fn submit_prepared(
         &mut self,
         scene: &Scene,
         request: FrameRequest,
         mut frame: PreparedFrame,
-        start: Instant,
+        (start, plan_ms): (Instant, f64),
     ) -> Result<InFlight> {
         let submitted = Instant::now();
         let mut submission = self.submit_tile(&frame, true)?;
@@ -246,7 +274,8 @@ impl Renderer {
                     self.prepare_tile(settings, &mut frame, tile)?;
                     submission = self.submit_tile(&frame, false)?;
                 }
-                whole.add(tile, frame.slot.packed.read(&self.gpu, &submission))?;
+                self.gpu.wait(&submission)?;
+                whole.add(tile, frame.slot.packed.read())?;
             }
             drawn = Some(whole.finish());
         }
@@ -254,25 +283,19 @@ impl Renderer {
         host_times.extend(self.shadow.host_ms().map(|ms| ("shadow", ms)));
         host_times.extend(self.visibility.host_ms().map(|ms| ("visibility", ms)));
         let host_ms: f64 = host_times.iter().map(|(_, ms)| ms).sum();
-        let PreparedFrame { plan, gbuffer, slot, uploaded_bytes, .. } = frame;
+        let PreparedFrame { gbuffer, slot, uploaded_bytes, .. } = frame;
         let cost = FrameCost {
             drawn_triangles: self.visibility.triangles(&self.buffers.meshes, &gbuffer.batches),
             lighting_draws: self.lighting_draws(&gbuffer),
             uploaded_bytes,
         };
-        (self.plan, self.last_cost) = (Some(plan), cost);
+        self.last_cost = cost;
         self.gbuffers.keep(gbuffer);
-        Ok(InFlight {
-            request,
-            slot,
-            submission,
-            submitted,
-            drawn,
-            upload_ms: milliseconds(submitted - start) - host_ms,
-            host_times,
-            device_passes: self.device_passes(),
-            cost,
-        })
+        let upload_ms = milliseconds(submitted - start) - host_ms;
+        let mut times = vec![("plan", plan_ms), ("upload", upload_ms)];
+        times.extend(host_times);
+        let device_passes = self.device_passes();
+        Ok(InFlight { request, slot, submission, submitted, drawn, times, device_passes, cost })
     }
 
     /// Records and submits a tile, the first of a frame with the frame's shadows.
@@ -281,12 +304,19 @@ impl Renderer {
             let descriptor = wgpu::CommandEncoderDescriptor { label: Some("frame") };
             let mut encoder = self.gpu.device.create_command_encoder(&descriptor);
             self.record_frame(&mut encoder, frame, is_first);
-            self.gpu.queue.submit([encoder.finish()])
+            let submission = self.gpu.queue.submit([encoder.finish()]);
+            frame.slot.map();
+            submission
         })
     }
 
-    /// Plans a frame, uploads it, rasterises what is the host's part of its first tile, and compiles the pipelines that are missing.
-    fn prepare(&mut self, scene: &Scene, request: &FrameRequest) -> Result<PreparedFrame> {
+    /// Uploads a plan, rasterises what is the host's part of its first tile, and compiles the pipelines that are missing.
+    fn prepare(
+        &mut self,
+        scene: &Scene,
+        request: &FrameRequest,
+        mut plan: FramePlan,
+    ) -> Result<PreparedFrame> {
         let image_size = request.image.size;
         let (scene, settings) = request.rendered(scene);
         let layout = self.visibility.gbuffer_layout(scene);
@@ -307,13 +337,10 @@ impl Renderer {
             bin_by_shadow_sources: self.raster.bin_by_shadow_sources && !is_first,
             ..self.raster
         };
-        let previous = self.plan.take();
         let Self { gpu, layouts, buffers, shadow, visibility, lighting, resolve, .. } = self;
         let (prepared, ()) = rayon::join(
             || {
-                let mut plan = FramePlan::new(previous, scene, settings, image_size, &raster, |selection| {
-                    shadow.place_tiles(scene, selection)
-                });
+                plan.place_tiles(|selection| shadow.place_tiles(scene, selection));
                 plan.uniforms = frame_plan::of_tile(&plan.uniforms, tile, settings);
                 let mut bytes = gpu.guard(|| buffers.upload(gpu, scene, &plan, raster.multi_draw))?;
                 let size_px = plan.shadow_map_px;
@@ -436,39 +463,35 @@ impl Renderer {
     /// Waits for a frame of `scene` that was submitted, and post-processes it. Frames may be finished in any order.
     ///
     /// # Errors
+    /// Those of [`Self::read_back`].
+    pub fn finish(&mut self, in_flight: InFlight, scene: &Scene) -> Result<(Frame, StageTimes)> {
+        Ok(self.read_back(in_flight)?.post_process(scene))
+    }
+
+    /// Waits for a frame that was submitted, and reads it back. Frames may be read back in any order.
+    ///
+    /// # Errors
     /// [`Error::DeviceLost`] or [`Error::Device`]; [`Error::Unlabelled`] if a draw of it was lost.
     ///
     /// [`Error::Unlabelled`]: crate::Error::Unlabelled
     /// [`Error::DeviceLost`]: crate::Error::DeviceLost
     /// [`Error::Device`]: crate::Error::Device
-    pub fn finish(&mut self, in_flight: InFlight, scene: &Scene) -> Result<(Frame, StageTimes)> {
-        let InFlight {
-            request,
-            slot,
-            submission,
-            submitted,
-            drawn,
-            upload_ms,
-            host_times,
-            device_passes,
-            ..
-        } = in_flight;
+    pub fn read_back(&mut self, in_flight: InFlight) -> Result<RawFrame> {
+        let InFlight { request, slot, submission, submitted, drawn, mut times, device_passes, .. } =
+            in_flight;
         self.gpu.wait(&submission)?;
         let done = Instant::now();
         let is_whole = drawn.is_none();
-        let mut frame = drawn.map_or_else(|| slot.packed.read(&self.gpu, &submission), Ok)?;
+        let frame = drawn.map_or_else(|| slot.packed.read(), Ok)?;
         let read = Instant::now();
-        let mut times = vec![("upload", upload_ms)];
-        times.extend(host_times);
         if let Some(timer) = &slot.timer {
-            times.extend(timer.read(&self.gpu, &submission, &device_passes)?);
+            times.extend(timer.read(&self.gpu, &device_passes)?);
         }
         times.extend([("gpu", milliseconds(done - submitted)), ("readback", milliseconds(read - done))]);
         if is_whole {
             self.slots.keep(slot);
         }
-        post_process(&mut frame, &request, scene, &mut times);
-        Ok((frame, times))
+        Ok(RawFrame { frame, request, times })
     }
 }
 

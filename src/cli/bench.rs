@@ -38,7 +38,7 @@ pub(super) struct BenchArgs {
     /// Outputs to read back (and to write, in the case dataset), as for a frame
     #[arg(long, value_name = "LIST", default_value = "rgb,mask")]
     outputs: String,
-    /// Threads that build scenes, and as many that encode, in the case dataset [default: the number of cores]
+    /// Threads that build scenes, plan frames, post-process and encode, in the case dataset [default: the number of cores]
     #[arg(long, value_name = "N", value_parser = whole_number::<u16>(1, 256))]
     threads: Option<u16>,
     /// Frames that the device works on at the same time
@@ -158,7 +158,7 @@ fn measure(
         return print(&format!("{result:#}\n"));
     }
     let mut text = format!(
-        "{}\n{} x {} pixels, {} samples per pixel, {} cores\n\n{:<12}{:>10}{:>10}{:>10}{:>12}{:>12}  stages, median ms\n",
+        "{}\n{} x {} pixels, {} samples per pixel, {} cores\n\n{:<12}{:>10}{:>10}{:>10}{:>10}{:>12}{:>12}  stages, median ms\n",
         regolith::gpu::adapter::describe(info),
         settings.size[0],
         settings.size[1],
@@ -168,6 +168,7 @@ fn measure(
         "frames/s",
         "median ms",
         "p95 ms",
+        "host ms",
         "triangles",
         "upload MB"
     );
@@ -175,11 +176,12 @@ fn measure(
         let stages: Vec<String> =
             measured.stage_ms().iter().map(|(name, ms)| format!("{name} {ms:.1}")).collect();
         text.push_str(&format!(
-            "{:<12}{:>10.2}{:>10.1}{:>10.1}{:>12}{:>12.2}  {}\n",
+            "{:<12}{:>10.2}{:>10.1}{:>10.1}{:>10}{:>12}{:>12.2}  {}\n",
             case.name(),
             measured.frames_per_second(),
             bench::quantile(&measured.frames_ms, 0.5),
             bench::quantile(&measured.frames_ms, 0.95),
+            measured.host_ms().map_or_else(|| "-".to_owned(), |ms| format!("{ms:.1}")),
             bench::quantile(&measured.triangles, 0.5),
             bench::quantile(&measured.upload_bytes, 0.5) / 1e6,
             stages.join(", ")

@@ -66,7 +66,7 @@ pub(super) struct DatasetArgs {
     /// Render nothing: print the knobs of the first frames
     #[arg(long)]
     dry_run: bool,
-    /// Threads that build scenes, and as many that encode [default: the number of cores]
+    /// Threads that build scenes, plan frames, post-process and encode [default: the number of cores]
     #[arg(long, value_name = "N", value_parser = whole_number::<u16>(1, 256))]
     threads: Option<u16>,
     /// Write into a folder even if it has other content

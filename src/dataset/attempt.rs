@@ -9,7 +9,9 @@ use super::rules::Violation;
 use crate::error::{Error, Result};
 use crate::frame::Frame;
 use crate::params::Params;
-use crate::render::{InFlight, RasterOptions, Renderer, StageTimes, select::selection};
+use crate::render::{
+    FrameCost, FramePacket, FramePlanner, RasterOptions, RawFrame, Renderer, StageTimes, select::selection,
+};
 use crate::scene::Scene;
 
 /// The scene of an attempt at a frame.
@@ -44,109 +46,180 @@ pub struct RenderCost {
     pub readback_bytes: u64,
 }
 
-/// Builds the scene of an attempt at a frame.
-pub(super) fn build_scene(plan: &Plan, index: u64, attempt: u32, redrawn: Vec<String>) -> Result<FrameScene> {
+/// Adapter and options of the renderer that draws a dataset.
+pub(super) struct RendererInfo {
+    pub(super) adapter: wgpu::AdapterInfo,
+    pub(super) raster: RasterOptions,
+}
+
+impl RendererInfo {
+    pub(super) fn new(renderer: &Renderer) -> Self {
+        Self { adapter: renderer.gpu().info.clone(), raster: renderer.raster() }
+    }
+}
+
+/// An attempt that is to be made.
+#[derive(Debug)]
+pub(super) struct Attempt {
+    /// Of the frame.
+    pub(super) index: u64,
+    /// How many were made before it.
+    number: u32,
+    /// The rule that each of them broke.
+    redrawn: Vec<String>,
+}
+
+impl Attempt {
+    /// The first attempt at a frame.
+    pub(super) const fn first(index: u64) -> Self {
+        Self { index, number: 0, redrawn: Vec::new() }
+    }
+
+    /// An attempt of a known number, and the rules that those before it broke.
+    pub(super) const fn known(index: u64, number: u32, redrawn: Vec<String>) -> Self {
+        Self { index, number, redrawn }
+    }
+
+    /// Whether attempts were made before it.
+    pub(super) const fn is_redraw(&self) -> bool {
+        self.number > 0
+    }
+
+    /// The attempt that follows one which broke a rule.
+    ///
+    /// # Errors
+    /// [`Error::RuleBroken`] if that was the last one allowed.
+    fn next(
+        index: u64,
+        number: u32,
+        mut redrawn: Vec<String>,
+        violation: Violation,
+        plan: &Plan,
+    ) -> Result<Self> {
+        let attempts = number + 1;
+        if attempts == plan.rules.attempts_max {
+            let Violation { rule, found } = violation;
+            return Err(Error::RuleBroken { index, attempts, rule, found });
+        }
+        redrawn.push(violation.rule);
+        Ok(Self { index, number: attempts, redrawn })
+    }
+
+    /// Builds the scene of the attempt and plans its frame. A scene that is impossible with these settings counts as a broken rule, and
+    /// the next attempt is made.
+    ///
+    /// # Errors
+    /// [`Error::RuleBroken`] if that was the last one allowed.
+    pub(super) fn prepare(mut self, plan: &Plan, planner: &FramePlanner) -> Result<PreparedAttempt> {
+        loop {
+            let Self { index, number, redrawn } = self;
+            match prepare(plan, planner, index, number, redrawn.clone()) {
+                Err(Error::Scene(found)) => {
+                    let violation = Violation { rule: "scene".to_owned(), found };
+                    self = Self::next(index, number, redrawn, violation, plan)?;
+                }
+                prepared => return prepared,
+            }
+        }
+    }
+}
+
+/// An attempt that is ready for the device.
+pub(super) struct PreparedAttempt {
+    pub(super) source: FrameScene,
+    pub(super) packet: FramePacket,
+}
+
+/// An attempt that was rendered and read back.
+pub(super) struct RawAttempt {
+    pub(super) source: FrameScene,
+    pub(super) raw: RawFrame,
+    pub(super) cost: FrameCost,
+}
+
+impl RawAttempt {
+    /// Post-processes the frame.
+    fn post_process(self, renderer: &RendererInfo) -> RenderedFrame {
+        let Self { mut source, raw, cost } = self;
+        let (frame, times) = raw.post_process(&source.scene);
+        source.times.extend(times);
+        let cost = RenderCost {
+            triangles: cost.drawn_triangles,
+            uploaded_bytes: cost.uploaded_bytes,
+            readback_bytes: frame.bytes(),
+        };
+        let RendererInfo { adapter, raster } = renderer;
+        RenderedFrame { source, frame, adapter: adapter.clone(), raster: *raster, cost }
+    }
+
+    /// Post-processes the frame, and returns the next attempt instead of it if it breaks a rule.
+    ///
+    /// # Errors
+    /// [`Error::RuleBroken`] if it was the last one allowed.
+    pub(super) fn check(
+        self,
+        plan: &Plan,
+        renderer: &RendererInfo,
+    ) -> Result<std::result::Result<RenderedFrame, Attempt>> {
+        let rendered = self.post_process(renderer);
+        let source = &rendered.source;
+        match plan.rules.violation(&source.scene, &rendered.frame) {
+            None => Ok(Ok(rendered)),
+            Some(violation) => {
+                let FrameScene { index, attempt, redrawn, .. } = rendered.source;
+                Ok(Err(Attempt::next(index, attempt, redrawn, violation, plan)?))
+            }
+        }
+    }
+}
+
+/// Builds the scene of an attempt and plans its frame.
+fn prepare(
+    plan: &Plan,
+    planner: &FramePlanner,
+    index: u64,
+    attempt: u32,
+    redrawn: Vec<String>,
+) -> Result<PreparedAttempt> {
     let start = Instant::now();
     let seed = frame_seed(plan.base_seed, index, attempt);
     let params = plan.config.draw(seed)?;
     let scene = Scene::build(seed, &params)?;
     selection::build_rocks(&scene, &plan.settings);
     let times = vec![("scene", start.elapsed().as_secs_f64() * 1e3)];
-    Ok(FrameScene { index, attempt, seed, params, scene, times, redrawn })
+    let packet = planner.plan(&scene, &plan.settings)?;
+    Ok(PreparedAttempt { source: FrameScene { index, attempt, seed, params, scene, times, redrawn }, packet })
 }
 
-/// An attempt at a frame.
-pub(super) enum Attempt {
-    /// The device is rendering it.
-    Submitted(Box<FrameScene>, Box<InFlight>),
-    /// Its scene could not be built or submitted.
-    Rejected(Violation),
-}
-
-impl Attempt {
-    /// Submits a scene to the device. A scene that is impossible with these settings counts as a broken rule.
-    pub(super) fn submit(plan: &Plan, renderer: &mut Renderer, scene: Result<FrameScene>) -> Result<Self> {
-        let submitted = scene.and_then(|scene| {
-            let in_flight = renderer.submit(&scene.scene, &plan.settings)?;
-            Ok(Self::Submitted(Box::new(scene), Box::new(in_flight)))
-        });
-        match submitted {
-            Ok(attempt) => Ok(attempt),
-            Err(Error::Scene(found)) => Ok(Self::Rejected(Violation { rule: "scene".to_owned(), found })),
-            Err(other) => Err(other),
-        }
-    }
-
-    /// Finishes the first attempt at frame `index`, and makes further attempts until one keeps the rules.
-    pub(super) fn finish(
-        mut self,
-        plan: &Plan,
-        renderer: &mut Renderer,
-        index: u64,
-    ) -> Result<RenderedFrame> {
-        let (mut attempt, mut redrawn) = (0, Vec::new());
-        loop {
-            let violation = match self {
-                Self::Rejected(violation) => violation,
-                Self::Submitted(scene, in_flight) => match read_back(plan, renderer, *scene, *in_flight)? {
-                    Ok(rendered) => return Ok(rendered),
-                    Err(violation) => violation,
-                },
-            };
-            attempt += 1;
-            if attempt == plan.rules.attempts_max {
-                return Err(Error::RuleBroken {
-                    index,
-                    attempts: attempt,
-                    rule: violation.rule,
-                    found: violation.found,
-                });
-            }
-            redrawn.push(violation.rule);
-            self = Self::submit(plan, renderer, build_scene(plan, index, attempt, redrawn.clone()))?;
-        }
-    }
+/// Renders one attempt at a frame and waits for it.
+fn render(renderer: &mut Renderer, prepared: PreparedAttempt) -> Result<RawAttempt> {
+    let PreparedAttempt { source, packet } = prepared;
+    let in_flight = renderer.submit_packet(&source.scene, packet)?;
+    let cost = in_flight.cost;
+    let raw = renderer.read_back(in_flight).map_err(|error| error.of_seed(source.seed))?;
+    Ok(RawAttempt { source, raw, cost })
 }
 
 /// Renders one attempt at a frame, whether or not it keeps the rules.
 pub(super) fn render_attempt(
     plan: &Plan,
     renderer: &mut Renderer,
-    index: u64,
-    attempt: u32,
-    redrawn: Vec<String>,
+    attempt: Attempt,
 ) -> Result<RenderedFrame> {
-    let source = build_scene(plan, index, attempt, redrawn)?;
-    let in_flight = renderer.submit(&source.scene, &plan.settings)?;
-    let (frame, _) = renderer.finish(in_flight, &source.scene).map_err(|error| error.of_seed(source.seed))?;
-    let (adapter, raster) = (renderer.gpu().info.clone(), renderer.raster());
-    Ok(RenderedFrame { source, frame, adapter, raster, cost: RenderCost::default() })
+    let Attempt { index, number, redrawn } = attempt;
+    let prepared = prepare(plan, &renderer.planner(), index, number, redrawn)?;
+    Ok(render(renderer, prepared)?.post_process(&RendererInfo::new(renderer)))
 }
 
-/// Waits for a submitted frame, and says which rule it breaks, if any.
-fn read_back(
-    plan: &Plan,
-    renderer: &mut Renderer,
-    mut source: FrameScene,
-    in_flight: InFlight,
-) -> Result<std::result::Result<RenderedFrame, Violation>> {
-    let mut cost = RenderCost {
-        triangles: in_flight.cost.drawn_triangles,
-        uploaded_bytes: in_flight.cost.uploaded_bytes,
-        readback_bytes: 0,
-    };
-    let (frame, times) =
-        renderer.finish(in_flight, &source.scene).map_err(|error| error.of_seed(source.seed))?;
-    cost.readback_bytes = frame.bytes();
-    source.times.extend(times);
-    Ok(match plan.rules.violation(&source.scene, &frame) {
-        Some(violation) => Err(violation),
-        None => Ok(RenderedFrame {
-            source,
-            frame,
-            adapter: renderer.gpu().info.clone(),
-            raster: renderer.raster(),
-            cost,
-        }),
-    })
+/// Renders a frame as a dataset has it: the first attempt that keeps the rules.
+pub(super) fn render_frame(plan: &Plan, renderer: &mut Renderer, index: u64) -> Result<RenderedFrame> {
+    let (planner, info) = (renderer.planner(), RendererInfo::new(renderer));
+    let mut attempt = Attempt::first(index);
+    loop {
+        let prepared = attempt.prepare(plan, &planner)?;
+        match render(renderer, prepared)?.check(plan, &info)? {
+            Ok(rendered) => return Ok(rendered),
+            Err(next) => attempt = next,
+        }
+    }
 }

@@ -1,26 +1,32 @@
-//! From frame indices to encoded files, on several threads.
+//! From frame indices to encoded files, on several threads: workers build scenes, plan frames, post-process and encode; the thread of
+//! the device does nothing but upload, submit and read back.
 //!
 //! Must not know: the folder, which frames exist already.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::mpsc::{SyncSender, sync_channel};
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use serde_json::{Map, Value, json};
 
-use super::attempt::{Attempt, FrameScene, RenderCost, RenderedFrame, build_scene};
+use super::attempt::{
+    Attempt, FrameScene, PreparedAttempt, RawAttempt, RenderCost, RenderedFrame, RendererInfo,
+};
 use super::log_writer::record_files;
 use super::plan::Plan;
+use super::work_queue::{QueueLimits, Task, WorkQueue};
 use crate::error::{Error, Result};
+use crate::host_time;
 use crate::meta::FrameRecord;
 use crate::output::layout::{FrameFiles, FrameLine, Sample};
 use crate::output::{self, EncodeInput};
-use crate::render::{FRAMES_IN_FLIGHT, Renderer, StageTimes};
+use crate::render::{FRAMES_IN_FLIGHT, FramePlanner, InFlight, Renderer, StageTimes};
 
-/// Scenes that may wait for the device.
-const SCENE_QUEUE: usize = 1;
+/// Frames for each worker that may be started after the oldest unfinished one: a frame that is redrawn many times does not stop the
+/// others, nor do they pile up behind it.
+const AHEAD_PER_WORKER: usize = 4;
 /// Keys of a frame's record that are the same for all frames: the manifest has them.
 const MANIFEST_KEYS: [&str; 4] = ["size", "samples", "edges", "version"];
 
@@ -44,7 +50,7 @@ pub struct FinishedFrame {
 /// How much is done at the same time. No frame depends on it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Concurrency {
-    /// Threads that build scenes, and the same number that encode.
+    /// Worker threads, each of which builds scenes, plans frames, post-processes and encodes.
     pub threads: usize,
     /// Frames that the device may work on at a time.
     pub frames_in_flight: usize,
@@ -71,110 +77,121 @@ pub fn render_frames(
     stop: &AtomicBool,
     mut sink: impl FnMut(FinishedFrame) -> Result<()> + Send,
 ) -> Result<()> {
-    let threads = concurrency.threads;
+    let Concurrency { threads, frames_in_flight } = concurrency;
     let first_error = FirstError::default();
-    let indices = Mutex::new(indices);
-    let (scene_sender, scenes) = sync_channel::<(u64, Result<FrameScene>)>(SCENE_QUEUE);
-    let (frame_sender, frames) = sync_channel::<RenderedFrame>(threads);
+    let limits = QueueLimits { ready: threads + 1, ahead: AHEAD_PER_WORKER * threads + frames_in_flight };
+    let queue = WorkQueue::new(indices, limits);
     let (finished_sender, finished) = sync_channel::<FinishedFrame>(threads);
-    let frames = Mutex::new(frames);
+    let (planner, info) = (renderer.planner(), RendererInfo::new(renderer));
     std::thread::scope(|scope| {
-        let first_error = &first_error;
+        let (queue, first_error) = (&queue, &first_error);
+        let worker = Worker { plan, planner: &planner, renderer: &info, stop, first_error };
         for _ in 0..threads {
-            let (sender, indices) = (scene_sender.clone(), &indices);
-            let build = move || build_scenes(plan, indices, &sender, stop, first_error);
-            // A pool of one: the parallel loops of a scene stay on its thread and do not delay those of the device's.
-            scope.spawn(move || match rayon::ThreadPoolBuilder::new().num_threads(1).build() {
-                Ok(pool) => pool.install(build),
-                Err(_) => build(),
+            let finished = finished_sender.clone();
+            scope.spawn(move || {
+                let _registration = host_time::register();
+                let work = || worker.run(queue, &finished);
+                // A pool of this thread alone: the parallel loops of a frame stay on it and do not delay those of the device's thread.
+                match rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build() {
+                    Ok(pool) => pool.install(work),
+                    Err(_) => work(),
+                }
             });
-        }
-        drop(scene_sender);
-        for _ in 0..threads {
-            let (frames, sender) = (&frames, finished_sender.clone());
-            scope.spawn(move || encode_frames(plan, frames, &sender, first_error));
         }
         drop(finished_sender);
         scope.spawn(move || {
+            let _registration = host_time::register();
             for frame in finished {
-                if !first_error.occurred() {
-                    first_error.check(sink(frame));
+                if !first_error.occurred() && first_error.check(sink(frame)).is_none() {
+                    queue.close();
                 }
             }
         });
-        render_scenes(plan, renderer, concurrency.frames_in_flight, &scenes, &frame_sender, first_error);
-        drop(frame_sender);
+        render_prepared(renderer, frames_in_flight, queue, first_error);
     });
     first_error.into_result()
 }
 
-/// Builds the scenes of the next indices until there are none left.
-fn build_scenes(
-    plan: &Plan,
-    indices: &Mutex<impl Iterator<Item = u64>>,
-    scenes: &SyncSender<(u64, Result<FrameScene>)>,
-    stop: &AtomicBool,
-    first_error: &FirstError,
-) {
-    while !stop.load(Ordering::Relaxed) && !first_error.occurred() {
-        let next = indices.lock().unwrap_or_else(PoisonError::into_inner).next();
-        let Some(index) = next else { break };
-        if scenes.send((index, build_scene(plan, index, 0, Vec::new()))).is_err() {
-            break;
+/// What the workers share.
+#[derive(Clone, Copy)]
+struct Worker<'a> {
+    plan: &'a Plan,
+    planner: &'a FramePlanner,
+    renderer: &'a RendererInfo,
+    stop: &'a AtomicBool,
+    first_error: &'a FirstError,
+}
+
+/// The queue of a pipeline over these indices.
+type FrameQueue<Indices> = WorkQueue<Indices, Attempt, PreparedAttempt, RawAttempt>;
+
+impl Worker<'_> {
+    /// Works until every frame is finished.
+    fn run(self, queue: &FrameQueue<impl Iterator<Item = u64>>, finished: &SyncSender<FinishedFrame>) {
+        let _guard = queue.close_on_panic();
+        while let Some(task) = queue.next_task(|| self.stop.load(Ordering::Relaxed), Attempt::first) {
+            let result = match task {
+                Task::Prepare(attempt) => self.prepare(attempt, queue),
+                Task::Finish(raw) => self.finish(raw, queue, finished),
+            };
+            if self.first_error.check(result).is_none() {
+                queue.close();
+            }
         }
+    }
+
+    fn prepare(self, attempt: Attempt, queue: &FrameQueue<impl Iterator<Item = u64>>) -> Result<()> {
+        let is_redraw = attempt.is_redraw();
+        queue.add_prepared(attempt.prepare(self.plan, self.planner)?, is_redraw);
+        Ok(())
+    }
+
+    /// Post-processes and encodes a frame, or gives its next attempt back to the queue.
+    fn finish(
+        self,
+        raw: RawAttempt,
+        queue: &FrameQueue<impl Iterator<Item = u64>>,
+        finished: &SyncSender<FinishedFrame>,
+    ) -> Result<()> {
+        match raw.check(self.plan, self.renderer)? {
+            Ok(rendered) => {
+                let frame = encode(self.plan, rendered)?;
+                let index = frame.index;
+                let _ = finished.send(frame);
+                queue.finish(index);
+            }
+            Err(redraw) => queue.add_redraw(redraw),
+        }
+        Ok(())
     }
 }
 
-/// Renders scenes as they arrive, several in flight, until all builders have ended.
-fn render_scenes(
-    plan: &Plan,
+/// Renders attempts as they are prepared, several in flight, until every frame is finished.
+fn render_prepared(
     renderer: &mut Renderer,
     frames_in_flight: usize,
-    scenes: &Receiver<(u64, Result<FrameScene>)>,
-    frames: &SyncSender<RenderedFrame>,
+    queue: &FrameQueue<impl Iterator<Item = u64>>,
     first_error: &FirstError,
 ) {
-    let mut in_flight: VecDeque<(u64, Attempt)> = VecDeque::new();
+    let _guard = queue.close_on_panic();
+    let mut in_flight: VecDeque<(FrameScene, InFlight)> = VecDeque::new();
     loop {
-        // A waiting scene is submitted before the oldest frame is waited for.
-        let next = if in_flight.is_empty() {
-            scenes.recv().ok()
-        } else if in_flight.len() < frames_in_flight {
-            scenes.try_recv().ok()
-        } else {
-            None
-        };
-        if let Some((index, scene)) = next {
-            // After an error, scenes are received and dropped, so that no builder blocks on a full queue.
-            if !first_error.occurred()
-                && let Some(attempt) = first_error.check(Attempt::submit(plan, renderer, scene))
-            {
-                in_flight.push_back((index, attempt));
-            }
-        } else if let Some((index, attempt)) = in_flight.pop_front() {
-            if !first_error.occurred()
-                && let Some(rendered) = first_error.check(attempt.finish(plan, renderer, index))
-            {
-                let _ = frames.send(rendered);
-            }
+        // What is prepared is submitted before the oldest frame is waited for.
+        let next =
+            if in_flight.len() < frames_in_flight { queue.next_prepared(in_flight.is_empty()) } else { None };
+        let result = if let Some(PreparedAttempt { source, packet }) = next {
+            let submitted = renderer.submit_packet(&source.scene, packet);
+            submitted.map(|submitted| in_flight.push_back((source, submitted)))
+        } else if let Some((source, submitted)) = in_flight.pop_front() {
+            let cost = submitted.cost;
+            let raw = renderer.read_back(submitted).map_err(|error| error.of_seed(source.seed));
+            raw.map(|raw| queue.add_raw(RawAttempt { source, raw, cost }))
         } else {
             break;
-        }
-    }
-}
-
-/// Encodes frames as they arrive.
-fn encode_frames(
-    plan: &Plan,
-    frames: &Mutex<Receiver<RenderedFrame>>,
-    finished: &SyncSender<FinishedFrame>,
-    first_error: &FirstError,
-) {
-    loop {
-        let next = frames.lock().unwrap_or_else(PoisonError::into_inner).recv();
-        let Ok(frame) = next else { break };
-        if let Some(frame) = first_error.check(encode(plan, frame)) {
-            let _ = finished.send(frame);
+        };
+        if first_error.check(result).is_none() || first_error.occurred() {
+            queue.close();
+            break;
         }
     }
 }

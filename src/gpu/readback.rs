@@ -22,18 +22,16 @@ impl ReadbackBuffer {
         encoder.copy_buffer_to_buffer(source, 0, &self.buffer, 0, bytes);
     }
 
-    /// Waits for `submission`, which contains the copy, and passes the mapped bytes to `read`.
+    /// Asks for the buffer to be mapped once the device has finished what was submitted: [`Gpu::wait`] for it maps the buffer.
+    pub fn map(&self) {
+        self.buffer.map_async(wgpu::MapMode::Read, .., |_| {});
+    }
+
+    /// Passes the bytes to `read`, after [`Self::map`] and [`Gpu::wait`], and unmaps the buffer.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`] or [`Error::Device`].
-    pub fn read<T>(
-        &self,
-        gpu: &Gpu,
-        submission: &wgpu::SubmissionIndex,
-        read: impl FnOnce(&[u8]) -> T,
-    ) -> Result<T> {
-        gpu.guard(|| self.buffer.map_async(wgpu::MapMode::Read, .., |_| {}))?;
-        gpu.wait(submission)?;
+    /// [`Error::DeviceLost`].
+    pub fn read<T>(&self, read: impl FnOnce(&[u8]) -> T) -> Result<T> {
         let result = {
             let view = self.buffer.get_mapped_range(..).map_err(|e| Error::DeviceLost(e.to_string()))?;
             read(&view)

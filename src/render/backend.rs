@@ -149,6 +149,12 @@ impl RasterOptions {
         })
     }
 
+    /// Whether the host rasterises anything.
+    #[must_use]
+    pub const fn uses_host(&self) -> bool {
+        matches!(self.visibility, RasterBackend::Host) || matches!(self.shadow, RasterBackend::Host)
+    }
+
     /// Name for records: `device` or `host`; `mixed` where the device rasterises visibility and the host shadows, or the other
     /// way round.
     #[must_use]

@@ -1,8 +1,14 @@
-//! What a frame is asked for, before a device is needed.
+//! Frame packets: all that is chosen and computed for a frame before a device is needed. Made by any thread, submitted by the one
+//! that owns the device.
 //! Must not know: a device, buffers.
+
+use std::time::Instant;
 
 use crate::error::Result;
 use crate::frame::{Annotation, Annotations};
+use crate::render::backend::RasterOptions;
+use crate::render::device::timing::milliseconds;
+use crate::render::frame_plan::{FramePlan, PlanCache};
 use crate::render::post::hazards;
 use crate::render::select::near_plane;
 use crate::render::settings::RenderSettings;
@@ -20,7 +26,7 @@ pub(crate) struct FrameRequest {
 }
 
 impl FrameRequest {
-    pub(crate) fn new(scene: &Scene, settings: &RenderSettings) -> Result<Self> {
+    fn new(scene: &Scene, settings: &RenderSettings) -> Result<Self> {
         let annotations = settings.annotations;
         let mut image = *settings;
         image.annotations = hazards::with_inputs(annotations);
@@ -37,4 +43,40 @@ impl FrameRequest {
     pub(crate) fn rendered<'a>(&'a self, scene: &'a Scene) -> (&'a Scene, &'a RenderSettings) {
         self.undistorted.as_ref().map_or((scene, &self.image), |(scene, settings)| (scene, settings))
     }
+}
+
+/// Plans frames for a renderer, on any number of threads at a time. A packet depends on scene and settings alone, not on the thread
+/// and not on other packets.
+#[derive(Debug)]
+pub struct FramePlanner {
+    raster: RasterOptions,
+    cache: PlanCache,
+}
+
+impl FramePlanner {
+    /// A planner for renderers with these options.
+    pub(crate) fn new(raster: RasterOptions) -> Self {
+        Self { raster, cache: PlanCache::default() }
+    }
+
+    /// Plans a frame of a scene, on this thread and those of its rayon pool.
+    ///
+    /// # Errors
+    /// [`Error::Scene`](crate::Error::Scene), see [`near_plane::checked`].
+    pub fn plan(&self, scene: &Scene, settings: &RenderSettings) -> Result<FramePacket> {
+        let start = Instant::now();
+        let request = FrameRequest::new(scene, settings)?;
+        let (rendered_scene, rendered) = request.rendered(scene);
+        let plan = FramePlan::new(&self.cache, rendered_scene, rendered, settings.size, &self.raster);
+        Ok(FramePacket { request, plan, plan_ms: milliseconds(start.elapsed()) })
+    }
+}
+
+/// A frame that is planned, for [`Renderer::submit_packet`](super::Renderer::submit_packet).
+#[derive(Debug)]
+pub struct FramePacket {
+    pub(crate) request: FrameRequest,
+    pub(crate) plan: FramePlan,
+    /// Milliseconds that the planning took.
+    pub(crate) plan_ms: f64,
 }

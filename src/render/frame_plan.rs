@@ -1,10 +1,10 @@
 //! The plan of a frame: every decision that is made before anything is uploaded. Plain data.
 //!
-//! A frame depends on scene, settings and options alone. The plan of the frame before gives the next one its memory, and what both
-//! share under an unmoved sun: bounced light, and from the second frame on the horizon map of all of the ground.
+//! A frame depends on scene, settings and options alone, and is planned on any thread. Frames share what does not change under an
+//! unmoved sun: bounced light, and from the second frame on the horizon map of all of the ground ([`PlanCache`]).
 //! Must not know: a device.
 
-use std::sync::{Arc, Weak};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 use glam::{Mat4, UVec2};
 
@@ -22,7 +22,7 @@ use crate::render::select::footprint::Footprint;
 use crate::render::select::selection::{Selection, Slots};
 use crate::render::select::tiles::{ImageTile, PixelRect};
 use crate::render::settings::RenderSettings;
-use crate::render::shadow::horizon::{self, HorizonMap};
+use crate::render::shadow::horizon::{self, HorizonCache, HorizonMap};
 use crate::scene::Scene;
 use crate::scene::bounce::{Bounce, rms_slope};
 use crate::scene::photometry::Photometry;
@@ -33,12 +33,10 @@ use crate::scene::terrain::Terrain;
 pub(crate) struct FramePlan {
     /// What is in view and what casts shadows into it, with levels of detail.
     pub(crate) selection: Selection,
-    /// Columns and rows of the shadow map.
+    /// Columns and rows of the shadow map, once its tiles are placed ([`FramePlan::place_tiles`]).
     pub(crate) shadow_map_px: [u32; 2],
     /// Horizon of the ground towards the sun.
-    pub(crate) horizon: HorizonMap,
-    /// Whether the horizon differs from that of the plan before.
-    pub(crate) is_horizon_new: bool,
+    pub(crate) horizon: Arc<HorizonMap>,
     /// Which casters can shade each cell of the ground ([`caster_grid`]).
     pub(crate) caster_grid: PooledVec<u32>,
     /// Tile of each caster in the shadow map.
@@ -51,7 +49,13 @@ pub(crate) struct FramePlan {
     pub(crate) draws: DrawList,
     /// Uniforms of the frame.
     pub(crate) uniforms: FrameUniforms,
-    bounce: BounceCache,
+}
+
+/// What frames share while ground and sun do not change. One for any number of threads.
+#[derive(Debug, Default)]
+pub(crate) struct PlanCache {
+    horizon: HorizonCache,
+    bounce: Mutex<BounceCache>,
 }
 
 /// Light that sunlit ground bounces, and what it was computed from: ground, laws, sine of the sun's elevation.
@@ -62,58 +66,69 @@ struct BounceCache {
 }
 
 impl BounceCache {
-    fn get(&mut self, scene: &Scene) -> Bounce {
+    fn get(cache: &Mutex<Self>, scene: &Scene) -> Bounce {
+        let lock = || cache.lock().unwrap_or_else(PoisonError::into_inner);
         let (laws, sine) = (scene.photometry, scene.sun.direction.z);
-        let is_cached = self.key.as_ref().is_some_and(|(terrain, cached_laws, cached_sine)| {
+        let cached = lock();
+        let is_cached = cached.key.as_ref().is_some_and(|(terrain, cached_laws, cached_sine)| {
             terrain.as_ptr() == Arc::as_ptr(&scene.terrain) && *cached_laws == laws && *cached_sine == sine
         });
-        if !is_cached {
-            self.bounce = Bounce::new(&laws, rms_slope(&scene.terrain), f64::from(sine));
-            self.key = Some((Arc::downgrade(&scene.terrain), laws, sine));
+        if is_cached {
+            return cached.bounce;
         }
-        self.bounce
+        drop(cached);
+        let bounce = Bounce::new(&laws, rms_slope(&scene.terrain), f64::from(sine));
+        *lock() = Self { key: Some((Arc::downgrade(&scene.terrain), laws, sine)), bounce };
+        bounce
     }
 }
 
 impl FramePlan {
-    /// Plans a frame. `previous` gives its memory, and what it shares with this one. `image_size` is that of the image, which is
-    /// smaller than the settings' where a lens distorts it. `place_tiles` gives the casters' tiles their origins in the shadow map
-    /// and returns its size: the shadow backend does, which may keep tiles of frames before.
+    /// Plans a frame. `image_size` is that of the image, which is smaller than the settings' where a lens distorts it.
     pub(crate) fn new(
-        previous: Option<Self>,
+        cache: &PlanCache,
         scene: &Scene,
         settings: &RenderSettings,
         image_size: [u32; 2],
         options: &RasterOptions,
-        place_tiles: impl FnOnce(&mut Selection) -> [u32; 2],
     ) -> Self {
-        let (mut horizon, mut bounce) =
-            previous.map_or_else(Default::default, |previous| (previous.horizon, previous.bounce));
-        let mut selection = Selection::new(scene, settings);
-        let shadow_map_px = place_tiles(&mut selection);
+        let selection = Selection::new(scene, settings);
         let footprint = Footprint::new(scene, &selection);
-        let is_horizon_new = horizon.update(&scene.terrain, &scene.sun, &footprint);
+        let horizon = cache.horizon.map(&scene.terrain, &scene.sun, &footprint);
         let casters = &selection.casters;
         let caster_grid = caster_grid(scene, casters, horizon.shadowed_ground(), &footprint);
-        let caster_tiles = casters.iter().map(|caster| caster.tile).collect();
         let bands = ReliefBands::new(scene, &selection, settings);
         let bins = ShadingBins::new(bands.bands.len());
         let slots = selection.slots();
         let band_of_block = |block| bands.of_block(block);
         let draws = DrawList::new(scene, settings, slots, bins, band_of_block, options);
-        let bounced = bounce.get(scene);
+        let bounced = BounceCache::get(&cache.bounce, scene);
         Self {
-            shadow_map_px,
-            is_horizon_new,
+            shadow_map_px: [0; 2],
             caster_grid,
-            caster_tiles,
+            caster_tiles: Vec::new(),
             instances: instances(scene, settings, slots, bands.bands.len(), options.lighting),
             draws,
-            uniforms: frame_uniforms(scene, settings, image_size, &horizon, shadow_map_px, &bounced),
+            uniforms: frame_uniforms(scene, settings, image_size, &horizon, &bounced),
             bands,
             selection,
             horizon,
-            bounce,
+        }
+    }
+
+    /// Gives the casters' tiles their origins in the shadow map. `place` sets those of the selection and returns the size of the map:
+    /// the shadow backend does, which may keep tiles of frames before.
+    pub(crate) fn place_tiles(&mut self, place: impl FnOnce(&mut Selection) -> [u32; 2]) {
+        self.shadow_map_px = place(&mut self.selection);
+        let [width_px, height_px] = self.shadow_map_px.map(|side| side as f32);
+        (self.uniforms.atlas_width_px, self.uniforms.atlas_layer_height_px) = (width_px, height_px);
+        let Selection { casters, rocks, .. } = &self.selection;
+        self.caster_tiles.clear();
+        self.caster_tiles.extend(casters.iter().map(|caster| caster.tile));
+        for (instance, selected) in self.instances[Slots::rock(0) as usize..].iter_mut().zip(rocks) {
+            if let Some((caster, _)) = selected.caster {
+                instance.tile_origin_px = casters[caster].tile.origin_px;
+            }
         }
     }
 }
@@ -158,9 +173,9 @@ fn instances(
             tile_half_extent_m: tile.half_extent_m,
             dust: scene.regolith.albedo / rock_at_normal,
             dust_min_normal_z: rock.dust_above,
-            tile_origin_px: tile.origin_px,
             tile_size_px: tile.size_px,
             detail: detail(Detail::RockTexture).with_relief(0),
+            ..Default::default()
         }
     }));
     let in_sky = |origin, scale, colour| Instance {
@@ -189,7 +204,6 @@ fn frame_uniforms(
     settings: &RenderSettings,
     image_size: [u32; 2],
     horizon: &HorizonMap,
-    [atlas_width_px, atlas_layer_height_px]: [u32; 2],
     bounce: &Bounce,
 ) -> FrameUniforms {
     let (camera, sun) = (&scene.camera, &scene.sun);
@@ -209,9 +223,7 @@ fn frame_uniforms(
         sun_direction: sun.direction,
         sun_tan_half_angle: sun.tan_half_angle(),
         sun_irradiance: sun.irradiance,
-        atlas_layer_height_px: atlas_layer_height_px as f32,
         sun_right,
-        atlas_width_px: atlas_width_px as f32,
         sun_up,
         diffuse_reflectance: photometry.diffuse_reflectance() as f32,
         ground_radiance: scene.regolith.albedo * sun.irradiance * exitance / std::f32::consts::PI,
@@ -275,11 +287,11 @@ mod tests {
     use crate::render::select::casters;
     use crate::render::select::screen_bounds::ScreenBounds;
 
-    fn plan(previous: Option<FramePlan>, scene: &Scene, options: &RasterOptions) -> FramePlan {
+    fn plan(cache: &PlanCache, scene: &Scene, options: &RasterOptions) -> FramePlan {
         let settings = RenderSettings::new([96, 64], 4).expect("settings");
-        FramePlan::new(previous, scene, &settings, settings.size, options, |selection| {
-            casters::atlas_size_px(&selection.casters)
-        })
+        let mut plan = FramePlan::new(cache, scene, &settings, settings.size, options);
+        plan.place_tiles(|selection| casters::atlas_size_px(&selection.casters));
+        plan
     }
 
     const fn options(backend: RasterBackend) -> RasterOptions {
@@ -299,7 +311,7 @@ mod tests {
     #[test]
     fn a_plan_lists_every_draw_of_the_device_once_and_none_of_the_host() {
         let scene = scene(1);
-        let plan_for_device = plan(None, &scene, &options(RasterBackend::Device));
+        let plan_for_device = plan(&PlanCache::default(), &scene, &options(RasterBackend::Device));
         let selection = &plan_for_device.selection;
         let DrawList { draws, casters, batches } = &plan_for_device.draws;
         assert_eq!(casters.clone(), 0..selection.casters.len());
@@ -314,7 +326,7 @@ mod tests {
             assert_eq!(batch.draws.is_empty(), batch.bounds == ScreenBounds::EMPTY, "bin {}", batch.bin);
         }
 
-        let plan_for_host = plan(None, &scene, &options(RasterBackend::Host));
+        let plan_for_host = plan(&PlanCache::default(), &scene, &options(RasterBackend::Host));
         let list = &plan_for_host.draws;
         assert!(list.draws.is_empty() && list.casters.is_empty());
         assert!(list.batches.iter().all(|batch| batch.bounds == ScreenBounds::EMPTY));
@@ -323,7 +335,7 @@ mod tests {
 
     #[test]
     fn every_slot_of_a_draw_is_an_instance() {
-        let plan = plan(None, &scene(2), &options(RasterBackend::Device));
+        let plan = plan(&PlanCache::default(), &scene(2), &options(RasterBackend::Device));
         let dome = plan.selection.slots().dome();
         assert_eq!(dome.end as usize, plan.instances.len());
         for draw in &plan.draws.draws {
@@ -340,9 +352,11 @@ mod tests {
     fn a_plan_does_not_depend_on_that_of_another_scene() {
         let options = options(RasterBackend::Device);
         let (first, second) = (scene(3), scene(4));
-        let alone = plan(None, &second, &options);
-        let after_another = plan(Some(plan(None, &first, &options)), &second, &options);
-        assert!(alone.is_horizon_new && after_another.is_horizon_new);
+        let alone = plan(&PlanCache::default(), &second, &options);
+        let cache = PlanCache::default();
+        let of_other = plan(&cache, &first, &options);
+        let after_another = plan(&cache, &second, &options);
+        assert!(!Arc::ptr_eq(&of_other.horizon, &after_another.horizon));
         assert_eq!(bytemuck::bytes_of(&after_another.uniforms), bytemuck::bytes_of(&alone.uniforms));
         assert!(after_another.caster_grid[..] == alone.caster_grid[..], "caster grid");
         assert!(after_another.horizon.heights_m == alone.horizon.heights_m, "horizon");
@@ -352,12 +366,18 @@ mod tests {
     #[test]
     fn plans_under_an_unmoved_sun_share_the_horizon_of_all_of_the_ground() {
         let (options, scene) = (options(RasterBackend::Device), scene(4));
-        let first = plan(None, &scene, &options);
-        let second = plan(Some(plan(None, &scene, &options)), &scene, &options);
-        assert!(second.is_horizon_new, "that of all of the ground is made once the sun has not moved");
-        assert_same_draws(&second, &first);
-        let third = plan(Some(second), &scene, &options);
-        assert!(!third.is_horizon_new);
+        let mut moved = scene.clone();
+        moved.camera.eye.x += 0.5;
+        let cache = PlanCache::default();
+        let first = plan(&cache, &scene, &options);
+        assert!(Arc::ptr_eq(&first.horizon, &plan(&cache, &scene, &options).horizon), "nothing moved");
+        let second = plan(&cache, &moved, &options);
+        assert!(
+            !Arc::ptr_eq(&first.horizon, &second.horizon),
+            "of all of the ground, once the sun has not moved"
+        );
+        let third = plan(&cache, &scene, &options);
+        assert!(Arc::ptr_eq(&second.horizon, &third.horizon));
         assert_same_draws(&third, &first);
     }
 

@@ -1,4 +1,4 @@
-//! What the host adds to a frame that was read back: rock labels, sensor, hazard maps.
+//! A frame as it was read back, before the stages that the host adds: rock labels, sensor, hazard maps.
 //! Must not know: a device.
 
 use std::time::Instant;
@@ -9,30 +9,43 @@ use crate::render::frame_packet::FrameRequest;
 use crate::render::post;
 use crate::scene::Scene;
 
-/// Adds to a frame what is not computed on the device, and the time that each stage took.
-pub(crate) fn post_process(frame: &mut Frame, request: &FrameRequest, scene: &Scene, times: &mut StageTimes) {
-    let (rendered_scene, rendered) = request.rendered(scene);
-    frame.focal_px = rendered_scene.camera.focal_px(rendered.size[0]);
-    frame.lens = rendered_scene.camera.lens;
-    let mut timed = |stage, work: &mut dyn FnMut(&mut Frame)| {
-        let start = Instant::now();
-        work(frame);
-        times.push((stage, milliseconds(start.elapsed())));
-    };
-    if rendered.annotations.contains(Annotation::Instances) {
-        timed("labels", &mut |frame| {
-            frame.rocks = post::rock_labels::rocks(rendered_scene, rendered, request.image.size, frame);
-        });
-    }
-    if let Some(sensor) = &scene.sensor {
-        timed("sensor", &mut |frame| {
-            post::sensor::expose(frame, sensor, scene.camera.exposure_ev);
-            if !request.annotations.contains(Annotation::Hdr) {
-                frame.radiance = Vec::new();
-            }
-        });
-    }
-    if post::hazards::any_requested(request.annotations) {
-        timed("hazards", &mut |frame| post::hazards::add(frame, scene, request.annotations));
+/// A frame that was read back and is still to be post-processed, on any thread.
+#[derive(Debug)]
+pub struct RawFrame {
+    pub(crate) frame: Frame,
+    pub(crate) request: FrameRequest,
+    pub(crate) times: StageTimes,
+}
+
+impl RawFrame {
+    /// The finished frame of `scene`, whose frame it is, and the milliseconds of each stage.
+    #[must_use]
+    pub fn post_process(self, scene: &Scene) -> (Frame, StageTimes) {
+        let Self { mut frame, request, mut times } = self;
+        let (rendered_scene, rendered) = request.rendered(scene);
+        frame.focal_px = rendered_scene.camera.focal_px(rendered.size[0]);
+        frame.lens = rendered_scene.camera.lens;
+        let mut timed = |stage, work: &mut dyn FnMut(&mut Frame)| {
+            let start = Instant::now();
+            work(&mut frame);
+            times.push((stage, milliseconds(start.elapsed())));
+        };
+        if rendered.annotations.contains(Annotation::Instances) {
+            timed("labels", &mut |frame| {
+                frame.rocks = post::rock_labels::rocks(rendered_scene, rendered, request.image.size, frame);
+            });
+        }
+        if let Some(sensor) = &scene.sensor {
+            timed("sensor", &mut |frame| {
+                post::sensor::expose(frame, sensor, scene.camera.exposure_ev);
+                if !request.annotations.contains(Annotation::Hdr) {
+                    frame.radiance = Vec::new();
+                }
+            });
+        }
+        if post::hazards::any_requested(request.annotations) {
+            timed("hazards", &mut |frame| post::hazards::add(frame, scene, request.annotations));
+        }
+        (frame, times)
     }
 }

@@ -1,6 +1,8 @@
 //! The buffers and textures that hold a frame plan on the device. Upload only: nothing is decided here.
 //! Must not know: how a plan is made.
 
+use std::sync::{Arc, Weak};
+
 use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 
 use crate::gpu::Gpu;
@@ -29,6 +31,8 @@ pub(crate) struct SceneBuffers {
     pub(crate) caster_grid: GrowingBuffer,
     /// The horizon map, two heights a texel.
     horizon: Option<(wgpu::Texture, wgpu::TextureView)>,
+    /// The map that the texture holds. A weak reference keeps its address from being used again, but not the map.
+    horizon_source: Weak<HorizonMap>,
 }
 
 impl Default for SceneBuffers {
@@ -44,6 +48,7 @@ impl Default for SceneBuffers {
             caster_tiles: GrowingBuffer::new("shadow/tiles", BufferUsages::STORAGE),
             caster_grid: GrowingBuffer::new("shadow/caster_grid", BufferUsages::STORAGE),
             horizon: None,
+            horizon_source: Weak::new(),
         }
     }
 }
@@ -60,7 +65,7 @@ impl SceneBuffers {
             bytes += self.meshes.upload(gpu, scene, &plan.selection);
             bytes += self.meshes.set_draws(gpu, &plan.draws.draws, multi_draw);
         }
-        bytes + self.upload_horizon(gpu, &plan.horizon, plan.is_horizon_new)
+        bytes + self.upload_horizon(gpu, &plan.horizon)
     }
 
     /// Writes the uniforms of the frame, or of a tile, and returns how many bytes that took.
@@ -68,13 +73,14 @@ impl SceneBuffers {
         self.frame.write(gpu, &[*uniforms])
     }
 
-    fn upload_horizon(&mut self, gpu: &Gpu, map: &HorizonMap, is_new: bool) -> u64 {
+    fn upload_horizon(&mut self, gpu: &Gpu, map: &Arc<HorizonMap>) -> u64 {
         let size @ [width, height] = [map.width, map.height()];
         let fits = |texture: &wgpu::Texture| texture.width() >= width && texture.height() >= height;
         let is_kept = self.horizon.as_ref().is_some_and(|(texture, _)| fits(texture));
-        if is_kept && !is_new {
+        if is_kept && self.horizon_source.as_ptr() == Arc::as_ptr(map) {
             return 0;
         }
+        self.horizon_source = Arc::downgrade(map);
         let kept = self.horizon.take().filter(|_| is_kept);
         let (texture, _) = self.horizon.insert(kept.unwrap_or_else(|| {
             let usage = TextureUsages::TEXTURE_BINDING | TextureUsages::COPY_DST;

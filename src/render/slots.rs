@@ -20,6 +20,16 @@ pub(crate) struct Slot {
     pub(crate) timer: Option<Timer>,
 }
 
+impl Slot {
+    /// Asks for the frame's results to be mapped once the device has written them: the wait for the frame maps them.
+    pub(crate) fn map(&self) {
+        self.packed.map();
+        if let Some(timer) = &self.timer {
+            timer.map();
+        }
+    }
+}
+
 /// Slots of frames that are not in flight any more. Where frames of several sizes are drawn in turn, each finds its own again.
 #[derive(Debug, Default)]
 pub(crate) struct SlotPool {

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use super::{FrameRequest, LightingMode, RasterMode, RasterOptions, RenderSettings, Renderer};
+use super::{FramePacket, LightingMode, RasterMode, RasterOptions, RenderSettings, Renderer};
 use crate::error::{Error, Result};
 use crate::frame::Frame;
 use crate::gpu::Gpu;
@@ -22,10 +22,10 @@ fn render_with(
     fault: impl FnOnce(&mut GBuffer),
 ) -> Result<Frame> {
     let settings = RenderSettings::new(SIZE, samples).expect("settings");
-    let request = FrameRequest::new(scene, &settings)?;
-    let mut frame = renderer.prepare(scene, &request)?;
+    let FramePacket { request, plan, plan_ms } = renderer.planner().plan(scene, &settings)?;
+    let mut frame = renderer.prepare(scene, &request, plan)?;
     fault(&mut frame.gbuffer);
-    let in_flight = renderer.submit_prepared(scene, request, frame, Instant::now())?;
+    let in_flight = renderer.submit_prepared(scene, request, frame, (Instant::now(), plan_ms))?;
     Ok(renderer.finish(in_flight, scene)?.0)
 }
 

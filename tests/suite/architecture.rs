@@ -17,13 +17,14 @@ const MAX_FUNCTION_LINES: usize = 80;
 const LONG_BECAUSE: &str = "// Long because: ";
 
 /// Each room (a module directly below `src`) and the rooms that it may use.
-pub(crate) const MAY_USE: [(&str, &[&str]); 19] = [
+pub(crate) const MAY_USE: [(&str, &[&str]); 20] = [
     ("error", &[]),
     ("class", &[]),
     ("random", &[]),
     ("lens", &[]),
     ("pool", &[]),
     ("rounding", &[]),
+    ("host_time", &[]),
     ("input", &["error"]),
     ("frame", &["class", "lens"]),
     ("params", &["input", "error", "random"]),
@@ -34,7 +35,7 @@ pub(crate) const MAY_USE: [(&str, &[&str]); 19] = [
     ("remap", &["output", "class", "input", "error"]),
     ("export", &["scene", "render", "output", "class", "error"]),
     ("meta", &["params", "scene", "render", "output", "frame", "class"]),
-    ("bench", &["dataset", "params", "scene", "render", "output", "error"]),
+    ("bench", &["dataset", "host_time", "params", "scene", "render", "output", "error"]),
     (
         "doctor",
         &[
@@ -42,7 +43,22 @@ pub(crate) const MAY_USE: [(&str, &[&str]); 19] = [
             "error",
         ],
     ),
-    ("dataset", &["params", "scene", "render", "output", "meta", "frame", "lens", "class", "input", "error"]),
+    (
+        "dataset",
+        &[
+            "host_time",
+            "params",
+            "scene",
+            "render",
+            "output",
+            "meta",
+            "frame",
+            "lens",
+            "class",
+            "input",
+            "error",
+        ],
+    ),
 ];
 
 /// The room's own file, in a row of [`LAYERS`]; it is the top layer where it is not named.
@@ -91,8 +107,9 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
             &["lighting"],
             &["resolve", "visibility"],
             &["post", "shadow"],
-            &["frame_packet", "frame_plan"],
-            &["raw_frame", "scene_buffers", "slots", "tiling"],
+            &["frame_plan"],
+            &["frame_packet", "scene_buffers", "slots", "tiling"],
+            &["raw_frame"],
             &[SELF],
             &["fallbacks", "unwritten"],
         ],
@@ -102,7 +119,7 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
     (
         "dataset",
         &[
-            &["frame_image"],
+            &["frame_image", "work_queue"],
             &["contact_sheet", "digest", "histograms", "rules", "totals"],
             &["data_card", "plan"],
             &["attempt", "manifest"],

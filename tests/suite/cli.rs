@@ -561,6 +561,8 @@ fn the_bench_reports_every_case_and_a_sweep_plots_its_curve() {
             assert!(case[key].as_f64() > Some(0.0), "{key}: {case}");
         }
         assert!(case["stage_ms"]["gpu"].as_f64() > Some(0.0), "{case}");
+        let (host_ms, is_linux) = (case["host_ms"].as_f64(), cfg!(target_os = "linux"));
+        assert!(if is_linux { host_ms > Some(0.0) } else { host_ms.is_none() }, "{case}");
     }
     let sweep =
         run_ok(folder.path(), &[&small[..], &["--sweep", "samples", "--plot", "samples.svg"]].concat());

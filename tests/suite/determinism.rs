@@ -107,6 +107,51 @@ fn frames_in_flight_equal_frames_rendered_alone() {
     }
 }
 
+/// A device answers at once or after milliseconds: a second poll would let it idle.
+#[test]
+fn a_frame_polls_the_device_once() {
+    let mut renderer = renderer();
+    let own = renderer.raster();
+    renderer.set_raster(on_device(own));
+    let scene = scene(3, &[]);
+    for _ in 0..2 {
+        let before = renderer.gpu().waits();
+        renderer.render(&scene, &all_planes(64)).expect("a frame");
+        assert_eq!(renderer.gpu().waits() - before, 1);
+    }
+    renderer.set_raster(own);
+}
+
+/// Packets are planned by many threads at a time and submitted in another order: each frame is the one that is rendered alone.
+#[test]
+fn frames_of_packets_equal_frames_rendered_alone() {
+    let mut renderer = renderer();
+    let own = renderer.raster();
+    let mut moved = scene(3, &[]);
+    moved.camera.eye.x += 0.4;
+    let sets = [&[][..], &["stage.name=surface", "sensor.kind=bayer"], &["camera.k1=-0.1"]];
+    let scenes: Vec<_> = [scene(3, &[]), moved].into_iter().chain(sets.map(|set| scene(3, set))).collect();
+    for raster in [own, on_device(own)] {
+        renderer.set_raster(raster);
+        let settings = all_planes(96);
+        let alone: Vec<Frame> =
+            scenes.iter().map(|scene| renderer.render(scene, &settings).expect("a frame").0).collect();
+        let planner = renderer.planner();
+        let packets: Vec<_> = std::thread::scope(|scope| {
+            let plan = |scene| planner.plan(scene, &settings).expect("a packet");
+            let threads: Vec<_> = scenes.iter().map(|scene| scope.spawn(move || plan(scene))).collect();
+            threads.into_iter().map(|thread| thread.join().expect("a thread")).collect()
+        });
+        for (index, packet) in packets.into_iter().enumerate().rev() {
+            let in_flight = renderer.submit_packet(&scenes[index], packet).expect("submitted");
+            let raw = renderer.read_back(in_flight).expect("a frame");
+            let (frame, _) = raw.post_process(&scenes[index]);
+            assert!(frame == alone[index], "{}, frame {index}", raster.name());
+        }
+    }
+    renderer.set_raster(own);
+}
+
 /// Four samples per pixel and all geometric planes.
 fn all_planes(side: u32) -> RenderSettings {
     let mut settings = RenderSettings::new([side, side], 4).expect("settings");

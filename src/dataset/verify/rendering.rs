@@ -12,7 +12,7 @@ use super::report::{Report, name};
 use super::store::{Archives, StoredFile, files_in, read_hashed};
 use super::templates::{ExpectedFile, ExpectedFrame};
 use super::{depth, tolerance};
-use crate::dataset::attempt::{Attempt, RenderedFrame, build_scene, render_attempt};
+use crate::dataset::attempt::{Attempt, RenderedFrame, render_attempt, render_frame};
 use crate::dataset::log::FrameLog;
 use crate::dataset::pipeline::{EncodedFrame, encode_frame};
 use crate::error::{Error, Result};
@@ -87,11 +87,10 @@ impl FrameCheck<'_> {
         let is_same = self.is_same_renderer(renderer);
         let mut rendered = if is_same {
             // With all attempts, so that those that were rejected are rejected again.
-            let first = build_scene(plan, line.index, 0, Vec::new());
-            Attempt::submit(plan, renderer, first)?.finish(plan, renderer, line.index)?
+            render_frame(plan, renderer, line.index)?
         } else if line.attempt < plan.rules.attempts_max {
             // Where a rule is at its limit, another renderer may decide otherwise.
-            render_attempt(plan, renderer, line.index, line.attempt, line.redrawn.clone())?
+            render_attempt(plan, renderer, Attempt::known(line.index, line.attempt, line.redrawn.clone()))?
         } else {
             return Ok(());
         };

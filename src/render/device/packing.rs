@@ -116,7 +116,9 @@ mod tests {
         }
         readback.copy(&mut encoder, &output, bytes);
         let submission = gpu.queue.submit([encoder.finish()]);
-        readback.read(gpu, &submission, |bytes| bytemuck::cast_slice(bytes).to_vec()).expect("halves")
+        readback.map();
+        gpu.wait(&submission).expect("the device");
+        readback.read(|bytes| bytemuck::cast_slice(bytes).to_vec()).expect("halves")
     }
 
     /// Every half, every number half way between two, and their neighbours: zeros, subnormals, infinities and NaNs among them.

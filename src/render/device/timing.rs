@@ -115,15 +115,15 @@ impl Timer {
         self.readback.copy(encoder, &self.buffer, BYTES);
     }
 
-    /// Waits for the times of the passes that were recorded.
-    pub(crate) fn read(
-        &self,
-        gpu: &Gpu,
-        submission: &wgpu::SubmissionIndex,
-        passes: &[Pass],
-    ) -> Result<StageTimes> {
+    /// Asks for the times to be mapped once the device has finished what was submitted.
+    pub(crate) fn map(&self) {
+        self.readback.map();
+    }
+
+    /// The times of the passes that were recorded, after [`Self::map`] and the wait for the frame.
+    pub(crate) fn read(&self, gpu: &Gpu, passes: &[Pass]) -> Result<StageTimes> {
         let to_ms = f64::from(gpu.queue.get_timestamp_period()) * 1e-6;
-        self.readback.read(gpu, submission, |bytes| {
+        self.readback.read(|bytes| {
             let tick = |at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap_or_default());
             let time = |&pass: &Pass| {
                 let at = PASS_BYTES as usize * pass as usize;

@@ -198,13 +198,17 @@ impl PackedFrame {
         self.readback.copy(encoder, &self.buffer, self.packing.bytes());
     }
 
-    /// Waits for the submission and unpacks the frame.
+    /// Asks for the planes to be mapped once the device has finished what was submitted.
+    pub fn map(&self) {
+        self.readback.map();
+    }
+
+    /// Unpacks the frame, after [`Self::map`] and the wait for it.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`], [`Error::Device`], or [`Error::Unlabelled`] if a sample was written by no draw.
-    pub fn read(&self, gpu: &Gpu, submission: &wgpu::SubmissionIndex) -> Result<Frame> {
-        let unpacked = |bytes: &[u8]| unpack(bytes, self.size, self.packing, &self.tiles);
-        let frame = self.readback.read(gpu, submission, unpacked)?;
+    /// [`Error::DeviceLost`], or [`Error::Unlabelled`] if a sample was written by no draw.
+    pub fn read(&self) -> Result<Frame> {
+        let frame = self.readback.read(|bytes| unpack(bytes, self.size, self.packing, &self.tiles))?;
         match frame.class.iter().position(|id| *id == ClassId::UNLABELLED.0) {
             None => Ok(frame),
             Some(first) => Err(Error::Unlabelled {

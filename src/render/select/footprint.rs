@@ -10,7 +10,7 @@ use crate::render::select::selection::Selection;
 use crate::scene::Scene;
 
 /// A convex polygon on the map, as seen from above.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Footprint {
     /// Counterclockwise, metres, world.
     pub corners: Vec<Vec2>,

@@ -14,7 +14,7 @@
 mod heightfield;
 mod sweep;
 
-use std::sync::{Arc, Weak};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 use glam::Vec2;
 
@@ -45,7 +45,10 @@ const FARTHEST_M: f32 = 1e9;
 /// Maximum number of grids. Stands in `common/frame.wgsl` too.
 pub const MAX_LEVELS: usize = 12;
 
-/// The map: its grids, the finest first. Updated in place, for its memory, and for what did not change.
+/// Maps whose memory later ones use: those of the frames that are planned or in flight.
+const MAX_RETIRED: usize = 8;
+
+/// The map: its grids, the finest first. Computed in place, for its memory.
 #[derive(Clone, Debug, Default)]
 pub struct HorizonMap {
     /// Horizontal unit vector towards the sun, along the rows.
@@ -64,9 +67,22 @@ pub struct HorizonMap {
     shadowed: Vec<Vec2>,
     /// Memory of earlier grids.
     spare: Vec<Vec<Limbs>>,
-    source: Option<Source>,
-    /// The heights of the last square ground.
-    heightfield: Heightfield,
+    /// The heights of a square ground, which maps of the same ground share.
+    heightfield: Arc<Heightfield>,
+}
+
+/// The map that was computed last, for as long as neither ground nor sun change, and the memory of those before. One for any number
+/// of threads.
+#[derive(Debug, Default)]
+pub struct HorizonCache {
+    last: Mutex<LastMaps>,
+}
+
+#[derive(Debug, Default)]
+struct LastMaps {
+    last: Option<(Source, Arc<HorizonMap>)>,
+    /// Maps that frames may still hold.
+    retired: Vec<Arc<HorizonMap>>,
 }
 
 /// What a map was computed from.
@@ -75,47 +91,87 @@ struct Source {
     /// A weak reference keeps the address of the ground from being used again, but not the ground.
     terrain: Weak<Terrain>,
     sun: Sun,
-    /// Whether the map is over all of the ground.
-    is_whole: bool,
+    /// What the map is over; `None` if it is over all of the ground.
+    footprint: Option<Footprint>,
 }
 
-impl HorizonMap {
-    /// Computes the map of a ground and a sun over a footprint, the part that is visible. Returns whether the map changed.
+impl Source {
+    fn is_of(&self, terrain: &Arc<Terrain>, sun: &Sun) -> bool {
+        self.terrain.ptr_eq(&Arc::downgrade(terrain)) && self.sun == *sun
+    }
+}
+
+impl LastMaps {
+    /// A map whose memory no frame uses any more.
+    fn unused(&mut self) -> HorizonMap {
+        let unused = self.retired.iter().position(|map| Arc::strong_count(map) == 1);
+        unused.and_then(|index| Arc::into_inner(self.retired.swap_remove(index))).unwrap_or_default()
+    }
+
+    fn set(&mut self, source: Source, map: &Arc<HorizonMap>) {
+        let before = self.last.replace((source, Arc::clone(map)));
+        self.retired.extend(before.map(|(_, map)| map));
+        if self.retired.len() > MAX_RETIRED {
+            self.retired.remove(0);
+        }
+    }
+}
+
+impl HorizonCache {
+    /// The map of a ground and a sun over a footprint, the part that is visible: the same one as long as it serves.
     ///
     /// Samples lie where they would in a map of the whole ground, and over a square they have the same values. If a square and its
     /// sun are those of the last map, this computes the map of the whole ground, once, for all later frames.
-    pub fn update(&mut self, terrain: &Arc<Terrain>, sun: &Sun, footprint: &Footprint) -> bool {
-        let same = self.source.take().filter(|source| {
-            matches!(terrain.layout, Layout::Square)
-                && source.terrain.ptr_eq(&Arc::downgrade(terrain))
-                && source.sun == *sun
-        });
-        let (is_same, was_whole) = (same.is_some(), same.is_some_and(|source| source.is_whole));
-        self.source = Some(Source { terrain: Arc::downgrade(terrain), sun: *sun, is_whole: is_same });
-        if was_whole {
-            return false;
+    pub fn map(&self, terrain: &Arc<Terrain>, sun: &Sun, footprint: &Footprint) -> Arc<HorizonMap> {
+        let lock = || self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut maps = lock();
+        let is_square = matches!(terrain.layout, Layout::Square);
+        let same = maps.last.as_ref().filter(|(source, _)| source.is_of(terrain, sun));
+        if let Some((source, map)) = same
+            && source.footprint.as_ref().is_none_or(|known| known == footprint)
+        {
+            return Arc::clone(map);
         }
-        if is_same {
-            let beyond = 2.0 * terrain.half_extent_m;
-            let corners = [Vec2::ONE, Vec2::NEG_ONE, Vec2::new(1.0, -1.0), Vec2::new(-1.0, 1.0)];
-            let corners = corners.into_iter().map(|corner| terrain.centre + beyond * corner);
-            self.compute(terrain, sun, &Footprint::hull(corners));
+        let is_whole = is_square && same.is_some();
+        let of_ground =
+            maps.last.as_ref().filter(|(source, _)| source.terrain.ptr_eq(&Arc::downgrade(terrain)));
+        let heightfield = of_ground.map(|(_, map)| Arc::clone(&map.heightfield));
+        let mut map = maps.unused();
+        map.heightfield = heightfield.unwrap_or(map.heightfield);
+        if is_whole {
+            // With the lock held: the other threads wait for the same map.
+            map.compute(terrain, sun, &whole(terrain));
         } else {
-            self.compute(terrain, sun, footprint);
+            drop(maps);
+            map.compute(terrain, sun, footprint);
+            maps = lock();
         }
-        true
+        let footprint = (!is_whole).then(|| footprint.clone());
+        let (map, source) =
+            (Arc::new(map), Source { terrain: Arc::downgrade(terrain), sun: *sun, footprint });
+        maps.set(source, &map);
+        map
     }
+}
 
-    /// Sweeps all grids over a footprint, from the coarsest to the finest.
-    fn compute(&mut self, terrain: &Arc<Terrain>, sun: &Sun, footprint: &Footprint) {
+/// A footprint that holds all of the ground.
+fn whole(terrain: &Terrain) -> Footprint {
+    let beyond = 2.0 * terrain.half_extent_m;
+    let corners = [Vec2::ONE, Vec2::NEG_ONE, Vec2::new(1.0, -1.0), Vec2::new(-1.0, 1.0)];
+    Footprint::hull(corners.into_iter().map(|corner| terrain.centre + beyond * corner))
+}
+
+impl HorizonMap {
+    /// Computes the map over a footprint: sweeps all grids, from the coarsest to the finest.
+    pub fn compute(&mut self, terrain: &Arc<Terrain>, sun: &Sun, footprint: &Footprint) {
         let azimuth = sun.azimuth_deg.to_radians();
         let towards = Vec2::new(libm::sin(azimuth) as f32, libm::cos(azimuth) as f32);
         let (base_m, steps_m) = level_steps_m(terrain, towards);
         let is_square = matches!(terrain.layout, Layout::Square);
         if is_square {
-            self.heightfield.update(terrain, steps_m[0]);
+            Heightfield::update_shared(&mut self.heightfield, terrain, steps_m[0]);
         }
-        let heightfield = is_square.then_some(&self.heightfield);
+        let heightfield = is_square.then_some(&*self.heightfield);
         let mut grids: Vec<HorizonGrid> = Vec::new();
         for (level, &step_m) in steps_m.iter().enumerate().rev() {
             let lattice = SweepLattice::new(terrain, heightfield, sun, towards, step_m);
@@ -218,7 +274,7 @@ mod tests {
         let corners =
             [Vec2::splat(-100.0), Vec2::splat(100.0), Vec2::new(-100.0, 100.0), Vec2::new(100.0, -100.0)];
         let mut map = HorizonMap::default();
-        map.update(&Arc::new(terrain), &sun, &Footprint::hull(corners.into_iter()));
+        map.compute(&Arc::new(terrain), &sun, &Footprint::hull(corners.into_iter()));
         let level = map.levels[0];
         // Beyond 13 m the shadow of the ridge has reached the ground.
         for x in [-5.0_f32, -8.0, -12.0] {
@@ -244,11 +300,12 @@ mod tests {
             let corners = [(0.0, 0.0), (20.0, 5.0), (15.0, 30.0)];
             Footprint::hull(corners.into_iter().map(move |(dx, y)| Vec2::new(x + dx, y)))
         };
-        let mut map = HorizonMap::default();
-        assert!(map.update(&terrain, &sun, &part(0.0)));
-        let of_part = map.clone();
-        assert!(map.update(&terrain, &sun, &part(-3.0)), "now the whole ground");
-        assert!(!map.update(&terrain, &sun, &part(9.0)), "the map is already whole");
+        let cache = HorizonCache::default();
+        let of_part = cache.map(&terrain, &sun, &part(0.0));
+        let map = cache.map(&terrain, &sun, &part(-3.0));
+        assert!(!Arc::ptr_eq(&map, &of_part), "now the whole ground");
+        assert!(Arc::ptr_eq(&map, &cache.map(&terrain, &sun, &part(9.0))), "the map is already whole");
+        assert!(Arc::ptr_eq(&map.heightfield, &of_part.heightfield), "the ground is read once");
         let (part_level, level) = (of_part.levels[0], map.levels[0]);
         assert_eq!((level.origin, level.step_m), (part_level.origin, part_level.step_m));
         let mut compared = 0;
@@ -263,8 +320,10 @@ mod tests {
         }
         assert!(compared > 1000, "{compared}");
         let low_sun = Sun::new(5.0, 230.0, 0.53, Vec3::ONE);
-        assert!(map.update(&terrain, &low_sun, &part(0.0)), "another sun");
-        assert!(map.update(&Arc::new(Terrain::clone(&terrain)), &low_sun, &part(0.0)), "another ground");
-        assert!(map.levels[0].size[0] < level.size[0], "a part again");
+        let of_low_sun = cache.map(&terrain, &low_sun, &part(0.0));
+        assert!(of_low_sun.levels[0].size[0] < level.size[0], "a part again");
+        let other = cache.map(&Arc::new(Terrain::clone(&terrain)), &low_sun, &part(0.0));
+        assert!(!Arc::ptr_eq(&other, &of_low_sun), "another ground");
+        assert!(other.heights_m == of_low_sun.heights_m);
     }
 }

@@ -30,13 +30,22 @@ pub(super) struct Heightfield {
 }
 
 impl Heightfield {
-    /// Copies the heights of a terrain, and bounds the chord errors for a step, unless both are unchanged.
-    pub(super) fn update(&mut self, terrain: &Arc<Terrain>, step_m: f32) {
-        let is_same = self.source.ptr_eq(&Arc::downgrade(terrain));
-        if is_same && self.chord_errors.step_m == step_m {
-            return;
+    /// Updates a heightfield, or replaces one that others use.
+    pub(super) fn update_shared(shared: &mut Arc<Self>, terrain: &Arc<Terrain>, step_m: f32) {
+        if !shared.serves(terrain, step_m) {
+            let mut heightfield = Arc::get_mut(shared).map(std::mem::take).unwrap_or_default();
+            heightfield.update(terrain, step_m);
+            *shared = Arc::new(heightfield);
         }
-        if !is_same {
+    }
+
+    fn serves(&self, terrain: &Arc<Terrain>, step_m: f32) -> bool {
+        self.source.ptr_eq(&Arc::downgrade(terrain)) && self.chord_errors.step_m == step_m
+    }
+
+    /// Copies the heights of a terrain, and bounds the chord errors for a step.
+    fn update(&mut self, terrain: &Arc<Terrain>, step_m: f32) {
+        if !self.source.ptr_eq(&Arc::downgrade(terrain)) {
             self.source = Arc::downgrade(terrain);
             self.cells = terrain.columns as usize;
             self.cell_m = terrain.cell_m();
