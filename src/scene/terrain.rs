@@ -187,6 +187,20 @@ impl Terrain {
         }
         lowest
     }
+
+    /// Lower and upper bound on the height of the ground over a box, metres: no narrower than [`Self::lowest_over`] any box within.
+    #[must_use]
+    pub fn z_range_over(&self, low: Vec2, high: Vec2) -> [f32; 2] {
+        let [columns, rows] = self.vertices_over(low, high);
+        let mut range = [f32::INFINITY, f32::NEG_INFINITY];
+        for row in rows {
+            let first = (row * (self.columns + 1)) as usize;
+            let [lowest, highest] =
+                z_range_m(&self.vertices[first + columns.start as usize..first + columns.end as usize]);
+            range = [range[0].min(lowest), range[1].max(highest)];
+        }
+        range
+    }
 }
 
 /// Lowest and highest vertex, metres.

@@ -26,6 +26,9 @@ const RING_CELLS: u32 = 192;
 const INNERMOST_M: f32 = 4.0;
 /// Rows of a grid that one thread fills.
 const BAND_ROWS: usize = 32;
+/// Cells along a side of a block, whose range of heights decides most tests without a look at its cells.
+const BLOCK_CELLS: usize = 8;
+const _: () = assert!(BAND_ROWS.is_multiple_of(BLOCK_CELLS) && RING_CELLS.is_multiple_of(BLOCK_CELLS as u32));
 /// Set in the offset of a cell's list if the ground may occlude the sun from a surface above the cell. Stands in
 /// `common/shadow_map.wgsl` too.
 pub const TEST_HORIZON: u32 = 1 << 31;
@@ -307,6 +310,8 @@ struct GridBand<'a> {
     finer: Range<usize>,
     /// Of each cell, a lower bound of the height of its ground, metres; NaN until it is computed.
     min_ground_m: PooledVec<f32>,
+    /// Of each block, bounds of the height of its ground, metres; NaN until they are computed.
+    block_range_m: Vec<[f32; 2]>,
     /// Of each row, the columns that may be looked up.
     spans: Vec<Range<usize>>,
 }
@@ -328,6 +333,10 @@ impl<'a> GridBand<'a> {
             origin: grids.centre - half_m,
             finer: if level == 0 { 0..0 } else { cells / 4..cells - cells / 4 },
             min_ground_m: PooledVec::filled(rows.len() * cells, f32::NAN),
+            block_range_m: vec![
+                [f32::NAN; 2];
+                rows.len().div_ceil(BLOCK_CELLS) * cells.div_ceil(BLOCK_CELLS)
+            ],
             spans: Vec::new(),
             rows: rows.clone(),
         };
@@ -399,11 +408,32 @@ impl<'a> GridBand<'a> {
                 }
                 let centre = (Vec2::new(column as f32, row as f32) + 0.5) * self.cell_m + self.origin;
                 // Unless even the highest ray that the caster can have blocked runs below the ground here.
-                if strip.highest_ray_m(centre).is_some_and(|ray_m| ray_m >= self.min_ground_m(column, row)) {
+                if strip.highest_ray_m(centre).is_some_and(|ray_m| self.reaches_ground(column, row, ray_m)) {
                     visit((row - self.rows.start) * self.cells + column);
                 }
             }
         }
+    }
+
+    /// Whether a ray at this height does not run below [`Self::min_ground_m`] of a cell.
+    fn reaches_ground(&mut self, column: usize, row: usize, ray_m: f32) -> bool {
+        let [lowest_m, highest_m] = self.block_range_m(column, row);
+        ray_m >= highest_m || (ray_m >= lowest_m && ray_m >= self.min_ground_m(column, row))
+    }
+
+    /// Bounds of the height of the ground in the block of a cell, metres.
+    fn block_range_m(&mut self, column: usize, row: usize) -> [f32; 2] {
+        let block = [column / BLOCK_CELLS, (row - self.rows.start) / BLOCK_CELLS];
+        let known = &mut self.block_range_m[block[1] * self.cells.div_ceil(BLOCK_CELLS) + block[0]];
+        if known[0].is_nan() {
+            let corner = Vec2::new(block[0] as f32, block[1] as f32) * BLOCK_CELLS as f32;
+            let low = (corner + Vec2::new(0.0, self.rows.start as f32)) * self.cell_m + self.origin;
+            // With a margin for the rounding of the cells' corners.
+            let margin_m = 0.01 * self.cell_m;
+            let high = low + BLOCK_CELLS as f32 * self.cell_m + margin_m;
+            *known = self.terrain.z_range_over(low - margin_m, high);
+        }
+        *known
     }
 
     /// A lower bound of the height of the ground in a cell, metres.
@@ -414,5 +444,37 @@ impl<'a> GridBand<'a> {
             *known = self.terrain.lowest_over(low, low + self.cell_m);
         }
         *known
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::params::config::Config;
+
+    #[test]
+    fn heights_of_blocks_decide_as_those_of_cells_do() {
+        for set in ["stage.name=nominal", "stage.name=surface"] {
+            let mut config = Config::default();
+            config.apply_set(set).expect("a knob");
+            let scene = Scene::build(3, &config.draw(3).expect("knobs")).expect("a scene");
+            let grids = CasterGrids::new(&scene.terrain);
+            for level in 0..grids.levels {
+                let cells = grids.cells as usize;
+                let rows = cells / 2 - BAND_ROWS..cells / 2;
+                let footprint = Footprint::default();
+                let mut band = GridBand::new(&scene.terrain, &grids, level, rows.clone(), &footprint);
+                for (row, column) in rows.flat_map(|row| (0..cells).map(move |column| (row, column))) {
+                    let lowest_m = band.min_ground_m(column, row);
+                    let [below_m, above_m] = band.block_range_m(column, row);
+                    assert!(
+                        below_m <= lowest_m && lowest_m <= above_m,
+                        "{set}, level {level}: {column}, {row}"
+                    );
+                    assert!(band.reaches_ground(column, row, lowest_m));
+                    assert!(!band.reaches_ground(column, row, lowest_m.next_down()));
+                }
+            }
+        }
     }
 }
