@@ -1,6 +1,7 @@
 //! Meshes on the device, for the stages that it rasterises: vertices, indices, and the draws of a frame.
 //!
-//! Vertices stay for as long as their scene; those of a rock are appended when it is first drawn. Indices stay for as long as the
+//! Vertices stay for as long as their scene; those of a rock are appended when it is first drawn, and again when it is drawn at a
+//! finer level: those of a level are the first of each finer one. Indices stay for as long as the
 //! ground's grid. Draws are set for each frame.
 //! Must not know: a stage.
 
@@ -110,8 +111,17 @@ pub(crate) struct Meshes {
     terrain: Weak<Terrain>,
     /// First vertex of the ground.
     ground: i32,
-    /// Mesh and first vertex of each rock of the scene; a dangling reference where it is not uploaded.
-    rocks: Vec<(Weak<PooledVec<Vertex>>, i32)>,
+    /// What is uploaded of each rock of the scene.
+    rocks: Vec<RockVertices>,
+}
+
+/// The vertices of a rock in the vertex buffer.
+#[derive(Clone, Debug, Default)]
+struct RockVertices {
+    /// Its mesh; a dangling reference where nothing is uploaded.
+    mesh: Weak<PooledVec<Vertex>>,
+    first: i32,
+    count: usize,
 }
 
 impl Default for Meshes {
@@ -154,7 +164,7 @@ impl Meshes {
 
     fn indexed_draw(&self, draw: &MeshDraw) -> Draw {
         let (indices, base_vertex) = match draw.mesh {
-            MeshRef::Rock { rock, level } => (&self.levels[level], self.rocks[rock].1),
+            MeshRef::Rock { rock, level } => (&self.levels[level], self.rocks[rock].first),
             MeshRef::Block(block) => {
                 let (indices, first_vertex) = &self.blocks[block];
                 (indices, self.ground + first_vertex)
@@ -256,11 +266,16 @@ impl Meshes {
             self.terrain = Arc::downgrade(&scene.terrain);
             self.rocks.clear();
         }
-        self.rocks.resize(scene.rocks.len(), (Weak::new(), 0));
+        self.rocks.resize(scene.rocks.len(), RockVertices::default());
         for selected in &selection.rocks {
-            let (uploaded, mesh) = (&mut self.rocks[selected.rock], &scene.rocks[selected.rock].vertices);
-            if uploaded.0.as_ptr() != Arc::as_ptr(mesh) {
-                *uploaded = (Arc::downgrade(mesh), add(mesh));
+            let (uploaded, rock) = (&mut self.rocks[selected.rock], &scene.rocks[selected.rock]);
+            let finest = selected.visible_level.max(selected.caster.map(|(_, level)| level)).unwrap_or(0);
+            let count = Icosphere::vertex_count(finest.min(rock.level));
+            let is_uploaded =
+                uploaded.mesh.as_ptr() == Arc::as_ptr(&rock.vertices) && uploaded.count >= count;
+            if !is_uploaded {
+                let mesh = Arc::downgrade(&rock.vertices);
+                *uploaded = RockVertices { mesh, first: add(&rock.vertices[..count]), count };
             }
         }
         if missing.is_empty() {
