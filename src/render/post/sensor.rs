@@ -6,6 +6,11 @@
 //! Every random number is a hash of pixel and frame, so that the same frame is the same to the bit for any number of threads.
 //! Must not know: wgpu.
 
+mod encoding;
+mod fixed_pattern;
+mod optics;
+
+use half::slice::HalfFloatSliceExt;
 use rayon::prelude::*;
 
 use crate::class::ClassId;
@@ -13,9 +18,10 @@ use crate::frame::Frame;
 use crate::render::resolve::tone::exposure;
 use crate::scene::noise::lattice_hash;
 use crate::scene::sensor::{Mosaic, Sensor};
+use encoding::{SrgbCodes, bayer_channel, demosaic_row, linear_from_srgb};
+use fixed_pattern::fixed_pattern;
+use optics::convolve;
 
-/// Seed of the fixed pattern: what does not change from frame to frame.
-const FIXED_PATTERN_SEED: u32 = 0x5e25_0a11;
 /// What each random number of a pixel is for: normal ones take two purposes.
 mod purpose {
     pub(super) const PRNU: i32 = 0;
@@ -35,47 +41,48 @@ pub fn expose(frame: &mut Frame, sensor: &Sensor, exposure_ev: f32) {
     let [width, height] = [frame.width as usize, frame.height as usize];
     let mut channels = spectral_channels(frame, sensor.mosaic);
     let gain = exposure_gain(frame, sensor, &channels, exposure(exposure_ev));
+    let falloff = vignetting(width, height, frame.focal_px as f32, sensor);
     for channel in &mut channels {
-        add_glare_and_vignetting(channel, width, height, frame.focal_px as f32, sensor, gain);
+        add_glare_and_vignetting(channel, &falloff, sensor, gain);
         *channel = convolve(channel, width, height, sensor.psf_px);
     }
-    let readings: Vec<f32> = (0..width * height)
-        .into_par_iter()
-        .map(|pixel| {
-            let (x, y) = (pixel % width, pixel / width);
+    let pattern = (sensor.prnu != 0.0 || sensor.dsnu_e != 0.0).then(|| fixed_pattern([width, height]));
+    let mut readings = vec![0.0; width * height];
+    readings.par_chunks_exact_mut(width).enumerate().for_each(|(y, readings)| {
+        for (x, reading) in readings.iter_mut().enumerate() {
+            let pixel = y * width + x;
             let channel = if channels.len() == 1 { 0 } else { bayer_channel(x, y) };
-            read_pixel(sensor, channels[channel][pixel], x, y)
-        })
-        .collect();
-    frame.rgb.par_chunks_exact_mut(3).enumerate().for_each(|(pixel, rgb)| {
-        let linear_rgb = match sensor.mosaic {
-            Mosaic::Monochrome => [readings[pixel]; 3],
-            Mosaic::Bayer => demosaic(&readings, width, height, pixel % width, pixel / width),
-        };
-        for (value, linear) in rgb.iter_mut().zip(linear_rgb) {
-            let black = sensor.black_level as f32;
-            *value = (255.0 * srgb_from_linear((linear - black) / (1.0 - black)) + 0.5) as u8;
+            let of_pixel = pattern.as_ref().map_or([0.0; 2], |pattern| pattern[pixel]);
+            *reading = read_pixel(sensor, channels[channel][pixel], of_pixel, x, y);
+        }
+    });
+    let (codes, black) = (SrgbCodes::shared(), sensor.black_level as f32);
+    let code = |linear: f32| codes.code((linear - black) / (1.0 - black));
+    frame.rgb.par_chunks_exact_mut(3 * width).enumerate().for_each(|(y, row)| match sensor.mosaic {
+        Mosaic::Monochrome => {
+            for (rgb, reading) in row.chunks_exact_mut(3).zip(&readings[y * width..]) {
+                rgb.fill(code(*reading));
+            }
+        }
+        Mosaic::Bayer => {
+            let mut colours = vec![[0.0; 3]; width];
+            demosaic_row(&readings, width, height, y, &mut colours);
+            for (value, linear) in row.iter_mut().zip(colours.as_flattened()) {
+                *value = code(*linear);
+            }
         }
     });
 }
 
 /// The radiance of a frame in each channel that the filters of a sensor pass.
 fn spectral_channels(frame: &Frame, mosaic: Mosaic) -> Vec<Vec<f32>> {
-    let channels = match mosaic {
-        Mosaic::Monochrome => 1,
-        Mosaic::Bayer => 3,
-    };
-    (0..channels)
-        .map(|channel| {
-            let pixels = frame.radiance.par_chunks_exact(3);
-            pixels
-                .map(|rgb| match mosaic {
-                    Mosaic::Monochrome => (0..3).map(|c| PANCHROMATIC[c] * rgb[c].to_f32()).sum(),
-                    Mosaic::Bayer => rgb[channel].to_f32(),
-                })
-                .collect()
-        })
-        .collect()
+    let mut radiance = vec![0.0; frame.radiance.len()];
+    frame.radiance.convert_to_f32_slice(&mut radiance);
+    let channel = |of_rgb: &dyn Fn(&[f32]) -> f32| radiance.chunks_exact(3).map(of_rgb).collect();
+    match mosaic {
+        Mosaic::Monochrome => vec![channel(&|rgb| (0..3).map(|c| PANCHROMATIC[c] * rgb[c]).sum())],
+        Mosaic::Bayer => (0..3).map(|c| channel(&|rgb| rgb[c])).collect(),
+    }
 }
 
 /// Factor from radiance to the fill of a pixel, where 1 is the full well: the exposure of the camera, or the one that puts the median
@@ -90,83 +97,32 @@ fn exposure_gain(frame: &Frame, sensor: &Sensor, channels: &[Vec<f32>], fixed: f
     if values.is_empty() {
         return fixed;
     }
-    values.sort_by(f32::total_cmp);
-    let bright = values[values.len() * 9 / 10];
-    let sunlit = &values[values.partition_point(|value| *value < 0.1 * bright)..];
-    let median = sunlit[sunlit.len() / 2];
+    let quantile = |values: &mut [f32], rank: usize| *values.select_nth_unstable_by(rank, f32::total_cmp).1;
+    let rank = values.len() * 9 / 10;
+    let bright = quantile(&mut values, rank);
+    values.retain(|value| *value >= 0.1 * bright);
+    let rank = values.len() / 2;
+    let median = quantile(&mut values, rank);
     if median > 0.0 { linear_from_srgb(sensor.ground_level as f32) / median } else { fixed }
 }
 
-/// Adds the veiling glare, an even part of the channel's mean, and applies the gain and the vignetting, a share of the natural
-/// cos^4 falloff.
-fn add_glare_and_vignetting(
-    channel: &mut [f32],
-    width: usize,
-    height: usize,
-    focal_px: f32,
-    sensor: &Sensor,
-    gain: f32,
-) {
+/// The part of the light that the vignetting leaves at each pixel, a share of the natural cos^4 falloff.
+fn vignetting(width: usize, height: usize, focal_px: f32, sensor: &Sensor) -> Vec<f32> {
+    let of_pixel = |x: usize, y: usize| {
+        let (dx, dy) = (x as f32 + 0.5 - 0.5 * width as f32, y as f32 + 0.5 - 0.5 * height as f32);
+        let cos2 = 1.0 / (1.0 + (dx * dx + dy * dy) / (focal_px * focal_px));
+        1.0 - sensor.vignetting as f32 * (1.0 - cos2 * cos2)
+    };
+    (0..height).flat_map(|y| (0..width).map(move |x| of_pixel(x, y))).collect()
+}
+
+/// Adds the veiling glare, an even part of the channel's mean, and applies the gain and the vignetting.
+fn add_glare_and_vignetting(channel: &mut [f32], falloff: &[f32], sensor: &Sensor, gain: f32) {
     let mean = channel.iter().map(|value| f64::from(*value)).sum::<f64>() / channel.len() as f64;
     let veil = (sensor.glare * mean) as f32;
-    channel.par_chunks_exact_mut(width).enumerate().for_each(|(y, row)| {
-        for (x, value) in row.iter_mut().enumerate() {
-            let (dx, dy) = (x as f32 + 0.5 - 0.5 * width as f32, y as f32 + 0.5 - 0.5 * height as f32);
-            let cos2 = 1.0 / (1.0 + (dx * dx + dy * dy) / (focal_px * focal_px));
-            let falloff = 1.0 - sensor.vignetting as f32 * (1.0 - cos2 * cos2);
-            *value = gain * falloff * (*value + veil);
-        }
-    });
-}
-
-/// Frequencies at which the inverse Fourier integral of [`psf_kernel`] is summed, up to Nyquist's.
-const FREQUENCIES: u32 = 64;
-
-/// One half of the symmetric, separable kernel of the point spread function, the middle weight first; the weights sum to 1.
-///
-/// It is designed in the frequency domain: with the aperture of the pixel (2 x 2 samples, whose transfer at f cycles a pixel is
-/// cos(pi f / 2)) the modulation transfer function is that of a Gaussian of this standard deviation, exp(-2 (pi sigma f)^2), up to
-/// Nyquist's frequency. A Gaussian sampled at the pixels would pass twice as much there. Side lobes stay below 2 %. The pixel alone has
-/// a standard deviation of 0.25: up to there the kernel is a single 1.
-fn psf_kernel(sigma_px: f64) -> Vec<f32> {
-    let reach = (3.0 * sigma_px).ceil() as u32 + 2;
-    let pi = std::f64::consts::PI;
-    let transfer = |f: f64| {
-        let phase = pi * sigma_px * f;
-        (libm::exp(-2.0 * phase * phase) / libm::cos(0.5 * pi * f)).min(1.0)
-    };
-    let weight = |offset: u32| {
-        let frequency = |step: u32| (f64::from(step) + 0.5) / f64::from(2 * FREQUENCIES);
-        let wave =
-            |step| transfer(frequency(step)) * libm::cos(2.0 * pi * f64::from(offset) * frequency(step));
-        (0..FREQUENCIES).map(wave).sum::<f64>()
-    };
-    let weights: Vec<f64> = (0..=reach).map(weight).collect();
-    let sum = 2.0 * weights.iter().sum::<f64>() - weights[0];
-    weights.into_iter().map(|weight| (weight / sum) as f32).collect()
-}
-
-/// A channel convolved with the point spread function, see [`psf_kernel`]: rows, then columns, with the border repeated.
-fn convolve(channel: &[f32], width: usize, height: usize, sigma_px: f64) -> Vec<f32> {
-    let weights = psf_kernel(sigma_px);
-    let reach = weights.len() as isize - 1;
-    let weighted_sum = |tap: &(dyn Fn(isize) -> f32 + Sync)| -> f32 {
-        (-reach..=reach).map(|i| weights[i.unsigned_abs()] * tap(i)).sum()
-    };
-    let clamped = |at: isize, end: usize| at.clamp(0, end as isize - 1) as usize;
-    let rows: Vec<f32> = (0..channel.len())
-        .into_par_iter()
-        .map(|p| weighted_sum(&|i| channel[p / width * width + clamped((p % width) as isize + i, width)]))
-        .collect();
-    (0..channel.len())
-        .into_par_iter()
-        .map(|p| weighted_sum(&|i| rows[clamped((p / width) as isize + i, height) * width + p % width]))
-        .collect()
-}
-
-/// The channel of a pixel's filter in the Bayer mosaic RGGB: 0 red, 1 green, 2 blue.
-const fn bayer_channel(x: usize, y: usize) -> usize {
-    (x % 2) + (y % 2)
+    for (value, falloff) in channel.iter_mut().zip(falloff) {
+        *value = gain * falloff * (*value + veil);
+    }
 }
 
 /// A uniform number in (0, 1) for a pixel.
@@ -180,10 +136,11 @@ fn normal(x: usize, y: usize, purpose: i32, seed: u32) -> f64 {
     (-2.0 * libm::log(u)).sqrt() * libm::cos(std::f64::consts::TAU * v)
 }
 
-/// The digital reading of a pixel with this fill (1 is the full well), as a part of full scale, with the mean dark signal subtracted.
-fn read_pixel(sensor: &Sensor, fill: f32, x: usize, y: usize) -> f32 {
-    let sensitivity = 1.0 + sensor.prnu * normal(x, y, purpose::PRNU, FIXED_PATTERN_SEED);
-    let dark_e = sensor.dark_e + sensor.dsnu_e * normal(x, y, purpose::DSNU, FIXED_PATTERN_SEED);
+/// The digital reading of a pixel with this fill (1 is the full well) and these numbers of the fixed pattern, as a part of full
+/// scale, with the mean dark signal subtracted.
+fn read_pixel(sensor: &Sensor, fill: f32, [prnu, dsnu]: [f64; 2], x: usize, y: usize) -> f32 {
+    let sensitivity = 1.0 + sensor.prnu * prnu;
+    let dark_e = sensor.dark_e + sensor.dsnu_e * dsnu;
     let mean_e = (f64::from(fill) * sensor.full_well_e * sensitivity + dark_e).max(0.0);
     let seed = sensor.noise_seed;
     let collected_e = if mean_e > MIN_NORMAL_MEAN_E {
@@ -213,41 +170,10 @@ fn poisson(mean: f64, x: usize, y: usize, seed: u32) -> f64 {
     count
 }
 
-/// The three channels of a pixel by bilinear demosaicing: its own, and the means of the others over the 3 x 3 pixels around.
-fn demosaic(readings: &[f32], width: usize, height: usize, x: usize, y: usize) -> [f32; 3] {
-    let (mut sums, mut counts) = ([0.0_f32; 3], [0.0_f32; 3]);
-    let own = bayer_channel(x, y);
-    for (dx, dy) in (-1..=1).flat_map(|dy: isize| (-1..=1).map(move |dx: isize| (dx, dy))) {
-        let (px, py) = (x as isize + dx, y as isize + dy);
-        if px < 0 || py < 0 || px >= width as isize || py >= height as isize {
-            continue;
-        }
-        let (px, py) = (px as usize, py as usize);
-        let channel = bayer_channel(px, py);
-        if channel != own || (dx, dy) == (0, 0) {
-            sums[channel] += readings[py * width + px];
-            counts[channel] += 1.0;
-        }
-    }
-    [0, 1, 2].map(|channel| {
-        if counts[channel] > 0.0 { sums[channel] / counts[channel] } else { readings[y * width + x] }
-    })
-}
-
-/// The sRGB transfer function (IEC 61966-2-1), linear to encoded, clamped to 0 to 1.
-fn srgb_from_linear(x: f32) -> f32 {
-    let x = x.clamp(0.0, 1.0);
-    if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * libm::powf(x, 1.0 / 2.4) - 0.055 }
-}
-
-/// The inverse of the sRGB transfer function, encoded to linear.
-fn linear_from_srgb(x: f32) -> f32 {
-    if x <= 0.040_45 { x / 12.92 } else { libm::powf((x + 0.055) / 1.055, 2.4) }
-}
-
 #[cfg(test)]
 #[allow(clippy::disallowed_methods, reason = "expected values may use std's functions")]
 mod tests {
+    use super::encoding::srgb_from_linear;
     use super::*;
 
     fn ideal(mosaic: Mosaic) -> Sensor {
@@ -272,7 +198,7 @@ mod tests {
     fn readings(sensor: &Sensor, fill: f32) -> (f64, f64) {
         let n = 60_000;
         let values: Vec<f64> =
-            (0..n).map(|i| f64::from(read_pixel(sensor, fill, i % 300, i / 300))).collect();
+            (0..n).map(|i| f64::from(read_pixel(sensor, fill, [0.0; 2], i % 300, i / 300))).collect();
         let mean = values.iter().sum::<f64>() / n as f64;
         (mean, values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / n as f64)
     }
