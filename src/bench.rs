@@ -17,7 +17,7 @@ use serde_json::{Map, Value, json};
 use crate::dataset::plan::{Plan, frame_seed};
 use crate::dataset::{self, Concurrency};
 use crate::error::{Error, Result};
-use crate::host_time;
+use crate::host_time::{self, Role, RoleTimes};
 use crate::output::disk;
 use crate::params::Knob;
 use crate::render::{Renderer, StageTimes, select::selection};
@@ -66,9 +66,8 @@ pub struct Measured {
     pub frames_ms: Vec<f64>,
     /// Milliseconds from the start of the first frame to the end of the last.
     pub total_ms: f64,
-    /// Processor time of the program's own threads from the start of the first frame to the end of the last, milliseconds; `None`
-    /// where the system does not report it.
-    pub host_total_ms: Option<f64>,
+    /// Mean processor time of the program's own threads for a frame, by what they do; `None` where the system does not report it.
+    pub host: Option<RoleTimes>,
     /// Milliseconds of work by stage, of each frame.
     pub stages: Vec<StageTimes>,
     /// Triangles drawn for visibility, of each frame.
@@ -100,7 +99,16 @@ impl Measured {
     /// Mean processor time of the program's own threads for a frame, milliseconds.
     #[must_use]
     pub fn host_ms(&self) -> Option<f64> {
-        self.host_total_ms.map(|ms| ms / self.frames_ms.len().max(1) as f64)
+        self.host.map(|host| host.total())
+    }
+
+    /// A model of the throughput on a number of cores, frames per second, as far as the host limits it: no thread that exists once
+    /// does more than its share of every frame, and all cores together do all of the work.
+    #[must_use]
+    pub fn host_frames_per_second(&self, cores: usize) -> Option<f64> {
+        let host = self.host?;
+        let serial_ms = host.of(Role::Device).max(host.of(Role::Writer));
+        Some(1e3 / serial_ms.max(host.total() / cores as f64).max(1e-9))
     }
 
     /// Median milliseconds of each stage, in the order of execution.
@@ -129,6 +137,12 @@ impl Measured {
             "p95_ms": quantile(&self.frames_ms, 0.95),
             "frames_per_second": self.frames_per_second(),
             "host_ms": self.host_ms(),
+            "host_thread_ms": self.host.map(|host| json!({
+                "device": host.of(Role::Device),
+                "writer": host.of(Role::Writer),
+                "workers": host.of(Role::Worker) + host.of(Role::Pool),
+            })),
+            "host_frames_per_second_16_cores": self.host_frames_per_second(16),
             "stage_ms": stages,
             "triangles": quantile(&self.triangles, 0.5) as u64,
             "upload_bytes": quantile(&self.upload_bytes, 0.5) as u64,
@@ -155,8 +169,8 @@ pub struct Setup {
 /// # Errors
 /// Those of rendering and writing; [`Error::Stopped`].
 pub fn run(case: Case, setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Measured> {
-    let _registration = host_time::register();
-    let _pool = rayon::broadcast(|_| host_time::register());
+    let _registration = host_time::register(Role::Device);
+    let _pool = rayon::broadcast(|_| host_time::register(Role::Pool));
     match case {
         Case::Camera => moving(setup, true, renderer),
         Case::StaticSun => moving(setup, false, renderer),
@@ -173,18 +187,19 @@ const fn stopped(done: u64, wanted: u64) -> Error {
 #[derive(Clone, Copy)]
 struct Start {
     at: Instant,
-    host_ms: Option<f64>,
+    host: Option<RoleTimes>,
 }
 
 impl Start {
     fn now() -> Self {
-        Self { at: Instant::now(), host_ms: host_time::total_ms() }
+        Self { at: Instant::now(), host: host_time::by_role() }
     }
 
     /// Sets the times from the start to now.
     fn end(self, measured: &mut Measured) {
         measured.total_ms = self.at.elapsed().as_secs_f64() * 1e3;
-        measured.host_total_ms = host_time::total_ms().zip(self.host_ms).map(|(end, start)| end - start);
+        let host = host_time::by_role().zip(self.host);
+        measured.host = host.map(|(end, start)| end.since(&start, measured.frames_ms.len()));
     }
 }
 
@@ -433,4 +448,24 @@ pub fn sweep(name: &str, setup: &Setup) -> Result<(&'static str, Vec<(f64, Setup
         }
     };
     Ok((axis, setups))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_model_of_the_host_is_limited_by_its_serial_threads_or_by_its_cores() {
+        assert_eq!(Measured::default().host_frames_per_second(16), None);
+        let measured = |device, worker, writer| Measured {
+            host: Some(RoleTimes::new(device, worker, writer)),
+            ..Measured::default()
+        };
+        for (times, cores, expected) in
+            [((1.0, 30.0, 0.5), 16, 508.0), ((1.0, 30.0, 0.5), 64, 1000.0), ((1.0, 30.0, 4.0), 64, 250.0)]
+        {
+            let found = measured(times.0, times.1, times.2).host_frames_per_second(cores).expect("a model");
+            assert!((found - expected).abs() < 1.0, "{found}, not {expected}");
+        }
+    }
 }

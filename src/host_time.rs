@@ -4,19 +4,62 @@
 //! driver does in calls from them counts.
 //! Must not know: what the threads do.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::fs;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+/// What a thread does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// The one that owns the device.
+    Device,
+    /// One of several that prepare and finish frames.
+    Worker,
+    /// The one that writes files.
+    Writer,
+    /// One of the pool to which parallel loops are shared out.
+    Pool,
+}
+
+/// Milliseconds by role.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RoleTimes([f64; 4]);
+
+impl RoleTimes {
+    /// Times of the thread of the device, the workers and the writer.
+    #[must_use]
+    pub const fn new(device: f64, worker: f64, writer: f64) -> Self {
+        Self([device, worker, writer, 0.0])
+    }
+
+    /// Those of a role.
+    #[must_use]
+    pub const fn of(&self, role: Role) -> f64 {
+        self.0[role as usize]
+    }
+
+    /// Those of all roles.
+    #[must_use]
+    pub fn total(&self) -> f64 {
+        self.0.iter().sum()
+    }
+
+    /// What was added since `before`, divided by a number of frames.
+    #[must_use]
+    pub fn since(&self, before: &Self, frames: usize) -> Self {
+        Self(std::array::from_fn(|role| (self.0[role] - before.0[role]) / frames.max(1) as f64))
+    }
+}
+
 /// The registered threads.
-static THREADS: Mutex<Threads> = Mutex::new(Threads { running: BTreeSet::new(), ended_ns: 0 });
+static THREADS: Mutex<Threads> = Mutex::new(Threads { running: BTreeMap::new(), ended_ns: [0; 4] });
 
 #[derive(Debug)]
 struct Threads {
-    /// Their numbers in `/proc/self/task`.
-    running: BTreeSet<u32>,
-    /// Processor time of those that have ended, nanoseconds.
-    ended_ns: u64,
+    /// By their numbers in `/proc/self/task`.
+    running: BTreeMap<u32, Role>,
+    /// Processor time of those that have ended, by role, nanoseconds.
+    ended_ns: [u64; 4],
 }
 
 fn threads() -> MutexGuard<'static, Threads> {
@@ -29,29 +72,37 @@ pub struct Registration(Option<u32>);
 
 /// Registers the calling thread, unless it is registered already or the system does not report times of threads.
 #[must_use]
-pub fn register() -> Registration {
+pub fn register(role: Role) -> Registration {
     let link = fs::read_link("/proc/thread-self").ok();
-    let id = link.and_then(|link| link.file_name()?.to_str()?.parse().ok());
-    Registration(id.filter(|id| threads().running.insert(*id)))
+    let id: Option<u32> = link.and_then(|link| link.file_name()?.to_str()?.parse().ok());
+    let mut threads = threads();
+    let id = id.filter(|id| !threads.running.contains_key(id));
+    threads.running.extend(id.map(|id| (id, role)));
+    Registration(id)
 }
 
 impl Drop for Registration {
     fn drop(&mut self) {
-        if let Some(id) = self.0 {
-            let mut threads = threads();
-            threads.running.remove(&id);
-            threads.ended_ns += of_thread_ns(id).unwrap_or_default();
+        let mut threads = threads();
+        if let Some((id, role)) = self.0.and_then(|id| Some((id, threads.running.remove(&id)?))) {
+            threads.ended_ns[role as usize] += of_thread_ns(id).unwrap_or_default();
         }
     }
 }
 
-/// Processor time of all registered threads so far, with those that have ended, milliseconds; `None` where the system does not
-/// report it (it does on Linux).
+/// Processor time of all registered threads so far, with those that have ended, by role; `None` where the system does not report it
+/// (it does on Linux).
 #[must_use]
-pub fn total_ms() -> Option<f64> {
+pub fn by_role() -> Option<RoleTimes> {
     let threads = threads();
-    let running = threads.running.iter().map(|&id| of_thread_ns(id)).sum::<Option<u64>>()?;
-    (!threads.running.is_empty()).then_some((threads.ended_ns + running) as f64 * 1e-6)
+    if threads.running.is_empty() {
+        return None;
+    }
+    let mut by_role_ns = threads.ended_ns;
+    for (&id, &role) in &threads.running {
+        by_role_ns[role as usize] += of_thread_ns(id)?;
+    }
+    Some(RoleTimes(by_role_ns.map(|ns| ns as f64 * 1e-6)))
 }
 
 /// Time that a thread of this process has spent on a processor, nanoseconds.
@@ -70,21 +121,22 @@ mod tests {
 
     #[test]
     fn only_registered_threads_count_and_ended_ones_stay() {
-        let _registration = register();
-        assert!(register().0.is_none(), "this thread is registered already");
-        let before = total_ms().expect("a time");
+        let _registration = register(Role::Device);
+        assert!(register(Role::Worker).0.is_none(), "this thread is registered already");
+        let before = by_role().expect("a time");
         std::thread::scope(|scope| {
             scope.spawn(|| {
-                let _registration = register();
+                let _registration = register(Role::Worker);
                 work();
             });
         });
-        let with_one = total_ms().expect("a time");
-        assert!(with_one - before > 1.0, "{before} to {with_one} ms");
+        let with_one = by_role().expect("a time").since(&before, 1);
+        assert!(with_one.of(Role::Worker) > 1.0, "{with_one:?}");
         // Longer than the registered one, and not counted.
         std::thread::scope(|scope| scope.spawn(|| (0..8).map(|_| work()).sum::<u64>()).join())
             .expect("a thread");
-        let with_other = total_ms().expect("a time");
-        assert!(with_other - with_one < 2.0 * (with_one - before), "{before}, {with_one}, {with_other} ms");
+        let with_other = by_role().expect("a time").since(&before, 1);
+        assert_eq!(with_other.of(Role::Worker), with_one.of(Role::Worker));
+        assert!(with_other.total() < 2.0 * with_one.total(), "{with_one:?}, {with_other:?}");
     }
 }

@@ -294,6 +294,7 @@ impl Renderer {
         let upload_ms = milliseconds(submitted - start) - host_ms;
         let mut times = vec![("plan", plan_ms), ("upload", upload_ms)];
         times.extend(host_times);
+        times.push(("record", milliseconds(submitted.elapsed())));
         let device_passes = self.device_passes();
         Ok(InFlight { request, slot, submission, submitted, drawn, times, device_passes, cost })
     }
@@ -344,7 +345,13 @@ impl Renderer {
                 plan.uniforms = frame_plan::of_tile(&plan.uniforms, tile, settings);
                 let mut bytes = gpu.guard(|| buffers.upload(gpu, scene, &plan, raster.multi_draw))?;
                 let size_px = plan.shadow_map_px;
-                bytes += shadow.prepare(gpu, layouts, scene, size_px, &mut slot.shadow_staging)?;
+                bytes += shadow.prepare(
+                    gpu,
+                    layouts,
+                    (scene, &plan.selection),
+                    size_px,
+                    &mut slot.shadow_staging,
+                )?;
                 let inputs = VisibilityInputs {
                     scene,
                     settings,

@@ -18,7 +18,7 @@ use super::log_writer::record_files;
 use super::plan::Plan;
 use super::work_queue::{QueueLimits, Task, WorkQueue};
 use crate::error::{Error, Result};
-use crate::host_time;
+use crate::host_time::{self, Role};
 use crate::meta::FrameRecord;
 use crate::output::layout::{FrameFiles, FrameLine, Sample};
 use crate::output::{self, EncodeInput};
@@ -89,7 +89,7 @@ pub fn render_frames(
         for _ in 0..threads {
             let finished = finished_sender.clone();
             scope.spawn(move || {
-                let _registration = host_time::register();
+                let _registration = host_time::register(Role::Worker);
                 let work = || worker.run(queue, &finished);
                 // A pool of this thread alone: the parallel loops of a frame stay on it and do not delay those of the device's thread.
                 match rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build() {
@@ -100,7 +100,7 @@ pub fn render_frames(
         }
         drop(finished_sender);
         scope.spawn(move || {
-            let _registration = host_time::register();
+            let _registration = host_time::register(Role::Writer);
             for frame in finished {
                 if !first_error.occurred() && first_error.check(sink(frame)).is_none() {
                     queue.close();

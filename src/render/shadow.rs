@@ -21,7 +21,7 @@ use crate::render::select::casters;
 use crate::render::select::selection::Selection;
 use crate::render::visibility::meshes::Meshes;
 use crate::scene::Scene;
-use device::ShadowPass;
+use device::{MapSource, ShadowPass};
 use host::{NewTile, ShadowMap};
 
 /// The room for new tiles in the staging buffer is a multiple of this, bytes: frames differ a little in what they need.
@@ -62,13 +62,13 @@ impl ShadowBackend {
         &mut self,
         gpu: &Gpu,
         layouts: &BindLayouts,
-        scene: &Scene,
+        (scene, selection): (&Scene, &Selection),
         size_px: [u32; 2],
         staging: &mut Option<StagingBuffer>,
     ) -> Result<u64> {
         match self {
             Self::Device(pass) => {
-                pass.prepare(gpu, layouts, size_px);
+                pass.prepare(gpu, layouts, MapSource::new(scene, selection, size_px));
                 Ok(0)
             }
             Self::Host(raster) => raster.prepare(gpu, scene, size_px, staging),
@@ -86,7 +86,8 @@ impl ShadowBackend {
         }
     }
 
-    /// Records the passes that make the map of `casters`, which are draws of `meshes`: none where it was uploaded.
+    /// Records the passes that make the map of `casters`, which are draws of `meshes`: none where it was uploaded, or where the device
+    /// has it from an earlier frame.
     pub(crate) fn record(
         &self,
         encoder: &mut wgpu::CommandEncoder,
@@ -95,7 +96,9 @@ impl ShadowBackend {
         groups: [&wgpu::BindGroup; 2],
         timer: Option<&Timer>,
     ) {
-        if let Self::Device(pass) = self {
+        if let Self::Device(pass) = self
+            && !pass.is_kept()
+        {
             let timestamps = timer.map(|timer| timer.render_and_compute_pass(Pass::Shadow));
             pass.record(encoder, meshes, casters, groups, timestamps);
         }
@@ -104,8 +107,8 @@ impl ShadowBackend {
     /// The pass whose time the device measures.
     pub(crate) const fn device_pass(&self) -> Option<Pass> {
         match self {
-            Self::Device(_) => Some(Pass::Shadow),
-            Self::Host(_) => None,
+            Self::Device(pass) if !pass.is_kept() => Some(Pass::Shadow),
+            Self::Device(_) | Self::Host(_) => None,
         }
     }
 
@@ -117,10 +120,11 @@ impl ShadowBackend {
         }
     }
 
-    /// After an error, what was uploaded may not have arrived: all tiles are rasterised again.
+    /// After an error, what was uploaded or recorded may not have arrived: all tiles are rasterised again.
     pub(crate) fn invalidate(&mut self) {
-        if let Self::Host(raster) = self {
-            raster.tiles = ShadowMap::default();
+        match self {
+            Self::Device(pass) => pass.invalidate(),
+            Self::Host(raster) => raster.tiles = ShadowMap::default(),
         }
     }
 }

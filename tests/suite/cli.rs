@@ -563,6 +563,11 @@ fn the_bench_reports_every_case_and_a_sweep_plots_its_curve() {
         assert!(case["stage_ms"]["gpu"].as_f64() > Some(0.0), "{case}");
         let (host_ms, is_linux) = (case["host_ms"].as_f64(), cfg!(target_os = "linux"));
         assert!(if is_linux { host_ms > Some(0.0) } else { host_ms.is_none() }, "{case}");
+        let parts = ["device", "workers", "writer"].map(|part| case["host_thread_ms"][part].as_f64());
+        let sum: f64 = parts.into_iter().flatten().sum();
+        assert!((sum - host_ms.unwrap_or_default()).abs() < 1e-6, "{case}");
+        let modelled = case["host_frames_per_second_16_cores"].as_f64();
+        assert!(modelled.unwrap_or_default() <= 16e3 / sum.max(1e-9) + 1e-6, "{case}");
     }
     let sweep =
         run_ok(folder.path(), &[&small[..], &["--sweep", "samples", "--plot", "samples.svg"]].concat());

@@ -7,9 +7,11 @@ use glam::Mat3;
 use regolith::frame::{Annotation, Frame};
 use regolith::gpu::Gpu;
 use regolith::gpu::staging::PAGE_BYTES;
-use regolith::render::select::selection::Selection;
+use regolith::render::select::selection::{SelectedRock, Selection};
 use regolith::render::{InFlight, RasterBackend, RasterOptions, RenderSettings, Renderer};
 use regolith::scene::Scene;
+use regolith::scene::mesh::Icosphere;
+use regolith::scene::sky::Sun;
 
 use crate::support::{adapter, folder, json, program, render, renderer, run_ok, scene};
 
@@ -255,6 +257,37 @@ fn reuse_between_frames_changes_no_plane() {
     renderer.set_raster(own);
 }
 
+/// On the device too the shadow map stays while sun and casters do, whatever the camera does besides.
+#[test]
+fn the_shadow_map_is_drawn_once_for_the_same_sun_and_casters() {
+    let mut renderer = renderer();
+    let own = renderer.raster();
+    renderer.set_raster(on_device(own));
+    let (still, other) = (scene(2, &["sun.elevation_deg=8"]), scene(3, &[]));
+    let (mut brighter, mut lower) = (still.clone(), still.clone());
+    brighter.camera.exposure_ev += 1.0;
+    lower.sun = Sun::new(7.0, still.sun.azimuth_deg, still.sun.angular_diameter_deg, still.sun.irradiance);
+    let settings = all_planes(128);
+    let mut frame = |scene: &Scene| {
+        let (frame, times) = renderer.render(scene, &settings).expect("a frame");
+        (frame, times.iter().any(|(stage, _)| *stage == "shadow"))
+    };
+    let (first, is_drawn) = frame(&still);
+    assert!(is_drawn);
+    let (again, is_drawn) = frame(&still);
+    assert!(again == first && !is_drawn, "the same frame");
+    let (brighter_kept, is_drawn) = frame(&brighter);
+    assert!(!is_drawn, "another exposure");
+    let (lower_after, is_drawn) = frame(&lower);
+    assert!(is_drawn, "another sun");
+    assert!(frame(&other).1, "another scene");
+    let (brighter_drawn, is_drawn) = frame(&brighter);
+    assert!(is_drawn && brighter_drawn == brighter_kept);
+    assert!(frame(&other).1 && frame(&lower).0 == lower_after);
+    assert!(frame(&still).0 == first);
+    renderer.set_raster(own);
+}
+
 fn assert_reuse_changes_no_plane(renderer: &mut Renderer) {
     let (mut settings, other) = (all_planes(192), scene(3, &[]));
     settings.annotations = settings.annotations.with(Annotation::Hdr);
@@ -273,16 +306,21 @@ fn assert_reuse_changes_no_plane(renderer: &mut Renderer) {
             in_a_row.push((moving.clone(), frame));
             uploads.push(renderer.last_cost().uploaded_bytes);
             let drawn = Selection::new(&moving, &settings).rocks;
-            let meshes_of = drawn.iter().map(|drawn| &moving.rocks[drawn.rock].vertices);
-            meshes.push(meshes_of.map(|mesh| (Arc::as_ptr(mesh), mesh.len())).collect());
+            // The vertices of the finest level that is drawn.
+            let vertices_of = |drawn: &SelectedRock| {
+                let level = drawn.visible_level.max(drawn.caster.map(|(_, level)| level)).expect("a level");
+                (Arc::as_ptr(&moving.rocks[drawn.rock].vertices), Icosphere::vertex_count(level))
+            };
+            meshes.push(drawn.iter().map(vertices_of).collect());
             moving.camera.eye.x += 0.4;
         }
         // The third frame uploads all vertices of the first less, 16 bytes each, except those that are new, which take whole pages.
-        let is_new = |mesh: &&_| !meshes[0].contains_key(*mesh) && !meshes[1].contains_key(*mesh);
-        let new: usize = meshes[2].keys().filter(is_new).map(|mesh| meshes[2][mesh]).sum();
-        let vertices = moving.terrain.vertices.len() + meshes[0].values().sum::<usize>() - new;
-        let page = if new > 0 { PAGE_BYTES as u64 } else { 0 };
-        let uploads_less = uploads[2] + 16 * vertices as u64 <= uploads[0] + page;
+        let uploaded = |mesh| [0, 1].map(|frame: usize| meshes[frame].get(mesh)).into_iter().flatten().max();
+        let new = meshes[2].iter().filter(|(mesh, count)| uploaded(*mesh) < Some(*count));
+        let new: usize = new.map(|(_, count)| count).sum();
+        let vertices = moving.terrain.vertices.len() + meshes[0].values().sum::<usize>();
+        let page = if new > 0 { PAGE_BYTES } else { 0 };
+        let uploads_less = uploads[2] + 16 * vertices as u64 <= uploads[0] + (16 * new + page) as u64;
         let is_host = renderer.raster().visibility == RasterBackend::Host;
         assert!(is_host || uploads_less, "seed {seed}: {uploads:?} bytes");
         // The device has the ground, but not all rocks of the new view.
