@@ -8,6 +8,7 @@
 
 mod encoding;
 mod fixed_pattern;
+mod noise;
 mod optics;
 
 use half::slice::HalfFloatSliceExt;
@@ -16,20 +17,12 @@ use rayon::prelude::*;
 use crate::class::ClassId;
 use crate::frame::Frame;
 use crate::render::resolve::tone::exposure;
-use crate::scene::noise::lattice_hash;
 use crate::scene::sensor::{Mosaic, Sensor};
 use encoding::{SrgbCodes, bayer_channel, demosaic_row, linear_from_srgb};
 use fixed_pattern::fixed_pattern;
+use noise::{normal, purpose, uniform};
 use optics::convolve;
 
-/// What each random number of a pixel is for: normal ones take two purposes.
-mod purpose {
-    pub(super) const PRNU: i32 = 0;
-    pub(super) const DSNU: i32 = 2;
-    pub(super) const SHOT_NORMAL: i32 = 4;
-    pub(super) const READ: i32 = 6;
-    pub(super) const SHOT_POISSON: i32 = 8;
-}
 /// Weights of the channels in the signal of a monochrome sensor: even, as of a panchromatic one.
 const PANCHROMATIC: [f32; 3] = [1.0 / 3.0; 3];
 /// Mean number of electrons from which on Poisson's distribution is approximated by a normal one.
@@ -123,17 +116,6 @@ fn add_glare_and_vignetting(channel: &mut [f32], falloff: &[f32], sensor: &Senso
     for (value, falloff) in channel.iter_mut().zip(falloff) {
         *value = gain * falloff * (*value + veil);
     }
-}
-
-/// A uniform number in (0, 1) for a pixel.
-fn uniform(x: usize, y: usize, purpose: i32, seed: u32) -> f64 {
-    (f64::from(lattice_hash(x as i32, y as i32, purpose, seed)) + 0.5) / 4_294_967_296.0
-}
-
-/// A standard normal number for a pixel (Box and Muller 1958).
-fn normal(x: usize, y: usize, purpose: i32, seed: u32) -> f64 {
-    let (u, v) = (uniform(x, y, purpose, seed), uniform(x, y, purpose + 1, seed));
-    (-2.0 * libm::log(u)).sqrt() * libm::cos(std::f64::consts::TAU * v)
 }
 
 /// The digital reading of a pixel with this fill (1 is the full well) and these numbers of the fixed pattern, as a part of full

@@ -3,7 +3,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::{normal, purpose};
+use super::noise::{normal, purpose};
 
 /// Seed of the fixed pattern.
 pub(super) const FIXED_PATTERN_SEED: u32 = 0x5e25_0a11;
