@@ -7,6 +7,8 @@
 
 use std::ops::Range;
 
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, dispatch, f32x8};
 use glam::Vec2;
 use rayon::prelude::*;
 
@@ -26,7 +28,7 @@ const RING_CELLS: u32 = 192;
 const INNERMOST_M: f32 = 4.0;
 /// Rows of a grid that one thread fills.
 const BAND_ROWS: usize = 32;
-/// Cells along a side of a block, whose range of heights decides most tests without a look at its cells.
+/// Cells along a side of a block, whose range of heights decides most tests without a look at its cells: the lanes of a vector.
 const BLOCK_CELLS: usize = 8;
 const _: () = assert!(BAND_ROWS.is_multiple_of(BLOCK_CELLS) && RING_CELLS.is_multiple_of(BLOCK_CELLS as u32));
 /// Set in the offset of a cell's list if the ground may occlude the sun from a surface above the cell. Stands in
@@ -275,17 +277,22 @@ impl<'a> ShadowStrip<'a> {
         (west_m, east_m)
     }
 
-    /// Height of the highest ray over a cell that can have been blocked by the caster, metres; `None` if the cell does not touch the
-    /// strip.
-    fn highest_ray_m(&self, cell_centre: Vec2) -> Option<f32> {
-        let along_m = (cell_centre - self.start).dot(self.rays.away);
-        let across_m = (cell_centre - self.start).perp_dot(self.rays.away).abs();
-        let nearest_m = (along_m - self.half_diagonal_m).max(0.0);
-        let furthest_m = (along_m + self.half_diagonal_m).max(0.0);
-        let is_beside = across_m > self.half_width_m(furthest_m) + self.half_diagonal_m;
-        let is_sunward = along_m < -(self.extent_m + self.half_diagonal_m);
-        (!is_beside && !is_sunward)
-            .then(|| self.top_m - (nearest_m - self.extent_m).max(0.0) * self.rays.steepness)
+    /// Heights of the highest rays that the caster can have blocked, over cells whose centres are at these offsets from the start,
+    /// metres; `f32::MIN` over a cell that does not touch the strip.
+    #[inline(always)]
+    fn highest_rays_m<S: Simd>(&self, simd: S, x: f32x8<S>, y: f32x8<S>) -> f32x8<S> {
+        let Rays { away, steepness, penumbra } = *self.rays;
+        let (zero, half_m) = (f32x8::splat(simd, 0.0), self.half_diagonal_m);
+        let along_m = x * away.x + y * away.y;
+        let across_m = (x * away.y - y * away.x).abs();
+        let nearest_m = (along_m - half_m).max(zero);
+        let furthest_m = (along_m + half_m).max(zero);
+        // As `half_width_m`.
+        let widening = (furthest_m + self.extent_m) * (2.0 * penumbra) * (1.0 + steepness.min(10.0));
+        let is_beside = across_m.simd_gt(widening + self.extent_m + half_m);
+        let is_sunward = along_m.simd_lt(-(self.extent_m + half_m));
+        let ray_m = f32x8::splat(simd, self.top_m) - (nearest_m - self.extent_m).max(zero) * steepness;
+        (is_beside | is_sunward).select(f32x8::splat(simd, f32::MIN), ray_m)
     }
 }
 
@@ -367,7 +374,9 @@ impl<'a> GridBand<'a> {
         let rays = Rays::new(&scene.sun);
         for (index, caster) in (0..).zip(casters) {
             let strip = ShadowStrip::new(scene, &rays, caster, self.cell_m);
-            self.for_cells_shadowed_by(&strip, |cell| pairs.push((cell as u32, index)));
+            dispatch!(Level::new(), simd => {
+                self.for_cells_shadowed_by(simd, &strip, |cell| pairs.push((cell as u32, index)));
+            });
         }
         let mut ends = PooledVec::filled(self.rows.len() * self.cells, 0);
         let mut casters: PooledVec<u32> = PooledVec::unspecified(pairs.len());
@@ -393,23 +402,34 @@ impl<'a> GridBand<'a> {
 
     /// Calls `visit` with every cell of the band, by its index from the first, in which the shadow of a caster can touch the ground
     /// or what stands on it.
-    fn for_cells_shadowed_by(&mut self, strip: &ShadowStrip<'_>, mut visit: impl FnMut(usize)) {
+    #[inline(always)]
+    fn for_cells_shadowed_by<S: Simd>(
+        &mut self,
+        simd: S,
+        strip: &ShadowStrip<'_>,
+        mut visit: impl FnMut(usize),
+    ) {
         let rows = self.cell_index(strip.low.y, 1).max(self.rows.start)
             ..(self.cell_index(strip.high.y, 1) + 1).min(self.rows.end);
+        let lanes = f32x8::from_slice(simd, &[0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5]);
         for row in rows {
             let span = self.spans[row - self.rows.start].clone();
-            let north_of_start_m = (row as f32 + 0.5) * self.cell_m + self.origin.y - strip.start.y;
-            let (west_m, east_m) = strip.span_in_row(north_of_start_m, self.cell_m);
+            let y = (row as f32 + 0.5) * self.cell_m + self.origin.y - strip.start.y;
+            let (west_m, east_m) = strip.span_in_row(y, self.cell_m);
             let columns =
                 self.cell_index(west_m, 0).max(span.start)..(self.cell_index(east_m, 0) + 1).min(span.end);
-            for column in columns {
-                if self.finer.contains(&row) && self.finer.contains(&column) {
-                    continue;
-                }
-                let centre = (Vec2::new(column as f32, row as f32) + 0.5) * self.cell_m + self.origin;
-                // Unless even the highest ray that the caster can have blocked runs below the ground here.
-                if strip.highest_ray_m(centre).is_some_and(|ray_m| self.reaches_ground(column, row, ray_m)) {
-                    visit((row - self.rows.start) * self.cells + column);
+            let finer = if self.finer.contains(&row) { self.finer.clone() } else { 0..0 };
+            // By blocks of columns.
+            for first in (columns.start / BLOCK_CELLS * BLOCK_CELLS..columns.end).step_by(BLOCK_CELLS) {
+                let x = (lanes + first as f32) * self.cell_m + self.origin.x - strip.start.x;
+                let mut rays_m = [0.0; BLOCK_CELLS];
+                strip.highest_rays_m(simd, x, f32x8::splat(simd, y)).store_slice(&mut rays_m);
+                for (column, ray_m) in (first..).zip(rays_m) {
+                    let is_looked_up = columns.contains(&column) && !finer.contains(&column);
+                    // Unless even the highest ray that the caster can have blocked runs below the ground here.
+                    if is_looked_up && ray_m > f32::MIN && self.reaches_ground(column, row, ray_m) {
+                        visit((row - self.rows.start) * self.cells + column);
+                    }
                 }
             }
         }

@@ -21,14 +21,18 @@ pub(crate) fn ground_blocks(terrain: &Terrain) -> impl Iterator<Item = [Range<u3
 
 /// The axis-aligned bounding box of a block: lowest and highest corner, world, metres.
 pub(crate) fn block_bounds(terrain: &Terrain, columns: &Range<u32>, rows: &Range<u32>) -> (Vec3, Vec3) {
-    let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
     let row_len = terrain.columns as usize + 1;
     for row in rows.start..=rows.end {
         let first = row as usize * row_len;
         for vertex in &terrain.vertices[first + columns.start as usize..=first + columns.end as usize] {
-            low = low.min(vertex.position);
-            high = high.max(vertex.position);
+            let position = vertex.position.to_array();
+            for axis in 0..3 {
+                // `f32::min` is more than a comparison (NaN).
+                low[axis] = if position[axis] < low[axis] { position[axis] } else { low[axis] };
+                high[axis] = if position[axis] > high[axis] { position[axis] } else { high[axis] };
+            }
         }
     }
-    (low, high)
+    (low.into(), high.into())
 }
