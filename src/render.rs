@@ -39,7 +39,7 @@ use crate::scene::Scene;
 pub use backend::{LightingMode, RasterBackend, RasterMode, RasterOptions};
 pub use device::timing::StageTimes;
 pub use frame_packet::{FramePacket, FramePlanner};
-pub use raw_frame::RawFrame;
+pub use raw_frame::{FrameCost, RawFrame};
 pub use settings::RenderSettings;
 
 use device::bind_groups::{BindLayouts, bind_group};
@@ -86,17 +86,6 @@ pub struct InFlight {
     device_passes: Vec<Pass>,
     /// How much was drawn and uploaded for it.
     pub cost: FrameCost,
-}
-
-/// How much was drawn and uploaded for a frame.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct FrameCost {
-    /// Triangles that were rasterised for visibility.
-    pub drawn_triangles: u64,
-    /// Draws of the lighting pass: one for each shading bin that is visible, or one for all.
-    pub lighting_draws: usize,
-    /// Bytes that were uploaded.
-    pub uploaded_bytes: u64,
 }
 
 /// Renders scenes on one device.

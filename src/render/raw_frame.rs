@@ -9,6 +9,17 @@ use crate::render::frame_packet::FrameRequest;
 use crate::render::post;
 use crate::scene::Scene;
 
+/// How much was drawn and uploaded for a frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FrameCost {
+    /// Triangles that were rasterised for visibility.
+    pub drawn_triangles: u64,
+    /// Draws of the lighting pass: one for each shading bin that is visible, or one for all.
+    pub lighting_draws: usize,
+    /// Bytes that were uploaded.
+    pub uploaded_bytes: u64,
+}
+
 /// A frame that was read back and is still to be post-processed, on any thread.
 #[derive(Debug)]
 pub struct RawFrame {

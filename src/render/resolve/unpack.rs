@@ -30,7 +30,7 @@ pub(super) fn unpack(bytes: &[u8], [width, height]: [u32; 2], packing: Packing, 
 }
 
 /// The reverse of the `words` of the plane's rule (`render/device/planes.rs`).
-fn unpack_plane(frame: &mut Frame, plane: Plane, words: impl Iterator<Item = u32>, tiles: &TileList) {
+fn unpack_plane(frame: &mut Frame, plane: Plane, mut words: impl Iterator<Item = u32>, tiles: &TileList) {
     let half = |bits: u32| half::f16::from_bits(bits as u16);
     match plane {
         Plane::Depth => {
@@ -44,11 +44,11 @@ fn unpack_plane(frame: &mut Frame, plane: Plane, words: impl Iterator<Item = u32
         Plane::SunOcclusion => frame.sun_occlusion = spread(words.map(|word| word as u8).collect(), 1, tiles),
         Plane::Radiance => {
             // Red and green share a word, blue has one with an empty half.
-            let halves = words
-                .enumerate()
-                .flat_map(|(i, word)| [Some(half(word)), (i % 2 == 0).then(|| half(word >> 16))])
-                .flatten();
-            frame.radiance = spread(halves.collect(), 3, tiles);
+            let mut halves = Vec::with_capacity(3 * frame.class.len());
+            while let (Some(red_green), Some(blue)) = (words.next(), words.next()) {
+                halves.extend([half(red_green), half(red_green >> 16), half(blue)]);
+            }
+            frame.radiance = spread(halves, 3, tiles);
         }
         Plane::SampleCounts => {
             let counts = words.map(|word| [word as u8, (word >> 8) as u8, (word >> 16) as u8]);
