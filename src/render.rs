@@ -367,7 +367,7 @@ impl Renderer {
             },
         );
         let (plan, mut uploaded_bytes) = prepared?;
-        uploaded_bytes += slot.packed.choose(gpu, &gbuffer);
+        uploaded_bytes += slot.packed.choose(gpu, &mut gbuffer);
         if raster.lighting == LightingMode::Bins {
             lighting.prepare(gpu, pipelines, gbuffer.batches.iter().map(|batch| batch.variant));
         }

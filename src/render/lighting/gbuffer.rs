@@ -9,6 +9,7 @@ use crate::frame::Annotations;
 use crate::gpu::Gpu;
 use crate::render::device::planes::SAMPLE_PLANES;
 use crate::render::select::draw_list::DrawBatch;
+use crate::render::select::screen_bounds::ScreenBounds;
 use crate::render::settings::RenderSettings;
 
 /// Format of the visibility texture (`visibility.wgsl` has its layout).
@@ -142,6 +143,30 @@ impl GBuffer {
     pub fn serves(&self, settings: &RenderSettings, layout: GBufferLayout) -> bool {
         (self.size, self.samples_per_side, self.annotations, self.layout)
             == (settings.size, settings.samples_per_side, settings.annotations, layout)
+    }
+
+    /// Limits the draw of the dome to these rows of pixels, where the host knows the samples that show it.
+    pub fn limit_dome(&mut self, rows: Range<u32>) {
+        let (Some(dome), Some(stencil)) = (self.dome_stencil, &self.host_stencil) else { return };
+        let [width, height] = self.sample_size;
+        let samples =
+            (rows.start * self.samples_per_side).min(height)..(rows.end * self.samples_per_side).min(height);
+        let mut with_dome = samples.filter(|row| {
+            let first = *row as usize * width as usize;
+            stencil[first..first + width as usize].contains(&dome)
+        });
+        let first = with_dome.next();
+        let last = with_dome.next_back().or(first);
+        let bounds = first.zip(last).map_or(ScreenBounds::EMPTY, |(first, last)| {
+            ScreenBounds::of_samples((0, width as i32 - 1), (first as i32, last as i32))
+        });
+        self.batches.retain_mut(|batch| {
+            let is_dome = batch.bin + 1 == dome;
+            if is_dome {
+                batch.bounds = bounds;
+            }
+            !is_dome || bounds != ScreenBounds::EMPTY
+        });
     }
 
     /// The slopes as the lighting pass binds them: a single sample where there are none.

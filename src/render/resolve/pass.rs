@@ -166,9 +166,9 @@ impl PackedFrame {
         }
     }
 
-    /// Lists the tiles to resolve: all of them, unless the host knows the stencil of an undistorted image. Returns the bytes that
-    /// were uploaded.
-    pub fn choose(&mut self, gpu: &Gpu, gbuffer: &GBuffer) -> u64 {
+    /// Lists the tiles to resolve: all of them, unless the host knows the stencil of an undistorted image. Lighting then draws the
+    /// sky's dome only where it is resolved. Returns the bytes that were uploaded.
+    pub fn choose(&mut self, gpu: &Gpu, gbuffer: &mut GBuffer) -> u64 {
         let uses_tile_list = Variant::new(gbuffer).uses_tile_list;
         let sky = gbuffer.host_stencil.as_deref().zip(gbuffer.dome_stencil);
         let sky = sky.map(|(stencil, dome)| SkyStencil {
@@ -180,6 +180,7 @@ impl PackedFrame {
         if !uses_tile_list {
             return 0;
         }
+        gbuffer.limit_dome(self.tiles.resolved_rows(self.size[0]));
         // The last row of the dispatch is filled up with a workgroup beyond the image, which does nothing.
         let mut list = self.tiles.resolved.clone();
         list.resize(tile_list_len(list.len()) as usize, u32::MAX / WORKGROUP_SIZE);

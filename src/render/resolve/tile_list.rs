@@ -4,6 +4,8 @@
 //! is resolved, and its values are copied to the others.
 //! Must not know: what the planes are.
 
+use std::ops::Range;
+
 use crate::render::device::packing::WORKGROUP_SIZE;
 
 /// Pixels of a tile, in reading order: one workgroup resolves it, four pixels in each invocation.
@@ -25,7 +27,8 @@ pub(super) struct SkyStencil<'a> {
 pub(super) struct TileList {
     /// Tiles that are resolved.
     pub resolved: Vec<u32>,
-    /// Tiles of the dome alone: the first is among those that are resolved, and the others get its values.
+    /// Tiles of the dome alone: the last is among those that are resolved, and the others get its values. The last, because it is
+    /// near the horizon: lighting leaves out the rows that are not resolved.
     empty: Vec<u32>,
 }
 
@@ -55,26 +58,41 @@ impl TileList {
         };
         let mut list = Self::default();
         for tile in 0..pixels.div_ceil(TILE_PIXELS) {
-            let is_empty = is_empty(tile);
-            if !is_empty || list.empty.is_empty() {
-                list.resolved.push(tile as u32);
-            }
-            if is_empty {
-                list.empty.push(tile as u32);
-            }
+            let tiles = if is_empty(tile) { &mut list.empty } else { &mut list.resolved };
+            tiles.push(tile as u32);
+        }
+        // The last tile of the image may be cut off, and then has too few values for the others.
+        if let [.., other, last] = &mut list.empty[..]
+            && (*last as usize + 1) * TILE_PIXELS > pixels
+        {
+            std::mem::swap(other, last);
+        }
+        if let Some(last) = list.empty.last() {
+            list.resolved.insert(list.resolved.partition_point(|tile| tile < last), *last);
         }
         list
     }
 
+    /// The rows of pixels of an image of this width that the resolved tiles lie in.
+    #[must_use]
+    pub(super) fn resolved_rows(&self, width: u32) -> Range<u32> {
+        let row = |tile: u32, pixel: usize| (tile as usize * TILE_PIXELS + pixel) as u32 / width;
+        match self.resolved[..] {
+            [first, .., last] => row(first, 0)..row(last, TILE_PIXELS - 1) + 1,
+            [tile] => row(tile, 0)..row(tile, TILE_PIXELS - 1) + 1,
+            [] => 0..0,
+        }
+    }
+
     /// Fills the empty tiles of a plane that were not resolved.
     pub(super) fn spread<T: Copy>(&self, plane: &mut [T], values_per_pixel: usize) {
-        let [first, others @ ..] = self.empty.as_slice() else { return };
+        let [others @ .., resolved] = self.empty.as_slice() else { return };
         if plane.is_empty() {
             return;
         }
         let tile_len = TILE_PIXELS * values_per_pixel;
-        let end = plane.len().min((*first as usize + 1) * tile_len);
-        let resolved = plane[*first as usize * tile_len..end].to_vec();
+        let end = plane.len().min((*resolved as usize + 1) * tile_len);
+        let resolved = plane[*resolved as usize * tile_len..end].to_vec();
         for tile in others {
             let values_of_tile = &mut plane[*tile as usize * tile_len..];
             // The last tile may be cut off by the end of the image.
@@ -109,8 +127,10 @@ mod tests {
                 .map(|(column, row)| ((row * width + column) / TILE_PIXELS) as u32)
                 .collect();
             let all = (width * height).div_ceil(TILE_PIXELS) as u32;
-            let first_empty = (0..all).find(|tile| !with_rocks.contains(tile)).unwrap();
-            let expected = |tile: &u32| *tile == first_empty || with_rocks.contains(tile);
+            let is_whole = |tile: &u32| (*tile as usize + 1) * TILE_PIXELS <= width * height;
+            let is_dome = |tile: &u32| !with_rocks.contains(tile) && is_whole(tile);
+            let last_dome = (0..all).rev().find(is_dome).unwrap();
+            let expected = |tile: &u32| *tile == last_dome || with_rocks.contains(tile);
             assert_eq!(list.resolved, (0..all).filter(expected).collect::<Vec<_>>(), "{size:?}");
             let whole = |pixel: usize| {
                 let is_rock = rock_pixels.iter().any(|(column, row)| row * width + column == pixel);
