@@ -219,7 +219,8 @@ def main() -> int:
         report.case = name
         check_scene(report, drivers, scene, rasters)
     report.case = "doctor"
-    check_doctor(report, drivers[0].name, drivers[0], "vulkan", {"host", "device-bins", "device-one-draw"})
+    for driver in drivers:
+        check_doctor(report, driver.name, driver, "vulkan", {"host", "device-bins", "device-one-draw"})
     check_doctor(report, f"{drivers[0].name}, GL", drivers[0], "gl", {"device-bins", "device-one-draw", "mixed"})
     report.case = f"{BACKEND_SCENES} scenes"
     for driver in drivers:

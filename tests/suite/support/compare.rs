@@ -50,17 +50,22 @@ fn check_size(path: &Path) {
     assert!(bytes <= MAX_BYTES, "{} has {bytes} bytes, {MAX_BYTES} are allowed", path.display());
 }
 
-/// Mean SSIM and mean absolute difference of two images of equal size.
-fn difference(expected: &RgbImage, actual: &RgbImage) -> (f64, f64) {
+/// Largest difference of 8-bit values that nobody sees: in a black sky, where SSIM has nothing else to compare, one step of
+/// another driver's rounding lowers it.
+const MAX_ROUNDING: u8 = 2;
+
+/// Mean SSIM, mean and largest absolute difference of two images of equal size.
+fn difference(expected: &RgbImage, actual: &RgbImage) -> (f64, f64, u8) {
     let algorithm = image_compare::Algorithm::MSSIMSimple;
     let similarity =
         image_compare::rgb_similarity_structure(&algorithm, expected, actual).expect("images of equal size");
     let sum: u64 = expected.iter().zip(actual.iter()).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
-    (similarity.score, sum as f64 / expected.len() as f64)
+    let largest = expected.iter().zip(actual.iter()).map(|(a, b)| a.abs_diff(*b)).max();
+    (similarity.score, sum as f64 / expected.len() as f64, largest.unwrap_or_default())
 }
 
-fn is_similar(ssim: f64, mean: f64) -> bool {
-    ssim >= MIN_SSIM && mean <= MAX_MEAN_DIFFERENCE
+fn is_similar((ssim, mean, largest): (f64, f64, u8)) -> bool {
+    mean <= MAX_MEAN_DIFFERENCE && (ssim >= MIN_SSIM || largest <= MAX_ROUNDING)
 }
 
 /// Compares an image with the golden image at `path`, by SSIM and mean difference.
@@ -73,13 +78,14 @@ pub(crate) fn assert_image(path: &Path, actual: &RgbImage, cap_size: bool) {
         check_size(path);
     }
     assert_eq!(expected.dimensions(), actual.dimensions(), "{}", path.display());
-    let (ssim, mean) = difference(&expected, actual);
-    if !is_similar(ssim, mean) {
+    let found = difference(&expected, actual);
+    if !is_similar(found) {
+        let (ssim, mean, largest) = found;
         let saved = failed_folder().join(path.file_name().expect("a name"));
         actual.save(&saved).expect("failure written");
         panic!(
             "{} differs: SSIM {ssim:.5} (at least {MIN_SSIM}), mean difference {mean:.3} (at most \
-             {MAX_MEAN_DIFFERENCE}); the new image is {}",
+             {MAX_MEAN_DIFFERENCE}), largest {largest}; the new image is {}",
             path.display(),
             saved.display()
         );
@@ -108,14 +114,14 @@ pub(crate) fn assert_mask(name: &str, actual: &GrayImage) {
 #[test]
 fn the_comparison_can_fail() {
     let original = RgbImage::from_fn(64, 64, |x, y| image::Rgb([(3 * x + y) as u8, (x * y % 200) as u8, 90]));
-    let (ssim, mean) = difference(&original, &original);
-    assert!(is_similar(ssim, mean) && mean == 0.0);
+    let same = difference(&original, &original);
+    assert!(is_similar(same) && same.1 == 0.0);
     let mut brighter = original.clone();
     brighter.iter_mut().for_each(|value| *value = value.saturating_add(1));
-    let (ssim, mean) = difference(&original, &brighter);
-    assert!(!is_similar(ssim, mean), "one step of 255 over the whole image passes: {ssim}, {mean}");
+    let found = difference(&original, &brighter);
+    assert!(!is_similar(found), "one step of 255 over the whole image passes: {found:?}");
     let mut spotted = original.clone();
     (20..28).for_each(|x| (20..28).for_each(|y| spotted.put_pixel(x, y, image::Rgb([255, 0, 0]))));
-    let (ssim, mean) = difference(&original, &spotted);
-    assert!(!is_similar(ssim, mean), "a spot of 8 x 8 pixels passes: {ssim}, {mean}");
+    let found = difference(&original, &spotted);
+    assert!(!is_similar(found), "a spot of 8 x 8 pixels passes: {found:?}");
 }
