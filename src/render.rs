@@ -252,6 +252,8 @@ impl Renderer {
         (start, plan_ms): (Instant, f64),
     ) -> Result<InFlight> {
         let submitted = Instant::now();
+        let host_ms: f64 = self.host_times().iter().map(|(_, ms)| ms).sum();
+        let upload_ms = milliseconds(submitted - start) - host_ms;
         let mut submission = self.submit_tile(&frame, true)?;
         let mut drawn = None;
         if frame.tiles.len() > 1 {
@@ -268,24 +270,25 @@ impl Renderer {
             }
             drawn = Some(whole.finish());
         }
-        let mut host_times = StageTimes::new();
-        host_times.extend(self.shadow.host_ms().map(|ms| ("shadow", ms)));
-        host_times.extend(self.visibility.host_ms().map(|ms| ("visibility", ms)));
-        let host_ms: f64 = host_times.iter().map(|(_, ms)| ms).sum();
         let PreparedFrame { gbuffer, slot, uploaded_bytes, .. } = frame;
         let cost = FrameCost {
             drawn_triangles: self.visibility.triangles(&self.buffers.meshes, &gbuffer.batches),
-            lighting_draws: self.lighting_draws(&gbuffer),
+            lighting_draws: self.raster.lighting.draws(gbuffer.batches.len()),
             uploaded_bytes,
         };
         self.last_cost = cost;
         self.gbuffers.keep(gbuffer);
-        let upload_ms = milliseconds(submitted - start) - host_ms;
         let mut times = vec![("plan", plan_ms), ("upload", upload_ms)];
-        times.extend(host_times);
+        times.extend(self.host_times());
         times.push(("record", milliseconds(submitted.elapsed())));
         let device_passes = self.device_passes();
         Ok(InFlight { request, slot, submission, submitted, drawn, times, device_passes, cost })
+    }
+
+    /// Times of the host backends.
+    fn host_times(&self) -> StageTimes {
+        let stages = [("shadow", self.shadow.host_ms()), ("visibility", self.visibility.host_ms())];
+        stages.into_iter().filter_map(|(name, ms)| Some((name, ms?))).collect()
     }
 
     /// Records and submits a tile, the first of a frame with the frame's shadows.
@@ -413,13 +416,6 @@ impl Renderer {
         packed.copy(encoder);
         if let Some(timer) = timer {
             timer.copy(encoder, &self.device_passes());
-        }
-    }
-
-    const fn lighting_draws(&self, gbuffer: &GBuffer) -> usize {
-        match self.raster.lighting {
-            LightingMode::Bins => gbuffer.batches.len(),
-            LightingMode::OneDraw => 1,
         }
     }
 

@@ -65,6 +65,14 @@ pub enum LightingMode {
 impl LightingMode {
     const NAMES: [(&'static str, Self); 2] = [("bins", Self::Bins), ("one-draw", Self::OneDraw)];
 
+    /// Draws of samples in this many shading bins.
+    pub(crate) const fn draws(self, bins: usize) -> usize {
+        match self {
+            Self::Bins => bins,
+            Self::OneDraw => 1,
+        }
+    }
+
     /// Name for records.
     #[must_use]
     pub const fn name(self) -> &'static str {
