@@ -152,7 +152,7 @@ pub enum Error {
     },
     /// A frame beyond the limits of the device.
     #[error(
-        "--size {width}x{height} with --samples {samples} is too large for {adapter}: it needs {needed}, the device allows {limit}; use a smaller --size or fewer --samples"
+        "--size {width}x{height} with --samples {samples} is too large for {adapter}: it needs {needed}, the limit is {limit}; use a smaller --size or fewer --samples"
     )]
     SizeBeyondDevice {
         /// Image width, pixels.
