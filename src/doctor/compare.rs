@@ -137,7 +137,7 @@ fn depth(found: &[f32], expected: &[f32], width: usize, equal: f64) -> Differenc
     };
     let errors: Vec<f64> = found.iter().zip(expected).map(relative).collect();
     // NaN (one of two is the sky's infinity, or itself no number) counts as a difference.
-    let is_beyond = |&i: &usize| !(errors[i] <= equal);
+    let is_beyond = |&i: &usize| errors[i].is_nan() || errors[i] > equal;
     let beyond: Vec<usize> = (0..errors.len()).filter(is_beyond).collect();
     let outside = beyond.iter().filter(|&&i| !is_in_range(found[i], expected, width, i, equal)).count();
     let allowed = (MAX_OTHER_DEPTH * errors.len() as f64) as usize;

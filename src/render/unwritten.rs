@@ -9,6 +9,7 @@ use crate::gpu::Gpu;
 use crate::params::config::Config;
 use crate::render::device::shading_bins::LightingVariant;
 use crate::render::lighting::gbuffer::GBuffer;
+use crate::render::select::draw_list::DrawBatch;
 use crate::render::select::screen_bounds::ScreenBounds;
 use crate::scene::Scene;
 
@@ -61,8 +62,8 @@ fn a_frame_that_loses_a_draw_is_refused_by_both_backends() {
                 whole.expect("a frame that lost nothing");
             }
             assert!(batches.iter().any(|batch| batch.variant == LightingVariant::Sky), "the dome has a draw");
-            for batch in 0..batches.len() {
-                let what = format!("{set}, {mode}, without batch {batch}, {:?}", batches[batch].variant);
+            for (batch, DrawBatch { variant, .. }) in batches.iter().enumerate() {
+                let what = format!("{set}, {mode}, without batch {batch}, {variant:?}");
                 // The lighting draw of a batch covers nothing: what it should have lit is unwritten.
                 let unlit = render_with(&mut renderer, &scene, samples, |gbuffer| {
                     gbuffer.batches[batch].bounds = ScreenBounds::EMPTY;
