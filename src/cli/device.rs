@@ -20,16 +20,17 @@ pub(super) fn open(wanted: Option<&str>, messages: Messages) -> Result<Gpu> {
     let gpu = Gpu::open_with_cache(wanted, |key| input::read(&folder()?.join(key), MAX_CACHE_BYTES).ok())?;
     let is_chosen =
         wanted.is_some() || std::env::var_os("WGPU_ADAPTER_NAME").is_some_and(|name| !name.is_empty());
-    if gpu.capabilities.software_adapter && !is_chosen {
-        if let Some(file) = device_files(&Machine::here()).first() {
-            messages.note(format_args!(
-                "warning: rendering on the CPU ({}), although {} belongs to {} GPU: `regolith-render doctor` says what its driver \
-                 lacks; --adapter cpu silences this warning",
-                adapter::describe(&gpu.info),
-                file.path,
-                file.vendor.with_article()
-            ));
-        }
+    if gpu.capabilities.software_adapter
+        && !is_chosen
+        && let Some(file) = device_files(&Machine::here()).first()
+    {
+        messages.note(format_args!(
+            "warning: rendering on the CPU ({}), although {} belongs to {} GPU: `regolith-render doctor` says what its driver \
+             lacks; --adapter cpu silences this warning",
+            adapter::describe(&gpu.info),
+            file.path,
+            file.vendor.with_article()
+        ));
     }
     Ok(gpu)
 }

@@ -184,6 +184,8 @@ fn without_a_driver_there_is_a_report() {
 
 /// Files of a machine: path below the root and content.
 type Files = &'static [(&'static str, &'static str)];
+/// Environment variables: name and value.
+type Variables = &'static [(&'static str, &'static str)];
 
 fn create(root: &Path, files: &[(&str, &str)]) {
     for (path, content) in files {
@@ -235,7 +237,7 @@ const AMD_VENDOR: (&str, &str) = ("sys/class/drm/renderD128/device/vendor", "0x1
 /// Each row: a machine, its variables, and what the remedy of its GPU says.
 #[test]
 fn the_remedy_fits_the_first_cause() {
-    let machines: &[(&str, Files, &[(&str, &str)], &str)] = &[
+    let machines: &[(&str, Files, Variables, &str)] = &[
         (
             "a module that is not loaded",
             &[LOADER, NVIDIA_PCI[0], NVIDIA_PCI[1], NVIDIA_PCI[2]],
@@ -337,8 +339,11 @@ fn the_remedy_fits_the_first_cause() {
 #[test]
 fn a_gpu_that_answers_and_a_machine_without_one_need_no_remedy() {
     let nvidia = adapter_of(0x10de, "NVIDIA H200");
-    let found =
-        said(&[LOADER, NVIDIA_FILE, NVIDIA_MANIFEST], &[("CUDA_VISIBLE_DEVICES", "3")], &[nvidia.clone()]);
+    let found = said(
+        &[LOADER, NVIDIA_FILE, NVIDIA_MANIFEST],
+        &[("CUDA_VISIBLE_DEVICES", "3")],
+        std::slice::from_ref(&nvidia),
+    );
     assert!(found.iter().all(|finding| !finding.is_problem()), "{found:?}");
     assert!(found.iter().any(|finding| finding.means.contains("NVIDIA H200")), "{found:?}");
     assert!(found.iter().any(|finding| finding.seen.contains("CUDA_VISIBLE_DEVICES=3")), "{found:?}");
@@ -349,7 +354,7 @@ fn a_gpu_that_answers_and_a_machine_without_one_need_no_remedy() {
         assert!(found.len() == 1 && found[0].seen.starts_with("no GPU"), "{found:?}");
     }
     // An adapter of another vendor does not answer for a GPU, and one that lacks something cannot be used.
-    let found = said(&[LOADER, AMD_FILE, AMD_VENDOR], &[], &[nvidia.clone()]);
+    let found = said(&[LOADER, AMD_FILE, AMD_VENDOR], &[], std::slice::from_ref(&nvidia));
     assert!(found[0].is_problem(), "{found:?}");
     let lacking = AdapterReport { missing: vec!["compute shaders".to_owned()], ..nvidia };
     let found = said(&[NVIDIA_FILE], &[], &[lacking]);

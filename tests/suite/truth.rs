@@ -440,7 +440,7 @@ fn check_radiance_of(
             let cos_light = hit.normal.dot(scene.sun.direction);
             let is_sunlit = cos_light > 0.02
                 && hit.facet_normal.dot(scene.sun.direction) > 0.0
-                && truth.sun_occlusion(&scene, shadow_ray_origin(scene, hit, *point), pixel as u64) == 0.0;
+                && truth.sun_occlusion(scene, shadow_ray_origin(scene, hit, *point), pixel as u64) == 0.0;
             let rock = hit.instance.checked_sub(1).map(|rock| &scene.rocks[usize::from(rock)]);
             let albedo = rock.map_or(scene.regolith, |rock| rock.material).albedo;
             let others = albedo * ambient(scene, hit.normal) / std::f32::consts::PI;
