@@ -40,22 +40,30 @@ pub fn linked_folder(folder: &Path, path: &str) -> Option<PathBuf> {
     })
 }
 
+/// The file at `path` below `folder`; with the cause if the path leads out of the folder.
+fn below(folder: &Path, path: &str) -> std::result::Result<PathBuf, (PathBuf, std::io::Error)> {
+    let full = folder.join(path);
+    match problem(path) {
+        None => Ok(full),
+        Some(problem) => {
+            let message = format!("`{path}` is not the path of a file below {}: {problem}", folder.display());
+            Err((full, std::io::Error::other(message)))
+        }
+    }
+}
+
 /// Where to write the file at `path` below `folder`. A link at that very place is replaced, not followed.
 ///
 /// # Errors
 /// [`Error::Write`] if the path leads out of the folder, or through a link.
 pub fn for_writing(folder: &Path, path: &str) -> Result<PathBuf> {
-    let full = folder.join(path);
-    let refused =
-        |path: PathBuf, message: String| Err(Error::Write { path, cause: std::io::Error::other(message) });
-    if let Some(problem) = problem(path) {
-        return refused(
-            full,
-            format!("`{path}` is not the path of a file below {}: {problem}", folder.display()),
-        );
-    }
+    let refused = |(path, cause)| Error::Write { path, cause };
+    let full = below(folder, path).map_err(refused)?;
     match linked_folder(folder, path) {
-        Some(link) => refused(full, format!("{} is a symbolic link, which is not followed", link.display())),
+        Some(link) => {
+            let message = format!("{} is a symbolic link, which is not followed", link.display());
+            Err(refused((full, std::io::Error::other(message))))
+        }
         None => Ok(full),
     }
 }
@@ -65,24 +73,15 @@ pub fn for_writing(folder: &Path, path: &str) -> Result<PathBuf> {
 /// # Errors
 /// [`Error::Read`] if the path leads out of the folder, or if it or a folder on the way is a link.
 pub fn for_reading(folder: &Path, path: &str) -> Result<PathBuf> {
-    let full = folder.join(path);
-    let refused =
-        |path: PathBuf, message: String| Err(Error::Read { path, cause: std::io::Error::other(message) });
-    if let Some(problem) = problem(path) {
-        return refused(
-            full,
-            format!("`{path}` is not the path of a file below {}: {problem}", folder.display()),
-        );
-    }
-    let link = linked_folder(folder, path).or_else(|| full.is_symlink().then(|| full.clone()));
-    match link {
-        Some(link) => refused(
-            full,
-            format!(
-                "{} is a symbolic link, which is not followed; replace it by what it leads to",
-                link.display()
-            ),
-        ),
+    let refused = |(path, cause)| Error::Read { path, cause };
+    let full = below(folder, path).map_err(refused)?;
+    match linked_folder(folder, path).or_else(|| full.is_symlink().then(|| full.clone())) {
+        Some(link) => {
+            let link = link.display();
+            let message =
+                format!("{link} is a symbolic link, which is not followed; replace it by what it leads to");
+            Err(refused((full, std::io::Error::other(message))))
+        }
         None => Ok(full),
     }
 }
