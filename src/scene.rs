@@ -35,7 +35,7 @@ use camera::Camera;
 use photometry::{Photometry, tinted};
 use relief::Relief;
 use rocks::on_demand::Rocks;
-use rocks::{Material, Rock, lunar};
+use rocks::{Material, Rock, lunar, lunar_rocks};
 use sensor::Sensor;
 use sky::{Sky, Sun};
 use terrain::Terrain;
@@ -133,7 +133,7 @@ impl Scene {
             ),
             roughness: number(Knob::RegolithRoughness) as f32,
         };
-        let rocks = lunar::build(streams, params, &terrain, camera.eye, &regolith, &placements);
+        let rocks = lunar_rocks::build(streams, params, &terrain, camera.eye, &regolith, &placements);
         let ground = (Arc::new(terrain), Some(relief));
         Ok(Self::assembled(streams, params, ground, rocks.into(), regolith, camera))
     }

@@ -1,6 +1,8 @@
-//! The rocks: their shapes, how they lie on the ground, and where they lie on the two stages ([`nominal`], [`lunar`]).
+//! The rocks: their shapes, how they lie on the ground, and where they lie on the two stages ([`nominal`], [`lunar`] with [`lunar_rocks`]).
 
 pub mod lunar;
+pub mod lunar_rocks;
+mod lunar_shape;
 pub mod nominal;
 pub mod on_demand;
 mod plan;

@@ -1,25 +1,19 @@
-//! The rocks of the surface stage: the lunar size-frequency distribution, scattered everywhere and clustered at fresh craters,
-//! or four size bands with fixed counts; angular shapes.
+//! Where the rocks of the surface stage lie: the lunar size-frequency distribution, scattered everywhere and clustered at fresh
+//! craters, or four size bands with fixed counts; and the soil against them.
 //!
 //! The positions are a function of the seed and of world coordinates, for each octave of diameters: the same rocks are there
 //! from every camera. Only rocks that can be in view, or cast a shadow into view, are made.
-//! Must not know: how many triangles of a rock are drawn.
+//! Must not know: how a rock is shaped, how many of its triangles are drawn.
 
-use glam::{Mat3, Vec2, Vec3};
-use rayon::prelude::*;
+use glam::Vec2;
 
-use super::rock::{Material, Rock};
-use super::shape::{Shape, rotated};
 pub use super::size_distribution::rocks_larger_than;
 use super::size_distribution::{Sizes, poisson};
 use crate::params::{Knob, Params};
-use crate::pool::PooledVec;
-use crate::random::{Stream, Streams};
+use crate::random::Streams;
 use crate::scene::craters::Pit;
-use crate::scene::mesh::{Icosphere, Vertex};
 use crate::scene::relief::{Fillet, Relief};
 use crate::scene::rings::View;
-use crate::scene::terrain::Terrain;
 
 /// Largest diameter, metres.
 const LARGEST_M: f64 = 4.0;
@@ -43,18 +37,6 @@ const CLUSTER_MIN_M: f32 = 2.0;
 const CLUSTER_COVERAGE: f64 = 0.12;
 /// The largest of them, in diameters of the crater.
 const CLUSTER_LARGEST: f64 = 0.06;
-/// Number of shapes that the smaller rocks share.
-const PROTOTYPES: u64 = 16;
-/// Icosphere level of these shapes: 642 vertices.
-const PROTOTYPE_LEVEL: usize = 3;
-/// Angle from which a rock has a shape of its own, radians.
-const OWN_SHAPE_ANGLE: f32 = 0.03;
-/// Minimum angle that a rock spans, radians, and its icosphere level.
-const LEVELS: [(f32, usize); 4] = [(0.35, 5), (0.12, 4), (0.025, 3), (0.006, 2)];
-/// Number of planes that cut a rock.
-const PLANES: u32 = 8;
-/// Range of the distance of these planes, as a fraction of the rock's extent.
-const CUTS: (f64, f64) = (0.60, 0.90);
 /// Minimum diameter of a rock with a fillet of soil, metres.
 const FILLET_MIN_M: f64 = 0.20;
 /// Range of the fillet's height, in diameters of the rock.
@@ -75,9 +57,6 @@ const BANDS_NEAREST_M: f64 = 2.0;
 const BANDS_HALF_WIDTH: f64 = 0.6;
 /// Distinguishes the stream elements of the bands from those of cells and craters.
 const BANDS_KEY: u64 = 0xb0a7_0000;
-/// Bounds of the ratio of a rock's albedo to the soil's.
-const RATIO_RANGE: [f64; 2] = [0.7, 2.5];
-
 /// Position and size of a rock before it is shaped.
 #[derive(Clone, Copy, Debug)]
 pub struct Placement {
@@ -86,7 +65,7 @@ pub struct Placement {
     /// Mean of its extents along x and y, metres.
     pub diameter_m: f64,
     /// The element of its random streams.
-    key: u64,
+    pub(super) key: u64,
 }
 
 /// Culling by angular size and viewed sector.
@@ -313,99 +292,4 @@ pub fn fillets(streams: &Streams, placements: &[Placement], centre: Vec2) -> Vec
             }
         })
         .collect()
-}
-
-/// Builds the rocks.
-#[must_use]
-pub fn build(
-    streams: &Streams,
-    params: &Params,
-    terrain: &Terrain,
-    eye: Vec3,
-    soil: &Material,
-    placements: &[Placement],
-) -> Vec<Rock> {
-    let prototypes: Vec<PooledVec<Vec3>> = (0..PROTOTYPES)
-        .into_par_iter()
-        .map(|k| form(&mut streams.stream("rocks.prototype", k), params, PROTOTYPE_LEVEL))
-        .collect();
-    let build = |(index, placement): (usize, &Placement)| {
-        let draw = |purpose: &str| streams.stream(purpose, placement.key);
-        let diameter_m = placement.diameter_m as f32;
-        let ground = placement.position.extend(eye.z);
-        let angle = diameter_m / ground.distance(eye).max(0.5);
-        let level = LEVELS.iter().find(|(least, _)| angle >= *least).map_or(1, |(_, level)| *level);
-        let own = (angle >= OWN_SHAPE_ANGLE || level > PROTOTYPE_LEVEL)
-            .then(|| form(&mut draw("rocks.shape"), params, level));
-        let mut pose = draw("rocks.pose");
-        let prototype = pose.uniform_int(0, PROTOTYPES as i64 - 1) as usize;
-        let count = Icosphere::vertex_count(level);
-        let form = own.as_deref().unwrap_or_else(|| &prototypes[prototype][..count]);
-        let vertices = posed(&mut pose, form, level, diameter_m);
-        let ratio = albedo_ratio(params, &mut draw("rocks.albedo"));
-        let tint = Vec3::new(0.985, 1.0, 1.03);
-        let albedo = (soil.albedo * ratio as f32 * tint).min(Vec3::ONE);
-        let roughness = params.sample(Knob::RocksRoughness, &mut draw("rocks.roughness")) as f32;
-        let mut rock = Rock::of_vertices(index as u32, vertices, level, Material { albedo, roughness });
-        rock.base_scale_m = 0.5 * diameter_m;
-        // The upper half of a sphere is uniformly distributed over z.
-        rock.dust_above = 1.0 - params.sample(Knob::RocksDust, &mut draw("rocks.dust")) as f32;
-        let exposed = params.sample(Knob::RocksExposed, &mut draw("rocks.exposed")) as f32;
-        rock.put_on_ground(terrain, eye, placement.position, 1.0 - exposed);
-        rock
-    };
-    placements.par_iter().enumerate().map(build).collect()
-}
-
-/// Draws the ratio of a rock's albedo to the soil's.
-fn albedo_ratio(params: &Params, draw: &mut Stream) -> f64 {
-    let (median, spread) = (params.number(Knob::RocksAlbedoRatio), params.number(Knob::RocksAlbedoSpread));
-    let ratio = median * libm::exp(spread * draw.normal());
-    ratio.clamp(RATIO_RANGE[0].min(median), RATIO_RANGE[1].max(median))
-}
-
-/// A displaced unit sphere, cut by planes.
-fn form(draw: &mut Stream, params: &Params, level: usize) -> PooledVec<Vec3> {
-    let shape = Shape::draw(draw, params.number(Knob::RocksDisplacement));
-    let directions = &Icosphere::shared().directions;
-    let mut positions: PooledVec<Vec3> = PooledVec::unspecified(Icosphere::vertex_count(level));
-    for ((position, &u), radius) in positions.iter_mut().zip(directions).zip(&shape.radii(level)) {
-        *position = radius * u;
-    }
-    // Extents come from a coarse level, so that the cuts are the same at every level.
-    let coarse = Icosphere::vertex_count(level.min(2));
-    for _ in 0..PLANES {
-        let z = draw.uniform(-1.0, 1.0);
-        let (angle, across) = (draw.uniform(0.0, std::f64::consts::TAU), (1.0 - z * z).sqrt());
-        let normal =
-            Vec3::new((across * libm::cos(angle)) as f32, (across * libm::sin(angle)) as f32, z as f32);
-        let extent = positions[..coarse].iter().map(|p| p.dot(normal)).fold(0.0, f32::max);
-        let cut = extent * draw.uniform(CUTS.0, CUTS.1) as f32;
-        for p in &mut positions {
-            let height = p.dot(normal);
-            if height > cut {
-                *p *= cut / height;
-            }
-        }
-    }
-    positions
-}
-
-/// A form scaled along its axes, rotated, and scaled to its diameter.
-fn posed(draw: &mut Stream, form: &[Vec3], level: usize, diameter_m: f32) -> PooledVec<Vertex> {
-    let scale = [draw.uniform(0.85, 1.18), draw.uniform(0.85, 1.18), draw.uniform(0.55, 0.95)];
-    let world_from_form: Mat3 = rotated(draw, scale.map(|s| s as f32));
-    let mut vertices: PooledVec<Vertex> = PooledVec::unspecified(form.len());
-    let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-    for (vertex, &p) in vertices.iter_mut().zip(form) {
-        vertex.position = world_from_form * p;
-        low = low.min(vertex.position);
-        high = high.max(vertex.position);
-    }
-    let factor = 2.0 * diameter_m / ((high.x - low.x) + (high.y - low.y));
-    for vertex in &mut vertices {
-        vertex.position *= factor;
-    }
-    Icosphere::shared().set_smooth_normals(&mut vertices, level);
-    vertices
 }
