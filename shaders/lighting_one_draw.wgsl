@@ -27,5 +27,6 @@ fn fs_main(in: LightVaryings) -> LightingOutput {
     light.relief_fresh_share = view.fresh_share;
     light.relief_waves = view.waves;
     light.relief_pit_lattices = view.pit_lattices;
+    light.relief_grain_lattices = view.grain_lattices;
     return shade(surface, instance, detail, position);
 }

@@ -7,6 +7,7 @@
 pub mod bounce;
 pub mod camera;
 pub mod craters;
+pub mod grains;
 pub mod grid_cell;
 pub mod lattice;
 pub mod mesh;

@@ -7,3 +7,11 @@ fn relief_noise(k: u32) -> Lattice {
 fn relief_pits(k: u32) -> Lattice {
     return relief.pits[k];
 }
+
+fn relief_grains(k: u32) -> Lattice {
+    return relief.grains[k];
+}
+
+fn relief_view() -> ReliefView {
+    return relief.view;
+}

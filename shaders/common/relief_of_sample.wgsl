@@ -10,3 +10,11 @@ fn relief_noise(k: u32) -> Lattice {
 fn relief_pits(k: u32) -> Lattice {
     return reliefs[relief_slot].relief.pits[k];
 }
+
+fn relief_grains(k: u32) -> Lattice {
+    return reliefs[relief_slot].relief.grains[k];
+}
+
+fn relief_view() -> ReliefView {
+    return reliefs[relief_slot].relief.view;
+}

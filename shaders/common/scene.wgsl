@@ -56,14 +56,15 @@ struct Lattice {
     // The cell of the centre.
     base: vec2<i32>,
     seed: u32,
-    // Of noise: its amplitude, metres. Of pits: the probability that a cell has one.
+    // Of noise: its amplitude, metres. Of pits and grains: the probability that a cell has one.
     amount: f32,
     // Side of a cell, metres.
     cell_m: f32,
-    // Largest diameter of a pit, metres.
+    // Largest diameter of a pit or grain, metres.
     max_diameter_m: f32,
-    // Fraction of the pits that are clods.
-    clod_share: f32,
+    // Of noise: amplitude of the logarithm of the soil's albedo. Of pits: fraction that are clods. Of grains: by how much they make
+    // the ground brighter than the soil between them, relative to the latter.
+    share: f32,
     // Pits are left out where a cell of the mesh is larger than this times a sixth of the largest diameter.
     cutoff_diameters: f32,
 }
@@ -80,9 +81,14 @@ struct ReliefView {
     sample_angle: f32,
     // Fraction of the craters that are fresh.
     fresh_share: f32,
-    // Octaves of noise and lattices of pits in use.
+    // Octaves of noise, lattices of pits and of grains in use.
     waves: u32,
     pit_lattices: u32,
+    grain_lattices: u32,
+    // Fraction of the grains that are fragments of rock, their median albedo relative to the soil's, and the deviation of its logarithm.
+    grain_fragments: f32,
+    grain_ratio: f32,
+    grain_spread: f32,
 }
 
 struct ReliefUniforms {
@@ -90,6 +96,7 @@ struct ReliefUniforms {
     // Coarse to fine.
     noise: array<Lattice, 12>,
     pits: array<Lattice, 12>,
+    grains: array<Lattice, 5>,
 }
 
 // Dynamic offsets of uniforms are multiples of 256 bytes.

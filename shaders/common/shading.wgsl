@@ -14,14 +14,16 @@ const DETAIL_RELIEF: u32 = 1u;
 const DETAIL_ROCK_TEXTURE: u32 = 2u;
 const DETAIL_UPLOADED_SLOPES: u32 = 3u;
 
-// Slope of the ground's relief below the mesh where the host computes it (src/render/lighting/slopes_host.rs): rise per
-// metre along x and y.
+// The ground's detail below the mesh where the host computes it (src/render/lighting/slopes_host.rs): slope, rise per metre
+// along x and y; factor on the albedo; fraction of the sun's disc that grains leave visible.
 @group(2) @binding(5) var slopes: texture_2d<f32>;
 
 // The material at a sample.
 struct Shading {
     normal: vec3<f32>,
     albedo: vec3<f32>,
+    // Fraction of the sun's disc that the detail leaves visible.
+    sun: f32,
 }
 
 // The sun as a point sees it.
@@ -44,7 +46,7 @@ fn shade(surface: Surface, instance: Instance, detail: u32, position: vec2<f32>)
     var direct = 0.0;
     if cos_light > 0.0 {
         let cos_phase = dot(light.sun_direction, to_eye);
-        direct = sun.total
+        direct = sun.total * shading.sun
             * reflected(PHOTOMETRY_LAW, instance.roughness, instance.surge_height, cos_light, cos_eye, cos_phase);
     }
     let indirect = indirect_irradiance(normal, sun.horizon, detail);
@@ -63,11 +65,15 @@ fn shade(surface: Surface, instance: Instance, detail: u32, position: vec2<f32>)
 fn shade_detail(surface: Surface, instance: Instance, detail: u32, to_eye: vec3<f32>, position: vec2<f32>) -> Shading {
     var normal = surface.normal;
     var albedo = instance.colour;
-    if detail == DETAIL_RELIEF {
-        normal = ground_normal(surface.normal, slope_below_mesh(surface.offset, surface.normal, to_eye));
-    }
+    var ground = GroundDetail(vec2(0.0), 1.0, 1.0);
+    if detail == DETAIL_RELIEF { ground = detail_below_mesh(surface.offset, surface.normal, to_eye); }
     if detail == DETAIL_UPLOADED_SLOPES {
-        normal = ground_normal(surface.normal, textureLoad(slopes, vec2<i32>(position), 0).xy);
+        let texel = textureLoad(slopes, vec2<i32>(position), 0);
+        ground = GroundDetail(texel.xy, texel.z, texel.w);
+    }
+    if detail == DETAIL_RELIEF || detail == DETAIL_UPLOADED_SLOPES {
+        normal = ground_normal(surface.normal, ground.slope);
+        albedo *= ground.albedo;
     }
     if detail == DETAIL_ROCK_TEXTURE {
         let sample_m = light.relief_sample_angle * length(surface.offset);
@@ -84,7 +90,7 @@ fn shade_detail(surface: Surface, instance: Instance, detail: u32, to_eye: vec3<
         let min_cosine = 0.3 * max(dot(surface.normal, to_eye), 0.05);
         normal = unit(normal + max(min_cosine - dot(normal, to_eye), 0.0) * to_eye);
     }
-    return Shading(normal, albedo);
+    return Shading(normal, albedo, ground.sun);
 }
 
 // A surface that faces away from the sun occludes it itself.
@@ -123,12 +129,19 @@ fn indirect_irradiance(normal: vec3<f32>, horizon: f32, detail: u32) -> vec3<f32
     return irradiance;
 }
 
-// Slope, rise per metre along x and y, of the relief that the ground's mesh leaves out.
-fn slope_below_mesh(offset: vec3<f32>, mesh_normal: vec3<f32>, to_eye: vec3<f32>) -> vec2<f32> {
+// What the ground's mesh leaves out.
+fn detail_below_mesh(offset: vec3<f32>, mesh_normal: vec3<f32>, to_eye: vec3<f32>) -> GroundDetail {
     let facing = clamp(dot(mesh_normal, to_eye), 0.04, 1.0);
+    let across_m = light.relief_sample_angle * length(offset);
     // The footprint of a sample is longer in depth than across: take the geometric mean of the two.
-    let sample_m = light.relief_sample_angle * length(offset) * inverseSqrt(facing);
-    return relief_slope(light.relief_eye_from_centre + offset.xy, sample_m);
+    let sample_m = across_m * inverseSqrt(facing);
+    return ground_detail(
+        light.relief_eye_from_centre + offset.xy,
+        sample_m,
+        across_m,
+        way_per_height(to_eye, mesh_normal, GRAIN_MAX_EYE_WAY),
+        way_per_height(light.sun_direction, mesh_normal, GRAIN_MAX_SUN_WAY),
+    );
 }
 
 // Normal of the ground: that of the mesh with a further slope.

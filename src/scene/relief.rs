@@ -9,8 +9,9 @@ use fearless_simd::{Level, dispatch};
 use glam::Vec2;
 
 use super::craters::{CraterField, Pit};
+use super::grains::GrainField;
 use super::lattice::Lattice;
-use super::noise::{GRADIENT_NOISE_SIGMA, gradient_noise_2d, gradient_noise_difference};
+use super::noise::{GRADIENT_NOISE_SIGMA, SHADE_SIGMA, gradient_noise_2d, gradient_noise_difference};
 use crate::params::{Knob, Params};
 use crate::random::Streams;
 
@@ -25,6 +26,8 @@ const COARSE_DEVIATION: f64 = 0.17;
 const FINE_LONGEST_M: f64 = 1.5625;
 /// Octaves of the fine relief: down to 6 mm.
 const FINE_OCTAVES: u32 = 9;
+/// Octaves of the soil's shade that a view shows at once, about.
+const SHADED_OCTAVES: f32 = 5.0;
 /// Baseline of the slope that the fine relief is made for, metres.
 const SLOPE_BASELINE_M: f64 = 0.007;
 /// Slope, degrees, that hills, craters and clods contribute at that baseline with their defaults.
@@ -45,6 +48,8 @@ pub struct Octave {
     pub lattice: Lattice,
     /// Amplitude of the noise, metres.
     pub amplitude_m: f32,
+    /// Amplitude of the shade that goes with it, in the logarithm of the soil's albedo.
+    pub shade: f32,
 }
 
 /// A fillet: the apron of soil around a rock.
@@ -79,6 +84,8 @@ pub struct Relief {
     pub octaves: Vec<Octave>,
     /// Craters and clods.
     pub craters: CraterField,
+    /// Grains: in no mesh, and in none of the heights below.
+    pub grains: GrainField,
     /// Fillets of soil.
     pub fillets: Vec<Fillet>,
 }
@@ -121,15 +128,19 @@ impl Relief {
             (0..).zip(fine).map(|(k, (wavelength, amplitude))| (wavelength, amplitude, "relief.fine", k)),
         );
         octaves.sort_by(|a, b| b.0.total_cmp(&a.0));
+        // About as many octaves are between the mesh's cells and the samples.
+        let shade = number(Knob::RegolithMottling) as f32 / (SHADE_SIGMA * SHADED_OCTAVES.sqrt());
         let octaves = octaves
             .into_iter()
             .map(|(wavelength_m, amplitude_m, purpose, k)| Octave {
                 lattice: Lattice::new(wavelength_m, centre, &mut streams.stream(purpose, k.into())),
                 amplitude_m: amplitude_m as f32,
+                shade: if purpose == "relief.fine" { shade } else { 0.0 },
             })
             .collect();
         let craters = CraterField::new(streams, params, centre);
-        Self { octaves, craters, fillets: Vec::new() }
+        let grains = GrainField::new(streams, params, centre);
+        Self { octaves, craters, grains, fillets: Vec::new() }
     }
 
     /// What can change the height within a circle (metres from the centre), at this cell size or a larger one.
@@ -161,7 +172,7 @@ impl Relief {
     #[inline(always)]
     fn set_in_vectors(&self, [x, y]: [&[f32]; 2], cell_m: f32, nearby: &Nearby, heights: &mut [f32]) {
         heights.fill(0.0);
-        for Octave { lattice, amplitude_m } in &self.octaves {
+        for Octave { lattice, amplitude_m, .. } in &self.octaves {
             let share = mesh_share(lattice.cell_m, cell_m);
             if share == 0.0 {
                 break;

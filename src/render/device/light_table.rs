@@ -41,7 +41,7 @@ const fn row(name: &'static str, kind: LightType, source: &'static str) -> Light
 }
 
 /// Every light number.
-static LIGHT_TABLE: [LightNumber; 37] = {
+static LIGHT_TABLE: [LightNumber; 38] = {
     use LightType::{F32, Uint, Vec2, Vec3};
     [
         row("eye", Vec3, "frame.eye"),
@@ -81,6 +81,7 @@ static LIGHT_TABLE: [LightNumber; 37] = {
         row("relief_fresh_share", F32, "relief.view.fresh_share"),
         row("relief_waves", Uint { bits: 4 }, "relief.view.waves"),
         row("relief_pit_lattices", Uint { bits: 4 }, "relief.view.pit_lattices"),
+        row("relief_grain_lattices", Uint { bits: 4 }, "relief.view.grain_lattices"),
     ]
 };
 

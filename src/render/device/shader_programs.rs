@@ -101,6 +101,7 @@ pub static LIGHTING_SURFACE: Program = program!(
         "indirect",
         "hash",
         "relief",
+        "grains",
         "rock_texture",
         "shading",
         "relief_of_draw"
@@ -126,6 +127,7 @@ pub static LIGHTING_ONE_DRAW: Program = program!(
         "indirect",
         "hash",
         "relief",
+        "grains",
         "rock_texture",
         "shading",
         "relief_of_sample"

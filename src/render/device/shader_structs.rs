@@ -95,7 +95,7 @@ shader_struct! {
         amount: f32,
         cell_m: f32,
         max_diameter_m: f32,
-        clod_share: f32,
+        share: f32,
         cutoff_diameters: f32,
     }
 }
@@ -110,6 +110,10 @@ shader_struct! {
         fresh_share: f32,
         waves: u32,
         pit_lattices: u32,
+        grain_lattices: u32,
+        grain_fragments: f32,
+        grain_ratio: f32,
+        grain_spread: f32,
     }
 }
 
@@ -119,6 +123,7 @@ shader_struct! {
         view: ReliefView,
         noise: [LatticeUniforms; 12],
         pits: [LatticeUniforms; 12],
+        grains: [LatticeUniforms; 5],
     }
 }
 

@@ -14,8 +14,9 @@ use crate::render::settings::RenderSettings;
 
 /// Format of the visibility texture (`visibility.wgsl` has its layout).
 pub(crate) const VISIBILITY_FORMAT: TextureFormat = TextureFormat::Rgba32Uint;
-/// Format of the slopes: rise per metre along x and y.
-pub(crate) const SLOPES_FORMAT: TextureFormat = TextureFormat::Rg32Float;
+/// Format of the ground's detail below its mesh: slope, rise per metre along x and y; factor on the albedo; fraction of the sun's
+/// disc that grains leave visible.
+pub(crate) const SLOPES_FORMAT: TextureFormat = TextureFormat::Rgba16Float;
 
 /// How the textures are filled, which their usages and formats depend on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

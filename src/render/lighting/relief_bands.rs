@@ -59,6 +59,9 @@ impl ReliefBands {
             cell_angle: rings.view.cell as f32,
             sample_angle: settings.sample_angle(&scene.camera),
             fresh_share: relief.craters.fresh_share,
+            grain_fragments: relief.grains.material.fragments,
+            grain_ratio: relief.grains.material.ratio,
+            grain_spread: relief.grains.material.spread,
             ..Default::default()
         };
         let rows = (terrain.rows.div_ceil(BLOCK_CELLS) as usize).div_ceil(MAX_BANDS);
@@ -67,10 +70,12 @@ impl ReliefBands {
             let first_block = band * rows * columns;
             let visible =
                 selection.blocks.iter().filter_map(|(block, _)| blocks.get(block.checked_sub(first_block)?));
-            let sample_m = visible.map(|span| min_sample_m(scene, span)).fold(f32::INFINITY, f32::min);
+            let nearest = visible
+                .map(|span| min_samples_m(scene, span))
+                .fold([f32::INFINITY; 2], |a, b| [a[0].min(b[0]), a[1].min(b[1])]);
             let ring_rows = blocks[0][1].start..blocks[blocks.len() - 1][1].end;
-            let sample_m = view.sample_angle * sample_m / MARGIN;
-            band_uniforms(relief, view, cell_range_m(rings, &ring_rows), sample_m)
+            let samples_m = nearest.map(|distance_m| view.sample_angle * distance_m / MARGIN);
+            band_uniforms(relief, view, cell_range_m(rings, &ring_rows), samples_m)
         });
         let bands = std::iter::once(ReliefUniforms { view, ..Default::default() }).chain(bands).collect();
         Self { bands, rows: Some(rows), columns }
@@ -83,13 +88,13 @@ impl ReliefBands {
     }
 }
 
-/// The relief of ground with cells between these sizes, and samples at least `sample_m` apart, metres: all that the mesh does not
-/// show whole and samples can show. If the slots do not suffice, the finest is left out.
+/// The relief of ground with cells between these sizes, and samples at least `sample_m` apart, `across_m` across the view, metres: all
+/// that the mesh does not show whole and samples can show. If the slots do not suffice, the finest is left out.
 fn band_uniforms(
     relief: &Relief,
     view: ReliefView,
     [smallest_m, largest_m]: [f32; 2],
-    sample_m: f32,
+    [sample_m, across_m]: [f32; 2],
 ) -> ReliefUniforms {
     let mut uniforms = ReliefUniforms { view, ..Default::default() };
     // The sampling theorem: a wave needs two samples.
@@ -101,7 +106,8 @@ fn band_uniforms(
         size_m < whole_m && is_resolved(size_m)
     });
     for (slot, octave) in uniforms.noise.iter_mut().zip(octaves) {
-        *slot = lattice_uniforms(&octave.lattice, octave.amplitude_m);
+        *slot =
+            LatticeUniforms { share: octave.shade, ..lattice_uniforms(&octave.lattice, octave.amplitude_m) };
         uniforms.view.waves += 1;
     }
     // Of the first octave that is not whole both lattices are sampled, of the next ones only the first.
@@ -121,11 +127,23 @@ fn band_uniforms(
     for (slot, (lattice, cutoff_diameters)) in uniforms.pits.iter_mut().zip(lattices) {
         *slot = LatticeUniforms {
             max_diameter_m: lattice.largest_m,
-            clod_share: lattice.clods,
+            share: lattice.clods,
             cutoff_diameters,
             ..lattice_uniforms(&lattice.lattice, lattice.chance)
         };
         uniforms.view.pit_lattices += 1;
+    }
+    // Grains stand up: along the view they are as long as across it.
+    let grains = relief.grains.lattices.iter();
+    let grains = grains.filter(|grains| grains.chance > 0.0 && grains.largest_m > 2.0 * across_m);
+    let excess = relief.grains.material.mean_excess();
+    for (slot, grains) in uniforms.grains.iter_mut().zip(grains) {
+        *slot = LatticeUniforms {
+            max_diameter_m: grains.largest_m,
+            share: grains.coverage() * excess,
+            ..lattice_uniforms(&grains.lattice, grains.chance)
+        };
+        uniforms.view.grain_lattices += 1;
     }
     uniforms
 }
@@ -144,21 +162,22 @@ fn cell_range_m(rings: &Rings, rows: &Range<u32>) -> [f32; 2] {
     [rings.cell_m(nearest_m) / MARGIN, rings.cell_m(rings.radii_m[rows.end as usize]) * MARGIN]
 }
 
-/// Lower bound of the distance between samples on a block, metres per radian between their rays.
-fn min_sample_m(scene: &Scene, [columns, rows]: &[Range<u32>; 2]) -> f32 {
+/// Lower bounds of the distance between samples on a block, metres per radian between their rays: of the geometric mean of that
+/// along the view and that across it, and of the latter.
+fn min_samples_m(scene: &Scene, [columns, rows]: &[Range<u32>; 2]) -> [f32; 2] {
     let (terrain, eye) = (&scene.terrain, scene.camera.eye);
     let row_len = terrain.columns as usize + 1;
-    let square = (rows.start..=rows.end).flat_map(|row| {
+    let squares = (rows.start..=rows.end).flat_map(|row| {
         let first = row as usize * row_len;
         let vertices = &terrain.vertices[first + columns.start as usize..=first + columns.end as usize];
         vertices.iter().map(|vertex| {
             let to_eye = eye - vertex.position;
             let square = to_eye.length_squared();
             let facing = (FACING_MARGIN * vertex.normal.dot(to_eye) / square.sqrt()).clamp(MIN_FACING, 1.0);
-            square / facing
+            [square / facing, square]
         })
     });
-    square.fold(f32::INFINITY, f32::min).sqrt()
+    squares.fold([f32::INFINITY; 2], |a, b| [a[0].min(b[0]), a[1].min(b[1])]).map(f32::sqrt)
 }
 
 fn lattice_uniforms(lattice: &Lattice, amount: f32) -> LatticeUniforms {

@@ -1,25 +1,32 @@
-//! Slopes of the ground below the size of its mesh's cells, summed on the host: for software adapters, which load each number of a
+//! The ground's detail below the size of its mesh's cells, summed on the host: for software adapters, which load each number of a
 //! uniform again for every sample.
 //!
-//! CPU counterpart of `relief_slope` in `shaders/common/relief.wgsl`, equal to it but for rounding; functions have the same names. The
+//! CPU counterpart of `ground_detail` in `shaders/common/relief.wgsl`, equal to it but for rounding; functions have the same names. The
 //! height function itself is `src/scene/relief.rs`, the craters `src/scene/craters.rs`. Everything is written for batches of samples
 //! without branches, so that the compiler vectorises it.
 //! Must not know: where slopes go.
 
 use fearless_simd::{Level, dispatch};
 use glam::{Vec2, Vec3};
+use half::f16;
+use half::slice::HalfFloatSliceExt;
 
 use crate::render::device::shader_structs::{LatticeUniforms, ReliefUniforms, ReliefView};
 use crate::render::device::shading_bins::{LightingVariant, ShadingBin, ShadingBins};
+use crate::render::lighting::grains_host::{
+    GrainGround, GroundDetail, MAX_EYE_WAY, MAX_SUN_WAY, Vectors, add_grains,
+};
 use crate::render::lighting::relief_bands::{MIN_FACING, ReliefBands, sample_share};
 use crate::scene::craters::{
     CLOD_HEIGHT, EJECTA_EXPONENT, FRESH_DEPTHS, JITTER_CELLS, PROFILE_DEPTH, RIM, WORN_DEPTHS, second_hash,
 };
+use crate::scene::grains::GrainMaterial;
 use crate::scene::noise::{gradient_noise_slope_2d, lattice_hash};
 use crate::scene::relief::{MIN_CELLS, mesh_share};
+use crate::scene::sky::Sun;
 
 /// Samples whose slopes are summed together.
-const BATCH: usize = 64;
+pub(super) const BATCH: usize = 64;
 /// In place of the index of a band: none.
 const NO_BAND: u8 = u8::MAX;
 /// Maximum code of a normal's coordinate: 24 bits.
@@ -46,6 +53,10 @@ const EJECTA_FADE: [f32; 2] = [1.5, 2.5];
 const WORN_DEPTH_LOG2: f32 = -2.584_962_5;
 /// Depth of the youngest fresh crater less that of the oldest, diameters.
 const FRESH_DEPTH_SPAN: f32 = 0.04;
+/// What fresh craters add to the logarithm of the albedo: their soil is less mature. Stands in `relief.wgsl` too.
+const FRESH_SHADE: f32 = 0.2;
+/// The detail where there is no relief below the mesh: no slope, the material's albedo, no grain between the ground and the sun.
+const NO_DETAIL: [f16; 4] = [f16::ZERO, f16::ZERO, f16::ONE, f16::ONE];
 /// Maximum depth of a worn crater, diameters: a little less than that of a fresh one, as in `craters.rs`.
 const MAX_WORN_DEPTH: f32 = 0.1099;
 
@@ -57,6 +68,8 @@ pub struct ReliefSlopes {
     band_of_bin: [u8; 1 << ShadingBin::BITS],
     /// Positions relative to the eye at a depth of a metre: the corner of sample (0, 0), and the steps to the next column and row.
     rays: [Vec3; 3],
+    /// Unit vector towards the sun, and the tangent of half the angle that its disc spans.
+    sun: (Vec3, f32),
 }
 
 /// What a row of the G-buffer holds, one value a sample.
@@ -90,31 +103,38 @@ struct GroundBatch {
     sample_m: [f32; BATCH],
     per_mesh: [f32; BATCH],
     per_sample: [f32; BATCH],
+    /// Distance of samples across the view, metres.
+    across_m: [f32; BATCH],
+    /// Horizontal ways of rays to the eye and to the sun per metre that they rise above the mesh.
+    ways: [Vectors; 2],
 }
 
-/// Rise per metre along x and y.
-struct SlopeSums {
+/// Rise per metre along x and y, and the logarithm of the albedo.
+struct DetailSums {
     x: [f32; BATCH],
     y: [f32; BATCH],
+    shade: [f32; BATCH],
 }
 
 impl ReliefSlopes {
     /// For the ground of these bands, seen along these rays.
     #[must_use]
-    pub fn new(bands: &ReliefBands, bins: ShadingBins, rays: [Vec3; 3]) -> Self {
+    pub fn new(bands: &ReliefBands, bins: ShadingBins, rays: [Vec3; 3], sun: &Sun) -> Self {
         let mut band_of_bin = [NO_BAND; 1 << ShadingBin::BITS];
         for (band_of_bin, (variant, band)) in band_of_bin.iter_mut().zip(bins.all()) {
-            let ReliefView { waves, pit_lattices, .. } = bands.bands[band].view;
-            if matches!(variant, LightingVariant::Ground { .. }) && waves + pit_lattices > 0 {
+            let ReliefView { waves, pit_lattices, grain_lattices, .. } = bands.bands[band].view;
+            if matches!(variant, LightingVariant::Ground { .. }) && waves + pit_lattices + grain_lattices > 0
+            {
                 *band_of_bin = band as u8;
             }
         }
-        Self { bands: bands.bands.clone(), band_of_bin, rays }
+        Self { bands: bands.bands.clone(), band_of_bin, rays, sun: (sun.direction, sun.tan_half_angle()) }
     }
 
-    /// Writes the slopes at a row of samples: rise per metre along x and y, 0 where there is no ground with relief.
-    pub fn set_row(&self, row: usize, gbuffer: &GBufferRow<'_>, slopes: &mut [[f32; 2]]) {
-        slopes.fill([0.0; 2]);
+    /// Writes the detail at a row of samples: slope, rise per metre along x and y; factor on the albedo; fraction of the sun's disc that
+    /// grains leave visible.
+    pub fn set_row(&self, row: usize, gbuffer: &GBufferRow<'_>, slopes: &mut [[f16; 4]]) {
+        slopes.fill(NO_DETAIL);
         let mut batch = SampleBatch::default();
         let (mut batch_band, mut count) = (NO_BAND, 0);
         for (column, visibility) in gbuffer.visibility.iter().enumerate() {
@@ -136,24 +156,28 @@ impl ReliefSlopes {
         self.set_batch(row, batch_band, &mut batch, count, slopes);
     }
 
-    /// Writes the slopes at the first `count` samples of a batch.
+    /// Writes the detail at the first `count` samples of a batch.
     fn set_batch(
         &self,
         row: usize,
         band: u8,
         batch: &mut SampleBatch,
         count: usize,
-        slopes: &mut [[f32; 2]],
+        slopes: &mut [[f16; 4]],
     ) {
         if count == 0 {
             return;
         }
         batch.pad(count);
-        let mut sums = SlopeSums { x: [0.0; BATCH], y: [0.0; BATCH] };
         let relief = &self.bands[usize::from(band)];
-        dispatch!(Level::new(), _simd => relief_slope(relief, self.rays, row, batch, &mut sums));
-        for (column, slope) in batch.columns[..count].iter().zip(sums.x.iter().zip(&sums.y)) {
-            slopes[*column as usize] = [*slope.0, *slope.1];
+        let mut detail = [[0.0_f32; 4]; BATCH];
+        dispatch!(Level::new(), _simd => {
+            ground_detail(relief, (self.rays, self.sun), row, (batch, count), &mut detail);
+        });
+        let mut halves = [NO_DETAIL; BATCH];
+        halves.as_flattened_mut().convert_from_f32_slice(detail.as_flattened());
+        for (column, halves) in batch.columns[..count].iter().zip(&halves) {
+            slopes[*column as usize] = *halves;
         }
     }
 }
@@ -178,30 +202,69 @@ impl Default for SampleBatch {
 
 // From here on all is inlined, to be compiled for each width of vectors.
 
-/// Rise per metre that the mesh leaves out and samples can show, at the samples of a batch.
+/// What the mesh leaves out and samples can show, at the first `count` samples of a batch.
 #[inline(always)]
-fn relief_slope(
+fn ground_detail(
     relief: &ReliefUniforms,
-    rays: [Vec3; 3],
+    (rays, sun): ([Vec3; 3], (Vec3, f32)),
     row: usize,
-    batch: &SampleBatch,
-    sums: &mut SlopeSums,
+    (batch, count): (&SampleBatch, usize),
+    result: &mut [[f32; 4]; BATCH],
 ) {
     let view = &relief.view;
-    let ground = GroundBatch::new(view, rays, row, batch);
+    let ground = GroundBatch::new(view, rays, sun.0, row, batch);
+    let mut sums = DetailSums { x: [0.0; BATCH], y: [0.0; BATCH], shade: [0.0; BATCH] };
+    let nearest_across_m = add_relief(relief, &ground, &mut sums);
+    let mut detail = GroundDetail {
+        slope: Vectors { x: sums.x, y: sums.y },
+        // The exponential function to second order.
+        albedo: sums.shade.map(|shade| 1.0 + shade * (1.0 + 0.5 * shade)),
+        sun: [1.0; BATCH],
+        nearest_m: [0.0; BATCH],
+        cover: [0.0; BATCH],
+    };
+    let material =
+        GrainMaterial { fragments: view.grain_fragments, ratio: view.grain_ratio, spread: view.grain_spread };
+    let grain_ground = GrainGround {
+        count,
+        point: Vectors { x: ground.x, y: ground.y },
+        across_m: ground.across_m,
+        ways: ground.ways,
+        sun_tan_half_angle: sun.1,
+        material,
+    };
+    for grains in &relief.grains[..view.grain_lattices as usize] {
+        if sample_share(1.001 * grains.max_diameter_m, nearest_across_m) > 0.0 {
+            add_grains(grains, &grain_ground, &mut detail);
+        }
+    }
+    for (i, result) in result.iter_mut().enumerate() {
+        // What hides the ground hides its shadows.
+        let sun = detail.sun[i] + detail.cover[i] * (1.0 - detail.sun[i]);
+        *result = [detail.slope.x[i], detail.slope.y[i], detail.albedo[i], sun];
+    }
+}
+
+/// Adds the noise and the pits. Returns the smallest distance of samples across the view, metres.
+#[inline(always)]
+fn add_relief(relief: &ReliefUniforms, ground: &GroundBatch, sums: &mut DetailSums) -> f32 {
+    let view = &relief.view;
     // Floats that are not negative sort as their bits do.
-    let (mut smallest_cell, mut nearest) = (u32::MAX, u32::MAX);
+    let (mut smallest_cell, mut nearest, mut nearest_across) = (u32::MAX, u32::MAX, u32::MAX);
     let mut largest_cell = 0;
     for (cell_m, sample_m) in ground.cell_m.iter().zip(&ground.sample_m) {
         smallest_cell = smallest_cell.min(cell_m.to_bits());
         largest_cell = largest_cell.max(cell_m.to_bits());
         nearest = nearest.min(sample_m.to_bits());
     }
+    for across_m in &ground.across_m {
+        nearest_across = nearest_across.min(across_m.to_bits());
+    }
     let [smallest_cell_m, largest_cell_m, nearest_m] =
         [smallest_cell, largest_cell, nearest].map(f32::from_bits);
     for wave in &relief.noise[..view.waves as usize] {
         if sample_share(wave.cell_m, nearest_m) > 0.0 && mesh_share(wave.cell_m, largest_cell_m) < 1.0 {
-            noise_slope(wave, &ground, sums);
+            noise_slope(wave, ground, sums);
         }
     }
     for pits in &relief.pits[..view.pit_lattices as usize] {
@@ -210,17 +273,33 @@ fn relief_slope(
         let is_below_mesh = mesh_share(0.499 * pits.max_diameter_m, largest_cell_m) < 1.0;
         let is_sampled = pits.cutoff_diameters * pits.max_diameter_m >= 2.0 * MIN_CELLS * smallest_cell_m;
         if is_resolved && is_below_mesh && is_sampled {
-            pits_slope(pits, view.fresh_share, &ground, sums);
+            pits_slope(pits, view.fresh_share, ground, sums);
         }
     }
+    f32::from_bits(nearest_across)
 }
 
 impl GroundBatch {
     #[inline(always)]
-    fn new(view: &ReliefView, [corner, right, down]: [Vec3; 3], row: usize, batch: &SampleBatch) -> Self {
+    fn new(
+        view: &ReliefView,
+        [corner, right, down]: [Vec3; 3],
+        sun: Vec3,
+        row: usize,
+        batch: &SampleBatch,
+    ) -> Self {
         let zeros = [0.0; BATCH];
-        let mut ground =
-            Self { x: zeros, y: zeros, cell_m: zeros, sample_m: zeros, per_mesh: zeros, per_sample: zeros };
+        let mut ground = Self {
+            x: zeros,
+            y: zeros,
+            cell_m: zeros,
+            sample_m: zeros,
+            per_mesh: zeros,
+            per_sample: zeros,
+            across_m: zeros,
+            ways: [Vectors { x: zeros, y: zeros }; 2],
+        };
+        let sun_way = (sun.x * sun.x + sun.y * sun.y).sqrt();
         let row_start = corner + (row as f32 + 0.5) * down;
         for i in 0..BATCH {
             let (column, depth_m) = (batch.columns[i] as i32 as f32 + 0.5, 1.0 / batch.inverse_depth[i]);
@@ -232,6 +311,19 @@ impl GroundBatch {
             let facing = -(n_x * x + n_y * y + n_z * z) / (square * n_square).sqrt();
             // Samples lie further apart along the view than across it: the geometric mean of the two.
             let sample_m = view.sample_angle * (square / facing.clamp(MIN_FACING, 1.0)).sqrt();
+            let distance = square.sqrt();
+            ground.across_m[i] = view.sample_angle * distance;
+            let n_len = n_square.sqrt();
+            let per_up = 1.0 / if n_z > 0.1 * n_len { n_z } else { 0.1 * n_len };
+            let (eye_x, eye_y) = (-x / distance, -y / distance);
+            let eye_way = (eye_x * eye_x + eye_y * eye_y).sqrt();
+            let per_rise = per_rise(facing * n_len * per_up, eye_way, MAX_EYE_WAY);
+            ground.ways[0].x[i] = eye_x * per_rise;
+            ground.ways[0].y[i] = eye_y * per_rise;
+            let sun_rise = (n_x * sun.x + n_y * sun.y + n_z * sun.z) * per_up;
+            let per_rise = self::per_rise(sun_rise, sun_way, MAX_SUN_WAY);
+            ground.ways[1].x[i] = sun.x * per_rise;
+            ground.ways[1].y[i] = sun.y * per_rise;
             let (x, y) = (view.eye_from_centre.x + x, view.eye_from_centre.y + y);
             let height = view.eye_height_m;
             ground.x[i] = x;
@@ -254,6 +346,15 @@ impl GroundBatch {
     }
 }
 
+/// One over how much a ray rises above the ground, `rise`, or over the least at which the horizontal part of the ray, `way`, is
+/// `max_way` times as long.
+#[inline(always)]
+fn per_rise(rise: f32, way: f32, max_way: f32) -> f32 {
+    let lowest = way / max_way;
+    let lowest = if lowest > 1e-6 { lowest } else { 1e-6 };
+    1.0 / if rise > lowest { rise } else { lowest }
+}
+
 /// A vector along the normal with these octahedral coordinates. CPU counterpart of the function in `common/octahedral.wgsl`, which
 /// also normalises it.
 #[inline(always)]
@@ -268,14 +369,16 @@ fn octahedral_decode(code_x: u32, code_y: u32) -> [f32; 3] {
     [x, y, z]
 }
 
-/// Adds the slope of one octave of noise.
+/// Adds the slope and the shade of one octave of noise.
 #[inline(always)]
-fn noise_slope(wave: &LatticeUniforms, ground: &GroundBatch, sums: &mut SlopeSums) {
+fn noise_slope(wave: &LatticeUniforms, ground: &GroundBatch, sums: &mut DetailSums) {
     let lattice = wave.lattice();
     for i in 0..BATCH {
         let ([column, row], t) = lattice.cell(lattice.local(Vec2::new(ground.x[i], ground.y[i])));
-        let [along, across] = gradient_noise_slope_2d([column, row], t, wave.seed);
-        let share = wave.amount * ground.share(i, wave.cell_m);
+        let [along, across, shade] = gradient_noise_slope_2d([column, row], t, wave.seed);
+        let resolved = ground.share(i, wave.cell_m);
+        sums.shade[i] += wave.share * resolved * shade;
+        let share = wave.amount * resolved;
         sums.x[i] += share * (wave.rotation_per_m.x * along - wave.rotation_per_m.y * across);
         sums.y[i] += share * (wave.rotation_per_m.y * along + wave.rotation_per_m.x * across);
     }
@@ -283,9 +386,9 @@ fn noise_slope(wave: &LatticeUniforms, ground: &GroundBatch, sums: &mut SlopeSum
 
 /// Adds the slope of the pits of a lattice: at most one crater or clod a cell, which does not reach beyond its cell.
 #[inline(always)]
-fn pits_slope(pits: &LatticeUniforms, fresh_share: f32, ground: &GroundBatch, sums: &mut SlopeSums) {
+fn pits_slope(pits: &LatticeUniforms, fresh_share: f32, ground: &GroundBatch, sums: &mut DetailSums) {
     let lattice = pits.lattice();
-    let ages = CraterAges::new(pits.clod_share, fresh_share);
+    let ages = CraterAges::new(pits.share, fresh_share);
     // Radius of the largest pit, cells.
     let largest = 0.5 * pits.max_diameter_m / pits.cell_m;
     let per_largest = 1.0 / largest;
@@ -300,10 +403,14 @@ fn pits_slope(pits: &LatticeUniforms, fresh_share: f32, ground: &GroundBatch, su
         // Distance from the centre in radii, and one over it.
         let (r, per_r) = (cells * pit.shrink * per_largest, per_cells * pit.radius);
         let crater = crater_steepness(r, per_r, ages.depth(pit.age));
-        let steepness = if pit.age < pits.clod_share { clod_steepness(r) } else { crater };
+        let steepness = if pit.age < pits.share { clod_steepness(r) } else { crater };
         let is_sampled = pits.cutoff_diameters * pits.max_diameter_m >= 2.0 * MIN_CELLS * ground.cell_m[i];
         let exists = is_sampled & (pit.draw < pits.amount);
         let share = ground.share(i, 2.0 * pits.cell_m * pit.radius);
+        let fresh = ((EJECTA_FADE[0] - r) * EJECTA_FADE[1]).clamp(0.0, 1.0) * FRESH_SHADE * share;
+        let is_fresh =
+            exists & (pit.age >= pits.share) & (pit.age - pits.share < fresh_share * (1.0 - pits.share));
+        sums.shade[i] += if is_fresh { fresh } else { 0.0 };
         let slope = if exists { pits.cell_m * share * steepness * per_cells } else { 0.0 };
         let (along, across) = (slope * along, slope * across);
         sums.x[i] += pits.rotation_per_m.x * along - pits.rotation_per_m.y * across;

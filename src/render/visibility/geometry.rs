@@ -80,7 +80,7 @@ impl VisibleTriangles {
         let bins = ShadingBins::new(bands.bands.len());
         self.bins = bins;
         let rays = settings.rays(&scene.camera);
-        self.slopes = scene.relief.as_ref().map(|_| ReliefSlopes::new(bands, bins, rays));
+        self.slopes = scene.relief.as_ref().map(|_| ReliefSlopes::new(bands, bins, rays, &scene.sun));
         let frame = FrameContext::new(scene, settings, caster_grid, by_shadow_sources);
         let sources = in_drawing_order(selection);
         self.mesh_count = sources.len();

@@ -9,6 +9,8 @@ use std::ops::Range;
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, dispatch, f32x8, i32x8, mask32x8, u32x8};
+use half::f16;
+use half::slice::HalfFloatSliceExt;
 use rayon::prelude::*;
 
 use crate::gpu::staging::{PAGE_BYTES, Page, PageWriter};
@@ -144,7 +146,7 @@ struct GBufferBand {
     bins_and_slots: Vec<u32>,
     /// A row as it is uploaded, and the slopes of its ground.
     packed_row: Vec<[u32; 4]>,
-    slopes_row: Vec<[f32; 2]>,
+    slopes_row: Vec<[f16; 4]>,
 }
 
 /// A row of a [`GBufferBand`].
@@ -174,7 +176,7 @@ impl GBufferBand {
         let mut packed_row = std::mem::take(&mut self.packed_row);
         let mut slopes_row = std::mem::take(&mut self.slopes_row);
         packed_row.resize(right - left, [0; 4]);
-        slopes_row.resize(image_width, [0.0; 2]);
+        slopes_row.resize(image_width, [f16::ZERO; 4]);
         let mut writer = PageWriter::new(pages);
         for number in uploaded {
             let row = self.row(number - rows.start, left..right);
@@ -183,7 +185,8 @@ impl GBufferBand {
             if let Some(slopes) = triangles.slopes() {
                 let row = self.row(number - rows.start, 0..image_width);
                 slopes.set_row(number, &row.for_slopes(), &mut slopes_row);
-                writer.write_row(bytemuck::cast_slice(&slopes_row[left..right]), row_bytes[1]);
+                let bits = slopes_row[left..right].as_flattened().reinterpret_cast();
+                writer.write_row(bytemuck::cast_slice(bits), row_bytes[1]);
             }
         }
         (self.packed_row, self.slopes_row) = (packed_row, slopes_row);

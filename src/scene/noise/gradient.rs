@@ -17,10 +17,11 @@ pub fn gradient_noise_2d(cell: [i32; 2], t: [f32; 2], seed: u32) -> f32 {
     lerp(lerp(at([0, 0]), at([1, 0]), u), lerp(at([0, 1]), at([1, 1]), u), v)
 }
 
-/// Gradient of [`gradient_noise_2d`], per cell along both axes.
+/// Gradient of [`gradient_noise_2d`], per cell along both axes; and a shade: other values at the corners, uniform in [-0.5, 0.5),
+/// blended with the same weights, with a standard deviation of [`SHADE_SIGMA`].
 #[must_use]
 #[inline(always)]
-pub fn gradient_noise_slope_2d(cell: [i32; 2], t: [f32; 2], seed: u32) -> [f32; 2] {
+pub fn gradient_noise_slope_2d(cell: [i32; 2], t: [f32; 2], seed: u32) -> [f32; 3] {
     let [u, v] = [quintic(t[0]), quintic(t[1])];
     let [sw, se] = [gradient_corner(cell, [0, 0], seed), gradient_corner(cell, [1, 0], seed)];
     let [nw, ne] = [gradient_corner(cell, [0, 1], seed), gradient_corner(cell, [1, 1], seed)];
@@ -29,15 +30,17 @@ pub fn gradient_noise_slope_2d(cell: [i32; 2], t: [f32; 2], seed: u32) -> [f32; 
     [
         lerp(lerp(sw.x, se.x, u), lerp(nw.x, ne.x, u), v) + quintic_derivative(t[0]) * lerp(b - a, d - c, v),
         lerp(lerp(sw.y, se.y, u), lerp(nw.y, ne.y, u), v) + quintic_derivative(t[1]) * lerp(c - a, d - b, u),
+        lerp(lerp(sw.shade, se.shade, u), lerp(nw.shade, ne.shade, u), v),
     ]
 }
 
-/// Gradient and value at a corner of a cell.
+/// Gradient, value and shade at a corner of a cell.
 #[derive(Clone, Copy)]
 struct Corner {
     x: f32,
     y: f32,
     value: f32,
+    shade: f32,
 }
 
 impl Corner {
@@ -56,6 +59,7 @@ fn gradient_corner(cell: [i32; 2], away: [i32; 2], seed: u32) -> Corner {
         x: (hash & 0xffff) as i32 as f32 * (1.0 / 32_768.0) - 1.0,
         y: (hash >> 16) as i32 as f32 * (1.0 / 32_768.0) - 1.0,
         value: (hash.wrapping_mul(0x9e37_79b1) >> 16) as i32 as f32 * (1.0 / 65_536.0) - 0.5,
+        shade: (hash.wrapping_mul(0x85eb_ca6b) >> 16) as i32 as f32 * (1.0 / 65_536.0) - 0.5,
     }
 }
 
@@ -73,6 +77,9 @@ fn quintic(t: f32) -> f32 {
 
 /// Standard deviation of [`gradient_noise_2d`].
 pub const GRADIENT_NOISE_SIGMA: f32 = 0.286;
+
+/// Standard deviation of the shade of [`gradient_noise_slope_2d`].
+pub const SHADE_SIGMA: f32 = 0.212;
 
 /// Root mean square difference of [`gradient_noise_2d`] over a distance in lattice cells. It rises with the gradient's
 /// standard deviation, 0.67 per cell, and saturates at sqrt(2) standard deviations; accurate to 4 % at any distance.

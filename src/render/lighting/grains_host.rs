@@ -1,0 +1,241 @@
+//! Grains of the soil in a batch of samples, summed on the host: the nearest that each ray to the eye meets, and the shadows of those
+//! towards the sun.
+//!
+//! CPU counterpart of `add_grains` in `shaders/common/grains.wgsl`, equal to it but for rounding. Rays are followed through the cells of a
+//! lattice for all samples at once, without branches; the few that come close to a grain are finished one by one.
+//! Must not know: where the sums go.
+
+use glam::Vec2;
+
+use super::relief_bands::sample_share;
+use super::slopes_host::BATCH;
+use crate::render::device::shader_structs::LatticeUniforms;
+use crate::scene::craters::second_hash;
+use crate::scene::grains::{Grain, GrainMaterial, JITTER_CELLS, MAX_HEIGHT, MAX_RADIUS, grain_diameter};
+use crate::scene::noise::lattice_hash;
+
+/// Cells of a lattice that a ray is followed through.
+pub(crate) const MAX_CELLS: u32 = 5;
+/// Largest horizontal way of a ray to the eye per metre that it rises: lower ones are taken for one of 7 degrees.
+pub(crate) const MAX_EYE_WAY: f32 = 8.0;
+/// The same of a ray to the sun, for 5 degrees.
+pub(crate) const MAX_SUN_WAY: f32 = 11.0;
+/// Share of the ground's own slope that a grain's surface has.
+pub(crate) const ROUGHNESS: f32 = 0.5;
+
+/// Horizontal vectors, one a sample.
+#[derive(Clone, Copy)]
+pub(super) struct Vectors {
+    pub x: [f32; BATCH],
+    pub y: [f32; BATCH],
+}
+
+/// What grains need to know of the ground at the samples of a batch.
+pub(super) struct GrainGround {
+    /// The first samples count, the others repeat them.
+    pub count: usize,
+    /// Position, metres from the centre of the ground.
+    pub point: Vectors,
+    /// Distance of samples across the view, metres.
+    pub across_m: [f32; BATCH],
+    /// Horizontal ways of rays to the eye and to the sun per metre that they rise above the mesh.
+    pub ways: [Vectors; 2],
+    /// Half the width of the sun's penumbra per metre of way.
+    pub sun_tan_half_angle: f32,
+    /// What grains are made of.
+    pub material: GrainMaterial,
+}
+
+/// The ground's detail, one value a sample.
+pub(super) struct GroundDetail {
+    /// Slope relative to the mesh, rise per metre.
+    pub slope: Vectors,
+    /// Factor on the albedo.
+    pub albedo: [f32; BATCH],
+    /// Fraction of the sun's disc that grains leave visible.
+    pub sun: [f32; BATCH],
+    /// Height at which the ray to the eye met the nearest grain so far, metres.
+    pub nearest_m: [f32; BATCH],
+    /// How much of the sample grains hide of the ground.
+    pub cover: [f32; BATCH],
+}
+
+/// Rays of a batch on their way through the cells of a lattice.
+struct Walks {
+    column: [i32; BATCH],
+    row: [i32; BATCH],
+    /// The start of the ray, cells from the corner of the cell that it is in.
+    start: Vectors,
+    /// Where it enters the next column and the next row, as fractions of its length, and the steps from one to the next.
+    next: Vectors,
+    step: Vectors,
+    sign: Vectors,
+    /// Horizontal way per metre that it rises, metres along the lattice's axes, and the inverse of its square.
+    way: Vectors,
+    per_square: [f32; BATCH],
+    /// The first two hashes of a cell, where the ray comes near its grain, else 0.
+    near: [u32; BATCH],
+    hashes: [[u32; 2]; BATCH],
+}
+
+/// Smallest square of a way whose inverse is taken.
+const MIN_SQUARE: f32 = 1e-12;
+
+impl Walks {
+    #[inline(always)]
+    fn new(uniforms: &LatticeUniforms, ground: &GrainGround, ways: &Vectors) -> Self {
+        let zeros = Vectors { x: [0.0; BATCH], y: [0.0; BATCH] };
+        let mut walks = Self {
+            column: [0; BATCH],
+            row: [0; BATCH],
+            start: zeros,
+            next: zeros,
+            step: zeros,
+            sign: zeros,
+            way: zeros,
+            per_square: [0.0; BATCH],
+            near: [0; BATCH],
+            hashes: [[0; 2]; BATCH],
+        };
+        let lattice = uniforms.lattice();
+        let (cos, sin) = (lattice.turn.x * uniforms.cell_m, lattice.turn.y * uniforms.cell_m);
+        let cells = MAX_HEIGHT * uniforms.max_diameter_m / uniforms.cell_m;
+        for i in 0..BATCH {
+            let point = Vec2::new(ground.point.x[i], ground.point.y[i]);
+            let ([column, row], [u, v]) = lattice.cell(lattice.local(point));
+            (walks.column[i], walks.row[i]) = (column, row);
+            (walks.start.x[i], walks.start.y[i]) = (u, v);
+            let x = cos * ways.x[i] + sin * ways.y[i];
+            let y = cos * ways.y[i] - sin * ways.x[i];
+            (walks.way.x[i], walks.way.y[i]) = (x, y);
+            let square = x * x + y * y;
+            walks.per_square[i] = 1.0 / if square > MIN_SQUARE { square } else { MIN_SQUARE };
+            let (step_x, next_x, sign_x) = first_step(cells * x, u);
+            let (step_y, next_y, sign_y) = first_step(cells * y, v);
+            (walks.step.x[i], walks.step.y[i]) = (step_x, step_y);
+            (walks.next.x[i], walks.next.y[i]) = (next_x, next_y);
+            (walks.sign.x[i], walks.sign.y[i]) = (sign_x, sign_y);
+        }
+        walks
+    }
+
+    /// Finds the rays that come near the grain of the cell that they are in: within `blur` distances of samples of its largest radius. Returns
+    /// whether any does.
+    #[inline(always)]
+    fn find_near(&mut self, uniforms: &LatticeUniforms, across_m: &[f32; BATCH], blur: f32) -> bool {
+        let mut any = 0;
+        for (i, across_m) in across_m.iter().enumerate() {
+            let first = lattice_hash(self.column[i], self.row[i], 0, uniforms.seed);
+            let second = second_hash(first);
+            let jitter =
+                |bits: u32| ((bits & 0x3ff) as i32 as f32 * (1.0 / 512.0) - 1.0) * JITTER_CELLS + 0.5;
+            let x = (self.start.x[i] - jitter(second)) * uniforms.cell_m;
+            let y = (self.start.y[i] - jitter(second >> 10)) * uniforms.cell_m;
+            let diameter_m = grain_diameter(second, uniforms.max_diameter_m);
+            let (way_x, way_y) = (self.way.x[i], self.way.y[i]);
+            let along = -(x * way_x + y * way_y) * self.per_square[i];
+            let along = along.clamp(0.0, MAX_HEIGHT * diameter_m);
+            let (x, y) = (x + along * way_x, y + along * way_y);
+            let reach = MAX_RADIUS * diameter_m + blur * across_m;
+            let exists = ((first & 0xffff) as i32 as f32) < 65_536.0 * uniforms.amount;
+            let is_near = exists & (x * x + y * y < reach * reach) & (diameter_m > 2.0 * across_m);
+            let near = u32::from(is_near);
+            self.near[i] = near;
+            any |= near;
+            self.hashes[i] = [first, second];
+        }
+        any > 0
+    }
+
+    /// Moves all rays into their next cells. Returns whether any ray gets there; one that has ended stays away from all grains.
+    #[inline(always)]
+    fn advance(&mut self) -> bool {
+        let mut ended = 1;
+        for i in 0..BATCH {
+            let (next_x, next_y) = (self.next.x[i], self.next.y[i]);
+            let to_column = next_x < next_y;
+            let first = if to_column { next_x } else { next_y };
+            ended &= u32::from(first >= 1.0);
+            let (x, y) = if to_column { (self.sign.x[i], 0.0) } else { (0.0, self.sign.y[i]) };
+            self.column[i] = self.column[i].wrapping_add(x as i32);
+            self.row[i] = self.row[i].wrapping_add(y as i32);
+            // Far from anything where the ray has ended.
+            let away = if first >= 1.0 { 1e3 } else { 0.0 };
+            self.start.x[i] += away - x;
+            self.start.y[i] += away - y;
+            self.next.x[i] += if to_column { self.step.x[i] } else { 0.0 };
+            self.next.y[i] += if to_column { 0.0 } else { self.step.y[i] };
+        }
+        ended == 0
+    }
+
+    /// The grain that ray `i` is near, and the start of the ray, metres from the centre of the grain along the lattice's axes.
+    #[inline(always)]
+    fn grain(&self, i: usize, uniforms: &LatticeUniforms) -> (Grain, Vec2, Vec2) {
+        let grain = Grain::from_hashes(self.hashes[i], uniforms.max_diameter_m);
+        let point = (Vec2::new(self.start.x[i], self.start.y[i]) - grain.centre) * uniforms.cell_m;
+        (grain, point, Vec2::new(self.way.x[i], self.way.y[i]))
+    }
+}
+
+/// Step from line to line of the lattice along an axis, where the first is met, and the direction; `way` is the length of the ray along
+/// the axis and `start` its start in the cell, in cells.
+#[inline(always)]
+fn first_step(way: f32, start: f32) -> (f32, f32, f32) {
+    let length = way.abs();
+    let step = 1.0 / if length > 1e-6 { length } else { 1e-6 };
+    if way > 0.0 { (step, step * (1.0 - start), 1.0) } else { (step, step * start, -1.0) }
+}
+
+/// Adds the grains of a lattice.
+#[inline(always)]
+pub(super) fn add_grains(uniforms: &LatticeUniforms, ground: &GrainGround, detail: &mut GroundDetail) {
+    // The material's albedo is the mean of soil and grains: where grains are seen, the soil between them is darker.
+    for (albedo, across_m) in detail.albedo.iter_mut().zip(&ground.across_m) {
+        *albedo /= 1.0 + uniforms.share * sample_share(0.7 * uniforms.max_diameter_m, *across_m);
+    }
+    let [eye, sun] = &ground.ways;
+    let mut walks = Walks::new(uniforms, ground, sun);
+    for _ in 0..MAX_CELLS {
+        if walks.find_near(uniforms, &ground.across_m, 1.0) {
+            for i in (0..ground.count).filter(|i| walks.near[*i] > 0) {
+                let across_m = ground.across_m[i];
+                let (grain, point, way) = walks.grain(i, uniforms);
+                let occlusion = grain.occlusion(point, way, ground.sun_tan_half_angle, 0.25 * across_m);
+                detail.sun[i] *= 1.0 - sample_share(grain.diameter_m, across_m) * occlusion;
+            }
+        }
+        if !walks.advance() {
+            break;
+        }
+    }
+    let mut walks = Walks::new(uniforms, ground, eye);
+    for _ in 0..MAX_CELLS {
+        if walks.find_near(uniforms, &ground.across_m, 0.0) {
+            for i in (0..ground.count).filter(|i| walks.near[*i] > 0) {
+                let (grain, point, way) = walks.grain(i, uniforms);
+                if let Some(hit) = grain.hit(point, way).filter(|hit| hit.height_m > detail.nearest_m[i]) {
+                    let share = sample_share(grain.diameter_m, ground.across_m[i]);
+                    let (cos, sin) = (
+                        uniforms.rotation_per_m.x * uniforms.cell_m,
+                        uniforms.rotation_per_m.y * uniforms.cell_m,
+                    );
+                    let slope = Vec2::new(
+                        cos * hit.slope.x - sin * hit.slope.y,
+                        sin * hit.slope.x + cos * hit.slope.y,
+                    );
+                    let mix = |value: &mut f32, other: f32| *value += share * (other - *value);
+                    let rough = ROUGHNESS * Vec2::new(detail.slope.x[i], detail.slope.y[i]);
+                    mix(&mut detail.slope.x[i], slope.x + rough.x);
+                    mix(&mut detail.slope.y[i], slope.y + rough.y);
+                    mix(&mut detail.albedo[i], grain.albedo(&ground.material));
+                    mix(&mut detail.cover[i], 1.0);
+                    detail.nearest_m[i] = hit.height_m;
+                }
+            }
+        }
+        if !walks.advance() {
+            break;
+        }
+    }
+}
