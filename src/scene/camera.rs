@@ -195,6 +195,12 @@ const MIN_EYE_M: f32 = 0.5;
 /// not know the image size.)
 const SECTOR_MARGIN: f64 = 0.12;
 
+/// Angle that the smallest rocks span, radians, from a field of view of 60 degrees on: three quarters of a pixel of an image
+/// 512 wide. In a narrower field it is as much of the image.
+const MIN_ROCK: f64 = 1.7e-3;
+/// Tangent of half that field of view.
+const MIN_ROCK_TAN_HALF_FOV: f32 = 0.577_350_26;
+
 /// The view that the rings of the surface stage are built for.
 #[must_use]
 pub fn ground_view(params: &Params) -> View {
@@ -214,6 +220,7 @@ pub fn ground_view(params: &Params) -> View {
         eye_height_m: (params.number(Knob::CameraHeightM) as f32).max(MIN_EYE_M),
         azimuth,
         half_sector: (half_sector + SECTOR_MARGIN).min(std::f64::consts::PI),
+        min_rock: MIN_ROCK * f64::from((camera.tan_half_fov / MIN_ROCK_TAN_HALF_FOV).min(1.0)),
         cell: 1e-3 * params.number(Knob::TerrainCellMrad),
         radius_m: 0.5 * params.number(Knob::TerrainSizeM),
     }

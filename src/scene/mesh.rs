@@ -117,13 +117,20 @@ impl Icosphere {
     /// Sets the normals of the vertices of a level to the area-weighted mean of the normals of their triangles.
     ///
     /// # Panics
-    /// If the level is 0 or has another number of vertices.
+    /// If the level has another number of vertices.
     pub fn set_smooth_normals(&self, vertices: &mut [Vertex], level: usize) {
-        assert!(level > 0 && vertices.len() == Self::vertex_count(level), "the vertices of level {level}");
+        assert!(vertices.len() == Self::vertex_count(level), "the vertices of level {level}");
         let mut sums = PooledVec::filled(vertices.len(), Vec4::ZERO);
         let positions = Positions::of(vertices);
-        // The four triangles of a subdivided one are summed together: a third of the loads and stores.
-        for &[[a, ..], [_, b, _], [.., c], [ab, bc, ca]] in self.triangles[level].as_chunks::<4>().0 {
+        if level == 0 {
+            for &corners in &self.triangles[0] {
+                let [p, q, r] = corners.map(|corner| positions.at(corner as usize));
+                corners.iter().for_each(|&corner| sums[corner as usize] += cross(q - p, r - p));
+            }
+        }
+        // Else the four triangles of a subdivided one are summed together: a third of the loads and stores.
+        let subdivided = if level > 0 { &self.triangles[level][..] } else { &[] };
+        for &[[a, ..], [_, b, _], [.., c], [ab, bc, ca]] in subdivided.as_chunks::<4>().0 {
             let [a, b, c, ab, bc, ca] =
                 [a as usize, b as usize, c as usize, ab as usize, bc as usize, ca as usize];
             let (p, q, r) = (positions.at(a), positions.at(b), positions.at(c));

@@ -48,6 +48,8 @@ pub struct View {
     pub half_sector: f64,
     /// Angular size of a cell as seen from the eye, radians.
     pub cell: f64,
+    /// Angular size of the smallest rocks that are made, radians.
+    pub min_rock: f64,
     /// Radius of the outermost ring, metres.
     pub radius_m: f64,
 }
@@ -263,7 +265,7 @@ mod tests {
     use super::*;
 
     fn rings() -> Rings {
-        Rings::new(&View { eye_height_m: 2.0, azimuth: 0.7, half_sector: 0.6, cell: 0.02, radius_m: 300.0 })
+        Rings::new(&View { eye_height_m: 2.0, azimuth: 0.7, half_sector: 0.6, cell: 0.02, min_rock: 2e-3, radius_m: 300.0 })
     }
 
     #[test]

@@ -23,6 +23,7 @@ mod language;
 mod mutation;
 mod process;
 mod raster;
+mod rocks_in_soil;
 mod scene_statistics;
 mod support;
 mod surface;

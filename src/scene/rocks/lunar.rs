@@ -21,11 +21,8 @@ const LARGEST_M: f64 = 4.0;
 const OCTAVES: u32 = 7;
 /// Mean number of rocks in a cell of an octave.
 const ROCKS_PER_CELL: f64 = 3.0;
-/// Minimum angle that a rock spans as seen from the eye, radians; it is raised where there would be more than about
-/// [`MAX_ROCKS`].
-const MIN_ANGLE: f64 = 1.7e-3;
-/// Approximate limit on the number of rocks.
-const MAX_ROCKS: f64 = 3500.0;
+/// Approximate limit on the number of rocks: the smallest of them are left out where there would be more.
+const MAX_ROCKS: f64 = 20_000.0;
 /// Rocks outside the viewed sector are made within this many of their diameters of it, at most [`OUTSIDE_MAX_M`] metres:
 /// their shadows reach into it.
 const OUTSIDE_DIAMETERS: f32 = 20.0;
@@ -143,22 +140,19 @@ fn draw_placements(
     if coverage <= 0.0 {
         return Vec::new();
     }
-    // The exponential law has 4 k / a^2 rocks that span more than an angle a, over the full circle.
-    let sector = (view.half_sector / std::f64::consts::PI).min(1.0);
-    let min_angle = MIN_ANGLE.max((4.0 * coverage * sector / MAX_ROCKS).sqrt());
+    let octaves: Vec<Sizes> = (0..OCTAVES)
+        .map(|octave| {
+            let high_m = LARGEST_M / f64::from(1_u32 << octave);
+            Sizes::new(0.5 * high_m, high_m, coverage)
+        })
+        .collect();
+    let min_angle = min_angle(view, &octaves);
     let ahead = Vec2::new(libm::sin(view.azimuth) as f32, libm::cos(view.azimuth) as f32);
     let culling = ViewCulling { view, centre, ahead, min_angle };
     let mut placements = Vec::new();
-    for octave in 0..OCTAVES {
+    for (octave, sizes) in (0..).zip(&octaves) {
         let high_m = LARGEST_M / f64::from(1_u32 << octave);
-        scatter(
-            streams,
-            octave,
-            &Sizes::new(0.5 * high_m, high_m, coverage),
-            high_m,
-            &culling,
-            &mut placements,
-        );
+        scatter(streams, octave, sizes, high_m, &culling, &mut placements);
     }
     let farthest_m = (LARGEST_M / min_angle).min(view.radius_m) as f32;
     relief.craters.around(Vec2::ZERO, farthest_m, CLUSTER_MIN_M, |pit| {
@@ -167,6 +161,24 @@ fn draw_placements(
         }
     });
     placements
+}
+
+/// Minimum angle that a rock spans as seen from the eye, radians: that of the view, or a larger one that [`MAX_ROCKS`] exceed.
+fn min_angle(view: &View, octaves: &[Sizes]) -> f64 {
+    let exceeding = |angle: f64| -> f64 {
+        let within = |diameter_m: f64| (diameter_m / angle).min(view.radius_m);
+        let rocks = octaves.iter().flat_map(Sizes::bins);
+        rocks.map(|(diameter_m, per_m2)| per_m2 * view.half_sector * within(diameter_m).powi(2)).sum()
+    };
+    let (mut low, mut high) = (view.min_rock, 64.0 * view.min_rock);
+    if exceeding(low) <= MAX_ROCKS {
+        return low;
+    }
+    for _ in 0..24 {
+        let middle = (low * high).sqrt();
+        if exceeding(middle) > MAX_ROCKS { low = middle } else { high = middle }
+    }
+    high
 }
 
 /// The rocks of the bands, each from a random stream of its own; not culled.

@@ -21,7 +21,7 @@ const PROTOTYPE_LEVEL: usize = 3;
 /// Angle from which a rock has a shape of its own, radians.
 const OWN_SHAPE_ANGLE: f32 = 0.03;
 /// Minimum angle that a rock spans, radians, and its icosphere level.
-const LEVELS: [(f32, usize); 4] = [(0.35, 5), (0.12, 4), (0.025, 3), (0.006, 2)];
+const LEVELS: [(f32, usize); 5] = [(0.35, 5), (0.12, 4), (0.025, 3), (0.006, 2), (0.003, 1)];
 /// Bounds of the ratio of a rock's albedo to the soil's.
 const RATIO_RANGE: [f64; 2] = [0.7, 2.5];
 
@@ -44,7 +44,7 @@ pub fn build(
         let diameter_m = placement.diameter_m as f32;
         let ground = placement.position.extend(eye.z);
         let angle = diameter_m / ground.distance(eye).max(0.5);
-        let level = LEVELS.iter().find(|(least, _)| angle >= *least).map_or(1, |(_, level)| *level);
+        let level = LEVELS.iter().find(|(least, _)| angle >= *least).map_or(0, |(_, level)| *level);
         let own = (angle >= OWN_SHAPE_ANGLE || level > PROTOTYPE_LEVEL)
             .then(|| form(&mut draw("rocks.shape"), params, level));
         let mut pose = draw("rocks.pose");

@@ -59,6 +59,12 @@ impl Sizes {
         self.larger[0] - self.larger[self.larger.len() - 1]
     }
 
+    /// Middles of the steps of the table, metres, and their rocks per square metre.
+    pub(super) fn bins(&self) -> impl Iterator<Item = (f64, f64)> {
+        let middle = |logs: &[f64]| libm::exp(0.5 * (logs[0] + logs[1]));
+        self.logs.windows(2).map(middle).zip(self.larger.windows(2).map(|larger| larger[0] - larger[1]))
+    }
+
     /// Draws a diameter, metres.
     pub(super) fn draw(&self, stream: &mut Stream) -> f64 {
         let wanted = self.larger[0] - self.density() * stream.unit();
