@@ -7,6 +7,7 @@
 pub mod bounce;
 pub mod camera;
 pub mod craters;
+pub mod fillet;
 pub mod grains;
 pub mod grid_cell;
 pub mod lattice;
@@ -36,7 +37,7 @@ use camera::Camera;
 use photometry::{Photometry, tinted};
 use relief::Relief;
 use rocks::on_demand::Rocks;
-use rocks::{Material, Rock, lunar, lunar_rocks};
+use rocks::{Material, Rock, burial, fillets, lunar, lunar_rocks};
 use sensor::Sensor;
 use sky::{Sky, Sun};
 use terrain::Terrain;
@@ -122,9 +123,6 @@ impl Scene {
         let view = camera::ground_view(params);
         let mut relief = Relief::new(streams, params, centre);
         let placements = lunar::placements(streams, params, &relief, &view, centre);
-        relief.fillets = lunar::fillets(streams, &placements, centre);
-        let terrain = Terrain::rings(&relief, &view, centre);
-        let camera = Camera::build(params, &terrain)?;
         let number = |knob| params.number(knob);
         let regolith = Material {
             albedo: tinted(
@@ -134,7 +132,11 @@ impl Scene {
             ),
             roughness: number(Knob::RegolithRoughness) as f32,
         };
-        let rocks = lunar_rocks::build(streams, params, &terrain, camera.eye, &regolith, &placements);
+        let mut rocks = lunar_rocks::build(streams, params, centre, &regolith, &placements);
+        relief.fillets = fillets::fillets(streams, params, (&relief, &view, centre), &placements, &rocks);
+        let terrain = Terrain::rings(&relief, &view, centre);
+        let camera = Camera::build(params, &terrain)?;
+        burial::bury(streams, params, (&terrain, camera.eye), &placements, &mut rocks);
         let ground = (Arc::new(terrain), Some(relief));
         Ok(Self::assembled(streams, params, ground, rocks.into(), regolith, camera))
     }

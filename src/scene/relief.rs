@@ -9,6 +9,7 @@ use fearless_simd::{Level, dispatch};
 use glam::Vec2;
 
 use super::craters::{CraterField, Pit};
+use super::fillet::{BATCH, Fillet};
 use super::grains::GrainField;
 use super::lattice::Lattice;
 use super::noise::{GRADIENT_NOISE_SIGMA, SHADE_SIGMA, gradient_noise_2d, gradient_noise_difference};
@@ -38,9 +39,6 @@ const MEDIAN_PER_DEVIATION: f64 = 0.674_489_75;
 /// same constants.
 pub const MIN_CELLS: f32 = 3.0;
 
-/// Points per batch.
-const BATCH: usize = 32;
-
 /// One octave of noise.
 #[derive(Clone, Copy, Debug)]
 pub struct Octave {
@@ -50,31 +48,6 @@ pub struct Octave {
     pub amplitude_m: f32,
     /// Amplitude of the shade that goes with it, in the logarithm of the soil's albedo.
     pub shade: f32,
-}
-
-/// A fillet: the apron of soil around a rock.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Fillet {
-    /// Centre of the rock, metres from the centre of the ground.
-    pub offset: Vec2,
-    /// Radius of the rock where it meets the ground, metres.
-    pub radius_m: f32,
-    /// Height of the soil against the rock, metres.
-    pub height_m: f32,
-}
-
-impl Fillet {
-    /// Radius within which it changes the height, metres.
-    fn reach_m(&self) -> f32 {
-        2.0 * self.radius_m
-    }
-
-    #[inline(always)]
-    fn height_at(&self, offset: Vec2) -> f32 {
-        let square = offset.distance_squared(self.offset) / (self.reach_m() * self.reach_m());
-        let fall = (1.0 - square).max(0.0);
-        self.height_m * fall * fall
-    }
 }
 
 /// The height function.
@@ -194,9 +167,7 @@ impl Relief {
         let mut soil = [0.0; BATCH];
         for fillet in &nearby.fillets {
             if is_any_within(fillet.reach_m(), fillet.offset, [x, y]) {
-                for ((soil, x), y) in soil.iter_mut().zip(x).zip(y) {
-                    *soil += fillet.height_at(Vec2::new(*x, *y));
-                }
+                fillet.add_heights([x, y], |size_m| mesh_share(size_m, cell_m), &mut soil[..x.len()]);
             }
         }
         for (height, soil) in heights.iter_mut().zip(soil) {

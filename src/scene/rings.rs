@@ -265,7 +265,14 @@ mod tests {
     use super::*;
 
     fn rings() -> Rings {
-        Rings::new(&View { eye_height_m: 2.0, azimuth: 0.7, half_sector: 0.6, cell: 0.02, min_rock: 2e-3, radius_m: 300.0 })
+        Rings::new(&View {
+            eye_height_m: 2.0,
+            azimuth: 0.7,
+            half_sector: 0.6,
+            cell: 0.02,
+            min_rock: 2e-3,
+            radius_m: 300.0,
+        })
     }
 
     #[test]

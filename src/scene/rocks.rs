@@ -1,5 +1,7 @@
 //! The rocks: their shapes, how they lie on the ground, and where they lie on the two stages ([`nominal`], [`lunar`] with [`lunar_rocks`]).
 
+pub mod burial;
+pub mod fillets;
 pub mod lunar;
 pub mod lunar_rocks;
 mod lunar_shape;

@@ -83,7 +83,7 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
         &[
             &["grid_cell", "mesh", "noise", "nominal_craters", "photometry", "sensor", "sky"],
             &["lattice", "rings"],
-            &["craters"],
+            &["craters", "fillet"],
             &["relief"],
             &["terrain"],
             &["bounce", "camera", "rings_mesh", "square_grid"],

@@ -1,5 +1,5 @@
 //! Where the rocks of the surface stage lie: the lunar size-frequency distribution, scattered everywhere and clustered at fresh
-//! craters, or four size bands with fixed counts; and the soil against them.
+//! craters, or four size bands with fixed counts; debris.
 //!
 //! The positions are a function of the seed and of world coordinates, for each octave of diameters: the same rocks are there
 //! from every camera. Only rocks that can be in view, or cast a shadow into view, are made.
@@ -12,7 +12,7 @@ use super::size_distribution::{Sizes, poisson};
 use crate::params::{Knob, Params};
 use crate::random::Streams;
 use crate::scene::craters::Pit;
-use crate::scene::relief::{Fillet, Relief};
+use crate::scene::relief::Relief;
 use crate::scene::rings::View;
 
 /// Largest diameter, metres.
@@ -34,10 +34,18 @@ const CLUSTER_MIN_M: f32 = 2.0;
 const CLUSTER_COVERAGE: f64 = 0.12;
 /// The largest of them, in diameters of the crater.
 const CLUSTER_LARGEST: f64 = 0.06;
-/// Minimum diameter of a rock with a fillet of soil, metres.
-const FILLET_MIN_M: f64 = 0.20;
-/// Range of the fillet's height, in diameters of the rock.
-const FILLET_HEIGHTS: (f64, f64) = (0.02, 0.12);
+/// Age of the rocks around a fresh crater, at most.
+const CLUSTER_AGE: f32 = 0.3;
+/// Minimum diameter of a rock with debris around it, metres.
+const DEBRIS_FROM_M: f64 = 0.4;
+/// Mean number of pieces of debris around a new rock of 1 m; it falls with the age and rises with the diameter.
+const DEBRIS_PIECES: f64 = 10.0;
+/// Range of diameters of debris, metres; at most [`DEBRIS_LARGEST`] of those of its rock.
+const DEBRIS_M: [f64; 2] = [0.03, 0.10];
+/// See [`DEBRIS_M`].
+const DEBRIS_LARGEST: f64 = 0.12;
+/// Age of debris.
+const DEBRIS_AGE: f32 = 0.1;
 /// Size bands: the knob of the count, the purpose of the random streams, the range of radii, and the largest distance ahead
 /// of [`BANDS_FROM`], metres.
 const BANDS: [(Knob, &str, [f64; 2], f64); 4] = [
@@ -61,6 +69,8 @@ pub struct Placement {
     pub position: Vec2,
     /// Mean of its extents along x and y, metres.
     pub diameter_m: f64,
+    /// Time since it came to lie here, 0 to 1: its lifetime.
+    pub age: f32,
     /// The element of its random streams.
     pub(super) key: u64,
 }
@@ -109,6 +119,17 @@ const fn rock_key(of: u64, octave: u32, k: u32) -> u64 {
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     z ^ (z >> 31)
+}
+
+/// A number in 0 to 1 from an element.
+const fn age_of(key: u64) -> f32 {
+    (key >> 40) as f32 / (1_u64 << 24) as f32
+}
+
+impl Placement {
+    const fn new(position: Vec2, diameter_m: f64, key: u64) -> Self {
+        Self { position, diameter_m, age: age_of(key), key }
+    }
 }
 
 /// Positions and sizes of all rocks, the largest octave or band first.
@@ -160,15 +181,48 @@ fn draw_placements(
             cluster(streams, &pit, coverage, &culling, &mut placements);
         }
     });
+    debris(streams, &culling, &mut placements);
     placements
+}
+
+/// Adds the pieces that were crushed from larger rocks, around their feet: the more the fresher the rock.
+fn debris(streams: &Streams, culling: &ViewCulling<'_>, placements: &mut Vec<Placement>) {
+    let sources = placements.len();
+    for source in 0..sources {
+        let rock = placements[source];
+        let largest_m = (DEBRIS_LARGEST * rock.diameter_m).min(DEBRIS_M[1]);
+        // The largest piece decides whether any can be in view.
+        if rock.diameter_m < DEBRIS_FROM_M || !culling.keeps(rock.position, largest_m) {
+            continue;
+        }
+        let youth = f64::from(1.0 - rock.age);
+        let mut draw = streams.stream("rocks.debris", rock.key);
+        for k in 0..poisson((DEBRIS_PIECES * rock.diameter_m * youth * youth).min(30.0), &mut draw) {
+            // Inverse transform sampling of D^-2 between the bounds.
+            let ratio = DEBRIS_M[0] / largest_m;
+            let diameter_m = DEBRIS_M[0] / (1.0 - draw.unit() * (1.0 - ratio * ratio)).sqrt();
+            // Most lie close to the rock.
+            let distance = 1.05 - 0.35 * libm::log(1.0 - draw.unit());
+            let angle = draw.uniform(0.0, std::f64::consts::TAU);
+            let direction = Vec2::new(libm::sin(angle) as f32, libm::cos(angle) as f32);
+            let position = rock.position + (0.5 * rock.diameter_m * distance) as f32 * direction;
+            if culling.keeps(position, diameter_m) {
+                let key = rock_key(rock.key, 63, k);
+                placements.push(Placement { age: DEBRIS_AGE, ..Placement::new(position, diameter_m, key) });
+            }
+        }
+    }
 }
 
 /// Minimum angle that a rock spans as seen from the eye, radians: that of the view, or a larger one that [`MAX_ROCKS`] exceed.
 fn min_angle(view: &View, octaves: &[Sizes]) -> f64 {
     let exceeding = |angle: f64| -> f64 {
-        let within = |diameter_m: f64| (diameter_m / angle).min(view.radius_m);
+        let area_m2 = |diameter_m: f64| {
+            let within_m = (diameter_m / angle).min(view.radius_m);
+            view.half_sector * within_m * within_m
+        };
         let rocks = octaves.iter().flat_map(Sizes::bins);
-        rocks.map(|(diameter_m, per_m2)| per_m2 * view.half_sector * within(diameter_m).powi(2)).sum()
+        rocks.map(|(diameter_m, per_m2)| per_m2 * area_m2(diameter_m)).sum()
     };
     let (mut low, mut high) = (view.min_rock, 64.0 * view.min_rock);
     if exceeding(low) <= MAX_ROCKS {
@@ -190,11 +244,7 @@ fn draw_bands(streams: &Streams, params: &Params) -> Vec<Placement> {
             let x = BANDS_FROM[0] + draw.uniform(-half_width_m, half_width_m);
             let y = BANDS_FROM[1] + draw.uniform(BANDS_NEAREST_M, ahead_m);
             let diameter_m = 2.0 * draw.uniform(radii_m[0], radii_m[1]);
-            Placement {
-                position: Vec2::new(x as f32, y as f32),
-                diameter_m,
-                key: rock_key(BANDS_KEY, band, k),
-            }
+            Placement::new(Vec2::new(x as f32, y as f32), diameter_m, rock_key(BANDS_KEY, band, k))
         })
     };
     (0..).zip(BANDS).flat_map(of_band).collect()
@@ -235,7 +285,7 @@ fn scatter(
                 let within = Vec2::new((draw.unit() * cell_m) as f32, (draw.unit() * cell_m) as f32);
                 let (position, diameter_m) = (corner + within, sizes.draw(&mut draw));
                 if culling.keeps(position, diameter_m) {
-                    placements.push(Placement { position, diameter_m, key: rock_key(cell, octave, k) });
+                    placements.push(Placement::new(position, diameter_m, rock_key(cell, octave, k)));
                 }
             }
         }
@@ -282,26 +332,11 @@ fn cluster(
             let offset = Vec2::new(libm::sin(angle) as f32, libm::cos(angle) as f32) * distance_m as f32;
             let (position, diameter_m) = (centre + offset, sizes.draw(&mut draw));
             if culling.keeps(position, diameter_m) {
-                placements.push(Placement { position, diameter_m, key: rock_key(pit.key, octave + 32, k) });
+                let key = rock_key(pit.key, octave + 32, k);
+                let age = CLUSTER_AGE * age_of(key);
+                placements.push(Placement { age, ..Placement::new(position, diameter_m, key) });
             }
         }
         high_m *= 0.5;
     }
-}
-
-/// The fillets of soil of these rocks, metres from `centre`.
-#[must_use]
-pub fn fillets(streams: &Streams, placements: &[Placement], centre: Vec2) -> Vec<Fillet> {
-    placements
-        .iter()
-        .filter(|rock| rock.diameter_m >= FILLET_MIN_M)
-        .map(|rock| {
-            let share = streams.stream("rocks.apron", rock.key).uniform(FILLET_HEIGHTS.0, FILLET_HEIGHTS.1);
-            Fillet {
-                offset: rock.position - centre,
-                radius_m: 0.5 * rock.diameter_m as f32,
-                height_m: (share * rock.diameter_m) as f32,
-            }
-        })
-        .collect()
 }

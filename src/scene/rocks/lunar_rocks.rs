@@ -1,8 +1,8 @@
-//! The rocks of the surface stage at their positions: shape, pose, size, material and burial.
+//! The rocks of the surface stage at their positions: shape, pose, size and material.
 //!
 //! Must not know: where rocks lie, how a form is made, how many triangles of a rock are drawn.
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::lunar::Placement;
@@ -12,7 +12,6 @@ use crate::params::{Knob, Params};
 use crate::pool::PooledVec;
 use crate::random::{Stream, Streams};
 use crate::scene::mesh::Icosphere;
-use crate::scene::terrain::Terrain;
 
 /// Number of shapes that the smaller rocks share.
 const PROTOTYPES: u64 = 16;
@@ -25,13 +24,12 @@ const LEVELS: [(f32, usize); 5] = [(0.35, 5), (0.12, 4), (0.025, 3), (0.006, 2),
 /// Bounds of the ratio of a rock's albedo to the soil's.
 const RATIO_RANGE: [f64; 2] = [0.7, 2.5];
 
-/// Builds the rocks.
+/// Builds the rocks, each around the origin, as detailed as the eye, at this point seen from above, needs them.
 #[must_use]
 pub fn build(
     streams: &Streams,
     params: &Params,
-    terrain: &Terrain,
-    eye: Vec3,
+    eye: Vec2,
     soil: &Material,
     placements: &[Placement],
 ) -> Vec<Rock> {
@@ -42,8 +40,7 @@ pub fn build(
     let build = |(index, placement): (usize, &Placement)| {
         let draw = |purpose: &str| streams.stream(purpose, placement.key);
         let diameter_m = placement.diameter_m as f32;
-        let ground = placement.position.extend(eye.z);
-        let angle = diameter_m / ground.distance(eye).max(0.5);
+        let angle = diameter_m / placement.position.distance(eye).max(0.5);
         let level = LEVELS.iter().find(|(least, _)| angle >= *least).map_or(0, |(_, level)| *level);
         let own = (angle >= OWN_SHAPE_ANGLE || level > PROTOTYPE_LEVEL)
             .then(|| form(&mut draw("rocks.shape"), params, level));
@@ -60,8 +57,6 @@ pub fn build(
         rock.base_scale_m = 0.5 * diameter_m;
         // The upper half of a sphere is uniformly distributed over z.
         rock.dust_above = 1.0 - params.sample(Knob::RocksDust, &mut draw("rocks.dust")) as f32;
-        let exposed = params.sample(Knob::RocksExposed, &mut draw("rocks.exposed")) as f32;
-        rock.put_on_ground(terrain, eye, placement.position, 1.0 - exposed);
         rock
     };
     placements.par_iter().enumerate().map(build).collect()

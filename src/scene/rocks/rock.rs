@@ -61,28 +61,36 @@ impl Rock {
         level: usize,
         material: Material,
     ) -> Self {
+        let mut rock = Self {
+            index,
+            centre: Vec3::ZERO,
+            level_errors_m: Vec::new(),
+            vertices: Arc::new(vertices),
+            level,
+            radius_m: 0.0,
+            z_range_m: [0.0; 2],
+            base_scale_m: 0.0,
+            material,
+            dust_above: NO_DUST,
+            moved: false,
+        };
+        rock.measure();
+        rock.base_scale_m = rock.radius_m;
+        rock
+    }
+
+    /// Sets what is measured on the vertices: extents and errors of the levels.
+    pub(super) fn measure(&mut self) {
         // `f32::min` is more than a comparison (NaN).
         let (mut z_range_m, mut square) = ([f32::MAX, f32::MIN], 0.0);
-        for Vertex { position, .. } in &vertices {
+        for Vertex { position, .. } in self.vertices.iter() {
             z_range_m[0] = if position.z < z_range_m[0] { position.z } else { z_range_m[0] };
             z_range_m[1] = if position.z > z_range_m[1] { position.z } else { z_range_m[1] };
             let length_squared = position.length_squared();
             square = if length_squared > square { length_squared } else { square };
         }
-        let radius_m = square.sqrt();
-        Self {
-            index,
-            centre: Vec3::ZERO,
-            level_errors_m: Icosphere::shared().level_errors_m(&vertices),
-            vertices: Arc::new(vertices),
-            level,
-            radius_m,
-            z_range_m,
-            base_scale_m: radius_m,
-            material,
-            dust_above: NO_DUST,
-            moved: false,
-        }
+        (self.radius_m, self.z_range_m) = (square.sqrt(), z_range_m);
+        self.level_errors_m = Icosphere::shared().level_errors_m(&self.vertices);
     }
 
     /// Puts the rock on the ground at a position, with a fraction `embedding` of its height buried, and clear of the eye.
