@@ -25,6 +25,11 @@ struct Instance {
     tile_size_px: f32,
     // Detail below the mesh (common/shading.wgsl), and above its 8 bits the index of the relief.
     detail: u32,
+    // Amplitude of the opposition surge of the dust on it.
+    dust_surge_height: f32,
+    // Of a rock: its diameter, metres.
+    diameter_m: f32,
+    reserved: vec2<f32>,
 }
 
 // A caster's tile in the shadow atlas.
@@ -44,7 +49,7 @@ struct CasterTile {
 // Dynamic offsets of uniforms are multiples of 256 bytes.
 struct InstanceSlot {
     instance: Instance,
-    unused: array<vec4<u32>, 11>,
+    unused: array<vec4<u32>, 10>,
 }
 
 // A square lattice over the plane, for points in metres from the centre of the ground.

@@ -24,6 +24,8 @@ struct Shading {
     albedo: vec3<f32>,
     // Fraction of the sun's disc that the detail leaves visible.
     sun: f32,
+    // Amplitude of the opposition surge.
+    surge_height: f32,
 }
 
 // The sun as a point sees it.
@@ -47,7 +49,7 @@ fn shade(surface: Surface, instance: Instance, detail: u32, position: vec2<f32>)
     if cos_light > 0.0 {
         let cos_phase = dot(light.sun_direction, to_eye);
         direct = sun.total * shading.sun
-            * reflected(PHOTOMETRY_LAW, instance.roughness, instance.surge_height, cos_light, cos_eye, cos_phase);
+            * reflected(PHOTOMETRY_LAW, instance.roughness, shading.surge_height, cos_light, cos_eye, cos_phase);
     }
     let indirect = indirect_irradiance(normal, sun.horizon, detail);
     let radiance = shading.albedo
@@ -65,6 +67,7 @@ fn shade(surface: Surface, instance: Instance, detail: u32, position: vec2<f32>)
 fn shade_detail(surface: Surface, instance: Instance, detail: u32, to_eye: vec3<f32>, position: vec2<f32>) -> Shading {
     var normal = surface.normal;
     var albedo = instance.colour;
+    var surge_height = instance.surge_height;
     var ground = GroundDetail(vec2(0.0), 1.0, 1.0);
     if detail == DETAIL_RELIEF { ground = detail_below_mesh(surface.offset, surface.normal, to_eye); }
     if detail == DETAIL_UPLOADED_SLOPES {
@@ -78,19 +81,22 @@ fn shade_detail(surface: Surface, instance: Instance, detail: u32, to_eye: vec3<
     if detail == DETAIL_ROCK_TEXTURE {
         let sample_m = light.relief_sample_angle * length(surface.offset);
         let seed = bitcast<u32>(instance.origin.x);
-        let texture = rock_texture(light.eye + surface.offset - instance.origin, sample_m, seed);
-        let tangential = texture.xyz - surface.normal * dot(texture.xyz, surface.normal);
+        let texture = rock_texture(light.eye + surface.offset - instance.origin, sample_m, seed, instance.diameter_m);
+        // Dust lies where the rock is level enough, and in hollows; crests stay clean.
+        let lie = surface.normal.z - instance.dust_min_normal_z + 0.20 * texture.hollow;
+        let dust = 0.9 * smoothstep(-0.08, 0.08, lie);
+        let gradient = (1.0 - 0.5 * dust) * texture.gradient;
+        let tangential = gradient - surface.normal * dot(gradient, surface.normal);
         normal = unit(surface.normal - tangential);
-        // Dust lies where the rock is level enough; the texture frays the edge.
-        let dust = smoothstep(-0.08, 0.08, surface.normal.z - instance.dust_min_normal_z + 0.12 * texture.w);
-        albedo = mix(instance.colour * (1.0 + 0.30 * texture.w), instance.dust, dust);
+        albedo = mix(instance.colour * texture.shade, instance.dust, dust);
+        surge_height = mix(surge_height, instance.dust_surge_height, dust);
     }
     if detail != DETAIL_NONE {
         // A slope that faces away from the eye is hidden behind a bump that the mesh lacks: turn it towards the eye.
         let min_cosine = 0.3 * max(dot(surface.normal, to_eye), 0.05);
         normal = unit(normal + max(min_cosine - dot(normal, to_eye), 0.0) * to_eye);
     }
-    return Shading(normal, albedo, ground.sun);
+    return Shading(normal, albedo, ground.sun, surge_height);
 }
 
 // A surface that faces away from the sun occludes it itself.

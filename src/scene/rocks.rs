@@ -2,6 +2,7 @@
 
 pub mod burial;
 pub mod fillets;
+mod form;
 pub mod lunar;
 pub mod lunar_rocks;
 mod lunar_shape;

@@ -23,6 +23,7 @@ mod language;
 mod mutation;
 mod process;
 mod raster;
+mod rock_shapes;
 mod rocks_in_soil;
 mod scene_statistics;
 mod support;

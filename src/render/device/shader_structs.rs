@@ -143,6 +143,9 @@ shader_struct! {
         tile_origin_px: Vec2,
         tile_size_px: f32,
         detail: u32,
+        dust_surge_height: f32,
+        diameter_m: f32,
+        reserved: Vec2,
     }
 }
 

@@ -5,22 +5,20 @@
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
+use super::form::Form;
 use super::lunar::Placement;
-use super::lunar_shape::{form, posed};
-use super::rock::{Material, Rock};
+use super::lunar_shape::posed;
+use super::rock::{Material, NO_DUST, Rock};
 use crate::params::{Knob, Params};
-use crate::pool::PooledVec;
 use crate::random::{Stream, Streams};
-use crate::scene::mesh::Icosphere;
+use crate::scene::mesh::{Icosphere, Vertex};
 
-/// Number of shapes that the smaller rocks share.
-const PROTOTYPES: u64 = 16;
-/// Icosphere level of these shapes: 642 vertices.
-const PROTOTYPE_LEVEL: usize = 3;
-/// Angle from which a rock has a shape of its own, radians.
-const OWN_SHAPE_ANGLE: f32 = 0.03;
-/// Minimum angle that a rock spans, radians, and its icosphere level.
+/// Minimum angle that a rock spans, radians, and its icosphere level, for a field of view of [`LEVELS_FOV_DEG`] or more.
 const LEVELS: [(f32, usize); 5] = [(0.35, 5), (0.12, 4), (0.025, 3), (0.006, 2), (0.003, 1)];
+/// See [`LEVELS`].
+const LEVELS_FOV_DEG: f64 = 60.0;
+/// Level of the icosphere on whose vertices the share of the surface with dust is measured.
+const DUST_LEVEL: usize = 2;
 /// Bounds of the ratio of a rock's albedo to the soil's.
 const RATIO_RANGE: [f64; 2] = [0.7, 2.5];
 
@@ -33,33 +31,41 @@ pub fn build(
     soil: &Material,
     placements: &[Placement],
 ) -> Vec<Rock> {
-    let prototypes: Vec<PooledVec<Vec3>> = (0..PROTOTYPES)
-        .into_par_iter()
-        .map(|k| form(&mut streams.stream("rocks.prototype", k), params, PROTOTYPE_LEVEL))
-        .collect();
+    let displacement = params.number(Knob::RocksDisplacement);
+    // Pixels of a narrow lens span smaller angles.
+    let fov_deg = params.number(Knob::CameraFovDeg);
+    let magnification = (LEVELS_FOV_DEG / fov_deg).max(1.0) as f32;
     let build = |(index, placement): (usize, &Placement)| {
         let draw = |purpose: &str| streams.stream(purpose, placement.key);
         let diameter_m = placement.diameter_m as f32;
         let angle = diameter_m / placement.position.distance(eye).max(0.5);
-        let level = LEVELS.iter().find(|(least, _)| angle >= *least).map_or(0, |(_, level)| *level);
-        let own = (angle >= OWN_SHAPE_ANGLE || level > PROTOTYPE_LEVEL)
-            .then(|| form(&mut draw("rocks.shape"), params, level));
-        let mut pose = draw("rocks.pose");
-        let prototype = pose.uniform_int(0, PROTOTYPES as i64 - 1) as usize;
-        let count = Icosphere::vertex_count(level);
-        let form = own.as_deref().unwrap_or_else(|| &prototypes[prototype][..count]);
-        let vertices = posed(&mut pose, form, level, diameter_m);
+        let level =
+            LEVELS.iter().find(|(least, _)| magnification * angle >= *least).map_or(0, |(_, level)| *level);
+        // Every rock has a form of its own: no two in an image have the same outline.
+        let age = f64::from(placement.age);
+        let form = Form::draw(&mut draw("rocks.shape"), age, displacement, level);
+        let vertices = posed(&mut draw("rocks.pose"), &form, level, diameter_m);
         let ratio = albedo_ratio(params, &mut draw("rocks.albedo"));
         let tint = Vec3::new(0.985, 1.0, 1.03);
         let albedo = (soil.albedo * ratio as f32 * tint).min(Vec3::ONE);
         let roughness = params.sample(Knob::RocksRoughness, &mut draw("rocks.roughness")) as f32;
         let mut rock = Rock::of_vertices(index as u32, vertices, level, Material { albedo, roughness });
         rock.base_scale_m = 0.5 * diameter_m;
-        // The upper half of a sphere is uniformly distributed over z.
-        rock.dust_above = 1.0 - params.sample(Knob::RocksDust, &mut draw("rocks.dust")) as f32;
+        rock.dust_above = dust_above(&rock.vertices, params.sample(Knob::RocksDust, &mut draw("rocks.dust")));
         rock
     };
     placements.par_iter().enumerate().map(build).collect()
+}
+
+/// The z that the normal exceeds on a share of the upward-facing surface, on which vertices lie about evenly.
+fn dust_above(vertices: &[Vertex], share: f64) -> f32 {
+    let coarse = &vertices[..vertices.len().min(Icosphere::vertex_count(DUST_LEVEL))];
+    let mut upward: Vec<f32> = coarse.iter().map(|vertex| vertex.normal.z).filter(|z| *z > 0.0).collect();
+    if upward.is_empty() {
+        return NO_DUST;
+    }
+    let rank = ((1.0 - share) * (upward.len() - 1) as f64) as usize;
+    *upward.select_nth_unstable_by(rank, f32::total_cmp).1
 }
 
 /// Draws the ratio of a rock's albedo to the soil's.

@@ -12,19 +12,22 @@ use crate::scene::noise::Fbm;
 
 /// Vertices per batch: few enough for the intermediate values to stay in the first-level cache.
 const BATCH: usize = 512;
+/// Deviation and bound of the tilt of rocks of the nominal stage, degrees; the bound is 1.5 radians.
+const NOMINAL_TILT_DEG: (f64, f64) = (20.0, 85.943_669_269_623_48);
 /// Bounds of the radius of the displaced unit sphere.
 const RADIUS_RANGE: [f32; 2] = [0.50, 1.85];
 
 /// Draws axis scales, tilt and heading: maps the unit sphere to metres in world axes.
 pub(super) fn draw_scale_and_rotation(draw: &mut Stream, base_scale_m: f64) -> Mat3 {
     let (sx, sy, sz) = (draw.uniform(0.78, 1.34), draw.uniform(0.78, 1.34), draw.uniform(0.50, 0.92));
-    rotated(draw, [sx, sy, sz].map(|s| (s * base_scale_m) as f32))
+    rotated(draw, [sx, sy, sz].map(|s| (s * base_scale_m) as f32), NOMINAL_TILT_DEG)
 }
 
-/// A scale along the axes, then a random heading and a small tilt.
-pub(super) fn rotated(draw: &mut Stream, scale: [f32; 3]) -> Mat3 {
+/// A scale along the axes, then a random heading and a tilt whose deviation and bound are given in degrees.
+pub(super) fn rotated(draw: &mut Stream, scale: [f32; 3], (tilt_deg, max_tilt_deg): (f64, f64)) -> Mat3 {
     let heading = draw.uniform(0.0, std::f64::consts::TAU);
-    let tilt = (20.0_f64.to_radians() * draw.normal()).clamp(-1.5, 1.5);
+    let max_tilt = max_tilt_deg.to_radians();
+    let tilt = (tilt_deg.to_radians() * draw.normal()).clamp(-max_tilt, max_tilt);
     let tilt_axis = draw.uniform(0.0, std::f64::consts::TAU);
     let about_z = |angle: f64| {
         let (sin, cos) = (libm::sin(angle) as f32, libm::cos(angle) as f32);

@@ -1,0 +1,174 @@
+//! Shapes and surfaces of the rocks of the surface stage, compared with published values.
+
+#![allow(clippy::print_stdout, reason = "measurements for runs with --nocapture")]
+
+use glam::{DMat2, DVec2};
+use regolith::class::ClassId;
+use regolith::frame::{Annotation, Frame};
+use regolith::render::RenderSettings;
+use regolith::scene::Scene;
+use regolith::scene::mesh::Icosphere;
+use regolith::scene::rocks::Rock;
+
+use crate::support::{renderer, scene};
+
+const SURFACE: &str = "stage.name=surface";
+
+/// Values at fractions of the sorted list.
+fn quantiles<const N: usize>(mut values: Vec<f64>, at: [f64; N]) -> [f64; N] {
+    values.sort_by(f64::total_cmp);
+    at.map(|share| values[(share * (values.len() - 1) as f64) as usize])
+}
+
+/// Scenes seen from close above, where most rocks have fine meshes.
+fn scenes() -> impl Iterator<Item = Scene> {
+    (0..4).map(|seed| scene(seed, &[SURFACE, "rocks.coverage=0.05", "camera.pitch_deg=-30"]))
+}
+
+/// No shapes of melted wax in the ground either: the surface is star-shaped around the rock's centre, no triangle faces inwards, the nearest vertex
+/// is not far below the furthest, and the radius changes slowly with direction.
+#[test]
+fn rocks_are_star_shaped_with_bounded_slopes() {
+    let (mut shares, mut steep, mut all) = (Vec::new(), 0, 0);
+    for scene in scenes() {
+        for rock in &scene.rocks {
+            let lengths: Vec<f32> = rock.vertices.iter().map(|v| v.position.length()).collect();
+            let [low, high] = [
+                lengths.iter().copied().fold(f32::MAX, f32::min),
+                lengths.iter().copied().fold(0.0, f32::max),
+            ];
+            shares.push(f64::from(low / high));
+            for t in rock.triangles(rock.level) {
+                let [a, b, c] = t.map(|v| rock.vertices[v as usize].position);
+                let normal = (b - a).cross(c - a);
+                assert!(normal.dot(a) > 0.0, "a triangle of rock {} faces inwards", rock.index);
+                for (p, q) in [(a, b), (b, c), (c, a)] {
+                    let slope = (p.length() / q.length()).ln().abs() / p.angle_between(q);
+                    assert!(slope < 25.0, "rock {}: the radius rises by {slope}", rock.index);
+                    steep += u32::from(slope > 2.5);
+                    all += 1;
+                }
+            }
+            for vertex in rock.vertices.iter() {
+                let outward = vertex.normal.dot(vertex.position.normalize());
+                assert!(outward > 0.0, "a normal of rock {} points inwards", rock.index);
+            }
+        }
+    }
+    let [least, middle] = quantiles(shares, [0.0, 0.5]);
+    println!(
+        "nearest over furthest vertex: least {least:.3}, median {middle:.3}; {steep} of {all} edges are steep"
+    );
+    assert!(least > 0.08 && middle > 0.30, "least {least}, median {middle}");
+    assert!(f64::from(steep) < 0.01 * f64::from(all), "{steep} of {all} edges are steep");
+}
+
+/// No two rocks have the same shape, even scaled along any axes, turned, mirrored, and stretched in height. The horizontal coordinates
+/// of the vertices of two rocks of one shape would be four linear functions of the three coordinates of that shape, so that some
+/// sum of those of the one would be some sum of those of the other: their first canonical correlation would be 1.
+#[test]
+fn no_two_rocks_of_a_frame_share_a_shape() {
+    const LEVEL: usize = 2;
+    let scene = scene(11, &[SURFACE, "rocks.coverage=0.06", "camera.pitch_deg=-20"]);
+    assert!(scene.rocks.len() > 1000, "{} rocks", scene.rocks.len());
+    // Coordinates of zero mean and unit covariance.
+    let whitened = |rock: &Rock| {
+        let points: Vec<DVec2> = rock.vertices[..Icosphere::vertex_count(LEVEL)]
+            .iter()
+            .map(|v| v.position.truncate().as_dvec2())
+            .collect();
+        let mean = points.iter().sum::<DVec2>() / points.len() as f64;
+        let centred = points.iter().map(|p| *p - mean);
+        let (xx, xy, yy) = centred
+            .clone()
+            .fold((0.0, 0.0, 0.0), |(xx, xy, yy), p| (xx + p.x * p.x, xy + p.x * p.y, yy + p.y * p.y));
+        let rest = (yy - xy * xy / xx).sqrt();
+        let whiten = |p: DVec2| DVec2::new(p.x / xx.sqrt(), (p.y - p.x * xy / xx) / rest);
+        centred.map(whiten).collect::<Vec<DVec2>>()
+    };
+    let rocks: Vec<Vec<DVec2>> =
+        scene.rocks.iter().filter(|rock| rock.level >= LEVEL).map(whitened).take(700).collect();
+    let (mut least, mut alike) = (f64::MAX, 0);
+    for (i, a) in rocks.iter().enumerate() {
+        for b in &rocks[..i] {
+            let c =
+                a.iter().zip(b).fold(DMat2::ZERO, |sum, (a, b)| sum + DMat2::from_cols(b.x * *a, b.y * *a));
+            // The square of the larger singular value.
+            let (sum, det) = (c.x_axis.length_squared() + c.y_axis.length_squared(), c.determinant());
+            let correlation = 0.5 * (sum + (sum * sum - 4.0 * det * det).max(0.0).sqrt());
+            let left = (1.0 - correlation).max(0.0).sqrt();
+            least = least.min(left);
+            alike += u32::from(left < 0.01);
+        }
+    }
+    println!("{} rocks: the two that are most alike differ by {least:.4} of their size", rocks.len());
+    assert!(rocks.len() > 300, "{} rocks of level {LEVEL} or finer", rocks.len());
+    assert_eq!(alike, 0, "pairs of rocks with one shape");
+}
+
+/// Standard deviation, over the inside of rocks, of what a blur over one radius keeps and one over twice that removes, relative to
+/// the mean; at 1 and at 2 to 4 pixels. The definition of the measured values: differences of Gaussians, linear luminance.
+fn texture_bands(frame: &Frame, side: usize) -> Option<[f64; 2]> {
+    let linear: Vec<f64> = frame.radiance.chunks_exact(3).map(|rgb| f64::from(rgb[1].to_f32())).collect();
+    let blurred = |sigma: f64| {
+        let reach = (3.0 * sigma).ceil() as i64;
+        let weights: Vec<f64> = (-reach..=reach).map(|k| (-0.5 * (k as f64 / sigma).powi(2)).exp()).collect();
+        let total: f64 = weights.iter().sum();
+        let mut values = linear.clone();
+        for step in [1, side] {
+            let before = values.clone();
+            for (i, value) in values.iter_mut().enumerate() {
+                let along = if step == 1 { i % side } else { i / side } as i64;
+                *value = weights.iter().zip(-reach..=reach).fold(0.0, |sum, (weight, k)| {
+                    let k = (along + k).clamp(0, side as i64 - 1) - along;
+                    sum + weight / total * before[(i as i64 + k * step as i64) as usize]
+                });
+            }
+        }
+        values
+    };
+    let [one, two, four] = [1.0, 2.0, 4.0].map(blurred);
+    let is_inside = |i: &usize| {
+        let (x, y) = (i % side, i / side);
+        (2..side - 2).contains(&x)
+            && (2..side - 2).contains(&y)
+            && (y - 2..=y + 2).all(|y| (x - 2..=x + 2).all(|x| frame.class[y * side + x] == ClassId::ROCK.0))
+    };
+    let inside: Vec<usize> = (0..side * side).filter(is_inside).collect();
+    if inside.len() < 150 {
+        return None;
+    }
+    let mean = |of: &dyn Fn(usize) -> f64| inside.iter().map(|i| of(*i)).sum::<f64>() / inside.len() as f64;
+    let level = mean(&|i| linear[i]);
+    let contrast = |fine: &[f64], coarse: &[f64]| {
+        let middle = mean(&|i| fine[i] - coarse[i]);
+        mean(&|i| (fine[i] - coarse[i] - middle).powi(2)).sqrt() / level
+    };
+    Some([contrast(&linear, &one), contrast(&two, &four)])
+}
+
+/// Texture within rocks with the sun behind the camera: more contrast at 1 pixel than at 2 to 4, as in frames of Chang'e-3 (0.18 and
+/// 0.09 of the mean).
+#[test]
+fn texture_of_rocks_is_fine() {
+    let (mut fine, mut coarse) = (Vec::new(), Vec::new());
+    for seed in 0..10 {
+        let set =
+            ["rocks.coverage=0.06", "camera.fov_deg=22", "camera.pitch_deg=-10", "sun.elevation_deg=30"];
+        let azimuth = format!("sun.azimuth_deg={}", 140 + 8 * seed);
+        let scene = scene(seed, &[SURFACE, set[0], set[1], set[2], set[3], &azimuth]);
+        let mut settings = RenderSettings::new([256, 256], 4).expect("settings");
+        settings.annotations = [Annotation::Hdr].into_iter().collect();
+        let frame = renderer().render(&scene, &settings).unwrap_or_else(|error| panic!("{error}")).0;
+        if let Some([at_1, at_2_to_4]) = texture_bands(&frame, 256) {
+            fine.push(at_1);
+            coarse.push(at_2_to_4);
+        }
+    }
+    let frames = fine.len();
+    let ([fine], [coarse]) = (quantiles(fine, [0.5]), quantiles(coarse, [0.5]));
+    println!("{frames} frames: texture of rocks {fine:.3} at 1 px, {coarse:.3} at 2 to 4 px");
+    assert!(frames >= 5, "{frames} frames with rocks");
+    assert!(fine > 1.15 * coarse, "{fine} at 1 px, {coarse} at 2 to 4 px");
+    assert!((0.11..=0.26).contains(&fine), "{fine} at 1 px");
+}
