@@ -356,7 +356,7 @@ mod tests {
                     let [a, b, c] = t.map(|v| vertices[v as usize].position);
                     assert!((b - a).cross(c - a).dot(a) > 0.0, "form {k}: a triangle faces inwards");
                     for (p, q) in [(a, b), (b, c), (c, a)] {
-                        let slope = (p.length() / q.length()).ln().abs() / p.angle_between(q);
+                        let slope = libm::logf(p.length() / q.length()).abs() / p.angle_between(q);
                         assert!(slope < 10.0, "form {k} of level {level}: the radius rises by {slope}");
                         steep += u32::from(slope > 2.5);
                         all += 1;
