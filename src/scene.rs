@@ -20,6 +20,7 @@ pub mod rings;
 pub mod rings_mesh;
 pub mod rocks;
 pub mod sensor;
+pub mod size_distribution;
 pub mod sky;
 pub mod square_grid;
 pub mod terrain;

@@ -1,15 +1,17 @@
 // The grains of the soil: ellipsoids on lattices, met by rays in closed form. src/scene/grains.rs has the same functions and
 // constants and explains them; CPU counterpart of the walks: src/render/lighting/grains_host.rs.
 
-const GRAIN_JITTER_CELLS: f32 = 0.25;
+const GRAIN_JITTER_CELLS: f32 = 0.1875;
 const GRAIN_MAX_RADIUS: f32 = 0.625;
 const GRAIN_MAX_HEIGHT: f32 = 0.55;
 const GRAIN_MAX_STRETCH: f32 = 1.25;
-const GRAIN_MIN_HALF_AXIS: f32 = 0.2;
-const GRAIN_MAX_HALF_AXIS: f32 = 0.5;
+const GRAIN_FRAGMENT_HEIGHTS: vec2<f32> = vec2(0.25, 0.5);
+const GRAIN_CLOD_HEIGHTS: vec2<f32> = vec2(0.1, 0.3);
 const GRAIN_MAX_TILT: f32 = 0.3;
-const GRAIN_CLOD_SPREAD: f32 = 0.3;
+const GRAIN_CLOD_SPREAD: f32 = 0.2;
 const GRAIN_MAX_SLOPE: f32 = 6.0;
+const GRAIN_FACETS: u32 = 4u;
+const GRAIN_FACET_DISTANCES: vec2<f32> = vec2(0.55, 0.9);
 const GRAIN_THIRD_KEY: u32 = 0x9e3779b9u;
 // Cells of a lattice that a ray is followed through, and the largest horizontal way per metre that it rises.
 const GRAIN_MAX_CELLS: u32 = 5u;
@@ -29,6 +31,9 @@ struct Grain {
     per_axis: vec3<f32>,
     // Rise of its middle plane per metre along the long axis.
     tilt: f32,
+    // Planes that cut it, and the hash from which they are drawn.
+    facets: u32,
+    facet_hash: u32,
 }
 
 // The ground as a sample shows it: its normal's slope relative to the mesh, its albedo relative to the material's, and the
@@ -91,12 +96,19 @@ fn second_hash(first: u32) -> u32 {
     return second ^ (second >> 12u);
 }
 
-// The grain of a cell that has one, by the second hash of the cell.
-fn grain_of(second: u32, point: vec2<f32>, diameter_m: f32) -> Grain {
+// Whether the grain of a cell with this first hash is a fragment of rock, else a clod.
+fn is_fragment(lattice: Lattice, first: u32) -> bool {
+    return hash_fraction(first >> 16u, 0xffffu) < lattice.share;
+}
+
+// The grain of a cell that has one, by the first two hashes of the cell.
+fn grain_of(lattice: Lattice, first: u32, second: u32, point: vec2<f32>, diameter_m: f32) -> Grain {
     let third = second_hash(second ^ GRAIN_THIRD_KEY);
+    let is_rock = is_fragment(lattice, first);
     let across = 2.0 * hash_fraction(third, 0xffu) - 1.0;
     let stretch = 1.0 + (GRAIN_MAX_STRETCH - 1.0) * hash_fraction(third >> 8u, 0xffu);
-    let height = mix(GRAIN_MIN_HALF_AXIS, GRAIN_MAX_HALF_AXIS, hash_fraction(third >> 16u, 0xffu));
+    let heights = select(GRAIN_CLOD_HEIGHTS, GRAIN_FRAGMENT_HEIGHTS, is_rock);
+    let height = mix(heights.x, heights.y, hash_fraction(third >> 16u, 0xffu));
     let per_radius = 2.0 / diameter_m;
     return Grain(
         point,
@@ -104,18 +116,20 @@ fn grain_of(second: u32, point: vec2<f32>, diameter_m: f32) -> Grain {
         normalize(vec2(across, 1.0 - abs(across))),
         vec3(per_radius / stretch, per_radius * stretch, 1.0 / (height * diameter_m)),
         GRAIN_MAX_TILT * (2.0 * hash_fraction(third >> 24u, 0xffu) - 1.0),
+        select(0u, GRAIN_FACETS, is_rock),
+        second_hash(third),
     );
 }
 
 // Albedo, relative to that of the soil, of the grain of a cell with these first two hashes.
-fn grain_albedo(first: u32, second: u32) -> f32 {
+fn grain_albedo(lattice: Lattice, first: u32, second: u32) -> f32 {
     let view = relief_view();
     let fourth = second_hash(second_hash(second ^ GRAIN_THIRD_KEY));
     let sum = hash_fraction(fourth, 0xffu) + hash_fraction(fourth >> 8u, 0xffu)
         + hash_fraction(fourth >> 16u, 0xffu) + hash_fraction(fourth >> 24u, 0xffu);
-    let is_fragment = hash_fraction(first >> 16u, 0xffffu) < view.grain_fragments;
-    let spread = view.grain_spread * select(GRAIN_CLOD_SPREAD, 1.0, is_fragment);
-    let ratio = select(1.0, view.grain_ratio, is_fragment);
+    let is_rock = is_fragment(lattice, first);
+    let spread = view.grain_spread * select(GRAIN_CLOD_SPREAD, 1.0, is_rock);
+    let ratio = select(1.0, view.grain_ratio, is_rock);
     return ratio * exp(spread * (sum - 2.0) * 1.7320508);
 }
 
@@ -142,14 +156,41 @@ fn grain_hit(grain: Grain, per_height: vec2<f32>) -> vec3<f32> {
     let a = dot(ray.way, ray.way);
     let b = dot(ray.origin, ray.way);
     let discriminant = b * b - a * (dot(ray.origin, ray.origin) - 1.0);
-    let height_m = (sqrt(max(discriminant, 0.0)) - b) / a;
-    let normal = (ray.origin + height_m * ray.way) * grain.per_axis;
+    let root = sqrt(max(discriminant, 0.0));
+    var from_m = (-root - b) / a;
+    var to_m = (root - b) / a;
+    // Where the ray leaves the ellipsoid; within a facet, the facet's normal instead.
+    var facet = vec3(0.0);
+    var in_facet = false;
+    var hash = grain.facet_hash;
+    for (var k = 0u; k < grain.facets; k++) {
+        hash = second_hash(hash ^ GRAIN_THIRD_KEY);
+        let plane = vec3(
+            2.0 * hash_fraction(hash, 0xffu) - 1.0,
+            2.0 * hash_fraction(hash >> 8u, 0xffu) - 1.0,
+            hash_fraction(hash >> 16u, 0xffu) + 0.01,
+        );
+        let unit_plane = normalize(plane);
+        let rise = dot(unit_plane, ray.way);
+        let left = mix(GRAIN_FACET_DISTANCES.x, GRAIN_FACET_DISTANCES.y, hash_fraction(hash >> 24u, 0xffu))
+            - dot(unit_plane, ray.origin);
+        let at_m = left / select(1.0e-6, rise, abs(rise) > 1.0e-6);
+        if rise < 0.0 {
+            from_m = max(from_m, at_m);
+        } else if at_m < to_m {
+            to_m = at_m;
+            facet = unit_plane;
+            in_facet = true;
+        }
+    }
+    let height_m = to_m;
+    let normal = select(ray.origin + height_m * ray.way, facet, in_facet) * grain.per_axis;
     let along = vec2(normal.x - normal.z * grain.tilt, normal.y);
     let slope = along * (-1.0 / max(normal.z, length(along) / GRAIN_MAX_SLOPE));
     return vec3(
         grain.axis.x * slope.x - grain.axis.y * slope.y,
         grain.axis.y * slope.x + grain.axis.x * slope.y,
-        select(0.0, height_m, discriminant > 0.0),
+        select(0.0, height_m, discriminant > 0.0 && to_m > from_m),
     );
 }
 
@@ -184,7 +225,7 @@ fn add_grains(
 ) -> GroundDetail {
     var detail = before;
     // The material's albedo is the mean of soil and grains: where grains are seen, the soil between them is darker.
-    detail.albedo /= 1.0 + lattice.share * sample_share(0.7 * lattice.max_diameter_m, across_m);
+    detail.albedo /= 1.0 + lattice.factor * sample_share(0.7 * lattice.max_diameter_m, across_m);
     for (var ray = 0; ray < 2; ray++) {
         let is_sun = ray == 0;
         var walk = grain_walk(lattice, point, select(eye_way, sun_way, is_sun));
@@ -207,7 +248,7 @@ fn add_grains(
                 let closest = from_centre + along * walk.per_height;
                 let reach = GRAIN_MAX_RADIUS * diameter_m + select(0.0, across_m, is_sun);
                 if share > 0.0 && dot(closest, closest) < reach * reach {
-                    let grain = grain_of(second, from_centre, diameter_m);
+                    let grain = grain_of(lattice, first, second, from_centre, diameter_m);
                     if is_sun {
                         let per_way = light.sun_tan_half_angle;
                         detail.sun *= 1.0 - share * grain_occlusion(grain, walk.per_height, per_way, 0.25 * across_m);
@@ -217,7 +258,7 @@ fn add_grains(
                             *cover = GrainCover(hit.z, mix((*cover).share, 1.0, share));
                             let slope = lattice.cell_m * slope_from_lattice(lattice, hit.xy);
                             detail.slope = mix(detail.slope, slope + GRAIN_ROUGHNESS * detail.slope, share);
-                            detail.albedo = mix(detail.albedo, grain_albedo(first, second), share);
+                            detail.albedo = mix(detail.albedo, grain_albedo(lattice, first, second), share);
                         }
                     }
                 }

@@ -8,6 +8,9 @@ const JITTER_CELLS: f32 = 0.17;
 const PROFILE_DEPTH: f32 = 0.114;
 const RIM: f32 = 0.02513;
 const CLOD_HEIGHT: f32 = 0.22;
+// Of the strength of noise: src/scene/noise/gradient.rs.
+const PATCHY_BASE: f32 = 0.2;
+const PATCHY_PEAK: f32 = 3.2;
 // What fresh craters add to the logarithm of the albedo.
 const FRESH_SHADE: f32 = 0.2;
 const SECOND_HASH: u32 = 0x2c1b3c6du;
@@ -82,11 +85,16 @@ fn slope_from_lattice(lattice: Lattice, slope: vec2<f32>) -> vec2<f32> {
 }
 
 // Gradient, value and shade at a corner of a cell.
-fn lattice_corner(cell: vec2<i32>, seed: u32) -> vec4<f32> {
-    let hash = lattice_hash(cell.x, cell.y, 0, seed);
+fn lattice_corner(cell: vec2<i32>, lattice: Lattice) -> vec4<f32> {
+    let hash = lattice_hash(cell.x, cell.y, 0, lattice.seed);
     let value = f32((hash * 0x9e3779b1u) >> 16u) * (1.0 / 65536.0) - 0.5;
-    let shade = f32((hash * 0x85ebca6bu) >> 16u) * (1.0 / 65536.0) - 0.5;
-    return vec4(vec2(f32(hash & 0xffffu), f32(hash >> 16u)) * (1.0 / 32768.0) - 1.0, value, shade);
+    let product = hash * 0x85ebca6bu;
+    let shade = f32(product >> 16u) * (1.0 / 65536.0) - 0.5;
+    // Rough in few places and smooth in most: src/scene/noise/gradient.rs.
+    let draw = f32(product & 0xffffu) * (1.0 / 65536.0);
+    let cube = draw * draw * draw;
+    let strength = 1.0 + lattice.factor * (PATCHY_BASE - 1.0 + PATCHY_PEAK * cube * cube);
+    return vec4(strength * vec3(vec2(f32(hash & 0xffffu), f32(hash >> 16u)) * (1.0 / 32768.0) - 1.0, value), shade);
 }
 
 // Slope of one octave of gradient noise with quintic weights (Perlin 2002, "Improving Noise"): the derivative of
@@ -97,10 +105,10 @@ fn noise_slope(lattice: Lattice, point: vec2<f32>) -> vec3<f32> {
     let corner = floor(local);
     let t = local - corner;
     let cell = lattice.base + vec2<i32>(corner);
-    let g00 = lattice_corner(cell, lattice.seed);
-    let g10 = lattice_corner(cell + vec2(1, 0), lattice.seed);
-    let g01 = lattice_corner(cell + vec2(0, 1), lattice.seed);
-    let g11 = lattice_corner(cell + vec2(1, 1), lattice.seed);
+    let g00 = lattice_corner(cell, lattice);
+    let g10 = lattice_corner(cell + vec2(1, 0), lattice);
+    let g01 = lattice_corner(cell + vec2(0, 1), lattice);
+    let g11 = lattice_corner(cell + vec2(1, 1), lattice);
     let w = t * t * t * (t * (6.0 * t - 15.0) + 10.0);
     let rise = 30.0 * t * t * (t * (t - 2.0) + 1.0);
     let a = dot(g00.xy, t) + g00.z;
@@ -136,7 +144,7 @@ fn pits_slope(lattice: Lattice, point: vec2<f32>, cell_m: f32, sample_m: f32) ->
         age < lattice.share,
     );
     let share = (1.0 - mesh_share(diameter_m, cell_m)) * sample_share(diameter_m, sample_m);
-    let is_in_range = lattice.cutoff_diameters * lattice.max_diameter_m >= 2.0 * MIN_CELLS * cell_m;
+    let is_in_range = lattice.factor * lattice.max_diameter_m >= 2.0 * MIN_CELLS * cell_m;
     let exists = is_in_range && f32(first & 0xffffu) / 65536.0 < lattice.amount;
     let slope = select(0.0, share * steepness, exists) * per_cells * offset;
     let is_fresh = exists && age >= lattice.share && age - lattice.share < light.relief_fresh_share * (1.0 - lattice.share);

@@ -67,11 +67,13 @@ struct Lattice {
     cell_m: f32,
     // Largest diameter of a pit or grain, metres.
     max_diameter_m: f32,
-    // Of noise: amplitude of the logarithm of the soil's albedo. Of pits: fraction that are clods. Of grains: by how much they make
-    // the ground brighter than the soil between them, relative to the latter.
+    // Of noise: amplitude of the logarithm of the soil's albedo. Of pits: fraction that are clods. Of grains: fraction that are
+    // fragments of rock.
     share: f32,
-    // Pits are left out where a cell of the mesh is larger than this times a sixth of the largest diameter.
-    cutoff_diameters: f32,
+    // Of noise: 1 if its amplitude differs from place to place, else 0. Of pits: they are left out where a cell of the mesh is larger
+    // than this times a sixth of the largest diameter. Of grains: by how much they make the ground brighter than the soil between them,
+    // relative to the latter.
+    factor: f32,
 }
 
 // The part of the relief that a draw needs.
@@ -90,10 +92,10 @@ struct ReliefView {
     waves: u32,
     pit_lattices: u32,
     grain_lattices: u32,
-    // Fraction of the grains that are fragments of rock, their median albedo relative to the soil's, and the deviation of its logarithm.
-    grain_fragments: f32,
+    // Median albedo of fragments of rock relative to the soil's, and the deviation of its logarithm.
     grain_ratio: f32,
     grain_spread: f32,
+    reserved: u32,
 }
 
 struct ReliefUniforms {

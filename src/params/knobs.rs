@@ -76,10 +76,10 @@ knobs! {
         "Hurst exponent of the fine relief; at 1 it is smooth at small scales (Guo et al. 2021: 0.6 to 0.85).";
     ReliefClods "relief.clods" "" in Surface Number, Frame, number(0.5), [0.0, 1.0],
         "Fraction of clods among pits and clods up to 8 cm across.";
-    GrainsDensity "grains.density" "" in Surface Number, Frame, number(1.0), [0.0, 2.0],
-        "Number of grains, fragments of rock and clods of 1 mm to 3 cm, relative to that counted by the Surveyors: 60 larger than 1 cm per square metre, N(>D) proportional to D^-2.4.";
-    GrainsFragments "grains.fragments" "" in Surface Number, Frame, number(0.3), [0.0, 1.0],
-        "Fraction of the grains that are fragments of rock, as bright as rocks (rocks.albedo_ratio, rocks.albedo_spread); the others are clods of soil.";
+    GrainsDensity "grains.density" "" in Surface Number, Frame, number(1.0), [0.0, 2.5],
+        "Number of clods of soil of 1 mm to 3 cm relative to that counted by Surveyor III: 90 larger than 1 cm per square metre, N(>D) proportional to D^-2.4. At 0 there are no fragments of rock of that size either.";
+    GrainsAlbedoSpread "grains.albedo_spread" "" in Surface Number, Frame, number(0.6), [0.0, 1.0],
+        "Standard deviation of the logarithm of the albedo of fragments of rock of 1 mm to 3 cm around rocks.albedo_ratio; that of clods is a fifth of it.";
     RegolithMottling "regolith.mottling" "" in Surface Number, Frame, number(0.05), [0.0, 0.3],
         "Standard deviation of the logarithm of the soil's albedo, from millimetres to decimetres.";
     RegolithAlbedo "regolith.albedo" "" Number, Frame, number(0.205) => number(0.12), [0.0, 1.0],

@@ -2,7 +2,7 @@
 //! Must not know: how visibility was found.
 
 pub(crate) mod gbuffer;
-mod grains_host;
+pub(crate) mod grains_host;
 pub(crate) mod pass;
 pub mod relief_bands;
 pub(crate) mod slopes_host;

@@ -25,14 +25,16 @@ const UNDULATION: f64 = 0.02;
 const COARSE_DEVIATION: f64 = 0.17;
 /// Longest wavelength of the fine relief, metres: half the shortest of the undulation.
 const FINE_LONGEST_M: f64 = 1.5625;
-/// Octaves of the fine relief: down to 6 mm.
-const FINE_OCTAVES: u32 = 9;
+/// Octaves of the fine relief: down to 1.5 mm.
+const FINE_OCTAVES: u32 = 11;
 /// Octaves of the soil's shade that a view shows at once, about.
 const SHADED_OCTAVES: f32 = 5.0;
 /// Baseline of the slope that the fine relief is made for, metres.
 const SLOPE_BASELINE_M: f64 = 0.007;
 /// Slope, degrees, that hills, craters and clods contribute at that baseline with their defaults.
 const OTHER_SLOPE_DEG: f64 = 3.6;
+/// Fraction of the remaining slope that the noise has: grains and pits have the rest.
+const NOISE_SHARE: f64 = 0.75;
 /// Median absolute value of a normal variable, in standard deviations.
 const MEDIAN_PER_DEVIATION: f64 = 0.674_489_75;
 /// A wave or a crater fades in from this many mesh cells across, and is complete at twice as many; `relief.wgsl` has the
@@ -48,6 +50,8 @@ pub struct Octave {
     pub amplitude_m: f32,
     /// Amplitude of the shade that goes with it, in the logarithm of the soil's albedo.
     pub shade: f32,
+    /// 1 if it is rough in few places and smooth in most, else 0.
+    pub patchy: f32,
 }
 
 /// The height function.
@@ -109,6 +113,7 @@ impl Relief {
                 lattice: Lattice::new(wavelength_m, centre, &mut streams.stream(purpose, k.into())),
                 amplitude_m: amplitude_m as f32,
                 shade: if purpose == "relief.fine" { shade } else { 0.0 },
+                patchy: if purpose == "relief.fine" { 1.0 } else { 0.0 },
             })
             .collect();
         let craters = CraterField::new(streams, params, centre);
@@ -145,7 +150,7 @@ impl Relief {
     #[inline(always)]
     fn set_in_vectors(&self, [x, y]: [&[f32]; 2], cell_m: f32, nearby: &Nearby, heights: &mut [f32]) {
         heights.fill(0.0);
-        for Octave { lattice, amplitude_m, .. } in &self.octaves {
+        for Octave { lattice, amplitude_m, patchy, .. } in &self.octaves {
             let share = mesh_share(lattice.cell_m, cell_m);
             if share == 0.0 {
                 break;
@@ -153,7 +158,7 @@ impl Relief {
             let amplitude_m = share * amplitude_m;
             for ((height, x), y) in heights.iter_mut().zip(x).zip(y) {
                 let (cell, t) = lattice.cell(lattice.local(Vec2::new(*x, *y)));
-                *height += amplitude_m * gradient_noise_2d(cell, t, lattice.seed);
+                *height += amplitude_m * gradient_noise_2d(cell, t, lattice.seed, *patchy);
             }
         }
         for pit in &nearby.pits {
@@ -215,7 +220,7 @@ fn fine_octaves(hurst: f64, median_deg: f64) -> Vec<(f64, f64)> {
     let tangent = |degrees: f64| libm::tan(degrees.to_radians());
     let square = |x: f64| x * x;
     let rest = (square(tangent(median_deg)) - square(tangent(OTHER_SLOPE_DEG))).max(0.0).sqrt();
-    let wanted_m = SLOPE_BASELINE_M * rest / MEDIAN_PER_DEVIATION;
+    let wanted_m = SLOPE_BASELINE_M * NOISE_SHARE * rest / MEDIAN_PER_DEVIATION;
     let scale = wanted_m / difference.sqrt();
     unit.into_iter().map(|(wavelength, amplitude)| (wavelength, scale * amplitude)).collect()
 }

@@ -11,7 +11,6 @@ pub mod on_demand;
 mod plan;
 mod rock;
 mod shape;
-mod size_distribution;
 
 pub use nominal::plan;
 pub use plan::RockBounds;

@@ -81,9 +81,19 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
     (
         "scene",
         &[
-            &["grid_cell", "mesh", "noise", "nominal_craters", "photometry", "sensor", "sky"],
+            &[
+                "grid_cell",
+                "mesh",
+                "noise",
+                "nominal_craters",
+                "photometry",
+                "sensor",
+                "size_distribution",
+                "sky",
+            ],
             &["lattice", "rings"],
             &["craters", "fillet"],
+            &["grains"],
             &["relief"],
             &["terrain"],
             &["bounce", "camera", "rings_mesh", "square_grid"],

@@ -42,6 +42,9 @@ fn heights(relief: &Relief, corner: Vec2) -> Vec<f32> {
     let y: Vec<f32> = (0..SIDE * SIDE).map(|i| along(corner.y, i / SIDE)).collect();
     let mut heights = vec![0.0; x.len()];
     relief.set_heights([&x, &y], 1e-4, &nearby, &mut heights);
+    for ((height, x), y) in heights.iter_mut().zip(x).zip(y) {
+        *height += relief.grains.height_at(Vec2::new(x, y));
+    }
     heights
 }
 

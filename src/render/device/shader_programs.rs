@@ -324,11 +324,24 @@ mod tests {
     fn constants_that_rust_has_too_are_equal() {
         use crate::render::device::packing::{NOT_REQUESTED, WORKGROUP_SIZE};
         use crate::render::device::shading_bins::ShadowSources;
+        use crate::render::lighting::grains_host::{MAX_CELLS, MAX_EYE_WAY, MAX_SUN_WAY, ROUGHNESS};
         use crate::render::select::caster_grid::TEST_HORIZON;
         use crate::scene::craters::{CLOD_HEIGHT, JITTER_CELLS, PROFILE_DEPTH, RIM};
+        use crate::scene::grains;
         use crate::scene::photometry::Law;
         use crate::scene::relief::MIN_CELLS;
         let constants = [
+            (&LIGHTING_SURFACE, "GRAIN_JITTER_CELLS", f64::from(grains::JITTER_CELLS)),
+            (&LIGHTING_SURFACE, "GRAIN_MAX_RADIUS", f64::from(grains::MAX_RADIUS)),
+            (&LIGHTING_SURFACE, "GRAIN_MAX_HEIGHT", f64::from(grains::MAX_HEIGHT)),
+            (&LIGHTING_SURFACE, "GRAIN_MAX_STRETCH", f64::from(grains::MAX_STRETCH)),
+            (&LIGHTING_SURFACE, "GRAIN_MAX_TILT", f64::from(grains::MAX_TILT)),
+            (&LIGHTING_SURFACE, "GRAIN_CLOD_SPREAD", f64::from(grains::CLOD_SPREAD)),
+            (&LIGHTING_SURFACE, "GRAIN_MAX_SLOPE", f64::from(grains::MAX_SLOPE)),
+            (&LIGHTING_SURFACE, "GRAIN_MAX_CELLS", f64::from(MAX_CELLS)),
+            (&LIGHTING_SURFACE, "GRAIN_MAX_EYE_WAY", f64::from(MAX_EYE_WAY)),
+            (&LIGHTING_SURFACE, "GRAIN_MAX_SUN_WAY", f64::from(MAX_SUN_WAY)),
+            (&LIGHTING_SURFACE, "GRAIN_ROUGHNESS", f64::from(ROUGHNESS)),
             (&RESOLVE, "WORKGROUP_SIZE", f64::from(WORKGROUP_SIZE)),
             (&RESOLVE, "NOT_REQUESTED", f64::from(NOT_REQUESTED)),
             (&LIGHTING_SURFACE, "TEST_HORIZON", f64::from(TEST_HORIZON)),

@@ -96,7 +96,7 @@ shader_struct! {
         cell_m: f32,
         max_diameter_m: f32,
         share: f32,
-        cutoff_diameters: f32,
+        factor: f32,
     }
 }
 
@@ -111,9 +111,9 @@ shader_struct! {
         waves: u32,
         pit_lattices: u32,
         grain_lattices: u32,
-        grain_fragments: f32,
         grain_ratio: f32,
         grain_spread: f32,
+        reserved: u32,
     }
 }
 

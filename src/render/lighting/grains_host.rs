@@ -10,6 +10,7 @@ use glam::Vec2;
 use super::relief_bands::sample_share;
 use super::slopes_host::BATCH;
 use crate::render::device::shader_structs::LatticeUniforms;
+
 use crate::scene::craters::second_hash;
 use crate::scene::grains::{Grain, GrainMaterial, JITTER_CELLS, MAX_HEIGHT, MAX_RADIUS, grain_diameter};
 use crate::scene::noise::lattice_hash;
@@ -26,38 +27,38 @@ pub(crate) const ROUGHNESS: f32 = 0.5;
 /// Horizontal vectors, one a sample.
 #[derive(Clone, Copy)]
 pub(super) struct Vectors {
-    pub x: [f32; BATCH],
-    pub y: [f32; BATCH],
+    pub(super) x: [f32; BATCH],
+    pub(super) y: [f32; BATCH],
 }
 
 /// What grains need to know of the ground at the samples of a batch.
 pub(super) struct GrainGround {
     /// The first samples count, the others repeat them.
-    pub count: usize,
+    pub(super) count: usize,
     /// Position, metres from the centre of the ground.
-    pub point: Vectors,
+    pub(super) point: Vectors,
     /// Distance of samples across the view, metres.
-    pub across_m: [f32; BATCH],
+    pub(super) across_m: [f32; BATCH],
     /// Horizontal ways of rays to the eye and to the sun per metre that they rise above the mesh.
-    pub ways: [Vectors; 2],
+    pub(super) ways: [Vectors; 2],
     /// Half the width of the sun's penumbra per metre of way.
-    pub sun_tan_half_angle: f32,
+    pub(super) sun_tan_half_angle: f32,
     /// What grains are made of.
-    pub material: GrainMaterial,
+    pub(super) material: GrainMaterial,
 }
 
 /// The ground's detail, one value a sample.
 pub(super) struct GroundDetail {
     /// Slope relative to the mesh, rise per metre.
-    pub slope: Vectors,
+    pub(super) slope: Vectors,
     /// Factor on the albedo.
-    pub albedo: [f32; BATCH],
+    pub(super) albedo: [f32; BATCH],
     /// Fraction of the sun's disc that grains leave visible.
-    pub sun: [f32; BATCH],
+    pub(super) sun: [f32; BATCH],
     /// Height at which the ray to the eye met the nearest grain so far, metres.
-    pub nearest_m: [f32; BATCH],
+    pub(super) nearest_m: [f32; BATCH],
     /// How much of the sample grains hide of the ground.
-    pub cover: [f32; BATCH],
+    pub(super) cover: [f32; BATCH],
 }
 
 /// Rays of a batch on their way through the cells of a lattice.
@@ -70,14 +71,19 @@ struct Walks {
     next: Vectors,
     step: Vectors,
     sign: Vectors,
+    sign_column: [i32; BATCH],
+    sign_row: [i32; BATCH],
     /// Horizontal way per metre that it rises, metres along the lattice's axes, and the inverse of its square.
     way: Vectors,
     per_square: [f32; BATCH],
     /// The first two hashes of a cell, where the ray comes near its grain, else 0.
-    near: [u32; BATCH],
-    hashes: [[u32; 2]; BATCH],
+    near: [u8; BATCH],
+    first: [u32; BATCH],
+    second: [u32; BATCH],
 }
 
+/// Distance of a ray that has ended from all grains, cells.
+const AWAY_CELLS: f32 = 1e3;
 /// Smallest square of a way whose inverse is taken.
 const MIN_SQUARE: f32 = 1e-12;
 
@@ -92,10 +98,13 @@ impl Walks {
             next: zeros,
             step: zeros,
             sign: zeros,
+            sign_column: [0; BATCH],
+            sign_row: [0; BATCH],
             way: zeros,
             per_square: [0.0; BATCH],
             near: [0; BATCH],
-            hashes: [[0; 2]; BATCH],
+            first: [0; BATCH],
+            second: [0; BATCH],
         };
         let lattice = uniforms.lattice();
         let (cos, sin) = (lattice.turn.x * uniforms.cell_m, lattice.turn.y * uniforms.cell_m);
@@ -115,6 +124,8 @@ impl Walks {
             (walks.step.x[i], walks.step.y[i]) = (step_x, step_y);
             (walks.next.x[i], walks.next.y[i]) = (next_x, next_y);
             (walks.sign.x[i], walks.sign.y[i]) = (sign_x, sign_y);
+            walks.sign_column[i] = if x > 0.0 { 1 } else { -1 };
+            walks.sign_row[i] = if y > 0.0 { 1 } else { -1 };
         }
         walks
     }
@@ -134,37 +145,59 @@ impl Walks {
             let diameter_m = grain_diameter(second, uniforms.max_diameter_m);
             let (way_x, way_y) = (self.way.x[i], self.way.y[i]);
             let along = -(x * way_x + y * way_y) * self.per_square[i];
-            let along = along.clamp(0.0, MAX_HEIGHT * diameter_m);
+            // `clamp` would not vectorise: it asserts.
+            let along = if along > 0.0 { along } else { 0.0 };
+            let top = MAX_HEIGHT * diameter_m;
+            let along = if along < top { along } else { top };
             let (x, y) = (x + along * way_x, y + along * way_y);
             let reach = MAX_RADIUS * diameter_m + blur * across_m;
             let exists = ((first & 0xffff) as i32 as f32) < 65_536.0 * uniforms.amount;
             let is_near = exists & (x * x + y * y < reach * reach) & (diameter_m > 2.0 * across_m);
-            let near = u32::from(is_near);
+            let near = if is_near { 1 } else { 0 };
             self.near[i] = near;
             any |= near;
-            self.hashes[i] = [first, second];
+            self.first[i] = first;
+            self.second[i] = second;
         }
         any > 0
+    }
+
+    /// The rays that come near a grain, of the first `count`.
+    #[inline(always)]
+    fn near_below(&self, count: usize) -> impl Iterator<Item = usize> {
+        let bits = |(k, bytes): (usize, &[u8; 8])| {
+            // Eight flags in as many bits: each byte is moved to its place in the highest one.
+            let byte = u64::from_le_bytes(*bytes).wrapping_mul(0x0102_0408_1020_4080) >> 56;
+            byte << (8 * k)
+        };
+        let mut bits = self.near.as_chunks().0.iter().enumerate().map(bits).fold(0, |a, b| a | b);
+        std::iter::from_fn(move || {
+            let i = bits.trailing_zeros() as usize;
+            bits &= bits.wrapping_sub(1);
+            (i < count).then_some(i)
+        })
     }
 
     /// Moves all rays into their next cells. Returns whether any ray gets there; one that has ended stays away from all grains.
     #[inline(always)]
     fn advance(&mut self) -> bool {
-        let mut ended = 1;
+        let mut ended = u32::MAX;
         for i in 0..BATCH {
             let (next_x, next_y) = (self.next.x[i], self.next.y[i]);
-            let to_column = next_x < next_y;
-            let first = if to_column { next_x } else { next_y };
-            ended &= u32::from(first >= 1.0);
-            let (x, y) = if to_column { (self.sign.x[i], 0.0) } else { (0.0, self.sign.y[i]) };
-            self.column[i] = self.column[i].wrapping_add(x as i32);
-            self.row[i] = self.row[i].wrapping_add(y as i32);
+            let to_column = if next_x < next_y { u32::MAX } else { 0 };
+            let first = if next_x < next_y { next_x } else { next_y };
+            let has_ended = if first >= 1.0 { u32::MAX } else { 0 };
+            ended &= has_ended;
+            // Bits of floats, or none: selections in the form that vectorises.
+            let kept = |value: f32, mask: u32| f32::from_bits(value.to_bits() & mask);
+            self.column[i] = self.column[i].wrapping_add(self.sign_column[i] & to_column as i32);
+            self.row[i] = self.row[i].wrapping_add(self.sign_row[i] & !to_column as i32);
             // Far from anything where the ray has ended.
-            let away = if first >= 1.0 { 1e3 } else { 0.0 };
-            self.start.x[i] += away - x;
-            self.start.y[i] += away - y;
-            self.next.x[i] += if to_column { self.step.x[i] } else { 0.0 };
-            self.next.y[i] += if to_column { 0.0 } else { self.step.y[i] };
+            let away = kept(AWAY_CELLS, has_ended);
+            self.start.x[i] += away - kept(self.sign.x[i], to_column);
+            self.start.y[i] += away - kept(self.sign.y[i], !to_column);
+            self.next.x[i] = next_x + kept(self.step.x[i], to_column);
+            self.next.y[i] = next_y + kept(self.step.y[i], !to_column);
         }
         ended == 0
     }
@@ -172,7 +205,8 @@ impl Walks {
     /// The grain that ray `i` is near, and the start of the ray, metres from the centre of the grain along the lattice's axes.
     #[inline(always)]
     fn grain(&self, i: usize, uniforms: &LatticeUniforms) -> (Grain, Vec2, Vec2) {
-        let grain = Grain::from_hashes(self.hashes[i], uniforms.max_diameter_m);
+        let grain =
+            Grain::from_hashes([self.first[i], self.second[i]], uniforms.max_diameter_m, uniforms.share);
         let point = (Vec2::new(self.start.x[i], self.start.y[i]) - grain.centre) * uniforms.cell_m;
         (grain, point, Vec2::new(self.way.x[i], self.way.y[i]))
     }
@@ -192,13 +226,13 @@ fn first_step(way: f32, start: f32) -> (f32, f32, f32) {
 pub(super) fn add_grains(uniforms: &LatticeUniforms, ground: &GrainGround, detail: &mut GroundDetail) {
     // The material's albedo is the mean of soil and grains: where grains are seen, the soil between them is darker.
     for (albedo, across_m) in detail.albedo.iter_mut().zip(&ground.across_m) {
-        *albedo /= 1.0 + uniforms.share * sample_share(0.7 * uniforms.max_diameter_m, *across_m);
+        *albedo /= 1.0 + uniforms.factor * sample_share(0.7 * uniforms.max_diameter_m, *across_m);
     }
     let [eye, sun] = &ground.ways;
     let mut walks = Walks::new(uniforms, ground, sun);
     for _ in 0..MAX_CELLS {
         if walks.find_near(uniforms, &ground.across_m, 1.0) {
-            for i in (0..ground.count).filter(|i| walks.near[*i] > 0) {
+            for i in walks.near_below(ground.count) {
                 let across_m = ground.across_m[i];
                 let (grain, point, way) = walks.grain(i, uniforms);
                 let occlusion = grain.occlusion(point, way, ground.sun_tan_half_angle, 0.25 * across_m);
@@ -212,7 +246,7 @@ pub(super) fn add_grains(uniforms: &LatticeUniforms, ground: &GrainGround, detai
     let mut walks = Walks::new(uniforms, ground, eye);
     for _ in 0..MAX_CELLS {
         if walks.find_near(uniforms, &ground.across_m, 0.0) {
-            for i in (0..ground.count).filter(|i| walks.near[*i] > 0) {
+            for i in walks.near_below(ground.count) {
                 let (grain, point, way) = walks.grain(i, uniforms);
                 if let Some(hit) = grain.hit(point, way).filter(|hit| hit.height_m > detail.nearest_m[i]) {
                     let share = sample_share(grain.diameter_m, ground.across_m[i]);

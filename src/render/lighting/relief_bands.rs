@@ -59,7 +59,6 @@ impl ReliefBands {
             cell_angle: rings.view.cell as f32,
             sample_angle: settings.sample_angle(&scene.camera),
             fresh_share: relief.craters.fresh_share,
-            grain_fragments: relief.grains.material.fragments,
             grain_ratio: relief.grains.material.ratio,
             grain_spread: relief.grains.material.spread,
             ..Default::default()
@@ -106,8 +105,11 @@ fn band_uniforms(
         size_m < whole_m && is_resolved(size_m)
     });
     for (slot, octave) in uniforms.noise.iter_mut().zip(octaves) {
-        *slot =
-            LatticeUniforms { share: octave.shade, ..lattice_uniforms(&octave.lattice, octave.amplitude_m) };
+        *slot = LatticeUniforms {
+            share: octave.shade,
+            factor: octave.patchy,
+            ..lattice_uniforms(&octave.lattice, octave.amplitude_m)
+        };
         uniforms.view.waves += 1;
     }
     // Of the first octave that is not whole both lattices are sampled, of the next ones only the first.
@@ -128,7 +130,7 @@ fn band_uniforms(
         *slot = LatticeUniforms {
             max_diameter_m: lattice.largest_m,
             share: lattice.clods,
-            cutoff_diameters,
+            factor: cutoff_diameters,
             ..lattice_uniforms(&lattice.lattice, lattice.chance)
         };
         uniforms.view.pit_lattices += 1;
@@ -136,11 +138,11 @@ fn band_uniforms(
     // Grains stand up: along the view they are as long as across it.
     let grains = relief.grains.lattices.iter();
     let grains = grains.filter(|grains| grains.chance > 0.0 && grains.largest_m > 2.0 * across_m);
-    let excess = relief.grains.material.mean_excess();
     for (slot, grains) in uniforms.grains.iter_mut().zip(grains) {
         *slot = LatticeUniforms {
             max_diameter_m: grains.largest_m,
-            share: grains.coverage() * excess,
+            share: grains.fragments,
+            factor: grains.mean_excess(&relief.grains.material),
             ..lattice_uniforms(&grains.lattice, grains.chance)
         };
         uniforms.view.grain_lattices += 1;

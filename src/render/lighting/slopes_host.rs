@@ -223,8 +223,7 @@ fn ground_detail(
         nearest_m: [0.0; BATCH],
         cover: [0.0; BATCH],
     };
-    let material =
-        GrainMaterial { fragments: view.grain_fragments, ratio: view.grain_ratio, spread: view.grain_spread };
+    let material = GrainMaterial { ratio: view.grain_ratio, spread: view.grain_spread };
     let grain_ground = GrainGround {
         count,
         point: Vectors { x: ground.x, y: ground.y },
@@ -271,7 +270,7 @@ fn add_relief(relief: &ReliefUniforms, ground: &GroundBatch, sums: &mut DetailSu
         // The smallest pits of a lattice are half as large as its largest; a little room for how sizes are rounded.
         let is_resolved = sample_share(1.001 * pits.max_diameter_m, nearest_m) > 0.0;
         let is_below_mesh = mesh_share(0.499 * pits.max_diameter_m, largest_cell_m) < 1.0;
-        let is_sampled = pits.cutoff_diameters * pits.max_diameter_m >= 2.0 * MIN_CELLS * smallest_cell_m;
+        let is_sampled = pits.factor * pits.max_diameter_m >= 2.0 * MIN_CELLS * smallest_cell_m;
         if is_resolved && is_below_mesh && is_sampled {
             pits_slope(pits, view.fresh_share, ground, sums);
         }
@@ -375,7 +374,7 @@ fn noise_slope(wave: &LatticeUniforms, ground: &GroundBatch, sums: &mut DetailSu
     let lattice = wave.lattice();
     for i in 0..BATCH {
         let ([column, row], t) = lattice.cell(lattice.local(Vec2::new(ground.x[i], ground.y[i])));
-        let [along, across, shade] = gradient_noise_slope_2d([column, row], t, wave.seed);
+        let [along, across, shade] = gradient_noise_slope_2d([column, row], t, wave.seed, wave.factor);
         let resolved = ground.share(i, wave.cell_m);
         sums.shade[i] += wave.share * resolved * shade;
         let share = wave.amount * resolved;
@@ -404,7 +403,7 @@ fn pits_slope(pits: &LatticeUniforms, fresh_share: f32, ground: &GroundBatch, su
         let (r, per_r) = (cells * pit.shrink * per_largest, per_cells * pit.radius);
         let crater = crater_steepness(r, per_r, ages.depth(pit.age));
         let steepness = if pit.age < pits.share { clod_steepness(r) } else { crater };
-        let is_sampled = pits.cutoff_diameters * pits.max_diameter_m >= 2.0 * MIN_CELLS * ground.cell_m[i];
+        let is_sampled = pits.factor * pits.max_diameter_m >= 2.0 * MIN_CELLS * ground.cell_m[i];
         let exists = is_sampled & (pit.draw < pits.amount);
         let share = ground.share(i, 2.0 * pits.cell_m * pit.radius);
         let fresh = ((EJECTA_FADE[0] - r) * EJECTA_FADE[1]).clamp(0.0, 1.0) * FRESH_SHADE * share;

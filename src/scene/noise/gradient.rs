@@ -9,11 +9,14 @@ use super::hash::lattice_hash;
 /// gradients at the corners, each component uniform in [-1, 1), blended with quintic weights. The corners also have values,
 /// uniform in [-0.5, 0.5): with zeros at all lattice points the lattice would be visible. Mean 0, standard deviation
 /// [`GRADIENT_NOISE_SIGMA`].
+///
+/// With `patchy` 0 all corners are equally strong. With 1 the strength of a corner is drawn, `PATCHY_BASE` + `PATCHY_PEAK` v^6 with v
+/// uniform in [0, 1): most of the plane is smooth and some of it rough, with the same standard deviation.
 #[must_use]
 #[inline(always)]
-pub fn gradient_noise_2d(cell: [i32; 2], t: [f32; 2], seed: u32) -> f32 {
+pub fn gradient_noise_2d(cell: [i32; 2], t: [f32; 2], seed: u32, patchy: f32) -> f32 {
     let [u, v] = [quintic(t[0]), quintic(t[1])];
-    let at = |away| gradient_corner(cell, away, seed).extrapolated(t, away);
+    let at = |away| gradient_corner(cell, away, seed, patchy).extrapolated(t, away);
     lerp(lerp(at([0, 0]), at([1, 0]), u), lerp(at([0, 1]), at([1, 1]), u), v)
 }
 
@@ -21,10 +24,13 @@ pub fn gradient_noise_2d(cell: [i32; 2], t: [f32; 2], seed: u32) -> f32 {
 /// blended with the same weights, with a standard deviation of [`SHADE_SIGMA`].
 #[must_use]
 #[inline(always)]
-pub fn gradient_noise_slope_2d(cell: [i32; 2], t: [f32; 2], seed: u32) -> [f32; 3] {
+pub fn gradient_noise_slope_2d(cell: [i32; 2], t: [f32; 2], seed: u32, patchy: f32) -> [f32; 3] {
     let [u, v] = [quintic(t[0]), quintic(t[1])];
-    let [sw, se] = [gradient_corner(cell, [0, 0], seed), gradient_corner(cell, [1, 0], seed)];
-    let [nw, ne] = [gradient_corner(cell, [0, 1], seed), gradient_corner(cell, [1, 1], seed)];
+    // Written out: a closure over an array would not be inlined into the vectors of the caller.
+    let sw = gradient_corner(cell, [0, 0], seed, patchy);
+    let se = gradient_corner(cell, [1, 0], seed, patchy);
+    let nw = gradient_corner(cell, [0, 1], seed, patchy);
+    let ne = gradient_corner(cell, [1, 1], seed, patchy);
     let (a, b) = (sw.extrapolated(t, [0, 0]), se.extrapolated(t, [1, 0]));
     let (c, d) = (nw.extrapolated(t, [0, 1]), ne.extrapolated(t, [1, 1]));
     [
@@ -52,14 +58,19 @@ impl Corner {
 }
 
 #[inline(always)]
-fn gradient_corner(cell: [i32; 2], away: [i32; 2], seed: u32) -> Corner {
+fn gradient_corner(cell: [i32; 2], away: [i32; 2], seed: u32, patchy: f32) -> Corner {
     let hash = lattice_hash(cell[0].wrapping_add(away[0]), cell[1].wrapping_add(away[1]), 0, seed);
     // Signed: see `value_of`.
+    let unit = |bits: u32| bits as i32 as f32 * (1.0 / 65_536.0);
+    let product = hash.wrapping_mul(0x85eb_ca6b);
+    let draw = unit(product & 0xffff);
+    let cube = draw * draw * draw;
+    let strength = 1.0 + patchy * (PATCHY_BASE - 1.0 + PATCHY_PEAK * (cube * cube));
     Corner {
-        x: (hash & 0xffff) as i32 as f32 * (1.0 / 32_768.0) - 1.0,
-        y: (hash >> 16) as i32 as f32 * (1.0 / 32_768.0) - 1.0,
-        value: (hash.wrapping_mul(0x9e37_79b1) >> 16) as i32 as f32 * (1.0 / 65_536.0) - 0.5,
-        shade: (hash.wrapping_mul(0x85eb_ca6b) >> 16) as i32 as f32 * (1.0 / 65_536.0) - 0.5,
+        x: strength * ((hash & 0xffff) as i32 as f32 * (1.0 / 32_768.0) - 1.0),
+        y: strength * ((hash >> 16) as i32 as f32 * (1.0 / 32_768.0) - 1.0),
+        value: strength * (unit(hash.wrapping_mul(0x9e37_79b1) >> 16) - 0.5),
+        shade: unit(product >> 16) - 0.5,
     }
 }
 
@@ -74,6 +85,11 @@ fn quintic_derivative(t: f32) -> f32 {
 fn quintic(t: f32) -> f32 {
     t * t * t * (t * (6.0 * t - 15.0) + 10.0)
 }
+
+/// Strength of the smoothest corners of patchy noise, and how much stronger the roughest are: the mean square is 1.
+const PATCHY_BASE: f32 = 0.2;
+/// See [`PATCHY_BASE`].
+const PATCHY_PEAK: f32 = 3.2;
 
 /// Standard deviation of [`gradient_noise_2d`].
 pub const GRADIENT_NOISE_SIGMA: f32 = 0.286;
@@ -102,7 +118,14 @@ mod tests {
 
     #[test]
     fn gradient_noise_has_the_stated_deviation_and_differences() {
-        let at = |x: f32, y: f32| gradient_noise_2d([floor(x), floor(y)], [fraction(x), fraction(y)], 5);
+        for patchy in [0.0, 1.0] {
+            check_deviation(patchy);
+        }
+    }
+
+    fn check_deviation(patchy: f32) {
+        let at =
+            |x: f32, y: f32| gradient_noise_2d([floor(x), floor(y)], [fraction(x), fraction(y)], 5, patchy);
         let points: Vec<(f32, f32)> =
             (0..200).flat_map(|i| (0..200).map(move |j| (i as f32 * 1.37, j as f32 * 1.73))).collect();
         let rms = |values: Vec<f64>| {
@@ -126,10 +149,11 @@ mod tests {
         for i in 0..400 {
             let (x, y) = (0.173 * i as f32 - 31.0, 0.059 * i as f32 - 7.0);
             let ((column, u), (row, v)) = (floor_and_fraction(x), floor_and_fraction(y));
+            let patchy = (i % 2) as f32;
             // The differences stay within the cell.
             let t = [u.clamp(step, 1.0 - step), v.clamp(step, 1.0 - step)];
-            let slope = gradient_noise_slope_2d([column, row], t, 5);
-            let at = |u, v| gradient_noise_2d([column, row], [u, v], 5);
+            let slope = gradient_noise_slope_2d([column, row], t, 5, patchy);
+            let at = |u, v| gradient_noise_2d([column, row], [u, v], 5, patchy);
             let along = (at(t[0] + step, t[1]) - at(t[0] - step, t[1])) / (2.0 * step);
             let across = (at(t[0], t[1] + step) - at(t[0], t[1] - step)) / (2.0 * step);
             assert!(

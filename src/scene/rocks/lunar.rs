@@ -7,13 +7,13 @@
 
 use glam::Vec2;
 
-pub use super::size_distribution::rocks_larger_than;
-use super::size_distribution::{Sizes, poisson};
 use crate::params::{Knob, Params};
 use crate::random::Streams;
 use crate::scene::craters::Pit;
 use crate::scene::relief::Relief;
 use crate::scene::rings::View;
+pub use crate::scene::size_distribution::rocks_larger_than;
+use crate::scene::size_distribution::{Sizes, poisson};
 
 /// Largest diameter, metres.
 const LARGEST_M: f64 = 4.0;
