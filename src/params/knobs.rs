@@ -65,7 +65,7 @@ knobs! {
     TerrainCells "terrain.cells" "" in Nominal Integer, Frame, number(300.0), [10.0, 1000.0],
         "Cells along each side of the ground's heightfield, two triangles per cell.";
     TerrainCellMrad "terrain.cell_mrad" "mrad" in Surface Number, Frame, number(12.0), [2.0, 50.0],
-        "Angle that one cell of the ground mesh spans as seen from the camera; finer detail is added in shading.";
+        "Angle that one cell of the ground mesh spans as seen from the camera, less below a field of view of 45 degrees; finer detail is added in shading.";
     ReliefHillsM "relief.hills_m" "m" in Surface Number, Frame, number(9.0), [0.0, 60.0],
         "Amplitude of hills with wavelengths of 250 m and below; their standard deviation is about a sixth of this.";
     ReliefUndulationM "relief.undulation_m" "m" in Surface Number, Frame, number(2.4), [0.0, 20.0],

@@ -201,6 +201,11 @@ const MIN_ROCK: f64 = 1.7e-3;
 /// Tangent of half that field of view.
 const MIN_ROCK_TAN_HALF_FOV: f32 = 0.577_350_26;
 
+/// Tangent of half the field of view below which the cells of the ground shrink with it: 45 degrees. In the image they stay as small.
+const CELL_TAN_HALF_FOV: f32 = 0.414_213_57;
+/// The smallest factor by which they shrink.
+const MIN_CELL: f32 = 0.3;
+
 /// The view that the rings of the surface stage are built for.
 #[must_use]
 pub fn ground_view(params: &Params) -> View {
@@ -216,12 +221,13 @@ pub fn ground_view(params: &Params) -> View {
         let angle = libm::atan2(f64::from(ray.perp_dot(ahead)).abs(), f64::from(ray.dot(ahead)));
         half_sector = half_sector.max(angle);
     }
+    let cells = (camera.tan_half_fov / CELL_TAN_HALF_FOV).clamp(MIN_CELL, 1.0);
     View {
         eye_height_m: (params.number(Knob::CameraHeightM) as f32).max(MIN_EYE_M),
         azimuth,
         half_sector: (half_sector + SECTOR_MARGIN).min(std::f64::consts::PI),
         min_rock: MIN_ROCK * f64::from((camera.tan_half_fov / MIN_ROCK_TAN_HALF_FOV).min(1.0)),
-        cell: 1e-3 * params.number(Knob::TerrainCellMrad),
+        cell: 1e-3 * params.number(Knob::TerrainCellMrad) * f64::from(cells),
         radius_m: 0.5 * params.number(Knob::TerrainSizeM),
     }
 }

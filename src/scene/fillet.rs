@@ -13,7 +13,7 @@ use crate::rounding::floor_and_fraction;
 /// Terms of the Fourier series of an outline: the mean, then cosine and sine of one, two and three times the azimuth.
 pub const OUTLINE_TERMS: usize = 7;
 /// Ripples of the soil against the rock: wavelength in mean diameters of the rock, and amplitude relative to the first.
-const RIPPLES: [(f32, f32); 3] = [(0.55, 1.0), (0.26, 0.6), (0.12, 0.35)];
+const RIPPLES: [(f32, f32); 3] = [(0.55, 1.0), (0.26, 0.7), (0.12, 0.5)];
 /// Points per batch at most.
 pub(super) const BATCH: usize = 32;
 

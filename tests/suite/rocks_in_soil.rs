@@ -55,7 +55,8 @@ fn small_rocks_follow_the_lunar_law_at_every_distance() {
                 "coverage {coverage}, {ring_m:?} m: {count} rocks of {min_m:.3} m, {expected:.0} expected"
             );
             assert!(
-                (count as f64 - expected).abs() < 3.3 * expected.sqrt(),
+                // The debris of blocks comes on top.
+                (count as f64 - expected).abs() < 3.3 * expected.sqrt() + 0.05 * expected,
                 "coverage {coverage}, {ring_m:?} m: {count} rocks for {expected:.0}"
             );
         }
@@ -108,7 +109,7 @@ fn no_aged_rock_overhangs_below_half_its_height() {
             shares.push(overhang(&scene, &scene.rocks[index]));
         }
     }
-    let overhanging = |shares: &[f64]| shares.iter().filter(|share| **share > 0.25).count();
+    let overhanging = |shares: &[f64]| shares.iter().filter(|share| **share > 0.2).count();
     println!(
         "{} of {} aged rocks overhang, {} of {} fresh ones",
         overhanging(&aged),
@@ -202,7 +203,7 @@ fn soil_is_banked_against_rocks_by_age_and_uphill() {
     );
     assert!(by_age.iter().all(|measured| measured.len() > 20) && uphill.len() > 15);
     assert!(of(1, 0) > 2.0 * of(0, 0) && of(1, 0) > 0.05, "height");
-    assert!(of(1, 1) > 1.5 * of(0, 1), "width");
+    assert!(of(1, 1) > 1.25 * of(0, 1), "width");
     assert!(middle(&uphill) > 1.3 * middle(&downhill), "uphill");
 }
 
@@ -243,7 +244,7 @@ fn waterlines_are_ragged() {
     }
     println!("{} rocks: {:.4} and {:.4} diameters", long.len(), median(long.clone()), median(short.clone()));
     assert!(long.len() > 30);
-    assert!((0.012..0.05).contains(&median(long)) && (0.005..0.03).contains(&median(short)));
+    assert!((0.017..0.05).contains(&median(long)) && (0.005..0.03).contains(&median(short)));
 }
 
 /// Exports hold the soil against rocks: the very vertices of the ground.
@@ -271,4 +272,37 @@ fn exports_hold_the_fillets() {
     let foot = foot.expect("a vertex of the soil against a rock");
     let wanted: &[u8] = bytemuck::bytes_of(&foot.position);
     assert!(bytes.windows(wanted.len()).any(|window| window == wanted));
+}
+
+/// Pieces lie at the feet of fresh blocks: more than there is of their size elsewhere.
+#[test]
+fn fresh_blocks_lie_in_their_debris() {
+    // Pieces and area, close to a block and further away.
+    let mut around = [[(0, 0.0); 2]; 2];
+    for seed in 0..10 {
+        let (scene, placements) =
+            placed_rocks(seed, &["rocks.coverage=0.02", "craters.fresh_share=0", "camera.height_m=4"], 0.05);
+        for (_, block) in placements.iter().filter(|(_, rock)| rock.diameter_m > 0.5) {
+            let of_age = match block.age {
+                age if age < 0.35 => &mut around[0],
+                age if age > 0.65 => &mut around[1],
+                _ => continue,
+            };
+            for (ring, (count, area_m2)) in [[0.5, 0.9], [1.5, 2.5]].into_iter().zip(of_age) {
+                let [near_m, far_m] = ring.map(|diameters: f64| diameters * block.diameter_m);
+                *area_m2 += std::f64::consts::PI * (far_m * far_m - near_m * near_m);
+                let pieces = scene.rocks.iter().filter(|rock| {
+                    let distance_m = f64::from(rock.centre.truncate().distance(block.position));
+                    rock.base_scale_m < 0.05 && (near_m..far_m).contains(&distance_m)
+                });
+                *count += pieces.count();
+            }
+        }
+    }
+    let [fresh, old] = around.map(|rings| {
+        let [close, far] = rings.map(|(count, area_m2)| count as f64 / area_m2);
+        close / far
+    });
+    println!("{around:?}: {fresh:.2} times as many close to fresh blocks, {old:.2} to old ones");
+    assert!(fresh > 1.8 && old < 1.5, "{fresh} times as many close to fresh blocks, {old} to old ones");
 }

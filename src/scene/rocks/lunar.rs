@@ -22,7 +22,7 @@ const OCTAVES: u32 = 7;
 /// Mean number of rocks in a cell of an octave.
 const ROCKS_PER_CELL: f64 = 3.0;
 /// Approximate limit on the number of rocks: the smallest of them are left out where there would be more.
-const MAX_ROCKS: f64 = 20_000.0;
+const MAX_ROCKS: f64 = 15_000.0;
 /// Rocks outside the viewed sector are made within this many of their diameters of it, at most [`OUTSIDE_MAX_M`] metres:
 /// their shadows reach into it.
 const OUTSIDE_DIAMETERS: f32 = 20.0;
@@ -39,7 +39,7 @@ const CLUSTER_AGE: f32 = 0.3;
 /// Minimum diameter of a rock with debris around it, metres.
 const DEBRIS_FROM_M: f64 = 0.4;
 /// Mean number of pieces of debris around a new rock of 1 m; it falls with the age and rises with the diameter.
-const DEBRIS_PIECES: f64 = 10.0;
+const DEBRIS_PIECES: f64 = 16.0;
 /// Range of diameters of debris, metres; at most [`DEBRIS_LARGEST`] of those of its rock.
 const DEBRIS_M: [f64; 2] = [0.03, 0.10];
 /// See [`DEBRIS_M`].
