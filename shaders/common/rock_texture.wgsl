@@ -12,7 +12,7 @@ const ROUGHNESS_SLOPE: f32 = 0.17;
 const ROUGHNESS_FALL: f32 = -0.2;
 // Amplitude per octave of mottling by grains, splashes and patina, below 1.6 cm; it falls beyond. Rocks near opposition, where
 // no relief shows, vary by 0.2 to 0.3 between pixels (frames of Chang'e-3); the noise has a deviation of a third.
-const MOTTLING: f32 = 0.42;
+const MOTTLING: f32 = 0.60;
 // Slope at the rim of a vesicle and of an impact pit.
 const VESICLE_SLOPE: f32 = 1.1;
 const PIT_SLOPE: f32 = 0.6;
@@ -59,7 +59,7 @@ fn rock_texture(position: vec3<f32>, sample_m: f32, seed: u32, diameter_m: f32) 
         let share = min(octave - finest, 1.0);
         let noise = value_noise(point * exp2(-octave), octave_seed(seed, octave));
         let slope = ROUGHNESS_SLOPE * exp2(ROUGHNESS_FALL * (octave + 6.64));
-        let mottling = MOTTLING * min(1.0, exp2(-0.6 * (octave + 6.0)));
+        let mottling = MOTTLING * min(1.0, exp2(-0.9 * (octave + 6.0)));
         texture.gradient += share * slope * noise.xyz;
         texture.shade += share * mottling * noise.w;
         texture.hollow -= share * 0.35 * noise.w;
@@ -87,6 +87,7 @@ fn rock_texture(position: vec3<f32>, sample_m: f32, seed: u32, diameter_m: f32) 
     if !is_breccia {
         texture.shade *= 1.0 - fracture_line(point, coarse, sample_m, diameter_m, kinds);
     }
+    texture.shade = max(texture.shade, 0.25);
     texture.gradient = texture.gradient * TEXTURE_FROM_WORLD;
     return texture;
 }
@@ -120,7 +121,8 @@ fn fracture_line(point: vec3<f32>, coarse: f32, sample_m: f32, diameter_m: f32, 
     let bits = vec4<f32>((vec4(kinds * 0x9e3779b9u) >> vec4(0u, 8u, 16u, 24u)) & vec4(255u)) * (1.0 / 255.0);
     let across = unit(bits.xyz - 0.5 + vec3(0.001));
     let spacing_m = 0.06 + diameter_m * (0.25 + 0.30 * bits.w);
-    let along = dot(across, point) + 0.02 * coarse;
+    // The coarse noise varies over about 12 samples.
+    let along = dot(across, point) + 0.8 * sample_m * coarse;
     let distance_m = spacing_m * abs(fract(along / spacing_m + bits.x) - 0.5);
     let covered = clamp((FRACTURE_HALF_WIDTH_M + 0.5 * sample_m - distance_m) / sample_m, 0.0, 1.0);
     let thinned = min(1.0, 2.0 * FRACTURE_HALF_WIDTH_M / sample_m);

@@ -74,3 +74,28 @@ fn albedo_ratio(params: &Params, draw: &mut Stream) -> f64 {
     let ratio = median * libm::exp(spread * draw.normal());
     ratio.clamp(RATIO_RANGE[0].min(median), RATIO_RANGE[1].max(median))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A block whose top is level: dust covers a share of the top, not all of it; and no more than a share of a ball.
+    #[test]
+    fn dust_covers_its_share_of_any_shape() {
+        let of = |z: &dyn Fn(usize) -> f32| -> Vec<Vertex> {
+            let vertex = |k| Vertex { position: Vec3::ZERO, normal: Vec3::new(1.0, 0.0, z(k)) };
+            (0..162).map(vertex).collect()
+        };
+        let block = of(&|k| if k < 81 { 0.95 + 0.0005 * k as f32 } else { -0.5 });
+        let ball = of(&|k| 1.0 - (2 * k) as f32 / 161.0);
+        for vertices in [block, ball] {
+            for share in [0.1, 0.35, 0.6] {
+                let above = dust_above(&vertices, share);
+                let upward = vertices.iter().filter(|vertex| vertex.normal.z > 0.0).count();
+                let dusty = vertices.iter().filter(|vertex| vertex.normal.z > above).count();
+                let found = dusty as f64 / upward as f64;
+                assert!((found - share).abs() < 0.03, "{found} for {share}");
+            }
+        }
+    }
+}
