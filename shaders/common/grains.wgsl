@@ -11,14 +11,14 @@ const GRAIN_MAX_TILT: f32 = 0.3;
 const GRAIN_CLOD_SPREAD: f32 = 0.2;
 const GRAIN_MAX_SLOPE: f32 = 6.0;
 const GRAIN_FACETS: u32 = 4u;
-const GRAIN_FACET_DISTANCES: vec2<f32> = vec2(0.55, 0.9);
+const GRAIN_FACET_DISTANCES: vec2<f32> = vec2(0.6, 0.95);
 const GRAIN_THIRD_KEY: u32 = 0x9e3779b9u;
 // Cells of a lattice that a ray is followed through, and the largest horizontal way per metre that it rises.
 const GRAIN_MAX_CELLS: u32 = 5u;
 const GRAIN_MAX_EYE_WAY: f32 = 8.0;
 const GRAIN_MAX_SUN_WAY: f32 = 11.0;
 // Share of the ground's own slope that a grain's surface has.
-const GRAIN_ROUGHNESS: f32 = 0.5;
+const GRAIN_ROUGHNESS: f32 = 0.8;
 
 // A grain of a lattice: an ellipsoid about a point of the ground.
 struct Grain {
@@ -31,8 +31,7 @@ struct Grain {
     per_axis: vec3<f32>,
     // Rise of its middle plane per metre along the long axis.
     tilt: f32,
-    // Planes that cut it, and the hash from which they are drawn.
-    facets: u32,
+    // Hash from which the planes that cut it are drawn.
     facet_hash: u32,
 }
 
@@ -116,7 +115,6 @@ fn grain_of(lattice: Lattice, first: u32, second: u32, point: vec2<f32>, diamete
         normalize(vec2(across, 1.0 - abs(across))),
         vec3(per_radius / stretch, per_radius * stretch, 1.0 / (height * diameter_m)),
         GRAIN_MAX_TILT * (2.0 * hash_fraction(third >> 24u, 0xffu) - 1.0),
-        select(0u, GRAIN_FACETS, is_rock),
         second_hash(third),
     );
 }
@@ -163,7 +161,7 @@ fn grain_hit(grain: Grain, per_height: vec2<f32>) -> vec3<f32> {
     var facet = vec3(0.0);
     var in_facet = false;
     var hash = grain.facet_hash;
-    for (var k = 0u; k < grain.facets; k++) {
+    for (var k = 0u; k < GRAIN_FACETS; k++) {
         hash = second_hash(hash ^ GRAIN_THIRD_KEY);
         let plane = vec3(
             2.0 * hash_fraction(hash, 0xffu) - 1.0,
@@ -206,10 +204,12 @@ fn grain_occlusion(grain: Grain, per_height: vec2<f32>, per_way: f32, blur_m: f3
     return select(0.0, clamp(0.5 + 0.5 * inside_m / half_m, 0.0, 1.0), height_m > 0.0);
 }
 
-// How a ray to the eye met the grains so far: the height of the nearest hit, and how much of the sample they hide of the ground.
+// How a ray to the eye met the grains so far: the height of the nearest hit, how much of the sample they hide of the ground, and
+// that times the fraction of the sun's disc that is visible from them.
 struct GrainCover {
     nearest_m: f32,
     share: f32,
+    sun: f32,
 }
 
 // Adds the grains of a lattice to the ground at a point: the nearest that a ray to the eye meets, and the shadows of those
@@ -224,6 +224,8 @@ fn add_grains(
     cover: ptr<function, GrainCover>,
 ) -> GroundDetail {
     var detail = before;
+    // The shadows of larger grains fall on grains too.
+    let sun_on_grains = before.sun;
     // The material's albedo is the mean of soil and grains: where grains are seen, the soil between them is darker.
     detail.albedo /= 1.0 + lattice.factor * sample_share(0.7 * lattice.max_diameter_m, across_m);
     for (var ray = 0; ray < 2; ray++) {
@@ -255,7 +257,11 @@ fn add_grains(
                     } else {
                         let hit = grain_hit(grain, walk.per_height);
                         if hit.z > (*cover).nearest_m {
-                            *cover = GrainCover(hit.z, mix((*cover).share, 1.0, share));
+                            *cover = GrainCover(
+                                hit.z,
+                                mix((*cover).share, 1.0, share),
+                                mix((*cover).sun, sun_on_grains, share),
+                            );
                             let slope = lattice.cell_m * slope_from_lattice(lattice, hit.xy);
                             detail.slope = mix(detail.slope, slope + GRAIN_ROUGHNESS * detail.slope, share);
                             detail.albedo = mix(detail.albedo, grain_albedo(lattice, first, second), share);

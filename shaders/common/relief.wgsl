@@ -57,14 +57,14 @@ fn ground_detail(
     }
     // The exponential function to second order.
     var detail = GroundDetail(sum.xy, 1.0 + sum.z * (1.0 + 0.5 * sum.z), 1.0);
-    var cover = GrainCover(0.0, 0.0);
+    var cover = GrainCover(0.0, 0.0, 0.0);
     for (k = 0u; k < light.relief_grain_lattices; k++) {
         let grains = relief_grains(k);
         if sample_share(1.001 * grains.max_diameter_m, across_m) == 0.0 { break; }
         detail = add_grains(detail, grains, point, across_m, eye_way, sun_way, &cover);
     }
     // What hides the ground hides its shadows.
-    detail.sun = mix(detail.sun, 1.0, cover.share);
+    detail.sun = mix(detail.sun, 0.0, cover.share) + cover.sun;
     return detail;
 }
 

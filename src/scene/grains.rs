@@ -45,10 +45,10 @@ pub const MAX_TILT: f32 = 0.3;
 pub const CLOD_SPREAD: f32 = 0.2;
 /// Steepest slope of a grain's surface: at its rim it is vertical.
 pub const MAX_SLOPE: f32 = 6.0;
-/// Planes that cut the ellipsoid of a fragment, and the range of their distances from its centre, radii.
+/// Planes that cut the ellipsoid, and the range of their distances from its centre, radii.
 pub const FACETS: u32 = 4;
 /// See [`FACETS`].
-pub const FACET_DISTANCES: [f32; 2] = [0.55, 0.9];
+pub const FACET_DISTANCES: [f32; 2] = [0.6, 0.95];
 /// What the second hash is combined with for the third.
 const THIRD_KEY: u32 = 0x9e37_79b9;
 
@@ -245,7 +245,7 @@ impl Grain {
         // Where the ray leaves the ellipsoid; within a facet, the facet's normal instead.
         let mut facet = None;
         let mut hash = self.facet_hash;
-        for _ in 0..if self.is_fragment { FACETS } else { 0 } {
+        for _ in 0..FACETS {
             hash = second_hash(hash ^ THIRD_KEY);
             let (normal, distance) = facet_of(hash);
             let (rise, left) = (normal.dot(way), distance - normal.dot(origin));
@@ -346,7 +346,7 @@ mod tests {
     #[test]
     fn a_hit_lies_on_its_ellipsoid_with_the_slope_of_the_height_there() {
         let field = field(&[]);
-        let mut hits = 0;
+        let (mut hits, mut off) = (0, 0);
         for grain in grains(&field.lattices[0]) {
             let r = 0.5 * grain.diameter_m;
             for k in 0..16_u8 {
@@ -356,13 +356,10 @@ mod tests {
                 let (origin, way) = grain.as_sphere(point, per_height);
                 // On the ellipsoid, or on a facet inside it.
                 let radius = (origin + hit.height_m * way).length();
-                assert!(radius < 1.001 && (grain.is_fragment || radius > 0.999), "{radius}: {grain:?}");
+                assert!((0.59..1.001).contains(&radius), "{radius}: {grain:?}");
                 assert!(hit.height_m <= MAX_HEIGHT * grain.diameter_m, "{hit:?} of {grain:?}");
-                // Straight above that point, if it is no overhang, the surface has the same height and slope. The edges of
-                // facets have none.
-                if grain.is_fragment {
-                    continue;
-                }
+                // Straight above that point, if it is no overhang, the surface has the same height and slope, but at the edges
+                // of facets.
                 let above = point + hit.height_m * per_height;
                 let height = |offset: Vec2| grain.hit(above + offset, Vec2::ZERO).map(|hit| hit.height_m);
                 let step = 0.003 * grain.diameter_m;
@@ -375,10 +372,10 @@ mod tests {
                 }
                 hits += 1;
                 let found = Vec2::new(a - b, c - d) / (2.0 * step);
-                assert!(found.distance(hit.slope) < 0.05, "{found} and {hit:?}");
+                off += u32::from(found.distance(hit.slope) > 0.05);
             }
         }
-        assert!(hits > 100, "{hits} hits");
+        assert!(hits > 100 && 10 * off < hits, "{off} of {hits} hits have another slope");
     }
 
     #[test]

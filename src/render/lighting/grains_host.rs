@@ -22,7 +22,7 @@ pub(crate) const MAX_EYE_WAY: f32 = 8.0;
 /// The same of a ray to the sun, for 5 degrees.
 pub(crate) const MAX_SUN_WAY: f32 = 11.0;
 /// Share of the ground's own slope that a grain's surface has.
-pub(crate) const ROUGHNESS: f32 = 0.5;
+pub(crate) const ROUGHNESS: f32 = 0.8;
 
 /// Horizontal vectors, one a sample.
 #[derive(Clone, Copy)]
@@ -59,6 +59,8 @@ pub(super) struct GroundDetail {
     pub(super) nearest_m: [f32; BATCH],
     /// How much of the sample grains hide of the ground.
     pub(super) cover: [f32; BATCH],
+    /// That times the fraction of the sun's disc that is visible from them.
+    pub(super) cover_sun: [f32; BATCH],
 }
 
 /// Rays of a batch on their way through the cells of a lattice.
@@ -228,6 +230,8 @@ pub(super) fn add_grains(uniforms: &LatticeUniforms, ground: &GrainGround, detai
     for (albedo, across_m) in detail.albedo.iter_mut().zip(&ground.across_m) {
         *albedo /= 1.0 + uniforms.factor * sample_share(0.7 * uniforms.max_diameter_m, *across_m);
     }
+    // The shadows of larger grains fall on grains too.
+    let sun_on_grains = detail.sun;
     let [eye, sun] = &ground.ways;
     let mut walks = Walks::new(uniforms, ground, sun);
     for _ in 0..MAX_CELLS {
@@ -264,6 +268,7 @@ pub(super) fn add_grains(uniforms: &LatticeUniforms, ground: &GrainGround, detai
                     mix(&mut detail.slope.y[i], slope.y + rough.y);
                     mix(&mut detail.albedo[i], grain.albedo(&ground.material));
                     mix(&mut detail.cover[i], 1.0);
+                    mix(&mut detail.cover_sun[i], sun_on_grains[i]);
                     detail.nearest_m[i] = hit.height_m;
                 }
             }

@@ -222,6 +222,7 @@ fn ground_detail(
         sun: [1.0; BATCH],
         nearest_m: [0.0; BATCH],
         cover: [0.0; BATCH],
+        cover_sun: [0.0; BATCH],
     };
     let material = GrainMaterial { ratio: view.grain_ratio, spread: view.grain_spread };
     let grain_ground = GrainGround {
@@ -239,7 +240,7 @@ fn ground_detail(
     }
     for (i, result) in result.iter_mut().enumerate() {
         // What hides the ground hides its shadows.
-        let sun = detail.sun[i] + detail.cover[i] * (1.0 - detail.sun[i]);
+        let sun = detail.sun[i] * (1.0 - detail.cover[i]) + detail.cover_sun[i];
         *result = [detail.slope.x[i], detail.slope.y[i], detail.albedo[i], sun];
     }
 }
