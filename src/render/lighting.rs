@@ -3,6 +3,7 @@
 
 pub(crate) mod gbuffer;
 pub(crate) mod grains_host;
+pub(crate) mod ground_batch;
 pub(crate) mod pass;
 pub mod relief_bands;
 pub(crate) mod slopes_host;

@@ -34,7 +34,7 @@ const SLOPE_BASELINE_M: f64 = 0.007;
 /// Slope, degrees, that hills, craters and clods contribute at that baseline with their defaults.
 const OTHER_SLOPE_DEG: f64 = 3.6;
 /// Fraction of the remaining slope that the noise has: grains and pits have the rest.
-const NOISE_SHARE: f64 = 0.75;
+const NOISE_SHARE: f64 = 0.9;
 /// Median absolute value of a normal variable, in standard deviations.
 const MEDIAN_PER_DEVIATION: f64 = 0.674_489_75;
 /// A wave or a crater fades in from this many mesh cells across, and is complete at twice as many; `relief.wgsl` has the

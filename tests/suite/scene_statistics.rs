@@ -265,6 +265,8 @@ fn every_knob_changes_the_frame() {
                 "rocks" if info.name.starts_with("rocks.hero_") && info.name != "rocks.hero_scale_m" => {
                     "rocks.hero_scale_m=2"
                 }
+                // Grains are seen from nearby.
+                "grains" => "camera.pitch_deg=-70",
                 // Hapke's law has its own roughness.
                 "regolith" | "rocks" if info.name.ends_with("roughness") => "photometry.law=oren_nayar",
                 "label" if stage == Stage::Nominal && info.name.contains("crater") => "craters.count=200",

@@ -324,7 +324,8 @@ mod tests {
     fn constants_that_rust_has_too_are_equal() {
         use crate::render::device::packing::{NOT_REQUESTED, WORKGROUP_SIZE};
         use crate::render::device::shading_bins::ShadowSources;
-        use crate::render::lighting::grains_host::{MAX_CELLS, MAX_EYE_WAY, MAX_SUN_WAY, ROUGHNESS};
+        use crate::render::lighting::grains_host::{MAX_CELLS, ROUGHNESS};
+        use crate::render::lighting::ground_batch::{MAX_EYE_WAY, MAX_SUN_WAY};
         use crate::render::select::caster_grid::TEST_HORIZON;
         use crate::scene::craters::{CLOD_HEIGHT, JITTER_CELLS, PROFILE_DEPTH, RIM};
         use crate::scene::grains;

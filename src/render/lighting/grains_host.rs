@@ -7,8 +7,8 @@
 
 use glam::Vec2;
 
+use super::ground_batch::{BATCH, Vectors};
 use super::relief_bands::sample_share;
-use super::slopes_host::BATCH;
 use crate::render::device::shader_structs::LatticeUniforms;
 
 use crate::scene::craters::second_hash;
@@ -17,19 +17,8 @@ use crate::scene::noise::lattice_hash;
 
 /// Cells of a lattice that a ray is followed through.
 pub(crate) const MAX_CELLS: u32 = 5;
-/// Largest horizontal way of a ray to the eye per metre that it rises: lower ones are taken for one of 7 degrees.
-pub(crate) const MAX_EYE_WAY: f32 = 8.0;
-/// The same of a ray to the sun, for 5 degrees.
-pub(crate) const MAX_SUN_WAY: f32 = 11.0;
 /// Share of the ground's own slope that a grain's surface has.
 pub(crate) const ROUGHNESS: f32 = 0.8;
-
-/// Horizontal vectors, one a sample.
-#[derive(Clone, Copy)]
-pub(super) struct Vectors {
-    pub(super) x: [f32; BATCH],
-    pub(super) y: [f32; BATCH],
-}
 
 /// What grains need to know of the ground at the samples of a batch.
 pub(super) struct GrainGround {

@@ -13,10 +13,9 @@ use half::slice::HalfFloatSliceExt;
 
 use crate::render::device::shader_structs::{LatticeUniforms, ReliefUniforms, ReliefView};
 use crate::render::device::shading_bins::{LightingVariant, ShadingBin, ShadingBins};
-use crate::render::lighting::grains_host::{
-    GrainGround, GroundDetail, MAX_EYE_WAY, MAX_SUN_WAY, Vectors, add_grains,
-};
-use crate::render::lighting::relief_bands::{MIN_FACING, ReliefBands, sample_share};
+use crate::render::lighting::grains_host::{GrainGround, GroundDetail, add_grains};
+use crate::render::lighting::ground_batch::{BATCH, GroundBatch, SampleBatch, Vectors};
+use crate::render::lighting::relief_bands::{ReliefBands, sample_share};
 use crate::scene::craters::{
     CLOD_HEIGHT, EJECTA_EXPONENT, FRESH_DEPTHS, JITTER_CELLS, PROFILE_DEPTH, RIM, WORN_DEPTHS, second_hash,
 };
@@ -25,12 +24,8 @@ use crate::scene::noise::{gradient_noise_slope_2d, lattice_hash};
 use crate::scene::relief::{MIN_CELLS, mesh_share};
 use crate::scene::sky::Sun;
 
-/// Samples whose slopes are summed together.
-pub(super) const BATCH: usize = 64;
 /// In place of the index of a band: none.
 const NO_BAND: u8 = u8::MAX;
-/// Maximum code of a normal's coordinate: 24 bits.
-const MAX_NORMAL_CODE: u32 = 0x00ff_ffff;
 /// Taylor coefficients of 2^x around 0: ln(2)^k / k!.
 const EXP2_TAYLOR: [f32; 8] = [
     1.0,
@@ -83,30 +78,6 @@ pub struct GBufferRow<'a> {
     pub normal_y: &'a [u32],
     /// One more than the shading bin in the lowest bits; 0 where nothing is visible.
     pub visibility: &'a [u32],
-}
-
-/// Samples of a row that belong to one band.
-#[derive(Clone, Copy)]
-struct SampleBatch {
-    columns: [u32; BATCH],
-    inverse_depth: [f32; BATCH],
-    normal_x: [u32; BATCH],
-    normal_y: [u32; BATCH],
-}
-
-/// The ground at the samples of a batch: positions, metres from its centre; the size of the mesh's cells and the distance of samples
-/// there, metres; and the factors on a size in [`mesh_share`] and [`sample_share`].
-struct GroundBatch {
-    x: [f32; BATCH],
-    y: [f32; BATCH],
-    cell_m: [f32; BATCH],
-    sample_m: [f32; BATCH],
-    per_mesh: [f32; BATCH],
-    per_sample: [f32; BATCH],
-    /// Distance of samples across the view, metres.
-    across_m: [f32; BATCH],
-    /// Horizontal ways of rays to the eye and to the sun per metre that they rise above the mesh.
-    ways: [Vectors; 2],
 }
 
 /// Rise per metre along x and y, and the logarithm of the albedo.
@@ -179,24 +150,6 @@ impl ReliefSlopes {
         for (column, halves) in batch.columns[..count].iter().zip(&halves) {
             slopes[*column as usize] = *halves;
         }
-    }
-}
-
-impl SampleBatch {
-    /// Fills all samples behind the first `count` with the first.
-    fn pad(&mut self, count: usize) {
-        for i in count..BATCH {
-            self.columns[i] = self.columns[0];
-            self.inverse_depth[i] = self.inverse_depth[0];
-            self.normal_x[i] = self.normal_x[0];
-            self.normal_y[i] = self.normal_y[0];
-        }
-    }
-}
-
-impl Default for SampleBatch {
-    fn default() -> Self {
-        Self { columns: [0; BATCH], inverse_depth: [0.0; BATCH], normal_x: [0; BATCH], normal_y: [0; BATCH] }
     }
 }
 
@@ -277,96 +230,6 @@ fn add_relief(relief: &ReliefUniforms, ground: &GroundBatch, sums: &mut DetailSu
         }
     }
     f32::from_bits(nearest_across)
-}
-
-impl GroundBatch {
-    #[inline(always)]
-    fn new(
-        view: &ReliefView,
-        [corner, right, down]: [Vec3; 3],
-        sun: Vec3,
-        row: usize,
-        batch: &SampleBatch,
-    ) -> Self {
-        let zeros = [0.0; BATCH];
-        let mut ground = Self {
-            x: zeros,
-            y: zeros,
-            cell_m: zeros,
-            sample_m: zeros,
-            per_mesh: zeros,
-            per_sample: zeros,
-            across_m: zeros,
-            ways: [Vectors { x: zeros, y: zeros }; 2],
-        };
-        let sun_way = (sun.x * sun.x + sun.y * sun.y).sqrt();
-        let row_start = corner + (row as f32 + 0.5) * down;
-        for i in 0..BATCH {
-            let (column, depth_m) = (batch.columns[i] as i32 as f32 + 0.5, 1.0 / batch.inverse_depth[i]);
-            let x = (row_start.x + column * right.x) * depth_m;
-            let y = (row_start.y + column * right.y) * depth_m;
-            let z = (row_start.z + column * right.z) * depth_m;
-            let [n_x, n_y, n_z] = octahedral_decode(batch.normal_x[i], batch.normal_y[i]);
-            let (square, n_square) = (x * x + y * y + z * z, n_x * n_x + n_y * n_y + n_z * n_z);
-            let facing = -(n_x * x + n_y * y + n_z * z) / (square * n_square).sqrt();
-            // Samples lie further apart along the view than across it: the geometric mean of the two.
-            let sample_m = view.sample_angle * (square / facing.clamp(MIN_FACING, 1.0)).sqrt();
-            let distance = square.sqrt();
-            ground.across_m[i] = view.sample_angle * distance;
-            let n_len = n_square.sqrt();
-            let per_up = 1.0 / if n_z > 0.1 * n_len { n_z } else { 0.1 * n_len };
-            let (eye_x, eye_y) = (-x / distance, -y / distance);
-            let eye_way = (eye_x * eye_x + eye_y * eye_y).sqrt();
-            let per_rise = per_rise(facing * n_len * per_up, eye_way, MAX_EYE_WAY);
-            ground.ways[0].x[i] = eye_x * per_rise;
-            ground.ways[0].y[i] = eye_y * per_rise;
-            let sun_rise = (n_x * sun.x + n_y * sun.y + n_z * sun.z) * per_up;
-            let per_rise = self::per_rise(sun_rise, sun_way, MAX_SUN_WAY);
-            ground.ways[1].x[i] = sun.x * per_rise;
-            ground.ways[1].y[i] = sun.y * per_rise;
-            let (x, y) = (view.eye_from_centre.x + x, view.eye_from_centre.y + y);
-            let height = view.eye_height_m;
-            ground.x[i] = x;
-            ground.y[i] = y;
-            let cell_m = view.cell_angle * (x * x + y * y + height * height).sqrt();
-            ground.cell_m[i] = cell_m;
-            ground.sample_m[i] = sample_m;
-            ground.per_mesh[i] = 1.0 / (MIN_CELLS * cell_m);
-            ground.per_sample[i] = 0.5 / sample_m;
-        }
-        ground
-    }
-
-    /// How much of relief of this size the mesh leaves out and samples can show, 0 to 1: the product of one less [`mesh_share`] and
-    /// [`sample_share`].
-    #[inline(always)]
-    fn share(&self, i: usize, size_m: f32) -> f32 {
-        let left_out = 1.0 - (size_m * self.per_mesh[i] - 1.0).clamp(0.0, 1.0);
-        left_out * (size_m * self.per_sample[i] - 1.0).clamp(0.0, 1.0)
-    }
-}
-
-/// One over how much a ray rises above the ground, `rise`, or over the least at which the horizontal part of the ray, `way`, is
-/// `max_way` times as long.
-#[inline(always)]
-fn per_rise(rise: f32, way: f32, max_way: f32) -> f32 {
-    let lowest = way / max_way;
-    let lowest = if lowest > 1e-6 { lowest } else { 1e-6 };
-    1.0 / if rise > lowest { rise } else { lowest }
-}
-
-/// A vector along the normal with these octahedral coordinates. CPU counterpart of the function in `common/octahedral.wgsl`, which
-/// also normalises it.
-#[inline(always)]
-fn octahedral_decode(code_x: u32, code_y: u32) -> [f32; 3] {
-    let p = (code_x & MAX_NORMAL_CODE) as i32 as f32 * (2.0 / 16_777_215.0) - 1.0;
-    let q = (code_y & MAX_NORMAL_CODE) as i32 as f32 * (2.0 / 16_777_215.0) - 1.0;
-    let z = 1.0 - p.abs() - q.abs();
-    // The lower half of the octahedron is folded over the corners of the square.
-    let fold = if z < 0.0 { -z } else { 0.0 };
-    let x = if p >= 0.0 { p - fold } else { p + fold };
-    let y = if q >= 0.0 { q - fold } else { q + fold };
-    [x, y, z]
 }
 
 /// Adds the slope and the shade of one octave of noise.
