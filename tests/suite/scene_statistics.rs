@@ -266,7 +266,7 @@ fn every_knob_changes_the_frame() {
                     "rocks.hero_scale_m=2"
                 }
                 // Grains are seen from nearby.
-                "grains" => "camera.pitch_deg=-70",
+                "grains" => "camera.height_m=0.3",
                 // Hapke's law has its own roughness.
                 "regolith" | "rocks" if info.name.ends_with("roughness") => "photometry.law=oren_nayar",
                 "label" if stage == Stage::Nominal && info.name.contains("crater") => "craters.count=200",

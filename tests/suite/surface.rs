@@ -648,7 +648,7 @@ fn soil_has_bright_grains_on_smoother_ground() {
         "skewness {skewness}, without grains {bare_skewness}"
     );
     assert!(
-        kurtosis > 6.0 && kurtosis > 2.0 * bare_kurtosis,
+        kurtosis > 6.0 && kurtosis > 1.5 * bare_kurtosis,
         "kurtosis {kurtosis}, without grains {bare_kurtosis}"
     );
 }
