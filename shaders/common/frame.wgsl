@@ -32,9 +32,13 @@ struct FrameUniforms {
     // Cells along a side of each caster grid.
     caster_grid_cells: u32,
     // Polynomials of the light that sunlit ground bounces under Hapke's law (src/scene/bounce.rs).
-    bounce_on_rock: mat4x4<f32>,
+    bounce_on_rock: array<mat4x4<f32>, 3>,
     bounce_on_ground: mat3x4<f32>,
     bounce_in_shadow: mat3x4<f32>,
+    bounce_of_rock: vec4<f32>,
+    // Sunlit rocks, in the buffer of the caster grid (common/lit_rocks.wgsl): its words where the lists of the cells and where
+    // the rocks begin; cells along a side of each grid; 1 if there are any.
+    lit_rocks: vec4<u32>,
     // Horizontal unit vector towards the sun, along which the horizon map's columns run.
     sun_horizontal: vec2<f32>,
     // Centres of the horizon map's grids and of the caster grids, metres, world.

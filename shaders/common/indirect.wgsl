@@ -10,23 +10,46 @@ fn bounce_uniform(ground: vec3<f32>, normal: vec3<f32>, sun_horizontal: vec2<f32
     return PI * ground * 0.5 * (1.0 - normal.z) * mix(0.4, 1.0, facing);
 }
 
-// Irradiance of a rock's surface from ground that reflects by Hapke's law, brightest when viewed along the sunlight. The
-// polynomials are fitted by src/scene/bounce.rs.
-fn bounce_on_rock(ground: vec3<f32>, normal: vec3<f32>, sun_horizontal: vec2<f32>) -> vec3<f32> {
+// Distance from sunlit ground up to which a point receives all the light that higher ground gives in the open, metres.
+const NEAR_SUNLIT_M: f32 = 0.03;
+// Light on a rock over that of the first bounce from the ground: what its own facets and further bounces add (1.15 in path-traced
+// scenes), and what the law of reflection gives for a mean direction in place of many (0.9).
+const BEYOND_FIRST_BOUNCE: f32 = 1.28;
+// Rise of the light that ground receives from higher ground.
+const RISE_OF_BOUNCE: f32 = 0.15;
+
+// Light on a rock's surface from ground that reflects by Hapke's law, brightest when viewed along the sunlight. `height` is that
+// of the point above the ground as a fraction of the rock's: the rock's own shadow is what its foot sees. The polynomials are
+// fitted by src/scene/bounce.rs.
+fn bounce_on_rock(ground: vec3<f32>, normal: vec3<f32>, height: f32, sun_horizontal: vec2<f32>) -> BouncedLight {
     let z = max(normal.z, -0.6);
     let powers = azimuth_powers(normal, sun_horizontal);
-    let root = dot(powers * frame.bounce_on_rock, vec4(1.0, z, z * z, z * z * z));
-    return PI * ground * 0.5 * (1.0 - normal.z) * root * root;
+    let h = clamp(height, 0.0, 1.0);
+    let line = powers * frame.bounce_on_rock[0] + h * (powers * frame.bounce_on_rock[1])
+        + (h * h) * (powers * frame.bounce_on_rock[2]);
+    let root = dot(line, vec4(1.0, z, z * z, z * z * z));
+    let irradiance = (BEYOND_FIRST_BOUNCE * PI) * ground * 0.5 * (1.0 - normal.z) * root * root;
+    // Of what the face sees, the ground on the far side from the sun is brightest.
+    let way = unit(vec3(0.6 * normal.xy - 0.3 * sun_horizontal, -0.3 + 0.2 * normal.z));
+    return BouncedLight(irradiance, irradiance.g * way);
 }
 
-// Irradiance of the ground from such ground that stands higher. Of what lies around no higher than the point, the fraction
-// `sunlit` is lit.
-fn bounce_on_ground(ground: vec3<f32>, normal: vec3<f32>, sun_horizontal: vec2<f32>, sunlit: f32) -> vec3<f32> {
+// Fraction of the light from higher ground that is left this far inside the shadow of a rock, metres. The part of the view that
+// higher ground fills goes with the square of its slope, and slopes fall with about the fourth root of the distance over which
+// they are measured (Hurst exponent 0.77: Guo et al. 2021).
+fn left_in_shadow(depth_m: f32) -> f32 {
+    return sqrt(NEAR_SUNLIT_M / max(depth_m, NEAR_SUNLIT_M));
+}
+
+// Light on the ground from such ground that stands higher. Of what lies around no higher than the point, the fraction `sunlit`
+// is lit.
+fn bounce_on_ground(ground: vec3<f32>, normal: vec3<f32>, sun_horizontal: vec2<f32>, sunlit: f32) -> BouncedLight {
     let sine = sqrt(max(1.0 - normal.z * normal.z, 0.0));
     let powers = azimuth_powers(normal, sun_horizontal);
     let in_sun = dot(powers * frame.bounce_on_ground, vec3(1.0, sine, sine * sine));
     let in_shadow = dot(powers * frame.bounce_in_shadow, vec3(1.0, sine, sine * sine));
-    return PI * ground * mix(in_shadow * in_shadow, in_sun * in_sun, sunlit);
+    let irradiance = PI * ground * mix(in_shadow * in_shadow, in_sun * in_sun, sunlit);
+    return BouncedLight(irradiance, irradiance.g * unit(vec3(-sun_horizontal, RISE_OF_BOUNCE)));
 }
 
 // Powers 0 to 3 of the cosine of the azimuth between a normal and the sun.

@@ -29,7 +29,13 @@ struct Instance {
     dust_surge_height: f32,
     // Of a rock: its diameter, metres.
     diameter_m: f32,
-    reserved: vec2<f32>,
+    // Of a rock: height of the ground around it, metres, world; one over its own height above that.
+    ground_z: f32,
+    per_height: f32,
+    // Fraction of the ground around it, beyond its own shadow, that is sunlit.
+    sunlit_ground: f32,
+    reserved: u32,
+    reserved_pair: vec2<u32>,
 }
 
 // A caster's tile in the shadow atlas.
@@ -49,7 +55,7 @@ struct CasterTile {
 // Dynamic offsets of uniforms are multiples of 256 bytes.
 struct InstanceSlot {
     instance: Instance,
-    unused: array<vec4<u32>, 10>,
+    unused: array<vec4<u32>, 9>,
 }
 
 // A square lattice over the plane, for points in metres from the centre of the ground.

@@ -34,7 +34,16 @@ struct SunVisibility {
     horizon: f32,
     // Past everything.
     total: f32,
+    // How far inside the shadow of rocks the point is, across the sun, metres.
+    depth_m: f32,
+    // Whether rocks may occlude the sun nearby.
+    near_shadows: bool,
 }
+
+// Length of the mean direction of bounced light, which comes from all around.
+const BOUNCE_FOCUS: f32 = 0.93;
+// Least cosine of incidence of bounced light.
+const MIN_BOUNCE_COSINE: f32 = 0.1;
 
 // Lighting of a surface of this instance with one of the DETAIL constants, at the centre of a sample, given by its
 // framebuffer position.
@@ -45,13 +54,32 @@ fn shade(surface: Surface, instance: Instance, detail: u32, position: vec2<f32>)
     let cos_eye = max(dot(normal, to_eye), 0.0);
     let cos_light = max(dot(normal, light.sun_direction), 0.0);
     let sun = sun_visibility(surface, sample_position(position));
-    var direct = 0.0;
-    if cos_light > 0.0 {
-        let cos_phase = dot(light.sun_direction, to_eye);
-        direct = sun.total * shading.sun
-            * reflected(PHOTOMETRY_LAW, instance.roughness, shading.surge_height, cos_light, cos_eye, cos_phase);
+    let is_sunlit = cos_light > 0.0 && sun.total > 0.0;
+    let bounced = bounced_light(surface, instance, normal, sun, detail);
+    // The law is evaluated once: for the sun, or in its shadow for the direction that most of the bounced light comes from.
+    var way = light.sun_direction;
+    var cos_in = cos_light;
+    var focus = 1.0;
+    if PHOTOMETRY_LAW == HAPKE && !is_sunlit {
+        way = unit(bounced.direction + vec3(0.0, 0.0, 1.0e-9));
+        cos_in = max(dot(normal, way), MIN_BOUNCE_COSINE);
+        focus = BOUNCE_FOCUS;
     }
-    let indirect = indirect_irradiance(normal, sun.horizon, detail);
+    let reflectance = reflected(
+        PHOTOMETRY_LAW,
+        instance.roughness,
+        shading.surge_height,
+        cos_in,
+        cos_eye,
+        focus * dot(way, to_eye),
+    );
+    let direct = select(0.0, sun.total * shading.sun * reflectance, is_sunlit);
+    // Of bounced light, relative to light from all directions.
+    var directional = 1.0;
+    if PHOTOMETRY_LAW == HAPKE && !is_sunlit {
+        directional = reflectance / (cos_in * PER_PI * light.diffuse_reflectance);
+    }
+    let indirect = sky_irradiance(light.sky_radiance, normal) + directional * bounced.irradiance;
     let radiance = shading.albedo
         * (direct * light.sun_irradiance + (PER_PI * light.diffuse_reflectance) * indirect);
     return lighting_output(
@@ -110,29 +138,54 @@ fn sun_visibility(surface: Surface, sample: vec2<f32>) -> SunVisibility {
         || (SHADOW_SOURCES == (SHADOWED_BY_GROUND | SHADOWED_BY_ROCKS) && cell.in_horizon) {
         horizon = horizon_visibility(position);
     }
-    var total = select(0.0, horizon, faces_sun);
+    var shadow = Shadow(horizon, 0.0);
     if (SHADOW_SOURCES & SHADOWED_BY_ROCKS) != 0u && faces_sun {
         let angle = 6.2831853 * interleaved_gradient_noise(sample);
         let spoke = vec2(cos(angle), sin(angle));
-        total = visibility_past_casters(cell, horizon, position, surface.geometric_normal, surface.normal, spoke);
+        shadow = visibility_past_casters(cell, horizon, position, surface.geometric_normal, surface.normal, spoke);
     }
-    return SunVisibility(horizon, total);
+    return SunVisibility(
+        horizon,
+        select(0.0, shadow.visibility, faces_sun),
+        shadow.depth_m,
+        cell.first != cell.end,
+    );
 }
 
-// Irradiance from the sky and from sunlit ground. `horizon` is the visible fraction of the sun's disc past the ground: where
-// the ground shadows a point it shadows its surroundings too.
-fn indirect_irradiance(normal: vec3<f32>, horizon: f32, detail: u32) -> vec3<f32> {
-    var irradiance = sky_irradiance(light.sky_radiance, normal);
-    if PHOTOMETRY_LAW == HAPKE {
-        if detail == DETAIL_RELIEF || detail == DETAIL_UPLOADED_SLOPES {
-            irradiance += bounce_on_ground(light.ground_radiance, normal, light.sun_horizontal, horizon);
-        } else {
-            irradiance += bounce_on_rock(light.ground_radiance, normal, light.sun_horizontal);
-        }
-    } else {
-        irradiance += bounce_uniform(light.ground_radiance, normal, light.sun_horizontal);
+// Light from sunlit ground and sunlit rocks. Where the ground shadows a point it shadows its surroundings too.
+fn bounced_light(
+    surface: Surface,
+    instance: Instance,
+    normal: vec3<f32>,
+    sun: SunVisibility,
+    detail: u32,
+) -> BouncedLight {
+    if PHOTOMETRY_LAW != HAPKE {
+        return BouncedLight(bounce_uniform(light.ground_radiance, normal, light.sun_horizontal), vec3(0.0));
     }
-    return irradiance;
+    let position = light.eye + surface.offset;
+    // Beside sunlight that of rocks hardly matters. On ground it is left out where no rock casts a shadow: it would cost llvmpipe
+    // as much there as where one does.
+    let shade = 1.0 - sun.total;
+    let is_ground = detail == DETAIL_RELIEF || detail == DETAIL_UPLOADED_SLOPES;
+    var of_rocks = BouncedLight(vec3(0.0), vec3(0.0));
+    if !is_ground || (SHADOW_SOURCES & SHADOWED_BY_ROCKS) != 0u {
+        let is_wanted = shade > 0.0 && (!is_ground || sun.near_shadows);
+        of_rocks = light_of_rocks(position, normal, surface.slot, is_wanted);
+    }
+    var of_ground: BouncedLight;
+    if is_ground {
+        let ground = left_in_shadow(sun.depth_m) * light.ground_radiance;
+        of_ground = bounce_on_ground(ground, normal, light.sun_horizontal, sun.horizon);
+    } else {
+        let height = (position.z - instance.ground_z) * instance.per_height;
+        let ground = instance.sunlit_ground * light.ground_radiance;
+        of_ground = bounce_on_rock(ground, normal, height, light.sun_horizontal);
+    }
+    return BouncedLight(
+        of_ground.irradiance + shade * of_rocks.irradiance,
+        of_ground.direction + shade * of_rocks.direction,
+    );
 }
 
 // What the ground's mesh leaves out.

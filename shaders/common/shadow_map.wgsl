@@ -54,8 +54,19 @@ fn grid_cell(position: vec3<f32>) -> GridCell {
     return GridCell(start & ~TEST_HORIZON, end, (start & TEST_HORIZON) != 0u);
 }
 
-// Visible fraction of the sun's disc past the casters of a cell, at a position (metres, world) where the ground leaves the
-// fraction `horizon`. `spoke` is a unit vector that rotates the filter taps.
+// Half the width of the shadow of a rock, as a fraction of half the side of its tile.
+const SHADOW_RADIUS: f32 = 0.8;
+
+// What a caster, or all of them, leave of the sun at a point.
+struct Shadow {
+    // Visible fraction of its disc.
+    visibility: f32,
+    // How far inside the shadow the point is, across the sun, metres.
+    depth_m: f32,
+}
+
+// The shadow of the casters of a cell at a position (metres, world) where the ground leaves the fraction `horizon`. `spoke` is
+// a unit vector that rotates the filter taps.
 fn visibility_past_casters(
     cell: GridCell,
     horizon: f32,
@@ -63,7 +74,7 @@ fn visibility_past_casters(
     geometric_normal: vec3<f32>,
     normal: vec3<f32>,
     spoke: vec2<f32>,
-) -> f32 {
+) -> Shadow {
     let facing = dot(geometric_normal, light.sun_direction);
     // Rise of the triangle's plane along the sun, per metre across it.
     let across = vec2(dot(geometric_normal, light.sun_right), dot(geometric_normal, light.sun_up));
@@ -73,14 +84,16 @@ fn visibility_past_casters(
     let excess = clamp(3.0 * (dot(normal, light.sun_direction) - facing), 0.0, 1.0);
     let t = clamp(10.0 * facing, 0.0, 1.0);
     let terminator_bias = 0.5 * excess * (1.0 - t * t * (3.0 - 2.0 * t));
-    var visibility = horizon;
-    for (var i = cell.first; i < cell.end && visibility > 0.0; i++) {
-        visibility *= caster_visibility(caster_grid[i], position, rise, terminator_bias, spoke);
+    var shadow = Shadow(horizon, 0.0);
+    for (var i = cell.first; i < cell.end && shadow.visibility > 0.0; i++) {
+        let own = caster_visibility(caster_grid[i], position, rise, terminator_bias, spoke);
+        shadow.visibility *= own.visibility;
+        shadow.depth_m = max(shadow.depth_m, own.depth_m);
     }
-    return visibility;
+    return shadow;
 }
 
-// Visible fraction of the disc past one caster. The mean height of the blockers gives the width of the penumbra
+// The shadow of one caster. The mean height of the blockers gives the width of the penumbra
 // (Fernando 2005, "Percentage-Closer Soft Shadows"), here in metres, from the angle that the sun's disc spans. Heights are
 // relative to the plane of the receiving triangle, which therefore never occludes itself.
 fn caster_visibility(
@@ -89,16 +102,17 @@ fn caster_visibility(
     rise: vec2<f32>,
     terminator_bias: f32,
     spoke: vec2<f32>,
-) -> f32 {
+) -> Shadow {
     let sphere = tiles[caster][0];
     let offset = position - sphere.xyz;
     let half_extent_m = sphere.w;
     let across = vec2(dot(offset, light.sun_right), dot(offset, light.sun_up));
     let along = dot(offset, light.sun_direction);
     let max_blocker_m = half_extent_m - along;
-    if max_blocker_m <= 0.0 { return 1.0; }
+    if max_blocker_m <= 0.0 { return Shadow(1.0, 0.0); }
     let search_m = light.sun_tan_half_angle * max_blocker_m;
-    if any(abs(across) > vec2(half_extent_m + search_m)) { return 1.0; }
+    if any(abs(across) > vec2(half_extent_m + search_m)) { return Shadow(1.0, 0.0); }
+    let depth_m = max(SHADOW_RADIUS * half_extent_m - length(across), 0.0);
     let rectangle = tiles[caster][1];
     let tile = CasterTile(sphere.xyz, half_extent_m, rectangle.xy, rectangle.z, rectangle.w);
     let texel_uv = 1.0 / vec2<f32>(textureDimensions(shadow_map));
@@ -115,11 +129,12 @@ fn caster_visibility(
     let search_taps = select(0, BLOCKER_TAPS, search_px >= MIN_FILTER_PX);
     let blockers = blocker_search(tile, receiver, search_taps, search_px, spoke, texel_uv);
     if search_px > 1.0 {
-        if blockers.x == 0.0 { return 1.0; }
-        if blockers.x == f32(BLOCKER_TAPS) { return 0.0; }
+        if blockers.x == 0.0 { return Shadow(1.0, 0.0); }
+        if blockers.x == f32(BLOCKER_TAPS) { return Shadow(0.0, depth_m); }
     }
     let filter_px = light.sun_tan_half_angle * blockers.y / max(blockers.x, 1.0) * texels_per_m;
-    return 1.0 - filtered_occlusion(tile, receiver, filter_px, spoke, texel_uv);
+    let occlusion = filtered_occlusion(tile, receiver, filter_px, spoke, texel_uv);
+    return Shadow(1.0 - occlusion, occlusion * depth_m);
 }
 
 // Number of taps whose texel occludes the receiver, and the sum of their heights above its plane, metres.

@@ -44,6 +44,15 @@ impl GrowingBuffer {
         self.write_with(gpu, data.len(), |mut view| view.copy_from_slice(data))
     }
 
+    /// Replaces the content with `first` and, behind it, `second`; returns the number of bytes written.
+    pub fn write_both<T: bytemuck::NoUninit>(&mut self, gpu: &Gpu, first: &[T], second: &[T]) -> u64 {
+        let (first, second): (&[u8], &[u8]) = (bytemuck::cast_slice(first), bytemuck::cast_slice(second));
+        self.write_with(gpu, first.len() + second.len(), |mut view| {
+            view.slice(..first.len()).copy_from_slice(first);
+            view.slice(first.len()..).copy_from_slice(second);
+        })
+    }
+
     /// Replaces the content with the `bytes` bytes (a multiple of four) that `write` writes; returns their number.
     pub fn write_with(
         &mut self,

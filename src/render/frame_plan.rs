@@ -19,13 +19,14 @@ use crate::render::resolve::tone;
 use crate::render::select::caster_grid::{CasterGrids, caster_grid};
 use crate::render::select::draw_list::DrawList;
 use crate::render::select::footprint::Footprint;
+use crate::render::select::lit_rocks::{Exposed, LitRocks};
 use crate::render::select::selection::{Selection, Slots};
 use crate::render::select::tiles::{ImageTile, PixelRect};
 use crate::render::settings::RenderSettings;
 use crate::render::shadow::horizon::{self, HorizonCache, HorizonMap};
 use crate::scene::Scene;
 use crate::scene::bounce::{Bounce, rms_slope};
-use crate::scene::photometry::Photometry;
+use crate::scene::photometry::{Law, Photometry};
 use crate::scene::terrain::Terrain;
 
 /// All that is needed to draw a frame.
@@ -39,6 +40,8 @@ pub(crate) struct FramePlan {
     pub(crate) horizon: Arc<HorizonMap>,
     /// Which casters can shade each cell of the ground ([`caster_grid`]).
     pub(crate) caster_grid: PooledVec<u32>,
+    /// Sunlit rocks, and the cells that they light ([`LitRocks::words`]): on the device, behind the caster grid.
+    pub(crate) lit_rocks: Vec<u32>,
     /// Tile of each caster in the shadow map.
     pub(crate) caster_tiles: Vec<CasterTile>,
     /// Relief below the mesh, by distance.
@@ -58,27 +61,29 @@ pub(crate) struct PlanCache {
     bounce: Mutex<BounceCache>,
 }
 
-/// Light that sunlit ground bounces, and what it was computed from: ground, laws, sine of the sun's elevation.
+/// Light that sunlit ground bounces, and what it was computed from: ground, laws, sine of the sun's elevation and albedo.
 #[derive(Debug, Default)]
 struct BounceCache {
-    key: Option<(Weak<Terrain>, Photometry, f32)>,
+    key: Option<(Weak<Terrain>, Photometry, [f32; 2])>,
     bounce: Bounce,
 }
 
 impl BounceCache {
     fn get(cache: &Mutex<Self>, scene: &Scene) -> Bounce {
         let lock = || cache.lock().unwrap_or_else(PoisonError::into_inner);
-        let (laws, sine) = (scene.photometry, scene.sun.direction.z);
+        let (laws, numbers @ [sine, albedo]) =
+            (scene.photometry, [scene.sun.direction.z, scene.regolith.albedo.y]);
         let cached = lock();
-        let is_cached = cached.key.as_ref().is_some_and(|(terrain, cached_laws, cached_sine)| {
-            terrain.as_ptr() == Arc::as_ptr(&scene.terrain) && *cached_laws == laws && *cached_sine == sine
+        let is_cached = cached.key.as_ref().is_some_and(|(terrain, cached_laws, cached_numbers)| {
+            let is_same_ground = terrain.as_ptr() == Arc::as_ptr(&scene.terrain);
+            is_same_ground && *cached_laws == laws && *cached_numbers == numbers
         });
         if is_cached {
             return cached.bounce;
         }
         drop(cached);
-        let bounce = Bounce::new(&laws, rms_slope(&scene.terrain), f64::from(sine));
-        *lock() = Self { key: Some((Arc::downgrade(&scene.terrain), laws, sine)), bounce };
+        let bounce = Bounce::new(&laws, albedo.into(), rms_slope(&scene.terrain), sine.into());
+        *lock() = Self { key: Some((Arc::downgrade(&scene.terrain), laws, numbers)), bounce };
         bounce
     }
 }
@@ -103,13 +108,19 @@ impl FramePlan {
         let band_of_block = |block| bands.of_block(block);
         let draws = DrawList::new(scene, settings, slots, bins, band_of_block, options);
         let bounced = BounceCache::get(&cache.bounce, scene);
+        let lit_rocks = lit_rocks(scene, settings, &selection, &caster_grid, &horizon);
+        let mut uniforms = frame_uniforms(scene, settings, image_size, &horizon, &bounced);
+        uniforms.lit_rocks = lit_rocks.uniform(caster_grid.len());
+        let mut instances = instances(scene, settings, slots, bands.bands.len(), options.lighting);
+        set_surroundings(scene, &selection, &lit_rocks.sunlit_ground, &mut instances);
         Self {
             shadow_map_px: [0; 2],
             caster_grid,
+            lit_rocks: lit_rocks.words,
             caster_tiles: Vec::new(),
-            instances: instances(scene, settings, slots, bands.bands.len(), options.lighting),
+            instances,
             draws,
-            uniforms: frame_uniforms(scene, settings, image_size, &horizon, &bounced),
+            uniforms,
             bands,
             selection,
             horizon,
@@ -201,6 +212,33 @@ fn instances(
     instances
 }
 
+/// The sunlit rocks of a selection; none under laws other than Hapke's, which take light from level ground alone.
+fn lit_rocks(
+    scene: &Scene,
+    settings: &RenderSettings,
+    selection: &Selection,
+    caster_grid: &[u32],
+    horizon: &HorizonMap,
+) -> LitRocks {
+    if scene.photometry.law != Law::Hapke {
+        return LitRocks::default();
+    }
+    let colour = 1.0 / scene.photometry.at_normal(scene.photometry.rock_b_s0) as f32;
+    let pixel_angle = 1.0 / scene.camera.focal_px(settings.size[0]) as f32;
+    LitRocks::new(scene, selection, caster_grid, &|point| horizon.limbs_at(point), (colour, pixel_angle))
+}
+
+/// Sets what the light on rocks depends on: the ground around each.
+fn set_surroundings(scene: &Scene, selection: &Selection, sunlit_ground: &[f32], instances: &mut [Instance]) {
+    let rocks = instances[Slots::rock(0) as usize..].iter_mut();
+    for ((instance, selected), sunlit) in rocks.zip(&selection.rocks).zip(sunlit_ground) {
+        let exposed = Exposed::new(scene, &scene.rocks[selected.rock]);
+        instance.ground_z = exposed.foot.z;
+        instance.per_height = 1.0 / exposed.height_m;
+        instance.sunlit_ground = *sunlit;
+    }
+}
+
 fn frame_uniforms(
     scene: &Scene,
     settings: &RenderSettings,
@@ -233,6 +271,7 @@ fn frame_uniforms(
         bounce_on_rock: bounce.on_rock,
         bounce_on_ground: bounce.on_ground,
         bounce_in_shadow: bounce.in_shadow,
+        bounce_of_rock: bounce.of_rock,
         sky_radiance: scene.sky.radiance + scene.sky.earthshine,
         caster_grid_cells: grids.cells,
         sun_horizontal: horizon.towards,

@@ -27,7 +27,7 @@ pub(crate) struct SceneBuffers {
     instances: GrowingBuffer,
     /// `CasterTile`s.
     caster_tiles: GrowingBuffer,
-    /// Cells of the caster grids.
+    /// Cells of the caster grids, then sunlit rocks.
     pub(crate) caster_grid: GrowingBuffer,
     /// The horizon map, two heights a texel.
     horizon: Option<(wgpu::Texture, wgpu::TextureView)>,
@@ -60,7 +60,7 @@ impl SceneBuffers {
         bytes += self.relief.write(gpu, &slots(&plan.bands.bands));
         bytes += self.instances.write(gpu, &slots(&plan.instances));
         bytes += self.caster_tiles.write(gpu, &plan.caster_tiles);
-        bytes += self.caster_grid.write(gpu, &plan.caster_grid);
+        bytes += self.caster_grid.write_both(gpu, &plan.caster_grid, &plan.lit_rocks);
         if !plan.draws.draws.is_empty() {
             bytes += self.meshes.upload(gpu, scene, &plan.selection);
             bytes += self.meshes.set_draws(gpu, &plan.draws.draws, multi_draw);

@@ -2,21 +2,22 @@
 //!
 //! Lunar soil is backscattering: level ground is brightest when viewed along the sun's rays. A rock face that points away
 //! from the sun sees the ground from that direction and receives several times as much from it as a face on the sunny side;
-//! the rock's own shadow takes part of it away. Ground receives light from ground that rises above it.
+//! the rock's own shadow takes part of it away, most of it near the ground. Ground receives light from ground that rises above
+//! it, and from the sunlit sides of rocks.
 //! Must not know: how surfaces are rendered.
 
-use std::f64::consts::{FRAC_PI_2, SQRT_2, TAU};
+use std::f64::consts::{FRAC_PI_2, PI, SQRT_2, TAU};
 
 use glam::{DVec2, DVec3};
 
-use super::photometry::{Law, Photometry};
+use super::photometry::{Hapke, Law, Photometry};
 use super::terrain::Terrain;
 
 /// Height of the upright cylinder that approximates a rock, in radii: the median ratio of exposed height to diameter is 0.49
 /// in the scans of POLAR-digital.
 const HEIGHT_RADII: f64 = 1.0;
-/// Where on its side the irradiance is computed, as fractions of its height.
-const SIDE_HEIGHTS: [f64; 2] = [0.25, 0.75];
+/// Nodes of the fit on rocks: height above the ground, as a fraction of the rock's.
+const SIDE_HEIGHTS: [f64; 3] = [0.1, 0.4, 0.9];
 /// Directions of the quadrature. Below the horizon the rings are uniform in the square root of the sine, denser near the
 /// horizon, where the ground beyond a shadow is; above it they are uniform in angle.
 const RINGS_BELOW: u32 = 24;
@@ -24,6 +25,8 @@ const RINGS_ABOVE: u32 = 4;
 const SPOKES: u32 = 48;
 /// Nodes of the fit: cosine of the normal's azimuth relative to the sun's.
 const COSINES: [f64; 4] = [-1.0, -1.0 / 3.0, 1.0 / 3.0, 1.0];
+/// Rings and spokes of the normals of a rock that is seen from the ground: those of the upper half of a sphere.
+const NORMALS: [u32; 2] = [12, 48];
 /// Nodes on rocks: z of the normal.
 const ROCK_HEIGHTS: [f64; 4] = [-0.6, 0.0, 0.6, 0.95];
 /// Nodes on the ground: sine of the normal's angle to the vertical.
@@ -41,8 +44,12 @@ pub type Polynomial<const LINES: usize> = [[f32; COSINES.len()]; LINES];
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Bounce {
     /// On a rock face, by the z of its normal: relative to unshadowed level ground of uniform radiance with the same
-    /// exitance, for a face with the diffuse reflectance of the soil.
-    pub on_rock: Polynomial<4>,
+    /// exitance. Ascending powers of the height above the ground, as a fraction of the rock's.
+    pub on_rock: [Polynomial<4>; SIDE_HEIGHTS.len()],
+    /// Mean radiance of the side of a rock that is seen from the ground's level, by the cosine of the azimuth of the observer
+    /// relative to the sun's, both seen from the rock: relative to the sun's irradiance, of a rock of unit colour. Ascending
+    /// powers; of the square root. The side that is not sunlit has the light that the ground bounces to it.
+    pub of_rock: [f32; COSINES.len()],
     /// On the ground, by the sine of its normal: relative to uniform light of that radiance from all directions.
     pub on_ground: Polynomial<3>,
     /// The same in shadow cast by the ground: only ground that rises above the horizon is sunlit there.
@@ -53,10 +60,10 @@ pub struct Bounce {
 type Ray = (DVec3, f64);
 
 impl Bounce {
-    /// Fits the bounced light for ground of this RMS slope (along a line); `sine` is that of the sun's elevation. All zero for
-    /// laws other than Hapke's.
+    /// Fits the bounced light for ground of this albedo and RMS slope (along a line); `sine` is that of the sun's elevation. All
+    /// zero for laws other than Hapke's.
     #[must_use]
-    pub fn new(photometry: &Photometry, slope: f64, sine: f64) -> Self {
+    pub fn new(photometry: &Photometry, albedo: f64, slope: f64, sine: f64) -> Self {
         let Law::Hapke = photometry.law else { return Self::default() };
         let sine = sine.clamp(1e-3, 1.0);
         let sun = DVec2::new((1.0 - sine * sine).sqrt(), sine);
@@ -81,18 +88,23 @@ impl Bounce {
             .collect();
         let exitance = irradiance(&below, DVec3::NEG_Z);
         let rock = Photometry { soil: photometry.with_surge(photometry.rock_b_s0), ..*photometry };
-        let rock_over_soil = rock.diffuse_reflectance() / photometry.diffuse_reflectance();
-        Self {
-            on_rock: polynomial(ROCK_HEIGHTS, |out| {
-                let rays_at_heights =
-                    SIDE_HEIGHTS.map(|height| unshadowed(&below, out, height * HEIGHT_RADII, sun));
-                ROCK_HEIGHTS.map(|height| {
-                    let normal = (out * (1.0 - height * height).sqrt()).extend(height);
-                    let sum: f64 = rays_at_heights.iter().map(|rays| irradiance(rays, normal)).sum();
-                    let even = rays_at_heights.len() as f64 * exitance * 0.5 * (1.0 - height);
-                    (rock_over_soil * sum / even).sqrt()
+        let at_height = |height: f64| {
+            polynomial(ROCK_HEIGHTS, |out| {
+                let rays = unshadowed(&below, out, height * HEIGHT_RADII, sun);
+                ROCK_HEIGHTS.map(|z| {
+                    let normal = (out * (1.0 - z * z).sqrt()).extend(z);
+                    let even = exitance * 0.5 * (1.0 - z);
+                    (irradiance(&rays, normal) / even).sqrt()
                 })
-            }),
+            })
+        };
+        let on_rock = powers_of_height(SIDE_HEIGHTS.map(at_height));
+        // The lower part of a vertical face away from the sun.
+        let root = evaluate(&on_rock, -1.0, 0.0, 0.3);
+        let unlit = 0.5 * rock.diffuse_reflectance() / PI * albedo * photometry.exitance(sine) * root * root;
+        Self {
+            on_rock,
+            of_rock: of_rock(&rock.soil, sun, unlit),
             on_ground: on_ground(&[&below, &above], exitance),
             in_shadow: on_ground(&[&above], exitance),
         }
@@ -108,6 +120,52 @@ fn on_ground(rays: &[&[Ray]], exitance: f64) -> Polynomial<3> {
             (sum / exitance).sqrt()
         })
     })
+}
+
+/// The quadratic through polynomials at [`SIDE_HEIGHTS`], coefficient by coefficient.
+fn powers_of_height(at_heights: [Polynomial<4>; SIDE_HEIGHTS.len()]) -> [Polynomial<4>; SIDE_HEIGHTS.len()] {
+    let mut sum = [[[0.0; COSINES.len()]; 4]; SIDE_HEIGHTS.len()];
+    for (polynomial, weights) in at_heights.iter().zip(powers(SIDE_HEIGHTS)) {
+        for (power, weight) in sum.iter_mut().zip(weights) {
+            for (line, own) in power.iter_mut().zip(polynomial) {
+                line.iter_mut().zip(own).for_each(|(coefficient, own)| *coefficient += weight as f32 * own);
+            }
+        }
+    }
+    sum
+}
+
+/// Value of [`Bounce::on_rock`] before it is squared; the height is clamped, as in the shader.
+fn evaluate(on_rock: &[Polynomial<4>; SIDE_HEIGHTS.len()], cosine: f64, z: f64, height: f64) -> f64 {
+    let horner =
+        |values: &mut dyn DoubleEndedIterator<Item = f64>, x: f64| values.rfold(0.0, |sum, c| sum * x + c);
+    let of_line = |line: &[f32; COSINES.len()]| horner(&mut line.iter().map(|c| f64::from(*c)), cosine);
+    let of_power = |power: &Polynomial<4>| horner(&mut power.iter().map(of_line), z);
+    horner(&mut on_rock.iter().map(of_power), height.clamp(0.0, 1.0))
+}
+
+/// Fits [`Bounce::of_rock`]: the rock is the upper half of a sphere. `unlit` is the radiance of the side away from the sun.
+fn of_rock(law: &Hapke, sun: DVec2, unlit: f64) -> [f32; COSINES.len()] {
+    let to_sun = DVec3::new(sun.x, 0.0, sun.y);
+    let [rings, spokes] = NORMALS;
+    let mean_radiance = |cosine: f64| {
+        let to_eye = DVec3::new(cosine, (1.0 - cosine * cosine).sqrt(), 0.0);
+        let (mut light, mut area) = (0.0, 0.0);
+        for (ring, spoke) in (0..rings).flat_map(|ring| (0..spokes).map(move |spoke| (ring, spoke))) {
+            let z = (f64::from(ring) + 0.5) / f64::from(rings);
+            let normal = direction(z, TAU * (f64::from(spoke) + 0.5) / f64::from(spokes));
+            let visible = normal.dot(to_eye).max(0.0);
+            light += visible * law.radiance_factor(normal.dot(to_sun), visible, to_sun.dot(to_eye)) / PI;
+            area += visible;
+        }
+        light / area + unlit
+    };
+    let mut coefficients = [0.0_f64; COSINES.len()];
+    for (cosine, basis) in COSINES.into_iter().zip(powers(COSINES)) {
+        let root = mean_radiance(cosine).sqrt();
+        coefficients.iter_mut().zip(basis).for_each(|(coefficient, own)| *coefficient += root * own);
+    }
+    coefficients.map(|coefficient| coefficient as f32)
 }
 
 /// Midpoints of rings in (0, 1), each with every azimuth.
@@ -162,8 +220,7 @@ fn horizon_view_factor(rms_slope: f64) -> f64 {
         .map(|index| {
             let elevation = step * (f64::from(index) + 0.5);
             let steepness = libm::tan(elevation) / rms_slope.max(1e-4);
-            let gaussian =
-                (2.0 / std::f64::consts::PI).sqrt() / steepness * libm::exp(-0.5 * steepness * steepness);
+            let gaussian = (2.0 / PI).sqrt() / steepness * libm::exp(-0.5 * steepness * steepness);
             let lambda = 0.5 * (gaussian - libm::erfc(steepness / SQRT_2));
             lambda / (1.0 + lambda) * libm::sin(2.0 * elevation)
         })
@@ -212,6 +269,10 @@ mod tests {
         root * root
     }
 
+    fn square(x: f64) -> f64 {
+        x * x
+    }
+
     fn soil_and_rock_alike() -> Photometry {
         let soil = Photometry::default().soil;
         Photometry { law: Law::Hapke, soil, rock_b_s0: soil.b_s0 }
@@ -234,8 +295,10 @@ mod tests {
             (40.0, 0.0, 0.6, 0.644),
         ] {
             let sine = libm::sin(f64::to_radians(elevation_deg));
-            let bounce = Bounce::new(&soil_and_rock_alike(), 0.1, sine);
-            let found = at(&bounce.on_rock, libm::cos(f64::to_radians(azimuth_deg)), height);
+            let bounce = Bounce::new(&soil_and_rock_alike(), 0.1, 0.1, sine);
+            let cosine = libm::cos(f64::to_radians(azimuth_deg));
+            let at_height = |side: f64| square(evaluate(&bounce.on_rock, cosine, height, side));
+            let found = 0.5 * (at_height(0.25) + at_height(0.75));
             assert!(
                 (found / expected - 1.0).abs() < 0.12,
                 "sun {elevation_deg}, face at {azimuth_deg}, {height}: {found}, not {expected}"
@@ -249,17 +312,49 @@ mod tests {
             let found = horizon_view_factor(slope);
             assert!((found / expected - 1.0).abs() < 0.01, "slope {slope}: {found}, not {expected}");
         }
-        let flat = Bounce::new(&soil_and_rock_alike(), 0.0, 0.3);
+        let flat = Bounce::new(&soil_and_rock_alike(), 0.1, 0.0, 0.3);
         assert!(at(&flat.on_ground, 0.0, 0.0) < 1e-6);
-        let rough = Bounce::new(&soil_and_rock_alike(), 0.1, 0.3);
+        let rough = Bounce::new(&soil_and_rock_alike(), 0.1, 0.1, 0.3);
         let share = at(&rough.on_ground, 0.0, 0.0) / horizon_view_factor(0.1);
         assert!((0.5..3.0).contains(&share), "{share} times even light from the part of the view");
     }
 
+    /// The shadow at its foot takes away the light near the ground of a face away from the sun, not that of a sunny one.
     #[test]
-    fn the_fit_depends_on_the_rocks_reflectance() {
-        let lesser = Photometry { rock_b_s0: 0.0, ..soil_and_rock_alike() };
-        let share = |photometry| at(&Bounce::new(photometry, 0.1, 0.3).on_rock, -1.0, 0.2);
-        assert!(share(&lesser) < 0.95 * share(&soil_and_rock_alike()));
+    fn unlit_faces_are_darker_near_the_ground() {
+        for elevation_deg in [5.0, 17.0, 35.0] {
+            let sine = libm::sin(f64::to_radians(elevation_deg));
+            let on_rock = Bounce::new(&soil_and_rock_alike(), 0.1, 0.1, sine).on_rock;
+            let at = |cosine: f64, height: f64| square(evaluate(&on_rock, cosine, 0.0, height));
+            assert!(
+                at(-1.0, 0.1) < 0.6 * at(-1.0, 0.8),
+                "{elevation_deg}: {} {}",
+                at(-1.0, 0.1),
+                at(-1.0, 0.8)
+            );
+            assert!((at(1.0, 0.1) / at(1.0, 0.8) - 1.0).abs() < 0.05);
+        }
+    }
+
+    /// Means over 16 x 64 normals by an independent program.
+    #[test]
+    fn rocks_are_bright_from_the_sunny_side_alone() {
+        let photometry = Photometry { law: Law::Hapke, ..Photometry::default() };
+        for (elevation_deg, cosine, expected) in [
+            (7.0, 1.0, 0.0329),
+            (7.0, 0.0, 0.0047),
+            (15.0, 0.5, 0.0113),
+            (25.0, 1.0, 0.0265),
+            (40.0, 0.0, 0.0069),
+        ] {
+            let sine = libm::sin(f64::to_radians(elevation_deg));
+            let of_rock = Bounce::new(&photometry, 0.0, 0.1, sine).of_rock;
+            let root = of_rock.iter().rev().fold(0.0, |sum, c| sum * cosine + f64::from(*c));
+            let found = root * root;
+            assert!(
+                (found / expected - 1.0).abs() < 0.2,
+                "{elevation_deg}, {cosine}: {found}, not {expected}"
+            );
+        }
     }
 }

@@ -6,8 +6,7 @@ from level ground. The check compares medians over pixels that the frame's own p
 sunlit soil.
 
 The tracer lacks two parts of the frame's shading: the fine texture of rocks, which averages out, and what little relief is
-left between the mesh and the pixels (`fill_case` in cases.py). The frame lacks light from rocks: where a sunlit rock
-faces a shadow, that shadow is darker in the frame.
+left between the mesh and the pixels (`fill_case` in cases.py).
 """
 
 from dataclasses import dataclass
@@ -26,16 +25,19 @@ IRRADIANCE_PER_INTENSITY = 1.66e-3
 GREEN = 1
 # From the sun over at most two intermediate surfaces to the camera.
 MAX_PATH_DEPTH = 4
-# Paths a pixel (sunlit pixels converge quickly), and the largest number of pixels of a kind.
-PATHS = {"lit": 32, "dark": 512}
-MAX_PIXELS = 250
+# Paths a pixel, and the largest number of pixels of a kind. Sunlit pixels converge quickly; with fewer paths in the dark, most
+# pixels miss what is small and bright, and the median is too low.
+PATHS = {"lit": 32, "dark": 2048}
+MAX_PIXELS = 96
 # With fewer pixels than this a kind is not judged, which is a failure.
 ENOUGH_PIXELS = 40
-# Largest ratio of the two medians, either way, of each kind and of the first kind over the second: the largest measured.
-MAX_RATIO = 13.0
+# Largest ratio of the two medians, either way: of each kind over sunlit soil, and of the first kind over the second. The aim is
+# 1.5, which most scenes reach: docs/physics.md.
+MAX_RATIO = 2.5
+MAX_RATIO_OF_KINDS = 3.0
 # Largest relative difference of sunlit soil, below a sun of LOW_SUN_DEG, where penumbrae are wide, and above.
 LOW_SUN_DEG = 9.0
-MAX_LIT_ERROR = {"low": 0.13, "high": 0.03}
+MAX_LIT_ERROR = {"low": 0.15, "high": 0.08}
 
 
 class Scaled(mi.BSDF):
@@ -196,13 +198,13 @@ def check(case: Case, report: Report) -> None:
             report.at_most(f"tracer: {kind.name}, radiance error", abs(medians[0] / medians[1] - 1), bound)
         else:
             dark.append(medians / sunlit)
-            compare(f"{kind.name} over sunlit soil", dark[-1], report)
+            compare(f"{kind.name} over sunlit soil", dark[-1], MAX_RATIO, report)
     if len(dark) == 2:
-        compare("unlit faces over soil in shadow", dark[0] / dark[1], report)
+        compare("unlit faces over soil in shadow", dark[0] / dark[1], MAX_RATIO_OF_KINDS, report)
 
 
-def compare(what: str, medians: np.ndarray, report: Report) -> None:
+def compare(what: str, medians: np.ndarray, bound: float, report: Report) -> None:
     """Adds a row for two values, ours and theirs."""
     ours, theirs = medians
     what = f"tracer: {what} {ours:.3g}, traced {theirs:.3g}: ratio"
-    report.at_most(what, max(ours / theirs, theirs / ours), MAX_RATIO)
+    report.at_most(what, max(ours / theirs, theirs / ours), bound)

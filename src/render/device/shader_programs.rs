@@ -98,6 +98,7 @@ pub static LIGHTING_SURFACE: Program = program!(
         "shadow_map",
         "brdf",
         "hapke",
+        "lit_rocks",
         "indirect",
         "hash",
         "relief",
@@ -124,6 +125,7 @@ pub static LIGHTING_ONE_DRAW: Program = program!(
         "shadow_map",
         "brdf",
         "hapke",
+        "lit_rocks",
         "indirect",
         "hash",
         "relief",
@@ -327,6 +329,7 @@ mod tests {
         use crate::render::lighting::grains_host::{MAX_CELLS, ROUGHNESS};
         use crate::render::lighting::ground_batch::{MAX_EYE_WAY, MAX_SUN_WAY};
         use crate::render::select::caster_grid::TEST_HORIZON;
+        use crate::render::select::lit_rocks::{REACH, ROCK_WORDS};
         use crate::scene::craters::{CLOD_HEIGHT, JITTER_CELLS, PROFILE_DEPTH, RIM};
         use crate::scene::grains;
         use crate::scene::photometry::Law;
@@ -348,6 +351,8 @@ mod tests {
             (&LIGHTING_SURFACE, "TEST_HORIZON", f64::from(TEST_HORIZON)),
             (&LIGHTING_SURFACE, "SHADOWED_BY_GROUND", f64::from(ShadowSources::Ground as u32)),
             (&LIGHTING_SURFACE, "SHADOWED_BY_ROCKS", f64::from(ShadowSources::Rocks as u32)),
+            (&LIGHTING_SURFACE, "LIT_ROCK_WORDS", ROCK_WORDS as f64),
+            (&LIGHTING_SURFACE, "REACH", f64::from(REACH)),
             (&LIGHTING_SURFACE, "MIN_CELLS", f64::from(MIN_CELLS)),
             (&LIGHTING_SURFACE, "JITTER_CELLS", f64::from(JITTER_CELLS)),
             (&LIGHTING_SURFACE, "PROFILE_DEPTH", f64::from(PROFILE_DEPTH)),

@@ -45,9 +45,11 @@ shader_struct! {
         horizon_base_m: f32,
         sky_radiance: Vec3,
         caster_grid_cells: u32,
-        bounce_on_rock: [[f32; 4]; 4],
+        bounce_on_rock: [[[f32; 4]; 4]; 3],
         bounce_on_ground: [[f32; 4]; 3],
         bounce_in_shadow: [[f32; 4]; 3],
+        bounce_of_rock: [f32; 4],
+        lit_rocks: [u32; 4],
         sun_horizontal: Vec2,
         horizon_centre: Vec2,
         caster_grid_centre: Vec2,
@@ -145,7 +147,11 @@ shader_struct! {
         detail: u32,
         dust_surge_height: f32,
         diameter_m: f32,
-        reserved: Vec2,
+        ground_z: f32,
+        per_height: f32,
+        sunlit_ground: f32,
+        reserved: u32,
+        reserved_pair: [u32; 2],
     }
 }
 

@@ -229,6 +229,23 @@ impl HorizonMap {
         ShadowedGround { points: &self.shadowed, margin_m: 1.5 * step_m }
     }
 
+    /// Heights above a point from which the lower and the upper limb of the sun are visible past the ground, at the nearest sample,
+    /// metres.
+    #[must_use]
+    pub fn limbs_at(&self, point: Vec2) -> Limbs {
+        let distance_m = point.distance(self.centre);
+        let mut level = 0;
+        while level + 1 < self.levels.len() && distance_m > self.base_m * (1_u32 << level) as f32 {
+            level += 1;
+        }
+        let grid = &self.levels[level];
+        let offset = (point - grid.origin) / grid.step_m;
+        let sample = Vec2::new(offset.dot(self.towards), offset.dot(self.towards.perp())) - grid.first_sample;
+        let index = |at: f32, size: u32| (at.round().max(0.0) as u32).min(size - 1);
+        let (column, row) = (index(sample.x, grid.size[0]), index(sample.y, grid.size[1]));
+        self.heights_m[((grid.first_row + row) * self.width + column) as usize]
+    }
+
     /// Rows of [`Self::heights_m`].
     #[must_use]
     pub fn height(&self) -> u32 {
