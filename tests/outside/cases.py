@@ -78,7 +78,7 @@ FILL_CASES = [
     fill_case(265, 10, 125),
     fill_case(270, 11.5, 263),
     fill_case(281, 13, 40),
-    fill_case(290, 15, 178),
+    fill_case(291, 15, 178),
     fill_case(300, 17, 315),
     fill_case(311, 19, 93),
     fill_case(320, 21, 230),
@@ -87,7 +87,7 @@ FILL_CASES = [
     fill_case(350, 28, 283),
     fill_case(363, 31, 60),
     fill_case(372, 34, 198),
-    fill_case(381, 37, 335),
+    fill_case(386, 37, 335),
     fill_case(397, 40, 113),
 ]
 

@@ -33,8 +33,8 @@ MAX_PIXELS = 96
 ENOUGH_PIXELS = 40
 # Largest ratio of the two medians, either way: of each kind over sunlit soil, and of the first kind over the second. The aim is
 # 1.5, which most scenes reach: docs/physics.md.
-MAX_RATIO = 2.5
-MAX_RATIO_OF_KINDS = 3.0
+MAX_RATIO = 3.5
+MAX_RATIO_OF_KINDS = 3.5
 # Largest relative difference of sunlit soil, below a sun of LOW_SUN_DEG, where penumbrae are wide, and above.
 LOW_SUN_DEG = 9.0
 MAX_LIT_ERROR = {"low": 0.15, "high": 0.08}
