@@ -66,14 +66,25 @@ fn light_of_rocks(position: vec3<f32>, normal: vec3<f32>, slot: u32, is_wanted: 
 // Vector irradiance, along the line of sight and upwards, of a wall of radiance 1 at a distance that reaches `half_width` to each
 // side, from `bottom` to `top` relative to the point: the integral of the directions over its solid angle.
 fn wall(distance: f32, half_width: f32, bottom: f32, top: f32) -> vec2<f32> {
-    let azimuth = atan(half_width / distance);
+    let tangent = half_width / distance;
     let heights = vec2(top, bottom) / distance;
-    let sines = heights * inverseSqrt(1.0 + heights * heights);
     let cosines = inverseSqrt(1.0 + heights * heights);
-    let angles = atan(heights) + sines * cosines;
-    let along = sin(azimuth) * (angles.x - angles.y);
-    let up = azimuth * (sines.x * sines.x - sines.y * sines.y);
+    let sines = heights * cosines;
+    let angles = vec2(arc_tangent(heights.x), arc_tangent(heights.y)) + sines * cosines;
+    let along = tangent * inverseSqrt(1.0 + tangent * tangent) * (angles.x - angles.y);
+    let up = arc_tangent(tangent) * (sines.x * sines.x - sines.y * sines.y);
     return FILLED * vec2(along, up);
+}
+
+// The arc tangent within 1e-5 (Abramowitz and Stegun 1964, formula 4.4.47). Drivers compute their own with or without fused operations.
+fn arc_tangent(x: f32) -> f32 {
+    let size = abs(x);
+    let is_steep = size > 1.0;
+    let t = select(size, 1.0 / max(size, 1.0e-6), is_steep);
+    let square = t * t;
+    let angle = t * (0.9998660 + square * (-0.3302995 + square * (0.1801410 + square * (-0.0851330 + square * 0.0208351))));
+    let unsigned = select(angle, 1.57079633 - angle, is_steep);
+    return select(unsigned, -unsigned, x < 0.0);
 }
 
 fn vec3_at(word: u32) -> vec3<f32> {

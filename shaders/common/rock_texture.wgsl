@@ -5,11 +5,9 @@
 // Octaves of roughness and of inclusions, from the finest that the samples resolve.
 const ROUGHNESS_OCTAVES: i32 = 3;
 const INCLUSION_OCTAVES: i32 = 3;
-// Slope per octave of roughness at a size of 1 cm: rock joints have a root mean square slope of 0.2 to 0.4 at 1.3 mm
+// Slope per octave of roughness at a size of 8 mm: rock joints have a root mean square slope of 0.2 to 0.4 at 1.3 mm
 // (joint roughness coefficients of 10 to 20; Tse and Cruden 1979).
-const ROUGHNESS_SLOPE: f32 = 0.17;
-// Hurst exponent of fracture surfaces, less 1 (Bouchaud 1997, "Scaling properties of cracks": 0.8): how slopes fall with size.
-const ROUGHNESS_FALL: f32 = -0.2;
+const ROUGHNESS_SLOPE: f32 = 0.18;
 // Amplitude per octave of mottling by grains, splashes and patina, below 1.6 cm; it falls beyond. Rocks near opposition, where
 // no relief shows, vary by 0.2 to 0.3 between pixels (frames of Chang'e-3); the noise has a deviation of a third.
 const MOTTLING: f32 = 0.60;
@@ -57,9 +55,9 @@ fn rock_texture(position: vec3<f32>, sample_m: f32, seed: u32, diameter_m: f32) 
         let octave = first + f32(k);
         // The finest fades in.
         let share = min(octave - finest, 1.0);
-        let noise = value_noise(point * exp2(-octave), octave_seed(seed, octave));
-        let slope = ROUGHNESS_SLOPE * exp2(ROUGHNESS_FALL * (octave + 6.64));
-        let mottling = MOTTLING * min(1.0, exp2(-0.9 * (octave + 6.0)));
+        let noise = value_noise(point * power_of_two(-octave), octave_seed(seed, octave));
+        let slope = ROUGHNESS_SLOPE * fifth_root_of_two_to(-octave - 7.0);
+        let mottling = MOTTLING * min(1.0, power_of_two(-octave - 6.0));
         texture.gradient += share * slope * noise.xyz;
         texture.shade += share * mottling * noise.w;
         texture.hollow -= share * 0.35 * noise.w;
@@ -68,7 +66,7 @@ fn rock_texture(position: vec3<f32>, sample_m: f32, seed: u32, diameter_m: f32) 
     for (var k = 0; k < INCLUSION_OCTAVES; k++) {
         let octave = first + 1.0 + f32(k);
         let share = min(octave - finest - 1.0, 1.0);
-        let found = inclusion(point * exp2(-octave), octave_seed(seed ^ 0x5bd1e995u, octave));
+        let found = inclusion(point * power_of_two(-octave), octave_seed(seed ^ 0x5bd1e995u, octave));
         if is_breccia {
             // Clasts, bright and dark, with sharp borders.
             let sized = share * clamp(CLAST_OCTAVE - octave, 0.0, 1.0);
@@ -90,6 +88,25 @@ fn rock_texture(position: vec3<f32>, sample_m: f32, seed: u32, diameter_m: f32) 
     texture.shade = max(texture.shade, 0.25);
     texture.gradient = texture.gradient * TEXTURE_FROM_WORLD;
     return texture;
+}
+
+// Drivers compute exp2 with or without fused operations; these are exact, or the same everywhere. Exponents are whole numbers.
+
+fn power_of_two(exponent: f32) -> f32 {
+    return bitcast<f32>(u32(clamp(i32(exponent), -60, 60) + 127) << 23u);
+}
+
+// 2 to the power of a fifth of the exponent. Slopes of fracture surfaces fall with size by their Hurst exponent less 1, which is -0.2
+// (Bouchaud 1997, "Scaling properties of cracks": 0.8).
+fn fifth_root_of_two_to(exponent: f32) -> f32 {
+    let whole = floor((exponent + 0.5) * 0.2);
+    let rest = exponent - 5.0 * whole;
+    var root = 1.0;
+    if rest > 0.5 { root = 1.1486984; }
+    if rest > 1.5 { root = 1.3195079; }
+    if rest > 2.5 { root = 1.5157166; }
+    if rest > 3.5 { root = 1.7411011; }
+    return root * power_of_two(whole);
 }
 
 fn octave_seed(seed: u32, octave: f32) -> u32 {

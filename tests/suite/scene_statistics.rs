@@ -243,6 +243,7 @@ fn every_knob_changes_the_frame() {
                 "sky.star_gain" => "1",
                 "sensor.glare" | "sensor.prnu" | "sensor.black_level" => "0.2",
                 "label.min_pixels" => "9999",
+                "regolith.mottling" => "0.3",
                 "label.min_diameter_m" => "10",
                 "label.crater_min_diameter_m" => "100",
                 "relief.slope_deg" => "20",

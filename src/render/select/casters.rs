@@ -16,9 +16,9 @@ use crate::scene::rocks::Rock;
 /// Texels of a tile per pixel of the image, where the shadow is nearest to the eye. With half as many the shadows of boulders on
 /// themselves miss their bounds against ray-traced truth.
 const TEXELS_PER_PIXEL: f32 = 3.0;
-/// Rocks of the surface stage that span fewer pixels, from where their shadow comes nearest to the eye, cast none: most rocks of a
-/// dense field.
-const MIN_CASTER_PX: f32 = 1.75;
+/// Rocks of the surface stage cast no shadow if they, and their shadows on level ground, span fewer pixels, from where the shadow comes
+/// nearest to the eye: many rocks of a dense field under a high sun.
+const MIN_SHADOW_PX: f32 = 1.0;
 /// Smallest and largest side of a tile, texels. The side is also at most four times the longer side of the image.
 const TILE_PX: [u32; 2] = [16, 2048];
 /// Maximum columns of the atlas and rows of one of its layers, texels. All tiles shrink until they fit.
@@ -60,7 +60,9 @@ pub(crate) fn select_casters(
     let pixel_angle = 1.0 / scene.camera.focal_px(size_px[0]) as f32;
     let largest_px = (4 * size_px[0].max(size_px[1])).clamp(TILE_PX[0], TILE_PX[1]);
     let sun = scene.sun.direction;
-    let min_caster_px = if scene.relief.is_some() { MIN_CASTER_PX } else { 0.0 };
+    let min_shadow_px = if scene.relief.is_some() { MIN_SHADOW_PX } else { 0.0 };
+    // Length of a shadow on level ground, in heights; at least 1, for the width.
+    let shadow_lengths = (sun.truncate().length() / sun.z.max(1e-3)).max(1.0);
     let mut casters: Vec<Caster> = rocks
         .iter()
         .filter_map(|&(index, rock)| {
@@ -70,7 +72,7 @@ pub(crate) fn select_casters(
                 return None;
             }
             let nearest_m = (distance_to_segment(scene.camera.eye, rock.centre, end) - width_m).max(0.5);
-            if 2.0 * rock.radius_m < min_caster_px * pixel_angle * nearest_m {
+            if 2.0 * rock.radius_m * shadow_lengths < min_shadow_px * pixel_angle * nearest_m {
                 return None;
             }
             let texel_m = nearest_m * pixel_angle / TEXELS_PER_PIXEL;
