@@ -23,18 +23,7 @@ fn light_of_rocks(position: vec3<f32>, normal: vec3<f32>, slot: u32, is_wanted: 
     let buffer = frame.lit_rocks;
     let of_rock = frame.bounce_of_rock;
     let hiding_slope = select(HIDING_SLOPE.y, HIDING_SLOPE.x, slot == 0u);
-    let cells = i32(buffer.z);
-    var level = 0;
-    var half_m = light.caster_grid_half_m;
-    if RINGS {
-        let from_centre = abs(position.xy - light.caster_grid_centre);
-        level = finest_level(max(from_centre.x, from_centre.y), half_m, light.caster_grid_levels);
-        half_m *= exp2(f32(level));
-    }
-    let cells_per_m = 0.5 * f32(cells) / half_m;
-    let corner = light.caster_grid_centre - half_m;
-    let cell = clamp(vec2<i32>(floor((position.xy - corner) * cells_per_m)), vec2(0), vec2(cells - 1));
-    let index = buffer.x + u32((level * cells + cell.y) * cells + cell.x);
+    let index = buffer.x + cell_index(position, i32(buffer.z));
     let first = buffer.x + caster_grid[index];
     let end = select(first, buffer.x + caster_grid[index + 1u], is_wanted && buffer.w != 0u);
     for (var i = first; i < end; i++) {

@@ -34,9 +34,8 @@ struct Receiver {
     plane: vec3<f32>,
 }
 
-// The cell, in the finest grid that covers it, of a position (metres, world).
-fn grid_cell(position: vec3<f32>) -> GridCell {
-    let cells = i32(light.caster_grid_cells);
+// Index of the cell, in the finest grid that covers it, of a position (metres, world), among all cells of grids with this many a side.
+fn cell_index(position: vec3<f32>, cells: i32) -> u32 {
     var level = 0;
     var half_m = light.caster_grid_half_m;
     if RINGS {
@@ -46,9 +45,14 @@ fn grid_cell(position: vec3<f32>) -> GridCell {
     }
     let origin = light.caster_grid_centre - half_m;
     let cells_per_m = 0.5 * f32(cells) / half_m;
-    // What juts out over the border of the ground takes the casters of the border's cells.
+    // What juts out over the border of the ground has the border's cells.
     let cell = clamp(vec2<i32>(floor((position.xy - origin) * cells_per_m)), vec2(0), vec2(cells - 1));
-    let index = u32((level * cells + cell.y) * cells + cell.x);
+    return u32((level * cells + cell.y) * cells + cell.x);
+}
+
+// What can occlude the sun at a position (metres, world).
+fn grid_cell(position: vec3<f32>) -> GridCell {
+    let index = cell_index(position, i32(light.caster_grid_cells));
     let start = caster_grid[index];
     let end = caster_grid[index + 1u] & ~TEST_HORIZON;
     return GridCell(start & ~TEST_HORIZON, end, (start & TEST_HORIZON) != 0u);
