@@ -64,6 +64,7 @@ fn cs_main(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index
 fn resolved_pixel(index: u32, pixels: u32) -> vec4<u32> {
     let pixel = min(index, pixels - 1u);
     let first = column_and_row(pixel) * SAMPLES_PER_SIDE;
+    if HAS_LENS_DISTORTION { find_sources(first); }
     let radiance = mean_radiance(first);
     let class_id = majority_class(first);
     if HAS_ANNOTATIONS { resolve_annotations(pixel, first, class_id, radiance); }
@@ -104,10 +105,8 @@ fn srgb_bytes(radiance: vec3<f32>) -> vec3<u32> {
 
 // The rendered sample that sample `i` of a pixel takes its values from, samples in reading order.
 fn rendered_sample(first: vec2<u32>, i: u32) -> vec2<i32> {
-    let sample = first + vec2(i % SAMPLES_PER_SIDE, i / SAMPLES_PER_SIDE);
-    if !HAS_LENS_DISTORTION { return vec2<i32>(sample); }
-    let last = vec2<i32>(SAMPLES_PER_SIDE * frame.render_size_px) - 1;
-    return clamp(vec2<i32>(floor(rendered_position(sample))), vec2(0), last) - first_rendered();
+    if HAS_LENS_DISTORTION { return source_samples[i]; }
+    return vec2<i32>(first + vec2(i % SAMPLES_PER_SIDE, i / SAMPLES_PER_SIDE));
 }
 
 // The first sample of the G-buffer among all rendered samples.
@@ -115,29 +114,28 @@ fn first_rendered() -> vec2<i32> {
     return vec2<i32>(SAMPLES_PER_SIDE * frame.rendered_tile.xy);
 }
 
-// Position among all rendered samples of the centre of a sample of the tile.
-fn rendered_position(sample_of_tile: vec2<u32>) -> vec2<f32> {
-    let sample = sample_of_tile + SAMPLES_PER_SIDE * frame.image_tile.xy;
+// Where the samples of a pixel come from under distortion: the positions of their centres among all rendered samples, and the
+// samples of the G-buffer that these lie in. Found once a pixel, for all planes.
+var<private> source_positions: array<vec2<f32>, 16>;
+var<private> source_samples: array<vec2<i32>, 16>;
+
+fn find_sources(first: vec2<u32>) {
+    let corner = first + SAMPLES_PER_SIDE * frame.image_tile.xy;
     let principal_point = 0.5 * f32(SAMPLES_PER_SIDE) * vec2<f32>(frame.image_size_px);
-    let point = undistorted((vec2<f32>(sample) + 0.5 - principal_point) / frame.focal_samples);
-    return point * frame.focal_samples + 0.5 * vec2<f32>(SAMPLES_PER_SIDE * frame.render_size_px);
-}
-
-// src/lens.rs has the same constant.
-const UNDISTORT_STEPS: i32 = 24;
-
-// Inverse of the Brown-Conrady distortion (Brown 1966, "Decentering Distortion of Lenses") by fixed-point iteration, in
-// units of the focal length. CPU counterpart: `Lens::undistort` in src/lens.rs.
-fn undistorted(distorted: vec2<f32>) -> vec2<f32> {
-    var point = distorted;
-    for (var step = 0; step < UNDISTORT_STEPS; step++) {
-        let square = dot(point, point);
-        let radial = 1.0 + square * (frame.lens_k.x + square * (frame.lens_k.y + square * frame.lens_k.z));
-        let shift = 2.0 * point.x * point.y * frame.lens_p
-            + frame.lens_p.yx * (square + 2.0 * point * point);
-        point = (distorted - shift) / radial;
+    let distorted = (vec2<f32>(corner) + 0.5 - principal_point) / frame.focal_samples;
+    let displacement = undistortion(distorted);
+    let jacobian = distortion_at(distorted + displacement).jacobian;
+    let margin = 0.5 * f32(SAMPLES_PER_SIDE) * vec2<f32>(frame.render_size_px - frame.image_size_px);
+    let last = vec2<i32>(SAMPLES_PER_SIDE * frame.render_size_px) - 1;
+    for (var i = 0u; i < SAMPLES_PER_SIDE * SAMPLES_PER_SIDE; i++) {
+        let sample = vec2(i % SAMPLES_PER_SIDE, i / SAMPLES_PER_SIDE);
+        // From the first sample along the tangent, which is off by the square of a pixel, and one step from there.
+        let offset = vec2<f32>(sample) / frame.focal_samples;
+        let along_tangent = displacement + inverse_of(jacobian, offset) - offset;
+        let of_sample = newton_step(distorted + offset, along_tangent);
+        source_positions[i] = vec2<f32>(corner + sample) + (0.5 + margin) + frame.focal_samples * of_sample;
+        source_samples[i] = clamp(vec2<i32>(floor(source_positions[i])), vec2(0), last) - first_rendered();
     }
-    return point;
 }
 
 // Texture coordinates of the centre of a rendered sample.
@@ -163,8 +161,7 @@ fn inverse_depth_at(sample: vec2<i32>) -> f32 {
 fn inverse_depth_of(first: vec2<u32>, i: u32, sample: vec2<i32>) -> f32 {
     let inverse_depth = inverse_depth_at(sample);
     if !HAS_LENS_DISTORTION { return inverse_depth; }
-    let position = rendered_position(first + vec2(i % SAMPLES_PER_SIDE, i / SAMPLES_PER_SIDE));
-    let offset = position - (vec2<f32>(sample + first_rendered()) + 0.5);
+    let offset = source_positions[i] - (vec2<f32>(sample + first_rendered()) + 0.5);
     let slope = vec2(
         inverse_depth_step(sample, vec2(1, 0), inverse_depth),
         inverse_depth_step(sample, vec2(0, 1), inverse_depth),
@@ -193,7 +190,7 @@ fn inverse_depth_step(sample: vec2<i32>, step: vec2<i32>, inverse_depth: f32) ->
 }
 
 fn majority_class(first: vec2<u32>) -> u32 {
-    if SAMPLES_PER_SIDE == 2u && !HAS_LENS_DISTORTION { return majority_class_of_four(first); }
+    if SAMPLES_PER_SIDE == 2u { return majority_class_of_four(first); }
     let count = SAMPLES_PER_SIDE * SAMPLES_PER_SIDE;
     let first_class = class_at(rendered_sample(first, 0u));
     var is_uniform = true;
@@ -222,14 +219,34 @@ fn majority_class(first: vec2<u32>) -> u32 {
     return best;
 }
 
-// Of 2 x 2 samples, in one gather.
+// Of 2 x 2 samples, which without distortion one gather reads.
 fn majority_class_of_four(first: vec2<u32>) -> u32 {
     let corner = vec2<f32>(first + 1u) * sample_uv_size;
-    // Swizzled to reading order.
-    let classes = textureGather(0, class_id_samples, nearest, corner).wzxy;
+    var classes: vec4<u32>;
+    if HAS_LENS_DISTORTION {
+        classes = vec4(
+            class_at(source_samples[0]),
+            class_at(source_samples[1]),
+            class_at(source_samples[2]),
+            class_at(source_samples[3]),
+        );
+    } else {
+        // Swizzled to reading order.
+        classes = textureGather(0, class_id_samples, nearest, corner).wzxy;
+    }
     if all(classes == classes.xxxx) { return classes.x; }
     if any(classes == vec4(UNWRITTEN)) { return UNWRITTEN; }
-    let inverse_depths = bitcast<vec4<f32>>(textureGather(3, visibility_buffer, nearest, corner).wzxy);
+    var inverse_depths: vec4<f32>;
+    if HAS_LENS_DISTORTION {
+        inverse_depths = vec4(
+            inverse_depth_at(source_samples[0]),
+            inverse_depth_at(source_samples[1]),
+            inverse_depth_at(source_samples[2]),
+            inverse_depth_at(source_samples[3]),
+        );
+    } else {
+        inverse_depths = bitcast<vec4<f32>>(textureGather(3, visibility_buffer, nearest, corner).wzxy);
+    }
     var best = 0u;
     var best_votes = 0u;
     var best_inverse_depth = 0.0;

@@ -72,7 +72,9 @@ struct FrameUniforms {
     tile_from_clip: vec4<f32>,
     // Column and row of the G-buffer's first sample among all rendered samples.
     first_sample: vec2<f32>,
-    reserved: vec2<u32>,
+    // Steps of the inverse of the lens (common/lens.wgsl).
+    lens_steps: u32,
+    reserved: u32,
     // Offset of each packed plane in the packed frame, words, or NOT_REQUESTED (src/render/device/packing.rs).
     plane_offsets: array<vec4<u32>, 2>,
     horizon: array<HorizonLevel, 12>,

@@ -250,6 +250,8 @@ fn frame_uniforms(
     let [sun_right, sun_up] = sun.right_and_up();
     let clip_from_offset = camera.clip_from_world(settings.size) * Mat4::from_translation(camera.eye);
     let lens = camera.lens;
+    let focal_px = camera.focal_px(settings.size[0]);
+    let half_extents = image_size.map(|side| 0.5 * f64::from(side) / focal_px);
     let grids = CasterGrids::new(&scene.terrain);
     let photometry = &scene.photometry;
     let exitance = photometry.exitance(f64::from(sun.direction.z)) as f32;
@@ -290,6 +292,7 @@ fn frame_uniforms(
         lens_k: [lens.k1 as f32, lens.k2 as f32, lens.k3 as f32],
         focal_samples: settings.focal_samples(camera),
         lens_p: glam::Vec2::new(lens.p1 as f32, lens.p2 as f32),
+        lens_steps: lens.newton_steps(half_extents),
         horizon: levels,
         ..Default::default()
     };

@@ -2,6 +2,8 @@
 //! Must not know: a scene.
 
 pub(crate) mod assemble;
+#[cfg(test)]
+mod lens_check;
 pub mod pass;
 mod tile_list;
 pub mod tone;

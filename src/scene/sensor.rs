@@ -71,4 +71,19 @@ impl Sensor {
             noise_seed: streams.stream("sensor.noise", 0).bits(),
         })
     }
+    /// Standard deviation of the noise of one pixel at this fill, as a fraction of the full well: photons, dark signal, read-out,
+    /// fixed patterns and quantisation (EMVA 1288, release 4.0, section 2.3). `pixels` is the number of pixels of the sensor that a
+    /// pixel of the image is the mean of, 1 or more.
+    #[must_use]
+    pub fn noise_of(&self, fill: f64, pixels: f64) -> f64 {
+        let signal_e = fill.clamp(0.0, 1.0) * self.full_well_e;
+        let step_e = self.full_well_e / f64::from((1_u32 << self.bits) - 1);
+        let variance_e = signal_e
+            + self.dark_e
+            + (self.prnu * signal_e).powi(2)
+            + self.dsnu_e.powi(2)
+            + self.read_noise_e.powi(2)
+            + step_e.powi(2) / 12.0;
+        (variance_e / pixels.max(1.0)).sqrt() / self.full_well_e
+    }
 }

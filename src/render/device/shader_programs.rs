@@ -137,7 +137,7 @@ pub static LIGHTING_ONE_DRAW: Program = program!(
     [LIGHT, LIGHTING_OUTPUT]
 );
 /// Samples to pixels.
-pub static RESOLVE: Program = program!("resolve", ["frame", "tone", "half"], [RESOLVE_PLANES]);
+pub static RESOLVE: Program = program!("resolve", ["frame", "lens", "tone", "half"], [RESOLVE_PLANES]);
 
 /// Every program.
 pub static PROGRAMS: [&Program; 7] =

@@ -70,7 +70,8 @@ shader_struct! {
         rendered_tile: [u32; 4],
         tile_from_clip: [f32; 4],
         first_sample: Vec2,
-        reserved: [u32; 2],
+        lens_steps: u32,
+        reserved: u32,
         plane_offsets: [[u32; 4]; 2],
         horizon: [HorizonLevel; 12],
     }

@@ -177,7 +177,10 @@ impl GBuffer {
     }
 }
 
-/// The G-buffers of the last frames: where sizes alternate, none is made again for each frame.
+/// G-buffers that are kept. Where each frame has a lens of its own, each has a size of its own, which seldom comes again.
+const MAX_KEPT: usize = 2;
+
+/// The G-buffers of the last frames: where two sizes alternate, none is made again for each frame.
 #[derive(Debug, Default)]
 pub(crate) struct GBufferPool {
     /// Those that are not in use, the oldest first.
@@ -185,7 +188,8 @@ pub(crate) struct GBufferPool {
 }
 
 impl GBufferPool {
-    /// A G-buffer that serves these settings: a kept one, or a new one in place of the oldest if all would take more than `max_bytes`.
+    /// A G-buffer that serves these settings: a kept one, or a new one in place of the oldest if there are enough or all would
+    /// take more than `max_bytes`.
     pub(crate) fn take(
         &mut self,
         gpu: &Gpu,
@@ -198,8 +202,10 @@ impl GBufferPool {
         }
         let samples: u64 = settings.sample_size().map(u64::from).iter().product();
         let needed = samples * layout.bytes_per_sample(settings.annotations);
-        while !self.kept.is_empty() && needed + self.kept.iter().map(GBuffer::bytes).sum::<u64>() > max_bytes
-        {
+        let has_room = |kept: &[GBuffer]| {
+            kept.len() < MAX_KEPT && needed + kept.iter().map(GBuffer::bytes).sum::<u64>() <= max_bytes
+        };
+        while !self.kept.is_empty() && !has_room(&self.kept) {
             self.kept.remove(0);
         }
         GBuffer::new(gpu, settings, layout)
