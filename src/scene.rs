@@ -8,6 +8,7 @@ pub mod bounce;
 pub mod camera;
 pub mod craters;
 pub mod fillet;
+pub mod flare;
 pub mod grains;
 pub mod grid_cell;
 pub mod lattice;
@@ -35,6 +36,7 @@ use crate::error::Result;
 use crate::params::{Knob, Params, Stage};
 use crate::random::Streams;
 use camera::Camera;
+use flare::Flare;
 use photometry::{Photometry, tinted};
 use relief::Relief;
 use rocks::on_demand::Rocks;
@@ -69,6 +71,8 @@ pub struct Scene {
     pub camera: Camera,
     /// Sensor model applied to the image, if any.
     pub sensor: Option<Sensor>,
+    /// Ghosts of the sun in the camera's lens; only a sensor shows them.
+    pub flare: Flare,
 }
 
 /// Which rocks are too small to be labelled as rocks, and which craters are labelled: rules on objects, not on pixels.
@@ -162,6 +166,7 @@ impl Scene {
             },
             sun: Sun::build(params),
             sensor: Sensor::build(streams, params),
+            flare: Flare::build(streams, params),
             regolith,
             rocks,
             relief,

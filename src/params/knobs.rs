@@ -213,7 +213,9 @@ knobs! {
     SensorGroundLevel "sensor.ground_level" "" Number, Frame, number(0.0), [0.0, 0.95],
         "Automatic exposure: encoded level of the median sunlit ground; 0 uses camera.exposure_ev.";
     SensorGlare "sensor.glare" "" Number, Frame, number(0.01), [0.0, 0.3],
-        "Veiling glare: light spread over the whole image, as a fraction of its mean (0.005 to 0.03 is typical).";
+        "Veiling glare: light that the lens scatters over the whole image, as a fraction of its mean (0.005 to 0.03 is typical); of a sun in or near the image it is the fraction that bloom and veil have.";
+    SensorFlare "sensor.flare" "" Number, Frame, number(0.0), [0.0, 0.1],
+        "Reflectance of a surface of the lens, for ghosts of a sun in or near the image: each of six has its square as its share of the light (0.002 to 0.01 is typical of coated lenses, 0.04 of bare glass).";
     SensorVignetting "sensor.vignetting" "" Number, Frame, number(0.5), [0.0, 1.0],
         "Vignetting: fraction of the natural cos^4 falloff that is applied.";
     SensorPsfPx "sensor.psf_px" "px" Number, Frame, number(0.47), [0.0, 5.0],

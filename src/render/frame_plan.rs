@@ -144,7 +144,7 @@ impl FramePlan {
     }
 }
 
-/// The instances of a frame, by slot: ground, rocks, stars, dome; then the ground of each relief band where samples look up their
+/// The instances of a frame, by slot: ground, rocks, stars, sun, dome; then the ground of each relief band where samples look up their
 /// relief by their instance.
 fn instances(
     scene: &Scene,
@@ -203,6 +203,7 @@ fn instances(
         let star = scene.sky.stars[star];
         in_sky(star.centre, star.radius_m, scene.sky.star_radiance)
     }));
+    instances.extend(selection.sun.map(|disc| in_sky(disc.centre, disc.radius_m, scene.sun.disc_radiance())));
     instances.push(in_sky(scene.sky.centre, scene.sky.radius_m, scene.sky.radiance));
     if lighting == LightingMode::OneDraw {
         let ground = instances[Slots::GROUND as usize];
@@ -362,7 +363,8 @@ mod tests {
         let batched: Vec<usize> = batches.iter().flat_map(|batch| batch.draws.clone()).collect();
         assert_eq!(batched, (casters.end..draws.len()).collect::<Vec<_>>(), "bins in order");
         let visible_rocks = selection.rocks.iter().filter(|rock| rock.visible_level.is_some()).count();
-        let spheres = [&selection.slots().stars(), &selection.slots().dome()];
+        let slots = selection.slots();
+        let spheres = [slots.stars(), slots.sun(), slots.dome()];
         let spheres = spheres.iter().filter(|slots| !slots.is_empty()).count();
         assert_eq!(batched.len(), visible_rocks + selection.blocks.len() + spheres);
         assert!(visible_rocks > 0 && !casters.is_empty() && !selection.blocks.is_empty());

@@ -7,6 +7,7 @@ use crate::frame::{Annotation, Frame};
 use crate::render::device::timing::{StageTimes, milliseconds};
 use crate::render::frame_packet::FrameRequest;
 use crate::render::post;
+use crate::render::post::sun_glare::SunGlare;
 use crate::scene::Scene;
 
 /// How much was drawn and uploaded for a frame.
@@ -48,9 +49,12 @@ impl RawFrame {
         }
         if let Some(sensor) = &scene.sensor {
             timed("sensor", &mut |frame| {
-                post::sensor::expose(frame, sensor, scene.camera.exposure_ev);
+                let sun = SunGlare::take(frame, scene);
+                post::sensor::expose(frame, sensor, scene.camera.exposure_ev, sun.as_ref());
                 if !request.annotations.contains(Annotation::Hdr) {
                     frame.radiance = Vec::new();
+                } else if let Some(sun) = &sun {
+                    sun.restore(frame);
                 }
             });
         }

@@ -1,6 +1,6 @@
 //! The sun, the dome and the stars.
 //!
-//! Dome and stars are emissive and unlit; they cast no shadows.
+//! Dome, stars and the sun's disc are emissive and unlit; they cast no shadows.
 //! Must not know: how they are rendered.
 
 use glam::{DVec3, Vec3};
@@ -16,6 +16,14 @@ pub const STAR_RADIANCE: Vec3 = Vec3::new(4.0, 4.0, 4.2);
 pub const DOME_LEVEL: usize = 4;
 /// Icosphere level of a star.
 pub const STAR_LEVEL: usize = 1;
+/// Icosphere level of the sun's disc.
+pub const SUN_LEVEL: usize = 3;
+/// Radius of the disc's mesh relative to the sun's, so that its outline, a polygon of some 45 corners, has the area of the disc.
+const SUN_OUTLINE: f32 = 1.0016;
+/// Distance of the disc from the dome, metres; the dome's mesh lies up to a thousandth of its radius inside its sphere.
+const SUN_INSET_M: f32 = 0.5;
+/// The largest half-precision number. Brighter radiance, as that of the sun's disc is, is stored as this.
+pub const MAX_STORED_RADIANCE: f32 = 65_504.0;
 /// Distance of the stars from the dome, inwards, metres.
 const STAR_INSET_M: f64 = 18.0;
 /// Range of the stars' radii on a dome of [`STAR_DOME_M`], metres; they scale with the dome, to span the same angle.
@@ -75,6 +83,21 @@ impl Sun {
         [up.cross(self.direction), up]
     }
 
+    /// Solid angle of the disc, steradians.
+    #[must_use]
+    pub fn solid_angle(&self) -> f64 {
+        let half_sine = libm::sin(0.25 * self.angular_diameter_deg.to_radians());
+        4.0 * std::f64::consts::PI * half_sine * half_sine
+    }
+
+    /// Radiance of the disc as it is stored: irradiance over solid angle, and where a channel of that is beyond
+    /// [`MAX_STORED_RADIANCE`], the same colour with that channel at the limit.
+    #[must_use]
+    pub fn disc_radiance(&self) -> Vec3 {
+        let radiance = self.irradiance / self.solid_angle().max(1e-12) as f32;
+        radiance * (MAX_STORED_RADIANCE / radiance.max_element().max(MAX_STORED_RADIANCE))
+    }
+
     /// Tangent of half the angular diameter.
     #[must_use]
     pub fn tan_half_angle(&self) -> f32 {
@@ -89,6 +112,18 @@ pub struct Star {
     pub centre: Vec3,
     /// Radius, metres.
     pub radius_m: f32,
+}
+
+impl Star {
+    /// Whether a part of `other` is in front of it or behind it, seen from `eye`.
+    #[must_use]
+    pub fn overlaps(&self, other: &Self, eye: Vec3) -> bool {
+        let [(to_self, half_angle), (to_other, other_half_angle)] = [self, other].map(|star| {
+            let offset = star.centre - eye;
+            (offset / offset.length(), star.radius_m / offset.length())
+        });
+        to_self.distance(to_other) < 1.01 * (half_angle + other_half_angle)
+    }
 }
 
 /// Dome and stars.
@@ -139,6 +174,26 @@ impl Sky {
             earthshine: Sun::build(params).irradiance * params.number(Knob::SkyEarthshine) as f32
                 / std::f32::consts::PI,
         }
+    }
+}
+
+impl Sky {
+    /// The sun's disc as it is drawn for a camera at `eye`: a sphere in front of the dome that spans the sun's angle, behind
+    /// everything else. `None` for a sun without extent or light.
+    #[must_use]
+    pub fn sun_disc(&self, sun: &Sun, eye: Vec3) -> Option<Star> {
+        let sine = libm::sin(0.5 * sun.angular_diameter_deg.to_radians()) as f32;
+        if sine <= 0.0 || sun.irradiance.max_element() <= 0.0 {
+            return None;
+        }
+        // Along the ray towards the sun to a sphere inside the dome.
+        let inside_m = self.radius_m * (1.0 - 1.1e-3 - sine) - SUN_INSET_M;
+        let from_centre = eye - self.centre;
+        let along = from_centre.dot(sun.direction);
+        let distance_m =
+            (along * along + inside_m * inside_m - from_centre.length_squared()).max(0.0).sqrt() - along;
+        let radius_m = SUN_OUTLINE * sine * distance_m;
+        (distance_m > 0.0).then(|| Star { centre: eye + distance_m * sun.direction, radius_m })
     }
 }
 

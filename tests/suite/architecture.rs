@@ -82,6 +82,7 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
         "scene",
         &[
             &[
+                "flare",
                 "grid_cell",
                 "mesh",
                 "noise",

@@ -10,6 +10,7 @@ use regolith::pool::PooledVec;
 use regolith::render::RenderSettings;
 use regolith::render::resolve::tone::srgb_code;
 use regolith::scene::camera::Camera;
+use regolith::scene::flare::Flare;
 use regolith::scene::mesh::{Icosphere, Vertex};
 use regolith::scene::photometry::{Law, Photometry};
 use regolith::scene::rocks::{Material, NO_DUST, Rock};
@@ -29,6 +30,7 @@ fn flat_scene(sun: Sun, rocks: Vec<Rock>, eye: Vec3, fov_deg: f64) -> Scene {
         photometry: Photometry::default(),
         label_rule: LabelRule::default(),
         sensor: None,
+        flare: Flare::default(),
         regolith: Material { albedo: Vec3::splat(0.2), roughness: 0.0 },
         rocks: rocks.into(),
         sky: Sky {

@@ -26,6 +26,7 @@ mod raster;
 mod rock_shapes;
 mod rocks_in_soil;
 mod scene_statistics;
+mod sun;
 mod support;
 mod surface;
 mod surface_light;

@@ -239,6 +239,7 @@ fn every_knob_changes_the_frame() {
                 "sensor.read_noise_e" | "sensor.dark_e" | "sensor.dsnu_e" => "900",
                 "sensor.bits" => "5",
                 "sensor.vignetting" => "1",
+                "sensor.flare" => "0.1",
                 "sky.star_gain" if stage == Stage::Nominal => "0.02",
                 "sky.star_gain" => "1",
                 "sensor.glare" | "sensor.prnu" | "sensor.black_level" => "0.2",
@@ -262,6 +263,8 @@ fn every_knob_changes_the_frame() {
                     "craters.law=classes"
                 }
                 "rocks" if stage == Stage::Surface && info.name.ends_with("_count") => "rocks.law=bands",
+                // Of the sun.
+                "sensor" if info.name == "sensor.flare" => "sensor.kind=bayer sun.azimuth_deg=0",
                 "sensor" if info.name != "sensor.kind" => "sensor.kind=bayer",
                 "rocks" if info.name.starts_with("rocks.hero_") && info.name != "rocks.hero_scale_m" => {
                     "rocks.hero_scale_m=2"
@@ -275,8 +278,9 @@ fn every_knob_changes_the_frame() {
                 _ => "camera.roll_deg=0",
             };
             let set = format!("{}={other}", info.name);
-            let before = scene(32, &[&stage_name, needed]);
-            let after = scene(32, &[&stage_name, needed, &set]);
+            let needed: Vec<&str> = [&*stage_name].into_iter().chain(needed.split(' ')).collect();
+            let before = scene(32, &needed);
+            let after = scene(32, &[&needed[..], &[&set]].concat());
             let frame = |scene: &Scene| {
                 let mut settings = RenderSettings::new([96, 96], 1).expect("settings");
                 if info.name.starts_with("label.crater") {

@@ -70,7 +70,7 @@ pub enum LightingVariant {
         /// What can occlude the sun there.
         sources: ShadowSources,
     },
-    /// Dome and stars.
+    /// Dome, sun and stars.
     Sky,
     /// All surfaces, each sample by its instance: for lighting in one draw.
     Any,
@@ -88,7 +88,7 @@ impl LightingVariant {
 /// Number of a bin.
 pub(crate) type ShadingBin = u8;
 
-/// The bins of a frame: rocks, ground by relief band, stars, dome.
+/// The bins of a frame: rocks, ground by relief band, stars, the sun, dome.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ShadingBins {
     /// Relief bands of the ground.
@@ -142,10 +142,16 @@ impl ShadingBins {
         (3 + 4 * self.bands) as ShadingBin
     }
 
+    /// Bin of the sun's disc.
+    #[must_use]
+    pub const fn sun(self) -> ShadingBin {
+        self.stars() + 1
+    }
+
     /// Bin of the sky's dome, the last.
     #[must_use]
     pub const fn dome(self) -> ShadingBin {
-        self.stars() + 1
+        self.sun() + 1
     }
 
     /// Pipeline and relief band of every bin, by number.
@@ -153,7 +159,7 @@ impl ShadingBins {
         let rocks = [ShadowSources::GroundAndRocks, ShadowSources::Rocks, ShadowSources::None]
             .map(|sources| (LightingVariant::Rocks { sources }, 0));
         let ground = |band| ShadowSources::ALL.map(|sources| (LightingVariant::Ground { sources }, band));
-        rocks.into_iter().chain((0..self.bands).flat_map(ground)).chain([(LightingVariant::Sky, 0); 2])
+        rocks.into_iter().chain((0..self.bands).flat_map(ground)).chain([(LightingVariant::Sky, 0); 3])
     }
 }
 
@@ -184,7 +190,9 @@ mod tests {
             assert_eq!(all[usize::from(merged)], (*variant, 0), "{variant:?} of band {band}");
             assert!(merged == bin || matches!(variant, LightingVariant::Ground { .. }) && *band > 0);
         }
-        assert_eq!(all[usize::from(bins.stars())], (LightingVariant::Sky, 0));
+        for bin in [bins.stars(), bins.sun()] {
+            assert_eq!(all[usize::from(bin)], (LightingVariant::Sky, 0));
+        }
         assert_eq!(usize::from(bins.dome()), all.len() - 1);
     }
 }

@@ -11,11 +11,13 @@ mod fixed_pattern;
 mod noise;
 mod optics;
 
+use glam::Vec3;
 use half::slice::HalfFloatSliceExt;
 use rayon::prelude::*;
 
 use crate::class::ClassId;
 use crate::frame::Frame;
+use crate::render::post::sun_glare::SunGlare;
 use crate::render::resolve::tone::exposure;
 use crate::scene::sensor::{Mosaic, Sensor};
 use encoding::{SrgbCodes, bayer_channel, demosaic_row, linear_from_srgb};
@@ -29,8 +31,8 @@ const PANCHROMATIC: [f32; 3] = [1.0 / 3.0; 3];
 const MIN_NORMAL_MEAN_E: f64 = 40.0;
 
 /// Replaces the 8-bit image of `frame`, whose radiance must be present, by what `sensor` records of it. `exposure_ev` is the
-/// exposure of the camera, stops.
-pub fn expose(frame: &mut Frame, sensor: &Sensor, exposure_ev: f32) {
+/// exposure of the camera, stops; `sun`, what was taken out of the radiance of a sun in or near the image.
+pub fn expose(frame: &mut Frame, sensor: &Sensor, exposure_ev: f32, sun: Option<&SunGlare>) {
     let [width, height] = [frame.width as usize, frame.height as usize];
     let mut channels = spectral_channels(frame, sensor.mosaic);
     let gain = exposure_gain(frame, sensor, &channels, exposure(exposure_ev));
@@ -38,6 +40,10 @@ pub fn expose(frame: &mut Frame, sensor: &Sensor, exposure_ev: f32) {
     for channel in &mut channels {
         add_glare_and_vignetting(channel, &falloff, sensor, gain);
         *channel = convolve(channel, width, height, sensor.psf_px);
+    }
+    if let Some(sun) = sun {
+        let channel_of = |channel: usize, rgb: Vec3| channel_of_rgb(sensor.mosaic, channel, rgb);
+        sun.add(&mut channels, channel_of, (gain, &falloff), (sensor.psf_px, sensor.glare));
     }
     let pattern = (sensor.prnu != 0.0 || sensor.dsnu_e != 0.0).then(|| fixed_pattern([width, height]));
     let mut readings = vec![0.0; width * height];
@@ -75,6 +81,14 @@ fn spectral_channels(frame: &Frame, mosaic: Mosaic) -> Vec<Vec<f32>> {
     match mosaic {
         Mosaic::Monochrome => vec![channel(&|rgb| (0..3).map(|c| PANCHROMATIC[c] * rgb[c]).sum())],
         Mosaic::Bayer => (0..3).map(|c| channel(&|rgb| rgb[c])).collect(),
+    }
+}
+
+/// What a channel of [`spectral_channels`] has of a colour.
+fn channel_of_rgb(mosaic: Mosaic, channel: usize, rgb: Vec3) -> f32 {
+    match mosaic {
+        Mosaic::Monochrome => rgb.dot(PANCHROMATIC.into()),
+        Mosaic::Bayer => rgb[channel],
     }
 }
 
@@ -233,7 +247,7 @@ mod tests {
     fn an_ideal_sensor_records_the_radiance() {
         let sensor = Sensor { full_well_e: 1e9, ..ideal(Mosaic::Bayer) };
         let mut even = frame(32, 32, |_, _| [0.4, 0.2, 0.1]);
-        expose(&mut even, &sensor, 0.0);
+        expose(&mut even, &sensor, 0.0, None);
         let expected = [0.4, 0.2, 0.1].map(|value| (255.0 * srgb_from_linear(value) + 0.5) as u8);
         for rgb in even.rgb.chunks_exact(3) {
             assert!(
@@ -242,7 +256,7 @@ mod tests {
             );
         }
         let mut grey = frame(32, 32, |_, _| [0.3, 0.3, 0.3]);
-        expose(&mut grey, &Sensor { mosaic: Mosaic::Monochrome, ..sensor }, 1.0);
+        expose(&mut grey, &Sensor { mosaic: Mosaic::Monochrome, ..sensor }, 1.0, None);
         assert!(grey.rgb.chunks_exact(3).all(|rgb| rgb[0] == rgb[1] && rgb[1] == rgb[2]));
         assert!(grey.rgb[0].abs_diff((255.0 * srgb_from_linear(0.6) + 0.5) as u8) <= 1);
     }
@@ -251,7 +265,7 @@ mod tests {
     fn demosaicing_colours_edges_and_only_edges() {
         let sensor = Sensor { full_well_e: 1e9, ..ideal(Mosaic::Bayer) };
         let mut edge = frame(40, 40, |x, _| if x < 20 { [0.05; 3] } else { [0.6; 3] });
-        expose(&mut edge, &sensor, 0.0);
+        expose(&mut edge, &sensor, 0.0, None);
         let colour = |x: u32| {
             let rgb = &edge.rgb[(3 * (20 * 40 + x)) as usize..][..3];
             i32::from(rgb[0]) - i32::from(rgb[2])
@@ -268,7 +282,7 @@ mod tests {
         };
         assert!(deviation(&edge, 18..22) > 3.0, "{}", deviation(&edge, 18..22));
         assert!(deviation(&edge, 3..17) < 0.5, "{}", deviation(&edge, 3..17));
-        expose(&mut edge, &Sensor { mosaic: Mosaic::Monochrome, ..sensor }, 0.0);
+        expose(&mut edge, &Sensor { mosaic: Mosaic::Monochrome, ..sensor }, 0.0, None);
         assert_eq!(deviation(&edge, 0..40), 0.0);
     }
 
@@ -347,11 +361,11 @@ mod tests {
         // 1 / (2 pi sigma^2), less the pixel's own variance.
         assert!((spread[15 * 31 + 15] - 0.170).abs() < 0.003, "{}", spread[15 * 31 + 15]);
         let mut veiled = frame(20, 20, |x, _| if x < 10 { [0.0; 3] } else { [0.5; 3] });
-        expose(&mut veiled, &Sensor { psf_px: 0.0, glare: 0.02, ..sensor }, 0.0);
+        expose(&mut veiled, &Sensor { psf_px: 0.0, glare: 0.02, ..sensor }, 0.0, None);
         // 2 % of the mean of 0.25.
         assert_eq!(veiled.rgb[0], (255.0 * srgb_from_linear(0.005) + 0.5) as u8);
         let mut even = frame(101, 101, |_, _| [0.5; 3]);
-        expose(&mut even, &Sensor { psf_px: 0.0, vignetting: 1.0, ..sensor }, 0.0);
+        expose(&mut even, &Sensor { psf_px: 0.0, vignetting: 1.0, ..sensor }, 0.0, None);
         let cos2 = 1.0 / (1.0 + 2.0 * 50.0_f32.powi(2) / 100.0_f32.powi(2));
         assert!(even.rgb[0].abs_diff((255.0 * srgb_from_linear(0.5 * cos2 * cos2) + 0.5) as u8) <= 1);
     }
@@ -360,7 +374,7 @@ mod tests {
     fn auto_exposure_puts_the_sunlit_ground_at_its_level() {
         let sensor = Sensor { ground_level: 0.45, full_well_e: 1e9, ..ideal(Mosaic::Monochrome) };
         let mut scene = frame(40, 40, |x, y| [0.001 + 0.0004 * (x * y % 40) as f32; 3]);
-        expose(&mut scene, &sensor, 0.0);
+        expose(&mut scene, &sensor, 0.0, None);
         let mut values: Vec<u8> =
             scene.rgb.chunks_exact(3).map(|rgb| rgb[0]).filter(|value| *value > 30).collect();
         values.sort_unstable();

@@ -9,7 +9,7 @@ use crate::render::select::screen_bounds::ScreenBounds;
 use crate::render::select::selection::{Slots, front_to_back};
 use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
-use crate::scene::sky::{DOME_LEVEL, STAR_LEVEL};
+use crate::scene::sky::{DOME_LEVEL, STAR_LEVEL, SUN_LEVEL};
 
 /// A mesh of the scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -131,7 +131,11 @@ impl DrawList {
             let draw = MeshDraw { mesh: MeshRef::Block(block), slots: slot..slot + 1 };
             add(bin, draw, ScreenBounds::UNBOUNDED);
         }
-        let sky = [(bins.stars(), STAR_LEVEL, slots.stars()), (bins.dome(), DOME_LEVEL, slots.dome())];
+        let sky = [
+            (bins.stars(), STAR_LEVEL, slots.stars()),
+            (bins.sun(), SUN_LEVEL, slots.sun()),
+            (bins.dome(), DOME_LEVEL, slots.dome()),
+        ];
         for (bin, level, slots) in sky.into_iter().filter(|(.., slots)| !slots.is_empty()) {
             add(bin, MeshDraw { mesh: MeshRef::UnitSphere(level), slots }, ScreenBounds::UNBOUNDED);
         }
@@ -153,6 +157,7 @@ const fn rock_draw(rock: usize, level: usize, slot: u32) -> MeshDraw {
 fn empty_batches(bins: ShadingBins, slots: Slots<'_>) -> Vec<DrawBatch> {
     let instance = |bin| match bin {
         _ if bin == bins.stars() => slots.stars().start,
+        _ if bin == bins.sun() => slots.sun().start,
         _ if bin == bins.dome() => slots.dome().start,
         _ => Slots::GROUND,
     };

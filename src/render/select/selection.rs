@@ -1,4 +1,4 @@
-//! What of a scene one frame draws: blocks of ground, rocks with their level of detail, shadow casters, stars.
+//! What of a scene one frame draws: blocks of ground, rocks with their level of detail, shadow casters, stars, the sun.
 //!
 //! Culling is conservative, and levels of detail are chosen by the error of the outline in the image (Real-Time Rendering, 4th ed.,
 //! section 19.9). A function of scene and settings alone, so that an export can hold exactly what a frame draws.
@@ -14,6 +14,7 @@ use crate::render::select::ground_blocks::{block_bounds, ground_blocks};
 use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
 use crate::scene::rocks::Rock;
+use crate::scene::sky::Star;
 
 /// Largest distance between the outline of a caster that is drawn and that of its finest mesh, texels of its tile.
 const CASTER_ERROR_PX: f32 = 0.25;
@@ -28,6 +29,8 @@ pub struct Selection {
     pub rocks: Vec<SelectedRock>,
     /// Indices of the stars that may be visible.
     pub stars: Vec<usize>,
+    /// The sun's disc, if it may be visible.
+    pub sun: Option<Star>,
     /// Rocks whose shadow may be visible.
     pub casters: Vec<Caster>,
     /// The camera's frustum.
@@ -84,12 +87,15 @@ impl Selection {
             })
             .filter(|selected| selected.visible_level.is_some() || selected.caster.is_some())
             .collect();
+        let is_in_view = |star: &Star| frustum.intersects_sphere(star.centre, star.radius_m);
+        let sun = scene.sky.sun_disc(&scene.sun, camera.eye).filter(is_in_view);
         let stars = (0..scene.sky.stars.len())
             .filter(|&star| {
-                frustum.intersects_sphere(scene.sky.stars[star].centre, scene.sky.stars[star].radius_m)
+                let star = &scene.sky.stars[star];
+                is_in_view(star) && !sun.is_some_and(|sun| sun.overlaps(star, camera.eye))
             })
             .collect();
-        Self { blocks, rocks, stars, casters, frustum }
+        Self { blocks, rocks, stars, sun, casters, frustum }
     }
 
     /// The slots of its instances.
@@ -118,7 +124,8 @@ fn cull_rocks<'a>(scene: &'a Scene, frustum: &Frustum) -> Vec<(usize, &'a Rock)>
     })
 }
 
-/// Indices of the instances of a frame in the instance buffer, in this order: ground, rocks, stars, dome, ground by relief band.
+/// Indices of the instances of a frame in the instance buffer, in this order: ground, rocks, stars, sun, dome, ground by
+/// relief band.
 #[derive(Clone, Copy, Debug)]
 pub struct Slots<'a> {
     selection: &'a Selection,
@@ -147,10 +154,17 @@ impl<'a> Slots<'a> {
         first..first + self.selection.stars.len() as u32
     }
 
+    /// Slot of the sun's disc, if it may be visible.
+    #[must_use]
+    pub fn sun(self) -> Range<u32> {
+        let sun = self.stars().end;
+        sun..sun + u32::from(self.selection.sun.is_some())
+    }
+
     /// Slot of the sky's dome.
     #[must_use]
     pub fn dome(self) -> Range<u32> {
-        let dome = self.stars().end;
+        let dome = self.sun().end;
         dome..dome + 1
     }
 

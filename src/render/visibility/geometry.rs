@@ -27,7 +27,7 @@ use crate::render::select::ground_blocks::ground_blocks;
 use crate::render::select::selection::{Selection, Slots, front_to_back};
 use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
-use crate::scene::sky::{DOME_LEVEL, STAR_LEVEL};
+use crate::scene::sky::{DOME_LEVEL, STAR_LEVEL, SUN_LEVEL};
 use screen_mesh::SHADOW_SOURCES;
 use surfaces::FrameContext;
 
@@ -37,6 +37,7 @@ enum Source {
     Rock(usize),
     Block(usize),
     Stars,
+    Sun,
     Dome,
 }
 
@@ -46,8 +47,8 @@ const MAX_MESHES_PER_TASK: usize = 4;
 /// Memory that meshes may keep beyond twice what the frame needs, bytes.
 const MAX_SPARE_BYTES: usize = 8 << 20;
 
-/// The last meshes are those of the sky: stars and dome.
-const SKY_MESHES: usize = 2;
+/// The last meshes are those of the sky: stars, sun and dome.
+const SKY_MESHES: usize = 3;
 
 /// The meshes of a frame in drawing order. Kept between frames for their memory.
 #[derive(Debug, Default)]
@@ -108,6 +109,12 @@ impl VisibleTriangles {
                     mesh.add_sphere(&frame, STAR_LEVEL, star.centre, star.radius_m);
                 }
             }
+            Source::Sun => {
+                mesh.restart(0, [bins.sun(); SHADOW_SOURCES]);
+                if let Some(sun) = &selection.sun {
+                    mesh.add_sphere(&frame, SUN_LEVEL, sun.centre, sun.radius_m);
+                }
+            }
             Source::Dome => {
                 mesh.restart(0, [bins.dome(); SHADOW_SOURCES]);
                 mesh.add_sphere(&frame, DOME_LEVEL, scene.sky.centre, scene.sky.radius_m);
@@ -157,7 +164,7 @@ fn in_drawing_order(selection: &Selection) -> Vec<Source> {
     let blocks = front_to_back(blocks.map(|(index, &(_, nearest_m))| (nearest_m, index)));
     (rocks.iter().map(|&(_, index)| Source::Rock(index)))
         .chain(blocks.iter().map(|&(_, index)| Source::Block(index)))
-        .chain([Source::Stars, Source::Dome])
+        .chain([Source::Stars, Source::Sun, Source::Dome])
         .collect()
 }
 

@@ -1,0 +1,264 @@
+//! The sun in the image of a sensor: its disc through the point spread function, the light that the lens scatters, and ghosts.
+//!
+//! The disc is 10,000 to 100,000 times as bright as the ground and saturates the half-precision radiance, so it is taken out of the
+//! image before a sensor meters and filters it, and added at its true radiance afterwards. The share of it that terrain and rocks hide
+//! from the lens is counted on the triangles, so that it does not depend on pixels.
+//!
+//! Scatter by polished and slightly dusty lenses falls with the square of the angle beyond a core (the ABg model with g = 2, Pfisterer
+//! 2011, "Approximated Scatter Models for Stray Light Analysis"; Harvey 1976). In the chord c between two directions, for which
+//! dOmega = 2 pi c dc, that is a density per solid angle of share / (pi ln(1 + 4 / B) (B + c^2)), whose integral over the sphere is the
+//! share.
+//! Must not know: wgpu, noise, exposure.
+
+use glam::{Vec2, Vec3};
+use half::f16;
+use rayon::prelude::*;
+
+use super::sun_share::visible_share;
+use crate::frame::Frame;
+use crate::lens::Lens;
+use crate::scene::Scene;
+use crate::scene::flare::Ghost;
+use crate::scene::sky::Sun;
+
+/// B of the scatter model: the square of the chord at which it has fallen to half, 0.01 radians.
+const SCATTER_CORE: f32 = 1e-4;
+/// Angle outside of the image from which on a hood keeps the sun's light off the lens; the lit part falls linearly up to there, radians.
+const HOOD_ANGLE: f32 = 0.35;
+/// Least cosine of the angle between sun and optical axis.
+const MIN_COSINE: f32 = 0.05;
+/// A pixel of which the disc covers less is none of its pixels; the brightest ground has less than a hundredth of its radiance.
+const MIN_COVERED: f32 = 0.02;
+/// Variance of the pixel's own aperture as it is sampled, px^2.
+const APERTURE_VARIANCE: f64 = 0.0625;
+/// Pixels between the points at which rays through a distorting lens are computed.
+const LENS_STEP_PX: usize = 8;
+/// The soft edge of a ghost, in radii.
+const GHOST_EDGE: f32 = 0.2;
+
+/// The sun as an image shows it.
+#[derive(Clone, Debug)]
+pub struct SunGlare {
+    /// Columns and rows of the image.
+    size: [usize; 2],
+    /// Focal length, pixels.
+    focal_px: f32,
+    lens: Lens,
+    /// Unit vector towards the sun in axes of the camera: x right, y down, z forward.
+    towards: Vec3,
+    /// Irradiance at the lens of the part of the disc that is not hidden.
+    irradiance: Vec3,
+    /// Pixels that show the disc, with their radiance that a frame holds and that of the disc in them.
+    disc: Vec<(usize, [f16; 3], Vec3)>,
+    ghosts: Vec<Ghost>,
+}
+
+impl SunGlare {
+    /// Takes the sun out of a frame of `scene`, if it stands in or near its image. The frame has its lens, focal length and radiance.
+    #[must_use]
+    pub fn take(frame: &mut Frame, scene: &Scene) -> Option<Self> {
+        let (camera, sun) = (&scene.camera, &scene.sun);
+        let axes = [camera.right, -camera.up, camera.forward];
+        let towards = Vec3::from(axes.map(|axis| axis.dot(sun.direction)));
+        let size = [frame.width, frame.height].map(|side| side as usize);
+        let lit = lit_part(towards, frame)?;
+        let share = visible_share(scene);
+        let mut glare = Self {
+            size,
+            focal_px: frame.focal_px as f32,
+            lens: frame.lens,
+            towards,
+            irradiance: lit * share as f32 * sun.irradiance,
+            disc: Vec::new(),
+            ghosts: scene.flare.ghosts.clone(),
+        };
+        glare.take_disc(frame, sun, scene.sky.radiance);
+        Some(glare)
+    }
+
+    /// Replaces the disc in the frame by the sky around it.
+    fn take_disc(&mut self, frame: &mut Frame, sun: &Sun, sky: Vec3) {
+        let stored = sun.disc_radiance();
+        let disc = sun.irradiance / sun.solid_angle().max(1e-12) as f32;
+        let Some([columns, rows]) = self.disc_bounds(sun) else { return };
+        let (channel, _) =
+            (0..3).map(|c| (c, stored[c])).fold((0, 0.0), |a, b| if b.1 > a.1 { b } else { a });
+        for y in rows {
+            for x in columns.clone() {
+                let pixel = y * self.size[0] + x;
+                let radiance = &mut frame.radiance[3 * pixel..3 * pixel + 3];
+                let covered = radiance[channel].to_f32() / stored[channel];
+                if covered >= MIN_COVERED {
+                    self.disc.push((pixel, [radiance[0], radiance[1], radiance[2]], covered.min(1.0) * disc));
+                    radiance.copy_from_slice(&sky.to_array().map(f16::from_f32));
+                }
+            }
+        }
+    }
+
+    /// Puts the disc back as the frame had it, for outputs of the radiance.
+    pub fn restore(&self, frame: &mut Frame) {
+        for (pixel, stored, _) in &self.disc {
+            frame.radiance[3 * pixel..3 * pixel + 3].copy_from_slice(stored);
+        }
+    }
+
+    /// Columns and rows of the image within which the disc lies.
+    fn disc_bounds(&self, sun: &Sun) -> Option<[std::ops::Range<usize>; 2]> {
+        let point = self.towards.truncate() / self.towards.z;
+        let at = self.lens.distort([f64::from(point.x), f64::from(point.y)]);
+        // Away from the axis a pixel spans less of an angle, by the square of the cosine.
+        let radius_px = 1.3 * self.focal_px * sun.tan_half_angle() * (1.0 + point.length_squared()) + 2.0;
+        let bounds = [0, 1].map(|axis| {
+            let side = self.size[axis] as f32;
+            let centre = at[axis] as f32 * self.focal_px + 0.5 * side;
+            let [low, high] = [centre - radius_px, (centre + radius_px).ceil()].map(|px| px.clamp(0.0, side));
+            low as usize..high as usize
+        });
+        bounds.iter().all(|range| !range.is_empty()).then_some(bounds)
+    }
+
+    /// Adds the sun to the channels of an image, linear radiance times `gain` and the share in `falloff` that the vignetting leaves:
+    /// its disc through a point spread function of this standard deviation, the light that is scattered, `scattered` of all, and the
+    /// ghosts. `channel_of` gives a channel's response to a colour.
+    pub fn add(
+        &self,
+        channels: &mut [Vec<f32>],
+        channel_of: impl Fn(usize, Vec3) -> f32 + Sync,
+        (gain, falloff): (f32, &[f32]),
+        (psf_px, scattered): (f64, f64),
+    ) {
+        let width = self.size[0];
+        let rays = self.rays();
+        let norm = std::f32::consts::PI * libm::logf(1.0 + 4.0 / SCATTER_CORE);
+        let scatter = scattered as f32 / norm * self.irradiance;
+        let ghosts = self.ghosts_in_image();
+        let (patch, light) = self.spread_disc(psf_px);
+        for (number, channel) in channels.iter_mut().enumerate() {
+            let scatter = channel_of(number, scatter);
+            let ghosts: Vec<(Vec2, f32, f32)> = ghosts
+                .iter()
+                .map(|(centre, tan_radius, radiance)| (*centre, *tan_radius, channel_of(number, *radiance)))
+                .collect();
+            channel.par_chunks_exact_mut(width).enumerate().for_each(|(y, row)| {
+                for (x, value) in row.iter_mut().enumerate() {
+                    let point = rays.at(x, y);
+                    let ray = point.extend(1.0) / point.extend(1.0).length();
+                    let mut light = scatter / (SCATTER_CORE + ray.distance_squared(self.towards));
+                    for (centre, tan_radius, radiance) in &ghosts {
+                        let inside = (1.0 - point.distance(*centre) / tan_radius) / GHOST_EDGE;
+                        light += radiance * inside.clamp(0.0, 1.0);
+                    }
+                    *value += gain * falloff[y * width + x] * light;
+                }
+            });
+            let [columns, rows] = &patch;
+            for (y, lights) in rows.clone().zip(light.chunks_exact(columns.len().max(1))) {
+                for (x, light) in columns.clone().zip(lights) {
+                    let pixel = y * width + x;
+                    let direct = (1.0 - scattered as f32) * channel_of(number, *light);
+                    channel[pixel] += gain * falloff[pixel] * direct;
+                }
+            }
+        }
+    }
+
+    /// Radiance of the disc after the point spread function, and the columns and rows that it is for. The Gaussian has no negative
+    /// lobes: those of a kernel that is sharper would be black rings around something so bright.
+    fn spread_disc(&self, psf_px: f64) -> ([std::ops::Range<usize>; 2], Vec<Vec3>) {
+        let [width, _] = self.size;
+        let Some(((first_x, last_x), (first_y, last_y))) =
+            self.disc.iter().fold(None, |bounds, (pixel, ..)| {
+                let (x, y) = (pixel % width, pixel / width);
+                let ((left, right), (top, bottom)) = bounds.unwrap_or(((x, x), (y, y)));
+                Some(((left.min(x), right.max(x)), (top.min(y), bottom.max(y))))
+            })
+        else {
+            return ([0..0, 0..0], Vec::new());
+        };
+        let sigma = (psf_px * psf_px - APERTURE_VARIANCE).max(0.0).sqrt();
+        let reach = (4.0 * sigma).ceil() as usize;
+        let weight = |offset: usize| {
+            if sigma > 0.0 {
+                libm::exp(-0.5 * (offset as f64 / sigma).powi(2))
+            } else {
+                f64::from(offset == 0)
+            }
+        };
+        let sum = 2.0 * (0..=reach).map(weight).sum::<f64>() - 1.0;
+        let weights: Vec<f32> = (0..=reach).map(|offset| (weight(offset) / sum) as f32).collect();
+        let columns = first_x.saturating_sub(reach)..(last_x + reach + 1).min(width);
+        let rows = first_y.saturating_sub(reach)..(last_y + reach + 1).min(self.size[1]);
+        let mut spread = vec![Vec3::ZERO; columns.len() * rows.len()];
+        for (pixel, _, light) in &self.disc {
+            let (x, y) = (pixel % width, pixel / width);
+            for to_y in y.saturating_sub(reach)..(y + reach + 1).min(self.size[1]) {
+                for to_x in x.saturating_sub(reach)..(x + reach + 1).min(width) {
+                    let at = (to_y - rows.start) * columns.len() + to_x - columns.start;
+                    spread[at] += weights[to_x.abs_diff(x)] * weights[to_y.abs_diff(y)] * *light;
+                }
+            }
+        }
+        ([columns, rows], spread)
+    }
+
+    /// Centre, tangent of the radius and radiance of each ghost. The light falls off to the edge within [`GHOST_EDGE`].
+    fn ghosts_in_image(&self) -> Vec<(Vec2, f32, Vec3)> {
+        let sun = self.towards.truncate() / self.towards.z;
+        let ghost = |ghost: &Ghost| {
+            let area = std::f32::consts::PI * ghost.tan_radius * ghost.tan_radius;
+            let e = GHOST_EDGE;
+            // Of a disc with the height min(1, (1 - r) / e): its volume over that of one with the height 1.
+            let fill = 1.0 - e + e * e / 3.0;
+            (ghost.position * sun, ghost.tan_radius, ghost.share * self.irradiance / (area * fill))
+        };
+        self.ghosts.iter().map(ghost).collect()
+    }
+
+    /// The points at which rays cross the plane at a distance of 1 from the eye, by pixel.
+    fn rays(&self) -> Rays {
+        let [width, height] = self.size;
+        let of_pixel = |x: usize, y: usize| {
+            let half = [width, height].map(|side| 0.5 * side as f64);
+            let at =
+                [x as f64 + 0.5 - half[0], y as f64 + 0.5 - half[1]].map(|px| px / f64::from(self.focal_px));
+            Vec2::from(self.lens.undistort(at).map(|number| number as f32))
+        };
+        let columns = width.div_ceil(LENS_STEP_PX) + 1;
+        let rows = height.div_ceil(LENS_STEP_PX) + 1;
+        let knots = (0..rows * columns)
+            .map(|knot| of_pixel(knot % columns * LENS_STEP_PX, knot / columns * LENS_STEP_PX))
+            .collect();
+        Rays { columns, knots }
+    }
+}
+
+/// Rays at every [`LENS_STEP_PX`]-th pixel, linear between them: exact without distortion, and to 0.02 mrad with it.
+struct Rays {
+    columns: usize,
+    knots: Vec<Vec2>,
+}
+
+impl Rays {
+    fn at(&self, x: usize, y: usize) -> Vec2 {
+        let (column, row) = (x / LENS_STEP_PX, y / LENS_STEP_PX);
+        let part = |px: usize| (px % LENS_STEP_PX) as f32 / LENS_STEP_PX as f32;
+        let first = row * self.columns + column;
+        let [a, b] = [first, first + self.columns].map(|at| self.knots[at].lerp(self.knots[at + 1], part(x)));
+        a.lerp(b, part(y))
+    }
+}
+
+/// Part of the lens that the sun shines on: 1 if the sun stands in the image, less outside, by the shade of the hood. `None` for 0.
+fn lit_part(towards: Vec3, frame: &Frame) -> Option<f32> {
+    if towards.z < MIN_COSINE {
+        return None;
+    }
+    let half = [frame.width, frame.height].map(|side| 0.5 * f64::from(side) / frame.focal_px);
+    let reach = if frame.lens.is_pinhole() { [1.0; 2] } else { frame.lens.reach(half).unwrap_or([1.0; 2]) };
+    let edge = Vec2::new((half[0] * reach[0]) as f32, (half[1] * reach[1]) as f32);
+    let sun = towards.truncate() / towards.z;
+    let nearest = sun.clamp(-edge, edge).extend(1.0);
+    let outside = 2.0 * libm::asinf(0.5 * (nearest / nearest.length()).distance(towards));
+    (outside < HOOD_ANGLE).then_some(1.0 - outside / HOOD_ANGLE)
+}
