@@ -27,7 +27,8 @@ impl ClassId {
     pub const ROCK: Self = Self(1);
     /// Dome and stars.
     pub const SKY: Self = Self(2);
-    /// Clear value, never left in a correct frame; also the ignore index for training.
+    /// The ignore index for training: rocks that do not count, boundaries under an edge policy. Also the clear value, which no draw
+    /// leaves in a correct frame.
     pub const UNLABELLED: Self = Self(255);
 
     /// Every class that a pixel of a correct frame can have, by ascending id.

@@ -49,6 +49,49 @@ pub struct Frame {
     pub five_classes: Vec<u8>,
     /// The visible rocks, if instances were requested.
     pub rocks: Vec<RockLabel>,
+    /// Pixels of rocks that the label rule singles out.
+    pub label_pixels: LabelPixels,
+}
+
+/// Why a rock is ignored, if it is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LabelReason {
+    /// It is not: it is labelled as a rock.
+    #[default]
+    Rock,
+    /// It is smaller than the smallest rock that counts.
+    TooSmall,
+    /// It is large enough, and cannot be seen.
+    Unseen,
+}
+
+impl LabelReason {
+    /// Every reason with its name in the instance mapping.
+    pub const ALL: [(Self, &'static str); 3] =
+        [(Self::Rock, "rock"), (Self::TooSmall, "too_small"), (Self::Unseen, "unseen")];
+
+    /// Its name.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        Self::ALL[self as usize].1
+    }
+
+    /// The reason of a name.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|(_, known)| *known == name).map(|(reason, _)| reason)
+    }
+}
+
+/// Numbers of pixels of rocks that a label rule singles out, before they became what the rule says.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LabelPixels {
+    /// Of rocks that are too small.
+    pub too_small: u64,
+    /// Of rocks that are large enough and cannot be seen.
+    pub unseen: u64,
+    /// Pixels that carry the ignore index by rule, of the two above.
+    pub ignored: u64,
 }
 
 /// Size and visibility of a rock in the image.
@@ -67,6 +110,8 @@ pub struct RockLabel {
     pub height_m: f32,
     /// Mean of its two horizontal extents, metres.
     pub diameter_m: f32,
+    /// Why it is ignored, if it is.
+    pub reason: LabelReason,
 }
 
 impl RockLabel {
@@ -125,6 +170,18 @@ impl Frame {
     #[must_use]
     pub fn coverage(&self, class: ClassId) -> f64 {
         self.count(class) as f64 / self.class.len() as f64
+    }
+
+    /// Fraction of the pixels that carry the ignore index by rule, and not because nothing was drawn there.
+    #[must_use]
+    pub fn ignored(&self) -> f64 {
+        self.label_pixels.ignored as f64 / self.class.len() as f64
+    }
+
+    /// Number of pixels without a label that no rule accounts for; a correct frame has none.
+    #[must_use]
+    pub fn unlabelled_px(&self) -> u64 {
+        self.count(ClassId::UNLABELLED).saturating_sub(self.label_pixels.ignored)
     }
 
     /// Mean, 99th percentile and maximum of the image.

@@ -45,7 +45,15 @@ impl FrameRecord<'_> {
             .iter()
             .map(|class| (class.name.to_owned(), self.frame.coverage(class.id).into()))
             .collect();
-        coverage.insert("unlabelled".to_owned(), self.frame.coverage(ClassId::UNLABELLED).into());
+        let fraction = |pixels: u64| Value::from(pixels as f64 / self.frame.class.len() as f64);
+        let of_rule = self.frame.label_pixels;
+        let others = [
+            ("unlabelled", self.frame.unlabelled_px()),
+            ("ignored", of_rule.ignored),
+            ("too_small", of_rule.too_small),
+            ("unseen", of_rule.unseen),
+        ];
+        coverage.extend(others.map(|(name, pixels)| (name.to_owned(), fraction(pixels))));
         let ms: Map<String, Value> = self
             .times
             .iter()

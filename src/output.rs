@@ -209,7 +209,7 @@ mod tests {
 
     use super::*;
     use crate::class::ClassId;
-    use crate::frame::{Frame, RockLabel};
+    use crate::frame::{Frame, LabelPixels, LabelReason, RockLabel};
     use edges::EdgePolicy;
 
     fn frame() -> Frame {
@@ -233,12 +233,14 @@ mod tests {
                 box_px: [1, 0, 1, 0],
                 height_m: 0.5,
                 diameter_m: 1.25,
+                reason: LabelReason::Unseen,
             }],
             slope_deg: vec![1.0, f32::NAN, 3.0, 4.0, 5.0, 6.0],
             craters: vec![0, 1, 2, 0, 0, 1],
             incidence_deg: vec![10.0; 6],
             phase_deg: vec![20.0; 6],
             five_classes: vec![0, 1, 2, 3, 4, 0],
+            label_pixels: LabelPixels::default(),
         }
     }
 

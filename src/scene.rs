@@ -11,6 +11,7 @@ pub mod fillet;
 pub mod flare;
 pub mod grains;
 pub mod grid_cell;
+pub mod label_rule;
 pub mod lattice;
 pub mod mesh;
 pub mod noise;
@@ -37,10 +38,11 @@ use crate::params::{Knob, Params, Stage};
 use crate::random::Streams;
 use camera::Camera;
 use flare::Flare;
+use label_rule::LabelRule;
 use photometry::{Photometry, tinted};
 use relief::Relief;
 use rocks::on_demand::Rocks;
-use rocks::{Material, Rock, burial, fillets, lunar, lunar_rocks};
+use rocks::{Material, burial, fillets, lunar, lunar_rocks};
 use sensor::Sensor;
 use sky::{Sky, Sun};
 use terrain::Terrain;
@@ -59,7 +61,7 @@ pub struct Scene {
     pub regolith: Material,
     /// Photometric functions of ground and rocks.
     pub photometry: Photometry,
-    /// Which rocks are labelled as regolith.
+    /// Which rocks and craters count in the labels.
     pub label_rule: LabelRule,
     /// The rocks, by index.
     pub rocks: Rocks,
@@ -73,34 +75,6 @@ pub struct Scene {
     pub sensor: Option<Sensor>,
     /// Ghosts of the sun in the camera's lens; only a sensor shows them.
     pub flare: Flare,
-}
-
-/// Which rocks are too small to be labelled as rocks, and which craters are labelled: rules on objects, not on pixels.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct LabelRule {
-    /// Rocks that would cover fewer pixels if unoccluded are labelled as regolith.
-    pub min_pixels: f32,
-    /// Rocks with a smaller diameter, metres, are labelled as regolith.
-    pub min_diameter_m: f32,
-    /// Craters with a smaller diameter, metres, are not labelled.
-    pub crater_min_diameter_m: f32,
-    /// Craters with a smaller depth, in diameters, are not labelled.
-    pub crater_min_depth: f32,
-}
-
-impl LabelRule {
-    /// Whether a rock is labelled as a rock in an image with a focal length of `focal_px` pixels. Its silhouette is approximated
-    /// by a disc of its diameter.
-    #[must_use]
-    pub fn counts(&self, rock: &Rock, eye: Vec3, focal_px: f32) -> bool {
-        if self.min_diameter_m <= 0.0 && self.min_pixels <= 0.0 {
-            return true;
-        }
-        let diameter_m = rock.diameter_m();
-        let across_px = focal_px * diameter_m / rock.centre.distance(eye).max(1e-3);
-        diameter_m >= self.min_diameter_m
-            && 0.25 * std::f32::consts::PI * across_px * across_px >= self.min_pixels
-    }
 }
 
 impl Scene {
@@ -158,12 +132,7 @@ impl Scene {
         Self {
             sky: Sky::build(streams, params, below_eye.extend(terrain.height_at(below_eye))),
             photometry: Photometry::build(params),
-            label_rule: LabelRule {
-                min_pixels: params.number(Knob::LabelMinPixels) as f32,
-                min_diameter_m: params.number(Knob::LabelMinDiameterM) as f32,
-                crater_min_diameter_m: params.number(Knob::LabelCraterMinDiameterM) as f32,
-                crater_min_depth: params.number(Knob::LabelCraterMinDepth) as f32,
-            },
+            label_rule: LabelRule::build(params),
             sun: Sun::build(params),
             sensor: Sensor::build(streams, params),
             flare: Flare::build(streams, params),

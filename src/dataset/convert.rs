@@ -20,7 +20,7 @@ use super::merge::{Finalized, finalize_run};
 use super::plan::Plan;
 use crate::class::ClassId;
 use crate::error::{Error, RUN_AGAIN, Result};
-use crate::frame::{Frame, RockLabel};
+use crate::frame::{Frame, LabelReason, RockLabel};
 use crate::input;
 use crate::output::edges::EdgePolicy;
 use crate::output::layout::{self, FrameFiles, FrameLine, FrameLines as _, Layout, Sample, folder};
@@ -236,6 +236,8 @@ fn read_rocks(path: &Path, bytes: &[u8]) -> Result<Vec<RockLabel>> {
                 box_px,
                 height_m: metres("height_m"),
                 diameter_m: metres("diameter_m"),
+                // Mappings of earlier versions have rocks that count only.
+                reason: row["label"].as_str().and_then(LabelReason::from_name).unwrap_or_default(),
             })
         })
         .collect::<Option<Vec<_>>>()

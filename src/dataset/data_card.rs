@@ -69,7 +69,12 @@ fn classes(manifest: &Map<String, Value>, totals: &Totals) -> String {
             "The ids are those of a Replicator pipeline; its id 0, BACKGROUND, occurs in no mask."
         }
     };
-    let _ = writeln!(section, "\n{ignore_index} is the ignore index. {note}");
+    let _ = writeln!(
+        section,
+        "\n{ignore_index} is the ignore index; rocks that are too small or cannot be seen carry it where `label.too_small` or \
+         `label.unseen` say so: {:.2} % of the pixels on average. {note}",
+        100.0 * totals.ignored()
+    );
     section
 }
 

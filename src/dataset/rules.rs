@@ -170,7 +170,7 @@ impl Rules {
     #[must_use]
     pub fn violation(&self, scene: &Scene, frame: &Frame) -> Option<Violation> {
         let violation = |rule: &str, found: String| Some(Violation { rule: rule.to_owned(), found });
-        let unlabelled = frame.count(ClassId::UNLABELLED);
+        let unlabelled = frame.unlabelled_px();
         if unlabelled > 0 {
             return violation("unlabelled", format!("{unlabelled} pixels carry no label"));
         }

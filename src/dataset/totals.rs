@@ -17,6 +17,8 @@ pub struct Totals {
     pub frames: u64,
     /// Sum of each class's coverage, in the order of [`ClassId::ALL`].
     coverage_sum: [f64; ClassId::ALL.len()],
+    /// Sum of the fractions of pixels that carry the ignore index by the label rule.
+    ignored_sum: f64,
     /// Sum of the mean RGB values.
     rgb_mean_sum: f64,
     /// Number of rejected attempts by the rule that they broke.
@@ -46,6 +48,7 @@ impl Totals {
         for (sum, class) in self.coverage_sum.iter_mut().zip(ClassId::ALL) {
             *sum += line.coverage_of(class.name).unwrap_or_default();
         }
+        self.ignored_sum += line.coverage_of("ignored").unwrap_or_default();
         for rule in &line.redrawn {
             *self.redraws.entry(rule.clone()).or_default() += 1;
         }
@@ -56,6 +59,12 @@ impl Totals {
     #[must_use]
     pub fn coverage(&self, class: usize) -> f64 {
         self.coverage_sum[class] / self.frames.max(1) as f64
+    }
+
+    /// Mean fraction of the pixels that carry the ignore index by the label rule.
+    #[must_use]
+    pub fn ignored(&self) -> f64 {
+        self.ignored_sum / self.frames.max(1) as f64
     }
 
     /// Mean of the images' mean values, 0 to 255.
@@ -71,6 +80,7 @@ impl Totals {
             .iter()
             .enumerate()
             .map(|(i, class)| (class.name.to_owned(), self.coverage(i).into()))
+            .chain([("ignored".to_owned(), self.ignored().into())])
             .collect();
         json!({ "redraws": self.redraws, "coverage_mean": coverage, "rgb_mean": self.rgb_mean() })
     }

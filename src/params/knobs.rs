@@ -175,9 +175,15 @@ knobs! {
     HapkeThetaBarDeg "hapke.theta_bar_deg" "deg" Number, Frame, number(23.657), [0.0, 40.0],
         "Mean slope angle of unresolved roughness (Sato et al. 2014: mean of the whole Moon).";
     LabelMinPixels "label.min_pixels" "" Number, Frame, number(0.0), [0.0, 100_000.0],
-        "Rocks whose unoccluded disc would cover fewer pixels are labelled as regolith.";
+        "Rocks whose unoccluded disc would cover fewer pixels are too small: label.too_small says what becomes of them.";
     LabelMinDiameterM "label.min_diameter_m" "m" Number, Frame, number(0.0), [0.0, 10.0],
-        "Rocks with a smaller diameter are labelled as regolith.";
+        "Rocks with a smaller diameter are too small: label.too_small says what becomes of them.";
+    LabelTooSmall "label.too_small" "" Text(&["ignore", "regolith", "rock"]), Frame, word("regolith"), [0.0, 0.0],
+        "What rocks become that are too small: ignore (255 in the mask; also rocks of which fewer than label.min_pixels are visible), regolith, or rock.";
+    LabelUnseen "label.unseen" "" Text(&["ignore", "regolith", "rock"]), Frame, word("rock"), [0.0, 0.0],
+        "What rocks become that nobody can see, because they lie in shadow or differ too little from what surrounds them: ignore (255 in the mask), regolith or rock.";
+    LabelUnseenContrast "label.unseen_contrast" "" Number, Frame, number(3.0), [0.0, 100.0],
+        "Contrast below which a rock counts as unseen, in standard deviations of a pixel's noise; without a sensor, in steps of the 8-bit image.";
     LabelCraterMinDiameterM "label.crater_min_diameter_m" "m" Number, Frame, number(0.5), [0.1, 100.0],
         "Craters with a smaller diameter are not labelled.";
     LabelCraterMinDepth "label.crater_min_depth" "" Number, Frame, number(0.04), [0.0, 0.5],

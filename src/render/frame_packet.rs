@@ -30,6 +30,9 @@ impl FrameRequest {
         let annotations = settings.annotations;
         let mut image = *settings;
         image.annotations = hazards::with_inputs(annotations);
+        if scene.label_rule.needs_instances() {
+            image.annotations = image.annotations.with(Annotation::Instances);
+        }
         if scene.sensor.is_some() {
             image.annotations = image.annotations.with(Annotation::Hdr);
         }

@@ -171,7 +171,7 @@ fn instances(
     let rock_at_normal = at_normal(rock_surge);
     instances.extend(selection.rocks.iter().map(|selected| {
         let rock = &scene.rocks[selected.rock];
-        let counts = scene.label_rule.counts(rock, scene.camera.eye, focal_px);
+        let counts = scene.label_rule.draws_as_rock(rock, scene.camera.eye, focal_px);
         let tile = selected.caster.map_or_else(Default::default, |(tile, _)| selection.casters[tile].tile);
         Instance {
             origin: rock.centre,

@@ -1,8 +1,9 @@
-//! What is computed on the host after the readback: rock labels, hazard maps, the sun's glare, the sensor.
+//! What is computed on the host after the readback: rock labels, the sun's glare, the sensor, the label rule, hazard maps.
 //! Must not know: wgpu.
 
 pub mod amodal;
 pub mod hazards;
+pub mod label_policy;
 pub mod rock_labels;
 pub mod sensor;
 pub mod sun_glare;

@@ -1,4 +1,4 @@
-//! A frame as it was read back, before the stages that the host adds: rock labels, sensor, hazard maps.
+//! A frame as it was read back, before the stages that the host adds: rock labels, sensor, label rule, hazard maps.
 //! Must not know: a device.
 
 use std::time::Instant;
@@ -37,29 +37,38 @@ impl RawFrame {
         let (rendered_scene, rendered) = request.rendered(scene);
         frame.focal_px = rendered_scene.camera.focal_px(rendered.size[0]);
         frame.lens = rendered_scene.camera.lens;
-        let mut timed = |stage, work: &mut dyn FnMut(&mut Frame)| {
+        let mut timed = |frame: &mut Frame, stage, work: &mut dyn FnMut(&mut Frame)| {
             let start = Instant::now();
-            work(&mut frame);
+            work(frame);
             times.push((stage, milliseconds(start.elapsed())));
         };
-        if rendered.annotations.contains(Annotation::Instances) {
-            timed("labels", &mut |frame| {
+        if request.annotations.contains(Annotation::Instances) {
+            timed(&mut frame, "labels", &mut |frame| {
                 frame.rocks = post::rock_labels::rocks(rendered_scene, rendered, request.image.size, frame);
             });
         }
+        let (mut gain, mut sun) = (1.0, None);
         if let Some(sensor) = &scene.sensor {
-            timed("sensor", &mut |frame| {
-                let sun = SunGlare::take(frame, scene);
-                post::sensor::expose(frame, sensor, scene.camera.exposure_ev, sun.as_ref());
-                if !request.annotations.contains(Annotation::Hdr) {
-                    frame.radiance = Vec::new();
-                } else if let Some(sun) = &sun {
-                    sun.restore(frame);
+            timed(&mut frame, "sensor", &mut |frame| {
+                sun = SunGlare::take(frame, scene);
+                gain = post::sensor::expose(frame, sensor, scene.camera.exposure_ev, sun.as_ref());
+            });
+        }
+        if scene.label_rule.needs_instances() {
+            timed(&mut frame, "label_policy", &mut |frame| {
+                post::label_policy::apply(rendered_scene, rendered, frame, gain);
+                if !request.annotations.contains(Annotation::Instances) {
+                    frame.instances = Vec::new();
                 }
             });
         }
+        if scene.sensor.is_some() && !request.annotations.contains(Annotation::Hdr) {
+            frame.radiance = Vec::new();
+        } else if let Some(sun) = &sun {
+            sun.restore(&mut frame);
+        }
         if post::hazards::any_requested(request.annotations) {
-            timed("hazards", &mut |frame| post::hazards::add(frame, scene, request.annotations));
+            timed(&mut frame, "hazards", &mut |frame| post::hazards::add(frame, scene, request.annotations));
         }
         (frame, times)
     }

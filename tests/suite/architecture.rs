@@ -99,6 +99,7 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
             &["terrain"],
             &["bounce", "camera", "rings_mesh", "square_grid"],
             &["rocks"],
+            &["label_rule"],
         ],
     ),
     (

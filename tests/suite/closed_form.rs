@@ -9,14 +9,15 @@ use regolith::lens::Lens;
 use regolith::pool::PooledVec;
 use regolith::render::RenderSettings;
 use regolith::render::resolve::tone::srgb_code;
+use regolith::scene::Scene;
 use regolith::scene::camera::Camera;
 use regolith::scene::flare::Flare;
+use regolith::scene::label_rule::LabelRule;
 use regolith::scene::mesh::{Icosphere, Vertex};
 use regolith::scene::photometry::{Law, Photometry};
 use regolith::scene::rocks::{Material, NO_DUST, Rock};
 use regolith::scene::sky::{DOME_RADIANCE, Sky, Sun};
 use regolith::scene::terrain::Terrain;
-use regolith::scene::{LabelRule, Scene};
 
 use crate::support::{render, renderer, scene};
 

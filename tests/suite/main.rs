@@ -18,6 +18,7 @@ mod formats;
 mod fuzz;
 mod golden;
 mod hostile;
+mod label_policy;
 mod labels;
 mod language;
 mod mutation;

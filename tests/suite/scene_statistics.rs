@@ -243,6 +243,8 @@ fn every_knob_changes_the_frame() {
                 "sky.star_gain" if stage == Stage::Nominal => "0.02",
                 "sky.star_gain" => "1",
                 "sensor.glare" | "sensor.prnu" | "sensor.black_level" => "0.2",
+                "label.too_small" | "label.unseen" => "ignore",
+                "label.unseen_contrast" => "100",
                 "label.min_pixels" => "9999",
                 "regolith.mottling" => "0.3",
                 "label.min_diameter_m" => "10",
@@ -273,6 +275,9 @@ fn every_knob_changes_the_frame() {
                 "grains" => "camera.height_m=0.3",
                 // Hapke's law has its own roughness.
                 "regolith" | "rocks" if info.name.ends_with("roughness") => "photometry.law=oren_nayar",
+                "label" if info.name == "label.too_small" => "label.min_pixels=100",
+                "label" if info.name.starts_with("label.unseen_") => "label.unseen=ignore",
+                "label" if info.name == "label.unseen" => "label.unseen_contrast=100",
                 "label" if stage == Stage::Nominal && info.name.contains("crater") => "craters.count=200",
                 "sky" if stage == Stage::Surface => "sky.star_count=5000",
                 _ => "camera.roll_deg=0",

@@ -74,6 +74,7 @@ fn expected_line(
     let mut coverage: Map<String, Value> =
         ClassId::ALL.iter().map(|class| (class.name.to_owned(), fraction(class.name))).collect();
     coverage.insert("unlabelled".to_owned(), 0.0.into());
+    coverage.extend(["ignored", "too_small", "unseen"].map(|name| (name.to_owned(), fraction(name))));
     let hash = |path: &String| {
         let recorded = line.hashes.get(path).cloned().unwrap_or_default();
         (path.clone(), recorded)

@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use crate::dataset::plan::Plan;
 use crate::error::Result;
-use crate::frame::{Frame, RockLabel};
+use crate::frame::{Frame, LabelPixels, LabelReason, RockLabel};
 use crate::output::layout::{FrameLine, Sample};
 use crate::output::{self, EncodeInput, EncodedFile, FileKind};
 
@@ -40,8 +40,15 @@ pub(super) fn of(plan: &Plan) -> Result<Vec<Template>> {
 /// A frame of one pixel, of this class id.
 fn pixel(class: u8) -> Frame {
     let instance = u16::from(class);
-    let rock =
-        RockLabel { instance, visible_px: 1, exposed_px: 1, box_px: [0; 4], height_m: 1.0, diameter_m: 1.0 };
+    let rock = RockLabel {
+        instance,
+        visible_px: 1,
+        exposed_px: 1,
+        box_px: [0; 4],
+        height_m: 1.0,
+        diameter_m: 1.0,
+        reason: LabelReason::Rock,
+    };
     Frame {
         width: 1,
         height: 1,
@@ -61,6 +68,7 @@ fn pixel(class: u8) -> Frame {
         phase_deg: vec![0.0],
         five_classes: vec![class],
         rocks: if instance > 0 { vec![rock] } else { Vec::new() },
+        label_pixels: LabelPixels::default(),
     }
 }
 

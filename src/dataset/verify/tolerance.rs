@@ -48,7 +48,7 @@ pub(super) fn forgive_record(found: &mut Value, expected: &mut Value) {
             slot.clone_from(value);
         }
     }
-    for class in ["regolith", "rock", "sky", "unlabelled"] {
+    for class in ["regolith", "rock", "sky", "unlabelled", "ignored", "too_small", "unseen"] {
         forgive(found, expected, &["coverage", class], |a, b| (a - b).abs() <= LABEL_FRACTION);
     }
     forgive(found, expected, &["rgb", "mean"], |a, b| (a - b).abs() <= MEAN_U8);

@@ -25,7 +25,7 @@ pub(in crate::output) fn labels(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
     to_bytes(&input.label_ids.labels())
 }
 
-/// Instance id to prim path, bounding box, visible pixels, occluded fraction and size in metres.
+/// Instance id to prim path, bounding box, visible pixels, occluded fraction, size in metres, and why it is ignored, if it is.
 pub(in crate::output) fn instance_mapping(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
     let rows = input.frame.rocks.iter().map(|rock| {
         let row = json!({
@@ -36,6 +36,7 @@ pub(in crate::output) fn instance_mapping(input: &EncodeInput<'_>) -> Result<Vec
             "occluded": rock.occluded(),
             "height_m": rock.height_m,
             "diameter_m": rock.diameter_m,
+            "label": rock.reason.name(),
         });
         (rock.instance.to_string(), row)
     });

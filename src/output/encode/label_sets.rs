@@ -16,5 +16,10 @@ pub(super) const LARGE_ROCK_M: f32 = 0.5;
 
 /// Name and colour of each class when rocks are divided by size, as in the Artificial Lunar Landscape dataset (Pessia
 /// and Ishigami). The part before the comma, or the whole name, is the class in the mask.
-pub(super) const ROCK_SIZE_CLASSES: [(&str, [u8; 3]); 4] =
-    [("regolith", [0, 0, 0]), ("rock,small", [0, 255, 0]), ("rock,large", [0, 0, 255]), ("sky", [255, 0, 0])];
+pub(super) const ROCK_SIZE_CLASSES: [(&str, [u8; 3]); 5] = [
+    ("regolith", [0, 0, 0]),
+    ("rock,small", [0, 255, 0]),
+    ("rock,large", [0, 0, 255]),
+    ("sky", [255, 0, 0]),
+    ("unlabelled", [255, 255, 255]),
+];

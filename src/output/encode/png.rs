@@ -72,6 +72,7 @@ pub(in crate::output) fn rock_sizes(input: &EncodeInput<'_>) -> Result<Vec<u8>> 
         .flat_map(|(id, instance)| {
             let row = match ClassId(*id) {
                 ClassId::SKY => 3,
+                ClassId::UNLABELLED => 4,
                 ClassId::ROCK => 1 + usize::from(is_large.get(usize::from(*instance)) == Some(&true)),
                 _ => 0,
             };

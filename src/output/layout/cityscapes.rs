@@ -12,6 +12,7 @@ use super::interface::{
 };
 use crate::class::ClassId;
 use crate::error::Result;
+use crate::frame::{LabelReason, RockLabel};
 use crate::output::artifact::{Artifact, FileKind};
 use crate::output::encode::{json, png};
 
@@ -51,7 +52,9 @@ fn label_id(class: u8) -> u8 {
 /// The `instanceIds` map of a frame.
 fn instance_ids(sample: &Sample<'_>) -> Vec<u16> {
     let frame = sample.frame;
-    let mut visible: Vec<u16> = frame.rocks.iter().map(|rock| rock.instance).collect();
+    // Ignored rocks have no id, so they take no rank either.
+    let counts = |rock: &&RockLabel| rock.reason == LabelReason::Rock;
+    let mut visible: Vec<u16> = frame.rocks.iter().filter(counts).map(|rock| rock.instance).collect();
     visible.sort_unstable();
     let instance_id = |(class, rock): (&u8, &u16)| {
         let label = u16::from(label_id(*class));

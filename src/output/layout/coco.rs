@@ -1,7 +1,7 @@
 //! COCO: images by split, instance annotations of rocks (boxes and run-length encoded masks), panoptic segments.
 //!
 //! Rock (1) is the only category with instances; regolith (2) and sky (3) are stuff and appear in the panoptic files
-//! only.
+//! only. The rocks of a frame that the label rule ignores are one crowd (`iscrowd`), which evaluation ignores too.
 //! Category 0 is not used, because common readers drop it. Annotation ids depend on frame and instance alone, so that
 //! every run gives the same ones.
 //! Must not know: scene, GPU, the disk.
@@ -15,7 +15,7 @@ use super::interface::{
 };
 use crate::class::ClassId;
 use crate::error::Result;
-use crate::frame::Frame;
+use crate::frame::{Frame, LabelReason, RockLabel};
 use crate::output::artifact::{Artifact, FileKind};
 use crate::output::encode::png;
 
@@ -32,6 +32,9 @@ const SKY: u32 = 3;
 const REGOLITH_SEGMENT: u32 = 1;
 const SKY_SEGMENT: u32 = 2;
 const ROCK_SEGMENT_BASE: u32 = 2;
+/// The segment, and with [`ROCK_SEGMENT_BASE`] taken off the annotation, of the ignored rocks: above all instance ids.
+const CROWD_SEGMENT: u32 = ROCK_SEGMENT_BASE + CROWD;
+const CROWD: u32 = u16::MAX as u32;
 
 /// Kinds of annotation files.
 const ANNOTATION_KINDS: [&str; 2] = ["instances", "panoptic"];
@@ -90,11 +93,14 @@ impl Layout for Coco {
                 0 => (ClassId::UNLABELLED.0, 0),
                 REGOLITH_SEGMENT => (ClassId::REGOLITH.0, 0),
                 SKY_SEGMENT => (ClassId::SKY.0, 0),
+                CROWD_SEGMENT => (ClassId::UNLABELLED.0, CROWD as u16),
                 rock => (ClassId::ROCK.0, (rock - ROCK_SEGMENT_BASE) as u16),
             }
         });
-        let (class, instances) = segments.unzip();
-        Some(Frame { width, height, class, instances, ..Frame::default() })
+        let (class, instances): (Vec<u8>, Vec<u16>) = segments.unzip();
+        // One rock stands for all that are ignored.
+        let rocks = instances.contains(&(CROWD as u16)).then(crowd_label).into_iter().collect();
+        Some(Frame { width, height, class, instances, rocks, ..Frame::default() })
     }
 
     fn index_files(
@@ -179,9 +185,32 @@ fn panoptic_categories() -> Value {
     json!([row(ROCK, ClassId::ROCK, 1), row(REGOLITH, ClassId::REGOLITH, 0), row(SKY, ClassId::SKY, 0)])
 }
 
-/// The rock instance at a pixel, 0 if its class is not rock: the edge policy may have made a rock's pixel unlabelled.
-fn rock_at(frame: &Frame, pixel: usize) -> u16 {
-    if frame.class[pixel] == ClassId::ROCK.0 { frame.instances[pixel] } else { 0 }
+/// The label of the rocks of a crowd.
+fn crowd_label() -> RockLabel {
+    RockLabel {
+        instance: CROWD as u16,
+        visible_px: 0,
+        exposed_px: 0,
+        box_px: [0; 4],
+        height_m: 0.0,
+        diameter_m: 0.0,
+        reason: LabelReason::TooSmall,
+    }
+}
+
+/// The annotation that each pixel belongs to: an instance id, [`CROWD`] where the label rule ignores a rock, or 0. An edge policy
+/// makes pixels of other rocks unlabelled, which belong to none.
+fn annotated_rocks(frame: &Frame) -> Vec<u32> {
+    let mut is_ignored = vec![false; usize::from(u16::MAX) + 1];
+    for rock in frame.rocks.iter().filter(|rock| rock.reason != LabelReason::Rock) {
+        is_ignored[usize::from(rock.instance)] = true;
+    }
+    let annotation = |(class, instance): (&u8, &u16)| match ClassId(*class) {
+        ClassId::ROCK => u32::from(*instance),
+        ClassId::UNLABELLED if is_ignored[usize::from(*instance)] => CROWD,
+        _ => 0,
+    };
+    frame.class.iter().zip(&frame.instances).map(annotation).collect()
 }
 
 /// A region's bounds and size, pixels.
@@ -219,10 +248,11 @@ fn regions(frame: &Frame, id_at: impl Fn(usize) -> u32) -> BTreeMap<u32, Region>
 
 fn instance_annotations(sample: &Sample<'_>) -> Vec<Value> {
     let frame = sample.frame;
-    regions(frame, |pixel| u32::from(rock_at(frame, pixel)))
+    let rocks = annotated_rocks(frame);
+    regions(frame, |pixel| rocks[pixel])
         .into_iter()
         .map(|(rock, region)| {
-            let counts = run_lengths(frame, region.bounds, rock as u16);
+            let counts = run_lengths(frame, region.bounds, |pixel| rocks[pixel] == rock);
             json!({
                 "id": sample.record.index * IDS_PER_FRAME + u64::from(rock),
                 "image_id": sample.record.index,
@@ -230,19 +260,23 @@ fn instance_annotations(sample: &Sample<'_>) -> Vec<Value> {
                 "segmentation": { "size": [frame.height, frame.width], "counts": compress_counts(&counts) },
                 "area": region.area,
                 "bbox": region.bbox(),
-                "iscrowd": 0,
+                "iscrowd": u8::from(rock == CROWD),
             })
         })
         .collect()
 }
 
 /// Run-length encoding of a rock's mask: lengths of alternating runs of 0 and 1 in column-major order, starting with 0.
-fn run_lengths(frame: &Frame, [left, top, right, bottom]: [u32; 4], rock: u16) -> Vec<u32> {
+fn run_lengths(
+    frame: &Frame,
+    [left, top, right, bottom]: [u32; 4],
+    is_inside: impl Fn(usize) -> bool,
+) -> Vec<u32> {
     let (width, height) = (frame.width, frame.height);
     let (mut counts, mut run, mut inside) = (Vec::new(), left * height, false);
     for x in left..=right {
         for y in 0..height {
-            let is_rock = (top..=bottom).contains(&y) && rock_at(frame, (y * width + x) as usize) == rock;
+            let is_rock = (top..=bottom).contains(&y) && is_inside((y * width + x) as usize);
             if is_rock != inside {
                 counts.push(run);
                 (run, inside) = (0, is_rock);
@@ -284,14 +318,13 @@ fn compress_counts(counts: &[u32]) -> String {
 
 /// The panoptic segment id of every pixel; 0 is void.
 fn panoptic_ids(frame: &Frame) -> Vec<u32> {
-    (0..frame.class.len())
-        .map(|pixel| match ClassId(frame.class[pixel]) {
-            ClassId::REGOLITH => REGOLITH_SEGMENT,
-            ClassId::SKY => SKY_SEGMENT,
-            ClassId::ROCK => ROCK_SEGMENT_BASE + u32::from(frame.instances[pixel]),
-            _ => 0,
-        })
-        .collect()
+    let segment = |(class, rock): (&u8, u32)| match ClassId(*class) {
+        ClassId::REGOLITH => REGOLITH_SEGMENT,
+        ClassId::SKY => SKY_SEGMENT,
+        _ if rock > 0 => ROCK_SEGMENT_BASE + rock,
+        _ => 0,
+    };
+    frame.class.iter().zip(annotated_rocks(frame)).map(segment).collect()
 }
 
 /// The `segments_info` of a panoptic annotation.
@@ -305,7 +338,8 @@ fn segments_info(frame: &Frame, segments: &[u32]) -> Vec<Map<String, Value>> {
                 _ => ROCK,
             };
             let row = json!({
-                "id": id, "category_id": category, "area": region.area, "bbox": region.bbox(), "iscrowd": 0,
+                "id": id, "category_id": category, "area": region.area, "bbox": region.bbox(),
+                "iscrowd": u8::from(id == CROWD_SEGMENT),
             });
             row.as_object().cloned().unwrap_or_default()
         })
@@ -325,10 +359,11 @@ mod tests {
             instances: vec![0, 7, 7, 0, 0, 7, 0, 0, 0, 0, 7, 0],
             ..Frame::default()
         };
-        let region = regions(&frame, |pixel| u32::from(rock_at(&frame, pixel)))[&7];
+        let rocks = annotated_rocks(&frame);
+        let region = regions(&frame, |pixel| rocks[pixel])[&7];
         assert_eq!(region, Region { bounds: [1, 0, 2, 2], area: 4 });
         // Columns: 000 110 101 000.
-        assert_eq!(run_lengths(&frame, region.bounds, 7), [3, 2, 1, 1, 1, 1, 3]);
+        assert_eq!(run_lengths(&frame, region.bounds, |pixel| rocks[pixel] == 7), [3, 2, 1, 1, 1, 1, 3]);
         assert_eq!(region.bbox(), [1.0, 0.0, 2.0, 3.0]);
     }
 

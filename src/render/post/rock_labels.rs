@@ -6,7 +6,7 @@
 use rayon::prelude::*;
 
 use super::amodal::AmodalView;
-use crate::frame::{Frame, RockLabel};
+use crate::frame::{Frame, LabelReason, RockLabel};
 use crate::render::select::selection::Selection;
 use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
@@ -51,5 +51,6 @@ fn empty_label(rock: &Rock, scene: &Scene) -> RockLabel {
         box_px: [u32::MAX, u32::MAX, 0, 0],
         height_m: rock.centre.z + rock.z_range_m[1] - scene.terrain.surface_height_at(rock.centre.truncate()),
         diameter_m: rock.diameter_m(),
+        reason: LabelReason::Rock,
     }
 }
