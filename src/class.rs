@@ -27,6 +27,8 @@ impl ClassId {
     pub const ROCK: Self = Self(1);
     /// Dome and stars.
     pub const SKY: Self = Self(2);
+    /// Parts of the rover, from the shaders to the readback. A mask has [`Self::UNLABELLED`] there.
+    pub const HARDWARE: Self = Self(3);
     /// The ignore index for training: rocks that do not count, boundaries under an edge policy. Also the clear value, which no draw
     /// leaves in a correct frame.
     pub const UNLABELLED: Self = Self(255);

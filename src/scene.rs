@@ -7,6 +7,7 @@
 pub mod bounce;
 pub mod camera;
 pub mod craters;
+pub mod far_hills;
 pub mod fillet;
 pub mod flare;
 pub mod grains;
@@ -21,6 +22,7 @@ pub mod relief;
 pub mod rings;
 pub mod rings_mesh;
 pub mod rocks;
+pub mod rover;
 pub mod sensor;
 pub mod size_distribution;
 pub mod sky;
@@ -43,6 +45,7 @@ use photometry::{Photometry, tinted};
 use relief::Relief;
 use rocks::on_demand::Rocks;
 use rocks::{Material, burial, fillets, lunar, lunar_rocks};
+use rover::Rover;
 use sensor::Sensor;
 use sky::{Sky, Sun};
 use terrain::Terrain;
@@ -63,7 +66,7 @@ pub struct Scene {
     pub photometry: Photometry,
     /// Which rocks and craters count in the labels.
     pub label_rule: LabelRule,
-    /// The rocks, by index.
+    /// The rocks, by index, and behind them the parts of the rover.
     pub rocks: Rocks,
     /// Dome and stars.
     pub sky: Sky,
@@ -129,6 +132,15 @@ impl Scene {
         camera: Camera,
     ) -> Self {
         let below_eye = camera.eye.truncate();
+        let yaw = params.number(Knob::CameraYawDeg).to_radians();
+        let view = Vec2::new(libm::sin(yaw) as f32, libm::cos(yaw) as f32);
+        let rocks = match Rover::build(params) {
+            Some(rover) => {
+                let parts = rover.parts(&terrain, camera.eye, view, rocks.len() as u32);
+                rocks.with(parts)
+            }
+            None => rocks,
+        };
         Self {
             sky: Sky::build(streams, params, below_eye.extend(terrain.height_at(below_eye))),
             photometry: Photometry::build(params),

@@ -66,11 +66,11 @@ pub(super) fn export_stage(args: &ExportArgs, messages: Messages) -> Result<()> 
     if args.json {
         let result = json!({
             "file": args.file, "bytes": written, "seed": args.seed, "stage": params.text(Knob::StageName), "drawn": args.drawn,
-            "rocks": scene.rocks.len(), "geometry_hash": scene.geometry_hash(),
+            "rocks": scene.rocks.count(), "geometry_hash": scene.geometry_hash(),
         });
         return print(&format!("{result:#}\n"));
     }
-    messages.detail(format_args!("{} rocks, {written} bytes", scene.rocks.len()));
+    messages.detail(format_args!("{} rocks, {written} bytes", scene.rocks.count()));
     messages.paths(&format!("{}\n", args.file.display()))
 }
 

@@ -180,7 +180,9 @@ impl Rules {
             return violation("eye_above_ground", format!("the eye is {height_m:.2} m above the ground"));
         }
         let near_eye = scene.rocks.build_where(|rock| rock.may_lie_within(0.0, eye));
-        if let Some((_, rock)) = near_eye.into_iter().find(|(_, rock)| rock.distance_to(eye, 1.0) <= 0.0) {
+        if let Some((_, rock)) =
+            near_eye.into_iter().find(|(_, rock)| rock.body.is_rock() && rock.distance_to(eye, 1.0) <= 0.0)
+        {
             return violation("eye_outside_rocks", format!("the eye is inside rock {}", rock.index));
         }
         let (mut foreground, mut black, mut clipped) = (0_u64, 0_u64, 0_u64);

@@ -7,7 +7,7 @@ use glam::Vec3;
 use serde_json::{Value, json};
 
 use super::sky::{HOLE_DEG, Sky};
-use super::stage::{Stage, materials};
+use super::stage::{PartKind, Stage, materials};
 use crate::class::ClassId;
 use crate::error::{Error, Result};
 use crate::scene::Scene;
@@ -111,6 +111,7 @@ struct Document {
     nodes: Vec<Value>,
     world_children: Vec<usize>,
     rocks_children: Vec<usize>,
+    rover_children: Vec<usize>,
 }
 
 impl Document {
@@ -125,8 +126,11 @@ impl Document {
         let (materials, material_of) = materials(&parts);
         for (part, material) in parts.iter().zip(material_of) {
             let node = self.next_node();
-            let siblings =
-                if part.rock.is_some() { &mut self.rocks_children } else { &mut self.world_children };
+            let siblings = match part.kind {
+                PartKind::Ground => &mut self.world_children,
+                PartKind::Rock(_) => &mut self.rocks_children,
+                PartKind::Rover(_) => &mut self.rover_children,
+            };
             siblings.push(node);
             let name = part.name();
             self.meshes.push(self.buffer.mesh(&name, part.vertices, &part.triangles, material));
@@ -140,6 +144,10 @@ impl Document {
                     "instance_id": part.instance,
                 },
             }));
+        }
+        if !self.rover_children.is_empty() {
+            self.world_children.push(self.next_node());
+            self.nodes.push(json!({ "name": "Rover", "children": self.rover_children }));
         }
         self.materials.extend(materials.iter().map(|(name, material)| surface(name, *material)));
         Ok(())

@@ -8,7 +8,7 @@ use super::stage::Stage;
 use crate::error::{Error, Result};
 
 /// The arrays: `vertices` float32 N x 3 (metres, world), `normals` float32 N x 3, `triangles` uint32 M x 3,
-/// `triangle_class` uint8 M, `triangle_instance` uint16 M (0 = not a rock), `albedo` float32 per instance x 3 (row 0 is
+/// `triangle_class` uint8 M (255 for the rover), `triangle_instance` uint16 M (0 = not a rock), `albedo` float32 per instance x 3 (row 0 is
 /// the ground), `world_from_camera` float64 4 x 4 (OpenCV axes), `K` float64 3 x 3, `sun_direction` float32 3.
 pub(super) fn encode(stage: &Stage<'_>) -> Result<Vec<u8>> {
     let scene = stage.scene;
@@ -24,7 +24,7 @@ pub(super) fn encode(stage: &Stage<'_>) -> Result<Vec<u8>> {
         instances.resize(triangles.len(), part.instance);
     }
     let mut albedo = vec![scene.regolith.albedo.to_array()];
-    albedo.extend(scene.rocks.iter().map(|rock| rock.material.albedo.to_array()));
+    albedo.extend(scene.rocks.iter().take(scene.rocks.count()).map(|rock| rock.material.albedo.to_array()));
 
     let camera = &scene.camera;
     let (k, pose) = (camera.intrinsics(stage.settings.size), camera.world_from_camera());

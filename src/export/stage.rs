@@ -37,11 +37,32 @@ pub struct Stage<'a> {
     pub detail: Detail,
 }
 
-/// The ground or one rock.
+/// What a part is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum PartKind {
+    Ground,
+    /// A rock, by its index.
+    Rock(usize),
+    /// A part of the rover, by its number among them.
+    Rover(usize),
+}
+
+impl PartKind {
+    /// The start of the names of its materials.
+    const fn material(self) -> &'static str {
+        match self {
+            Self::Ground => "Regolith",
+            Self::Rock(_) => "RockMaterial",
+            Self::Rover(_) => "RoverMaterial",
+        }
+    }
+}
+
+/// The ground, one rock, or one part of the rover.
 pub(super) struct Part<'a> {
     pub(super) class: ClassId,
-    /// Index of the rock; `None` for the ground.
-    pub(super) rock: Option<usize>,
+    /// What it is.
+    pub(super) kind: PartKind,
     /// Instance id; 0 for the ground.
     pub(super) instance: u16,
     /// Translation from object to world space.
@@ -54,7 +75,11 @@ pub(super) struct Part<'a> {
 impl Part<'_> {
     /// Name of its node or prim.
     pub(super) fn name(&self) -> String {
-        self.rock.map_or_else(|| "Regolith".to_owned(), |rock| format!("Rock_{rock:03}"))
+        match self.kind {
+            PartKind::Ground => "Regolith".to_owned(),
+            PartKind::Rock(rock) => format!("Rock_{rock:03}"),
+            PartKind::Rover(part) => format!("Part_{part:02}"),
+        }
     }
 }
 
@@ -62,17 +87,19 @@ impl Part<'_> {
 /// material. Rocks share a pool of materials, so there are far fewer of them than parts.
 pub(super) fn materials(parts: &[Part<'_>]) -> (Vec<(String, Material)>, Vec<usize>) {
     let mut materials: Vec<(String, Material)> = Vec::new();
-    let (mut of_parts, mut rock_materials) = (Vec::with_capacity(parts.len()), 0);
+    let mut of_parts = Vec::with_capacity(parts.len());
     for part in parts {
-        let known = materials.iter().position(|(name, material)| {
-            *material == part.material && (name == "Regolith") == part.rock.is_none()
-        });
+        let stem = part.kind.material();
+        let known = materials
+            .iter()
+            .position(|(name, material)| *material == part.material && name.starts_with(stem));
         of_parts.push(known.unwrap_or_else(|| {
-            let name = if part.rock.is_some() {
-                rock_materials += 1;
-                format!("RockMaterial_{:02}", rock_materials - 1)
-            } else {
-                "Regolith".to_owned()
+            let name = match part.kind {
+                PartKind::Ground => stem.to_owned(),
+                PartKind::Rock(_) | PartKind::Rover(_) => {
+                    let of_kind = materials.iter().filter(|(name, _)| name.starts_with(stem)).count();
+                    format!("{stem}_{of_kind:02}")
+                }
             };
             materials.push((name, part.material));
             materials.len() - 1
@@ -82,7 +109,7 @@ pub(super) fn materials(parts: &[Part<'_>]) -> (Vec<(String, Material)>, Vec<usi
 }
 
 impl Stage<'_> {
-    /// The ground, then the rocks in order of index.
+    /// The ground, then the rocks in order of index, then the parts of the rover.
     ///
     /// # Errors
     /// Those of [`near_plane::drawn`].
@@ -90,7 +117,7 @@ impl Stage<'_> {
         let scene = self.scene;
         let mut parts = vec![Part {
             class: ClassId::REGOLITH,
-            rock: None,
+            kind: PartKind::Ground,
             instance: 0,
             origin: Vec3::ZERO,
             vertices: &scene.terrain.vertices,
@@ -107,14 +134,20 @@ impl Stage<'_> {
                 .filter_map(|s| Some((s.rock, s.visible_level.or(s.caster.map(|(_, level)| level))?)))
                 .collect(),
         };
+        let first_part = scene.rocks.count();
         parts.extend(levels.into_iter().map(|(index, level)| {
             let rock = &scene.rocks[index];
             let triangles = rock.triangles(level).to_vec();
             let used = triangles.as_flattened().iter().max().map_or(0, |last| *last as usize + 1);
+            let (class, kind, instance) = if rock.body.is_rock() {
+                (ClassId::ROCK, PartKind::Rock(index), rock.index as u16 + 1)
+            } else {
+                (ClassId::UNLABELLED, PartKind::Rover(index - first_part), 0)
+            };
             Part {
-                class: ClassId::ROCK,
-                rock: Some(index),
-                instance: rock.index as u16 + 1,
+                class,
+                kind,
+                instance,
                 origin: rock.centre,
                 vertices: &rock.vertices[..used],
                 triangles,

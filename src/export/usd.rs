@@ -13,7 +13,7 @@ mod text;
 use glam::Vec3;
 
 use super::sky::{HOLE_DEG, Sky};
-use super::stage::{Part, Stage, materials};
+use super::stage::{Part, PartKind, Stage, materials};
 use crate::class::ClassId;
 use crate::error::Result;
 use crate::scene::mesh::Icosphere;
@@ -40,12 +40,13 @@ fn layer(stage: &Stage<'_>) -> Result<Layer> {
     let (materials, material_of) = materials(&parts);
     let mut world = Prim::new("World", "Xform");
     let mut rocks = Prim::new("Rocks", "Xform");
+    let mut rover = Prim::new("Rover", "Xform");
     for (part, material) in parts.iter().zip(&material_of) {
         let prim = part_mesh(part, &materials[*material].0);
-        if part.rock.is_some() {
-            rocks.children.push(prim);
-        } else {
-            world.children.push(prim);
+        match part.kind {
+            PartKind::Ground => world.children.push(prim),
+            PartKind::Rock(_) => rocks.children.push(prim),
+            PartKind::Rover(_) => rover.children.push(prim),
         }
     }
     let mut looks = Prim::new("Looks", "Scope");
@@ -55,6 +56,9 @@ fn layer(stage: &Stage<'_>) -> Result<Layer> {
         emitter("Star", stage.scene.sky.star_radiance),
     ]);
     let [dome, stars] = sky(stage);
+    if !rover.children.is_empty() {
+        world.children.push(rover);
+    }
     world.children.extend([rocks, sun(stage), dome, stars, camera(stage), looks]);
     let knobs = serde_json::Value::Object(stage.knobs.clone()).to_string();
     let metadata = vec![

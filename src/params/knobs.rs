@@ -70,6 +70,8 @@ knobs! {
         "Amplitude of hills with wavelengths of 250 m and below; their standard deviation is about a sixth of this.";
     ReliefUndulationM "relief.undulation_m" "m" in Surface Number, Frame, number(2.4), [0.0, 20.0],
         "Amplitude of undulations with wavelengths of 50 m and below; their standard deviation is about a sixth of this.";
+    ReliefFarHillsM "relief.far_hills_m" "m" in Surface Number, Frame, number(0.0), [0.0, 400.0],
+        "Height of the peaks of hills on the horizon, which rise beyond a third of the ground's radius from the camera; 0 for a level horizon.";
     ReliefSlopeDeg "relief.slope_deg" "deg" in Surface Number, Frame, number(10.0), [0.0, 25.0],
         "Median slope of the fine relief over a 7 mm baseline (Guo et al. 2021: 10 at the Chang'e-4 site).";
     ReliefHurst "relief.hurst" "" in Surface Number, Frame, number(0.75), [0.4, 1.0],
@@ -188,6 +190,22 @@ knobs! {
         "Craters with a smaller diameter are not labelled.";
     LabelCraterMinDepth "label.crater_min_depth" "" Number, Frame, number(0.04), [0.0, 0.5],
         "Craters with a smaller ratio of depth to diameter count as too degraded and are not labelled.";
+    RoverKind "rover.kind" "" Text(&["off", "rover"]), Frame, word("off"), [0.0, 0.0],
+        "Whether a rover carries the camera and casts its shadow.";
+    RoverHeadingDeg "rover.heading_deg" "deg" Number, Frame, number(0.0), [-180.0, 180.0],
+        "Heading of the rover relative to that of the camera on its mast, clockwise from above.";
+    RoverLengthM "rover.length_m" "m" Number, Frame, number(1.5), [0.3, 5.0],
+        "Length of the rover's body; the mast is at its front (Yutu: 1.5).";
+    RoverWidthM "rover.width_m" "m" Number, Frame, number(1.0), [0.3, 4.0],
+        "Width of the rover's body, without wheels and panels (Yutu: 1.0).";
+    RoverDeckM "rover.deck_m" "m" Number, Frame, number(0.8), [0.2, 2.5],
+        "Height of the rover's deck above the ground; a camera less than 0.25 m above it is mounted on the front of the body, without a mast.";
+    RoverPanelM "rover.panel_m" "m" Number, Frame, number(0.7), [0.0, 3.0],
+        "Width of the solar panel on each side of the deck; 0 for none.";
+    RoverWheelM "rover.wheel_m" "m" Number, Frame, number(0.3), [0.1, 1.0],
+        "Diameter of each of the rover's six wheels; they are half as wide (Yutu: 0.30 and 0.15).";
+    RoverVisible "rover.visible" "" Text(&["no", "yes"]), Frame, word("no"), [0.0, 0.0],
+        "Whether the camera sees the rover, where it is in view; its pixels have the label 255. It casts its shadow either way.";
     CameraXM "camera.x_m" "m" Number, Frame, number(0.0), [-2000.0, 2000.0],
         "X coordinate of the camera (right).";
     CameraYM "camera.y_m" "m" Number, Frame, number(-90.0), [-2000.0, 2000.0],

@@ -173,7 +173,7 @@ fn instances(
         let rock = &scene.rocks[selected.rock];
         let counts = scene.label_rule.draws_as_rock(rock, scene.camera.eye, focal_px);
         let tile = selected.caster.map_or_else(Default::default, |(tile, _)| selection.casters[tile].tile);
-        Instance {
+        let instance = Instance {
             origin: rock.centre,
             scale: 1.0,
             colour: rock.material.albedo / rock_at_normal,
@@ -189,7 +189,8 @@ fn instances(
             tile_size_px: tile.size_px,
             detail: detail(Detail::RockTexture).with_relief(0),
             ..Default::default()
-        }
+        };
+        if rock.body.is_rock() { instance } else { hardware(instance) }
     }));
     let in_sky = |origin, scale, colour| Instance {
         origin,
@@ -211,6 +212,19 @@ fn instances(
         instances.extend((0..bands as u32).map(of_band));
     }
     instances
+}
+
+/// The instance of a part of the rover: smooth paint where a rock has texture, which dust covers.
+fn hardware(rock: Instance) -> Instance {
+    Instance {
+        class_id: ClassId::HARDWARE.0.into(),
+        instance_id: 0,
+        dust: rock.colour,
+        dust_surge_height: rock.surge_height,
+        // Below every normal.
+        dust_min_normal_z: -2.0,
+        ..rock
+    }
 }
 
 /// The sunlit rocks of a selection; none under laws other than Hapke's, which take light from level ground alone.

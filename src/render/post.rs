@@ -2,6 +2,7 @@
 //! Must not know: wgpu.
 
 pub mod amodal;
+pub mod hardware;
 pub mod hazards;
 pub mod label_policy;
 pub mod rock_labels;

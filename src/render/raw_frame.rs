@@ -67,6 +67,9 @@ impl RawFrame {
         } else if let Some(sun) = &sun {
             sun.restore(&mut frame);
         }
+        if scene.rocks.built().any(|body| !body.body.is_rock() && body.body.is_visible()) {
+            post::hardware::ignore(&mut frame);
+        }
         if post::hazards::any_requested(request.annotations) {
             timed(&mut frame, "hazards", &mut |frame| post::hazards::add(frame, scene, request.annotations));
         }

@@ -16,7 +16,7 @@ const GHOSTS: u64 = 6;
 /// negative beyond the centre.
 const POSITIONS: [f64; 2] = [-1.6, 0.6];
 /// Range of the tangents of their angular radii.
-const RADII: [f64; 2] = [0.008, 0.06];
+const RADII: [f64; 2] = [0.03, 0.12];
 /// Half the range of the reflectance of a coating over the channels, relative to its mean.
 const TINT: f64 = 0.6;
 

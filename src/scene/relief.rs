@@ -9,6 +9,7 @@ use fearless_simd::{Level, dispatch};
 use glam::Vec2;
 
 use super::craters::{CraterField, Pit};
+use super::far_hills::FarHills;
 use super::fillet::{BATCH, Fillet};
 use super::grains::GrainField;
 use super::lattice::Lattice;
@@ -65,6 +66,8 @@ pub struct Relief {
     pub grains: GrainField,
     /// Fillets of soil.
     pub fillets: Vec<Fillet>,
+    /// Hills on the horizon, if there are any.
+    pub far_hills: Option<FarHills>,
 }
 
 /// The craters, clods and fillets that can change the height in some region.
@@ -118,7 +121,8 @@ impl Relief {
             .collect();
         let craters = CraterField::new(streams, params, centre);
         let grains = GrainField::new(streams, params, centre);
-        Self { octaves, craters, grains, fillets: Vec::new() }
+        let far_hills = FarHills::new(streams, params, centre);
+        Self { octaves, craters, grains, fillets: Vec::new(), far_hills }
     }
 
     /// What can change the height within a circle (metres from the centre), at this cell size or a larger one.
@@ -160,6 +164,9 @@ impl Relief {
                 let (cell, t) = lattice.cell(lattice.local(Vec2::new(*x, *y)));
                 *height += amplitude_m * gradient_noise_2d(cell, t, lattice.seed, *patchy);
             }
+        }
+        if let Some(far_hills) = &self.far_hills {
+            far_hills.add_heights([x, y], |size_m| mesh_share(size_m, cell_m), heights);
         }
         for pit in &nearby.pits {
             let share = mesh_share(pit.diameter_m, cell_m);

@@ -14,4 +14,4 @@ mod shape;
 
 pub use nominal::plan;
 pub use plan::RockBounds;
-pub use rock::{EYE_CLEARANCE_M, Material, NO_DUST, Rock};
+pub use rock::{Body, EYE_CLEARANCE_M, Material, NO_DUST, Rock};

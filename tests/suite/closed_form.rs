@@ -15,7 +15,7 @@ use regolith::scene::flare::Flare;
 use regolith::scene::label_rule::LabelRule;
 use regolith::scene::mesh::{Icosphere, Vertex};
 use regolith::scene::photometry::{Law, Photometry};
-use regolith::scene::rocks::{Material, NO_DUST, Rock};
+use regolith::scene::rocks::{Body, Material, NO_DUST, Rock};
 use regolith::scene::sky::{DOME_RADIANCE, Sky, Sun};
 use regolith::scene::terrain::Terrain;
 
@@ -63,6 +63,7 @@ fn ball(centre: Vec3, radius_m: f32) -> Rock {
         material: Material { albedo: Vec3::splat(0.1), roughness: 0.0 },
         dust_above: NO_DUST,
         moved: false,
+        body: Body::Rock,
     }
 }
 

@@ -233,6 +233,8 @@ fn every_knob_changes_the_frame() {
                 "craters.radius_m" | "terrain.amplitude_m" | "craters.depth_m" => "12",
                 "photometry.law" => "lommel_seeliger",
                 "sensor.kind" => "mono",
+                "rover.kind" => "rover",
+                "rover.visible" => "yes",
                 "sky.earthshine" => "0.05",
                 "craters.law" => "classes",
                 "rocks.law" => "bands",
@@ -266,6 +268,10 @@ fn every_knob_changes_the_frame() {
                 }
                 "rocks" if stage == Stage::Surface && info.name.ends_with("_count") => "rocks.law=bands",
                 // Of the sun.
+                "rover" if info.name == "rover.visible" => {
+                    "rover.kind=rover rover.heading_deg=180 camera.pitch_deg=-50"
+                }
+                "rover" if info.name != "rover.kind" => "rover.kind=rover",
                 "sensor" if info.name == "sensor.flare" => "sensor.kind=bayer sun.azimuth_deg=0",
                 "sensor" if info.name != "sensor.kind" => "sensor.kind=bayer",
                 "rocks" if info.name.starts_with("rocks.hero_") && info.name != "rocks.hero_scale_m" => {

@@ -156,7 +156,7 @@ impl Truth {
     }
 
     /// Fraction of the sun's disc that is occluded at a point, by shadow rays in a spiral over the disc.
-    fn sun_occlusion(&self, scene: &Scene, point: Vec3, seed: u64) -> f32 {
+    pub(crate) fn sun_occlusion(&self, scene: &Scene, point: Vec3, seed: u64) -> f32 {
         let sun = &scene.sun;
         let right = Vec3::Z.cross(sun.direction).normalize();
         let up = sun.direction.cross(right);

@@ -70,11 +70,20 @@ impl Reference {
         self.frame.class[pixel] == ClassId::SKY.0
     }
 
+    /// Pixels of rocks that are ignored have an instance, those of the rover have none.
+    fn shows_rover(&self, pixel: usize) -> bool {
+        self.frame.class[pixel] == ClassId::UNLABELLED.0
+    }
+
     /// Distance from a point to the surface that a pixel shows, metres.
     fn distance_to_surface(&self, scene: &Scene, pixel: usize, point: Vec3) -> f64 {
         let rock = self.frame.instances[pixel].checked_sub(1).and_then(|i| scene.rocks.get(usize::from(i)));
         f64::from(match rock {
             Some(rock) => rock.distance_to_surface(point),
+            None if self.shows_rover(pixel) => {
+                let parts = scene.rocks.iter().skip(scene.rocks.count());
+                parts.map(|part| part.distance_to_surface(point)).fold(f32::INFINITY, f32::min)
+            }
             None => (point.z - scene.terrain.surface_height_at(point.truncate())).abs(),
         })
     }

@@ -90,7 +90,7 @@ impl LitRocks {
             let rock = &scene.rocks[selected.rock];
             let exposed = Exposed::new(scene, rock);
             let is_speck = 2.0 * rock.base_scale_m < MIN_PX * pixel_angle * selected.nearest_m;
-            let lit = (!is_speck).then(|| LitRock {
+            let lit = (!is_speck && rock.body.is_rock()).then(|| LitRock {
                 foot: exposed.foot,
                 height_m: exposed.height_m,
                 radius_m: rock.base_scale_m,

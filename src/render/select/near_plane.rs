@@ -88,7 +88,7 @@ fn near_plane_cuts_view(scene: &Scene, camera: &Camera, [width_px, height_px]: [
     let ground = scene.terrain.triangles_over(low, high);
     let rocks = scene.rocks.build_where(|rock| rock.may_lie_within(reach_m, eye));
     ground.map(|triangle| triangle.map(|corner| corner - eye)).any(is_cut)
-        || rocks.iter().any(|(_, rock)| {
+        || rocks.iter().filter(|(_, rock)| rock.body.is_visible()).any(|(_, rock)| {
             let triangles = rock.triangles(rock.level).iter();
             triangles.map(|t| t.map(|v| rock.centre + rock.vertices[v as usize].position - eye)).any(is_cut)
         })

@@ -72,7 +72,8 @@ impl Selection {
             .into_iter()
             .map(|(index, rock)| {
                 let nearest_m = (rock.centre.distance(camera.eye) - rock.radius_m).max(0.0);
-                let is_visible = frustum.intersects_sphere(rock.centre, rock.radius_m);
+                let is_visible =
+                    rock.body.is_visible() && frustum.intersects_sphere(rock.centre, rock.radius_m);
                 let outline_error_m = settings.outline_error_px * pixel_angle * nearest_m;
                 let visible_level = is_visible.then(|| coarsest_level(rock, outline_error_m));
                 // A visible rock casts its shadow with the mesh that the image shows, or the shadow would not fit it.

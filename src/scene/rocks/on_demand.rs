@@ -1,4 +1,4 @@
-//! The rocks of a scene by index. A rock is built on first access; a frame accesses only those that survive culling.
+//! The rocks of a scene by index, and behind them the parts of the rover. A rock is built on first access; a frame accesses only those that survive culling.
 //!
 //! Must not know: which rocks a frame needs.
 
@@ -46,10 +46,17 @@ impl Entry {
 }
 
 impl Rocks {
-    /// Number of rocks.
+    /// Number of rocks and parts of the rover.
     #[must_use]
     pub fn len(&self) -> usize {
         self.0.len()
+    }
+
+    /// Number of rocks, without parts of the rover, which are behind them.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        let is_part = |entry: &&Entry| entry.built.get().is_some_and(|rock| !rock.body.is_rock());
+        self.0.len() - self.0.iter().rev().take_while(is_part).count()
     }
 
     /// Whether there are no rocks.
@@ -102,6 +109,13 @@ impl Rocks {
                 write(bytemuck::cast_slice(&rock.vertices));
             }
         }
+    }
+
+    /// These, with further ones behind them.
+    #[must_use]
+    pub(in crate::scene) fn with(self, more: Vec<Rock>) -> Self {
+        let more = more.into_iter().map(|rock| Entry { plan: None, built: OnceLock::from(rock) });
+        Self(self.0.iter().cloned().chain(more).collect())
     }
 
     /// Rocks that are built on first access.

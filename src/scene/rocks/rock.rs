@@ -26,7 +26,34 @@ pub struct Material {
     pub roughness: f32,
 }
 
-/// One rock.
+/// What a body that lies or stands on the ground is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Body {
+    /// A rock.
+    #[default]
+    Rock,
+    /// A part of the rover.
+    Hardware {
+        /// Whether the camera sees it; it casts its shadow either way.
+        is_visible: bool,
+    },
+}
+
+impl Body {
+    /// Whether it is a rock.
+    #[must_use]
+    pub const fn is_rock(self) -> bool {
+        matches!(self, Self::Rock)
+    }
+
+    /// Whether the camera sees it.
+    #[must_use]
+    pub const fn is_visible(self) -> bool {
+        matches!(self, Self::Rock | Self::Hardware { is_visible: true })
+    }
+}
+
+/// One rock, or a part of the rover.
 #[derive(Clone, Debug)]
 pub struct Rock {
     /// Index from 0; its instance id is one more.
@@ -51,11 +78,13 @@ pub struct Rock {
     pub dust_above: f32,
     /// Whether it was moved because it overlapped the camera.
     pub moved: bool,
+    /// What it is.
+    pub body: Body,
 }
 
 impl Rock {
     /// A rock with its centre at the origin.
-    pub(super) fn of_vertices(
+    pub(in crate::scene) fn of_vertices(
         index: u32,
         vertices: PooledVec<Vertex>,
         level: usize,
@@ -73,6 +102,7 @@ impl Rock {
             material,
             dust_above: NO_DUST,
             moved: false,
+            body: Body::Rock,
         };
         rock.measure();
         rock.base_scale_m = rock.radius_m;

@@ -1,0 +1,238 @@
+//! The rover that carries the camera: a silhouette of boxes and cylinders around the camera's mast.
+//!
+//! Its parts are bodies like rocks, with a mesh each, so that they cast shadows by the same maps. The default dimensions are about
+//! those of Yutu: 1.5 m long, 1.0 m wide, six wheels of 0.30 m, cameras on a mast at the front.
+//! Must not know: how it is drawn.
+
+use glam::{Vec2, Vec3};
+
+use super::mesh::{Icosphere, Vertex};
+use super::rocks::{Body, Material, Rock};
+use super::terrain::Terrain;
+use crate::params::{Knob, Params};
+
+/// Icosphere level of the parts.
+const LEVEL: usize = 4;
+/// Vertices of a part that are nearer to an edge than this, in half extents, lie on the edge: no triangle of [`LEVEL`] then cuts it.
+const SNAP: f32 = 0.85;
+/// Distance of the front of the camera head, and of the axis of the mast, behind the eye, metres: neither is ever in view of a camera
+/// that does not look at itself.
+const HEAD_BEHIND_M: f32 = 0.02;
+const MAST_BEHIND_M: f32 = 0.12;
+/// Half extents of the camera head across, along and upwards, metres.
+const HEAD_M: [f32; 3] = [0.22, 0.08, 0.07];
+/// Radius of the mast, metres.
+const MAST_RADIUS_M: f32 = 0.035;
+/// Distance of the mast from the front of the body, metres.
+const MAST_FROM_FRONT_M: f32 = 0.15;
+/// Height of the eye above the deck below which the camera is mounted on the front of the body, without a mast, metres.
+const MIN_MAST_M: f32 = 0.25;
+/// Distance of the body's front behind such an eye, metres.
+const BODY_BEHIND_M: f32 = 0.05;
+/// Height of the body, and half thickness of a solar panel and of the rockers that carry the wheels, metres.
+const BODY_OF_DECK: f32 = 0.5;
+const PANEL_HALF_M: f32 = 0.012;
+const ROCKER_HALF_M: f32 = 0.025;
+/// Width of a wheel, in diameters (Yutu: 0.15 of 0.30 m).
+const WHEEL_WIDTH: f32 = 0.5;
+/// Positions of the three axles from the middle of the body, in lengths of the body.
+const AXLES: [f32; 3] = [-0.42, 0.0, 0.42];
+/// Depth that the wheels sink in, metres: 1 to 2 cm in lunar soil.
+const SINKAGE_M: f32 = 0.015;
+/// Overlap of a solar panel with the deck, metres.
+const OVERLAP_M: f32 = 0.02;
+/// Diffuse reflectance of painted hardware, of solar cells and of wheels.
+const PAINT: Vec3 = Vec3::new(0.24, 0.235, 0.225);
+const CELLS: Vec3 = Vec3::new(0.03, 0.035, 0.055);
+const METAL: Vec3 = Vec3::new(0.12, 0.12, 0.12);
+
+/// Dimensions and pose of a rover.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rover {
+    /// Unit vector along which it heads, horizontal.
+    pub heading: Vec2,
+    /// Length and width of the body, metres.
+    pub size_m: [f32; 2],
+    /// Height of the deck above the ground below the camera, metres.
+    pub deck_m: f32,
+    /// Width of each of the two solar panels, metres; 0 for none.
+    pub panel_m: f32,
+    /// Diameter of a wheel, metres.
+    pub wheel_m: f32,
+    /// Whether the camera sees it.
+    pub is_visible: bool,
+}
+
+/// The surface of a part before it is scaled: a cube or a cylinder along x, both of half extent 1.
+#[derive(Clone, Copy, Debug)]
+enum Shape {
+    Box,
+    Cylinder,
+}
+
+impl Shape {
+    /// Point and normal of the surface in a direction from its centre; near an edge, on the edge.
+    fn at(self, direction: Vec3) -> (Vec3, Vec3) {
+        match self {
+            Self::Box => {
+                let size = direction.abs();
+                let point = direction / size.max_element();
+                let on_edge = point.to_array().map(|x| if x.abs() > SNAP { x.signum() } else { x });
+                let faces = on_edge.map(|x| if x.abs() >= 1.0 { x.signum() } else { 0.0 });
+                let normal = Vec3::from(faces);
+                (on_edge.into(), normal / normal.length())
+            }
+            Self::Cylinder => {
+                let radius = libm::hypotf(direction.y, direction.z);
+                let (along, around) = (direction.x.abs(), Vec3::new(0.0, direction.y, direction.z));
+                let point = direction / along.max(radius);
+                let (of_cap, of_side) = (point.x.abs(), libm::hypotf(point.y, point.z));
+                let round = if radius > 0.0 { around / radius } else { Vec3::ZERO };
+                let cap = Vec3::X * direction.x.signum();
+                if of_cap.min(of_side) > SNAP {
+                    let normal = cap + round;
+                    (normal, normal / normal.length())
+                } else if along > radius {
+                    (point, cap)
+                } else {
+                    (point, round)
+                }
+            }
+        }
+    }
+}
+
+/// A part: its shape, half extents along its own axes, and these axes and its centre in the world, metres.
+struct Part {
+    shape: Shape,
+    half_m: Vec3,
+    axes: [Vec3; 3],
+    centre: Vec3,
+    albedo: Vec3,
+}
+
+impl Part {
+    fn body(&self, index: u32, is_visible: bool) -> Rock {
+        let to_world = |v: Vec3| v.x * self.axes[0] + v.y * self.axes[1] + v.z * self.axes[2];
+        let directions = &Icosphere::shared().directions[..Icosphere::vertex_count(LEVEL)];
+        let vertices: Vec<Vertex> = directions
+            .iter()
+            .map(|direction| {
+                let (point, normal) = self.shape.at(*direction);
+                let normal = to_world(normal / self.half_m);
+                Vertex { position: to_world(point * self.half_m), normal: normal / normal.length() }
+            })
+            .collect();
+        let material = Material { albedo: self.albedo, roughness: 0.3 };
+        let mut part = Rock::of_vertices(index, (&vertices[..]).into(), LEVEL, material);
+        part.centre = self.centre;
+        part.body = Body::Hardware { is_visible };
+        part
+    }
+}
+
+impl Rover {
+    /// The rover of these parameters; `None` if there is none.
+    #[must_use]
+    pub fn build(params: &Params) -> Option<Self> {
+        if params.text(Knob::RoverKind) != "rover" {
+            return None;
+        }
+        let number = |knob| params.number(knob) as f32;
+        let azimuth = (params.number(Knob::CameraYawDeg) + params.number(Knob::RoverHeadingDeg)).to_radians();
+        Some(Self {
+            heading: Vec2::new(libm::sin(azimuth) as f32, libm::cos(azimuth) as f32),
+            size_m: [number(Knob::RoverLengthM), number(Knob::RoverWidthM)],
+            deck_m: number(Knob::RoverDeckM),
+            panel_m: number(Knob::RoverPanelM),
+            wheel_m: number(Knob::RoverWheelM),
+            is_visible: params.text(Knob::RoverVisible) == "yes",
+        })
+    }
+
+    /// Its parts, with indices from `first` on, for a camera at `eye` that looks along the azimuth of `view`.
+    #[must_use]
+    pub fn parts(&self, terrain: &Terrain, eye: Vec3, view: Vec2, first: u32) -> Vec<Rock> {
+        let up = Vec3::Z;
+        let [ahead, view] = [self.heading, view].map(|azimuth| azimuth.extend(0.0));
+        let right = ahead.cross(up);
+        let ground_m = terrain.height_at(eye.truncate());
+        let deck_m = ground_m + self.deck_m;
+        let [length_m, width_m] = self.size_m;
+        let has_mast = eye.z - deck_m >= MIN_MAST_M;
+        let mast = if has_mast { eye - MAST_BEHIND_M * view } else { eye };
+        let from_front_m = if has_mast { -MAST_FROM_FRONT_M } else { BODY_BEHIND_M };
+        // Middle of the body, on the deck.
+        let middle = (mast - (0.5 * length_m + from_front_m) * ahead).truncate().extend(deck_m);
+        let axes = [right, ahead, up];
+        let mut parts = Vec::new();
+        let mut add_box = |half_m: [f32; 3], axes, centre, albedo| {
+            parts.push(Part { shape: Shape::Box, half_m: half_m.into(), axes, centre, albedo });
+        };
+        let body_m = BODY_OF_DECK * self.deck_m;
+        add_box([0.5 * width_m, 0.5 * length_m, 0.5 * body_m], axes, middle - 0.5 * body_m * up, PAINT);
+        if has_mast {
+            let head = [view.cross(up), view, up];
+            add_box(HEAD_M, head, eye - (HEAD_BEHIND_M + HEAD_M[1]) * view, PAINT);
+        }
+        for side in [-1.0, 1.0] {
+            let beside_m = side * (0.5 * width_m + ROCKER_HALF_M);
+            let rocker = middle + beside_m * right - (self.deck_m - self.wheel_m) * up;
+            add_box([ROCKER_HALF_M, -AXLES[0] * length_m, ROCKER_HALF_M], axes, rocker, METAL);
+            if self.panel_m > 0.0 {
+                let from_middle_m = 0.5 * (width_m + self.panel_m) - OVERLAP_M;
+                let panel = middle + side * from_middle_m * right;
+                add_box([0.5 * self.panel_m, 0.5 * length_m, PANEL_HALF_M], axes, panel, CELLS);
+            }
+        }
+        if has_mast {
+            let (low, high) = (deck_m, eye.z - HEAD_M[2]);
+            parts.push(Part {
+                shape: Shape::Cylinder,
+                half_m: Vec3::new(0.5 * (high - low), MAST_RADIUS_M, MAST_RADIUS_M),
+                axes: [up, right, ahead],
+                centre: mast.truncate().extend(0.5 * (low + high)),
+                albedo: PAINT,
+            });
+        }
+        let (radius_m, half_width_m) = (0.5 * self.wheel_m, 0.5 * WHEEL_WIDTH * self.wheel_m);
+        for (side, axle) in [-1.0, 1.0].into_iter().flat_map(|side| AXLES.map(|axle| (side, axle))) {
+            let beside_m = side * (0.5 * width_m + 2.0 * ROCKER_HALF_M + half_width_m);
+            let at = (middle + beside_m * right + axle * length_m * ahead).truncate();
+            parts.push(Part {
+                shape: Shape::Cylinder,
+                half_m: Vec3::new(half_width_m, radius_m, radius_m),
+                axes: [right, ahead, up],
+                centre: at.extend(terrain.height_at(at) + radius_m - SINKAGE_M),
+                albedo: METAL,
+            });
+        }
+        (first..).zip(parts).map(|(index, part)| part.body(index, self.is_visible)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_are_closed_and_fill_their_boxes() {
+        for (shape, volume) in [(Shape::Box, 8.0), (Shape::Cylinder, 2.0 * std::f32::consts::PI)] {
+            let half_m = Vec3::new(0.5, 0.2, 0.2);
+            let part =
+                Part { shape, half_m, axes: [Vec3::X, Vec3::Y, Vec3::Z], centre: Vec3::ZERO, albedo: PAINT };
+            let body = part.body(0, true);
+            let at = |vertex: u32| body.vertices[vertex as usize].position;
+            let mut found = 0.0;
+            for triangle in body.triangles(LEVEL) {
+                let [a, b, c] = triangle.map(at);
+                let sixfold = a.dot(b.cross(c));
+                assert!(sixfold >= -1e-7, "{shape:?}: a triangle faces inwards");
+                found += sixfold / 6.0;
+            }
+            let expected = volume * half_m.x * half_m.y * half_m.z;
+            assert!((found / expected - 1.0).abs() < 0.01, "{shape:?}: {found} of {expected}");
+            assert!(body.vertices.iter().all(|vertex| (vertex.normal.length() - 1.0).abs() < 1e-5));
+        }
+    }
+}
