@@ -180,7 +180,7 @@ impl SunGlare {
         let reach = (4.0 * sigma).ceil() as usize;
         let weight = |offset: usize| {
             if sigma > 0.0 {
-                libm::exp(-0.5 * (offset as f64 / sigma).powi(2))
+                libm::exp(-0.5 * offset as f64 * offset as f64 / (sigma * sigma))
             } else {
                 f64::from(offset == 0)
             }
