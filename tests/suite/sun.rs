@@ -15,10 +15,10 @@ use crate::support::{BACKENDS, render, render_by, scene};
 const SIDE: u32 = 192;
 /// A narrow lens, in which the disc covers some 20 pixels.
 const FOV_DEG: f64 = 20.0;
-/// Elevation of the sun, and of the optical axis unless a case turns it away.
+/// Elevation of the sun, and of the optical axis unless a case rotates it.
 const ELEVATION_DEG: f64 = 20.0;
 
-/// The nominal stage with the sun ahead and an empty sky; the camera looks at the sun, turned away by these angles.
+/// The nominal stage with the sun ahead and an empty sky; the camera looks at the sun, then is rotated by these angles.
 fn sun_ahead(pitch_deg: f64, yaw_deg: f64, set: &[&str]) -> Scene {
     let pitch = format!("camera.pitch_deg={}", ELEVATION_DEG + pitch_deg);
     let yaw = format!("camera.yaw_deg={yaw_deg}");
