@@ -7,7 +7,7 @@ use glam::Vec3;
 use serde_json::{Value, json};
 
 use super::sky::{HOLE_DEG, Sky};
-use super::stage::{PartKind, Stage, materials};
+use super::stage::{PartKind, ROVER_LABEL, Stage, materials};
 use crate::class::ClassId;
 use crate::error::{Error, Result};
 use crate::scene::Scene;
@@ -139,7 +139,7 @@ impl Document {
                 "mesh": self.meshes.len() - 1,
                 "translation": part.origin.to_array(),
                 "extras": {
-                    "class": part.class.class().map(|class| class.name),
+                    "class": part.class.class().map_or(ROVER_LABEL, |class| class.name),
                     "class_id": part.class.0,
                     "instance_id": part.instance,
                 },

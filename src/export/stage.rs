@@ -37,6 +37,9 @@ pub struct Stage<'a> {
     pub detail: Detail,
 }
 
+/// Class name of the rover's parts, which masks ignore.
+pub(super) const ROVER_LABEL: &str = "rover";
+
 /// What a part is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum PartKind {

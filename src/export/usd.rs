@@ -13,7 +13,7 @@ mod text;
 use glam::Vec3;
 
 use super::sky::{HOLE_DEG, Sky};
-use super::stage::{Part, PartKind, Stage, materials};
+use super::stage::{Part, PartKind, ROVER_LABEL, Stage, materials};
 use crate::class::ClassId;
 use crate::error::Result;
 use crate::scene::mesh::Icosphere;
@@ -98,7 +98,7 @@ fn mesh(
         .iter()
         .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(*p), high.max(*p)));
     let indices = triangles.as_flattened().iter().map(|vertex| *vertex as i32).collect();
-    let label = class.class().map_or("", |class| class.name);
+    let label = class.class().map_or(ROVER_LABEL, |class| class.name);
     let mut prim = Prim::new(name, "Mesh");
     let schemas = ["MaterialBindingAPI", "SemanticsLabelsAPI:class", "SemanticsAPI:Semantics_class"];
     prim.metadata.push(("apiSchemas", Value::PrependedTokens(schemas.map(str::to_owned).to_vec())));
