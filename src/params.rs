@@ -4,6 +4,7 @@
 //! Must not know: what a knob does.
 //! To add a knob: a row in `params/knobs.rs`, and the line of code that uses it.
 
+mod azimuth;
 pub mod config;
 pub mod distribution;
 mod document;
@@ -11,6 +12,8 @@ mod knob_info;
 mod knobs;
 mod listing;
 pub mod presets;
+mod variant;
+mod variants;
 
 use serde_json::{Map, Value as Json};
 

@@ -1,17 +1,19 @@
 //! From presets, files and `--set` to the parameters of one frame.
 //!
 //! A [`Config`] holds the distribution of each knob; later settings override earlier ones, and a setting that is refused
-//! changes nothing. [`Config::draw`] draws the parameters of a seed, every knob from a random stream of its own.
+//! changes nothing. Its variants, which a frame draws one of, are in `variants`. [`Config::draw`] draws the parameters of a seed, every knob from a random stream of its own.
 //! Must not know: what a knob does.
 
 use std::path::Path;
 
 use super::Params;
+use super::azimuth;
 use super::distribution::{Distribution, Value};
 use super::document::{collect_entries, has_non_finite};
 use super::knob_info::{KnobInfo, Scope, Stage};
 use super::knobs::{KNOBS, Knob};
 use super::presets::presets;
+use super::variant::Variant;
 use crate::error::{Error, Result, nearest};
 use crate::input::{self, MIB};
 use crate::random::Streams;
@@ -25,8 +27,14 @@ const ENDS: u64 = u64::MAX;
 /// The distribution of each knob.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Config {
-    /// Distributions that were set; the others are the stage's defaults.
+    /// Distributions that were set; the others are fallbacks, or the stage's defaults.
     pub(super) settings: Vec<Option<Distribution>>,
+    /// Distributions that presets propose where nothing is set.
+    pub(super) fallbacks: Vec<Option<Distribution>>,
+    /// Sets of knobs of which each frame draws one; none if all frames draw from the same distributions.
+    pub(super) variants: Vec<Variant>,
+    /// Where the sun's azimuth was set, absolute or relative.
+    azimuth_origin: String,
     rules: Vec<RuleSetting>,
 }
 
@@ -56,13 +64,24 @@ impl Config {
     /// The defaults of the nominal stage.
     #[must_use]
     pub fn new() -> Self {
-        Self { settings: vec![None; KNOBS.len()], rules: Vec::new() }
+        Self {
+            settings: vec![None; KNOBS.len()],
+            fallbacks: vec![None; KNOBS.len()],
+            variants: Vec::new(),
+            azimuth_origin: String::new(),
+            rules: Vec::new(),
+        }
     }
 
-    /// The distribution of a knob on a stage.
+    /// The distribution of a knob on a stage, without the variants.
     #[must_use]
     pub fn distribution_on(&self, stage: Stage, knob: Knob) -> &Distribution {
-        self.settings[knob as usize].as_ref().unwrap_or_else(|| knob.info().default_on(stage))
+        self.setting(knob).unwrap_or_else(|| knob.info().default_on(stage))
+    }
+
+    /// What a knob was set to, or what a preset proposes; `None` if it has its stage's default.
+    pub(super) fn setting(&self, knob: Knob) -> Option<&Distribution> {
+        self.settings[knob as usize].as_ref().or(self.fallbacks[knob as usize].as_ref())
     }
 
     /// The distribution of a knob, on the first stage if there are several.
@@ -153,16 +172,30 @@ impl Config {
         let spans = toml::de::DeTable::parse(text).map_err(syntax)?;
         let mut entries = Vec::new();
         collect_entries("", &table, spans.get_ref(), &mut entries);
-        entries.sort_by_key(|(offset, ..)| *offset);
+        // The preset that a text starts from comes first, variants of the whole text last.
+        let rank = |name: &str| match name {
+            "preset" => 0,
+            "variant" => 2,
+            _ => 1,
+        };
+        entries.sort_by_key(|(offset, name, _)| (rank(name), *offset));
         let mut changed = self.clone();
         for (_, name, value) in entries {
+            if matches!(name.as_str(), "preset" | "variant") {
+                changed.apply_key(&name, value, origin)?;
+                continue;
+            }
+            if let Some(knob) = name.strip_prefix("fallback.") {
+                let info = find(knob, origin)?;
+                changed.set_fallback(info, value, origin)?;
+                continue;
+            }
             if let Some(rule) = rule_name(&name) {
                 let (name, origin) = (rule.to_owned(), origin.to_owned());
                 changed.rules.push(RuleSetting { name, value: value.clone(), origin });
                 continue;
             }
-            let info = KNOBS.iter().find(|info| info.name == name).ok_or_else(|| unknown(&name, origin))?;
-            changed.set_toml(info, value, origin)?;
+            changed.set_toml(find(&name, origin)?, value, origin)?;
         }
         *self = changed;
         Ok(())
@@ -178,7 +211,14 @@ impl Config {
         origin: &str,
     ) -> Result<()> {
         for (name, value) in knobs {
-            let info = KNOBS.iter().find(|info| info.name == name).ok_or_else(|| unknown(name, origin))?;
+            // The record of a frame has both azimuths, of which one follows from the other.
+            if name == "variant"
+                || (name == Knob::SunRelativeAzimuthDeg.name()
+                    && knobs.contains_key(Knob::SunAzimuthDeg.name()))
+            {
+                continue;
+            }
+            let info = find(name, origin)?;
             let value = toml::Value::try_from(value).map_err(|_| Error::KnobType {
                 name: name.clone(),
                 value: value.to_string(),
@@ -187,7 +227,7 @@ impl Config {
             })?;
             self.set_toml(info, &value, origin)?;
         }
-        Ok(())
+        knobs.get("variant").map_or(Ok(()), |variants| self.set_variants_json(variants, origin))
     }
 
     /// Applies one `key=value`.
@@ -209,7 +249,7 @@ impl Config {
             self.rules.push(RuleSetting { name: rule.to_owned(), value, origin: origin.to_owned() });
             return Ok(());
         }
-        let info = KNOBS.iter().find(|info| info.name == name).ok_or_else(|| unknown(name, origin))?;
+        let info = find(name, origin)?;
         match value {
             Some(value) => self.set_toml(info, &value, origin),
             // Text needs no quotes here.
@@ -218,6 +258,11 @@ impl Config {
     }
 
     fn set_toml(&mut self, info: &KnobInfo, value: &toml::Value, origin: &str) -> Result<()> {
+        self.set(info, Self::parsed(info, value, origin)?, origin)
+    }
+
+    /// The distribution of a knob that a TOML value stands for.
+    pub(super) fn parsed(info: &KnobInfo, value: &toml::Value, origin: &str) -> Result<Distribution> {
         if has_non_finite(value) {
             return Err(Error::KnobOutOfRange {
                 name: info.name.to_owned(),
@@ -233,14 +278,36 @@ impl Config {
                 origin: origin.to_owned(),
                 expected: format!("{expected} (allowed: {})", info.allowed()),
             })?;
-        self.set(info, distribution, origin)
+        info.check(&distribution, origin)?;
+        Ok(distribution)
     }
 
+    /// Sets a knob for all frames, of every variant.
     fn set(&mut self, info: &KnobInfo, distribution: Distribution, origin: &str) -> Result<()> {
         info.check(&distribution, origin)?;
-        let index = KNOBS.iter().position(|row| row.name == info.name);
-        self.settings[index.expect("a row of the table")] = Some(distribution);
+        let knob = info.knob();
+        if let Some(other) = azimuth::other(knob) {
+            if self.settings[other as usize].is_some() && self.azimuth_origin == origin {
+                return Err(Error::Contradiction(format!(
+                    "{origin} sets sun.azimuth_deg, which counts from +Y, and sun.relative_azimuth_deg, which counts from the \
+                     camera's heading; leave out one of them"
+                )));
+            }
+            origin.clone_into(&mut self.azimuth_origin);
+        }
+        for variant in &mut self.variants {
+            variant.clear(knob);
+        }
+        self.replace(knob, distribution);
         Ok(())
+    }
+
+    /// Sets a knob of this configuration alone. The sun has one azimuth: the absolute and the relative one replace each other.
+    pub(super) fn replace(&mut self, knob: Knob, distribution: Distribution) {
+        if let Some(other) = azimuth::other(knob) {
+            (self.settings[other as usize], self.fallbacks[other as usize]) = (None, None);
+        }
+        self.settings[knob as usize] = Some(distribution);
     }
 
     /// Checks constraints across knobs, for every value that can be drawn.
@@ -248,8 +315,11 @@ impl Config {
     /// # Errors
     /// [`Error::Contradiction`].
     pub fn check(&self) -> Result<()> {
+        if !self.variants.is_empty() {
+            return self.variants.iter().try_for_each(|variant| self.of_variant(variant).check());
+        }
         let stages = self.stages();
-        for (info, _) in KNOBS.iter().zip(&self.settings).filter(|(_, setting)| setting.is_some()) {
+        for info in Knob::ALL.into_iter().filter(|knob| self.setting(*knob).is_some()).map(Knob::info) {
             if !stages.iter().any(|stage| info.is_of(*stage)) {
                 return Err(Error::Contradiction(format!(
                     "{} is set, and only the stage {} has it, while stage.name is {}; leave it out, or choose that \
@@ -291,8 +361,11 @@ impl Config {
     /// # Errors
     /// [`Error::Contradiction`].
     pub fn draw(&self, seed: u64) -> Result<Params> {
-        self.check()?;
         let streams = Streams::new(seed);
+        if let Some(variant) = Variant::choose(&self.variants, &streams) {
+            return self.of_variant(variant).draw(seed);
+        }
+        self.check()?;
         let drawn_once = |knob: Knob, distribution: &Distribution| {
             Distribution::Fixed(distribution.sample(&mut streams.stream(knob.name(), 0)))
         };
@@ -301,7 +374,7 @@ impl Config {
         let stage =
             stages.iter().find(|stage| named == Distribution::Fixed(Value::Text(stage.name().into())));
         let stage = *stage.unwrap_or(&stages[0]);
-        let settings = Knob::ALL
+        let mut settings: Vec<Distribution> = Knob::ALL
             .into_iter()
             .map(|knob| {
                 let distribution = self.distribution_on(stage, knob);
@@ -311,6 +384,7 @@ impl Config {
                 }
             })
             .collect();
+        azimuth::complete(&mut settings, self.setting(Knob::SunRelativeAzimuthDeg).is_some());
         Ok(Params { settings })
     }
 }
@@ -326,11 +400,15 @@ impl Params {
     }
 }
 
+/// The row of a knob.
+pub(super) fn find(name: &str, origin: &str) -> Result<&'static KnobInfo> {
+    KNOBS.iter().find(|info| info.name == name).ok_or_else(|| unknown(name, origin))
+}
+
 fn unknown(name: &str, origin: &str) -> Error {
     // Options that exist on the command line only.
-    const OPTIONS: [&str; 12] = [
-        "seed", "size", "samples", "outputs", "out", "count", "start", "split", "format", "adapter",
-        "preset", "edges",
+    const OPTIONS: [&str; 11] = [
+        "seed", "size", "samples", "outputs", "out", "count", "start", "split", "format", "adapter", "edges",
     ];
     if OPTIONS.contains(&name) {
         return Error::Usage(format!("`{name}` in {origin} is no knob; it is the option --{name}"));
@@ -345,135 +423,4 @@ fn unknown(name: &str, origin: &str) -> Error {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn set(assignment: &str) -> Result<Config> {
-        let mut config = Config::new();
-        config.apply_set(assignment)?;
-        config.check()?;
-        Ok(config)
-    }
-
-    #[test]
-    fn each_stage_has_its_defaults_and_its_knobs() {
-        let surface = set("stage.name=surface").expect("a stage");
-        let params = surface.draw(3).expect("drawn");
-        assert_eq!((params.number(Knob::SunElevationDeg), params.number(Knob::CameraPitchDeg)), (13.0, -7.0));
-        assert!(
-            params.to_json().contains_key("relief.hurst") && !params.to_json().contains_key("rocks.count")
-        );
-        let message = set("relief.hurst=0.7").expect_err("another stage's").to_string();
-        assert!(message.contains("relief.hurst") && message.contains("surface"), "{message}");
-        // Both stages: each frame has the defaults of its own, unless they were set.
-        let mut both = set("stage.name={choice=[\"nominal\", \"surface\"]}").expect("both");
-        both.apply_set("relief.hurst=0.7").expect("one stage has it");
-        both.apply_set("camera.fov_deg=50").expect("both have it");
-        both.check().expect("nothing contradicts");
-        let drawn: Vec<Params> = (0..20).map(|seed| both.draw(seed).expect("drawn")).collect();
-        for params in &drawn {
-            let is_surface = params.stage() == Stage::Surface;
-            assert_eq!(params.number(Knob::SunElevationDeg), if is_surface { 13.0 } else { 17.0 });
-            assert_eq!(params.number(Knob::CameraFovDeg), 50.0);
-        }
-        assert!((4..=16).contains(&drawn.iter().filter(|p| p.stage() == Stage::Surface).count()));
-        let mut read = Config::new();
-        read.apply_json(&both.distributions_json(), "JSON").expect("read");
-        assert_eq!(read.distributions_json(), both.distributions_json());
-    }
-
-    #[test]
-    fn sections_and_dotted_keys_are_the_same() {
-        let mut sections = Config::new();
-        sections
-            .apply_toml("[sun]\nelevation_deg = { uniform = [5, 40] }\n[rocks]\ncount = 80\n", "a")
-            .expect("read");
-        let mut dotted = Config::new();
-        dotted
-            .apply_toml("sun.elevation_deg = { uniform = [5, 40] }\nrocks.count = 80\n", "b")
-            .expect("read");
-        assert_eq!(sections, dotted);
-        assert_eq!(sections.distribution(Knob::RocksCount), &Distribution::number(80.0));
-    }
-
-    #[test]
-    fn later_settings_win_and_refused_ones_change_nothing() {
-        let mut config = Config::new();
-        config.apply_preset("train_nodr").expect("a preset");
-        config.apply_set("sun.elevation_deg=12").expect("a setting");
-        assert_eq!(config.distribution(Knob::SunElevationDeg), &Distribution::number(12.0));
-        let before = config.clone();
-        assert!(config.apply_toml("sun.elevation_deg = 30\nsun.azimuth_deg = 400\n", "f").is_err());
-        assert_eq!(config, before);
-    }
-
-    #[test]
-    fn errors_name_the_knob_the_value_and_what_is_allowed() {
-        for (assignment, expected) in [
-            (
-                "sun.elevaton_deg=3",
-                "unknown knob `sun.elevaton_deg` in --set (did you mean `sun.elevation_deg`?)",
-            ),
-            (
-                "sun.elevation_deg=95",
-                "sun.elevation_deg = 95 in --set is out of range; allowed: 0.5 to 90 deg",
-            ),
-            (
-                "sun.elevation_deg=nan",
-                "sun.elevation_deg = nan in --set is out of range; allowed: 0.5 to 90 deg, finite",
-            ),
-            ("sun.elevation_deg={uniform=[5, inf]}", "out of range; allowed: 0.5 to 90 deg, finite"),
-            ("sun.elevation_deg={uniform=[5, 95]}", "out of range; allowed: 0.5 to 90 deg"),
-            ("sun.elevation_deg=high", "expected a number"),
-            ("rocks.count=7.5", "expected a whole number"),
-            ("rocks.count={uniform=[1,9]}", "expected a whole number"),
-            ("sun.color=3", "expected a colour"),
-            ("stage.name=mars", "allowed: nominal"),
-            ("sun.elevation_deg", "the form is KEY=VALUE"),
-            ("camera.x_m=1000", "puts the camera off the ground"),
-            ("sun.elevation_deg=3\nrocks.count=1", "expected a number"),
-        ] {
-            let error = set(assignment).expect_err(assignment);
-            assert!(error.to_string().contains(expected), "{assignment}: {error}");
-            assert_eq!(error.exit_status(), 2);
-        }
-    }
-
-    #[test]
-    fn the_first_error_of_a_file_is_the_first_that_is_read() {
-        for (text, expected) in [
-            ("[sun]\nelevation_deg = 95\n[camera]\nfov_deg = 500\n", "sun.elevation_deg = 95"),
-            ("[sun]\nintensity = -1\nazimuth_deg = 999\n", "sun.intensity = -1"),
-            ("sun.intensity = -1\ncamera.zoom = 3\n", "sun.intensity = -1"),
-            ("[zoom]\nx = 1\n[camera]\nfov_deg = 500\n", "unknown knob `zoom`"),
-        ] {
-            let error = Config::new().apply_toml(text, "f").expect_err(text).to_string();
-            assert!(error.contains(expected), "{text}: {error}");
-        }
-    }
-
-    #[test]
-    fn a_file_s_errors_have_line_and_column() {
-        let mut config = Config::new();
-        let error = config.apply_toml("[sun]\nelevation_deg = = 3\n", "my.toml").expect_err("no TOML");
-        assert!(matches!(error, Error::Toml { line: 2, column: 17, .. }), "{error:?}");
-        assert!(error.to_string().starts_with("my.toml, line 2, column 17:"), "{error}");
-        let error = config.apply_toml("[sums]\nelevation_deg = 3\n", "my.toml").expect_err("no section");
-        assert!(error.to_string().contains("unknown knob `sums` in my.toml"), "{error}");
-        let error = config.apply_preset("train").expect_err("no preset").to_string();
-        assert!(error.contains("unknown preset `train`") && error.contains("test_photoreal"), "{error}");
-    }
-
-    #[test]
-    fn a_knob_s_draw_moves_no_other() {
-        let mut config = Config::new();
-        config.apply_preset("train_dr").expect("a preset");
-        let before = config.draw(7).expect("drawn").to_json();
-        config.apply_set("sun.elevation_deg={normal=[20,3]}").expect("a setting");
-        let after = config.draw(7).expect("drawn").to_json();
-        for (name, value) in &before {
-            assert_eq!(*value == after[name], name != "sun.elevation_deg", "{name}");
-        }
-        assert_ne!(before, config.draw(8).expect("drawn").to_json());
-    }
-}
+mod tests;

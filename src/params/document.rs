@@ -35,5 +35,6 @@ pub(super) fn has_non_finite(value: &toml::Value) -> bool {
 }
 
 fn is_section(name: &str) -> bool {
-    name == "rules" || KNOBS.iter().any(|info| info.name.split('.').next() == Some(name))
+    let name = name.strip_prefix("fallback.").unwrap_or(name);
+    matches!(name, "rules" | "fallback") || KNOBS.iter().any(|info| info.name.split('.').next() == Some(name))
 }

@@ -52,6 +52,8 @@ knobs! {
         "Elevation of the sun above the horizontal plane.";
     SunAzimuthDeg "sun.azimuth_deg" "deg" Number, Frame, number(120.0) => number(135.0), [0.0, 360.0],
         "Azimuth of the sun, clockwise from +Y (the camera's nominal viewing direction) towards +X; at 0 the sun is in front of the camera.";
+    SunRelativeAzimuthDeg "sun.relative_azimuth_deg" "deg" Number, Frame, number(120.0) => number(135.0), [-360.0, 360.0],
+        "Azimuth of the sun, clockwise from the camera's heading: 0 is in front of the camera, 180 behind it. Instead of sun.azimuth_deg: of the two, the one that was set last counts, and the other is computed.";
     SunIntensity "sun.intensity" "" Number, Frame, number(14_000.0) => number(3500.0), [0.0, 200_000.0],
         "Intensity of the sun on a relative scale; 14000 in the reference frame.";
     SunAngularDiameterDeg "sun.angular_diameter_deg" "deg" Number, Frame, number(0.53), [0.0, 5.0],
@@ -268,6 +270,14 @@ knobs! {
         "Irradiance of earthshine on level ground relative to the sun's at normal incidence, taken as uniform over the sky; 1.1e-4 for a full Earth.";
     SkyDomeRadiusM "sky.dome_radius_m" "m" Number, Frame, number(600.0) => number(2000.0), [60.0, 5000.0],
         "Radius of the sky dome around the camera.";
+}
+
+impl KnobInfo {
+    /// The knob of this row.
+    pub(super) fn knob(&self) -> Knob {
+        let index = KNOBS.iter().position(|row| row.name == self.name);
+        Knob::ALL[index.expect("a row of the table")]
+    }
 }
 
 impl Knob {

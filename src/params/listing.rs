@@ -9,7 +9,7 @@ use serde_json::json;
 use super::config::Config;
 use super::distribution::Distribution;
 use super::knob_info::{Kind, KnobInfo, Scope};
-use super::knobs::{KNOBS, Knob};
+use super::knobs::Knob;
 
 impl Config {
     /// The knobs of the stages with their distributions, on the first stage that has each.
@@ -32,14 +32,26 @@ impl Config {
                 section = own_section;
                 let _ = writeln!(text, "{}[{section}]", if text.is_empty() { "" } else { "\n" });
             }
+            // Of the two azimuths the one that was set.
+            let unset = if Some(info.name) == self.computed_azimuth() { "# " } else { "" };
             let each = match info.scope {
                 Scope::Frame => String::new(),
                 Scope::Element(element) => format!(" Drawn per {element}."),
             };
-            let _ =
-                writeln!(text, "# {}{each} Allowed: {}.\n{key} = {distribution}", info.doc, info.allowed());
+            let _ = writeln!(
+                text,
+                "# {}{each} Allowed: {}.\n{unset}{key} = {distribution}",
+                info.doc,
+                info.allowed()
+            );
         }
-        text
+        text + &self.variants_toml()
+    }
+
+    /// Name of the azimuth that is not set, and computed from the other.
+    fn computed_azimuth(&self) -> Option<&'static str> {
+        let is_relative = self.setting(Knob::SunRelativeAzimuthDeg).is_some();
+        Some(if is_relative { Knob::SunAzimuthDeg } else { Knob::SunRelativeAzimuthDeg }.name())
     }
 
     /// What every knob of the stages is drawn from, by its dotted name. What frames of several stages draw from different
@@ -47,12 +59,13 @@ impl Config {
     #[must_use]
     pub fn distributions_json(&self) -> serde_json::Map<String, serde_json::Value> {
         let several = self.stages().len() > 1;
-        let is_set = |info: &KnobInfo| {
-            KNOBS.iter().zip(&self.settings).any(|(row, setting)| row.name == info.name && setting.is_some())
-        };
+        let is_set = |info: &KnobInfo| self.setting(info.knob()).is_some();
+        let variants = (!self.variants.is_empty()).then(|| ("variant".to_owned(), self.variants_json()));
         self.rows()
+            .filter(|(info, _)| Some(info.name) != self.computed_azimuth())
             .filter(|(info, _)| !several || info.surface_default.is_none() || is_set(info))
             .map(|(info, from)| (info.name.to_owned(), from.to_json(info.kind == Kind::Integer)))
+            .chain(variants)
             .collect()
     }
 
@@ -82,8 +95,8 @@ impl Config {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::params::Stage;
     use crate::params::presets::{preset_description, presets};
+    use crate::params::{KNOBS, Stage};
 
     #[test]
     fn the_listing_reads_back() {

@@ -11,7 +11,7 @@ macro_rules! preset_files {
 
 /// Name and TOML text of every preset; the text starts with a comment that describes it.
 #[must_use]
-pub const fn presets() -> [(&'static str, &'static str); 16] {
+pub const fn presets() -> [(&'static str, &'static str); 20] {
     preset_files![
         "reference",
         "train_dr",
@@ -22,6 +22,10 @@ pub const fn presets() -> [(&'static str, &'static str); 16] {
         "surface_train_nodr",
         "surface_train_full",
         "surface_test_photoreal",
+        "surface_rover",
+        "navcam",
+        "pcam",
+        "hazcam",
         "sun_equatorial",
         "sun_mid_latitude",
         "sun_polar",
