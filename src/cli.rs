@@ -10,6 +10,7 @@ mod dataset;
 mod device;
 mod doctor;
 mod frame;
+mod knobs;
 pub(crate) mod messages;
 pub(crate) mod process;
 mod progress;
@@ -19,7 +20,7 @@ mod verify;
 
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use regolith::Result;
-use regolith::params::presets;
+use regolith::params::{KNOBS, presets};
 
 use args::pass_negative_numbers;
 use messages::{Messages, print};
@@ -41,6 +42,7 @@ Examples:
   regolith-render dataset --count 1500 --preset train_dr --out data/train
                                                          a dataset; run it again to resume after a stop
   regolith-render params --preset train_dr > my.toml     every knob, to be edited and passed to --config
+  regolith-render --config out/frame_0000.json           the frame of a record again, byte for byte
 
 Exit status: 0 success, 2 wrong usage or configuration, 130 stopped by Ctrl-C, 143 stopped by the signal TERM, 1 any other error.
 Environment: WGPU_BACKEND (vulkan, gl), WGPU_ADAPTER_NAME.
@@ -73,8 +75,10 @@ enum Command {
     Convert(convert::ConvertArgs),
     /// Convert masks of a Replicator pipeline to canonical ids, by the names in their label files
     Remap(remap::RemapArgs),
-    /// List every knob with its unit, default and allowed range, as TOML for --config
-    Params(stage::ParamsArgs),
+    /// List every knob with its unit, default and allowed range, as TOML for --config; or those of a section, or one
+    Params(knobs::ParamsArgs),
+    /// List the presets with a line each, or print one
+    Presets(knobs::PresetsArgs),
     /// List the usable GPUs and CPU drivers, best first
     Adapters {
         /// Print JSON
@@ -95,15 +99,42 @@ enum Command {
 
 /// The command line, with presets and dataset formats in its help.
 fn command() -> clap::Command {
-    let presets: String = presets::presets()
-        .iter()
-        .map(|(name, _)| format!("  {name:<22} {}\n", presets::preset_description(name).unwrap_or_default()))
-        .collect();
     let formats = dataset::formats_help();
     pass_negative_numbers(Cli::command())
-        .after_long_help(format!("Presets:\n{presets}\n{EXAMPLES}"))
+        .after_long_help(format!(
+            "Presets (`regolith-render presets NAME` prints one):\n{}\nKnobs (`regolith-render params SECTION` lists those of a \
+             section):\n{}\n{EXAMPLES}",
+            knobs::presets_help(),
+            knobs::groups_help()
+        ))
         .mut_subcommand("dataset", |dataset| dataset.after_help(formats.clone()))
         .mut_subcommand("convert", |convert| convert.after_help(formats))
+}
+
+/// The command line with the values that a shell can complete; some of these options take others too, such as lists.
+fn with_completions(command: clap::Command) -> clap::Command {
+    let values = |option: &str| -> Vec<&'static str> {
+        match option {
+            "preset" | "name" => presets::presets().iter().map(|(name, _)| *name).collect(),
+            "format" => regolith::output::layout::LAYOUTS.iter().map(|row| row.name).collect(),
+            "outputs" => regolith::output::OUTPUTS.iter().map(|output| output.name).chain(["all"]).collect(),
+            "adapter" => vec!["cpu", "nvidia", "amd", "intel", "apple", "llvmpipe"],
+            "stage" => regolith::params::Stage::ALL.iter().map(|(_, name)| *name).collect(),
+            "raster" => vec!["auto", "device", "host"],
+            "edges" => vec!["hard", "ignore:1", "ignore:2"],
+            "knob" => {
+                let mut sections: Vec<&str> = KNOBS.iter().map(regolith::params::KnobInfo::section).collect();
+                sections.dedup();
+                sections.into_iter().chain(KNOBS.iter().map(|info| info.name)).collect()
+            }
+            _ => Vec::new(),
+        }
+    };
+    let complete = move |arg: clap::Arg| {
+        let values = values(arg.get_id().as_str());
+        if values.is_empty() { arg } else { arg.default_value(None).value_parser(values) }
+    };
+    command.mut_args(complete).mut_subcommands(with_completions)
 }
 
 /// Parses the command line and runs the command.
@@ -118,13 +149,14 @@ pub(crate) fn run() -> Result<()> {
         Some(Command::Verify(args)) => verify::run(&args, cli.messages),
         Some(Command::Convert(args)) => convert::run(&args, cli.messages),
         Some(Command::Remap(args)) => remap::run(&args, cli.messages),
-        Some(Command::Params(args)) => stage::list_params(&args),
+        Some(Command::Params(args)) => knobs::list_params(&args),
+        Some(Command::Presets(args)) => knobs::list_presets(&args),
         Some(Command::Adapters { json }) => stage::list_adapters(json),
         Some(Command::Doctor(args)) => doctor::run(&args, cli.messages),
         Some(Command::Export(args)) => stage::export_stage(&args, cli.messages),
         Some(Command::Completions { shell }) => {
             let mut script = Vec::new();
-            clap_complete::generate(shell, &mut command(), "regolith-render", &mut script);
+            clap_complete::generate(shell, &mut with_completions(command()), "regolith-render", &mut script);
             print(&String::from_utf8_lossy(&script))
         }
     }

@@ -8,10 +8,12 @@ mod azimuth;
 pub mod config;
 pub mod distribution;
 mod document;
+pub mod groups;
 mod knob_info;
 mod knobs;
 mod listing;
 pub mod presets;
+pub mod record;
 mod variant;
 mod variants;
 

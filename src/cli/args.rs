@@ -10,6 +10,7 @@ use regolith::gpu::Gpu;
 use regolith::output::edges::EdgePolicy;
 use regolith::output::{LabelIds, OUTPUTS};
 use regolith::params::config::Config;
+use regolith::params::record::{self, FrameOrigin, is_record};
 use regolith::render::{RasterMode, RenderSettings, Renderer};
 
 use super::device;
@@ -24,7 +25,7 @@ pub(super) struct ConfigArgs {
     /// Named set of knobs, or several separated by commas, of which later ones win; `regolith-render --help` lists them
     #[arg(long, value_name = "NAME")]
     preset: Option<String>,
-    /// TOML file with knobs; `-` reads standard input
+    /// TOML file with knobs, or the record of a frame (frame_0000.json), to repeat it; `-` reads TOML from standard input
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// One knob, for example sun.elevation_deg=12 or 'rocks.scale_m={uniform=[0.2,2]}'; repeatable, wins over all other sources
@@ -42,8 +43,10 @@ impl ConfigArgs {
         for preset in self.preset.iter().flat_map(|names| names.split(',')) {
             config.apply_preset(preset.trim())?;
         }
-        if let Some(path) = &self.config {
-            config.apply_file(path)?;
+        match &self.config {
+            Some(path) if is_record(path) => config.apply_record(path)?,
+            Some(path) => config.apply_file(path)?,
+            None => {}
         }
         for assignment in &self.set {
             config.apply_set(assignment)?;
@@ -56,28 +59,52 @@ impl ConfigArgs {
         Rules::from_config(&config)?;
         Ok(config)
     }
+
+    /// What the frame was made from whose record is the file; nothing if it is no record.
+    pub(super) fn origin(&self) -> Result<FrameOrigin> {
+        match &self.config {
+            Some(path) if is_record(path) => Ok(FrameOrigin::of(&record::read(path)?)),
+            _ => Ok(FrameOrigin::default()),
+        }
+    }
 }
+
+/// Size of an image unless an option says otherwise, pixels.
+const DEFAULT_SIZE: [u32; 2] = [512; 2];
+/// Samples per pixel unless an option says otherwise.
+const DEFAULT_SAMPLES: u32 = 4;
 
 /// Size, sampling and labels of the image.
 #[derive(Args, Debug)]
 pub(super) struct ImageArgs {
-    /// Image size in pixels: WxH, or N for a square
-    #[arg(long, value_name = "WxH", default_value = "512x512", value_parser = parse_size, allow_hyphen_values = true)]
-    size: [u32; 2],
-    /// Samples per pixel: 1, 4 (2 x 2) or 16 (4 x 4)
-    #[arg(long, value_name = "N", default_value_t = 4, value_parser = whole_number::<u32>(0, u32::MAX.into()))]
-    samples: u32,
+    /// Image size in pixels: WxH, or N for a square [default: 512x512, or that of the record]
+    #[arg(long, value_name = "WxH", value_parser = parse_size, allow_hyphen_values = true)]
+    size: Option<[u32; 2]>,
+    /// Samples per pixel: 1, 4 (2 x 2) or 16 (4 x 4) [default: 4, or that of the record]
+    #[arg(long, value_name = "N", value_parser = whole_number::<u32>(0, u32::MAX.into()))]
+    samples: Option<u32>,
     /// Ids in the mask: canonical (0 regolith, 1 rock, 2 sky), or those of a Replicator pipeline
     #[arg(long, value_name = "KIND", default_value = "canonical", value_parser = ["canonical", "replicator"])]
     label_ids: String,
-    /// Mask at class boundaries: hard, or ignore:N to write 255 within N pixels of another class
-    #[arg(long, value_name = "RULE", default_value = "hard")]
-    edges: String,
+    /// Mask at class boundaries: hard, or ignore:N to write 255 within N pixels of another class [default: hard, or that of the
+    /// record]
+    #[arg(long, value_name = "RULE")]
+    edges: Option<String>,
 }
 
 impl ImageArgs {
+    /// The same, with what a record says where no option does.
+    pub(super) fn or(&self, origin: &FrameOrigin) -> Self {
+        Self {
+            size: self.size.or(origin.size),
+            samples: self.samples.or(origin.samples),
+            label_ids: self.label_ids.clone(),
+            edges: self.edges.clone().or_else(|| origin.edges.clone()),
+        }
+    }
+
     pub(super) fn settings(&self) -> Result<RenderSettings> {
-        RenderSettings::new(self.size, self.samples)
+        RenderSettings::new(self.size.unwrap_or(DEFAULT_SIZE), self.samples.unwrap_or(DEFAULT_SAMPLES))
     }
 
     pub(super) fn label_ids(&self) -> LabelIds {
@@ -85,7 +112,7 @@ impl ImageArgs {
     }
 
     pub(super) fn edges(&self) -> Result<EdgePolicy> {
-        self.edges.parse()
+        self.edges.as_deref().map_or(Ok(EdgePolicy::Hard), str::parse)
     }
 }
 

@@ -19,14 +19,16 @@ use super::args::{ConfigArgs, DeviceArgs, ImageArgs, output_names, whole_number}
 use super::device;
 use super::messages::{Messages, print};
 
+/// Seed unless an option or a record says otherwise.
+const DEFAULT_SEED: u64 = 42;
 /// Index of a single frame in its file names.
 const INDEX: u64 = 0;
 
 #[derive(Args, Debug)]
 pub(super) struct FrameArgs {
-    /// Seed of the scene, 64 bits; the same seed and knobs give the same scene on every machine
-    #[arg(long, value_name = "N", default_value_t = 42, value_parser = whole_number::<u64>(0, u64::MAX))]
-    seed: u64,
+    /// Seed of the scene, 64 bits; the same seed and knobs give the same scene on every machine [default: 42, or that of the record]
+    #[arg(long, value_name = "N", value_parser = whole_number::<u64>(0, u64::MAX))]
+    seed: Option<u64>,
     /// Output folder, created if missing
     #[arg(long, value_name = "DIR", default_value = "out")]
     out: PathBuf,
@@ -48,6 +50,7 @@ pub(super) struct FrameArgs {
 
 /// A rendered frame and what it was made from.
 struct Rendered {
+    seed: u64,
     params: Params,
     scene: Scene,
     settings: RenderSettings,
@@ -59,16 +62,24 @@ struct Rendered {
 pub(super) fn run(args: &FrameArgs, messages: Messages) -> Result<()> {
     let start = Instant::now();
     let config = args.config.build()?;
-    let params = config.draw(args.seed)?;
+    let origin = args.config.origin()?;
+    let seed = args.seed.or(origin.seed).unwrap_or(DEFAULT_SEED);
+    let params = config.draw(seed)?;
     let outputs = output::parse_outputs(&args.outputs)?;
-    let mut settings = args.image.settings()?;
+    let image = args.image.or(&origin);
+    let mut settings = image.settings()?;
     settings.annotations = output::annotations(&outputs);
-    args.image.edges()?;
+    image.edges()?;
     output::check_folder(&args.out, INDEX, args.force)?;
+    if let Some(version) = origin.version.filter(|version| version != env!("CARGO_PKG_VERSION")) {
+        messages.note(format_args!(
+            "the record is of version {version}, whose scenes may differ from this one's"
+        ));
+    }
 
-    let mut rendered = render(args, messages, params, settings)?;
-    let (meta, paths) = write(args, messages, &mut rendered, outputs)?;
-    summarise(args, messages, &rendered, &meta, start);
+    let mut rendered = render(args, messages, seed, params, settings)?;
+    let (meta, paths) = write(args, messages, &image, &mut rendered, outputs)?;
+    summarise(messages, &rendered, &meta, start);
     let rules = Rules::from_config(&config)?;
     if let Some(violation) = rules.violation(&rendered.scene, &rendered.frame) {
         messages.note(format_args!(
@@ -88,13 +99,14 @@ pub(super) fn run(args: &FrameArgs, messages: Messages) -> Result<()> {
 fn render(
     args: &FrameArgs,
     messages: Messages,
+    seed: u64,
     params: Params,
     settings: RenderSettings,
 ) -> Result<Rendered> {
     let (scene, renderer) = rayon::join(
         || {
             timed("scene", || {
-                let scene = Scene::build(args.seed, &params)?;
+                let scene = Scene::build(seed, &params)?;
                 selection::build_rocks(&scene, &settings);
                 Ok(scene)
             })
@@ -110,27 +122,28 @@ fn render(
     let mut times: StageTimes = [built].into_iter().chain(opened).collect();
     device::inject_fault(&renderer);
     let rendered = renderer.render(&scene, &settings);
-    let (frame, render_times) = rendered.map_err(|error| error.of_seed(args.seed))?;
+    let (frame, render_times) = rendered.map_err(|error| error.of_seed(seed))?;
     times.extend(render_times);
-    Ok(Rendered { params, scene, settings, renderer, frame, times })
+    Ok(Rendered { seed, params, scene, settings, renderer, frame, times })
 }
 
 /// Encodes and writes the outputs and prints their paths; returns the record of the frame, and the paths.
 fn write(
     args: &FrameArgs,
     messages: Messages,
+    image: &ImageArgs,
     rendered: &mut Rendered,
     outputs: Vec<&'static Output>,
 ) -> Result<(Value, Vec<PathBuf>)> {
-    let (label_ids, edges) = (args.image.label_ids(), args.image.edges()?);
+    let (label_ids, edges) = (image.label_ids(), image.edges()?);
     // The record is encoded last, as it contains the time that encoding the others took.
     let (images, records): (Vec<_>, Vec<_>) = outputs.into_iter().partition(|output| output.name != "meta");
-    let Rendered { params, scene, settings, renderer, frame, times } = rendered;
+    let Rendered { seed, params, scene, settings, renderer, frame, times } = rendered;
     let input = EncodeInput { frame, meta: &Value::Null, label_ids, edges };
     let (mut files, encoded) = timed("encode", || output::encode(&input, &images))?;
     times.push(encoded);
     let record = FrameRecord {
-        seed: args.seed,
+        seed: *seed,
         params,
         scene,
         settings,
@@ -167,11 +180,11 @@ fn older_files(folder: &Path, written: &[PathBuf]) -> Vec<String> {
     names.filter(|name| folder.join(name).is_file() && !written.contains(&folder.join(name))).collect()
 }
 
-fn summarise(args: &FrameArgs, messages: Messages, rendered: &Rendered, meta: &Value, start: Instant) {
+fn summarise(messages: Messages, rendered: &Rendered, meta: &Value, start: Instant) {
     let percent = |name: &str| 100.0 * meta["coverage"][name].as_f64().unwrap_or_default();
     messages.note(format_args!(
         "seed {}: regolith {:.1} %, rock {:.1} %, sky {:.1} %; RGB mean {:.1}, p99 {}, max {}; {:.2} s",
-        args.seed,
+        rendered.seed,
         percent("regolith"),
         percent("rock"),
         percent("sky"),

@@ -1,9 +1,8 @@
-//! Commands that render nothing: `export`, `params`, `adapters`.
+//! Commands that render nothing: `export`, `adapters`.
 
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use regolith::dataset::rules::Rules;
 use regolith::export::{self, Detail, Format, Stage};
 use regolith::output::{Artifact, disk};
 use regolith::params::Knob;
@@ -14,15 +13,6 @@ use serde_json::{Value, json};
 
 use super::args::{ConfigArgs, parse_size, whole_number};
 use super::messages::{Messages, print};
-
-#[derive(Args, Debug)]
-pub(super) struct ParamsArgs {
-    #[command(flatten)]
-    config: ConfigArgs,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
-}
 
 #[derive(Args, Debug)]
 pub(super) struct ExportArgs {
@@ -72,14 +62,6 @@ pub(super) fn export_stage(args: &ExportArgs, messages: Messages) -> Result<()> 
     }
     messages.detail(format_args!("{} rocks, {written} bytes", scene.rocks.count()));
     messages.paths(&format!("{}\n", args.file.display()))
-}
-
-pub(super) fn list_params(args: &ParamsArgs) -> Result<()> {
-    let config = args.config.build()?;
-    if args.json {
-        return print(&format!("{:#}\n", config.to_json()));
-    }
-    print(&format!("{}\n{}", config.to_toml(), Rules::from_config(&config)?.to_toml()))
 }
 
 pub(super) fn list_adapters(as_json: bool) -> Result<()> {

@@ -19,7 +19,7 @@ use crate::input::{self, MIB};
 use crate::random::Streams;
 
 /// Largest size of a configuration.
-const MAX_FILE_BYTES: u64 = 16 * MIB;
+pub(super) const MAX_FILE_BYTES: u64 = 16 * MIB;
 
 /// Element of the stream that a knob's random ends are drawn from; no scene has that many elements.
 const ENDS: u64 = u64::MAX;

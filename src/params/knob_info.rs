@@ -79,6 +79,12 @@ pub struct KnobInfo {
 }
 
 impl KnobInfo {
+    /// Its section: the part of its name before the dot.
+    #[must_use]
+    pub fn section(&self) -> &'static str {
+        self.name.split_once('.').map_or(self.name, |(section, _)| section)
+    }
+
     /// Whether a stage has this knob.
     #[must_use]
     pub fn is_of(&self, stage: Stage) -> bool {

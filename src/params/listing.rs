@@ -8,6 +8,7 @@ use serde_json::json;
 
 use super::config::Config;
 use super::distribution::Distribution;
+use super::groups::{GROUPS, group_of};
 use super::knob_info::{Kind, KnobInfo, Scope};
 use super::knobs::Knob;
 
@@ -21,16 +22,32 @@ impl Config {
         })
     }
 
-    /// Every knob with its description, as TOML that [`Self::apply_toml`] reads.
+    /// Every knob with its description, by groups, as TOML that [`Self::apply_toml`] reads.
     #[must_use]
     pub fn to_toml(&self) -> String {
+        self.to_toml_where(|_| true) + &self.variants_toml()
+    }
+
+    /// The same for some knobs, without variants.
+    #[must_use]
+    pub fn to_toml_where(&self, is_listed: impl Fn(&KnobInfo) -> bool) -> String {
+        let mut rows: Vec<_> = self.rows().filter(|(info, _)| is_listed(info)).collect();
+        // Sections stay together, in the order of the table within their group.
+        rows.sort_by_key(|(info, _)| group_of(info.section()));
         let mut text = String::new();
-        let mut section = "";
-        for (info, distribution) in self.rows() {
-            let (own_section, key) = info.name.split_once('.').unwrap_or(("", info.name));
-            if own_section != section {
-                section = own_section;
-                let _ = writeln!(text, "{}[{section}]", if text.is_empty() { "" } else { "\n" });
+        let (mut section, mut group) = ("", usize::MAX);
+        for (info, distribution) in rows {
+            let key = info.name.split_once('.').map_or(info.name, |(_, key)| key);
+            if info.section() != section {
+                section = info.section();
+                let _ = write!(text, "{}", if text.is_empty() { "" } else { "\n" });
+                if group_of(section) != group {
+                    group = group_of(section);
+                    if let Some((title, what, _)) = GROUPS.get(group) {
+                        let _ = writeln!(text, "#\n# {title}: {what}\n#");
+                    }
+                }
+                let _ = writeln!(text, "[{section}]");
             }
             // Of the two azimuths the one that was set.
             let unset = if Some(info.name) == self.computed_azimuth() { "# " } else { "" };
@@ -45,7 +62,7 @@ impl Config {
                 info.allowed()
             );
         }
-        text + &self.variants_toml()
+        text
     }
 
     /// Name of the azimuth that is not set, and computed from the other.
@@ -76,6 +93,7 @@ impl Config {
         let rows = self.rows().map(|(info, distribution)| {
             let mut row = json!({
                 "name": info.name,
+                "group": GROUPS.get(group_of(info.section())).map(|(title, ..)| title),
                 "value": distribution.to_json(info.kind == Kind::Integer),
                 "default": info.default_on(stage).to_json(info.kind == Kind::Integer),
                 "unit": info.unit,

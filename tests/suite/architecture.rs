@@ -69,14 +69,14 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
     (
         "params",
         &[
-            &["distribution", "presets"],
+            &["distribution", "groups", "presets"],
             &["knob_info"],
             &["knobs"],
             &["azimuth", "document"],
             &["variant"],
             &[SELF],
             &["config"],
-            &["variants"],
+            &["record", "variants"],
             &["listing"],
         ],
     ),
@@ -162,7 +162,7 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
             &["messages"],
             &["device"],
             &["args", "child", "process", "progress"],
-            &["bench", "convert", "dataset", "doctor", "frame", "remap", "stage", "verify"],
+            &["bench", "convert", "dataset", "doctor", "frame", "knobs", "remap", "stage", "verify"],
         ],
     ),
 ];

@@ -575,3 +575,116 @@ fn the_bench_reports_every_case_and_a_sweep_plots_its_curve() {
     assert!(plot.starts_with("<svg") && plot.matches("<circle").count() == 3);
     assert_refused(&["bench", "--cases", "camra"], 2, &["unknown case `camra`", "static-sun"]);
 }
+
+#[test]
+fn presets_are_listed_and_printed() {
+    let folder = folder();
+    let list = run_ok(folder.path(), &["presets"]);
+    for (name, text) in regolith::params::presets::presets() {
+        let line = list.lines().find(|line| line.trim_start().starts_with(&format!("{name} ")));
+        assert!(line.is_some_and(|line| line.len() > 45), "{name}: {list}");
+        assert_eq!(run_ok(folder.path(), &["presets", name]), text);
+    }
+    let rows: serde_json::Value =
+        serde_json::from_str(&run_ok(folder.path(), &["presets", "--json"])).expect("JSON");
+    assert_eq!(rows.as_array().map(Vec::len), Some(regolith::params::presets::presets().len()));
+    let one: serde_json::Value =
+        serde_json::from_str(&run_ok(folder.path(), &["presets", "surface_rover", "--json"])).expect("JSON");
+    assert!(one["knobs"]["variant"].as_array().is_some_and(|variants| variants.len() == 4), "{one}");
+    let output = run(folder.path(), &["presets", "surface_rovr"]);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(2) && message.contains("surface_rover"), "{message}");
+}
+
+#[test]
+fn params_lists_groups_sections_and_single_knobs() {
+    let folder = folder();
+    let all = run_ok(folder.path(), &["params"]);
+    let titles: Vec<usize> = ["# Light: ", "# Ground: ", "# Rocks: ", "# Camera: ", "# Labels: "]
+        .iter()
+        .map(|title| all.find(title).unwrap_or_else(|| panic!("{title} is missing")))
+        .collect();
+    assert!(titles.is_sorted(), "groups are in order: {titles:?}");
+    let one = run_ok(folder.path(), &["params", "sun.elevation_deg", "--preset", "train_dr"]);
+    assert!(one.contains("elevation_deg = { uniform = [5, 40] }") && !one.contains("intensity"), "{one}");
+    let section = run_ok(folder.path(), &["params", "label"]);
+    assert!(section.contains("unseen = \"rock\"") && !section.contains("[sun]"), "{section}");
+    let rows: serde_json::Value =
+        serde_json::from_str(&run_ok(folder.path(), &["params", "sun", "--json"])).expect("JSON");
+    assert!(rows.as_array().is_some_and(|rows| rows.len() > 4 && rows[0]["group"] == "Light"), "{rows}");
+    for (name, said) in [
+        ("sun.elevatoin_deg", "did you mean `sun.elevation_deg`"),
+        ("relief", "add --stage surface"),
+        ("lable", "did you mean `label`"),
+    ] {
+        let output = run(folder.path(), &["params", name]);
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code() == Some(2) && message.contains(said), "{name}: {message}");
+    }
+}
+
+#[test]
+fn shells_complete_values() {
+    let folder = folder();
+    for shell in ["bash", "zsh", "fish"] {
+        let script = run_ok(folder.path(), &["completions", shell]);
+        for value in ["surface_rover", "webdataset", "five_classes", "llvmpipe"] {
+            assert!(script.contains(value), "{shell}: {value}");
+        }
+    }
+}
+
+/// The record of a frame is a configuration that repeats it: every plane, byte for byte.
+#[test]
+fn a_record_repeats_its_frame() {
+    let folder = folder();
+    for (preset, more) in [
+        (
+            "surface_rover",
+            &["--size=72x56", "--samples=16", "--edges=ignore:1", "--seed=9007199254740993"][..],
+        ),
+        ("train_full", &["--size=64", "--set=sun.relative_azimuth_deg=77.7"]),
+    ] {
+        let first =
+            ["--preset", preset, "--outputs=rgb,mask,instances,depth,meta", "-q", "--force", "--out=first"];
+        run_ok(folder.path(), &[&first, more].concat());
+        let again = [
+            "--config=first/frame_0000.json",
+            "--outputs=rgb,mask,instances,depth,meta",
+            "-q",
+            "--force",
+            "--out=again",
+        ];
+        run_ok(folder.path(), &again);
+        for name in [
+            "rgb_0000.png",
+            "semantic_segmentation_0000.png",
+            "instance_segmentation_0000.png",
+            "instance_segmentation_mapping_0000.json",
+            "distance_to_image_plane_0000.npy",
+        ] {
+            let read = |out: &str| std::fs::read(folder.path().join(out).join(name)).expect(name);
+            assert!(read("first") == read("again"), "{preset}: {name} differs");
+        }
+        let [first, again] =
+            ["first", "again"].map(|out| json(&folder.path().join(out).join("frame_0000.json")));
+        for key in ["seed", "size", "samples", "edges", "knobs", "geometry_hash", "camera", "sun", "coverage"]
+        {
+            assert_eq!(first[key], again[key], "{preset}: {key}");
+        }
+    }
+    let changed = [
+        "--config=first/frame_0000.json",
+        "--set=sun.elevation_deg=70",
+        "--outputs=rgb",
+        "-q",
+        "--out=other",
+    ];
+    run_ok(folder.path(), &changed);
+    let read = |out: &str| std::fs::read(folder.path().join(out).join("rgb_0000.png")).expect("an image");
+    assert!(read("first") != read("other"), "--set wins over the record");
+    std::fs::write(folder.path().join("none.json"), "{}").expect("written");
+    let output = run(folder.path(), &["--config=none.json"]);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(2) && message.contains("not the record of a frame"), "{message}");
+}

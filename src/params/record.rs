@@ -1,0 +1,80 @@
+//! The record of a frame as a configuration: `--config frame_0000.json`.
+//!
+//! Must not know: the command line.
+
+use std::path::Path;
+
+use serde_json::{Map, Value};
+
+use super::config::{Config, MAX_FILE_BYTES};
+use crate::error::{Error, Result};
+use crate::input;
+
+/// What a frame was made from besides its knobs; `None` where the record does not say.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct FrameOrigin {
+    /// Seed of its scene.
+    pub seed: Option<u64>,
+    /// Width and height, pixels.
+    pub size: Option<[u32; 2]>,
+    /// Samples per pixel.
+    pub samples: Option<u32>,
+    /// What its mask holds where classes meet.
+    pub edges: Option<String>,
+    /// Version that made it.
+    pub version: Option<String>,
+}
+
+/// Whether a path is that of a record, by its extension.
+#[must_use]
+pub fn is_record(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"))
+}
+
+/// Reads a record.
+///
+/// # Errors
+/// [`Error::Config`] if it cannot be read, or is none.
+pub fn read(path: &Path) -> Result<Map<String, Value>> {
+    let refused = |cause| Error::Config { path: path.to_owned(), cause };
+    let text = input::read_named_text(path, MAX_FILE_BYTES).map_err(refused)?;
+    let record: Map<String, Value> =
+        input::json::parse(text.as_bytes()).map_err(|error| refused(std::io::Error::other(error)))?;
+    if record.get("knobs").is_some_and(Value::is_object) {
+        return Ok(record);
+    }
+    let message =
+        "it is not the record of a frame: it has no `knobs`; a configuration that is not a record is TOML";
+    Err(refused(std::io::Error::other(message)))
+}
+
+impl FrameOrigin {
+    /// The origin of a record.
+    #[must_use]
+    pub fn of(record: &Map<String, Value>) -> Self {
+        let number = |value: &Value| value.as_u64().and_then(|number| u32::try_from(number).ok());
+        let text = |key: &str| record.get(key).and_then(Value::as_str).map(str::to_owned);
+        let size = record.get("size").and_then(|size| Some([number(&size[0])?, number(&size[1])?]));
+        Self {
+            seed: record.get("seed").and_then(Value::as_u64),
+            size,
+            samples: record.get("samples").and_then(number),
+            edges: text("edges"),
+            version: text("version"),
+        }
+    }
+}
+
+impl Config {
+    /// Applies the knobs of a record.
+    ///
+    /// # Errors
+    /// Those of [`read`] and [`Config::apply_json`].
+    pub fn apply_record(&mut self, path: &Path) -> Result<()> {
+        let record = read(path)?;
+        match &record["knobs"] {
+            Value::Object(knobs) => self.apply_json(knobs, &path.display().to_string()),
+            _ => Ok(()),
+        }
+    }
+}
