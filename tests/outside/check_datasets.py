@@ -122,18 +122,34 @@ def check_flat(data: Path, truth: list[tuple[np.ndarray, np.ndarray]]) -> None:
 
 
 def check_camera(folder: Path) -> None:
-    """Runs the camera code of docs/outputs.md on a frame: lifting a pixel and projecting it back must be the identity."""
+    """Runs the camera code of docs/outputs.md on frames with and without a lens: pixels that are lifted into the world come back to
+    where they were, and are as far from the camera as the program says, which a loader that ignores the lens is not."""
     environment = {**os.environ, "WGPU_ADAPTER_NAME": "cpu"}
-    command = [PROGRAM, *"--size 64 --outputs rgb,mask,depth,meta --out out --quiet".split()]
-    subprocess.run(command, cwd=folder, env=environment, check=True, stdout=subprocess.DEVNULL)
     [block] = [block for block in python_blocks(CAMERA_PAGE) if '"out/frame_0000.json"' in block]
-    scope: dict = {}
-    exec(compile(block, CAMERA_PAGE.name, "exec"), scope)
-    for u, v in ((3, 60), (32, 50), (60, 62)):
-        there = scope["pixel_of"](scope["point_of"](u, v))
-        if np.abs(there - (u + 0.5, v + 0.5)).max() > 1e-6:
-            fail(f"{CAMERA_PAGE.name}: pixel ({u}, {v}) comes back at {there}")
-    print(f"{'camera':<12} pixels lifted into the world and projected back")
+    lenses = {"pinhole": "", "lens": "--set camera.k1=-0.08 --set camera.k2=0.01 --set camera.p1=0.004 --set camera.p2=-0.003"}
+    for name, options in lenses.items():
+        command = [PROGRAM, *f"--size 96x64 --outputs rgb,mask,depth,meta --out out --quiet --force {options}".split()]
+        subprocess.run(command, cwd=folder, env=environment, check=True, stdout=subprocess.DEVNULL)
+        scope: dict = {}
+        exec(compile(block, CAMERA_PAGE.name, "exec"), scope)
+        ground = np.isfinite(scope["depth"])
+        back = scope["pixel_of"](scope["world"][ground])
+        centres = (scope["u"][ground] + 0.5, scope["v"][ground] + 0.5)
+        if max(np.abs(a - b).max() for a, b in zip(back, centres)) > 1e-6:
+            fail(f"{CAMERA_PAGE.name}, {name}: pixels do not come back")
+        recorded = np.load("out/distance_to_camera_0000.npy")[ground]
+
+        def error(world: np.ndarray) -> float:
+            return np.abs(np.linalg.norm(world - scope["pose"][:3, 3], axis=-1)[ground] / recorded - 1).max()
+
+        if error(scope["world"]) > 1e-5:
+            fail(f"{CAMERA_PAGE.name}, {name}: distances are off by {error(scope['world']):.1e}")
+        scope["lens"][:] = [0.0] * 5
+        pinhole = scope["ray_of"](scope["u"] + 0.5, scope["v"] + 0.5)
+        ignored = error(scope["pose"][:3, 3] + (scope["depth"][..., None] * pinhole) @ scope["pose"][:3, :3].T)
+        if (ignored > 1e-3) != (name == "lens"):
+            fail(f"{CAMERA_PAGE.name}, {name}: without the lens distances are off by {ignored:.1e}")
+    print(f"{'camera':<12} pixels lifted into the world and projected back, with and without a lens")
 
 
 def main() -> None:
