@@ -71,8 +71,8 @@ fn classes(manifest: &Map<String, Value>, totals: &Totals) -> String {
     };
     let _ = writeln!(
         section,
-        "\n{ignore_index} is the ignore index; rocks that are too small or cannot be seen carry it where `label.too_small` or \
-         `label.unseen` say so: {:.2} % of the pixels on average. {note}",
+        "\n{ignore_index} is the ignore index. {note} Rocks that are too small or cannot be seen carry the ignore index where \
+         `label.too_small` or `label.unseen` say so: {:.2} % of the pixels on average.",
         100.0 * totals.ignored()
     );
     section

@@ -1,4 +1,4 @@
-//! A variant: knobs that are drawn together, because one frame in so many is of another kind.
+//! A variant: knobs that are drawn together, because some frames are of another kind.
 //!
 //! Must not know: presets, files.
 

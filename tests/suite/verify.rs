@@ -73,7 +73,7 @@ fn an_intact_dataset_passes_and_the_table_counts_what_was_checked() {
     let folder = folder();
     make(folder.path());
     let table = run_ok(folder.path(), &["verify", "data"]);
-    for (check, count) in [("files", "28"), ("masks", "24"), ("statistics", "6"), ("depth", "4")] {
+    for (check, count) in [("files", "28"), ("masks", "30"), ("statistics", "6"), ("depth", "4")] {
         let row = table.lines().find(|line| line.starts_with(check)).expect("a row");
         assert_eq!(row.split_whitespace().nth(1), Some(count), "{table}");
     }
