@@ -324,7 +324,7 @@ mod tests {
     fn rock_size_colours_map_back_to_the_mask_classes() {
         let colours = decoded("rock_sizes_0007.png", LabelIds::Canonical).into_rgb8().into_raw();
         // Rock 300 is 1.25 m across; rock 2 is not in the list.
-        let expected = [[0, 0, 0], [0, 0, 255], [255, 0, 0], [255, 0, 0], [0, 255, 0], [0, 0, 0]];
+        let expected = [[0, 0, 0], [0, 0, 255], [255, 0, 0], [255, 0, 0], [0, 255, 0], [255; 3]];
         assert_eq!(colours, expected.concat());
         let labels: Value =
             serde_json::from_slice(&encoded("rock_sizes_labels_0007.json", LabelIds::Canonical))

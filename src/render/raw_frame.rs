@@ -47,16 +47,16 @@ impl RawFrame {
                 frame.rocks = post::rock_labels::rocks(rendered_scene, rendered, request.image.size, frame);
             });
         }
-        let (mut gain, mut sun) = (1.0, None);
+        let (mut light, mut sun) = (Vec::new(), None);
         if let Some(sensor) = &scene.sensor {
             timed(&mut frame, "sensor", &mut |frame| {
                 sun = SunGlare::take(frame, scene);
-                gain = post::sensor::expose(frame, sensor, scene.camera.exposure_ev, sun.as_ref());
+                light = post::sensor::expose(frame, sensor, scene.camera.exposure_ev, sun.as_ref());
             });
         }
         if scene.label_rule.needs_instances() {
             timed(&mut frame, "label_policy", &mut |frame| {
-                post::label_policy::apply(rendered_scene, rendered, frame, gain);
+                post::label_policy::apply(rendered_scene, rendered, frame, &light);
                 if !request.annotations.contains(Annotation::Instances) {
                     frame.instances = Vec::new();
                 }

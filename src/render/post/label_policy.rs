@@ -5,13 +5,12 @@
 //!
 //! * the root of the sum of squares of the differences in mean and in standard deviation between its pixels and those around it is
 //!   below a number of standard deviations of the noise of a pixel, by default 3, the limit of detection (Currie 1968), or
-//! * the mean of its signal above black is below the same number of standard deviations of the noise in the dark: a rock in shadow,
-//!   whose outline cannot be told from the shadow's.
+//! * the mean of its signal above that of the darkest pixel of the image is below the same number of standard deviations of the noise
+//!   in the dark: a rock in shadow, whose outline cannot be distinguished from the shadow's.
 //!
 //! Each rock is summed by itself in the order of its pixels, so that no number depends on threads.
 //! Must not know: how rocks were drawn.
 
-use half::slice::HalfFloatSliceExt;
 use rayon::prelude::*;
 
 use crate::class::ClassId;
@@ -23,15 +22,17 @@ use crate::scene::sensor::Sensor;
 
 /// Width of the surroundings that a rock is compared with, pixels.
 const RING_PX: usize = 3;
+/// Largest value, in means of the image, that counts as dark.
+const MAX_DARK: f64 = 0.1;
 /// Fewest pixels of surroundings without rocks; with fewer, other rocks are part of the surroundings.
 const MIN_RING_PX: f64 = 4.0;
 
 /// Applies the label rule to the class, the instances and the rock labels of a frame with instances. `scene` and `drawn` are those
-/// that were drawn; `gain` is the sensor's factor from radiance to the fill of a pixel.
-pub(crate) fn apply(scene: &Scene, drawn: &RenderSettings, frame: &mut Frame, gain: f32) {
+/// that were drawn; `light` is that of each of the sensor's channels, as `sensor::expose` returns it.
+pub(crate) fn apply(scene: &Scene, drawn: &RenderSettings, frame: &mut Frame, light: &[Vec<f32>]) {
     let rule = &scene.label_rule;
     let regions = Region::all(frame);
-    let signal = (rule.unseen != LabelPolicy::Rock).then(|| Signal::new(frame, scene.sensor.as_ref(), gain));
+    let signal = (rule.unseen != LabelPolicy::Rock).then(|| Signal::new(frame, scene.sensor.as_ref(), light));
     let focal_px = scene.camera.focal_px(drawn.size[0]) as f32;
     let reason = |region: &Region| {
         let rock = &scene.rocks[usize::from(region.instance) - 1];
@@ -164,46 +165,44 @@ impl Moments {
 
 /// What the sensor records without noise.
 struct Signal<'a> {
-    /// Of each pixel: the mean of the channels of its radiance, or of its 8-bit values.
+    /// Of each pixel: electrons, the mean of the channels; without a sensor 8-bit values.
     values: Vec<f32>,
     sensor: Option<&'a Sensor>,
-    /// From radiance to electrons, in the middle of the image.
-    electrons: f64,
-    /// Electrons of the veiling glare.
-    veil_e: f64,
+    /// The value of the darkest pixel, as far as that is dark: the veil that lies over the image.
+    dark: f64,
 }
 
 impl<'a> Signal<'a> {
-    fn new(frame: &Frame, sensor: Option<&'a Sensor>, gain: f32) -> Self {
-        let mean = |rgb: &[f32]| (rgb[0] + rgb[1] + rgb[2]) / 3.0;
+    fn new(frame: &Frame, sensor: Option<&'a Sensor>, light: &[Vec<f32>]) -> Self {
         let values: Vec<f32> = if let Some(sensor) = sensor {
-            let mut radiance = vec![0.0; frame.radiance.len()];
-            frame.radiance.convert_to_f32_slice(&mut radiance);
-            let values: Vec<f32> = radiance.chunks_exact(3).map(mean).collect();
+            let (black, scale) = (sensor.black_level as f32, sensor.full_well_e as f32);
+            let part = 1.0 / light.len() as f32;
+            let fill = |pixel: usize| part * light.iter().map(|channel| channel[pixel]).sum::<f32>();
+            let values: Vec<f32> =
+                (0..frame.class.len()).map(|pixel| scale * fill(pixel).clamp(black, 1.0)).collect();
             blurred(&values, frame.width as usize, sensor.psf_px)
         } else {
-            frame.rgb.chunks_exact(3).map(|rgb| mean(&[rgb[0], rgb[1], rgb[2]].map(f32::from))).collect()
+            frame
+                .rgb
+                .chunks_exact(3)
+                .map(|rgb| rgb.iter().map(|v| f32::from(*v)).sum::<f32>() / 3.0)
+                .collect()
         };
-        let (electrons, glare) =
-            sensor.map_or((1.0, 0.0), |sensor| (f64::from(gain) * sensor.full_well_e, sensor.glare));
+        let darkest = values.iter().copied().fold(f32::INFINITY, f32::min);
         let mean = values.iter().map(|value| f64::from(*value)).sum::<f64>() / values.len() as f64;
-        Self { veil_e: glare * mean * electrons, values, sensor, electrons }
+        Self { dark: f64::from(darkest).min(MAX_DARK * mean), values, sensor }
     }
 
     /// Whether nobody can see a rock: see the head of this file.
     fn hides(&self, frame: &Frame, region: &Region, contrast: f64) -> bool {
-        let scale = self.electrons * self.light_left(frame, region);
-        let (black, white) = self.sensor.map_or((0.0, f64::INFINITY), |sensor| {
-            ((sensor.black_level * sensor.full_well_e - self.veil_e).max(0.0), sensor.full_well_e)
-        });
-        let value = |pixel: usize| (scale * f64::from(self.values[pixel])).clamp(black, white) - black;
+        let value = |pixel: usize| f64::from(self.values[pixel]);
         let (mut rock, mut ground, mut others) = (Moments::default(), Moments::default(), Moments::default());
         region.for_each_pixel(
             frame,
             |pixel| rock.add(value(pixel)),
             |pixel| (if frame.instances[pixel] == 0 { &mut ground } else { &mut others }).add(value(pixel)),
         );
-        if rock.mean() < contrast * self.noise(0.0) {
+        if rock.mean() - self.dark < contrast * self.noise(self.dark) {
             return true;
         }
         if ground.count() < MIN_RING_PX {
@@ -214,25 +213,15 @@ impl<'a> Signal<'a> {
         ground.count() > 0.0 && level.hypot(texture) < contrast * noise
     }
 
-    /// Standard deviation of a pixel's noise at this signal above black, electrons (EMVA 1288, release 4.0, section 2.3): shot noise
-    /// of signal, veil and dark current, read noise, the converter's quantisation, and a step of the 8-bit image, below which no
+    /// Standard deviation of a pixel's noise at this signal, electrons (EMVA 1288, release 4.0, section 2.3): shot noise
+    /// of signal and dark current, read noise, the converter's quantisation, and a step of the 8-bit image, below which no
     /// difference is visible. Without a sensor that step alone.
     fn noise(&self, signal_e: f64) -> f64 {
         let Some(sensor) = self.sensor else { return 1.0 };
         let well_e = sensor.full_well_e;
         let steps =
             (srgb_step(signal_e / well_e).powi(2)) + f64::from((1_u32 << sensor.bits) - 1).powi(-2) / 12.0;
-        (signal_e + self.veil_e + sensor.dark_e + sensor.read_noise_e.powi(2) + well_e * well_e * steps)
-            .sqrt()
-    }
-
-    /// The part of the light that the vignetting leaves at the middle of a rock.
-    fn light_left(&self, frame: &Frame, region: &Region) -> f64 {
-        let from_centre =
-            |[low, high]: [usize; 2], side: u32| 0.5 * ((low + high + 1) as f64 - f64::from(side));
-        let (x, y) = (from_centre(region.columns, frame.width), from_centre(region.rows, frame.height));
-        let cos2 = 1.0 / (1.0 + (x * x + y * y) / frame.focal_px.powi(2));
-        1.0 - self.sensor.map_or(0.0, |sensor| sensor.vignetting) * (1.0 - cos2 * cos2)
+        (signal_e + sensor.dark_e + sensor.read_noise_e.powi(2) + well_e * well_e * steps).sqrt()
     }
 }
 

@@ -31,9 +31,9 @@ const PANCHROMATIC: [f32; 3] = [1.0 / 3.0; 3];
 const MIN_NORMAL_MEAN_E: f64 = 40.0;
 
 /// Replaces the 8-bit image of `frame`, whose radiance must be present, by what `sensor` records of it. `exposure_ev` is the
-/// exposure of the camera, stops; `sun`, what was taken out of the radiance of a sun in or near the image. Returns the factor from
-/// radiance to the fill of a pixel, where 1 is the full well.
-pub fn expose(frame: &mut Frame, sensor: &Sensor, exposure_ev: f32, sun: Option<&SunGlare>) -> f32 {
+/// exposure of the camera, stops; `sun`, what was taken out of the radiance of a sun in or near the image. Returns the
+/// light of each channel in each pixel, glare included, without noise; 1 is the full well.
+pub fn expose(frame: &mut Frame, sensor: &Sensor, exposure_ev: f32, sun: Option<&SunGlare>) -> Vec<Vec<f32>> {
     let [width, height] = [frame.width as usize, frame.height as usize];
     let mut channels = spectral_channels(frame, sensor.mosaic);
     let gain = exposure_gain(frame, sensor, &channels, exposure(exposure_ev));
@@ -72,7 +72,7 @@ pub fn expose(frame: &mut Frame, sensor: &Sensor, exposure_ev: f32, sun: Option<
             }
         }
     });
-    gain
+    channels
 }
 
 /// The radiance of a frame in each channel that the filters of a sensor pass.
