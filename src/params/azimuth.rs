@@ -5,27 +5,30 @@
 use super::distribution::{Distribution, Value};
 use super::knobs::Knob;
 
+/// The azimuth that counts from the camera's heading.
+pub(super) const RELATIVE: Knob = Knob::SunRelativeAzimuthDeg;
+
 /// The other azimuth; `None` for all other knobs.
 pub(super) fn other(knob: Knob) -> Option<Knob> {
     match knob {
-        Knob::SunAzimuthDeg => Some(Knob::SunRelativeAzimuthDeg),
-        Knob::SunRelativeAzimuthDeg => Some(Knob::SunAzimuthDeg),
+        Knob::SunAzimuthDeg => Some(RELATIVE),
+        RELATIVE => Some(Knob::SunAzimuthDeg),
         _ => None,
     }
 }
 
 /// Computes one azimuth from the other and the camera's yaw, in the values that were drawn for a frame.
-pub(super) fn complete(drawn: &mut [Distribution], is_relative: bool) {
+pub(super) fn complete(drawn: &mut [Distribution], computed: Knob) {
     let number = |knob: Knob| match &drawn[knob as usize] {
         Distribution::Fixed(Value::Number(value)) => *value,
         _ => 0.0,
     };
     let yaw_deg = number(Knob::CameraYawDeg);
-    let (knob, value) = if is_relative {
-        (Knob::SunAzimuthDeg, (yaw_deg + number(Knob::SunRelativeAzimuthDeg)).rem_euclid(360.0))
-    } else {
+    let value = if computed == RELATIVE {
         let turned = (number(Knob::SunAzimuthDeg) - yaw_deg).rem_euclid(360.0);
-        (Knob::SunRelativeAzimuthDeg, if turned > 180.0 { turned - 360.0 } else { turned })
+        if turned > 180.0 { turned - 360.0 } else { turned }
+    } else {
+        (yaw_deg + number(RELATIVE)).rem_euclid(360.0)
     };
-    drawn[knob as usize] = Distribution::number(value);
+    drawn[computed as usize] = Distribution::number(value);
 }

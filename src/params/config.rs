@@ -7,7 +7,7 @@
 use std::path::Path;
 
 use super::Params;
-use super::azimuth;
+use super::azimuth::{self, RELATIVE};
 use super::distribution::{Distribution, Value};
 use super::document::{collect_entries, has_non_finite};
 use super::knob_info::{KnobInfo, Scope, Stage};
@@ -77,6 +77,15 @@ impl Config {
     #[must_use]
     pub fn distribution_on(&self, stage: Stage, knob: Knob) -> &Distribution {
         self.setting(knob).unwrap_or_else(|| knob.info().default_on(stage))
+    }
+
+    /// The azimuth that follows from the other; none if a record has both.
+    pub(super) fn computed_azimuth(&self) -> Option<Knob> {
+        match [RELATIVE, Knob::SunAzimuthDeg].map(|knob| self.setting(knob).is_some()) {
+            [true, true] => None,
+            [true, false] => Some(Knob::SunAzimuthDeg),
+            [false, _] => Some(RELATIVE),
+        }
     }
 
     /// What a knob was set to, or what a preset proposes; `None` if it has its stage's default.
@@ -211,10 +220,8 @@ impl Config {
         origin: &str,
     ) -> Result<()> {
         for (name, value) in knobs {
-            // The record of a frame has both azimuths, of which one follows from the other.
             if name == "variant"
-                || (name == Knob::SunRelativeAzimuthDeg.name()
-                    && knobs.contains_key(Knob::SunAzimuthDeg.name()))
+                || (name == RELATIVE.name() && knobs.contains_key(Knob::SunAzimuthDeg.name()))
             {
                 continue;
             }
@@ -226,6 +233,11 @@ impl Config {
                 expected: info.allowed(),
             })?;
             self.set_toml(info, &value, origin)?;
+        }
+        // The record of a frame has both azimuths. One follows from the other, but for the last bit.
+        if let (Some(relative), Some(_)) = (knobs.get(RELATIVE.name()), knobs.get(Knob::SunAzimuthDeg.name()))
+        {
+            self.settings[RELATIVE as usize] = relative.as_f64().map(Distribution::number);
         }
         knobs.get("variant").map_or(Ok(()), |variants| self.set_variants_json(variants, origin))
     }
@@ -307,6 +319,9 @@ impl Config {
         if let Some(other) = azimuth::other(knob) {
             (self.settings[other as usize], self.fallbacks[other as usize]) = (None, None);
         }
+        if knob == Knob::CameraYawDeg && self.setting(Knob::SunAzimuthDeg).is_some() {
+            self.settings[RELATIVE as usize] = None;
+        }
         self.settings[knob as usize] = Some(distribution);
     }
 
@@ -384,7 +399,9 @@ impl Config {
                 }
             })
             .collect();
-        azimuth::complete(&mut settings, self.setting(Knob::SunRelativeAzimuthDeg).is_some());
+        if let Some(computed) = self.computed_azimuth() {
+            azimuth::complete(&mut settings, computed);
+        }
         Ok(Params { settings })
     }
 }

@@ -50,7 +50,7 @@ impl Config {
                 let _ = writeln!(text, "[{section}]");
             }
             // Of the two azimuths the one that was set.
-            let unset = if Some(info.name) == self.computed_azimuth() { "# " } else { "" };
+            let unset = if Some(info.knob()) == self.computed_azimuth() { "# " } else { "" };
             let each = match info.scope {
                 Scope::Frame => String::new(),
                 Scope::Element(element) => format!(" Drawn per {element}."),
@@ -65,12 +65,6 @@ impl Config {
         text
     }
 
-    /// Name of the azimuth that is not set, and computed from the other.
-    fn computed_azimuth(&self) -> Option<&'static str> {
-        let is_relative = self.setting(Knob::SunRelativeAzimuthDeg).is_some();
-        Some(if is_relative { Knob::SunAzimuthDeg } else { Knob::SunRelativeAzimuthDeg }.name())
-    }
-
     /// What every knob of the stages is drawn from, by its dotted name. What frames of several stages draw from different
     /// defaults is left to them.
     #[must_use]
@@ -79,7 +73,7 @@ impl Config {
         let is_set = |info: &KnobInfo| self.setting(info.knob()).is_some();
         let variants = (!self.variants.is_empty()).then(|| ("variant".to_owned(), self.variants_json()));
         self.rows()
-            .filter(|(info, _)| Some(info.name) != self.computed_azimuth())
+            .filter(|(info, _)| Some(info.knob()) != self.computed_azimuth())
             .filter(|(info, _)| !several || info.surface_default.is_none() || is_set(info))
             .map(|(info, from)| (info.name.to_owned(), from.to_json(info.kind == Kind::Integer)))
             .chain(variants)
