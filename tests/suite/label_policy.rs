@@ -122,9 +122,6 @@ fn training_presets_label_no_rock_that_nobody_can_see() {
     ] {
         let share = invisible_share(preset, 70..76, set);
         let of_all = invisible_share(preset, 70..76, &[set, &every_rock].concat());
-        println!(
-            "{preset} {set:?}: {share:.4} of the labelled pixels are invisible; {of_all:.4} if every rock counts"
-        );
         assert!(share < share_max, "{preset} {set:?}: {share:.4}");
         assert!(of_all >= of_all_min, "{preset} {set:?}: the policy has nothing to do, {of_all:.4}");
     }

@@ -159,7 +159,7 @@ impl Moments {
     }
 
     fn deviation(&self) -> f64 {
-        (self.0[2] / self.0[0].max(1.0) - self.mean().powi(2)).max(0.0).sqrt()
+        (self.0[2] / self.0[0].max(1.0) - self.mean() * self.mean()).max(0.0).sqrt()
     }
 }
 
@@ -209,19 +209,17 @@ impl<'a> Signal<'a> {
             ground.0 = [0, 1, 2].map(|i| ground.0[i] + others.0[i]);
         }
         let (level, texture) = (rock.mean() - ground.mean(), rock.deviation() - ground.deviation());
-        let noise = self.noise(0.5 * (rock.mean() + ground.mean()));
-        ground.count() > 0.0 && level.hypot(texture) < contrast * noise
+        let least = contrast * self.noise(0.5 * (rock.mean() + ground.mean()));
+        ground.count() > 0.0 && level * level + texture * texture < least * least
     }
 
-    /// Standard deviation of a pixel's noise at this signal, electrons (EMVA 1288, release 4.0, section 2.3): shot noise
-    /// of signal and dark current, read noise, the converter's quantisation, and a step of the 8-bit image, below which no
+    /// Standard deviation of a pixel's noise at this signal, electrons: the sensor's, and a step of the 8-bit image, below which no
     /// difference is visible. Without a sensor that step alone.
     fn noise(&self, signal_e: f64) -> f64 {
         let Some(sensor) = self.sensor else { return 1.0 };
-        let well_e = sensor.full_well_e;
-        let steps =
-            (srgb_step(signal_e / well_e).powi(2)) + f64::from((1_u32 << sensor.bits) - 1).powi(-2) / 12.0;
-        (signal_e + sensor.dark_e + sensor.read_noise_e.powi(2) + well_e * well_e * steps).sqrt()
+        let fill = signal_e / sensor.full_well_e;
+        let (noise, step) = (sensor.noise_of(fill, 1.0), srgb_step(fill));
+        sensor.full_well_e * (noise * noise + step * step).sqrt()
     }
 }
 
