@@ -60,12 +60,37 @@ impl ConfigArgs {
         Ok(config)
     }
 
+    /// These options as a command line has them, in this order.
+    pub(super) fn options(&self) -> String {
+        let preset =
+            self.preset.as_ref().map(|names| names.split(',').map(str::trim).collect::<Vec<_>>().join(","));
+        let config = self.config.as_ref().map(|path| path.display().to_string());
+        let named = [("--stage", self.stage.clone()), ("--preset", preset), ("--config", config)];
+        let named = named.into_iter().filter_map(|(option, value)| Some((option, value?)));
+        let set = self.set.iter().map(|assignment| ("--set", assignment.clone()));
+        named
+            .chain(set)
+            .map(|(option, value)| format!("{option} {}", quoted(&value)))
+            .collect::<Vec<_>>()
+            .join(" ")
+    }
+
     /// What the frame was made from whose record is the file; nothing if it is no record.
     pub(super) fn origin(&self) -> Result<FrameOrigin> {
         match &self.config {
             Some(path) if is_record(path) => Ok(FrameOrigin::of(&record::read(path)?)),
             _ => Ok(FrameOrigin::default()),
         }
+    }
+}
+
+/// A word as a shell reads it.
+fn quoted(word: &str) -> String {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "_.,:/=+-".contains(c);
+    if !word.is_empty() && word.chars().all(is_plain) {
+        word.to_owned()
+    } else {
+        format!("'{}'", word.replace('\'', r"'\''"))
     }
 }
 

@@ -101,6 +101,7 @@ fn setup(args: &BenchArgs, messages: Messages) -> Result<Setup> {
     // Every frame is accepted: a redrawn one would be measured twice.
     let rules = Rules { black_max: 1.0, clipped_max: 1.0, ..Rules::from_config(&config)? };
     let plan = Plan {
+        options: String::new(),
         rules,
         config,
         base_seed: args.seed,

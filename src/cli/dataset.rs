@@ -137,6 +137,7 @@ fn plan(args: &DatasetArgs) -> Result<Plan> {
         )));
     }
     Ok(Plan {
+        options: args.config.options(),
         rules: Rules::from_config(&config)?,
         config,
         base_seed: args.seed,

@@ -25,6 +25,7 @@ use crate::output::layout::{FrameFiles, FrameLine};
 #[derive(Debug)]
 pub struct FrameLogWriter {
     identity: Map<String, Value>,
+    options: String,
     range: Range,
     shard: Shard,
     files: FileWriter,
@@ -54,6 +55,7 @@ impl FrameLogWriter {
             lines: LineFile::open(&folder.join(shard_file_name(LOG, shard)))?,
             files,
             identity: spec.identity.clone(),
+            options: spec.options.clone(),
             range,
             shard,
             waiting: Vec::new(),
@@ -133,6 +135,7 @@ impl FrameLogWriter {
         manifest.insert("start".to_owned(), range.start.into());
         manifest.insert("count".to_owned(), range.count.into());
         manifest.insert("n_completed".to_owned(), own.into());
+        manifest.extend(manifest::command(&self.options, &self.identity, range));
         manifest.extend(self.identity.clone());
         let file = manifest::to_file(shard_file_name(MANIFEST, self.shard), manifest)?;
         let written = self.files.write_all(&[file]).and_then(|_| self.files.sync_folders());

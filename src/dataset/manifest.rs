@@ -14,14 +14,34 @@ use crate::output::encode::json;
 use crate::output::layout::{Layout, SplitRange};
 
 /// Keys of a manifest that describe its state; all others identify the dataset.
-const STATE_KEYS: [&str; 9] =
-    ["status", "start", "count", "n_completed", "seeds", "adapters", "totals", "index_files", digest::KEY];
+const STATE_KEYS: [&str; 11] = [
+    "status",
+    "start",
+    "count",
+    "n_completed",
+    "seeds",
+    PRESET,
+    COMMAND,
+    "adapters",
+    "totals",
+    "index_files",
+    digest::KEY,
+];
+/// Key of the preset that the knobs come from, if any.
+const PRESET: &str = "preset";
+/// Key of the command that makes the dataset, but for the folder and what has no effect on the files.
+const COMMAND: &str = "command";
+/// How every command begins, and the first option after those that set the knobs.
+const PROGRAM: &str = "regolith-render dataset";
+const SEED: &str = " --seed ";
 
 /// Which dataset a folder is to hold, and which of its frames.
 #[derive(Clone, Debug)]
 pub struct DatasetSpec {
     /// Everything that decides the content of the files; see [`Plan::identity`].
     pub identity: Map<String, Value>,
+    /// The options of the command that set the knobs.
+    pub options: String,
     /// The frames.
     pub range: Range,
     /// Whether the frames are divided into splits, so that no other range can be added.
@@ -36,6 +56,7 @@ impl DatasetSpec {
     pub fn of_plan(plan: &Plan) -> Self {
         Self {
             identity: plan.identity(),
+            options: plan.options.clone(),
             range: plan.range,
             is_split: !plan.splits.is_empty(),
             shard: plan.shard,
@@ -47,8 +68,8 @@ impl DatasetSpec {
     pub fn of_manifest(manifest: &Map<String, Value>) -> Self {
         let is_split =
             manifest.get("splits").and_then(Value::as_object).is_some_and(|splits| !splits.is_empty());
-        let identity = identity_of(manifest.clone());
-        Self { identity, range: range_of(manifest), is_split, shard: Shard::WHOLE }
+        let (identity, options) = (identity_of(manifest.clone()), options_of(manifest));
+        Self { identity, options, range: range_of(manifest), is_split, shard: Shard::WHOLE }
     }
 }
 
@@ -57,6 +78,54 @@ impl DatasetSpec {
 pub fn identity_of(mut manifest: Map<String, Value>) -> Map<String, Value> {
     manifest.retain(|key, _| !STATE_KEYS.contains(&key.as_str()));
     manifest
+}
+
+/// The options of a manifest's command that set the knobs; empty if it has no command.
+#[must_use]
+pub fn options_of(manifest: &Map<String, Value>) -> String {
+    let command = manifest.get(COMMAND).and_then(Value::as_str).and_then(|text| text.strip_prefix(PROGRAM));
+    command.and_then(|text| text.rsplit_once(SEED)).map_or("", |(options, _)| options.trim()).to_owned()
+}
+
+/// The keys of a manifest that say which command makes the dataset. It follows from the options that set the knobs, the identity
+/// and the range, so that shards, resumed runs and conversions have the same.
+#[must_use]
+pub fn command(options: &str, identity: &Map<String, Value>, range: Range) -> Map<String, Value> {
+    let text = |key: &str| identity.get(key).and_then(Value::as_str).unwrap_or_default().to_owned();
+    let number = |key: &str| identity.get(key).and_then(Value::as_u64).unwrap_or_default();
+    let list = |key: &str, separator: &str| {
+        let items = identity.get(key).and_then(Value::as_array).into_iter().flatten();
+        items
+            .map(|item| item.as_str().map_or_else(|| item.to_string(), str::to_owned))
+            .collect::<Vec<_>>()
+            .join(separator)
+    };
+    let splits: Vec<String> = identity
+        .get("splits")
+        .and_then(Value::as_object)
+        .into_iter()
+        .flatten()
+        .map(|(name, split)| format!("{name}={}", split["count"]))
+        .collect();
+    let frames = match (splits.is_empty(), range.start) {
+        (false, _) => format!("--split {}", splits.join(",")),
+        (true, 0) => format!("--count {}", range.count),
+        (true, start) => format!("--start {start} --count {}", range.count),
+    };
+    let space = if options.is_empty() { "" } else { " " };
+    let command = format!(
+        "{PROGRAM}{space}{options}{SEED}{} --size {} --samples {} --edges {} --label-ids {} --outputs {} --format {} {frames}",
+        number("base_seed"),
+        list("size", "x"),
+        number("samples"),
+        text("edges"),
+        text("label_ids"),
+        list("outputs", ","),
+        text("format"),
+    );
+    let mut words = options.split(' ').skip_while(|word| *word != "--preset").skip(1);
+    let preset = words.next().map(|name| (PRESET.to_owned(), name.into()));
+    preset.into_iter().chain([(COMMAND.to_owned(), command.into())]).collect()
 }
 
 /// The frames of a manifest.

@@ -87,7 +87,7 @@ fn no_dataset(folder: &Path) -> Error {
 
 fn finalize_locked(folder: &Path, lock: MergeLock) -> Result<Finalized> {
     let manifests = shard_files(folder, MANIFEST)?;
-    let (identity, range) = merged_identity(&manifests)?.ok_or_else(|| no_dataset(folder))?;
+    let (identity, options, range) = merged_identity(&manifests)?.ok_or_else(|| no_dataset(folder))?;
     let gate = Gate::of_identity(&identity, range)?;
     let FoundLines { logs, positions, folders } = find_lines(folder, &gate)?;
     lock.remove_leftovers(&folders)?;
@@ -96,7 +96,8 @@ fn finalize_locked(folder: &Path, lock: MergeLock) -> Result<Finalized> {
     let missing: Vec<u64> =
         (range.start..range.end()).filter(|index| !positions.contains_key(index)).collect();
     let totals = Totals::of(&FrameLog::new(folder, gate.clone()))?;
-    let mut manifest = merged_manifest(identity, range, positions.len() as u64, missing.is_empty(), &totals);
+    let mut manifest =
+        merged_manifest(identity, &options, range, positions.len() as u64, missing.is_empty(), &totals);
     if missing.is_empty() {
         let hashes = write_index_files(&mut files, &manifest, &totals)?;
         manifest.insert("index_files".to_owned(), hashes.into());
@@ -116,11 +117,13 @@ fn finalize_locked(folder: &Path, lock: MergeLock) -> Result<Finalized> {
     Ok(Finalized { manifest, missing })
 }
 
-/// What the manifests of all shards agree on, and the range that covers theirs; `None` if there is no manifest.
-fn merged_identity(manifests: &[PathBuf]) -> Result<Option<(Map<String, Value>, Range)>> {
+/// What the manifests of all shards agree on, the options of the first, and the range that covers theirs; `None` if there is no
+/// manifest.
+fn merged_identity(manifests: &[PathBuf]) -> Result<Option<(Map<String, Value>, String, Range)>> {
     let Some((first, others)) = manifests.split_first() else { return Ok(None) };
     let first = read_manifest(first)?;
     let mut range = manifest::range_of(&first);
+    let options = manifest::options_of(&first);
     let identity = manifest::identity_of(first);
     for path in others {
         let other = read_manifest(path)?;
@@ -130,7 +133,7 @@ fn merged_identity(manifests: &[PathBuf]) -> Result<Option<(Map<String, Value>, 
         }
         range = range.hull(manifest::range_of(&other));
     }
-    Ok(Some((identity, range)))
+    Ok(Some((identity, options, range)))
 }
 
 /// Copies the lines at these positions to `frames.jsonl`, byte for byte.
@@ -158,6 +161,7 @@ fn merge_logs(
 /// The manifest of a folder with this range and these totals, still without the hashes of a complete one.
 pub(super) fn merged_manifest(
     identity: Map<String, Value>,
+    options: &str,
     range: Range,
     completed: u64,
     is_complete: bool,
@@ -178,6 +182,7 @@ pub(super) fn merged_manifest(
     ] {
         manifest.insert(key.to_owned(), value);
     }
+    manifest.extend(manifest::command(options, &identity, range));
     manifest.extend(identity);
     manifest
 }

@@ -32,6 +32,8 @@ pub const MAX_FRAMES: u64 = 1 << 32;
 pub struct Plan {
     /// The distribution of each knob.
     pub config: Config,
+    /// The options of a command line that give this configuration, for the manifest.
+    pub options: String,
     /// Which frames are accepted.
     pub rules: Rules,
     /// The seed from which every frame's seed is derived.

@@ -39,6 +39,7 @@ const SAMPLES: usize = 20;
 fn plan(format: &str, shard: Shard) -> Plan {
     let (format, layout) = layout::find(format).expect("a layout");
     Plan {
+        options: String::new(),
         config: Config::new(),
         rules: Rules::default(),
         base_seed: 42,

@@ -405,6 +405,7 @@ fn bench_setup(stage: &str) -> Result<Setup> {
     let settings = RenderSettings::new(BENCH_SIZE, 4)?;
     let rules = Rules { black_max: 1.0, clipped_max: 1.0, ..Rules::from_config(&config)? };
     let plan = Plan {
+        options: String::new(),
         rules,
         config,
         base_seed: 42,

@@ -598,3 +598,59 @@ fn the_digest_is_that_of_the_frames_and_not_of_the_run() {
     }
     assert_eq!(whole, regolith::output::disk::content_hash(text.as_bytes()));
 }
+
+/// The manifest names the preset, and a command that makes the same dataset, whoever made it: shards, or a conversion.
+#[test]
+fn the_manifest_s_command_makes_the_dataset_again() {
+    let folder = folder();
+    let words = [
+        "dataset",
+        "-q",
+        "--preset",
+        "train_dr, sun_polar",
+        "--set",
+        "terrain.cells=60",
+        "--set=rocks.scale_m={uniform=[0.4, 1]}",
+        "--seed=5",
+        "--size=40x32",
+        "--samples=1",
+        "--outputs=rgb,mask,instances",
+        "--threads=1",
+    ];
+    run_ok(folder.path(), &[&words[..], &["--split=train=2,val=1", "--out=first"]].concat());
+    let first = json(&folder.path().join("first/manifest.json"));
+    let command = first["command"].as_str().expect("a command");
+    assert_eq!(first["preset"], "train_dr,sun_polar");
+    assert_eq!(
+        command,
+        "regolith-render dataset --preset train_dr,sun_polar --set terrain.cells=60 --set 'rocks.scale_m={uniform=[0.4, 1]}' \
+         --seed 5 --size 40x32 --samples 1 --edges hard --label-ids canonical --outputs rgb,mask,instances --format folder \
+         --split train=2,val=1"
+    );
+    let again = std::process::Command::new("sh")
+        .current_dir(folder.path())
+        .env("WGPU_ADAPTER_NAME", crate::support::adapter())
+        .args([
+            "-c",
+            &format!(
+                "{} -q --out again",
+                command.replace("regolith-render", env!("CARGO_BIN_EXE_regolith-render"))
+            ),
+        ])
+        .status();
+    assert!(again.expect("a shell").success());
+    assert_eq!(json(&folder.path().join("again/manifest.json")), first);
+    run_ok(folder.path(), &["convert", "first", "--format=coco", "--out=coco", "-q"]);
+    let coco = json(&folder.path().join("coco/manifest.json"));
+    assert_eq!(coco["command"], command.replace("--format folder", "--format coco"));
+    // Another way to say the same is the same dataset: the run finds that nothing is missing.
+    let other =
+        [&words[..3], &["train_dr,sun_polar"], &words[4..], &["--split=train=2,val=1", "--out=first"]]
+            .concat();
+    run_ok(folder.path(), &other);
+    let mut changed = first.clone();
+    changed["command"] = command.replace("--size 40x32", "--size 40x40").into();
+    std::fs::write(folder.path().join("first/manifest.json"), changed.to_string()).expect("written");
+    let report = run(folder.path(), &["verify", "first", "--rerender=0"]);
+    assert!(String::from_utf8_lossy(&report.stdout).contains("command"), "a wrong command is found");
+}

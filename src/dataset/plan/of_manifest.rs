@@ -73,6 +73,7 @@ impl Plan {
         let mut settings = settings_of(manifest, size)?;
         settings.annotations = output::annotations(&outputs);
         Ok(Self {
+            options: String::new(),
             config: config_of(manifest)?,
             rules: read(manifest, "rules", "the rules of a dataset", Rules::from_json)?,
             base_seed: read(manifest, "base_seed", "a whole number", Value::as_u64)?,

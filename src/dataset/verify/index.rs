@@ -81,7 +81,14 @@ pub(super) fn check_index(
         report.problem(name::LOG, None, found);
     }
     let identity = context.identity();
-    let mut expected = merge::merged_manifest(identity, range, range.count, true, &summary.totals);
+    let mut expected = merge::merged_manifest(
+        identity,
+        &manifest::options_of(context.manifest),
+        range,
+        range.count,
+        true,
+        &summary.totals,
+    );
     let paths: Vec<String> =
         manifest::index_paths(context.plan.layout, &manifest::splits_of(&expected)).collect();
     let hashes = check_index_files(context, summary, &expected, &paths, report);
