@@ -26,7 +26,8 @@ def preset_names(program: str) -> list[str]:
 
 def sheet(program: str, name: str) -> Image.Image:
     """Frames of a preset, beside each other."""
-    joined = f"surface_train_dr,{name}" if name.startswith(("sun_", "camera_")) else name
+    with_sensor = {"sun_": "surface_train_full,", "camera": "surface_train_dr,"}
+    joined = next((base for start, base in with_sensor.items() if name.startswith(start)), "") + name
     result = Image.new("RGB", (FRAMES * SIZE[0] + 4 * (FRAMES - 1), SIZE[1]), "white")
     with tempfile.TemporaryDirectory() as folder:
         size = f"{2 * SIZE[0]}x{2 * SIZE[1]}"
