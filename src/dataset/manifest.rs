@@ -27,7 +27,7 @@ const STATE_KEYS: [&str; 11] = [
     "index_files",
     digest::KEY,
 ];
-/// Key of the preset that the knobs come from, if any.
+/// Key of the preset that the knobs come from; null if there is none.
 const PRESET: &str = "preset";
 /// Key of the command that makes the dataset, but for the folder and what has no effect on the files.
 const COMMAND: &str = "command";
@@ -124,8 +124,11 @@ pub fn command(options: &str, identity: &Map<String, Value>, range: Range) -> Ma
         text("format"),
     );
     let mut words = options.split(' ').skip_while(|word| *word != "--preset").skip(1);
-    let preset = words.next().map(|name| (PRESET.to_owned(), name.into()));
-    preset.into_iter().chain([(COMMAND.to_owned(), command.into())]).collect()
+    let preset = words.next().map_or(Value::Null, Value::from);
+    [(PRESET, preset), (COMMAND, command.into())]
+        .map(|(key, value)| (key.to_owned(), value))
+        .into_iter()
+        .collect()
 }
 
 /// The frames of a manifest.

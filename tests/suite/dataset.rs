@@ -589,7 +589,7 @@ fn the_digest_is_that_of_the_frames_and_not_of_the_run() {
     // The rule of the documentation, applied to the text of the files.
     let manifest = std::fs::read_to_string(folder.path().join("whole/manifest.json")).expect("read");
     let mut manifest: serde_json::Map<String, Value> = serde_json::from_str(&manifest).expect("JSON");
-    let state = "status start count n_completed seeds adapters totals index_files digest";
+    let state = "status start count n_completed seeds preset command adapters totals index_files digest";
     state.split(' ').for_each(|key| drop(manifest.shift_remove(key).expect(key)));
     let mut text = Value::from(manifest).to_string() + "\n";
     for line in std::fs::read_to_string(folder.path().join("whole/frames.jsonl")).expect("read").lines() {
