@@ -10,6 +10,7 @@ use glam::{UVec2, Vec3};
 use crate::render::device::shader_structs::CasterTile;
 use crate::render::select::atlas::AtlasAllocator;
 use crate::render::select::frustum::Frustum;
+use crate::render::select::ground_lows::GroundLows;
 use crate::scene::Scene;
 use crate::scene::rocks::Rock;
 
@@ -63,14 +64,25 @@ pub(crate) fn select_casters(
     let min_shadow_px = if scene.relief.is_some() { MIN_SHADOW_PX } else { 0.0 };
     // Length of a shadow on level ground, in heights; at least 1, for the width.
     let shadow_lengths = (sun.truncate().length() / sun.z.max(1e-3)).max(1.0);
+    let lows = GroundLows::new(&scene.terrain);
     let mut casters: Vec<Caster> = rocks
         .iter()
         .filter_map(|&(index, rock)| {
-            let (reach_m, width_m) = shadow_extent_m(scene, rock.centre.z + rock.z_range_m[1], rock.radius_m);
-            let end = rock.centre - reach_m * sun;
-            if !frustum.intersects_swept_sphere(rock.centre, end, width_m) {
+            let top_m = rock.centre.z + rock.z_range_m[1];
+            let (mut reach_m, width_m) = shadow_extent_m(scene, top_m, rock.radius_m);
+            let reaches_view = |reach_m: f32| {
+                frustum.intersects_swept_sphere(rock.centre, rock.centre - reach_m * sun, width_m)
+            };
+            if !reaches_view(reach_m) {
                 return None;
             }
+            if let Some(lows) = &lows {
+                reach_m = lows.shadow_reach_m(&scene.sun, rock.centre, top_m, rock.radius_m, reach_m);
+                if !reaches_view(reach_m) {
+                    return None;
+                }
+            }
+            let end = rock.centre - reach_m * sun;
             let nearest_m = (distance_to_segment(scene.camera.eye, rock.centre, end) - width_m).max(0.5);
             if 2.0 * rock.radius_m * shadow_lengths < min_shadow_px * pixel_angle * nearest_m {
                 return None;
