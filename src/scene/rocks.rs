@@ -1,6 +1,7 @@
 //! The rocks: their shapes, how they lie on the ground, and where they lie on the two stages ([`nominal`], [`lunar`] with [`lunar_rocks`]).
 
 pub mod burial;
+mod dust;
 pub mod fillets;
 mod form;
 pub mod lunar;

@@ -9,6 +9,7 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
+use super::dust::dust_above;
 use super::lunar::Placement;
 use super::rock::Rock;
 use crate::params::{Knob, Params};
@@ -65,6 +66,8 @@ pub fn bury(
         let depth_m = DEPTH * placement.diameter_m as f32;
         let vertices: &mut PooledVec<Vertex> = Arc::make_mut(&mut rock.vertices);
         let waterline_m = lay_waterline(vertices, placement.age < FRESH_AGE, slope, exposed_m + depth_m);
+        let share = params.sample(Knob::RocksDust, &mut streams.stream("rocks.dust", placement.key));
+        rock.dust_above = dust_above(vertices, (waterline_m + depth_m, slope), share);
         rock.measure();
         let [bottom_m, top_m] = rock.z_range_m;
         let embedding = (waterline_m + depth_m - bottom_m) / (top_m - bottom_m);
