@@ -48,13 +48,16 @@ fn rock_texture(position: vec3<f32>, sample_m: f32, seed: u32, diameter_m: f32) 
     let is_vesicular = kind > 0.4 && !is_breccia;
 
     var texture = RockTexture(vec3(0.0), 1.0, 0.0);
-    let finest = log2(1.4 * sample_m);
-    let first = ceil(finest);
+    // The next power of two above the distance between samples, and how far that is below it: without a logarithm, which drivers
+    // compute with or without fused operations.
+    let distance_bits = bitcast<u32>(1.4 * sample_m);
+    let first = f32(i32(distance_bits >> 23u) - 126);
+    let fade_in = 2.0 - bitcast<f32>((distance_bits & 0x7fffffu) | 0x3f800000u);
     var coarse = 0.0;
     for (var k = 0; k < ROUGHNESS_OCTAVES; k++) {
         let octave = first + f32(k);
         // The finest fades in.
-        let share = min(octave - finest, 1.0);
+        let share = select(1.0, fade_in, k == 0);
         let noise = value_noise(point * power_of_two(-octave), octave_seed(seed, octave));
         let slope = ROUGHNESS_SLOPE * fifth_root_of_two_to(-octave - 7.0);
         let mottling = MOTTLING * min(1.0, power_of_two(-octave - 6.0));
@@ -65,7 +68,7 @@ fn rock_texture(position: vec3<f32>, sample_m: f32, seed: u32, diameter_m: f32) 
     }
     for (var k = 0; k < INCLUSION_OCTAVES; k++) {
         let octave = first + 1.0 + f32(k);
-        let share = min(octave - finest - 1.0, 1.0);
+        let share = select(1.0, fade_in, k == 0);
         let found = inclusion(point * power_of_two(-octave), octave_seed(seed ^ 0x5bd1e995u, octave));
         if is_breccia {
             // Clasts, bright and dark, with sharp borders.
