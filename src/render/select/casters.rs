@@ -50,13 +50,13 @@ pub(crate) fn shadow_extent_m(scene: &Scene, top_m: f32, radius_m: f32) -> (f32,
 }
 
 /// The casters among `rocks` (with their indices in the scene) whose shadow volume intersects the frustum, with their tiles packed
-/// into the atlas.
+/// into the atlas. Nothing in view is nearer to the eye than `nearest_visible_m`, which bounds their resolution.
 #[must_use]
 pub(crate) fn select_casters(
     scene: &Scene,
     rocks: &[(usize, &Rock)],
     frustum: &Frustum,
-    size_px: [u32; 2],
+    (size_px, nearest_visible_m): ([u32; 2], f32),
 ) -> Vec<Caster> {
     let pixel_angle = 1.0 / scene.camera.focal_px(size_px[0]) as f32;
     let largest_px = (4 * size_px[0].max(size_px[1])).clamp(TILE_PX[0], TILE_PX[1]);
@@ -83,7 +83,9 @@ pub(crate) fn select_casters(
                 }
             }
             let end = rock.centre - reach_m * sun;
-            let nearest_m = (distance_to_segment(scene.camera.eye, rock.centre, end) - width_m).max(0.5);
+            let nearest_m = (distance_to_segment(scene.camera.eye, rock.centre, end) - width_m)
+                .max(nearest_visible_m)
+                .max(0.5);
             if 2.0 * rock.radius_m * shadow_lengths < min_shadow_px * pixel_angle * nearest_m {
                 return None;
             }

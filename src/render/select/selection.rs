@@ -58,8 +58,7 @@ impl Selection {
         let frustum = Frustum::new(&camera.clip_from_world(settings.size));
         let pixel_angle = 1.0 / camera.focal_px(settings.size[0]) as f32;
         let candidates = cull_rocks(scene, &frustum);
-        let casters = casters::select_casters(scene, &candidates, &frustum, settings.size);
-        let blocks = ground_blocks(&scene.terrain)
+        let blocks: Vec<(usize, f32)> = ground_blocks(&scene.terrain)
             .enumerate()
             .filter_map(|(block, [columns, rows])| {
                 let (low, high) = block_bounds(&scene.terrain, &columns, &rows);
@@ -67,6 +66,8 @@ impl Selection {
                 frustum.intersects_box(low, high).then_some((block, nearest_m))
             })
             .collect();
+        let nearest_m = nearest_visible_m(scene, &frustum, &blocks, &candidates);
+        let casters = casters::select_casters(scene, &candidates, &frustum, (settings.size, nearest_m));
         let mut next_caster = casters.iter().enumerate().peekable();
         let rocks = candidates
             .into_iter()
@@ -104,6 +105,21 @@ impl Selection {
     pub const fn slots(&self) -> Slots<'_> {
         Slots { selection: self }
     }
+}
+
+/// Lower bound of the distance from the eye of all ground and rocks in view, metres; 0 on the nominal stage.
+fn nearest_visible_m(
+    scene: &Scene,
+    frustum: &Frustum,
+    blocks: &[(usize, f32)],
+    rocks: &[(usize, &Rock)],
+) -> f32 {
+    if scene.relief.is_none() {
+        return 0.0;
+    }
+    let visible = rocks.iter().filter(|(_, rock)| frustum.intersects_sphere(rock.centre, rock.radius_m));
+    let of_rocks = visible.map(|(_, rock)| rock.centre.distance(scene.camera.eye) - rock.radius_m);
+    of_rocks.chain(blocks.iter().map(|(_, nearest_m)| *nearest_m)).fold(f32::MAX, f32::min).max(0.0)
 }
 
 /// Builds the rocks that a frame of the scene may need. Rocks are otherwise built on demand, when a frame is drawn.
