@@ -1,4 +1,4 @@
-// The ground below the mesh: slopes and shades of noise, craters and clods that are smaller than the mesh's cells, down to the
+// The ground below the mesh: slopes, heights and shades of noise, craters and clods that are smaller than the mesh's cells, down to the
 // size of a sample, and grains (grains.wgsl). The height function is src/scene/relief.rs; CPU counterpart of the slopes:
 // src/render/lighting/slopes_host.rs.
 
@@ -13,6 +13,13 @@ const PATCHY_BASE: f32 = 0.2;
 const PATCHY_PEAK: f32 = 3.2;
 // What fresh craters add to the logarithm of the albedo.
 const FRESH_SHADE: f32 = 0.2;
+// src/render/lighting/detail_sums.rs, slopes_host.rs and ground_batch.rs explain these.
+const MIN_CLEARANCE: f32 = 0.3;
+const FAR_M: f32 = 1.0e3;
+const TESTED_CELLS: f32 = 0.5;
+const MIN_LOW_WAY: f32 = 2.0;
+const SHADOW_BLUR: f32 = 0.5;
+const MIN_WAY: f32 = 1.0e-3;
 const SECOND_HASH: u32 = 0x2c1b3c6du;
 
 // Fraction of a feature of this size that the mesh has: 0 up to MIN_CELLS cells, 1 from twice as many on.
@@ -36,36 +43,91 @@ fn ground_detail(
     sun_way: vec2<f32>,
 ) -> GroundDetail {
     let cell_m = light.relief_cell_angle * sqrt(dot(point, point) + light.relief_eye_height_m * light.relief_eye_height_m);
-    // Slope, and logarithm of the albedo.
-    var sum = vec3(0.0);
-    // Coarse to fine: skip the octaves that are wholly in the mesh, stop at the first that samples cannot resolve.
+    // Slope, logarithm of the albedo, and height above the mesh. What the eye sees lies on its ray at that height.
+    var sum = vec4(0.0);
+    // The slope of the noise alone, and by how much the ray to the sun clears it.
+    var waves = vec2(0.0);
+    var sun_clearance_m = FAR_M;
+    let per_eye_way = 1.0 / (length(eye_way) + MIN_WAY);
+    let per_sun_way = 1.0 / (length(sun_way) + MIN_WAY);
+    // By how much a ray to the sun is higher if it starts higher on the ray to the eye: not at all if the two are one.
+    let sun_lift = 1.0 - dot(eye_way, sun_way) * per_sun_way * per_sun_way;
+    // Coarse to fine: skip what is wholly in the mesh, stop at the first that samples cannot resolve.
     var k = 0u;
-    while k < light.relief_waves && mesh_share(relief_noise(k).cell_m, cell_m) == 1.0 { k++; }
-    for (; k < light.relief_waves; k++) {
-        let octave = relief_noise(k);
-        let resolved = sample_share(octave.cell_m, sample_m);
-        if resolved == 0.0 { break; }
-        sum += (1.0 - mesh_share(octave.cell_m, cell_m)) * resolved * noise_slope(octave, point);
-    }
     // The smallest pits of a lattice are half as large as its largest; 0.499 and 1.001 leave room for rounding.
-    k = 0u;
     while k < light.relief_pit_lattices && mesh_share(0.499 * relief_pits(k).max_diameter_m, cell_m) == 1.0 { k++; }
     for (; k < light.relief_pit_lattices; k++) {
         let pits = relief_pits(k);
         if sample_share(1.001 * pits.max_diameter_m, sample_m) == 0.0 { break; }
-        sum += pits_slope(pits, point, cell_m, sample_m);
+        let pit = pits_slope(pits, point + sum.w * eye_way, cell_m, local_sample_m(sample_m, sum.xy, eye_way));
+        sum = add_detail(sum, pit, eye_way);
+    }
+    k = 0u;
+    while k < light.relief_waves && mesh_share(relief_noise(k).cell_m, cell_m) == 1.0 { k++; }
+    for (; k < light.relief_waves; k++) {
+        let octave = relief_noise(k);
+        if sample_share(octave.cell_m, sample_m) == 0.0 { break; }
+        let resolved = sample_share(octave.cell_m, local_sample_m(sample_m, sum.xy, eye_way));
+        let share = (1.0 - mesh_share(octave.cell_m, cell_m)) * resolved;
+        // Where this octave hides the ground from the eye: at the wave that does. How far the ray is above the larger waves there.
+        var above_m = 0.0;
+        if share > 0.0 && per_eye_way < 1.0 / MIN_LOW_WAY {
+            let rise_m = tested_rise_m(octave, per_eye_way);
+            let at = point + (sum.w + rise_m) * eye_way;
+            let slope_m = rise_m * dot(waves, eye_way);
+            let is_hidden = rise_m - (slope_m + share * noise_slope(octave, at).w) < 0.0;
+            above_m = select(0.0, rise_m - slope_m, is_hidden);
+            sum.w += select(0.0, rise_m, is_hidden);
+            sun_clearance_m += sun_lift * select(0.0, rise_m, is_hidden);
+        }
+        let at = point + sum.w * eye_way;
+        if share > 0.0 && per_sun_way < 1.0 / MIN_LOW_WAY {
+            let rise_m = tested_rise_m(octave, per_sun_way);
+            let way = rise_m * sun_way;
+            let height_m = dot(waves, way) + share * noise_slope(octave, at + way).w;
+            sun_clearance_m = min(sun_clearance_m, rise_m - height_m + above_m);
+        }
+        var wave = share * noise_slope(octave, at);
+        wave.w -= above_m;
+        let start_m = sum.w;
+        sum = add_detail(sum, wave, eye_way);
+        sun_clearance_m += sun_lift * (sum.w - start_m);
+        waves += wave.xy;
     }
     // The exponential function to second order.
-    var detail = GroundDetail(sum.xy, 1.0 + sum.z * (1.0 + 0.5 * sum.z), 1.0);
+    let sun = clamp(0.5 + 0.5 * sun_clearance_m / (SHADOW_BLUR * across_m * per_sun_way), 0.0, 1.0);
+    var detail = GroundDetail(sum.xy, 1.0 + sum.z * (1.0 + 0.5 * sum.z), sun);
     var cover = GrainCover(0.0, 0.0, 0.0);
     for (k = 0u; k < light.relief_grain_lattices; k++) {
         let grains = relief_grains(k);
         if sample_share(1.001 * grains.max_diameter_m, across_m) == 0.0 { break; }
-        detail = add_grains(detail, grains, point, across_m, eye_way, sun_way, &cover);
+        detail = add_grains(detail, grains, point + sum.w * eye_way, across_m, eye_way, sun_way, &cover);
     }
     // What hides the ground hides its shadows.
     detail.sun = mix(detail.sun, 0.0, cover.share) + cover.sun;
     return detail;
+}
+
+// How much a ray has risen where an octave is asked whether it hides or shadows the ground.
+fn tested_rise_m(octave: Lattice, per_way: f32) -> f32 {
+    return TESTED_CELLS * octave.cell_m * per_way;
+}
+
+// Adds detail at the point where the ray to the eye has the height that is summed so far. The height at which it leaves the ground
+// is found by a step of Newton's method.
+fn add_detail(sum: vec4<f32>, detail: vec4<f32>, eye_way: vec2<f32>) -> vec4<f32> {
+    let slopes = sum.xyz + detail.xyz;
+    return vec4(slopes, sum.w + detail.w / clearance(slopes.xy, eye_way));
+}
+
+// How much less the ground rises along the ray to the eye than the ray, relative to the ray.
+fn clearance(slope: vec2<f32>, eye_way: vec2<f32>) -> f32 {
+    return max(1.0 - dot(slope, eye_way), MIN_CLEARANCE);
+}
+
+// Distance of samples on a slope of the mesh: further where it faces away from the eye.
+fn local_sample_m(sample_m: f32, slope: vec2<f32>, eye_way: vec2<f32>) -> f32 {
+    return sample_m * inverseSqrt(min(clearance(slope, eye_way), 1.0));
 }
 
 // Coordinates in cells of the lattice, relative to its base cell.
@@ -99,8 +161,8 @@ fn lattice_corner(cell: vec2<i32>, lattice: Lattice) -> vec4<f32> {
 
 // Slope of one octave of gradient noise with quintic weights (Perlin 2002, "Improving Noise"): the derivative of
 // `gradient_noise_2d` in src/scene/noise/gradient.rs. z: what the octave adds to the logarithm of the soil's albedo, blended
-// with the same weights.
-fn noise_slope(lattice: Lattice, point: vec2<f32>) -> vec3<f32> {
+// with the same weights. w: the height.
+fn noise_slope(lattice: Lattice, point: vec2<f32>) -> vec4<f32> {
     let local = to_lattice(lattice, point);
     let corner = floor(local);
     let t = local - corner;
@@ -118,13 +180,14 @@ fn noise_slope(lattice: Lattice, point: vec2<f32>) -> vec3<f32> {
     let gradient = mix(mix(g00.xy, g10.xy, w.x), mix(g01.xy, g11.xy, w.x), w.y)
         + rise * vec2(mix(b - a, d - c, w.y), mix(c - a, d - b, w.x));
     let shade = mix(mix(g00.w, g10.w, w.x), mix(g01.w, g11.w, w.x), w.y);
-    return vec3(lattice.amount * slope_from_lattice(lattice, gradient), lattice.share * shade);
+    let height_m = lattice.amount * mix(mix(a, b, w.x), mix(c, d, w.x), w.y);
+    return vec4(lattice.amount * slope_from_lattice(lattice, gradient), lattice.share * shade, height_m);
 }
 
 // Slope of the pits (craters and clods) of a lattice. None reaches beyond its own cell: its centre is at most JITTER_CELLS
 // off the cell's, its radius at most 0.22 cells, and it has faded out at 1.5 radii. z: what fresh craters, whose soil is less
-// mature, add to the logarithm of the albedo.
-fn pits_slope(lattice: Lattice, point: vec2<f32>, cell_m: f32, sample_m: f32) -> vec3<f32> {
+// mature, add to the logarithm of the albedo. w: the height.
+fn pits_slope(lattice: Lattice, point: vec2<f32>, cell_m: f32, sample_m: f32) -> vec4<f32> {
     let local = to_lattice(lattice, point);
     let corner = floor(local);
     let cell = lattice.base + vec2<i32>(corner);
@@ -138,24 +201,27 @@ fn pits_slope(lattice: Lattice, point: vec2<f32>, cell_m: f32, sample_m: f32) ->
     let per_cells = inverseSqrt(max(dot(offset, offset), 1.0e-12));
     let r = lattice.cell_m * per_radius / per_cells;
     let age = f32(first >> 16u) / 65536.0;
-    let steepness = select(
-        crater_steepness(r, (age - lattice.share) / (1.0 - lattice.share)),
-        -8.0 * CLOD_HEIGHT * r * max(1.0 - r * r, 0.0),
+    let rise = max(1.0 - r * r, 0.0);
+    let steepness_and_height = select(
+        crater_profile(r, (age - lattice.share) / (1.0 - lattice.share)),
+        CLOD_HEIGHT * vec2(-8.0 * r * rise, rise * rise),
         age < lattice.share,
     );
     let share = (1.0 - mesh_share(diameter_m, cell_m)) * sample_share(diameter_m, sample_m);
     let is_in_range = lattice.factor * lattice.max_diameter_m >= 2.0 * MIN_CELLS * cell_m;
     let exists = is_in_range && f32(first & 0xffffu) / 65536.0 < lattice.amount;
-    let slope = select(0.0, share * steepness, exists) * per_cells * offset;
+    let profile = select(vec2(0.0), share * steepness_and_height, exists);
+    let slope = profile.x * per_cells * offset;
     let is_fresh = exists && age >= lattice.share && age - lattice.share < light.relief_fresh_share * (1.0 - lattice.share);
     let shade = select(0.0, FRESH_SHADE * share * clamp((1.5 - r) * 2.5, 0.0, 1.0), is_fresh);
-    return vec3(lattice.cell_m * slope_from_lattice(lattice, slope), shade);
+    return vec4(lattice.cell_m * slope_from_lattice(lattice, slope), shade, diameter_m * profile.y);
 }
 
-// Rise per metre away from the centre of a crater of an age in [0, 1), at a distance `r` in radii. Depths are in diameters.
+// Rise per metre away from the centre of a crater of an age in [0, 1), and height, at a distance `r` in radii. Depths and heights are
+// in diameters.
 // src/scene/craters.rs has the profile (a fit to that of Yang et al. 2021) and the depths (Stopar et al. 2017, Wu et al. 2021);
 // src/render/lighting/slopes_host.rs derives the numbers.
-fn crater_steepness(r: f32, age: f32) -> f32 {
+fn crater_profile(r: f32, age: f32) -> vec2<f32> {
     let fresh_share = light.relief_fresh_share;
     let wear = (age - fresh_share) / (1.0 - fresh_share);
     let fresh = 0.15 - 0.04 / max(fresh_share, 1.0e-6) * age;
@@ -165,6 +231,9 @@ fn crater_steepness(r: f32, age: f32) -> f32 {
     // the next cell.
     let bowl = 0.0513832 + r * (-0.1504748 + r * (2.9375904 + r * (-5.661628 + r * 2.871354)));
     let square = r * r;
-    let ejecta = -3.1906 * RIM / (square * square) * clamp((1.5 - r) * 2.5, 0.0, 1.0);
-    return 2.0 / PROFILE_DEPTH * depth * select(ejecta, bowl, r < 1.0);
+    let fade = clamp((1.5 - r) * 2.5, 0.0, 1.0);
+    let ejecta = -3.1906 * RIM / (square * square) * fade;
+    let p = -0.1142066 + r * (-0.0628234 + r * (-0.1380608 + r * (0.8411362 - 0.5742708 * r)));
+    let height = select(RIM / (square * r) * fade, RIM + (1.0 - r) * p, r < 1.0);
+    return depth / PROFILE_DEPTH * vec2(2.0 * select(ejecta, bowl, r < 1.0), height);
 }

@@ -1,6 +1,7 @@
 //! Lighting: from the G-buffer to radiance and class, in one draw for each shading bin or in one for all.
 //! Must not know: how visibility was found.
 
+pub(crate) mod detail_sums;
 pub(crate) mod gbuffer;
 pub(crate) mod grains_host;
 pub(crate) mod ground_batch;

@@ -29,6 +29,7 @@ mod rock_shapes;
 mod rocks_in_soil;
 mod rover;
 mod scene_statistics;
+mod soil_detail;
 mod sun;
 mod support;
 mod surface;

@@ -326,8 +326,10 @@ mod tests {
     fn constants_that_rust_has_too_are_equal() {
         use crate::render::device::packing::{NOT_REQUESTED, WORKGROUP_SIZE};
         use crate::render::device::shading_bins::ShadowSources;
+        use crate::render::lighting::detail_sums::{FAR_M, MIN_CLEARANCE};
         use crate::render::lighting::grains_host::{MAX_CELLS, ROUGHNESS};
-        use crate::render::lighting::ground_batch::{MAX_EYE_WAY, MAX_SUN_WAY};
+        use crate::render::lighting::ground_batch::{MAX_EYE_WAY, MAX_SUN_WAY, MIN_WAY};
+        use crate::render::lighting::slopes_host::{MIN_LOW_WAY, SHADOW_BLUR, TESTED_CELLS};
         use crate::render::select::caster_grid::TEST_HORIZON;
         use crate::render::select::lit_rocks::{REACH, ROCK_WORDS};
         use crate::scene::craters::{CLOD_HEIGHT, JITTER_CELLS, PROFILE_DEPTH, RIM};
@@ -354,6 +356,12 @@ mod tests {
             (&LIGHTING_SURFACE, "LIT_ROCK_WORDS", ROCK_WORDS as f64),
             (&LIGHTING_SURFACE, "REACH", f64::from(REACH)),
             (&LIGHTING_SURFACE, "MIN_CELLS", f64::from(MIN_CELLS)),
+            (&LIGHTING_SURFACE, "MIN_CLEARANCE", f64::from(MIN_CLEARANCE)),
+            (&LIGHTING_SURFACE, "FAR_M", f64::from(FAR_M)),
+            (&LIGHTING_SURFACE, "MIN_WAY", f64::from(MIN_WAY)),
+            (&LIGHTING_SURFACE, "MIN_LOW_WAY", f64::from(MIN_LOW_WAY)),
+            (&LIGHTING_SURFACE, "SHADOW_BLUR", f64::from(SHADOW_BLUR)),
+            (&LIGHTING_SURFACE, "TESTED_CELLS", f64::from(TESTED_CELLS)),
             (&LIGHTING_SURFACE, "JITTER_CELLS", f64::from(JITTER_CELLS)),
             (&LIGHTING_SURFACE, "PROFILE_DEPTH", f64::from(PROFILE_DEPTH)),
             (&LIGHTING_SURFACE, "RIM", f64::from(RIM)),

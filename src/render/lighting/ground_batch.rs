@@ -17,6 +17,8 @@ const MAX_NORMAL_CODE: u32 = 0x00ff_ffff;
 pub(crate) const MAX_EYE_WAY: f32 = 8.0;
 /// The same of a ray to the sun, for 5 degrees.
 pub(crate) const MAX_SUN_WAY: f32 = 11.0;
+/// Added to the length of a way before one is divided by it.
+pub(crate) const MIN_WAY: f32 = 1e-3;
 
 /// Horizontal vectors, one a sample.
 #[derive(Clone, Copy)]
@@ -47,6 +49,10 @@ pub(super) struct GroundBatch {
     pub(super) across_m: [f32; BATCH],
     /// Horizontal ways of rays to the eye and to the sun per metre that they rise above the mesh.
     pub(super) ways: [Vectors; 2],
+    /// One over the lengths of these ways.
+    pub(super) per_way: [[f32; BATCH]; 2],
+    /// By how much a ray to the sun is higher if it starts a metre higher on the ray to the eye, metres: 0 if the two are one.
+    pub(super) sun_lift: [f32; BATCH],
 }
 
 impl SampleBatch {
@@ -86,6 +92,8 @@ impl GroundBatch {
             per_sample: zeros,
             across_m: zeros,
             ways: [Vectors { x: zeros, y: zeros }; 2],
+            per_way: [zeros; 2],
+            sun_lift: zeros,
         };
         let sun_way = (sun.x * sun.x + sun.y * sun.y).sqrt();
         let row_start = corner + (row as f32 + 0.5) * down;
@@ -108,10 +116,14 @@ impl GroundBatch {
             let per_rise = per_rise(facing * n_len * per_up, eye_way, MAX_EYE_WAY);
             ground.ways[0].x[i] = eye_x * per_rise;
             ground.ways[0].y[i] = eye_y * per_rise;
+            ground.per_way[0][i] = 1.0 / (eye_way * per_rise + MIN_WAY);
             let sun_rise = (n_x * sun.x + n_y * sun.y + n_z * sun.z) * per_up;
             let per_rise = self::per_rise(sun_rise, sun_way, MAX_SUN_WAY);
             ground.ways[1].x[i] = sun.x * per_rise;
             ground.ways[1].y[i] = sun.y * per_rise;
+            ground.per_way[1][i] = 1.0 / (sun_way * per_rise + MIN_WAY);
+            let along = ground.ways[0].x[i] * ground.ways[1].x[i] + ground.ways[0].y[i] * ground.ways[1].y[i];
+            ground.sun_lift[i] = 1.0 - along * (ground.per_way[1][i] * ground.per_way[1][i]);
             let (x, y) = (view.eye_from_centre.x + x, view.eye_from_centre.y + y);
             let height = view.eye_height_m;
             ground.x[i] = x;
@@ -126,11 +138,11 @@ impl GroundBatch {
     }
 
     /// How much of relief of this size the mesh leaves out and samples can show, 0 to 1: the product of one less [`mesh_share`] and
-    /// [`sample_share`].
+    /// [`sample_share`] of samples that are closer by a factor.
     #[inline(always)]
-    pub(super) fn share(&self, i: usize, size_m: f32) -> f32 {
+    pub(super) fn share(&self, i: usize, size_m: f32, closer: f32) -> f32 {
         let left_out = 1.0 - (size_m * self.per_mesh[i] - 1.0).clamp(0.0, 1.0);
-        left_out * (size_m * self.per_sample[i] - 1.0).clamp(0.0, 1.0)
+        left_out * (size_m * closer * self.per_sample[i] - 1.0).clamp(0.0, 1.0)
     }
 }
 

@@ -13,14 +13,16 @@ use half::slice::HalfFloatSliceExt;
 
 use crate::render::device::shader_structs::{LatticeUniforms, ReliefUniforms, ReliefView};
 use crate::render::device::shading_bins::{LightingVariant, ShadingBin, ShadingBins};
+use crate::render::lighting::detail_sums::{DetailSums, FAR_M};
 use crate::render::lighting::grains_host::{GrainGround, GroundDetail, add_grains};
 use crate::render::lighting::ground_batch::{BATCH, GroundBatch, SampleBatch, Vectors};
 use crate::render::lighting::relief_bands::{ReliefBands, sample_share};
 use crate::scene::craters::{
-    CLOD_HEIGHT, EJECTA_EXPONENT, FRESH_DEPTHS, JITTER_CELLS, PROFILE_DEPTH, RIM, WORN_DEPTHS, second_hash,
+    BOWL, CLOD_HEIGHT, EJECTA_EXPONENT, FRESH_DEPTHS, JITTER_CELLS, PROFILE_DEPTH, RIM, WORN_DEPTHS,
+    second_hash,
 };
 use crate::scene::grains::GrainMaterial;
-use crate::scene::noise::{gradient_noise_slope_2d, lattice_hash};
+use crate::scene::noise::{gradient_noise_2d, gradient_noise_slope_2d, lattice_hash};
 use crate::scene::relief::{MIN_CELLS, mesh_share};
 use crate::scene::sky::Sun;
 
@@ -52,6 +54,13 @@ const FRESH_DEPTH_SPAN: f32 = 0.04;
 const FRESH_SHADE: f32 = 0.2;
 /// The detail where there is no relief below the mesh: no slope, the material's albedo, no grain between the ground and the sun.
 const NO_DETAIL: [f16; 4] = [f16::ZERO, f16::ZERO, f16::ONE, f16::ONE];
+/// Distance along a ray at which a wave of noise is asked whether it hides or shadows the ground, cells: smaller waves vary independently
+/// there.
+pub(crate) const TESTED_CELLS: f32 = 0.5;
+/// Least horizontal way of a ray per metre that it rises at which waves are asked: steeper ones hardly meet any.
+pub(crate) const MIN_LOW_WAY: f32 = 2.0;
+/// Half the width of the edges of these shadows, distances between samples.
+pub(crate) const SHADOW_BLUR: f32 = 0.5;
 /// Maximum depth of a worn crater, diameters: a little less than that of a fresh one, as in `craters.rs`.
 const MAX_WORN_DEPTH: f32 = 0.1099;
 
@@ -78,13 +87,6 @@ pub struct GBufferRow<'a> {
     pub normal_y: &'a [u32],
     /// One more than the shading bin in the lowest bits; 0 where nothing is visible.
     pub visibility: &'a [u32],
-}
-
-/// Rise per metre along x and y, and the logarithm of the albedo.
-struct DetailSums {
-    x: [f32; BATCH],
-    y: [f32; BATCH],
-    shade: [f32; BATCH],
 }
 
 impl ReliefSlopes {
@@ -166,13 +168,21 @@ fn ground_detail(
 ) {
     let view = &relief.view;
     let ground = GroundBatch::new(view, rays, sun.0, row, batch);
-    let mut sums = DetailSums { x: [0.0; BATCH], y: [0.0; BATCH], shade: [0.0; BATCH] };
+    let zeros = [0.0; BATCH];
+    let mut sums = DetailSums::new();
     let nearest_across_m = add_relief(relief, &ground, &mut sums);
+    let (mut x, mut y, mut sun_on_ground) = (zeros, zeros, zeros);
+    for i in 0..BATCH {
+        let point = sums.point(&ground, i);
+        (x[i], y[i]) = (point.x, point.y);
+        let blur_m = SHADOW_BLUR * ground.across_m[i] * ground.per_way[1][i];
+        sun_on_ground[i] = (0.5 + 0.5 * sums.sun_clearance_m[i] / blur_m).clamp(0.0, 1.0);
+    }
     let mut detail = GroundDetail {
         slope: Vectors { x: sums.x, y: sums.y },
         // The exponential function to second order.
         albedo: sums.shade.map(|shade| 1.0 + shade * (1.0 + 0.5 * shade)),
-        sun: [1.0; BATCH],
+        sun: sun_on_ground,
         nearest_m: [0.0; BATCH],
         cover: [0.0; BATCH],
         cover_sun: [0.0; BATCH],
@@ -180,7 +190,7 @@ fn ground_detail(
     let material = GrainMaterial { ratio: view.grain_ratio, spread: view.grain_spread };
     let grain_ground = GrainGround {
         count,
-        point: Vectors { x: ground.x, y: ground.y },
+        point: Vectors { x, y },
         across_m: ground.across_m,
         ways: ground.ways,
         sun_tan_half_angle: sun.1,
@@ -198,7 +208,7 @@ fn ground_detail(
     }
 }
 
-/// Adds the noise and the pits. Returns the smallest distance of samples across the view, metres.
+/// Adds the pits and the noise, each from coarse to fine. Returns the smallest distance of samples across the view, metres.
 #[inline(always)]
 fn add_relief(relief: &ReliefUniforms, ground: &GroundBatch, sums: &mut DetailSums) -> f32 {
     let view = &relief.view;
@@ -215,11 +225,13 @@ fn add_relief(relief: &ReliefUniforms, ground: &GroundBatch, sums: &mut DetailSu
     }
     let [smallest_cell_m, largest_cell_m, nearest_m] =
         [smallest_cell, largest_cell, nearest].map(f32::from_bits);
-    for wave in &relief.noise[..view.waves as usize] {
-        if sample_share(wave.cell_m, nearest_m) > 0.0 && mesh_share(wave.cell_m, largest_cell_m) < 1.0 {
-            noise_slope(wave, ground, sums);
+    let mut smallest_per_way = [u32::MAX; 2];
+    for (smallest, per_way) in smallest_per_way.iter_mut().zip(&ground.per_way) {
+        for per_way in per_way {
+            *smallest = (*smallest).min(per_way.to_bits());
         }
     }
+    let is_low = smallest_per_way.map(|per_way| f32::from_bits(per_way) < 1.0 / MIN_LOW_WAY);
     for pits in &relief.pits[..view.pit_lattices as usize] {
         // The smallest pits of a lattice are half as large as its largest; a little room for how sizes are rounded.
         let is_resolved = sample_share(1.001 * pits.max_diameter_m, nearest_m) > 0.0;
@@ -229,22 +241,78 @@ fn add_relief(relief: &ReliefUniforms, ground: &GroundBatch, sums: &mut DetailSu
             pits_slope(pits, view.fresh_share, ground, sums);
         }
     }
+    for wave in &relief.noise[..view.waves as usize] {
+        if sample_share(wave.cell_m, nearest_m) > 0.0 && mesh_share(wave.cell_m, largest_cell_m) < 1.0 {
+            noise_slope(wave, ground, is_low, sums);
+        }
+    }
     f32::from_bits(nearest_across)
 }
 
-/// Adds the slope and the shade of one octave of noise.
+/// Adds the slope, the height and the shade of one octave of noise; where it hides the ground from the eye, at the wave that does. `is_low`:
+/// whether rays to the eye and to the sun are so low that it may hide or shadow the ground.
 #[inline(always)]
-fn noise_slope(wave: &LatticeUniforms, ground: &GroundBatch, sums: &mut DetailSums) {
+fn noise_slope(wave: &LatticeUniforms, ground: &GroundBatch, is_low: [bool; 2], sums: &mut DetailSums) {
     let lattice = wave.lattice();
-    for i in 0..BATCH {
-        let ([column, row], t) = lattice.cell(lattice.local(Vec2::new(ground.x[i], ground.y[i])));
-        let [along, across, shade] = gradient_noise_slope_2d([column, row], t, wave.seed, wave.factor);
-        let resolved = ground.share(i, wave.cell_m);
-        sums.shade[i] += wave.share * resolved * shade;
-        let share = wave.amount * resolved;
-        sums.x[i] += share * (wave.rotation_per_m.x * along - wave.rotation_per_m.y * across);
-        sums.y[i] += share * (wave.rotation_per_m.y * along + wave.rotation_per_m.x * across);
+    let mut resolved = [0.0; BATCH];
+    for (i, resolved) in resolved.iter_mut().enumerate() {
+        *resolved = sums.share(ground, i, wave.cell_m);
     }
+    // How far the ray to the eye is above the larger waves where this wave hides the ground below it.
+    let mut above_m = [0.0; BATCH];
+    if is_low[0] {
+        for (i, above_m) in above_m.iter_mut().enumerate() {
+            let (rise_m, clearance_m) = clearance(wave, ground, sums, (i, resolved[i]), 0);
+            let way = Vec2::new(rise_m * ground.ways[0].x[i], rise_m * ground.ways[0].y[i]);
+            let is_hidden = clearance_m < 0.0;
+            let rise_m = if is_hidden { rise_m } else { 0.0 };
+            sums.height_m[i] += rise_m;
+            sums.sun_clearance_m[i] += ground.sun_lift[i] * rise_m;
+            let slope_m = sums.waves.x[i] * way.x + sums.waves.y[i] * way.y;
+            *above_m = if is_hidden { rise_m - slope_m } else { 0.0 };
+        }
+    }
+    if is_low[1] {
+        for i in 0..BATCH {
+            let (_, clearance_m) = clearance(wave, ground, sums, (i, resolved[i]), 1);
+            let clearance_m = clearance_m + above_m[i];
+            let nearest_m = sums.sun_clearance_m[i];
+            sums.sun_clearance_m[i] = if clearance_m < nearest_m { clearance_m } else { nearest_m };
+        }
+    }
+    for i in 0..BATCH {
+        let ([column, row], t) = lattice.cell(lattice.local(sums.point(ground, i)));
+        let [along, across, shade, value] = gradient_noise_slope_2d([column, row], t, wave.seed, wave.factor);
+        let share = wave.amount * resolved[i];
+        let slope = Vec2::new(
+            share * (wave.rotation_per_m.x * along - wave.rotation_per_m.y * across),
+            share * (wave.rotation_per_m.y * along + wave.rotation_per_m.x * across),
+        );
+        sums.waves.x[i] += slope.x;
+        sums.waves.y[i] += slope.y;
+        sums.add(ground, i, slope, share * value - above_m[i], wave.share * resolved[i] * shade);
+    }
+}
+
+/// Where a ray to the eye (0) or to the sun (1) has risen a little: by how much, and how far it is then above the ground, metres. That is the
+/// height of this wave, above that of the larger ones by their slope. High rays are far above, as are all where samples do not show it.
+#[inline(always)]
+fn clearance(
+    wave: &LatticeUniforms,
+    ground: &GroundBatch,
+    sums: &DetailSums,
+    (i, resolved): (usize, f32),
+    ray: usize,
+) -> (f32, f32) {
+    let lattice = wave.lattice();
+    let rise_m = TESTED_CELLS * wave.cell_m * ground.per_way[ray][i];
+    let way = Vec2::new(rise_m * ground.ways[ray].x[i], rise_m * ground.ways[ray].y[i]);
+    let ([column, row], t) = lattice.cell(lattice.local(sums.point(ground, i) + way));
+    let value = gradient_noise_2d([column, row], t, wave.seed, wave.factor);
+    let height_m = wave.amount * resolved * value;
+    let clearance_m = rise_m - (sums.waves.x[i] * way.x + sums.waves.y[i] * way.y + height_m);
+    let is_low = (ground.per_way[ray][i] < 1.0 / MIN_LOW_WAY) & (resolved > 0.0);
+    (rise_m, if is_low { clearance_m } else { FAR_M })
 }
 
 /// Adds the slope of the pits of a lattice: at most one crater or clod a cell, which does not reach beyond its cell.
@@ -256,7 +324,7 @@ fn pits_slope(pits: &LatticeUniforms, fresh_share: f32, ground: &GroundBatch, su
     let largest = 0.5 * pits.max_diameter_m / pits.cell_m;
     let per_largest = 1.0 / largest;
     for i in 0..BATCH {
-        let (cell, position) = lattice.cell(lattice.local(Vec2::new(ground.x[i], ground.y[i])));
+        let (cell, position) = lattice.cell(lattice.local(sums.point(ground, i)));
         let pit = CellPit::new(cell, pits.seed, largest);
         let (along, across) = (position[0] - pit.centre[0], position[1] - pit.centre[1]);
         let square = along * along + across * across;
@@ -265,19 +333,25 @@ fn pits_slope(pits: &LatticeUniforms, fresh_share: f32, ground: &GroundBatch, su
         let per_cells = cells / square;
         // Distance from the centre in radii, and one over it.
         let (r, per_r) = (cells * pit.shrink * per_largest, per_cells * pit.radius);
-        let crater = crater_steepness(r, per_r, ages.depth(pit.age));
-        let steepness = if pit.age < pits.share { clod_steepness(r) } else { crater };
+        let depth = ages.depth(pit.age);
+        let is_clod = pit.age < pits.share;
+        let steepness = if is_clod { clod_steepness(r) } else { crater_steepness(r, per_r, depth) };
+        let height = if is_clod { clod_height(r) } else { crater_height(r, per_r, depth) };
         let is_sampled = pits.factor * pits.max_diameter_m >= 2.0 * MIN_CELLS * ground.cell_m[i];
         let exists = is_sampled & (pit.draw < pits.amount);
-        let share = ground.share(i, 2.0 * pits.cell_m * pit.radius);
+        let diameter_m = 2.0 * pits.cell_m * pit.radius;
+        let share = sums.share(ground, i, diameter_m);
         let fresh = ((EJECTA_FADE[0] - r) * EJECTA_FADE[1]).clamp(0.0, 1.0) * FRESH_SHADE * share;
         let is_fresh =
             exists & (pit.age >= pits.share) & (pit.age - pits.share < fresh_share * (1.0 - pits.share));
-        sums.shade[i] += if is_fresh { fresh } else { 0.0 };
-        let slope = if exists { pits.cell_m * share * steepness * per_cells } else { 0.0 };
+        let share = if exists { share } else { 0.0 };
+        let slope = pits.cell_m * share * steepness * per_cells;
         let (along, across) = (slope * along, slope * across);
-        sums.x[i] += pits.rotation_per_m.x * along - pits.rotation_per_m.y * across;
-        sums.y[i] += pits.rotation_per_m.y * along + pits.rotation_per_m.x * across;
+        let slope = Vec2::new(
+            pits.rotation_per_m.x * along - pits.rotation_per_m.y * across,
+            pits.rotation_per_m.y * along + pits.rotation_per_m.x * across,
+        );
+        sums.add(ground, i, slope, share * diameter_m * height, if is_fresh { fresh } else { 0.0 });
     }
 }
 
@@ -353,7 +427,27 @@ fn crater_steepness(r: f32, per_r: f32, depth: f32) -> f32 {
     2.0 / PROFILE_DEPTH * depth * if r < 1.0 { bowl } else { ejecta }
 }
 
-/// Rise per metre away from the centre of a clod, whose height is `CLOD_HEIGHT` (1 - r^2)^2 diameters.
+/// Height of a crater of a depth above its surroundings, all in diameters, at a distance r in radii: with an exponent of -3 in place of
+/// -3.19 outside the crest, faded out.
+#[inline(always)]
+fn crater_height(r: f32, per_r: f32, depth: f32) -> f32 {
+    let [b0, b1, b2, b3, b4] = BOWL;
+    let bowl = RIM + (1.0 - r) * (b0 + r * (b1 + r * (b2 + r * (b3 + r * b4))));
+    let [end, per_width] = EJECTA_FADE;
+    let fade = ((end - r) * per_width).clamp(0.0, 1.0);
+    let ejecta = RIM * (per_r * per_r * per_r) * fade;
+    1.0 / PROFILE_DEPTH * depth * if r < 1.0 { bowl } else { ejecta }
+}
+
+/// Height of a clod, diameters.
+#[inline(always)]
+fn clod_height(r: f32) -> f32 {
+    let square = r * r;
+    let rise = if square < 1.0 { 1.0 - square } else { 0.0 };
+    CLOD_HEIGHT * (rise * rise)
+}
+
+/// Rise per metre away from the centre of a clod.
 #[inline(always)]
 fn clod_steepness(r: f32) -> f32 {
     let square = r * r;
@@ -375,7 +469,6 @@ fn exp2_small(power: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::craters::BOWL;
 
     #[test]
     fn exp2_small_is_a_power_of_two_within_a_millionth() {

@@ -20,11 +20,11 @@ pub fn gradient_noise_2d(cell: [i32; 2], t: [f32; 2], seed: u32, patchy: f32) ->
     lerp(lerp(at([0, 0]), at([1, 0]), u), lerp(at([0, 1]), at([1, 1]), u), v)
 }
 
-/// Gradient of [`gradient_noise_2d`], per cell along both axes; and a shade: other values at the corners, uniform in [-0.5, 0.5),
-/// blended with the same weights, with a standard deviation of [`SHADE_SIGMA`].
+/// Gradient of [`gradient_noise_2d`], per cell along both axes; a shade: other values at the corners, uniform in [-0.5, 0.5),
+/// blended with the same weights, with a standard deviation of [`SHADE_SIGMA`]; and the noise itself.
 #[must_use]
 #[inline(always)]
-pub fn gradient_noise_slope_2d(cell: [i32; 2], t: [f32; 2], seed: u32, patchy: f32) -> [f32; 3] {
+pub fn gradient_noise_slope_2d(cell: [i32; 2], t: [f32; 2], seed: u32, patchy: f32) -> [f32; 4] {
     let [u, v] = [quintic(t[0]), quintic(t[1])];
     // Written out: a closure over an array would not be inlined into the vectors of the caller.
     let sw = gradient_corner(cell, [0, 0], seed, patchy);
@@ -37,6 +37,7 @@ pub fn gradient_noise_slope_2d(cell: [i32; 2], t: [f32; 2], seed: u32, patchy: f
         lerp(lerp(sw.x, se.x, u), lerp(nw.x, ne.x, u), v) + quintic_derivative(t[0]) * lerp(b - a, d - c, v),
         lerp(lerp(sw.y, se.y, u), lerp(nw.y, ne.y, u), v) + quintic_derivative(t[1]) * lerp(c - a, d - b, u),
         lerp(lerp(sw.shade, se.shade, u), lerp(nw.shade, ne.shade, u), v),
+        lerp(lerp(a, b, u), lerp(c, d, u), v),
     ]
 }
 
@@ -160,6 +161,7 @@ mod tests {
                 (slope[0] - along).abs() < 1e-3 && (slope[1] - across).abs() < 1e-3,
                 "({x}, {y}): {slope:?}, {along} {across} at {t:?}"
             );
+            assert_eq!(slope[3], at(t[0], t[1]), "the value at ({x}, {y})");
         }
     }
 }

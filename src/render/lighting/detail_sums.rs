@@ -1,0 +1,76 @@
+//! The ground's detail in a batch of samples as it is summed, coarse to fine, where the ray to the eye meets it.
+//!
+//! All is inlined, to be compiled for each width of vectors.
+//! Must not know: what is summed.
+
+use glam::Vec2;
+
+use super::ground_batch::{BATCH, GroundBatch, Vectors};
+
+/// Least clearance of a ray to the eye from the ground that it leaves: how much less the ground rises along it than the ray, relative to
+/// the ray. Ground with less is hidden from the eye.
+pub(crate) const MIN_CLEARANCE: f32 = 0.3;
+/// More than any height of relief below the mesh, metres.
+pub(crate) const FAR_M: f32 = 1e3;
+
+/// Rise per metre along x and y, the logarithm of the albedo, the height above the mesh, and by how much rays to the sun clear the
+/// ground, metres.
+pub(super) struct DetailSums {
+    pub(super) x: [f32; BATCH],
+    pub(super) y: [f32; BATCH],
+    pub(super) shade: [f32; BATCH],
+    pub(super) height_m: [f32; BATCH],
+    pub(super) sun_clearance_m: [f32; BATCH],
+    /// The part of the slope that waves have.
+    pub(super) waves: Vectors,
+}
+
+impl DetailSums {
+    /// No detail, above which rays to the sun are free.
+    #[inline(always)]
+    pub(super) fn new() -> Self {
+        let zeros = [0.0; BATCH];
+        Self {
+            x: zeros,
+            y: zeros,
+            shade: zeros,
+            height_m: zeros,
+            sun_clearance_m: [FAR_M; BATCH],
+            waves: Vectors { x: zeros, y: zeros },
+        }
+    }
+
+    /// The point, metres from the centre of the ground, at which the ray to the eye of sample `i` has the height that is summed so far.
+    #[inline(always)]
+    pub(super) fn point(&self, ground: &GroundBatch, i: usize) -> Vec2 {
+        let height_m = self.height_m[i];
+        Vec2::new(ground.x[i] + height_m * ground.ways[0].x[i], ground.y[i] + height_m * ground.ways[0].y[i])
+    }
+
+    /// Adds detail at that point: its slope, its height, and its shade. The height at which the ray leaves the ground is found by a step
+    /// of Newton's method, with what is summed so far. A ray to the sun from there starts higher, but also further on its way.
+    #[inline(always)]
+    pub(super) fn add(&mut self, ground: &GroundBatch, i: usize, slope: Vec2, height_m: f32, shade: f32) {
+        self.x[i] += slope.x;
+        self.y[i] += slope.y;
+        self.shade[i] += shade;
+        let rise_m = height_m / self.clearance(ground, i);
+        self.height_m[i] += rise_m;
+        self.sun_clearance_m[i] += ground.sun_lift[i] * rise_m;
+    }
+
+    /// How much of relief of this size the mesh leaves out and samples can show, 0 to 1: samples on slopes that face away from the eye are
+    /// further apart.
+    #[inline(always)]
+    pub(super) fn share(&self, ground: &GroundBatch, i: usize, size_m: f32) -> f32 {
+        let clearance = self.clearance(ground, i);
+        ground.share(i, size_m, if clearance < 1.0 { clearance.sqrt() } else { 1.0 })
+    }
+
+    /// How much less the ground rises along the ray to the eye than the ray, relative to the ray.
+    #[inline(always)]
+    pub(super) fn clearance(&self, ground: &GroundBatch, i: usize) -> f32 {
+        let clearance = 1.0 - (self.x[i] * ground.ways[0].x[i] + self.y[i] * ground.ways[0].y[i]);
+        if clearance > MIN_CLEARANCE { clearance } else { MIN_CLEARANCE }
+    }
+}

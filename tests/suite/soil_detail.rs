@@ -1,0 +1,154 @@
+//! Soil below the size of the mesh's cells: parallax, occlusion and shadows as those of geometry; rocks as the camera moves; light from
+//! rocks.
+
+#![allow(clippy::print_stdout, reason = "measurements for runs with --nocapture")]
+
+use std::collections::HashMap;
+
+use regolith::class::ClassId;
+use regolith::frame::{Annotation, Frame};
+use regolith::render::RenderSettings;
+use regolith::scene::Scene;
+
+use crate::support::{renderer, scene};
+
+const SURFACE: &str = "stage.name=surface";
+
+fn frame(scene: &Scene, side: u32, annotations: &[Annotation]) -> Frame {
+    let mut settings = RenderSettings::new([side, side], 4).expect("settings");
+    settings.annotations = annotations.iter().copied().collect();
+    renderer().render(scene, &settings).unwrap_or_else(|error| panic!("{error}")).0
+}
+
+fn green(frame: &Frame, pixel: usize) -> f64 {
+    f64::from(frame.radiance[3 * pixel + 1].to_f32())
+}
+
+/// Mean radiance of soil that no mesh shadows in either frame, and its differences between neighbours along rows over those along
+/// columns: strokes along rows make that small.
+fn soil(frames: [&Frame; 2], side: usize) -> [[f64; 2]; 2] {
+    let is_soil = |pixel: usize| {
+        frames
+            .iter()
+            .all(|frame| frame.class[pixel] == ClassId::REGOLITH.0 && frame.sun_occlusion[pixel] < 128)
+    };
+    frames.map(|frame| {
+        let (mut sum, mut n, mut along, mut across) = (0.0, 0.0, 0.0, 0.0);
+        for (y, x) in (0..side - 1).flat_map(|y| (0..side - 1).map(move |x| (y, x))) {
+            let pixel = y * side + x;
+            if [pixel, pixel + 1, pixel + side].into_iter().all(is_soil) {
+                let value = green(frame, pixel);
+                sum += value;
+                n += 1.0;
+                along += (green(frame, pixel + 1) - value).abs();
+                across += (green(frame, pixel + side) - value).abs();
+            }
+        }
+        assert!(n > 1000.0, "{n} pixels of sunlit soil");
+        [sum / n, along / across]
+    })
+}
+
+/// A mesh with cells a third as large has most of the relief that shading adds otherwise. Both must agree where the sun is low and in
+/// front: relief hides what is behind it, and shadows it.
+#[test]
+fn relief_below_the_mesh_looks_as_geometry_does() {
+    const SIDE: usize = 320;
+    let mut ratios = Vec::new();
+    for (seed, azimuth_deg) in [(1007, 330), (21, 20), (22, 60)] {
+        let azimuth = format!("sun.azimuth_deg={azimuth_deg}");
+        let of = |cells: &str| {
+            let set = [
+                SURFACE,
+                "sun.elevation_deg=9",
+                &azimuth,
+                "camera.pitch_deg=-13",
+                "camera.fov_deg=20",
+                "camera.height_m=1.6",
+                "rocks.coverage=0",
+                "grains.density=0",
+                "regolith.mottling=0",
+                cells,
+            ];
+            frame(&scene(seed, &set), SIDE as u32, &[Annotation::Hdr, Annotation::Shadow])
+        };
+        let (shaded, meshed) = (of("terrain.cell_mrad=12"), of("terrain.cell_mrad=4"));
+        let [[level, strokes], [true_level, true_strokes]] = soil([&shaded, &meshed], SIDE);
+        println!(
+            "sun at {azimuth_deg}: mean {level:.4}, {true_level:.4}; strokes {strokes:.3}, {true_strokes:.3}"
+        );
+        ratios.push([level / true_level, strokes / true_strokes]);
+    }
+    // By slopes alone the soil is a third brighter, and its strokes are 0.91 of what they should be.
+    for (k, bounds) in [(0, 0.9..=1.1), (1, 0.94..=1.06)] {
+        let mean = ratios.iter().map(|ratio| ratio[k]).sum::<f64>() / ratios.len() as f64;
+        assert!(bounds.contains(&mean), "{k}: {ratios:.3?}");
+    }
+}
+
+/// A camera that drives on by two centimetres sees the rocks that it saw, as large as they were.
+#[test]
+fn rocks_do_not_pop_as_the_camera_drives() {
+    const SIDE: u32 = 256;
+    let rocks = |y_m: f64| {
+        let y = format!("camera.y_m={y_m}");
+        let scene = scene(6, &[SURFACE, "rocks.coverage=0.03", "camera.pitch_deg=-10", &y]);
+        let frame = frame(&scene, SIDE, &[Annotation::Instances]);
+        let of = |rock: &regolith::frame::RockLabel| {
+            let centre = scene.rocks[usize::from(rock.instance) - 1].centre;
+            let is_inside = rock.box_px.iter().all(|edge| (3..SIDE as i64 - 3).contains(&i64::from(*edge)));
+            (centre.truncate().to_array().map(f32::to_bits), (rock.visible_px, is_inside))
+        };
+        frame.rocks.iter().map(of).collect::<HashMap<_, _>>()
+    };
+    let (mut compared, mut lost, mut other) = (0, 0, 0);
+    let mut before = rocks(-90.0);
+    for k in 1..5 {
+        let now = rocks(-90.0 + 0.02 * f64::from(k));
+        for (position, (visible_px, is_inside)) in &before {
+            if *visible_px < 9 || !is_inside {
+                continue;
+            }
+            compared += 1;
+            let seen_px = now.get(position).map_or(0, |(visible_px, _)| *visible_px);
+            let ratio = f64::from(seen_px) / f64::from(*visible_px);
+            lost += u32::from(seen_px == 0);
+            other += u32::from(!(0.6..1.7).contains(&ratio));
+        }
+        before = now;
+    }
+    println!("{compared} rocks: {lost} vanish, {other} change their size");
+    assert!(compared > 100, "{compared} rocks");
+    assert!(
+        lost == 0 && 100 * other < compared,
+        "{lost} of {compared} rocks vanish, {other} change their size"
+    );
+}
+
+/// Soil in the shadow of rocks receives light from sunlit rocks beside it: more from brighter ones. All else there comes from soil.
+#[test]
+fn sunlit_rocks_light_the_shadows_beside_them() {
+    const SIDE: usize = 192;
+    let in_shadow = |ratio: &str| {
+        let set = [
+            SURFACE,
+            "rocks.coverage=0.06",
+            "sun.elevation_deg=25",
+            "sun.azimuth_deg=90",
+            "camera.pitch_deg=-22",
+            "camera.fov_deg=40",
+            "grains.density=0",
+            ratio,
+        ];
+        let frame = frame(&scene(12, &set), SIDE as u32, &[Annotation::Hdr, Annotation::Shadow]);
+        let dark = (0..SIDE * SIDE)
+            .filter(|pixel| frame.class[*pixel] == ClassId::REGOLITH.0 && frame.sun_occlusion[*pixel] == 255);
+        let values: Vec<f64> = dark.map(|pixel| green(&frame, pixel)).collect();
+        (values.iter().sum::<f64>() / values.len() as f64, values.len())
+    };
+    let ((dim, pixels), (bright, _)) =
+        (in_shadow("rocks.albedo_ratio=0.5"), in_shadow("rocks.albedo_ratio=2"));
+    println!("{pixels} pixels in shadow: {dim:.6} beside dark rocks, {bright:.6} beside bright ones");
+    assert!(pixels > 300, "{pixels} pixels in shadow");
+    assert!(bright > 1.1 * dim, "{dim} beside dark rocks, {bright} beside bright ones");
+}
