@@ -79,7 +79,7 @@ pub fn render_frames(
 ) -> Result<()> {
     let Concurrency { threads, frames_in_flight } = concurrency;
     let first_error = FirstError::default();
-    let limits = QueueLimits { ready: threads + 1, ahead: AHEAD_PER_WORKER * threads + frames_in_flight };
+    let limits = QueueLimits { ready: threads.max(2), ahead: AHEAD_PER_WORKER * threads + frames_in_flight };
     let queue = WorkQueue::new(indices, limits);
     let (finished_sender, finished) = sync_channel::<FinishedFrame>(threads);
     let (planner, info) = (renderer.planner(), RendererInfo::new(renderer));

@@ -15,6 +15,11 @@ use crate::scene::Scene;
 const WHITE: u8 = 249;
 /// A pixel is black if no channel exceeds this value.
 const BLACK: u8 = 2;
+/// A pixel is lit if a channel has at least this value: above shadows, which light from sunlit ground fills.
+const LIT: u8 = 32;
+/// Names of the settings.
+const SETTINGS: [&str; 7] =
+    ["black_max", "clipped_max", "saturated_max", "lit_min", "sky_max", "attempts_max", "require"];
 
 /// The rules and their settings.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,6 +28,12 @@ pub struct Rules {
     pub black_max: f64,
     /// Largest fraction of the ground and rock pixels that may be clipped.
     pub clipped_max: f64,
+    /// Largest fraction of the whole image that may be clipped.
+    pub saturated_max: f64,
+    /// Smallest fraction of the ground and rock pixels that must be lit.
+    pub lit_min: f64,
+    /// Largest value, of 255, that half of the sky's pixels may exceed.
+    pub sky_max: f64,
     /// Attempts at a frame before the run gives up.
     pub attempts_max: u32,
     /// Smallest and largest fraction of the image, for each class in the order of [`ClassId::ALL`].
@@ -31,7 +42,15 @@ pub struct Rules {
 
 impl Default for Rules {
     fn default() -> Self {
-        Self { black_max: 0.95, clipped_max: 0.5, attempts_max: 20, require: [None; ClassId::ALL.len()] }
+        Self {
+            black_max: 0.95,
+            clipped_max: 0.5,
+            saturated_max: 0.2,
+            lit_min: 0.02,
+            sky_max: 64.0,
+            attempts_max: 20,
+            require: [None; ClassId::ALL.len()],
+        }
     }
 }
 
@@ -53,12 +72,25 @@ impl Rules {
         Self::from_settings(config.rules())
     }
 
+    /// Rules that every frame with labels keeps whose camera stands on the ground.
+    #[must_use]
+    pub fn accepting_any_image() -> Self {
+        let [saturated_max, clipped_max, black_max] = [1.0; 3];
+        Self { black_max, clipped_max, saturated_max, lit_min: 0.0, sky_max: 255.0, ..Self::default() }
+    }
+
     fn from_settings(settings: &[RuleSetting]) -> Result<Self> {
         let mut rules = Self::default();
         for setting in settings {
             match setting.name.as_str() {
                 "black_max" => rules.black_max = fraction(setting)?,
                 "clipped_max" => rules.clipped_max = fraction(setting)?,
+                "saturated_max" => rules.saturated_max = fraction(setting)?,
+                "lit_min" => rules.lit_min = fraction(setting)?,
+                "sky_max" => {
+                    let value = number(&setting.value).filter(|value| (0.0..=255.0).contains(value));
+                    rules.sky_max = value.ok_or_else(|| refused(setting, "a number, 0 to 255"))?;
+                }
                 "attempts_max" => {
                     let attempts = setting.value.as_integer().filter(|n| (1..=1000).contains(n));
                     rules.attempts_max =
@@ -66,11 +98,10 @@ impl Rules {
                 }
                 "require" => rules.set_require(setting)?,
                 _ => {
-                    let known = ["black_max", "clipped_max", "attempts_max", "require"];
                     return Err(Error::UnknownKnob {
                         name: format!("rules.{}", setting.name),
                         origin: setting.origin.clone(),
-                        suggestion: nearest(&setting.name, known).map(|name| format!("rules.{name}")),
+                        suggestion: nearest(&setting.name, SETTINGS).map(|name| format!("rules.{name}")),
                     });
                 }
             }
@@ -89,7 +120,6 @@ impl Rules {
                     &format!("{form}; there is no class `{name}`, there are {}", names.join(", ")),
                 )
             })?;
-            let number = |value: &toml::Value| value.as_float().or(value.as_integer().map(|n| n as f64));
             let bounds = match range.as_array().map(Vec::as_slice) {
                 Some([low, high]) => number(low).zip(number(high)),
                 _ => None,
@@ -114,6 +144,9 @@ impl Rules {
         json!({
             "black_max": self.black_max,
             "clipped_max": self.clipped_max,
+            "saturated_max": self.saturated_max,
+            "lit_min": self.lit_min,
+            "sky_max": self.sky_max,
             "attempts_max": self.attempts_max,
             "require": require,
         })
@@ -138,7 +171,15 @@ impl Rules {
         let require = ClassId::ALL.iter().zip(self.require).filter(|(_, range)| range.is_some());
         matches!(
             rule,
-            "scene" | "unlabelled" | "eye_above_ground" | "eye_outside_rocks" | "black" | "clipped"
+            "scene"
+                | "unlabelled"
+                | "eye_above_ground"
+                | "eye_outside_rocks"
+                | "black"
+                | "clipped"
+                | "saturated"
+                | "lit"
+                | "sky"
         ) || require.into_iter().any(|(class, _)| rule == format!("require.{}", class.name))
     }
 
@@ -156,11 +197,17 @@ impl Rules {
             "# Which frames a dataset accepts; a frame that breaks a rule is rendered again.\n[rules]\n\
              # Largest fraction of the ground and rock pixels that may be black. Allowed: 0 to 1.\nblack_max = {}\n\
              # Largest fraction of the ground and rock pixels that may be clipped (as bright as the tone curve goes). Allowed: 0 to 1.\n\
-             clipped_max = {}\n# Attempts at a frame before the run gives up. Allowed: whole numbers, 1 to 1000.\n\
+             clipped_max = {}\n# Largest fraction of the whole image that may be clipped. Allowed: 0 to 1.\nsaturated_max = {}\n\
+             # Smallest fraction of the ground and rock pixels that must be lit (32 of 255 or more). Allowed: 0 to 1.\nlit_min = {}\n\
+             # Largest value that the median of the sky may have. Allowed: 0 to 255.\nsky_max = {}\n\
+             # Attempts at a frame before the run gives up. Allowed: whole numbers, 1 to 1000.\n\
              attempts_max = {}\n# Smallest and largest fraction of the image by class, as in {{ rock = [0.005, 0.6] }}.\n\
              require = {{{} }}\n",
             self.black_max,
             self.clipped_max,
+            self.saturated_max,
+            self.lit_min,
+            self.sky_max,
             self.attempts_max,
             require.join(",")
         )
@@ -185,24 +232,8 @@ impl Rules {
         {
             return violation("eye_outside_rocks", format!("the eye is inside rock {}", rock.index));
         }
-        let (mut foreground, mut black, mut clipped) = (0_u64, 0_u64, 0_u64);
-        for (pixel, class) in frame.rgb.chunks_exact(3).zip(&frame.class) {
-            if *class != ClassId::SKY.0 {
-                foreground += 1;
-                black += u64::from(pixel.iter().all(|value| *value <= BLACK));
-                clipped += u64::from(pixel.iter().any(|value| *value >= WHITE));
-            }
-        }
-        for (rule, count, allowed) in
-            [("black", black, self.black_max), ("clipped", clipped, self.clipped_max)]
-        {
-            let share = count as f64 / foreground.max(1) as f64;
-            if share > allowed {
-                let found = format!(
-                    "{share:.3} of the ground and rock pixels are {rule}; the limit is rules.{rule}_max = {allowed}"
-                );
-                return violation(rule, found);
-            }
+        if let Some(violation) = self.violation_of_brightness(&Brightness::of(frame)) {
+            return Some(violation);
         }
         for (class, range) in ClassId::ALL.iter().zip(self.require) {
             let Some([low, high]) = range else { continue };
@@ -215,6 +246,78 @@ impl Rules {
         }
         None
     }
+
+    fn violation_of_brightness(&self, found: &Brightness) -> Option<Violation> {
+        let of_ground = |count: u64| count as f64 / found.foreground.max(1) as f64;
+        let (black, clipped, lit) = (of_ground(found.black), of_ground(found.clipped), of_ground(found.lit));
+        let saturated = found.saturated as f64 / found.pixels.max(1) as f64;
+        let (ground, image) = ("of the ground and rock pixels are", "of the image is");
+        let checks = [
+            ("black", black > self.black_max, black, ground, "black_max", self.black_max),
+            ("clipped", clipped > self.clipped_max, clipped, ground, "clipped_max", self.clipped_max),
+            (
+                "saturated",
+                saturated > self.saturated_max,
+                saturated,
+                image,
+                "saturated_max",
+                self.saturated_max,
+            ),
+            ("lit", found.foreground > 0 && lit < self.lit_min, lit, ground, "lit_min", self.lit_min),
+        ];
+        let broken = checks.into_iter().find(|check| check.1);
+        if let Some((rule, _, share, of, name, limit)) = broken {
+            let found = format!("{share:.3} {of} {rule}; the limit is rules.{name} = {limit}");
+            return Some(Violation { rule: rule.to_owned(), found });
+        }
+        let median = found.sky_median.filter(|median| f64::from(*median) > self.sky_max)?;
+        let found = format!(
+            "half of the sky has a value of {median} or more; the limit is rules.sky_max = {}",
+            self.sky_max
+        );
+        Some(Violation { rule: "sky".to_owned(), found })
+    }
+}
+
+/// How many pixels of a frame are how bright.
+struct Brightness {
+    pixels: u64,
+    foreground: u64,
+    black: u64,
+    lit: u64,
+    clipped: u64,
+    saturated: u64,
+    /// Median over the sky of the brightest channel, if there is sky.
+    sky_median: Option<u8>,
+}
+
+impl Brightness {
+    fn of(frame: &Frame) -> Self {
+        // Pixels by their brightest channel: of ground and rocks, of the sky.
+        let mut counts = [[0_u64; 256]; 2];
+        for (pixel, class) in frame.rgb.as_chunks::<3>().0.iter().zip(&frame.class) {
+            let [r, g, b] = *pixel;
+            counts[usize::from(*class == ClassId::SKY.0)][usize::from(r.max(g).max(b))] += 1;
+        }
+        let [ground, sky] = &counts;
+        let sum = |counts: &[u64]| counts.iter().sum::<u64>();
+        let of_sky = sum(sky);
+        let mut below = 0;
+        let median = sky.iter().position(|count| {
+            below += count;
+            2 * below >= of_sky
+        });
+        let clipped = sum(&ground[usize::from(WHITE)..]);
+        Self {
+            pixels: frame.class.len() as u64,
+            foreground: sum(ground),
+            black: sum(&ground[..=usize::from(BLACK)]),
+            lit: sum(&ground[usize::from(LIT)..]),
+            clipped,
+            saturated: clipped + sum(&sky[usize::from(WHITE)..]),
+            sky_median: median.filter(|_| of_sky > 0).map(|value| value as u8),
+        }
+    }
 }
 
 fn refused(setting: &RuleSetting, expected: &str) -> Error {
@@ -226,9 +329,14 @@ fn refused(setting: &RuleSetting, expected: &str) -> Error {
     }
 }
 
+fn number(value: &toml::Value) -> Option<f64> {
+    value.as_float().or(value.as_integer().map(|n| n as f64))
+}
+
 fn fraction(setting: &RuleSetting) -> Result<f64> {
-    let value = setting.value.as_float().or(setting.value.as_integer().map(|n| n as f64));
-    value.filter(|value| (0.0..=1.0).contains(value)).ok_or_else(|| refused(setting, "a fraction, 0 to 1"))
+    number(&setting.value)
+        .filter(|value| (0.0..=1.0).contains(value))
+        .ok_or_else(|| refused(setting, "a fraction, 0 to 1"))
 }
 
 #[cfg(test)]
@@ -256,6 +364,8 @@ mod tests {
         for (text, said) in [
             ("[rules]\nclipped_maks = 1", "did you mean `rules.clipped_max`"),
             ("[rules]\nclipped_max = 2", "0 to 1"),
+            ("[rules]\nsky_max = 256", "0 to 255"),
+            ("[rules]\nlit_min = -1", "0 to 1"),
             ("[rules]\nattempts_max = 0", "1 to 1000"),
             ("require = { rocks = [0, 1] }", "no class `rocks`"),
             ("require = { rock = [0.6, 0.1] }", "smallest <= largest"),
@@ -272,7 +382,7 @@ mod tests {
         let good = Frame {
             width: 10,
             height: 1,
-            rgb: [[120; 3]; 10].concat(),
+            rgb: [[[120; 3]; 7].concat(), vec![0; 9]].concat(),
             class: vec![0, 0, 0, 0, 0, 1, 1, 2, 2, 2],
             ..Frame::default()
         };
@@ -287,7 +397,14 @@ mod tests {
         assert_eq!(rule(&defaults, &|frame| frame.rgb.fill(1)).as_deref(), Some("black"));
         assert_eq!(rule(&defaults, &|frame| frame.rgb[21..].fill(1)), None, "a black sky is allowed");
         assert_eq!(rule(&defaults, &|frame| frame.rgb[..12].fill(249)).as_deref(), Some("clipped"));
-        assert_eq!(rule(&defaults, &|frame| frame.rgb[..9].fill(249)), None, "three of seven");
+        assert_eq!(rule(&defaults, &|frame| frame.rgb[..6].fill(249)), None, "two of seven");
+        assert_eq!(rule(&defaults, &|frame| frame.rgb[..21].fill(20)).as_deref(), Some("lit"));
+        assert_eq!(rule(&defaults, &|frame| frame.rgb[6..21].fill(20)), None, "two of seven are lit");
+        assert_eq!(rule(&defaults, &|frame| frame.rgb[21..].fill(70)).as_deref(), Some("sky"));
+        assert_eq!(rule(&defaults, &|frame| frame.rgb[21..24].fill(70)), None, "a star");
+        let saturates = |frame: &mut Frame| (frame.rgb[..6].fill(250), frame.rgb[27..].fill(250)).0;
+        assert_eq!(rule(&defaults, &saturates).as_deref(), Some("saturated"));
+        assert_eq!(rule(&Rules::accepting_any_image(), &saturates), None);
         let demand = Rules { require: [None, Some([0.3, 1.0]), None], ..defaults.clone() };
         assert_eq!(rule(&demand, &|_| {}).as_deref(), Some("require.rock"));
         assert_eq!(rule(&demand, &|frame| frame.class[0] = 1), None);

@@ -14,6 +14,7 @@ mod docs;
 mod doctor;
 mod environment;
 mod export;
+mod exposure;
 mod far_field;
 mod formats;
 mod fuzz;
