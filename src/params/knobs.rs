@@ -237,7 +237,11 @@ knobs! {
     SensorKind "sensor.kind" "" Text(&["off", "mono", "bayer"]), Frame, word("off"), [0.0, 0.0],
         "Sensor model applied to the image: off, monochrome, or with a Bayer mosaic.";
     SensorGroundLevel "sensor.ground_level" "" Number, Frame, number(0.0), [0.0, 0.95],
-        "Automatic exposure: encoded level of the median sunlit ground; 0 uses camera.exposure_ev.";
+        "Automatic exposure: encoded level of the median sunlit ground, less where that would saturate more than 1.5 % of the image; 0 uses camera.exposure_ev.";
+    SensorGainMaxEv "sensor.gain_max_ev" "EV" Number, Frame, number(4.0), [0.0, 12.0],
+        "Longest automatic exposure, in stops above camera.exposure_ev: ground that stays too dark even so is shown dark.";
+    SensorWidthPx "sensor.width_px" "px" Integer, Frame, number(0.0), [0.0, 8192.0],
+        "Columns of the sensor, which mosaic, noise and point spread are those of; its image is then reduced to --size by area (or enlarged, if it has fewer). 0 for as many as the image has.";
     SensorGlare "sensor.glare" "" Number, Frame, number(0.01), [0.0, 0.3],
         "Veiling glare: light that the lens scatters over the whole image, as a fraction of its mean (0.005 to 0.03 is typical); of a sun in or near the image it is the fraction that bloom and veil have.";
     SensorFlare "sensor.flare" "" Number, Frame, number(0.0), [0.0, 0.1],
@@ -257,9 +261,15 @@ knobs! {
     SensorPrnu "sensor.prnu" "" Number, Frame, number(0.01), [0.0, 0.2],
         "Photo response non-uniformity: relative standard deviation, a fixed pattern.";
     SensorBlackLevel "sensor.black_level" "" Number, Frame, number(0.003), [0.0, 0.2],
-        "Fraction of full scale that maps to black; published images are stretched so that skies come to 0 to 2 of 255.";
+        "Fraction of full scale that maps to black, at least twice the noise in the dark; published images are stretched so that skies come to 0 to 2 of 255.";
     SensorBits "sensor.bits" "" Integer, Frame, number(11.0), [4.0, 16.0],
         "Bit depth of the analog-to-digital converter.";
+    SensorGrain "sensor.grain" "" Number, Frame, number(0.0), [0.0, 0.2],
+        "Grain of film: standard deviation of the density of a pixel of the sensor where the density is 1; 0 for none.";
+    SensorHalation "sensor.halation" "" Number, Frame, number(0.0), [0.0, 0.2],
+        "Halation of film: part of the light that its base reflects into a halo around highlights; 0 for none.";
+    SensorJpegQuality "sensor.jpeg_quality" "" Integer, Frame, number(0.0), [0.0, 100.0],
+        "Quality of a JPEG compression of the image, whose losses it then has; 0 for none.";
     SkyStarCount "sky.star_count" "" Integer, Frame, number(220.0), [0.0, 20_000.0],
         "Number of stars.";
     SkyStarGain "sky.star_gain" "" Number, Frame, number(1.0) => number(1e-5), [0.0, 100.0],

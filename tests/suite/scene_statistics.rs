@@ -244,9 +244,10 @@ fn every_knob_changes_the_frame() {
                 "sensor.flare" => "0.1",
                 "sky.star_gain" if stage == Stage::Nominal => "0.02",
                 "sky.star_gain" => "1",
-                "sensor.glare" | "sensor.prnu" | "sensor.black_level" => "0.2",
                 "label.too_small" | "label.unseen" => "ignore",
                 "label.unseen_contrast" => "100",
+                "sensor.grain" | "sensor.halation" | "sensor.glare" | "sensor.prnu"
+                | "sensor.black_level" => "0.2",
                 "label.min_pixels" => "9999",
                 "regolith.mottling" => "0.3",
                 "label.min_diameter_m" => "10",
@@ -273,6 +274,8 @@ fn every_knob_changes_the_frame() {
                 }
                 "rover" if info.name != "rover.kind" => "rover.kind=rover",
                 "sensor" if info.name == "sensor.flare" => "sensor.kind=bayer sun.azimuth_deg=0",
+                // Of metering.
+                "sensor" if info.name == "sensor.gain_max_ev" => "sensor.kind=bayer sensor.ground_level=0.9",
                 "sensor" if info.name != "sensor.kind" => "sensor.kind=bayer",
                 "rocks" if info.name.starts_with("rocks.hero_") && info.name != "rocks.hero_scale_m" => {
                     "rocks.hero_scale_m=2"

@@ -170,6 +170,8 @@ struct Signal<'a> {
     sensor: Option<&'a Sensor>,
     /// The value of the darkest pixel, as far as that is dark: the veil that lies over the image.
     dark: f64,
+    /// Pixels of the sensor that a pixel of the image is the mean of, 1 or more.
+    averaged: f64,
 }
 
 impl<'a> Signal<'a> {
@@ -180,7 +182,7 @@ impl<'a> Signal<'a> {
             let fill = |pixel: usize| part * light.iter().map(|channel| channel[pixel]).sum::<f32>();
             let values: Vec<f32> =
                 (0..frame.class.len()).map(|pixel| scale * fill(pixel).clamp(black, 1.0)).collect();
-            blurred(&values, frame.width as usize, sensor.psf_px)
+            blurred(&values, frame.width as usize, sensor.psf_px / sensor.pixels_per_side(frame.width))
         } else {
             frame
                 .rgb
@@ -190,7 +192,8 @@ impl<'a> Signal<'a> {
         };
         let darkest = values.iter().copied().fold(f32::INFINITY, f32::min);
         let mean = values.iter().map(|value| f64::from(*value)).sum::<f64>() / values.len() as f64;
-        Self { dark: f64::from(darkest).min(MAX_DARK * mean), values, sensor }
+        let per_side = sensor.map_or(1.0, |sensor| sensor.pixels_per_side(frame.width).max(1.0));
+        Self { dark: f64::from(darkest).min(MAX_DARK * mean), values, sensor, averaged: per_side * per_side }
     }
 
     /// Whether nobody can see a rock: see the head of this file.
@@ -218,7 +221,7 @@ impl<'a> Signal<'a> {
     fn noise(&self, signal_e: f64) -> f64 {
         let Some(sensor) = self.sensor else { return 1.0 };
         let fill = signal_e / sensor.full_well_e;
-        let (noise, step) = (sensor.noise_of(fill, 1.0), srgb_step(fill));
+        let (noise, step) = (sensor.noise_of(fill, self.averaged), srgb_step(fill));
         sensor.full_well_e * (noise * noise + step * step).sqrt()
     }
 }

@@ -67,7 +67,7 @@ fn displacements(gpu: &Gpu, lens: Lens, half: f64, points: &[[f32; 2]]) -> Vec<[
     let submission = gpu.queue.submit([encoder.finish()]);
     readback.map();
     gpu.wait(&submission).expect("the device works");
-    readback.read(|bytes| bytemuck::pod_collect_to_vec(bytes)).expect("points")
+    readback.read(bytemuck::pod_collect_to_vec).expect("points")
 }
 
 /// Half the field of view of each lens is what an image of 512 x 512 pixels with 2 x 2 samples each covers.

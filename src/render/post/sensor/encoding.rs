@@ -1,68 +1,10 @@
-//! From the readings of the pixels to 8-bit colours: demosaicing and the sRGB transfer function.
-//! Must not know: what a reading is made of.
+//! The sRGB transfer function.
+//! Must not know: what is encoded.
 
 use std::sync::LazyLock;
 
 /// Steps of the table that finds an sRGB code from above: a power of two, so that scaling by it is exact.
 const TABLE_STEPS: usize = 4096;
-
-/// The channel of a pixel's filter in the Bayer mosaic RGGB: 0 red, 1 green, 2 blue.
-pub(super) const fn bayer_channel(x: usize, y: usize) -> usize {
-    (x % 2) + (y % 2)
-}
-
-/// The colours of a row of pixels by bilinear demosaicing: of each its own channel, and the means of the others over the 3 x 3 pixels
-/// around.
-pub(super) fn demosaic_row(
-    readings: &[f32],
-    width: usize,
-    height: usize,
-    y: usize,
-    colours: &mut [[f32; 3]],
-) {
-    let is_inner_row = y > 0 && y + 1 < height;
-    let inner = if is_inner_row && width > 2 { 1..width - 1 } else { 0..0 };
-    for x in (0..width).filter(|x| !inner.contains(x)) {
-        colours[x] = demosaic(readings, width, height, x, y);
-    }
-    if inner.is_empty() {
-        return;
-    }
-    let [above, row, below] = [y - 1, y, y + 1].map(|y| &readings[y * width..][..width]);
-    // Sums in the order of the pixels, from 0, as in `demosaic`.
-    for x in inner {
-        let (own, beside, across) = (row[x], 0.0 + row[x - 1] + row[x + 1], 0.0 + above[x] + below[x]);
-        let cross = 0.0 + above[x] + row[x - 1] + row[x + 1] + below[x];
-        let diagonal = 0.0 + above[x - 1] + above[x + 1] + below[x - 1] + below[x + 1];
-        colours[x] = match (x % 2, y % 2) {
-            (0, 0) => [own, cross / 4.0, diagonal / 4.0],
-            (1, 0) => [beside / 2.0, own, across / 2.0],
-            (0, _) => [across / 2.0, own, beside / 2.0],
-            _ => [diagonal / 4.0, cross / 4.0, own],
-        };
-    }
-}
-
-/// The colour of any pixel, see [`demosaic_row`]; at the border of the image over fewer pixels.
-fn demosaic(readings: &[f32], width: usize, height: usize, x: usize, y: usize) -> [f32; 3] {
-    let (mut sums, mut counts) = ([0.0_f32; 3], [0.0_f32; 3]);
-    let own = bayer_channel(x, y);
-    for (dx, dy) in (-1..=1).flat_map(|dy: isize| (-1..=1).map(move |dx: isize| (dx, dy))) {
-        let (px, py) = (x as isize + dx, y as isize + dy);
-        if px < 0 || py < 0 || px >= width as isize || py >= height as isize {
-            continue;
-        }
-        let (px, py) = (px as usize, py as usize);
-        let channel = bayer_channel(px, py);
-        if channel != own || (dx, dy) == (0, 0) {
-            sums[channel] += readings[py * width + px];
-            counts[channel] += 1.0;
-        }
-    }
-    [0, 1, 2].map(|channel| {
-        if counts[channel] > 0.0 { sums[channel] / counts[channel] } else { readings[y * width + x] }
-    })
-}
 
 /// The 8-bit sRGB code of each linear value, found in a table: the smallest value of each code.
 pub(super) struct SrgbCodes {
@@ -141,20 +83,6 @@ mod tests {
         let near = codes.thresholds[..256].iter().flat_map(around);
         for linear in steps.chain(near).chain([-0.5, 1.5]) {
             assert_eq!(codes.code(linear), srgb_code(linear), "{linear}");
-        }
-    }
-
-    #[test]
-    fn rows_have_the_colours_of_pixels_to_the_bit() {
-        for (width, height) in [(1, 1), (2, 5), (3, 3), (16, 7)] {
-            let readings: Vec<f32> = (0..width * height).map(|i| libm::sinf(i as f32 * 1.7)).collect();
-            for y in 0..height {
-                let mut colours = vec![[f32::NAN; 3]; width];
-                demosaic_row(&readings, width, height, y, &mut colours);
-                for (x, colour) in colours.iter().enumerate() {
-                    assert_eq!(*colour, demosaic(&readings, width, height, x, y), "{x}, {y}");
-                }
-            }
         }
     }
 }

@@ -31,23 +31,44 @@ fn psf_kernel(sigma_px: f64) -> Vec<f32> {
     weights.into_iter().map(|weight| (weight / sum) as f32).collect()
 }
 
-/// A channel convolved with the point spread function, see [`psf_kernel`]: rows, then columns, with the border repeated.
-pub(super) fn convolve(channel: &[f32], width: usize, height: usize, sigma_px: f64) -> Vec<f32> {
-    let half = psf_kernel(sigma_px);
-    let reach = half.len() - 1;
-    let taps: Vec<f32> = half[1..].iter().rev().chain(&half).copied().collect();
+/// All taps of the point spread function, see [`psf_kernel`].
+pub(super) fn psf_taps(sigma_px: f64) -> Vec<f32> {
+    symmetric(&psf_kernel(sigma_px))
+}
+
+/// All taps of a Gaussian of this standard deviation, pixels.
+pub(super) fn gaussian_taps(sigma_px: f64) -> Vec<f32> {
+    let reach = (3.0 * sigma_px).ceil() as u32;
+    let weight = |offset: u32| libm::exp(-0.5 * f64::from(offset * offset) / (sigma_px * sigma_px));
+    let weights: Vec<f64> = (0..=reach).map(weight).collect();
+    let sum = 2.0 * weights.iter().sum::<f64>() - weights[0];
+    symmetric(&weights.iter().map(|weight| (weight / sum) as f32).collect::<Vec<f32>>())
+}
+
+fn symmetric(half: &[f32]) -> Vec<f32> {
+    half[1..].iter().rev().chain(half).copied().collect()
+}
+
+/// A row convolved with taps, with the border repeated.
+pub(super) fn convolve_row(taps: &[f32], row: &[f32], target: &mut [f32]) {
+    let (reach, width) = (taps.len() / 2, row.len());
+    let mut padded = vec![row[0]; reach];
+    padded.extend(row);
+    padded.resize(width + 2 * reach, row[width - 1]);
+    let shifted = |tap: usize| &padded[tap..tap + width];
+    dispatch!(Level::new(), _simd => weighted_sum(taps, shifted, target));
+}
+
+/// A channel convolved with the same taps along rows, then columns, with the border repeated.
+pub(super) fn convolve(channel: &[f32], width: usize, height: usize, taps: &[f32]) -> Vec<f32> {
+    let reach = taps.len() / 2;
     let mut rows = vec![0.0; channel.len()];
-    rows.par_chunks_exact_mut(width).zip(channel.par_chunks_exact(width)).for_each(|(row, channel)| {
-        let mut padded = vec![channel[0]; reach];
-        padded.extend(channel);
-        padded.resize(width + 2 * reach, channel[width - 1]);
-        let shifted = |tap: usize| &padded[tap..tap + width];
-        dispatch!(Level::new(), _simd => weighted_sum(&taps, shifted, row));
-    });
+    let of_rows = rows.par_chunks_exact_mut(width).zip(channel.par_chunks_exact(width));
+    of_rows.for_each(|(row, channel)| convolve_row(taps, channel, row));
     let mut columns = vec![0.0; channel.len()];
     columns.par_chunks_exact_mut(width).enumerate().for_each(|(y, row)| {
         let shifted = |tap: usize| &rows[(y + tap).saturating_sub(reach).min(height - 1) * width..][..width];
-        dispatch!(Level::new(), _simd => weighted_sum(&taps, shifted, row));
+        dispatch!(Level::new(), _simd => weighted_sum(taps, shifted, row));
     });
     columns
 }
@@ -55,7 +76,7 @@ pub(super) fn convolve(channel: &[f32], width: usize, height: usize, sigma_px: f
 /// The sum of lists of values, each times its tap, in the order of the taps.
 // Inlined into `dispatch!`, so that it is compiled for each SIMD level.
 #[inline(always)]
-fn weighted_sum<'a>(taps: &[f32], values: impl Fn(usize) -> &'a [f32], sums: &mut [f32]) {
+pub(super) fn weighted_sum<'a>(taps: &[f32], values: impl Fn(usize) -> &'a [f32], sums: &mut [f32]) {
     sums.fill(-0.0);
     for (index, tap) in taps.iter().enumerate() {
         for (sum, value) in sums.iter_mut().zip(values(index)) {
@@ -84,6 +105,6 @@ mod tests {
         };
         let rows = of_pixels(&|x, y| sum(&|i| channel[y * width + clamped(x, i, width)]));
         let expected = of_pixels(&|x, y| sum(&|i| rows[clamped(y, i, height) * width + x]));
-        assert_eq!(convolve(&channel, width, height, sigma_px), expected);
+        assert_eq!(convolve(&channel, width, height, &psf_taps(sigma_px)), expected);
     }
 }

@@ -1,0 +1,85 @@
+//! Automatic exposure, from a histogram as cameras do it.
+//! Must not know: how light becomes a reading.
+
+use super::encoding::linear_from_srgb;
+use crate::class::ClassId;
+use crate::frame::Frame;
+use crate::render::resolve::tone::exposure;
+use crate::scene::sensor::Sensor;
+
+/// Bins of a histogram: the upper half of the bits of a positive float, 128 to an octave.
+const BINS: usize = 1 << 15;
+/// The quantile of ground and rocks relative to which ground counts as sunlit.
+const BRIGHT: f64 = 0.98;
+/// Ground is sunlit if it is brighter than this part of [`BRIGHT`].
+const MIN_SUNLIT: f32 = 0.1;
+/// Largest part of the whole image that may be brighter than [`HEADROOM`].
+const MAX_SATURATED: f64 = 0.015;
+/// Fill that counts as nearly saturated.
+const HEADROOM: f32 = 0.9;
+
+struct Histogram {
+    counts: Vec<u32>,
+    total: u64,
+}
+
+impl Histogram {
+    fn new(values: impl Iterator<Item = f32>) -> Self {
+        let mut histogram = Self { counts: vec![0; BINS], total: 0 };
+        for value in values {
+            histogram.counts[(value.max(0.0).to_bits() >> 16) as usize & (BINS - 1)] += 1;
+            histogram.total += 1;
+        }
+        histogram
+    }
+
+    /// The value that this part of all values lies below, of those from `least` on; `None` if there are none.
+    fn quantile(&self, part: f64, least: f32) -> Option<f32> {
+        let first = (least.to_bits() >> 16) as usize;
+        let bins = self.counts[first..].iter().map(|count| u64::from(*count));
+        let total: u64 = bins.clone().sum();
+        let rank = (total as f64 * part) as u64;
+        let mut below = 0;
+        let bin = bins.into_iter().position(|count| {
+            below += count;
+            below > rank
+        })?;
+        Some(f32::from_bits(((first + bin) as u32) << 16 | 0x8000))
+    }
+}
+
+/// Factor from radiance to the fill of a pixel, where 1 is the full well. The exposure of the camera; or, with automatic exposure,
+/// the one that puts the median of the sunlit ground at the chosen level, unless that nearly saturates more than 1.5 % of the image or is
+/// more than the longest exposure. `green` is the radiance that is metered.
+pub(super) fn exposure_gain(frame: &Frame, sensor: &Sensor, green: &[f32], exposure_ev: f32) -> f32 {
+    let fixed = exposure(exposure_ev);
+    if sensor.ground_level <= 0.0 {
+        return fixed;
+    }
+    let of = |is_counted: fn(u8) -> bool| {
+        let counted = green.iter().zip(&frame.class).filter(move |(_, class)| is_counted(**class));
+        Histogram::new(counted.map(|(value, _)| *value))
+    };
+    let longest = exposure(exposure_ev + sensor.gain_max_ev as f32);
+    let bright = of(|class| class != ClassId::SKY.0).quantile(BRIGHT, 0.0).unwrap_or(0.0);
+    let median = of(|class| class == ClassId::REGOLITH.0).quantile(0.5, MIN_SUNLIT * bright);
+    let Some(median) = median.filter(|_| bright > 0.0) else { return fixed };
+    let saturating = of(|_| true).quantile(1.0 - MAX_SATURATED, 0.0).unwrap_or(0.0);
+    (linear_from_srgb(sensor.ground_level as f32) / median).min(HEADROOM / saturating.max(1e-30)).min(longest)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_right_to_a_hundredth() {
+        let histogram = Histogram::new((1..=1000).map(|i| i as f32 * 0.003));
+        for (part, least, expected) in [(0.5, 0.0, 1.5), (0.98, 0.0, 2.94), (0.5, 1.0, 2.0)] {
+            let found = histogram.quantile(part, least).expect("values");
+            assert!((found / expected - 1.0).abs() < 0.01, "{part} from {least}: {found}");
+        }
+        assert_eq!(histogram.quantile(0.5, 4.0), None);
+        assert_eq!(Histogram::new(std::iter::empty()).quantile(0.5, 0.0), None);
+    }
+}
