@@ -193,6 +193,7 @@ fn documented_commands_exist() {
         "convert",
         "remap",
         "params",
+        "presets",
         "adapters",
         "doctor",
         "export",
