@@ -6,14 +6,17 @@
 //! Must not know: the command line.
 //! To add a case: a variant of [`Case`] with its arm in [`run`].
 
+mod curve;
+
 use std::collections::VecDeque;
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use serde_json::{Map, Value, json};
 
+use crate::dataset::attempt::RenderCost;
 use crate::dataset::plan::{Plan, frame_seed};
 use crate::dataset::{self, Concurrency};
 use crate::error::{Error, Result};
@@ -24,6 +27,7 @@ use crate::render::{Renderer, StageTimes, select::selection};
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
 use crate::scene::sky::Sun;
+pub use curve::Curve;
 
 /// Number of frames before the measurement starts.
 const WARM_UP: u64 = 3;
@@ -39,17 +43,20 @@ pub enum Case {
     StaticSun,
     /// A new scene for every frame, in memory.
     Scene,
-    /// A new scene for every frame, encoded and written.
+    /// A new scene for every frame, in memory, on the threads of a dataset.
+    Frames,
+    /// The same, encoded and written.
     Dataset,
 }
 
 impl Case {
     /// Every case with its name and a description of what changes from frame to frame.
-    pub const ALL: [(Self, &'static str, &'static str); 4] = [
+    pub const ALL: [(Self, &'static str, &'static str); 5] = [
         (Self::Camera, "camera", "one scene, camera and sun move"),
         (Self::StaticSun, "static-sun", "one scene, the camera moves"),
         (Self::Scene, "scene", "a new scene for every frame, in memory"),
-        (Self::Dataset, "dataset", "a new scene for every frame, encoded and written"),
+        (Self::Frames, "frames", "a new scene for every frame, in memory, on the threads of a dataset"),
+        (Self::Dataset, "dataset", "the same, encoded and written"),
     ];
 
     /// Its name in `--cases` and in the JSON result.
@@ -175,6 +182,7 @@ pub fn run(case: Case, setup: &Setup, folder: &Path, renderer: &mut Renderer) ->
         Case::Camera => moving(setup, true, renderer),
         Case::StaticSun => moving(setup, false, renderer),
         Case::Scene => scenes(setup, renderer),
+        Case::Frames => frames(setup, renderer),
         Case::Dataset => dataset(setup, folder, renderer),
     }
 }
@@ -291,34 +299,67 @@ fn scenes(setup: &Setup, renderer: &mut Renderer) -> Result<Measured> {
     })
 }
 
+/// The measurement of a pipeline, whose frames come from several threads.
+struct Pipeline {
+    measured: Measured,
+    start: Start,
+    last: Instant,
+    done: u64,
+}
+
+impl Pipeline {
+    fn start() -> Self {
+        Self { measured: Measured::default(), start: Start::now(), last: Instant::now(), done: 0 }
+    }
+
+    /// A frame is finished.
+    fn add(&mut self, times: StageTimes, cost: &RenderCost) {
+        self.done += 1;
+        if self.done <= WARM_UP {
+            self.start = Start::now();
+        } else {
+            self.measured.frames_ms.push(self.last.elapsed().as_secs_f64() * 1e3);
+            self.measured.stages.push(times);
+            self.measured.triangles.push(cost.triangles as f64);
+            self.measured.upload_bytes.push(cost.uploaded_bytes as f64);
+            self.measured.readback_bytes = cost.readback_bytes;
+        }
+        self.last = Instant::now();
+    }
+
+    fn end(mut self, setup: &Setup) -> Result<Measured> {
+        if setup.stop.load(Ordering::Relaxed) {
+            return Err(stopped(self.done, WARM_UP + setup.frames));
+        }
+        self.start.end(&mut self.measured);
+        Ok(self.measured)
+    }
+}
+
+fn frames(setup: &Setup, renderer: &mut Renderer) -> Result<Measured> {
+    let mut pipeline = Pipeline::start();
+    let Setup { plan, concurrency, frames, stop } = setup;
+    let indices = 0..WARM_UP + frames;
+    dataset::render_in_memory(plan, &Mutex::new(renderer), indices, *concurrency, stop, |frame| {
+        pipeline.add(frame.times, &frame.cost);
+        Ok(())
+    })?;
+    pipeline.end(setup)
+}
+
 fn dataset(setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Measured> {
-    let mut measured = Measured::default();
+    let mut pipeline = Pipeline::start();
     let mut files = disk::FileWriter::new(folder, "bench");
-    let (mut start, mut last, mut done) = (Start::now(), Instant::now(), 0);
     let indices = 0..WARM_UP + setup.frames;
     dataset::render_frames(&setup.plan, renderer, indices, setup.concurrency, &setup.stop, |frame| {
         files.write_all(&frame.files.artifacts)?;
         if files.is_sync_due() {
             files.sync_folders()?;
         }
-        done += 1;
-        if done <= WARM_UP {
-            start = Start::now();
-        } else {
-            measured.frames_ms.push(last.elapsed().as_secs_f64() * 1e3);
-            measured.stages.push(frame.times);
-            measured.triangles.push(frame.cost.triangles as f64);
-            measured.upload_bytes.push(frame.cost.uploaded_bytes as f64);
-            measured.readback_bytes = frame.cost.readback_bytes;
-        }
-        last = Instant::now();
+        pipeline.add(frame.times, &frame.cost);
         Ok(())
     })?;
-    if setup.stop.load(Ordering::Relaxed) {
-        return Err(stopped(done, WARM_UP + setup.frames));
-    }
-    start.end(&mut measured);
-    Ok(measured)
+    pipeline.end(setup)
 }
 
 /// Peak resident memory of this process, bytes; `None` where the system does not report it.
@@ -327,61 +368,6 @@ pub fn peak_rss_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
     Some(1024 * line.split_whitespace().nth(1)?.parse::<u64>().ok()?)
-}
-
-/// The cost of a frame as a function of one setting.
-#[derive(Clone, Debug)]
-pub struct Curve {
-    /// The setting, with its unit.
-    pub axis: &'static str,
-    /// Value of the setting and median milliseconds of a frame.
-    pub points: Vec<(f64, f64)>,
-}
-
-impl Curve {
-    /// The curve as an SVG plot.
-    #[must_use]
-    pub fn to_svg(&self) -> String {
-        const SIZE: [f64; 2] = [560.0, 320.0];
-        const MARGIN: f64 = 48.0;
-        let max = |of: fn(&(f64, f64)) -> f64| self.points.iter().map(of).fold(0.0, f64::max).max(1e-9);
-        let (max_x, max_y) = (max(|point| point.0), 1.1 * max(|point| point.1));
-        let to_svg = |&(x, y): &(f64, f64)| {
-            (
-                MARGIN + (SIZE[0] - 2.0 * MARGIN) * x / max_x,
-                SIZE[1] - MARGIN - (SIZE[1] - 2.0 * MARGIN) * y / max_y,
-            )
-        };
-        let line: String = self.points.iter().map(to_svg).map(|(x, y)| format!("{x:.1},{y:.1} ")).collect();
-        let marks: String = self
-            .points
-            .iter()
-            .map(|point| {
-                let ((x, y), (value, ms)) = (to_svg(point), point);
-                let base = SIZE[1] - MARGIN + 16.0;
-                format!(
-                    "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3.5\" fill=\"#44628c\"/>\
-                     <text x=\"{x:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{ms:.1}</text>\
-                     <text x=\"{x:.1}\" y=\"{base}\" text-anchor=\"middle\">{value}</text>\n",
-                    y - 9.0
-                )
-            })
-            .collect();
-        format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{0}\" height=\"{1}\" viewBox=\"0 0 {0} {1}\" \
-             font-family=\"sans-serif\" font-size=\"11\">\n<rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n\
-             <polyline points=\"{line}\" fill=\"none\" stroke=\"#44628c\" stroke-width=\"2\"/>\n{marks}\
-             <path d=\"M{MARGIN} {MARGIN}V{2}H{3}\" fill=\"none\" stroke=\"black\"/>\n\
-             <text x=\"{4}\" y=\"{5}\" text-anchor=\"middle\">{6}</text>\n<text x=\"8\" y=\"24\">median ms per frame</text>\n</svg>\n",
-            SIZE[0],
-            SIZE[1],
-            SIZE[1] - MARGIN,
-            SIZE[0] - MARGIN,
-            0.5 * SIZE[0],
-            SIZE[1] - 12.0,
-            self.axis
-        )
-    }
 }
 
 /// The settings that a sweep can vary, in the order of the help.

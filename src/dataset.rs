@@ -19,6 +19,7 @@ pub mod convert;
 mod data_card;
 mod digest;
 mod frame_image;
+pub mod frame_stream;
 pub mod gate;
 mod histograms;
 pub mod lock;
@@ -36,5 +37,6 @@ pub mod totals;
 pub mod verify;
 mod work_queue;
 
+pub use frame_stream::{FrameInMemory, FrameStream, render_in_memory};
 pub use pipeline::{Concurrency, render_frames};
 pub use run::{Progress, run, stream};

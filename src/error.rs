@@ -111,6 +111,11 @@ pub enum Error {
     /// Standard output that cannot be written to.
     #[error("cannot write to standard output: {0}")]
     Stdout(std::io::Error),
+    /// A thread that the system did not start.
+    #[error(
+        "cannot start a thread: {0}; raise the limit of the number of processes (`ulimit -u`, or that of the container)"
+    )]
+    Thread(std::io::Error),
     /// No adapter was found.
     #[error("no graphics adapter was found{limit}.\n{advice} `regolith-render doctor` says what is missing.")]
     NoAdapter {
@@ -302,6 +307,7 @@ impl Error {
             Self::Read { .. }
             | Self::Write { .. }
             | Self::Stdout(_)
+            | Self::Thread(_)
             | Self::NoAdapter { .. }
             | Self::MemoryLimit { .. }
             | Self::AdapterUnfit { .. }

@@ -8,7 +8,7 @@ pub mod plane;
 use crate::class::ClassId;
 use crate::lens::Lens;
 pub use annotation::{Annotation, Annotations};
-use plane::{PLANES, Plane, Values};
+use plane::{OwnedValues, PLANES, Plane, Values};
 
 /// The planes of one frame, rows from top to bottom without padding. Planes that were not requested are empty.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -151,6 +151,27 @@ impl Frame {
             Plane::Incidence => Values::F32(&self.incidence_deg),
             Plane::Phase => Values::F32(&self.phase_deg),
             Plane::FiveClasses => Values::U8(&self.five_classes),
+        }
+    }
+
+    /// Moves the values of a plane out of the frame, which then lacks it.
+    #[must_use]
+    pub fn take_plane(&mut self, plane: Plane) -> OwnedValues {
+        use std::mem::take;
+        match plane {
+            Plane::Rgb => OwnedValues::U8(take(&mut self.rgb)),
+            Plane::Class => OwnedValues::U8(take(&mut self.class)),
+            Plane::Depth => OwnedValues::F32(take(&mut self.depth_m)),
+            Plane::Normals => OwnedValues::F32(take(&mut self.normals)),
+            Plane::Instances => OwnedValues::U16(take(&mut self.instances)),
+            Plane::SunOcclusion => OwnedValues::U8(take(&mut self.sun_occlusion)),
+            Plane::Radiance => OwnedValues::F16(take(&mut self.radiance)),
+            Plane::SampleCounts => OwnedValues::U8(take(&mut self.sample_counts).into_flattened()),
+            Plane::Slope => OwnedValues::F32(take(&mut self.slope_deg)),
+            Plane::Craters => OwnedValues::U8(take(&mut self.craters)),
+            Plane::Incidence => OwnedValues::F32(take(&mut self.incidence_deg)),
+            Plane::Phase => OwnedValues::F32(take(&mut self.phase_deg)),
+            Plane::FiveClasses => OwnedValues::U8(take(&mut self.five_classes)),
         }
     }
 

@@ -5,6 +5,7 @@
 //! Must not know: scene, GPU.
 //! To add an output: a row in [`OUTPUTS`] with its encoder.
 
+pub mod arrays;
 pub mod artifact;
 pub mod dataset_path;
 pub mod disk;
@@ -20,6 +21,7 @@ use crate::frame::{Annotation, Annotations};
 use artifact::frame_file_name;
 pub use artifact::{Artifact, EncodedFile, FileKind};
 pub use encode::EncodeInput;
+pub use encode::json::rocks_json;
 use encode::{exr, json, npy, png};
 pub use label_ids::LabelIds;
 
@@ -302,6 +304,38 @@ mod tests {
 
     fn decoded(name: &str, label_ids: LabelIds) -> image::DynamicImage {
         image::load_from_memory(&encoded(name, label_ids)).expect("an image")
+    }
+
+    #[test]
+    fn arrays_hold_the_values_of_the_files() {
+        use crate::frame::plane::OwnedValues;
+        let (outputs, [width, height]) = (parse_outputs("all").expect("all"), [3_u32, 2]);
+        let arrays = arrays::arrays(frame(), &outputs, EdgePolicy::Ignore(1));
+        let meta = json!({});
+        let input = EncodeInput {
+            frame: &frame(),
+            meta: &meta,
+            label_ids: LabelIds::Canonical,
+            edges: EdgePolicy::Ignore(1),
+        };
+        let mut files = encode(&input, &outputs).expect("encoded");
+        files.retain(|file| file.extension != "json");
+        assert_eq!(arrays.len(), files.len(), "every file that is no text is an array");
+        for (array, file) in arrays.iter().zip(&files) {
+            assert!(array.name == file.stem || (array.name, file.stem) == ("mask", "semantic_segmentation"));
+            let image = || image::load_from_memory(&file.bytes).expect("an image");
+            let values = (width * height) as usize * array.channels;
+            match (&array.values, file.extension) {
+                (OwnedValues::U8(found), "png") => assert_eq!(image().as_bytes(), found, "{}", array.name),
+                (OwnedValues::U16(found), "png") => assert_eq!(image().into_luma16().into_raw(), *found),
+                (OwnedValues::F32(found), "npy") => {
+                    let stored = &file.bytes[file.bytes.len() - 4 * values..];
+                    assert_eq!(stored, bytemuck::cast_slice::<f32, u8>(found), "{}", array.name);
+                }
+                (OwnedValues::F16(found), "exr") => assert_eq!(*found, frame().radiance),
+                (other, extension) => panic!("{}: {other:?} in {extension}", array.name),
+            }
+        }
     }
 
     #[test]

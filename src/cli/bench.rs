@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use clap::Args;
 use regolith::bench::{self, Case, Curve, Measured, SWEEPS, Setup};
 use regolith::dataset::Concurrency;
-use regolith::dataset::plan::{Plan, Range, Shard};
+use regolith::dataset::plan::Plan;
 use regolith::dataset::rules::Rules;
-use regolith::output::{self, Artifact, disk, layout};
+use regolith::output::{self, Artifact, disk};
 use regolith::params::Knob;
 use regolith::render::{FRAMES_IN_FLIGHT, LightingMode, Renderer};
 use regolith::{Error, Result};
@@ -20,7 +20,7 @@ use super::process::{cores, stop_on_signals};
 
 #[derive(Args, Debug)]
 pub(super) struct BenchArgs {
-    /// Cases to measure, separated by commas: camera, static-sun, scene, dataset
+    /// Cases to measure, separated by commas: camera, static-sun, scene, frames, dataset
     #[arg(long, value_name = "LIST", default_value = "camera,static-sun,scene,dataset")]
     cases: String,
     /// Number of frames of each case, after a warm-up
@@ -94,26 +94,13 @@ fn parse_cases(list: &str) -> Result<Vec<Case>> {
 
 fn setup(args: &BenchArgs, messages: Messages) -> Result<Setup> {
     let config = args.config.build()?;
-    let (format, layout) = layout::find("folder")?;
-    let outputs = Plan::outputs(Some(&args.outputs), format, layout)?;
-    let mut settings = args.image.settings()?;
-    settings.annotations = output::annotations(&outputs);
+    let outputs = output::parse_outputs(&args.outputs)?;
     // Every frame is accepted: a redrawn one would be measured twice.
     let rules = Rules::accepting_any_image();
     let plan = Plan {
-        options: String::new(),
-        rules,
-        config,
-        base_seed: args.seed,
-        settings,
-        outputs,
         edges: args.image.edges()?,
         label_ids: args.image.label_ids(),
-        format,
-        layout,
-        range: Range { start: 0, count: args.frames },
-        splits: Vec::new(),
-        shard: Shard::WHOLE,
+        ..Plan::in_memory(config, rules, args.seed, args.image.settings()?, outputs)
     };
     let threads = args.threads.map_or_else(cores, usize::from);
     let concurrency = Concurrency { threads, frames_in_flight: args.frames_in_flight.into() };

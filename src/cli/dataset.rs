@@ -11,7 +11,7 @@ use regolith::dataset::lock;
 use regolith::dataset::log_writer::FrameLogWriter;
 use regolith::dataset::manifest::DatasetSpec;
 use regolith::dataset::merge::{Finalized, finalize, finalize_frames};
-use regolith::dataset::plan::{self, MAX_FRAMES, Plan, Range, frame_seed};
+use regolith::dataset::plan::{self, MAX_FRAMES, Plan, Range, Seeds, frame_seed};
 use regolith::dataset::rules::Rules;
 use regolith::dataset::{self, Concurrency, Progress};
 use regolith::output;
@@ -141,6 +141,7 @@ fn plan(args: &DatasetArgs) -> Result<Plan> {
         rules: Rules::from_config(&config)?,
         config,
         base_seed: args.seed,
+        seeds: Seeds::OfBase,
         settings,
         outputs,
         edges: args.image.edges()?,

@@ -4,7 +4,7 @@
 
 use std::time::Instant;
 
-use super::plan::{Plan, frame_seed};
+use super::plan::{Plan, Seeds};
 use super::rules::Violation;
 use crate::error::{Error, Result};
 use crate::frame::Frame;
@@ -27,12 +27,19 @@ pub(super) struct FrameScene {
 }
 
 /// A rendered frame that keeps the rules.
-pub(super) struct RenderedFrame {
+pub struct RenderedFrame {
     pub(super) source: FrameScene,
     pub(super) frame: Frame,
     pub(super) adapter: wgpu::AdapterInfo,
     pub(super) raster: RasterOptions,
     pub(super) cost: RenderCost,
+}
+
+impl RenderedFrame {
+    /// Its number in the dataset.
+    pub(super) const fn index(&self) -> u64 {
+        self.source.index
+    }
 }
 
 /// What a frame cost the device.
@@ -114,7 +121,7 @@ impl Attempt {
         loop {
             let Self { index, number, redrawn } = self;
             match prepare(plan, planner, index, number, redrawn.clone()) {
-                Err(Error::Scene(found)) => {
+                Err(Error::Scene(found)) if plan.seeds == Seeds::OfBase => {
                     let violation = Violation { rule: "scene".to_owned(), found };
                     self = Self::next(index, number, redrawn, violation, plan)?;
                 }
@@ -163,7 +170,7 @@ impl RawAttempt {
     ) -> Result<std::result::Result<RenderedFrame, Attempt>> {
         let rendered = self.post_process(renderer);
         let source = &rendered.source;
-        match plan.rules.violation(&source.scene, &rendered.frame) {
+        match plan.violation(&source.scene, &rendered.frame) {
             None => Ok(Ok(rendered)),
             Some(violation) => {
                 let FrameScene { index, attempt, redrawn, .. } = rendered.source;
@@ -182,7 +189,7 @@ fn prepare(
     redrawn: Vec<String>,
 ) -> Result<PreparedAttempt> {
     let start = Instant::now();
-    let seed = frame_seed(plan.base_seed, index, attempt);
+    let seed = plan.seed_of(index, attempt);
     let params = plan.config.draw(seed)?;
     let scene = Scene::build(seed, &params)?;
     selection::build_rocks(&scene, &plan.settings);

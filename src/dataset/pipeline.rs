@@ -3,10 +3,11 @@
 //!
 //! Must not know: the folder, which frames exist already.
 
+use std::borrow::BorrowMut;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 use serde_json::{Map, Value, json};
@@ -64,6 +65,20 @@ impl Concurrency {
     }
 }
 
+/// Which frames a pipeline makes, and how.
+pub struct Job<'a, Indices, Finish> {
+    /// What each frame is.
+    pub plan: &'a Plan,
+    /// The frames.
+    pub indices: Indices,
+    /// How much is done at the same time.
+    pub concurrency: Concurrency,
+    /// Once it is true no further frame is started, and those in flight are finished.
+    pub stop: &'a AtomicBool,
+    /// What a worker makes of a rendered frame.
+    pub finish: Finish,
+}
+
 /// Renders these frames and passes each, encoded, to `sink`, in any order. Once `stop` is true no further frame is
 /// started, and those in flight are finished.
 ///
@@ -75,17 +90,35 @@ pub fn render_frames(
     indices: impl Iterator<Item = u64> + Send,
     concurrency: Concurrency,
     stop: &AtomicBool,
-    mut sink: impl FnMut(FinishedFrame) -> Result<()> + Send,
+    sink: impl FnMut(FinishedFrame) -> Result<()> + Send,
 ) -> Result<()> {
-    let Concurrency { threads, frames_in_flight } = concurrency;
+    let job = Job { plan, indices, concurrency, stop, finish: encode };
+    run_job(job, &Mutex::new(renderer), sink)
+}
+
+/// Renders the frames of a job and passes what becomes of each to `sink`, in any order. The renderer is locked for one step of one frame
+/// at a time, so that others can use it in between.
+///
+/// # Errors
+/// The first that occurs in rendering, finishing or `sink`.
+pub fn run_job<T: Send>(
+    job: Job<'_, impl Iterator<Item = u64> + Send, impl Fn(&Plan, RenderedFrame) -> Result<T> + Sync>,
+    renderer: &Mutex<impl BorrowMut<Renderer>>,
+    mut sink: impl FnMut(T) -> Result<()> + Send,
+) -> Result<()> {
+    let Job { plan, indices, concurrency: Concurrency { threads, frames_in_flight }, stop, finish } = job;
     let first_error = FirstError::default();
     let limits = QueueLimits { ready: threads.max(2), ahead: AHEAD_PER_WORKER * threads + frames_in_flight };
     let queue = WorkQueue::new(indices, limits);
-    let (finished_sender, finished) = sync_channel::<FinishedFrame>(threads);
-    let (planner, info) = (renderer.planner(), RendererInfo::new(renderer));
+    let (finished_sender, finished) = sync_channel::<T>(threads);
+    let (planner, info) = {
+        let renderer = lock(renderer);
+        let renderer: &Renderer = (*renderer).borrow();
+        (renderer.planner(), RendererInfo::new(renderer))
+    };
     std::thread::scope(|scope| {
-        let (queue, first_error) = (&queue, &first_error);
-        let worker = Worker { plan, planner: &planner, renderer: &info, stop, first_error };
+        let (queue, first_error, finish) = (&queue, &first_error, &finish);
+        let worker = Worker { plan, planner: &planner, renderer: &info, stop, first_error, finish };
         for _ in 0..threads {
             let finished = finished_sender.clone();
             scope.spawn(move || {
@@ -112,22 +145,35 @@ pub fn render_frames(
     first_error.into_result()
 }
 
+/// The renderer, for one step of a frame. A panic while it was locked is an error of the device, which the renderer reports itself.
+fn lock<R>(renderer: &Mutex<R>) -> MutexGuard<'_, R> {
+    renderer.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// What the workers share.
-#[derive(Clone, Copy)]
-struct Worker<'a> {
+struct Worker<'a, Finish> {
     plan: &'a Plan,
     planner: &'a FramePlanner,
     renderer: &'a RendererInfo,
     stop: &'a AtomicBool,
     first_error: &'a FirstError,
+    finish: &'a Finish,
 }
+
+impl<Finish> Clone for Worker<'_, Finish> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<Finish> Copy for Worker<'_, Finish> {}
 
 /// The queue of a pipeline over these indices.
 type FrameQueue<Indices> = WorkQueue<Indices, Attempt, PreparedAttempt, RawAttempt>;
 
-impl Worker<'_> {
+impl<T, Finish: Fn(&Plan, RenderedFrame) -> Result<T>> Worker<'_, Finish> {
     /// Works until every frame is finished.
-    fn run(self, queue: &FrameQueue<impl Iterator<Item = u64>>, finished: &SyncSender<FinishedFrame>) {
+    fn run(self, queue: &FrameQueue<impl Iterator<Item = u64>>, finished: &SyncSender<T>) {
         let _guard = queue.close_on_panic();
         while let Some(task) = queue.next_task(|| self.stop.load(Ordering::Relaxed), Attempt::first) {
             let result = match task {
@@ -146,18 +192,17 @@ impl Worker<'_> {
         Ok(())
     }
 
-    /// Post-processes and encodes a frame, or gives its next attempt back to the queue.
+    /// Post-processes and finishes a frame, or gives its next attempt back to the queue.
     fn finish(
         self,
         raw: RawAttempt,
         queue: &FrameQueue<impl Iterator<Item = u64>>,
-        finished: &SyncSender<FinishedFrame>,
+        finished: &SyncSender<T>,
     ) -> Result<()> {
         match raw.check(self.plan, self.renderer)? {
             Ok(rendered) => {
-                let frame = encode(self.plan, rendered)?;
-                let index = frame.index;
-                let _ = finished.send(frame);
+                let index = rendered.index();
+                let _ = finished.send((self.finish)(self.plan, rendered)?);
                 queue.finish(index);
             }
             Err(redraw) => queue.add_redraw(redraw),
@@ -168,7 +213,7 @@ impl Worker<'_> {
 
 /// Renders attempts as they are prepared, several in flight, until every frame is finished.
 fn render_prepared(
-    renderer: &mut Renderer,
+    renderer: &Mutex<impl BorrowMut<Renderer>>,
     frames_in_flight: usize,
     queue: &FrameQueue<impl Iterator<Item = u64>>,
     first_error: &FirstError,
@@ -180,11 +225,12 @@ fn render_prepared(
         let next =
             if in_flight.len() < frames_in_flight { queue.next_prepared(in_flight.is_empty()) } else { None };
         let result = if let Some(PreparedAttempt { source, packet }) = next {
-            let submitted = renderer.submit_packet(&source.scene, packet);
+            let submitted = (*lock(renderer)).borrow_mut().submit_packet(&source.scene, packet);
             submitted.map(|submitted| in_flight.push_back((source, submitted)))
         } else if let Some((source, submitted)) = in_flight.pop_front() {
             let cost = submitted.cost;
-            let raw = renderer.read_back(submitted).map_err(|error| error.of_seed(source.seed));
+            let raw = (*lock(renderer)).borrow_mut().read_back(submitted);
+            let raw = raw.map_err(|error| error.of_seed(source.seed));
             raw.map(|raw| queue.add_raw(RawAttempt { source, raw, cost }))
         } else {
             break;
@@ -231,7 +277,7 @@ pub(super) fn encode_frame(plan: &Plan, rendered: &mut RenderedFrame) -> Result<
 }
 
 /// The frame's metadata as for a single frame, without times, and with its position in the dataset.
-fn record(plan: &Plan, rendered: &RenderedFrame) -> Map<String, Value> {
+pub(super) fn record(plan: &Plan, rendered: &RenderedFrame) -> Map<String, Value> {
     let source = &rendered.source;
     let record = FrameRecord {
         seed: source.seed,

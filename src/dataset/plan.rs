@@ -13,14 +13,16 @@ use std::str::FromStr;
 use serde_json::{Map, Value, json};
 use twox_hash::XxHash3_128;
 
-use super::rules::Rules;
+use super::rules::{Rules, Violation};
 use crate::class::ClassId;
 use crate::error::{Error, Result};
+use crate::frame::Frame;
 use crate::output::edges::EdgePolicy;
-use crate::output::layout::Layout;
+use crate::output::layout::{self, Layout};
 use crate::output::{self, LabelIds, Output};
 use crate::params::config::Config;
 use crate::render::RenderSettings;
+use crate::scene::Scene;
 
 /// All seeds are smaller than this.
 const SEEDS: u64 = 1 << 53;
@@ -38,6 +40,8 @@ pub struct Plan {
     pub rules: Rules,
     /// The seed from which every frame's seed is derived.
     pub base_seed: u64,
+    /// How the seed of a frame's scene follows from its index.
+    pub seeds: Seeds,
     /// Size, samples per pixel, annotations.
     pub settings: RenderSettings,
     /// The outputs that are written for each frame.
@@ -56,6 +60,16 @@ pub struct Plan {
     pub splits: Vec<(String, u64)>,
     /// The part of the frames that this run makes.
     pub shard: Shard,
+}
+
+/// How the seed of a frame's scene follows from its index.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Seeds {
+    /// By [`frame_seed`], as in every dataset.
+    #[default]
+    OfBase,
+    /// The index is the seed itself: frames that are asked for by seed. There is no other attempt at one.
+    Given,
 }
 
 /// Frames from `start` to `start + count - 1`.
@@ -175,6 +189,53 @@ pub fn frame_seed(base_seed: u64, index: u64, attempt: u32) -> u64 {
 impl Plan {
     /// The outputs of a frame when `--outputs` is not given.
     pub const DEFAULT_OUTPUTS: &'static str = "rgb,mask,preview";
+
+    /// A plan of frames that stay in memory.
+    #[must_use]
+    pub fn in_memory(
+        config: Config,
+        rules: Rules,
+        base_seed: u64,
+        mut settings: RenderSettings,
+        outputs: Vec<&'static Output>,
+    ) -> Self {
+        settings.annotations = output::annotations(&outputs);
+        let (format, layout) = layout::default();
+        Self {
+            options: String::new(),
+            config,
+            rules,
+            base_seed,
+            seeds: Seeds::OfBase,
+            settings,
+            outputs,
+            edges: EdgePolicy::default(),
+            label_ids: LabelIds::default(),
+            format,
+            layout,
+            range: Range { start: 0, count: MAX_FRAMES },
+            splits: Vec::new(),
+            shard: Shard::WHOLE,
+        }
+    }
+
+    /// The rule that a frame breaks, if any. A frame that was asked for by its seed is not held to rules.
+    #[must_use]
+    pub fn violation(&self, scene: &Scene, frame: &Frame) -> Option<Violation> {
+        match self.seeds {
+            Seeds::OfBase => self.rules.violation(scene, frame),
+            Seeds::Given => None,
+        }
+    }
+
+    /// The seed of the scene of an attempt at a frame.
+    #[must_use]
+    pub fn seed_of(&self, index: u64, attempt: u32) -> u64 {
+        match self.seeds {
+            Seeds::OfBase => frame_seed(self.base_seed, index, attempt),
+            Seeds::Given => index,
+        }
+    }
 
     /// The indices of the frames that this run makes, ascending.
     pub fn own_indices(&self) -> impl Iterator<Item = u64> + Clone + Send + use<> {

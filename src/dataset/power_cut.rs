@@ -19,7 +19,7 @@ use super::log::{FrameLog, find_lines};
 use super::log_writer::{FrameLogWriter, record_files};
 use super::manifest::DatasetSpec;
 use super::merge::finalize_run;
-use super::plan::{Plan, Range, Shard, frame_seed};
+use super::plan::{Plan, Range, Seeds, Shard, frame_seed};
 use super::rules::Rules;
 use crate::frame::Frame;
 use crate::output::disk::{self, Operation, recorder};
@@ -43,6 +43,7 @@ fn plan(format: &str, shard: Shard) -> Plan {
         config: Config::new(),
         rules: Rules::default(),
         base_seed: 42,
+        seeds: Seeds::OfBase,
         settings: RenderSettings::new([8, 8], 1).expect("settings"),
         outputs: output::parse_outputs("rgb,mask").expect("outputs"),
         edges: EdgePolicy::Hard,

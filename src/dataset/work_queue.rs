@@ -155,11 +155,11 @@ impl<Indices: Iterator<Item = u64>, Attempt, Prepared, Raw> WorkQueue<Indices, A
         self.change(|state| state.redraws.push_back(attempt));
     }
 
-    /// The frame of an index is finished.
+    /// A frame of an index is finished; where an index was asked for more than once, one of them.
     pub(super) fn finish(&self, index: u64) {
         self.change(|state| {
-            if let Some((_, is_finished)) = state.started.iter_mut().find(|(started, _)| *started == index) {
-                *is_finished = true;
+            if let Some(frame) = state.started.iter_mut().find(|frame| **frame == (index, false)) {
+                frame.1 = true;
             }
             while state.started.front().is_some_and(|(_, is_finished)| *is_finished) {
                 state.started.pop_front();

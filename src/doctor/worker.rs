@@ -17,14 +17,13 @@ use super::cases::{CASES, Case};
 use super::planes::Planes;
 use crate::bench::{self, Setup, peak_rss_bytes};
 use crate::dataset::Concurrency;
-use crate::dataset::plan::{Plan, Range, Shard};
+use crate::dataset::plan::Plan;
 use crate::dataset::rules::Rules;
 use crate::error::{Error, Result};
 use crate::frame::Frame;
 use crate::gpu::Gpu;
 use crate::gpu::survey::{AdapterReport, survey};
-use crate::output::edges::EdgePolicy;
-use crate::output::{Artifact, LabelIds, disk, layout};
+use crate::output::{self, Artifact, disk};
 use crate::params::config::Config;
 use crate::render::{FRAMES_IN_FLIGHT, LightingMode, RasterMode, RasterOptions, RenderSettings, Renderer};
 
@@ -400,25 +399,10 @@ fn memory(renderer: &Renderer) -> Memory {
 fn bench_setup(stage: &str) -> Result<Setup> {
     let mut config = Config::new();
     config.set_stage(stage)?;
-    let (format, layout) = layout::find("folder")?;
-    let outputs = Plan::outputs(Some("rgb,mask"), format, layout)?;
+    let outputs = output::parse_outputs("rgb,mask")?;
     let settings = RenderSettings::new(BENCH_SIZE, 4)?;
     let rules = Rules::accepting_any_image();
-    let plan = Plan {
-        options: String::new(),
-        rules,
-        config,
-        base_seed: 42,
-        settings,
-        outputs,
-        edges: EdgePolicy::default(),
-        label_ids: LabelIds::default(),
-        format,
-        layout,
-        range: Range { start: 0, count: BENCH_FRAMES },
-        splits: Vec::new(),
-        shard: Shard::WHOLE,
-    };
+    let plan = Plan::in_memory(config, rules, 42, settings, outputs);
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     Ok(Setup {
         plan,

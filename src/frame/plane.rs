@@ -143,6 +143,19 @@ pub enum Values<'a> {
     F32(&'a [f32]),
 }
 
+/// The values of a plane on their own.
+#[derive(Clone, Debug, PartialEq)]
+pub enum OwnedValues {
+    /// Of [`DType::U8`].
+    U8(Vec<u8>),
+    /// Of [`DType::U16`].
+    U16(Vec<u16>),
+    /// Of [`DType::F16`].
+    F16(Vec<half::f16>),
+    /// Of [`DType::F32`].
+    F32(Vec<f32>),
+}
+
 impl Values<'_> {
     /// Their type.
     #[must_use]

@@ -9,6 +9,7 @@ pub(crate) mod json;
 mod label_sets;
 pub(crate) mod npy;
 pub(crate) mod png;
+pub(super) mod values;
 
 use serde_json::Value;
 

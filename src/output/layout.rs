@@ -41,6 +41,12 @@ pub static LAYOUTS: [LayoutRow; 6] = [
     row("webdataset", "WebDataset: tar shards of 1000 frames", &webdataset::WebDataset),
 ];
 
+/// The first of the table, with its name: that of datasets without `--format`.
+#[must_use]
+pub fn default() -> (&'static str, &'static dyn Layout) {
+    (LAYOUTS[0].name, LAYOUTS[0].layout)
+}
+
 /// The layout of this name, with the name as it stands in the table.
 ///
 /// # Errors

@@ -142,7 +142,7 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
             &["lock"],
             &["log_writer", "merge"],
             &["convert", "pipeline"],
-            &["power_cut", "run", "verify"],
+            &["frame_stream", "power_cut", "run", "verify"],
         ],
     ),
     (

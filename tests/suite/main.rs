@@ -17,6 +17,7 @@ mod export;
 mod exposure;
 mod far_field;
 mod formats;
+mod frame_stream;
 mod fuzz;
 mod golden;
 mod hostile;

@@ -4,7 +4,7 @@
 
 use serde_json::{Map, Value};
 
-use super::{MAX_FRAMES, Plan, Range, Shard, is_split_name};
+use super::{MAX_FRAMES, Plan, Range, Seeds, Shard, is_split_name};
 use crate::dataset::rules::Rules;
 use crate::error::{Error, Result};
 use crate::output::layout::{self, Layout};
@@ -77,6 +77,7 @@ impl Plan {
             config: config_of(manifest)?,
             rules: read(manifest, "rules", "the rules of a dataset", Rules::from_json)?,
             base_seed: read(manifest, "base_seed", "a whole number", Value::as_u64)?,
+            seeds: Seeds::OfBase,
             settings,
             outputs,
             edges: read(manifest, "edges", "hard or ignore:N", |value| value.as_str()?.parse().ok())?,

@@ -1,11 +1,12 @@
 //! JSON files: label files, the instance mapping, the frame's metadata.
 
 use serde::Serialize;
-use serde_json::{Map, json};
+use serde_json::{Map, Value, json};
 
 use super::EncodeInput;
 use super::label_sets::{FIVE_CLASSES, ROCK_SIZE_CLASSES};
 use crate::error::{Error, Result};
+use crate::frame::Frame;
 
 /// Indented JSON with a final newline.
 pub(crate) fn to_bytes(value: &impl Serialize) -> Result<Vec<u8>> {
@@ -27,7 +28,13 @@ pub(in crate::output) fn labels(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
 
 /// Instance id to prim path, bounding box, visible pixels, occluded fraction, size in metres, and why it is ignored, if it is.
 pub(in crate::output) fn instance_mapping(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
-    let rows = input.frame.rocks.iter().map(|rock| {
+    to_bytes(&rocks_json(input.frame))
+}
+
+/// The content of the instance mapping.
+#[must_use]
+pub fn rocks_json(frame: &Frame) -> Map<String, Value> {
+    let rows = frame.rocks.iter().map(|rock| {
         let row = json!({
             "path": format!("/World/Rocks/Rock_{:03}", rock.instance - 1),
             "class": "rock",
@@ -40,7 +47,7 @@ pub(in crate::output) fn instance_mapping(input: &EncodeInput<'_>) -> Result<Vec
         });
         (rock.instance.to_string(), row)
     });
-    to_bytes(&rows.collect::<Map<_, _>>())
+    rows.collect()
 }
 
 /// Names of the five classes by id.

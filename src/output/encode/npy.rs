@@ -1,6 +1,6 @@
 //! NumPy array files (`.npy`, format version 1.0).
 
-use super::EncodeInput;
+use super::{EncodeInput, values};
 use crate::error::Result;
 use crate::frame::Frame;
 
@@ -11,15 +11,7 @@ pub(in crate::output) fn plane_distance(input: &EncodeInput<'_>) -> Result<Vec<u
 
 /// Length of the ray from the camera, metres; infinite for the sky.
 pub(in crate::output) fn camera_distance(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
-    let frame = input.frame;
-    let along_ray = |(pixel, depth_m): (u32, &f32)| {
-        let x = f64::from(pixel % frame.width) + 0.5 - f64::from(frame.width) / 2.0;
-        let y = f64::from(pixel / frame.width) + 0.5 - f64::from(frame.height) / 2.0;
-        let [x, y] = frame.lens.undistort([x / frame.focal_px, y / frame.focal_px]);
-        (f64::from(*depth_m) * (1.0 + x * x + y * y).sqrt()) as f32
-    };
-    let distances: Vec<f32> = (0..).zip(&frame.depth_m).map(along_ray).collect();
-    Ok(array(frame, 1, &distances))
+    Ok(array(input.frame, 1, &values::camera_distance(input.frame)))
 }
 
 /// Unit normals in world space.
@@ -29,12 +21,7 @@ pub(in crate::output) fn normals(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
 
 /// Fraction of a pixel's samples that belong to each class, by class id.
 pub(in crate::output) fn coverage(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
-    let fractions = |counts: &[u8; 3]| {
-        let all: f32 = counts.iter().map(|count| f32::from(*count)).sum();
-        counts.map(|count| f32::from(count) / all)
-    };
-    let values: Vec<f32> = input.frame.sample_counts.iter().flat_map(fractions).collect();
-    Ok(array(input.frame, 3, &values))
+    Ok(array(input.frame, 3, &values::coverage(input.frame)))
 }
 
 /// Slope of the ground, degrees.

@@ -5,9 +5,7 @@
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _};
 
-use super::EncodeInput;
-use super::label_sets::{FIVE_CLASSES, LARGE_ROCK_M, ROCK_SIZE_CLASSES};
-use crate::class::ClassId;
+use super::{EncodeInput, values};
 use crate::error::{Error, Result};
 use crate::frame::Frame;
 
@@ -19,15 +17,12 @@ pub(in crate::output) fn rgb(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
 
 /// The semantic mask, 8-bit ids.
 pub(in crate::output) fn mask(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
-    let ids: Vec<u8> = input.classes().iter().map(|&id| input.label_ids.mask_id(id)).collect();
-    ids_of(input.frame, &ids)
+    ids_of(input.frame, &values::mask(input))
 }
 
 /// The mask in the preview colours of its classes; unlabelled pixels are black.
 pub(in crate::output) fn preview(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
-    let colour = |id: &u8| ClassId(*id).class().map_or([0; 3], |class| class.preview_rgb);
-    let rgb: Vec<u8> = input.classes().iter().flat_map(colour).collect();
-    colours_of(input.frame, &rgb)
+    colours_of(input.frame, &values::preview(input))
 }
 
 /// Instance ids, 16 bits a pixel.
@@ -52,34 +47,12 @@ pub(in crate::output) fn five_classes(input: &EncodeInput<'_>) -> Result<Vec<u8>
 
 /// The same in colours.
 pub(in crate::output) fn five_classes_preview(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
-    let colour = |id: &u8| FIVE_CLASSES.get(usize::from(*id)).map_or([0; 3], |(.., rgb)| *rgb);
-    let rgb: Vec<u8> = input.frame.five_classes.iter().flat_map(colour).collect();
-    colours_of(input.frame, &rgb)
+    colours_of(input.frame, &values::five_classes_preview(input.frame))
 }
 
 /// The classes in colours, with small and large rocks distinguished.
 pub(in crate::output) fn rock_sizes(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
-    let frame = input.frame;
-    let max_instance = frame.rocks.iter().map(|rock| rock.instance).max().unwrap_or(0);
-    let mut is_large = vec![false; usize::from(max_instance) + 1];
-    for rock in &frame.rocks {
-        is_large[usize::from(rock.instance)] = rock.diameter_m >= LARGE_ROCK_M;
-    }
-    let rgb: Vec<u8> = frame
-        .class
-        .iter()
-        .zip(&frame.instances)
-        .flat_map(|(id, instance)| {
-            let row = match ClassId(*id) {
-                ClassId::SKY => 3,
-                ClassId::UNLABELLED => 4,
-                ClassId::ROCK => 1 + usize::from(is_large.get(usize::from(*instance)) == Some(&true)),
-                _ => 0,
-            };
-            ROCK_SIZE_CLASSES[row].1
-        })
-        .collect();
-    colours_of(frame, &rgb)
+    colours_of(input.frame, &values::rock_sizes(input.frame))
 }
 
 fn ids_of(frame: &Frame, ids: &[u8]) -> Result<Vec<u8>> {

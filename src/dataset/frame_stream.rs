@@ -1,0 +1,144 @@
+//! Frames in memory, in order, rendered ahead of whoever takes them.
+//!
+//! Must not know: files.
+
+use std::borrow::BorrowMut;
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, sync_channel};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+
+use serde_json::{Map, Value};
+
+use super::attempt::{FrameScene, RenderCost, RenderedFrame};
+use super::pipeline::{Concurrency, Job, milliseconds_json, record, run_job};
+use super::plan::Plan;
+use crate::error::{Error, Result};
+use crate::output::arrays::{Array, arrays};
+use crate::output::rocks_json;
+use crate::render::{Renderer, StageTimes};
+
+/// A frame in memory.
+#[derive(Clone, Debug)]
+pub struct FrameInMemory {
+    /// Its number in the dataset.
+    pub index: u64,
+    /// Width and height, pixels.
+    pub size: [u32; 2],
+    /// The arrays of the plan's outputs.
+    pub arrays: Vec<Array>,
+    /// Its record: the line that a dataset would have of it, with milliseconds by stage, and without hashes.
+    pub record: Map<String, Value>,
+    /// The visible rocks by instance id, as in the mapping that a dataset has; empty unless instances are among the outputs.
+    pub rocks: Map<String, Value>,
+    /// Milliseconds of work by stage.
+    pub times: StageTimes,
+    /// What rendering it cost the device.
+    pub cost: RenderCost,
+}
+
+impl FrameInMemory {
+    /// The frame that was rendered by a plan.
+    fn of_rendered(plan: &Plan, rendered: RenderedFrame) -> Self {
+        let mut record = record(plan, &rendered);
+        let RenderedFrame { source: FrameScene { index, times, .. }, frame, cost, .. } = rendered;
+        record.insert("ms".to_owned(), milliseconds_json(&times).into());
+        let size = [frame.width, frame.height];
+        let rocks = rocks_json(&frame);
+        let arrays = arrays(frame, &plan.outputs, plan.edges);
+        Self { index, size, arrays, record, rocks, times, cost }
+    }
+}
+
+/// Makes the frames of a plan at these indices as [`render_frames`](super::render_frames) does, and passes each to `sink`, in any order,
+/// without encoding it.
+///
+/// # Errors
+/// The first that occurs in rendering or `sink`.
+pub fn render_in_memory(
+    plan: &Plan,
+    renderer: &Mutex<impl BorrowMut<Renderer>>,
+    indices: impl Iterator<Item = u64> + Send,
+    concurrency: Concurrency,
+    stop: &AtomicBool,
+    sink: impl FnMut(FrameInMemory) -> Result<()> + Send,
+) -> Result<()> {
+    let finish = |plan: &Plan, rendered| Ok(FrameInMemory::of_rendered(plan, rendered));
+    run_job(Job { plan, indices, concurrency, stop, finish }, renderer, sink)
+}
+
+/// The frames of a plan at these indices, in this order, made on threads of its own: those of a dataset's pipeline, without encoding and
+/// without files. An iterator; after an error it ends. Dropping it stops the threads.
+#[derive(Debug)]
+pub struct FrameStream {
+    /// `None` once it has ended.
+    frames: Option<Receiver<Result<FrameInMemory>>>,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl FrameStream {
+    /// Starts to make the frames. At most `ahead` finished ones wait to be taken, besides those that the pipeline works on. Others may use
+    /// the renderer in between.
+    ///
+    /// # Errors
+    /// [`Error::Thread`] if the system has no thread to spare.
+    pub fn start(
+        plan: Plan,
+        renderer: Arc<Mutex<Renderer>>,
+        indices: impl Iterator<Item = u64> + Clone + Send + 'static,
+        concurrency: Concurrency,
+        ahead: usize,
+    ) -> Result<Self> {
+        let stop = Arc::new(AtomicBool::new(false));
+        let (sender, frames) = sync_channel(ahead.max(1));
+        let is_stopped = Arc::clone(&stop);
+        let work = move || {
+            let mut wanted = indices.clone();
+            let mut next = wanted.next();
+            // Frames that wait for an earlier one. The same index may be wanted more than once.
+            let mut waiting: BTreeMap<u64, Vec<FrameInMemory>> = BTreeMap::new();
+            let result = render_in_memory(&plan, &renderer, indices, concurrency, &is_stopped, |frame| {
+                waiting.entry(frame.index).or_default().push(frame);
+                while let Some(frame) = next.and_then(|index| waiting.get_mut(&index)?.pop()) {
+                    waiting.retain(|_, frames| !frames.is_empty());
+                    if sender.send(Ok(frame)).is_err() {
+                        is_stopped.store(true, Ordering::Relaxed);
+                        return Ok(());
+                    }
+                    next = wanted.next();
+                }
+                Ok(())
+            });
+            if let Err(error) = result {
+                let _ = sender.send(Err(error));
+            }
+        };
+        let thread = std::thread::Builder::new().name("frames".to_owned()).spawn(work);
+        let thread = thread.map_err(Error::Thread)?;
+        Ok(Self { frames: Some(frames), stop, thread: Some(thread) })
+    }
+}
+
+impl Iterator for FrameStream {
+    type Item = Result<FrameInMemory>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let next = self.frames.as_ref()?.recv().ok();
+        if !matches!(next, Some(Ok(_))) {
+            self.frames = None;
+        }
+        next
+    }
+}
+
+impl Drop for FrameStream {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        self.frames = None;
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
