@@ -1,4 +1,4 @@
-//! The command line: the commands, their help, and the call that each stands for.
+//! The command line: the commands, their help, and the call that each stands for. The binary and the Python package run the same.
 //!
 //! Each command has its file in `cli/`; options that several share are in `args`.
 
@@ -11,19 +11,23 @@ mod device;
 mod doctor;
 mod frame;
 mod knobs;
-pub(crate) mod messages;
-pub(crate) mod process;
+mod messages;
+mod process;
 mod progress;
 mod remap;
 mod stage;
 mod verify;
 
+use std::ffi::OsString;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
-use regolith::Result;
 use regolith::params::{KNOBS, presets};
+use regolith::{Error, Result};
 
 use args::pass_negative_numbers;
-use messages::{Messages, print};
+use messages::{Messages, note, print};
+use process::stopped_status;
 
 const LONG_ABOUT: &str = "\
 Renders labelled images of the Moon: a seed gives a cratered, boulder-strewn scene under a low sun, and one draw gives \
@@ -51,7 +55,7 @@ Environment: WGPU_BACKEND (vulkan, gl), WGPU_ADAPTER_NAME.
 /// Labelled images of the Moon.
 #[derive(Debug, Parser)]
 #[command(version, long_about = LONG_ABOUT, args_conflicts_with_subcommands = true)]
-pub(crate) struct Cli {
+struct Cli {
     #[command(subcommand)]
     command: Option<Command>,
     #[command(flatten)]
@@ -137,11 +141,63 @@ fn with_completions(command: clap::Command) -> clap::Command {
     command.mut_args(complete).mut_subcommands(with_completions)
 }
 
+/// Runs the command of a command line, whose first word is the name of the program, and returns its exit status. `itself` starts this
+/// program again, for commands that work in processes of their own.
+///
+/// A lost device is a panic inside wgpu; the library catches it and returns an error. Any other panic is a bug of regolith-render and is
+/// reported as one, without a backtrace.
+pub fn main(words: impl IntoIterator<Item = OsString>, itself: &dyn Fn() -> std::process::Command) -> u8 {
+    std::panic::set_hook(Box::new(|_| {}));
+    match catch_unwind(AssertUnwindSafe(|| run(words, itself))) {
+        Ok(Ok(())) => 0,
+        Ok(Err(Ending::Status(status))) => status,
+        Ok(Err(Ending::Error(error))) => {
+            note(format_args!("error: {error}"));
+            let stopped = matches!(error, regolith::Error::Stopped { .. }).then(stopped_status).flatten();
+            stopped.unwrap_or_else(|| error.exit_status())
+        }
+        Err(panic) => {
+            let text = panic.downcast_ref::<String>().map(String::as_str);
+            let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no message");
+            note(format_args!(
+                "error: this is a bug in regolith-render; please report it together with the command you ran: {text}"
+            ));
+            1
+        }
+    }
+}
+
+/// Why a command line was not carried out.
+enum Ending {
+    /// An error of the command.
+    Error(Error),
+    /// Help, the version or a wrong word was printed.
+    Status(u8),
+}
+
+impl From<Error> for Ending {
+    fn from(error: Error) -> Self {
+        Self::Error(error)
+    }
+}
+
 /// Parses the command line and runs the command.
-pub(crate) fn run() -> Result<()> {
+fn run(
+    words: impl IntoIterator<Item = OsString>,
+    itself: &dyn Fn() -> std::process::Command,
+) -> std::result::Result<(), Ending> {
     process::survive_file_size_limit();
     process::fail_on_abort();
-    let cli = Cli::from_arg_matches(&command().get_matches()).unwrap_or_else(|error| error.exit());
+    let parsed = command().try_get_matches_from(words).and_then(|matches| Cli::from_arg_matches(&matches));
+    let cli = parsed.map_err(|error| {
+        // A closed pipe is no error.
+        let _ = error.print();
+        Ending::Status(error.exit_code() as u8)
+    })?;
+    Ok(run_command(cli, itself)?)
+}
+
+fn run_command(cli: Cli, itself: &dyn Fn() -> std::process::Command) -> Result<()> {
     match cli.command {
         None => frame::run(&cli.frame, cli.messages),
         Some(Command::Dataset(args)) => dataset::run(&args, cli.messages),
@@ -152,7 +208,7 @@ pub(crate) fn run() -> Result<()> {
         Some(Command::Params(args)) => knobs::list_params(&args),
         Some(Command::Presets(args)) => knobs::list_presets(&args),
         Some(Command::Adapters { json }) => stage::list_adapters(json),
-        Some(Command::Doctor(args)) => doctor::run(&args, cli.messages),
+        Some(Command::Doctor(args)) => doctor::run(&args, itself, cli.messages),
         Some(Command::Export(args)) => stage::export_stage(&args, cli.messages),
         Some(Command::Completions { shell }) => {
             let mut script = Vec::new();

@@ -27,6 +27,7 @@
 
 pub mod bench;
 pub mod class;
+pub mod cli;
 pub mod dataset;
 pub mod doctor;
 pub mod error;
@@ -47,3 +48,6 @@ pub mod rounding;
 pub mod scene;
 
 pub use error::{Error, Result};
+
+// The commands name the library as their users do.
+extern crate self as regolith;

@@ -1,34 +1,11 @@
-//! The command `regolith-render`: runs the command line and turns its result into an exit status.
+//! The command `regolith-render`.
 
-mod cli;
-
-use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::process::ExitCode;
-
-use cli::messages::note;
-use cli::process::stopped_status;
+use std::process::{Command, ExitCode};
 
 fn main() -> ExitCode {
     hide_displays();
-    // A lost device is a panic inside wgpu; the library catches it and returns an error. Any other panic is a bug of
-    // regolith-render and is reported as one, without a backtrace.
-    std::panic::set_hook(Box::new(|_| {}));
-    match catch_unwind(AssertUnwindSafe(cli::run)) {
-        Ok(Ok(())) => ExitCode::SUCCESS,
-        Ok(Err(error)) => {
-            note(format_args!("error: {error}"));
-            let stopped = matches!(error, regolith::Error::Stopped { .. }).then(stopped_status).flatten();
-            ExitCode::from(stopped.unwrap_or_else(|| error.exit_status()))
-        }
-        Err(panic) => {
-            let text = panic.downcast_ref::<String>().map(String::as_str);
-            let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no message");
-            note(format_args!(
-                "error: this is a bug in regolith-render; please report it together with the command you ran: {text}"
-            ));
-            ExitCode::FAILURE
-        }
-    }
+    let itself = std::env::current_exe().unwrap_or_else(|_| "regolith-render".into());
+    ExitCode::from(regolith::cli::main(std::env::args_os(), &|| Command::new(&itself)))
 }
 
 /// Hides the displays of the environment from drivers, which would look for one to choose a GPU by: Mesa's Vulkan layer

@@ -58,7 +58,8 @@ pub(super) struct DoctorArgs {
     work_folder: Option<PathBuf>,
 }
 
-pub(super) fn run(args: &DoctorArgs, messages: Messages) -> Result<()> {
+/// Examines the machine, in processes that `itself` starts: this program again.
+pub(super) fn run(args: &DoctorArgs, itself: &dyn Fn() -> Command, messages: Messages) -> Result<()> {
     if let (Some(job), Some(folder)) = (args.work, &args.work_folder) {
         return work(args, job, folder);
     }
@@ -68,6 +69,7 @@ pub(super) fn run(args: &DoctorArgs, messages: Messages) -> Result<()> {
     let stop = stop_on_signals(messages)?;
     let mut examiner = Examiner {
         args,
+        itself,
         messages,
         folder: folder.path(),
         stop,
@@ -108,6 +110,7 @@ fn report(args: &DoctorArgs, messages: Messages, examination: &Examination) -> R
 /// An examination in progress.
 struct Examiner<'a> {
     args: &'a DoctorArgs,
+    itself: &'a dyn Fn() -> Command,
     messages: Messages,
     folder: &'a Path,
     stop: Arc<AtomicBool>,
@@ -149,10 +152,7 @@ impl Examiner<'_> {
         let start = Instant::now();
         self.examination.runs.push(Run::new(job));
         let expected = self.done + job.steps();
-        let mut command = match self.command(job) {
-            Ok(command) => command,
-            Err(error) => return self.end(start, expected, Some(error.to_string())),
-        };
+        let mut command = self.command(job);
         let stop = Arc::clone(&self.stop);
         let (ending, messages) = supervise(&mut command, PATIENCE, &stop, |line| self.receive(line));
         let run = self.current();
@@ -189,14 +189,13 @@ impl Examiner<'_> {
         &mut self.examination.runs[last]
     }
 
-    fn command(&self, job: Job) -> Result<Command> {
-        let failed = |cause| Error::Read { path: PathBuf::from("the path of regolith-render"), cause };
-        let mut command = Command::new(std::env::current_exe().map_err(failed)?);
+    fn command(&self, job: Job) -> Command {
+        let mut command = (self.itself)();
         command.args(["doctor", "--work", &job.name(), "--work-folder"]).arg(self.folder);
         if let Some(adapter) = &self.args.adapter {
             command.args(["--adapter", adapter]);
         }
-        Ok(command)
+        command
     }
 
     /// Takes a line of a worker.

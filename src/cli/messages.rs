@@ -39,7 +39,7 @@ impl Messages {
 }
 
 /// Prints a line on stderr. A failure is ignored: a closed terminal or a full disk behind stderr must not end a run.
-pub(crate) fn note(text: impl Display) {
+pub(super) fn note(text: impl Display) {
     // In one write, so that lines of several threads do not mix.
     let _ = std::io::stderr().write_all(format!("{text}\n").as_bytes());
 }

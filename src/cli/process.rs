@@ -82,7 +82,7 @@ fn ignores_hangup() -> bool {
 }
 
 /// Exit status of a command that has stopped: 130 after Ctrl-C, 143 after the signal TERM; `None` without a signal.
-pub(crate) fn stopped_status() -> Option<u8> {
+pub(super) fn stopped_status() -> Option<u8> {
     match RECEIVED.load(Ordering::Relaxed) {
         0 => None,
         signal => u8::try_from(SIGNAL_STATUS + signal).ok(),
