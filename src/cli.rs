@@ -141,8 +141,8 @@ fn with_completions(command: clap::Command) -> clap::Command {
     command.mut_args(complete).mut_subcommands(with_completions)
 }
 
-/// Runs the command of a command line, whose first word is the name of the program, and returns its exit status. `itself` starts this
-/// program again, for commands that work in processes of their own.
+/// Runs the command of a command line, whose first word is the name of the program, and returns its exit status. `itself` starts
+/// regolith-render again, for commands that work in processes of their own.
 ///
 /// A lost device is a panic inside wgpu; the library catches it and returns an error. Any other panic is a bug of regolith-render and is
 /// reported as one, without a backtrace.

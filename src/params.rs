@@ -35,6 +35,12 @@ pub struct Params {
 }
 
 impl Params {
+    /// What a knob is: a fixed value, or the distribution that each element draws from.
+    #[must_use]
+    pub fn setting(&self, knob: Knob) -> &Distribution {
+        &self.settings[knob as usize]
+    }
+
     fn value(&self, knob: Knob) -> &Value {
         match &self.settings[knob as usize] {
             Fixed(value) => value,

@@ -58,7 +58,7 @@ pub(super) struct DoctorArgs {
     work_folder: Option<PathBuf>,
 }
 
-/// Examines the machine, in processes that `itself` starts: this program again.
+/// Examines the machine, in processes that `itself` starts: regolith-render again.
 pub(super) fn run(args: &DoctorArgs, itself: &dyn Fn() -> Command, messages: Messages) -> Result<()> {
     if let (Some(job), Some(folder)) = (args.work, &args.work_folder) {
         return work(args, job, folder);

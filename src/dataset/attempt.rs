@@ -2,6 +2,8 @@
 //!
 //! Must not know: threads, files.
 
+use std::borrow::BorrowMut;
+use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use super::plan::{Plan, Seeds};
@@ -196,6 +198,23 @@ fn prepare(
     let times = vec![("scene", start.elapsed().as_secs_f64() * 1e3)];
     let packet = planner.plan(&scene, &plan.settings)?;
     Ok(PreparedAttempt { source: FrameScene { index, attempt, seed, params, scene, times, redrawn }, packet })
+}
+
+/// Renders a scene that is built already, whatever rules say, and waits for it.
+pub(super) fn render_scene(
+    plan: &Plan,
+    renderer: &Mutex<impl BorrowMut<Renderer>>,
+    source: FrameScene,
+) -> Result<RenderedFrame> {
+    let lock = || renderer.lock().unwrap_or_else(PoisonError::into_inner);
+    let (planner, info) = {
+        let renderer = lock();
+        let renderer: &Renderer = (*renderer).borrow();
+        (renderer.planner(), RendererInfo::new(renderer))
+    };
+    let packet = planner.plan(&source.scene, &plan.settings)?;
+    let raw = render((*lock()).borrow_mut(), PreparedAttempt { source, packet })?;
+    Ok(raw.post_process(&info))
 }
 
 /// Renders one attempt at a frame and waits for it.

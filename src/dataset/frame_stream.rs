@@ -11,13 +11,18 @@ use std::thread::JoinHandle;
 
 use serde_json::{Map, Value};
 
-use super::attempt::{FrameScene, RenderCost, RenderedFrame};
+use super::attempt::{self, FrameScene, RenderCost, RenderedFrame};
 use super::pipeline::{Concurrency, Job, milliseconds_json, record, run_job};
 use super::plan::Plan;
 use crate::error::{Error, Result};
 use crate::output::arrays::{Array, arrays};
 use crate::output::rocks_json;
+use crate::params::{Knob, Params, Stage};
+use crate::render::select::selection;
 use crate::render::{Renderer, StageTimes};
+use crate::scene::Scene;
+use crate::scene::camera::Camera;
+use crate::scene::sky::Sun;
 
 /// A frame in memory.
 #[derive(Clone, Debug)]
@@ -49,6 +54,91 @@ impl FrameInMemory {
         let arrays = arrays(frame, &plan.outputs, plan.edges);
         Self { index, size, arrays, record, rocks, times, cost }
     }
+}
+
+/// Builds the scene of a seed with a plan's knobs; returns it with the knobs' values.
+///
+/// # Errors
+/// Those of [`Config::draw`](crate::params::config::Config::draw) and [`Scene::build`].
+pub fn build_scene(plan: &Plan, seed: u64) -> Result<(Scene, Params)> {
+    let params = plan.config.draw(seed)?;
+    let scene = Scene::build(seed, &params)?;
+    selection::build_rocks(&scene, &plan.settings);
+    Ok((scene, params))
+}
+
+/// A scene from another pose, or under another sun: `set` is TOML of the knobs that differ, of the sections `camera` and `sun`. What the
+/// plan draws besides stays. The nominal stage is the same geometry from every pose; the ground of the surface stage is made for the
+/// camera, and is made again where the camera has moved. `eye_z_m` is the height of the camera, metres, world: heights above the ground are
+/// those of the mesh, which differs a little from camera to camera.
+///
+/// # Errors
+/// [`Error::Usage`] for a knob of another section; those of [`build_scene`].
+pub fn posed(
+    plan: &Plan,
+    seed: u64,
+    (scene, params): (&Scene, &Params),
+    set: &str,
+    eye_z_m: Option<f32>,
+) -> Result<(Scene, Params)> {
+    let mut posed = posed_by_knobs(plan, seed, (scene, params), set)?;
+    if let Some(z_m) = eye_z_m {
+        posed.0.camera.eye.z = z_m;
+    }
+    Ok(posed)
+}
+
+fn posed_by_knobs(
+    plan: &Plan,
+    seed: u64,
+    (scene, params): (&Scene, &Params),
+    set: &str,
+) -> Result<(Scene, Params)> {
+    let mut config = plan.config.clone();
+    config.apply_toml(set, "camera and sun")?;
+    config.check()?;
+    let moved = config.draw(seed)?;
+    let changed = |knob: &Knob| params.setting(*knob) != moved.setting(*knob);
+    let is_of = |knob: &Knob, section: &str| knob.name().starts_with(section);
+    let is_pose = |knob: &Knob| is_of(knob, "camera.") || is_of(knob, "sun.");
+    if let Some(other) = Knob::ALL.iter().find(|knob| changed(knob) && !is_pose(knob)) {
+        return Err(Error::Usage(format!(
+            "{}: a scene's pose is that of camera and sun alone",
+            other.name()
+        )));
+    }
+    if !Knob::ALL.iter().any(|knob| changed(knob) && is_of(knob, "camera.")) {
+        return Ok((Scene { sun: Sun::build(&moved), ..scene.clone() }, moved));
+    }
+    match moved.stage() {
+        Stage::Nominal => {
+            let camera = Camera::build(&moved, &scene.terrain)?;
+            Ok((Scene { camera, sun: Sun::build(&moved), ..scene.clone() }, moved))
+        }
+        Stage::Surface => build_scene(&Plan { config, ..plan.clone() }, seed),
+    }
+}
+
+/// Renders one frame of a scene and waits for it. Its index is the seed.
+///
+/// # Errors
+/// Those of rendering.
+pub fn render_scene(
+    plan: &Plan,
+    renderer: &Mutex<impl BorrowMut<Renderer>>,
+    seed: u64,
+    (scene, params): (Scene, Params),
+) -> Result<FrameInMemory> {
+    let source = FrameScene {
+        index: seed,
+        attempt: 0,
+        seed,
+        params,
+        scene,
+        times: StageTimes::new(),
+        redrawn: Vec::new(),
+    };
+    Ok(FrameInMemory::of_rendered(plan, attempt::render_scene(plan, renderer, source)?))
 }
 
 /// Makes the frames of a plan at these indices as [`render_frames`](super::render_frames) does, and passes each to `sink`, in any order,
@@ -94,7 +184,7 @@ impl FrameStream {
         let stop = Arc::new(AtomicBool::new(false));
         let (sender, frames) = sync_channel(ahead.max(1));
         let is_stopped = Arc::clone(&stop);
-        let work = move || {
+        let make = move || {
             let mut wanted = indices.clone();
             let mut next = wanted.next();
             // Frames that wait for an earlier one. The same index may be wanted more than once.
@@ -113,6 +203,15 @@ impl FrameStream {
             });
             if let Err(error) = result {
                 let _ = sender.send(Err(error));
+            }
+        };
+        // A pool of its own: the parallel loops of a frame wait for no other work, and in a process that was forked the threads of the
+        // common pool do not exist.
+        let work = move || {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(concurrency.threads).use_current_thread();
+            match pool.build() {
+                Ok(pool) => pool.install(make),
+                Err(_) => make(),
             }
         };
         let thread = std::thread::Builder::new().name("frames".to_owned()).spawn(work);

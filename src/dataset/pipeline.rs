@@ -16,7 +16,7 @@ use super::attempt::{
     Attempt, FrameScene, PreparedAttempt, RawAttempt, RenderCost, RenderedFrame, RendererInfo,
 };
 use super::log_writer::record_files;
-use super::plan::Plan;
+use super::plan::{Plan, Seeds};
 use super::work_queue::{QueueLimits, Task, WorkQueue};
 use crate::error::{Error, Result};
 use crate::host_time::{self, Role};
@@ -276,7 +276,7 @@ pub(super) fn encode_frame(plan: &Plan, rendered: &mut RenderedFrame) -> Result<
     Ok(EncodedFrame { line, files })
 }
 
-/// The frame's metadata as for a single frame, without times, and with its position in the dataset.
+/// The frame's metadata as for a single frame, without times, and with its position if it is that of a dataset.
 pub(super) fn record(plan: &Plan, rendered: &RenderedFrame) -> Map<String, Value> {
     let source = &rendered.source;
     let record = FrameRecord {
@@ -291,12 +291,14 @@ pub(super) fn record(plan: &Plan, rendered: &RenderedFrame) -> Map<String, Value
         times: &Vec::new(),
     };
     let mut meta = Map::new();
-    meta.insert("index".to_owned(), source.index.into());
-    let split = plan.split_of(source.index);
-    if !split.is_empty() {
-        meta.insert("split".to_owned(), split.into());
+    if plan.seeds == Seeds::OfBase {
+        meta.insert("index".to_owned(), source.index.into());
+        let split = plan.split_of(source.index);
+        if !split.is_empty() {
+            meta.insert("split".to_owned(), split.into());
+        }
+        meta.insert("attempt".to_owned(), source.attempt.into());
     }
-    meta.insert("attempt".to_owned(), source.attempt.into());
     if !source.redrawn.is_empty() {
         meta.insert("redrawn".to_owned(), json!(source.redrawn));
     }

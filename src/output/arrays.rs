@@ -83,3 +83,17 @@ pub fn arrays(mut frame: Frame, outputs: &[&'static Output], edges: EdgePolicy) 
     };
     sources.iter().enumerate().map(moved).collect()
 }
+
+/// Name, values per pixel and NumPy type of the arrays of these outputs, in the order of [`arrays`].
+#[must_use]
+pub fn described(outputs: &[&'static Output]) -> Vec<(&'static str, usize, &'static str)> {
+    let one_pixel = Frame { width: 1, height: 1, ..Frame::default() };
+    let type_of = |values: &OwnedValues| match values {
+        OwnedValues::U8(_) => "uint8",
+        OwnedValues::U16(_) => "uint16",
+        OwnedValues::F16(_) => "float16",
+        OwnedValues::F32(_) => "float32",
+    };
+    let arrays = arrays(one_pixel, outputs, EdgePolicy::Hard);
+    arrays.iter().map(|array| (array.name, array.channels, type_of(&array.values))).collect()
+}

@@ -149,7 +149,16 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
             &["fallbacks", "unwritten"],
         ],
     ),
-    ("output", &[&["artifact", "dataset_path", "edges", "label_ids"], &["disk", "encode"], &["layout"]]),
+    (
+        "output",
+        &[
+            &["artifact", "dataset_path", "edges", "label_ids"],
+            &["disk", "encode"],
+            &["layout"],
+            &[SELF],
+            &["arrays"],
+        ],
+    ),
     ("export", &[&["sky", "stage"], &["gltf", "npz", "usd"]]),
     (
         "dataset",

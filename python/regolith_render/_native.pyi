@@ -1,0 +1,62 @@
+import os
+from typing import Any
+
+from numpy.typing import NDArray
+
+__version__: str
+
+class ConfigError(ValueError):
+    """A setting that is wrong. Attributes are None where they do not apply."""
+
+    knob: str | None
+    value: str | None
+    allowed: str | None
+    nearest: str | None
+
+class DeviceError(RuntimeError):
+    """The graphics device or its driver failed."""
+
+class NoAdapterError(DeviceError):
+    """There is no graphics adapter to use."""
+
+_Frame = tuple[dict[str, NDArray[Any]], str, str]
+
+def main(words: list[str], executable: str) -> int: ...
+def adapters() -> list[tuple[str, str, str, str]]: ...
+def knobs(stage: str) -> list[tuple[str, str, tuple[float, float] | None, list[str], str, str]]: ...
+def presets() -> list[tuple[str, str]]: ...
+def outputs() -> list[str]: ...
+
+class Settings:
+    def __init__(
+        self,
+        stage: str | None,
+        presets: list[str],
+        config: str | os.PathLike[str] | None,
+        set: str,
+        size: tuple[int, int],
+        outputs: str,
+        samples: int,
+        edges: str,
+    ) -> None: ...
+    def arrays(self) -> list[tuple[str, int, str]]: ...
+
+class Engine:
+    def __init__(self, adapter: str | None, raster: str, threads: int | None) -> None: ...
+    @property
+    def adapter(self) -> str: ...
+    def render(self, settings: Settings, seed: int, set: str) -> _Frame: ...
+    def scene(self, settings: Settings, seed: int, set: str) -> Scene: ...
+    def frames_of_seeds(self, settings: Settings, seeds: list[int], prefetch: int) -> Frames: ...
+    def frames_of_dataset(
+        self, settings: Settings, base_seed: int, indices: tuple[int, int, int | None], prefetch: int
+    ) -> Frames: ...
+
+class Frames:
+    def next(self) -> _Frame | None: ...
+    def close(self) -> None: ...
+
+class Scene:
+    def render(self, engine: Engine, set: str, eye_z_m: float | None) -> _Frame: ...
+    def ground_height(self, x_m: float, y_m: float) -> float: ...
+    def export(self, format: str, drawn: bool) -> bytes: ...

@@ -1,0 +1,271 @@
+//! Settings, the renderer on its device, and streams of frames.
+
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use pyo3::prelude::*;
+use regolith::dataset::frame_stream::{build_scene, render_scene};
+use regolith::dataset::plan::{Plan, Seeds};
+use regolith::dataset::rules::Rules;
+use regolith::dataset::{Concurrency, FrameStream};
+use regolith::gpu::Gpu;
+use regolith::gpu::adapter;
+use regolith::output;
+use regolith::params::config::Config;
+use regolith::render::{RasterMode, RenderSettings, Renderer};
+
+use crate::convert::{self, PyFrame};
+use crate::errors::{ConfigError, DeviceError, raised};
+use crate::scene::Scene;
+
+/// Where a setting of a call comes from, in messages.
+const SET: &str = "set";
+
+/// Everything that decides what frames are, checked. Opens no device.
+#[pyclass(frozen)]
+pub(crate) struct Settings {
+    plan: Plan,
+}
+
+#[pymethods]
+impl Settings {
+    #[new]
+    fn new(
+        py: Python<'_>,
+        stage: Option<&str>,
+        presets: Vec<String>,
+        config: Option<PathBuf>,
+        set: &str,
+        size: [u32; 2],
+        outputs: &str,
+        samples: u32,
+        edges: &str,
+    ) -> PyResult<Self> {
+        let plan = || -> regolith::Result<Plan> {
+            let mut knobs = Config::new();
+            if let Some(stage) = stage {
+                knobs.set_stage(stage)?;
+            }
+            for preset in &presets {
+                knobs.apply_preset(preset)?;
+            }
+            if let Some(path) = &config {
+                knobs.apply_file(path)?;
+            }
+            knobs.apply_toml(set, SET)?;
+            if let Some(stage) = stage {
+                knobs.check_stage(stage)?;
+            }
+            knobs.check()?;
+            let rules = Rules::from_config(&knobs)?;
+            let image = RenderSettings::new(size, samples)?;
+            let outputs = output::parse_outputs(outputs)?;
+            Ok(Plan { edges: edges.parse()?, ..Plan::in_memory(knobs, rules, 0, image, outputs) })
+        };
+        Ok(Self { plan: raised(py, plan())? })
+    }
+
+    /// Names of the arrays of a frame, with channels and NumPy type of each.
+    fn arrays(&self) -> Vec<(&'static str, usize, &'static str)> {
+        output::arrays::described(&self.plan.outputs)
+    }
+}
+
+impl Settings {
+    /// The plan with further knobs, as TOML.
+    fn with(&self, py: Python<'_>, set: &str) -> PyResult<Plan> {
+        let mut plan = self.plan.clone();
+        if !set.is_empty() {
+            raised(py, plan.config.apply_toml(set, SET).and_then(|()| plan.config.check()))?;
+        }
+        Ok(plan)
+    }
+}
+
+/// A renderer with its device and threads. It belongs to the process that opened it.
+#[pyclass(frozen)]
+pub(crate) struct Engine {
+    open: Option<Open>,
+    process: u32,
+    threads: usize,
+    adapter: String,
+}
+
+struct Open {
+    renderer: Arc<Mutex<Renderer>>,
+    /// The parallel loops of frames run here: the common pool of a process has no threads in its forked children.
+    pool: rayon::ThreadPool,
+}
+
+#[pymethods]
+impl Engine {
+    #[new]
+    fn new(py: Python<'_>, adapter: Option<String>, raster: &str, threads: Option<usize>) -> PyResult<Self> {
+        let raster: RasterMode =
+            raster.parse().map_err(|message| ConfigError::new_err(format!("raster: {message}")))?;
+        let threads = threads.filter(|threads| *threads > 0).unwrap_or_else(cores);
+        let open = py.detach(|| -> regolith::Result<(Open, String)> {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+            let pool = pool.map_err(|error| regolith::Error::Thread(std::io::Error::other(error)))?;
+            let (renderer, name) = pool.install(|| {
+                let gpu = Gpu::open(adapter.as_deref())?;
+                let name = adapter::describe(&gpu.info);
+                Ok::<_, regolith::Error>((Renderer::with_raster(gpu, raster)?, name))
+            })?;
+            Ok((Open { renderer: Arc::new(Mutex::new(renderer)), pool }, name))
+        });
+        let (open, adapter) = raised(py, open)?;
+        Ok(Self { open: Some(open), process: std::process::id(), threads, adapter })
+    }
+
+    /// The adapter, in one line.
+    #[getter]
+    fn adapter(&self) -> &str {
+        &self.adapter
+    }
+
+    /// The frame of a seed.
+    fn render<'py>(
+        &self,
+        py: Python<'py>,
+        settings: &Settings,
+        seed: u64,
+        set: &str,
+    ) -> PyResult<PyFrame<'py>> {
+        let plan = Plan { seeds: Seeds::Given, ..settings.with(py, set)? };
+        let frame =
+            self.on_pool(py, |renderer| render_scene(&plan, renderer, seed, build_scene(&plan, seed)?));
+        convert::frame(py, frame?)
+    }
+
+    /// The scene of a seed.
+    fn scene(&self, py: Python<'_>, settings: &Settings, seed: u64, set: &str) -> PyResult<Scene> {
+        let plan = Plan { seeds: Seeds::Given, ..settings.with(py, set)? };
+        let built = self.on_pool(py, |_| build_scene(&plan, seed))?;
+        Ok(Scene::new(plan, seed, built))
+    }
+
+    /// The frames of these seeds.
+    fn frames_of_seeds(
+        &self,
+        py: Python<'_>,
+        settings: &Settings,
+        seeds: Vec<u64>,
+        prefetch: usize,
+    ) -> PyResult<Frames> {
+        let plan = Plan { seeds: Seeds::Given, ..settings.plan.clone() };
+        self.stream(py, plan, seeds.into_iter(), prefetch)
+    }
+
+    /// Frames of a dataset: those of `first`, `first + step`, ... below `end`, without end if it is `None`.
+    fn frames_of_dataset(
+        &self,
+        py: Python<'_>,
+        settings: &Settings,
+        base_seed: u64,
+        indices: (u64, u64, Option<u64>),
+        prefetch: usize,
+    ) -> PyResult<Frames> {
+        let (first, step, end) = indices;
+        if step == 0 {
+            return Err(ConfigError::new_err("the step between frames is 0; it should be at least 1"));
+        }
+        let plan = Plan { base_seed, ..settings.plan.clone() };
+        let end = end.unwrap_or(regolith::dataset::plan::MAX_FRAMES);
+        let step = usize::try_from(step)?;
+        self.stream(py, plan, (first..end).step_by(step), prefetch)
+    }
+}
+
+impl Engine {
+    /// What is open, if this is the process that opened it.
+    fn open(&self) -> PyResult<&Open> {
+        self.open.as_ref().filter(|_| self.process == std::process::id()).ok_or_else(|| {
+            DeviceError::new_err(
+                "this renderer belongs to the process that this one was forked from; open another one here",
+            )
+        })
+    }
+
+    /// Runs `work` on the threads of the renderer, without Python's lock.
+    pub(crate) fn on_pool<T: Send>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&Mutex<Renderer>) -> regolith::Result<T> + Send,
+    ) -> PyResult<T> {
+        let open = self.open()?;
+        raised(py, py.detach(|| open.pool.install(|| work(&open.renderer))))
+    }
+
+    fn stream(
+        &self,
+        py: Python<'_>,
+        plan: Plan,
+        indices: impl Iterator<Item = u64> + Clone + Send + 'static,
+        prefetch: usize,
+    ) -> PyResult<Frames> {
+        let renderer = Arc::clone(&self.open()?.renderer);
+        let concurrency = Concurrency::with_threads(self.threads);
+        let stream = raised(py, FrameStream::start(plan, renderer, indices, concurrency, prefetch))?;
+        Ok(Frames { stream: Mutex::new(Some(stream)), process: std::process::id() })
+    }
+}
+
+impl Drop for Engine {
+    fn drop(&mut self) {
+        if self.process != std::process::id() {
+            // The device and the threads are those of another process.
+            std::mem::forget(self.open.take());
+        }
+    }
+}
+
+/// Frames in order, rendered ahead.
+#[pyclass(frozen)]
+pub(crate) struct Frames {
+    stream: Mutex<Option<FrameStream>>,
+    process: u32,
+}
+
+#[pymethods]
+impl Frames {
+    /// The next frame; `None` after the last one.
+    fn next<'py>(&self, py: Python<'py>) -> PyResult<Option<PyFrame<'py>>> {
+        if self.process != std::process::id() {
+            return Err(DeviceError::new_err(
+                "these frames are rendered by the process that this one was forked from; ask for them here again",
+            ));
+        }
+        let next = py.detach(|| self.stream().as_mut().and_then(Iterator::next));
+        next.map(|frame| convert::frame(py, raised(py, frame)?)).transpose()
+    }
+
+    /// Stops rendering.
+    fn close(&self, py: Python<'_>) {
+        if self.process == std::process::id() {
+            py.detach(|| drop(self.stream().take()));
+        }
+    }
+}
+
+impl Frames {
+    fn stream(&self) -> std::sync::MutexGuard<'_, Option<FrameStream>> {
+        self.stream.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for Frames {
+    fn drop(&mut self) {
+        let stream = self.stream().take();
+        if self.process != std::process::id() {
+            std::mem::forget(stream);
+        } else if let Some(stream) = stream {
+            // The thread behind it needs no lock of Python's, but it may take the rest of a frame to end.
+            Python::attach(|py| py.detach(|| drop(stream)));
+        }
+    }
+}
+
+fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}

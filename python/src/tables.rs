@@ -1,0 +1,54 @@
+//! Adapters, knobs, presets and outputs as plain tuples.
+
+use pyo3::prelude::*;
+use regolith::gpu::adapter;
+use regolith::output::OUTPUTS;
+use regolith::params::{KNOBS, Kind, Stage, presets as shipped};
+
+use crate::errors::{ConfigError, raised};
+
+/// Name, kind, backend and driver of each adapter, best first.
+#[pyfunction]
+pub(crate) fn adapters(py: Python<'_>) -> PyResult<Vec<(String, &'static str, String, String)>> {
+    let infos = raised(py, py.detach(adapter::list))?;
+    Ok(infos
+        .into_iter()
+        .map(|info| {
+            let driver = format!("{} {}", info.driver, info.driver_info).trim().to_owned();
+            (info.name.clone(), adapter::kind(&info), info.backend.to_string(), driver)
+        })
+        .collect())
+}
+
+/// A knob: name, unit, range of a number, allowed texts, default, help.
+type KnobRow = (&'static str, &'static str, Option<[f64; 2]>, Vec<&'static str>, String, &'static str);
+
+/// The knobs of a stage.
+#[pyfunction]
+pub(crate) fn knobs(stage: &str) -> PyResult<Vec<KnobRow>> {
+    let stage = Stage::from_name(stage).ok_or_else(|| {
+        let names: Vec<&str> = Stage::ALL.iter().map(|row| row.1).collect();
+        ConfigError::new_err(format!("stage `{stage}`: unknown; there are {}", names.join(", ")))
+    })?;
+    let rows = KNOBS.iter().filter(|info| info.is_of(stage)).map(|info| {
+        let (range, texts) = match info.kind {
+            Kind::Text(texts) => (None, texts.to_vec()),
+            Kind::Number | Kind::Integer | Kind::Rgb => (Some(info.range), Vec::new()),
+        };
+        (info.name, info.unit, range, texts, info.default_on(stage).to_string(), info.doc)
+    });
+    Ok(rows.collect())
+}
+
+/// Name and description of each preset.
+#[pyfunction]
+pub(crate) fn presets() -> Vec<(&'static str, &'static str)> {
+    let described = |(name, _)| (name, shipped::preset_description(name).unwrap_or_default());
+    shipped::presets().into_iter().map(described).collect()
+}
+
+/// Names of the outputs.
+#[pyfunction]
+pub(crate) fn outputs() -> Vec<&'static str> {
+    OUTPUTS.iter().map(|output| output.name).collect()
+}

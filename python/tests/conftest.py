@@ -1,0 +1,29 @@
+"""What the tests share: the program beside which the package stands, and small renderers."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import regolith_render as rr
+
+ADAPTER = os.environ.get("REGOLITH_TEST_ADAPTER", "cpu")
+"""The adapter of the tests: a part of its name."""
+
+
+def program(*words: str, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Runs the command line of the package."""
+    environment = {**os.environ, "WGPU_ADAPTER_NAME": ADAPTER}
+    command = [sys.executable, "-m", "regolith_render", *words]
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
+
+
+@pytest.fixture(scope="session")
+def renderer() -> Iterator[rr.Renderer]:
+    with rr.Renderer(preset="train_dr", size=64, adapter=ADAPTER) as opened:
+        yield opened
