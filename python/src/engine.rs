@@ -27,6 +27,7 @@ pub(crate) struct Settings {
     plan: Plan,
 }
 
+#[allow(clippy::too_many_arguments, reason = "they are keywords in Python")]
 #[pymethods]
 impl Settings {
     #[new]

@@ -117,9 +117,12 @@ fn finalize_locked(folder: &Path, lock: MergeLock) -> Result<Finalized> {
     Ok(Finalized { manifest, missing })
 }
 
+/// An identity, the options of its command, and its range.
+type MergedIdentity = (Map<String, Value>, String, Range);
+
 /// What the manifests of all shards agree on, the options of the first, and the range that covers theirs; `None` if there is no
 /// manifest.
-fn merged_identity(manifests: &[PathBuf]) -> Result<Option<(Map<String, Value>, String, Range)>> {
+fn merged_identity(manifests: &[PathBuf]) -> Result<Option<MergedIdentity>> {
     let Some((first, others)) = manifests.split_first() else { return Ok(None) };
     let first = read_manifest(first)?;
     let mut range = manifest::range_of(&first);

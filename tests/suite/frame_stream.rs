@@ -29,7 +29,7 @@ fn plan(preset: &str, side: u32, outputs: &str) -> Plan {
 }
 
 fn stream(plan: &Plan, renderer: &Arc<Mutex<Renderer>>, indices: &[u64]) -> FrameStream {
-    let indices = indices.to_vec().into_iter();
+    let indices = Vec::from(indices).into_iter();
     let concurrency = Concurrency::with_threads(2);
     FrameStream::start(plan.clone(), Arc::clone(renderer), indices, concurrency, 2).expect("threads")
 }

@@ -3,7 +3,7 @@
 
 #![allow(clippy::print_stdout, reason = "measurements for runs with --nocapture")]
 
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 
 use regolith::class::ClassId;
 use regolith::frame::{Annotation, Frame};
@@ -99,7 +99,7 @@ fn rocks_do_not_pop_as_the_camera_drives() {
             let is_inside = rock.box_px.iter().all(|edge| (3..SIDE as i64 - 3).contains(&i64::from(*edge)));
             (centre.truncate().to_array().map(f32::to_bits), (rock.visible_px, is_inside))
         };
-        frame.rocks.iter().map(of).collect::<HashMap<_, _>>()
+        frame.rocks.iter().map(of).collect::<BTreeMap<_, _>>()
     };
     let (mut compared, mut lost, mut other) = (0, 0, 0);
     let mut before = rocks(-90.0);
