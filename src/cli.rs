@@ -21,9 +21,9 @@ mod verify;
 use std::ffi::OsString;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
+use crate::params::{KNOBS, presets};
+use crate::{Error, Result};
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
-use regolith::params::{KNOBS, presets};
-use regolith::{Error, Result};
 
 use args::pass_negative_numbers;
 use messages::{Messages, note, print};
@@ -120,14 +120,14 @@ fn with_completions(command: clap::Command) -> clap::Command {
     let values = |option: &str| -> Vec<&'static str> {
         match option {
             "preset" | "name" => presets::presets().iter().map(|(name, _)| *name).collect(),
-            "format" => regolith::output::layout::LAYOUTS.iter().map(|row| row.name).collect(),
-            "outputs" => regolith::output::OUTPUTS.iter().map(|output| output.name).chain(["all"]).collect(),
+            "format" => crate::output::layout::LAYOUTS.iter().map(|row| row.name).collect(),
+            "outputs" => crate::output::OUTPUTS.iter().map(|output| output.name).chain(["all"]).collect(),
             "adapter" => vec!["cpu", "nvidia", "amd", "intel", "apple", "llvmpipe"],
-            "stage" => regolith::params::Stage::ALL.iter().map(|(_, name)| *name).collect(),
+            "stage" => crate::params::Stage::ALL.iter().map(|(_, name)| *name).collect(),
             "raster" => vec!["auto", "device", "host"],
             "edges" => vec!["hard", "ignore:1", "ignore:2"],
             "knob" => {
-                let mut sections: Vec<&str> = KNOBS.iter().map(regolith::params::KnobInfo::section).collect();
+                let mut sections: Vec<&str> = KNOBS.iter().map(crate::params::KnobInfo::section).collect();
                 sections.dedup();
                 sections.into_iter().chain(KNOBS.iter().map(|info| info.name)).collect()
             }
@@ -153,7 +153,7 @@ pub fn main(words: impl IntoIterator<Item = OsString>, itself: &dyn Fn() -> std:
         Ok(Err(Ending::Status(status))) => status,
         Ok(Err(Ending::Error(error))) => {
             note(format_args!("error: {error}"));
-            let stopped = matches!(error, regolith::Error::Stopped { .. }).then(stopped_status).flatten();
+            let stopped = matches!(error, crate::Error::Stopped { .. }).then(stopped_status).flatten();
             stopped.unwrap_or_else(|| error.exit_status())
         }
         Err(panic) => {
@@ -245,7 +245,7 @@ mod tests {
         for (name, _) in presets::presets() {
             assert!(help.contains(name), "preset {name}");
         }
-        for output in &regolith::output::OUTPUTS {
+        for output in &crate::output::OUTPUTS {
             assert!(help.contains(output.name), "output {}", output.name);
         }
     }

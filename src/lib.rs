@@ -48,6 +48,3 @@ pub mod rounding;
 pub mod scene;
 
 pub use error::{Error, Result};
-
-// The commands name the library as their users do.
-extern crate self as regolith;

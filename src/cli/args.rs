@@ -3,15 +3,15 @@
 use std::any::TypeId;
 use std::path::PathBuf;
 
+use crate::Result;
+use crate::dataset::rules::Rules;
+use crate::gpu::Gpu;
+use crate::output::edges::EdgePolicy;
+use crate::output::{LabelIds, OUTPUTS};
+use crate::params::config::Config;
+use crate::params::record::{self, FrameOrigin, is_record};
+use crate::render::{RasterMode, RenderSettings, Renderer};
 use clap::Args;
-use regolith::Result;
-use regolith::dataset::rules::Rules;
-use regolith::gpu::Gpu;
-use regolith::output::edges::EdgePolicy;
-use regolith::output::{LabelIds, OUTPUTS};
-use regolith::params::config::Config;
-use regolith::params::record::{self, FrameOrigin, is_record};
-use regolith::render::{RasterMode, RenderSettings, Renderer};
 
 use super::device;
 use super::messages::Messages;

@@ -2,15 +2,15 @@
 
 use std::path::PathBuf;
 
+use crate::bench::{self, Case, Curve, Measured, SWEEPS, Setup};
+use crate::dataset::Concurrency;
+use crate::dataset::plan::Plan;
+use crate::dataset::rules::Rules;
+use crate::output::{self, Artifact, disk};
+use crate::params::Knob;
+use crate::render::{FRAMES_IN_FLIGHT, LightingMode, Renderer};
+use crate::{Error, Result};
 use clap::Args;
-use regolith::bench::{self, Case, Curve, Measured, SWEEPS, Setup};
-use regolith::dataset::Concurrency;
-use regolith::dataset::plan::Plan;
-use regolith::dataset::rules::Rules;
-use regolith::output::{self, Artifact, disk};
-use regolith::params::Knob;
-use regolith::render::{FRAMES_IN_FLIGHT, LightingMode, Renderer};
-use regolith::{Error, Result};
 use serde_json::{Map, Value, json};
 
 use super::args::{ConfigArgs, DeviceArgs, ImageArgs, whole_number};
@@ -147,7 +147,7 @@ fn measure(
     }
     let mut text = format!(
         "{}\n{} x {} pixels, {} samples per pixel, {} cores\n\n{:<12}{:>10}{:>10}{:>10}{:>10}{:>12}{:>12}  stages, median ms\n",
-        regolith::gpu::adapter::describe(info),
+        crate::gpu::adapter::describe(info),
         settings.size[0],
         settings.size[1],
         settings.samples_per_side.pow(2),

@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
+use crate::Result;
+use crate::dataset::convert::Conversion;
+use crate::output::dataset_path;
 use clap::Args;
-use regolith::Result;
-use regolith::dataset::convert::Conversion;
-use regolith::output::dataset_path;
 use serde_json::json;
 
 use super::messages::{Messages, print};

@@ -5,18 +5,18 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
+use crate::class::ClassId;
+use crate::dataset::lock;
+use crate::dataset::log_writer::FrameLogWriter;
+use crate::dataset::manifest::DatasetSpec;
+use crate::dataset::merge::{Finalized, finalize, finalize_frames};
+use crate::dataset::plan::{self, MAX_FRAMES, Plan, Range, Seeds, frame_seed};
+use crate::dataset::rules::Rules;
+use crate::dataset::{self, Concurrency, Progress};
+use crate::output;
+use crate::output::layout::{self, LAYOUTS, webdataset::archive_end};
+use crate::{Error, Result};
 use clap::Args;
-use regolith::class::ClassId;
-use regolith::dataset::lock;
-use regolith::dataset::log_writer::FrameLogWriter;
-use regolith::dataset::manifest::DatasetSpec;
-use regolith::dataset::merge::{Finalized, finalize, finalize_frames};
-use regolith::dataset::plan::{self, MAX_FRAMES, Plan, Range, Seeds, frame_seed};
-use regolith::dataset::rules::Rules;
-use regolith::dataset::{self, Concurrency, Progress};
-use regolith::output;
-use regolith::output::layout::{self, LAYOUTS, webdataset::archive_end};
-use regolith::{Error, Result};
 use serde_json::{Value, json};
 
 use super::args::{ConfigArgs, DeviceArgs, ImageArgs, output_names, whole_number};
@@ -109,7 +109,7 @@ pub(super) fn run(args: &DatasetArgs, messages: Messages) -> Result<()> {
     // Before the folder is created, so that nothing is left behind on a machine without an adapter.
     let gpu = args.device.open(messages)?;
     let log = FrameLogWriter::open(&args.out, &spec, args.force)?;
-    messages.note(format_args!("rendering on {}", regolith::gpu::adapter::describe(&gpu.info)));
+    messages.note(format_args!("rendering on {}", crate::gpu::adapter::describe(&gpu.info)));
     let mut renderer = args.device.renderer(gpu)?;
     device::inject_fault(&renderer);
     let mut meter = Meter::new(messages, "frames");

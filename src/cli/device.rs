@@ -2,12 +2,12 @@
 
 use std::path::PathBuf;
 
-use regolith::doctor::hardware::{Machine, device_files};
-use regolith::error::Result;
-use regolith::gpu::{Gpu, adapter};
-use regolith::input;
-use regolith::output::{Artifact, disk};
-use regolith::render::Renderer;
+use crate::doctor::hardware::{Machine, device_files};
+use crate::error::Result;
+use crate::gpu::{Gpu, adapter};
+use crate::input;
+use crate::output::{Artifact, disk};
+use crate::render::Renderer;
 
 use super::messages::Messages;
 

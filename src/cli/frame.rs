@@ -3,16 +3,16 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use crate::Result;
+use crate::dataset::rules::Rules;
+use crate::frame::Frame;
+use crate::gpu;
+use crate::meta::FrameRecord;
+use crate::output::{self, EncodeInput, OUTPUTS, Output, disk};
+use crate::params::Params;
+use crate::render::{RenderSettings, Renderer, StageTimes, select::selection};
+use crate::scene::Scene;
 use clap::Args;
-use regolith::Result;
-use regolith::dataset::rules::Rules;
-use regolith::frame::Frame;
-use regolith::gpu;
-use regolith::meta::FrameRecord;
-use regolith::output::{self, EncodeInput, OUTPUTS, Output, disk};
-use regolith::params::Params;
-use regolith::render::{RenderSettings, Renderer, StageTimes, select::selection};
-use regolith::scene::Scene;
 use serde_json::{Value, json};
 
 use super::args::{ConfigArgs, DeviceArgs, ImageArgs, output_names, whole_number};

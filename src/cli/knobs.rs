@@ -1,13 +1,13 @@
 //! `params` and `presets`: what can be set, and sets of it.
 
+use crate::dataset::rules::Rules;
+use crate::error::nearest;
+use crate::params::config::Config;
+use crate::params::groups::GROUPS;
+use crate::params::presets::{preset_description, presets};
+use crate::params::{KNOBS, KnobInfo};
+use crate::{Error, Result};
 use clap::Args;
-use regolith::dataset::rules::Rules;
-use regolith::error::nearest;
-use regolith::params::config::Config;
-use regolith::params::groups::GROUPS;
-use regolith::params::presets::{preset_description, presets};
-use regolith::params::{KNOBS, KnobInfo};
-use regolith::{Error, Result};
 use serde_json::{Value, json};
 
 use super::args::ConfigArgs;

@@ -3,8 +3,8 @@
 use std::fmt::Display;
 use std::io::Write as _;
 
+use crate::{Error, Result};
 use clap::Args;
-use regolith::{Error, Result};
 
 /// How much a command says on stderr.
 #[derive(Args, Clone, Copy, Debug)]

@@ -5,10 +5,10 @@ use std::ffi::OsStr;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 
+use crate::output::{dataset_path, disk};
+use crate::remap::{self, Pair, Remapped};
+use crate::{Error, Result};
 use clap::Args;
-use regolith::output::{dataset_path, disk};
-use regolith::remap::{self, Pair, Remapped};
-use regolith::{Error, Result};
 use serde_json::json;
 
 use super::messages::{Messages, print};

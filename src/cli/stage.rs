@@ -2,13 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::export::{self, Detail, Format, Stage};
+use crate::output::{Artifact, disk};
+use crate::params::Knob;
+use crate::render::RenderSettings;
+use crate::scene::Scene;
+use crate::{Error, Result, gpu};
 use clap::Args;
-use regolith::export::{self, Detail, Format, Stage};
-use regolith::output::{Artifact, disk};
-use regolith::params::Knob;
-use regolith::render::RenderSettings;
-use regolith::scene::Scene;
-use regolith::{Error, Result, gpu};
 use serde_json::{Value, json};
 
 use super::args::{ConfigArgs, parse_size, whole_number};

@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
+use crate::dataset::verify::{self, CHECKS, Report};
+use crate::{Error, Result, gpu};
 use clap::Args;
-use regolith::dataset::verify::{self, CHECKS, Report};
-use regolith::{Error, Result, gpu};
 
 use super::args::DeviceArgs;
 use super::device;
