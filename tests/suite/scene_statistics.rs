@@ -275,7 +275,9 @@ fn every_knob_changes_the_frame() {
                 "rover" if info.name != "rover.kind" => "rover.kind=rover",
                 "sensor" if info.name == "sensor.flare" => "sensor.kind=bayer sun.azimuth_deg=0",
                 // Of metering.
-                "sensor" if info.name == "sensor.gain_max_ev" => "sensor.kind=bayer sensor.ground_level=0.9",
+                "sensor" if info.name == "sensor.gain_max_ev" => {
+                    "sensor.kind=bayer sensor.ground_level=0.9 camera.exposure_ev=-3"
+                }
                 "sensor" if info.name != "sensor.kind" => "sensor.kind=bayer",
                 "rocks" if info.name.starts_with("rocks.hero_") && info.name != "rocks.hero_scale_m" => {
                     "rocks.hero_scale_m=2"
