@@ -19,6 +19,8 @@ const FAR_M: f32 = 1.0e3;
 const TESTED_CELLS: f32 = 0.5;
 const MIN_LOW_WAY: f32 = 2.0;
 const SHADOW_BLUR: f32 = 0.5;
+const MIN_TESTED_SAMPLES: f32 = 3.0;
+const MIN_WAYS_COSINE: f32 = -0.999;
 const MIN_WAY: f32 = 1.0e-3;
 const SECOND_HASH: u32 = 0x2c1b3c6du;
 
@@ -69,23 +71,24 @@ fn ground_detail(
         if sample_share(octave.cell_m, sample_m) == 0.0 { break; }
         let resolved = sample_share(octave.cell_m, local_sample_m(sample_m, sum.xy, eye_way));
         let share = (1.0 - mesh_share(octave.cell_m, cell_m)) * resolved;
+        let tested = select(0.0, clamp(octave.cell_m / (MIN_TESTED_SAMPLES * sample_m) - 1.0, 0.0, 1.0), share > 0.0);
         // Where this octave hides the ground from the eye: at the wave that does. How far the ray is above the larger waves there.
         var above_m = 0.0;
-        if share > 0.0 && per_eye_way < 1.0 / MIN_LOW_WAY {
+        if tested > 0.0 && per_eye_way < 1.0 / MIN_LOW_WAY {
             let rise_m = tested_rise_m(octave, per_eye_way);
             let at = point + (sum.w + rise_m) * eye_way;
             let slope_m = rise_m * dot(waves, eye_way);
-            let is_hidden = rise_m - (slope_m + share * noise_slope(octave, at).w) < 0.0;
+            let is_hidden = rise_m / tested - (slope_m + share * noise_slope(octave, at).w) < 0.0;
             above_m = select(0.0, rise_m - slope_m, is_hidden);
             sum.w += select(0.0, rise_m, is_hidden);
             sun_clearance_m += sun_lift * select(0.0, rise_m, is_hidden);
         }
         let at = point + sum.w * eye_way;
-        if share > 0.0 && per_sun_way < 1.0 / MIN_LOW_WAY {
+        if tested > 0.0 && per_sun_way < 1.0 / MIN_LOW_WAY {
             let rise_m = tested_rise_m(octave, per_sun_way);
             let way = rise_m * sun_way;
             let height_m = dot(waves, way) + share * noise_slope(octave, at + way).w;
-            sun_clearance_m = min(sun_clearance_m, rise_m - height_m + above_m);
+            sun_clearance_m = min(sun_clearance_m, rise_m / tested - height_m + above_m);
         }
         var wave = share * noise_slope(octave, at);
         wave.w -= above_m;
@@ -94,8 +97,9 @@ fn ground_detail(
         sun_clearance_m += sun_lift * (sum.w - start_m);
         waves += wave.xy;
     }
+    let open_sun = clamp(0.5 + 0.5 * sun_clearance_m / (SHADOW_BLUR * across_m * per_sun_way), 0.0, 1.0);
+    let sun = mix(open_sun, 1.0, hidden_shadows(dot(eye_way, sun_way), per_eye_way, per_sun_way));
     // The exponential function to second order.
-    let sun = clamp(0.5 + 0.5 * sun_clearance_m / (SHADOW_BLUR * across_m * per_sun_way), 0.0, 1.0);
     var detail = GroundDetail(sum.xy, 1.0 + sum.z * (1.0 + 0.5 * sum.z), sun);
     var cover = GrainCover(0.0, 0.0, 0.0);
     for (k = 0u; k < light.relief_grain_lattices; k++) {
@@ -106,6 +110,15 @@ fn ground_detail(
     // What hides the ground hides its shadows.
     detail.sun = mix(detail.sun, 0.0, cover.share) + cover.sun;
     return detail;
+}
+
+// Share of the shadows of relief that are hidden from the eye, by the scalar product of the ways to the eye and to the sun and one over
+// their lengths: src/render/lighting/ground_batch.rs explains it.
+fn hidden_shadows(along: f32, per_eye_way: f32, per_sun_way: f32) -> f32 {
+    let cosine = min(along * per_eye_way * per_sun_way, 1.0);
+    let tangent_squared = (1.0 - cosine) / (1.0 + max(cosine, MIN_WAYS_COSINE));
+    let exponential = 1.0 + sqrt(tangent_squared) + 0.5 * tangent_squared;
+    return min(per_sun_way / per_eye_way, 1.0) / (exponential * exponential);
 }
 
 // How much a ray has risen where an octave is asked whether it hides or shadows the ground.

@@ -49,6 +49,53 @@ fn soil(frames: [&Frame; 2], side: usize) -> [[f64; 2]; 2] {
     })
 }
 
+/// Soil without grains under a sun at an elevation and an azimuth, degrees: most of its relief in the shading, and most in the mesh.
+fn shaded_and_meshed(seed: u64, [elevation_deg, azimuth_deg]: [u32; 2], side: u32) -> [Frame; 2] {
+    let sun = [format!("sun.elevation_deg={elevation_deg}"), format!("sun.azimuth_deg={azimuth_deg}")];
+    ["terrain.cell_mrad=12", "terrain.cell_mrad=4"].map(|cells| {
+        let set = [
+            SURFACE,
+            &sun[0],
+            &sun[1],
+            "camera.pitch_deg=-13",
+            "camera.fov_deg=20",
+            "camera.height_m=1.6",
+            "rocks.coverage=0",
+            "grains.density=0",
+            "regolith.mottling=0",
+            cells,
+        ];
+        frame(&scene(seed, &set), side, &[Annotation::Hdr, Annotation::Shadow])
+    })
+}
+
+/// Standard deviation of the radiance of soil over its mean in squares of 16 pixels, averaged over these.
+fn contrast(frame: &Frame, side: usize) -> f64 {
+    const SQUARE: usize = 16;
+    let squares = (0..side / SQUARE).flat_map(|y| (0..side / SQUARE).map(move |x| (y, x)));
+    let contrasts = squares.map(|(y, x)| {
+        let values = (0..SQUARE * SQUARE)
+            .map(|k| green(frame, (y * SQUARE + k / SQUARE) * side + x * SQUARE + k % SQUARE));
+        let n = (SQUARE * SQUARE) as f64;
+        let (sum, squares) = values.fold((0.0, 0.0), |sums, v| (sums.0 + v, sums.1 + v * v));
+        (squares / n - (sum / n).powi(2)).max(0.0).sqrt() / (sum / n)
+    });
+    contrasts.sum::<f64>() / (side / SQUARE).pow(2) as f64
+}
+
+/// With the sun behind the camera most shadows lie hidden behind the bumps that cast them.
+#[test]
+fn relief_hides_its_own_shadows_from_an_eye_before_the_sun() {
+    const SIDE: usize = 320;
+    let ratios = [(32, 200), (33, 170)].map(|(seed, azimuth_deg)| {
+        let [shaded, meshed] =
+            shaded_and_meshed(seed, [15, azimuth_deg], SIDE as u32).map(|frame| contrast(&frame, SIDE));
+        println!("sun at {azimuth_deg}: contrast {shaded:.4}, {meshed:.4}");
+        shaded / meshed
+    });
+    assert!(ratios.iter().all(|ratio| (0.8..1.25).contains(ratio)), "{ratios:.3?}");
+}
+
 /// A mesh with cells a third as large has most of the relief that shading adds otherwise. Both must agree where the sun is low and in
 /// front: relief hides what is behind it, and shadows it.
 #[test]
@@ -56,23 +103,7 @@ fn relief_below_the_mesh_looks_as_geometry_does() {
     const SIDE: usize = 320;
     let mut ratios = Vec::new();
     for (seed, azimuth_deg) in [(1007, 330), (21, 20), (22, 60)] {
-        let azimuth = format!("sun.azimuth_deg={azimuth_deg}");
-        let of = |cells: &str| {
-            let set = [
-                SURFACE,
-                "sun.elevation_deg=9",
-                &azimuth,
-                "camera.pitch_deg=-13",
-                "camera.fov_deg=20",
-                "camera.height_m=1.6",
-                "rocks.coverage=0",
-                "grains.density=0",
-                "regolith.mottling=0",
-                cells,
-            ];
-            frame(&scene(seed, &set), SIDE as u32, &[Annotation::Hdr, Annotation::Shadow])
-        };
-        let (shaded, meshed) = (of("terrain.cell_mrad=12"), of("terrain.cell_mrad=4"));
+        let [shaded, meshed] = shaded_and_meshed(seed, [9, azimuth_deg], SIDE as u32);
         let [[level, strokes], [true_level, true_strokes]] = soil([&shaded, &meshed], SIDE);
         println!(
             "sun at {azimuth_deg}: mean {level:.4}, {true_level:.4}; strokes {strokes:.3}, {true_strokes:.3}"

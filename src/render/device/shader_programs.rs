@@ -328,7 +328,9 @@ mod tests {
         use crate::render::device::shading_bins::ShadowSources;
         use crate::render::lighting::detail_sums::{FAR_M, MIN_CLEARANCE};
         use crate::render::lighting::grains_host::{MAX_CELLS, ROUGHNESS};
-        use crate::render::lighting::ground_batch::{MAX_EYE_WAY, MAX_SUN_WAY, MIN_WAY};
+        use crate::render::lighting::ground_batch::{
+            MAX_EYE_WAY, MAX_SUN_WAY, MIN_TESTED_SAMPLES, MIN_WAY, MIN_WAYS_COSINE,
+        };
         use crate::render::lighting::slopes_host::{MIN_LOW_WAY, SHADOW_BLUR, TESTED_CELLS};
         use crate::render::select::caster_grid::TEST_HORIZON;
         use crate::render::select::lit_rocks::{REACH, ROCK_WORDS};
@@ -358,6 +360,8 @@ mod tests {
             (&LIGHTING_SURFACE, "MIN_CELLS", f64::from(MIN_CELLS)),
             (&LIGHTING_SURFACE, "MIN_CLEARANCE", f64::from(MIN_CLEARANCE)),
             (&LIGHTING_SURFACE, "FAR_M", f64::from(FAR_M)),
+            (&LIGHTING_SURFACE, "MIN_WAYS_COSINE", f64::from(MIN_WAYS_COSINE)),
+            (&LIGHTING_SURFACE, "MIN_TESTED_SAMPLES", f64::from(MIN_TESTED_SAMPLES)),
             (&LIGHTING_SURFACE, "MIN_WAY", f64::from(MIN_WAY)),
             (&LIGHTING_SURFACE, "MIN_LOW_WAY", f64::from(MIN_LOW_WAY)),
             (&LIGHTING_SURFACE, "SHADOW_BLUR", f64::from(SHADOW_BLUR)),

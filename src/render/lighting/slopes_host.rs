@@ -15,7 +15,7 @@ use crate::render::device::shader_structs::{LatticeUniforms, ReliefUniforms, Rel
 use crate::render::device::shading_bins::{LightingVariant, ShadingBin, ShadingBins};
 use crate::render::lighting::detail_sums::{DetailSums, FAR_M};
 use crate::render::lighting::grains_host::{GrainGround, GroundDetail, add_grains};
-use crate::render::lighting::ground_batch::{BATCH, GroundBatch, SampleBatch, Vectors};
+use crate::render::lighting::ground_batch::{BATCH, GroundBatch, MIN_TESTED_SAMPLES, SampleBatch, Vectors};
 use crate::render::lighting::relief_bands::{ReliefBands, sample_share};
 use crate::scene::craters::{
     BOWL, CLOD_HEIGHT, EJECTA_EXPONENT, FRESH_DEPTHS, JITTER_CELLS, PROFILE_DEPTH, RIM, WORN_DEPTHS,
@@ -176,7 +176,8 @@ fn ground_detail(
         let point = sums.point(&ground, i);
         (x[i], y[i]) = (point.x, point.y);
         let blur_m = SHADOW_BLUR * ground.across_m[i] * ground.per_way[1][i];
-        sun_on_ground[i] = (0.5 + 0.5 * sums.sun_clearance_m[i] / blur_m).clamp(0.0, 1.0);
+        let sun = (0.5 + 0.5 * sums.sun_clearance_m[i] / blur_m).clamp(0.0, 1.0);
+        sun_on_ground[i] = sun + (1.0 - sun) * ground.hidden_shadows[i];
     }
     let mut detail = GroundDetail {
         slope: Vectors { x: sums.x, y: sums.y },
@@ -243,14 +244,15 @@ fn add_relief(relief: &ReliefUniforms, ground: &GroundBatch, sums: &mut DetailSu
     }
     for wave in &relief.noise[..view.waves as usize] {
         if sample_share(wave.cell_m, nearest_m) > 0.0 && mesh_share(wave.cell_m, largest_cell_m) < 1.0 {
-            noise_slope(wave, ground, is_low, sums);
+            let is_tested = wave.cell_m > MIN_TESTED_SAMPLES * nearest_m;
+            noise_slope(wave, ground, is_low.map(|is_low| is_low && is_tested), sums);
         }
     }
     f32::from_bits(nearest_across)
 }
 
 /// Adds the slope, the height and the shade of one octave of noise; where it hides the ground from the eye, at the wave that does. `is_low`:
-/// whether rays to the eye and to the sun are so low that it may hide or shadow the ground.
+/// whether rays to the eye and to the sun are so low, and samples so close, that it may hide or shadow the ground.
 #[inline(always)]
 fn noise_slope(wave: &LatticeUniforms, ground: &GroundBatch, is_low: [bool; 2], sums: &mut DetailSums) {
     let lattice = wave.lattice();
@@ -295,7 +297,8 @@ fn noise_slope(wave: &LatticeUniforms, ground: &GroundBatch, is_low: [bool; 2], 
 }
 
 /// Where a ray to the eye (0) or to the sun (1) has risen a little: by how much, and how far it is then above the ground, metres. That is the
-/// height of this wave, above that of the larger ones by their slope. High rays are far above, as are all where samples do not show it.
+/// height of this wave, above that of the larger ones by their slope. High rays are far above, as are all where samples do not show it; where
+/// they barely do, the ray is higher by one over the share of the wave that is tested.
 #[inline(always)]
 fn clearance(
     wave: &LatticeUniforms,
@@ -310,9 +313,10 @@ fn clearance(
     let ([column, row], t) = lattice.cell(lattice.local(sums.point(ground, i) + way));
     let value = gradient_noise_2d([column, row], t, wave.seed, wave.factor);
     let height_m = wave.amount * resolved * value;
-    let clearance_m = rise_m - (sums.waves.x[i] * way.x + sums.waves.y[i] * way.y + height_m);
-    let is_low = (ground.per_way[ray][i] < 1.0 / MIN_LOW_WAY) & (resolved > 0.0);
-    (rise_m, if is_low { clearance_m } else { FAR_M })
+    let tested = ground.tested_share(i, wave.cell_m);
+    let is_tested = (ground.per_way[ray][i] < 1.0 / MIN_LOW_WAY) & (resolved > 0.0) & (tested > 0.0);
+    let clearance_m = rise_m / tested - (sums.waves.x[i] * way.x + sums.waves.y[i] * way.y + height_m);
+    (rise_m, if is_tested { clearance_m } else { FAR_M })
 }
 
 /// Adds the slope of the pits of a lattice: at most one crater or clod a cell, which does not reach beyond its cell.
