@@ -21,8 +21,8 @@ mod verify;
 use std::ffi::OsString;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
+use crate::error::{Error, Result};
 use crate::params::{KNOBS, presets};
-use crate::{Error, Result};
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 
 use args::pass_negative_numbers;
@@ -153,7 +153,7 @@ pub fn main(words: impl IntoIterator<Item = OsString>, itself: &dyn Fn() -> std:
         Ok(Err(Ending::Status(status))) => status,
         Ok(Err(Ending::Error(error))) => {
             note(format_args!("error: {error}"));
-            let stopped = matches!(error, crate::Error::Stopped { .. }).then(stopped_status).flatten();
+            let stopped = matches!(error, Error::Stopped { .. }).then(stopped_status).flatten();
             stopped.unwrap_or_else(|| error.exit_status())
         }
         Err(panic) => {

@@ -3,8 +3,8 @@
 use std::any::TypeId;
 use std::path::PathBuf;
 
-use crate::Result;
 use crate::dataset::rules::Rules;
+use crate::error::Result;
 use crate::gpu::Gpu;
 use crate::output::edges::EdgePolicy;
 use crate::output::{LabelIds, OUTPUTS};

@@ -6,10 +6,10 @@ use crate::bench::{self, Case, Curve, Measured, SWEEPS, Setup};
 use crate::dataset::Concurrency;
 use crate::dataset::plan::Plan;
 use crate::dataset::rules::Rules;
+use crate::error::{Error, Result};
 use crate::output::{self, Artifact, disk};
 use crate::params::Knob;
 use crate::render::{FRAMES_IN_FLIGHT, LightingMode, Renderer};
-use crate::{Error, Result};
 use clap::Args;
 use serde_json::{Map, Value, json};
 

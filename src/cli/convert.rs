@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use crate::Result;
 use crate::dataset::convert::Conversion;
+use crate::error::Result;
 use crate::output::dataset_path;
 use clap::Args;
 use serde_json::json;

@@ -13,9 +13,9 @@ use crate::dataset::merge::{Finalized, finalize, finalize_frames};
 use crate::dataset::plan::{self, MAX_FRAMES, Plan, Range, Seeds, frame_seed};
 use crate::dataset::rules::Rules;
 use crate::dataset::{self, Concurrency, Progress};
+use crate::error::{Error, Result};
 use crate::output;
 use crate::output::layout::{self, LAYOUTS, webdataset::archive_end};
-use crate::{Error, Result};
 use clap::Args;
 use serde_json::{Value, json};
 

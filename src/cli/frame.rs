@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use crate::Result;
 use crate::dataset::rules::Rules;
+use crate::error::Result;
 use crate::frame::Frame;
 use crate::gpu;
 use crate::meta::FrameRecord;

@@ -2,11 +2,11 @@
 
 use crate::dataset::rules::Rules;
 use crate::error::nearest;
+use crate::error::{Error, Result};
 use crate::params::config::Config;
 use crate::params::groups::GROUPS;
 use crate::params::presets::{preset_description, presets};
 use crate::params::{KNOBS, KnobInfo};
-use crate::{Error, Result};
 use clap::Args;
 use serde_json::{Value, json};
 

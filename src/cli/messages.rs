@@ -3,7 +3,7 @@
 use std::fmt::Display;
 use std::io::Write as _;
 
-use crate::{Error, Result};
+use crate::error::{Error, Result};
 use clap::Args;
 
 /// How much a command says on stderr.

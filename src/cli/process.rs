@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 
-use crate::{Error, Result};
+use crate::error::{Error, Result};
 use signal_hook::consts::signal::{SIGABRT, SIGINT, SIGTERM};
 #[cfg(unix)]
 use signal_hook::consts::signal::{SIGHUP, SIGXFSZ};

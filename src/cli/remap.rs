@@ -5,9 +5,9 @@ use std::ffi::OsStr;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 
+use crate::error::{Error, Result};
 use crate::output::{dataset_path, disk};
 use crate::remap::{self, Pair, Remapped};
-use crate::{Error, Result};
 use clap::Args;
 use serde_json::json;
 

@@ -2,12 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::error::{Error, Result};
 use crate::export::{self, Detail, Format, Stage};
+use crate::gpu;
 use crate::output::{Artifact, disk};
 use crate::params::Knob;
 use crate::render::RenderSettings;
 use crate::scene::Scene;
-use crate::{Error, Result, gpu};
 use clap::Args;
 use serde_json::{Value, json};
 

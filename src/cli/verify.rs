@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use crate::dataset::verify::{self, CHECKS, Report};
-use crate::{Error, Result, gpu};
+use crate::error::{Error, Result};
+use crate::gpu;
 use clap::Args;
 
 use super::args::DeviceArgs;
