@@ -258,12 +258,12 @@ def test_memory_is_flat() -> None:
                 return next(int(line.split()[1]) for line in status if line.startswith("VmRSS")) / 1024
         renderer = rr.Renderer(preset="train_dr", size=64, adapter={ADAPTER!r})
         after = []
-        for round in range(5):
-            for frame in renderer.frames(range(100)):
-                pass
-            after.append(resident_mib())
+        for number, frame in enumerate(renderer.frames([number % 100 for number in range(800)])):
+            if number % 100 == 99:
+                after.append(resident_mib())
         print(after)
-        assert after[4] - after[1] < 8, after
+        # The largest of the scenes have met on every thread by then; one frame of 64 x 64 that stays is 16 KiB.
+        assert after[7] - after[3] < 5, after
         """
     )
     assert ran.returncode == 0, ran.stdout + ran.stderr
