@@ -22,6 +22,7 @@ mod frame_image;
 pub mod frame_stream;
 pub mod gate;
 mod histograms;
+mod in_order;
 pub mod lock;
 pub mod log;
 pub mod log_writer;

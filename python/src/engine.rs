@@ -4,7 +4,8 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use pyo3::prelude::*;
-use regolith::dataset::frame_stream::{build_scene, render_scene};
+use regolith::dataset::attempt::build_scene;
+use regolith::dataset::frame_stream::render_scene;
 use regolith::dataset::plan::{Plan, Seeds};
 use regolith::dataset::rules::Rules;
 use regolith::dataset::{Concurrency, FrameStream};

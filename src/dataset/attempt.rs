@@ -3,7 +3,7 @@
 //! Must not know: threads, files.
 
 use std::borrow::BorrowMut;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 use super::plan::{Plan, Seeds};
@@ -65,6 +65,20 @@ impl RendererInfo {
     pub(super) fn new(renderer: &Renderer) -> Self {
         Self { adapter: renderer.gpu().info.clone(), raster: renderer.raster() }
     }
+}
+
+/// The renderer, for one step of a frame. A panic while it was locked is an error of the device, which the renderer reports itself.
+pub(super) fn lock<R>(renderer: &Mutex<R>) -> MutexGuard<'_, R> {
+    renderer.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// What workers need of a renderer that others use meanwhile.
+pub(super) fn planner_and_info(
+    renderer: &Mutex<impl BorrowMut<Renderer>>,
+) -> (Arc<FramePlanner>, RendererInfo) {
+    let renderer = lock(renderer);
+    let renderer: &Renderer = (*renderer).borrow();
+    (renderer.planner(), RendererInfo::new(renderer))
 }
 
 /// An attempt that is to be made.
@@ -182,6 +196,17 @@ impl RawAttempt {
     }
 }
 
+/// Builds the scene of a seed with a plan's knobs; returns it with the knobs' values.
+///
+/// # Errors
+/// Those of [`Config::draw`](crate::params::config::Config::draw) and [`Scene::build`].
+pub fn build_scene(plan: &Plan, seed: u64) -> Result<(Scene, Params)> {
+    let params = plan.config.draw(seed)?;
+    let scene = Scene::build(seed, &params)?;
+    selection::build_rocks(&scene, &plan.settings);
+    Ok((scene, params))
+}
+
 /// Builds the scene of an attempt and plans its frame.
 fn prepare(
     plan: &Plan,
@@ -192,9 +217,7 @@ fn prepare(
 ) -> Result<PreparedAttempt> {
     let start = Instant::now();
     let seed = plan.seed_of(index, attempt);
-    let params = plan.config.draw(seed)?;
-    let scene = Scene::build(seed, &params)?;
-    selection::build_rocks(&scene, &plan.settings);
+    let (scene, params) = build_scene(plan, seed)?;
     let times = vec![("scene", start.elapsed().as_secs_f64() * 1e3)];
     let packet = planner.plan(&scene, &plan.settings)?;
     Ok(PreparedAttempt { source: FrameScene { index, attempt, seed, params, scene, times, redrawn }, packet })
@@ -206,14 +229,9 @@ pub(super) fn render_scene(
     renderer: &Mutex<impl BorrowMut<Renderer>>,
     source: FrameScene,
 ) -> Result<RenderedFrame> {
-    let lock = || renderer.lock().unwrap_or_else(PoisonError::into_inner);
-    let (planner, info) = {
-        let renderer = lock();
-        let renderer: &Renderer = (*renderer).borrow();
-        (renderer.planner(), RendererInfo::new(renderer))
-    };
+    let (planner, info) = planner_and_info(renderer);
     let packet = planner.plan(&source.scene, &plan.settings)?;
-    let raw = render((*lock()).borrow_mut(), PreparedAttempt { source, packet })?;
+    let raw = render((*lock(renderer)).borrow_mut(), PreparedAttempt { source, packet })?;
     Ok(raw.post_process(&info))
 }
 

@@ -3,7 +3,6 @@
 //! Must not know: files.
 
 use std::borrow::BorrowMut;
-use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::sync::{Arc, Mutex};
@@ -11,14 +10,14 @@ use std::thread::JoinHandle;
 
 use serde_json::{Map, Value};
 
-use super::attempt::{self, FrameScene, RenderCost, RenderedFrame};
+use super::attempt::{self, FrameScene, RenderCost, RenderedFrame, build_scene};
+use super::in_order::InOrder;
 use super::pipeline::{Concurrency, Job, milliseconds_json, record, run_job};
 use super::plan::Plan;
 use crate::error::{Error, Result};
 use crate::output::arrays::{Array, arrays};
 use crate::output::rocks_json;
 use crate::params::{Knob, Params, Stage};
-use crate::render::select::selection;
 use crate::render::{Renderer, StageTimes};
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
@@ -54,17 +53,6 @@ impl FrameInMemory {
         let arrays = arrays(frame, &plan.outputs, plan.edges);
         Self { index, size, arrays, record, rocks, times, cost }
     }
-}
-
-/// Builds the scene of a seed with a plan's knobs; returns it with the knobs' values.
-///
-/// # Errors
-/// Those of [`Config::draw`](crate::params::config::Config::draw) and [`Scene::build`].
-pub fn build_scene(plan: &Plan, seed: u64) -> Result<(Scene, Params)> {
-    let params = plan.config.draw(seed)?;
-    let scene = Scene::build(seed, &params)?;
-    selection::build_rocks(&scene, &plan.settings);
-    Ok((scene, params))
 }
 
 /// A scene from another pose, or under another sun: `set` is TOML of the knobs that differ, of the sections `camera` and `sun`. What the
@@ -185,19 +173,14 @@ impl FrameStream {
         let (sender, frames) = sync_channel(ahead.max(1));
         let is_stopped = Arc::clone(&stop);
         let make = move || {
-            let mut wanted = indices.clone();
-            let mut next = wanted.next();
-            // Frames that wait for an earlier one. The same index may be wanted more than once.
-            let mut waiting: BTreeMap<u64, Vec<FrameInMemory>> = BTreeMap::new();
+            let mut in_order = InOrder::new(indices.clone());
             let result = render_in_memory(&plan, &renderer, indices, concurrency, &is_stopped, |frame| {
-                waiting.entry(frame.index).or_default().push(frame);
-                while let Some(frame) = next.and_then(|index| waiting.get_mut(&index)?.pop()) {
-                    waiting.retain(|_, frames| !frames.is_empty());
+                in_order.add(frame.index, frame);
+                while let Some(frame) = in_order.take() {
                     if sender.send(Ok(frame)).is_err() {
                         is_stopped.store(true, Ordering::Relaxed);
                         return Ok(());
                     }
-                    next = wanted.next();
                 }
                 Ok(())
             });

@@ -7,13 +7,14 @@ use std::borrow::BorrowMut;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use serde_json::{Map, Value, json};
 
 use super::attempt::{
-    Attempt, FrameScene, PreparedAttempt, RawAttempt, RenderCost, RenderedFrame, RendererInfo,
+    Attempt, FrameScene, PreparedAttempt, RawAttempt, RenderCost, RenderedFrame, RendererInfo, lock,
+    planner_and_info,
 };
 use super::log_writer::record_files;
 use super::plan::{Plan, Seeds};
@@ -111,11 +112,7 @@ pub fn run_job<T: Send>(
     let limits = QueueLimits { ready: threads.max(2), ahead: AHEAD_PER_WORKER * threads + frames_in_flight };
     let queue = WorkQueue::new(indices, limits);
     let (finished_sender, finished) = sync_channel::<T>(threads);
-    let (planner, info) = {
-        let renderer = lock(renderer);
-        let renderer: &Renderer = (*renderer).borrow();
-        (renderer.planner(), RendererInfo::new(renderer))
-    };
+    let (planner, info) = planner_and_info(renderer);
     std::thread::scope(|scope| {
         let (queue, first_error, finish) = (&queue, &first_error, &finish);
         let worker = Worker { plan, planner: &planner, renderer: &info, stop, first_error, finish };
@@ -143,11 +140,6 @@ pub fn run_job<T: Send>(
         render_prepared(renderer, frames_in_flight, queue, first_error);
     });
     first_error.into_result()
-}
-
-/// The renderer, for one step of a frame. A panic while it was locked is an error of the device, which the renderer reports itself.
-fn lock<R>(renderer: &Mutex<R>) -> MutexGuard<'_, R> {
-    renderer.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// What the workers share.

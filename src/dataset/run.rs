@@ -2,10 +2,10 @@
 //!
 //! Must not know: how a frame is rendered or encoded.
 
-use std::collections::BTreeMap;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
+use super::in_order::InOrder;
 use super::log_writer::FrameLogWriter;
 use super::merge::{Finalized, finalize_run};
 use super::pipeline::{Concurrency, FinishedFrame, milliseconds_json, milliseconds_since, render_frames};
@@ -114,16 +114,12 @@ pub fn stream(
     let indices = plan.own_indices();
     let wanted = indices.clone().count() as u64;
     let mut progress = Progress::new(0, wanted);
-    // Frames that wait for an earlier one: never more than are in flight.
-    let mut waiting: BTreeMap<u64, FinishedFrame> = BTreeMap::new();
-    let mut order = indices.clone();
-    let mut next = order.next();
+    let mut in_order = InOrder::new(indices.clone());
     render_frames(plan, renderer, indices, concurrency, stop, |frame| {
-        waiting.insert(frame.index, frame);
-        while let Some(frame) = next.and_then(|index| waiting.remove(&index)) {
+        in_order.add(frame.index, frame);
+        while let Some(frame) = in_order.take() {
             progress.add(&frame);
             sink(&frame.files, &progress)?;
-            next = order.next();
         }
         Ok(())
     })?;

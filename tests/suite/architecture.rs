@@ -163,7 +163,7 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
     (
         "dataset",
         &[
-            &["frame_image", "work_queue"],
+            &["frame_image", "in_order", "work_queue"],
             &["contact_sheet", "digest", "histograms", "rules", "totals"],
             &["data_card", "plan"],
             &["attempt", "manifest"],
