@@ -21,8 +21,11 @@
 
 // A constant, so that loops over the samples of a pixel unroll.
 override SAMPLES_PER_SIDE: u32;
-// Whether any annotation is requested. A constant, because llvmpipe takes the time of branches that are not taken.
+// Whether any annotation is requested, and in generated/resolve_planes.wgsl each of them: constants, because llvmpipe takes the time
+// of branches that are not taken.
 override HAS_ANNOTATIONS: bool;
+// Whether the 8-bit colour is requested: not where a sensor replaces it.
+override HAS_RGB: bool;
 // Whether the lens distorts: the samples are then those of a larger, undistorted image.
 override HAS_LENS_DISTORTION: bool;
 // Whether only the workgroups of `tile_list` are resolved.
@@ -42,7 +45,8 @@ const DISPATCH_WIDTH: u32 = 1024u;
 @compute @workgroup_size(64)
 fn cs_main(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) invocation: u32) {
     let pixels = frame.image_tile.z * frame.image_tile.w;
-    sample_uv_size = 1.0 / vec2<f32>(SAMPLES_PER_SIDE * frame.rendered_tile.zw);
+    // The textures may be larger than the tile.
+    sample_uv_size = 1.0 / vec2<f32>(textureDimensions(class_id_samples));
     let quads = (pixels + 3u) / 4u;
     var workgroup = id.y * DISPATCH_WIDTH + id.x;
     if USES_TILE_LIST { workgroup = tile_list[workgroup]; }
@@ -53,9 +57,11 @@ fn cs_main(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index
     let b = resolved_pixel(4u * quad + 1u, pixels);
     let c = resolved_pixel(4u * quad + 2u, pixels);
     let d = resolved_pixel(4u * quad + 3u, pixels);
-    packed_words[3u * quad] = a.x | (a.y << 8u) | (a.z << 16u) | (b.x << 24u);
-    packed_words[3u * quad + 1u] = b.y | (b.z << 8u) | (c.x << 16u) | (c.y << 24u);
-    packed_words[3u * quad + 2u] = c.z | (d.x << 8u) | (d.y << 16u) | (d.z << 24u);
+    if HAS_RGB {
+        packed_words[3u * quad] = a.x | (a.y << 8u) | (a.z << 16u) | (b.x << 24u);
+        packed_words[3u * quad + 1u] = b.y | (b.z << 8u) | (c.x << 16u) | (c.y << 24u);
+        packed_words[3u * quad + 2u] = c.z | (d.x << 8u) | (d.y << 16u) | (d.z << 24u);
+    }
     packed_words[3u * quads + quad] = a.w | (b.w << 8u) | (c.w << 16u) | (d.w << 24u);
 }
 
@@ -66,9 +72,12 @@ fn resolved_pixel(index: u32, pixels: u32) -> vec4<u32> {
     let first = column_and_row(pixel) * SAMPLES_PER_SIDE;
     if HAS_LENS_DISTORTION { find_sources(first); }
     let radiance = mean_radiance(first);
+    find_classes(first);
     let class_id = majority_class(first);
     if HAS_ANNOTATIONS { resolve_annotations(pixel, first, class_id, radiance); }
-    return vec4(srgb_bytes(radiance), class_id);
+    var rgb = vec3(0u);
+    if HAS_RGB { rgb = srgb_bytes(radiance); }
+    return vec4(rgb, class_id);
 }
 
 // Column and row of a pixel in the tile. llvmpipe divides integers lane by lane, so the row is computed in floating point, where it can
@@ -156,31 +165,63 @@ fn inverse_depth_at(sample: vec2<i32>) -> f32 {
     return bitcast<f32>(textureGather(3, visibility_buffer, nearest, (vec2<f32>(sample) + 1.0) * sample_uv_size).w);
 }
 
-// Inverse depth at sample `i` of a pixel. Under distortion its position is up to half a sample off the rendered `sample`:
-// extrapolated along the plane through the neighbours of the same object. At an edge the flatter side counts.
-fn inverse_depth_of(first: vec2<u32>, i: u32, sample: vec2<i32>) -> f32 {
+// Class and instance of each sample of a pixel, fetched once for all planes.
+var<private> sample_classes: array<u32, 16>;
+var<private> sample_instances: array<u32, 16>;
+
+fn find_classes(first: vec2<u32>) {
+    if SAMPLES_PER_SIDE == 2u && !HAS_LENS_DISTORTION {
+        // One gather, swizzled to reading order.
+        let classes = textureGather(0, class_id_samples, nearest, vec2<f32>(first + 1u) * sample_uv_size).wzxy;
+        for (var i = 0u; i < 4u; i++) { sample_classes[i] = classes[i]; }
+        return;
+    }
+    for (var i = 0u; i < SAMPLES_PER_SIDE * SAMPLES_PER_SIDE; i++) {
+        sample_classes[i] = class_at(rendered_sample(first, i));
+    }
+}
+
+fn find_instances(first: vec2<u32>) {
+    if SAMPLES_PER_SIDE == 2u && !HAS_LENS_DISTORTION {
+        let instances = textureGather(0, instance_id_samples, nearest, vec2<f32>(first + 1u) * sample_uv_size).wzxy;
+        for (var i = 0u; i < 4u; i++) { sample_instances[i] = instances[i]; }
+        return;
+    }
+    for (var i = 0u; i < SAMPLES_PER_SIDE * SAMPLES_PER_SIDE; i++) {
+        sample_instances[i] = instance_at(rendered_sample(first, i));
+    }
+}
+
+// Inverse depth at sample `i` of a pixel, which shows this class and instance. Under distortion its position is up to half a sample
+// off the rendered `sample`: extrapolated along the plane through the neighbours of the same object. At an edge the flatter side
+// counts.
+fn inverse_depth_of(i: u32, sample: vec2<i32>, class_id: u32, instance_id: u32) -> f32 {
     let inverse_depth = inverse_depth_at(sample);
     if !HAS_LENS_DISTORTION { return inverse_depth; }
     let offset = source_positions[i] - (vec2<f32>(sample + first_rendered()) + 0.5);
     let slope = vec2(
-        inverse_depth_step(sample, vec2(1, 0), inverse_depth),
-        inverse_depth_step(sample, vec2(0, 1), inverse_depth),
+        inverse_depth_step(sample, vec2(1, 0), inverse_depth, class_id, instance_id),
+        inverse_depth_step(sample, vec2(0, 1), inverse_depth, class_id, instance_id),
     );
     // At most twice as far away, towards the horizon.
     return max(inverse_depth + dot(slope, offset), 0.5 * inverse_depth);
 }
 
 // Change of the inverse depth from a rendered sample to the next one along `step`.
-fn inverse_depth_step(sample: vec2<i32>, step: vec2<i32>, inverse_depth: f32) -> f32 {
+fn inverse_depth_step(
+    sample: vec2<i32>,
+    step: vec2<i32>,
+    inverse_depth: f32,
+    class_id: u32,
+    instance_id: u32,
+) -> f32 {
     let first = -first_rendered();
     let last = vec2<i32>(SAMPLES_PER_SIDE * frame.render_size_px) - 1 + first;
     var slope = 0.0;
     var neighbours = 0;
     for (var side = -1; side <= 1; side += 2) {
         let neighbour = clamp(sample + side * step, first, last);
-        if any(neighbour != sample)
-            && class_at(neighbour) == class_at(sample)
-            && instance_at(neighbour) == instance_at(sample) {
+        if any(neighbour != sample) && class_at(neighbour) == class_id && instance_at(neighbour) == instance_id {
             let change = f32(side) * (inverse_depth_at(neighbour) - inverse_depth);
             slope = select(slope, change, neighbours == 0 || abs(change) < abs(slope));
             neighbours += 1;
@@ -192,24 +233,18 @@ fn inverse_depth_step(sample: vec2<i32>, step: vec2<i32>, inverse_depth: f32) ->
 fn majority_class(first: vec2<u32>) -> u32 {
     if SAMPLES_PER_SIDE == 2u { return majority_class_of_four(first); }
     let count = SAMPLES_PER_SIDE * SAMPLES_PER_SIDE;
-    let first_class = class_at(rendered_sample(first, 0u));
     var is_uniform = true;
-    for (var i = 1u; i < count; i++) {
-        is_uniform = is_uniform && class_at(rendered_sample(first, i)) == first_class;
-    }
-    if is_uniform { return first_class; }
-    var best = first_class;
+    for (var i = 1u; i < count; i++) { is_uniform = is_uniform && sample_classes[i] == sample_classes[0]; }
+    if is_uniform { return sample_classes[0]; }
+    var best = sample_classes[0];
     var best_votes = 0u;
     var best_inverse_depth = 0.0;
     for (var i = 0u; i < count; i++) {
-        let sample = rendered_sample(first, i);
-        let candidate = class_at(sample);
+        let candidate = sample_classes[i];
         if candidate == UNWRITTEN { return UNWRITTEN; }
-        let inverse_depth = inverse_depth_at(sample);
+        let inverse_depth = inverse_depth_at(rendered_sample(first, i));
         var votes = 0u;
-        for (var j = 0u; j < count; j++) {
-            votes += u32(class_at(rendered_sample(first, j)) == candidate);
-        }
+        for (var j = 0u; j < count; j++) { votes += u32(sample_classes[j] == candidate); }
         if votes > best_votes || (votes == best_votes && inverse_depth > best_inverse_depth) {
             best = candidate;
             best_votes = votes;
@@ -219,41 +254,23 @@ fn majority_class(first: vec2<u32>) -> u32 {
     return best;
 }
 
-// Of 2 x 2 samples, which without distortion one gather reads.
 fn majority_class_of_four(first: vec2<u32>) -> u32 {
-    let corner = vec2<f32>(first + 1u) * sample_uv_size;
-    var classes: vec4<u32>;
-    if HAS_LENS_DISTORTION {
-        classes = vec4(
-            class_at(source_samples[0]),
-            class_at(source_samples[1]),
-            class_at(source_samples[2]),
-            class_at(source_samples[3]),
-        );
-    } else {
-        // Swizzled to reading order.
-        classes = textureGather(0, class_id_samples, nearest, corner).wzxy;
-    }
+    let classes = vec4(sample_classes[0], sample_classes[1], sample_classes[2], sample_classes[3]);
     if all(classes == classes.xxxx) { return classes.x; }
     if any(classes == vec4(UNWRITTEN)) { return UNWRITTEN; }
-    var inverse_depths: vec4<f32>;
-    if HAS_LENS_DISTORTION {
-        inverse_depths = vec4(
-            inverse_depth_at(source_samples[0]),
-            inverse_depth_at(source_samples[1]),
-            inverse_depth_at(source_samples[2]),
-            inverse_depth_at(source_samples[3]),
-        );
-    } else {
-        inverse_depths = bitcast<vec4<f32>>(textureGather(3, visibility_buffer, nearest, corner).wzxy);
-    }
+    return majority_of_four(classes, vec4(true), inverse_depths_of_four(first));
+}
+
+// Of those of four ids that count, the one that most samples have; among ids with as many samples, that of the nearest one.
+fn majority_of_four(ids: vec4<u32>, counts: vec4<bool>, inverse_depths: vec4<f32>) -> u32 {
     var best = 0u;
     var best_votes = 0u;
     var best_inverse_depth = 0.0;
     for (var i = 0u; i < 4u; i++) {
-        let votes = dot(vec4<u32>(classes == vec4(classes[i])), vec4(1u));
-        if votes > best_votes || (votes == best_votes && inverse_depths[i] > best_inverse_depth) {
-            best = classes[i];
+        let votes = dot(vec4<u32>(counts & (ids == vec4(ids[i]))), vec4(1u));
+        let is_better = votes > best_votes || (votes == best_votes && inverse_depths[i] > best_inverse_depth);
+        if counts[i] && is_better {
+            best = ids[i];
             best_votes = votes;
             best_inverse_depth = inverse_depths[i];
         }
@@ -261,21 +278,42 @@ fn majority_class_of_four(first: vec2<u32>) -> u32 {
     return best;
 }
 
+// Inverse depths of four samples, in reading order. Called for pixels that need them alone: llvmpipe runs a loop of no constant length
+// on only while a pixel of a block needs it, and the rest once for all.
+fn inverse_depths_of_four(first: vec2<u32>) -> vec4<f32> {
+    if !HAS_LENS_DISTORTION {
+        return bitcast<vec4<f32>>(textureGather(3, visibility_buffer, nearest, vec2<f32>(first + 1u) * sample_uv_size).wzxy);
+    }
+    var inverse_depths = vec4(0.0);
+    var next = source_samples[0];
+    var second = source_samples[1];
+    var third = source_samples[2];
+    // 4, which no compiler knows.
+    let count = 4u + frame.zero;
+    for (var i = 0u; i < count; i++) {
+        inverse_depths = vec4(inverse_depths.yzw, inverse_depth_at(next));
+        next = second;
+        second = third;
+        third = source_samples[3];
+    }
+    return inverse_depths;
+}
+
 // Among the samples of a class.
 fn majority_instance(first: vec2<u32>, class_id: u32) -> u32 {
+    if SAMPLES_PER_SIDE == 1u { return sample_instances[0]; }
+    if SAMPLES_PER_SIDE == 2u { return majority_instance_of_four(first, class_id); }
     let count = SAMPLES_PER_SIDE * SAMPLES_PER_SIDE;
     var best = 0u;
     var best_votes = 0u;
     var best_inverse_depth = 0.0;
     for (var i = 0u; i < count; i++) {
-        let sample = rendered_sample(first, i);
-        if class_at(sample) != class_id { continue; }
-        let candidate = instance_at(sample);
-        let inverse_depth = inverse_depth_at(sample);
+        if sample_classes[i] != class_id { continue; }
+        let candidate = sample_instances[i];
+        let inverse_depth = inverse_depth_at(rendered_sample(first, i));
         var votes = 0u;
         for (var j = 0u; j < count; j++) {
-            let other = rendered_sample(first, j);
-            votes += u32(class_at(other) == class_id && instance_at(other) == candidate);
+            votes += u32(sample_classes[j] == class_id && sample_instances[j] == candidate);
         }
         if votes > best_votes || (votes == best_votes && inverse_depth > best_inverse_depth) {
             best = candidate;
@@ -286,12 +324,25 @@ fn majority_instance(first: vec2<u32>, class_id: u32) -> u32 {
     return best;
 }
 
+fn majority_instance_of_four(first: vec2<u32>, class_id: u32) -> u32 {
+    let classes = vec4(sample_classes[0], sample_classes[1], sample_classes[2], sample_classes[3]);
+    let instances = vec4(sample_instances[0], sample_instances[1], sample_instances[2], sample_instances[3]);
+    let is_of_class = classes == vec4(class_id);
+    // That of a sample of the class, if it has one at all.
+    var candidate = instances.w;
+    candidate = select(candidate, instances.z, is_of_class.z);
+    candidate = select(candidate, instances.y, is_of_class.y);
+    candidate = select(candidate, instances.x, is_of_class.x);
+    if !any(is_of_class) { return 0u; }
+    if !any(is_of_class & (instances != vec4(candidate))) { return candidate; }
+    return majority_of_four(instances, is_of_class, inverse_depths_of_four(first));
+}
+
 // Samples of each of the classes 0 to 3, one byte each.
-fn class_counts(first: vec2<u32>) -> u32 {
+fn class_counts() -> u32 {
     var counts = 0u;
     for (var i = 0u; i < SAMPLES_PER_SIDE * SAMPLES_PER_SIDE; i++) {
-        let other = class_at(rendered_sample(first, i));
-        if other < 4u { counts += 1u << (8u * other); }
+        if sample_classes[i] < 4u { counts += 1u << (8u * sample_classes[i]); }
     }
     return counts;
 }

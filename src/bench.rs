@@ -2,7 +2,8 @@
 //!
 //! A frame is timed from the end of the frame before it until it is read back, after a warm-up; the median is reported.
 //! Stages of several frames overlap, so their times need not add up to that of a frame. The time of the host is that of the program's
-//! own threads on a processor, without the threads of the driver.
+//! own threads on a processor, without the threads of the driver; that of the process has them all. In the cases of a dataset the
+//! time of redrawn attempts is that of the frames that come of them.
 //! Must not know: the command line.
 //! To add a case: a variant of [`Case`] with its arm in [`run`].
 
@@ -75,6 +76,13 @@ pub struct Measured {
     pub total_ms: f64,
     /// Mean processor time of the program's own threads for a frame, by what they do; `None` where the system does not report it.
     pub host: Option<RoleTimes>,
+    /// Processor time of the whole process for a frame, a driver's threads included, milliseconds; `None` where the system does not
+    /// report it.
+    pub process_ms: Option<f64>,
+    /// Attempts that broke a rule, in the cases `frames` and `dataset`.
+    pub redraws: u64,
+    /// Peak resident memory of the process up to the end of the case, bytes.
+    pub peak_rss_bytes: Option<u64>,
     /// Milliseconds of work by stage, of each frame.
     pub stages: Vec<StageTimes>,
     /// Triangles drawn for visibility, of each frame.
@@ -143,6 +151,9 @@ impl Measured {
             "median_ms": quantile(&self.frames_ms, 0.5),
             "p95_ms": quantile(&self.frames_ms, 0.95),
             "frames_per_second": self.frames_per_second(),
+            "process_ms": self.process_ms,
+            "redraws": self.redraws,
+            "peak_rss_bytes": self.peak_rss_bytes,
             "host_ms": self.host_ms(),
             "host_thread_ms": self.host.map(|host| json!({
                 "device": host.of(Role::Device),
@@ -196,16 +207,21 @@ const fn stopped(done: u64, wanted: u64) -> Error {
 struct Start {
     at: Instant,
     host: Option<RoleTimes>,
+    process_ms: Option<f64>,
 }
 
 impl Start {
     fn now() -> Self {
-        Self { at: Instant::now(), host: host_time::by_role() }
+        Self { at: Instant::now(), host: host_time::by_role(), process_ms: host_time::of_process_ms() }
     }
 
     /// Sets the times from the start to now.
     fn end(self, measured: &mut Measured) {
         measured.total_ms = self.at.elapsed().as_secs_f64() * 1e3;
+        let frames = measured.frames_ms.len().max(1) as f64;
+        let process_ms = host_time::of_process_ms().zip(self.process_ms);
+        measured.process_ms = process_ms.map(|(end, start)| (end - start) / frames);
+        measured.peak_rss_bytes = peak_rss_bytes();
         let host = host_time::by_role().zip(self.host);
         measured.host = host.map(|(end, start)| end.since(&start, measured.frames_ms.len()));
     }
@@ -313,13 +329,14 @@ impl Pipeline {
     }
 
     /// A frame is finished.
-    fn add(&mut self, times: StageTimes, cost: &RenderCost) {
+    fn add(&mut self, times: StageTimes, redraws: u32, cost: &RenderCost) {
         self.done += 1;
         if self.done <= WARM_UP {
             self.start = Start::now();
         } else {
             self.measured.frames_ms.push(self.last.elapsed().as_secs_f64() * 1e3);
             self.measured.stages.push(times);
+            self.measured.redraws += u64::from(redraws);
             self.measured.triangles.push(cost.triangles as f64);
             self.measured.upload_bytes.push(cost.uploaded_bytes as f64);
             self.measured.readback_bytes = cost.readback_bytes;
@@ -341,7 +358,7 @@ fn frames(setup: &Setup, renderer: &mut Renderer) -> Result<Measured> {
     let Setup { plan, concurrency, frames, stop } = setup;
     let indices = 0..WARM_UP + frames;
     dataset::render_in_memory(plan, &Mutex::new(renderer), indices, *concurrency, stop, |frame| {
-        pipeline.add(frame.times, &frame.cost);
+        pipeline.add(frame.times, frame.redraws, &frame.cost);
         Ok(())
     })?;
     pipeline.end(setup)
@@ -356,7 +373,7 @@ fn dataset(setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Meas
         if files.is_sync_due() {
             files.sync_folders()?;
         }
-        pipeline.add(frame.times, &frame.cost);
+        pipeline.add(frame.times, frame.redraws, &frame.cost);
         Ok(())
     })?;
     pipeline.end(setup)

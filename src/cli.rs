@@ -71,7 +71,9 @@ enum Command {
     /// Measure frame throughput by case and stage, as a table or as JSON
     ///
     /// The column "host ms" (host_ms in JSON) is the processor time of the program's own threads for a frame, where the system reports
-    /// it (Linux does): without that of a driver's threads, with that of its calls.
+    /// it (Linux does): without that of a driver's threads, with that of its calls. "CPU ms" (process_ms) is that of the whole process,
+    /// "peak MB" (peak_rss_bytes) its peak resident memory so far. With --preset or --config a dataset's rules apply, and what it
+    /// redraws is part of the time of its frames.
     Bench(Box<bench::BenchArgs>),
     /// Check a dataset: files, hashes, masks, statistics, some frames rendered again; exit status 1 if a check fails
     Verify(verify::VerifyArgs),

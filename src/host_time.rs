@@ -105,6 +105,17 @@ pub fn by_role() -> Option<RoleTimes> {
     Some(RoleTimes(by_role_ns.map(|ns| ns as f64 * 1e-6)))
 }
 
+/// Time that all threads of the process have spent on a processor so far, a driver's and ended ones included, milliseconds, to 10 ms;
+/// `None` where the system does not report it (it does on Linux).
+#[must_use]
+pub fn of_process_ms() -> Option<f64> {
+    // proc_pid_stat(5): user and system time are fields 14 and 15, in ticks of 1/100 s. Field 2 may have spaces and ends with `)`.
+    let stat = fs::read_to_string("/proc/self/stat").ok()?;
+    let mut fields = stat.rsplit_once(')')?.1.split_whitespace().skip(11);
+    let mut ticks = || fields.next()?.parse::<u64>().ok();
+    Some(10.0 * (ticks()? + ticks()?) as f64)
+}
+
 /// Time that a thread of this process has spent on a processor, nanoseconds.
 fn of_thread_ns(id: u32) -> Option<u64> {
     let times = fs::read_to_string(format!("/proc/self/task/{id}/schedstat")).ok()?;
@@ -117,6 +128,14 @@ mod tests {
 
     fn work() -> u64 {
         (0..20_000_000_u64).fold(1, |hash, i| std::hint::black_box(hash.wrapping_mul(31) ^ i))
+    }
+
+    #[test]
+    #[cfg_attr(not(target_os = "linux"), ignore = "the system does not report times of processes")]
+    fn the_time_of_the_process_has_that_of_threads_that_ended() {
+        let before = of_process_ms().expect("a time");
+        std::thread::spawn(|| (0..8).map(|_| work()).sum::<u64>()).join().expect("a thread");
+        assert!(of_process_ms().expect("a time") >= before + 20.0);
     }
 
     #[test]

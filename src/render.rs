@@ -316,12 +316,15 @@ impl Renderer {
         let tiles = tiling::tiles(&self.gpu, &request.image, (scene, settings), layout, self.tile_limits)?;
         let tile = tiles[0];
         let of_tile = RenderSettings { size: tile.rendered.size, ..*settings };
-        let mut gbuffer = self.gbuffers.take(&self.gpu, &of_tile, layout, self.tile_limits.bytes);
+        let is_distorted = request.undistorted.is_some();
+        let mut gbuffer =
+            self.gbuffers.take(&self.gpu, (&of_tile, is_distorted), layout, self.tile_limits.bytes);
         let mut slot = self.slots.take(&self.gpu, &RenderSettings { size: tile.image.size, ..request.image });
         // Timestamps are those of one submission.
         slot.timer = slot.timer.filter(|_| tile.image.size == image_size);
         let pipelines = FrameKey::new(scene, &gbuffer);
-        gbuffer.is_distorted = request.undistorted.is_some();
+        gbuffer.is_distorted = is_distorted;
+        gbuffer.has_rgb = scene.sensor.is_none();
         let resolve_variant = resolve::pass::Variant::new(&gbuffer);
         // Compiling a pipeline takes longer than it saves in one frame: the first is lit by as few pipelines as possible, which are
         // compiled while it is prepared.
@@ -337,13 +340,7 @@ impl Renderer {
                 plan.uniforms = frame_plan::of_tile(&plan.uniforms, tile, settings);
                 let mut bytes = gpu.guard(|| buffers.upload(gpu, scene, &plan, raster.multi_draw))?;
                 let size_px = plan.shadow_map_px;
-                bytes += shadow.prepare(
-                    gpu,
-                    layouts,
-                    (scene, &plan.selection),
-                    size_px,
-                    &mut slot.shadow_staging,
-                )?;
+                bytes += shadow.prepare(gpu, layouts, (scene, &plan.selection), size_px)?;
                 let inputs = VisibilityInputs {
                     scene,
                     settings,
@@ -352,10 +349,9 @@ impl Renderer {
                     bands: &plan.bands,
                     bin_by_shadow_sources: raster.bin_by_shadow_sources,
                 };
-                let staging = &mut slot.visibility_staging;
                 visibility.find(gpu, layouts, inputs);
                 let samples = tile.rendered.samples(settings.samples_per_side);
-                bytes += visibility.fill(gpu, &plan.draws.batches, samples, &mut gbuffer, staging)?;
+                bytes += visibility.fill(gpu, &plan.draws.batches, samples, &mut gbuffer)?;
                 Result::Ok((plan, bytes))
             },
             || {
@@ -389,8 +385,7 @@ impl Renderer {
         let PreparedFrame { plan, gbuffer, slot, pipelines, uploaded_bytes, .. } = frame;
         *uploaded_bytes += buffers.upload_uniforms(gpu, &frame_plan::of_tile(&plan.uniforms, tile, settings));
         let samples = tile.rendered.samples(settings.samples_per_side);
-        let staging = &mut slot.visibility_staging;
-        *uploaded_bytes += visibility.fill(gpu, &plan.draws.batches, samples, gbuffer, staging)?;
+        *uploaded_bytes += visibility.fill(gpu, &plan.draws.batches, samples, gbuffer)?;
         *uploaded_bytes += slot.packed.choose(gpu, gbuffer);
         if self.raster.lighting == LightingMode::Bins {
             lighting.prepare(gpu, *pipelines, gbuffer.batches.iter().map(|batch| batch.variant));

@@ -74,7 +74,8 @@ struct FrameUniforms {
     first_sample: vec2<f32>,
     // Steps of the inverse of the lens (common/lens.wgsl).
     lens_steps: u32,
-    reserved: u32,
+    // 0, which compilers do not know: loops whose length it is part of are not unrolled.
+    zero: u32,
     // Offset of each packed plane in the packed frame, words, or NOT_REQUESTED (src/render/device/packing.rs).
     plane_offsets: array<vec4<u32>, 2>,
     horizon: array<HorizonLevel, 12>,

@@ -34,6 +34,11 @@ pub(super) struct ConfigArgs {
 }
 
 impl ConfigArgs {
+    /// Whether a preset or a file is named.
+    pub(super) const fn is_named(&self) -> bool {
+        self.preset.is_some() || self.config.is_some()
+    }
+
     /// The configuration, checked as a whole.
     pub(super) fn build(&self) -> Result<Config> {
         let mut config = Config::new();

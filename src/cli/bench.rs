@@ -95,8 +95,9 @@ fn parse_cases(list: &str) -> Result<Vec<Case>> {
 fn setup(args: &BenchArgs, messages: Messages) -> Result<Setup> {
     let config = args.config.build()?;
     let outputs = output::parse_outputs(&args.outputs)?;
-    // Every frame is accepted: a redrawn one would be measured twice.
-    let rules = Rules::accepting_any_image();
+    // What is measured of a preset or of a file is the dataset that it makes, redraws included.
+    let rules =
+        if args.config.is_named() { Rules::from_config(&config)? } else { Rules::accepting_any_image() };
     let plan = Plan {
         edges: args.image.edges()?,
         label_ids: args.image.label_ids(),
@@ -146,7 +147,7 @@ fn measure(
         return print(&format!("{result:#}\n"));
     }
     let mut text = format!(
-        "{}\n{} x {} pixels, {} samples per pixel, {} cores\n\n{:<12}{:>10}{:>10}{:>10}{:>10}{:>12}{:>12}  stages, median ms\n",
+        "{}\n{} x {} pixels, {} samples per pixel, {} cores\n\n{:<12}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}{:>12}{:>12}  stages, median ms\n",
         crate::gpu::adapter::describe(info),
         settings.size[0],
         settings.size[1],
@@ -157,6 +158,8 @@ fn measure(
         "median ms",
         "p95 ms",
         "host ms",
+        "CPU ms",
+        "peak MB",
         "triangles",
         "upload MB"
     );
@@ -164,12 +167,14 @@ fn measure(
         let stages: Vec<String> =
             measured.stage_ms().iter().map(|(name, ms)| format!("{name} {ms:.1}")).collect();
         text.push_str(&format!(
-            "{:<12}{:>10.2}{:>10.1}{:>10.1}{:>10}{:>12}{:>12.2}  {}\n",
+            "{:<12}{:>10.2}{:>10.1}{:>10.1}{:>10}{:>10}{:>10}{:>12}{:>12.2}  {}\n",
             case.name(),
             measured.frames_per_second(),
             bench::quantile(&measured.frames_ms, 0.5),
             bench::quantile(&measured.frames_ms, 0.95),
-            measured.host_ms().map_or_else(|| "-".to_owned(), |ms| format!("{ms:.1}")),
+            number(measured.host_ms(), 1),
+            number(measured.process_ms, 1),
+            number(measured.peak_rss_bytes.map(|bytes| bytes as f64 / 1e6), 0),
             bench::quantile(&measured.triangles, 0.5),
             bench::quantile(&measured.upload_bytes, 0.5) / 1e6,
             stages.join(", ")
@@ -179,6 +184,11 @@ fn measure(
         text.push_str(&format!("\npeak resident memory {:.0} MB\n", bytes as f64 / 1e6));
     }
     print(&text)
+}
+
+/// A number to this many digits, or a dash where the system does not report it.
+fn number(value: Option<f64>, digits: usize) -> String {
+    value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"))
 }
 
 fn sweep(

@@ -38,6 +38,8 @@ pub struct FrameInMemory {
     pub rocks: Map<String, Value>,
     /// Milliseconds of work by stage.
     pub times: StageTimes,
+    /// Number of rejected attempts.
+    pub redraws: u32,
     /// What rendering it cost the device.
     pub cost: RenderCost,
 }
@@ -46,12 +48,13 @@ impl FrameInMemory {
     /// The frame that was rendered by a plan.
     fn of_rendered(plan: &Plan, rendered: RenderedFrame) -> Self {
         let mut record = record(plan, &rendered);
-        let RenderedFrame { source: FrameScene { index, times, .. }, frame, cost, .. } = rendered;
+        let RenderedFrame { source, frame, cost, .. } = rendered;
+        let FrameScene { index, attempt: redraws, times, .. } = source;
         record.insert("ms".to_owned(), milliseconds_json(&times).into());
         let size = [frame.width, frame.height];
         let rocks = rocks_json(&frame);
         let arrays = arrays(frame, &plan.outputs, plan.edges);
-        Self { index, size, arrays, record, rocks, times, cost }
+        Self { index, size, arrays, record, rocks, times, redraws, cost }
     }
 }
 

@@ -25,7 +25,9 @@ use device::{MapSource, ShadowPass};
 use host::{NewTile, ShadowMap};
 
 /// The room for new tiles in the staging buffer is a multiple of this, bytes: frames differ a little in what they need.
-const STAGING_STEP_BYTES: usize = 1 << 20;
+const STAGING_STEP_BYTES: usize = 4 << 20;
+/// Most bytes of tiles that are uploaded at once, but for a single larger tile.
+const STAGING_BYTES: usize = 32 << 20;
 
 /// Backend of the shadow map of the rocks.
 #[derive(Debug)]
@@ -64,14 +66,13 @@ impl ShadowBackend {
         layouts: &BindLayouts,
         (scene, selection): (&Scene, &Selection),
         size_px: [u32; 2],
-        staging: &mut Option<StagingBuffer>,
     ) -> Result<u64> {
         match self {
             Self::Device(pass) => {
                 pass.prepare(gpu, layouts, MapSource::new(scene, selection, size_px));
                 Ok(0)
             }
-            Self::Host(raster) => raster.prepare(gpu, scene, size_px, staging),
+            Self::Host(raster) => raster.prepare(gpu, scene, size_px),
         }
     }
 
@@ -136,6 +137,8 @@ pub(crate) struct ShadowRaster {
     /// Tiles that the map does not have yet.
     new_tiles: Vec<NewTile>,
     map: Option<(wgpu::Texture, wgpu::TextureView)>,
+    /// One for all frames in flight: when a frame is prepared, the copy of the one before it is the next that the device does.
+    staging: Option<StagingBuffer>,
     elapsed_ms: f64,
 }
 
@@ -147,28 +150,25 @@ impl ShadowRaster {
         self.tiles.size_px()
     }
 
-    fn prepare(
-        &mut self,
-        gpu: &Gpu,
-        scene: &Scene,
-        size_px: [u32; 2],
-        staging: &mut Option<StagingBuffer>,
-    ) -> Result<u64> {
+    fn prepare(&mut self, gpu: &Gpu, scene: &Scene, size_px: [u32; 2]) -> Result<u64> {
         let has_size = |texture: &wgpu::Texture| [texture.width(), texture.height()] == size_px;
         if !self.map.as_ref().is_some_and(|(texture, _)| has_size(texture)) {
             let usage = TextureUsages::COPY_DST | TextureUsages::TEXTURE_BINDING;
             self.map = Some(gpu.texture("shadow/map", size_px, SHADOW_MAP_FORMAT, usage));
         }
         let start = Instant::now();
-        let (regions, bytes) = host::upload_regions(&self.new_tiles);
-        if bytes > 0 {
+        let mut uploaded = 0;
+        for tiles in host::upload_parts(&self.new_tiles, STAGING_BYTES) {
+            let (regions, bytes) = host::upload_regions(tiles);
             let room = bytes.next_multiple_of(STAGING_STEP_BYTES);
-            let staging = StagingBuffer::with_capacity(staging, gpu, "shadow/staging", room)?;
-            staging.write(gpu, |pages| host::rasterise(scene, &self.new_tiles, pages))?;
-            staging.copy_to(gpu, &self.texture().0, &regions)?;
+            let staging = StagingBuffer::with_capacity(&mut self.staging, gpu, "shadow/staging", room)?;
+            staging.write(gpu, |pages| host::rasterise(scene, tiles, pages))?;
+            let (texture, _) = self.map.as_ref().expect("it was just made");
+            staging.copy_to(gpu, texture, &regions)?;
+            uploaded += bytes as u64;
         }
         self.elapsed_ms += milliseconds(start.elapsed());
-        Ok(bytes as u64)
+        Ok(uploaded)
     }
 
     fn texture(&self) -> &(wgpu::Texture, wgpu::TextureView) {

@@ -2,7 +2,6 @@
 //! Must not know: a scene.
 
 use crate::gpu::Gpu;
-use crate::gpu::staging::StagingBuffer;
 use crate::render::device::timing::Timer;
 use crate::render::resolve::pass::PackedFrame;
 use crate::render::settings::RenderSettings;
@@ -14,9 +13,6 @@ const MAX_OTHER_SLOTS: usize = 3;
 #[derive(Debug)]
 pub(crate) struct Slot {
     pub(crate) packed: PackedFrame,
-    /// Uploads of the host backends.
-    pub(crate) shadow_staging: Option<StagingBuffer>,
-    pub(crate) visibility_staging: Option<StagingBuffer>,
     pub(crate) timer: Option<Timer>,
 }
 
@@ -47,12 +43,7 @@ impl SlotPool {
         if self.spare.len() > MAX_OTHER_SLOTS {
             self.spare.remove(0);
         }
-        Slot {
-            packed: PackedFrame::new(gpu, size, annotations),
-            shadow_staging: None,
-            visibility_staging: None,
-            timer: Timer::new(gpu),
-        }
+        Slot { packed: PackedFrame::new(gpu, size, annotations), timer: Timer::new(gpu) }
     }
 
     /// Keeps a slot for later frames.

@@ -34,6 +34,8 @@ use meshes::Meshes;
 
 /// Most bytes that are uploaded at once.
 const STAGING_BYTES: u32 = 32 << 20;
+/// The staging buffer's size is a multiple of this, bytes: frames differ a little in what they need.
+const STAGING_STEP_BYTES: usize = 4 << 20;
 
 /// The parts of a frame plan that the stage reads.
 #[derive(Clone, Copy, Debug)]
@@ -105,7 +107,6 @@ impl VisibilityBackend {
         batches: &[DrawBatch],
         samples: PixelRect,
         gbuffer: &mut GBuffer,
-        staging: &mut Option<StagingBuffer>,
     ) -> Result<u64> {
         gbuffer.batches = batches.to_vec();
         let bytes = match self {
@@ -113,7 +114,7 @@ impl VisibilityBackend {
                 gbuffer.dome_stencil = None;
                 0
             }
-            Self::Host(raster) => raster.fill(gpu, samples, gbuffer, staging)?,
+            Self::Host(raster) => raster.fill(gpu, samples, gbuffer)?,
         };
         gbuffer.batches.retain(|batch| batch.bounds != ScreenBounds::EMPTY);
         for batch in &mut gbuffer.batches {
@@ -168,6 +169,8 @@ pub(crate) struct VisibilityRaster {
     triangles: VisibleTriangles,
     /// Columns and rows of samples of the image.
     sample_size: [u32; 2],
+    /// One for all frames in flight: when a frame is prepared, the copy of the one before it is among the next that the device does.
+    staging: Option<StagingBuffer>,
     elapsed_ms: f64,
 }
 
@@ -180,13 +183,7 @@ impl VisibilityRaster {
         self.elapsed_ms = milliseconds(start.elapsed());
     }
 
-    fn fill(
-        &mut self,
-        gpu: &Gpu,
-        samples: PixelRect,
-        gbuffer: &mut GBuffer,
-        staging: &mut Option<StagingBuffer>,
-    ) -> Result<u64> {
+    fn fill(&mut self, gpu: &Gpu, samples: PixelRect, gbuffer: &mut GBuffer) -> Result<u64> {
         let start = Instant::now();
         let bins = self.triangles.bins();
         for mesh in self.triangles.meshes() {
@@ -195,20 +192,14 @@ impl VisibilityRaster {
                 batch.bounds = batch.bounds.union(bounds);
             }
         }
-        let bytes = self.rasterise(gpu, samples, gbuffer, staging)?;
+        let bytes = self.rasterise(gpu, samples, gbuffer)?;
         gbuffer.dome_stencil = Some(bins.dome() + 1);
         self.elapsed_ms += milliseconds(start.elapsed());
         Ok(bytes)
     }
 
     /// Rasterises in parts that fit into the staging buffer and uploads each. Returns the bytes that were uploaded.
-    fn rasterise(
-        &self,
-        gpu: &Gpu,
-        samples: PixelRect,
-        gbuffer: &mut GBuffer,
-        staging: &mut Option<StagingBuffer>,
-    ) -> Result<u64> {
+    fn rasterise(&mut self, gpu: &Gpu, samples: PixelRect, gbuffer: &mut GBuffer) -> Result<u64> {
         let [width, _] = samples.size;
         // Rows are shared out to threads, and so begin with pages.
         let bytes_of = |format: TextureFormat, width: u32| {
@@ -226,7 +217,8 @@ impl VisibilityRaster {
         let each_bytes = each_bytes(width);
         let row_bytes = each_bytes[0] + each_bytes[1];
         let largest_part = rows_at_once.min(samples.size[1]) as usize * row_bytes;
-        let staging = StagingBuffer::with_capacity(staging, gpu, "gbuffer/staging", largest_part)?;
+        let largest_part = largest_part.next_multiple_of(STAGING_STEP_BYTES);
+        let staging = StagingBuffer::with_capacity(&mut self.staging, gpu, "gbuffer/staging", largest_part)?;
         let [first_row, end_row] = [samples.origin[1], samples.origin[1] + samples.size[1]];
         // Rows that only the frame before covered are cleared.
         let within =
@@ -262,7 +254,9 @@ impl VisibilityRaster {
                 staging.copy_to(gpu, slopes, &[TextureRegion { offset_bytes: each_bytes[0], ..region }])?;
             }
         }
-        gpu.guard(|| gpu.write_texels(&gbuffer.depth_stencil.0, gbuffer.sample_size, &stencil.values))?;
+        let padded = gbuffer.padded(&stencil.values);
+        let values = padded.as_ref().unwrap_or(&stencil.values);
+        gpu.guard(|| gpu.write_texels(&gbuffer.depth_stencil.0, gbuffer.capacity(), values))?;
         let bytes = row_bytes as u64 * written.len() as u64 + stencil.values.len() as u64;
         gbuffer.host_stencil = Some(stencil.values);
         Ok(bytes)

@@ -61,14 +61,15 @@ fn expected_area_px(scene: &Scene) -> f64 {
     scene.sun.solid_angle() * focal_px * focal_px / cosine.powi(3)
 }
 
-/// The irradiance at the lens that [`SunGlare::add`] puts into the image: of the disc alone, and of all scattered light.
+/// The irradiance at the lens that [`SunGlare`] puts into the image: of the disc alone, and of all scattered light.
 fn light_in_image(scene: &Scene, frame: &Frame, scattered: f64) -> Vec<f32> {
     let mut frame = frame.clone();
     let pixels = (SIDE * SIDE) as usize;
     let mut channels = vec![vec![0.0_f32; pixels]];
     if let Some(glare) = SunGlare::take(&mut frame, scene) {
         assert_eq!(disc_area_px(&frame), 0.0, "the disc is taken out");
-        glare.add(&mut channels, |_, rgb| rgb.x, (1.0, &vec![1.0; pixels]), (0.47, scattered));
+        glare.add_stray_light(&mut channels, |_, rgb| rgb.x, scattered);
+        glare.add_disc(&mut channels, |_, rgb| rgb.x, (1.0, &vec![1.0; pixels]), (0.47, scattered));
     }
     channels.remove(0)
 }

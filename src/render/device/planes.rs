@@ -181,8 +181,7 @@ pub(crate) fn lighting_passes(annotations: Annotations, limits: &wgpu::Limits) -
 pub(crate) enum Sum {
     /// A plane of samples.
     Plane(SamplePlane),
-    /// A scalar WGSL expression of the pixel's `first`, the index `i` and the rendered `sample`. It is expensive, and
-    /// evaluated only if the plane is requested.
+    /// A scalar WGSL expression of the index `i` of a sample, the rendered `sample`, its `class_id` and `instance_id`.
     Expression(&'static str),
 }
 
@@ -232,7 +231,7 @@ pub(crate) const fn resolve_rule(plane: Plane) -> ResolveRule {
         Plane::Class => Quads(&[SamplePlane::Class]),
         // The mean of the inverse depth, which is linear in the image: the depth of a plane at the pixel's centre.
         Plane::Depth => InstanceMean {
-            sum: Sum::Expression("inverse_depth_of(first, i, sample)"),
+            sum: Sum::Expression("inverse_depth_of(i, sample, class_id, instance_id)"),
             words: &["bitcast<u32>(samples / $sum)"],
         },
         Plane::Normals => InstanceMean {
@@ -249,7 +248,7 @@ pub(crate) const fn resolve_rule(plane: Plane) -> ResolveRule {
             words: &["u32(255.0 * $sum / samples + 0.5)"],
         },
         Plane::Radiance => Pixel { words: &["packed_halves(radiance.rg)", "half_bits(radiance.b)"] },
-        Plane::SampleCounts => Pixel { words: &["class_counts(first)"] },
+        Plane::SampleCounts => Pixel { words: &["class_counts()"] },
         Plane::Slope | Plane::Craters | Plane::Incidence | Plane::Phase | Plane::FiveClasses => Host,
     }
 }
@@ -305,12 +304,18 @@ pub(in crate::render) fn resolve_planes_wgsl() -> String {
             format_args!("@group(2) @binding({binding}) var {name}_samples: texture_2d<{kind}>;\n"),
         );
     }
+    text.push_str("\n// Whether each plane is requested.\n");
+    for (plane, _) in packed_planes() {
+        push(&mut text, format_args!("override {}: bool;\n", request_override(plane)));
+    }
     text.push_str(
         "\nfn resolve_annotations(pixel: u32, first: vec2<u32>, class_id: u32, radiance: vec3<f32>) {\n",
     );
     let mut pixel = String::new();
-    let (mut sums, mut additions, mut instance) = (String::new(), String::new(), String::new());
-    let mut of_instance = Vec::new();
+    let (mut sums, mut additions, mut instance, mut means) =
+        (String::new(), String::new(), String::new(), String::new());
+    // Overrides of the planes that depend on the instance, and of those that are means over its samples.
+    let (mut of_instance, mut of_means) = (Vec::new(), Vec::new());
     for (index, (plane, words)) in packed_planes().enumerate() {
         let (name, component) = (plane.row().name, ["x", "y", "z", "w"][index % 4]);
         push(
@@ -318,46 +323,52 @@ pub(in crate::render) fn resolve_planes_wgsl() -> String {
             format_args!("    let {name}_at = frame.plane_offsets[{}].{component};\n", index / 4),
         );
         match resolve_rule(plane) {
-            ResolveRule::Pixel { .. } => push_words(&mut pixel, name, words),
+            ResolveRule::Pixel { .. } => push_words(&mut pixel, plane, words),
             ResolveRule::Instance { .. } => {
-                of_instance.push(name);
-                push_words(&mut instance, name, words);
+                of_instance.push(request_override(plane));
+                push_words(&mut instance, plane, words);
             }
             ResolveRule::InstanceMean { sum, .. } => {
-                of_instance.push(name);
-                push_sum(&mut sums, &mut additions, name, sum);
+                of_instance.push(request_override(plane));
+                of_means.push(request_override(plane));
+                push_sum(&mut sums, &mut additions, plane, sum);
                 let words: Vec<String> =
                     words.iter().map(|word| word.replace("$sum", &format!("{name}_sum"))).collect();
-                push_words(&mut instance, name, &words);
+                push_words(&mut means, plane, &words);
             }
             ResolveRule::Quads(_) | ResolveRule::Host => {}
         }
     }
-    let first_at = of_instance
-        .iter()
-        .skip(1)
-        .fold(format!("{}_at", of_instance[0]), |first, name| format!("min({first}, {name}_at)"));
     text.push_str(&pixel);
-    push(&mut text, format_args!("    if {first_at} == NOT_REQUESTED {{ return; }}\n"));
+    push(&mut text, format_args!("    if !({}) {{ return; }}\n", of_instance.join(" || ")));
     text.push_str("    // Without instances the texture holds a single 0, which every gather returns.\n");
-    text.push_str("    let instance_id = majority_instance(first, class_id);\n    var samples = 0.0;\n");
+    text.push_str("    find_instances(first);\n    let instance_id = majority_instance(first, class_id);\n");
+    text.push_str(&instance);
+    push(&mut text, format_args!("    if !({}) {{ return; }}\n", of_means.join(" || ")));
+    text.push_str("    var samples = 0.0;\n");
     text.push_str(&sums);
     text.push_str("    for (var i = 0u; i < SAMPLES_PER_SIDE * SAMPLES_PER_SIDE; i++) {\n");
-    text.push_str("        let sample = rendered_sample(first, i);\n");
     text.push_str(
-        "        if class_at(sample) != class_id || instance_at(sample) != instance_id { continue; }\n",
+        "        if sample_classes[i] != class_id || sample_instances[i] != instance_id { continue; }\n",
     );
-    text.push_str("        samples += 1.0;\n");
+    text.push_str("        let sample = rendered_sample(first, i);\n        samples += 1.0;\n");
     text.push_str(&additions);
     text.push_str("    }\n");
-    text.push_str(&instance);
+    text.push_str(&means);
     text.push_str("}\n");
     text
 }
 
+/// The constant of `generated/resolve_planes.wgsl` that says whether a packed plane is requested.
+#[must_use]
+pub(in crate::render) fn request_override(plane: Plane) -> String {
+    format!("HAS_{}", plane.row().name.to_uppercase())
+}
+
 /// Stores the words of a plane, if it is requested.
-fn push_words<T: AsRef<str>>(text: &mut String, name: &str, words: &[T]) {
-    push(text, format_args!("    if {name}_at != NOT_REQUESTED {{\n"));
+fn push_words<T: AsRef<str>>(text: &mut String, plane: Plane, words: &[T]) {
+    let name = plane.row().name;
+    push(text, format_args!("    if {} {{\n", request_override(plane)));
     let stride = if words.len() == 1 { String::new() } else { format!("{}u * ", words.len()) };
     for (k, word) in words.iter().enumerate() {
         let further = if k == 0 { String::new() } else { format!(" + {k}u") };
@@ -367,24 +378,22 @@ fn push_words<T: AsRef<str>>(text: &mut String, name: &str, words: &[T]) {
     text.push_str("    }\n");
 }
 
-/// Declares the sum of a plane and adds a sample to it.
-fn push_sum(declarations: &mut String, additions: &mut String, name: &str, sum: Sum) {
-    let (zero, addition) = match sum {
-        Sum::Expression(expression) => {
-            ("0.0", format!("if {name}_at != NOT_REQUESTED {{ {name}_sum += {expression}; }}"))
-        }
+/// Declares the sum of a plane and adds a sample to it, if the plane is requested.
+fn push_sum(declarations: &mut String, additions: &mut String, plane: Plane, sum: Sum) {
+    let name = plane.row().name;
+    let (zero, value) = match sum {
+        Sum::Expression(expression) => ("0.0", expression.to_owned()),
         Sum::Plane(plane) => {
             let row = plane.row();
             let (zero, components) = if row.wgsl == "f32" { ("0.0", "r") } else { ("vec3(0.0)", "rgb") };
-            let texel = format!(
-                "textureSampleLevel({}_samples, nearest, centre_uv(sample), 0.0).{components}",
-                row.name
-            );
-            (zero, format!("{name}_sum += {texel};"))
+            let samples = format!("{}_samples", row.name);
+            let texel =
+                format!("textureSampleLevel({samples}, nearest, centre_uv(sample), 0.0).{components}");
+            (zero, texel)
         }
     };
     push(declarations, format_args!("    var {name}_sum = {zero};\n"));
-    push(additions, format_args!("        {addition}\n"));
+    push(additions, format_args!("        if {} {{ {name}_sum += {value}; }}\n", request_override(plane)));
 }
 
 #[cfg(test)]

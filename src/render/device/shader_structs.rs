@@ -71,7 +71,7 @@ shader_struct! {
         tile_from_clip: [f32; 4],
         first_sample: Vec2,
         lens_steps: u32,
-        reserved: u32,
+        zero: u32,
         plane_offsets: [[u32; 4]; 2],
         horizon: [HorizonLevel; 12],
     }

@@ -65,6 +65,8 @@ pub struct GBuffer {
     pub samples_per_side: u32,
     /// Columns and rows of samples.
     pub sample_size: [u32; 2],
+    /// Columns and rows of the textures, whose first ones the samples are.
+    capacity: [u32; 2],
     /// Annotations that are rendered.
     pub annotations: Annotations,
     /// How it is filled.
@@ -87,40 +89,43 @@ pub struct GBuffer {
     pub dome_stencil: Option<u8>,
     /// A lens distorts the image: the samples are those of the image before.
     pub is_distorted: bool,
+    /// The 8-bit image is resolved: no sensor replaces it.
+    pub has_rgb: bool,
     /// Bound where there are no slopes.
     no_slopes: wgpu::TextureView,
 }
 
 impl GBuffer {
-    /// Textures for an image, or for a tile of one, with these settings. It must be within the device's limits.
+    /// Textures of this many columns and rows for an image, or for a tile of one, with these settings. They must be within the
+    /// device's limits.
     #[must_use]
-    pub fn new(gpu: &Gpu, settings: &RenderSettings, layout: GBufferLayout) -> Self {
+    fn new(gpu: &Gpu, settings: &RenderSettings, layout: GBufferLayout, capacity: [u32; 2]) -> Self {
         let &RenderSettings { size, samples_per_side, annotations, .. } = settings;
-        let sample_size = settings.sample_size();
         let drawn = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
         let uploaded = TextureUsages::COPY_DST | TextureUsages::TEXTURE_BINDING;
         Self {
             size,
             samples_per_side,
-            sample_size,
+            sample_size: settings.sample_size(),
+            capacity,
             annotations,
             layout,
             planes: SAMPLE_PLANES.map(|row| {
-                let size = if row.plane.is_needed(annotations) { sample_size } else { [1, 1] };
+                let size = if row.plane.is_needed(annotations) { capacity } else { [1, 1] };
                 gpu.texture(&format!("gbuffer/{}", row.name), size, row.format, drawn).1
             }),
             visibility: gpu.texture(
                 "gbuffer/visibility",
-                sample_size,
+                capacity,
                 VISIBILITY_FORMAT,
                 layout.write_usage | TextureUsages::TEXTURE_BINDING,
             ),
             slopes: layout
                 .has_slopes
-                .then(|| gpu.texture("gbuffer/slopes", sample_size, SLOPES_FORMAT, uploaded)),
+                .then(|| gpu.texture("gbuffer/slopes", capacity, SLOPES_FORMAT, uploaded)),
             depth_stencil: gpu.texture(
                 "gbuffer/depth_stencil",
-                sample_size,
+                capacity,
                 layout.depth_stencil_format,
                 layout.write_usage | TextureUsages::RENDER_ATTACHMENT,
             ),
@@ -129,21 +134,59 @@ impl GBuffer {
             batches: Vec::new(),
             dome_stencil: None,
             is_distorted: false,
+            has_rgb: true,
             no_slopes: gpu.texture("gbuffer/no_slopes", [1, 1], SLOPES_FORMAT, uploaded).1,
         }
     }
 
     /// Bytes of its textures.
     fn bytes(&self) -> u64 {
-        self.sample_size.map(u64::from).iter().product::<u64>()
-            * self.layout.bytes_per_sample(self.annotations)
+        self.capacity.map(u64::from).iter().product::<u64>() * self.layout.bytes_per_sample(self.annotations)
     }
 
-    /// Whether it serves these settings.
-    #[must_use]
-    pub fn serves(&self, settings: &RenderSettings, layout: GBufferLayout) -> bool {
-        (self.size, self.samples_per_side, self.annotations, self.layout)
-            == (settings.size, settings.samples_per_side, settings.annotations, layout)
+    /// Whether it has the samples of these settings, in textures that are not much too large.
+    fn serves(&self, settings: &RenderSettings, layout: GBufferLayout) -> bool {
+        let area = |[width, height]: [u32; 2]| u64::from(width) * u64::from(height);
+        let needed = settings.sample_size();
+        (self.samples_per_side, self.annotations, self.layout)
+            == (settings.samples_per_side, settings.annotations, layout)
+            && self.capacity.iter().zip(needed).all(|(has, needed)| *has >= needed)
+            && (self.capacity == needed || 2 * area(self.capacity) <= 3 * area(needed))
+    }
+
+    /// Gives it the samples of an image of another size, which it has room for.
+    fn resize(&mut self, settings: &RenderSettings) {
+        self.size = settings.size;
+        let before = std::mem::replace(&mut self.sample_size, settings.sample_size());
+        if before != self.sample_size {
+            // Of rows that were longer.
+            self.written_rows = 0..self.sample_size[1];
+        }
+    }
+
+    /// The rows of a plane with a value for each sample, padded to those of the textures: copies to a stencil are of all of it.
+    pub(crate) fn padded<T: Copy + Default>(&self, samples: &[T]) -> Option<Vec<T>> {
+        let [columns, rows] = self.capacity.map(|side| side as usize);
+        if self.capacity == self.sample_size {
+            return None;
+        }
+        let mut padded = vec![T::default(); columns * rows];
+        let width = self.sample_size[0] as usize;
+        for (padded, samples) in padded.chunks_exact_mut(columns).zip(samples.chunks_exact(width)) {
+            padded[..width].copy_from_slice(samples);
+        }
+        Some(padded)
+    }
+
+    /// Columns and rows of the textures.
+    pub(crate) const fn capacity(&self) -> [u32; 2] {
+        self.capacity
+    }
+
+    /// Limits a pass to its samples.
+    pub(crate) fn set_viewport(&self, pass: &mut wgpu::RenderPass<'_>) {
+        let [width, height] = self.sample_size.map(|side| side as f32);
+        pass.set_viewport(0.0, 0.0, width, height, 0.0, 1.0);
     }
 
     /// Limits the draw of the dome to these rows of pixels, where the host knows the samples that show it.
@@ -177,7 +220,11 @@ impl GBuffer {
     }
 }
 
-/// G-buffers that are kept. Where each frame has a lens of its own, each has a size of its own, which seldom comes again.
+/// Columns and rows of textures for images that a lens distorts are multiples of this: where each frame has a lens of its own, each has
+/// a size of its own, and yet they share textures.
+const CAPACITY_STEP: u32 = 128;
+
+/// G-buffers that are kept.
 const MAX_KEPT: usize = 2;
 
 /// The G-buffers of the last frames: where two sizes alternate, none is made again for each frame.
@@ -193,14 +240,21 @@ impl GBufferPool {
     pub(crate) fn take(
         &mut self,
         gpu: &Gpu,
-        settings: &RenderSettings,
+        (settings, is_distorted): (&RenderSettings, bool),
         layout: GBufferLayout,
         max_bytes: u64,
     ) -> GBuffer {
         if let Some(index) = self.kept.iter().position(|kept| kept.serves(settings, layout)) {
-            return self.kept.remove(index);
+            let mut gbuffer = self.kept.remove(index);
+            gbuffer.resize(settings);
+            return gbuffer;
         }
-        let samples: u64 = settings.sample_size().map(u64::from).iter().product();
+        let side_limit = gpu.device.limits().max_texture_dimension_2d;
+        let capacity = settings.sample_size().map(|side| {
+            let step = if is_distorted { CAPACITY_STEP } else { 1 };
+            side.next_multiple_of(step).min(side_limit.max(side))
+        });
+        let samples: u64 = capacity.map(u64::from).iter().product();
         let needed = samples * layout.bytes_per_sample(settings.annotations);
         let has_room = |kept: &[GBuffer]| {
             kept.len() < MAX_KEPT && needed + kept.iter().map(GBuffer::bytes).sum::<u64>() <= max_bytes
@@ -208,7 +262,7 @@ impl GBufferPool {
         while !self.kept.is_empty() && !has_room(&self.kept) {
             self.kept.remove(0);
         }
-        GBuffer::new(gpu, settings, layout)
+        GBuffer::new(gpu, settings, layout, capacity)
     }
 
     /// Keeps one for later frames. Those that the device still reads may be taken: it works in order.

@@ -206,6 +206,7 @@ impl LightingPass {
             let is_timed = number == 0 || number == last;
             let mut pass = begin_pass(encoder, key, planes, gbuffer, timestamps.filter(|_| is_timed));
             let [frame, instances, light] = groups;
+            gbuffer.set_viewport(&mut pass);
             pass.set_bind_group(0, frame, &[]);
             pass.set_bind_group(2, light, &[]);
             let pipeline = |variant| {

@@ -80,60 +80,82 @@ fn relabel(frame: &mut Frame, rule: &LabelRule, reason_of: &[LabelReason]) {
     frame.rocks.retain(|rock| !becomes_ground(rock.reason));
 }
 
+/// Pixels beside each other in a row that show the same rock.
+#[derive(Clone, Copy, Default)]
+struct Run {
+    row: usize,
+    /// First column, and the one behind the last.
+    start: usize,
+    end: usize,
+}
+
 /// The pixels of a rock.
 struct Region {
     instance: u16,
     pixels: u64,
-    /// First and last column and row.
-    columns: [usize; 2],
-    rows: [usize; 2],
+    /// Its runs, from the top and the left on.
+    runs: Vec<Run>,
 }
 
 impl Region {
     /// The regions of a frame, by instance id.
     fn all(frame: &Frame) -> Vec<Self> {
         let mut regions: Vec<Option<Self>> = Vec::new();
-        for (y, row) in frame.instances.chunks_exact(frame.width as usize).enumerate() {
-            for (x, &instance) in row.iter().enumerate().filter(|(_, instance)| **instance > 0) {
-                let index = usize::from(instance);
-                if regions.len() <= index {
-                    regions.resize_with(index + 1, || None);
+        for (row, instances) in frame.instances.chunks_exact(frame.width as usize).enumerate() {
+            let mut start = 0;
+            for run in instances.chunk_by(|a, b| a == b) {
+                let (instance, end) = (run[0], start + run.len());
+                if instance > 0 {
+                    let index = usize::from(instance);
+                    if regions.len() <= index {
+                        regions.resize_with(index + 1, || None);
+                    }
+                    let new = || Self { instance, pixels: 0, runs: Vec::new() };
+                    let region = regions[index].get_or_insert_with(new);
+                    region.pixels += run.len() as u64;
+                    region.runs.push(Run { row, start, end });
                 }
-                let new = || Self { instance, pixels: 0, columns: [x, x], rows: [y, y] };
-                let region = regions[index].get_or_insert_with(new);
-                region.pixels += 1;
-                region.columns = [region.columns[0].min(x), region.columns[1].max(x)];
-                region.rows[1] = y;
+                start = end;
             }
         }
         regions.into_iter().flatten().collect()
     }
 
-    /// Calls `inside` with each pixel of the rock, and `around` with each one within [`RING_PX`] columns and rows of one.
+    /// Calls `inside` with each pixel of the rock, and `around` with each one within [`RING_PX`] columns and rows of one, from the
+    /// top and the left on. Takes time for these pixels alone, however large the rectangle around them is.
     fn for_each_pixel(&self, frame: &Frame, mut inside: impl FnMut(usize), mut around: impl FnMut(usize)) {
         let (width, height) = (frame.width as usize, frame.height as usize);
-        let (left, top) = (self.columns[0].saturating_sub(RING_PX), self.rows[0].saturating_sub(RING_PX));
-        let (right, bottom) =
-            ((self.columns[1] + RING_PX + 1).min(width), (self.rows[1] + RING_PX + 1).min(height));
-        let columns = right - left;
-        let is_rock = |x: usize, y: usize| frame.instances[y * width + x] == self.instance;
-        // The last row, from the top, that has the rock within RING_PX columns of each column.
-        let near_in_row = |y: usize| {
-            let mut near = vec![false; columns];
-            for x in (left..right).filter(|&x| is_rock(x, y)) {
-                let (first, last) = (x.saturating_sub(RING_PX).max(left), (x + RING_PX + 1).min(right));
-                near[first - left..last - left].fill(true);
+        let (Some(first), Some(last)) = (self.runs.first(), self.runs.last()) else { return };
+        // Runs of rows near the current one: from `near` on to `beyond`; those of the row itself from `own` on.
+        let (mut near, mut beyond, mut own) = (0, 0, 0);
+        let mut widened: Vec<[usize; 2]> = Vec::new();
+        for row in first.row.saturating_sub(RING_PX)..(last.row + RING_PX + 1).min(height) {
+            let before = |index: usize, row: usize| self.runs.get(index).is_some_and(|run| run.row < row);
+            while before(near, row.saturating_sub(RING_PX)) {
+                near += 1;
             }
-            near
-        };
-        let rows: Vec<Vec<bool>> = (top..bottom).map(near_in_row).collect();
-        for y in top..bottom {
-            let nearby = &rows[(y - top).saturating_sub(RING_PX)..(y - top + RING_PX + 1).min(rows.len())];
-            for x in left..right {
-                if is_rock(x, y) {
-                    inside(y * width + x);
-                } else if nearby.iter().any(|row| row[x - left]) {
-                    around(y * width + x);
+            while before(beyond, row + RING_PX + 1) {
+                beyond += 1;
+            }
+            while before(own, row) {
+                own += 1;
+            }
+            widened.clear();
+            let widen = |run: &Run| [run.start.saturating_sub(RING_PX), (run.end + RING_PX).min(width)];
+            widened.extend(self.runs[near..beyond].iter().map(widen));
+            widened.sort_unstable();
+            let mut column = 0;
+            for &[start, end] in &widened {
+                column = column.max(start);
+                while column < end {
+                    let run = self.runs.get(own).filter(|run| run.row == row && run.start < end);
+                    let gap = run.map_or(end, |run| run.start);
+                    (column..gap).for_each(|column| around(row * width + column));
+                    if let Some(run) = run {
+                        (run.start..run.end).for_each(|column| inside(row * width + column));
+                        own += 1;
+                    }
+                    column = run.map_or(gap, |run| run.end);
                 }
             }
         }
@@ -179,9 +201,12 @@ impl<'a> Signal<'a> {
         let values: Vec<f32> = if let Some(sensor) = sensor {
             let (black, scale) = (sensor.black_level as f32, sensor.full_well_e as f32);
             let part = 1.0 / light.len() as f32;
-            let fill = |pixel: usize| part * light.iter().map(|channel| channel[pixel]).sum::<f32>();
-            let values: Vec<f32> =
-                (0..frame.class.len()).map(|pixel| scale * fill(pixel).clamp(black, 1.0)).collect();
+            let (first, others) = light.split_first().expect("a sensor has channels");
+            let mut values = first.clone();
+            for channel in others {
+                values.iter_mut().zip(channel).for_each(|(value, light)| *value += light);
+            }
+            values.iter_mut().for_each(|value| *value = scale * (part * *value).clamp(black, 1.0));
             blurred(&values, frame.width as usize, sensor.psf_px / sensor.pixels_per_side(frame.width))
         } else {
             frame
@@ -239,9 +264,13 @@ fn blurred(values: &[f32], width: usize, sigma_px: f64) -> Vec<f32> {
     let middle = 1.0 - 2.0 * side;
     let mut along_rows = vec![0.0; values.len()];
     for (row, out) in values.chunks_exact(width).zip(along_rows.chunks_exact_mut(width)) {
-        for x in 0..width {
-            let (left, right) = (row[x.saturating_sub(1)], row[(x + 1).min(width - 1)]);
-            out[x] = middle * row[x] + side * (left + right);
+        let last = width - 1;
+        out[0] = middle * row[0] + side * (row[0] + row[1.min(last)]);
+        for (out, near) in out[1..].iter_mut().zip(row.windows(3)) {
+            *out = middle * near[1] + side * (near[0] + near[2]);
+        }
+        if last > 0 {
+            out[last] = middle * row[last] + side * (row[last - 1] + row[last]);
         }
     }
     let row = |y: usize| &along_rows[y * width..(y + 1) * width];
@@ -249,9 +278,54 @@ fn blurred(values: &[f32], width: usize, sigma_px: f64) -> Vec<f32> {
     let mut both = vec![0.0; values.len()];
     for (y, out) in both.chunks_exact_mut(width).enumerate() {
         let (above, here, below) = (row(y.saturating_sub(1)), row(y), row((y + 1).min(height - 1)));
-        for x in 0..width {
-            out[x] = middle * here[x] + side * (above[x] + below[x]);
+        for (((out, above), here), below) in out.iter_mut().zip(above).zip(here).zip(below) {
+            *out = middle * here + side * (above + below);
         }
     }
     both
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rocks with holes, in several parts, at the edges, and one that surrounds another.
+    #[test]
+    fn the_surroundings_of_a_rock_are_the_pixels_near_it() {
+        let (width, height) = (61_usize, 47_usize);
+        let instance = |pixel: usize| {
+            let (x, y) = ((pixel % width) as i32, (pixel / width) as i32);
+            let distance = (x - 30).pow(2) + (y - 20).pow(2);
+            match distance {
+                0..9 => 1,
+                60..150 if (x + y) % 11 > 1 => 2,
+                _ if x > 55 || (y > 43 && x < 9) => 3,
+                _ if (x * 7 + y * 13) % 97 == 5 => 4,
+                _ => 0,
+            }
+        };
+        let frame = Frame {
+            width: width as u32,
+            height: height as u32,
+            instances: (0..width * height).map(instance).collect(),
+            ..Frame::default()
+        };
+        let regions = Region::all(&frame);
+        assert_eq!(regions.iter().map(|region| region.instance).collect::<Vec<_>>(), [1, 2, 3, 4]);
+        for region in regions {
+            let (mut inside, mut around) = (Vec::new(), Vec::new());
+            region.for_each_pixel(&frame, |pixel| inside.push(pixel), |pixel| around.push(pixel));
+            let shows = |pixel: &usize| frame.instances[*pixel] == region.instance;
+            let is_near = |pixel: &usize| {
+                let (x, y) = (pixel % width, pixel / width);
+                let rows = y.saturating_sub(RING_PX)..(y + RING_PX + 1).min(height);
+                let columns = x.saturating_sub(RING_PX)..(x + RING_PX + 1).min(width);
+                rows.flat_map(|y| columns.clone().map(move |x| y * width + x)).any(|near| shows(&near))
+            };
+            let pixels = 0..width * height;
+            assert_eq!(inside, pixels.clone().filter(shows).collect::<Vec<_>>());
+            assert_eq!(around, pixels.filter(|pixel| !shows(pixel) && is_near(pixel)).collect::<Vec<_>>());
+            assert_eq!(region.pixels, inside.len() as u64);
+        }
+    }
 }

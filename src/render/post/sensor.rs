@@ -41,15 +41,20 @@ const MAX_FILL: f32 = 4.0;
 pub fn expose(frame: &mut Frame, sensor: &Sensor, exposure_ev: f32, sun: Option<&SunGlare>) -> Vec<Vec<f32>> {
     let size @ [width, height] = [frame.width as usize, frame.height as usize];
     let mut channels = spectral_channels(frame, sensor.mosaic);
+    let veils: Vec<f32> = channels.iter().map(|channel| veil(channel, sensor)).collect();
+    let channel_of = |channel: usize, rgb: Vec3| channel_of_rgb(sensor.mosaic, channel, rgb);
+    if let Some(sun) = sun {
+        sun.add_stray_light(&mut channels, channel_of, sensor.glare);
+    }
+    // What the sun veils is metered, its disc is not.
     let gain = exposure_gain(frame, sensor, &channels[channels.len() / 2], exposure_ev);
     let falloff = vignetting(width, height, frame.focal_px as f32, sensor);
-    for channel in &mut channels {
-        add_glare_and_vignetting(channel, &falloff, sensor, gain);
+    for (channel, veil) in channels.iter_mut().zip(veils) {
+        add_veil_and_vignetting(channel, &falloff, veil, gain);
     }
     if let Some(sun) = sun {
-        let channel_of = |channel: usize, rgb: Vec3| channel_of_rgb(sensor.mosaic, channel, rgb);
         let psf_px = sensor.psf_px / sensor.pixels_per_side(frame.width);
-        sun.add(&mut channels, channel_of, (gain, &falloff), (psf_px, sensor.glare));
+        sun.add_disc(&mut channels, channel_of, (gain, &falloff), (psf_px, sensor.glare));
         for channel in &mut channels {
             channel.iter_mut().for_each(|value| *value = value.min(MAX_FILL));
         }
@@ -104,10 +109,14 @@ fn vignetting(width: usize, height: usize, focal_px: f32, sensor: &Sensor) -> Ve
     falloff
 }
 
-/// Adds the veiling glare, an even part of the channel's mean, and applies the gain and the vignetting.
-fn add_glare_and_vignetting(channel: &mut [f32], falloff: &[f32], sensor: &Sensor, gain: f32) {
+/// The veiling glare, an even part of a channel's mean.
+fn veil(channel: &[f32], sensor: &Sensor) -> f32 {
     let mean = channel.iter().map(|value| f64::from(*value)).sum::<f64>() / channel.len() as f64;
-    let veil = (sensor.glare * mean) as f32;
+    (sensor.glare * mean) as f32
+}
+
+/// Adds the veiling glare to a channel, and applies the gain and the vignetting.
+fn add_veil_and_vignetting(channel: &mut [f32], falloff: &[f32], veil: f32, gain: f32) {
     for (value, falloff) in channel.iter_mut().zip(falloff) {
         *value = gain * falloff * (*value + veil);
     }

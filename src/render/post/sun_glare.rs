@@ -118,44 +118,57 @@ impl SunGlare {
         bounds.iter().all(|range| !range.is_empty()).then_some(bounds)
     }
 
-    /// Adds the sun to the channels of an image, linear radiance times `gain` and the share in `falloff` that the vignetting leaves:
-    /// its disc through a point spread function of this standard deviation, the light that is scattered, `scattered` of all, and the
-    /// ghosts. `channel_of` gives a channel's response to a colour.
-    pub fn add(
+    /// Adds the light that the lens scatters, `scattered` of all, and the ghosts to the channels of an image, linear radiance.
+    /// `channel_of` gives a channel's response to a colour.
+    pub fn add_stray_light(
         &self,
         channels: &mut [Vec<f32>],
         channel_of: impl Fn(usize, Vec3) -> f32 + Sync,
-        (gain, falloff): (f32, &[f32]),
-        (psf_px, scattered): (f64, f64),
+        scattered: f64,
     ) {
         let width = self.size[0];
         let rays = self.rays();
         let norm = std::f32::consts::PI * libm::logf(1.0 + 4.0 / SCATTER_CORE);
         let scatter = scattered as f32 / norm * self.irradiance;
         let ghosts = self.ghosts_in_image();
-        let (patch, light) = self.spread_disc(psf_px);
-        for (number, channel) in channels.iter_mut().enumerate() {
-            let scatter = channel_of(number, scatter);
-            let ghosts: Vec<(Vec2, f32, f32)> = ghosts
-                .iter()
-                .map(|(centre, tan_radius, radiance)| (*centre, *tan_radius, channel_of(number, *radiance)))
-                .collect();
-            channel.par_chunks_exact_mut(width).enumerate().for_each(|(y, row)| {
-                for (x, value) in row.iter_mut().enumerate() {
-                    let point = rays.at(x, y);
-                    let ray = point.extend(1.0) / point.extend(1.0).length();
-                    let mut light = scatter / (SCATTER_CORE + ray.distance_squared(self.towards));
-                    for (centre, tan_radius, radiance) in &ghosts {
-                        let inside = (1.0 - point.distance(*centre) / tan_radius) / GHOST_EDGE;
-                        light += radiance * inside.clamp(0.0, 1.0);
-                    }
-                    *value += gain * falloff[y * width + x] * light;
+        // Of each pixel: the scattered part of the irradiance, and the lit part of each ghost.
+        let parts = 1 + ghosts.len();
+        let mut shares = vec![0.0; parts * width * self.size[1]];
+        shares.par_chunks_exact_mut(parts * width).enumerate().for_each(|(y, row)| {
+            for (x, shares) in row.chunks_exact_mut(parts).enumerate() {
+                let point = rays.at(x, y);
+                let ray = point.extend(1.0) / point.extend(1.0).length();
+                shares[0] = 1.0 / (SCATTER_CORE + ray.distance_squared(self.towards));
+                for (share, (centre, tan_radius, _)) in shares[1..].iter_mut().zip(&ghosts) {
+                    let inside = (1.0 - point.distance(*centre) / tan_radius) / GHOST_EDGE;
+                    *share = inside.clamp(0.0, 1.0);
                 }
-            });
-            let [columns, rows] = &patch;
+            }
+        });
+        for (number, channel) in channels.iter_mut().enumerate() {
+            let light = ghosts.iter().map(|(.., radiance)| *radiance);
+            let light: Vec<f32> =
+                std::iter::once(scatter).chain(light).map(|light| channel_of(number, light)).collect();
+            for (value, shares) in channel.iter_mut().zip(shares.chunks_exact(parts)) {
+                *value += shares.iter().zip(&light).map(|(share, light)| share * light).sum::<f32>();
+            }
+        }
+    }
+
+    /// Adds the disc to the channels of an image, linear radiance times `gain` and the share in `falloff` that the vignetting leaves,
+    /// through a point spread function of this standard deviation; `scattered` of its light is elsewhere.
+    pub fn add_disc(
+        &self,
+        channels: &mut [Vec<f32>],
+        channel_of: impl Fn(usize, Vec3) -> f32,
+        (gain, falloff): (f32, &[f32]),
+        (psf_px, scattered): (f64, f64),
+    ) {
+        let ([columns, rows], light) = self.spread_disc(psf_px);
+        for (number, channel) in channels.iter_mut().enumerate() {
             for (y, lights) in rows.clone().zip(light.chunks_exact(columns.len().max(1))) {
                 for (x, light) in columns.clone().zip(lights) {
-                    let pixel = y * width + x;
+                    let pixel = y * self.size[0] + x;
                     let direct = (1.0 - scattered as f32) * channel_of(number, *light);
                     channel[pixel] += gain * falloff[pixel] * direct;
                 }

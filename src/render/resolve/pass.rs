@@ -10,6 +10,7 @@ use crate::gpu::Gpu;
 use crate::gpu::readback::ReadbackBuffer;
 use crate::render::device::bind_groups::BindLayouts;
 use crate::render::device::packing::{Packing, WORKGROUP_SIZE};
+use crate::render::device::planes::{packed_planes, request_override};
 use crate::render::device::shader_programs::RESOLVE;
 use crate::render::lighting::gbuffer::GBuffer;
 use crate::render::resolve::tile_list::{SkyStencil, TileList};
@@ -32,7 +33,8 @@ pub struct ResolvePass {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Variant {
     samples_per_side: u32,
-    has_annotations: bool,
+    annotations: Annotations,
+    has_rgb: bool,
     has_lens_distortion: bool,
     uses_tile_list: bool,
 }
@@ -44,10 +46,28 @@ impl Variant {
         let has_lens_distortion = gbuffer.is_distorted;
         Self {
             samples_per_side: gbuffer.samples_per_side,
-            has_annotations: gbuffer.annotations != Annotations::default(),
+            annotations: gbuffer.annotations,
+            has_rgb: gbuffer.has_rgb,
             has_lens_distortion,
             uses_tile_list: gbuffer.layout.has_host_stencil && !has_lens_distortion,
         }
+    }
+
+    /// Values of the overrides in `resolve.wgsl`, by name.
+    fn constants(self) -> Vec<(String, f64)> {
+        let flag = |is_set: bool| f64::from(u8::from(is_set));
+        let of_pass = [
+            ("TONE_KNEE", TONE_KNEE),
+            ("TONE_WHITE", TONE_WHITE),
+            ("SAMPLES_PER_SIDE", f64::from(self.samples_per_side)),
+            ("HAS_ANNOTATIONS", flag(self.annotations != Annotations::default())),
+            ("HAS_RGB", flag(self.has_rgb)),
+            ("HAS_LENS_DISTORTION", flag(self.has_lens_distortion)),
+            ("USES_TILE_LIST", flag(self.uses_tile_list)),
+        ];
+        let of_planes =
+            packed_planes().map(|(plane, _)| (request_override(plane), flag(plane.is_in(self.annotations))));
+        of_pass.into_iter().map(|(name, value)| (name.to_owned(), value)).chain(of_planes).collect()
     }
 }
 
@@ -68,20 +88,15 @@ impl ResolvePass {
         if self.pipelines.iter().any(|(compiled, _)| *compiled == variant) {
             return;
         }
+        let constants = variant.constants();
+        let constants: Vec<_> = constants.iter().map(|(name, value)| (name.as_str(), *value)).collect();
         let pipeline = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some("resolve"),
             layout: Some(&self.layout),
             module: &self.module,
             entry_point: Some("cs_main"),
             compilation_options: wgpu::PipelineCompilationOptions {
-                constants: &[
-                    ("TONE_KNEE", TONE_KNEE),
-                    ("TONE_WHITE", TONE_WHITE),
-                    ("SAMPLES_PER_SIDE", f64::from(variant.samples_per_side)),
-                    ("HAS_ANNOTATIONS", f64::from(u8::from(variant.has_annotations))),
-                    ("HAS_LENS_DISTORTION", f64::from(u8::from(variant.has_lens_distortion))),
-                    ("USES_TILE_LIST", f64::from(u8::from(variant.uses_tile_list))),
-                ],
+                constants: &constants,
                 ..Default::default()
             },
             cache: gpu.pipeline_cache(),

@@ -186,6 +186,21 @@ impl NewTile {
     }
 }
 
+/// Divides tiles into parts of at most `max_bytes` in staging memory each, or of a single tile.
+pub fn upload_parts(tiles: &[NewTile], max_bytes: usize) -> impl Iterator<Item = &[NewTile]> {
+    let mut rest = tiles;
+    std::iter::from_fn(move || {
+        let mut bytes = 0;
+        let count = rest.iter().take_while(|tile| {
+            bytes += tile.pages(tile.size()) * PAGE_BYTES;
+            bytes <= max_bytes
+        });
+        let (part, others) = rest.split_at(count.count().max(1).min(rest.len()));
+        rest = others;
+        (!part.is_empty()).then_some(part)
+    })
+}
+
 /// The layout of tiles in staging memory, one after the other: the region of the map that each is copied to, and the bytes of
 /// all.
 #[must_use]

@@ -115,6 +115,7 @@ impl VisibilityPass {
         });
         let pipelines = self.pipelines.as_ref().expect("a pass is prepared before it is recorded");
         let [frame, instances] = groups;
+        gbuffer.set_viewport(&mut pass);
         pass.set_bind_group(0, frame, &[]);
         pass.set_bind_group(1, instances, &[0, 0]);
         for batch in &gbuffer.batches {

@@ -15,7 +15,7 @@ use super::rock::Rock;
 #[derive(Clone, Debug, Default)]
 pub struct Rocks(Arc<[Entry]>);
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 struct Entry {
     /// How to build it; `None` for a rock that was supplied as it is, or modified.
     plan: Option<RockPlan>,
@@ -113,9 +113,10 @@ impl Rocks {
 
     /// These, with further ones behind them.
     #[must_use]
-    pub(in crate::scene) fn with(self, more: Vec<Rock>) -> Self {
+    pub(in crate::scene) fn with(mut self, more: Vec<Rock>) -> Self {
         let more = more.into_iter().map(|rock| Entry { plan: None, built: OnceLock::from(rock) });
-        Self(self.0.iter().cloned().chain(more).collect())
+        let entries = Arc::make_mut(&mut self.0).iter_mut().map(std::mem::take);
+        Self(entries.chain(more).collect())
     }
 
     /// Rocks that are built on first access.

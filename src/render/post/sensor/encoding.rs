@@ -44,11 +44,9 @@ impl SrgbCodes {
     #[inline]
     pub(super) fn code(&self, linear: f32) -> u8 {
         let linear = linear.clamp(0.0, 1.0);
-        let mut code = self.codes[(linear * TABLE_STEPS as f32) as usize];
-        while self.thresholds[usize::from(code) + 1] <= linear {
-            code += 1;
-        }
-        code
+        let code = self.codes[(linear * TABLE_STEPS as f32) as usize];
+        // A step of the table is less than one of the codes, of which there are 12.92 * 255 to 1 at most.
+        code + u8::from(self.thresholds[usize::from(code) + 1] <= linear)
     }
 }
 
