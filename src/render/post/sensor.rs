@@ -47,7 +47,7 @@ pub fn expose(frame: &mut Frame, sensor: &Sensor, exposure_ev: f32, sun: Option<
         sun.add_stray_light(&mut channels, channel_of, sensor.glare);
     }
     // What the sun veils is metered, its disc is not.
-    let gain = exposure_gain(frame, sensor, &channels[channels.len() / 2], exposure_ev);
+    let gain = exposure_gain(frame, sensor, (&channels[channels.len() / 2], sun.is_some()), exposure_ev);
     let falloff = vignetting(width, height, frame.focal_px as f32, sensor);
     for (channel, veil) in channels.iter_mut().zip(veils) {
         add_veil_and_vignetting(channel, &falloff, veil, gain);

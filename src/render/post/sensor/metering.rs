@@ -17,6 +17,8 @@ const MIN_SUNLIT: f32 = 0.1;
 const MAX_SATURATED: f64 = 0.015;
 /// Fill that counts as nearly saturated.
 const HEADROOM: f32 = 0.9;
+/// Largest encoded level, 0 to 1, of the median of a sky that the sun veils: a camera into the sun keeps what is black dark.
+const MAX_VEILED_SKY: f32 = 0.155;
 
 struct Histogram {
     counts: Vec<u32>,
@@ -50,8 +52,14 @@ impl Histogram {
 
 /// Factor from radiance to the fill of a pixel, where 1 is the full well. The exposure of the camera; or, with automatic exposure,
 /// the one that puts the median of the sunlit ground at the chosen level, unless that nearly saturates more than 1.5 % of the image or is
-/// more than the longest exposure. `green` is the radiance that is metered.
-pub(super) fn exposure_gain(frame: &Frame, sensor: &Sensor, green: &[f32], exposure_ev: f32) -> f32 {
+/// more than the longest exposure. `green` is the radiance that is metered; where the sun veils it (`is_veiled`), the median of the sky
+/// stays below a level too.
+pub(super) fn exposure_gain(
+    frame: &Frame,
+    sensor: &Sensor,
+    (green, is_veiled): (&[f32], bool),
+    exposure_ev: f32,
+) -> f32 {
     let fixed = exposure(exposure_ev);
     if sensor.ground_level <= 0.0 {
         return fixed;
@@ -64,13 +72,45 @@ pub(super) fn exposure_gain(frame: &Frame, sensor: &Sensor, green: &[f32], expos
     let bright = of(|class| class != ClassId::SKY.0).quantile(BRIGHT, 0.0).unwrap_or(0.0);
     let median = of(|class| class == ClassId::REGOLITH.0).quantile(0.5, MIN_SUNLIT * bright);
     let Some(median) = median.filter(|_| bright > 0.0) else { return fixed };
+    let sky = of(|class| class == ClassId::SKY.0).quantile(0.5, 0.0).filter(|_| is_veiled).unwrap_or(0.0);
     let saturating = of(|_| true).quantile(1.0 - MAX_SATURATED, 0.0).unwrap_or(0.0);
-    (linear_from_srgb(sensor.ground_level as f32) / median).min(HEADROOM / saturating.max(1e-30)).min(longest)
+    (linear_from_srgb(sensor.ground_level as f32) / median)
+        .min(HEADROOM / saturating.max(1e-30))
+        .min(linear_from_srgb(MAX_VEILED_SKY) / sky.max(1e-30))
+        .min(longest)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The veil of the sun is part of what is metered, and keeps the sky dark; without it neither counts.
+    #[test]
+    fn a_veil_shortens_the_exposure() {
+        use crate::scene::sensor::Mosaic;
+        let sensor = Sensor { ground_level: 0.5, ..Sensor::ideal(Mosaic::Monochrome) };
+        let frame = Frame {
+            width: 20,
+            height: 10,
+            class: [vec![ClassId::SKY.0; 100], vec![ClassId::REGOLITH.0; 100]].concat(),
+            ..Frame::default()
+        };
+        let gain = |sky: f32, ground: f32, is_veiled| {
+            let light = [vec![sky; 100], vec![ground; 100]].concat();
+            exposure_gain(&frame, &sensor, (&light, is_veiled), 0.0)
+        };
+        let target = linear_from_srgb(0.5);
+        let of_ground = gain(0.0, 0.1, false);
+        assert!((of_ground * 0.1 / target - 1.0).abs() < 0.01);
+        assert_eq!(gain(0.0, 0.1, true), of_ground);
+        assert!(
+            (gain(0.001, 0.12, true) * 0.12 / target - 1.0).abs() < 0.01,
+            "light of the ground and the veil"
+        );
+        let veiled = gain(0.06, 0.16, true);
+        assert!((veiled * 0.06 / linear_from_srgb(MAX_VEILED_SKY) - 1.0).abs() < 0.01, "{veiled}");
+        assert!((gain(0.06, 0.16, false) * 0.16 / target - 1.0).abs() < 0.01, "a sky that shines by itself");
+    }
 
     #[test]
     fn quantiles_are_right_to_a_hundredth() {
