@@ -23,11 +23,13 @@ pub mod rings;
 pub mod rings_mesh;
 pub mod rocks;
 pub mod rover;
+pub mod rover_tracks;
 pub mod sensor;
 pub mod size_distribution;
 pub mod sky;
 pub mod square_grid;
 pub mod terrain;
+pub mod track;
 
 use std::sync::Arc;
 
@@ -104,6 +106,7 @@ impl Scene {
         let centre = Vec2::new(params.number(Knob::CameraXM) as f32, params.number(Knob::CameraYM) as f32);
         let view = camera::ground_view(params);
         let mut relief = Relief::new(streams, params, centre);
+        relief.tracks = rover_tracks::tracks(streams, params);
         let placements = lunar::placements(streams, params, &relief, &view, centre);
         let number = |knob| params.number(knob);
         let regolith = Material {

@@ -208,6 +208,20 @@ knobs! {
         "Diameter of each of the rover's six wheels; they are half as wide (Yutu: 0.30 and 0.15).";
     RoverVisible "rover.visible" "" Text(&["no", "yes"]), Frame, word("no"), [0.0, 0.0],
         "Whether the camera sees the rover, where it is in view; its pixels have the label 255. It casts its shadow either way.";
+    TracksOwn "tracks.own" "" in Surface Text(&["no", "yes"]), Frame, word("no"), [0.0, 0.0],
+        "Whether the rover of rover.kind has left tracks behind it as it came.";
+    TracksCount "tracks.count" "" in Surface Integer, Frame, number(0.0), [0.0, 8.0],
+        "Number of tracks, two ruts each, that rovers with wheels as rover.wheel_m and rover.width_m say have left in the view; label 0.";
+    TracksDistanceM "tracks.distance_m" "m" in Surface Number, Element("track"), uniform(1.5, 8.0), [0.0, 100.0],
+        "Distance from the camera at which a track crosses the middle half of the view.";
+    TracksDirectionDeg "tracks.direction_deg" "deg" in Surface Number, Element("track"), uniform(-90.0, 90.0), [-180.0, 180.0],
+        "Direction of a track there, clockwise from the camera's heading.";
+    TracksCurvaturePerM "tracks.curvature_per_m" "1/m" in Surface Number, Element("track"), uniform(-0.08, 0.08), [-0.5, 0.5],
+        "Curvature of a track, positive where the rover turned left: the inverse of the radius.";
+    TracksDepthM "tracks.depth_m" "m" in Surface Number, Element("track"), uniform(0.01, 0.025), [0.0, 0.1],
+        "Depth of a rut: lunar soil yields 1 to 2 cm to a light rover, 5 cm and more on loose slopes.";
+    TracksGrouserM "tracks.grouser_m" "m" in Surface Number, Frame, number(0.008), [0.0, 0.03],
+        "Depth that grousers press below the floor of a rut, at most that of the rut; each wheel has 24 of them.";
     CameraXM "camera.x_m" "m" Number, Frame, number(0.0), [-2000.0, 2000.0],
         "X coordinate of the camera (right).";
     CameraYM "camera.y_m" "m" Number, Frame, number(-90.0), [-2000.0, 2000.0],

@@ -1,4 +1,4 @@
-//! The height function of the surface stage: hills to millimetres, craters, clods, fillets of soil around rocks.
+//! The height function of the surface stage: hills to millimetres, craters, clods, tracks of rovers, fillets of soil around rocks.
 //!
 //! One function of position and footprint: detail below the footprint is faded out (band-limiting), so that a mesh can sample
 //! it at the size of its cells. The shader adds the slopes of the detail between the cell and the pixel
@@ -14,6 +14,7 @@ use super::fillet::{BATCH, Fillet};
 use super::grains::GrainField;
 use super::lattice::Lattice;
 use super::noise::{GRADIENT_NOISE_SIGMA, SHADE_SIGMA, gradient_noise_2d, gradient_noise_difference};
+use super::track::Track;
 use crate::params::{Knob, Params};
 use crate::random::Streams;
 
@@ -64,16 +65,19 @@ pub struct Relief {
     pub craters: CraterField,
     /// Grains: in no mesh, and in none of the heights below.
     pub grains: GrainField,
+    /// Tracks of rovers.
+    pub tracks: Vec<Track>,
     /// Fillets of soil.
     pub fillets: Vec<Fillet>,
     /// Hills on the horizon, if there are any.
     pub far_hills: Option<FarHills>,
 }
 
-/// The craters, clods and fillets that can change the height in some region.
+/// The craters, clods, tracks and fillets that can change the height in some region.
 #[derive(Clone, Debug, Default)]
 pub struct Nearby {
     pits: Vec<Pit>,
+    tracks: Vec<Track>,
     fillets: Vec<Fillet>,
 }
 
@@ -122,7 +126,7 @@ impl Relief {
         let craters = CraterField::new(streams, params, centre);
         let grains = GrainField::new(streams, params, centre);
         let far_hills = FarHills::new(streams, params, centre);
-        Self { octaves, craters, grains, fillets: Vec::new(), far_hills }
+        Self { octaves, craters, grains, tracks: Vec::new(), fillets: Vec::new(), far_hills }
     }
 
     /// What can change the height within a circle (metres from the centre), at this cell size or a larger one.
@@ -130,6 +134,7 @@ impl Relief {
     pub fn nearby(&self, offset: Vec2, radius_m: f32, cell_m: f32) -> Nearby {
         let mut nearby = Nearby::default();
         self.craters.around(offset, radius_m, MIN_CELLS * cell_m, |pit| nearby.pits.push(pit));
+        nearby.tracks.extend(self.tracks.iter().copied().filter(|track| track.is_near(offset, radius_m)));
         nearby.fillets.extend(self.fillets.iter().copied().filter(|fillet| {
             let reach_m = radius_m + fillet.reach_m();
             fillet.offset.distance_squared(offset) < reach_m * reach_m
@@ -175,6 +180,9 @@ impl Relief {
                     *height += share * pit.height_at(Vec2::new(*x, *y));
                 }
             }
+        }
+        for track in &nearby.tracks {
+            track.add_heights([x, y], cell_m, |size_m| mesh_share(size_m, cell_m), heights);
         }
         let mut soil = [0.0; BATCH];
         for fillet in &nearby.fillets {

@@ -34,7 +34,7 @@ const BODY_OF_DECK: f32 = 0.5;
 const PANEL_HALF_M: f32 = 0.012;
 const ROCKER_HALF_M: f32 = 0.025;
 /// Width of a wheel, in diameters (Yutu: 0.15 of 0.30 m).
-const WHEEL_WIDTH: f32 = 0.5;
+pub const WHEEL_WIDTH: f32 = 0.5;
 /// Positions of the three axles from the middle of the body, in lengths of the body.
 const AXLES: [f32; 3] = [-0.42, 0.0, 0.42];
 /// Depth that the wheels sink in, metres: 1 to 2 cm in lunar soil.
@@ -131,6 +131,12 @@ impl Part {
     }
 }
 
+/// Distance of the middles of the wheels on both sides, metres, for a body and wheels of this width and diameter, metres.
+#[must_use]
+pub fn gauge_m(width_m: f32, wheel_m: f32) -> f32 {
+    width_m + 4.0 * ROCKER_HALF_M + WHEEL_WIDTH * wheel_m
+}
+
 impl Rover {
     /// The rover of these parameters; `None` if there is none.
     #[must_use]
@@ -150,6 +156,22 @@ impl Rover {
         })
     }
 
+    /// The middle of its body, metres, seen from above, relative to a camera that looks along the azimuth of `view` this far above the
+    /// deck, metres.
+    #[must_use]
+    pub fn middle(&self, view: Vec2, above_deck_m: f32) -> Vec2 {
+        let has_mast = above_deck_m >= MIN_MAST_M;
+        let mast = if has_mast { -MAST_BEHIND_M * view } else { Vec2::ZERO };
+        let from_front_m = if has_mast { -MAST_FROM_FRONT_M } else { BODY_BEHIND_M };
+        mast - (0.5 * self.size_m[0] + from_front_m) * self.heading
+    }
+
+    /// Distance of the front wheels from the middle, metres.
+    #[must_use]
+    pub fn front_axle_m(&self) -> f32 {
+        AXLES[2] * self.size_m[0]
+    }
+
     /// Its parts, with indices from `first` on, for a camera at `eye` that looks along the azimuth of `view`.
     #[must_use]
     pub fn parts(&self, terrain: &Terrain, eye: Vec3, view: Vec2, first: u32) -> Vec<Rock> {
@@ -161,9 +183,8 @@ impl Rover {
         let [length_m, width_m] = self.size_m;
         let has_mast = eye.z - deck_m >= MIN_MAST_M;
         let mast = if has_mast { eye - MAST_BEHIND_M * view } else { eye };
-        let from_front_m = if has_mast { -MAST_FROM_FRONT_M } else { BODY_BEHIND_M };
         // Middle of the body, on the deck.
-        let middle = (mast - (0.5 * length_m + from_front_m) * ahead).truncate().extend(deck_m);
+        let middle = (eye.truncate() + self.middle(view.truncate(), eye.z - deck_m)).extend(deck_m);
         let axes = [right, ahead, up];
         let mut parts = Vec::new();
         let mut add_box = |half_m: [f32; 3], axes, centre, albedo| {
@@ -197,7 +218,7 @@ impl Rover {
         }
         let (radius_m, half_width_m) = (0.5 * self.wheel_m, 0.5 * WHEEL_WIDTH * self.wheel_m);
         for (side, axle) in [-1.0, 1.0].into_iter().flat_map(|side| AXLES.map(|axle| (side, axle))) {
-            let beside_m = side * (0.5 * width_m + 2.0 * ROCKER_HALF_M + half_width_m);
+            let beside_m = 0.5 * side * gauge_m(width_m, self.wheel_m);
             let at = (middle + beside_m * right + axle * length_m * ahead).truncate();
             parts.push(Part {
                 shape: Shape::Cylinder,

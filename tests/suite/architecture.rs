@@ -116,13 +116,14 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
                 "sky",
             ],
             &["lattice", "rings"],
-            &["craters", "far_hills", "fillet"],
+            &["craters", "far_hills", "fillet", "track"],
             &["grains"],
             &["relief"],
             &["terrain"],
             &["bounce", "camera", "rings_mesh", "square_grid"],
             &["rocks"],
             &["label_rule", "rover"],
+            &["rover_tracks"],
         ],
     ),
     (
@@ -358,6 +359,15 @@ fn the_rasteriser_imports_only_rounding() {
             let is_allowed = target.starts_with("src/render/raster") || target == "src/rounding.rs";
             assert!(is_allowed, "{file}:{}: the rasteriser may not use {}", import.line, import.path);
         }
+    }
+}
+
+/// Where the depth aspect of a texture is discarded and its stencil stored, wgpu clears the texture in a pass of its own before the next use.
+#[test]
+fn no_pass_discards_its_depth() {
+    for (file, text) in source::files("src", &["rs"]) {
+        let code = source::without_comments_and_strings(&text);
+        assert!(!code.contains("StoreOp::Discard"), "{file} discards an attachment");
     }
 }
 

@@ -2,7 +2,7 @@
 
 #![allow(clippy::print_stdout, reason = "figures for people who run it with --nocapture")]
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use regolith::class::ClassId;
 use regolith::export::{Detail, Format, Stage, export};
 use regolith::frame::{Annotation, Frame};
@@ -155,4 +155,42 @@ fn exports_hold_the_rover() {
     let of_rover = npz.windows(64).filter(|window| window.iter().all(|byte| *byte == 255)).count();
     let triangles: usize = scene.rocks.iter().skip(12).map(|part| part.triangles(part.level).len()).sum();
     assert!(of_rover >= triangles - 64, "{of_rover} of {triangles} triangles have the class 255");
+}
+
+/// Ruts are ground: they lie as deep as said below the ground without them, their label is regolith, and no rock stands in one.
+#[test]
+fn wheels_press_ruts_into_the_ground_and_go_around_rocks() {
+    let sets = ["tracks.count=2", "tracks.depth_m=0.05", "tracks.distance_m=2.5", "tracks.direction_deg=20"];
+    let (with, without) = (scene_with(&sets), scene_with(&[]));
+    let relief = with.relief.as_ref().expect("a relief");
+    assert_eq!(relief.tracks.len(), 2);
+    let [mut inside, mut beside] = [Vec::new(), Vec::new()];
+    for k in 0..40_000 {
+        let offset = Vec2::new((k % 200) as f32, (k / 200) as f32) / 40.0 + Vec2::new(-2.5, 0.5);
+        let at = with.terrain.centre + offset;
+        let change_m = with.terrain.height_at(at) - without.terrain.height_at(at);
+        if relief.tracks.iter().any(|track| track.runs_over(offset, -0.03)) {
+            inside.push(change_m);
+        } else if !relief.tracks.iter().any(|track| track.is_near(offset, 0.03)) {
+            beside.push(change_m);
+        }
+    }
+    let mean = |changes_m: &[f32]| changes_m.iter().sum::<f32>() / changes_m.len() as f32;
+    assert!(inside.len() > 1000 && (-0.075..-0.04).contains(&mean(&inside)), "{}", mean(&inside));
+    assert!(beside.len() > 1000 && mean(&beside).abs() < 1e-3, "{}", mean(&beside));
+    let [before, after] = [&without, &with].map(|scene| render_by(RasterMode::Host, scene, &settings()));
+    assert_ne!(before.rgb, after.rgb);
+    let ground = |frame: &Frame| frame.count(ClassId::REGOLITH);
+    assert!(ground(&before).abs_diff(ground(&after)) <= u64::from(SIDE) / 8, "a skyline moves by little");
+    assert_eq!(after.count(ClassId::ROCK), 0);
+    let rocks = |more: &[&str]| {
+        let scene = scene_with(&[&["rocks.coverage=0.08"], more].concat());
+        let standing = |rock: &&regolith::scene::rocks::Rock| {
+            let offset = rock.centre.truncate() - scene.terrain.centre;
+            rock.radius_m > 0.06 && relief.tracks.iter().any(|track| track.runs_over(offset, 0.0))
+        };
+        scene.rocks.iter().filter(standing).count()
+    };
+    let (free, cleared) = (rocks(&[]), rocks(&sets));
+    assert!(free > 0 && cleared == 0, "{free} rocks lie where the ruts are, {cleared} in them");
 }

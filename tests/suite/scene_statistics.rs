@@ -234,8 +234,11 @@ fn every_knob_changes_the_frame() {
                 "photometry.law" => "lommel_seeliger",
                 "sensor.kind" => "mono",
                 "rover.kind" => "rover",
-                "rover.visible" => "yes",
-                "sky.earthshine" => "0.05",
+                "rover.visible" | "tracks.own" => "yes",
+                "sky.earthshine" | "tracks.depth_m" => "0.05",
+                "tracks.count" => "2",
+                "tracks.distance_m" => "4",
+                "tracks.grouser_m" => "0.02",
                 "craters.law" => "classes",
                 "rocks.law" => "bands",
                 "sensor.read_noise_e" | "sensor.dark_e" | "sensor.dsnu_e" => "900",
@@ -268,6 +271,10 @@ fn every_knob_changes_the_frame() {
                     "craters.law=classes"
                 }
                 "rocks" if stage == Stage::Surface && info.name.ends_with("_count") => "rocks.law=bands",
+                "tracks" if info.name == "tracks.own" => {
+                    "rover.kind=rover rover.heading_deg=180 camera.pitch_deg=-50"
+                }
+                "tracks" if info.name != "tracks.count" => "tracks.count=2",
                 // Of the sun.
                 "rover" if info.name == "rover.visible" => {
                     "rover.kind=rover rover.heading_deg=180 camera.pitch_deg=-50"

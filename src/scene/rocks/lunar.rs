@@ -14,6 +14,7 @@ use crate::scene::relief::Relief;
 use crate::scene::rings::View;
 pub use crate::scene::size_distribution::rocks_larger_than;
 use crate::scene::size_distribution::{Sizes, poisson};
+use crate::scene::track::Track;
 
 /// Largest diameter, metres.
 const LARGEST_M: f64 = 4.0;
@@ -62,6 +63,9 @@ const BANDS_NEAREST_M: f64 = 2.0;
 const BANDS_HALF_WIDTH: f64 = 0.6;
 /// Distinguishes the stream elements of the bands from those of cells and craters.
 const BANDS_KEY: u64 = 0xb0a7_0000;
+/// Diameter from which no rock lies in a track, metres.
+const PRESSED_M: f64 = 0.06;
+
 /// Position and size of a rock before it is shaped.
 #[derive(Clone, Copy, Debug)]
 pub struct Placement {
@@ -144,6 +148,12 @@ pub fn placements(
     let mut placements = draw_placements(streams, params, relief, view, centre);
     // No rocks beyond the border of the ground.
     placements.retain(|rock| f64::from(rock.position.distance(centre)) + rock.diameter_m <= view.radius_m);
+    // Wheels go around rocks, but for those that they press into the soil.
+    placements.retain(|rock| {
+        let radius_m = 0.5 * rock.diameter_m as f32;
+        let runs_over = |track: &Track| track.runs_over(rock.position - centre, radius_m);
+        rock.diameter_m < PRESSED_M || !relief.tracks.iter().any(runs_over)
+    });
     placements
 }
 
