@@ -19,7 +19,8 @@ use regolith::render::select::footprint::Footprint;
 use regolith::render::select::selection::{SelectedRock, Selection};
 use regolith::render::select::tiles::PixelRect;
 use regolith::render::shadow::horizon::HorizonMap;
-use regolith::render::shadow::host::{self, ShadowMap};
+use regolith::render::shadow::host;
+use regolith::render::shadow::tiles::{self, ShadowMap};
 use regolith::render::visibility::geometry::VisibleTriangles;
 use regolith::render::visibility::host::{RowsPart, ShadingBinMask};
 use regolith::scene::Scene;
@@ -104,7 +105,7 @@ fn frame_plan(c: &mut Criterion) {
     group.throughput(Throughput::Elements(selection.rocks.iter().map(cast).sum::<usize>() as u64));
     group.bench_function("shadow_map", |b| {
         let tiles = ShadowMap::default().allocate(&scene, &mut selection.clone());
-        let mut room = vec![[0; PAGE_BYTES]; host::upload_regions(&tiles).1 / PAGE_BYTES];
+        let mut room = vec![[0; PAGE_BYTES]; tiles::upload_regions(&tiles).1 / PAGE_BYTES];
         b.iter(|| host::rasterise(black_box(&scene), &tiles, &mut room.iter_mut().map(Page::from_mut)));
     });
     visible.find(&scene, &selection, &settings, &grid, &bands, true);

@@ -5,6 +5,7 @@
 mod device;
 pub mod horizon;
 pub mod host;
+pub mod tiles;
 
 use std::ops::Range;
 use std::time::Instant;
@@ -22,7 +23,7 @@ use crate::render::select::selection::Selection;
 use crate::render::visibility::meshes::Meshes;
 use crate::scene::Scene;
 use device::{MapSource, ShadowPass};
-use host::{NewTile, ShadowMap};
+use tiles::{NewTile, ShadowMap};
 
 /// The room for new tiles in the staging buffer is a multiple of this, bytes: frames differ a little in what they need.
 const STAGING_STEP_BYTES: usize = 4 << 20;
@@ -158,8 +159,8 @@ impl ShadowRaster {
         }
         let start = Instant::now();
         let mut uploaded = 0;
-        for tiles in host::upload_parts(&self.new_tiles, STAGING_BYTES) {
-            let (regions, bytes) = host::upload_regions(tiles);
+        for tiles in tiles::upload_parts(&self.new_tiles, STAGING_BYTES) {
+            let (regions, bytes) = tiles::upload_regions(tiles);
             let room = bytes.next_multiple_of(STAGING_STEP_BYTES);
             let staging = StagingBuffer::with_capacity(&mut self.staging, gpu, "shadow/staging", room)?;
             staging.write(gpu, |pages| host::rasterise(scene, tiles, pages))?;
