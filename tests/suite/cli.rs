@@ -3,7 +3,7 @@
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 
-use crate::support::{adapter, folder, json, program, run, run_ok};
+use crate::support::{folder, json, program, run, run_ok, run_with_file_limit};
 
 /// Runs a command that must fail with this status, name all of `expected` in its message, and leave the folder unchanged.
 fn assert_refused(words: &[&str], status: i32, expected: &[&str]) {
@@ -197,17 +197,8 @@ fn an_output_folder_that_cannot_be_created_is_an_error() {
 #[test]
 fn a_full_disk_leaves_no_partial_file() {
     let folder = folder();
-    let script = format!(
-        "trap '' XFSZ; ulimit -f 8; exec '{}' --seed 3 --out out --quiet",
-        env!("CARGO_BIN_EXE_regolith-render")
-    );
-    let output = std::process::Command::new("bash")
-        .args(["-c", &script])
-        .current_dir(folder.path())
-        .env("WGPU_ADAPTER_NAME", adapter())
-        .env("MESA_SHADER_CACHE_DISABLE", "true")
-        .output()
-        .expect("bash");
+    let words = ["--seed", "3", "--out", "out", "--quiet"];
+    let output = run_with_file_limit(folder.path(), (8, "trap '' XFSZ;"), &words);
     let message = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{message}");
     assert!(message.contains("cannot write out/"), "{message}");

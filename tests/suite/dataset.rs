@@ -13,7 +13,7 @@ use regolith::random::Streams;
 use regolith::scene::Scene;
 use serde_json::{Map, Value};
 
-use crate::support::{adapter, folder, json, program, run, run_ok, send_signal};
+use crate::support::{folder, json, program, run, run_ok, run_with_file_limit, send_signal};
 
 /// Small frames of a small scene.
 const SMALL: [&str; 9] = [
@@ -502,18 +502,7 @@ fn a_run_stopped_by_a_full_disk_can_be_resumed() {
     let words = |out| dataset(out, &["--count", "6", "-q"]);
     run_ok(folder.path(), &words("whole"));
     // Files of more than 2 KiB, which are the images, cannot be written.
-    let limited = format!(
-        "trap '' XFSZ; ulimit -f 4; exec {} {}",
-        env!("CARGO_BIN_EXE_regolith-render"),
-        words("data").iter().map(|word| format!("'{word}'")).collect::<Vec<_>>().join(" ")
-    );
-    let output = Command::new("sh")
-        .args(["-c", &limited])
-        .current_dir(folder.path())
-        .env("WGPU_ADAPTER_NAME", adapter())
-        .env("MESA_SHADER_CACHE_DISABLE", "true")
-        .output()
-        .expect("started");
+    let output = run_with_file_limit(folder.path(), (2, "trap '' XFSZ;"), &words("data"));
     let message = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{message}");
     assert!(message.contains("cannot write") && !message.contains("panicked"), "{message}");

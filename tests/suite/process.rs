@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::support::{adapter, folder, program, run, run_ok, send_signal};
+use crate::support::{adapter, folder, program, run, run_ok, run_with_file_limit, send_signal};
 
 /// Small frames of a small scene.
 const SMALL: [&str; 5] =
@@ -119,15 +119,7 @@ fn a_limit_of_the_file_size_is_named_as_such() {
     let folder = folder();
     let dataset = [&["dataset", "--out", "data", "--count", "3", "-q"], SMALL.as_slice()].concat();
     for words in [&["--out", "data", "-q"][..], &dataset] {
-        let words = words.iter().map(|word| format!("'{word}'")).collect::<Vec<_>>().join(" ");
-        let script = format!("ulimit -c 0 -f 4; exec '{}' {words}", env!("CARGO_BIN_EXE_regolith-render"));
-        let output = Command::new("bash")
-            .args(["-c", &script])
-            .current_dir(folder.path())
-            .env("WGPU_ADAPTER_NAME", adapter())
-            .env("MESA_SHADER_CACHE_DISABLE", "true")
-            .output()
-            .expect("bash");
+        let output = run_with_file_limit(folder.path(), (4, ""), words);
         let message = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(1), "{:?}: {message}", output.status);
         for text in ["cannot write data/", "File too large", "ulimit -f", "same command"] {

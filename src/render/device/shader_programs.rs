@@ -79,6 +79,35 @@ macro_rules! program {
     };
 }
 
+/// Lighting of ground and rocks: all that it needs but where the relief's numbers come from.
+macro_rules! surface_program {
+    ($name:literal, $relief:literal) => {
+        program!(
+            $name,
+            [
+                "frame",
+                "scene",
+                "fullscreen",
+                "octahedral",
+                "gbuffer",
+                "horizon_map",
+                "shadow_map",
+                "brdf",
+                "hapke",
+                "lit_rocks",
+                "indirect",
+                "hash",
+                "relief",
+                "grains",
+                "rock_texture",
+                "shading",
+                $relief
+            ],
+            [LIGHT, LIGHTING_OUTPUT]
+        )
+    };
+}
+
 /// Depth of the shadow casters seen from the sun.
 pub static SHADOW: Program = program!("shadow", ["frame", "scene"], []);
 /// The shadow map, from the two depth layers of [`SHADOW`].
@@ -86,56 +115,12 @@ pub static SHADOW_MIDPOINT: Program = program!("shadow_midpoint", [], []);
 /// The visibility buffer.
 pub static VISIBILITY: Program = program!("visibility", ["frame", "scene", "octahedral"], []);
 /// Lighting of ground and rocks, one shading bin at a time.
-pub static LIGHTING_SURFACE: Program = program!(
-    "lighting_surface",
-    [
-        "frame",
-        "scene",
-        "fullscreen",
-        "octahedral",
-        "gbuffer",
-        "horizon_map",
-        "shadow_map",
-        "brdf",
-        "hapke",
-        "lit_rocks",
-        "indirect",
-        "hash",
-        "relief",
-        "grains",
-        "rock_texture",
-        "shading",
-        "relief_of_draw"
-    ],
-    [LIGHT, LIGHTING_OUTPUT]
-);
+pub static LIGHTING_SURFACE: Program = surface_program!("lighting_surface", "relief_of_draw");
 /// Lighting of the sky's dome and of stars.
 pub static LIGHTING_SKY: Program =
     program!("lighting_sky", ["frame", "scene", "fullscreen"], [LIGHT, LIGHTING_OUTPUT]);
 /// Lighting of all surfaces in one draw.
-pub static LIGHTING_ONE_DRAW: Program = program!(
-    "lighting_one_draw",
-    [
-        "frame",
-        "scene",
-        "fullscreen",
-        "octahedral",
-        "gbuffer",
-        "horizon_map",
-        "shadow_map",
-        "brdf",
-        "hapke",
-        "lit_rocks",
-        "indirect",
-        "hash",
-        "relief",
-        "grains",
-        "rock_texture",
-        "shading",
-        "relief_of_sample"
-    ],
-    [LIGHT, LIGHTING_OUTPUT]
-);
+pub static LIGHTING_ONE_DRAW: Program = surface_program!("lighting_one_draw", "relief_of_sample");
 /// Samples to pixels.
 pub static RESOLVE: Program = program!("resolve", ["frame", "lens", "tone", "half"], [RESOLVE_PLANES]);
 

@@ -85,6 +85,22 @@ pub(crate) fn run_ok(folder: &Path, words: &[&str]) -> String {
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
+/// Runs the command where no file may be larger than this, KiB, as on a disk that is full. Writing more sends the signal XFSZ, which the
+/// shell `traps` (`trap '' XFSZ` has it ignored) or leaves to the command.
+pub(crate) fn run_with_file_limit(folder: &Path, (limit_kib, traps): (u32, &str), words: &[&str]) -> Output {
+    let limited = format!("ulimit -c 0; ulimit -f {limit_kib}; {traps} exec \"$0\" \"$@\"");
+    let whole = program(folder);
+    let mut shell = Command::new("bash");
+    shell.args(["-c", &limited]).arg(whole.get_program()).args(words).current_dir(folder);
+    for (name, value) in whole.get_envs() {
+        match value {
+            Some(value) => shell.env(name, value),
+            None => shell.env_remove(name),
+        };
+    }
+    shell.env("MESA_SHADER_CACHE_DISABLE", "true").output().expect("bash")
+}
+
 /// Sends a signal (`-INT`, `-KILL`, ...) to a process, by the shell's own `kill`: a minimal system has no other.
 pub(crate) fn send_signal(child: &Child, signal: &str) {
     let sent = Command::new("sh").args(["-c", &format!("kill {signal} {}", child.id())]).status();
