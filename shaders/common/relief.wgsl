@@ -8,9 +8,11 @@ const JITTER_CELLS: f32 = 0.17;
 const PROFILE_DEPTH: f32 = 0.114;
 const RIM: f32 = 0.02513;
 const CLOD_HEIGHT: f32 = 0.22;
-// Of the strength of noise: src/scene/noise/gradient.rs.
-const PATCHY_BASE: f32 = 0.2;
-const PATCHY_PEAK: f32 = 3.2;
+// Of the strength of finer noise: src/scene/noise/gradient.rs.
+const PATCHY_BASE: f32 = 0.427;
+const PATCHY_PEAK: f32 = 1.948;
+// src/scene/relief.rs explains it.
+const MAX_STRENGTH: f32 = 1.2;
 // What fresh craters add to the logarithm of the albedo.
 const FRESH_SHADE: f32 = 0.2;
 // src/render/lighting/detail_sums.rs, slopes_host.rs and ground_batch.rs explain these.
@@ -64,13 +66,22 @@ fn ground_detail(
         let pit = pits_slope(pits, point + sum.w * eye_way, cell_m, local_sample_m(sample_m, sum.xy, eye_way));
         sum = add_detail(sum, pit, eye_way);
     }
+    // How strong the next finer octaves are here, before the cap.
+    var strength = 1.0;
     k = 0u;
-    while k < light.relief_waves && mesh_share(relief_noise(k).cell_m, cell_m) == 1.0 { k++; }
+    while k < light.relief_waves && mesh_share(relief_noise(k).cell_m, cell_m) == 1.0 {
+        strength *= noise_strength(relief_noise(k), point + sum.w * eye_way);
+        k++;
+    }
+    // Two loops, as software adapters take the time of branches that are not taken: octaves that may hide and shadow the ground, then
+    // those whose cells span too few samples for that.
     for (; k < light.relief_waves; k++) {
         let octave = relief_noise(k);
-        if sample_share(octave.cell_m, sample_m) == 0.0 { break; }
+        let is_tested = octave.cell_m > MIN_TESTED_SAMPLES * sample_m;
+        if !is_tested || sample_share(octave.cell_m, sample_m) == 0.0 { break; }
         let resolved = sample_share(octave.cell_m, local_sample_m(sample_m, sum.xy, eye_way));
-        let share = (1.0 - mesh_share(octave.cell_m, cell_m)) * resolved;
+        let shown = (1.0 - mesh_share(octave.cell_m, cell_m)) * resolved;
+        let share = min(strength, MAX_STRENGTH) * shown;
         let tested = select(0.0, clamp(octave.cell_m / (MIN_TESTED_SAMPLES * sample_m) - 1.0, 0.0, 1.0), share > 0.0);
         // Where this octave hides the ground from the eye: at the wave that does. How far the ray is above the larger waves there.
         var above_m = 0.0;
@@ -78,7 +89,7 @@ fn ground_detail(
             let rise_m = tested_rise_m(octave, per_eye_way);
             let at = point + (sum.w + rise_m) * eye_way;
             let slope_m = rise_m * dot(waves, eye_way);
-            let is_hidden = rise_m / tested - (slope_m + share * noise_slope(octave, at).w) < 0.0;
+            let is_hidden = rise_m / tested - (slope_m + share * noise_height(octave, at)) < 0.0;
             above_m = select(0.0, rise_m - slope_m, is_hidden);
             sum.w += select(0.0, rise_m, is_hidden);
             sun_clearance_m += sun_lift * select(0.0, rise_m, is_hidden);
@@ -87,15 +98,29 @@ fn ground_detail(
         if tested > 0.0 && per_sun_way < 1.0 / MIN_LOW_WAY {
             let rise_m = tested_rise_m(octave, per_sun_way);
             let way = rise_m * sun_way;
-            let height_m = dot(waves, way) + share * noise_slope(octave, at + way).w;
+            let height_m = dot(waves, way) + share * noise_height(octave, at + way);
             sun_clearance_m = min(sun_clearance_m, rise_m / tested - height_m + above_m);
         }
-        var wave = share * noise_slope(octave, at);
+        let noise = noise_slope(octave, at);
+        strength *= noise.strength;
+        var wave = vec4(share, share, shown, share) * noise.detail;
         wave.w -= above_m;
         let start_m = sum.w;
         sum = add_detail(sum, wave, eye_way);
         sun_clearance_m += sun_lift * (sum.w - start_m);
         waves += wave.xy;
+    }
+    for (; k < light.relief_waves; k++) {
+        let octave = relief_noise(k);
+        if sample_share(octave.cell_m, sample_m) == 0.0 { break; }
+        let resolved = sample_share(octave.cell_m, local_sample_m(sample_m, sum.xy, eye_way));
+        let shown = (1.0 - mesh_share(octave.cell_m, cell_m)) * resolved;
+        let share = min(strength, MAX_STRENGTH) * shown;
+        let noise = noise_slope(octave, point + sum.w * eye_way);
+        let start_m = sum.w;
+        sum = add_detail(sum, vec4(share, share, shown, share) * noise.detail, eye_way);
+        strength *= noise.strength;
+        sun_clearance_m += sun_lift * (sum.w - start_m);
     }
     let open_sun = clamp(0.5 + 0.5 * sun_clearance_m / (SHADOW_BLUR * across_m * per_sun_way), 0.0, 1.0);
     let sun = mix(open_sun, 1.0, hidden_shadows(dot(eye_way, sun_way), per_eye_way, per_sun_way));
@@ -159,23 +184,36 @@ fn slope_from_lattice(lattice: Lattice, slope: vec2<f32>) -> vec2<f32> {
     );
 }
 
-// Gradient, value and shade at a corner of a cell.
-fn lattice_corner(cell: vec2<i32>, lattice: Lattice) -> vec4<f32> {
+// Gradient, value and shade at a corner of a cell, and the strength of finer noise.
+struct LatticeCorner {
+    gradient: vec2<f32>,
+    value: f32,
+    shade: f32,
+    strength: f32,
+}
+
+fn lattice_corner(cell: vec2<i32>, lattice: Lattice) -> LatticeCorner {
     let hash = lattice_hash(cell.x, cell.y, 0, lattice.seed);
+    let gradient = vec2(f32(hash & 0xffffu), f32(hash >> 16u)) * (1.0 / 32768.0) - 1.0;
     let value = f32((hash * 0x9e3779b1u) >> 16u) * (1.0 / 65536.0) - 0.5;
     let product = hash * 0x85ebca6bu;
     let shade = f32(product >> 16u) * (1.0 / 65536.0) - 0.5;
-    // Rough in few places and smooth in most: src/scene/noise/gradient.rs.
+    // Rough in some places and smooth in others: src/scene/noise/gradient.rs.
     let draw = f32(product & 0xffffu) * (1.0 / 65536.0);
-    let cube = draw * draw * draw;
-    let strength = 1.0 + lattice.factor * (PATCHY_BASE - 1.0 + PATCHY_PEAK * cube * cube);
-    return vec4(strength * vec3(vec2(f32(hash & 0xffffu), f32(hash >> 16u)) * (1.0 / 32768.0) - 1.0, value), shade);
+    let strength = 1.0 + lattice.factor * (PATCHY_BASE - 1.0 + PATCHY_PEAK * draw * draw * draw);
+    return LatticeCorner(gradient, value, shade, strength);
 }
 
-// Slope of one octave of gradient noise with quintic weights (Perlin 2002, "Improving Noise"): the derivative of
-// `gradient_noise_2d` in src/scene/noise/gradient.rs. z: what the octave adds to the logarithm of the soil's albedo, blended
-// with the same weights. w: the height.
-fn noise_slope(lattice: Lattice, point: vec2<f32>) -> vec4<f32> {
+// One octave of noise at a point. Detail: its slope; what it adds to the logarithm of the soil's albedo, blended with the same weights; its
+// height. Strength: that of finer octaves.
+struct NoiseOctave {
+    detail: vec4<f32>,
+    strength: f32,
+}
+
+// One octave of gradient noise with quintic weights (Perlin 2002, "Improving Noise"): its slope is the derivative of
+// `gradient_noise_2d` in src/scene/noise/gradient.rs.
+fn noise_slope(lattice: Lattice, point: vec2<f32>) -> NoiseOctave {
     let local = to_lattice(lattice, point);
     let corner = floor(local);
     let t = local - corner;
@@ -184,17 +222,35 @@ fn noise_slope(lattice: Lattice, point: vec2<f32>) -> vec4<f32> {
     let g10 = lattice_corner(cell + vec2(1, 0), lattice);
     let g01 = lattice_corner(cell + vec2(0, 1), lattice);
     let g11 = lattice_corner(cell + vec2(1, 1), lattice);
-    let w = t * t * t * (t * (6.0 * t - 15.0) + 10.0);
+    let w = quintic(t);
     let rise = 30.0 * t * t * (t * (t - 2.0) + 1.0);
-    let a = dot(g00.xy, t) + g00.z;
-    let b = dot(g10.xy, t - vec2(1.0, 0.0)) + g10.z;
-    let c = dot(g01.xy, t - vec2(0.0, 1.0)) + g01.z;
-    let d = dot(g11.xy, t - vec2(1.0, 1.0)) + g11.z;
-    let gradient = mix(mix(g00.xy, g10.xy, w.x), mix(g01.xy, g11.xy, w.x), w.y)
+    let a = dot(g00.gradient, t) + g00.value;
+    let b = dot(g10.gradient, t - vec2(1.0, 0.0)) + g10.value;
+    let c = dot(g01.gradient, t - vec2(0.0, 1.0)) + g01.value;
+    let d = dot(g11.gradient, t - vec2(1.0, 1.0)) + g11.value;
+    let gradient = mix(mix(g00.gradient, g10.gradient, w.x), mix(g01.gradient, g11.gradient, w.x), w.y)
         + rise * vec2(mix(b - a, d - c, w.y), mix(c - a, d - b, w.x));
-    let shade = mix(mix(g00.w, g10.w, w.x), mix(g01.w, g11.w, w.x), w.y);
+    let shade = mix(mix(g00.shade, g10.shade, w.x), mix(g01.shade, g11.shade, w.x), w.y);
+    let strength = mix(mix(g00.strength, g10.strength, w.x), mix(g01.strength, g11.strength, w.x), w.y);
     let height_m = lattice.amount * mix(mix(a, b, w.x), mix(c, d, w.x), w.y);
-    return vec4(lattice.amount * slope_from_lattice(lattice, gradient), lattice.share * shade, height_m);
+    return NoiseOctave(
+        vec4(lattice.amount * slope_from_lattice(lattice, gradient), lattice.share * shade, height_m),
+        strength,
+    );
+}
+
+// Height of one octave of noise.
+fn noise_height(lattice: Lattice, point: vec2<f32>) -> f32 {
+    return noise_slope(lattice, point).detail.w;
+}
+
+// Strength of octaves finer than one.
+fn noise_strength(lattice: Lattice, point: vec2<f32>) -> f32 {
+    return noise_slope(lattice, point).strength;
+}
+
+fn quintic(t: vec2<f32>) -> vec2<f32> {
+    return t * t * t * (t * (6.0 * t - 15.0) + 10.0);
 }
 
 // Slope of the pits (craters and clods) of a lattice. None reaches beyond its own cell: its centre is at most JITTER_CELLS

@@ -81,7 +81,7 @@ knobs! {
     ReliefClods "relief.clods" "" in Surface Number, Frame, number(0.5), [0.0, 1.0],
         "Fraction of clods among pits and clods up to 8 cm across.";
     GrainsDensity "grains.density" "" in Surface Number, Frame, number(1.0), [0.0, 2.5],
-        "Number of clods of soil of 1 mm to 3 cm relative to that counted by Surveyor III: 90 larger than 1 cm per square metre, N(>D) proportional to D^-2.4. At 0 there are no fragments of rock of that size either.";
+        "Number of grains of 1 mm to 3 cm relative to that counted by Surveyor III: 90 larger than 1 cm per square metre, N(>D) proportional to D^-2.4. Two fifths are fragments of rock, more where rocks.coverage asks for more; the others are clods of soil.";
     GrainsAlbedoSpread "grains.albedo_spread" "" in Surface Number, Frame, number(0.6), [0.0, 1.0],
         "Standard deviation of the logarithm of the albedo of fragments of rock of 1 mm to 3 cm around rocks.albedo_ratio; that of clods is a fifth of it.";
     RegolithMottling "regolith.mottling" "" in Surface Number, Frame, number(0.05), [0.0, 0.3],

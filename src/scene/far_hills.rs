@@ -58,7 +58,7 @@ impl FarHills {
             let mut deviation = DEVIATION / GRADIENT_NOISE_SIGMA;
             for lattice in &self.octaves {
                 let (cell, at) = lattice.cell(lattice.local(point));
-                let noise = gradient_noise_2d(cell, at, lattice.seed, 0.0);
+                let noise = gradient_noise_2d(cell, at, lattice.seed);
                 shape += in_mesh(lattice.cell_m) * deviation * noise;
                 deviation *= 0.5;
             }

@@ -73,7 +73,8 @@ impl Fillet {
             for ((ripple, x), y) in ripples.iter_mut().zip(x).zip(y) {
                 let (column, u) = floor_and_fraction((x - self.offset.x) * per_m);
                 let (row, v) = floor_and_fraction((y - self.offset.y) * per_m);
-                *ripple += amplitude_m * gradient_noise_2d([column, row], [u, v], seed, 0.0);
+                let noise = gradient_noise_2d([column, row], [u, v], seed);
+                *ripple += amplitude_m * noise;
             }
         }
         let [mean_m, cos1, sin1, cos2, sin2, cos3, sin3] = self.outline_m;

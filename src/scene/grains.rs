@@ -1,8 +1,8 @@
 //! The grains of the soil: fragments of rock and clods from a millimetre to three centimetres across, half buried.
 //!
-//! Fragments continue the law of the rocks below the smallest that has a mesh. The numbers of clods follow the Surveyors' counts:
-//! cumulative numbers with a power of -2.1 to -2.65 of the diameter (Shoemaker and Morris 1970, "Physical characteristics of the
-//! lunar regolith determined from Surveyor television observations"). Grains of one octave of diameters lie on a lattice, at most one per cell, as the craters
+//! Their numbers follow the Surveyors' counts: cumulative numbers with a power of -2.1 to -2.65 of the diameter (Shoemaker and Morris 1970,
+//! "Physical characteristics of the lunar regolith determined from Surveyor television observations"). Two fifths of them are fragments of
+//! rock, more where the law of the rocks asks for more below the smallest that has a mesh. Grains of one octave of diameters lie on a lattice, at most one per cell, as the craters
 //! do ([`super::craters`]). Each is an ellipsoid whose centre lies in the ground, so that rays meet it in closed form: it
 //! stands up in views along the ground, and throws a shadow. No mesh has them; they are labelled as regolith.
 //! Must not know: who asks. GPU counterpart: `shaders/common/grains.wgsl`.
@@ -20,10 +20,13 @@ use crate::random::Streams;
 pub const LARGEST_M: f64 = 0.032;
 /// Lattices, one per octave of diameters: down to a millimetre.
 pub const LATTICES: u32 = 5;
-/// Clods larger than a centimetre per square metre with a density of 1: as many as Surveyor III counted (91).
-pub const CLODS_LARGER_THAN_1_CM: f64 = 90.0;
+/// Grains larger than a centimetre per square metre with a density of 1: as many as Surveyor III counted (91).
+pub const LARGER_THAN_1_CM: f64 = 90.0;
 /// Exponent of their cumulative numbers: between Surveyor I (2.11) and V (2.65).
-pub const CLODS_EXPONENT: f64 = 2.4;
+pub const EXPONENT: f64 = 2.4;
+/// Fraction of these that are fragments of rock: basalt and anorthosite among the coarse fines of Apollo 11 (1 to 5 mm; Wood et al. 1970);
+/// breccias of soil, aggregates and glass are clods.
+pub const ROCK_SHARE: f64 = 0.4;
 /// Side of a cell in largest diameters of its lattice.
 pub const CELL_DIAMETERS: f32 = 2.0;
 /// Largest distance of a centre from the middle of its cell along an axis, cells.
@@ -102,12 +105,12 @@ impl GrainField {
             let cell_m = f64::from(CELL_DIAMETERS) * largest_m;
             let in_cell =
                 |larger: &dyn Fn(f64) -> f64| (larger(0.5 * largest_m) - larger(largest_m)) * cell_m * cell_m;
-            let clods =
-                in_cell(&|diameter_m| CLODS_LARGER_THAN_1_CM * libm::pow(diameter_m / 0.01, -CLODS_EXPONENT));
-            let clods = number(Knob::GrainsDensity) * clods;
-            let fragments = in_cell(&|diameter_m| rocks_larger_than(diameter_m, number(Knob::RocksCoverage)));
-            let fragments = if number(Knob::GrainsDensity) > 0.0 { fragments } else { 0.0 };
-            let all = clods + fragments;
+            let counted = in_cell(&|diameter_m| LARGER_THAN_1_CM * libm::pow(diameter_m / 0.01, -EXPONENT));
+            let counted = number(Knob::GrainsDensity) * counted;
+            let of_rocks = in_cell(&|diameter_m| rocks_larger_than(diameter_m, number(Knob::RocksCoverage)));
+            let of_rocks = if number(Knob::GrainsDensity) > 0.0 { of_rocks } else { 0.0 };
+            let fragments = of_rocks.max(ROCK_SHARE * counted);
+            let all = (1.0 - ROCK_SHARE) * counted + fragments;
             GrainLattice {
                 lattice: Lattice::new(cell_m, centre, &mut streams.stream("grains.lattice", k.into())),
                 largest_m: largest_m as f32,
@@ -438,13 +441,17 @@ mod tests {
             }
             numbers
         };
-        let [clods, fragments] = counted(&["rocks.coverage=0.03"]);
-        let larger = |diameter_m: f64| CLODS_LARGER_THAN_1_CM * libm::pow(diameter_m / 0.01, -CLODS_EXPONENT);
-        let expected = larger(0.01) - larger(LARGEST_M);
+        let [clods, fragments] = counted(&["rocks.coverage=0.1"]);
+        let larger = |diameter_m: f64| LARGER_THAN_1_CM * libm::pow(diameter_m / 0.01, -EXPONENT);
+        let expected = (1.0 - ROCK_SHARE) * (larger(0.01) - larger(LARGEST_M));
         // Within an octave the numbers fall with D^-2 instead.
         assert!((clods / expected - 1.0).abs() < 0.15, "{clods} clods, not {expected}");
-        let expected = rocks_larger_than(0.01, 0.03) - rocks_larger_than(LARGEST_M, 0.03);
+        let expected = rocks_larger_than(0.01, 0.1) - rocks_larger_than(LARGEST_M, 0.1);
         assert!((fragments / expected - 1.0).abs() < 0.15, "{fragments} fragments, not {expected}");
+        // Where there are few rocks, two fifths of the grains are fragments all the same.
+        let [clods, fragments] = counted(&["rocks.coverage=0.002"]);
+        let share = fragments / (clods + fragments);
+        assert!((share - ROCK_SHARE).abs() < 0.02, "a fraction of {share} are fragments");
         assert_eq!(counted(&["grains.density=0"]), [0.0; 2]);
     }
 

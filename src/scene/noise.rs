@@ -16,6 +16,7 @@ use crate::rounding::floor_and_fraction;
 use cells::{lerp, smoothstep};
 pub use gradient::{
     GRADIENT_NOISE_SIGMA, SHADE_SIGMA, gradient_noise_2d, gradient_noise_difference, gradient_noise_slope_2d,
+    patchy_noise_2d,
 };
 pub use hash::lattice_hash;
 use hash::{HASH_X, HASH_Y, HASH_Z, first_mixed, last_mixed};

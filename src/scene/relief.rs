@@ -13,7 +13,7 @@ use super::far_hills::FarHills;
 use super::fillet::{BATCH, Fillet};
 use super::grains::GrainField;
 use super::lattice::Lattice;
-use super::noise::{GRADIENT_NOISE_SIGMA, SHADE_SIGMA, gradient_noise_2d, gradient_noise_difference};
+use super::noise::{GRADIENT_NOISE_SIGMA, SHADE_SIGMA, gradient_noise_difference, patchy_noise_2d};
 use super::track::Track;
 use crate::params::{Knob, Params};
 use crate::random::Streams;
@@ -29,6 +29,12 @@ const COARSE_DEVIATION: f64 = 0.17;
 const FINE_LONGEST_M: f64 = 1.5625;
 /// Octaves of the fine relief: down to 1.5 mm.
 const FINE_OCTAVES: u32 = 11;
+/// The first octave of the fine relief that sets how strong finer ones are from place to place: 39 cm. Every other one from there on does.
+const FIRST_PATCHY: u32 = 2;
+/// Typical strength that such an octave gives to finer ones.
+const TYPICAL_STRENGTH: f64 = 0.88;
+/// Most that an octave is stronger in one place than in the mean: soil that is steeper than its angle of repose slides.
+const MAX_STRENGTH: f32 = 1.2;
 /// Octaves of the soil's shade that a view shows at once, about.
 const SHADED_OCTAVES: f32 = 5.0;
 /// Baseline of the slope that the fine relief is made for, metres.
@@ -52,7 +58,7 @@ pub struct Octave {
     pub amplitude_m: f32,
     /// Amplitude of the shade that goes with it, in the logarithm of the soil's albedo.
     pub shade: f32,
-    /// 1 if it is rough in few places and smooth in most, else 0.
+    /// 1 if it sets how strong all finer octaves are from place to place, else 0.
     pub patchy: f32,
 }
 
@@ -120,7 +126,7 @@ impl Relief {
                 lattice: Lattice::new(wavelength_m, centre, &mut streams.stream(purpose, k.into())),
                 amplitude_m: amplitude_m as f32,
                 shade: if purpose == "relief.fine" { shade } else { 0.0 },
-                patchy: if purpose == "relief.fine" { 1.0 } else { 0.0 },
+                patchy: if purpose == "relief.fine" && is_patchy(k) { 1.0 } else { 0.0 },
             })
             .collect();
         let craters = CraterField::new(streams, params, centre);
@@ -159,15 +165,18 @@ impl Relief {
     #[inline(always)]
     fn set_in_vectors(&self, [x, y]: [&[f32]; 2], cell_m: f32, nearby: &Nearby, heights: &mut [f32]) {
         heights.fill(0.0);
+        let mut strengths = [1.0; BATCH];
         for Octave { lattice, amplitude_m, patchy, .. } in &self.octaves {
             let share = mesh_share(lattice.cell_m, cell_m);
             if share == 0.0 {
                 break;
             }
             let amplitude_m = share * amplitude_m;
-            for ((height, x), y) in heights.iter_mut().zip(x).zip(y) {
+            for (((height, strength), x), y) in heights.iter_mut().zip(&mut strengths).zip(x).zip(y) {
                 let (cell, t) = lattice.cell(lattice.local(Vec2::new(*x, *y)));
-                *height += amplitude_m * gradient_noise_2d(cell, t, lattice.seed, *patchy);
+                let [value, finer] = patchy_noise_2d(cell, t, lattice.seed, *patchy);
+                *height += capped_strength(*strength) * (amplitude_m * value);
+                *strength *= finer;
             }
         }
         if let Some(far_hills) = &self.far_hills {
@@ -216,6 +225,20 @@ fn is_any_within(reach_m: f32, centre: Vec2, [x, y]: [&[f32]; 2]) -> bool {
     f32::from_bits(min_bits) < 1.01 * reach_m * reach_m
 }
 
+/// Whether octave `k` of the fine relief sets how strong all finer ones are: soil has smooth patches of fines and patches of clods, of all
+/// sizes, as terrain that is a cascade of strengths that multiply (Schertzer and Lovejoy 1987).
+const fn is_patchy(k: u32) -> bool {
+    k >= FIRST_PATCHY && (k - FIRST_PATCHY).is_multiple_of(2)
+}
+
+/// The strength of an octave where coarser ones have set a product of strengths.
+#[must_use]
+#[inline(always)]
+pub fn capped_strength(product: f32) -> f32 {
+    // `f32::min` is more than a comparison (NaN).
+    if product < MAX_STRENGTH { product } else { MAX_STRENGTH }
+}
+
 /// Wavelength and amplitude, metres, of each octave of the fine relief: a power law with this Hurst exponent, scaled to a
 /// median slope over a 7 mm baseline.
 fn fine_octaves(hurst: f64, median_deg: f64) -> Vec<(f64, f64)> {
@@ -237,5 +260,14 @@ fn fine_octaves(hurst: f64, median_deg: f64) -> Vec<(f64, f64)> {
     let rest = (square(tangent(median_deg)) - square(tangent(OTHER_SLOPE_DEG))).max(0.0).sqrt();
     let wanted_m = SLOPE_BASELINE_M * NOISE_SHARE * rest / MEDIAN_PER_DEVIATION;
     let scale = wanted_m / difference.sqrt();
-    unit.into_iter().map(|(wavelength, amplitude)| (wavelength, scale * amplitude)).collect()
+    // The typical ground has these amplitudes; rougher ground has more, and smoother less.
+    let typical = (0..FINE_OCTAVES).scan(1.0, |strength, k| {
+        let here = *strength;
+        *strength *= if is_patchy(k) { TYPICAL_STRENGTH } else { 1.0 };
+        Some(here)
+    });
+    unit.into_iter()
+        .zip(typical)
+        .map(|((wavelength, amplitude), strength)| (wavelength, scale * amplitude / strength))
+        .collect()
 }

@@ -125,7 +125,7 @@ impl Track {
         let rut = u32::from(across_m > 0.0);
         let noise = |wavelength_m: f32, salt: u32| {
             let (column, u) = floor_and_fraction(along_m / wavelength_m);
-            gradient_noise_2d([column, rut as i32], [u, 0.5], self.seed ^ salt, 0.0)
+            gradient_noise_2d([column, rut as i32], [u, 0.5], self.seed ^ salt)
         };
         let ragged = in_mesh.ragged * RAGGED.1 * noise(RAGGED.0, 1);
         // Distance from the middle of the rut, in half widths.

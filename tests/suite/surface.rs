@@ -113,6 +113,37 @@ fn ground_has_the_measured_relief() {
     assert!((2.5..=6.0).contains(&deviation), "{deviation} mm");
 }
 
+/// Soil is intermittent: smooth fines between patches of clods. Of the root mean square slopes over 5 mm in windows of 60 mm, the ninth
+/// decile is several times the first; noise without patches has windows that are all alike.
+#[test]
+fn soil_has_smooth_and_rough_patches() {
+    const WINDOW: usize = 12;
+    let spread = |patchy: bool| {
+        let mut slopes = Vec::new();
+        for seed in 0..4 {
+            let mut relief = relief(seed, &["grains.density=0", "craters.density=0"]);
+            if !patchy {
+                relief.octaves.iter_mut().for_each(|octave| octave.patchy = 0.0);
+            }
+            let heights = heights(&relief, Vec2::new(3.0 * seed as f32, 4.0));
+            for (y, x) in (0..SIDE - WINDOW)
+                .step_by(WINDOW)
+                .flat_map(|y| (0..SIDE - WINDOW).step_by(WINDOW).map(move |x| (y, x)))
+            {
+                let rises = (y..y + WINDOW).flat_map(|y| (x..x + WINDOW).map(move |x| y * SIDE + x));
+                let square: f64 =
+                    rises.map(|i| f64::from(heights[i + 1] - heights[i])).map(|rise| rise * rise).sum();
+                slopes.push((square / (WINDOW * WINDOW) as f64).sqrt());
+            }
+        }
+        slopes.sort_by(f64::total_cmp);
+        slopes[slopes.len() * 9 / 10] / slopes[slopes.len() / 10]
+    };
+    let (patchy, even) = (spread(true), spread(false));
+    println!("ninth over first decile of slopes: {patchy:.2}, without patches {even:.2}");
+    assert!(patchy > 2.2 && patchy > 1.4 * even, "{patchy}, without patches {even}");
+}
+
 #[test]
 fn relief_knobs_set_the_slope() {
     for (deg, hurst) in [(7.0, 0.85), (13.0, 0.6)] {

@@ -23,6 +23,8 @@ pub(super) struct DetailSums {
     pub(super) sun_clearance_m: [f32; BATCH],
     /// The part of the slope that waves have.
     pub(super) waves: Vectors,
+    /// How strong the next finer waves are here, before the cap.
+    pub(super) strength: [f32; BATCH],
 }
 
 impl DetailSums {
@@ -37,6 +39,7 @@ impl DetailSums {
             height_m: zeros,
             sun_clearance_m: [FAR_M; BATCH],
             waves: Vectors { x: zeros, y: zeros },
+            strength: [1.0; BATCH],
         }
     }
 

@@ -102,7 +102,8 @@ fn band_uniforms(
     let whole_m = 2.0 * MIN_CELLS * largest_m;
     let octaves = relief.octaves.iter().filter(|octave| {
         let size_m = octave.lattice.cell_m;
-        size_m < whole_m && is_resolved(size_m)
+        // What the mesh shows whole still sets the strength of finer octaves.
+        (octave.patchy > 0.0 || size_m < whole_m) && is_resolved(size_m)
     });
     for (slot, octave) in uniforms.noise.iter_mut().zip(octaves) {
         *slot = LatticeUniforms {

@@ -22,8 +22,8 @@ use crate::scene::craters::{
     second_hash,
 };
 use crate::scene::grains::GrainMaterial;
-use crate::scene::noise::{gradient_noise_2d, gradient_noise_slope_2d, lattice_hash};
-use crate::scene::relief::{MIN_CELLS, mesh_share};
+use crate::scene::noise::{gradient_noise_2d, gradient_noise_slope_2d, lattice_hash, patchy_noise_2d};
+use crate::scene::relief::{MIN_CELLS, capped_strength, mesh_share};
 use crate::scene::sky::Sun;
 
 /// In place of the index of a band: none.
@@ -243,7 +243,9 @@ fn add_relief(relief: &ReliefUniforms, ground: &GroundBatch, sums: &mut DetailSu
         }
     }
     for wave in &relief.noise[..view.waves as usize] {
-        if sample_share(wave.cell_m, nearest_m) > 0.0 && mesh_share(wave.cell_m, largest_cell_m) < 1.0 {
+        if mesh_share(wave.cell_m, largest_cell_m) == 1.0 {
+            set_strength(wave, ground, sums);
+        } else if sample_share(wave.cell_m, nearest_m) > 0.0 {
             let is_tested = wave.cell_m > MIN_TESTED_SAMPLES * nearest_m;
             noise_slope(wave, ground, is_low.map(|is_low| is_low && is_tested), sums);
         }
@@ -284,8 +286,10 @@ fn noise_slope(wave: &LatticeUniforms, ground: &GroundBatch, is_low: [bool; 2], 
     }
     for i in 0..BATCH {
         let ([column, row], t) = lattice.cell(lattice.local(sums.point(ground, i)));
-        let [along, across, shade, value] = gradient_noise_slope_2d([column, row], t, wave.seed, wave.factor);
-        let share = wave.amount * resolved[i];
+        let [along, across, shade, value, strength] =
+            gradient_noise_slope_2d([column, row], t, wave.seed, wave.factor);
+        let share = wave.amount * resolved[i] * capped_strength(sums.strength[i]);
+        sums.strength[i] *= strength;
         let slope = Vec2::new(
             share * (wave.rotation_per_m.x * along - wave.rotation_per_m.y * across),
             share * (wave.rotation_per_m.y * along + wave.rotation_per_m.x * across),
@@ -293,6 +297,19 @@ fn noise_slope(wave: &LatticeUniforms, ground: &GroundBatch, is_low: [bool; 2], 
         sums.waves.x[i] += slope.x;
         sums.waves.y[i] += slope.y;
         sums.add(ground, i, slope, share * value - above_m[i], wave.share * resolved[i] * shade);
+    }
+}
+
+/// Sets the strength of finer waves where this one is wholly in the mesh.
+#[inline(always)]
+fn set_strength(wave: &LatticeUniforms, ground: &GroundBatch, sums: &mut DetailSums) {
+    if wave.factor > 0.0 {
+        let lattice = wave.lattice();
+        for i in 0..BATCH {
+            let ([column, row], t) = lattice.cell(lattice.local(sums.point(ground, i)));
+            let [_, strength] = patchy_noise_2d([column, row], t, wave.seed, wave.factor);
+            sums.strength[i] *= strength;
+        }
     }
 }
 
@@ -311,8 +328,8 @@ fn clearance(
     let rise_m = TESTED_CELLS * wave.cell_m * ground.per_way[ray][i];
     let way = Vec2::new(rise_m * ground.ways[ray].x[i], rise_m * ground.ways[ray].y[i]);
     let ([column, row], t) = lattice.cell(lattice.local(sums.point(ground, i) + way));
-    let value = gradient_noise_2d([column, row], t, wave.seed, wave.factor);
-    let height_m = wave.amount * resolved * value;
+    let value = gradient_noise_2d([column, row], t, wave.seed);
+    let height_m = wave.amount * resolved * capped_strength(sums.strength[i]) * value;
     let tested = ground.tested_share(i, wave.cell_m);
     let is_tested = (ground.per_way[ray][i] < 1.0 / MIN_LOW_WAY) & (resolved > 0.0) & (tested > 0.0);
     let clearance_m = rise_m / tested - (sums.waves.x[i] * way.x + sums.waves.y[i] * way.y + height_m);
