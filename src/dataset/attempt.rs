@@ -128,21 +128,25 @@ impl Attempt {
         Ok(Self { index, number: attempts, redrawn })
     }
 
-    /// Builds the scene of the attempt and plans its frame. A scene that is impossible with these settings counts as a broken rule, and
-    /// the next attempt is made.
+    /// Builds the scene of the attempt and plans its frame. A scene that is impossible with these settings, or that breaks a rule
+    /// whatever its frame shows, is never rendered: the next attempt is made.
     ///
     /// # Errors
     /// [`Error::RuleBroken`] if that was the last one allowed.
     pub(super) fn prepare(mut self, plan: &Plan, planner: &FramePlanner) -> Result<PreparedAttempt> {
         loop {
             let Self { index, number, redrawn } = self;
-            match prepare(plan, planner, index, number, redrawn.clone()) {
+            let violation = match prepare(plan, planner, index, number, redrawn.clone()) {
                 Err(Error::Scene(found)) if plan.seeds == Seeds::OfBase => {
-                    let violation = Violation { rule: "scene".to_owned(), found };
-                    self = Self::next(index, number, redrawn, violation, plan)?;
+                    Violation { rule: "scene".to_owned(), found }
                 }
-                prepared => return prepared,
-            }
+                Err(error) => return Err(error),
+                Ok(prepared) => match plan.violation_of_scene(&prepared.source.scene) {
+                    Some(violation) => violation,
+                    None => return Ok(prepared),
+                },
+            };
+            self = Self::next(index, number, redrawn, violation, plan)?;
         }
     }
 }

@@ -228,6 +228,15 @@ impl Plan {
         }
     }
 
+    /// The rule that a scene breaks before its frame is rendered, if any, as [`Self::violation`] names it.
+    #[must_use]
+    pub fn violation_of_scene(&self, scene: &Scene) -> Option<Violation> {
+        match self.seeds {
+            Seeds::OfBase => Rules::violation_of_scene(scene),
+            Seeds::Given => None,
+        }
+    }
+
     /// The seed of the scene of an attempt at a frame.
     #[must_use]
     pub fn seed_of(&self, index: u64, attempt: u32) -> u64 {

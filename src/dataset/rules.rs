@@ -221,16 +221,8 @@ impl Rules {
         if unlabelled > 0 {
             return violation("unlabelled", format!("{unlabelled} pixels carry no label"));
         }
-        let eye = scene.camera.eye;
-        let height_m = eye.z - scene.terrain.surface_height_at(eye.truncate());
-        if height_m <= 0.0 {
-            return violation("eye_above_ground", format!("the eye is {height_m:.2} m above the ground"));
-        }
-        let near_eye = scene.rocks.build_where(|rock| rock.may_lie_within(0.0, eye));
-        if let Some((_, rock)) =
-            near_eye.into_iter().find(|(_, rock)| rock.body.is_rock() && rock.distance_to(eye, 1.0) <= 0.0)
-        {
-            return violation("eye_outside_rocks", format!("the eye is inside rock {}", rock.index));
+        if let Some(violation) = Self::violation_of_scene(scene) {
+            return Some(violation);
         }
         if let Some(violation) = self.violation_of_brightness(&Brightness::of(frame)) {
             return Some(violation);
@@ -243,6 +235,24 @@ impl Rules {
                     format!("{} covers {share:.4} of the image; allowed is {low} to {high}", class.name);
                 return violation(&format!("require.{}", class.name), found);
             }
+        }
+        None
+    }
+
+    /// The first rule that a scene breaks, whatever its frame shows.
+    #[must_use]
+    pub fn violation_of_scene(scene: &Scene) -> Option<Violation> {
+        let violation = |rule: &str, found: String| Some(Violation { rule: rule.to_owned(), found });
+        let eye = scene.camera.eye;
+        let height_m = eye.z - scene.terrain.surface_height_at(eye.truncate());
+        if height_m <= 0.0 {
+            return violation("eye_above_ground", format!("the eye is {height_m:.2} m above the ground"));
+        }
+        let near_eye = scene.rocks.build_where(|rock| rock.may_lie_within(0.0, eye));
+        if let Some((_, rock)) =
+            near_eye.into_iter().find(|(_, rock)| rock.body.is_rock() && rock.distance_to(eye, 1.0) <= 0.0)
+        {
+            return violation("eye_outside_rocks", format!("the eye is inside rock {}", rock.index));
         }
         None
     }

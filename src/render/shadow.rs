@@ -28,7 +28,7 @@ use tiles::{NewTile, ShadowMap};
 /// The room for new tiles in the staging buffer is a multiple of this, bytes: frames differ a little in what they need.
 const STAGING_STEP_BYTES: usize = 4 << 20;
 /// Most bytes of tiles that are uploaded at once, but for a single larger tile.
-const STAGING_BYTES: usize = 32 << 20;
+const STAGING_BYTES: usize = 16 << 20;
 
 /// Backend of the shadow map of the rocks.
 #[derive(Debug)]

@@ -14,6 +14,7 @@
 mod heightfield;
 mod sweep;
 
+use std::cell::RefCell;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 use glam::Vec2;
@@ -46,7 +47,12 @@ const FARTHEST_M: f32 = 1e9;
 pub const MAX_LEVELS: usize = 12;
 
 /// Maps whose memory later ones use: those of the frames that are planned or in flight.
-const MAX_RETIRED: usize = 8;
+const MAX_RETIRED: usize = 6;
+
+thread_local! {
+    /// Memory of the grids of earlier maps, those of the last one at most.
+    static SPARE: RefCell<Vec<Vec<Limbs>>> = RefCell::default();
+}
 
 /// The map: its grids, the finest first. Computed in place, for its memory.
 #[derive(Clone, Debug, Default)]
@@ -65,8 +71,6 @@ pub struct HorizonMap {
     pub heights_m: Vec<Limbs>,
     /// See [`Self::shadowed_ground`].
     shadowed: Vec<Vec2>,
-    /// Memory of earlier grids.
-    spare: Vec<Vec<Limbs>>,
     /// The heights of a square ground, which maps of the same ground share.
     heightfield: Arc<Heightfield>,
 }
@@ -182,7 +186,7 @@ impl HorizonMap {
             let finer_m = level.checked_sub(1).map_or(0.0, |finer| beyond * steps_m[finer]);
             let margin = if level == 0 { 0.0 } else { (finer_m / step_m).ceil() + 2.0 };
             let region = lattice.region(&footprint.within(terrain.centre, end_m), margin);
-            let memory = self.spare.pop().unwrap_or_default();
+            let memory = SPARE.with_borrow_mut(Vec::pop).unwrap_or_default();
             let grid = match grids.last() {
                 None => lattice.sweep_coarsest(&region, memory),
                 Some(coarser) => lattice.sweep_finer(&region, memory, coarser, beyond as usize),
@@ -197,9 +201,11 @@ impl HorizonMap {
     /// Stacks the grids in one image, one below the other, each row padded to the widest.
     fn stack(&mut self, grids: Vec<HorizonGrid>) {
         let width = grids.iter().map(|grid| grid.size[0]).max().unwrap_or(2);
+        let samples = width * grids.iter().map(|grid| grid.size[1]).sum::<usize>();
         self.width = width as u32;
         self.levels.clear();
         self.heights_m.clear();
+        self.heights_m.reserve_exact(samples);
         self.shadowed.clear();
         for mut grid in grids {
             self.levels.push(HorizonLevel {
@@ -211,6 +217,7 @@ impl HorizonMap {
             });
             if self.heights_m.is_empty() && grid.size[0] == width {
                 std::mem::swap(&mut self.heights_m, &mut grid.heights_m);
+                self.heights_m.reserve_exact(samples - self.heights_m.len());
             } else {
                 for row in grid.heights_m.chunks(grid.size[0]) {
                     self.heights_m.extend(row);
@@ -218,7 +225,7 @@ impl HorizonMap {
                 }
             }
             self.shadowed.extend(grid.shadowed);
-            self.spare.push(grid.heights_m);
+            SPARE.with_borrow_mut(|spare| spare.push(grid.heights_m));
         }
     }
 

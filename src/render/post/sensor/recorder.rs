@@ -8,7 +8,7 @@ use super::demosaic::{REACH, demosaic_row, mirrored};
 use super::encoding::SrgbCodes;
 use super::optics::{convolve_row, psf_taps, weighted_sum};
 use super::readout::Readout;
-use super::resampling::Resampling;
+use super::resampling::{Resampling, ResamplingTable};
 use crate::scene::sensor::{Mosaic, Sensor};
 
 /// Rows of the sensor in a band, if the image has no more rows than the sensor.
@@ -26,6 +26,9 @@ pub(super) struct Recorder<'a> {
     image: [usize; 2],
     /// Columns and rows of the sensor.
     size: [usize; 2],
+    /// Columns of the image to those of the sensor, and back.
+    enlargement: ResamplingTable,
+    reduction: ResamplingTable,
 }
 
 /// Rows of the image as the sensor's columns see them, after the point spread along the row.
@@ -52,7 +55,10 @@ impl<'a> Recorder<'a> {
             columns => [columns, ((columns * height + width / 2) / width).max(1)],
         };
         let (readout, taps) = (Readout::new(sensor), psf_taps(sensor.psf_px));
-        Self { sensor, readout, codes: SrgbCodes::shared(), taps, channels, image, size }
+        let table = |from, to| ResamplingTable::new(Resampling { from, to });
+        let (enlargement, reduction) = (table(width, size[0]), table(size[0], width));
+        let codes = SrgbCodes::shared();
+        Self { sensor, readout, codes, taps, channels, image, size, enlargement, reduction }
     }
 
     /// Rows of the image in a band.
@@ -69,7 +75,6 @@ impl<'a> Recorder<'a> {
         let needed = reduction.overlap(first).start..reduction.overlap(first + rows - 1).end;
         let codes = self.encoded_rows(needed.clone());
         let planes = if self.sensor.mosaic == Mosaic::Bayer { 3 } else { 1 };
-        let columns = Resampling { from: width, to: image_width };
         let (mut sums, mut reduced) = (vec![0.0; planes * width], vec![0.0; image_width]);
         for (row, rgb) in rgb.chunks_exact_mut(3 * image_width).enumerate() {
             let overlap = reduction.overlap(first + row);
@@ -80,7 +85,7 @@ impl<'a> Recorder<'a> {
             };
             dispatch!(Level::new(), _simd => weighted_sum(&weights, of_row, &mut sums));
             for (plane, sums) in sums.chunks_exact(width).enumerate() {
-                columns.resample(sums, &mut reduced);
+                self.reduction.resample(sums, &mut reduced);
                 let last = if planes == 1 { 3 } else { 1 };
                 for (rgb, value) in rgb.chunks_exact_mut(3).zip(&reduced) {
                     rgb[plane..plane + last].fill((value + 0.5) as u8);
@@ -155,14 +160,13 @@ impl<'a> Recorder<'a> {
 
     fn wide_rows(&self, rows: std::ops::Range<usize>) -> WideRows {
         let width = self.size[0];
-        let columns = Resampling { from: self.image[0], to: width };
         let kinds = if self.channels.len() == 1 { 1 } else { 2 };
         let mut wide =
             WideRows { first: rows.start, width, rows: vec![0.0; kinds * width * rows.len()], kinds };
         let (mut enlarged, mut spread) = (vec![0.0; width], vec![0.0; width * self.channels.len()]);
         for (row, target) in rows.zip(wide.rows.chunks_exact_mut(kinds * width)) {
             for (channel, spread) in self.channels.iter().zip(spread.chunks_exact_mut(width)) {
-                columns.resample(&channel[row * self.image[0]..][..self.image[0]], &mut enlarged);
+                self.enlargement.resample(&channel[row * self.image[0]..][..self.image[0]], &mut enlarged);
                 convolve_row(&self.taps, &enlarged, spread);
             }
             if kinds == 1 {

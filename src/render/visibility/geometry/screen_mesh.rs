@@ -108,11 +108,11 @@ impl ScreenMesh {
         bytes(&self.vertices) + bytes(&self.triangles) + bytes(&self.clipped_interpolants)
     }
 
-    /// Frees what is allocated beyond twice the needed.
+    /// Frees what is allocated beyond the needed.
     pub(super) fn free_excess(&mut self) {
-        self.vertices.shrink_to(2 * self.vertices.len());
-        self.triangles.shrink_to(2 * self.triangles.len());
-        self.clipped_interpolants.shrink_to(2 * self.clipped_interpolants.len());
+        self.vertices.shrink_to_fit();
+        self.triangles.shrink_to_fit();
+        self.clipped_interpolants.shrink_to_fit();
     }
 
     /// Adds the vertices of a surface at `origin`, metres from the eye.
