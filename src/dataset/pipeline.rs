@@ -109,7 +109,12 @@ pub fn run_job<T: Send>(
 ) -> Result<()> {
     let Job { plan, indices, concurrency: Concurrency { threads, frames_in_flight }, stop, finish } = job;
     let first_error = FirstError::default();
-    let limits = QueueLimits { ready: threads.max(2), ahead: AHEAD_PER_WORKER * threads + frames_in_flight };
+    let limits = QueueLimits {
+        ready: threads.max(2),
+        ahead: AHEAD_PER_WORKER * threads + frames_in_flight,
+        // One for each worker and for each frame in flight, and one that the device finds when it is done with another.
+        in_memory: threads + frames_in_flight + 1,
+    };
     let queue = WorkQueue::new(indices, limits);
     let (finished_sender, finished) = sync_channel::<T>(threads);
     let (planner, info) = planner_and_info(renderer);

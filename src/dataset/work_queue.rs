@@ -2,8 +2,8 @@
 //!
 //! Workers prepare attempts at frames and finish those that were rendered; one thread renders what is prepared. A frame that was read
 //! back is finished before anything else, an attempt that follows a rejected one is prepared before a new frame, and a new frame is
-//! started only while few are prepared and the oldest unfinished one is not far behind. So no thread ever waits for room in a queue,
-//! and yet the number of frames in memory is bounded.
+//! started only while few are prepared, few have a scene in memory and the oldest unfinished one is not far behind. So no thread ever
+//! waits for room in a queue, and yet the number of frames in memory is bounded.
 //! Must not know: how a frame is prepared, rendered or finished.
 
 use std::collections::VecDeque;
@@ -25,6 +25,8 @@ pub(super) struct QueueLimits {
     pub(super) ready: usize,
     /// Frames that are started after the oldest unfinished one.
     pub(super) ahead: usize,
+    /// Attempts that have a scene: prepared, rendered, read back or being finished.
+    pub(super) in_memory: usize,
 }
 
 /// The queue of a pipeline: indices of frames, attempts at them, prepared attempts, and frames that were read back.
@@ -43,6 +45,8 @@ struct State<Indices, Attempt, Prepared, Raw> {
     raw: VecDeque<Raw>,
     /// Attempts that a worker is preparing.
     preparing: usize,
+    /// Attempts that have a scene, those that a worker is preparing included.
+    in_memory: usize,
     /// Frames that were started, in order, and whether each is finished. The first is not.
     started: VecDeque<(u64, bool)>,
     /// No further frame is started.
@@ -59,6 +63,7 @@ impl<Indices: Iterator<Item = u64>, Attempt, Prepared, Raw> WorkQueue<Indices, A
             prepared: VecDeque::new(),
             raw: VecDeque::new(),
             preparing: 0,
+            in_memory: 0,
             started: VecDeque::new(),
             ends: false,
             closed: false,
@@ -93,16 +98,17 @@ impl<Indices: Iterator<Item = u64>, Attempt, Prepared, Raw> WorkQueue<Indices, A
                 return Some(Task::Finish(raw));
             }
             if let Some(attempt) = state.redraws.pop_front() {
-                state.preparing += 1;
+                state.start_preparing();
                 return Some(Task::Prepare(attempt));
             }
             let has_room = state.prepared.len() + state.preparing < self.limits.ready
-                && state.started.len() < self.limits.ahead;
+                && state.started.len() < self.limits.ahead
+                && state.in_memory < self.limits.in_memory;
             if has_room && !state.ends {
                 let next = if stops() { None } else { state.indices.next() };
                 if let Some(index) = next {
                     state.started.push_back((index, false));
-                    state.preparing += 1;
+                    state.start_preparing();
                     return Some(Task::Prepare(first(index)));
                 }
                 state.ends = true;
@@ -150,14 +156,18 @@ impl<Indices: Iterator<Item = u64>, Attempt, Prepared, Raw> WorkQueue<Indices, A
         self.change(|state| state.raw.push_back(raw));
     }
 
-    /// Adds the attempt that follows a rejected one.
+    /// Adds the attempt that follows a rejected one, whose scene is gone.
     pub(super) fn add_redraw(&self, attempt: Attempt) {
-        self.change(|state| state.redraws.push_back(attempt));
+        self.change(|state| {
+            state.in_memory -= 1;
+            state.redraws.push_back(attempt);
+        });
     }
 
     /// A frame of an index is finished; where an index was asked for more than once, one of them.
     pub(super) fn finish(&self, index: u64) {
         self.change(|state| {
+            state.in_memory -= 1;
             if let Some(frame) = state.started.iter_mut().find(|frame| **frame == (index, false)) {
                 frame.1 = true;
             }
@@ -179,6 +189,11 @@ impl<Indices: Iterator<Item = u64>, Attempt, Prepared, Raw> WorkQueue<Indices, A
 }
 
 impl<Indices, Attempt, Prepared, Raw> State<Indices, Attempt, Prepared, Raw> {
+    fn start_preparing(&mut self) {
+        self.preparing += 1;
+        self.in_memory += 1;
+    }
+
     /// Whether every frame that was started is finished, and no other will be.
     fn is_done(&self) -> bool {
         self.ends && self.started.is_empty()
@@ -207,7 +222,7 @@ mod tests {
     /// Attempts are `(index, number)`; prepared and raw ones the same.
     type Queue = WorkQueue<std::ops::Range<u64>, (u64, u32), (u64, u32), (u64, u32)>;
 
-    const LIMITS: QueueLimits = QueueLimits { ready: 2, ahead: 6 };
+    const LIMITS: QueueLimits = QueueLimits { ready: 2, ahead: 6, in_memory: 5 };
 
     fn task(queue: &Queue) -> Option<Task<(u64, u32), (u64, u32)>> {
         queue.next_task(|| false, |index| (index, 0))

@@ -240,3 +240,37 @@ fn frames_of_two_sizes_in_turn_find_their_textures_again() {
         assert_eq!(renderer.gbuffers.textures().len(), 2, "{mode}");
     }
 }
+
+/// Frames of different lenses have different sizes, share textures that are larger than they need, and have the bytes of frames that
+/// are drawn alone.
+#[test]
+fn frames_of_different_lenses_share_textures() {
+    for mode in MODES {
+        let lens = |k1: &str, pitch: &str| scene(4, &["stage.name=surface", k1, pitch]);
+        let scenes = [
+            lens("camera.k1=-0.01", "camera.pitch_deg=-30"),
+            lens("camera.k1=-0.15", "camera.pitch_deg=4"),
+            lens("camera.k1=-0.05", "camera.pitch_deg=-8"),
+        ];
+        let settings = all_planes([80, 64], 4);
+        let alone = scenes.each_ref().map(|scene| {
+            let mut fresh = renderer(Requested::Offered, mode);
+            frame(&mut fresh, scene, &settings);
+            frame(&mut fresh, scene, &settings)
+        });
+        let mut shared = renderer(Requested::Offered, mode);
+        // The first frame is lit by general pipelines.
+        frame(&mut shared, &scenes[0], &settings);
+        let mut textures = Vec::new();
+        for round in 0..2 {
+            for (scene, alone) in scenes.iter().zip(&alone) {
+                assert_equal(&frame(&mut shared, scene, &settings), alone, "in turn");
+                if round == 0 {
+                    textures = shared.gbuffers.textures();
+                }
+                let is_known = |texture: &wgpu::Texture| textures.contains(texture);
+                assert!(shared.gbuffers.textures().iter().all(is_known), "{mode}: made again");
+            }
+        }
+    }
+}

@@ -187,3 +187,34 @@ fn backends_agree_in_depth_colour_and_class() {
     assert!(colour <= COLOUR.1, "colour differs by over {} steps in {colour} of the values", COLOUR.0);
     assert_eq!(all.class_inside, 0, "of {} pixels of another class: not at an edge", all.class);
 }
+
+/// A plane is the same whatever else a frame has: each set of planes is resolved by a pipeline of its own.
+#[test]
+fn a_plane_does_not_depend_on_those_beside_it() {
+    let scenes = [
+        scene(5, &["stage.name=surface", "camera.k1=-0.09", "rocks.coverage=0.05"]),
+        scene(6, &["camera.pitch_deg=-4", "sky.star_count=60"]),
+    ];
+    let every =
+        [Annotation::Depth, Annotation::Normals, Annotation::Instances, Annotation::Shadow, Annotation::Hdr];
+    for (scene, samples) in scenes.iter().zip([4, 16]) {
+        let with = |annotations: &[Annotation]| {
+            let mut settings = RenderSettings::new([96, 64], samples).expect("settings");
+            settings.annotations = annotations.iter().copied().collect();
+            renderer().render(scene, &settings).expect("a frame").0
+        };
+        let whole = with(&every);
+        assert!(whole.instances.iter().any(|instance| *instance > 0), "rocks");
+        let sets = [&[][..], &every[2..3], &every[..1], &[every[2], every[4]], &every[1..4]];
+        for set in sets {
+            let part = with(set);
+            assert!(part.rgb == whole.rgb && part.class == whole.class, "{set:?}");
+            let has = |annotation| set.contains(&annotation);
+            assert!(!has(Annotation::Depth) || part.depth_m == whole.depth_m, "{set:?}");
+            assert!(!has(Annotation::Normals) || part.normals == whole.normals, "{set:?}");
+            assert!(!has(Annotation::Instances) || part.instances == whole.instances, "{set:?}");
+            assert!(!has(Annotation::Shadow) || part.sun_occlusion == whole.sun_occlusion, "{set:?}");
+            assert!(!has(Annotation::Hdr) || part.radiance == whole.radiance, "{set:?}");
+        }
+    }
+}

@@ -151,7 +151,7 @@ impl GBuffer {
         (self.samples_per_side, self.annotations, self.layout)
             == (settings.samples_per_side, settings.annotations, layout)
             && self.capacity.iter().zip(needed).all(|(has, needed)| *has >= needed)
-            && (self.capacity == needed || 2 * area(self.capacity) <= 3 * area(needed))
+            && (self.capacity == needed || area(self.capacity) <= 2 * area(needed))
     }
 
     /// Gives it the samples of an image of another size, which it has room for.
@@ -220,9 +220,9 @@ impl GBuffer {
     }
 }
 
-/// Columns and rows of textures for images that a lens distorts are multiples of this: where each frame has a lens of its own, each has
-/// a size of its own, and yet they share textures.
-const CAPACITY_STEP: u32 = 128;
+/// The sides of textures for images that a lens distorts are multiples of a power of two, which is this part of them or less: where each
+/// frame has a lens of its own, each has a size of its own, and yet they share textures.
+const CAPACITY_STEPS: u32 = 8;
 
 /// G-buffers that are kept.
 const MAX_KEPT: usize = 2;
@@ -251,7 +251,7 @@ impl GBufferPool {
         }
         let side_limit = gpu.device.limits().max_texture_dimension_2d;
         let capacity = settings.sample_size().map(|side| {
-            let step = if is_distorted { CAPACITY_STEP } else { 1 };
+            let step = if is_distorted { (side / (2 * CAPACITY_STEPS) + 1).next_power_of_two() } else { 1 };
             side.next_multiple_of(step).min(side_limit.max(side))
         });
         let samples: u64 = capacity.map(u64::from).iter().product();

@@ -12,7 +12,6 @@
 
 use glam::{Vec2, Vec3};
 use half::f16;
-use rayon::prelude::*;
 
 use super::sun_share::visible_share;
 use crate::frame::Frame;
@@ -123,7 +122,7 @@ impl SunGlare {
     pub fn add_stray_light(
         &self,
         channels: &mut [Vec<f32>],
-        channel_of: impl Fn(usize, Vec3) -> f32 + Sync,
+        channel_of: impl Fn(usize, Vec3) -> f32,
         scattered: f64,
     ) {
         let width = self.size[0];
@@ -131,11 +130,17 @@ impl SunGlare {
         let norm = std::f32::consts::PI * libm::logf(1.0 + 4.0 / SCATTER_CORE);
         let scatter = scattered as f32 / norm * self.irradiance;
         let ghosts = self.ghosts_in_image();
-        // Of each pixel: the scattered part of the irradiance, and the lit part of each ghost.
+        let light: Vec<Vec<f32>> = (0..channels.len())
+            .map(|number| {
+                let ghosts = ghosts.iter().map(|(.., radiance)| *radiance);
+                std::iter::once(scatter).chain(ghosts).map(|light| channel_of(number, light)).collect()
+            })
+            .collect();
+        // Of each pixel of a row: the scattered part of the irradiance, and the lit part of each ghost.
         let parts = 1 + ghosts.len();
-        let mut shares = vec![0.0; parts * width * self.size[1]];
-        shares.par_chunks_exact_mut(parts * width).enumerate().for_each(|(y, row)| {
-            for (x, shares) in row.chunks_exact_mut(parts).enumerate() {
+        let mut shares = vec![0.0; parts * width];
+        for y in 0..self.size[1] {
+            for (x, shares) in shares.chunks_exact_mut(parts).enumerate() {
                 let point = rays.at(x, y);
                 let ray = point.extend(1.0) / point.extend(1.0).length();
                 shares[0] = 1.0 / (SCATTER_CORE + ray.distance_squared(self.towards));
@@ -144,13 +149,11 @@ impl SunGlare {
                     *share = inside.clamp(0.0, 1.0);
                 }
             }
-        });
-        for (number, channel) in channels.iter_mut().enumerate() {
-            let light = ghosts.iter().map(|(.., radiance)| *radiance);
-            let light: Vec<f32> =
-                std::iter::once(scatter).chain(light).map(|light| channel_of(number, light)).collect();
-            for (value, shares) in channel.iter_mut().zip(shares.chunks_exact(parts)) {
-                *value += shares.iter().zip(&light).map(|(share, light)| share * light).sum::<f32>();
+            for (channel, light) in channels.iter_mut().zip(&light) {
+                let row = &mut channel[y * width..(y + 1) * width];
+                for (value, shares) in row.iter_mut().zip(shares.chunks_exact(parts)) {
+                    *value += shares.iter().zip(light).map(|(share, light)| share * light).sum::<f32>();
+                }
             }
         }
     }

@@ -47,7 +47,7 @@ const FARTHEST_M: f32 = 1e9;
 pub const MAX_LEVELS: usize = 12;
 
 /// Maps whose memory later ones use: those of the frames that are planned or in flight.
-const MAX_RETIRED: usize = 6;
+const MAX_RETIRED: usize = 4;
 
 thread_local! {
     /// Memory of the grids of earlier maps, those of the last one at most.

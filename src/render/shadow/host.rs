@@ -167,11 +167,17 @@ impl ShadowBand {
         let [fronts, backs] = layers.each_ref().map(|layer| layer.chunks_exact(*stride));
         midpoint_row.resize(*size, 0.0);
         for (fronts, backs) in fronts.zip(backs).take(rows.len()) {
-            for (midpoint, (front, back)) in midpoint_row.iter_mut().zip(fronts.iter().zip(backs)) {
-                *midpoint = if *front == 0.0 { NO_CASTER } else { front + back - 1.0 };
-            }
+            dispatch!(Level::new(), _simd => set_midpoints(midpoint_row, fronts, backs));
             writer.write_row(bytemuck::cast_slice(midpoint_row), row_bytes);
         }
+    }
+}
+
+// Inlined into `dispatch!`, so that it is compiled for each SIMD level.
+#[inline(always)]
+fn set_midpoints(midpoints: &mut [f32], fronts: &[f32], backs: &[f32]) {
+    for (midpoint, (front, back)) in midpoints.iter_mut().zip(fronts.iter().zip(backs)) {
+        *midpoint = if *front == 0.0 { NO_CASTER } else { front + back - 1.0 };
     }
 }
 
@@ -223,7 +229,7 @@ mod tests {
     use crate::render::select::casters;
     use crate::render::select::selection::Selection;
     use crate::render::settings::RenderSettings;
-    use crate::render::shadow::tiles::{ShadowMap, upload_regions};
+    use crate::render::shadow::tiles::{ShadowMap, upload_parts, upload_regions};
     use crate::scene::sky::Sun;
 
     /// The shadow map of a device.
@@ -239,6 +245,10 @@ mod tests {
                 self.size_px = map.size_px();
                 self.texels = vec![f32::NAN; (self.size_px[0] * self.size_px[1]) as usize];
             }
+            upload_parts(tiles, 1 << 18).for_each(|tiles| self.copy_part(scene, tiles));
+        }
+
+        fn copy_part(&mut self, scene: &Scene, tiles: &[NewTile]) {
             let (regions, bytes) = upload_regions(tiles);
             let mut staged = vec![[0_u8; PAGE_BYTES]; bytes / PAGE_BYTES];
             rasterise(scene, tiles, &mut staged.iter_mut().map(Page::from_mut));
