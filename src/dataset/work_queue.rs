@@ -300,6 +300,27 @@ mod tests {
     }
 
     #[test]
+    fn a_new_frame_waits_until_few_have_a_scene() {
+        let queue = Queue::new(0..9, QueueLimits { ready: 9, ahead: 9, in_memory: 2 });
+        for index in 0..2 {
+            assert_eq!(task(&queue), Some(Task::Prepare((index, 0))));
+            queue.add_prepared((index, 0), false);
+            assert_eq!(queue.next_prepared(false), Some((index, 0)));
+        }
+        std::thread::scope(|scope| {
+            let waiting = scope.spawn(|| task(&queue));
+            std::thread::sleep(std::time::Duration::from_millis(20));
+            assert!(!waiting.is_finished(), "two frames are rendered");
+            // A rejected attempt leaves room, which the next one takes.
+            queue.add_redraw((0, 1));
+            assert_eq!(waiting.join().expect("no panic"), Some(Task::Prepare((0, 1))));
+            let waiting = scope.spawn(|| task(&queue));
+            queue.finish(1);
+            assert_eq!(waiting.join().expect("no panic"), Some(Task::Prepare((2, 0))));
+        });
+    }
+
+    #[test]
     fn a_stop_finishes_what_was_started_and_an_error_ends_everything() {
         let queue = Queue::new(0..9, LIMITS);
         assert_eq!(task(&queue), Some(Task::Prepare((0, 0))));

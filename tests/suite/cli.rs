@@ -553,6 +553,11 @@ fn the_bench_reports_every_case_and_a_sweep_plots_its_curve() {
         assert!(case["stage_ms"]["gpu"].as_f64() > Some(0.0), "{case}");
         let (host_ms, is_linux) = (case["host_ms"].as_f64(), cfg!(target_os = "linux"));
         assert!(if is_linux { host_ms > Some(0.0) } else { host_ms.is_none() }, "{case}");
+        assert_eq!(
+            (case["process_ms"].is_number(), case["peak_rss_bytes"].is_number()),
+            (is_linux, is_linux)
+        );
+        assert_eq!(case["redraws"], 0, "{case}");
         let parts = ["device", "workers", "writer"].map(|part| case["host_thread_ms"][part].as_f64());
         let sum: f64 = parts.into_iter().flatten().sum();
         assert!((sum - host_ms.unwrap_or_default()).abs() < 1e-6, "{case}");
