@@ -20,7 +20,7 @@ from report import Report
 PROGRAM = os.environ["REGOLITH_BINARY"]
 SIDE = 96
 SKY = 2
-# Largest mean of the sky's brightest channel, of 255.
+# Largest median of the sky's brightest channel, of 255: the sun and its bloom may be a part of a sky.
 MAX_SKY = 3.0
 # The tone curve ends at 249: see src/dataset/rules.rs.
 WHITE = 249
@@ -45,14 +45,14 @@ def eroded(mask: np.ndarray) -> np.ndarray:
 
 
 def measure(folder: Path, count: int) -> tuple[list[float], list[float]]:
-    """Of each frame the mean of its sky's brightest channel and the clipped part of the image."""
+    """Of each frame the median of its sky's brightest channel and the clipped part of the image."""
     skies, clipped = [], []
     for index in range(count):
         with Image.open(folder / f"rgb/rgb_{index:05}.png") as image:
             brightest = np.asarray(image.convert("RGB")).max(axis=2)
         with Image.open(folder / f"mask/mask_{index:05}.png") as image:
             sky = eroded(np.asarray(image) == SKY)
-        skies.append(float(brightest[sky].mean()) if sky.any() else 0.0)
+        skies.append(float(np.median(brightest[sky])) if sky.any() else 0.0)
         clipped.append(float((brightest >= WHITE).mean()))
     return skies, clipped
 
@@ -67,7 +67,7 @@ def check(report: Report, name: str, frames: int) -> None:
         manifest = json.loads((Path(folder) / "manifest.json").read_text())
         skies, clipped = measure(Path(folder), frames)
     if manifest["config"]["stage.name"] == "surface":
-        report.at_most(f"brightest sky of {frames} frames, mean", max(skies), MAX_SKY, " DN")
+        report.at_most(f"brightest sky of {frames} frames, median", max(skies), MAX_SKY, " DN")
     overexposed = sum(part > MAX_CLIPPED for part in clipped)
     report.at_most(f"frames clipped over {MAX_CLIPPED:.0%}", overexposed, int(frames * MAX_OVEREXPOSED), "")
     report.at_most("most clipped frame", max(clipped), 1.0, " of the image")
