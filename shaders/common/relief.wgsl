@@ -15,7 +15,7 @@ const PATCHY_PEAK: f32 = 1.948;
 const MAX_STRENGTH: f32 = 1.2;
 // What fresh craters add to the logarithm of the albedo.
 const FRESH_SHADE: f32 = 0.2;
-// src/render/lighting/detail_sums.rs, slopes_host.rs and ground_batch.rs explain these.
+// src/render/lighting/detail_sums.rs, slopes_host.rs, waves_host.rs and ground_batch.rs explain these.
 const MIN_CLEARANCE: f32 = 0.3;
 const FAR_M: f32 = 1.0e3;
 const TESTED_CELLS: f32 = 0.5;
@@ -39,6 +39,7 @@ fn sample_share(size_m: f32, sample_m: f32) -> f32 {
 // What the mesh leaves out of the ground at a point (metres from the centre of the ground), where samples are `sample_m` apart
 // in the geometric mean and `across_m` across the view. `eye_way` and `sun_way` are the horizontal ways of rays to the eye and
 // to the sun per metre that they rise above the mesh.
+// Long because: what one octave hides and shadows, the next begins with.
 fn ground_detail(
     point: vec2<f32>,
     sample_m: f32,

@@ -8,3 +8,4 @@ pub(crate) mod ground_batch;
 pub(crate) mod pass;
 pub mod relief_bands;
 pub(crate) mod slopes_host;
+pub(crate) mod waves_host;

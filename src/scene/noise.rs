@@ -18,6 +18,8 @@ pub use gradient::{
     GRADIENT_NOISE_SIGMA, SHADE_SIGMA, gradient_noise_2d, gradient_noise_difference, gradient_noise_slope_2d,
     patchy_noise_2d,
 };
+#[cfg(test)]
+pub(crate) use gradient::{PATCHY_BASE, PATCHY_PEAK};
 pub use hash::lattice_hash;
 use hash::{HASH_X, HASH_Y, HASH_Z, first_mixed, last_mixed};
 

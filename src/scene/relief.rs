@@ -34,7 +34,7 @@ const FIRST_PATCHY: u32 = 2;
 /// Typical strength that such an octave gives to finer ones.
 const TYPICAL_STRENGTH: f64 = 0.88;
 /// Most that an octave is stronger in one place than in the mean: soil that is steeper than its angle of repose slides.
-const MAX_STRENGTH: f32 = 1.2;
+pub(crate) const MAX_STRENGTH: f32 = 1.2;
 /// Octaves of the soil's shade that a view shows at once, about.
 const SHADED_OCTAVES: f32 = 5.0;
 /// Baseline of the slope that the fine relief is made for, metres.

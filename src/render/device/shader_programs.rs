@@ -316,13 +316,15 @@ mod tests {
         use crate::render::lighting::ground_batch::{
             MAX_EYE_WAY, MAX_SUN_WAY, MIN_TESTED_SAMPLES, MIN_WAY, MIN_WAYS_COSINE,
         };
-        use crate::render::lighting::slopes_host::{MIN_LOW_WAY, SHADOW_BLUR, TESTED_CELLS};
+        use crate::render::lighting::slopes_host::SHADOW_BLUR;
+        use crate::render::lighting::waves_host::{MIN_LOW_WAY, TESTED_CELLS};
         use crate::render::select::caster_grid::TEST_HORIZON;
         use crate::render::select::lit_rocks::{REACH, ROCK_WORDS};
         use crate::scene::craters::{CLOD_HEIGHT, JITTER_CELLS, PROFILE_DEPTH, RIM};
         use crate::scene::grains;
+        use crate::scene::noise::{PATCHY_BASE, PATCHY_PEAK};
         use crate::scene::photometry::Law;
-        use crate::scene::relief::MIN_CELLS;
+        use crate::scene::relief::{MAX_STRENGTH, MIN_CELLS};
         let constants = [
             (&LIGHTING_SURFACE, "GRAIN_JITTER_CELLS", f64::from(grains::JITTER_CELLS)),
             (&LIGHTING_SURFACE, "GRAIN_MAX_RADIUS", f64::from(grains::MAX_RADIUS)),
@@ -342,6 +344,9 @@ mod tests {
             (&LIGHTING_SURFACE, "SHADOWED_BY_ROCKS", f64::from(ShadowSources::Rocks as u32)),
             (&LIGHTING_SURFACE, "LIT_ROCK_WORDS", ROCK_WORDS as f64),
             (&LIGHTING_SURFACE, "REACH", f64::from(REACH)),
+            (&LIGHTING_SURFACE, "PATCHY_BASE", f64::from(PATCHY_BASE)),
+            (&LIGHTING_SURFACE, "PATCHY_PEAK", f64::from(PATCHY_PEAK)),
+            (&LIGHTING_SURFACE, "MAX_STRENGTH", f64::from(MAX_STRENGTH)),
             (&LIGHTING_SURFACE, "MIN_CELLS", f64::from(MIN_CELLS)),
             (&LIGHTING_SURFACE, "MIN_CLEARANCE", f64::from(MIN_CLEARANCE)),
             (&LIGHTING_SURFACE, "FAR_M", f64::from(FAR_M)),

@@ -16,8 +16,8 @@ pub fn gradient_noise_2d(cell: [i32; 2], t: [f32; 2], seed: u32) -> f32 {
     value
 }
 
-/// [`gradient_noise_2d`], and the strength of finer noise, blended from the corners with the same weights: with `patchy` 1 it is drawn at each
-/// corner, `PATCHY_BASE` + `PATCHY_PEAK` v^3 with v uniform in [0, 1); with 0 it is 1 everywhere.
+/// [`gradient_noise_2d`], and the strength of finer noise, blended from the corners with the same weights: with `patchy` 1 it is drawn at
+/// each corner, `PATCHY_BASE` + `PATCHY_PEAK` v^3 with v uniform in [0, 1); with 0 it is 1 everywhere.
 #[must_use]
 #[inline(always)]
 pub fn patchy_noise_2d(cell: [i32; 2], t: [f32; 2], seed: u32, patchy: f32) -> [f32; 2] {
@@ -110,9 +110,9 @@ fn quintic(t: f32) -> f32 {
 /// Strength of finer noise at the smoothest corners, and how much stronger it is at the roughest: between the corners the mean square is 1,
 /// and at them the deviation of the logarithm 0.57. Terrain that is intermittent at all scales has 0.58 where scales differ by a factor
 /// of four (Gagnon, Lovejoy and Schertzer 2006, "Multifractal Earth topography": codimension of the mean 0.12).
-const PATCHY_BASE: f32 = 0.427;
+pub(crate) const PATCHY_BASE: f32 = 0.427;
 /// See [`PATCHY_BASE`].
-const PATCHY_PEAK: f32 = 1.948;
+pub(crate) const PATCHY_PEAK: f32 = 1.948;
 
 /// Standard deviation of [`gradient_noise_2d`].
 pub const GRADIENT_NOISE_SIGMA: f32 = 0.286;
