@@ -2,6 +2,7 @@
 //!
 //! Each command has its file in `cli/`; options that several share are in `args`.
 
+mod add_outputs;
 mod args;
 mod bench;
 mod child;

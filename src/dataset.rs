@@ -13,6 +13,7 @@
 //! finished, and [`merge`] completes the folder.
 //! Must not know: the command line.
 
+pub mod add_outputs;
 pub mod attempt;
 mod contact_sheet;
 pub mod convert;

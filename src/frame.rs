@@ -131,6 +131,17 @@ pub struct RgbStatistics {
     pub p99: u8,
     /// Largest value.
     pub max: u8,
+    /// Sum of the values of each channel: red, green, blue. Not written if all are 0; datasets of version 0.1 do not record it.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub sum: [u64; 3],
+    /// Sum of their squares.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub sum_of_squares: [u64; 3],
+}
+
+/// Whether all of these are 0.
+fn is_zero(sums: &[u64; 3]) -> bool {
+    *sums == [0; 3]
 }
 
 impl Frame {
@@ -213,15 +224,23 @@ impl Frame {
 }
 
 impl RgbStatistics {
-    /// The statistics of a list of values, which must not be empty.
+    /// The statistics of a list of values, three per pixel, which must not be empty.
     #[must_use]
     pub fn of(rgb: &[u8]) -> Self {
-        let mut histogram = [0_u64; 256];
-        for &value in rgb {
-            histogram[usize::from(value)] += 1;
+        let mut channels = [[0_u64; 256]; 3];
+        for pixel in rgb.chunks_exact(3) {
+            for (channel, &value) in channels.iter_mut().zip(pixel) {
+                channel[usize::from(value)] += 1;
+            }
         }
+        let weighted = |weight: fn(u64) -> u64| {
+            channels
+                .map(|channel| (0..).zip(channel).map(|(value, count)| weight(value) * count).sum::<u64>())
+        };
+        let (sum, sum_of_squares) = (weighted(|value| value), weighted(|value| value * value));
+        let histogram: [u64; 256] =
+            std::array::from_fn(|value| channels.iter().map(|channel| channel[value]).sum());
         let total = rgb.len() as u64;
-        let sum: u64 = (0..).zip(histogram).map(|(value, count): (u64, u64)| value * count).sum();
         let quantile = |needed: u64| {
             let mut below = 0;
             (0..=255_u8).find(|&value| {
@@ -230,9 +249,11 @@ impl RgbStatistics {
             })
         };
         Self {
-            mean: sum as f64 / total as f64,
+            mean: sum.iter().sum::<u64>() as f64 / total as f64,
             p99: quantile((total * 99).div_ceil(100)).unwrap_or(u8::MAX),
             max: quantile(total).unwrap_or(u8::MAX),
+            sum,
+            sum_of_squares,
         }
     }
 }
@@ -258,6 +279,8 @@ mod tests {
         let statistics = frame.rgb_statistics();
         assert!((statistics.mean - (296.0 * 10.0 + 850.0) / 300.0).abs() < 1e-12);
         assert_eq!((statistics.p99, statistics.max), (200, 250));
+        assert_eq!(statistics.sum, [250 + 200 + 980, 200 + 990, 200 + 990]);
+        assert_eq!(statistics.sum_of_squares[0], 62_500 + 40_000 + 9_800);
         assert_eq!(frame.count(ClassId::REGOLITH), 60);
         assert!((frame.coverage(ClassId::SKY) - 0.1).abs() < 1e-12);
     }

@@ -19,6 +19,7 @@ use crate::output::layout::{self, LAYOUTS, webdataset::archive_end};
 use clap::Args;
 use serde_json::{Value, json};
 
+use super::add_outputs;
 use super::args::{ConfigArgs, DeviceArgs, ImageArgs, output_names, whole_number};
 use super::device;
 use super::messages::{Messages, print};
@@ -31,7 +32,7 @@ const DRY_FRAMES: u64 = 5;
 #[derive(Args, Debug)]
 pub(super) struct DatasetArgs {
     /// Number of frames
-    #[arg(long, value_name = "N", required_unless_present_any = ["split", "merge"], conflicts_with = "split", value_parser = whole_number::<u64>(1, MAX_FRAMES))]
+    #[arg(long, value_name = "N", required_unless_present_any = ["split", "merge", "add_outputs"], conflicts_with = "split", value_parser = whole_number::<u64>(1, MAX_FRAMES))]
     count: Option<u64>,
     /// Splits with their numbers of frames, for example train=1500,val=200: one folder each, no scene in two of them
     #[arg(long, value_name = "LIST", conflicts_with = "start")]
@@ -63,6 +64,16 @@ pub(super) struct DatasetArgs {
     /// Render nothing: merge the shards in --out into one frames.jsonl and one manifest
     #[arg(long, conflicts_with_all = ["count", "split", "start", "shard"])]
     merge: bool,
+    /// Add these outputs, separated by commas, to the finished dataset in DIR: its frames are rendered again, compared with what it has, and
+    /// only the new files are written; the same command resumes an interrupted run
+    #[arg(long, value_name = "LIST", requires = "folder", conflicts_with_all = [
+        "count", "split", "start", "shard", "seed", "out", "stage", "preset", "config", "set", "size", "samples", "label_ids", "edges",
+        "outputs", "format", "merge", "dry_run", "force",
+    ])]
+    add_outputs: Option<String>,
+    /// The dataset of --add-outputs
+    #[arg(value_name = "DIR", requires = "add_outputs")]
+    folder: Option<PathBuf>,
     /// Render nothing: print the knobs of the first frames
     #[arg(long)]
     dry_run: bool,
@@ -87,12 +98,16 @@ pub(super) fn run(args: &DatasetArgs, messages: Messages) -> Result<()> {
     if args.merge {
         return merge(args, messages);
     }
+    let threads = args.threads.map_or_else(cores, usize::from);
+    if let (Some(list), Some(folder)) = (&args.add_outputs, &args.folder) {
+        return add_outputs::run(folder, list, &args.device, threads, args.json, messages);
+    }
     let plan = plan(args)?;
     if args.dry_run {
         return dry_run(args, &plan);
     }
     let stop = stop_on_signals(messages)?;
-    let concurrency = Concurrency::with_threads(args.threads.map_or_else(cores, usize::from));
+    let concurrency = Concurrency::with_threads(threads);
     if args.out.as_os_str() == "-" {
         return stream(args, messages, &plan, concurrency, &stop);
     }

@@ -74,7 +74,8 @@ impl Conversion {
         };
         if let Some(lacking) = layout.required_outputs().iter().find(|name| !has(name)) {
             return Err(refused(format!(
-                "it lacks the output `{lacking}`, which {format} needs; make the dataset with --outputs rgb,mask,{lacking}"
+                "it lacks the output `{lacking}`, which {format} needs; `regolith-render dataset --add-outputs {lacking} {}` adds it",
+                source.display()
             )));
         }
         let outputs: Vec<_> =

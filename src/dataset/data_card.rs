@@ -54,11 +54,13 @@ pub(super) fn markdown(manifest: &Map<String, Value>, totals: &Totals) -> String
 
 /// Ids, names and mean pixel fractions of the classes.
 fn classes(manifest: &Map<String, Value>, totals: &Totals) -> String {
-    let label_ids = LabelIds::of_manifest(manifest);
-    let mut section = "\n## Classes\n\n| id | class | mean share of pixels |\n|---|---|---|\n".to_owned();
+    let (label_ids, weights) = (LabelIds::of_manifest(manifest), totals.class_weights());
+    let mut section =
+        "\n## Classes\n\n| id | class | mean share of pixels | weight in a loss |\n|---|---|---|---|\n"
+            .to_owned();
     for (i, class) in ClassId::ALL.iter().enumerate() {
         let (id, percent) = (label_ids.mask_id(class.id.0), 100.0 * totals.coverage(i));
-        let _ = writeln!(section, "| {id} | {} | {percent:.2} % |", class.name);
+        let _ = writeln!(section, "| {id} | {} | {percent:.2} % | {:.3} |", class.name, weights[i]);
     }
     let ignore_index = label_ids.mask_id(ClassId::UNLABELLED.0);
     let note = match label_ids {

@@ -125,7 +125,7 @@ fn refused(log: &Path, number: u64, message: &str) -> Error {
 }
 
 /// Whether a frame's files exist, on their own or in their bundle.
-fn has_files(folder: &Path, line: &FrameLine) -> Result<bool> {
+pub(super) fn has_files(folder: &Path, line: &FrameLine) -> Result<bool> {
     // A file of a frame is never empty; an empty one is the result of a crash.
     let exists = |path: &str| -> Result<bool> {
         let path = dataset_path::for_reading(folder, path)?;

@@ -95,7 +95,7 @@ fn finalize_locked(folder: &Path, lock: MergeLock) -> Result<Finalized> {
     merge_logs(&mut files, &logs, &positions)?;
     let missing: Vec<u64> =
         (range.start..range.end()).filter(|index| !positions.contains_key(index)).collect();
-    let totals = Totals::of(&FrameLog::new(folder, gate.clone()))?;
+    let totals = Totals::of(&FrameLog::new(folder, gate.clone()), gate.size())?;
     let mut manifest =
         merged_manifest(identity, &options, range, positions.len() as u64, missing.is_empty(), &totals);
     if missing.is_empty() {

@@ -15,8 +15,18 @@ use crate::output::layout::{FrameLine, FrameLines};
 pub struct Totals {
     /// Number of frames.
     pub frames: u64,
+    /// Number of pixels of a frame.
+    frame_px: u64,
     /// Sum of each class's coverage, in the order of [`ClassId::ALL`].
     coverage_sum: [f64; ClassId::ALL.len()],
+    /// Number of pixels of each class, and of frames that have any.
+    class_px: [u64; ClassId::ALL.len()],
+    class_frames: [u64; ClassId::ALL.len()],
+    /// Sums of the values of each channel and of their squares: whole numbers, so that no order of the frames matters.
+    channel_sum: [u128; 3],
+    channel_squares: [u128; 3],
+    /// Whether some frame has no such sums, as those of version 0.1.
+    lacks_channels: bool,
     /// Sum of the fractions of pixels that carry the ignore index by the label rule.
     ignored_sum: f64,
     /// Sum of the mean RGB values.
@@ -28,12 +38,18 @@ pub struct Totals {
 }
 
 impl Totals {
-    /// Totals of these lines.
+    /// Totals of no frame yet, of images of this width and height in pixels.
+    #[must_use]
+    pub fn new([width, height]: [u32; 2]) -> Self {
+        Self { frame_px: u64::from(width) * u64::from(height), ..Self::default() }
+    }
+
+    /// Totals of these lines, of images of this width and height in pixels.
     ///
     /// # Errors
     /// Those of reading.
-    pub fn of(lines: &dyn FrameLines) -> Result<Self> {
-        let mut totals = Self::default();
+    pub fn of(lines: &dyn FrameLines, size: [u32; 2]) -> Result<Self> {
+        let mut totals = Self::new(size);
         lines.for_each(&mut |line| {
             totals.add(&line);
             Ok(())
@@ -45,9 +61,19 @@ impl Totals {
     pub fn add(&mut self, line: &FrameLine) {
         self.frames += 1;
         self.rgb_mean_sum += line.rgb.mean;
-        for (sum, class) in self.coverage_sum.iter_mut().zip(ClassId::ALL) {
-            *sum += line.coverage_of(class.name).unwrap_or_default();
+        for (i, class) in ClassId::ALL.iter().enumerate() {
+            let coverage = line.coverage_of(class.name).unwrap_or_default();
+            self.coverage_sum[i] += coverage;
+            // A fraction of fewer than 2^52 pixels gives their number back.
+            let pixels = (coverage * self.frame_px as f64).round() as u64;
+            self.class_px[i] = self.class_px[i].saturating_add(pixels);
+            self.class_frames[i] += u64::from(pixels > 0);
         }
+        for channel in 0..3 {
+            self.channel_sum[channel] += u128::from(line.rgb.sum[channel]);
+            self.channel_squares[channel] += u128::from(line.rgb.sum_of_squares[channel]);
+        }
+        self.lacks_channels |= line.rgb.mean > 0.0 && line.rgb.sum == [0; 3];
         self.ignored_sum += line.coverage_of("ignored").unwrap_or_default();
         for rule in &line.redrawn {
             *self.redraws.entry(rule.clone()).or_default() += 1;
@@ -73,15 +99,115 @@ impl Totals {
         self.rgb_mean_sum / self.frames.max(1) as f64
     }
 
+    /// The weight of each class in a loss, by median frequency balancing (Eigen and Fergus 2015, section 6.3.2): the median over
+    /// classes of the frequency, divided by that of the class. A frequency is the share of a class in the pixels of the frames that have
+    /// it. 0 for a class that no frame has.
+    #[must_use]
+    pub fn class_weights(&self) -> [f64; ClassId::ALL.len()] {
+        let frequency = |i: usize| self.class_px[i] as f64 / (self.class_frames[i] * self.frame_px) as f64;
+        let mut sorted: Vec<f64> =
+            (0..ClassId::ALL.len()).filter(|i| self.class_px[*i] > 0).map(frequency).collect();
+        sorted.sort_unstable_by(f64::total_cmp);
+        let middle = |i: usize| sorted.get(i).copied().unwrap_or_default();
+        let median = 0.5 * (middle(sorted.len().saturating_sub(1) / 2) + middle(sorted.len() / 2));
+        std::array::from_fn(|i| if self.class_px[i] > 0 { median / frequency(i) } else { 0.0 })
+    }
+
+    /// Mean and standard deviation of each channel over all pixels of all frames, 0 to 1; `None` if a frame lacks the sums.
+    #[must_use]
+    pub fn channels(&self) -> Option<[[f64; 3]; 2]> {
+        let pixels = u128::from(self.frames) * u128::from(self.frame_px);
+        if self.lacks_channels || pixels == 0 {
+            return None;
+        }
+        let mean = self.channel_sum.map(|sum| sum as f64 / pixels as f64 / 255.0);
+        let deviation = std::array::from_fn(|i| {
+            let variance_px2 = pixels
+                .saturating_mul(self.channel_squares[i])
+                .saturating_sub(self.channel_sum[i].saturating_pow(2));
+            (variance_px2 as f64).sqrt() / pixels as f64 / 255.0
+        });
+        Some([mean, deviation])
+    }
+
     /// The `totals` of a manifest.
     #[must_use]
     pub fn to_json(&self) -> Value {
-        let coverage: Map<String, Value> = ClassId::ALL
-            .iter()
-            .enumerate()
-            .map(|(i, class)| (class.name.to_owned(), self.coverage(i).into()))
-            .chain([("ignored".to_owned(), self.ignored().into())])
-            .collect();
-        json!({ "redraws": self.redraws, "coverage_mean": coverage, "rgb_mean": self.rgb_mean() })
+        let by_class = |value: &dyn Fn(usize) -> Value| {
+            let rows = ClassId::ALL.iter().enumerate();
+            rows.map(|(i, class)| (class.name.to_owned(), value(i))).collect::<Map<String, Value>>()
+        };
+        let mut coverage = by_class(&|i| self.coverage(i).into());
+        coverage.insert("ignored".to_owned(), self.ignored().into());
+        let weights = self.class_weights();
+        let mut totals = json!({
+            "redraws": self.redraws, "coverage_mean": coverage, "rgb_mean": self.rgb_mean(),
+            "class_pixels": by_class(&|i| self.class_px[i].into()),
+            "class_weights": by_class(&|i| weights[i].into()),
+        });
+        if let (Some([mean, deviation]), Value::Object(totals)) = (self.channels(), &mut totals) {
+            totals.insert("channel_mean".to_owned(), json!(mean));
+            totals.insert("channel_std".to_owned(), json!(deviation));
+        }
+        totals
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::RgbStatistics;
+
+    fn line(rgb: &[u8], coverage: [f64; 3]) -> FrameLine {
+        let coverage = ClassId::ALL.iter().zip(coverage);
+        FrameLine {
+            rgb: RgbStatistics::of(rgb),
+            coverage: coverage.map(|(class, share)| (class.name.to_owned(), share.into())).collect(),
+            ..FrameLine::default()
+        }
+    }
+
+    #[test]
+    fn weights_and_channels_are_those_of_all_pixels_in_any_order() {
+        // Two frames of three pixels; the second has no rock.
+        let images = [[10, 20, 30, 40, 50, 60, 70, 80, 90], [0, 0, 255, 0, 0, 255, 3, 0, 255]];
+        let lines = [line(&images[0], [1.0 / 3.0; 3]), line(&images[1], [2.0 / 3.0, 0.0, 1.0 / 3.0])];
+        let mut totals = Totals::new([3, 1]);
+        lines.iter().for_each(|line| totals.add(line));
+        let mut reversed = Totals::new([3, 1]);
+        lines.iter().rev().for_each(|line| reversed.add(line));
+        assert_eq!((totals.channels(), totals.class_px), (reversed.channels(), reversed.class_px));
+        assert_eq!(totals.class_px, [3, 1, 2]);
+        // Frequencies: 3 of 6 pixels, 1 of 3, 2 of 6.
+        let weights = totals.class_weights();
+        assert!(
+            (weights[0] - 2.0 / 3.0).abs() < 1e-12 && weights[1] == 1.0 && weights[2] == 1.0,
+            "{weights:?}"
+        );
+        let [mean, deviation] = totals.channels().expect("sums");
+        for channel in 0..3 {
+            let values: Vec<f64> = images
+                .iter()
+                .flatten()
+                .skip(channel)
+                .step_by(3)
+                .map(|value| f64::from(*value) / 255.0)
+                .collect();
+            let expected = values.iter().sum::<f64>() / 6.0;
+            let variance = values.iter().map(|value| (value - expected).powi(2)).sum::<f64>() / 6.0;
+            assert!((mean[channel] - expected).abs() < 1e-12, "{mean:?}");
+            assert!((deviation[channel] - variance.sqrt()).abs() < 1e-12, "{deviation:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_unknown_is_left_out() {
+        assert_eq!(Totals::new([3, 1]).class_weights(), [0.0; 3]);
+        let mut old = line(&[1; 9], [1.0, 0.0, 0.0]);
+        old.rgb.sum = [0; 3];
+        let mut totals = Totals::new([3, 1]);
+        totals.add(&old);
+        assert!(totals.channels().is_none() && totals.to_json().get("channel_mean").is_none());
+        assert_eq!(totals.class_weights(), [1.0, 0.0, 0.0]);
     }
 }

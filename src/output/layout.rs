@@ -10,7 +10,10 @@ pub mod folder;
 pub mod frame_line;
 pub mod hugging_face;
 pub mod interface;
+mod outline;
+mod regions;
 pub mod webdataset;
+pub mod yolo;
 
 use crate::error::{Error, Result, nearest};
 pub use frame_line::FrameLine;
@@ -32,12 +35,14 @@ const fn row(name: &'static str, summary: &'static str, layout: &'static dyn Lay
 }
 
 /// Every layout, in the order of the help.
-pub static LAYOUTS: [LayoutRow; 6] = [
+pub static LAYOUTS: [LayoutRow; 8] = [
     row("folder", "one folder per output; the format that convert reads", &folder::Folder),
     row("basic", "flat, with the names of Replicator's BasicWriter", &basic::Basic),
     row("coco", "COCO: rock instances and panoptic segments", &coco::Coco),
     row("cityscapes", "Cityscapes: leftImg8bit and gtFine, with the one city moon", &cityscapes::Cityscapes),
     row("hf", "Hugging Face imagefolder, with a data card", &hugging_face::HuggingFace),
+    row("yolo", "YOLO: images and boxes of rocks for detection", &yolo::DETECTION),
+    row("yolo-seg", "YOLO: images and outlines of rocks for segmentation", &yolo::SEGMENTATION),
     row("webdataset", "WebDataset: tar shards of 1000 frames", &webdataset::WebDataset),
 ];
 

@@ -23,7 +23,7 @@ newer=$(find "$root/src" "$root/shaders" "$root/assets/presets" -newer "$binary"
 [ -z "$newer" ] || fail "$binary is older than $newer: cargo build --release"
 
 python=${PYTHON:-$(command -v python3.11 || command -v python3)} || fail "no python3"
-stamp=$(cat "${requirements[@]}" "$here/requirements-blender.txt"; "$python" --version)
+stamp=$(cat "${requirements[@]}" "$here"/requirements-{blender,yolo}.txt; "$python" --version)
 if [ "$(cat "$venv/stamp" 2>/dev/null)" != "$stamp" ]; then
     mkdir -p "$target/outside"
     "$python" -m venv --clear "$venv" || fail "no virtual environment (Debian, Ubuntu: apt-get install python3-venv)"
@@ -31,6 +31,8 @@ if [ "$(cat "$venv/stamp" 2>/dev/null)" != "$stamp" ]; then
     for file in "${requirements[@]}"; do
         $install -r "$file" || fail "pip could not install $file"
     done
+    # Its label check is read from its sources: what it depends on has some 5 GB.
+    [ $kind != datasets ] || $install --no-deps -r "$here/requirements-yolo.txt" || fail "pip could not install Ultralytics"
     log=$target/outside/blender.log
     if [ $kind = exports ] && ! $install -r "$here/requirements-blender.txt" 2>"$log"; then
         cat "$log" >&2

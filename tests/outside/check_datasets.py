@@ -1,27 +1,31 @@
 """Reads datasets with the programs that they are made for.
 
 Every Python block of README.md and docs/formats.md that reads a dataset runs here, word for word, on 24 frames of its
-format; what it gives is compared with the files of the format `folder`. COCO, BasicWriter and Cityscapes have checks of
-their own below, and so does the camera code of docs/outputs.md.
+format; what it gives is compared with the files of the format `folder`. COCO, BasicWriter, Cityscapes and YOLO have checks
+of their own below, and so does the camera code of docs/outputs.md.
 """
 
+import ast
+import importlib.util
 import json
 import os
 import re
 import subprocess
 import sys
 import tempfile
+import types
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+import yaml
+from PIL import Image, ImageOps
 
 PROGRAM = Path(os.environ["REGOLITH_BINARY"])
 ROOT = Path(__file__).parents[2]
 PAGES = (ROOT / "README.md", ROOT / "docs/formats.md")
 CAMERA_PAGE = ROOT / "docs/outputs.md"
 FRAMES = 24
-FORMATS = ("basic", "coco", "cityscapes", "hf", "webdataset")
+FORMATS = ("basic", "coco", "cityscapes", "hf", "webdataset", "yolo", "yolo-seg")
 
 
 def fail(message: str) -> None:
@@ -121,6 +125,58 @@ def check_flat(data: Path, truth: list[tuple[np.ndarray, np.ndarray]]) -> None:
     print(f"{'basic':<12} {FRAMES} frames: images, ids and names\n{'cityscapes':<12} {FRAMES} frames: images and ids")
 
 
+def ultralytics_functions() -> dict:
+    """The functions of Ultralytics that check images and labels, from its sources: to import it takes PyTorch and OpenCV, some 5 GB."""
+    package = Path(importlib.util.find_spec("ultralytics").submodule_search_locations[0])
+    scope = {"np": np, "os": os, "Path": Path, "Image": Image, "ImageOps": ImageOps, "torch": types.SimpleNamespace(Tensor=type(None))}
+    wanted = {
+        "utils/ops.py": ("empty_like", "xyxy2xywh", "segments2boxes"),
+        "data/utils.py": ("IMG_FORMATS", "exif_size", "check_image", "img2label_paths", "verify_image_label"),
+    }
+    for file, names in wanted.items():
+        for node in ast.parse((package / file).read_text()).body:
+            named = getattr(node, "name", None) or getattr(getattr(node, "targets", [None])[0], "id", None)
+            if named in names:
+                module = ast.fix_missing_locations(ast.Module([ast.parse("from __future__ import annotations").body[0], node], []))
+                exec(compile(module, file, "exec"), scope)
+    return scope
+
+
+def check_yolo(data: Path, truth: list[tuple[np.ndarray, np.ndarray]]) -> None:
+    """Runs Ultralytics' own check of images and labels, and compares boxes and polygons with the masks."""
+    scope, rocks = ultralytics_functions(), {}
+    for name in ("yolo", "yolo-seg"):
+        described = yaml.safe_load((data / name / "data.yaml").read_text())
+        if described != {"train": "images/train", "val": "images/train", "names": {0: "rock"}}:
+            fail(f"{name}: data.yaml is {described}")
+        images = sorted((data / name / described["train"]).iterdir())
+        labels, rocks[name] = scope["img2label_paths"](images), []
+        for (image, mask), image_file, label_file in zip(truth, images, labels, strict=True):
+            _, boxes, shape, segments, _, missing, _, _, corrupt, message = scope["verify_image_label"](
+                (str(image_file), label_file, "", False, 1, 0, 0, False)
+            )
+            if missing or corrupt or message or shape != mask.shape:
+                fail(f"{name}: {label_file}: {message or 'missing, or of another size'}")
+            if not np.array_equal(np.asarray(Image.open(image_file)), image):
+                fail(f"{name}: {image_file} differs")
+            if len(segments) != (len(boxes) if name == "yolo-seg" else 0):
+                fail(f"{name}: {label_file}: {len(segments)} polygons for {len(boxes)} rows")
+            covered = np.zeros(mask.shape, bool)
+            for _, x, y, width, height in boxes:
+                left, right = round((x - width / 2) * mask.shape[1]), round((x + width / 2) * mask.shape[1])
+                top, bottom = round((y - height / 2) * mask.shape[0]), round((y + height / 2) * mask.shape[0])
+                covered[top:bottom, left:right] = True
+                if not (mask[top:bottom, left:right] == 1).any():
+                    fail(f"{name}: {label_file}: a box without a pixel of rock")
+            if (mask[~covered] == 1).any():
+                fail(f"{name}: {label_file}: rock outside of all boxes")
+            rocks[name].append(np.sort(boxes, axis=0))
+    if not all(np.allclose(a, b, atol=1e-5) for a, b in zip(*rocks.values(), strict=True)):
+        fail("yolo-seg: its polygons have other boxes than yolo")
+    count = sum(len(boxes) for boxes in rocks["yolo"])
+    print(f"{'yolo':<12} {count} rocks: boxes and polygons pass Ultralytics' own check and enclose the rocks of the masks")
+
+
 def check_camera(folder: Path) -> None:
     """Runs the camera code of docs/outputs.md on frames with and without a lens: pixels that are lifted into the world come back to
     where they were, and are as far from the camera as the program says, which a loader that ignores the lens is not."""
@@ -167,6 +223,7 @@ def main() -> None:
             check_block(name, block, truth)
         check_coco(folder / "data/coco")
         check_flat(folder / "data", truth)
+        check_yolo(folder / "data", truth)
         check_camera(folder)
         os.chdir("/")
 

@@ -173,7 +173,7 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
             &["lock"],
             &["log_writer", "merge"],
             &["convert", "pipeline"],
-            &["frame_stream", "power_cut", "run", "verify"],
+            &["add_outputs", "frame_stream", "power_cut", "run", "verify"],
         ],
     ),
     (
@@ -193,6 +193,7 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
             &["messages"],
             &["device"],
             &["args", "child", "process", "progress"],
+            &["add_outputs"],
             &["bench", "convert", "dataset", "doctor", "frame", "knobs", "remap", "stage", "verify"],
         ],
     ),

@@ -643,3 +643,52 @@ fn the_manifest_s_command_makes_the_dataset_again() {
     let report = run(folder.path(), &["verify", "first", "--rerender=0"]);
     assert!(String::from_utf8_lossy(&report.stdout).contains("command"), "a wrong command is found");
 }
+
+#[test]
+fn the_manifest_has_weights_and_channel_statistics_of_all_pixels() {
+    let folder = folder();
+    run_ok(
+        folder.path(),
+        &dataset("data", &["--count", "7", "--set=camera.pitch_deg={uniform=[-60,0]}", "-q"]),
+    );
+    for shard in ["0/2", "1/2"] {
+        let words = ["--count", "7", "--set=camera.pitch_deg={uniform=[-60,0]}", "--shard", shard, "-q"];
+        run_ok(folder.path(), &dataset("shards", &words));
+    }
+    let data = folder.path().join("data");
+    let totals = json(&data.join("manifest.json"))["totals"].clone();
+    assert_eq!(totals, json(&folder.path().join("shards/manifest.json"))["totals"]);
+    let (mut values, mut pixels, mut of_frames) = (vec![Vec::new(); 3], [0_u64; 3], [0_u64; 3]);
+    for index in 0..7 {
+        let open = |path: String| image::open(data.join(path)).expect("an image");
+        let rgb = open(format!("rgb/rgb_{index:05}.png")).into_rgb8();
+        for pixel in rgb.pixels() {
+            (0..3).for_each(|channel| values[channel].push(f64::from(pixel[channel]) / 255.0));
+        }
+        let mask = open(format!("mask/mask_{index:05}.png")).into_luma8().into_raw();
+        for class in 0..3 {
+            let count = mask.iter().filter(|id| usize::from(**id) == class).count() as u64;
+            pixels[class] += count;
+            of_frames[class] += if count > 0 { mask.len() as u64 } else { 0 };
+        }
+    }
+    assert!(
+        of_frames.iter().any(|frames| *frames < 7 * 48 * 48),
+        "a class is missing from a frame: {of_frames:?}"
+    );
+    let number = |key: &str, at: &str| totals[key][at].as_f64().expect("a number");
+    let frequency: Vec<f64> = (0..3).map(|class| pixels[class] as f64 / of_frames[class] as f64).collect();
+    let mut sorted = frequency.clone();
+    sorted.sort_by(f64::total_cmp);
+    for (class, name) in ["regolith", "rock", "sky"].into_iter().enumerate() {
+        assert_eq!(totals["class_pixels"][name], pixels[class]);
+        let expected = sorted[1] / frequency[class];
+        assert!((number("class_weights", name) - expected).abs() < 1e-12 * expected, "{name}: {totals}");
+    }
+    for (channel, values) in values.iter().enumerate() {
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / values.len() as f64;
+        assert!((totals["channel_mean"][channel].as_f64().expect("a number") - mean).abs() < 1e-9);
+        assert!((totals["channel_std"][channel].as_f64().expect("a number") - variance.sqrt()).abs() < 1e-9);
+    }
+}

@@ -34,7 +34,7 @@ fn make(folder: &Path, out: &str, format: &str, more: &[&str]) {
 }
 
 /// Every file below a folder; `frames.jsonl` without its milliseconds.
-fn content(root: &Path) -> BTreeMap<String, Vec<u8>> {
+pub(crate) fn content(root: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut files = BTreeMap::new();
     let mut folders = vec![root.to_owned()];
     while let Some(folder) = folders.pop() {
@@ -181,6 +181,7 @@ fn every_format_has_the_labels_of_the_folder() {
             assert_eq!(segment["area"], segments.iter().filter(|other| *other == id).count());
         }
     }
+    check_yolo(&plain, &of("yolo"), &of("yolo-seg"));
     let lines = String::from_utf8_lossy(&hf["train/metadata.jsonl"]).into_owned();
     for line in lines.lines() {
         let row: Value = serde_json::from_str(line).expect("JSON");
@@ -190,6 +191,89 @@ fn every_format_has_the_labels_of_the_folder() {
         }
     }
     assert!(hf["README.md"].starts_with(b"---\nlicense: cc0-1.0\n"));
+}
+
+/// YOLO's rows are the rocks of the masks: boxes around their pixels, and polygons that enclose them, the holes and nothing else.
+fn check_yolo(
+    plain: &BTreeMap<String, Vec<u8>>,
+    boxes: &BTreeMap<String, Vec<u8>>,
+    outlines: &BTreeMap<String, Vec<u8>>,
+) {
+    let side = 56;
+    for index in 0..3 {
+        for yolo in [boxes, outlines] {
+            let [image, of_folder] =
+                [format!("images/train/{index:06}.png"), format!("rgb/rgb_{index:05}.png")];
+            assert!(yolo[&image] == plain[&of_folder]);
+            assert!(String::from_utf8_lossy(&yolo["data.yaml"]).contains("train: images/train\n"));
+        }
+        let mask = ids(plain, &format!("mask/mask_{index:05}.png"));
+        let rocks = decode(plain, &format!("instances/instance_segmentation_{index:05}.png")).into_luma16();
+        let mut of_rock: BTreeMap<u16, Vec<bool>> = BTreeMap::new();
+        for (pixel, rock) in rocks.into_raw().into_iter().enumerate().filter(|(pixel, _)| mask[*pixel] == 1) {
+            of_rock.entry(rock).or_insert_with(|| vec![false; mask.len()])[pixel] = true;
+        }
+        let rows = |files: &BTreeMap<String, Vec<u8>>| -> Vec<Vec<f64>> {
+            let text = String::from_utf8_lossy(&files[&format!("labels/train/{index:06}.txt")]).into_owned();
+            let numbers = |row: &str| row.split(' ').map(|word| word.parse().expect("a number")).collect();
+            text.lines().filter(|row| !row.is_empty()).map(numbers).collect()
+        };
+        let (boxes, outlines) = (rows(boxes), rows(outlines));
+        assert!(boxes.len() == of_rock.len() && outlines.len() == of_rock.len() && !boxes.is_empty());
+        for ((bounds, outline), inside) in boxes.iter().zip(&outlines).zip(of_rock.values()) {
+            let pixels: Vec<usize> = (0..inside.len()).filter(|pixel| inside[*pixel]).collect();
+            let extent = |coordinate: &dyn Fn(usize) -> usize| {
+                let values = pixels.iter().map(|pixel| coordinate(*pixel));
+                let low = values.clone().min().expect("a pixel") as f64;
+                (low, values.max().expect("a pixel") as f64 + 1.0)
+            };
+            let ((left, right), (top, bottom)) = (extent(&|p| p % side), extent(&|p| p / side));
+            let expected = [left + right, top + bottom, 2.0 * (right - left), 2.0 * (bottom - top)];
+            for (found, expected) in bounds[1..].iter().zip(expected) {
+                assert!((found * 2.0 * side as f64 - expected).abs() < 1e-3, "{bounds:?}: {expected:?}");
+            }
+            let corners: Vec<[f64; 2]> =
+                outline[1..].chunks_exact(2).map(|c| [c[0] * side as f64, c[1] * side as f64]).collect();
+            let drawn = enclosed(&corners, side);
+            assert!(pixels.iter().all(|pixel| drawn[*pixel]), "every pixel is enclosed");
+            // What is enclosed besides are holes: no way leads out of them but across the rock.
+            let holes = drawn.iter().zip(inside).filter(|(drawn, inside)| **drawn && !**inside).count();
+            assert_eq!(holes, filled(inside, side) - pixels.len());
+        }
+    }
+}
+
+/// The pixels whose centres a polygon encloses, by the even-odd rule.
+fn enclosed(corners: &[[f64; 2]], side: usize) -> Vec<bool> {
+    let is_inside = |pixel: usize| {
+        let (x, y) = ((pixel % side) as f64 + 0.5, (pixel / side) as f64 + 0.5);
+        let edges = corners.iter().zip(corners.iter().cycle().skip(1));
+        let crossed = edges.filter(|([ax, ay], [bx, by])| {
+            (*ay > y) != (*by > y) && x < ax + (y - ay) / (by - ay) * (bx - ax)
+        });
+        crossed.count() % 2 == 1
+    };
+    (0..side * side).map(is_inside).collect()
+}
+
+/// Number of pixels of a region and its holes: all that cannot be reached from outside by steps along rows and columns.
+fn filled(inside: &[bool], side: usize) -> usize {
+    let (mut reached, wide) = (vec![false; (side + 2) * (side + 2)], side + 2);
+    let mut waiting = vec![0];
+    while let Some(cell) = waiting.pop() {
+        let (x, y) = (cell % wide, cell / wide);
+        let is_pixel = (1..=side).contains(&x) && (1..=side).contains(&y);
+        if reached[cell] || is_pixel && inside[(y - 1) * side + x - 1] {
+            continue;
+        }
+        reached[cell] = true;
+        let right = (x + 1 < wide).then_some(cell + 1);
+        let down = (y + 1 < wide).then_some(cell + wide);
+        waiting.extend(
+            [(x > 0).then(|| cell - 1), right, (y > 0).then(|| cell - wide), down].into_iter().flatten(),
+        );
+    }
+    (side + 2) * (side + 2) - reached.iter().filter(|reached| **reached).count()
 }
 
 /// The pixels of a mask in COCO's compressed run-length encoding, in row-major order.
@@ -334,7 +418,11 @@ fn an_impossible_conversion_is_refused_with_the_remedy() {
         &[&SMALL[..8], &["--outputs=rgb,mask", "--out=half", "--count=2", "--shard=0/2"]].concat(),
     );
     for (words, expected) in [
-        (["plain", "coco"], "lacks the output `instances`"),
+        (
+            ["plain", "coco"],
+            "lacks the output `instances`, which coco needs; `regolith-render dataset --add-outputs instances plain` adds it",
+        ),
+        (["plain", "yolo"], "dataset --add-outputs instances plain"),
         (["half", "hf"], "not finished"),
         (["plain", "cocoo"], "unknown format"),
         (["nowhere", "hf"], "no manifest.json"),

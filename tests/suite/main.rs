@@ -2,6 +2,7 @@
 
 #![allow(clippy::disallowed_methods, reason = "expected values may use std's functions")]
 
+mod add_outputs;
 mod architecture;
 mod backends;
 mod cli;

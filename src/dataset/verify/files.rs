@@ -14,6 +14,7 @@ use crate::dataset::plan::Plan;
 use crate::error::Error;
 use crate::output::disk;
 use crate::output::layout::FrameLine;
+use crate::output::layout::yolo::row_boxes;
 
 /// Checks all files of a frame.
 pub(super) fn check_frame_files(
@@ -104,6 +105,12 @@ fn check_content(
                 let found = images::size_of_exr(&stored.bytes);
                 let found = found.map_or("none that can be read".to_owned(), |found| format!("{found:?}"));
                 format!("{path}: expected is an OpenEXR file of {size:?} pixels, it is {found}")
+            });
+        }
+        Some("txt") => {
+            let is_good = row_boxes(&stored.bytes).is_some();
+            report.expect(name::IMAGES, index, is_good, || {
+                format!("{path}: it is not a label file of rows `0 x y ...` with numbers from 0 to 1")
             });
         }
         _ => {}

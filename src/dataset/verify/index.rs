@@ -34,7 +34,7 @@ impl LogSummary {
         Self {
             frames: 0,
             next: context.plan.range.start,
-            totals: Totals::default(),
+            totals: Totals::new(context.plan.settings.size),
             digest: digest::Digest::new(&context.identity()),
             is_readable: true,
         }

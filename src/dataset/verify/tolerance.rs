@@ -7,6 +7,7 @@ use serde_json::Value;
 use super::files::array_header;
 use super::images::{decode_exr, decode_png, size_of_exr};
 use super::templates::ExpectedFile;
+use crate::output::layout::yolo::row_boxes;
 
 /// Largest fraction of the pixels of a label map that may differ (at outlines).
 const LABEL_FRACTION: f64 = 2e-3;
@@ -27,6 +28,8 @@ const SMALL_ROCK_PX: f64 = 8.0;
 /// Largest difference of a rock's pixels, as a fraction of them, and of its box in pixels.
 const ROCK_FRACTION: f64 = 0.15;
 const ROCK_BOX_PX: f64 = 2.0;
+/// The same for a box whose pixels are unknown, as a fraction of the image's sides.
+const ROW_BOX: f64 = 0.05;
 
 /// Copies a value of the other to a record where the two may differ.
 fn forgive(found: &Value, expected: &mut Value, path: &[&str], is_near: impl FnOnce(f64, f64) -> bool) {
@@ -54,6 +57,13 @@ pub(super) fn forgive_record(found: &mut Value, expected: &mut Value) {
     forgive(found, expected, &["rgb", "mean"], |a, b| (a - b).abs() <= MEAN_U8);
     for key in ["p99", "max"] {
         forgive(found, expected, &["rgb", key], |a, b| (a - b).abs() <= EXTREME_U8);
+    }
+    // The image and its mean are compared themselves.
+    for key in ["sum", "sum_of_squares"] {
+        let sums = found.get("rgb").and_then(|rgb| rgb.get(key)).cloned();
+        if let (Some(sums), Some(slot)) = (sums, expected.get_mut("rgb").and_then(|rgb| rgb.get_mut(key))) {
+            *slot = sums;
+        }
     }
 }
 
@@ -100,10 +110,29 @@ pub(super) fn difference(file: &ExpectedFile, stored: &[u8], made: &[u8], is_sam
         Some("png") => image_difference(file, stored, made, is_same),
         Some("npy") => array_difference(stored, made, is_same),
         Some("exr") => radiance_difference(stored, made, is_same),
+        Some("txt") => rows_difference(stored, made, is_same),
         _ => Some("it differs".to_owned()),
     };
     let is_other_form = is_same && found.is_none();
     if is_other_form { Some("its bytes differ, though its values are the same".to_owned()) } else { found }
+}
+
+/// What differs between two label files of rocks, of either task of YOLO.
+fn rows_difference(stored: &[u8], made: &[u8], is_same: bool) -> Option<String> {
+    let (Some(found), Some(expected)) = (row_boxes(stored), row_boxes(made)) else {
+        return Some("it is not a label file".to_owned());
+    };
+    if is_same {
+        return Some("its rows differ".to_owned());
+    }
+    // Rocks of a few pixels may be missing, be added, or have another box.
+    let is_near = |a: &[f64; 4], b: &[f64; 4]| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= ROW_BOX);
+    let others = |rows: &[[f64; 4]], of: &[[f64; 4]]| {
+        rows.iter().filter(|row| !of.iter().any(|other| is_near(row, other))).count()
+    };
+    let wrong = others(&found, &expected) + others(&expected, &found);
+    let allowed = 2 + (ROCK_FRACTION * (found.len() + expected.len()) as f64) as usize;
+    (wrong > allowed).then(|| format!("{wrong} of its rows have no counterpart; at most {allowed} may"))
 }
 
 fn image_difference(file: &ExpectedFile, stored: &[u8], made: &[u8], is_same: bool) -> Option<String> {

@@ -6,13 +6,12 @@
 //! every run gives the same ones.
 //! Must not know: scene, GPU, the disk.
 
-use std::collections::BTreeMap;
-
 use serde_json::{Map, Value, json};
 
 use super::interface::{
     CARD_FILE, DatasetIndex, FrameFiles, FrameNames, Layout, Sample, SplitRange, split_or_train,
 };
+use super::regions::{CROWD, annotated_rocks, regions};
 use crate::class::ClassId;
 use crate::error::Result;
 use crate::frame::{Frame, LabelReason, RockLabel};
@@ -34,7 +33,6 @@ const SKY_SEGMENT: u32 = 2;
 const ROCK_SEGMENT_BASE: u32 = 2;
 /// The segment, and with [`ROCK_SEGMENT_BASE`] taken off the annotation, of the ignored rocks: above all instance ids.
 const CROWD_SEGMENT: u32 = ROCK_SEGMENT_BASE + CROWD;
-const CROWD: u32 = u16::MAX as u32;
 
 /// Kinds of annotation files.
 const ANNOTATION_KINDS: [&str; 2] = ["instances", "panoptic"];
@@ -198,54 +196,6 @@ fn crowd_label() -> RockLabel {
     }
 }
 
-/// The annotation that each pixel belongs to: an instance id, [`CROWD`] where the label rule ignores a rock, or 0. An edge policy
-/// makes pixels of other rocks unlabelled, which belong to none.
-fn annotated_rocks(frame: &Frame) -> Vec<u32> {
-    let mut is_ignored = vec![false; usize::from(u16::MAX) + 1];
-    for rock in frame.rocks.iter().filter(|rock| rock.reason != LabelReason::Rock) {
-        is_ignored[usize::from(rock.instance)] = true;
-    }
-    let annotation = |(class, instance): (&u8, &u16)| match ClassId(*class) {
-        ClassId::ROCK => u32::from(*instance),
-        ClassId::UNLABELLED if is_ignored[usize::from(*instance)] => CROWD,
-        _ => 0,
-    };
-    frame.class.iter().zip(&frame.instances).map(annotation).collect()
-}
-
-/// A region's bounds and size, pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Region {
-    /// Smallest and largest column and row: left, top, right, bottom, all inclusive.
-    bounds: [u32; 4],
-    /// Number of pixels.
-    area: u64,
-}
-
-impl Region {
-    /// COCO's box: left, top, width, height.
-    fn bbox(&self) -> [f64; 4] {
-        let [left, top, right, bottom] = self.bounds;
-        [left, top, right - left + 1, bottom - top + 1].map(f64::from)
-    }
-}
-
-/// The region of each id, in ascending order of id; id 0 is skipped.
-fn regions(frame: &Frame, id_at: impl Fn(usize) -> u32) -> BTreeMap<u32, Region> {
-    let mut regions = BTreeMap::new();
-    for pixel in 0..frame.class.len() {
-        let id = id_at(pixel);
-        if id > 0 {
-            let (x, y) = (pixel as u32 % frame.width, pixel as u32 / frame.width);
-            let region = regions.entry(id).or_insert(Region { bounds: [x, y, x, y], area: 0 });
-            let [left, top, right, bottom] = region.bounds;
-            region.bounds = [left.min(x), top.min(y), right.max(x), bottom.max(y)];
-            region.area += 1;
-        }
-    }
-    regions
-}
-
 fn instance_annotations(sample: &Sample<'_>) -> Vec<Value> {
     let frame = sample.frame;
     let rocks = annotated_rocks(frame);
@@ -348,6 +298,7 @@ fn segments_info(frame: &Frame, segments: &[u32]) -> Vec<Map<String, Value>> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::regions::Region;
     use super::*;
 
     #[test]
