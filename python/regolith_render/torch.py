@@ -116,7 +116,17 @@ class MoonFolder(Dataset[Any]):
     """A finished dataset of the layout `folder`, as `regolith-render dataset` writes it: the same samples as `MoonDataset`.
 
     folder: with `manifest.json`. split: the name of one of its splits; all frames without it. Needs Pillow.
+
+    Attributes, those of all frames of the dataset, for a loss and a normalisation: `class_weights` and `class_pixels` by name of the class,
+    `channel_mean` and `channel_std`, three numbers of 0 to 1. `manifest` and `records` are the dataset's own records.
     """
+
+    manifest: dict[str, Any]
+    records: list[dict[str, Any]]
+    class_weights: dict[str, float]
+    class_pixels: dict[str, int]
+    channel_mean: list[float]
+    channel_std: list[float]
 
     def __init__(
         self,
@@ -128,6 +138,15 @@ class MoonFolder(Dataset[Any]):
     ) -> None:
         super().__init__()
         self.folder, self.transform, self.as_uint8 = Path(folder), transform, as_uint8
+        self.manifest = json.loads((self.folder / "manifest.json").read_text(encoding="utf-8"))
+        totals = self.manifest.get("totals", {})
+        missing = [name for name in ("class_weights", "channel_mean") if name not in totals]
+        if missing:
+            raise ValueError(
+                f"{self.folder / 'manifest.json'} has no totals.{missing[0]}: finish the dataset by running its command again, which adds it"
+            )
+        self.class_weights, self.class_pixels = totals["class_weights"], totals["class_pixels"]
+        self.channel_mean, self.channel_std = totals["channel_mean"], totals["channel_std"]
         lines = (self.folder / "frames.jsonl").read_text(encoding="utf-8").splitlines()
         records = (json.loads(line) for line in lines)
         self.records = sorted(
