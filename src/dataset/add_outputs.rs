@@ -132,7 +132,7 @@ impl Addition {
         let lock = RunLock::acquire(&self.folder, Shard::WHOLE)?;
         let of_log = self.outputs_of_log()?;
         let has = |name: &&str| self.plan.outputs.iter().any(|output| output.name == *name);
-        if !of_log.iter().all(|name| has(&name)) {
+        if !of_log.iter().all(has) {
             return Err(self.unfinished(&of_log));
         }
         if !of_log.is_empty() {

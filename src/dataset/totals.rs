@@ -194,7 +194,8 @@ mod tests {
                 .map(|value| f64::from(*value) / 255.0)
                 .collect();
             let expected = values.iter().sum::<f64>() / 6.0;
-            let variance = values.iter().map(|value| (value - expected).powi(2)).sum::<f64>() / 6.0;
+            let variance =
+                values.iter().map(|value| (value - expected) * (value - expected)).sum::<f64>() / 6.0;
             assert!((mean[channel] - expected).abs() < 1e-12, "{mean:?}");
             assert!((deviation[channel] - variance.sqrt()).abs() < 1e-12, "{deviation:?}");
         }

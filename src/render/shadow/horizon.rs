@@ -30,7 +30,7 @@ use crate::scene::terrain::{Layout, Terrain};
 /// Samples of the map per cell of a square of ground.
 const SAMPLES_PER_CELL: f32 = 3.0;
 /// Samples of the map per cell of rings, at the distance where a grid ends; half as many where it begins.
-const SAMPLES_PER_RING_CELL: f32 = 2.0;
+const SAMPLES_PER_RING_CELL: f32 = 2.5;
 /// Maximum samples along a side of the map.
 const MAX_SAMPLES: u32 = 2048;
 /// Distance that the finest grid over rings serves, metres.
