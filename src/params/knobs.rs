@@ -333,6 +333,7 @@ mod tests {
             let suffix = match info.unit {
                 "" => continue,
                 "m" => "_m",
+                "1/m" => "_per_m",
                 "deg" => "_deg",
                 "EV" => "_ev",
                 "mrad" => "_mrad",

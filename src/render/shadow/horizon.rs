@@ -29,8 +29,9 @@ use crate::scene::terrain::{Layout, Terrain};
 
 /// Samples of the map per cell of a square of ground.
 const SAMPLES_PER_CELL: f32 = 3.0;
-/// Samples of the map per cell of rings, at the distance where a grid ends; half as many where it begins.
-const SAMPLES_PER_RING_CELL: f32 = 2.5;
+/// Samples of the map per cell of rings, at the distance where a grid ends; half as many where it begins. With more, the grids of a usual
+/// view would no longer fit into the 2048 rows that a texture has on every device.
+const SAMPLES_PER_RING_CELL: f32 = 2.4;
 /// Maximum samples along a side of the map.
 const MAX_SAMPLES: u32 = 2048;
 /// Distance that the finest grid over rings serves, metres.
