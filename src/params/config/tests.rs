@@ -242,6 +242,7 @@ fn the_rover_preset_mixes_cameras() {
         assert!([-40.0..-5.0, -28.0..-12.0, -62.0..-56.0][kind].contains(&pitch), "{fov} {pitch}");
         assert_eq!(params.text(Knob::SensorKind), ["bayer", "mono", "mono"][kind]);
         assert!((15.0..=50.0).contains(&number(Knob::SunElevationDeg)));
+        assert!(kind > 0 || params.text(Knob::RoverVisible) == "no", "a deck fills the narrow view");
         bare += i32::from(number(Knob::RocksCoverage) == 0.0);
         in_front += i32::from((number(Knob::SunRelativeAzimuthDeg) - 180.0).abs() > 140.0);
     }
