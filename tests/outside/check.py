@@ -40,6 +40,13 @@ def check_fill(report: Report, case: Case) -> None:
     path_tracer.check(case, report)
 
 
+def check_fill_of_all(report: Report) -> None:
+    """Checks the light within the shadows of all scenes together."""
+    import path_tracer
+
+    path_tracer.check_all(report)
+
+
 def guarded(report: Report, name: str, check: Callable[[], None]) -> None:
     """Runs a check; an exception becomes a failing row, and the other scenes still run."""
     report.case = name
@@ -61,6 +68,7 @@ def main() -> int:
     if importlib.util.find_spec("mitsuba"):
         for case in FILL_CASES:
             guarded(report, case.name, partial(check_fill, report, case))
+        guarded(report, f"{len(FILL_CASES)} scenes", partial(check_fill_of_all, report))
     else:
         print("!!! MITSUBA DID NOT RUN: PyPI has no wheel of it for this machine !!!", file=sys.stderr)
     report.print()
