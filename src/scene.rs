@@ -4,6 +4,7 @@
 //! To add an element: a file in `scene/` with its `build`, one line in [`Scene::build`], one in `Scene::hash_geometry`, and a
 //! class in `class.rs` if it is a new one.
 
+pub mod azimuth;
 pub mod bounce;
 pub mod camera;
 pub mod craters;
@@ -136,7 +137,7 @@ impl Scene {
     ) -> Self {
         let below_eye = camera.eye.truncate();
         let yaw = params.number(Knob::CameraYawDeg).to_radians();
-        let view = Vec2::new(libm::sin(yaw) as f32, libm::cos(yaw) as f32);
+        let view = azimuth::direction(yaw);
         let rocks = match Rover::build(params) {
             Some(rover) => {
                 let parts = rover.parts(&terrain, camera.eye, view, rocks.len() as u32);

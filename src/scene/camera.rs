@@ -5,6 +5,7 @@
 use glam::camera::rh::proj::directx::perspective;
 use glam::{DVec3, Mat4, Vec2, Vec3};
 
+use super::azimuth;
 use super::rings::View;
 use super::sky::innermost_star_m;
 use super::terrain::Terrain;
@@ -212,7 +213,7 @@ pub fn ground_view(params: &Params) -> View {
     let angles = [Knob::CameraPitchDeg, Knob::CameraYawDeg, Knob::CameraRollDeg].map(|k| params.number(k));
     let camera = Camera::new(Vec3::ZERO, angles, params.number(Knob::CameraFovDeg), 1.0, 0.0);
     let azimuth = angles[1].to_radians();
-    let ahead = Vec2::new(libm::sin(azimuth) as f32, libm::cos(azimuth) as f32);
+    let ahead = azimuth::direction(azimuth);
     // The largest azimuth along the image border; a full circle if the border passes below the eye.
     let mut half_sector = 0.0_f64;
     for (across, up) in (-4..=4).flat_map(|i| [(i, -4), (i, 4), (-4, i), (4, i)]) {

@@ -13,7 +13,8 @@ use fearless_simd::{Level, dispatch};
 
 use crate::pool::PooledVec;
 use crate::rounding::floor_and_fraction;
-use cells::{lerp, smoothstep};
+use cells::lerp;
+pub(crate) use cells::smoothstep;
 pub use gradient::{
     GRADIENT_NOISE_SIGMA, SHADE_SIGMA, gradient_noise_2d, gradient_noise_difference, gradient_noise_slope_2d,
     patchy_noise_2d,

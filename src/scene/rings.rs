@@ -9,6 +9,7 @@ use std::ops::Range;
 
 use glam::Vec2;
 
+use super::azimuth;
 use super::grid_cell::CellPoint;
 
 /// Growth factor of the columns outside the viewed sector, and their largest width, relative to those inside.
@@ -96,10 +97,7 @@ impl Rings {
             radii_m.push(radius_m.min(view.radius_m) as f32);
         }
         let angles = angles(view);
-        let rays: Vec<Vec2> = angles
-            .iter()
-            .map(|angle| Vec2::new(libm::sin(*angle) as f32, libm::cos(*angle) as f32))
-            .collect();
+        let rays: Vec<Vec2> = angles.iter().map(|angle| azimuth::direction(*angle)).collect();
         // The first and the last ray coincide, to the bit.
         let (first, last) = (Vec2::new(0.0, -1.0), rays.len() - 1);
         let mut rays = rays;
@@ -122,7 +120,7 @@ impl Rings {
                 if bin == 0 { 0 } else { below.saturating_sub(1) as u32 }
             })
             .collect();
-        let ahead = Vec2::new(libm::sin(view.azimuth) as f32, libm::cos(view.azimuth) as f32);
+        let ahead = azimuth::direction(view.azimuth);
         let turned = |ray: &Vec2| ray.x * Vec2::new(ahead.y, -ahead.x) + ray.y * ahead;
         Self {
             view: *view,

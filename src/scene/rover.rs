@@ -6,6 +6,7 @@
 
 use glam::{Vec2, Vec3};
 
+use super::azimuth;
 use super::mesh::{Icosphere, Vertex};
 use super::rocks::{Body, Material, Rock};
 use super::terrain::Terrain;
@@ -147,7 +148,7 @@ impl Rover {
         let number = |knob| params.number(knob) as f32;
         let azimuth = (params.number(Knob::CameraYawDeg) + params.number(Knob::RoverHeadingDeg)).to_radians();
         Some(Self {
-            heading: Vec2::new(libm::sin(azimuth) as f32, libm::cos(azimuth) as f32),
+            heading: azimuth::direction(azimuth),
             size_m: [number(Knob::RoverLengthM), number(Knob::RoverWidthM)],
             deck_m: number(Knob::RoverDeckM),
             panel_m: number(Knob::RoverPanelM),

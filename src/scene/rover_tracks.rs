@@ -4,6 +4,7 @@
 
 use glam::Vec2;
 
+use super::azimuth;
 use super::rover::{self, Rover};
 use super::track::Track;
 use crate::params::{Knob, Params};
@@ -31,7 +32,7 @@ pub fn tracks(streams: &Streams, params: &Params) -> Vec<Track> {
 /// The track that the rover of the camera left as it came.
 fn own(streams: &Streams, params: &Params, rover: &Rover) -> Track {
     let height_m = params.number(Knob::CameraHeightM) as f32;
-    let view = azimuth(params.number(Knob::CameraYawDeg));
+    let view = azimuth::direction(params.number(Knob::CameraYawDeg).to_radians());
     let middle = rover.middle(view, height_m - rover.deck_m);
     let track = passing(streams, params, (middle, rover.heading), OWN);
     // It ends below the front wheels.
@@ -44,8 +45,13 @@ fn crossing(streams: &Streams, params: &Params, k: u64) -> Track {
     let yaw_deg = params.number(Knob::CameraYawDeg);
     // Somewhere in the middle half of the view.
     let aside = streams.stream("tracks.aside", k).uniform(-0.25, 0.25) * params.number(Knob::CameraFovDeg);
-    let offset = draw(Knob::TracksDistanceM) as f32 * azimuth(yaw_deg + aside);
-    passing(streams, params, (offset, azimuth(yaw_deg + draw(Knob::TracksDirectionDeg))), k)
+    let offset = draw(Knob::TracksDistanceM) as f32 * azimuth::direction((yaw_deg + aside).to_radians());
+    passing(
+        streams,
+        params,
+        (offset, azimuth::direction((yaw_deg + draw(Knob::TracksDirectionDeg)).to_radians())),
+        k,
+    )
 }
 
 /// A track through a point along a unit vector.
@@ -67,9 +73,4 @@ fn passing(streams: &Streams, params: &Params, (offset, ahead): (Vec2, Vec2), k:
         wheel_m,
         seed: streams.stream("tracks.seed", k).bits(),
     }
-}
-
-/// Unit vector along an azimuth, degrees from +Y towards +X.
-fn azimuth(degrees: f64) -> Vec2 {
-    Vec2::new(libm::sin(degrees.to_radians()) as f32, libm::cos(degrees.to_radians()) as f32)
 }

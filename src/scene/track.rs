@@ -4,7 +4,7 @@
 
 use glam::Vec2;
 
-use super::noise::gradient_noise_2d;
+use super::noise::{gradient_noise_2d, smoothstep};
 use crate::rounding::floor_and_fraction;
 
 /// Half the width, in half widths of a rut, over which its walls fall from the ground to the floor; where a mesh is coarse, this many of
@@ -130,13 +130,14 @@ impl Track {
         let ragged = in_mesh.ragged * RAGGED.1 * noise(RAGGED.0, 1);
         // Distance from the middle of the rut, in half widths.
         let from_middle = (across_m.abs() - 0.5 * self.gauge_m).abs() / (0.5 * self.width_m) + ragged;
-        let floor = 1.0 - smooth((from_middle - 1.0) / (2.0 * in_mesh.wall) + 0.5);
+        let floor = 1.0 - smoothstep(((from_middle - 1.0) / (2.0 * in_mesh.wall) + 0.5).clamp(0.0, 1.0));
         let berm = {
             let t = ((from_middle - 1.0) / BERM[0]).clamp(0.0, 1.0);
             let bump = 4.0 * t * (1.0 - t);
             BERM[1] * bump * bump
         };
-        let depth_m = self.depth_m * (1.0 + UNEVEN.1 * noise(UNEVEN.0, 2)) * smooth(inside_m / END_M);
+        let depth_m =
+            self.depth_m * (1.0 + UNEVEN.1 * noise(UNEVEN.0, 2)) * smoothstep((inside_m / END_M).min(1.0));
         // The imprint of a grouser is narrower than the soil between two of them. The two wheels are not in step.
         let (_, turn) = floor_and_fraction(along_m / in_mesh.period_m + 0.37 * rut as f32);
         let tooth = 1.0 - (2.0 * turn - 1.0).abs();
@@ -153,12 +154,6 @@ struct InMesh {
     imprints: f32,
     ragged: f32,
     period_m: f32,
-}
-
-/// Smooth step from 0 at 0 to 1 at 1.
-fn smooth(t: f32) -> f32 {
-    let t = t.clamp(0.0, 1.0);
-    t * t * (3.0 - 2.0 * t)
 }
 
 #[cfg(test)]

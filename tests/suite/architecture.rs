@@ -105,6 +105,7 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
         "scene",
         &[
             &[
+                "azimuth",
                 "flare",
                 "grid_cell",
                 "mesh",

@@ -70,10 +70,6 @@ impl Layout for Cityscapes {
         &["rgb", "mask", "instances"]
     }
 
-    fn supports(&self, output: &str) -> bool {
-        self.required_outputs().contains(&output)
-    }
-
     fn has_fixed_ids(&self) -> bool {
         true
     }

@@ -45,10 +45,6 @@ impl Layout for Coco {
         &["rgb", "mask", "instances"]
     }
 
-    fn supports(&self, output: &str) -> bool {
-        self.required_outputs().contains(&output)
-    }
-
     fn has_fixed_ids(&self) -> bool {
         true
     }

@@ -110,8 +110,10 @@ pub trait Layout: std::fmt::Debug + Sync {
         &["rgb", "mask"]
     }
 
-    /// Whether the layout can store this output.
-    fn supports(&self, output: &str) -> bool;
+    /// Whether the layout can store this output; one with a place for what it needs only, no other.
+    fn supports(&self, output: &str) -> bool {
+        self.required_outputs().contains(&output)
+    }
 
     /// Whether the layout numbers the classes itself, so that `--label-ids` does not apply.
     fn has_fixed_ids(&self) -> bool {

@@ -101,10 +101,6 @@ impl Layout for Yolo {
         &["rgb", "mask", "instances"]
     }
 
-    fn supports(&self, output: &str) -> bool {
-        self.required_outputs().contains(&output)
-    }
-
     fn has_fixed_ids(&self) -> bool {
         true
     }

@@ -4,7 +4,7 @@
 
 /// Cubic blending weight of `t` in [0, 1].
 #[inline(always)]
-pub(super) fn smoothstep(t: f32) -> f32 {
+pub(crate) fn smoothstep(t: f32) -> f32 {
     t * t * (3.0 - 2.0 * t)
 }
 

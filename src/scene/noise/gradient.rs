@@ -22,13 +22,7 @@ pub fn gradient_noise_2d(cell: [i32; 2], t: [f32; 2], seed: u32) -> f32 {
 #[inline(always)]
 pub fn patchy_noise_2d(cell: [i32; 2], t: [f32; 2], seed: u32, patchy: f32) -> [f32; 2] {
     let [u, v] = [quintic(t[0]), quintic(t[1])];
-    // Written out: a closure over an array would not be inlined into the vectors of the caller.
-    let sw = gradient_corner(cell, [0, 0], seed, patchy);
-    let se = gradient_corner(cell, [1, 0], seed, patchy);
-    let nw = gradient_corner(cell, [0, 1], seed, patchy);
-    let ne = gradient_corner(cell, [1, 1], seed, patchy);
-    let (a, b) = (sw.extrapolated(t, [0, 0]), se.extrapolated(t, [1, 0]));
-    let (c, d) = (nw.extrapolated(t, [0, 1]), ne.extrapolated(t, [1, 1]));
+    let ([sw, se, nw, ne], [a, b, c, d]) = corners_of_cell(cell, t, seed, patchy);
     [lerp(lerp(a, b, u), lerp(c, d, u), v), strength_of_finer([sw, se, nw, ne], [u, v])]
 }
 
@@ -39,12 +33,7 @@ pub fn patchy_noise_2d(cell: [i32; 2], t: [f32; 2], seed: u32, patchy: f32) -> [
 #[inline(always)]
 pub fn gradient_noise_slope_2d(cell: [i32; 2], t: [f32; 2], seed: u32, patchy: f32) -> [f32; 5] {
     let [u, v] = [quintic(t[0]), quintic(t[1])];
-    let sw = gradient_corner(cell, [0, 0], seed, patchy);
-    let se = gradient_corner(cell, [1, 0], seed, patchy);
-    let nw = gradient_corner(cell, [0, 1], seed, patchy);
-    let ne = gradient_corner(cell, [1, 1], seed, patchy);
-    let (a, b) = (sw.extrapolated(t, [0, 0]), se.extrapolated(t, [1, 0]));
-    let (c, d) = (nw.extrapolated(t, [0, 1]), ne.extrapolated(t, [1, 1]));
+    let ([sw, se, nw, ne], [a, b, c, d]) = corners_of_cell(cell, t, seed, patchy);
     [
         lerp(lerp(sw.x, se.x, u), lerp(nw.x, ne.x, u), v) + quintic_derivative(t[0]) * lerp(b - a, d - c, v),
         lerp(lerp(sw.y, se.y, u), lerp(nw.y, ne.y, u), v) + quintic_derivative(t[1]) * lerp(c - a, d - b, u),
@@ -52,6 +41,19 @@ pub fn gradient_noise_slope_2d(cell: [i32; 2], t: [f32; 2], seed: u32, patchy: f
         lerp(lerp(a, b, u), lerp(c, d, u), v),
         strength_of_finer([sw, se, nw, ne], [u, v]),
     ]
+}
+
+/// The corners of a cell (south-west, south-east, north-west, north-east), and what each extrapolates to `t`.
+#[inline(always)]
+fn corners_of_cell(cell: [i32; 2], t: [f32; 2], seed: u32, patchy: f32) -> ([Corner; 4], [f32; 4]) {
+    // Written out: a closure over an array would not be inlined into the vectors of the caller.
+    let sw = gradient_corner(cell, [0, 0], seed, patchy);
+    let se = gradient_corner(cell, [1, 0], seed, patchy);
+    let nw = gradient_corner(cell, [0, 1], seed, patchy);
+    let ne = gradient_corner(cell, [1, 1], seed, patchy);
+    let (a, b) = (sw.extrapolated(t, [0, 0]), se.extrapolated(t, [1, 0]));
+    let (c, d) = (nw.extrapolated(t, [0, 1]), ne.extrapolated(t, [1, 1]));
+    ([sw, se, nw, ne], [a, b, c, d])
 }
 
 /// The strength of finer noise at a point of a cell, from its corners (south-west, south-east, north-west, north-east) and their weights.

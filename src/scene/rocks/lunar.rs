@@ -9,6 +9,7 @@ use glam::Vec2;
 
 use crate::params::{Knob, Params};
 use crate::random::Streams;
+use crate::scene::azimuth;
 use crate::scene::craters::Pit;
 use crate::scene::relief::Relief;
 use crate::scene::rings::View;
@@ -178,7 +179,7 @@ fn draw_placements(
         })
         .collect();
     let min_angle = min_angle(view, &octaves);
-    let ahead = Vec2::new(libm::sin(view.azimuth) as f32, libm::cos(view.azimuth) as f32);
+    let ahead = azimuth::direction(view.azimuth);
     let culling = ViewCulling { view, centre, ahead, min_angle };
     let mut placements = Vec::new();
     for (octave, sizes) in (0..).zip(&octaves) {
@@ -214,7 +215,7 @@ fn debris(streams: &Streams, culling: &ViewCulling<'_>, placements: &mut Vec<Pla
             // Most lie close to the rock.
             let distance = 1.05 - 0.35 * libm::log(1.0 - draw.unit());
             let angle = draw.uniform(0.0, std::f64::consts::TAU);
-            let direction = Vec2::new(libm::sin(angle) as f32, libm::cos(angle) as f32);
+            let direction = azimuth::direction(angle);
             let position = rock.position + (0.5 * rock.diameter_m * distance) as f32 * direction;
             if culling.keeps(position, diameter_m) {
                 let key = rock_key(rock.key, 63, k);
@@ -339,7 +340,7 @@ fn cluster(
         for k in 0..count.min(4000) {
             let distance_m = radius_m / (1.0 - draw.unit() * (2.0 / 3.0));
             let angle = draw.uniform(0.0, std::f64::consts::TAU);
-            let offset = Vec2::new(libm::sin(angle) as f32, libm::cos(angle) as f32) * distance_m as f32;
+            let offset = azimuth::direction(angle) * distance_m as f32;
             let (position, diameter_m) = (centre + offset, sizes.draw(&mut draw));
             if culling.keeps(position, diameter_m) {
                 let key = rock_key(pit.key, octave + 32, k);
