@@ -87,8 +87,8 @@ struct HorizonLevel {
     origin: vec2<f32>,
     // Spacing of the samples, metres.
     step_m: f32,
-    // The grid's first row in the texture.
-    first_row: u32,
+    // Where the grid begins in the texture: the column in the lower half, the row in the upper one.
+    first_texel: u32,
     // Samples along the sun's azimuth and across.
     size: vec2<u32>,
     // Column and row of the first sample.

@@ -33,7 +33,8 @@ fn horizon_visibility(position: vec3<f32>) -> f32 {
     let texel = floor(clamped);
     let t = clamped - texel;
     // The corner that the four texels share.
-    let corner = texel - grid.first_sample + vec2(1.0, 1.0 + f32(grid.first_row));
+    let first_texel = vec2<f32>(vec2(grid.first_texel & 0xffffu, grid.first_texel >> 16u));
+    let corner = texel - grid.first_sample + first_texel + 1.0;
     let uv = corner / vec2<f32>(textureDimensions(horizon_map));
     let limbs = vec2(
         bilinear(textureGather(0, horizon_map, nearest, uv), t),

@@ -82,7 +82,7 @@ shader_struct! {
     HorizonLevel {
         origin: Vec2,
         step_m: f32,
-        first_row: u32,
+        first_texel: u32,
         size: [u32; 2],
         first_sample: Vec2,
     }

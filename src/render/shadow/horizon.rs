@@ -29,11 +29,12 @@ use crate::scene::terrain::{Layout, Terrain};
 
 /// Samples of the map per cell of a square of ground.
 const SAMPLES_PER_CELL: f32 = 3.0;
-/// Samples of the map per cell of rings, at the distance where a grid ends; half as many where it begins. With more, the grids of a usual
-/// view would no longer fit into the 2048 rows that a texture has on every device.
+/// Samples of the map per cell of rings, at the distance where a grid ends; half as many where it begins.
 const SAMPLES_PER_RING_CELL: f32 = 2.4;
 /// Maximum samples along a side of the map.
 const MAX_SAMPLES: u32 = 2048;
+/// Maximum rows of the image of several grids: as many as a texture has on every device.
+const MAX_ROWS: usize = 2048;
 /// Distance that the finest grid over rings serves, metres.
 const FINEST_M: f32 = 5.0;
 /// How far ground may stand out of what a coarser grid knows of it, steps of the grid: the sweep of a finer grid starts so far
@@ -66,7 +67,7 @@ pub struct HorizonMap {
     pub base_m: f32,
     /// The grids.
     pub levels: Vec<HorizonLevel>,
-    /// Samples in a row of [`Self::heights_m`], in which the grids are stacked.
+    /// Texels in a row of [`Self::heights_m`], in which the grids are arranged.
     pub width: u32,
     /// Heights for the lower and for the upper limb, metres.
     pub heights_m: Vec<Limbs>,
@@ -74,6 +75,15 @@ pub struct HorizonMap {
     shadowed: Vec<Vec2>,
     /// The heights of a square ground, which maps of the same ground share.
     heightfield: Arc<Heightfield>,
+}
+
+/// A column of the image of a map: grids one below the other.
+#[derive(Clone, Copy, Debug, Default)]
+struct GridColumn {
+    first_texel: usize,
+    width: usize,
+    rows: usize,
+    grids: usize,
 }
 
 /// The map that was computed last, for as long as neither ground nor sun change, and the memory of those before. One for any number
@@ -196,37 +206,64 @@ impl HorizonMap {
         }
         grids.reverse();
         (self.towards, self.centre, self.base_m) = (towards, terrain.centre, base_m);
-        self.stack(grids);
+        self.arrange(grids);
     }
 
-    /// Stacks the grids in one image, one below the other, each row padded to the widest.
-    fn stack(&mut self, grids: Vec<HorizonGrid>) {
-        let width = grids.iter().map(|grid| grid.size[0]).max().unwrap_or(2);
-        let samples = width * grids.iter().map(|grid| grid.size[1]).sum::<usize>();
-        self.width = width as u32;
+    /// Arranges the grids in one image: one below the other in columns of at most [`MAX_ROWS`], each row padded to the widest of its
+    /// column.
+    fn arrange(&mut self, mut grids: Vec<HorizonGrid>) {
         self.levels.clear();
-        self.heights_m.clear();
-        self.heights_m.reserve_exact(samples);
-        self.shadowed.clear();
-        for mut grid in grids {
+        let mut columns: Vec<GridColumn> = Vec::new();
+        for grid in &grids {
+            if columns.last().is_none_or(|column| column.rows + grid.size[1] > MAX_ROWS) {
+                let first_texel = columns.last().map_or(0, |column| column.first_texel + column.width);
+                columns.push(GridColumn { first_texel, ..GridColumn::default() });
+            }
+            let column = columns.last_mut().expect("pushed");
             self.levels.push(HorizonLevel {
                 origin: grid.origin,
                 step_m: grid.step_m,
-                first_row: (self.heights_m.len() / width) as u32,
+                first_texel: (column.first_texel | column.rows << 16) as u32,
                 size: grid.size.map(|side| side as u32),
                 first_sample: grid.first,
             });
-            if self.heights_m.is_empty() && grid.size[0] == width {
-                std::mem::swap(&mut self.heights_m, &mut grid.heights_m);
-                self.heights_m.reserve_exact(samples - self.heights_m.len());
-            } else {
-                for row in grid.heights_m.chunks(grid.size[0]) {
-                    self.heights_m.extend(row);
-                    self.heights_m.resize(self.heights_m.len() + width - row.len(), [0.0; 2]);
-                }
+            column.width = column.width.max(grid.size[0]);
+            column.rows += grid.size[1];
+            column.grids += 1;
+        }
+        self.width = columns.iter().map(|column| column.width).sum::<usize>() as u32;
+        self.shadowed.clear();
+        for grid in &grids {
+            self.shadowed.extend(&grid.shadowed);
+        }
+        if let [grid] = &mut grids[..] {
+            std::mem::swap(&mut self.heights_m, &mut grid.heights_m);
+        } else {
+            self.copy_rows(&columns, &grids);
+        }
+        SPARE.with_borrow_mut(|spare| spare.extend(grids.into_iter().map(|grid| grid.heights_m)));
+    }
+
+    /// Copies the rows of all grids to where the columns have them.
+    fn copy_rows(&mut self, columns: &[GridColumn], grids: &[HorizonGrid]) {
+        let height = columns.iter().map(|column| column.rows).max().unwrap_or(0);
+        self.heights_m.clear();
+        self.heights_m.reserve_exact(self.width as usize * height);
+        let mut grids = grids.iter();
+        let mut columns: Vec<_> = columns
+            .iter()
+            .map(|column| {
+                let own = grids.by_ref().take(column.grids).collect::<Vec<_>>();
+                let rows = own.into_iter().flat_map(|grid| grid.heights_m.chunks(grid.size[0]));
+                (column.width, rows)
+            })
+            .collect();
+        for _ in 0..height {
+            for (width, rows) in &mut columns {
+                let row = rows.next().unwrap_or_default();
+                self.heights_m.extend(row);
+                self.heights_m.resize(self.heights_m.len() + *width - row.len(), [0.0; 2]);
             }
-            self.shadowed.extend(grid.shadowed);
-            SPARE.with_borrow_mut(|spare| spare.push(grid.heights_m));
         }
     }
 
@@ -251,7 +288,8 @@ impl HorizonMap {
         let sample = Vec2::new(offset.dot(self.towards), offset.dot(self.towards.perp())) - grid.first_sample;
         let index = |at: f32, size: u32| (at.round().max(0.0) as u32).min(size - 1);
         let (column, row) = (index(sample.x, grid.size[0]), index(sample.y, grid.size[1]));
-        self.heights_m[((grid.first_row + row) * self.width + column) as usize]
+        let [first_column, first_row] = [grid.first_texel & 0xffff, grid.first_texel >> 16];
+        self.heights_m[((first_row + row) * self.width + first_column + column) as usize]
     }
 
     /// Rows of [`Self::heights_m`].
