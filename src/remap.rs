@@ -202,7 +202,7 @@ fn parse_colour(key: &str) -> Option<[u8; 4]> {
         .strip_prefix('(')?
         .strip_suffix(')')?
         .split(',')
-        .map(|number| number.trim().parse().ok())
+        .map(|number| number.trim().parse::<u8>().ok())
         .collect::<Option<_>>()?;
     match numbers[..] {
         [r, g, b] => Some([r, g, b, 255]),
