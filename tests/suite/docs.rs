@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use regolith::params::config::Config;
-use regolith::params::presets::presets;
+use regolith::params::presets::{preset_description, presets};
 
 use crate::support::{folder, run_ok};
 
@@ -111,6 +111,16 @@ fn every_page_is_in_the_index() {
     for (page, _) in pages() {
         let name = page.file_name().expect("a name").to_string_lossy().into_owned();
         assert!(index.contains(&format!("{name})")), "docs/README.md does not link {}", page.display());
+    }
+}
+
+#[test]
+fn the_page_on_presets_shows_each_with_its_description() {
+    let page = std::fs::read_to_string(root().join("docs/presets.md")).expect("the page").to_lowercase();
+    for (name, _) in presets() {
+        let description = preset_description(name).expect("a description").to_lowercase();
+        let (text, sheet) = (format!("**`{name}`**: {description}"), format!("(presets/{name}.jpg)"));
+        assert!(page.contains(&text) && page.contains(&sheet), "docs/presets.md: {text}, {sheet}");
     }
 }
 
