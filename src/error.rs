@@ -58,6 +58,16 @@ pub enum Error {
         /// The names of all presets.
         available: Vec<String>,
     },
+    /// An output that does not exist.
+    #[error("--outputs: unknown output `{name}`{}; there are {} and all", did_you_mean(.suggestion.as_deref()), .available.join(", "))]
+    UnknownOutput {
+        /// The name as written.
+        name: String,
+        /// The most similar known name.
+        suggestion: Option<String>,
+        /// The names of all outputs.
+        available: Vec<String>,
+    },
     /// A configuration that is not valid TOML.
     #[error("{origin}, line {line}, column {column}: {message}")]
     Toml {
@@ -294,6 +304,7 @@ impl Error {
             | Self::KnobType { .. }
             | Self::Contradiction(_)
             | Self::UnknownPreset { .. }
+            | Self::UnknownOutput { .. }
             | Self::Toml { .. }
             | Self::Config { .. }
             | Self::Usage(_)

@@ -168,13 +168,11 @@ pub fn parse_outputs(list: &str) -> Result<Vec<&'static Output>> {
     }
     let known = || OUTPUTS.iter().map(|output| output.name);
     if let Some(unknown) = words.iter().find(|word| **word != "all" && !known().any(|name| name == **word)) {
-        let meant =
-            nearest(unknown, known()).map_or_else(String::new, |name| format!(" (did you mean `{name}`?)"));
-        let names: Vec<&str> = known().collect();
-        return Err(Error::Usage(format!(
-            "--outputs: unknown output `{unknown}`{meant}; there are {} and all",
-            names.join(", ")
-        )));
+        return Err(Error::UnknownOutput {
+            name: (*unknown).to_owned(),
+            suggestion: nearest(unknown, known()),
+            available: known().map(str::to_owned).collect(),
+        });
     }
     Ok(OUTPUTS.iter().filter(|output| words.contains(&"all") || words.contains(&output.name)).collect())
 }

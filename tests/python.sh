@@ -30,4 +30,4 @@ python -c "import torch" 2>/dev/null \
 python -m pytest -q -rs "$OLDPWD/python/tests" --ignore "$OLDPWD/python/tests/test_ray.py" --deselect "$OLDPWD/python/tests/test_examples.py::test_rerun_gets_camera_images_and_mesh"
 export PATH="$target/venv-data/bin:/usr/bin:/bin"
 python -m mypy --config-file "$OLDPWD/pyproject.toml" --cache-dir "$target/mypy-data" "$OLDPWD/python/examples/view_in_rerun.py"
-python -m pytest -q -rs "$OLDPWD/python/tests/test_ray.py" "$OLDPWD/python/tests/test_examples.py" -k "not training"
+python -m pytest -q -rs "$OLDPWD/python/tests/test_ray.py" "$OLDPWD/python/tests/test_examples.py" "$OLDPWD/python/tests/test_docs.py" -k "ray or rerun"

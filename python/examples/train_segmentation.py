@@ -137,7 +137,7 @@ def main() -> int:
     print(f"IoU on {len(frames)} frames of {options.test_preset}: {shares}; mean {iou.mean():.3f}; {time.monotonic() - began:.0f} s")
     rows = []
     for frame, predicted in zip(frames[:6], masks):
-        other = rr.Frame({"rgb": frame["rgb"], "mask": predicted}, "{}", "{}")
+        other = rr.Frame({"rgb": frame["rgb"], "mask": predicted})
         rows.append(np.concatenate([frame["rgb"], frame.overlay(), other.overlay()], 1))
     Image.fromarray(np.concatenate(rows)).save(options.out)
     print(f"{options.out}: image, truth, prediction")

@@ -6,13 +6,21 @@
 >>> frame["rgb"].shape, frame["mask"].shape
 ((256, 256, 3), (256, 256))
 
-Frames are those of the command `regolith-render`, to the byte. The module `regolith_render.torch` has datasets for PyTorch, which it
-alone imports.
+Frames are those of the command `regolith-render`, to the byte. The modules `regolith_render.torch` (datasets for PyTorch) and
+`regolith_render.ray` (Ray Data) import those packages, at first use; nothing else does.
 """
+
+from __future__ import annotations
+
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 from ._frame import CLASSES, IGNORE, Frame
 from ._native import ConfigError, DeviceError, NoAdapterError, __version__
-from ._renderer import Adapter, Camera, Knob, Preset, Renderer, Scene, Sun, adapters, knobs, outputs, presets
+from ._renderer import Renderer
+from ._scene import Camera, Scene, Sun
+from ._tables import Adapter, Knob, Preset, adapters, knobs, outputs, presets
 
 __all__ = [
     "CLASSES",
@@ -34,3 +42,11 @@ __all__ = [
     "outputs",
     "presets",
 ]
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> ModuleType:
+        """`rr.torch` and `rr.ray`, imported at first use."""
+        if name in ("torch", "ray"):
+            return import_module(f".{name}", __name__)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import os
+import signal
 import sys
 
 from . import _native
+from ._settings import hide_displays
 
 
 def main() -> int:
     """Runs the command line of this process and returns its exit status."""
-    # Drivers look for displays to choose a GPU by, and may wait for one without a limit; frames need none.
-    for name in ("DISPLAY", "WAYLAND_SOCKET"):
-        os.environ.pop(name, None)
-    os.environ["WAYLAND_DISPLAY"] = "/dev/null"
+    hide_displays()
+    # Ctrl-C ends the program, or what its commands make of it; Python's own handler would wait for them.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     return _native.main(["regolith-render", *sys.argv[1:]], sys.executable)
 
 

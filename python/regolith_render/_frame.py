@@ -7,6 +7,7 @@ import json
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -29,30 +30,49 @@ _COLOURS = {"regolith": (170, 140, 110), "rock": (220, 45, 40), "sky": (70, 120,
 
 
 class Frame(Mapping[str, NDArray[Any]]):
-    """A rendered frame: a mapping from the names of its arrays to NumPy arrays.
+    """A rendered frame: a mapping from the names of its arrays to NumPy arrays, and its record.
 
-    The names are those of the files of a dataset: `rgb` (H, W, 3) uint8; `mask` (H, W) uint8 with the ids of `CLASSES` and `IGNORE`;
-    `distance_to_image_plane` and `distance_to_camera` (H, W) float32, metres, infinite for the sky; `normals` (H, W, 3) float32;
-    `instance_segmentation` (H, W) uint16; `shadow` (H, W) uint8, 255 where the whole sun is hidden; `hdr` (H, W, 3) float16, linear
-    radiance; and so on, by output. `frame["depth"]`, `frame["instances"]` and `frame["coverage"]` work as well.
+    By output, the arrays; the names are those of the files of a dataset:
 
-    Each array is C-contiguous, writable, and owns the memory that was rendered into. `torch.from_dlpack(frame["rgb"])` copies nothing.
+    - `rgb`: `rgb` (H, W, 3) uint8, sRGB.
+    - `mask`: `mask` (H, W) uint8, the ids of `CLASSES`, and `IGNORE`.
+    - `preview`: `preview` (H, W, 3) uint8, the mask in colour.
+    - `depth`: `distance_to_image_plane` and `distance_to_camera` (H, W) float32, metres along the optical axis and along the ray,
+      infinite for the sky. `frame["depth"]` is the first.
+    - `normals`: `normals` (H, W, 3) float32, unit vectors in world axes; 0 for the sky.
+    - `instances`: `instance_segmentation` (H, W) uint16, 0 for no rock; `frame["instances"]` is the same, `frame.rocks` describes them.
+    - `shadow`: `shadow` (H, W) uint8, the hidden part of the sun's disc, 0 (lit) to 255.
+    - `hdr`: `hdr` (H, W, 3) float16, linear radiance before exposure.
+    - `coverage`: `semantic_coverage` (H, W, 3) float32, the fraction of the pixel of each class, 0 to 1; `frame["coverage"]` is the same.
+    - `slope`: `slope` (H, W) float32, degrees; NaN for rocks and sky.
+    - `craters`: `craters` (H, W) uint8: 1 inside a crater, 2 on its rim, else 0.
+    - `angles`: `incidence` and `phase` (H, W) float32, degrees; NaN for the sky.
+    - `five_classes`: `five_classes` (H, W) uint8, the mask with 3 inside craters and 4 for ground beyond 400 m; `five_classes_preview`
+      (H, W, 3) uint8.
+    - `rock_sizes`: `rock_sizes` (H, W, 3) uint8, the mask in colours by the size of rocks.
+    - `meta`: no array; every frame has its record in `frame.meta`.
+
+    Each array is C-contiguous, writable, and the only one in its memory, which it keeps: nothing was copied on the way, and
+    `torch.from_dlpack(frame["rgb"])` copies nothing either. Frames are equal if their arrays are. They pickle.
     """
 
-    def __init__(self, arrays: dict[str, NDArray[Any]], meta: str, rocks: str) -> None:
+    def __init__(self, arrays: dict[str, NDArray[Any]], meta: str = "{}", rocks: str = "{}") -> None:
         self._arrays = arrays
         self._meta_text = meta
         self._rocks_text = rocks
 
-    @property
+    @cached_property
     def meta(self) -> dict[str, Any]:
-        """The record of the frame, as in `frame_0000.json` or a line of `frames.jsonl`: seed, knobs as drawn, camera, sun, ..."""
+        """The record of the frame, as in `frame_0000.json` or a line of `frames.jsonl`: `seed`; `knobs` as drawn, by dotted name; `camera`
+        with `K` (3 x 3, pixels), `world_from_camera` (4 x 4, axes of OpenCV, metres), `distortion`, ...; `sun`; `coverage`, the share of
+        each class, 0 to 1; `ms`, milliseconds by stage of work; and so on."""
         record: dict[str, Any] = json.loads(self._meta_text)
         return record
 
-    @property
+    @cached_property
     def rocks(self) -> dict[int, dict[str, Any]]:
-        """The visible rocks by instance id: box, visible pixels, occluded fraction, size. Empty unless `instances` was asked for."""
+        """The visible rocks by instance id, as in `instance_segmentation_mapping_0000.json`: `box_px` (left, top, right, bottom, all
+        inclusive), `visible_px`, `occluded` (0 to 1), height and diameter in metres, ... Empty unless `instances` was asked for."""
         return {int(instance): rock for instance, rock in json.loads(self._rocks_text).items()}
 
     def __getitem__(self, name: str) -> NDArray[Any]:
@@ -62,6 +82,14 @@ class Frame(Mapping[str, NDArray[Any]]):
             have = ", ".join(self._arrays)
             raise KeyError(f"{name}: this frame has {have}; ask for more by Renderer(outputs=...)") from None
 
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Frame):
+            return NotImplemented
+        same = (np.array_equal(array, other[name], equal_nan=array.dtype.kind == "f") for name, array in self.items())
+        return self._arrays.keys() == other._arrays.keys() and all(same)
+
+    __hash__ = None  # type: ignore[assignment]
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._arrays)
 
@@ -70,7 +98,7 @@ class Frame(Mapping[str, NDArray[Any]]):
 
     def __repr__(self) -> str:
         arrays = ", ".join(f"{name} {array.dtype}{list(array.shape)}" for name, array in self._arrays.items())
-        return f"Frame(seed={self.meta['seed']}, {arrays})"
+        return f"Frame(seed={self.meta.get('seed')}, {arrays})"
 
     def _repr_html_(self) -> str:
         """Image, mask over image, and a legend, for notebooks."""
@@ -80,7 +108,7 @@ class Frame(Mapping[str, NDArray[Any]]):
         legend = ""
         if "mask" in self:
             pictures.append(self.overlay())
-            rows = [(name, _COLOURS[name], self.meta["coverage"][name]) for name in CLASSES]
+            rows = [(name, _COLOURS[name], float((self["mask"] == class_id).mean())) for name, class_id in CLASSES.items()]
             legend = " ".join(
                 f'<span style="background:rgb{colour};padding:0 0.6em">&nbsp;</span> {name} {100 * share:.1f} %'
                 for name, colour, share in rows
@@ -89,10 +117,11 @@ class Frame(Mapping[str, NDArray[Any]]):
             f'<img src="data:image/png;base64,{base64.b64encode(_png(picture)).decode()}" style="margin:2px">'
             for picture in pictures
         )
-        return f"<div>{images}<br>{legend} (seed {self.meta['seed']})</div>"
+        return f"<div>{images}<br>{legend} (seed {self.meta.get('seed')})</div>"
 
     def overlay(self, opacity: float = 0.45) -> NDArray[np.uint8]:
-        """The image with the classes over it in their preview colours: (H, W, 3) uint8. What is ignored is black."""
+        """The image with the classes over it in their preview colours: (H, W, 3) uint8. What is ignored is black. opacity: that of the
+        classes, 0 to 1. Needs the outputs `rgb` and `mask`."""
         colours = np.zeros((256, 3), np.float32)
         for name, class_id in CLASSES.items():
             colours[class_id] = _COLOURS[name]

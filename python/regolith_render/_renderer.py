@@ -1,185 +1,46 @@
-"""The renderer, scenes, and the tables of adapters, knobs, outputs and presets."""
+"""The renderer: settings, its device, and frames by seed, in streams and in batches."""
 
 from __future__ import annotations
 
-import io
-import json
 import os
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Iterable, Iterator
+from itertools import islice
 from types import TracebackType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import _native
 from ._frame import Frame
+from ._scene import Scene
+from ._settings import MAX_FRAMES, MAX_PREFETCH, MAX_SEED, MAX_THREADS
+from ._settings import Knobs, document, names_of, opening, refused, release_memory, seed_of, size_of, whole
 
-Knobs = Mapping[str, Any]
-"""Values of knobs by dotted name: a number, a text, a list, or a distribution as in `{"uniform": [5, 40]}`."""
-
-
-class Adapter(NamedTuple):
-    """A GPU or a CPU driver that can be used."""
-
-    name: str
-    kind: str
-    backend: str
-    driver: str
-
-
-class Knob(NamedTuple):
-    """A setting of a scene: its range is in `low` and `high`, or in `allowed` if it is a text."""
-
-    name: str
-    unit: str
-    low: float | None
-    high: float | None
-    allowed: tuple[str, ...]
-    default: str
-    help: str
-
-
-class Preset(NamedTuple):
-    """A named set of knobs."""
-
-    name: str
-    help: str
-
-
-def adapters() -> list[Adapter]:
-    """The adapters, best first.
-
-    Raises NoAdapterError if there is none; the message says what to install.
-    """
-    return [Adapter(*row) for row in _native.adapters()]
-
-
-def knobs(stage: str = "nominal") -> list[Knob]:
-    """The knobs of a stage, `nominal` or `surface`."""
-    return [
-        Knob(name, unit, bounds[0] if bounds else None, bounds[1] if bounds else None, tuple(allowed), default, text)
-        for name, unit, bounds, allowed, default, text in _native.knobs(stage)
-    ]
-
-
-def presets() -> list[Preset]:
-    """The presets that ship with the package."""
-    return [Preset(*row) for row in _native.presets()]
-
-
-def outputs() -> list[str]:
-    """The names that `Renderer(outputs=...)` takes."""
-    return _native.outputs()
-
-
-@dataclass(frozen=True)
-class Camera:
-    """A camera's pose. What is None stays as the scene has it.
-
-    position: x (right), y (forward), z (up), metres, world. Angles in degrees: pitch is negative below the horizon, yaw clockwise from
-    +y towards +x, roll clockwise. fov_deg is the horizontal field of view.
-    """
-
-    position: tuple[float, float, float] | None = None
-    pitch_deg: float | None = None
-    yaw_deg: float | None = None
-    roll_deg: float | None = None
-    fov_deg: float | None = None
-
-
-@dataclass(frozen=True)
-class Sun:
-    """The sun's place, degrees: elevation above the horizon, azimuth clockwise from +y towards +x. None stays as it is."""
-
-    elevation_deg: float | None = None
-    azimuth_deg: float | None = None
-
-
-def _toml(value: object) -> str:
-    """A value of a knob as TOML."""
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{json.dumps(str(key))} = {_toml(item)}" for key, item in value.items()) + "}"
-    if isinstance(value, str):
-        return json.dumps(value)
-    if isinstance(value, (bool, np.bool_)):
-        return "true" if value else "false"
-    if isinstance(value, (int, np.integer)):
-        return str(int(value))
-    if isinstance(value, (float, np.floating)):
-        return repr(float(value))
-    if isinstance(value, (Sequence, np.ndarray)):
-        return "[" + ", ".join(_toml(item) for item in value) + "]"
-    raise _native.ConfigError(f"{value!r} ({type(value).__name__}) is no value of a knob")
-
-
-def _document(set: Knobs | None) -> str:
-    return "".join(f"{name} = {_toml(value)}\n" for name, value in (set or {}).items())
-
-
-def _pose(camera: Camera | None, sun: Sun | None, scene: _native.Scene) -> dict[str, float]:
-    pose: dict[str, float | None] = {}
-    if camera is not None:
-        if camera.position is not None:
-            x, y, z = (float(number) for number in camera.position)
-            pose |= {"camera.x_m": x, "camera.y_m": y, "camera.height_m": z - scene.ground_height(x, y)}
-        pose |= {"camera.pitch_deg": camera.pitch_deg, "camera.yaw_deg": camera.yaw_deg}
-        pose |= {"camera.roll_deg": camera.roll_deg, "camera.fov_deg": camera.fov_deg}
-    if sun is not None:
-        pose |= {"sun.elevation_deg": sun.elevation_deg, "sun.azimuth_deg": sun.azimuth_deg}
-    return {name: number for name, number in pose.items() if number is not None}
-
-
-class Scene:
-    """A scene that is built once and rendered from many poses. `Renderer.scene` makes it; it may outlive the renderer's `with`."""
-
-    def __init__(self, renderer: Renderer, native: _native.Scene) -> None:
-        self._renderer = renderer
-        self._native = native
-
-    def render(self, camera: Camera | None = None, sun: Sun | None = None) -> Frame:
-        """A frame from a pose of the camera, under a sun; what is left out stays as the scene has it.
-
-        The nominal stage is the same geometry from every pose. The ground of the surface stage is made for the camera, and is made
-        again where the camera has moved: the same craters and rocks, in the detail that this view needs.
-        """
-        document = _document(_pose(camera, sun, self._native))
-        z = None if camera is None or camera.position is None else float(camera.position[2])
-        return Frame(*self._native.render(self._renderer._engine(), document, z))
-
-    def ground_height(self, x_m: float, y_m: float) -> float:
-        """Height of the ground at a point, metres."""
-        return self._native.ground_height(x_m, y_m)
-
-    def mesh(self, drawn: bool = False) -> dict[str, NDArray[Any]]:
-        """The triangles: `vertices` (N, 3) float32, metres, world; `normals` (N, 3) float32; `triangles` (M, 3) uint32;
-        `triangle_class` (M,) uint8; `triangle_instance` (M,) uint16, 0 for what is no rock; and `albedo`, `world_from_camera`, `K`,
-        `sun_direction`.
-
-        drawn: only what a frame draws or lets cast shadows, in the detail that it uses.
-        """
-        with np.load(io.BytesIO(self._native.export("npz", drawn))) as arrays:
-            return dict(arrays)
-
-    def export(self, path: str | os.PathLike[str], drawn: bool = False) -> None:
-        """Writes the scene for other software; the extension selects the format: .npz, .glb, .usda or .usdc."""
-        extension = os.path.splitext(path)[1].removeprefix(".")
-        data = self._native.export(extension, drawn)
-        with open(path, "wb") as file:
-            file.write(data)
+SEEDS_AHEAD = 1024
+"""How many seeds `frames` reads ahead."""
 
 
 class Renderer:
     """Renders labelled frames on one device, which is opened at first use.
 
     preset: a name, several with commas between them, or a list, of which later ones win; `rr.presets()` lists them.
-    stage: `nominal` or `surface`; without it, that of the preset. config: a TOML file of knobs. set: values of knobs, which win over all.
-    size: width and height, pixels, or one number for both. outputs: names; `rr.outputs()` lists them. samples: 1, 4 or 16 a pixel.
-    adapter: a part of an adapter's name, or `cpu`; the best one without it. raster: `auto`, `device` or `host`. edges: `hard`, or
-    `ignore:N` for 255 within N pixels of another class. threads: how many build scenes; as many as there are cores without it.
+    stage: `nominal` or `surface`; without it, that of the preset.
+    config: a TOML file of knobs, which wins over presets.
+    set: values of knobs, which win over all: a number, a text, a list, or a distribution to be drawn from as in
+    `{"sun.elevation_deg": {"uniform": [5, 40]}}`; `rr.knobs()` lists them with unit and range.
+    size: width and height, pixels, or one number for both.
+    outputs: names; `rr.outputs()` lists them, and `Frame` says what they are.
+    samples: 1, 4 or 16 for each pixel.
+    adapter: a part of an adapter's name (`rr.adapters()`), or `cpu`; the best one without it.
+    raster: where triangles are rasterised: `auto`, `device` or `host`.
+    edges: `hard`, or `ignore:N` for 255 in the mask within N pixels of another class.
+    threads: how many build scenes, 1 to 256; as many as there are cores without it.
 
-    Raises ConfigError for a wrong setting. Pickles as its settings; a copy opens a device of its own. It may be used from several threads.
+    Raises ConfigError for a wrong setting, FileNotFoundError for a missing file of knobs; opening the device raises NoAdapterError if there
+    is none of that name, and DeviceError if its driver fails.
+
+    Pickles as its settings; a copy opens a device of its own. It may be used from several threads.
     """
 
     def __init__(
@@ -197,19 +58,23 @@ class Renderer:
         edges: str = "hard",
         threads: int | None = None,
     ) -> None:
-        names = preset.split(",") if isinstance(preset, str) else list(preset or ())
-        width, height = (size, size) if isinstance(size, int) else size
+        texts = {"stage": stage, "adapter": adapter, "raster": raster, "edges": edges}
+        for name, text in texts.items():
+            if text is not None and not isinstance(text, str):
+                raise refused(name, text, "a text is expected")
         self._settings_of: dict[str, Any] = {
             "stage": stage,
-            "presets": [name.strip() for name in names],
+            "presets": names_of("preset", preset),
             "config": config,
-            "set": _document(set),
-            "size": (int(width), int(height)),
-            "outputs": outputs if isinstance(outputs, str) else ",".join(outputs),
-            "samples": samples,
+            "set": document(set),
+            "size": size_of(size),
+            "outputs": ",".join(names_of("outputs", outputs)),
+            "samples": whole("samples", samples, 1, 16),
             "edges": edges,
+            "raster": raster,
         }
-        self._device_of: dict[str, Any] = {"adapter": adapter, "raster": raster, "threads": threads}
+        threads = None if threads is None else whole("threads", threads, 1, MAX_THREADS)
+        self._device_of: dict[str, Any] = {"adapter": adapter, "threads": threads}
         self._open()
 
     def _open(self) -> None:
@@ -219,14 +84,17 @@ class Renderer:
     def _engine(self) -> _native.Engine:
         """The device of this process."""
         process = os.getpid()
-        if self._opened is not None and self._opened[0] != process:
+        opened = self._opened
+        if opened is None:
+            with opening():
+                if (opened := self._opened) is None:
+                    self._opened = opened = (process, _native.Engine(self._settings, **self._device_of))
+        if opened[0] != process:
             raise _native.DeviceError(
                 "this process was forked from one that had already opened the graphics device, which a fork cannot share; open it "
                 "only in the workers, or start them by 'spawn' or 'forkserver' (multiprocessing_context= of a DataLoader)"
             )
-        if self._opened is None:
-            self._opened = (process, _native.Engine(**self._device_of))
-        return self._opened[1]
+        return opened[1]
 
     def __getstate__(self) -> dict[str, Any]:
         return {"settings": self._settings_of, "device": self._device_of}
@@ -234,6 +102,12 @@ class Renderer:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self._settings_of, self._device_of = state["settings"], state["device"]
         self._open()
+
+    def __repr__(self) -> str:
+        settings = self._settings_of
+        width, height = settings["size"]
+        preset = ",".join(settings["presets"])
+        return f"Renderer(preset={preset!r}, size=({width}, {height}), outputs={settings['outputs']!r}, samples={settings['samples']})"
 
     def __enter__(self) -> Renderer:
         return self
@@ -246,6 +120,7 @@ class Renderer:
     def close(self) -> None:
         """Gives the device back. Another use opens it again."""
         self._opened = None
+        release_memory()
 
     @property
     def adapter(self) -> str:
@@ -261,42 +136,100 @@ class Renderer:
         }
 
     def render(self, seed: int, set: Knobs | None = None) -> Frame:
-        """The frame of a seed, 0 to 2^64 - 1, as `regolith-render --seed` writes it. set: values of knobs for this frame alone."""
-        return Frame(*self._engine().render(self._settings, seed, _document(set)))
+        """The frame of a seed, 0 to 2^64 - 1, as `regolith-render --seed` writes it. set: values of knobs for this frame alone.
+
+        Raises ConfigError for a wrong seed or knob, DeviceError if the device fails.
+        """
+        seed, knobs = seed_of(seed), document(set)
+        return Frame(*self._engine().render(self._settings, seed, knobs))
 
     def frames(self, seeds: Iterable[int], prefetch: int = 2) -> Generator[Frame, None, None]:
-        """The frames of these seeds, in order. Scenes are built on threads and frames rendered ahead; `prefetch` finished ones wait at
-        most. Closing the generator stops that."""
-        engine, settings = self._engine(), self._settings
-        yield from _taken(engine.frames_of_seeds(settings, [int(seed) for seed in seeds], prefetch))
+        """The frames of these seeds, each that of `render`, in order. Scenes are built on threads and frames rendered ahead from this call
+        on; `prefetch` finished ones, 1 to 1000, wait at most to be taken. Closing the generator stops that.
+
+        seeds: any iterable, which may have no end; up to 1024 seeds are read ahead.
+
+        Raises ConfigError for a wrong seed.
+        """
+        prefetch = whole("prefetch", prefetch, 1, MAX_PREFETCH)
+        rest = map(seed_of, _iterator(seeds))
+
+        def stream() -> _native.Frames | None:
+            some = list(islice(rest, SEEDS_AHEAD))
+            return self._engine().frames_of_seeds(self._settings, some, prefetch) if some else None
+
+        return _streamed(stream(), stream)
 
     def dataset_frames(
         self, base_seed: int, first: int = 0, step: int = 1, end: int | None = None, prefetch: int = 2
     ) -> Generator[Frame, None, None]:
         """The frames `first`, `first + step`, ... below `end` of the dataset that `regolith-render dataset --seed BASE_SEED` makes, in
-        order; without `end`, as many as are taken. A frame that breaks a rule of the preset is drawn again, as there."""
-        engine, settings = self._engine(), self._settings
-        yield from _taken(engine.frames_of_dataset(settings, base_seed, (first, step, end), prefetch))
+        order; without `end`, as many as are taken, 2^32 at most. A frame that breaks a rule of the preset is drawn again, as there.
+        prefetch as in `frames`.
+
+        Raises ConfigError for a wrong argument, and when a frame breaks the rules however often it is drawn.
+        """
+        return self._dataset_frames(base_seed, (first, step, end), (1, 0), prefetch)
+
+    def _dataset_frames(
+        self, base_seed: int, indices: tuple[int, int, int | None], runs: tuple[int, int], prefetch: int
+    ) -> Generator[Frame, None, None]:
+        """The same with `runs[0]` frames in a row at each step, without the first `runs[1]` of them all."""
+        first, step, end = indices
+        base_seed = whole("base_seed", base_seed, 0, MAX_SEED)
+        first, step = whole("first", first, 0, MAX_FRAMES), whole("step", step, 1, MAX_FRAMES)
+        end = None if end is None else whole("end", end, 0, MAX_FRAMES)
+        prefetch = whole("prefetch", prefetch, 1, MAX_PREFETCH)
+        engine = self._engine()
+        return _streamed(engine.frames_of_dataset(self._settings, base_seed, (first, step, end), runs, prefetch))
 
     def batch(self, seeds: Iterable[int], out: dict[str, NDArray[Any]] | None = None) -> dict[str, NDArray[Any]]:
-        """The frames of these seeds as arrays (B, H, W, ...) by name. out: arrays to fill, as an earlier call returned them."""
-        listed = [int(seed) for seed in seeds]
+        """The frames of these seeds as arrays (B, H, W, ...) by name, of the types of `arrays()`. out: arrays to fill instead of new ones,
+        as an earlier call returned them; the same dictionary is returned.
+
+        Raises ConfigError if an array of `out` is missing or of another shape or type.
+        """
+        listed = [seed_of(seed) for seed in _iterator(seeds)]
+        wanted = {name: ((len(listed), *shape), dtype) for name, (shape, dtype) in self.arrays().items()}
         batch = out if out is not None else {}
         if not batch:
-            batch.update({name: np.empty((len(listed), *shape), dtype) for name, (shape, dtype) in self.arrays().items()})
+            batch.update({name: np.empty(shape, dtype) for name, (shape, dtype) in wanted.items()})
+        for name, (shape, dtype) in wanted.items():
+            array = batch.get(name)
+            if not isinstance(array, np.ndarray) or array.shape != shape or array.dtype != dtype:
+                found = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+                raise refused(f"out[{name!r}]", found, f"an array {dtype} {shape} is expected")
         for row, frame in enumerate(self.frames(listed)):
-            for name, array in frame.items():
-                batch[name][row] = array
+            for name, pixels in frame.items():
+                batch[name][row] = pixels
         return batch
 
     def scene(self, seed: int, set: Knobs | None = None) -> Scene:
-        """The scene of a seed, to be rendered from many poses."""
-        return Scene(self, self._engine().scene(self._settings, seed, _document(set)))
+        """The scene of a seed, to be rendered from many poses. set: values of knobs for this scene alone.
+
+        Raises ConfigError for a wrong seed or knob.
+        """
+        return Scene(self, seed_of(seed), set)
 
 
-def _taken(frames: _native.Frames) -> Iterator[Frame]:
+def _iterator(seeds: Iterable[int]) -> Iterator[object]:
     try:
-        while (frame := frames.next()) is not None:
-            yield Frame(*frame)
+        return iter(seeds)
+    except TypeError:
+        raise refused("seeds", seeds, "seeds are expected, as in range(100) or [3, 5]") from None
+
+
+def _streamed(
+    frames: _native.Frames | None, more: Callable[[], _native.Frames | None] = lambda: None
+) -> Generator[Frame, None, None]:
+    """The frames of a stream, and of those that `more` returns after it."""
+    try:
+        while frames is not None:
+            while (frame := frames.next()) is not None:
+                yield Frame(*frame)
+            frames.close()
+            frames = more()
     finally:
-        frames.close()
+        if frames is not None:
+            frames.close()
+        release_memory()

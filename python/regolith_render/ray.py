@@ -14,7 +14,8 @@ import ray.data
 from ray.data import Datasource, ReadTask
 from ray.data.block import BlockAccessor, BlockMetadata
 
-from ._renderer import Knobs, Renderer
+from ._renderer import Renderer
+from ._settings import MAX_FRAMES, MAX_SEED, Knobs, names_of, whole
 
 _RENDERERS: dict[str, Renderer] = {}
 """The renderers of this worker process by their settings: a device is opened once, not for each block."""
@@ -98,14 +99,14 @@ def read_moon(
     Raises ConfigError for a wrong setting.
     """
     settings = {
-        "preset": preset if preset is None or isinstance(preset, str) else list(preset),
-        "outputs": outputs if isinstance(outputs, str) else list(outputs),
+        "preset": names_of("preset", preset),
+        "outputs": names_of("outputs", outputs),
         "set": dict(set or {}),
         "threads": max(1, int(num_cpus)),
         **renderer,
     }
-    if count < 1 or frames_per_block < 1:
-        raise ValueError(f"count = {count}, frames_per_block = {frames_per_block}: both are at least 1")
+    count, frames_per_block = whole("count", count, 1, MAX_FRAMES), whole("frames_per_block", frames_per_block, 1, MAX_FRAMES)
+    seed, first = whole("seed", seed, 0, MAX_SEED), whole("first", first, 0, MAX_FRAMES)
     source = MoonDatasource(settings, seed, first, count, frames_per_block)
     blocks = -(-count // frames_per_block)
     return ray.data.read_datasource(

@@ -16,7 +16,8 @@ import torch
 from torch.utils.data import Dataset, IterableDataset, get_worker_info
 
 from ._frame import Frame
-from ._renderer import Knobs, Renderer
+from ._renderer import Renderer
+from ._settings import MAX_FRAMES, MAX_PREFETCH, MAX_SEED, Knobs, refused, whole
 
 Sample = dict[str, Any]
 """Tensors by name of the output, and what a transform makes of them."""
@@ -44,12 +45,23 @@ def sample(frame: Frame, as_uint8: bool = False) -> Sample:
 class MoonDataset(IterableDataset[Any]):
     """Frames rendered while they are taken: those of the dataset that `regolith-render dataset --seed SEED` makes, in order.
 
-    Frame i goes to worker i mod n of rank r: which frames there are does not depend on the number of workers, and ranks of a distributed
-    run share them out. Each worker opens a device of its own at its first frame. Workers that are forked after the device was opened in
+    A sample is a dictionary: `image` (3, H, W) float32 in [0, 1], `mask` (H, W) int64 with 255 to be ignored
+    (`cross_entropy(..., ignore_index=255)`), and the arrays of further outputs under their names, channels first.
+
+    preset, outputs, and further arguments: those of `Renderer`.
+    seed: the base seed, 0 to 2^64 - 1.
+    length: number of frames of an epoch, of all ranks together; None for no end.
+    transform: what becomes of each sample.
+    batch_size: that of the loader, if it has worker processes. Each worker then makes whole batches, so that batches are the same for any
+    number of workers; without it, worker w of n makes every n-th frame from the w-th on.
+    as_uint8: images as uint8, 0 to 255, without conversion.
+    prefetch: finished frames that wait at most, 1 to 1000.
+
+    Which frames there are does not depend on the number of workers, and the ranks of a distributed run (`torch.distributed`) share them
+    out. Each worker opens a device of its own at its first frame. Workers that are forked after the device of this dataset was opened in
     their parent get an error; start them by `multiprocessing_context="spawn"`.
 
-    preset, outputs, and further arguments: those of `Renderer`. seed: the base seed. length: number of frames of an epoch; None for no
-    end. transform: what becomes of each sample. as_uint8: images as they are, without conversion.
+    Raises ConfigError for a wrong argument.
     """
 
     def __init__(
@@ -60,6 +72,7 @@ class MoonDataset(IterableDataset[Any]):
         length: int | None = None,
         transform: Transform | None = None,
         *,
+        batch_size: int = 1,
         as_uint8: bool = False,
         prefetch: int = 2,
         set: Knobs | None = None,
@@ -67,44 +80,91 @@ class MoonDataset(IterableDataset[Any]):
     ) -> None:
         super().__init__()
         self.renderer = Renderer(preset, outputs=outputs, set=set, **renderer)
-        self.seed, self.length, self.transform = seed, length, transform
-        self.as_uint8, self.prefetch = as_uint8, prefetch
-        self._epoch, self._taken = 0, 0
+        self.seed = whole("seed", seed, 0, MAX_SEED)
+        self.length = None if length is None else whole("length", length, 1, MAX_FRAMES)
+        self.batch_size = whole("batch_size", batch_size, 1, MAX_FRAMES)
+        self.prefetch = whole("prefetch", prefetch, 1, MAX_PREFETCH)
+        self.transform, self.as_uint8 = transform, as_uint8
+        # Epoch, `taken` and `within_batch` of the next iteration, and how often these were set: in memory that workers share, as they
+        # may live longer than an epoch.
+        self._start = torch.zeros(4, dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call,unused-ignore]
+        self._starts_used = -1
+        # The same of a worker that was given a state of its own, as `torchdata`'s StatefulDataLoader does.
+        self._own_start: tuple[int, int, int] | None = None
+        self._position = (0, 0, 0)
 
     def set_epoch(self, epoch: int) -> None:
-        """The next iteration has the frames of this epoch, which no other epoch has, from the first one."""
-        self._epoch, self._taken = epoch, 0
+        """The next iteration has the frames of this epoch, which are others than those of any other, from the first one. Epoch 0 is the
+        dataset of the command line. Workers that a loader keeps (`persistent_workers`) follow."""
+        self._set_start((whole("epoch", epoch, 0, MAX_FRAMES), 0, 0))
 
-    def state_dict(self) -> dict[str, int]:
-        """Where an iteration of this process is: its epoch, and how many frames of all ranks and workers were begun."""
-        return {"epoch": self._epoch, "taken": self._taken}
+    def state_dict(self, batches: int | None = None) -> dict[str, int]:
+        """Where an epoch is: `epoch`, `taken`, the frames of all ranks and workers in batches that are complete, and `within_batch`, those
+        of the batch that was begun.
+
+        batches: how many of `batch_size` frames the loader of this rank has given in this epoch. With worker processes it is needed, as
+        only the loader knows; without it, the state is that of the iteration in this process.
+        """
+        epoch, taken, within = self._position
+        if batches is not None:
+            epoch, within = int(self._start[0]), 0
+            taken = whole("batches", batches, 0, MAX_FRAMES) * self.batch_size * _rank_of()[1]
+        return {"epoch": epoch, "taken": taken, "within_batch": within}
 
     def load_state_dict(self, state: dict[str, int]) -> None:
-        """The next iteration goes on from there."""
-        self._epoch, self._taken = state["epoch"], state["taken"]
+        """The next iteration goes on from there, with any number of workers; those after it start at the first frame of the epoch.
 
-    def _share(self) -> tuple[int, int]:
-        """The number of this worker among all workers of all ranks, and how many there are."""
-        rank, ranks = 0, 1
-        if torch.distributed.is_available() and torch.distributed.is_initialized():
-            rank = torch.distributed.get_rank()
-            ranks = torch.distributed.get_world_size()
-        worker = get_worker_info()  # type: ignore[no-untyped-call,unused-ignore]
-        number, workers = (0, 1) if worker is None else (worker.id, worker.num_workers)
-        # Batches of a loader alternate between its workers; frames of a rank are every `ranks`-th one.
-        return rank + ranks * number, ranks * workers
+        Raises ConfigError if it is no state, or one of another `batch_size` in whose batches it does not fit.
+        """
+        try:
+            epoch, taken, within = state["epoch"], state["taken"], state["within_batch"]
+        except (TypeError, KeyError):
+            raise refused("state", state, "what state_dict returned is expected") from None
+        taken, within = whole("taken", taken, 0, MAX_FRAMES), whole("within_batch", within, 0, self.batch_size - 1)
+        if taken % self.batch_size:
+            raise refused("taken", taken, f"a multiple of batch_size = {self.batch_size} is expected")
+        self._set_start((whole("epoch", epoch, 0, MAX_FRAMES), taken, within))
+
+    def _set_start(self, start: tuple[int, int, int]) -> None:
+        self._position = start
+        if get_worker_info() is not None:  # type: ignore[no-untyped-call,unused-ignore]
+            self._own_start = start
+        else:
+            self._start.copy_(torch.tensor([*start, int(self._start[3]) + 1]))
+
+    def _next_start(self) -> tuple[int, int, int]:
+        """Where the iteration that begins now starts."""
+        epoch, taken, within, set_times = (int(number) for number in self._start)
+        if self._own_start is not None:
+            epoch, taken, within = self._own_start
+        elif set_times == self._starts_used:
+            taken = within = 0
+        self._own_start, self._starts_used = None, set_times
+        return epoch, taken, within
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._start.share_memory_()  # type: ignore[no-untyped-call,unused-ignore]
 
     def __iter__(self) -> Iterator[Any]:
-        number, of = self._share()
+        self._position = epoch, taken, within = self._next_start()
+        (rank, ranks), (worker, workers) = _rank_of(), _worker_of()
+        # Batches of a loader alternate between its workers; batches of a rank are every `ranks`-th one.
+        number, of, run = rank + ranks * worker, ranks * workers, self.batch_size
         # Epochs are apart by more frames than one has, and base seeds by more than all epochs.
-        base_seed = (self.seed + 0x9E3779B97F4A7C15 * self._epoch) % 2**64
-        first = self._taken + number
-        frames = self.renderer.dataset_frames(base_seed, first, of, self.length, self.prefetch)
-        for frame in frames:
-            self._taken += of
+        base_seed = (self.seed + 0x9E3779B97F4A7C15 * epoch) % 2**64
+        indices = (taken + number * run, of * run, self.length)
+        for frame in self.renderer._dataset_frames(base_seed, indices, (run, within), self.prefetch):
+            within += 1
+            if within == run:
+                taken, within = taken + of * run, 0
+            self._position = (epoch, taken, within)
             made = sample(frame, self.as_uint8)
             yield made if self.transform is None else self.transform(made)
-        self._taken = 0
+        self._position = (epoch, 0, 0)
 
     def __len__(self) -> int:
         if self.length is None:
@@ -112,13 +172,30 @@ class MoonDataset(IterableDataset[Any]):
         return self.length
 
 
+def _rank_of() -> tuple[int, int]:
+    """The rank of this process in a distributed run, and how many there are."""
+    if torch.distributed.is_available() and torch.distributed.is_initialized():
+        return torch.distributed.get_rank(), torch.distributed.get_world_size()
+    return 0, 1
+
+
+def _worker_of() -> tuple[int, int]:
+    """The number of this worker of a loader, and how many it has."""
+    worker = get_worker_info()  # type: ignore[no-untyped-call,unused-ignore]
+    return (0, 1) if worker is None else (worker.id, worker.num_workers)
+
+
 class MoonFolder(Dataset[Any]):
     """A finished dataset of the layout `folder`, as `regolith-render dataset` writes it: the same samples as `MoonDataset`.
 
-    folder: with `manifest.json`. split: the name of one of its splits; all frames without it. Needs Pillow.
+    folder: with `manifest.json`. split: the name of one of its splits; all frames without it. transform, as_uint8: as in `MoonDataset`.
+    Needs Pillow.
 
-    Attributes, those of all frames of the dataset, for a loss and a normalisation: `class_weights` and `class_pixels` by name of the class,
-    `channel_mean` and `channel_std`, three numbers of 0 to 1. `manifest` and `records` are the dataset's own records.
+    Attributes, those of all frames of the dataset, for a loss and a normalisation: `class_weights` (median frequency balancing) and
+    `class_pixels` by name of the class; `channel_mean` and `channel_std`, three numbers of 0 to 1. `manifest` and `records` are the
+    dataset's own.
+
+    Raises FileNotFoundError if there is no dataset, ValueError if it is unfinished, of another layout, or has no such split.
     """
 
     manifest: dict[str, Any]
@@ -139,6 +216,9 @@ class MoonFolder(Dataset[Any]):
         super().__init__()
         self.folder, self.transform, self.as_uint8 = Path(folder), transform, as_uint8
         self.manifest = json.loads((self.folder / "manifest.json").read_text(encoding="utf-8"))
+        for key, value in (("format", "folder"), ("label_ids", "canonical")):
+            if (found := self.manifest.get(key, value)) != value:
+                raise ValueError(f"{self.folder} has {key} = {found!r}; {value!r} is expected")
         totals = self.manifest.get("totals", {})
         missing = [name for name in ("class_weights", "channel_mean") if name not in totals]
         if missing:
@@ -147,6 +227,9 @@ class MoonFolder(Dataset[Any]):
             )
         self.class_weights, self.class_pixels = totals["class_weights"], totals["class_pixels"]
         self.channel_mean, self.channel_std = totals["channel_mean"], totals["channel_std"]
+        splits = self.manifest.get("splits") or {}
+        if split is not None and split not in splits:
+            raise ValueError(f"split = {split!r}: {self.folder} has {', '.join(splits) or 'no splits'}")
         lines = (self.folder / "frames.jsonl").read_text(encoding="utf-8").splitlines()
         records = (json.loads(line) for line in lines)
         self.records = sorted(
@@ -161,13 +244,13 @@ class MoonFolder(Dataset[Any]):
         from PIL import Image
 
         record = self.records[index]
-        folder, number = self.folder / record.get("split", ""), f"{record['index']:05}"
-        arrays = {}
-        for path in sorted(folder.glob(f"*/*_{number}.*")):
-            stem = path.name.rsplit("_", 1)[0]
-            if path.parent.name == "preview" or path.suffix not in (".png", ".npy"):
+        arrays: dict[str, np.ndarray[Any, Any]] = {}
+        for name in record["hashes"]:
+            path = self.folder / name
+            if path.suffix not in (".png", ".npy") or path.parent.name == "preview":
                 continue
+            stem = path.stem.rsplit("_", 1)[0]
             arrays[stem] = np.load(path) if path.suffix == ".npy" else np.array(Image.open(path))
         ordered = {name: arrays[name] for name in sorted(arrays, key=lambda name: (name != "rgb", name != "mask", name))}
-        made = sample(Frame(ordered, json.dumps(record), "{}"), self.as_uint8)
+        made = sample(Frame(ordered), self.as_uint8)
         return made if self.transform is None else self.transform(made)

@@ -1,12 +1,14 @@
 //! Settings, the renderer on its device, and streams of frames.
 
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::Poll;
+use std::time::Duration;
 
 use pyo3::prelude::*;
 use regolith::dataset::attempt::build_scene;
 use regolith::dataset::frame_stream::render_scene;
-use regolith::dataset::plan::{Plan, Seeds};
+use regolith::dataset::plan::{MAX_FRAMES, Plan, Seeds};
 use regolith::dataset::rules::Rules;
 use regolith::dataset::{Concurrency, FrameStream};
 use regolith::gpu::Gpu;
@@ -21,11 +23,14 @@ use crate::scene::Scene;
 
 /// Where a setting of a call comes from, in messages.
 const SET: &str = "set";
+/// How long a wait for a frame goes on before Python may handle signals: Ctrl-C ends it.
+const SIGNALS_EVERY: Duration = Duration::from_millis(50);
 
 /// Everything that decides what frames are, checked. Opens no device.
 #[pyclass(frozen)]
 pub(crate) struct Settings {
     plan: Plan,
+    raster: RasterMode,
 }
 
 #[allow(clippy::too_many_arguments, reason = "they are keywords in Python")]
@@ -42,7 +47,11 @@ impl Settings {
         outputs: &str,
         samples: u32,
         edges: &str,
+        raster: &str,
     ) -> PyResult<Self> {
+        let raster = raster
+            .parse()
+            .map_err(|message| ConfigError::new_err(format!("raster = {raster}: {message}")))?;
         let plan = || -> regolith::Result<Plan> {
             let mut knobs = Config::new();
             if let Some(stage) = stage {
@@ -64,7 +73,7 @@ impl Settings {
             let outputs = output::parse_outputs(outputs)?;
             Ok(Plan { edges: edges.parse()?, ..Plan::in_memory(knobs, rules, 0, image, outputs) })
         };
-        Ok(Self { plan: raised(py, plan())? })
+        Ok(Self { plan: raised(py, plan())?, raster })
     }
 
     /// Names of the arrays of a frame, with channels and NumPy type of each.
@@ -95,17 +104,23 @@ pub(crate) struct Engine {
 
 struct Open {
     renderer: Arc<Mutex<Renderer>>,
-    /// The parallel loops of frames run here: the common pool of a process has no threads in its forked children.
-    pool: rayon::ThreadPool,
+    /// The parallel loops of frames run here: the common pool of a process has no threads in its forked children. One call works on it at
+    /// a time: a thread of the pool that waits for a part of a loop takes up other work meanwhile, and would wait for itself if that
+    /// needed the renderer, too.
+    pool: Mutex<rayon::ThreadPool>,
 }
 
 #[pymethods]
 impl Engine {
     #[new]
-    fn new(py: Python<'_>, adapter: Option<String>, raster: &str, threads: Option<usize>) -> PyResult<Self> {
-        let raster: RasterMode =
-            raster.parse().map_err(|message| ConfigError::new_err(format!("raster: {message}")))?;
-        let threads = threads.filter(|threads| *threads > 0).unwrap_or_else(cores);
+    fn new(
+        py: Python<'_>,
+        settings: &Settings,
+        adapter: Option<String>,
+        threads: Option<usize>,
+    ) -> PyResult<Self> {
+        let raster = settings.raster;
+        let threads = threads.unwrap_or_else(cores);
         let open = py.detach(|| -> regolith::Result<(Open, String)> {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
             let pool = pool.map_err(|error| regolith::Error::Thread(std::io::Error::other(error)))?;
@@ -114,7 +129,7 @@ impl Engine {
                 let name = adapter::describe(&gpu.info);
                 Ok::<_, regolith::Error>((Renderer::with_raster(gpu, raster)?, name))
             })?;
-            Ok((Open { renderer: Arc::new(Mutex::new(renderer)), pool }, name))
+            Ok((Open { renderer: Arc::new(Mutex::new(renderer)), pool: Mutex::new(pool) }, name))
         });
         let (open, adapter) = raised(py, open)?;
         Ok(Self { open: Some(open), process: std::process::id(), threads, adapter })
@@ -159,23 +174,23 @@ impl Engine {
         self.stream(py, plan, seeds.into_iter(), prefetch)
     }
 
-    /// Frames of a dataset: those of `first`, `first + step`, ... below `end`, without end if it is `None`.
+    /// Frames of a dataset below `end`, without end if it is `None`: `run` in a row from `first`, `first + step`, ..., without the first
+    /// `skip` of them all.
     fn frames_of_dataset(
         &self,
         py: Python<'_>,
         settings: &Settings,
         base_seed: u64,
         indices: (u64, u64, Option<u64>),
+        runs: (u64, usize),
         prefetch: usize,
     ) -> PyResult<Frames> {
-        let (first, step, end) = indices;
-        if step == 0 {
-            return Err(ConfigError::new_err("the step between frames is 0; it should be at least 1"));
-        }
+        let ((first, step, end), (run, skip)) = (indices, runs);
         let plan = Plan { base_seed, ..settings.plan.clone() };
-        let end = end.unwrap_or(regolith::dataset::plan::MAX_FRAMES);
-        let step = usize::try_from(step)?;
-        self.stream(py, plan, (first..end).step_by(step), prefetch)
+        let end = end.unwrap_or(MAX_FRAMES);
+        let starts = (first..end).step_by(usize::try_from(step.max(1))?);
+        let indices = starts.flat_map(move |start| start..start.saturating_add(run).min(end)).skip(skip);
+        self.stream(py, plan, indices, prefetch)
     }
 }
 
@@ -189,14 +204,15 @@ impl Engine {
         })
     }
 
-    /// Runs `work` on the threads of the renderer, without Python's lock.
+    /// Runs `work` on the threads of the renderer, without Python's lock, after what other calls run there.
     pub(crate) fn on_pool<T: Send>(
         &self,
         py: Python<'_>,
         work: impl FnOnce(&Mutex<Renderer>) -> regolith::Result<T> + Send,
     ) -> PyResult<T> {
         let open = self.open()?;
-        raised(py, py.detach(|| open.pool.install(|| work(&open.renderer))))
+        let pool = || open.pool.lock().unwrap_or_else(PoisonError::into_inner);
+        raised(py, py.detach(|| pool().install(|| work(&open.renderer))))
     }
 
     fn stream(
@@ -238,8 +254,17 @@ impl Frames {
                 "these frames are rendered by the process that this one was forked from; ask for them here again",
             ));
         }
-        let next = py.detach(|| self.stream().as_mut().and_then(Iterator::next));
-        next.map(|frame| convert::frame(py, raised(py, frame)?)).transpose()
+        loop {
+            let next = py.detach(|| {
+                self.stream().as_mut().map_or(Poll::Ready(None), |stream| stream.next_within(SIGNALS_EVERY))
+            });
+            match next {
+                Poll::Ready(next) => {
+                    return next.map(|frame| convert::frame(py, raised(py, frame)?)).transpose();
+                }
+                Poll::Pending => py.check_signals()?,
+            }
+        }
     }
 
     /// Stops rendering.
@@ -251,18 +276,19 @@ impl Frames {
 }
 
 impl Frames {
-    fn stream(&self) -> std::sync::MutexGuard<'_, Option<FrameStream>> {
+    fn stream(&self) -> MutexGuard<'_, Option<FrameStream>> {
         self.stream.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Drop for Frames {
     fn drop(&mut self) {
-        let stream = self.stream().take();
+        // Without locking: a thread of the process that this one was forked from may have had the lock.
+        let stream = self.stream.get_mut().unwrap_or_else(PoisonError::into_inner).take();
         if self.process != std::process::id() {
             std::mem::forget(stream);
         } else if let Some(stream) = stream {
-            // The thread behind it needs no lock of Python's, but it may take the rest of a frame to end.
+            // Its threads need no lock of Python's, but it may take the rest of a frame until they end.
             Python::attach(|py| py.detach(|| drop(stream)));
         }
     }

@@ -16,12 +16,19 @@ create_exception!(regolith_render, NoAdapterError, DeviceError, "There is no gra
 
 pub(crate) fn add_to(module: &Bound<'_, PyModule>) -> PyResult<()> {
     let py = module.py();
-    module.add("ConfigError", py.get_type::<ConfigError>())?;
+    let config_error = py.get_type::<ConfigError>();
+    for name in DETAILS {
+        config_error.setattr(name, py.None())?;
+    }
+    module.add("ConfigError", config_error)?;
     module.add("DeviceError", py.get_type::<DeviceError>())?;
     module.add("NoAdapterError", py.get_type::<NoAdapterError>())
 }
 
-/// What a [`ConfigError`] says of the setting: knob, value, what is allowed, the nearest known name.
+/// Names of the attributes of a [`ConfigError`].
+const DETAILS: [&str; 4] = ["knob", "value", "allowed", "nearest"];
+
+/// What a [`ConfigError`] says of the setting, in the order of [`DETAILS`].
 type Details = [Option<String>; 4];
 
 fn details(error: &Error) -> Details {
@@ -30,7 +37,8 @@ fn details(error: &Error) -> Details {
         Error::UnknownKnob { name, suggestion, .. } => [some(name), None, None, suggestion.clone()],
         Error::KnobOutOfRange { name, value, allowed, .. } => [some(name), some(value), some(allowed), None],
         Error::KnobType { name, value, expected, .. } => [some(name), some(value), some(expected), None],
-        Error::UnknownPreset { name, suggestion, available } => {
+        Error::UnknownPreset { name, suggestion, available }
+        | Error::UnknownOutput { name, suggestion, available } => {
             [None, some(name), Some(available.join(", ")), suggestion.clone()]
         }
         _ => [None, None, None, None],
@@ -44,13 +52,17 @@ pub(crate) fn exception(py: Python<'_>, error: &Error) -> PyErr {
         Error::NoAdapter { .. } | Error::AdapterNotFound { .. } | Error::AdapterUnfit { .. } => {
             NoAdapterError::new_err(message)
         }
-        Error::Read { .. } | Error::Write { .. } | Error::Config { .. } | Error::Thread(_) => {
-            PyOSError::new_err(message)
+        Error::Read { cause, .. } | Error::Write { cause, .. } | Error::Config { cause, .. } => {
+            // The class is that of the cause: FileNotFoundError, PermissionError, ...
+            std::io::Error::new(cause.kind(), message).into()
         }
+        Error::Thread(_) => PyOSError::new_err(message),
         _ if error.exit_status() == 2 || matches!(error, Error::RuleBroken { .. }) => {
+            // What is an option of the command line is an argument here.
+            let message = message.trim_start_matches("--").replace(" --", " ");
             let exception = ConfigError::new_err(message);
             let value = exception.value(py);
-            for (name, detail) in ["knob", "value", "allowed", "nearest"].into_iter().zip(details(error)) {
+            for (name, detail) in DETAILS.into_iter().zip(details(error)) {
                 if let Err(failure) = value.setattr(name, detail) {
                     return failure;
                 }

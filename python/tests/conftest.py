@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -21,6 +22,14 @@ def program(*words: str, folder: Path | None = None) -> subprocess.CompletedProc
     environment = {**os.environ, "WGPU_ADAPTER_NAME": ADAPTER}
     command = [sys.executable, "-m", "regolith_render", *words]
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
+
+
+def python(text: str, *words: str, limit_s: float = 120, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Runs a program in a process of its own."""
+    command = [sys.executable, "-c", textwrap.dedent(text), *words]
+    return subprocess.run(
+        command, env={**os.environ, **environment}, capture_output=True, text=True, timeout=limit_s
+    )
 
 
 @pytest.fixture(scope="session")

@@ -4,30 +4,38 @@ from __future__ import annotations
 
 import gc
 import io
+import json
 import pickle
-import subprocess
-import sys
-import textwrap
+import re
 import threading
+from itertools import count
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
 import regolith_render as rr
-from conftest import ADAPTER, program
+from conftest import ADAPTER, program, python
 
-SETTINGS: list[dict[str, object]] = [
-    {},
-    {"preset": "surface_train_full"},
-    {"preset": "train_full", "set": {"camera.k1": -0.1, "sensor.kind": "bayer"}, "edges": "ignore:2"},
-    {"stage": "surface", "samples": 1, "raster": "device"},
-]
-"""Both stages, a lens, sensors, edges, samples, and both raster backends."""
+SETTINGS: dict[str, dict[str, Any]] = {
+    "nominal stage": {},
+    "lens, Bayer sensor, edges": {"preset": "train_full", "set": {"camera.k1": -0.1, "sensor.kind": "bayer"}, "edges": "ignore:2"},
+    "surface preset": {"preset": "surface_train_full"},
+    "surface stage, lens, sensor, one sample, device": {
+        "stage": "surface",
+        "samples": 1,
+        "raster": "device",
+        "set": {"camera.k1": -0.15, "camera.p1": 0.01, "sensor.kind": "mono"},
+    },
+}
+"""Both stages, lenses, sensors, edges, samples, and both raster backends."""
+FRAMES = 5
+"""Of each: 20 seeds in all."""
 
 
-def words(settings: dict[str, object]) -> list[str]:
+def words(settings: dict[str, Any]) -> list[str]:
     """The options of the command line for these settings."""
     options: list[str] = []
     for name, value in settings.items():
@@ -39,40 +47,88 @@ def words(settings: dict[str, object]) -> list[str]:
     return options
 
 
-def stored(folder: Path, name: str) -> np.ndarray:
-    """An array as its file of a single frame holds it."""
-    stem = "semantic_segmentation" if name == "mask" else name
-    (file,) = folder.glob(f"{stem}_0000.*")
-    return np.load(file) if file.suffix == ".npy" else np.asarray(Image.open(file))
+def stored(file: Path) -> np.ndarray:
+    """The array of a file."""
+    if file.suffix == ".npy":
+        return np.load(file)
+    if file.suffix == ".exr":
+        openexr = pytest.importorskip("OpenEXR", reason="there is nothing to read the file with")
+        with openexr.File(str(file)) as opened:
+            return np.asarray(opened.channels()["RGB"].pixels)
+    return np.asarray(Image.open(file))
 
 
-@pytest.mark.parametrize("settings", SETTINGS, ids=lambda settings: " ".join(words(settings)) or "nominal")
-def test_arrays_are_those_of_the_files(settings: dict[str, object], tmp_path: Path) -> None:
-    outputs = [name for name in rr.outputs() if name not in ("meta", "hdr")]
-    with rr.Renderer(size=(72, 56), outputs=outputs, adapter=ADAPTER, **settings) as renderer:  # type: ignore[arg-type]
-        for seed in range(1, 6):
-            frame = renderer.render(seed)
-            out = tmp_path / str(seed)
-            listed = ",".join([*outputs, "meta"])
-            ran = program("--seed", str(seed), "--size", "72x56", "--outputs", listed, "--out", str(out), *words(settings))
-            assert ran.returncode == 0, ran.stderr
-            for name, array in frame.items():
-                expected = stored(out, name)
-                assert array.dtype == expected.dtype and array.shape == expected.shape, name
-                assert array.tobytes() == expected.tobytes(), f"{name} of seed {seed}"
+def assert_same(array: np.ndarray, expected: np.ndarray, what: str) -> None:
+    assert array.dtype == expected.dtype and array.shape == expected.shape, what
+    assert array.tobytes() == expected.tobytes(), what
+
+
+def owner(array: np.ndarray) -> object:
+    """What keeps the memory of an array."""
+    while isinstance(array.base, np.ndarray):
+        array = array.base
+    return array.base
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_arrays_are_those_of_the_files(name: str, tmp_path: Path) -> None:
+    """Every output; a dataset's frames are those of their seeds, and so are the files of the command for one frame."""
+    settings, base_seed = SETTINGS[name], 40 + list(SETTINGS).index(name)
+    options = ["--size", "64x48", "--outputs", "all", *words(settings)]
+    made = program("dataset", "--count", str(FRAMES), "--seed", str(base_seed), *options, "--out", str(tmp_path / "d"))
+    assert made.returncode == 0, made.stderr
+    records = [json.loads(line) for line in (tmp_path / "d" / "frames.jsonl").read_text().splitlines()]
+    assert len({record["seed"] for record in records}) == FRAMES
+    with rr.Renderer(size=(64, 48), outputs=rr.outputs(), adapter=ADAPTER, **settings) as renderer:
+        for record in records:
+            frame = renderer.render(record["seed"])
+            files = {file.stem.rsplit("_", 1)[0]: file for file in (tmp_path / "d").glob(f"*/*_{record['index']:05}.*")}
+            assert set(frame) - {"preview"} == {stem for stem, file in files.items() if file.suffix != ".json"} - {"preview"}
+            for array_name, array in frame.items():
+                if array_name == "preview":  # few frames of a dataset have one
+                    continue
+                assert_same(array, stored(files[array_name]), f"{array_name} of seed {record['seed']}")
                 assert array.flags.c_contiguous and array.flags.writeable
-            record = rr._frame.json.loads((out / "frame_0000.json").read_text())
-            meta = frame.meta
-            meta.pop("ms"), record.pop("ms")
-            assert meta == record
+                assert owner(array) not in (owner(other) for key, other in frame.items() if key != array_name)
+            assert {key: frame.meta[key] for key in ("seed", "knobs", "camera", "sun", "geometry_hash")} == {
+                key: record[key] for key in ("seed", "knobs", "camera", "sun", "geometry_hash")
+            }
+            mapping = json.loads(files["instance_segmentation_mapping"].read_text())
+            assert frame.rocks == {int(instance): rock for instance, rock in mapping.items()}
+
+        seed = records[0]["seed"]
+        ran = program("--seed", str(seed), *options, "--out", str(tmp_path / "one"))
+        assert ran.returncode == 0, ran.stderr
+        frame = renderer.render(seed)
+        for array_name, array in frame.items():
+            stem = "semantic_segmentation" if array_name == "mask" else array_name
+            (file,) = (file for file in (tmp_path / "one").glob(f"{stem}_0000.*") if file.suffix != ".json")
+            assert_same(array, stored(file), f"{array_name} of seed {seed}, alone")
+        meta, record = dict(frame.meta), json.loads((tmp_path / "one" / "frame_0000.json").read_text())
+        assert meta.pop("ms") and record.pop("ms") and meta == record
 
 
-def test_radiance_is_that_of_the_file(tmp_path: Path) -> None:
-    openexr = pytest.importorskip("OpenEXR", reason="there is nothing to read the file with")
-    frame = rr.Renderer(size=32, outputs=["hdr"], adapter=ADAPTER).render(3)
-    assert program("--seed", "3", "--size", "32", "--outputs", "hdr", "--out", str(tmp_path)).returncode == 0
-    with openexr.File(str(tmp_path / "hdr_0000.exr")) as file:
-        assert np.array_equal(file.channels()["RGB"].pixels, frame["hdr"])
+def test_arrays_say_what_they_are() -> None:
+    """The table of the documentation is that of the library, and shapes are known before a device is opened."""
+    page = (Path(__file__).parents[2] / "docs" / "python.md").read_text()
+    rows = dict(re.findall(r"^\| `(\w+)` \| (.*?) \|", page, flags=re.MULTILINE))
+    for output in rr.outputs():
+        described = rr.Renderer(size=(6, 4), outputs=output).arrays()
+        assert output in rows and all(f"`{name}`" in rows[output] for name in described), output
+        for name, (shape, dtype) in described.items():
+            channels = f", {shape[2]}" if len(shape) == 3 else ""
+            assert f"(H, W{channels}) {dtype}" in rr.Frame.__doc__.split(f"- `{output}`:")[1].split("\n    - ")[0], name
+            assert shape[:2] == (4, 6)
+
+
+def test_arrays_are_shared_without_a_copy(renderer: rr.Renderer) -> None:
+    frame = renderer.render(3)
+    for array in frame.values():
+        assert array.__dlpack_device__() == (1, 0)
+        shared = np.from_dlpack(array)
+        assert shared.__array_interface__["data"][0] == array.__array_interface__["data"][0]
+        array[0] = 7
+        assert (shared[0] == 7).all()
 
 
 def test_a_frame_names_what_it_has(renderer: rr.Renderer) -> None:
@@ -99,8 +155,32 @@ def test_frames_come_in_order_and_equal_single_ones(renderer: rr.Renderer) -> No
         assert np.array_equal(frame["rgb"], alone["rgb"]) and np.array_equal(frame["mask"], alone["mask"])
     batch = renderer.batch(seeds[:3])
     assert batch["rgb"].shape == (3, 64, 64, 3) and np.array_equal(batch["mask"][1], frames[1]["mask"])
+    before = {name: array.__array_interface__["data"][0] for name, array in batch.items()}
     same = renderer.batch([5, 5, 5], out=batch)
     assert same is batch and np.array_equal(batch["rgb"][0], frames[4]["rgb"])
+    assert before == {name: array.__array_interface__["data"][0] for name, array in batch.items()}
+    assert list(renderer.frames([])) == [] and renderer.batch([])["mask"].shape == (0, 64, 64)
+
+
+def test_seeds_may_have_no_end(renderer: rr.Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("regolith_render._renderer.SEEDS_AHEAD", 3)
+    read: list[int] = []
+    endless = renderer.frames(read.append(seed) or seed for seed in count(5))
+    assert [next(endless).meta["seed"] for _ in range(8)] == list(range(5, 13))
+    endless.close()
+    assert read[:8] == list(range(5, 13)) and len(read) < 16
+    assert [frame.meta["seed"] for frame in renderer.frames(np.arange(4))] == [0, 1, 2, 3]
+
+
+def test_frames_are_values(renderer: rr.Renderer) -> None:
+    frame = renderer.render(4)
+    copy = pickle.loads(pickle.dumps(frame))
+    assert copy == frame and copy.meta == frame.meta and copy["rgb"].flags.writeable
+    assert frame != renderer.render(5) and frame != 3
+    copy["mask"][0, 0] ^= 1
+    assert copy != frame
+    assert "seed=4" in repr(frame) and "rgb uint8[64, 64, 3]" in repr(frame)
+    assert repr(renderer).startswith("Renderer(preset='train_dr', size=(64, 64)")
 
 
 def test_frames_of_a_dataset_are_its_frames(tmp_path: Path) -> None:
@@ -139,132 +219,9 @@ def test_a_scene_is_rendered_from_poses() -> None:
         assert mesh["triangles"].max() < len(mesh["vertices"]) and mesh["vertices"].dtype == np.float32
 
 
-def test_errors_name_knob_value_and_what_is_allowed() -> None:
-    with pytest.raises(rr.ConfigError, match=r"sun\.elevation_deg.*95") as caught:
-        rr.Renderer(set={"sun.elevation_deg": 95})
-    assert caught.value.knob == "sun.elevation_deg" and caught.value.value == "95" and "90" in (caught.value.allowed or "")
-    with pytest.raises(rr.ConfigError, match="did you mean") as caught:
-        rr.Renderer(set={"sun.elevaton_deg": 5})
-    assert caught.value.nearest == "sun.elevation_deg"
-    for wrong in ({"preset": "trian_dr"}, {"outputs": ["rgbd"]}, {"size": 0}, {"samples": 3}, {"edges": "soft"}):
-        with pytest.raises(ValueError):
-            rr.Renderer(**wrong)  # type: ignore[arg-type]
-    with pytest.raises(rr.ConfigError, match="no value of a knob"):
-        rr.Renderer(set={"sun.elevation_deg": object()})
-    with pytest.raises(rr.NoAdapterError, match="Voodoo"):
-        rr.Renderer(adapter="Voodoo").render(1)
-    with pytest.raises(OverflowError):
-        rr.Renderer(size=32, adapter=ADAPTER).render(-1)
-
-
 def test_tables() -> None:
     assert any("llvmpipe" in adapter.name or adapter.kind for adapter in rr.adapters())
     by_name = {knob.name: knob for knob in rr.knobs("surface")}
     assert by_name["rocks.coverage"].low == 0.0 and by_name["sun.elevation_deg"].unit == "deg"
     assert "hapke" in by_name["photometry.law"].allowed
     assert "train_dr" in {preset.name for preset in rr.presets()}
-
-
-def test_objects_are_dropped_in_any_order_and_used_from_threads() -> None:
-    first, second = (rr.Renderer(size=32, adapter=ADAPTER) for _ in range(2))
-    expected = first.render(3)["rgb"]
-    scene, frames = first.scene(3), first.frames(range(100))
-    next(frames)
-    first.close()
-    del first
-    gc.collect()
-    next(frames)
-    del frames
-    assert np.array_equal(scene.render()["rgb"], expected)
-    found: list[np.ndarray] = []
-    threads = [threading.Thread(target=lambda: found.append(second.render(3)["rgb"])) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert len(found) == 4 and all(np.array_equal(rgb, expected) for rgb in found)
-    array = second.render(5)["mask"]
-    del second
-    gc.collect()
-    assert array.max() <= 255
-
-
-def test_a_renderer_pickles_as_its_settings() -> None:
-    renderer = rr.Renderer(preset="train_dr", size=32, adapter=ADAPTER, set={"rocks.count": 20})
-    before = renderer.render(6)
-    assert before.meta["knobs"]["rocks.count"] == 20
-    copy = pickle.loads(pickle.dumps(renderer))
-    assert np.array_equal(copy.render(6)["rgb"], before["rgb"])
-
-
-def python(text: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", textwrap.dedent(text)]
-    return subprocess.run(command, env={**rr._renderer.os.environ, **environment}, capture_output=True, text=True, timeout=120)
-
-
-def test_a_fork_never_hangs() -> None:
-    ran = python(
-        f"""
-        import multiprocessing, numpy, regolith_render as rr
-        context = multiprocessing.get_context("fork")
-        fresh = rr.Renderer(size=32, adapter={ADAPTER!r})
-        def mean(renderer):
-            try:
-                return float(renderer.render(4)["rgb"].mean())
-            except rr.DeviceError as error:
-                return str(error)
-        def child(renderer, pipe):
-            pipe.send(mean(renderer))
-        def in_child(renderer):
-            mine, theirs = context.Pipe()
-            process = context.Process(target=child, args=(renderer, theirs))
-            process.start()
-            answer = mine.recv()
-            process.join(30)
-            assert process.exitcode == 0, process.exitcode
-            return answer
-        of_child = in_child(fresh)
-        assert isinstance(of_child, float), of_child
-        assert mean(fresh) == of_child
-        refused = in_child(fresh)
-        assert "forked" in refused, refused
-        """
-    )
-    assert ran.returncode == 0, ran.stderr
-
-
-def test_without_a_driver_the_import_works_and_the_first_use_says_what_to_install() -> None:
-    ran = python(
-        """
-        import regolith_render as rr
-        try:
-            rr.Renderer().render(1)
-        except rr.NoAdapterError as error:
-            print(error)
-        """,
-        VK_DRIVER_FILES="/nowhere.json",
-        VK_ICD_FILENAMES="/nowhere.json",
-        WGPU_BACKEND="vulkan",
-    )
-    assert ran.returncode == 0 and "mesa-vulkan-drivers" in ran.stdout, ran.stdout + ran.stderr
-
-
-def test_memory_is_flat() -> None:
-    ran = python(
-        f"""
-        import regolith_render as rr
-        def resident_mib():
-            with open("/proc/self/status") as status:
-                return next(int(line.split()[1]) for line in status if line.startswith("VmRSS")) / 1024
-        renderer = rr.Renderer(preset="train_dr", size=256, adapter={ADAPTER!r})
-        after = []
-        for number, frame in enumerate(renderer.frames([number % 50 for number in range(400)])):
-            kept_mib = sum(array.nbytes for array in frame.values()) / 2**20
-            if number % 100 == 99:
-                after.append(resident_mib())
-        print(after, kept_mib)
-        # Each thread's allocator keeps the largest scenes it met, some 20 MiB in all. If a third of the frames stayed, it would be more.
-        assert after[3] - after[0] < 300 * kept_mib / 3, (after, kept_mib)
-        """
-    )
-    assert ran.returncode == 0, ran.stdout + ran.stderr

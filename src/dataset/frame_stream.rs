@@ -4,9 +4,11 @@
 
 use std::borrow::BorrowMut;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::sync::{Arc, Mutex};
+use std::task::Poll;
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 use serde_json::{Map, Value};
 
@@ -204,6 +206,24 @@ impl FrameStream {
         let thread = thread.map_err(Error::Thread)?;
         Ok(Self { frames: Some(frames), stop, thread: Some(thread) })
     }
+
+    /// The next frame as [`Iterator::next`] gives it, or [`Poll::Pending`] if it is not there within this time.
+    pub fn next_within(&mut self, limit: Duration) -> Poll<Option<Result<FrameInMemory>>> {
+        let Some(frames) = &self.frames else { return Poll::Ready(None) };
+        match frames.recv_timeout(limit) {
+            Ok(next) => Poll::Ready(self.taken(Some(next))),
+            Err(RecvTimeoutError::Timeout) => Poll::Pending,
+            Err(RecvTimeoutError::Disconnected) => Poll::Ready(self.taken(None)),
+        }
+    }
+
+    /// What was received. An error, like the end, is the last.
+    fn taken(&mut self, next: Option<Result<FrameInMemory>>) -> Option<Result<FrameInMemory>> {
+        if !matches!(next, Some(Ok(_))) {
+            self.frames = None;
+        }
+        next
+    }
 }
 
 impl Iterator for FrameStream {
@@ -211,10 +231,7 @@ impl Iterator for FrameStream {
 
     fn next(&mut self) -> Option<Self::Item> {
         let next = self.frames.as_ref()?.recv().ok();
-        if !matches!(next, Some(Ok(_))) {
-            self.frames = None;
-        }
-        next
+        self.taken(next)
     }
 }
 

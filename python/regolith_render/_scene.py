@@ -1,0 +1,148 @@
+"""A scene that is rendered from many poses."""
+
+from __future__ import annotations
+
+import io
+import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _native
+from ._frame import Frame
+from ._settings import Knobs, document, refused
+
+if TYPE_CHECKING:
+    from ._renderer import Renderer
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera's pose. What is None stays as the scene has it.
+
+    position: x (right), y (forward), z (up), metres, world; `Scene.ground_height` says where the ground is. Angles in degrees:
+    pitch_deg is negative below the horizon, yaw_deg clockwise from +y towards +x, roll_deg clockwise. fov_deg is the horizontal field of
+    view. Their ranges are those of the knobs `camera.*`: `rr.knobs()`.
+    """
+
+    position: tuple[float, float, float] | None = None
+    pitch_deg: float | None = None
+    yaw_deg: float | None = None
+    roll_deg: float | None = None
+    fov_deg: float | None = None
+
+
+@dataclass(frozen=True)
+class Sun:
+    """The sun's place, degrees: elevation above the horizon, azimuth clockwise from +y towards +x, each in the range of the knobs
+    `sun.*`. None stays as it is."""
+
+    elevation_deg: float | None = None
+    azimuth_deg: float | None = None
+
+
+def _number(name: str, value: object) -> float:
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        number = float("nan")
+    if not np.isfinite(number):
+        raise refused(name, value, "a number is expected")
+    return number
+
+
+def _position(camera: Camera) -> tuple[float, float, float] | None:
+    if camera.position is None:
+        return None
+    try:
+        x, y, z = camera.position
+    except (TypeError, ValueError):
+        raise refused("position", camera.position, "(x, y, z) in metres is expected") from None
+    return _number("position", x), _number("position", y), _number("position", z)
+
+
+def _pose(camera: Camera | None, sun: Sun | None, scene: _native.Scene) -> tuple[dict[str, float], float | None]:
+    """The knobs that differ, and the height of the eye, metres, world."""
+    values: dict[str, Any] = {}
+    eye_z_m = None
+    if camera is not None:
+        if not isinstance(camera, Camera):
+            raise refused("camera", camera, "a regolith_render.Camera is expected")
+        if (position := _position(camera)) is not None:
+            x, y, eye_z_m = position
+            values |= {"camera.x_m": x, "camera.y_m": y, "camera.height_m": eye_z_m - scene.ground_height(x, y)}
+        values |= {f"camera.{name}": getattr(camera, name) for name in ("pitch_deg", "yaw_deg", "roll_deg", "fov_deg")}
+    if sun is not None:
+        if not isinstance(sun, Sun):
+            raise refused("sun", sun, "a regolith_render.Sun is expected")
+        values |= {"sun.elevation_deg": sun.elevation_deg, "sun.azimuth_deg": sun.azimuth_deg}
+    return {name: _number(name, value) for name, value in values.items() if value is not None}, eye_z_m
+
+
+class Scene:
+    """A scene that is built once and rendered from many poses. `Renderer.scene` makes it; it may outlive the renderer's `with`.
+
+    Pickles as its settings; a copy is built again where it is used.
+    """
+
+    def __init__(self, renderer: Renderer, seed: int, set: Knobs | None = None) -> None:
+        self._renderer, self._seed, self._set = renderer, seed, dict(set or {})
+        self._built: _native.Scene | None = None
+        self._native()
+
+    def _native(self) -> _native.Scene:
+        if self._built is None:
+            renderer = self._renderer
+            self._built = renderer._engine().scene(renderer._settings, self._seed, document(self._set))
+        return self._built
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_built": None}
+
+    def __repr__(self) -> str:
+        return f"Scene(seed={self._seed})"
+
+    @property
+    def seed(self) -> int:
+        """Its seed."""
+        return self._seed
+
+    def render(self, camera: Camera | None = None, sun: Sun | None = None) -> Frame:
+        """A frame from a pose of the camera, under a sun; what is left out stays as the scene has it.
+
+        The nominal stage is the same geometry from every pose. The ground of the surface stage is made for the camera, and is made
+        again where the camera has moved: the same craters and rocks, in the detail that this view needs.
+
+        Raises ConfigError for a pose out of the ranges of the knobs `camera.*` and `sun.*`.
+        """
+        native = self._native()
+        values, eye_z_m = _pose(camera, sun, native)
+        return Frame(*native.render(self._renderer._engine(), document(values), eye_z_m))
+
+    def ground_height(self, x_m: float, y_m: float) -> float:
+        """Height of the ground at a point, metres, world."""
+        return self._native().ground_height(x_m, y_m)
+
+    def mesh(self, drawn: bool = False) -> dict[str, NDArray[Any]]:
+        """The triangles as arrays by name:
+
+        `vertices` (N, 3) float32, metres, world; `normals` (N, 3) float32, unit; `triangles` (M, 3) uint32, indices of vertices;
+        `triangle_class` (M,) uint8, as in `CLASSES`; `triangle_instance` (M,) uint16, 0 for what is no rock; `albedo`,
+        `world_from_camera`, `K` and `sun_direction` as in a frame's record.
+
+        drawn: only what a frame draws or lets cast shadows, in the detail that it uses.
+        """
+        with np.load(io.BytesIO(self._native().export("npz", drawn))) as arrays:
+            return dict(arrays)
+
+    def export(self, path: str | os.PathLike[str], drawn: bool = False) -> None:
+        """Writes the scene for other software; the extension selects the format: .npz, .glb, .usda or .usdc.
+
+        Raises ConfigError for another extension, OSError if the file cannot be written.
+        """
+        extension = os.path.splitext(path)[1].removeprefix(".")
+        data = self._native().export(extension, drawn)
+        with open(path, "wb") as file:
+            file.write(data)

@@ -1,0 +1,155 @@
+"""Arguments as the native module takes them, checked; and the environment while a device is opened."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import operator
+import os
+import re
+import sys
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from . import _native
+
+Knobs = Mapping[str, Any]
+"""Values of knobs by dotted name: a number, a text, a list, or a distribution as in `{"uniform": [5, 40]}`."""
+
+MAX_SEED = 2**64 - 1
+MAX_FRAMES = 2**32
+"""Most frames of a dataset."""
+MAX_PREFETCH = 1000
+MAX_THREADS = 256
+MAX_SIDE = 2**16
+
+
+def refused(name: str, value: object, allowed: str, *, knob: str | None = None) -> _native.ConfigError:
+    """The error for an argument."""
+    error = _native.ConfigError(f"{name} = {value!r}: {allowed}")
+    error.knob, error.value, error.allowed = knob, repr(value), allowed
+    return error
+
+
+def whole(name: str, value: object, low: int, high: int) -> int:
+    """A whole number from `low` to `high`; NumPy's integers and tensors of one are such as well."""
+    allowed = f"a whole number from {low} to {high} is expected"
+    try:
+        number = operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        raise refused(name, value, allowed) from None
+    if not low <= number <= high:
+        raise refused(name, value, allowed)
+    return number
+
+
+def seed_of(value: object) -> int:
+    return whole("seed", value, 0, MAX_SEED)
+
+
+def size_of(value: Any) -> tuple[int, int]:
+    """Width and height, pixels, of one number or a pair."""
+    sides = (value, value) if np.ndim(value) == 0 else value
+    width: object
+    height: object
+    try:
+        width, height = sides
+    except (TypeError, ValueError):
+        raise refused("size", value, "(width, height) in pixels is expected, or one number for both") from None
+    return whole("size", width, 1, MAX_SIDE), whole("size", height, 1, MAX_SIDE)
+
+
+def names_of(name: str, value: object) -> list[str]:
+    """Names of a text with commas between them, or of a sequence of texts."""
+    if value is None:
+        return []
+    listed = value.split(",") if isinstance(value, str) else value
+    try:
+        names = list(listed)  # type: ignore[call-overload]
+    except TypeError:
+        names = [None]
+    if not all(isinstance(text, str) for text in names):
+        raise refused(name, value, "a name is expected, or several with commas between them, or a list of names")
+    return [text.strip() for text in names]
+
+
+def document(set: Knobs | None) -> str:
+    """Values of knobs as TOML."""
+    if set is not None and not isinstance(set, Mapping):
+        raise refused("set", set, 'a mapping of knobs is expected, as in {"sun.elevation_deg": 12}')
+    return "".join(f"{_key(name)} = {_toml(str(name), value)}\n" for name, value in (set or {}).items())
+
+
+def _key(name: object) -> str:
+    """A dotted name; what is no name becomes one that no knob has."""
+    parts = str(name).split(".")
+    return ".".join(part if re.fullmatch(r"[A-Za-z0-9_-]+", part) else json.dumps(part) for part in parts)
+
+
+def _toml(knob: str, value: object) -> str:
+    """A value of a knob as TOML."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_key(key)} = {_toml(knob, item)}" for key, item in value.items()) + "}"
+    if isinstance(value, str):
+        return json.dumps(value)
+    if isinstance(value, (bool, np.bool_)):
+        return "true" if value else "false"
+    if isinstance(value, (int, np.integer)) and -(2**63) <= int(value) < 2**63:
+        return str(int(value))
+    if isinstance(value, (float, np.floating)):
+        return repr(float(value))
+    if isinstance(value, (Sequence, np.ndarray)) and np.ndim(value) > 0:
+        return "[" + ", ".join(_toml(knob, item) for item in value) + "]"
+    expected = "a number, a text, a list or a distribution is expected; this is no value of a knob"
+    raise refused(knob, value, expected, knob=knob)
+
+
+_opening = threading.Lock()
+
+
+def _new_lock() -> None:
+    """In a forked child the lock may be held by a thread that does not exist there."""
+    global _opening
+    _opening = threading.Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_new_lock)
+
+
+@contextmanager
+def opening() -> Iterator[None]:
+    """While a device is opened: one at a time, and with the displays of the environment hidden. Drivers look for displays to choose a
+    GPU by, may wait for one without a limit, and complain where there is none; frames need none."""
+    with _opening:
+        before = {name: os.environ.get(name) for name in ("DISPLAY", "WAYLAND_SOCKET", "WAYLAND_DISPLAY")}
+        hide_displays()
+        try:
+            yield
+        finally:
+            for name, value in before.items():
+                if value is None:
+                    os.environ.pop(name, None)
+                else:
+                    os.environ[name] = value
+
+
+_trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
+
+
+def release_memory() -> None:
+    """Gives memory that is free back to the system. glibc keeps it for each thread that there was: without this, a process that starts
+    many streams, each with threads of its own, grows for a hundred of them."""
+    if _trim is not None:
+        _trim(0)
+
+
+def hide_displays() -> None:
+    """Hides the displays of this process from drivers."""
+    os.environ.pop("DISPLAY", None)
+    os.environ.pop("WAYLAND_SOCKET", None)
+    os.environ["WAYLAND_DISPLAY"] = "/dev/null"

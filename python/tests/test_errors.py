@@ -1,0 +1,151 @@
+"""Errors name what is wrong and what is allowed; none is a panic, and none takes the process with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import regolith_render as rr
+from conftest import ADAPTER, python
+
+SETTINGS: list[tuple[dict[str, Any], str]] = [
+    ({"preset": "trian_dr"}, r"unknown preset `trian_dr` \(did you mean `train_dr`\?\)"),
+    ({"preset": 3}, "preset = 3"),
+    ({"preset": "train_dr", "stage": "surface"}, "stage"),
+    ({"stage": "mars"}, "mars.*nominal, surface"),
+    ({"stage": 3}, "stage = 3"),
+    ({"outputs": ["rgbd"]}, r"outputs: unknown output `rgbd` \(did you mean `rgb`\?\)"),
+    ({"outputs": []}, "outputs is empty"),
+    ({"outputs": None}, "outputs is empty"),
+    ({"outputs": [3]}, r"outputs = \[3\]"),
+    ({"size": 0}, "size = 0"),
+    ({"size": (64, -1)}, "size = -1"),
+    ({"size": 64.5}, "size = 64.5"),
+    ({"size": "64x64"}, "size = '64x64'"),
+    ({"size": (1, 2, 3)}, "width, height"),
+    ({"size": 2**40}, "size"),
+    ({"samples": 3}, "samples 3: allowed are 1, 4"),
+    ({"samples": -4}, "samples = -4"),
+    ({"samples": None}, "samples = None"),
+    ({"edges": "soft"}, "edges soft: allowed are hard"),
+    ({"raster": "gpu"}, "raster = gpu: allowed are auto, device and host"),
+    ({"threads": 0}, "threads = 0"),
+    ({"threads": 10**6}, "threads = 1000000"),
+    ({"adapter": 0}, "adapter = 0"),
+    ({"set": {"sun.elevation_deg": object()}}, "no value of a knob"),
+    ({"set": {"sun.elevation_deg": None}}, "no value of a knob"),
+    ({"set": {"sun.elevation_deg": float("nan")}}, "sun.elevation_deg"),
+    ({"set": {"sun.elevation_deg": "high"}}, "sun.elevation_deg"),
+    ({"set": {"sun.elevation_deg": {"unifrom": [5, 40]}}}, "sun.elevation_deg"),
+    ({"set": {"rocks.count": 10**30}}, "rocks.count"),
+    ({"set": {"a b\nc": 1}}, "unknown knob"),
+    ({"set": ["sun.elevation_deg"]}, "mapping of knobs"),
+]
+
+
+@pytest.mark.parametrize(("settings", "says"), SETTINGS, ids=[str(row[0]) for row in SETTINGS])
+def test_wrong_settings_are_named_before_a_device_is_opened(settings: dict[str, Any], says: str) -> None:
+    with pytest.raises(rr.ConfigError, match=says) as caught:
+        rr.Renderer(**settings)
+    assert not str(caught.value).startswith("--")
+    assert all(hasattr(caught.value, name) for name in ("knob", "value", "allowed", "nearest"))
+
+
+CALLS: list[tuple[Callable[[rr.Renderer], object], str]] = [
+    (lambda renderer: renderer.render(-1), "seed = -1"),
+    (lambda renderer: renderer.render(2**64), "seed = 18446744073709551616.*0 to 18446744073709551615"),
+    (lambda renderer: renderer.render("7"), "seed = '7'"),  # type: ignore[arg-type]
+    (lambda renderer: renderer.render(1.0), "seed = 1.0"),  # type: ignore[arg-type]
+    (lambda renderer: renderer.render(1, set={"sun.elevation_deg": 95}), "sun.elevation_deg = 95"),
+    (lambda renderer: renderer.frames([3, -1]), "seed = -1"),
+    (lambda renderer: renderer.frames(7), "seeds = 7"),  # type: ignore[arg-type]
+    (lambda renderer: renderer.frames([1], prefetch=0), "prefetch = 0"),
+    (lambda renderer: renderer.frames([1], prefetch=10**15), "prefetch = 1000000000000000"),
+    (lambda renderer: renderer.dataset_frames(-1), "base_seed = -1"),
+    (lambda renderer: renderer.dataset_frames(1, step=0), "step = 0"),
+    (lambda renderer: renderer.dataset_frames(1, first=-1), "first = -1"),
+    (lambda renderer: renderer.dataset_frames(1, end=2**40), "end"),
+    (lambda renderer: renderer.batch([1, -2]), "seed = -2"),
+    (lambda renderer: renderer.batch([1], out={"rgb": np.zeros((1, 64, 64, 3), np.uint8)}), "out.*mask"),
+    (lambda renderer: renderer.batch([1], out=renderer.batch([1, 2])), r"out.*\(1, 64, 64"),
+    (lambda renderer: renderer.scene(-5), "seed = -5"),
+    (lambda renderer: renderer.scene(5, set={"rocks.cuont": 3}), "did you mean `rocks.count`"),
+    (lambda renderer: renderer.scene(5).render(camera=(1, 2, 3)), "Camera is expected"),  # type: ignore[arg-type]
+    (lambda renderer: renderer.scene(5).render(camera=rr.Camera((1, 2))), "position"),  # type: ignore[arg-type]
+    (lambda renderer: renderer.scene(5).render(camera=rr.Camera(pitch_deg=400)), "camera.pitch_deg = 400"),
+    (lambda renderer: renderer.scene(5).render(sun=rr.Sun(elevation_deg=-100)), "sun.elevation_deg = -100"),
+    (lambda renderer: renderer.scene(5).export("moon.obj"), "obj"),
+]
+
+
+@pytest.mark.parametrize("number", range(len(CALLS)))
+def test_wrong_arguments_are_named(number: int, renderer: rr.Renderer) -> None:
+    call, says = CALLS[number]
+    with pytest.raises(rr.ConfigError, match=says):
+        call(renderer)
+
+
+def test_a_knob_is_named_with_value_range_and_nearest_name(tmp_path: Path) -> None:
+    with pytest.raises(rr.ConfigError, match=r"sun\.elevation_deg.*95") as caught:
+        rr.Renderer(set={"sun.elevation_deg": 95})
+    assert caught.value.knob == "sun.elevation_deg" and caught.value.value == "95" and "90" in (caught.value.allowed or "")
+    with pytest.raises(rr.ConfigError, match="did you mean") as caught:
+        rr.Renderer(set={"sun.elevaton_deg": 5})
+    assert caught.value.knob == "sun.elevaton_deg" and caught.value.nearest == "sun.elevation_deg"
+    with pytest.raises(rr.ConfigError) as caught:
+        rr.Renderer(outputs="rgbd")
+    assert caught.value.value == "rgbd" and caught.value.nearest == "rgb" and "normals" in (caught.value.allowed or "")
+    with pytest.raises(FileNotFoundError, match="missing.toml"):
+        rr.Renderer(config=tmp_path / "missing.toml")
+    with pytest.raises(rr.ConfigError, match="stage"):
+        rr.knobs("mars")
+    assert issubclass(rr.ConfigError, ValueError) and issubclass(rr.DeviceError, RuntimeError)
+    assert issubclass(rr.NoAdapterError, rr.DeviceError)
+
+
+def test_an_unknown_adapter_is_named_with_those_there_are() -> None:
+    with pytest.raises(rr.NoAdapterError, match=r"(?s)no adapter matches `Voodoo`; the adapters are:\n\w+"):
+        rr.Renderer(adapter="Voodoo").render(1)
+    with pytest.raises(rr.ConfigError, match="size 60000x4 .* is too large .* the limit is"):
+        rr.Renderer(size=(60000, 4), samples=16, adapter=ADAPTER).render(1)
+
+
+NO_DEVICE = """
+    import regolith_render as rr
+    renderer = rr.Renderer()
+    try:
+        renderer.render(1)
+    except rr.NoAdapterError as error:
+        print(error)
+"""
+
+
+def test_without_a_driver_the_import_works_and_the_first_use_says_what_to_install() -> None:
+    ran = python(NO_DEVICE, VK_DRIVER_FILES="/nowhere.json", VK_ICD_FILENAMES="/nowhere.json", WGPU_BACKEND="vulkan")
+    assert ran.returncode == 0 and "mesa-vulkan-drivers" in ran.stdout, ran.stdout + ran.stderr
+
+
+def test_without_vulkan_at_all_the_import_works_too(tmp_path: Path) -> None:
+    """Files that are no libraries stand before those of the system."""
+    for name in ("libvulkan.so", "libvulkan.so.1", "libEGL.so", "libEGL.so.1"):
+        (tmp_path / name).write_text("no library")
+    ran = python(NO_DEVICE, LD_LIBRARY_PATH=str(tmp_path))
+    assert ran.returncode == 0 and "mesa-vulkan-drivers" in ran.stdout, ran.stdout + ran.stderr
+
+
+def test_a_lost_display_is_no_concern(tmp_path: Path) -> None:
+    """Drivers complain of displays that are not there, on standard error, if they may look for them; the environment stays as it was."""
+    ran = python(
+        f"""
+        import os, regolith_render as rr
+        rr.adapters(), rr.Renderer(size=16, adapter={ADAPTER!r}).render(1)
+        print(os.environ.get("DISPLAY"), os.environ.get("WAYLAND_DISPLAY"))
+        """,
+        DISPLAY=":77",
+        XDG_RUNTIME_DIR="",
+    )
+    assert ran.stdout == ":77 None\n" and ran.stderr == ""
