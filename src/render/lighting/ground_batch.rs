@@ -9,8 +9,9 @@ use super::relief_bands::MIN_FACING;
 use crate::render::device::shader_structs::ReliefView;
 use crate::scene::relief::MIN_CELLS;
 
-/// Samples whose slopes are summed together.
-pub(super) const BATCH: usize = 64;
+/// Samples whose slopes are summed together: as many as the widest vectors hold, so that relief and grains that none of them needs are
+/// skipped as often as possible.
+pub(super) const BATCH: usize = 16;
 /// Maximum code of a normal's coordinate: 24 bits.
 const MAX_NORMAL_CODE: u32 = 0x00ff_ffff;
 /// Largest cells of noise, distances between samples, that neither hide nor shadow the ground; from twice as large on they do in full.

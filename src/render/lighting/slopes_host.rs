@@ -47,6 +47,8 @@ const BOWL_SLOPE: [f32; 5] = [0.051_383_2, -0.150_474_8, 2.937_590_4, -5.661_628
 /// Distance from the centre where the ejecta have faded out, and one over the width of the fade, radii. The neighbouring cells of the
 /// lattice begin there.
 const EJECTA_FADE: [f32; 2] = [1.5, 2.5];
+/// Distance from the centre from which on nothing is left of a pit, with a margin for rounding, radii.
+const PIT_REACH: f32 = 1.51;
 /// Binary logarithm of the depth of the oldest crater over that of the youngest worn one: log2(0.02 / 0.12).
 const WORN_DEPTH_LOG2: f32 = -2.584_962_5;
 /// Depth of the youngest fresh crater less that of the oldest, diameters.
@@ -257,28 +259,43 @@ fn pits_slope(pits: &LatticeUniforms, fresh_share: f32, ground: &GroundBatch, su
     // Radius of the largest pit, cells.
     let largest = 0.5 * pits.max_diameter_m / pits.cell_m;
     let per_largest = 1.0 / largest;
+    let zeros = [0.0; BATCH];
+    let (mut offsets, mut shares) = (Vectors { x: zeros, y: zeros }, zeros);
+    let (mut shrinks, mut radii, mut ages_of) = (zeros, zeros, zeros);
+    let mut reached = 0;
     for i in 0..BATCH {
         let (cell, position) = lattice.cell(lattice.local(sums.point(ground, i)));
         let pit = CellPit::new(cell, pits.seed, largest);
         let (along, across) = (position[0] - pit.centre[0], position[1] - pit.centre[1]);
+        let is_sampled = pits.factor * pits.max_diameter_m >= 2.0 * MIN_CELLS * ground.cell_m[i];
+        let exists = is_sampled & (pit.draw < pits.amount);
+        let share = sums.share(ground, i, 2.0 * pits.cell_m * pit.radius);
+        let reach = PIT_REACH * pit.radius;
+        let is_reached = exists & (along * along + across * across < reach * reach) & (share > 0.0);
+        reached |= u8::from(is_reached);
+        (offsets.x[i], offsets.y[i]) = (along, across);
+        shares[i] = if exists { share } else { 0.0 };
+        (shrinks[i], radii[i], ages_of[i]) = (pit.shrink, pit.radius, pit.age);
+    }
+    if reached == 0 {
+        return;
+    }
+    for i in 0..BATCH {
+        let (share, shrink, radius, age) = (shares[i], shrinks[i], radii[i], ages_of[i]);
+        let (along, across) = (offsets.x[i], offsets.y[i]);
         let square = along * along + across * across;
         let square = if square > 1e-12 { square } else { 1e-12 };
         let cells = square.sqrt();
         let per_cells = cells / square;
         // Distance from the centre in radii, and one over it.
-        let (r, per_r) = (cells * pit.shrink * per_largest, per_cells * pit.radius);
-        let depth = ages.depth(pit.age);
-        let is_clod = pit.age < pits.share;
+        let (r, per_r) = (cells * shrink * per_largest, per_cells * radius);
+        let depth = ages.depth(age);
+        let is_clod = age < pits.share;
         let steepness = if is_clod { clod_steepness(r) } else { crater_steepness(r, per_r, depth) };
         let height = if is_clod { clod_height(r) } else { crater_height(r, per_r, depth) };
-        let is_sampled = pits.factor * pits.max_diameter_m >= 2.0 * MIN_CELLS * ground.cell_m[i];
-        let exists = is_sampled & (pit.draw < pits.amount);
-        let diameter_m = 2.0 * pits.cell_m * pit.radius;
-        let share = sums.share(ground, i, diameter_m);
+        let diameter_m = 2.0 * pits.cell_m * radius;
         let fresh = ((EJECTA_FADE[0] - r) * EJECTA_FADE[1]).clamp(0.0, 1.0) * FRESH_SHADE * share;
-        let is_fresh =
-            exists & (pit.age >= pits.share) & (pit.age - pits.share < fresh_share * (1.0 - pits.share));
-        let share = if exists { share } else { 0.0 };
+        let is_fresh = (age >= pits.share) & (age - pits.share < fresh_share * (1.0 - pits.share));
         let slope = pits.cell_m * share * steepness * per_cells;
         let (along, across) = (slope * along, slope * across);
         let slope = Vec2::new(

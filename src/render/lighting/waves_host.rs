@@ -28,7 +28,6 @@ pub(super) fn noise_slope(
     is_low: [bool; 2],
     sums: &mut DetailSums,
 ) {
-    let lattice = wave.lattice();
     let mut resolved = [0.0; BATCH];
     for (i, resolved) in resolved.iter_mut().enumerate() {
         *resolved = sums.share(ground, i, wave.cell_m);
@@ -55,12 +54,32 @@ pub(super) fn noise_slope(
             sums.sun_clearance_m[i] = if clearance_m < nearest_m { clearance_m } else { nearest_m };
         }
     }
+    if wave.factor > 0.0 {
+        add_slope(wave, ground, (&resolved, &above_m), wave.factor, sums);
+    } else {
+        // A constant 0, for which the compiler leaves the strength of finer waves out.
+        add_slope(wave, ground, (&resolved, &above_m), 0.0, sums);
+    }
+}
+
+/// Adds one octave of noise at the wave that the eye sees: its slope, its height and its shade.
+#[inline(always)]
+fn add_slope(
+    wave: &LatticeUniforms,
+    ground: &GroundBatch,
+    (resolved, above_m): (&[f32; BATCH], &[f32; BATCH]),
+    patchy: f32,
+    sums: &mut DetailSums,
+) {
+    let lattice = wave.lattice();
     for i in 0..BATCH {
         let ([column, row], t) = lattice.cell(lattice.local(sums.point(ground, i)));
         let [along, across, shade, value, strength] =
-            gradient_noise_slope_2d([column, row], t, wave.seed, wave.factor);
+            gradient_noise_slope_2d([column, row], t, wave.seed, patchy);
         let share = wave.amount * resolved[i] * capped_strength(sums.strength[i]);
-        sums.strength[i] *= strength;
+        if patchy != 0.0 {
+            sums.strength[i] *= strength;
+        }
         let slope = Vec2::new(
             share * (wave.rotation_per_m.x * along - wave.rotation_per_m.y * across),
             share * (wave.rotation_per_m.y * along + wave.rotation_per_m.x * across),

@@ -58,13 +58,23 @@ impl AtlasAllocator {
     /// The position on the skyline where a square lies in the lowest row, and of these the leftmost.
     fn bottom_left(&self, side: u32) -> Option<[u32; 2]> {
         let [width, height] = self.size;
-        let segments = self.skyline.iter().enumerate();
-        let candidates =
-            segments.take_while(|(_, [column, _])| column + side <= width).map(|(first, [column, _])| {
-                let below = self.skyline[first..].iter().take_while(|[other, _]| *other < column + side);
-                [below.map(|[_, row]| *row).max().unwrap_or(0), *column]
-            });
-        candidates.min().filter(|[row, _]| row + side <= height).map(|[row, column]| [column, row])
+        let mut best: Option<[u32; 2]> = None;
+        for (first, [column, own_row]) in self.skyline.iter().enumerate() {
+            if column + side > width {
+                break;
+            }
+            // Segments as high as the best position, or higher, cannot give a lower one.
+            let is_lower = |row: u32| best.is_none_or(|[best_row, _]| row < best_row);
+            if !is_lower(*own_row) {
+                continue;
+            }
+            let below = self.skyline[first..].iter().take_while(|[other, _]| *other < column + side);
+            let row = below.map(|[_, row]| *row).max().unwrap_or(0);
+            if is_lower(row) {
+                best = Some([row, *column]);
+            }
+        }
+        best.filter(|[row, _]| row + side <= height).map(|[row, column]| [column, row])
     }
 
     /// Raises the skyline by a square.

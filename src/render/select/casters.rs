@@ -73,7 +73,15 @@ pub(crate) fn select_casters(
             let reaches_view = |reach_m: f32| {
                 frustum.intersects_swept_sphere(rock.centre, rock.centre - reach_m * sun, width_m)
             };
-            if !reaches_view(reach_m) {
+            let nearest_m = |reach_m: f32| {
+                let end = rock.centre - reach_m * sun;
+                let to_shadow_m = distance_to_segment(scene.camera.eye, rock.centre, end) - width_m;
+                to_shadow_m.max(nearest_visible_m).max(0.5)
+            };
+            let is_speck = |nearest_m: f32| {
+                2.0 * rock.radius_m * shadow_lengths < min_shadow_px * pixel_angle * nearest_m
+            };
+            if !reaches_view(reach_m) || is_speck(nearest_m(reach_m)) {
                 return None;
             }
             if let Some(lows) = &lows {
@@ -82,11 +90,8 @@ pub(crate) fn select_casters(
                     return None;
                 }
             }
-            let end = rock.centre - reach_m * sun;
-            let nearest_m = (distance_to_segment(scene.camera.eye, rock.centre, end) - width_m)
-                .max(nearest_visible_m)
-                .max(0.5);
-            if 2.0 * rock.radius_m * shadow_lengths < min_shadow_px * pixel_angle * nearest_m {
+            let nearest_m = nearest_m(reach_m);
+            if is_speck(nearest_m) {
                 return None;
             }
             let texel_m = nearest_m * pixel_angle / TEXELS_PER_PIXEL;

@@ -44,7 +44,7 @@ enum Source {
 /// Meshes that a thread takes at a time: few, for their costs differ widely.
 const MAX_MESHES_PER_TASK: usize = 4;
 
-/// Memory that meshes may keep beyond what the frame needs, bytes.
+/// Memory that meshes may keep beyond twice what the frame needs, bytes.
 const MAX_SPARE_BYTES: usize = 8 << 20;
 
 /// The last meshes are those of the sky: stars, sun and dome.
@@ -128,7 +128,7 @@ impl VisibleTriangles {
     fn free_excess(&mut self) {
         let needed: usize = self.meshes().iter().map(ScreenMesh::needed_bytes).sum();
         let kept: usize = self.meshes.iter().map(ScreenMesh::kept_bytes).sum();
-        if kept > needed + MAX_SPARE_BYTES {
+        if kept > 2 * needed + MAX_SPARE_BYTES {
             self.meshes.truncate(self.mesh_count);
             self.meshes.par_iter_mut().for_each(ScreenMesh::free_excess);
         }

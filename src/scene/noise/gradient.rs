@@ -3,7 +3,7 @@
 //! Must not know: what the noise is for.
 
 use super::cells::lerp;
-use super::hash::lattice_hash;
+use super::hash::{HASH_X, HASH_Y, first_mixed, last_mixed};
 
 /// Gradient noise at a point of a lattice cell (`t` in [0, 1) along both axes), after Perlin 2002, "Improving Noise":
 /// gradients at the corners, each component uniform in [-1, 1), blended with quintic weights. The corners also have values,
@@ -46,11 +46,15 @@ pub fn gradient_noise_slope_2d(cell: [i32; 2], t: [f32; 2], seed: u32, patchy: f
 /// The corners of a cell (south-west, south-east, north-west, north-east), and what each extrapolates to `t`.
 #[inline(always)]
 fn corners_of_cell(cell: [i32; 2], t: [f32; 2], seed: u32, patchy: f32) -> ([Corner; 4], [f32; 4]) {
+    // The parts of `lattice_hash` that corners have in common: the first step of the finaliser is linear.
+    let (x, y) = ((cell[0] as u32).wrapping_mul(HASH_X), (cell[1] as u32).wrapping_mul(HASH_Y));
+    let (west, east) = (first_mixed(x), first_mixed(x.wrapping_add(HASH_X)));
+    let (south, north) = (first_mixed(y ^ seed), first_mixed(y.wrapping_add(HASH_Y) ^ seed));
     // Written out: a closure over an array would not be inlined into the vectors of the caller.
-    let sw = gradient_corner(cell, [0, 0], seed, patchy);
-    let se = gradient_corner(cell, [1, 0], seed, patchy);
-    let nw = gradient_corner(cell, [0, 1], seed, patchy);
-    let ne = gradient_corner(cell, [1, 1], seed, patchy);
+    let sw = gradient_corner(last_mixed(west ^ south), patchy);
+    let se = gradient_corner(last_mixed(east ^ south), patchy);
+    let nw = gradient_corner(last_mixed(west ^ north), patchy);
+    let ne = gradient_corner(last_mixed(east ^ north), patchy);
     let (a, b) = (sw.extrapolated(t, [0, 0]), se.extrapolated(t, [1, 0]));
     let (c, d) = (nw.extrapolated(t, [0, 1]), ne.extrapolated(t, [1, 1]));
     ([sw, se, nw, ne], [a, b, c, d])
@@ -80,9 +84,9 @@ impl Corner {
     }
 }
 
+/// The corner with this hash.
 #[inline(always)]
-fn gradient_corner(cell: [i32; 2], away: [i32; 2], seed: u32, patchy: f32) -> Corner {
-    let hash = lattice_hash(cell[0].wrapping_add(away[0]), cell[1].wrapping_add(away[1]), 0, seed);
+fn gradient_corner(hash: u32, patchy: f32) -> Corner {
     // Signed: see `value_of`.
     let unit = |bits: u32| bits as i32 as f32 * (1.0 / 65_536.0);
     let product = hash.wrapping_mul(0x85eb_ca6b);
