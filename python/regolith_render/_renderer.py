@@ -19,6 +19,8 @@ from ._settings import Knobs, document, names_of, opening, refused, release_memo
 
 SEEDS_AHEAD = 1024
 """How many seeds `frames` reads ahead."""
+FRAMES_BETWEEN_RELEASES = 100
+"""Frames of a stream after which memory that is free goes back to the system."""
 
 
 class Renderer:
@@ -223,10 +225,14 @@ def _streamed(
     frames: _native.Frames | None, more: Callable[[], _native.Frames | None] = lambda: None
 ) -> Generator[Frame, None, None]:
     """The frames of a stream, and of those that `more` returns after it."""
+    taken = 0
     try:
         while frames is not None:
             while (frame := frames.next()) is not None:
                 yield Frame(*frame)
+                taken += 1
+                if taken % FRAMES_BETWEEN_RELEASES == 0:
+                    release_memory()
             frames.close()
             frames = more()
     finally:

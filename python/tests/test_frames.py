@@ -172,6 +172,17 @@ def test_seeds_may_have_no_end(renderer: rr.Renderer, monkeypatch: pytest.Monkey
     assert [frame.meta["seed"] for frame in renderer.frames(np.arange(4))] == [0, 1, 2, 3]
 
 
+def test_a_stream_gives_free_memory_back(renderer: rr.Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every so many frames and at its end, also across the streams that follow one another beneath it."""
+    taken, released = 0, []
+    monkeypatch.setattr("regolith_render._renderer.SEEDS_AHEAD", 4)
+    monkeypatch.setattr("regolith_render._renderer.FRAMES_BETWEEN_RELEASES", 3)
+    monkeypatch.setattr("regolith_render._renderer.release_memory", lambda: released.append(taken))
+    for _ in renderer.frames(range(8)):
+        taken += 1
+    assert released == [3, 6, 8]
+
+
 def test_frames_are_values(renderer: rr.Renderer) -> None:
     frame = renderer.render(4)
     copy = pickle.loads(pickle.dumps(frame))
