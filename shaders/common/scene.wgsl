@@ -7,7 +7,7 @@ struct Instance {
     origin: vec3<f32>,
     // Factor on the mesh's coordinates.
     scale: f32,
-    // Albedo of a surface, linear RGB; radiance of an object in the sky.
+    // Albedo of a surface, linear RGB; mean radiance of an object in the sky.
     colour: vec3<f32>,
     // Roughness of the diffuse lobe.
     roughness: f32,
@@ -34,7 +34,8 @@ struct Instance {
     per_height: f32,
     // Fraction of the ground around it, beyond its own shadow, that is sunlit.
     sunlit_ground: f32,
-    reserved: u32,
+    // Of the sun's disc: the sine of half the angle that it spans; else 0.
+    disc_sine: f32,
     reserved_pair: vec2<u32>,
 }
 

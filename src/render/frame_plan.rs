@@ -204,7 +204,10 @@ fn instances(
         let star = scene.sky.stars[star];
         in_sky(star.centre, star.radius_m, scene.sky.star_radiance)
     }));
-    instances.extend(selection.sun.map(|disc| in_sky(disc.centre, disc.radius_m, scene.sun.disc_radiance())));
+    instances.extend(selection.sun.map(|disc| Instance {
+        disc_sine: scene.sun.disc_sine(),
+        ..in_sky(disc.centre, disc.radius_m, scene.sun.disc_radiance())
+    }));
     instances.push(in_sky(scene.sky.centre, scene.sky.radius_m, scene.sky.radiance));
     if lighting == LightingMode::OneDraw {
         let ground = instances[Slots::GROUND as usize];

@@ -22,8 +22,15 @@ pub const SUN_LEVEL: usize = 3;
 const SUN_OUTLINE: f32 = 1.0016;
 /// Distance of the disc from the dome, metres; the dome's mesh lies up to a thousandth of its radius inside its sphere.
 const SUN_INSET_M: f32 = 0.5;
-/// The largest half-precision number. Brighter radiance, as that of the sun's disc is, is stored as this.
+/// The largest half-precision number. Where a channel of the sun's disc is beyond it, the disc is stored in the same colour with that
+/// channel at this value.
 pub const MAX_STORED_RADIANCE: f32 = 65_504.0;
+/// Limb darkening: the radiance of the disc is proportional to this power of the cosine, for wavelengths of 610, 550 and 465 nm. The law
+/// and its exponent, -0.023 + 0.292 / micrometres, are those of Hestroffer and Magnan 1998 (A&A 333, 338), a fit to the measurements of
+/// Neckel and Labs 1994.
+pub const LIMB_EXPONENTS: [f32; 3] = [0.455_688_5, 0.507_909_1, 0.604_957];
+/// Least cosine: the outline of the disc's mesh reaches a little beyond the limb.
+const MIN_LIMB_COSINE: f32 = 0.05;
 /// Distance of the stars from the dome, inwards, metres.
 const STAR_INSET_M: f64 = 18.0;
 /// Range of the stars' radii on a dome of [`STAR_DOME_M`], metres; they scale with the dome, to span the same angle.
@@ -47,6 +54,12 @@ pub struct Sun {
     pub angular_diameter_deg: f64,
     /// Irradiance at normal incidence, linear RGB.
     pub irradiance: Vec3,
+}
+
+/// A radiance as it is stored: see [`MAX_STORED_RADIANCE`].
+#[must_use]
+pub fn stored_radiance(radiance: Vec3) -> Vec3 {
+    radiance * (MAX_STORED_RADIANCE / radiance.max_element().max(MAX_STORED_RADIANCE))
 }
 
 impl Sun {
@@ -90,12 +103,33 @@ impl Sun {
         4.0 * std::f64::consts::PI * half_sine * half_sine
     }
 
-    /// Radiance of the disc as it is stored: irradiance over solid angle, and where a channel of that is beyond
-    /// [`MAX_STORED_RADIANCE`], the same colour with that channel at the limit.
+    /// Mean radiance of the disc: irradiance over solid angle.
     #[must_use]
     pub fn disc_radiance(&self) -> Vec3 {
-        let radiance = self.irradiance / self.solid_angle().max(1e-12) as f32;
-        radiance * (MAX_STORED_RADIANCE / radiance.max_element().max(MAX_STORED_RADIANCE))
+        self.irradiance / self.solid_angle().max(1e-12) as f32
+    }
+
+    /// Sine of half the angular diameter.
+    #[must_use]
+    pub fn disc_sine(&self) -> f32 {
+        libm::sin(0.5 * self.angular_diameter_deg.to_radians()) as f32
+    }
+
+    /// Radiance of the disc where its light leaves the sun at an angle with this cosine to the surface's normal: 1 in the centre, 0 at the
+    /// limb. Its mean over the disc is [`Self::disc_radiance`].
+    #[must_use]
+    pub fn radiance_at(&self, cosine: f32) -> Vec3 {
+        let cosine = cosine.max(MIN_LIMB_COSINE);
+        let darkening = LIMB_EXPONENTS.map(|exponent| (1.0 + 0.5 * exponent) * libm::powf(cosine, exponent));
+        self.disc_radiance() * Vec3::from(darkening)
+    }
+
+    /// Cosine of that angle where a ray (a unit vector) meets the disc; 0 beside it.
+    #[must_use]
+    pub fn cosine_along(&self, ray: Vec3) -> f32 {
+        let square = ray.distance_squared(self.direction);
+        let sine = self.disc_sine();
+        (1.0 - square * (1.0 - 0.25 * square) / (sine * sine)).max(0.0).sqrt()
     }
 
     /// Tangent of half the angular diameter.
@@ -182,7 +216,7 @@ impl Sky {
     /// everything else. `None` for a sun without extent or light.
     #[must_use]
     pub fn sun_disc(&self, sun: &Sun, eye: Vec3) -> Option<Star> {
-        let sine = libm::sin(0.5 * sun.angular_diameter_deg.to_radians()) as f32;
+        let sine = sun.disc_sine();
         if sine <= 0.0 || sun.irradiance.max_element() <= 0.0 {
             return None;
         }
@@ -216,6 +250,27 @@ mod tests {
         }
         let penumbra_per_metre = 2.0 * Sun::new(17.0, 0.0, 0.53, Vec3::ONE).tan_half_angle();
         assert!((penumbra_per_metre - 0.00925).abs() < 1e-5);
+    }
+
+    /// The mean over the disc is the irradiance over the solid angle, in each channel; at 60 degrees the green is that of Neckel and
+    /// Labs 1994 at 550 nm, 0.70 of the centre's, and the limb is redder than the centre.
+    #[test]
+    fn limb_darkening_keeps_the_irradiance() {
+        let sun = Sun::new(17.0, 120.0, 0.53, Vec3::ONE);
+        let rings = 20_000_u16;
+        let sum: Vec3 =
+            (0..rings).map(|k| sun.radiance_at((1.0 - (f32::from(k) + 0.5) / f32::from(rings)).sqrt())).sum();
+        let mean = sum / f32::from(rings) / sun.disc_radiance();
+        assert!((mean - 1.0).abs().max_element() < 1e-3, "{mean}");
+        let relative = |cosine: f32| sun.radiance_at(cosine) / sun.radiance_at(1.0);
+        assert!((relative(0.5).y - 0.70).abs() < 0.01, "{}", relative(0.5));
+        assert!(relative(0.2).x > relative(0.2).y && relative(0.2).y > relative(0.2).z);
+        for (tilt, cosine) in [(0.0, 1.0), (0.5, 0.75_f32.sqrt()), (0.999, 0.0447), (1.2, 0.0)] {
+            let [right, _] = sun.right_and_up();
+            let sine = tilt * sun.disc_sine();
+            let ray = (1.0 - sine * sine).sqrt() * sun.direction + sine * right;
+            assert!((sun.cosine_along(ray) - cosine).abs() < 2e-3, "{tilt}: {}", sun.cosine_along(ray));
+        }
     }
 
     #[test]

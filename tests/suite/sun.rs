@@ -122,7 +122,13 @@ fn the_disc_is_drawn_with_its_size_its_radiance_and_the_class_sky() {
 fn a_dim_disc_has_the_radiance_of_its_irradiance() {
     let scene = sun_ahead(0.0, 0.0, &["sun.intensity=1000"]);
     let frame = render_by(RasterMode::Host, &scene, &settings());
-    let expected = f64::from(scene.sun.irradiance.x) / scene.sun.solid_angle();
+    // In its centre: the limb is darker, and the mean is the irradiance over the solid angle.
+    let expected = f64::from(scene.sun.radiance_at(1.0).x);
+    let light: f64 = (0..(SIDE * SIDE) as usize)
+        .map(|pixel| frame.radiance[3 * pixel].to_f64() * pixel_solid_angle(&scene, pixel))
+        .sum();
+    let irradiance = f64::from(scene.sun.irradiance.x);
+    assert!((light / irradiance - 1.0).abs() < 0.02, "{light}, not {irradiance}");
     let brightest = frame.radiance.iter().map(|value| value.to_f64()).fold(0.0, f64::max);
     assert!((brightest / expected - 1.0).abs() < 1e-3, "{brightest}, not {expected}");
 }

@@ -99,6 +99,7 @@ macro_rules! surface_program {
                 "hash",
                 "relief",
                 "grains",
+                "sun_disc",
                 "rock_texture",
                 "shading",
                 $relief
@@ -118,7 +119,7 @@ pub static VISIBILITY: Program = program!("visibility", ["frame", "scene", "octa
 pub static LIGHTING_SURFACE: Program = surface_program!("lighting_surface", "relief_of_draw");
 /// Lighting of the sky's dome and of stars.
 pub static LIGHTING_SKY: Program =
-    program!("lighting_sky", ["frame", "scene", "fullscreen"], [LIGHT, LIGHTING_OUTPUT]);
+    program!("lighting_sky", ["frame", "scene", "fullscreen", "sun_disc"], [LIGHT, LIGHTING_OUTPUT]);
 /// Lighting of all surfaces in one draw.
 pub static LIGHTING_ONE_DRAW: Program = surface_program!("lighting_one_draw", "relief_of_sample");
 /// Samples to pixels.

@@ -151,7 +151,7 @@ shader_struct! {
         ground_z: f32,
         per_height: f32,
         sunlit_ground: f32,
-        reserved: u32,
+        disc_sine: f32,
         reserved_pair: [u32; 2],
     }
 }

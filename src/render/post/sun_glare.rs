@@ -18,7 +18,7 @@ use crate::frame::Frame;
 use crate::lens::Lens;
 use crate::scene::Scene;
 use crate::scene::flare::Ghost;
-use crate::scene::sky::Sun;
+use crate::scene::sky::{Sun, stored_radiance};
 
 /// B of the scatter model: the square of the chord at which it has fallen to half, 0.01 radians.
 const SCATTER_CORE: f32 = 1e-4;
@@ -28,6 +28,8 @@ const HOOD_ANGLE: f32 = 0.35;
 const MIN_COSINE: f32 = 0.05;
 /// A pixel of which the disc covers less is none of its pixels; the brightest ground has less than a hundredth of its radiance.
 const MIN_COVERED: f32 = 0.02;
+/// Points along each side of a pixel at which the darkening of the limb is asked for.
+const LIMB_STEPS: usize = 4;
 /// Variance of the pixel's own aperture as it is sampled, px^2.
 const APERTURE_VARIANCE: f64 = 0.0625;
 /// Pixels between the points at which rays through a distorting lens are computed.
@@ -77,22 +79,40 @@ impl SunGlare {
 
     /// Replaces the disc in the frame by the sky around it.
     fn take_disc(&mut self, frame: &mut Frame, sun: &Sun, sky: Vec3) {
-        let stored = sun.disc_radiance();
-        let disc = sun.irradiance / sun.solid_angle().max(1e-12) as f32;
         let Some([columns, rows]) = self.disc_bounds(sun) else { return };
+        let stored = stored_radiance(sun.disc_radiance());
         let (channel, _) =
             (0..3).map(|c| (c, stored[c])).fold((0, 0.0), |a, b| if b.1 > a.1 { b } else { a });
         for y in rows {
             for x in columns.clone() {
                 let pixel = y * self.size[0] + x;
                 let radiance = &mut frame.radiance[3 * pixel..3 * pixel + 3];
-                let covered = radiance[channel].to_f32() / stored[channel];
+                let disc = self.radiance_in(sun, [x, y]);
+                let covered = radiance[channel].to_f32() / stored_radiance(disc)[channel];
                 if covered >= MIN_COVERED {
                     self.disc.push((pixel, [radiance[0], radiance[1], radiance[2]], covered.min(1.0) * disc));
                     radiance.copy_from_slice(&sky.to_array().map(f16::from_f32));
                 }
             }
         }
+    }
+
+    /// Mean radiance of the disc in a pixel where it covers it: that of the limb where none of the points that are asked is on it.
+    fn radiance_in(&self, sun: &Sun, [x, y]: [usize; 2]) -> Vec3 {
+        let steps = 0..LIMB_STEPS * LIMB_STEPS;
+        let at = |step: usize| (step as f64 + 0.5) / LIMB_STEPS as f64;
+        let (mut sum, mut points) = (Vec3::ZERO, 0.0);
+        for step in steps {
+            let point = self.point([x as f64 + at(step % LIMB_STEPS), y as f64 + at(step / LIMB_STEPS)]);
+            let ray = point.extend(1.0) / point.extend(1.0).length();
+            // In the axes of the camera, as `towards` is.
+            let cosine = Sun { direction: self.towards, ..*sun }.cosine_along(ray);
+            if cosine > 0.0 {
+                sum += sun.radiance_at(cosine);
+                points += 1.0;
+            }
+        }
+        if points > 0.0 { sum / points } else { sun.radiance_at(0.0) }
     }
 
     /// Puts the disc back as the frame had it, for outputs of the radiance.
@@ -231,15 +251,17 @@ impl SunGlare {
         self.ghosts.iter().map(ghost).collect()
     }
 
+    /// The point at which the ray of a position in the image (column and row, pixels) crosses the plane at a distance of 1 from the eye.
+    fn point(&self, position: [f64; 2]) -> Vec2 {
+        let [width, height] = self.size.map(|side| 0.5 * side as f64);
+        let at = [position[0] - width, position[1] - height].map(|px| px / f64::from(self.focal_px));
+        Vec2::from(self.lens.undistort(at).map(|number| number as f32))
+    }
+
     /// The points at which rays cross the plane at a distance of 1 from the eye, by pixel.
     fn rays(&self) -> Rays {
         let [width, height] = self.size;
-        let of_pixel = |x: usize, y: usize| {
-            let half = [width, height].map(|side| 0.5 * side as f64);
-            let at =
-                [x as f64 + 0.5 - half[0], y as f64 + 0.5 - half[1]].map(|px| px / f64::from(self.focal_px));
-            Vec2::from(self.lens.undistort(at).map(|number| number as f32))
-        };
+        let of_pixel = |x: usize, y: usize| self.point([x as f64 + 0.5, y as f64 + 0.5]);
         let columns = width.div_ceil(LENS_STEP_PX) + 1;
         let rows = height.div_ceil(LENS_STEP_PX) + 1;
         let knots = (0..rows * columns)
