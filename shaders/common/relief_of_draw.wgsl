@@ -12,6 +12,10 @@ fn relief_grains(k: u32) -> Lattice {
     return relief.grains[k];
 }
 
+fn relief_rays(k: u32) -> RayCrater {
+    return relief.rays[k];
+}
+
 fn relief_view() -> ReliefView {
     return relief.view;
 }

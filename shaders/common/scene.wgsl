@@ -102,7 +102,17 @@ struct ReliefView {
     // Median albedo of fragments of rock relative to the soil's, and the deviation of its logarithm.
     grain_ratio: f32,
     grain_spread: f32,
-    reserved: u32,
+    // Logarithm of the albedo of the brightest rays of craters over that of the soil; 0 if there are none.
+    ray_contrast: f32,
+}
+
+// A crater with rays.
+struct RayCrater {
+    // Centre, metres from the centre of the ground.
+    offset: vec2<f32>,
+    // Radius, metres; 0 if there is none.
+    radius_m: f32,
+    seed: u32,
 }
 
 struct ReliefUniforms {
@@ -111,12 +121,14 @@ struct ReliefUniforms {
     noise: array<Lattice, 12>,
     pits: array<Lattice, 12>,
     grains: array<Lattice, 5>,
+    // Those whose rays matter most first.
+    rays: array<RayCrater, 5>,
 }
 
 // Dynamic offsets of uniforms are multiples of 256 bytes.
 struct ReliefSlot {
     relief: ReliefUniforms,
-    unused: array<vec4<u32>, 6>,
+    unused: array<vec4<u32>, 1>,
 }
 
 // The instance of the draw, if all of its samples show the same.

@@ -11,7 +11,7 @@ pub const GROUPS: [(&str, &str, &[&str]); 7] = [
         "where the sun stands, how bright it is, and what surfaces reflect",
         &["sun", "sky", "photometry", "hapke"],
     ),
-    ("Ground", "hills, craters, soil", &["terrain", "relief", "craters", "regolith", "grains"]),
+    ("Ground", "hills, craters, soil", &["terrain", "relief", "wall", "craters", "regolith", "grains"]),
     ("Rocks", "how many, how large, how bright", &["rocks"]),
     ("Camera", "where it stands and looks, its lens, its sensor", &["camera", "sensor", "flare"]),
     ("Rover", "its shadow, its tracks, its parts in view", &["rover", "tracks"]),

@@ -80,12 +80,26 @@ knobs! {
         "Hurst exponent of the fine relief; at 1 it is smooth at small scales (Guo et al. 2021: 0.6 to 0.85).";
     ReliefClods "relief.clods" "" in Surface Number, Frame, number(0.5), [0.0, 1.0],
         "Fraction of clods among pits and clods up to 8 cm across.";
+    WallHeightM "wall.height_m" "m" in Surface Number, Frame, number(0.0), [0.0, 400.0],
+        "Height of the crest of a large old crater above its floor, on which the camera stands; 0 for no such crater.";
+    WallDistanceM "wall.distance_m" "m" in Surface Number, Frame, number(600.0), [50.0, 2000.0],
+        "Distance from the camera to the crest of that crater's wall, in the direction of wall.relative_azimuth_deg. The opposite crest is twice the radius from it, so that between one and two radii the camera stands inside, behind the centre, and beyond that outside.";
+    WallRadiusM "wall.radius_m" "m" in Surface Number, Frame, number(700.0), [100.0, 2000.0],
+        "Radius of that crater, from its centre to the crest of its rim.";
+    WallSlopeDeg "wall.slope_deg" "deg" in Surface Number, Frame, number(22.0), [5.0, 35.0],
+        "Slope of the straight part of its inner wall, which is less steep at its foot and at its crest.";
+    WallRelativeAzimuthDeg "wall.relative_azimuth_deg" "deg" in Surface Number, Frame, number(0.0), [-360.0, 360.0],
+        "Direction from the camera in which the crest has that distance, clockwise from the camera's heading.";
+    WallRocks "wall.rocks" "" in Surface Number, Frame, number(6.0), [1.0, 40.0],
+        "Rocks on the wall, where there are most, relative to the coverage of the plain; with rocks.law = \"lunar\".";
     GrainsDensity "grains.density" "" in Surface Number, Frame, number(1.0), [0.0, 2.5],
         "Number of grains of 1 mm to 3 cm relative to that counted by Surveyor III: 90 larger than 1 cm per square metre, N(>D) proportional to D^-2.4. Two fifths are fragments of rock, more where rocks.coverage asks for more; the others are clods of soil.";
     GrainsAlbedoSpread "grains.albedo_spread" "" in Surface Number, Frame, number(0.6), [0.0, 1.0],
         "Standard deviation of the logarithm of the albedo of fragments of rock of 1 mm to 3 cm around rocks.albedo_ratio; that of clods is a fifth of it.";
     RegolithMottling "regolith.mottling" "" in Surface Number, Frame, number(0.05), [0.0, 0.3],
         "Standard deviation of the logarithm of the soil's albedo, from millimetres to decimetres.";
+    RegolithRays "regolith.rays" "" in Surface Number, Frame, number(0.0), [0.0, 0.6],
+        "Logarithm of the albedo of the brightest halo and rays of fresh craters of 10 m and more over that of the soil between; 0 for none.";
     RegolithAlbedo "regolith.albedo" "" Number, Frame, number(0.205) => number(0.12), [0.0, 1.0],
         "Mean diffuse reflectance of the ground.";
     RegolithRoughness "regolith.roughness" "" Number, Frame, number(0.96), [0.0, 1.0],

@@ -198,6 +198,7 @@ fn to_signed(sum: f32, total: f32) -> f32 {
 
 /// 2-D value noise in [0, 1): lattice values blended bilinearly with cubic smoothstep weights.
 #[must_use]
+#[inline(always)]
 pub fn value_noise_2d([x, y]: [f32; 2], seed: u32) -> f32 {
     let ((x, u), (y, v)) = (floor_and_fraction(x), floor_and_fraction(y));
     let (x, y, seed) = (HashTerms::new(x, HASH_X), HashTerms::new(y, HASH_Y), first_mixed(seed));

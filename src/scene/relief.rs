@@ -1,4 +1,4 @@
-//! The height function of the surface stage: hills to millimetres, craters, clods, tracks of rovers, fillets of soil around rocks.
+//! The height function of the surface stage: hills to millimetres, a crater's wall, craters, clods, tracks of rovers, fillets of soil around rocks.
 //!
 //! One function of position and footprint: detail below the footprint is faded out (band-limiting), so that a mesh can sample
 //! it at the size of its cells. The shader adds the slopes of the detail between the cell and the pixel
@@ -8,12 +8,14 @@
 use fearless_simd::{Level, dispatch};
 use glam::Vec2;
 
+use super::crater_wall::CraterWall;
 use super::craters::{CraterField, Pit};
 use super::far_hills::FarHills;
 use super::fillet::{BATCH, Fillet};
 use super::grains::GrainField;
 use super::lattice::Lattice;
 use super::noise::{GRADIENT_NOISE_SIGMA, SHADE_SIGMA, gradient_noise_difference, patchy_noise_2d};
+use super::rays::Rays;
 use super::track::Track;
 use crate::params::{Knob, Params};
 use crate::random::Streams;
@@ -77,6 +79,10 @@ pub struct Relief {
     pub fillets: Vec<Fillet>,
     /// Hills on the horizon, if there are any.
     pub far_hills: Option<FarHills>,
+    /// The wall of a large old crater, if there is one.
+    pub wall: Option<CraterWall>,
+    /// Rays of fresh craters: the soil's albedo, no height.
+    pub rays: Rays,
 }
 
 /// The craters, clods, tracks and fillets that can change the height in some region.
@@ -132,7 +138,9 @@ impl Relief {
         let craters = CraterField::new(streams, params, centre);
         let grains = GrainField::new(streams, params, centre);
         let far_hills = FarHills::new(streams, params, centre);
-        Self { octaves, craters, grains, tracks: Vec::new(), fillets: Vec::new(), far_hills }
+        let wall = CraterWall::new(streams, params, centre);
+        let rays = Rays::new(params, &craters);
+        Self { octaves, craters, grains, tracks: Vec::new(), fillets: Vec::new(), far_hills, wall, rays }
     }
 
     /// What can change the height within a circle (metres from the centre), at this cell size or a larger one.
@@ -181,6 +189,9 @@ impl Relief {
         }
         if let Some(far_hills) = &self.far_hills {
             far_hills.add_heights([x, y], |size_m| mesh_share(size_m, cell_m), heights);
+        }
+        if let Some(wall) = &self.wall {
+            wall.add_heights([x, y], |size_m| mesh_share(size_m, cell_m), heights);
         }
         for pit in &nearby.pits {
             let share = mesh_share(pit.diameter_m, cell_m);

@@ -253,6 +253,8 @@ fn every_knob_changes_the_frame() {
                 | "sensor.black_level" => "0.2",
                 "label.min_pixels" => "9999",
                 "regolith.mottling" => "0.3",
+                "wall.height_m" | "wall.slope_deg" => "30",
+                "wall.distance_m" | "wall.radius_m" => "400",
                 "label.min_diameter_m" => "10",
                 "label.crater_min_diameter_m" => "100",
                 "relief.slope_deg" => "20",
@@ -289,6 +291,8 @@ fn every_knob_changes_the_frame() {
                 "rocks" if info.name.starts_with("rocks.hero_") && info.name != "rocks.hero_scale_m" => {
                     "rocks.hero_scale_m=2"
                 }
+                "wall" if info.name != "wall.height_m" => "wall.height_m=60",
+                "regolith" if info.name == "regolith.rays" => "craters.fresh_share=0.5",
                 // Grains are seen from nearby.
                 "grains" => "camera.height_m=0.3",
                 // Hapke's law has its own roughness.

@@ -99,6 +99,7 @@ macro_rules! surface_program {
                 "hash",
                 "relief",
                 "grains",
+                "rays",
                 "sun_disc",
                 "rock_texture",
                 "shading",

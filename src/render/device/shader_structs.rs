@@ -5,6 +5,8 @@
 use bytemuck::{Pod, Zeroable};
 use glam::{Mat4, Vec2, Vec3};
 
+use crate::scene::rays::MAX_RAY_CRATERS;
+
 /// Name, offset and size of a field, in bytes.
 pub type FieldLayout = (&'static str, usize, usize);
 
@@ -116,7 +118,16 @@ shader_struct! {
         grain_lattices: u32,
         grain_ratio: f32,
         grain_spread: f32,
-        reserved: u32,
+        ray_contrast: f32,
+    }
+}
+
+shader_struct! {
+    /// `RayCrater` in `common/scene.wgsl`.
+    RayCrater {
+        offset: Vec2,
+        radius_m: f32,
+        seed: u32,
     }
 }
 
@@ -127,6 +138,7 @@ shader_struct! {
         noise: [LatticeUniforms; 12],
         pits: [LatticeUniforms; 12],
         grains: [LatticeUniforms; 5],
+        rays: [RayCrater; MAX_RAY_CRATERS],
     }
 }
 
@@ -179,6 +191,7 @@ mod tests {
             ("HorizonLevel", HorizonLevel::LAYOUT, size_of::<HorizonLevel>()),
             ("Lattice", LatticeUniforms::LAYOUT, size_of::<LatticeUniforms>()),
             ("ReliefView", ReliefView::LAYOUT, size_of::<ReliefView>()),
+            ("RayCrater", RayCrater::LAYOUT, size_of::<RayCrater>()),
             ("ReliefUniforms", ReliefUniforms::LAYOUT, size_of::<ReliefUniforms>()),
             ("Instance", Instance::LAYOUT, size_of::<Instance>()),
             ("CasterTile", CasterTile::LAYOUT, size_of::<CasterTile>()),

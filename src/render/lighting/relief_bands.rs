@@ -6,7 +6,7 @@
 
 use std::ops::Range;
 
-use crate::render::device::shader_structs::{LatticeUniforms, ReliefUniforms, ReliefView};
+use crate::render::device::shader_structs::{LatticeUniforms, RayCrater, ReliefUniforms, ReliefView};
 use crate::render::select::ground_blocks::{BLOCK_CELLS, ground_blocks};
 use crate::render::select::selection::Selection;
 use crate::render::settings::RenderSettings;
@@ -61,6 +61,7 @@ impl ReliefBands {
             fresh_share: relief.craters.fresh_share,
             grain_ratio: relief.grains.material.ratio,
             grain_spread: relief.grains.material.spread,
+            ray_contrast: relief.rays.contrast,
             ..Default::default()
         };
         let rows = (terrain.rows.div_ceil(BLOCK_CELLS) as usize).div_ceil(MAX_BANDS);
@@ -147,6 +148,9 @@ fn band_uniforms(
             ..lattice_uniforms(&grains.lattice, grains.chance)
         };
         uniforms.view.grain_lattices += 1;
+    }
+    for (slot, crater) in uniforms.rays.iter_mut().zip(&relief.rays.craters) {
+        *slot = RayCrater { offset: crater.offset, radius_m: crater.radius_m, seed: crater.seed };
     }
     uniforms
 }

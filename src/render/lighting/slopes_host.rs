@@ -16,6 +16,7 @@ use crate::render::device::shading_bins::{LightingVariant, ShadingBin, ShadingBi
 use crate::render::lighting::detail_sums::DetailSums;
 use crate::render::lighting::grains_host::{GrainGround, GroundDetail, add_grains};
 use crate::render::lighting::ground_batch::{BATCH, GroundBatch, MIN_TESTED_SAMPLES, SampleBatch, Vectors};
+use crate::render::lighting::rays_host::add_rays;
 use crate::render::lighting::relief_bands::{ReliefBands, sample_share};
 use crate::render::lighting::waves_host::{MIN_LOW_WAY, noise_slope, set_strength};
 use crate::scene::craters::{
@@ -93,9 +94,9 @@ impl ReliefSlopes {
     pub fn new(bands: &ReliefBands, bins: ShadingBins, rays: [Vec3; 3], sun: &Sun) -> Self {
         let mut band_of_bin = [NO_BAND; 1 << ShadingBin::BITS];
         for (band_of_bin, (variant, band)) in band_of_bin.iter_mut().zip(bins.all()) {
-            let ReliefView { waves, pit_lattices, grain_lattices, .. } = bands.bands[band].view;
-            if matches!(variant, LightingVariant::Ground { .. }) && waves + pit_lattices + grain_lattices > 0
-            {
+            let ReliefView { waves, pit_lattices, grain_lattices, ray_contrast, .. } = bands.bands[band].view;
+            let has_detail = waves + pit_lattices + grain_lattices > 0 || ray_contrast > 0.0;
+            if matches!(variant, LightingVariant::Ground { .. }) && has_detail {
                 *band_of_bin = band as u8;
             }
         }
@@ -199,6 +200,9 @@ fn ground_detail(
         if sample_share(1.001 * grains.max_diameter_m, nearest_across_m) > 0.0 {
             add_grains(grains, &grain_ground, &mut detail);
         }
+    }
+    if view.ray_contrast > 0.0 {
+        add_rays(relief, Vectors { x, y }, &ground.sample_m, &mut detail.albedo);
     }
     for (i, result) in result.iter_mut().enumerate() {
         // What hides the ground hides its shadows.

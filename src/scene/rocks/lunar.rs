@@ -10,6 +10,7 @@ use glam::Vec2;
 use crate::params::{Knob, Params};
 use crate::random::Streams;
 use crate::scene::azimuth;
+use crate::scene::crater_wall::CraterWall;
 use crate::scene::craters::Pit;
 use crate::scene::relief::Relief;
 use crate::scene::rings::View;
@@ -64,6 +65,12 @@ const BANDS_NEAREST_M: f64 = 2.0;
 const BANDS_HALF_WIDTH: f64 = 0.6;
 /// Distinguishes the stream elements of the bands from those of cells and craters.
 const BANDS_KEY: u64 = 0xb0a7_0000;
+/// Largest diameter of rocks on a crater's wall, metres, and octaves of diameters.
+const WALL_LARGEST_M: f64 = 8.0;
+const WALL_OCTAVES: u32 = 8;
+/// Most of a wall that they cover, and most of them.
+const WALL_MAX_COVERAGE: f64 = 0.12;
+const MAX_WALL_ROCKS: usize = 6000;
 /// Diameter from which no rock lies in a track, metres.
 const PRESSED_M: f64 = 0.06;
 
@@ -184,7 +191,12 @@ fn draw_placements(
     let mut placements = Vec::new();
     for (octave, sizes) in (0..).zip(&octaves) {
         let high_m = LARGEST_M / f64::from(1_u32 << octave);
-        scatter(streams, octave, sizes, high_m, &culling, &mut placements);
+        let purpose = format!("rocks.cell.{}", ["a", "b", "c", "d", "e", "f", "g"][octave as usize]);
+        scatter(streams, (&purpose, octave), (sizes, high_m), &culling, |_, _| true, &mut placements);
+    }
+    if let Some(wall) = &relief.wall {
+        let extra = (params.number(Knob::WallRocks) - 1.0) * coverage;
+        wall_rocks(streams, wall, extra.min(WALL_MAX_COVERAGE), &culling, &mut placements);
     }
     let farthest_m = (LARGEST_M / min_angle).min(view.radius_m) as f32;
     relief.craters.around(Vec2::ZERO, farthest_m, CLUSTER_MIN_M, |pit| {
@@ -261,13 +273,46 @@ fn draw_bands(streams: &Streams, params: &Params) -> Vec<Placement> {
     (0..).zip(BANDS).flat_map(of_band).collect()
 }
 
-/// The scattered rocks of an octave.
+/// Adds the rocks of a crater's wall that the plain does not have, where they cover this fraction of it at most.
+fn wall_rocks(
+    streams: &Streams,
+    wall: &CraterWall,
+    coverage: f64,
+    culling: &ViewCulling<'_>,
+    placements: &mut Vec<Placement>,
+) {
+    if coverage <= 0.0 {
+        return;
+    }
+    let centre = culling.centre;
+    let mut rocks = Vec::new();
+    for octave in 0..WALL_OCTAVES {
+        let high_m = WALL_LARGEST_M / f64::from(1_u32 << octave);
+        let sizes = Sizes::new(0.5 * high_m, high_m, coverage);
+        let purpose = format!("wall.rocks.{octave}");
+        let is_near = |middle: Vec2, radius_m: f32| wall.reaches(middle - centre, radius_m);
+        scatter(streams, (&purpose, 16 + octave), (&sizes, high_m), culling, is_near, &mut rocks);
+    }
+    // Of the key, as the age is, but of bits of their own.
+    rocks.retain(|rock| wall.rock_share(rock.position - centre) > age_of(rock.key.rotate_left(24)));
+    let angle = |rock: &Placement| rock.diameter_m / f64::from(culling.distance_m(rock.position));
+    if rocks.len() > MAX_WALL_ROCKS {
+        let mut angles: Vec<f64> = rocks.iter().map(angle).collect();
+        let (_, least, _) = angles.select_nth_unstable_by(MAX_WALL_ROCKS, |a, b| b.total_cmp(a));
+        let least = *least;
+        rocks.retain(|rock| angle(rock) > least);
+    }
+    placements.append(&mut rocks);
+}
+
+/// The scattered rocks of an octave, in the cells (their middle, and a radius around them, metres) that are wanted. `high_m` is the largest
+/// diameter of `sizes`.
 fn scatter(
     streams: &Streams,
-    octave: u32,
-    sizes: &Sizes,
-    high_m: f64,
+    (purpose, octave): (&str, u32),
+    (sizes, high_m): (&Sizes, f64),
     culling: &ViewCulling<'_>,
+    is_wanted: impl Fn(Vec2, f32) -> bool,
     placements: &mut Vec<Placement>,
 ) {
     let density = sizes.density();
@@ -275,8 +320,6 @@ fn scatter(
     // A cell is at most as large as the ground, however rare the rocks of the octave are.
     let cell_m = (ROCKS_PER_CELL / density.max(1e-9)).sqrt().min(culling.view.radius_m);
     let mean = density * cell_m * cell_m;
-    let purpose = ["a", "b", "c", "d", "e", "f", "g"][octave as usize];
-    let purpose = format!("rocks.cell.{purpose}");
     let cell_of = |metres: f64| (metres / cell_m).floor() as i32;
     let (x, y) = (f64::from(culling.centre.x), f64::from(culling.centre.y));
     for row in cell_of(y - reach_m)..=cell_of(y + reach_m) {
@@ -287,11 +330,12 @@ fn scatter(
             let outside_m = (OUTSIDE_DIAMETERS * high_m as f32).min(OUTSIDE_MAX_M);
             if middle.distance(culling.centre) > reach_m as f32 + radius_m
                 || !culling.reaches(middle, radius_m + outside_m)
+                || !is_wanted(middle, radius_m)
             {
                 continue;
             }
             let cell = u64::from(column as u32) << 32 | u64::from(row as u32);
-            let mut draw = streams.stream(&purpose, cell);
+            let mut draw = streams.stream(purpose, cell);
             for k in 0..poisson(mean, &mut draw) {
                 let within = Vec2::new((draw.unit() * cell_m) as f32, (draw.unit() * cell_m) as f32);
                 let (position, diameter_m) = (corner + within, sizes.draw(&mut draw));
