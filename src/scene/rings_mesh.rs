@@ -5,6 +5,7 @@
 //! Must not know: who asks for heights.
 
 use std::ops::Range;
+use std::sync::OnceLock;
 
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -46,6 +47,7 @@ impl Terrain {
             rows,
             vertices,
             craters: Vec::new(),
+            block_bounds: OnceLock::new(),
         }
     }
 }

@@ -2,6 +2,8 @@
 //!
 //! Must not know: who asks for heights.
 
+use std::sync::OnceLock;
+
 use fearless_simd::{Level, dispatch};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -104,6 +106,7 @@ impl Terrain {
             rows: cells,
             vertices,
             craters,
+            block_bounds: OnceLock::new(),
         }
     }
 }

@@ -5,6 +5,7 @@
 //! Must not know: who asks.
 
 use std::ops::Range;
+use std::sync::OnceLock;
 
 use glam::{Vec2, Vec3};
 
@@ -43,6 +44,9 @@ pub struct Terrain {
     pub vertices: PooledVec<Vertex>,
     /// The craters of the nominal stage; empty on the surface stage.
     pub craters: Vec<Crater>,
+    /// Lowest and highest corner of the bounding box of each block of cells that is culled as one, world, metres; set by the first
+    /// frame.
+    pub block_bounds: OnceLock<Vec<[Vec3; 2]>>,
 }
 
 impl Terrain {

@@ -70,8 +70,7 @@ pub(super) fn visible_share(scene: &Scene) -> f64 {
     let axes = [right, up, scene.sun.direction];
     let mut disc = Disc { eye: scene.camera.eye, axes, tan_half_angle, points };
     let terrain = &scene.terrain;
-    for [columns, rows] in ground_blocks(terrain) {
-        let (low, high) = block_bounds(terrain, &columns, &rows);
+    for ([columns, rows], &[low, high]) in ground_blocks(terrain).zip(block_bounds(terrain)) {
         if disc.may_be_hidden_by(0.5 * (low + high), 0.5 * low.distance(high)) {
             for triangle in terrain.block_triangles(columns, rows) {
                 disc.hide_behind(triangle.map(|vertex| terrain.vertices[vertex as usize].position));

@@ -19,8 +19,14 @@ pub(crate) fn ground_blocks(terrain: &Terrain) -> impl Iterator<Item = [Range<u3
     spans(rows).flat_map(move |rows| spans(columns).map(move |columns| [columns, rows.clone()]))
 }
 
-/// The axis-aligned bounding box of a block: lowest and highest corner, world, metres.
-pub(crate) fn block_bounds(terrain: &Terrain, columns: &Range<u32>, rows: &Range<u32>) -> (Vec3, Vec3) {
+/// The axis-aligned bounding box of each block: lowest and highest corner, world, metres. Computed once per ground.
+pub(crate) fn block_bounds(terrain: &Terrain) -> &[[Vec3; 2]] {
+    terrain.block_bounds.get_or_init(|| {
+        ground_blocks(terrain).map(|[columns, rows]| bounds_of_block(terrain, &columns, &rows)).collect()
+    })
+}
+
+fn bounds_of_block(terrain: &Terrain, columns: &Range<u32>, rows: &Range<u32>) -> [Vec3; 2] {
     let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
     let row_len = terrain.columns as usize + 1;
     for row in rows.start..=rows.end {
@@ -34,5 +40,5 @@ pub(crate) fn block_bounds(terrain: &Terrain, columns: &Range<u32>, rows: &Range
             }
         }
     }
-    (low.into(), high.into())
+    [low.into(), high.into()]
 }

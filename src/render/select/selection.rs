@@ -10,7 +10,7 @@ use glam::Vec4;
 
 use crate::render::select::casters::{self, Caster};
 use crate::render::select::frustum::Frustum;
-use crate::render::select::ground_blocks::{block_bounds, ground_blocks};
+use crate::render::select::ground_blocks::block_bounds;
 use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
 use crate::scene::rocks::Rock;
@@ -58,10 +58,10 @@ impl Selection {
         let frustum = Frustum::new(&camera.clip_from_world(settings.size));
         let pixel_angle = 1.0 / camera.focal_px(settings.size[0]) as f32;
         let candidates = cull_rocks(scene, &frustum);
-        let blocks: Vec<(usize, f32)> = ground_blocks(&scene.terrain)
+        let blocks: Vec<(usize, f32)> = block_bounds(&scene.terrain)
+            .iter()
             .enumerate()
-            .filter_map(|(block, [columns, rows])| {
-                let (low, high) = block_bounds(&scene.terrain, &columns, &rows);
+            .filter_map(|(block, &[low, high])| {
                 let nearest_m = camera.eye.clamp(low, high).distance(camera.eye);
                 frustum.intersects_box(low, high).then_some((block, nearest_m))
             })
