@@ -78,20 +78,22 @@ impl Heightfield {
         let vertex = row.to_int::<i32x8<S>>() * row_len + column.to_int::<i32x8<S>>();
         // The diagonal runs from the first vertex to the last; the third corner lies east or north of the first.
         let is_east = u.simd_ge(v);
-        let third = vertex + is_east.select(i32x8::splat(simd, 1), i32x8::splat(simd, row_len));
-        let (mut vertices, mut thirds) = ([0; LANES], [0; LANES]);
+        let mut vertices = [0; LANES];
         vertex.store_slice(&mut vertices);
-        third.store_slice(&mut thirds);
-        let mut heights_m = [[0.0; LANES]; 3];
-        for lane in 0..LANES {
-            let (vertex, third) = (vertices[lane] as usize, thirds[lane] as usize);
-            heights_m[0][lane] = self.heights_m[vertex];
-            heights_m[1][lane] = self.heights_m[third];
-            heights_m[2][lane] = self.heights_m[vertex + self.cells + 2];
+        // Of each cell, the vertices to the south and to the north.
+        let mut corners_m = [[[0.0; 2]; LANES]; 2];
+        for (lane, vertex) in vertices.into_iter().enumerate() {
+            for (row, corners_m) in corners_m.iter_mut().enumerate() {
+                let first = vertex as u32 as usize + row * (self.cells + 1);
+                let pair = &self.heights_m[first..first + 2];
+                corners_m[lane] = [pair[0], pair[1]];
+            }
         }
-        let h00 = f32x8::from_slice(simd, &heights_m[0]);
-        let h_third = f32x8::from_slice(simd, &heights_m[1]);
-        let h11 = f32x8::from_slice(simd, &heights_m[2]);
+        let [(h00, h10), (h01, h11)] = corners_m.each_ref().map(|corners_m| {
+            let (first, second) = corners_m.as_flattened().split_at(LANES);
+            f32x8::from_slice(simd, first).deinterleave(f32x8::from_slice(simd, second))
+        });
+        let h_third = is_east.select(h10, h01);
         let (near, far) = (is_east.select(u, v), is_east.select(v, u));
         let is_inside = x.abs().max(y.abs()).simd_le(self.half_m);
         let height = h00 + (h_third - h00) * near + (h11 - h_third) * far;

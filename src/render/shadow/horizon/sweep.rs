@@ -25,6 +25,9 @@ const MAX_LIMB_DEG: f64 = 89.9;
 /// Horizon of a row that begins where no ground further towards the sun can occlude it, metres: lower than everything.
 const NO_HORIZON_M: f32 = -1.0e9;
 
+/// Columns whose heights are stored at once, row by row: a few cache lines of each.
+const BLOCK_COLUMNS: usize = 32;
+
 /// Heights from which the lower and the upper limb of the sun are just visible, metres.
 pub(super) type Limbs = [f32; 2];
 
@@ -108,16 +111,20 @@ impl<'a> SweepLattice<'a> {
         let samples = |low: f32, high: f32| first(low)..end(high).max(first(low) + 2);
         let lowest = corners.iter().copied().reduce(Vec2::min).unwrap_or_default();
         let highest = corners.iter().copied().reduce(Vec2::max).unwrap_or_default();
+        let columns = samples(lowest.x, highest.x + beyond);
         let rows = samples(lowest.y, highest.y);
         let spans = rows
             .clone()
             .map(|row| {
                 // With the rows that bilinear interpolation between two rows, or in a finer grid between two of its rows, may need.
                 let span = footprint.span(row as f32 - 3.0, row as f32 + 3.0);
-                span.map_or(0..0, |[low, high]| samples(low, high + beyond))
+                span.map_or(0..0, |[low, high]| {
+                    let span = samples(low, high + beyond);
+                    span.start.max(columns.start)..span.end.min(columns.end)
+                })
             })
             .collect();
-        SweepRegion { columns: samples(lowest.x, highest.x + beyond), rows, spans }
+        SweepRegion { columns, rows, spans }
     }
 
     /// The coarsest grid: its rows begin where no ground further towards the sun is high enough to occlude it.
@@ -160,7 +167,13 @@ impl<'a> SweepLattice<'a> {
         heights_m.resize(width * rows.len(), [f32::MIN; 2]);
         let batches = heights_m.par_chunks_mut(LANES * width).zip(spans.par_chunks(LANES)).enumerate();
         let shadowed = batches.map(|(index, (heights_m, spans))| {
-            heights_m.fill([f32::MIN; 2]);
+            for (row, span) in heights_m.chunks_exact_mut(width).zip(spans) {
+                // The sweep sets all of the span.
+                let span = span.start.max(columns.start) - columns.start
+                    ..span.end.max(columns.start) - columns.start;
+                row[..span.start].fill([f32::MIN; 2]);
+                row[span.end..].fill([f32::MIN; 2]);
+            }
             let first_row = rows.start + index * LANES;
             let batch = RowBatch { first_row, first_column: columns.start, spans };
             dispatch!(
@@ -194,11 +207,21 @@ impl<'a> SweepLattice<'a> {
     ) -> Vec<Vec2> {
         let (mut front, columns) = SweepFront::new(simd, self, batch, start);
         let mut shadowed = Vec::new();
+        let stored = batch.stored();
+        let mut block = [[[0.0; 2]; LANES]; BLOCK_COLUMNS];
         for column in columns.rev() {
             let (ground, cell) = self.ground_across(simd, front.row_origins, batch.spans.len(), column);
             let has_started = front.fall(column, self.fall_m);
-            batch.store(column, front.limbs(), heights_m);
-            if let Some(chord_errors) = chord_errors {
+            if stored.contains(&column) {
+                let first = column - column % BLOCK_COLUMNS;
+                front.store_limbs(&mut block[column - first]);
+                if column == first || column == stored.start {
+                    batch.store(first, &block, heights_m);
+                }
+            }
+            if let Some(chord_errors) = chord_errors
+                && stored.contains(&column)
+            {
                 let mut lanes = chord_errors.shadowed_lanes(simd, ground, cell, front.lower);
                 while lanes != 0 {
                     let lane = lanes.trailing_zeros() as usize;
@@ -262,13 +285,26 @@ impl RowBatch<'_> {
         self.spans.get(row).is_some_and(|span| span.contains(&column))
     }
 
-    /// Stores the heights at a column, of the rows whose span holds it.
+    /// The columns that some row stores.
+    fn stored(&self) -> Range<usize> {
+        let spans = self.spans.iter().filter(|span| !span.is_empty());
+        let ends = spans.map(|span| [span.start, span.end]);
+        let [first, end] = ends.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]).unwrap_or_default();
+        first..end
+    }
+
+    /// Stores the heights of a block of columns from `first` on, of each row those in its span.
     #[inline(always)]
-    fn store(&self, column: usize, limbs: [[f32; LANES]; 2], heights_m: &mut [Limbs]) {
+    fn store(&self, first: usize, block: &[[Limbs; LANES]; BLOCK_COLUMNS], heights_m: &mut [Limbs]) {
         let width = heights_m.len() / self.spans.len();
-        for row in 0..self.spans.len() {
-            if self.spans[row].contains(&column) {
-                heights_m[row * width + column - self.first_column] = [limbs[0][row], limbs[1][row]];
+        for (lane, (span, row)) in self.spans.iter().zip(heights_m.chunks_exact_mut(width)).enumerate() {
+            let columns = span.start.max(first)..span.end.min(first + BLOCK_COLUMNS);
+            if columns.is_empty() {
+                continue;
+            }
+            let stored = &mut row[columns.start - self.first_column..columns.end - self.first_column];
+            for (stored, limbs) in stored.iter_mut().zip(&block[columns.start - first..]) {
+                *stored = limbs[lane];
             }
         }
     }
@@ -325,13 +361,13 @@ impl<S: Simd> SweepFront<S> {
         has_started
     }
 
-    /// The horizon heights of each row.
+    /// Stores the horizon heights of each row.
     #[inline(always)]
-    fn limbs(&self) -> [[f32; LANES]; 2] {
-        let mut limbs = [[0.0; LANES]; 2];
-        self.lower.store_slice(&mut limbs[0]);
-        self.upper.store_slice(&mut limbs[1]);
-        limbs
+    fn store_limbs(&self, limbs: &mut [Limbs; LANES]) {
+        let (first, second) = self.lower.interleave(self.upper);
+        let limbs: &mut [f32] = bytemuck::cast_slice_mut(limbs);
+        first.store_slice(&mut limbs[..LANES]);
+        second.store_slice(&mut limbs[LANES..]);
     }
 }
 
