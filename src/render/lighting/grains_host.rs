@@ -125,9 +125,18 @@ impl Walks {
     /// whether any does.
     #[inline(always)]
     fn find_near(&mut self, uniforms: &LatticeUniforms, across_m: &[f32; BATCH], blur: f32) -> bool {
+        // Most cells have no grain.
+        let mut exist = 0_u32;
+        for i in 0..BATCH {
+            self.first[i] = lattice_hash(self.column[i], self.row[i], 0, uniforms.seed);
+            exist |= if has_grain(uniforms, self.first[i]) { 1 } else { 0 };
+        }
+        if exist == 0 {
+            return false;
+        }
         let mut any = 0;
         for (i, across_m) in across_m.iter().enumerate() {
-            let first = lattice_hash(self.column[i], self.row[i], 0, uniforms.seed);
+            let first = self.first[i];
             let second = second_hash(first);
             let jitter =
                 |bits: u32| ((bits & 0x3ff) as i32 as f32 * (1.0 / 512.0) - 1.0) * JITTER_CELLS + 0.5;
@@ -142,12 +151,11 @@ impl Walks {
             let along = if along < top { along } else { top };
             let (x, y) = (x + along * way_x, y + along * way_y);
             let reach = MAX_RADIUS * diameter_m + blur * across_m;
-            let exists = ((first & 0xffff) as i32 as f32) < 65_536.0 * uniforms.amount;
-            let is_near = exists & (x * x + y * y < reach * reach) & (diameter_m > 2.0 * across_m);
+            let is_near =
+                has_grain(uniforms, first) & (x * x + y * y < reach * reach) & (diameter_m > 2.0 * across_m);
             let near = if is_near { 1 } else { 0 };
             self.near[i] = near;
             any |= near;
-            self.first[i] = first;
             self.second[i] = second;
         }
         any > 0
@@ -210,6 +218,12 @@ fn first_step(way: f32, start: f32) -> (f32, f32, f32) {
     let length = way.abs();
     let step = 1.0 / if length > 1e-6 { length } else { 1e-6 };
     if way > 0.0 { (step, step * (1.0 - start), 1.0) } else { (step, step * start, -1.0) }
+}
+
+/// Whether a cell with this first hash has a grain.
+#[inline(always)]
+fn has_grain(uniforms: &LatticeUniforms, first: u32) -> bool {
+    ((first & 0xffff) as i32 as f32) < 65_536.0 * uniforms.amount
 }
 
 /// Adds the grains of a lattice.

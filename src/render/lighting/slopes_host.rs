@@ -266,18 +266,34 @@ fn pits_slope(pits: &LatticeUniforms, fresh_share: f32, ground: &GroundBatch, su
     let zeros = [0.0; BATCH];
     let (mut offsets, mut shares) = (Vectors { x: zeros, y: zeros }, zeros);
     let (mut shrinks, mut radii, mut ages_of) = (zeros, zeros, zeros);
-    let mut reached = 0;
+    let (mut firsts, mut seconds) = ([0; BATCH], [0; BATCH]);
+    // Most samples are further from the pit of their cell than the largest one would reach.
+    let max_reach = PIT_REACH * largest;
+    let mut near = 0_u32;
     for i in 0..BATCH {
         let (cell, position) = lattice.cell(lattice.local(sums.point(ground, i)));
-        let pit = CellPit::new(cell, pits.seed, largest);
-        let (along, across) = (position[0] - pit.centre[0], position[1] - pit.centre[1]);
-        let is_sampled = pits.factor * pits.max_diameter_m >= 2.0 * MIN_CELLS * ground.cell_m[i];
-        let exists = is_sampled & (pit.draw < pits.amount);
+        let first = lattice_hash(cell[0], cell[1], 0, pits.seed);
+        let second = second_hash(first);
+        let [x, y] = pit_centre(second);
+        let (along, across) = (position[0] - x, position[1] - y);
+        let exists = pit_exists(pits, ground, i, first);
+        let is_near = exists & (along * along + across * across < max_reach * max_reach);
+        near |= if is_near { 1 } else { 0 };
+        (offsets.x[i], offsets.y[i]) = (along, across);
+        (firsts[i], seconds[i]) = (first, second);
+    }
+    if near == 0 {
+        return;
+    }
+    let mut reached = 0_u32;
+    for i in 0..BATCH {
+        let pit = CellPit::new([firsts[i], seconds[i]], largest);
+        let (along, across) = (offsets.x[i], offsets.y[i]);
+        let exists = pit_exists(pits, ground, i, firsts[i]);
         let share = sums.share(ground, i, 2.0 * pits.cell_m * pit.radius);
         let reach = PIT_REACH * pit.radius;
         let is_reached = exists & (along * along + across * across < reach * reach) & (share > 0.0);
-        reached |= u8::from(is_reached);
-        (offsets.x[i], offsets.y[i]) = (along, across);
+        reached |= if is_reached { 1 } else { 0 };
         shares[i] = if exists { share } else { 0.0 };
         (shrinks[i], radii[i], ages_of[i]) = (pit.shrink, pit.radius, pit.age);
     }
@@ -310,32 +326,40 @@ fn pits_slope(pits: &LatticeUniforms, fresh_share: f32, ground: &GroundBatch, su
     }
 }
 
+/// The centre of the pit of a cell with this second hash, cells from the corner of the cell. As `PitLattice::pit` in
+/// `src/scene/craters.rs`.
+#[inline(always)]
+fn pit_centre(second: u32) -> [f32; 2] {
+    let jitter = |bits: u32| ((bits & 0x3ff) as i32 as f32 * (1.0 / 512.0) - 1.0) * JITTER_CELLS + 0.5;
+    [jitter(second), jitter(second >> 10)]
+}
+
+/// Whether the cell of sample `i`, which has this first hash, has a pit, and the lattice is sampled there.
+#[inline(always)]
+fn pit_exists(pits: &LatticeUniforms, ground: &GroundBatch, i: usize, first: u32) -> bool {
+    let is_sampled = pits.factor * pits.max_diameter_m >= 2.0 * MIN_CELLS * ground.cell_m[i];
+    // Uniform in [0, 1).
+    let draw = (first & 0xffff) as i32 as f32 * (1.0 / 65_536.0);
+    is_sampled & (draw < pits.amount)
+}
+
 /// What the hashes of a cell say of its pit. As `PitLattice::pit` in `src/scene/craters.rs`.
 struct CellPit {
-    /// Centre, cells from the corner of the cell.
-    centre: [f32; 2],
     /// How many times smaller than the largest pit of the lattice: 1 to 2.
     shrink: f32,
     /// Radius, cells.
     radius: f32,
     /// Uniform in [0, 1): clods first, then craters from the youngest to the oldest.
     age: f32,
-    /// Uniform in [0, 1): the cell has a pit if this is less than their chance.
-    draw: f32,
 }
 
 impl CellPit {
     #[inline(always)]
-    fn new([column, row]: [i32; 2], seed: u32, largest: f32) -> Self {
-        let first = lattice_hash(column, row, 0, seed);
-        let second = second_hash(first);
-        let jitter = |bits: u32| ((bits & 0x3ff) as i32 as f32 * (1.0 / 512.0) - 1.0) * JITTER_CELLS + 0.5;
-        let centre = [jitter(second), jitter(second >> 10)];
+    fn new([first, second]: [u32; 2], largest: f32) -> Self {
         // The inverse of the cumulative distribution of diameters, which goes with D^-2, within an octave.
         let shrink = 2.0 * (1.0 - 0.75 / 4096.0 * (second >> 20) as i32 as f32).sqrt();
         let age = (first >> 16) as i32 as f32 * (1.0 / 65_536.0);
-        let draw = (first & 0xffff) as i32 as f32 * (1.0 / 65_536.0);
-        Self { centre, shrink, radius: largest / shrink, age, draw }
+        Self { shrink, radius: largest / shrink, age }
     }
 }
 

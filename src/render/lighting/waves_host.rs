@@ -10,7 +10,7 @@ use glam::Vec2;
 use super::detail_sums::{DetailSums, FAR_M};
 use super::ground_batch::{BATCH, GroundBatch};
 use crate::render::device::shader_structs::LatticeUniforms;
-use crate::scene::noise::{gradient_noise_2d, gradient_noise_slope_2d, patchy_noise_2d};
+use crate::scene::noise::{MAX_GRADIENT_NOISE, gradient_noise_2d, gradient_noise_slope_2d, patchy_noise_2d};
 use crate::scene::relief::capped_strength;
 
 /// Distance along a ray at which a wave of noise is asked whether it hides or shadows the ground, cells: smaller waves vary independently
@@ -34,7 +34,7 @@ pub(super) fn noise_slope(
     }
     // How far the ray to the eye is above the larger waves where this wave hides the ground below it.
     let mut above_m = [0.0; BATCH];
-    if is_low[0] {
+    if is_low[0] && may_hide_ground(wave, ground, &resolved, sums) {
         for (i, above_m) in above_m.iter_mut().enumerate() {
             let (rise_m, clearance_m) = clearance(wave, ground, sums, (i, resolved[i]), 0);
             let way = Vec2::new(rise_m * ground.ways[0].x[i], rise_m * ground.ways[0].y[i]);
@@ -60,6 +60,31 @@ pub(super) fn noise_slope(
         // A constant 0, for which the compiler leaves the strength of finer waves out.
         add_slope(wave, ground, (&resolved, &above_m), 0.0, sums);
     }
+}
+
+/// Whether this wave may hide the ground from the eye at any sample: whether at its greatest possible height a ray to the eye would meet
+/// it. Most waves are lower than that, and their noise need not be known.
+#[inline(always)]
+fn may_hide_ground(
+    wave: &LatticeUniforms,
+    ground: &GroundBatch,
+    resolved: &[f32; BATCH],
+    sums: &DetailSums,
+) -> bool {
+    let max_height_m = MAX_GRADIENT_NOISE * wave.amount;
+    let mut any = 0_u32;
+    for (i, resolved) in resolved.iter().enumerate() {
+        let (rise_m, way) = risen_ray(wave, ground, i, 0);
+        let slope_m = sums.waves.x[i] * way.x + sums.waves.y[i] * way.y;
+        let height_m = max_height_m * resolved * capped_strength(sums.strength[i]);
+        let tested = ground.tested_share(i, wave.cell_m);
+        let above_m = rise_m / tested;
+        // A little room for rounding.
+        let may_hide =
+            (above_m - slope_m - height_m < 1e-5 * above_m) & is_ray_tested(ground, i, 0, *resolved, tested);
+        any |= if may_hide { 1 } else { 0 };
+    }
+    any != 0
 }
 
 /// Adds one octave of noise at the wave that the eye sees: its slope, its height and its shade.
@@ -115,13 +140,26 @@ fn clearance(
     ray: usize,
 ) -> (f32, f32) {
     let lattice = wave.lattice();
-    let rise_m = TESTED_CELLS * wave.cell_m * ground.per_way[ray][i];
-    let way = Vec2::new(rise_m * ground.ways[ray].x[i], rise_m * ground.ways[ray].y[i]);
+    let (rise_m, way) = risen_ray(wave, ground, i, ray);
     let ([column, row], t) = lattice.cell(lattice.local(sums.point(ground, i) + way));
     let value = gradient_noise_2d([column, row], t, wave.seed);
     let height_m = wave.amount * resolved * capped_strength(sums.strength[i]) * value;
     let tested = ground.tested_share(i, wave.cell_m);
-    let is_tested = (ground.per_way[ray][i] < 1.0 / MIN_LOW_WAY) & (resolved > 0.0) & (tested > 0.0);
+    let is_tested = is_ray_tested(ground, i, ray, resolved, tested);
     let clearance_m = rise_m / tested - (sums.waves.x[i] * way.x + sums.waves.y[i] * way.y + height_m);
     (rise_m, if is_tested { clearance_m } else { FAR_M })
+}
+
+/// By how much a ray to the eye (0) or to the sun (1) has risen where it is asked whether it clears the wave, metres, and its horizontal way
+/// to there.
+#[inline(always)]
+fn risen_ray(wave: &LatticeUniforms, ground: &GroundBatch, i: usize, ray: usize) -> (f32, Vec2) {
+    let rise_m = TESTED_CELLS * wave.cell_m * ground.per_way[ray][i];
+    (rise_m, Vec2::new(rise_m * ground.ways[ray].x[i], rise_m * ground.ways[ray].y[i]))
+}
+
+/// Whether a ray is so low, and samples show a wave so well, that it may hide or shadow the ground.
+#[inline(always)]
+fn is_ray_tested(ground: &GroundBatch, i: usize, ray: usize, resolved: f32, tested: f32) -> bool {
+    (ground.per_way[ray][i] < 1.0 / MIN_LOW_WAY) & (resolved > 0.0) & (tested > 0.0)
 }
