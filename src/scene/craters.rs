@@ -176,7 +176,29 @@ impl CraterField {
 
     /// Calls `visit` with every crater and clod larger than `min_m` that can change the height within a circle (metres from the
     /// centre of the ground), always in the same order.
-    pub fn around(&self, offset: Vec2, radius_m: f32, min_m: f32, mut visit: impl FnMut(Pit)) {
+    pub fn around(&self, offset: Vec2, radius_m: f32, min_m: f32, visit: impl FnMut(Pit)) {
+        self.visit_around(offset, radius_m, min_m, false, visit);
+    }
+
+    /// The same for fresh craters alone, which are few.
+    pub fn fresh_around(&self, offset: Vec2, radius_m: f32, min_m: f32, mut visit: impl FnMut(Pit)) {
+        self.visit_around(offset, radius_m, min_m, true, |pit| {
+            if pit.is_fresh() {
+                visit(pit);
+            }
+        });
+    }
+
+    /// See [`Self::around`]; with `only_fresh` no crater of a lattice that is not fresh.
+    #[inline(always)]
+    fn visit_around(
+        &self,
+        offset: Vec2,
+        radius_m: f32,
+        min_m: f32,
+        only_fresh: bool,
+        mut visit: impl FnMut(Pit),
+    ) {
         let is_near = |position: Vec2, diameter_m: f32| {
             let reach_m = radius_m + reach_m(diameter_m);
             diameter_m > min_m && position.distance_squared(offset) < reach_m * reach_m
@@ -190,7 +212,8 @@ impl CraterField {
             let (low, high) = ((local - margin - 0.5).ceil(), (local + margin - 0.5).floor());
             for y in low.y as i32..=high.y as i32 {
                 for x in low.x as i32..=high.x as i32 {
-                    lattice.pit([x, y], self.fresh_share, is_near).into_iter().for_each(&mut visit);
+                    let pit = lattice.pit([x, y], self.fresh_share, only_fresh, is_near);
+                    pit.into_iter().for_each(&mut visit);
                 }
             }
         }
@@ -213,13 +236,26 @@ fn classed(streams: &Streams, params: &Params, fresh_share: f32, centre: Vec2) -
 }
 
 impl PitLattice {
-    /// The crater or clod of a cell, if it has one whose position and diameter are wanted; cells count from the lattice's base.
-    fn pit(&self, [x, y]: [i32; 2], fresh_share: f32, is_wanted: impl Fn(Vec2, f32) -> bool) -> Option<Pit> {
+    /// The crater or clod of a cell, if it has one whose position and diameter are wanted, and which is fresh if only such are; cells
+    /// count from the lattice's base.
+    #[inline(always)]
+    fn pit(
+        &self,
+        [x, y]: [i32; 2],
+        fresh_share: f32,
+        only_fresh: bool,
+        is_wanted: impl Fn(Vec2, f32) -> bool,
+    ) -> Option<Pit> {
         let lattice = &self.lattice;
         let (cell_x, cell_y) = (lattice.base[0].wrapping_add(x), lattice.base[1].wrapping_add(y));
         let first = lattice_hash(cell_x, cell_y, 0, lattice.seed);
         let fraction = |bits: u32, count: u32| bits as f32 / (1_u32 << count) as f32;
         if fraction(first & 0xffff, 16) >= self.chance {
+            return None;
+        }
+        let pit_age = fraction(first >> 16, 16);
+        let age = (pit_age - self.clods) / (1.0 - self.clods);
+        if only_fresh && (pit_age < self.clods || age >= fresh_share) {
             return None;
         }
         let second = second_hash(first);
@@ -232,12 +268,7 @@ impl PitLattice {
             return None;
         }
         // Last, because of its power function.
-        let age = fraction(first >> 16, 16);
-        let depth = if age < self.clods {
-            -CLOD_HEIGHT
-        } else {
-            worn_depth((age - self.clods) / (1.0 - self.clods), fresh_share)
-        };
+        let depth = if pit_age < self.clods { -CLOD_HEIGHT } else { worn_depth(age, fresh_share) };
         Some(Pit { offset, diameter_m, depth, key: u64::from(first) << 32 | u64::from(second) })
     }
 }

@@ -59,11 +59,7 @@ impl Rays {
             return Self::default();
         }
         let mut fresh: Vec<Pit> = Vec::new();
-        craters.around(Vec2::ZERO, radius_m, SMALLEST_M, |pit| {
-            if pit.is_fresh() {
-                fresh.push(pit);
-            }
-        });
+        craters.fresh_around(Vec2::ZERO, radius_m, SMALLEST_M, |pit| fresh.push(pit));
         let strength = |pit: &Pit| pit.diameter_m / pit.offset.length().max(pit.diameter_m);
         fresh.sort_by(|a, b| strength(b).total_cmp(&strength(a)).then(a.key.cmp(&b.key)));
         let of_pit = |pit: &Pit| RayCrater {

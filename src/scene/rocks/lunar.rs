@@ -199,10 +199,8 @@ fn draw_placements(
         wall_rocks(streams, wall, extra.min(WALL_MAX_COVERAGE), &culling, &mut placements);
     }
     let farthest_m = (LARGEST_M / min_angle).min(view.radius_m) as f32;
-    relief.craters.around(Vec2::ZERO, farthest_m, CLUSTER_MIN_M, |pit| {
-        if pit.is_fresh() {
-            cluster(streams, &pit, coverage, &culling, &mut placements);
-        }
+    relief.craters.fresh_around(Vec2::ZERO, farthest_m, CLUSTER_MIN_M, |pit| {
+        cluster(streams, &pit, coverage, &culling, &mut placements);
     });
     debris(streams, &culling, &mut placements);
     placements
