@@ -193,7 +193,11 @@ impl Relief {
         if let Some(wall) = &self.wall {
             wall.add_heights([x, y], |size_m| mesh_share(size_m, cell_m), heights);
         }
+        let circle = Circle::around([x, y]);
         for pit in &nearby.pits {
+            if !circle.is_near(pit.offset, pit.reach_m()) {
+                continue;
+            }
             let share = mesh_share(pit.diameter_m, cell_m);
             if share > 0.0 && is_any_within(pit.reach_m(), pit.offset, [x, y]) {
                 for ((height, x), y) in heights.iter_mut().zip(x).zip(y) {
@@ -206,7 +210,9 @@ impl Relief {
         }
         let mut soil = [0.0; BATCH];
         for fillet in &nearby.fillets {
-            if is_any_within(fillet.reach_m(), fillet.offset, [x, y]) {
+            if circle.is_near(fillet.offset, fillet.reach_m())
+                && is_any_within(fillet.reach_m(), fillet.offset, [x, y])
+            {
                 fillet.add_heights([x, y], |size_m| mesh_share(size_m, cell_m), &mut soil[..x.len()]);
             }
         }
@@ -222,6 +228,34 @@ impl Relief {
         let nearby = self.nearby(offset, 0.0, cell_m);
         self.set_heights([&[offset.x], &[offset.y]], cell_m, &nearby, &mut height);
         height[0]
+    }
+}
+
+/// A circle around points.
+struct Circle {
+    centre: Vec2,
+    radius_m: f32,
+}
+
+impl Circle {
+    /// The circle around the bounding box of points (structure of arrays).
+    #[inline(always)]
+    fn around([x, y]: [&[f32]; 2]) -> Self {
+        let (mut low, mut high) = ([f32::MAX; 2], [f32::MIN; 2]);
+        for (x, y) in x.iter().zip(y) {
+            // `f32::min` is more than a comparison (NaN).
+            low = [if *x < low[0] { *x } else { low[0] }, if *y < low[1] { *y } else { low[1] }];
+            high = [if *x > high[0] { *x } else { high[0] }, if *y > high[1] { *y } else { high[1] }];
+        }
+        let (low, high) = (Vec2::from(low), Vec2::from(high));
+        Self { centre: 0.5 * (low + high), radius_m: 0.5 * low.distance(high) }
+    }
+
+    /// Whether any of the points may be within a distance of another one: wherever [`is_any_within`] says so, and in few other cases.
+    #[inline(always)]
+    fn is_near(&self, point: Vec2, reach_m: f32) -> bool {
+        let within_m = 1.001 * self.radius_m + 1.01 * reach_m;
+        self.centre.distance_squared(point) < within_m * within_m
     }
 }
 
