@@ -210,8 +210,10 @@ impl<'a> SweepLattice<'a> {
         let stored = batch.stored();
         let mut block = [[[0.0; 2]; LANES]; BLOCK_COLUMNS];
         for column in columns.rev() {
-            let (ground, cell) = self.ground_across(simd, front.row_origins, batch.spans.len(), column);
             let has_started = front.fall(column, self.fall_m);
+            // Beyond both ends of its span the ground below a row changes nothing.
+            let swept = has_started & front.first_column.simd_le(column as f32);
+            let (ground, cell) = self.ground_across(simd, front.row_origins, swept, column);
             if stored.contains(&column) {
                 let first = column - column % BLOCK_COLUMNS;
                 front.store_limbs(&mut block[column - first]);
@@ -239,13 +241,14 @@ impl<'a> SweepLattice<'a> {
         shadowed
     }
 
-    /// Heights of the ground in a column of some rows, which begin at `row_origins`, and of a square ground the cells there.
+    /// Heights of the ground in a column of rows, which begin at `row_origins`, and of a square ground the cells there. Of rings only
+    /// in some rows; elsewhere `f32::MIN`.
     #[inline(always)]
     fn ground_across<S: Simd>(
         &self,
         simd: S,
         row_origins: [f32x8<S>; 2],
-        rows: usize,
+        rows: mask32x8<S>,
         column: usize,
     ) -> (f32x8<S>, i32x8<S>) {
         let along = column as f32 * self.step_m * self.towards;
@@ -256,7 +259,10 @@ impl<'a> SweepLattice<'a> {
         let (mut heights_m, mut positions) = ([f32::MIN; LANES], [[0.0; LANES]; 2]);
         x.store_slice(&mut positions[0]);
         y.store_slice(&mut positions[1]);
-        for lane in 0..rows {
+        let mut rows = rows.to_bitmask();
+        while rows != 0 {
+            let lane = rows.trailing_zeros() as usize;
+            rows &= rows - 1;
             heights_m[lane] = self.ground_m(Vec2::new(positions[0][lane], positions[1][lane]));
         }
         (f32x8::from_slice(simd, &heights_m), i32x8::splat(simd, 0))
@@ -316,6 +322,8 @@ struct SweepFront<S: Simd> {
     row_origins: [f32x8<S>; 2],
     /// The column that the sweep of each row begins behind.
     start_column: f32x8<S>,
+    /// The first column of the span of each row.
+    first_column: f32x8<S>,
     /// Horizon heights for the lower and the upper limb at the current column, metres.
     lower: f32x8<S>,
     upper: f32x8<S>,
@@ -331,6 +339,7 @@ impl<S: Simd> SweepFront<S> {
         start: &impl Fn(usize, usize) -> (usize, Limbs),
     ) -> (Self, Range<usize>) {
         let (mut origins, mut start_column) = ([[0.0; LANES]; 2], [0.0; LANES]);
+        let mut first_column = [0.0; LANES];
         let mut limbs = [[0.0; LANES]; 2];
         let (mut first, mut end) = (usize::MAX, 0);
         for (row, span) in batch.spans.iter().enumerate() {
@@ -341,11 +350,13 @@ impl<S: Simd> SweepFront<S> {
             }
             let (column, at_start) = start(batch.first_row + row, span.end);
             (start_column[row], limbs[0][row], limbs[1][row]) = (column as f32, at_start[0], at_start[1]);
+            first_column[row] = span.start as f32;
             (first, end) = (first.min(span.start), end.max(column));
         }
         let front = Self {
             row_origins: [f32x8::from_slice(simd, &origins[0]), f32x8::from_slice(simd, &origins[1])],
             start_column: f32x8::from_slice(simd, &start_column),
+            first_column: f32x8::from_slice(simd, &first_column),
             lower: f32x8::from_slice(simd, &limbs[0]),
             upper: f32x8::from_slice(simd, &limbs[1]),
         };
