@@ -91,10 +91,16 @@ impl GroundLows {
         let is_enough = |level: &usize| half_m(*level) >= furthest && BOX_CELLS * cell_m(*level) >= side;
         let level = (0..self.levels).find(is_enough).unwrap_or(self.levels - 1);
         let [columns, rows] = [0, 1].map(|axis| cell(level, low[axis])..=cell(level, high[axis]));
-        let cells = rows.flat_map(|row| columns.clone().map(move |column| (row, column)));
-        cells.fold(f32::INFINITY, |lowest_m, (row, column)| {
-            lowest_m.min(self.lowest_m[index(level, column, row)])
-        })
+        let mut lowest_m = f32::INFINITY;
+        for row in rows {
+            for &here_m in
+                &self.lowest_m[index(level, *columns.start(), row)..=index(level, *columns.end(), row)]
+            {
+                // `f32::min` is more than a comparison (NaN).
+                lowest_m = if here_m < lowest_m { here_m } else { lowest_m };
+            }
+        }
+        lowest_m
     }
 
     /// How far from its centre a rock can shadow what stands on the ground, along the sun's rays, metres: at most `longest_m`. `top_m` is
