@@ -97,6 +97,9 @@ impl<T: Value> PooledVec<T> {
     #[must_use]
     pub fn unspecified(len: usize) -> Self {
         let capacity = capacity_for(len);
+        if capacity * size_of::<T>() < MIN_BYTES {
+            return Self(vec![T::zeroed(); len]);
+        }
         let own = OWN.try_with(|own| own.borrow_mut().take(capacity)).ok().flatten();
         let mut list =
             own.or_else(|| shared().take(capacity)).unwrap_or_else(|| Vec::with_capacity(capacity));
