@@ -46,7 +46,7 @@ pub fn build(
         let tint = Vec3::new(0.985, 1.0, 1.03);
         let albedo = (soil.albedo * ratio as f32 * tint).min(Vec3::ONE);
         let roughness = params.sample(Knob::RocksRoughness, &mut draw("rocks.roughness")) as f32;
-        let mut rock = Rock::of_vertices(index as u32, vertices, level, Material { albedo, roughness });
+        let mut rock = Rock::unburied(index as u32, vertices, level, Material { albedo, roughness });
         rock.base_scale_m = 0.5 * diameter_m;
         rock
     };

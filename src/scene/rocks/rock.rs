@@ -90,6 +90,18 @@ impl Rock {
         level: usize,
         material: Material,
     ) -> Self {
+        let mut rock = Self::unburied(index, vertices, level, material);
+        rock.level_errors_m = Icosphere::shared().level_errors_m(&rock.vertices);
+        rock
+    }
+
+    /// The same for a rock whose vertices burial will still move: the errors of its levels are measured then.
+    pub(super) fn unburied(
+        index: u32,
+        vertices: PooledVec<Vertex>,
+        level: usize,
+        material: Material,
+    ) -> Self {
         let mut rock = Self {
             index,
             centre: Vec3::ZERO,
@@ -104,13 +116,18 @@ impl Rock {
             moved: false,
             body: Body::Rock,
         };
-        rock.measure();
+        rock.measure_extent();
         rock.base_scale_m = rock.radius_m;
         rock
     }
 
     /// Sets what is measured on the vertices: extents and errors of the levels.
     pub(super) fn measure(&mut self) {
+        self.measure_extent();
+        self.level_errors_m = Icosphere::shared().level_errors_m(&self.vertices);
+    }
+
+    fn measure_extent(&mut self) {
         // `f32::min` is more than a comparison (NaN).
         let (mut z_range_m, mut square) = ([f32::MAX, f32::MIN], 0.0);
         for Vertex { position, .. } in self.vertices.iter() {
@@ -120,7 +137,6 @@ impl Rock {
             square = if length_squared > square { length_squared } else { square };
         }
         (self.radius_m, self.z_range_m) = (square.sqrt(), z_range_m);
-        self.level_errors_m = Icosphere::shared().level_errors_m(&self.vertices);
     }
 
     /// Puts the rock on the ground at a position, with a fraction `embedding` of its height buried, and clear of the eye.
