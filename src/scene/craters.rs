@@ -207,11 +207,16 @@ impl CraterField {
         let wanted = self.lattices.iter().take_while(|lattice| lattice.largest_m > min_m);
         for lattice in wanted.filter(|lattice| lattice.chance > 0.0) {
             let reach = (radius_m + reach_m(lattice.largest_m)) / lattice.lattice.cell_m;
-            let margin = Vec2::splat(reach + JITTER_CELLS);
+            let margin = reach + JITTER_CELLS;
             let local = lattice.lattice.local(offset);
-            let (low, high) = ((local - margin - 0.5).ceil(), (local + margin - 0.5).floor());
-            for y in low.y as i32..=high.y as i32 {
-                for x in low.x as i32..=high.x as i32 {
+            let (low, high) = ((local.y - margin - 0.5).ceil(), (local.y + margin - 0.5).floor());
+            // The middles of cells lie within a circle, with a little room for rounding.
+            let radius = 1.001 * (reach + std::f32::consts::SQRT_2 * JITTER_CELLS) + 0.001;
+            for y in low as i32..=high as i32 {
+                let across = y as f32 + 0.5 - local.y;
+                let half = (radius * radius - across * across).max(0.0).sqrt().min(margin);
+                let (low, high) = ((local.x - half - 0.5).ceil(), (local.x + half - 0.5).floor());
+                for x in low as i32..=high as i32 {
                     let pit = lattice.pit([x, y], self.fresh_share, only_fresh, is_near);
                     pit.into_iter().for_each(&mut visit);
                 }
