@@ -7,6 +7,8 @@
 
 use std::ops::Range;
 
+use fearless_simd::prelude::*;
+use fearless_simd::{f32x8, mask32x8};
 use glam::Vec2;
 
 use super::azimuth;
@@ -18,6 +20,11 @@ const WIDENING: (f64, f64) = (1.12, 12.0);
 const TURN_BINS: usize = 2048;
 /// Binary logarithm of the number of bins per octave of the squared radius, in the lookup table of rings.
 const BINS_PER_OCTAVE_LOG2: u32 = 5;
+
+/// Largest pseudo-angle: the last ray has 4.
+const LARGEST_TURN: f32 = 3.999_999_8;
+/// Points of a vector.
+pub(super) const LANES: usize = 8;
 
 /// The grid: radii of the rings and directions of the rays.
 #[derive(Clone, Debug)]
@@ -34,8 +41,9 @@ pub struct Rings {
     turns: Vec<f32>,
     /// First ray at or after the start of each bin of the pseudo-angle.
     turn_bins: Vec<u32>,
-    /// Lookup table of rings; the first bin starts at the first ring after the centre.
+    /// Lookup table of rings; the first bin starts at the first ring after the centre, and has this number among all.
     radius_bins: Vec<u32>,
+    first_bin: u32,
 }
 
 /// What the grid is built for.
@@ -78,7 +86,7 @@ fn pseudo_angle(p: Vec2) -> f32 {
         (false, false) => 2.0 + x,
         (false, true) => 3.0 - y,
     }
-    .min(3.999_999_8)
+    .min(LARGEST_TURN)
 }
 
 /// Bin of a squared radius: the exponent and the leading bits of the mantissa.
@@ -130,6 +138,7 @@ impl Rings {
             turns,
             turn_bins,
             radius_bins,
+            first_bin,
         }
     }
 
@@ -184,10 +193,45 @@ impl Rings {
         [self.column_of(turn) as u32, self.row_of(offset.length_squared()) as u32]
     }
 
+    /// [`Self::cell`] of eight offsets from the centre, of those in a mask; 0 elsewhere.
+    #[inline(always)]
+    pub(super) fn cells<S: Simd>(
+        &self,
+        simd: S,
+        [x, y]: [f32x8<S>; 2],
+        mask: mask32x8<S>,
+    ) -> [[u32; LANES]; 2] {
+        let ahead = self.ahead;
+        // As `pseudo_angle` of `local`.
+        let (local_x, local_y) = (x * ahead.y - y * ahead.x, x * ahead.x + y * ahead.y);
+        let sum = local_x.abs() + local_y.abs();
+        let (u, v) = (local_x / sum, local_y / sum);
+        let is_behind = v.simd_lt(0.0);
+        let is_left = u.simd_lt(0.0) | (u.simd_eq(0.0) & is_behind);
+        let left = is_behind.select(-u, v + 1.0);
+        let right = is_behind.select(f32x8::splat(simd, 3.0) - v, u + 2.0);
+        let turn = is_left.select(left, right).min(LARGEST_TURN);
+        let turn = sum.simd_eq(0.0).select(f32x8::splat(simd, 0.0), turn);
+        let (mut turns, mut squares) = ([0.0; LANES], [0.0; LANES]);
+        turn.store_slice(&mut turns);
+        (x * x + y * y).store_slice(&mut squares);
+        let mut cells = [[0; LANES]; 2];
+        let mut lanes = mask.to_bitmask();
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros() as usize;
+            lanes &= lanes - 1;
+            cells[0][lane] = self.column_of(turns[lane]) as u32;
+            cells[1][lane] = self.row_of(squares[lane]) as u32;
+        }
+        cells
+    }
+
     #[inline]
     fn column_of(&self, turn: f32) -> usize {
         let bin = (turn * (TURN_BINS as f32 / 4.0)) as usize;
         let mut column = self.turn_bins[bin.min(TURN_BINS)] as usize;
+        // Often one further, which no branch prediction knows. The last ray has a larger pseudo-angle than any point.
+        column += usize::from(self.turns.get(column + 1).is_some_and(|next| *next <= turn));
         while column + 2 < self.turns.len() && self.turns[column + 1] <= turn {
             column += 1;
         }
@@ -200,9 +244,10 @@ impl Rings {
     #[inline]
     fn row_of(&self, squared_m2: f32) -> usize {
         let last = self.radii_m.len() - 2;
-        let first_bin = (self.radii_m[1] * self.radii_m[1]).to_bits() >> (23 - BINS_PER_OCTAVE_LOG2);
-        let bin = radius_bin(squared_m2, first_bin).min(self.radius_bins.len() - 1);
+        let bin = radius_bin(squared_m2, self.first_bin).min(self.radius_bins.len() - 1);
         let mut row = (self.radius_bins[bin] as usize).min(last);
+        let next_m = self.radii_m[row + 1];
+        row += usize::from((row < last) & (next_m * next_m <= squared_m2));
         while row < last && self.radii_m[row + 1] * self.radii_m[row + 1] <= squared_m2 {
             row += 1;
         }

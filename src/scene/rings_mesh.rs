@@ -7,13 +7,15 @@
 use std::ops::Range;
 use std::sync::OnceLock;
 
+use fearless_simd::prelude::*;
+use fearless_simd::{f32x8, mask32x8};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::mesh::Vertex;
 use super::relief::Relief;
-use super::rings::{Rings, View};
-use super::terrain::{Layout, Terrain, z_range_m};
+use super::rings::{LANES, Rings, View};
+use super::terrain::{Layout, MIN_AREA_M2, Terrain, z_range_m};
 use crate::pool::PooledVec;
 
 /// Rows and columns of a tile, whose vertices share one search for nearby craters and fillets.
@@ -50,6 +52,57 @@ impl Terrain {
             block_bounds: OnceLock::new(),
         }
     }
+}
+
+impl Terrain {
+    /// [`Self::surface_height_at`] of eight points of a ground with these rings, to the bit, of those in a mask; anything elsewhere.
+    // Inlined into `dispatch!`, so that it is compiled for each SIMD level.
+    #[inline(always)]
+    pub(crate) fn ring_heights<S: Simd>(
+        &self,
+        simd: S,
+        rings: &Rings,
+        [x, y]: [f32x8<S>; 2],
+        mask: mask32x8<S>,
+    ) -> f32x8<S> {
+        let [columns, rows] = rings.cells(simd, [x - self.centre.x, y - self.centre.y], mask);
+        let mut corners = [[[0.0; LANES]; 3]; 4];
+        let mut is_fan = [0.0; LANES];
+        let row_len = self.columns as usize + 1;
+        let mut lanes = mask.to_bitmask();
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros() as usize;
+            lanes &= lanes - 1;
+            let sw = rows[lane] as usize * row_len + columns[lane] as usize;
+            for (corner, vertex) in corners.iter_mut().zip([sw, sw + 1, sw + row_len, sw + row_len + 1]) {
+                let Vec3 { x, y, z } = self.vertices[vertex].position;
+                (corner[0][lane], corner[1][lane], corner[2][lane]) = (x, y, z);
+            }
+            is_fan[lane] = if rows[lane] == 0 { 1.0 } else { 0.0 };
+        }
+        // Written out: a closure that returns a vector is not always inlined.
+        let [sw, se, nw, ne] = &corners;
+        let (a_x, a_y, a_z) = load(simd, sw);
+        let (se_x, se_y, se_z) = load(simd, se);
+        let (nw_x, nw_y, nw_z) = load(simd, nw);
+        let (ne_x, ne_y, ne_z) = load(simd, ne);
+        let (p_x, p_y) = (x - a_x, y - a_y);
+        let is_right = ((ne_x - a_x) * p_y - (ne_y - a_y) * p_x).simd_lt(0.0)
+            & f32x8::from_slice(simd, &is_fan).simd_eq(0.0);
+        // As `plane_height`, with the corners of the triangle relative to the first.
+        let (b_x, b_y) = (is_right.select(se_x, ne_x) - a_x, is_right.select(se_y, ne_y) - a_y);
+        let (c_x, c_y) = (is_right.select(ne_x, nw_x) - a_x, is_right.select(ne_y, nw_y) - a_y);
+        let (b_z, c_z) = (is_right.select(se_z, ne_z) - a_z, is_right.select(ne_z, nw_z) - a_z);
+        let area = b_x * c_y - b_y * c_x;
+        let height = a_z + ((p_x * c_y - p_y * c_x) * b_z + (b_x * p_y - b_y * p_x) * c_z) / area;
+        area.abs().simd_lt(MIN_AREA_M2).select(a_z, height)
+    }
+}
+
+/// Coordinates of eight points.
+#[inline(always)]
+fn load<S: Simd>(simd: S, [x, y, z]: &[[f32; LANES]; 3]) -> (f32x8<S>, f32x8<S>, f32x8<S>) {
+    (f32x8::from_slice(simd, x), f32x8::from_slice(simd, y), f32x8::from_slice(simd, z))
 }
 
 /// Sets the positions of a tile: of these columns in the rings from `first_row` on, whose vertices are given row by row.
@@ -112,4 +165,38 @@ fn set_normals(vertices: &mut [Vertex], columns: usize, last_row: usize) {
             vertices.iter_mut().for_each(|vertex| vertex.normal = sum / sum.length());
         }
     });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::params::config::Config;
+    use crate::scene::Scene;
+    use fearless_simd::{Level, dispatch};
+
+    #[test]
+    fn eight_heights_are_those_of_their_points() {
+        let mut config = Config::new();
+        config.set_stage("surface").expect("a stage");
+        let scene = Scene::build(3, &config.draw(3).expect("drawn")).expect("built");
+        let terrain = &scene.terrain;
+        let Layout::Rings(rings) = &terrain.layout else { unreachable!() };
+        let point = |k: u16| {
+            let (angle, part) = (2.399_963_f32 * f32::from(k), f32::from(k) / 4000.0);
+            let direction = Vec2::new(libm::sinf(angle), libm::cosf(angle));
+            terrain.centre + 0.999 * terrain.half_extent_m * part * part * part * direction
+        };
+        for first in (0..4000).step_by(LANES) {
+            let points: [Vec2; LANES] = std::array::from_fn(|lane| point(first + lane as u16));
+            let (x, y) = (points.map(|p| p.x), points.map(|p| p.y));
+            let mut heights = [0.0; LANES];
+            dispatch!(Level::new(), simd => {
+                let points = [f32x8::from_slice(simd, &x), f32x8::from_slice(simd, &y)];
+                let all = points[0].simd_eq(points[0]);
+                terrain.ring_heights(simd, rings, points, all).store_slice(&mut heights);
+            });
+            let expected = points.map(|p| terrain.surface_height_at(p));
+            assert_eq!(heights.map(f32::to_bits), expected.map(f32::to_bits), "{points:?}");
+        }
+    }
 }

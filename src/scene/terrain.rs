@@ -222,11 +222,14 @@ pub(super) fn z_range_m(vertices: &[Vertex]) -> [f32; 2] {
     ranges.into_iter().fold([f32::MAX, f32::MIN], wider)
 }
 
+/// Twice the least area of a triangle, seen from above, whose plane is computed, m^2.
+pub(super) const MIN_AREA_M2: f32 = 1e-12;
+
 /// Height of the plane through three points at a point of the plane below.
 fn plane_height([a, b, c]: [Vec3; 3], p: Vec2) -> f32 {
     let (ab, ac, ap) = ((b - a).truncate(), (c - a).truncate(), p - a.truncate());
     let area = ab.perp_dot(ac);
-    if area.abs() < 1e-12 {
+    if area.abs() < MIN_AREA_M2 {
         return a.z;
     }
     a.z + (ap.perp_dot(ac) * (b.z - a.z) + ab.perp_dot(ap) * (c.z - a.z)) / area

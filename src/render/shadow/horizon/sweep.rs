@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use super::heightfield::{ChordErrors, Heightfield, LANES};
 use crate::render::select::footprint::Footprint;
 use crate::scene::sky::Sun;
-use crate::scene::terrain::Terrain;
+use crate::scene::terrain::{Layout, Terrain};
 
 /// Lowest elevation of a limb of the sun, degrees.
 const MIN_LIMB_DEG: f64 = 0.01;
@@ -256,16 +256,15 @@ impl<'a> SweepLattice<'a> {
         if let Some(heightfield) = self.heightfield {
             return heightfield.sample(simd, x, y);
         }
-        let (mut heights_m, mut positions) = ([f32::MIN; LANES], [[0.0; LANES]; 2]);
-        x.store_slice(&mut positions[0]);
-        y.store_slice(&mut positions[1]);
-        let mut rows = rows.to_bitmask();
-        while rows != 0 {
-            let lane = rows.trailing_zeros() as usize;
-            rows &= rows - 1;
-            heights_m[lane] = self.ground_m(Vec2::new(positions[0][lane], positions[1][lane]));
-        }
-        (f32x8::from_slice(simd, &heights_m), i32x8::splat(simd, 0))
+        let Layout::Rings(rings) = &self.terrain.layout else {
+            return (f32x8::splat(simd, f32::MIN), i32x8::splat(simd, 0));
+        };
+        // As `ground_m`.
+        let (centre, radius_m) = (self.terrain.centre, self.terrain.half_extent_m);
+        let (from_x, from_y) = (x - centre.x, y - centre.y);
+        let on_ground = rows & (from_x * from_x + from_y * from_y).simd_le(radius_m * radius_m);
+        let heights_m = self.terrain.ring_heights(simd, rings, [x, y], on_ground);
+        (on_ground.select(heights_m, f32x8::splat(simd, f32::MIN)), i32x8::splat(simd, 0))
     }
 
     /// Position of a sample, world, metres.
