@@ -16,7 +16,7 @@ use crate::gpu::staging::{PAGE_BYTES, Page, PageWriter, ROW_ALIGNMENT};
 use crate::render::device::shader_structs::CasterTile;
 use crate::render::raster::cull::{CULL_BATCH, CullMode, Survivors, Winding};
 use crate::render::raster::fill::FragmentSink;
-use crate::render::raster::fixed_point::SubpixelPoint;
+use crate::render::raster::fixed_point::{SUBPIXEL_STEPS, SubpixelPoint};
 use crate::render::raster::lanes::{
     BLOCK_HEIGHT, BLOCK_WIDTH, LANES, VERTEX_BATCH, load_block, store_block, to_soa,
 };
@@ -52,9 +52,10 @@ pub fn rasterise(scene: &Scene, tiles: &[NewTile], pages: &mut dyn Iterator<Item
         let rock = &scene.rocks[tile.rock];
         let vertices = &rock.vertices[..Icosphere::vertex_count(tile.level)];
         BAND.with_borrow_mut(|band| {
-            band.clear(tile.size(), rows);
+            band.restart(tile.size(), rows);
             dispatch!(Level::new(), simd => {
                 band.project(&tile.tile, scene, vertices);
+                band.clear();
                 band.rasterise(simd, rock.triangles(tile.level));
             });
             band.write_midpoints(tile.row_bytes(), PageWriter::new(pages));
@@ -81,6 +82,8 @@ struct ShadowBand {
     rows: Range<usize>,
     /// Texels from one row of a layer to the next.
     stride: usize,
+    /// Columns and rows of the tile that the caster may cover, the rows of the band alone. Elsewhere the layers hold anything.
+    covered: [Range<usize>; 2],
     /// Greatest depth of the faces towards the sun ([`Winding::Front`]), and of those away from it; 0 where there is none.
     layers: [Vec<f32>; 2],
     vertices: Vec<ShadowVertex>,
@@ -89,16 +92,35 @@ struct ShadowBand {
 }
 
 impl ShadowBand {
-    /// Clears it for these rows of a tile of `size` columns.
-    fn clear(&mut self, size: usize, rows: Range<usize>) {
+    /// Restarts it for these rows of a tile of `size` columns.
+    fn restart(&mut self, size: usize, rows: Range<usize>) {
         self.size = size;
         self.stride = size + BLOCK_WIDTH;
-        for layer in &mut self.layers {
-            layer.clear();
-            layer.resize(self.stride * (rows.len() + BLOCK_HEIGHT), 0.0);
-        }
         self.rows = rows;
         self.vertices.clear();
+    }
+
+    /// Finds what the projected caster may cover, and clears the layers there.
+    fn clear(&mut self) {
+        let (mut low, mut high) = ([i32::MAX; 2], [i32::MIN; 2]);
+        for ShadowVertex { position: SubpixelPoint { x, y }, .. } in &self.vertices {
+            low = [low[0].min(*x), low[1].min(*y)];
+            high = [high[0].max(*x), high[1].max(*y)];
+        }
+        let span = |axis: usize, texels: &Range<usize>| {
+            let within = |texel: i32| (texel.max(0) as usize).clamp(texels.start, texels.end);
+            let first = within(low[axis].div_euclid(SUBPIXEL_STEPS));
+            first..within(high[axis].div_euclid(SUBPIXEL_STEPS).saturating_add(2)).max(first)
+        };
+        self.covered = [span(0, &(0..self.size)), span(1, &self.rows)];
+        let [columns, rows] = &self.covered;
+        for layer in &mut self.layers {
+            layer.resize(self.stride * (self.rows.len() + BLOCK_HEIGHT), 0.0);
+            for row in rows.clone() {
+                let first = (row - self.rows.start) * self.stride;
+                layer[first + columns.start..first + columns.end].fill(0.0);
+            }
+        }
     }
 
     /// Projects a caster's vertices onto its tile: an orthographic view from the sun.
@@ -163,11 +185,18 @@ impl ShadowBand {
     /// Writes the depths midway between the layers, half extents of the tile from the caster's centre, `row_bytes` from one row to
     /// the next.
     fn write_midpoints(&mut self, row_bytes: usize, mut writer: PageWriter<'_>) {
-        let Self { size, rows, stride, layers, midpoint_row, .. } = self;
+        let Self { size, rows, stride, covered: [columns, covered_rows], layers, midpoint_row, .. } = self;
         let [fronts, backs] = layers.each_ref().map(|layer| layer.chunks_exact(*stride));
-        midpoint_row.resize(*size, 0.0);
-        for (fronts, backs) in fronts.zip(backs).take(rows.len()) {
-            dispatch!(Level::new(), _simd => set_midpoints(midpoint_row, fronts, backs));
+        midpoint_row.clear();
+        midpoint_row.resize(*size, NO_CASTER);
+        for (row, (fronts, backs)) in rows.clone().zip(fronts.zip(backs)) {
+            let midpoints = &mut midpoint_row[columns.clone()];
+            if covered_rows.contains(&row) {
+                let (fronts, backs) = (&fronts[columns.clone()], &backs[columns.clone()]);
+                dispatch!(Level::new(), _simd => set_midpoints(midpoints, fronts, backs));
+            } else if row == covered_rows.end {
+                midpoints.fill(NO_CASTER);
+            }
             writer.write_row(bytemuck::cast_slice(midpoint_row), row_bytes);
         }
     }
