@@ -22,7 +22,7 @@ use crate::render::raster::lanes::{
 };
 use crate::render::raster::setup::{Interpolant, TriangleSetup};
 use crate::render::raster::setup8::{TriangleSetup8, TriangleVertices8};
-use crate::render::shadow::tiles::NewTile;
+use crate::render::shadow::tiles::{NewTile, Strip, strips};
 use crate::scene::Scene;
 use crate::scene::mesh::{Icosphere, Vertex};
 
@@ -37,28 +37,25 @@ thread_local! {
     static BAND: RefCell<ShadowBand> = RefCell::default();
 }
 
-/// Rasterises tiles into staging memory, laid out as by [`upload_regions`].
+/// Rasterises tiles into staging memory, laid out as by `upload_regions`.
 pub fn rasterise(scene: &Scene, tiles: &[NewTile], pages: &mut dyn Iterator<Item = Page<'_>>) {
-    let mut bands: Vec<(&NewTile, Range<usize>, Vec<Page<'_>>)> = Vec::new();
-    for tile in tiles {
-        for first in (0..tile.size()).step_by(BAND_ROWS) {
-            let rows = first..tile.size().min(first + BAND_ROWS);
-            let pages = pages.take(tile.pages(rows.len())).collect();
-            bands.push((tile, rows, pages));
+    let mut bands: Vec<(Strip<'_>, Range<usize>, Vec<Page<'_>>)> = Vec::new();
+    for strip in strips(tiles) {
+        for first in (0..strip.rows()).step_by(BAND_ROWS) {
+            let rows = first..strip.rows().min(first + BAND_ROWS);
+            let pages = pages.take(strip.pages(rows.len())).collect();
+            bands.push((strip, rows, pages));
         }
     }
     // One band at a time per thread: their costs differ widely.
-    bands.into_par_iter().with_max_len(1).for_each(|(tile, rows, pages)| {
-        let rock = &scene.rocks[tile.rock];
-        let vertices = &rock.vertices[..Icosphere::vertex_count(tile.level)];
-        BAND.with_borrow_mut(|band| {
-            band.restart(tile.size(), rows);
-            dispatch!(Level::new(), simd => {
-                band.project(&tile.tile, scene, vertices);
-                band.clear();
-                band.rasterise(simd, rock.triangles(tile.level));
-            });
-            band.write_midpoints(tile.row_bytes(), PageWriter::new(pages));
+    bands.into_par_iter().with_max_len(1).for_each(|(strip, rows, pages)| {
+        let (row_bytes, writer) = (strip.row_bytes(), PageWriter::new(pages));
+        BAND.with_borrow_mut(|band| match strip.tiles {
+            [tile] => {
+                band.draw(scene, tile, rows);
+                band.write_midpoints(row_bytes, writer);
+            }
+            tiles => band.write_strip(scene, tiles, rows, row_bytes, writer),
         });
     });
 }
@@ -89,9 +86,23 @@ struct ShadowBand {
     vertices: Vec<ShadowVertex>,
     /// A row as it is written.
     midpoint_row: Vec<f32>,
+    /// The rows of a strip of several tiles.
+    strip: Vec<f32>,
 }
 
 impl ShadowBand {
+    /// Draws these rows of a tile.
+    fn draw(&mut self, scene: &Scene, tile: &NewTile, rows: Range<usize>) {
+        let rock = &scene.rocks[tile.rock];
+        let vertices = &rock.vertices[..Icosphere::vertex_count(tile.level)];
+        self.restart(tile.size(), rows);
+        dispatch!(Level::new(), simd => {
+            self.project(&tile.tile, scene, vertices);
+            self.clear();
+            self.rasterise(simd, rock.triangles(tile.level));
+        });
+    }
+
     /// Restarts it for these rows of a tile of `size` columns.
     fn restart(&mut self, size: usize, rows: Range<usize>) {
         self.size = size;
@@ -185,20 +196,53 @@ impl ShadowBand {
     /// Writes the depths midway between the layers, half extents of the tile from the caster's centre, `row_bytes` from one row to
     /// the next.
     fn write_midpoints(&mut self, row_bytes: usize, mut writer: PageWriter<'_>) {
-        let Self { size, rows, stride, covered: [columns, covered_rows], layers, midpoint_row, .. } = self;
-        let [fronts, backs] = layers.each_ref().map(|layer| layer.chunks_exact(*stride));
-        midpoint_row.clear();
-        midpoint_row.resize(*size, NO_CASTER);
-        for (row, (fronts, backs)) in rows.clone().zip(fronts.zip(backs)) {
-            let midpoints = &mut midpoint_row[columns.clone()];
-            if covered_rows.contains(&row) {
-                let (fronts, backs) = (&fronts[columns.clone()], &backs[columns.clone()]);
-                dispatch!(Level::new(), _simd => set_midpoints(midpoints, fronts, backs));
-            } else if row == covered_rows.end {
-                midpoints.fill(NO_CASTER);
-            }
-            writer.write_row(bytemuck::cast_slice(midpoint_row), row_bytes);
+        let mut midpoint_row = std::mem::take(&mut self.midpoint_row);
+        midpoint_row.resize(self.size, 0.0);
+        for row in self.rows.clone() {
+            self.set_midpoint_row(row, &mut midpoint_row);
+            writer.write_row(bytemuck::cast_slice(&midpoint_row), row_bytes);
         }
+        self.midpoint_row = midpoint_row;
+    }
+
+    /// Draws tiles of equal size and writes the same of all of them, side by side.
+    fn write_strip(
+        &mut self,
+        scene: &Scene,
+        tiles: &[NewTile],
+        rows: Range<usize>,
+        row_bytes: usize,
+        mut writer: PageWriter<'_>,
+    ) {
+        let size = tiles.first().map_or(0, NewTile::size);
+        let columns = (tiles.len() * size).max(1);
+        let mut strip = std::mem::take(&mut self.strip);
+        strip.resize(columns * rows.len(), 0.0);
+        for (number, tile) in tiles.iter().enumerate() {
+            self.draw(scene, tile, rows.clone());
+            for (row, midpoints) in rows.clone().zip(strip.chunks_exact_mut(columns)) {
+                self.set_midpoint_row(row, &mut midpoints[number * size..][..size]);
+            }
+        }
+        for midpoints in strip.chunks_exact(columns) {
+            writer.write_row(bytemuck::cast_slice(midpoints), row_bytes);
+        }
+        self.strip = strip;
+    }
+
+    /// Sets the depths midway between the layers in a row of the tile.
+    fn set_midpoint_row(&self, row: usize, midpoints: &mut [f32]) {
+        let [columns, covered_rows] = &self.covered;
+        if !covered_rows.contains(&row) {
+            midpoints.fill(NO_CASTER);
+            return;
+        }
+        midpoints[..columns.start].fill(NO_CASTER);
+        midpoints[columns.end..].fill(NO_CASTER);
+        let first = (row - self.rows.start) * self.stride;
+        let [fronts, backs] =
+            self.layers.each_ref().map(|layer| &layer[first + columns.start..first + columns.end]);
+        dispatch!(Level::new(), _simd => set_midpoints(&mut midpoints[columns.clone()], fronts, backs));
     }
 }
 

@@ -21,6 +21,10 @@ use crate::scene::mesh::Vertex;
 /// Columns and rows of the map at first.
 const MIN_SIZE_PX: [u32; 2] = [512, 512];
 
+/// Most rows of a strip of several tiles, and most columns of it.
+const MAX_STRIP_ROWS: usize = 64;
+const MAX_STRIP_COLUMNS: usize = 256;
+
 /// Which tiles the device's shadow map holds, and where.
 #[derive(Debug, Default)]
 pub struct ShadowMap {
@@ -149,52 +153,86 @@ impl Tile {
 }
 
 impl NewTile {
-    /// Pages that this many of its rows take.
-    pub(super) fn pages(&self, rows: usize) -> usize {
-        (self.row_bytes() * rows).div_ceil(PAGE_BYTES)
-    }
-
     /// Its columns and rows.
     pub(super) fn size(&self) -> usize {
         self.tile.size_px as usize
     }
 
-    /// Bytes of a row in staging memory.
-    pub(super) fn row_bytes(&self) -> usize {
-        (self.size() * size_of::<f32>()).next_multiple_of(ROW_ALIGNMENT)
+    /// Whether it may be uploaded with a tile to the right of it.
+    fn is_followed_by(&self, right: &Self) -> bool {
+        let (size_px, to_right) = (self.tile.size_px, right.tile.origin_px - self.tile.origin_px);
+        self.size() <= MAX_STRIP_ROWS
+            && right.tile.size_px == size_px
+            && to_right.to_array() == [size_px, 0.0]
     }
 }
 
-/// Divides tiles into parts of at most `max_bytes` in staging memory each, or of a single tile.
+/// Tiles that are uploaded as one: of equal size, from left to right in the map.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Strip<'a> {
+    pub(super) tiles: &'a [NewTile],
+}
+
+impl Strip<'_> {
+    /// Its rows, as many as the columns of a tile.
+    pub(super) fn rows(&self) -> usize {
+        self.tiles.first().map_or(0, NewTile::size)
+    }
+
+    /// Its columns.
+    pub(super) fn columns(&self) -> usize {
+        self.tiles.len() * self.rows()
+    }
+
+    /// Pages that this many of its rows take.
+    pub(super) fn pages(&self, rows: usize) -> usize {
+        (self.row_bytes() * rows).div_ceil(PAGE_BYTES)
+    }
+
+    /// Bytes of a row in staging memory.
+    pub(super) fn row_bytes(&self) -> usize {
+        (self.columns() * size_of::<f32>()).next_multiple_of(ROW_ALIGNMENT)
+    }
+}
+
+/// Divides tiles into strips: a copy takes as long as hundreds of texels, and most tiles have fewer.
+pub(super) fn strips(tiles: &[NewTile]) -> impl Iterator<Item = Strip<'_>> {
+    let runs = tiles.chunk_by(NewTile::is_followed_by);
+    runs.flat_map(|run| run.chunks((MAX_STRIP_COLUMNS / run[0].size().max(1)).max(1)))
+        .map(|tiles| Strip { tiles })
+}
+
+/// Divides tiles into parts of at most `max_bytes` in staging memory each, or of a single strip.
 pub fn upload_parts(tiles: &[NewTile], max_bytes: usize) -> impl Iterator<Item = &[NewTile]> {
     let mut rest = tiles;
     std::iter::from_fn(move || {
         let mut bytes = 0;
-        let count = rest.iter().take_while(|tile| {
-            bytes += tile.pages(tile.size()) * PAGE_BYTES;
+        let fitting = strips(rest).take_while(|strip| {
+            bytes += strip.pages(strip.rows()) * PAGE_BYTES;
             bytes <= max_bytes
         });
-        let (part, others) = rest.split_at(count.count().max(1).min(rest.len()));
+        let count: usize = fitting.map(|strip| strip.tiles.len()).sum();
+        let first = strips(rest).next().map_or(0, |strip| strip.tiles.len());
+        let (part, others) = rest.split_at(count.max(first));
         rest = others;
         (!part.is_empty()).then_some(part)
     })
 }
 
-/// The layout of tiles in staging memory, one after the other: the region of the map that each is copied to, and the bytes of
+/// The layout of tiles in staging memory, one strip after the other: the region of the map that each is copied to, and the bytes of
 /// all.
 #[must_use]
 pub fn upload_regions(tiles: &[NewTile]) -> (Vec<TextureRegion>, usize) {
     let mut end = 0;
-    let region = |tile: &NewTile| {
+    let region = |strip: Strip<'_>| {
         let offset_bytes = end;
-        end += tile.pages(tile.size()) * PAGE_BYTES;
-        let origin = tile.tile.origin_px.as_uvec2().to_array();
+        end += strip.pages(strip.rows()) * PAGE_BYTES;
         TextureRegion {
             offset_bytes,
-            row_bytes: tile.row_bytes(),
-            origin,
-            size: [tile.tile.size_px as u32; 2],
+            row_bytes: strip.row_bytes(),
+            origin: strip.tiles[0].tile.origin_px.as_uvec2().to_array(),
+            size: [strip.columns() as u32, strip.rows() as u32],
         }
     };
-    (tiles.iter().map(region).collect(), end)
+    (strips(tiles).map(region).collect(), end)
 }
