@@ -35,9 +35,9 @@ struct FrameUniforms {
     bounce_on_rock: array<mat4x4<f32>, 3>,
     bounce_on_ground: mat3x4<f32>,
     bounce_in_shadow: mat3x4<f32>,
-    bounce_of_rock: vec4<f32>,
-    // Sunlit rocks, in the buffer of the caster grid (common/lit_rocks.wgsl): its words where the lists of the cells and where
-    // the rocks begin; cells along a side of each grid; 1 if there are any.
+    rock_phase: vec4<f32>,
+    // Sunlit faces of rocks, in the buffer of the caster grid (common/lit_rocks.wgsl): its words where the lists of the cells and
+    // where the faces begin; cells along a side of each grid; 1 if there are any.
     lit_rocks: vec4<u32>,
     // Horizontal unit vector towards the sun, along which the horizon map's columns run.
     sun_horizontal: vec2<f32>,

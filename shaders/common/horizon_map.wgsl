@@ -16,8 +16,9 @@ fn finest_level(distance_m: f32, first_reach_m: f32, levels: u32) -> i32 {
     return clamp(i32(ceil(log2(max(distance_m, 1.0e-3) / first_reach_m))), 0, i32(levels) - 1);
 }
 
-// Visible fraction of the sun's disc above the ground's horizon, which counts as straight across the disc.
-fn horizon_visibility(position: vec3<f32>) -> f32 {
+// Visible fraction of the sun's disc above the ground's horizon, which counts as straight across the disc, and how far below the
+// edge of its shadow the point is, metres.
+fn horizon_visibility(position: vec3<f32>) -> vec2<f32> {
     var level = 0;
     if RINGS {
         level = finest_level(distance(position.xy, light.horizon_centre), light.horizon_base_m, light.horizon_levels);
@@ -40,11 +41,11 @@ fn horizon_visibility(position: vec3<f32>) -> f32 {
         bilinear(textureGather(0, horizon_map, nearest, uv), t),
         bilinear(textureGather(1, horizon_map, nearest, uv), t),
     );
-    if position.z >= limbs.x { return 1.0; }
-    if position.z <= limbs.y { return 0.0; }
+    if position.z >= limbs.x { return vec2(1.0, 0.0); }
+    if position.z <= limbs.y { return vec2(0.0, limbs.y - position.z); }
     // Area of the unit disc on one side of a chord.
     let u = clamp(2.0 * (position.z - limbs.y) / (limbs.x - limbs.y) - 1.0, -1.0, 1.0);
-    return 0.5 + (u * sqrt(1.0 - u * u) + asin(u)) * (1.0 / 3.14159265);
+    return vec2(0.5 + (u * sqrt(1.0 - u * u) + asin(u)) * (1.0 / 3.14159265), 0.0);
 }
 
 // Interpolates four texels in the order of `textureGather`: (0, 1), (1, 1), (1, 0), (0, 0).

@@ -11,7 +11,7 @@ fn bounce_uniform(ground: vec3<f32>, normal: vec3<f32>, sun_horizontal: vec2<f32
 }
 
 // Distance from sunlit ground up to which a point receives all the light that higher ground gives in the open, metres.
-const NEAR_SUNLIT_M: f32 = 0.03;
+const NEAR_SUNLIT_M: f32 = 0.1;
 // Light on a rock over that of the first bounce from the ground: what its own facets and further bounces add (1.15 in path-traced
 // scenes), and what the law of reflection gives for a mean direction in place of many (0.9).
 const BEYOND_FIRST_BOUNCE: f32 = 1.28;
@@ -34,11 +34,13 @@ fn bounce_on_rock(ground: vec3<f32>, normal: vec3<f32>, height: f32, sun_horizon
     return BouncedLight(irradiance, irradiance.g * way);
 }
 
-// Fraction of the light from higher ground that is left this far inside the shadow of a rock, metres. The part of the view that
-// higher ground fills goes with the square of its slope, and slopes fall with about the fourth root of the distance over which
-// they are measured (Hurst exponent 0.77: Guo et al. 2021).
-fn left_in_shadow(depth_m: f32) -> f32 {
-    return sqrt(NEAR_SUNLIT_M / max(depth_m, NEAR_SUNLIT_M));
+// Fraction of the light from higher ground that is left this far inside a shadow, metres, under a sun with this sine of elevation. To
+// sunlit ground it is about as far across the sun, and further by one over the sine along it: the geometric mean counts. The
+// part of the view that higher ground fills goes with the square of its slope, and slopes fall with about the fourth root of the
+// distance over which they are measured (Hurst exponent 0.77: Guo et al. 2021); nearer ground hides some of it. Rays traced from
+// soil in the shadow of rocks find this power.
+fn left_in_shadow(depth_m: f32, sine: f32) -> f32 {
+    return pow(NEAR_SUNLIT_M / max(depth_m * inverseSqrt(max(sine, 0.01)), NEAR_SUNLIT_M), 0.75);
 }
 
 // Light on the ground from such ground that stands higher. Of what lies around no higher than the point, the fraction `sunlit`

@@ -34,16 +34,12 @@ struct SunVisibility {
     horizon: f32,
     // Past everything.
     total: f32,
-    // How far inside the shadow of rocks the point is, across the sun, metres.
+    // How far inside a shadow the point is: of rocks across the sun, of the ground below its edge. Metres.
     depth_m: f32,
-    // Whether rocks may occlude the sun nearby.
-    near_shadows: bool,
 }
 
-// Length of the mean direction of bounced light, which comes from all around.
-const BOUNCE_FOCUS: f32 = 0.93;
 // Least cosine of incidence of bounced light.
-const MIN_BOUNCE_COSINE: f32 = 0.1;
+const MIN_BOUNCE_COSINE: f32 = 0.03;
 
 // Lighting of a surface of this instance with one of the DETAIL constants, at the centre of a sample, given by its
 // framebuffer position.
@@ -63,7 +59,8 @@ fn shade(surface: Surface, instance: Instance, detail: u32, position: vec2<f32>)
     if PHOTOMETRY_LAW == HAPKE && !is_sunlit {
         way = unit(bounced.direction + vec3(0.0, 0.0, 1.0e-9));
         cos_in = max(dot(normal, way), MIN_BOUNCE_COSINE);
-        focus = BOUNCE_FOCUS;
+        // Where it comes from all around, the mean direction is short.
+        focus = min(length(bounced.direction) / max(bounced.irradiance.g, 1.0e-9), 1.0);
     }
     let reflectance = reflected(
         PHOTOMETRY_LAW,
@@ -131,24 +128,23 @@ fn shade_detail(surface: Surface, instance: Instance, detail: u32, to_eye: vec3<
 fn sun_visibility(surface: Surface, sample: vec2<f32>) -> SunVisibility {
     let position = light.eye + surface.offset;
     let faces_sun = dot(surface.normal, light.sun_direction) > 0.0;
-    var horizon = 1.0;
+    var horizon = vec2(1.0, 0.0);
     var cell = GridCell();
     if (SHADOW_SOURCES & SHADOWED_BY_ROCKS) != 0u { cell = grid_cell(position); }
     if SHADOW_SOURCES == SHADOWED_BY_GROUND
         || (SHADOW_SOURCES == (SHADOWED_BY_GROUND | SHADOWED_BY_ROCKS) && cell.in_horizon) {
         horizon = horizon_visibility(position);
     }
-    var shadow = Shadow(horizon, 0.0);
+    var shadow = Shadow(horizon.x, 0.0);
     if (SHADOW_SOURCES & SHADOWED_BY_ROCKS) != 0u && faces_sun {
         let angle = 6.2831853 * interleaved_gradient_noise(sample);
         let spoke = vec2(cos(angle), sin(angle));
-        shadow = visibility_past_casters(cell, horizon, position, surface.geometric_normal, surface.normal, spoke);
+        shadow = visibility_past_casters(cell, horizon.x, position, surface.geometric_normal, surface.normal, spoke);
     }
     return SunVisibility(
-        horizon,
+        horizon.x,
         select(0.0, shadow.visibility, faces_sun),
-        shadow.depth_m,
-        cell.first != cell.end,
+        max(shadow.depth_m, horizon.y),
     );
 }
 
@@ -164,18 +160,17 @@ fn bounced_light(
         return BouncedLight(bounce_uniform(light.ground_radiance, normal, light.sun_horizontal), vec3(0.0));
     }
     let position = light.eye + surface.offset;
-    // Beside sunlight that of rocks hardly matters. On ground it is left out where no rock casts a shadow: it would cost llvmpipe
-    // as much there as where one does.
+    // Beside sunlight that of rocks hardly matters. It is left out where nothing casts a shadow: there it would cost llvmpipe as much as
+    // where something does.
     let shade = 1.0 - sun.total;
     let is_ground = detail == DETAIL_RELIEF || detail == DETAIL_UPLOADED_SLOPES;
     var of_rocks = BouncedLight(vec3(0.0), vec3(0.0));
-    if !is_ground || (SHADOW_SOURCES & SHADOWED_BY_ROCKS) != 0u {
-        let is_wanted = shade > 0.0 && (!is_ground || sun.near_shadows);
-        of_rocks = light_of_rocks(position, normal, surface.slot, is_wanted);
+    if !is_ground || SHADOW_SOURCES != 0u {
+        of_rocks = light_of_rocks(position, normal, surface.slot, shade > 0.0);
     }
     var of_ground: BouncedLight;
     if is_ground {
-        let ground = left_in_shadow(sun.depth_m) * light.ground_radiance;
+        let ground = left_in_shadow(sun.depth_m, light.sun_direction.z) * light.ground_radiance;
         of_ground = bounce_on_ground(ground, normal, light.sun_horizontal, sun.horizon);
     } else {
         let height = (position.z - instance.ground_z) * instance.per_height;

@@ -61,29 +61,28 @@ pub(crate) struct PlanCache {
     bounce: Mutex<BounceCache>,
 }
 
-/// Light that sunlit ground bounces, and what it was computed from: ground, laws, sine of the sun's elevation and albedo.
+/// Light that sunlit ground bounces, and what it was computed from: ground, laws, sine of the sun's elevation.
 #[derive(Debug, Default)]
 struct BounceCache {
-    key: Option<(Weak<Terrain>, Photometry, [f32; 2])>,
+    key: Option<(Weak<Terrain>, Photometry, f32)>,
     bounce: Bounce,
 }
 
 impl BounceCache {
     fn get(cache: &Mutex<Self>, scene: &Scene) -> Bounce {
         let lock = || cache.lock().unwrap_or_else(PoisonError::into_inner);
-        let (laws, numbers @ [sine, albedo]) =
-            (scene.photometry, [scene.sun.direction.z, scene.regolith.albedo.y]);
+        let (laws, sine) = (scene.photometry, scene.sun.direction.z);
         let cached = lock();
-        let is_cached = cached.key.as_ref().is_some_and(|(terrain, cached_laws, cached_numbers)| {
+        let is_cached = cached.key.as_ref().is_some_and(|(terrain, cached_laws, cached_sine)| {
             let is_same_ground = terrain.as_ptr() == Arc::as_ptr(&scene.terrain);
-            is_same_ground && *cached_laws == laws && *cached_numbers == numbers
+            is_same_ground && *cached_laws == laws && *cached_sine == sine
         });
         if is_cached {
             return cached.bounce;
         }
         drop(cached);
-        let bounce = Bounce::new(&laws, albedo.into(), rms_slope(&scene.terrain), sine.into());
-        *lock() = Self { key: Some((Arc::downgrade(&scene.terrain), laws, numbers)), bounce };
+        let bounce = Bounce::new(&laws, rms_slope(&scene.terrain), sine.into());
+        *lock() = Self { key: Some((Arc::downgrade(&scene.terrain), laws, sine)), bounce };
         bounce
     }
 }
@@ -291,7 +290,7 @@ fn frame_uniforms(
         bounce_on_rock: bounce.on_rock,
         bounce_on_ground: bounce.on_ground,
         bounce_in_shadow: bounce.in_shadow,
-        bounce_of_rock: bounce.of_rock,
+        rock_phase: bounce.rock_phase,
         sky_radiance: scene.sky.radiance + scene.sky.earthshine,
         caster_grid_cells: grids.cells,
         sun_horizontal: horizon.towards,
@@ -342,12 +341,16 @@ pub(crate) fn of_tile(
 
 #[cfg(test)]
 mod tests {
+    use glam::Vec3;
+
     use super::*;
     use crate::params::Params;
     use crate::render::backend::RasterBackend;
     use crate::render::device::bind_groups::slot_stride;
     use crate::render::select::casters;
     use crate::render::select::screen_bounds::ScreenBounds;
+    use crate::render::select::sunlight::Sunlight;
+    use crate::scene::mesh::Icosphere;
 
     fn plan(cache: &PlanCache, scene: &Scene, options: &RasterOptions) -> FramePlan {
         let settings = RenderSettings::new([96, 64], 4).expect("settings");
@@ -449,5 +452,48 @@ mod tests {
         assert!(bytes(left) == bytes(right), "instances");
         assert_eq!(left.draws.draws, right.draws.draws);
         assert_eq!(left.shadow_map_px, right.shadow_map_px);
+    }
+
+    /// Whether a ray towards the sun meets a triangle of a rock (Moeller and Trumbore 1997).
+    fn is_shaded_by(scene: &Scene, rock: usize, point: Vec3) -> bool {
+        let (rock, sun) = (&scene.rocks[rock], scene.sun.direction);
+        let offset = rock.centre - point;
+        if (offset - offset.dot(sun) * sun).length() > rock.radius_m {
+            return false;
+        }
+        Icosphere::shared().triangles[rock.level].iter().any(|corners| {
+            let [a, b, c] = corners.map(|corner| rock.centre + rock.vertices[corner as usize].position);
+            let (ab, ac, from_a) = (b - a, c - a, point - a);
+            let (across, turned) = (sun.cross(ac), from_a.cross(ab));
+            let determinant = ab.dot(across);
+            let at = [from_a.dot(across), sun.dot(turned), ac.dot(turned)].map(|of| of / determinant);
+            at[0] >= 0.0 && at[1] >= 0.0 && at[0] + at[1] <= 1.0 && at[2] > 0.0
+        })
+    }
+
+    #[test]
+    fn rocks_shade_what_rays_find_in_their_shadow() {
+        let scene = scene(5);
+        let plan = plan(&PlanCache::default(), &scene, &options(RasterBackend::Host));
+        let casters = &plan.selection.casters;
+        let sunlight = Sunlight::new(&scene, casters, &plan.caster_grid, &|_| [f32::MIN; 2]);
+        let [right, _] = scene.sun.right_and_up();
+        let away = -scene.sun.direction.truncate().normalize();
+        let (mut shaded, mut sunlit, mut wrong) = (0, 0, 0);
+        for caster in casters.iter().take(60) {
+            let (centre, radius_m) = (caster.tile.centre, caster.tile.half_extent_m);
+            for (along, across) in [1.5, 2.5, 3.5].into_iter().flat_map(|along| {
+                [-1.5, -0.9, -0.6, -0.3, 0.0, 0.3, 0.6, 0.9, 1.5].map(|across| (along, across))
+            }) {
+                let at = centre.truncate() + radius_m * (along * away + across * right.truncate());
+                let point = at.extend(scene.terrain.surface_height_at(at) + 0.2 * radius_m);
+                let expected = casters.iter().any(|caster| is_shaded_by(&scene, caster.rock, point));
+                let found = sunlight.past_rocks(point, 0.02 * radius_m, usize::MAX) < 0.5;
+                *(if expected { &mut shaded } else { &mut sunlit }) += 1;
+                wrong += u32::from(found != expected);
+            }
+        }
+        assert!(shaded > 200 && sunlit > 400, "{shaded} points in shadow, {sunlit} in sunlight");
+        assert!(wrong < (shaded + sunlit) / 20, "{wrong} of {shaded} and {sunlit} points are wrong");
     }
 }

@@ -14,4 +14,5 @@ pub mod near_plane;
 pub(crate) mod screen_bounds;
 pub mod selection;
 pub(crate) mod shadow_strip;
+pub mod sunlight;
 pub mod tiles;

@@ -50,7 +50,7 @@ shader_struct! {
         bounce_on_rock: [[[f32; 4]; 4]; 3],
         bounce_on_ground: [[f32; 4]; 3],
         bounce_in_shadow: [[f32; 4]; 3],
-        bounce_of_rock: [f32; 4],
+        rock_phase: [f32; 4],
         lit_rocks: [u32; 4],
         sun_horizontal: Vec2,
         horizon_centre: Vec2,

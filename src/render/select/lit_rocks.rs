@@ -1,60 +1,67 @@
-//! Sunlit rocks as sources of light, and which ground around each rock is sunlit: what lights shadows (`common/lit_rocks.wgsl`).
+//! Sunlit faces of rocks as sources of light, and which ground around each rock is sunlit: what lights shadows
+//! (`common/lit_rocks.wgsl`).
 //!
-//! A rock lights what is within some diameters of it. Grids like those of the casters, with fewer cells, list the rocks that
-//! reach each cell. Rocks too small to be more than specks in the image are left out.
-//! What the horizon map tells of the ground comes in as a function, so that imports go from `shadow/` to `select/` and not back.
-//! Must not know: how the horizon map is made.
+//! The triangles of a rock's coarse mesh that the sun reaches, past the ground and the other rocks, are joined to a few faces. Which
+//! they are decides most (docs/realism.md): without the shadows of rocks on one another soil in shadow would have up to four times too
+//! much light of rocks. A face lights what is within some of its sizes. Grids like those of the casters, with fewer cells, list the faces that reach each cell. Rocks too small to
+//! be more than specks in the image are left out.
+//! Must not know: how shadows are found.
 
 use bytemuck::{Pod, Zeroable};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
-use crate::render::select::caster_grid::{CasterGrids, TEST_HORIZON};
-use crate::render::select::casters::Caster;
+use crate::render::select::caster_grid::CasterGrids;
 use crate::render::select::selection::{SelectedRock, Selection, Slots};
+use crate::render::select::sunlight::{COARSE_LEVEL, LimbsAt, Sunlight};
 use crate::scene::Scene;
+use crate::scene::mesh::Icosphere;
 use crate::scene::rocks::Rock;
 
-/// Distance that a rock lights, in geometric means of its height and its radius. `common/lit_rocks.wgsl` has the same.
-pub const REACH: f32 = 12.0;
+/// Distance that a face lights, in square roots of its area. `common/lit_rocks.wgsl` has the same.
+pub const REACH: f32 = 14.0;
+/// Area of the coarse mesh of a sphere over that of the sphere.
+const COARSE_AREA: f32 = 0.928;
+/// Faces of a rock: to either side of the sun's azimuth. With one, what lies beside it is dark; with six, little changes.
+const FACES: usize = 2;
+/// Minimum area of a face, as a fraction of the square of its rock's radius.
+const MIN_AREA: f32 = 0.003;
 /// Cells of the caster grids along a side of a cell of these.
 const CASTER_CELLS: u32 = 8;
-/// Minimum diameter of a rock that lights anything, pixels.
+/// Minimum diameter of a rock that lights anything, pixels or radians as seen from the eye, whichever is less.
 const MIN_PX: f32 = 5.0;
+/// See [`MIN_PX`].
+const MIN_ANGLE: f32 = 0.012;
 /// Points around a rock at which the ground is sunlit or not: degrees from the direction away from the sun, and distance in
 /// radii. Those in the rock's own shadow are left out: the fit of the bounced light has it.
 const GROUND_AROUND: [(f64, f32); 6] =
     [(-45.0, 2.5), (45.0, 2.5), (-110.0, 2.5), (110.0, 2.5), (-35.0, 6.0), (35.0, 6.0)];
-/// Radius of a sphere with the shadow of a rock, as a fraction of the rock's largest.
-const SHADOW_RADIUS: f32 = 0.8;
 
-/// Words of [`LitRocks::words`] for a rock. `common/lit_rocks.wgsl` has the same.
-pub const ROCK_WORDS: usize = size_of::<LitRock>() / size_of::<u32>();
+/// Words of [`LitRocks::words`] for a face. `common/lit_rocks.wgsl` has the same.
+pub const FACE_WORDS: usize = size_of::<LitFace>() / size_of::<u32>();
 
-/// A sunlit rock, as the shader reads it.
+/// A sunlit face of a rock, as the shader reads it.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Pod, Zeroable)]
-struct LitRock {
-    /// Point on the ground below its centre, metres, world.
-    foot: Vec3,
-    /// Height of its top above that, metres.
-    height_m: f32,
-    /// Its colour times the irradiance of the sun, times the sunlit fraction of its sunny side.
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+struct LitFace {
+    /// Its middle, metres, world.
+    middle: Vec3,
+    /// Sum of the normals of its sunlit parts times their areas, square metres.
+    area_vector: Vec3,
+    /// Its colour times the irradiance of the sun.
     light: Vec3,
-    /// Its radius, metres.
-    radius_m: f32,
-    /// Its slot among the instances.
+    /// Slot of its rock among the instances.
     slot: u32,
 }
 
-/// The sunlit rocks of a frame, and the cells that each lights.
+/// The sunlit faces of rocks in a frame, and the cells that each lights.
 #[derive(Clone, Debug, Default)]
 pub struct LitRocks {
     /// For each cell the start of its list (and after the last cell the end of the last list), then the lists of indices of
-    /// rocks, then the rocks.
+    /// faces, then the faces.
     pub words: Vec<u32>,
-    /// Word at which the rocks begin.
-    pub first_rock: u32,
+    /// Word at which the faces begin.
+    pub first_face: u32,
     /// Cells along a side of each grid.
     pub cells: u32,
     /// Of each rock of the selection, the light on the ground around it relative to that on all ground. Relief that shadows
@@ -62,79 +69,66 @@ pub struct LitRocks {
     pub sunlit_ground: Vec<f32>,
 }
 
-/// The light that falls on rocks and ground.
-#[derive(Clone, Copy)]
-struct SunlitScene<'a> {
-    scene: &'a Scene,
-    casters: &'a [Caster],
-    grids: CasterGrids,
-    caster_grid: &'a [u32],
-    /// Heights above a point from which the lower and the upper limb of the sun are visible past the ground, metres.
-    limbs: &'a (dyn Fn(Vec2) -> [f32; 2] + Sync),
-}
-
 impl LitRocks {
-    /// The sunlit rocks among those of a selection. `limbs` are the heights above a point from which the lower and the upper limb
-    /// of the sun are visible past the ground; `colour` is the factor from albedo to colour of a rock.
+    /// The sunlit rocks among those of a selection. `colour` is the factor from albedo to colour of a rock.
     #[must_use]
     pub fn new(
         scene: &Scene,
         selection: &Selection,
         caster_grid: &[u32],
-        limbs: &(dyn Fn(Vec2) -> [f32; 2] + Sync),
+        limbs: LimbsAt<'_>,
         (colour, pixel_angle): (f32, f32),
     ) -> Self {
-        let grids = CasterGrids::new(&scene.terrain);
-        let sunlit = SunlitScene { scene, casters: &selection.casters, grids, caster_grid, limbs };
+        let sunlight = Sunlight::new(scene, &selection.casters, caster_grid, limbs);
         let of_rock = |(index, selected): (usize, &SelectedRock)| {
             let rock = &scene.rocks[selected.rock];
             let exposed = Exposed::new(scene, rock);
-            let is_speck = 2.0 * rock.base_scale_m < MIN_PX * pixel_angle * selected.nearest_m;
-            let lit = (!is_speck && rock.body.is_rock()).then(|| LitRock {
-                foot: exposed.foot,
-                height_m: exposed.height_m,
-                radius_m: rock.base_scale_m,
-                light: colour
-                    * rock.material.albedo
-                    * scene.sun.irradiance
-                    * sunlit.of_rock(selected, &exposed),
-                slot: Slots::rock(index),
-            });
+            let is_speck =
+                2.0 * rock.base_scale_m < (MIN_PX * pixel_angle).min(MIN_ANGLE) * selected.nearest_m;
+            let is_source = !is_speck && rock.body.is_rock();
+            let faces = if is_source {
+                faces(scene, &sunlight, selected, &exposed)
+            } else {
+                [LitFace::default(); FACES]
+            };
+            let light = colour * rock.material.albedo * scene.sun.irradiance;
+            let lit = faces.map(|face| LitFace { light, slot: Slots::rock(index), ..face });
             let is_judged = !is_speck && selected.visible_level.is_some();
-            (is_judged.then(|| sunlit.around(selected, rock, &exposed)), lit)
+            (is_judged.then(|| around(scene, &sunlight, selected, &exposed)), lit)
         };
-        let (around, rocks): (Vec<Option<[f32; 2]>>, Vec<Option<LitRock>>) =
+        let (around, faces): (Vec<Option<[f32; 2]>>, Vec<[LitFace; FACES]>) =
             selection.rocks.par_iter().enumerate().map(of_rock).unzip();
         let judged = || around.iter().flatten();
         let past_ground =
             judged().map(|[past_ground, _]| past_ground).sum::<f32>() / judged().count().max(1) as f32;
         let relative = |[_, past_all]: [f32; 2]| (past_all / past_ground.max(1e-3)).min(1.0);
         let sunlit_ground = around.iter().map(|around| around.map_or(1.0, relative)).collect();
-        let rocks: Vec<LitRock> = rocks.into_iter().flatten().filter(|rock| rock.light.y > 0.0).collect();
-        Self { sunlit_ground, ..Self::listed(grids, &rocks) }
+        let faces: Vec<LitFace> =
+            faces.into_iter().flatten().filter(|face| face.area_vector != Vec3::ZERO).collect();
+        Self { sunlit_ground, ..Self::listed(CasterGrids::new(&scene.terrain), &faces) }
     }
 
     /// `FrameUniforms::lit_rocks`, where [`Self::words`] follow this many other words.
     #[must_use]
     pub fn uniform(&self, before: usize) -> [u32; 4] {
         let before = before as u32;
-        [before, before + self.first_rock, self.cells, u32::from(!self.words.is_empty())]
+        [before, before + self.first_face, self.cells, u32::from(!self.words.is_empty())]
     }
 
-    /// Lists the rocks by the cells that they reach: a counting sort.
-    fn listed(grids: CasterGrids, rocks: &[LitRock]) -> Self {
+    /// Lists the faces by the cells that they reach: a counting sort.
+    fn listed(grids: CasterGrids, faces: &[LitFace]) -> Self {
         let grids = CasterGrids { cells: (grids.cells / CASTER_CELLS).max(1), ..grids };
         let mut pairs: Vec<(u32, u32)> = Vec::new();
-        for (index, rock) in (0..).zip(rocks) {
-            let reach_m = REACH * (rock.height_m * rock.radius_m).sqrt();
-            for_cells_within(&grids, rock.foot.truncate(), reach_m, |cell| {
+        for (index, face) in (0..).zip(faces) {
+            let reach_m = REACH * face.area_vector.length().sqrt();
+            for_cells_within(&grids, face.middle.truncate(), reach_m, |cell| {
                 pairs.push((cell, index));
             });
         }
         pairs.sort_unstable();
         let cells = grids.cell_count();
-        let first_rock = cells + 1 + pairs.len();
-        let mut words = vec![0; first_rock + ROCK_WORDS * rocks.len()];
+        let first_face = cells + 1 + pairs.len();
+        let mut words = vec![0; first_face + FACE_WORDS * faces.len()];
         for &(cell, _) in &pairs {
             words[cell as usize + 1] += 1;
         }
@@ -143,11 +137,11 @@ impl LitRocks {
             start += *word;
             *word = start;
         }
-        for (word, (_, rock)) in words[cells + 1..].iter_mut().zip(&pairs) {
-            *word = *rock;
+        for (word, (_, face)) in words[cells + 1..].iter_mut().zip(&pairs) {
+            *word = *face;
         }
-        words[first_rock..].copy_from_slice(bytemuck::cast_slice(rocks));
-        Self { words, first_rock: first_rock as u32, cells: grids.cells, sunlit_ground: Vec::new() }
+        words[first_face..].copy_from_slice(bytemuck::cast_slice(faces));
+        Self { words, first_face: first_face as u32, cells: grids.cells, sunlit_ground: Vec::new() }
     }
 }
 
@@ -193,73 +187,66 @@ impl Exposed {
         let top_m = rock.centre.z + rock.z_range_m[1];
         Self { foot: position.extend(ground_m), height_m: (top_m - ground_m).max(0.1 * rock.base_scale_m) }
     }
-
-    /// The point at a fraction of its height.
-    fn at(&self, fraction: f32) -> Vec3 {
-        self.foot + fraction * self.height_m * Vec3::Z
-    }
 }
 
-impl SunlitScene<'_> {
-    /// Sunlit fraction of the side of a rock that faces the sun.
-    fn of_rock(&self, selected: &SelectedRock, exposed: &Exposed) -> f32 {
-        let [lower, upper] = (self.limbs)(exposed.foot.truncate());
-        let hidden_m = 0.5 * (lower + upper) - exposed.foot.z;
-        let past_ground = (1.0 - hidden_m / exposed.height_m).clamp(0.0, 1.0);
-        let radius_m = self.scene.rocks[selected.rock].base_scale_m.min(exposed.height_m);
-        past_ground * self.past_rocks(exposed.at(0.5), radius_m, selected.rock)
-    }
-
-    /// Sunlit fraction of the ground around a rock, past other ground and past everything.
-    fn around(&self, selected: &SelectedRock, rock: &Rock, exposed: &Exposed) -> [f32; 2] {
-        let away = -self.scene.sun.direction.truncate().normalize_or(Vec2::X);
-        let mut sums = [0.0; 2];
-        for (turn_deg, radii) in GROUND_AROUND {
-            let (sin, cos) = (libm::sin(turn_deg.to_radians()), libm::cos(turn_deg.to_radians()));
-            let towards = away.rotate(Vec2::new(cos as f32, sin as f32));
-            let position = exposed.foot.truncate() + radii * rock.base_scale_m * towards;
-            let point = position.extend(self.scene.terrain.surface_height_at(position));
-            let [lower, upper] = (self.limbs)(position);
-            let past_ground = ((point.z - upper) / (lower - upper).max(1e-6)).clamp(0.0, 1.0);
-            sums[0] += past_ground;
-            sums[1] += past_ground * self.past_rocks(point, 0.25 * rock.base_scale_m, selected.rock);
+/// The sunlit faces of a rock, without light and slot; zero where too little is sunlit.
+fn faces(
+    scene: &Scene,
+    sunlight: &Sunlight<'_>,
+    selected: &SelectedRock,
+    exposed: &Exposed,
+) -> [LitFace; FACES] {
+    let rock = &scene.rocks[selected.rock];
+    let sun = scene.sun.direction;
+    let towards = sun.truncate().normalize_or(Vec2::X);
+    let mut faces = [LitFace::default(); FACES];
+    let mut areas_m2 = [0.0; FACES];
+    for corners in &Icosphere::shared().triangles[COARSE_LEVEL.min(rock.level)] {
+        let [a, b, c] = corners.map(|corner| rock.vertices[corner as usize].position);
+        let area_vector = (0.5 / COARSE_AREA) * (b - a).cross(c - a);
+        let middle = rock.centre + (a + b + c) / 3.0;
+        if area_vector.dot(sun) <= 0.0 || middle.z < exposed.foot.z {
+            continue;
         }
-        sums.map(|sum| sum / GROUND_AROUND.len() as f32)
-    }
-
-    /// Fraction of a disc of this radius that is sunlit past all rocks but one.
-    fn past_rocks(&self, point: Vec3, radius_m: f32, but: usize) -> f32 {
-        let sun = self.scene.sun.direction;
-        let others = self.casters_at(point.truncate()).iter().map(|&caster| &self.casters[caster as usize]);
-        others.filter(|caster| caster.rock != but).fold(1.0, |sunlit, caster| {
-            let offset = caster.tile.centre - point;
-            let along_m = offset.dot(sun);
-            if along_m <= 0.0 {
-                return sunlit;
-            }
-            let across_m = (offset - along_m * sun).length();
-            let own_m = SHADOW_RADIUS * caster.tile.half_extent_m;
-            let covered = ((own_m + radius_m - across_m) / (2.0 * own_m.min(radius_m))).clamp(0.0, 1.0);
-            sunlit * (1.0 - covered * (own_m * own_m / (radius_m * radius_m)).min(1.0))
-        })
-    }
-
-    /// The casters that can shade a point.
-    fn casters_at(&self, point: Vec2) -> &[u32] {
-        let CasterGrids { centre, half_m, cells, levels } = self.grids;
-        let from_centre = (point - centre).abs().max_element();
-        let mut level = 0;
-        while level + 1 < levels && from_centre > half_m * (1_u32 << level) as f32 {
-            level += 1;
-        }
-        let half_m = half_m * (1_u32 << level) as f32;
-        let index = |metres: f32| {
-            ((metres + half_m) * 0.5 * cells as f32 / half_m).clamp(0.0, (cells - 1) as f32) as u32
+        let area_m2 = area_vector.length();
+        let past_ground = sunlight.past_ground(middle);
+        let sunlit = if past_ground > 0.0 {
+            past_ground * sunlight.past_rocks(middle, 0.5 * area_m2.sqrt(), selected.rock)
+        } else {
+            0.0
         };
-        let cell = ((level * cells + index(point.y - centre.y)) * cells + index(point.x - centre.x)) as usize;
-        let [start, end] = [cell, cell + 1].map(|cell| (self.caster_grid[cell] & !TEST_HORIZON) as usize);
-        &self.caster_grid[start..end]
+        let face = usize::from(area_vector.truncate().perp_dot(towards) > 0.0);
+        faces[face].area_vector += sunlit * area_vector;
+        faces[face].middle += sunlit * area_m2 * middle;
+        areas_m2[face] += sunlit * area_m2;
     }
+    let min_m2 = (MIN_AREA * rock.base_scale_m * rock.base_scale_m).max(f32::MIN_POSITIVE);
+    for (face, area_m2) in faces.iter_mut().zip(areas_m2) {
+        let is_too_small = face.area_vector.length() < min_m2;
+        *face = if is_too_small {
+            LitFace::default()
+        } else {
+            LitFace { middle: face.middle / area_m2, ..*face }
+        };
+    }
+    faces
+}
+
+/// Sunlit fraction of the ground around a rock, past other ground and past everything.
+fn around(scene: &Scene, sunlight: &Sunlight<'_>, selected: &SelectedRock, exposed: &Exposed) -> [f32; 2] {
+    let radius_m = scene.rocks[selected.rock].base_scale_m;
+    let away = -scene.sun.direction.truncate().normalize_or(Vec2::X);
+    let mut sums = [0.0; 2];
+    for (turn_deg, radii) in GROUND_AROUND {
+        let (sin, cos) = (libm::sin(turn_deg.to_radians()), libm::cos(turn_deg.to_radians()));
+        let towards = away.rotate(Vec2::new(cos as f32, sin as f32));
+        let position = exposed.foot.truncate() + radii * radius_m * towards;
+        let point = position.extend(scene.terrain.surface_height_at(position));
+        let past_ground = sunlight.past_ground(point);
+        sums[0] += past_ground;
+        sums[1] += past_ground * sunlight.past_rocks(point, 0.25 * radius_m, selected.rock);
+    }
+    sums.map(|sum| sum / GROUND_AROUND.len() as f32)
 }
 
 #[cfg(test)]
@@ -267,19 +254,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_rock_is_listed_in_every_cell_that_it_reaches() {
+    fn a_face_is_listed_in_every_cell_that_it_reaches() {
         let grids = CasterGrids { centre: Vec2::new(3.0, -8.0), half_m: 4.0, cells: 192, levels: 5 };
-        let rocks: Vec<LitRock> = (0..40)
+        let faces: Vec<LitFace> = (0..40)
             .map(|k| {
                 let (angle, distance_m) = (2.4 * f64::from(k), 1.3 * f64::from(k));
                 let offset = distance_m * glam::DVec2::new(libm::cos(angle), libm::sin(angle));
-                let foot = (grids.centre + offset.as_vec2()).extend(0.0);
+                let middle = (grids.centre + offset.as_vec2()).extend(0.0);
                 let size_m = 0.05 * (1 + k % 7) as f32;
-                LitRock { foot, height_m: size_m, light: Vec3::ONE, radius_m: size_m, slot: k as u32 + 1 }
+                LitFace {
+                    middle,
+                    area_vector: size_m * size_m * Vec3::X,
+                    light: Vec3::ONE,
+                    slot: k as u32 + 1,
+                }
             })
             .collect();
-        let lit = LitRocks::listed(grids, &rocks);
-        assert_eq!(lit.words.len(), lit.first_rock as usize + ROCK_WORDS * rocks.len());
+        let lit = LitRocks::listed(grids, &faces);
+        assert_eq!(lit.words.len(), lit.first_face as usize + FACE_WORDS * faces.len());
         let mut listed = 0;
         for (x, y) in (-300..300).flat_map(|x| (-300..300).map(move |y| (x, y))).step_by(17) {
             let from_centre = 0.2 * Vec2::new(x as f32 + 0.37, y as f32 + 0.11);
@@ -290,10 +282,10 @@ mod tests {
             let cell = (level * lit.cells + index(from_centre.y)) * lit.cells + index(from_centre.x);
             let [first, end] = [cell, cell + 1].map(|cell| lit.words[cell as usize] as usize);
             let list = &lit.words[first..end];
-            for (index, rock) in (0..).zip(&rocks) {
-                let distance_m = (grids.centre + from_centre).distance(rock.foot.truncate());
-                let is_reached = distance_m < REACH * rock.height_m;
-                assert!(!is_reached || list.contains(&index), "rock {index} at {from_centre}");
+            for (index, face) in (0..).zip(&faces) {
+                let distance_m = (grids.centre + from_centre).distance(face.middle.truncate());
+                let is_reached = distance_m < REACH * face.area_vector.x.sqrt();
+                assert!(!is_reached || list.contains(&index), "face {index} at {from_centre}");
             }
             listed += list.len();
         }
