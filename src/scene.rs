@@ -7,6 +7,7 @@
 pub mod azimuth;
 pub mod bounce;
 pub mod camera;
+pub mod crater_rays;
 pub mod crater_wall;
 pub mod craters;
 pub mod far_hills;
@@ -20,7 +21,6 @@ pub mod mesh;
 pub mod noise;
 pub mod nominal_craters;
 pub mod photometry;
-pub mod rays;
 pub mod relief;
 pub mod rings;
 pub mod rings_mesh;

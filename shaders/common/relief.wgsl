@@ -135,7 +135,7 @@ fn ground_detail(
     }
     // What hides the ground hides its shadows.
     detail.sun = mix(detail.sun, 0.0, cover.share) + cover.sun;
-    detail.albedo *= rays_factor(point + sum.w * eye_way, sample_m);
+    detail.albedo *= crater_rays_factor(point + sum.w * eye_way, sample_m);
     return detail;
 }
 

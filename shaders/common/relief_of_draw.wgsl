@@ -12,8 +12,8 @@ fn relief_grains(k: u32) -> Lattice {
     return relief.grains[k];
 }
 
-fn relief_rays(k: u32) -> RayCrater {
-    return relief.rays[k];
+fn relief_crater_rays(k: u32) -> RayCrater {
+    return relief.crater_rays[k];
 }
 
 fn relief_view() -> ReliefView {

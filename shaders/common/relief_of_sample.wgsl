@@ -15,8 +15,8 @@ fn relief_grains(k: u32) -> Lattice {
     return reliefs[relief_slot].relief.grains[k];
 }
 
-fn relief_rays(k: u32) -> RayCrater {
-    return reliefs[relief_slot].relief.rays[k];
+fn relief_crater_rays(k: u32) -> RayCrater {
+    return reliefs[relief_slot].relief.crater_rays[k];
 }
 
 fn relief_view() -> ReliefView {

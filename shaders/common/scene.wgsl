@@ -122,7 +122,7 @@ struct ReliefUniforms {
     pits: array<Lattice, 12>,
     grains: array<Lattice, 5>,
     // Those whose rays matter most first.
-    rays: array<RayCrater, 5>,
+    crater_rays: array<RayCrater, 5>,
 }
 
 // Dynamic offsets of uniforms are multiples of 256 bytes.

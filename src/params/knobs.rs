@@ -83,7 +83,7 @@ knobs! {
     WallHeightM "wall.height_m" "m" in Surface Number, Frame, number(0.0), [0.0, 400.0],
         "Height of the crest of a large old crater above its floor, on which the camera stands; 0 for no such crater.";
     WallDistanceM "wall.distance_m" "m" in Surface Number, Frame, number(600.0), [50.0, 2000.0],
-        "Distance from the camera to the crest of that crater's wall, in the direction of wall.relative_azimuth_deg. The opposite crest is twice the radius from it, so that between one and two radii the camera stands inside, behind the centre, and beyond that outside.";
+        "Distance from the camera to the crest of that crater's wall, in the direction of wall.relative_azimuth_deg. Up to twice wall.radius_m the camera stands inside the crater; beyond, it sees the wall's outer slope.";
     WallRadiusM "wall.radius_m" "m" in Surface Number, Frame, number(700.0), [100.0, 2000.0],
         "Radius of that crater, from its centre to the crest of its rim.";
     WallSlopeDeg "wall.slope_deg" "deg" in Surface Number, Frame, number(22.0), [5.0, 35.0],

@@ -1,12 +1,12 @@
 //! Lighting: from the G-buffer to radiance and class, in one draw for each shading bin or in one for all.
 //! Must not know: how visibility was found.
 
+pub(crate) mod crater_rays_host;
 pub(crate) mod detail_sums;
 pub(crate) mod gbuffer;
 pub(crate) mod grains_host;
 pub(crate) mod ground_batch;
 pub(crate) mod pass;
-pub(crate) mod rays_host;
 pub mod relief_bands;
 pub(crate) mod slopes_host;
 pub(crate) mod waves_host;

@@ -8,6 +8,7 @@
 use fearless_simd::{Level, dispatch};
 use glam::Vec2;
 
+use super::crater_rays::CraterRays;
 use super::crater_wall::CraterWall;
 use super::craters::{CraterField, Pit};
 use super::far_hills::FarHills;
@@ -15,7 +16,6 @@ use super::fillet::{BATCH, Fillet};
 use super::grains::GrainField;
 use super::lattice::Lattice;
 use super::noise::{GRADIENT_NOISE_SIGMA, SHADE_SIGMA, gradient_noise_difference, patchy_noise_2d};
-use super::rays::Rays;
 use super::track::Track;
 use crate::params::{Knob, Params};
 use crate::random::Streams;
@@ -82,7 +82,7 @@ pub struct Relief {
     /// The wall of a large old crater, if there is one.
     pub wall: Option<CraterWall>,
     /// Rays of fresh craters: the soil's albedo, no height.
-    pub rays: Rays,
+    pub crater_rays: CraterRays,
 }
 
 /// The craters, clods, tracks and fillets that can change the height in some region.
@@ -139,8 +139,17 @@ impl Relief {
         let grains = GrainField::new(streams, params, centre);
         let far_hills = FarHills::new(streams, params, centre);
         let wall = CraterWall::new(streams, params, centre);
-        let rays = Rays::new(params, &craters);
-        Self { octaves, craters, grains, tracks: Vec::new(), fillets: Vec::new(), far_hills, wall, rays }
+        let crater_rays = CraterRays::new(params, &craters);
+        Self {
+            octaves,
+            craters,
+            grains,
+            tracks: Vec::new(),
+            fillets: Vec::new(),
+            far_hills,
+            wall,
+            crater_rays,
+        }
     }
 
     /// What can change the height within a circle (metres from the centre), at this cell size or a larger one.

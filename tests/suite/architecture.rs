@@ -118,7 +118,7 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
             ],
             &["lattice", "rings"],
             &["crater_wall", "craters", "far_hills", "fillet", "track"],
-            &["grains", "rays"],
+            &["grains", "crater_rays"],
             &["relief"],
             &["terrain"],
             &["bounce", "camera", "rings_mesh", "square_grid"],

@@ -157,7 +157,7 @@ fn rays_of_fresh_craters_are_radial_and_limited() {
     let (mut along, mut across, mut brightest, mut bright, mut points) = (0.0, 0.0, 0.0_f32, 0, 0);
     for seed in 3..9 {
         let scene = scene(seed, &set);
-        let rays = &scene.relief.as_ref().expect("a relief").rays;
+        let rays = &scene.relief.as_ref().expect("a relief").crater_rays;
         assert!(!rays.craters.is_empty() && rays.contrast == 0.3, "seed {seed}");
         for crater in &rays.craters {
             for k in 0..2000_u16 {

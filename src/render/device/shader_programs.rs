@@ -99,7 +99,7 @@ macro_rules! surface_program {
                 "hash",
                 "relief",
                 "grains",
-                "rays",
+                "crater_rays",
                 "sun_disc",
                 "rock_texture",
                 "shading",

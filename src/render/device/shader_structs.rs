@@ -5,7 +5,7 @@
 use bytemuck::{Pod, Zeroable};
 use glam::{Mat4, Vec2, Vec3};
 
-use crate::scene::rays::MAX_RAY_CRATERS;
+use crate::scene::crater_rays::MAX_RAY_CRATERS;
 
 /// Name, offset and size of a field, in bytes.
 pub type FieldLayout = (&'static str, usize, usize);
@@ -138,7 +138,7 @@ shader_struct! {
         noise: [LatticeUniforms; 12],
         pits: [LatticeUniforms; 12],
         grains: [LatticeUniforms; 5],
-        rays: [RayCrater; MAX_RAY_CRATERS],
+        crater_rays: [RayCrater; MAX_RAY_CRATERS],
     }
 }
 

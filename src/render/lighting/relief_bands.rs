@@ -61,7 +61,7 @@ impl ReliefBands {
             fresh_share: relief.craters.fresh_share,
             grain_ratio: relief.grains.material.ratio,
             grain_spread: relief.grains.material.spread,
-            ray_contrast: relief.rays.contrast,
+            ray_contrast: relief.crater_rays.contrast,
             ..Default::default()
         };
         let rows = (terrain.rows.div_ceil(BLOCK_CELLS) as usize).div_ceil(MAX_BANDS);
@@ -149,7 +149,7 @@ fn band_uniforms(
         };
         uniforms.view.grain_lattices += 1;
     }
-    for (slot, crater) in uniforms.rays.iter_mut().zip(&relief.rays.craters) {
+    for (slot, crater) in uniforms.crater_rays.iter_mut().zip(&relief.crater_rays.craters) {
         *slot = RayCrater { offset: crater.offset, radius_m: crater.radius_m, seed: crater.seed };
     }
     uniforms

@@ -13,10 +13,10 @@ use half::slice::HalfFloatSliceExt;
 
 use crate::render::device::shader_structs::{LatticeUniforms, ReliefUniforms, ReliefView};
 use crate::render::device::shading_bins::{LightingVariant, ShadingBin, ShadingBins};
+use crate::render::lighting::crater_rays_host::add_crater_rays;
 use crate::render::lighting::detail_sums::DetailSums;
 use crate::render::lighting::grains_host::{GrainGround, GroundDetail, add_grains};
 use crate::render::lighting::ground_batch::{BATCH, GroundBatch, MIN_TESTED_SAMPLES, SampleBatch, Vectors};
-use crate::render::lighting::rays_host::add_rays;
 use crate::render::lighting::relief_bands::{ReliefBands, sample_share};
 use crate::render::lighting::waves_host::{MIN_LOW_WAY, noise_slope, set_strength};
 use crate::scene::craters::{
@@ -202,7 +202,7 @@ fn ground_detail(
         }
     }
     if view.ray_contrast > 0.0 {
-        add_rays(relief, Vectors { x, y }, &ground.sample_m, &mut detail.albedo);
+        add_crater_rays(relief, Vectors { x, y }, &ground.sample_m, &mut detail.albedo);
     }
     for (i, result) in result.iter_mut().enumerate() {
         // What hides the ground hides its shadows.

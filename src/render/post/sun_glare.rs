@@ -101,12 +101,13 @@ impl SunGlare {
     fn radiance_in(&self, sun: &Sun, [x, y]: [usize; 2]) -> Vec3 {
         let steps = 0..LIMB_STEPS * LIMB_STEPS;
         let at = |step: usize| (step as f64 + 0.5) / LIMB_STEPS as f64;
+        // In the axes of the camera, as `towards` is.
+        let sun = Sun { direction: self.towards, ..*sun };
         let (mut sum, mut points) = (Vec3::ZERO, 0.0);
         for step in steps {
             let point = self.point([x as f64 + at(step % LIMB_STEPS), y as f64 + at(step / LIMB_STEPS)]);
             let ray = point.extend(1.0) / point.extend(1.0).length();
-            // In the axes of the camera, as `towards` is.
-            let cosine = Sun { direction: self.towards, ..*sun }.cosine_along(ray);
+            let cosine = sun.cosine_along(ray);
             if cosine > 0.0 {
                 sum += sun.radiance_at(cosine);
                 points += 1.0;

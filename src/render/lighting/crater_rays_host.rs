@@ -1,17 +1,17 @@
 //! Rays of fresh craters at a batch of samples, on the host.
 //!
-//! CPU counterpart of `rays_factor` in `shaders/common/rays.wgsl`. All is inlined, to be compiled for each width of vectors.
+//! CPU counterpart of `crater_rays_factor` in `shaders/common/crater_rays.wgsl`. All is inlined, to be compiled for each width of vectors.
 //! Must not know: what else is summed.
 
 use glam::Vec2;
 
 use super::ground_batch::{BATCH, Vectors};
 use crate::render::device::shader_structs::ReliefUniforms;
-use crate::scene::rays::{RAYS_REACH, RayCrater};
+use crate::scene::crater_rays::{RAYS_REACH, RayCrater};
 
 /// Multiplies the factors on the soil's albedo at points (metres from the centre of the ground), where samples are this far apart.
 #[inline(always)]
-pub(super) fn add_rays(
+pub(super) fn add_crater_rays(
     relief: &ReliefUniforms,
     point: Vectors,
     sample_m: &[f32; BATCH],
@@ -19,7 +19,7 @@ pub(super) fn add_rays(
 ) {
     let mut brightest = [0.0_f32; BATCH];
     // Craters that are not there have no radius, and are reached nowhere.
-    for crater in &relief.rays {
+    for crater in &relief.crater_rays {
         let crater = RayCrater { offset: crater.offset, radius_m: crater.radius_m, seed: crater.seed };
         let reach_m = RAYS_REACH * crater.radius_m;
         let mut reached = 0;

@@ -1,4 +1,4 @@
-// Rays of fresh craters: a factor on the soil's albedo. src/scene/rays.rs has the same function and constants, and explains them.
+// Rays of fresh craters: a factor on the soil's albedo. src/scene/crater_rays.rs has the same function and constants, and explains them.
 
 const RAYS_REACH: f32 = 16.0;
 const HALO_REACH: f32 = 3.0;
@@ -8,13 +8,13 @@ const MOTTLE_CELLS_PER_RADIUS: f32 = 1.6;
 const MEAN_STREAK: f32 = 0.2;
 
 // Factor on the albedo of the soil at a point (metres from the centre of the ground), where samples are `sample_m` apart.
-fn rays_factor(point: vec2<f32>, sample_m: f32) -> f32 {
+fn crater_rays_factor(point: vec2<f32>, sample_m: f32) -> f32 {
     let contrast = relief_view().ray_contrast;
     if contrast == 0.0 { return 1.0; }
     var brightness = 0.0;
     // Craters that are not there have no radius.
-    for (var k = 0u; k < 5u && relief_rays(k).radius_m > 0.0; k++) {
-        brightness = max(brightness, ray_brightness(relief_rays(k), point, sample_m));
+    for (var k = 0u; k < 5u && relief_crater_rays(k).radius_m > 0.0; k++) {
+        brightness = max(brightness, ray_brightness(relief_crater_rays(k), point, sample_m));
     }
     let shade = contrast * brightness;
     // The exponential function to second order.

@@ -1,9 +1,9 @@
-//! Rays of fresh craters: the soil that they threw out is less mature than that around them, and brighter.
+//! CraterRays of fresh craters: the soil that they threw out is less mature than that around them, and brighter.
 //!
 //! A crater that is not yet worn has a bright halo of continuous ejecta, and beyond it streaks that run outwards from it, broken and mottled
 //! by the secondary impacts that laid them (Hawke et al. 2004, "The origin of lunar crater rays"). They are the logarithm of a factor on
 //! the soil's albedo: a function of the position on the ground, faded to its mean where samples do not show it.
-//! Here are the few craters whose rays matter most near the camera. The function has a counterpart in `shaders/common/rays.wgsl`.
+//! Here are the few craters whose rays matter most near the camera. The function has a counterpart in `shaders/common/crater_rays.wgsl`.
 //! Must not know: who asks.
 
 use glam::Vec2;
@@ -42,14 +42,14 @@ pub struct RayCrater {
 
 /// The rays of a scene.
 #[derive(Clone, Debug, Default)]
-pub struct Rays {
+pub struct CraterRays {
     /// Logarithm of the albedo of the brightest rays over that of the soil between them; 0 if there are none.
     pub contrast: f32,
     /// The craters, those first whose rays are strongest near the camera; empty without contrast.
     pub craters: Vec<RayCrater>,
 }
 
-impl Rays {
+impl CraterRays {
     /// The rays of these craters near the centre of the ground, where the camera stands.
     #[must_use]
     pub fn new(params: &Params, craters: &CraterField) -> Self {
