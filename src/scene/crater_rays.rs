@@ -1,4 +1,4 @@
-//! CraterRays of fresh craters: the soil that they threw out is less mature than that around them, and brighter.
+//! Rays of fresh craters: the soil that they threw out is less mature than that around them, and brighter.
 //!
 //! A crater that is not yet worn has a bright halo of continuous ejecta, and beyond it streaks that run outwards from it, broken and mottled
 //! by the secondary impacts that laid them (Hawke et al. 2004, "The origin of lunar crater rays"). They are the logarithm of a factor on
@@ -40,7 +40,7 @@ pub struct RayCrater {
     pub seed: u32,
 }
 
-/// The rays of a scene.
+/// The rays of a scene's craters.
 #[derive(Clone, Debug, Default)]
 pub struct CraterRays {
     /// Logarithm of the albedo of the brightest rays over that of the soil between them; 0 if there are none.
