@@ -11,14 +11,21 @@
 // Whether the ground is made of rings (`Layout::Rings`), each with a grid over twice the extent of the one before.
 override RINGS: bool;
 
+// What the ground, a caster, or all of them, leave of the sun at a point.
+struct Shadow {
+    // Visible fraction of its disc.
+    visibility: f32,
+    // How far inside the shadow the point is, metres: of casters across the sun, of the ground below the shadow's edge.
+    depth_m: f32,
+}
+
 // Of grids that each reach twice as far as the one before, the first that reaches `distance_m`.
 fn finest_level(distance_m: f32, first_reach_m: f32, levels: u32) -> i32 {
     return clamp(i32(ceil(log2(max(distance_m, 1.0e-3) / first_reach_m))), 0, i32(levels) - 1);
 }
 
-// Visible fraction of the sun's disc above the ground's horizon, which counts as straight across the disc, and how far below the
-// edge of its shadow the point is, metres.
-fn horizon_visibility(position: vec3<f32>) -> vec2<f32> {
+// The shadow of the ground; its horizon counts as straight across the sun's disc.
+fn shadow_of_ground(position: vec3<f32>) -> Shadow {
     var level = 0;
     if RINGS {
         level = finest_level(distance(position.xy, light.horizon_centre), light.horizon_base_m, light.horizon_levels);
@@ -41,11 +48,11 @@ fn horizon_visibility(position: vec3<f32>) -> vec2<f32> {
         bilinear(textureGather(0, horizon_map, nearest, uv), t),
         bilinear(textureGather(1, horizon_map, nearest, uv), t),
     );
-    if position.z >= limbs.x { return vec2(1.0, 0.0); }
-    if position.z <= limbs.y { return vec2(0.0, limbs.y - position.z); }
+    if position.z >= limbs.x { return Shadow(1.0, 0.0); }
+    if position.z <= limbs.y { return Shadow(0.0, limbs.y - position.z); }
     // Area of the unit disc on one side of a chord.
     let u = clamp(2.0 * (position.z - limbs.y) / (limbs.x - limbs.y) - 1.0, -1.0, 1.0);
-    return vec2(0.5 + (u * sqrt(1.0 - u * u) + asin(u)) * (1.0 / 3.14159265), 0.0);
+    return Shadow(0.5 + (u * sqrt(1.0 - u * u) + asin(u)) * (1.0 / 3.14159265), 0.0);
 }
 
 // Interpolates four texels in the order of `textureGather`: (0, 1), (1, 1), (1, 0), (0, 0).

@@ -38,9 +38,10 @@ fn bounce_on_rock(ground: vec3<f32>, normal: vec3<f32>, height: f32, sun_horizon
 // sunlit ground it is about as far across the sun, and further by one over the sine along it: the geometric mean counts. The
 // part of the view that higher ground fills goes with the square of its slope, and slopes fall with about the fourth root of the
 // distance over which they are measured (Hurst exponent 0.77: Guo et al. 2021); nearer ground hides some of it. Rays traced from
-// soil in the shadow of rocks find this power.
+// soil in the shadow of rocks find a power of 3/4.
 fn left_in_shadow(depth_m: f32, sine: f32) -> f32 {
-    return pow(NEAR_SUNLIT_M / max(depth_m * inverseSqrt(max(sine, 0.01)), NEAR_SUNLIT_M), 0.75);
+    let root = sqrt(NEAR_SUNLIT_M / max(depth_m * inverseSqrt(max(sine, 0.01)), NEAR_SUNLIT_M));
+    return root * sqrt(root);
 }
 
 // Light on the ground from such ground that stands higher. Of what lies around no higher than the point, the fraction `sunlit`
@@ -58,7 +59,12 @@ fn bounce_on_ground(ground: vec3<f32>, normal: vec3<f32>, sun_horizontal: vec2<f
 fn azimuth_powers(normal: vec3<f32>, sun_horizontal: vec2<f32>) -> vec4<f32> {
     let per_length = inverseSqrt(max(1.0 - normal.z * normal.z, 1.0e-6));
     let u = clamp(dot(normal.xy, sun_horizontal) * per_length, -1.0, 1.0);
-    return vec4(1.0, u, u * u, u * u * u);
+    return powers_of(u);
+}
+
+// Powers 0 to 3.
+fn powers_of(x: f32) -> vec4<f32> {
+    return vec4(1.0, x, x * x, x * x * x);
 }
 
 // Irradiance from a sky of even radiance.

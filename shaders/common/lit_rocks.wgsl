@@ -42,10 +42,8 @@ fn light_of_rocks(position: vec3<f32>, normal: vec3<f32>, slot: u32, is_wanted: 
         let towards_point = max(-dot(area_vector, way), 0.0);
         let towards_sun = dot(area_vector, light.sun_direction);
         let solid_angle = towards_point / (square + area * PER_PI);
-        let cos_phase = -dot(way, light.sun_direction);
-        let powers = vec4(1.0, cos_phase, cos_phase * cos_phase, cos_phase * cos_phase * cos_phase);
         // Some laws are so dark in forward directions that the polynomial is below zero there.
-        let phase = max(dot(frame.rock_phase, powers), 0.0);
+        let phase = max(dot(frame.rock_phase, powers_of(-dot(way, light.sun_direction))), 0.0);
         let reflectance = phase * towards_sun / (towards_sun + towards_point);
         let reach = square / (REACH * REACH * area);
         let slope = max(way.z, 0.0);

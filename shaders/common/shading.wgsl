@@ -128,23 +128,23 @@ fn shade_detail(surface: Surface, instance: Instance, detail: u32, to_eye: vec3<
 fn sun_visibility(surface: Surface, sample: vec2<f32>) -> SunVisibility {
     let position = light.eye + surface.offset;
     let faces_sun = dot(surface.normal, light.sun_direction) > 0.0;
-    var horizon = vec2(1.0, 0.0);
+    var of_ground = Shadow(1.0, 0.0);
     var cell = GridCell();
     if (SHADOW_SOURCES & SHADOWED_BY_ROCKS) != 0u { cell = grid_cell(position); }
     if SHADOW_SOURCES == SHADOWED_BY_GROUND
         || (SHADOW_SOURCES == (SHADOWED_BY_GROUND | SHADOWED_BY_ROCKS) && cell.in_horizon) {
-        horizon = horizon_visibility(position);
+        of_ground = shadow_of_ground(position);
     }
-    var shadow = Shadow(horizon.x, 0.0);
+    var shadow = of_ground;
     if (SHADOW_SOURCES & SHADOWED_BY_ROCKS) != 0u && faces_sun {
         let angle = 6.2831853 * interleaved_gradient_noise(sample);
         let spoke = vec2(cos(angle), sin(angle));
-        shadow = visibility_past_casters(cell, horizon.x, position, surface.geometric_normal, surface.normal, spoke);
+        shadow = shadow_of_casters(cell, of_ground, position, surface.geometric_normal, surface.normal, spoke);
     }
     return SunVisibility(
-        horizon.x,
+        of_ground.visibility,
         select(0.0, shadow.visibility, faces_sun),
-        max(shadow.depth_m, horizon.y),
+        shadow.depth_m,
     );
 }
 

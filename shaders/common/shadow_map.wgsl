@@ -61,19 +61,11 @@ fn grid_cell(position: vec3<f32>) -> GridCell {
 // Half the width of the shadow of a rock, as a fraction of half the side of its tile.
 const SHADOW_RADIUS: f32 = 0.8;
 
-// What a caster, or all of them, leave of the sun at a point.
-struct Shadow {
-    // Visible fraction of its disc.
-    visibility: f32,
-    // How far inside the shadow the point is, across the sun, metres.
-    depth_m: f32,
-}
-
-// The shadow of the casters of a cell at a position (metres, world) where the ground leaves the fraction `horizon`. `spoke` is
+// The shadow of the casters of a cell, and of the ground, at a position (metres, world); `of_ground` is that of the ground alone. `spoke` is
 // a unit vector that rotates the filter taps.
-fn visibility_past_casters(
+fn shadow_of_casters(
     cell: GridCell,
-    horizon: f32,
+    of_ground: Shadow,
     position: vec3<f32>,
     geometric_normal: vec3<f32>,
     normal: vec3<f32>,
@@ -88,7 +80,7 @@ fn visibility_past_casters(
     let excess = clamp(3.0 * (dot(normal, light.sun_direction) - facing), 0.0, 1.0);
     let t = clamp(10.0 * facing, 0.0, 1.0);
     let terminator_bias = 0.5 * excess * (1.0 - t * t * (3.0 - 2.0 * t));
-    var shadow = Shadow(horizon, 0.0);
+    var shadow = of_ground;
     for (var i = cell.first; i < cell.end && shadow.visibility > 0.0; i++) {
         let own = caster_visibility(caster_grid[i], position, rise, terminator_bias, spoke);
         shadow.visibility *= own.visibility;
