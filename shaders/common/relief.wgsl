@@ -16,10 +16,11 @@ const MAX_STRENGTH: f32 = 1.2;
 // What fresh craters add to the logarithm of the albedo.
 const FRESH_SHADE: f32 = 0.2;
 // src/render/lighting/detail_sums.rs, slopes_host.rs, waves_host.rs and ground_batch.rs explain these.
-const MIN_CLEARANCE: f32 = 0.3;
+const MIN_CLEARANCE: f32 = 0.7;
 const FAR_M: f32 = 1.0e3;
 const TESTED_CELLS: f32 = 0.5;
 const MIN_LOW_WAY: f32 = 2.0;
+const FIRST_STEP_CELLS: f32 = 0.125;
 const SHADOW_BLUR: f32 = 0.5;
 const MIN_TESTED_SAMPLES: f32 = 3.0;
 const MIN_WAYS_COSINE: f32 = -0.999;
@@ -39,7 +40,7 @@ fn sample_share(size_m: f32, sample_m: f32) -> f32 {
 // What the mesh leaves out of the ground at a point (metres from the centre of the ground), where samples are `sample_m` apart
 // in the geometric mean and `across_m` across the view. `eye_way` and `sun_way` are the horizontal ways of rays to the eye and
 // to the sun per metre that they rise above the mesh.
-// Long because: what one octave hides and shadows, the next begins with.
+// Long because: where one octave is seen and what it shadows, the next begins with.
 fn ground_detail(
     point: vec2<f32>,
     sample_m: f32,
@@ -74,8 +75,8 @@ fn ground_detail(
         strength *= noise_strength(relief_noise(k), point + sum.w * eye_way);
         k++;
     }
-    // Two loops, as software adapters take the time of branches that are not taken: octaves that may hide and shadow the ground, then
-    // those whose cells span too few samples for that.
+    // Two loops, as software adapters take the time of branches that are not taken: octaves that may shadow the ground and need two steps,
+    // then those whose cells span too few samples for that.
     for (; k < light.relief_waves; k++) {
         let octave = relief_noise(k);
         let is_tested = octave.cell_m > MIN_TESTED_SAMPLES * sample_m;
@@ -84,29 +85,27 @@ fn ground_detail(
         let shown = (1.0 - mesh_share(octave.cell_m, cell_m)) * resolved;
         let share = min(strength, MAX_STRENGTH) * shown;
         let tested = select(0.0, clamp(octave.cell_m / (MIN_TESTED_SAMPLES * sample_m) - 1.0, 0.0, 1.0), share > 0.0);
-        // Where this octave hides the ground from the eye: at the wave that does. How far the ray is above the larger waves there.
-        var above_m = 0.0;
-        if tested > 0.0 && per_eye_way < 1.0 / MIN_LOW_WAY {
-            let rise_m = tested_rise_m(octave, per_eye_way);
-            let at = point + (sum.w + rise_m) * eye_way;
-            let slope_m = rise_m * dot(waves, eye_way);
-            let is_hidden = rise_m / tested - (slope_m + share * noise_height(octave, at)) < 0.0;
-            above_m = select(0.0, rise_m - slope_m, is_hidden);
-            sum.w += select(0.0, rise_m, is_hidden);
-            sun_clearance_m += sun_lift * select(0.0, rise_m, is_hidden);
-        }
-        let at = point + sum.w * eye_way;
         if tested > 0.0 && per_sun_way < 1.0 / MIN_LOW_WAY {
-            let rise_m = tested_rise_m(octave, per_sun_way);
+            let rise_m = TESTED_CELLS * octave.cell_m * per_sun_way;
             let way = rise_m * sun_way;
-            let height_m = dot(waves, way) + share * noise_height(octave, at + way);
-            sun_clearance_m = min(sun_clearance_m, rise_m / tested - height_m + above_m);
+            let height_m = dot(waves, way) + share * noise_height(octave, point + sum.w * eye_way + way);
+            sun_clearance_m = min(sun_clearance_m, rise_m / tested - height_m);
         }
-        let noise = noise_slope(octave, at);
+        let start_m = sum.w;
+        // The first of two steps of Newton's method, where one would miss.
+        var rise_m = 0.0;
+        let cells = share * octave.amount / (FIRST_STEP_CELLS * octave.cell_m * per_eye_way);
+        if tested > 0.0 && cells > 1.0 {
+            let first = share * noise_slope(octave, point + sum.w * eye_way).detail;
+            rise_m = min(cells - 1.0, 1.0) * tested * first.w / clearance(sum.xy + first.xy, eye_way);
+        }
+        // What the ray has risen, less what the larger relief has below it.
+        let above_m = rise_m * (1.0 - dot(sum.xy, eye_way));
+        sum.w += rise_m;
+        let noise = noise_slope(octave, point + sum.w * eye_way);
         strength *= noise.strength;
         var wave = vec4(share, share, shown, share) * noise.detail;
         wave.w -= above_m;
-        let start_m = sum.w;
         sum = add_detail(sum, wave, eye_way);
         sun_clearance_m += sun_lift * (sum.w - start_m);
         waves += wave.xy;
@@ -146,11 +145,6 @@ fn hidden_shadows(along: f32, per_eye_way: f32, per_sun_way: f32) -> f32 {
     let tangent_squared = (1.0 - cosine) / (1.0 + max(cosine, MIN_WAYS_COSINE));
     let exponential = 1.0 + sqrt(tangent_squared) + 0.5 * tangent_squared;
     return min(per_sun_way / per_eye_way, 1.0) / (exponential * exponential);
-}
-
-// How much a ray has risen where an octave is asked whether it hides or shadows the ground.
-fn tested_rise_m(octave: Lattice, per_way: f32) -> f32 {
-    return TESTED_CELLS * octave.cell_m * per_way;
 }
 
 // Adds detail at the point where the ray to the eye has the height that is summed so far. The height at which it leaves the ground

@@ -16,8 +16,8 @@ use crate::rounding::floor_and_fraction;
 use cells::lerp;
 pub(crate) use cells::smoothstep;
 pub use gradient::{
-    GRADIENT_NOISE_SIGMA, MAX_GRADIENT_NOISE, SHADE_SIGMA, gradient_noise_2d, gradient_noise_difference,
-    gradient_noise_slope_2d, patchy_noise_2d,
+    GRADIENT_NOISE_SIGMA, SHADE_SIGMA, gradient_noise_2d, gradient_noise_difference, gradient_noise_slope_2d,
+    patchy_noise_2d,
 };
 #[cfg(test)]
 pub(crate) use gradient::{PATCHY_BASE, PATCHY_PEAK};

@@ -319,7 +319,7 @@ mod tests {
             MAX_EYE_WAY, MAX_SUN_WAY, MIN_TESTED_SAMPLES, MIN_WAY, MIN_WAYS_COSINE,
         };
         use crate::render::lighting::slopes_host::SHADOW_BLUR;
-        use crate::render::lighting::waves_host::{MIN_LOW_WAY, TESTED_CELLS};
+        use crate::render::lighting::waves_host::{FIRST_STEP_CELLS, MIN_LOW_WAY, TESTED_CELLS};
         use crate::render::select::caster_grid::TEST_HORIZON;
         use crate::render::select::lit_rocks::{FACE_WORDS, REACH};
         use crate::scene::craters::{CLOD_HEIGHT, JITTER_CELLS, PROFILE_DEPTH, RIM};
@@ -356,6 +356,7 @@ mod tests {
             (&LIGHTING_SURFACE, "MIN_TESTED_SAMPLES", f64::from(MIN_TESTED_SAMPLES)),
             (&LIGHTING_SURFACE, "MIN_WAY", f64::from(MIN_WAY)),
             (&LIGHTING_SURFACE, "MIN_LOW_WAY", f64::from(MIN_LOW_WAY)),
+            (&LIGHTING_SURFACE, "FIRST_STEP_CELLS", f64::from(FIRST_STEP_CELLS)),
             (&LIGHTING_SURFACE, "SHADOW_BLUR", f64::from(SHADOW_BLUR)),
             (&LIGHTING_SURFACE, "TESTED_CELLS", f64::from(TESTED_CELLS)),
             (&LIGHTING_SURFACE, "JITTER_CELLS", f64::from(JITTER_CELLS)),

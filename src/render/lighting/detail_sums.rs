@@ -8,8 +8,8 @@ use glam::Vec2;
 use super::ground_batch::{BATCH, GroundBatch, Vectors};
 
 /// Least clearance of a ray to the eye from the ground that it leaves: how much less the ground rises along it than the ray, relative to
-/// the ray. Ground with less is hidden from the eye.
-pub(crate) const MIN_CLEARANCE: f32 = 0.3;
+/// the ray. Most ground with less is hidden from the eye, and steps of Newton's method with less miss by more.
+pub(crate) const MIN_CLEARANCE: f32 = 0.7;
 /// More than any height of relief below the mesh, metres.
 pub(crate) const FAR_M: f32 = 1e3;
 
@@ -51,13 +51,20 @@ impl DetailSums {
     }
 
     /// Adds detail at that point: its slope, its height, and its shade. The height at which the ray leaves the ground is found by a step
-    /// of Newton's method, with what is summed so far. A ray to the sun from there starts higher, but also further on its way.
+    /// of Newton's method, with what is summed so far.
     #[inline(always)]
     pub(super) fn add(&mut self, ground: &GroundBatch, i: usize, slope: Vec2, height_m: f32, shade: f32) {
+        let rise_m = height_m / self.clearance(ground, i, slope);
         self.x[i] += slope.x;
         self.y[i] += slope.y;
         self.shade[i] += shade;
-        let rise_m = height_m / self.clearance(ground, i);
+        self.move_up(ground, i, rise_m);
+    }
+
+    /// Moves the point where the eye sees sample `i` up its ray, by a height in metres. A ray to the sun from there starts higher, but also
+    /// further on its way.
+    #[inline(always)]
+    pub(super) fn move_up(&mut self, ground: &GroundBatch, i: usize, rise_m: f32) {
         self.height_m[i] += rise_m;
         self.sun_clearance_m[i] += ground.sun_lift[i] * rise_m;
     }
@@ -66,14 +73,21 @@ impl DetailSums {
     /// further apart.
     #[inline(always)]
     pub(super) fn share(&self, ground: &GroundBatch, i: usize, size_m: f32) -> f32 {
-        let clearance = self.clearance(ground, i);
+        let clearance = self.clearance(ground, i, Vec2::ZERO);
         ground.share(i, size_m, if clearance < 1.0 { clearance.sqrt() } else { 1.0 })
+    }
+
+    /// [`Self::rise`] with this slope added, at least [`MIN_CLEARANCE`].
+    #[inline(always)]
+    pub(super) fn clearance(&self, ground: &GroundBatch, i: usize, slope: Vec2) -> f32 {
+        let way = [ground.ways[0].x[i], ground.ways[0].y[i]];
+        let clearance = 1.0 - ((self.x[i] + slope.x) * way[0] + (self.y[i] + slope.y) * way[1]);
+        if clearance > MIN_CLEARANCE { clearance } else { MIN_CLEARANCE }
     }
 
     /// How much less the ground rises along the ray to the eye than the ray, relative to the ray.
     #[inline(always)]
-    pub(super) fn clearance(&self, ground: &GroundBatch, i: usize) -> f32 {
-        let clearance = 1.0 - (self.x[i] * ground.ways[0].x[i] + self.y[i] * ground.ways[0].y[i]);
-        if clearance > MIN_CLEARANCE { clearance } else { MIN_CLEARANCE }
+    pub(super) fn rise(&self, ground: &GroundBatch, i: usize) -> f32 {
+        1.0 - (self.x[i] * ground.ways[0].x[i] + self.y[i] * ground.ways[0].y[i])
     }
 }

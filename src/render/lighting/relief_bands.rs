@@ -187,7 +187,7 @@ fn min_samples_m(scene: &Scene, [columns, rows]: &[Range<u32>; 2]) -> [f32; 2] {
     squares.fold([f32::INFINITY; 2], |a, b| [a[0].min(b[0]), a[1].min(b[1])]).map(f32::sqrt)
 }
 
-fn lattice_uniforms(lattice: &Lattice, amount: f32) -> LatticeUniforms {
+pub(super) fn lattice_uniforms(lattice: &Lattice, amount: f32) -> LatticeUniforms {
     LatticeUniforms {
         rotation_per_m: lattice.turn,
         phase: lattice.phase,

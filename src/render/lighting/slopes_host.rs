@@ -228,13 +228,11 @@ fn add_relief(relief: &ReliefUniforms, ground: &GroundBatch, sums: &mut DetailSu
     }
     let [smallest_cell_m, largest_cell_m, nearest_m] =
         [smallest_cell, largest_cell, nearest].map(f32::from_bits);
-    let mut smallest_per_way = [u32::MAX; 2];
-    for (smallest, per_way) in smallest_per_way.iter_mut().zip(&ground.per_way) {
-        for per_way in per_way {
-            *smallest = (*smallest).min(per_way.to_bits());
-        }
+    let mut smallest_per_way = u32::MAX;
+    for per_way in &ground.per_way[1] {
+        smallest_per_way = smallest_per_way.min(per_way.to_bits());
     }
-    let is_low = smallest_per_way.map(|per_way| f32::from_bits(per_way) < 1.0 / MIN_LOW_WAY);
+    let is_sun_low = f32::from_bits(smallest_per_way) < 1.0 / MIN_LOW_WAY;
     for pits in &relief.pits[..view.pit_lattices as usize] {
         // The smallest pits of a lattice are half as large as its largest; a little room for how sizes are rounded.
         let is_resolved = sample_share(1.001 * pits.max_diameter_m, nearest_m) > 0.0;
@@ -249,7 +247,7 @@ fn add_relief(relief: &ReliefUniforms, ground: &GroundBatch, sums: &mut DetailSu
             set_strength(wave, ground, sums);
         } else if sample_share(wave.cell_m, nearest_m) > 0.0 {
             let is_tested = wave.cell_m > MIN_TESTED_SAMPLES * nearest_m;
-            noise_slope(wave, ground, is_low.map(|is_low| is_low && is_tested), sums);
+            noise_slope(wave, ground, [is_tested, is_sun_low], sums);
         }
     }
     f32::from_bits(nearest_across)

@@ -120,10 +120,6 @@ pub(crate) const PATCHY_BASE: f32 = 0.427;
 /// See [`PATCHY_BASE`].
 pub(crate) const PATCHY_PEAK: f32 = 1.948;
 
-/// More than any value of [`gradient_noise_2d`]: at a point between corners with weights w, distances dx and dy, the sum of
-/// w (0.5 + dx + dy), which is 1.5 in the middle of a cell and less elsewhere.
-pub const MAX_GRADIENT_NOISE: f32 = 1.51;
-
 /// Standard deviation of [`gradient_noise_2d`].
 pub const GRADIENT_NOISE_SIGMA: f32 = 0.286;
 
