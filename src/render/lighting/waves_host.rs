@@ -22,8 +22,8 @@ pub(crate) const MIN_LOW_WAY: f32 = 2.0;
 /// it; from twice as large on it takes two in full.
 pub(crate) const FIRST_STEP_CELLS: f32 = 0.125;
 
-/// Adds the slope, the height and the shade of one octave of noise where the eye sees it. `is_tested`: whether samples are so close, and
-/// rays to the sun so low, that it may shadow the ground; the former is enough for it to need more than one step.
+/// Adds the slope, the height and the shade of one octave of noise where the eye sees it. `is_tested`: whether samples are so close that it
+/// may need two steps, and shadow the ground if rays to the sun are low.
 #[inline(always)]
 pub(super) fn noise_slope(
     wave: &LatticeUniforms,
