@@ -1,20 +1,14 @@
 // The ground below the mesh: slopes, heights and shades of noise, craters and clods that are smaller than the mesh's cells, down to the
-// size of a sample, and grains (grains.wgsl). The height function is src/scene/relief.rs; CPU counterpart of the slopes:
-// src/render/lighting/slopes_host.rs.
+// size of a sample (noise here, pits in pits.wgsl, grains in grains.wgsl). The height function is src/scene/relief.rs; CPU counterpart of
+// the slopes: src/render/lighting/slopes_host.rs.
 
-// src/scene/relief.rs and src/scene/craters.rs have the same constants and explain them.
+// src/scene/relief.rs has the same constant and explains it.
 const MIN_CELLS: f32 = 3.0;
-const JITTER_CELLS: f32 = 0.17;
-const PROFILE_DEPTH: f32 = 0.114;
-const RIM: f32 = 0.02513;
-const CLOD_HEIGHT: f32 = 0.22;
 // Of the strength of finer noise: src/scene/noise/gradient.rs.
 const PATCHY_BASE: f32 = 0.427;
 const PATCHY_PEAK: f32 = 1.948;
 // src/scene/relief.rs explains it.
 const MAX_STRENGTH: f32 = 1.2;
-// What fresh craters add to the logarithm of the albedo.
-const FRESH_SHADE: f32 = 0.2;
 // src/render/lighting/detail_sums.rs, slopes_host.rs, waves_host.rs and ground_batch.rs explain these.
 const MIN_CLEARANCE: f32 = 0.7;
 const FAR_M: f32 = 1.0e3;
@@ -25,7 +19,6 @@ const SHADOW_BLUR: f32 = 0.5;
 const MIN_TESTED_SAMPLES: f32 = 3.0;
 const MIN_WAYS_COSINE: f32 = -0.999;
 const MIN_WAY: f32 = 1.0e-3;
-const SECOND_HASH: u32 = 0x2c1b3c6du;
 
 // Fraction of a feature of this size that the mesh has: 0 up to MIN_CELLS cells, 1 from twice as many on.
 fn mesh_share(size_m: f32, cell_m: f32) -> f32 {
@@ -58,20 +51,18 @@ fn ground_detail(
     let per_sun_way = 1.0 / (length(sun_way) + MIN_WAY);
     // By how much a ray to the sun is higher if it starts higher on the ray to the eye: not at all if the two are one.
     let sun_lift = 1.0 - dot(eye_way, sun_way) * per_sun_way * per_sun_way;
-    // Coarse to fine: skip what is wholly in the mesh, stop at the first that samples cannot resolve.
-    var k = 0u;
-    // The smallest pits of a lattice are half as large as its largest; 0.499 and 1.001 leave room for rounding.
-    while k < light.relief_pit_lattices && mesh_share(0.499 * relief_pits(k).max_diameter_m, cell_m) == 1.0 { k++; }
-    for (; k < light.relief_pit_lattices; k++) {
-        let pits = relief_pits(k);
-        if sample_share(1.001 * pits.max_diameter_m, sample_m) == 0.0 { break; }
-        let pit = pits_slope(pits, point + sum.w * eye_way, cell_m, local_sample_m(sample_m, sum.xy, eye_way));
-        sum = add_detail(sum, pit, eye_way);
-    }
+    let rays = PitRays(point, eye_way, sun_way, per_sun_way, sun_lift, cell_m, sample_m, across_m);
+    // Coarse to fine, pits and noise by their size: skip what is wholly in the mesh, stop at the first that samples cannot resolve.
+    var pit = 0u;
+    // The smallest pits of a lattice are half as large as its largest; 0.499 leaves room for rounding.
+    while pit < light.relief_pit_lattices && mesh_share(0.499 * relief_pits(pit).max_diameter_m, cell_m) == 1.0 { pit++; }
     // How strong the next finer octaves are here, before the cap.
     var strength = 1.0;
-    k = 0u;
+    var k = 0u;
     while k < light.relief_waves && mesh_share(relief_noise(k).cell_m, cell_m) == 1.0 {
+        for (; has_larger_pits(pit, relief_noise(k).cell_m); pit++) {
+            sum = add_pits(sum, relief_pits(pit), rays, &sun_clearance_m);
+        }
         strength *= noise_strength(relief_noise(k), point + sum.w * eye_way);
         k++;
     }
@@ -81,6 +72,7 @@ fn ground_detail(
         let octave = relief_noise(k);
         let is_tested = octave.cell_m > MIN_TESTED_SAMPLES * sample_m;
         if !is_tested || sample_share(octave.cell_m, sample_m) == 0.0 { break; }
+        for (; has_larger_pits(pit, octave.cell_m); pit++) { sum = add_pits(sum, relief_pits(pit), rays, &sun_clearance_m); }
         let resolved = sample_share(octave.cell_m, local_sample_m(sample_m, sum.xy, eye_way));
         let shown = (1.0 - mesh_share(octave.cell_m, cell_m)) * resolved;
         let share = min(strength, MAX_STRENGTH) * shown;
@@ -113,6 +105,7 @@ fn ground_detail(
     for (; k < light.relief_waves; k++) {
         let octave = relief_noise(k);
         if sample_share(octave.cell_m, sample_m) == 0.0 { break; }
+        for (; has_larger_pits(pit, octave.cell_m); pit++) { sum = add_pits(sum, relief_pits(pit), rays, &sun_clearance_m); }
         let resolved = sample_share(octave.cell_m, local_sample_m(sample_m, sum.xy, eye_way));
         let shown = (1.0 - mesh_share(octave.cell_m, cell_m)) * resolved;
         let share = min(strength, MAX_STRENGTH) * shown;
@@ -122,6 +115,7 @@ fn ground_detail(
         strength *= noise.strength;
         sun_clearance_m += sun_lift * (sum.w - start_m);
     }
+    for (; pit < light.relief_pit_lattices; pit++) { sum = add_pits(sum, relief_pits(pit), rays, &sun_clearance_m); }
     let open_sun = clamp(0.5 + 0.5 * sun_clearance_m / (SHADOW_BLUR * across_m * per_sun_way), 0.0, 1.0);
     let sun = mix(open_sun, 1.0, hidden_shadows(dot(eye_way, sun_way), per_eye_way, per_sun_way));
     // The exponential function to second order.
@@ -136,6 +130,11 @@ fn ground_detail(
     detail.sun = mix(detail.sun, 0.0, cover.share) + cover.sun;
     detail.albedo *= crater_rays_factor(point + sum.w * eye_way, sample_m);
     return detail;
+}
+
+// Whether the lattice of pits `pit` is to be added before noise with cells of this size.
+fn has_larger_pits(pit: u32, noise_cell_m: f32) -> bool {
+    return pit < light.relief_pit_lattices && relief_pits(pit).max_diameter_m > noise_cell_m;
 }
 
 // Share of the shadows of relief that are hidden from the eye, by the scalar product of the ways to the eye and to the sun and one over
@@ -247,58 +246,4 @@ fn noise_strength(lattice: Lattice, point: vec2<f32>) -> f32 {
 
 fn quintic(t: vec2<f32>) -> vec2<f32> {
     return t * t * t * (t * (6.0 * t - 15.0) + 10.0);
-}
-
-// Slope of the pits (craters and clods) of a lattice. None reaches beyond its own cell: its centre is at most JITTER_CELLS
-// off the cell's, its radius at most 0.22 cells, and it has faded out at 1.5 radii. z: what fresh craters, whose soil is less
-// mature, add to the logarithm of the albedo. w: the height.
-fn pits_slope(lattice: Lattice, point: vec2<f32>, cell_m: f32, sample_m: f32) -> vec4<f32> {
-    let local = to_lattice(lattice, point);
-    let corner = floor(local);
-    let cell = lattice.base + vec2<i32>(corner);
-    let first = lattice_hash(cell.x, cell.y, 0, lattice.seed);
-    let second = second_hash(first);
-    let jitter = (vec2(f32(second & 0x3ffu), f32((second >> 10u) & 0x3ffu)) / 512.0 - 1.0) * JITTER_CELLS + 0.5;
-    // Inverse radius, 1/m.
-    let per_radius = 4.0 / lattice.max_diameter_m * sqrt(1.0 - 0.75 * f32(second >> 20u) / 4096.0);
-    let diameter_m = 2.0 / per_radius;
-    let offset = local - corner - jitter;
-    let per_cells = inverseSqrt(max(dot(offset, offset), 1.0e-12));
-    let r = lattice.cell_m * per_radius / per_cells;
-    let age = f32(first >> 16u) / 65536.0;
-    let rise = max(1.0 - r * r, 0.0);
-    let steepness_and_height = select(
-        crater_profile(r, (age - lattice.share) / (1.0 - lattice.share)),
-        CLOD_HEIGHT * vec2(-8.0 * r * rise, rise * rise),
-        age < lattice.share,
-    );
-    let share = (1.0 - mesh_share(diameter_m, cell_m)) * sample_share(diameter_m, sample_m);
-    let is_in_range = lattice.factor * lattice.max_diameter_m >= 2.0 * MIN_CELLS * cell_m;
-    let exists = is_in_range && f32(first & 0xffffu) / 65536.0 < lattice.amount;
-    let profile = select(vec2(0.0), share * steepness_and_height, exists);
-    let slope = profile.x * per_cells * offset;
-    let is_fresh = exists && age >= lattice.share && age - lattice.share < light.relief_fresh_share * (1.0 - lattice.share);
-    let shade = select(0.0, FRESH_SHADE * share * clamp((1.5 - r) * 2.5, 0.0, 1.0), is_fresh);
-    return vec4(lattice.cell_m * slope_from_lattice(lattice, slope), shade, diameter_m * profile.y);
-}
-
-// Rise per metre away from the centre of a crater of an age in [0, 1), and height, at a distance `r` in radii. Depths and heights are
-// in diameters.
-// src/scene/craters.rs has the profile (a fit to that of Yang et al. 2021) and the depths (Stopar et al. 2017, Wu et al. 2021);
-// src/render/lighting/slopes_host.rs derives the numbers.
-fn crater_profile(r: f32, age: f32) -> vec2<f32> {
-    let fresh_share = light.relief_fresh_share;
-    let wear = (age - fresh_share) / (1.0 - fresh_share);
-    let fresh = 0.15 - 0.04 / max(fresh_share, 1.0e-6) * age;
-    // A worn crater's depth falls from 0.12 to 0.02 with age, evenly in the logarithm.
-    let depth = select(min(0.12 * exp2(-2.5849625 * wear), 0.1099), fresh, age < fresh_share);
-    // Inside the crest the derivative of the profile's polynomial; outside that of the ejecta's power law, faded out before
-    // the next cell.
-    let bowl = 0.0513832 + r * (-0.1504748 + r * (2.9375904 + r * (-5.661628 + r * 2.871354)));
-    let square = r * r;
-    let fade = clamp((1.5 - r) * 2.5, 0.0, 1.0);
-    let ejecta = -3.1906 * RIM / (square * square) * fade;
-    let p = -0.1142066 + r * (-0.0628234 + r * (-0.1380608 + r * (0.8411362 - 0.5742708 * r)));
-    let height = select(RIM / (square * r) * fade, RIM + (1.0 - r) * p, r < 1.0);
-    return depth / PROFILE_DEPTH * vec2(2.0 * select(ejecta, bowl, r < 1.0), height);
 }

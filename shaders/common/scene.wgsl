@@ -77,9 +77,8 @@ struct Lattice {
     // Of noise: amplitude of the logarithm of the soil's albedo. Of pits: fraction that are clods. Of grains: fraction that are
     // fragments of rock.
     share: f32,
-    // Of noise: 1 if its amplitude differs from place to place, else 0. Of pits: they are left out where a cell of the mesh is larger
-    // than this times a sixth of the largest diameter. Of grains: by how much they make the ground brighter than the soil between them,
-    // relative to the latter.
+    // Of noise: 1 if its amplitude differs from place to place, else 0. Of grains: by how much they make the ground brighter than the soil
+    // between them, relative to the latter.
     factor: f32,
 }
 
@@ -119,7 +118,7 @@ struct ReliefUniforms {
     view: ReliefView,
     // Coarse to fine.
     noise: array<Lattice, 12>,
-    pits: array<Lattice, 12>,
+    pits: array<Lattice, 14>,
     grains: array<Lattice, 5>,
     // Those whose rays matter most first.
     crater_rays: array<RayCrater, 5>,

@@ -7,6 +7,7 @@ pub(crate) mod gbuffer;
 pub(crate) mod grains_host;
 pub(crate) mod ground_batch;
 pub(crate) mod pass;
+pub(crate) mod pits_host;
 pub mod relief_bands;
 pub(crate) mod slopes_host;
 pub(crate) mod waves_host;

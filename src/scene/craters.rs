@@ -5,7 +5,7 @@
 //! age. Craters of one octave of diameters lie on two lattices, at most one per cell: position and size are a hash of the
 //! cell, so that the craters around a point are found without a list of millions.
 //! Craters above [`UNCLASSED_M`] may be replaced by a list: three classes with fixed counts.
-//! Must not know: who asks. GPU counterpart of the slopes: `shaders/common/relief.wgsl`.
+//! Must not know: who asks. GPU counterpart of the slopes: `shaders/common/pits.wgsl`.
 
 use glam::Vec2;
 

@@ -98,6 +98,7 @@ macro_rules! surface_program {
                 "indirect",
                 "hash",
                 "relief",
+                "pits",
                 "grains",
                 "crater_rays",
                 "sun_disc",
@@ -318,6 +319,7 @@ mod tests {
         use crate::render::lighting::ground_batch::{
             MAX_EYE_WAY, MAX_SUN_WAY, MIN_TESTED_SAMPLES, MIN_WAY, MIN_WAYS_COSINE,
         };
+        use crate::render::lighting::pits_host::{FRESH_SHADE, PIT_REACH};
         use crate::render::lighting::slopes_host::SHADOW_BLUR;
         use crate::render::lighting::waves_host::{FIRST_STEP_CELLS, MIN_LOW_WAY, TESTED_CELLS};
         use crate::render::select::caster_grid::TEST_HORIZON;
@@ -350,6 +352,8 @@ mod tests {
             (&LIGHTING_SURFACE, "PATCHY_PEAK", f64::from(PATCHY_PEAK)),
             (&LIGHTING_SURFACE, "MAX_STRENGTH", f64::from(MAX_STRENGTH)),
             (&LIGHTING_SURFACE, "MIN_CELLS", f64::from(MIN_CELLS)),
+            (&LIGHTING_SURFACE, "FRESH_SHADE", f64::from(FRESH_SHADE)),
+            (&LIGHTING_SURFACE, "PIT_REACH", f64::from(PIT_REACH)),
             (&LIGHTING_SURFACE, "MIN_CLEARANCE", f64::from(MIN_CLEARANCE)),
             (&LIGHTING_SURFACE, "FAR_M", f64::from(FAR_M)),
             (&LIGHTING_SURFACE, "MIN_WAYS_COSINE", f64::from(MIN_WAYS_COSINE)),

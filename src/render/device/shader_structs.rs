@@ -136,7 +136,7 @@ shader_struct! {
     ReliefUniforms {
         view: ReliefView,
         noise: [LatticeUniforms; 12],
-        pits: [LatticeUniforms; 12],
+        pits: [LatticeUniforms; 14],
         grains: [LatticeUniforms; 5],
         crater_rays: [RayCrater; MAX_RAY_CRATERS],
     }

@@ -11,17 +11,11 @@ use crate::render::select::ground_blocks::{BLOCK_CELLS, ground_blocks};
 use crate::render::select::selection::Selection;
 use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
-use crate::scene::craters::LATTICES;
 use crate::scene::lattice::Lattice;
 use crate::scene::relief::{MIN_CELLS, Relief};
 use crate::scene::rings::Rings;
 use crate::scene::terrain::Layout;
 
-/// Cutoff of the first lattice of an octave: how many times smaller than the limit of the mesh its largest pits may be, as three octaves
-/// after the first one below that limit are.
-const FIRST_LATTICE_CUTOFF: f32 = 8.0;
-/// Larger than any ratio of cells and pits.
-const NO_CUTOFF: f32 = 1e6;
 /// Safety factor for what a device may compute otherwise than the host.
 const MARGIN: f32 = 1.01;
 /// Safety factor for normals between vertices, which may face the eye more than those of the vertices.
@@ -75,7 +69,7 @@ impl ReliefBands {
                 .fold([f32::INFINITY; 2], |a, b| [a[0].min(b[0]), a[1].min(b[1])]);
             let ring_rows = blocks[0][1].start..blocks[blocks.len() - 1][1].end;
             let samples_m = nearest.map(|distance_m| view.sample_angle * distance_m / MARGIN);
-            band_uniforms(relief, view, cell_range_m(rings, &ring_rows), samples_m)
+            band_uniforms(relief, view, largest_cell_m(rings, &ring_rows), samples_m)
         });
         let bands = std::iter::once(ReliefUniforms { view, ..Default::default() }).chain(bands).collect();
         Self { bands, rows: Some(rows), columns }
@@ -88,12 +82,12 @@ impl ReliefBands {
     }
 }
 
-/// The relief of ground with cells between these sizes, and samples at least `sample_m` apart, `across_m` across the view, metres: all
+/// The relief of ground with cells of at most `largest_m`, and samples at least `sample_m` apart, `across_m` across the view, metres: all
 /// that the mesh does not show whole and samples can show. If the slots do not suffice, the finest is left out.
 fn band_uniforms(
     relief: &Relief,
     view: ReliefView,
-    [smallest_m, largest_m]: [f32; 2],
+    largest_m: f32,
     [sample_m, across_m]: [f32; 2],
 ) -> ReliefUniforms {
     let mut uniforms = ReliefUniforms { view, ..Default::default() };
@@ -114,25 +108,14 @@ fn band_uniforms(
         };
         uniforms.view.waves += 1;
     }
-    // Of the first octave that is not whole both lattices are sampled, of the next ones only the first.
-    let lattices = relief.craters.lattices.iter().enumerate().filter_map(|(index, pits)| {
-        let cutoff_diameters = match (index as u32 / LATTICES, index as u32 % LATTICES) {
-            (0, _) => NO_CUTOFF,
-            (_, 0) => FIRST_LATTICE_CUTOFF,
-            _ => 1.0,
-        };
-        let is_sampled = cutoff_diameters * pits.largest_m >= 2.0 * MIN_CELLS * smallest_m;
+    let lattices = relief.craters.lattices.iter().filter(|pits| {
         // The smallest pits of a lattice are half as large as its largest.
-        let is_below_mesh = 0.5 * pits.largest_m < whole_m;
-        let has_pits = pits.chance > 0.0;
-        (is_sampled && is_below_mesh && has_pits && is_resolved(pits.largest_m))
-            .then_some((pits, cutoff_diameters))
+        0.5 * pits.largest_m < whole_m && pits.chance > 0.0 && is_resolved(pits.largest_m)
     });
-    for (slot, (lattice, cutoff_diameters)) in uniforms.pits.iter_mut().zip(lattices) {
+    for (slot, lattice) in uniforms.pits.iter_mut().zip(lattices) {
         *slot = LatticeUniforms {
             max_diameter_m: lattice.largest_m,
             share: lattice.clods,
-            factor: cutoff_diameters,
             ..lattice_uniforms(&lattice.lattice, lattice.chance)
         };
         uniforms.view.pit_lattices += 1;
@@ -162,11 +145,9 @@ pub(crate) fn sample_share(size_m: f32, sample_m: f32) -> f32 {
     (0.5 * size_m / sample_m - 1.0).clamp(0.0, 1.0)
 }
 
-/// Lower and upper bound of the size of the cells in these rows, metres.
-fn cell_range_m(rings: &Rings, rows: &Range<u32>) -> [f32; 2] {
-    // A chord lies inside its arc.
-    let nearest_m = rings.radii_m[rows.start as usize] / MARGIN;
-    [rings.cell_m(nearest_m) / MARGIN, rings.cell_m(rings.radii_m[rows.end as usize]) * MARGIN]
+/// Upper bound of the size of the cells in these rows, metres.
+fn largest_cell_m(rings: &Rings, rows: &Range<u32>) -> f32 {
+    rings.cell_m(rings.radii_m[rows.end as usize]) * MARGIN
 }
 
 /// Lower bounds of the distance between samples on a block, metres per radian between their rays: of the geometric mean of that
