@@ -105,8 +105,9 @@ fn frame_plan(c: &mut Criterion) {
     group.throughput(Throughput::Elements(selection.rocks.iter().map(cast).sum::<usize>() as u64));
     group.bench_function("shadow_map", |b| {
         let tiles = ShadowMap::default().allocate(&scene, &mut selection.clone());
-        let mut room = vec![[0; PAGE_BYTES]; tiles::upload_regions(&tiles).1 / PAGE_BYTES];
-        b.iter(|| host::rasterise(black_box(&scene), &tiles, &mut room.iter_mut().map(Page::from_mut)));
+        let bands = tiles::bands(&tiles);
+        let mut room = vec![[0; PAGE_BYTES]; tiles::upload_regions(&bands).1 / PAGE_BYTES];
+        b.iter(|| host::rasterise(black_box(&scene), &bands, &mut room.iter_mut().map(Page::from_mut)));
     });
     visible.find(&scene, &selection, &settings, &grid, &bands, true);
     let triangles = visible.meshes().iter().map(|mesh| mesh.triangles.len()).sum::<usize>();

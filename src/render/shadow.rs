@@ -27,7 +27,7 @@ use tiles::{NewTile, ShadowMap};
 
 /// The room for new tiles in the staging buffer is a multiple of this, bytes: frames differ a little in what they need.
 const STAGING_STEP_BYTES: usize = 4 << 20;
-/// Most bytes of tiles that are uploaded at once, but for a single larger tile.
+/// Most bytes of tiles that are uploaded at once.
 const STAGING_BYTES: usize = 16 << 20;
 
 /// Backend of the shadow map of the rocks.
@@ -159,11 +159,11 @@ impl ShadowRaster {
         }
         let start = Instant::now();
         let mut uploaded = 0;
-        for tiles in tiles::upload_parts(&self.new_tiles, STAGING_BYTES) {
-            let (regions, bytes) = tiles::upload_regions(tiles);
+        for bands in tiles::upload_parts(&tiles::bands(&self.new_tiles), STAGING_BYTES) {
+            let (regions, bytes) = tiles::upload_regions(bands);
             let room = bytes.next_multiple_of(STAGING_STEP_BYTES);
             let staging = StagingBuffer::with_capacity(&mut self.staging, gpu, "shadow/staging", room)?;
-            staging.write(gpu, |pages| host::rasterise(scene, tiles, pages))?;
+            staging.write(gpu, |pages| host::rasterise(scene, bands, pages))?;
             let (texture, _) = self.map.as_ref().expect("it was just made");
             staging.copy_to(gpu, texture, &regions)?;
             uploaded += bytes as u64;

@@ -10,7 +10,7 @@ use glam::{UVec2, Vec3};
 use crate::render::device::shader_structs::CasterTile;
 use crate::render::select::atlas::AtlasAllocator;
 use crate::render::select::frustum::Frustum;
-use crate::render::select::ground_lows::GroundLows;
+use crate::render::select::ground_range::GroundRange;
 use crate::scene::Scene;
 use crate::scene::rocks::Rock;
 
@@ -64,7 +64,7 @@ pub(crate) fn select_casters(
     let min_shadow_px = if scene.relief.is_some() { MIN_SHADOW_PX } else { 0.0 };
     // Length of a shadow on level ground, in heights; at least 1, for the width.
     let shadow_lengths = (sun.truncate().length() / sun.z.max(1e-3)).max(1.0);
-    let lows = GroundLows::new(&scene.terrain);
+    let ground = GroundRange::new(&scene.terrain);
     let mut casters: Vec<Caster> = rocks
         .iter()
         .filter_map(|&(index, rock)| {
@@ -84,8 +84,8 @@ pub(crate) fn select_casters(
             if !reaches_view(reach_m) || is_speck(nearest_m(reach_m)) {
                 return None;
             }
-            if let Some(lows) = &lows {
-                reach_m = lows.shadow_reach_m(&scene.sun, rock.centre, top_m, rock.radius_m, reach_m);
+            if let Some(ground) = &ground {
+                reach_m = ground.shadow_reach_m(&scene.sun, rock.centre, top_m, rock.radius_m, reach_m);
                 if !reaches_view(reach_m) {
                     return None;
                 }
@@ -140,7 +140,7 @@ fn pack(casters: &mut [Caster]) -> bool {
     let mut atlas = AtlasAllocator::new([width_px(casters), ATLAS_PX]);
     largest_first(casters).into_iter().all(|caster| {
         let tile = &mut casters[caster].tile;
-        let allocation = atlas.allocate(tile.size_px as u32);
+        let allocation = atlas.allocate([tile.size_px as u32; 2]);
         if let Some(allocation) = allocation {
             tile.origin_px = UVec2::from(allocation.corner).as_vec2();
         }

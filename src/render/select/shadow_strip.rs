@@ -30,6 +30,14 @@ impl Rays {
             Self { away: Vec2::X, steepness: 1e6, penumbra }
         }
     }
+
+    /// Lowest and highest corner of the bounding box of the strip of a caster, metres.
+    pub(super) fn bounds(&self, scene: &Scene, caster: &Caster) -> [Vec2; 2] {
+        let start = caster.tile.centre.truncate();
+        let end = (caster.tile.centre - caster.reach_m * scene.sun.direction).truncate();
+        let widest_m = caster.tile.half_extent_m + self.penumbra * caster.reach_m;
+        [start.min(end) - widest_m, start.max(end) + widest_m]
+    }
 }
 
 /// The shadow volume of a caster, umbra and penumbra, over the cells of a grid: seen from above a strip along the rays that begins at
@@ -57,9 +65,7 @@ impl<'a> ShadowStrip<'a> {
         let (centre, extent_m) = (caster.tile.centre, caster.tile.half_extent_m);
         let half_diagonal_m = cell_m * std::f32::consts::FRAC_1_SQRT_2;
         let start = centre.truncate();
-        let end = (centre - caster.reach_m * scene.sun.direction).truncate();
-        let widest_m = extent_m + rays.penumbra * caster.reach_m;
-        let (low, high) = (start.min(end) - widest_m, start.max(end) + widest_m);
+        let [low, high] = rays.bounds(scene, caster);
         let top_m = centre.z + rock.z_range_m[1];
         let mut strip =
             Self { rays, start, extent_m, top_m, low, high, half_diagonal_m, max_half_width_m: 0.0 };
@@ -70,10 +76,7 @@ impl<'a> ShadowStrip<'a> {
 
     /// Lowest and highest y of the bounding box of the strip of a caster, metres.
     pub(super) fn rows_m(scene: &Scene, rays: &Rays, caster: &Caster) -> [f32; 2] {
-        let start_m = caster.tile.centre.y;
-        let end_m = start_m - caster.reach_m * scene.sun.direction.y;
-        let widest_m = caster.tile.half_extent_m + rays.penumbra * caster.reach_m;
-        [start_m.min(end_m) - widest_m, start_m.max(end_m) + widest_m]
+        rays.bounds(scene, caster).map(|corner| corner.y)
     }
 
     /// Half the width at a distance along the rays, metres.

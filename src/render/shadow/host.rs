@@ -12,7 +12,7 @@ use fearless_simd::{Level, dispatch, f32x8, mask32x8};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
-use crate::gpu::staging::{PAGE_BYTES, Page, PageWriter, ROW_ALIGNMENT};
+use crate::gpu::staging::{Page, PageWriter};
 use crate::render::device::shader_structs::CasterTile;
 use crate::render::raster::cull::{CULL_BATCH, CullMode, Survivors, Winding};
 use crate::render::raster::fill::FragmentSink;
@@ -22,37 +22,27 @@ use crate::render::raster::lanes::{
 };
 use crate::render::raster::setup::{Interpolant, TriangleSetup};
 use crate::render::raster::setup8::{TriangleSetup8, TriangleVertices8};
-use crate::render::shadow::tiles::{NewTile, Strip, strips};
+use crate::render::shadow::tiles::{Band, BandRows, NewTile};
 use crate::scene::Scene;
 use crate::scene::mesh::{Icosphere, Vertex};
 
 /// Height where a tile has no caster, half extents of the tile. `shadow_midpoint.wgsl` has the same.
 const NO_CASTER: f32 = -1.0e9;
-/// Rows of a band of a tile. One thread rasterises a band: few enough rows to stay in its cache, and whole pages of them.
-const BAND_ROWS: usize = 256;
-const _: () = assert!((BAND_ROWS * ROW_ALIGNMENT).is_multiple_of(PAGE_BYTES));
-
 thread_local! {
     /// One per thread, so that its memory is reused.
     static BAND: RefCell<ShadowBand> = RefCell::default();
 }
 
-/// Rasterises tiles into staging memory, laid out as by `upload_regions`.
-pub fn rasterise(scene: &Scene, tiles: &[NewTile], pages: &mut dyn Iterator<Item = Page<'_>>) {
-    let mut bands: Vec<(Strip<'_>, Range<usize>, Vec<Page<'_>>)> = Vec::new();
-    for strip in strips(tiles) {
-        for first in (0..strip.rows()).step_by(BAND_ROWS) {
-            let rows = first..strip.rows().min(first + BAND_ROWS);
-            let pages = pages.take(strip.pages(rows.len())).collect();
-            bands.push((strip, rows, pages));
-        }
-    }
+/// Rasterises bands of tiles into staging memory, laid out as by `upload_regions`.
+pub fn rasterise(scene: &Scene, bands: &[Band<'_>], pages: &mut dyn Iterator<Item = Page<'_>>) {
+    let with_pages = |band| (band, pages.take(Band::pages(band)).collect());
+    let bands: Vec<(&Band<'_>, Vec<Page<'_>>)> = bands.iter().map(with_pages).collect();
     // One band at a time per thread: their costs differ widely.
-    bands.into_par_iter().with_max_len(1).for_each(|(strip, rows, pages)| {
+    bands.into_par_iter().with_max_len(1).for_each(|(Band { strip, rows }, pages)| {
         let (row_bytes, writer) = (strip.row_bytes(), PageWriter::new(pages));
         BAND.with_borrow_mut(|band| match strip.tiles {
             [tile] => {
-                band.draw(scene, tile, rows);
+                band.draw(scene, tile, rows.clone());
                 band.write_midpoints(row_bytes, writer);
             }
             tiles => band.write_strip(scene, tiles, rows, row_bytes, writer),
@@ -73,13 +63,12 @@ struct ShadowVertex {
 /// A band of rows of a tile.
 #[derive(Debug, Default)]
 struct ShadowBand {
-    /// Columns of the tile.
-    size: usize,
-    /// Rows of the band.
-    rows: Range<usize>,
+    /// Columns of the tile that are wanted; the layers have those before them too.
+    columns: Range<usize>,
+    rows: BandRows,
     /// Texels from one row of a layer to the next.
     stride: usize,
-    /// Columns and rows of the tile that the caster may cover, the rows of the band alone. Elsewhere the layers hold anything.
+    /// Wanted columns and rows of the tile that the caster may cover. Elsewhere the layers hold anything.
     covered: [Range<usize>; 2],
     /// Greatest depth of the faces towards the sun ([`Winding::Front`]), and of those away from it; 0 where there is none.
     layers: [Vec<f32>; 2],
@@ -92,10 +81,10 @@ struct ShadowBand {
 
 impl ShadowBand {
     /// Draws these rows of a tile.
-    fn draw(&mut self, scene: &Scene, tile: &NewTile, rows: Range<usize>) {
+    fn draw(&mut self, scene: &Scene, tile: &NewTile, rows: BandRows) {
         let rock = &scene.rocks[tile.rock];
         let vertices = &rock.vertices[..Icosphere::vertex_count(tile.level)];
-        self.restart(tile.size(), rows);
+        self.restart(tile.texels.columns.clone(), rows);
         dispatch!(Level::new(), simd => {
             self.project(&tile.tile, scene, vertices);
             self.clear();
@@ -103,11 +92,10 @@ impl ShadowBand {
         });
     }
 
-    /// Restarts it for these rows of a tile of `size` columns.
-    fn restart(&mut self, size: usize, rows: Range<usize>) {
-        self.size = size;
-        self.stride = size + BLOCK_WIDTH;
-        self.rows = rows;
+    /// Restarts it for these columns and rows of a tile.
+    fn restart(&mut self, columns: Range<usize>, rows: BandRows) {
+        self.stride = columns.end + BLOCK_WIDTH;
+        (self.columns, self.rows) = (columns, rows);
         self.vertices.clear();
     }
 
@@ -123,12 +111,14 @@ impl ShadowBand {
             let first = within(low[axis].div_euclid(SUBPIXEL_STEPS));
             first..within(high[axis].div_euclid(SUBPIXEL_STEPS).saturating_add(2)).max(first)
         };
-        self.covered = [span(0, &(0..self.size)), span(1, &self.rows)];
+        self.covered = [span(0, &self.columns), span(1, &self.rows.written)];
         let [columns, rows] = &self.covered;
         for layer in &mut self.layers {
-            layer.resize(self.stride * (self.rows.len() + BLOCK_HEIGHT), 0.0);
+            let texels = self.stride * (self.rows.len() + BLOCK_HEIGHT);
+            layer.reserve_exact(texels.saturating_sub(layer.len()));
+            layer.resize(texels, 0.0);
             for row in rows.clone() {
-                let first = (row - self.rows.start) * self.stride;
+                let first = (row - self.rows.first) * self.stride;
                 layer[first + columns.start..first + columns.end].fill(0.0);
             }
         }
@@ -164,11 +154,13 @@ impl ShadowBand {
     // `inline(always)` all the way down to the fill loop, so that `dispatch!` compiles it for each vector width.
     #[inline(always)]
     fn rasterise<S: Simd>(&mut self, simd: S, triangles: &[[u32; 3]]) {
-        let Self { size, rows, layers, vertices, .. } = self;
-        let rows = rows.start as i32..rows.end as i32;
+        let Self { columns, rows, stride, layers, vertices, .. } = self;
+        let (size, stride) = (columns.end, *stride);
+        let written = rows.written.start as i32..rows.written.end as i32;
+        let rows = rows.first as i32..written.end;
         let position_of = |vertex: u32| vertices[vertex as usize].position;
         for triangles in triangles.chunks(CULL_BATCH) {
-            let survivors = Survivors::cull(simd, triangles, position_of, CullMode::None, *size, &rows);
+            let survivors = Survivors::cull(simd, triangles, position_of, CullMode::None, size, &written);
             for eight in survivors.indices().chunks(LANES) {
                 let mut vertices8 = TriangleVertices8::EMPTY;
                 for (lane, &index) in eight.iter().enumerate() {
@@ -177,16 +169,16 @@ impl ShadowBand {
                         vertices8.set(lane, corner, position, position_px, [depth]);
                     }
                 }
-                let setup8 = TriangleSetup8::new(simd, &vertices8, *size, &rows);
+                let setup8 = TriangleSetup8::new(simd, &vertices8, size, &rows);
                 for (lane, &index) in eight.iter().enumerate() {
                     if setup8.is_small(lane) {
                         let [depth] = setup8.interpolants(lane);
                         let layer = &mut layers[setup8.winding(lane) as usize];
                         let mut writer = DepthWriter { layer, depth };
-                        setup8.fill(simd, lane, rows.start, *size + BLOCK_WIDTH, &mut writer);
+                        setup8.fill(simd, lane, rows.start, stride, &mut writer);
                     } else {
                         let corners = triangles[usize::from(index)].map(|vertex| vertices[vertex as usize]);
-                        rasterise_large(simd, corners, layers, *size, &rows);
+                        rasterise_large(simd, corners, layers, size, &rows);
                     }
                 }
             }
@@ -197,30 +189,30 @@ impl ShadowBand {
     /// the next.
     fn write_midpoints(&mut self, row_bytes: usize, mut writer: PageWriter<'_>) {
         let mut midpoint_row = std::mem::take(&mut self.midpoint_row);
-        midpoint_row.resize(self.size, 0.0);
-        for row in self.rows.clone() {
+        midpoint_row.resize(self.columns.len(), 0.0);
+        for row in self.rows.written.clone() {
             self.set_midpoint_row(row, &mut midpoint_row);
             writer.write_row(bytemuck::cast_slice(&midpoint_row), row_bytes);
         }
         self.midpoint_row = midpoint_row;
     }
 
-    /// Draws tiles of equal size and writes the same of all of them, side by side.
+    /// Draws whole tiles of equal size and writes the same of all of them, side by side.
     fn write_strip(
         &mut self,
         scene: &Scene,
         tiles: &[NewTile],
-        rows: Range<usize>,
+        rows: &BandRows,
         row_bytes: usize,
         mut writer: PageWriter<'_>,
     ) {
         let size = tiles.first().map_or(0, NewTile::size);
         let columns = (tiles.len() * size).max(1);
         let mut strip = std::mem::take(&mut self.strip);
-        strip.resize(columns * rows.len(), 0.0);
+        strip.resize(columns * rows.written.len(), 0.0);
         for (number, tile) in tiles.iter().enumerate() {
             self.draw(scene, tile, rows.clone());
-            for (row, midpoints) in rows.clone().zip(strip.chunks_exact_mut(columns)) {
+            for (row, midpoints) in rows.written.clone().zip(strip.chunks_exact_mut(columns)) {
                 self.set_midpoint_row(row, &mut midpoints[number * size..][..size]);
             }
         }
@@ -230,19 +222,20 @@ impl ShadowBand {
         self.strip = strip;
     }
 
-    /// Sets the depths midway between the layers in a row of the tile.
+    /// Sets the depths midway between the layers in a row of the tile, in the columns that are wanted.
     fn set_midpoint_row(&self, row: usize, midpoints: &mut [f32]) {
         let [columns, covered_rows] = &self.covered;
         if !covered_rows.contains(&row) {
             midpoints.fill(NO_CASTER);
             return;
         }
-        midpoints[..columns.start].fill(NO_CASTER);
-        midpoints[columns.end..].fill(NO_CASTER);
-        let first = (row - self.rows.start) * self.stride;
+        let covered = columns.start - self.columns.start..columns.end - self.columns.start;
+        midpoints[..covered.start].fill(NO_CASTER);
+        midpoints[covered.end..].fill(NO_CASTER);
+        let first = (row - self.rows.first) * self.stride;
         let [fronts, backs] =
             self.layers.each_ref().map(|layer| &layer[first + columns.start..first + columns.end]);
-        dispatch!(Level::new(), _simd => set_midpoints(&mut midpoints[columns.clone()], fronts, backs));
+        dispatch!(Level::new(), _simd => set_midpoints(&mut midpoints[covered], fronts, backs));
     }
 }
 
@@ -298,11 +291,12 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
+    use crate::gpu::staging::PAGE_BYTES;
     use crate::params::Params;
     use crate::render::select::casters;
     use crate::render::select::selection::Selection;
     use crate::render::settings::RenderSettings;
-    use crate::render::shadow::tiles::{ShadowMap, upload_parts, upload_regions};
+    use crate::render::shadow::tiles::{ShadowMap, bands, upload_parts, upload_regions};
     use crate::scene::sky::Sun;
 
     /// The shadow map of a device.
@@ -318,13 +312,13 @@ mod tests {
                 self.size_px = map.size_px();
                 self.texels = vec![f32::NAN; (self.size_px[0] * self.size_px[1]) as usize];
             }
-            upload_parts(tiles, 1 << 18).for_each(|tiles| self.copy_part(scene, tiles));
+            upload_parts(&bands(tiles), 1 << 18).for_each(|bands| self.copy_part(scene, bands));
         }
 
-        fn copy_part(&mut self, scene: &Scene, tiles: &[NewTile]) {
-            let (regions, bytes) = upload_regions(tiles);
+        fn copy_part(&mut self, scene: &Scene, bands: &[Band<'_>]) {
+            let (regions, bytes) = upload_regions(bands);
             let mut staged = vec![[0_u8; PAGE_BYTES]; bytes / PAGE_BYTES];
-            rasterise(scene, tiles, &mut staged.iter_mut().map(Page::from_mut));
+            rasterise(scene, bands, &mut staged.iter_mut().map(Page::from_mut));
             let staged: Vec<f32> = bytemuck::pod_collect_to_vec(staged.as_flattened());
             for region in regions {
                 let rows = staged[region.offset_bytes / size_of::<f32>()..]

@@ -2,18 +2,23 @@
 //!
 //! A tile's texels depend on nothing but the caster's mesh, the tile's size and the sun, and no image depends on where in the map
 //! a tile lies. So tiles of earlier frames stay in the map, and a frame is the same whatever was rendered before it.
+//!
+//! Of a large tile on the surface stage the map has only the texels that the image can sample. On the nominal stage, whose rocks stay
+//! where they are while the camera moves, it has whole tiles, which later images sample elsewhere.
 //! Must not know: how a tile is rasterised.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::sync::{Arc, Weak};
 
-use glam::{UVec2, Vec3};
+use glam::{UVec2, Vec2, Vec3};
 
 use crate::gpu::staging::{PAGE_BYTES, ROW_ALIGNMENT, TextureRegion};
 use crate::pool::PooledVec;
 use crate::render::device::shader_structs::CasterTile;
 use crate::render::select::atlas::{Allocation, AtlasAllocator};
-use crate::render::select::casters;
+use crate::render::select::ground_range::GroundRange;
+use crate::render::select::sampled_texels::{TexelRect, sampled_texels};
 use crate::render::select::selection::Selection;
 use crate::scene::Scene;
 use crate::scene::mesh::Vertex;
@@ -24,6 +29,12 @@ const MIN_SIZE_PX: [u32; 2] = [512, 512];
 /// Most rows of a strip of several tiles, and most columns of it.
 const MAX_STRIP_ROWS: usize = 64;
 const MAX_STRIP_COLUMNS: usize = 256;
+/// Rows of a band of a tile. One thread rasterises a band: few enough rows to stay in its cache.
+pub(super) const BAND_ROWS: usize = 256;
+/// The map is enlarged in both directions until it is so wide, texels, then by rows: a frame needs some 30 MB.
+const MAX_WIDTH_PX: u32 = 4096;
+/// Rows by which it is enlarged then.
+const ROWS_STEP_PX: u32 = 512;
 
 /// Which tiles the device's shadow map holds, and where.
 #[derive(Debug, Default)]
@@ -42,11 +53,13 @@ struct Tile {
     level: usize,
     size_px: f32,
     half_extent_m: f32,
+    /// Its texels in the map.
+    texels: TexelRect,
     allocation: Allocation,
 }
 
 /// A tile that is still to be rasterised.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct NewTile {
     /// Index of the caster.
     pub(super) rock: usize,
@@ -54,6 +67,8 @@ pub struct NewTile {
     pub(super) level: usize,
     /// Where it lies, and its frame.
     pub(super) tile: CasterTile,
+    /// The texels that are rasterised.
+    pub(super) texels: TexelRect,
 }
 
 impl ShadowMap {
@@ -63,32 +78,30 @@ impl ShadowMap {
         self.atlas.size()
     }
 
-    /// Allocates the tiles of a selection's casters; returns those that are to be rasterised, the largest first. Texels between
-    /// the tiles are undefined. If the map grows it loses all earlier tiles.
+    /// Allocates the tiles of a selection's casters; returns those that are to be rasterised, the highest first. Texels between
+    /// the tiles are undefined, as is the origin of a tile that no surface in view samples. If the map grows it loses all earlier tiles.
     pub fn allocate(&mut self, scene: &Scene, selection: &mut Selection) -> Vec<NewTile> {
-        let mut of_casters: Vec<Option<NewTile>> = vec![None; selection.casters.len()];
-        for selected in &selection.rocks {
-            if let Some((caster, level)) = selected.caster {
-                let level = level.min(scene.rocks[selected.rock].level);
-                let tile = selection.casters[caster].tile;
-                of_casters[caster] = Some(NewTile { rock: selected.rock, level, tile });
-            }
-        }
-        let order = casters::largest_first(&selection.casters);
-        let wanted: Vec<NewTile> = order.iter().filter_map(|&caster| of_casters[caster]).collect();
+        let casts = selection.rocks.iter().filter_map(|selected| Some((selected.rock, selected.caster?)));
+        let ground = GroundRange::new(&scene.terrain);
+        let of_casters = casts.map(|(rock, (caster, level))| {
+            let level = level.min(scene.rocks[rock].level);
+            let texels = texels_in_map((scene, ground.as_ref()), selection, caster);
+            (caster, NewTile { rock, level, tile: selection.casters[caster].tile, texels })
+        });
+        let of_casters: Vec<(usize, NewTile)> =
+            of_casters.filter(|(_, tile)| !tile.texels.is_empty()).collect();
+        let mut wanted: Vec<NewTile> = of_casters.iter().map(|(_, tile)| tile.clone()).collect();
+        wanted.sort_by_key(|tile| std::cmp::Reverse(tile.size_px()[1]));
         let mut new = self.retain(scene, &wanted);
         while !new.iter().all(|tile| self.add(tile, scene)) {
             self.make_room(&wanted, new.len());
             new.clone_from(&wanted);
         }
-        let origin_of = |rock: usize| UVec2::from(self.tiles[&rock].allocation.corner).as_vec2();
-        for (caster, tile) in of_casters.iter().enumerate() {
-            if let Some(tile) = tile {
-                selection.casters[caster].tile.origin_px = origin_of(tile.rock);
-            }
+        for (caster, tile) in &of_casters {
+            selection.casters[*caster].tile.origin_px = self.tiles[&tile.rock].origin_px();
         }
         for tile in &mut new {
-            tile.tile.origin_px = origin_of(tile.rock);
+            tile.tile.origin_px = self.tiles[&tile.rock].origin_px();
         }
         new
     }
@@ -112,17 +125,18 @@ impl ShadowMap {
                 self.atlas.free(tile.allocation);
             }
         }
-        wanted.iter().filter(|tile| !self.tiles.contains_key(&tile.rock)).copied().collect()
+        wanted.iter().filter(|tile| !self.tiles.contains_key(&tile.rock)).cloned().collect()
     }
 
     /// Empties the map, which is too small or too fragmented for the wanted tiles, `new_count` of which are new; grows it unless
     /// defragmentation will do.
     fn make_room(&mut self, wanted: &[NewTile], new_count: usize) {
         let [width, height] = self.atlas.size();
-        let area_px: u32 = wanted.iter().map(|tile| tile.tile.size_px as u32).map(|side| side * side).sum();
+        let area_px: u32 = wanted.iter().map(|tile| tile.size_px().iter().product::<u32>()).sum();
         let is_fragmented = new_count < wanted.len() && 2 * area_px <= width * height;
         self.clear(match (is_fragmented, width > height) {
             (true, _) => [width, height],
+            (false, _) if width == MAX_WIDTH_PX && 2 * height >= width => [width, height + ROWS_STEP_PX],
             (false, true) => [width, 2 * height],
             (false, false) => [2 * width, height],
         });
@@ -135,12 +149,25 @@ impl ShadowMap {
 
     /// Allocates a tile; whether there was room for it.
     fn add(&mut self, tile: &NewTile, scene: &Scene) -> bool {
-        let Some(allocation) = self.atlas.allocate(tile.tile.size_px as u32) else { return false };
+        let Some(allocation) = self.atlas.allocate(tile.size_px()) else { return false };
         let mesh = Arc::downgrade(&scene.rocks[tile.rock].vertices);
         let CasterTile { size_px, half_extent_m, .. } = tile.tile;
-        self.tiles.insert(tile.rock, Tile { mesh, level: tile.level, size_px, half_extent_m, allocation });
+        let (level, texels) = (tile.level, tile.texels.clone());
+        self.tiles.insert(tile.rock, Tile { mesh, level, size_px, half_extent_m, texels, allocation });
         true
     }
+}
+
+/// The texels of a caster's tile that the map has for an image.
+fn texels_in_map(
+    (scene, ground): (&Scene, Option<&GroundRange>),
+    selection: &Selection,
+    caster: usize,
+) -> TexelRect {
+    let caster = &selection.casters[caster];
+    let size = caster.tile.size_px as usize;
+    let Some(ground) = ground.filter(|_| size > MAX_STRIP_ROWS) else { return TexelRect::whole(size) };
+    sampled_texels(scene, ground, selection, caster)
 }
 
 impl Tile {
@@ -149,13 +176,31 @@ impl Tile {
         self.mesh.ptr_eq(&Arc::downgrade(&scene.rocks[wanted.rock].vertices))
             && self.level == wanted.level
             && (self.size_px, self.half_extent_m) == (wanted.tile.size_px, wanted.tile.half_extent_m)
+            && self.texels.contains(&wanted.texels)
+    }
+
+    /// Where in the map its first texel lies, or would if the map had it.
+    fn origin_px(&self) -> Vec2 {
+        let first = [self.texels.columns.start, self.texels.rows.start].map(|texel| texel as f32);
+        UVec2::from(self.allocation.corner).as_vec2() - Vec2::from(first)
     }
 }
 
 impl NewTile {
-    /// Its columns and rows.
+    /// Columns and rows of the whole tile.
     pub(super) fn size(&self) -> usize {
         self.tile.size_px as usize
+    }
+
+    /// Columns and rows that are rasterised.
+    fn size_px(&self) -> [u32; 2] {
+        [&self.texels.columns, &self.texels.rows].map(|texels| texels.len() as u32)
+    }
+
+    /// Column and row of the first texel that is rasterised, in the map.
+    fn corner_px(&self) -> [u32; 2] {
+        let first = [self.texels.columns.start, self.texels.rows.start].map(|texel| texel as f32);
+        (self.tile.origin_px + Vec2::from(first)).as_uvec2().to_array()
     }
 
     /// Whether it may be uploaded with a tile to the right of it.
@@ -174,19 +219,9 @@ pub(super) struct Strip<'a> {
 }
 
 impl Strip<'_> {
-    /// Its rows, as many as the columns of a tile.
-    pub(super) fn rows(&self) -> usize {
-        self.tiles.first().map_or(0, NewTile::size)
-    }
-
     /// Its columns.
     pub(super) fn columns(&self) -> usize {
-        self.tiles.len() * self.rows()
-    }
-
-    /// Pages that this many of its rows take.
-    pub(super) fn pages(&self, rows: usize) -> usize {
-        (self.row_bytes() * rows).div_ceil(PAGE_BYTES)
+        self.tiles.iter().map(|tile| tile.texels.columns.len()).sum()
     }
 
     /// Bytes of a row in staging memory.
@@ -195,44 +230,95 @@ impl Strip<'_> {
     }
 }
 
+/// Rows of a strip that one thread rasterises.
+#[derive(Clone, Debug)]
+pub struct Band<'a> {
+    pub(super) strip: Strip<'a>,
+    pub(super) rows: BandRows,
+}
+
+/// The rows of a band.
+#[derive(Clone, Debug, Default)]
+pub(super) struct BandRows {
+    /// The first row of the tile that is rasterised, a multiple of [`BAND_ROWS`]: numbers are rounded relative to it.
+    pub(super) first: usize,
+    /// Those that the map has.
+    pub(super) written: Range<usize>,
+}
+
+impl BandRows {
+    /// The bands that hold these rows of a tile.
+    fn of_tile(rows: &Range<usize>) -> impl Iterator<Item = Self> + use<> {
+        let Range { start, end } = *rows;
+        let firsts = (start / BAND_ROWS * BAND_ROWS..end).step_by(BAND_ROWS);
+        firsts.map(move |first| Self { first, written: start.max(first)..end.min(first + BAND_ROWS) })
+    }
+
+    /// Rows from the first to the last that the map has.
+    pub(super) const fn len(&self) -> usize {
+        self.written.end - self.first
+    }
+}
+
+impl Band<'_> {
+    /// Pages that it takes in staging memory.
+    pub(super) fn pages(&self) -> usize {
+        (self.strip.row_bytes() * self.rows.written.len()).div_ceil(PAGE_BYTES)
+    }
+
+    /// Its texels in the map, and where they are in staging memory.
+    fn region(&self, offset_bytes: usize) -> TextureRegion {
+        let tile = &self.strip.tiles[0];
+        let [column, row] = tile.corner_px();
+        TextureRegion {
+            offset_bytes,
+            row_bytes: self.strip.row_bytes(),
+            origin: [column, row + (self.rows.written.start - tile.texels.rows.start) as u32],
+            size: [self.strip.columns(), self.rows.written.len()].map(|texels| texels as u32),
+        }
+    }
+}
+
 /// Divides tiles into strips: a copy takes as long as hundreds of texels, and most tiles have fewer.
-pub(super) fn strips(tiles: &[NewTile]) -> impl Iterator<Item = Strip<'_>> {
+fn strips(tiles: &[NewTile]) -> impl Iterator<Item = Strip<'_>> {
     let runs = tiles.chunk_by(NewTile::is_followed_by);
     runs.flat_map(|run| run.chunks((MAX_STRIP_COLUMNS / run[0].size().max(1)).max(1)))
         .map(|tiles| Strip { tiles })
 }
 
-/// Divides tiles into parts of at most `max_bytes` in staging memory each, or of a single strip.
-pub fn upload_parts(tiles: &[NewTile], max_bytes: usize) -> impl Iterator<Item = &[NewTile]> {
-    let mut rest = tiles;
+/// Divides tiles into bands.
+#[must_use]
+pub fn bands(tiles: &[NewTile]) -> Vec<Band<'_>> {
+    let bands = strips(tiles).flat_map(|strip| {
+        BandRows::of_tile(&strip.tiles[0].texels.rows).map(move |rows| Band { strip, rows })
+    });
+    bands.collect()
+}
+
+/// Divides bands into parts of at most `max_bytes` in staging memory each, or of a single band.
+pub fn upload_parts<'a, 'b>(bands: &'b [Band<'a>], max_bytes: usize) -> impl Iterator<Item = &'b [Band<'a>]> {
+    let mut rest = bands;
     std::iter::from_fn(move || {
         let mut bytes = 0;
-        let fitting = strips(rest).take_while(|strip| {
-            bytes += strip.pages(strip.rows()) * PAGE_BYTES;
+        let fitting = rest.iter().take_while(|band| {
+            bytes += band.pages() * PAGE_BYTES;
             bytes <= max_bytes
         });
-        let count: usize = fitting.map(|strip| strip.tiles.len()).sum();
-        let first = strips(rest).next().map_or(0, |strip| strip.tiles.len());
-        let (part, others) = rest.split_at(count.max(first));
+        let count = fitting.count().max(1).min(rest.len());
+        let (part, others) = rest.split_at(count);
         rest = others;
         (!part.is_empty()).then_some(part)
     })
 }
 
-/// The layout of tiles in staging memory, one strip after the other: the region of the map that each is copied to, and the bytes of
-/// all.
+/// The layout of bands in staging memory, one after the other: the region of the map that each is copied to, and the bytes of all.
 #[must_use]
-pub fn upload_regions(tiles: &[NewTile]) -> (Vec<TextureRegion>, usize) {
+pub fn upload_regions(bands: &[Band<'_>]) -> (Vec<TextureRegion>, usize) {
     let mut end = 0;
-    let region = |strip: Strip<'_>| {
+    let region = |band: &Band<'_>| {
         let offset_bytes = end;
-        end += strip.pages(strip.rows()) * PAGE_BYTES;
-        TextureRegion {
-            offset_bytes,
-            row_bytes: strip.row_bytes(),
-            origin: strip.tiles[0].tile.origin_px.as_uvec2().to_array(),
-            size: [strip.columns() as u32, strip.rows() as u32],
-        }
+        end += band.pages() * PAGE_BYTES;
+        band.region(offset_bytes)
     };
-    (strips(tiles).map(region).collect(), end)
+    (bands.iter().map(region).collect(), end)
 }

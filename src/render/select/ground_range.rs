@@ -1,8 +1,10 @@
-//! Lower bounds of the ground's height on coarse nested grids, and how far the shadow of a rock can reach above it.
+//! Bounds of the ground's height on coarse nested grids, and how far the shadow of a rock can reach above it.
 //!
 //! Rings have cells of all sizes: blocks of them are entered into square grids around the centre, each over twice the side of the one
 //! before, as of the caster grid. Bounds are conservative: nowhere does a shadow end too early.
 //! Must not know: what a shadow is drawn into.
+
+use std::ops::RangeInclusive;
 
 use glam::{Vec2, Vec3};
 
@@ -20,16 +22,18 @@ const BOX_CELLS: f32 = 4.0;
 /// Length of a step along a shadow as a fraction of the way to it.
 const STEP: f32 = 0.4;
 
-/// Lower bounds of the height of ground with rings.
+/// Bounds of the height of ground with rings.
 #[derive(Clone, Debug)]
-pub(crate) struct GroundLows {
+pub(crate) struct GroundRange {
     centre: Vec2,
     levels: usize,
-    /// Level by level and row by row, metres; infinite where there is no ground.
+    /// Lower bounds, level by level and row by row, metres; infinite where there is no ground.
     lowest_m: Vec<f32>,
+    /// Upper bounds.
+    highest_m: Vec<f32>,
 }
 
-impl GroundLows {
+impl GroundRange {
     /// Of a ground with rings.
     #[must_use]
     pub(crate) fn new(terrain: &Terrain) -> Option<Self> {
@@ -39,7 +43,8 @@ impl GroundLows {
             levels += 1;
         }
         let lowest_m = vec![f32::INFINITY; levels * CELLS * CELLS];
-        let mut lows = Self { centre: terrain.centre, levels, lowest_m };
+        let highest_m = vec![f32::NEG_INFINITY; lowest_m.len()];
+        let mut ground = Self { centre: terrain.centre, levels, lowest_m, highest_m };
         let (columns, rows) = (terrain.columns as usize, terrain.rows as usize);
         for row in (0..rows).step_by(BLOCK_CELLS) {
             for column in (0..columns).step_by(BLOCK_CELLS) {
@@ -51,19 +56,22 @@ impl GroundLows {
                 let bounds = vertices.fold([Vec3::MAX, Vec3::MIN], |[low, high], vertex| {
                     [low.min(vertex.position), high.max(vertex.position)]
                 });
-                lows.enter(bounds);
+                ground.enter(bounds);
             }
         }
         // The middle of each grid from the next finer one.
         for level in 1..levels {
             for (row, column) in (0..CELLS / 2).flat_map(|row| (0..CELLS / 2).map(move |c| (row, c))) {
-                let finer = |dx, dy| lows.lowest_m[index(level - 1, 2 * column + dx, 2 * row + dy)];
-                let lowest_m = finer(0, 0).min(finer(1, 0)).min(finer(0, 1)).min(finer(1, 1));
+                let finer = [(0, 0), (1, 0), (0, 1), (1, 1)]
+                    .map(|(dx, dy)| index(level - 1, 2 * column + dx, 2 * row + dy));
                 let coarser = index(level, CELLS / 4 + column, CELLS / 4 + row);
-                lows.lowest_m[coarser] = lows.lowest_m[coarser].min(lowest_m);
+                for finer in finer {
+                    ground.lowest_m[coarser] = ground.lowest_m[coarser].min(ground.lowest_m[finer]);
+                    ground.highest_m[coarser] = ground.highest_m[coarser].max(ground.highest_m[finer]);
+                }
             }
         }
-        Some(lows)
+        Some(ground)
     }
 
     /// Enters what lies within a box, into the grids that no finer one covers there.
@@ -78,29 +86,42 @@ impl GroundLows {
             }
             let [columns, rows] = [0, 1].map(|axis| cell(level, from[axis])..=cell(level, to[axis]));
             for (row, column) in rows.flat_map(|row| columns.clone().map(move |column| (row, column))) {
-                let lowest_m = &mut self.lowest_m[index(level, column, row)];
-                *lowest_m = lowest_m.min(low.z);
+                let cell = index(level, column, row);
+                self.lowest_m[cell] = self.lowest_m[cell].min(low.z);
+                self.highest_m[cell] = self.highest_m[cell].max(high.z);
             }
         }
     }
 
-    /// Lower bound of the height of the ground in a box, metres from the centre.
-    fn lowest_m(&self, low: Vec2, high: Vec2) -> f32 {
+    /// The rows of cells that bound the ground in a box, metres from the centre: ranges of indices.
+    fn cells_under(&self, low: Vec2, high: Vec2) -> impl Iterator<Item = RangeInclusive<usize>> + use<> {
         let furthest = low.abs().max(high.abs()).max_element();
         let side = (high - low).max_element();
         let is_enough = |level: &usize| half_m(*level) >= furthest && BOX_CELLS * cell_m(*level) >= side;
         let level = (0..self.levels).find(is_enough).unwrap_or(self.levels - 1);
         let [columns, rows] = [0, 1].map(|axis| cell(level, low[axis])..=cell(level, high[axis]));
+        rows.map(move |row| index(level, *columns.start(), row)..=index(level, *columns.end(), row))
+    }
+
+    /// Lower bound of the height of the ground in a box, metres from the centre.
+    fn lowest_m(&self, low: Vec2, high: Vec2) -> f32 {
         let mut lowest_m = f32::INFINITY;
-        for row in rows {
-            for &here_m in
-                &self.lowest_m[index(level, *columns.start(), row)..=index(level, *columns.end(), row)]
-            {
+        for cells in self.cells_under(low, high) {
+            for &here_m in &self.lowest_m[cells] {
                 // `f32::min` is more than a comparison (NaN).
                 lowest_m = if here_m < lowest_m { here_m } else { lowest_m };
             }
         }
         lowest_m
+    }
+
+    /// Lower and upper bound of the height of the ground in a box, metres, world; infinite where there is none.
+    #[must_use]
+    pub(crate) fn under(&self, low: Vec2, high: Vec2) -> [f32; 2] {
+        let (low, high) = (low - self.centre, high - self.centre);
+        let cells = self.cells_under(low, high).flatten();
+        let highest_m = cells.map(|cell| self.highest_m[cell]).fold(f32::NEG_INFINITY, f32::max);
+        [self.lowest_m(low, high), highest_m]
     }
 
     /// How far from its centre a rock can shadow what stands on the ground, along the sun's rays, metres: at most `longest_m`. `top_m` is
@@ -175,11 +196,11 @@ mod tests {
             config.apply_set(&format!("sun.elevation_deg={elevation_deg}")).expect("a knob");
             let scene = Scene::build(seed, &config.draw(seed).expect("drawn")).expect("built");
             let (terrain, sun) = (&scene.terrain, &scene.sun);
-            let lows = GroundLows::new(terrain).expect("rings");
+            let ground = GroundRange::new(terrain).expect("rings");
             for rock in scene.rocks.iter().step_by(7) {
                 let top_m = rock.centre.z + rock.z_range_m[1];
                 let longest_m = (top_m - terrain.z_range_m[0]) / sun.direction.z + rock.radius_m;
-                let reach_m = lows.shadow_reach_m(sun, rock.centre, top_m, rock.radius_m, longest_m);
+                let reach_m = ground.shadow_reach_m(sun, rock.centre, top_m, rock.radius_m, longest_m);
                 rocks += 1;
                 shorter += u32::from(reach_m < 0.5 * longest_m);
                 for k in 1..60_u8 {
