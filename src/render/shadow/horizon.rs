@@ -14,8 +14,7 @@
 mod heightfield;
 mod sweep;
 
-use std::cell::RefCell;
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
 use glam::Vec2;
 
@@ -49,12 +48,10 @@ const FARTHEST_M: f32 = 1e9;
 pub const MAX_LEVELS: usize = 12;
 
 /// Maps whose memory later ones use: those of the frames that are planned or in flight.
-const MAX_RETIRED: usize = 4;
+const MAX_RETIRED: usize = 1;
 
-thread_local! {
-    /// Memory of the grids of earlier maps, those of the last one at most.
-    static SPARE: RefCell<Vec<Vec<Limbs>>> = RefCell::default();
-}
+/// Memory of the grids of earlier maps, those of one at most. One for all threads: they seldom compute maps at the same time.
+static SPARE: Mutex<Vec<Vec<Limbs>>> = Mutex::new(Vec::new());
 
 /// The map: its grids, the finest first. Computed in place, for its memory.
 #[derive(Clone, Debug, Default)]
@@ -197,7 +194,7 @@ impl HorizonMap {
             let finer_m = level.checked_sub(1).map_or(0.0, |finer| beyond * steps_m[finer]);
             let margin = if level == 0 { 0.0 } else { (finer_m / step_m).ceil() + 2.0 };
             let region = lattice.region(&footprint.within(terrain.centre, end_m), margin);
-            let memory = SPARE.with_borrow_mut(Vec::pop).unwrap_or_default();
+            let memory = spare().pop().unwrap_or_default();
             let grid = match grids.last() {
                 None => lattice.sweep_coarsest(&region, memory),
                 Some(coarser) => lattice.sweep_finer(&region, memory, coarser, beyond as usize),
@@ -241,7 +238,9 @@ impl HorizonMap {
         } else {
             self.copy_rows(&columns, &grids);
         }
-        SPARE.with_borrow_mut(|spare| spare.extend(grids.into_iter().map(|grid| grid.heights_m)));
+        let mut spare = spare();
+        spare.extend(grids.into_iter().map(|grid| grid.heights_m));
+        spare.truncate(MAX_LEVELS);
     }
 
     /// Copies the rows of all grids to where the columns have them.
@@ -297,6 +296,10 @@ impl HorizonMap {
     pub fn height(&self) -> u32 {
         (self.heights_m.len() / self.width as usize) as u32
     }
+}
+
+fn spare() -> MutexGuard<'static, Vec<Vec<Limbs>>> {
+    SPARE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// The distance that the finest grid serves, and the step between the samples of each grid, the finest first, metres.

@@ -18,7 +18,7 @@ pub struct Rocks(Arc<[Entry]>);
 #[derive(Clone, Debug, Default)]
 struct Entry {
     /// How to build it; `None` for a rock that was supplied as it is, or modified.
-    plan: Option<RockPlan>,
+    plan: Option<Box<RockPlan>>,
     built: OnceLock<Rock>,
 }
 
@@ -121,7 +121,7 @@ impl Rocks {
 
     /// Rocks that are built on first access.
     pub(super) fn planned(plans: impl Iterator<Item = RockPlan>) -> Self {
-        Self(plans.map(|plan| Entry { plan: Some(plan), built: OnceLock::new() }).collect())
+        Self(plans.map(|plan| Entry { plan: Some(Box::new(plan)), built: OnceLock::new() }).collect())
     }
 }
 

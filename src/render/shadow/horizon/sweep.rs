@@ -164,7 +164,9 @@ impl<'a> SweepLattice<'a> {
     ) -> HorizonGrid {
         let SweepRegion { columns, rows, spans } = region;
         let width = columns.len();
-        heights_m.resize(width * rows.len(), [f32::MIN; 2]);
+        let samples = width * rows.len();
+        heights_m.reserve_exact(samples.saturating_sub(heights_m.len()));
+        heights_m.resize(samples, [f32::MIN; 2]);
         let batches = heights_m.par_chunks_mut(LANES * width).zip(spans.par_chunks(LANES)).enumerate();
         let shadowed = batches.map(|(index, (heights_m, spans))| {
             for (row, span) in heights_m.chunks_exact_mut(width).zip(spans) {
