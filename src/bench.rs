@@ -24,7 +24,7 @@ use crate::error::{Error, Result};
 use crate::host_time::{self, Role, RoleTimes};
 use crate::output::disk;
 use crate::params::Knob;
-use crate::render::{Renderer, StageTimes, select::selection};
+use crate::render::{FRAMES_IN_FLIGHT, Renderer, StageTimes, select::selection};
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
 use crate::scene::sky::Sun;
@@ -244,7 +244,7 @@ fn measure(
         if stop.load(Ordering::Relaxed) {
             return Err(stopped(finished, total));
         }
-        if submitted < total && queue.len() < concurrency.frames_in_flight {
+        if submitted < total && queue.len() < concurrency.frames_in_flight.unwrap_or(FRAMES_IN_FLIGHT) {
             let (scene, times) = next(submitted)?;
             let in_flight = renderer.submit(&scene, &plan.settings)?;
             queue.push_back((scene, times, in_flight));
@@ -279,8 +279,9 @@ fn moving(setup: &Setup, sun_moves: bool, renderer: &mut Renderer) -> Result<Mea
     let [pitch, yaw, roll] = angles.map(|knob| params.number(knob));
     let fov_deg = params.number(Knob::CameraFovDeg);
     // One copy of the scene for each frame that can be in flight, so that none is made during the measurement.
-    let mut scenes: Vec<Arc<Scene>> =
-        (0..setup.concurrency.frames_in_flight).map(|_| Arc::new(still.clone())).collect();
+    let mut scenes: Vec<Arc<Scene>> = (0..setup.concurrency.frames_in_flight.unwrap_or(FRAMES_IN_FLIGHT))
+        .map(|_| Arc::new(still.clone()))
+        .collect();
     scenes.push(Arc::new(still));
     measure(setup, renderer, |frame| {
         let turn = std::f64::consts::TAU * (frame % PERIOD) as f64 / PERIOD as f64;
@@ -433,7 +434,7 @@ pub fn sweep(name: &str, setup: &Setup) -> Result<(&'static str, Vec<(f64, Setup
         "frames-in-flight" => {
             for frames in 1..=4_usize {
                 with(frames as f64, &|setup| {
-                    setup.concurrency.frames_in_flight = frames;
+                    setup.concurrency.frames_in_flight = Some(frames);
                     Ok(())
                 })?;
             }

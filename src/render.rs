@@ -35,6 +35,7 @@ use std::time::Instant;
 use crate::error::Result;
 use crate::frame::Frame;
 use crate::gpu::Gpu;
+use crate::gpu::staging::StagingBuffers;
 use crate::scene::Scene;
 pub use backend::{LightingMode, RasterBackend, RasterMode, RasterOptions};
 pub use device::timing::StageTimes;
@@ -103,6 +104,7 @@ pub struct Renderer {
     planner: Arc<FramePlanner>,
     gbuffers: GBufferPool,
     slots: SlotPool,
+    staging: StagingBuffers,
     last_cost: FrameCost,
     /// How large a frame may be that is drawn whole.
     tile_limits: TileLimits,
@@ -144,6 +146,7 @@ impl Renderer {
             planner: Arc::new(FramePlanner::new(raster)),
             gbuffers: GBufferPool::default(),
             slots: SlotPool::default(),
+            staging: StagingBuffers::default(),
             last_cost: FrameCost::default(),
             tile_limits: TileLimits::of(&gpu),
             layouts,
@@ -178,6 +181,12 @@ impl Renderer {
             self.planner = Arc::new(FramePlanner::new(raster));
         }
         self.raster = raster;
+    }
+
+    /// Tells it how many frames will be in flight at a time, [`FRAMES_IN_FLIGHT`] until then. With one, the device is idle while the next is
+    /// prepared, which is then uploaded in parts that take less memory. No frame depends on it.
+    pub const fn expect_in_flight(&mut self, frames: usize) {
+        self.staging.device_is_idle = frames <= 1;
     }
 
     /// The planner of its frames, for threads that plan while this one submits. [`Self::set_raster`] replaces it.
@@ -333,14 +342,15 @@ impl Renderer {
             bin_by_shadow_sources: self.raster.bin_by_shadow_sources && !is_first,
             ..self.raster
         };
-        let Self { gpu, layouts, buffers, shadow, visibility, lighting, resolve, .. } = self;
+        let Self { gpu, layouts, buffers, shadow, visibility, lighting, resolve, staging, .. } = self;
         let (prepared, ()) = rayon::join(
             || {
                 plan.place_tiles(|selection| shadow.place_tiles(scene, selection));
                 plan.uniforms = frame_plan::of_tile(&plan.uniforms, tile, settings);
-                let mut bytes = gpu.guard(|| buffers.upload(gpu, scene, &plan, raster.multi_draw))?;
+                let multi_draw = raster.multi_draw;
+                let mut bytes = gpu.guard(|| buffers.upload(gpu, scene, &plan, (multi_draw, staging)))??;
                 let size_px = plan.shadow_map_px;
-                bytes += shadow.prepare(gpu, layouts, (scene, &plan.selection), size_px)?;
+                bytes += shadow.prepare(gpu, layouts, (scene, &plan.selection, size_px), staging)?;
                 let inputs = VisibilityInputs {
                     scene,
                     settings,
@@ -351,7 +361,7 @@ impl Renderer {
                 };
                 visibility.find(gpu, layouts, inputs);
                 let samples = tile.rendered.samples(settings.samples_per_side);
-                bytes += visibility.fill(gpu, &plan.draws.batches, samples, &mut gbuffer)?;
+                bytes += visibility.fill(gpu, &plan.draws.batches, samples, (&mut gbuffer, staging))?;
                 Result::Ok((plan, bytes))
             },
             || {
@@ -381,11 +391,11 @@ impl Renderer {
         frame: &mut PreparedFrame,
         tile: ImageTile,
     ) -> Result<()> {
-        let Self { gpu, buffers, visibility, lighting, .. } = self;
+        let Self { gpu, buffers, visibility, lighting, staging, .. } = self;
         let PreparedFrame { plan, gbuffer, slot, pipelines, uploaded_bytes, .. } = frame;
         *uploaded_bytes += buffers.upload_uniforms(gpu, &frame_plan::of_tile(&plan.uniforms, tile, settings));
         let samples = tile.rendered.samples(settings.samples_per_side);
-        *uploaded_bytes += visibility.fill(gpu, &plan.draws.batches, samples, gbuffer)?;
+        *uploaded_bytes += visibility.fill(gpu, &plan.draws.batches, samples, (gbuffer, staging))?;
         *uploaded_bytes += slot.packed.choose(gpu, gbuffer);
         if self.raster.lighting == LightingMode::Bins {
             lighting.prepare(gpu, *pipelines, gbuffer.batches.iter().map(|batch| batch.variant));

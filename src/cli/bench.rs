@@ -41,9 +41,9 @@ pub(super) struct BenchArgs {
     /// Threads that build scenes, plan frames, post-process and encode, in the case dataset [default: the number of cores]
     #[arg(long, value_name = "N", value_parser = whole_number::<u16>(1, 256))]
     threads: Option<u16>,
-    /// Frames that the device works on at the same time
-    #[arg(long, value_name = "N", default_value_t = FRAMES_IN_FLIGHT as u8, value_parser = whole_number::<u8>(1, 16))]
-    frames_in_flight: u8,
+    /// Frames that the device works on at the same time [default: 2; in the case dataset 1 on a software adapter with up to two threads]
+    #[arg(long, value_name = "N", value_parser = whole_number::<u8>(1, 16))]
+    frames_in_flight: Option<u8>,
     /// Measure one case for several values of one setting, and plot the result: size, samples, rocks or frames-in-flight for
     /// the first of --cases, threads for the case dataset
     #[arg(long, value_name = "NAME", value_parser = SWEEPS)]
@@ -104,7 +104,7 @@ fn setup(args: &BenchArgs, messages: Messages) -> Result<Setup> {
         ..Plan::in_memory(config, rules, args.seed, args.image.settings()?, outputs)
     };
     let threads = args.threads.map_or_else(cores, usize::from);
-    let concurrency = Concurrency { threads, frames_in_flight: args.frames_in_flight.into() };
+    let concurrency = Concurrency { threads, frames_in_flight: args.frames_in_flight.map(usize::from) };
     Ok(Setup { plan, concurrency, frames: args.frames, stop: stop_on_signals(messages)? })
 }
 
@@ -139,7 +139,7 @@ fn measure(
             "cores": cores(),
             "size": settings.size,
             "samples": settings.samples_per_side.pow(2),
-            "frames_in_flight": setup.concurrency.frames_in_flight,
+            "frames_in_flight": setup.concurrency.frames_in_flight.unwrap_or(FRAMES_IN_FLIGHT),
             "stage": setup.plan.config.distribution(Knob::StageName).to_json(false),
             "cases": cases,
             "peak_rss_bytes": bench::peak_rss_bytes(),

@@ -20,6 +20,7 @@ use super::log_writer::record_files;
 use super::plan::{Plan, Seeds};
 use super::work_queue::{QueueLimits, Task, WorkQueue};
 use crate::error::{Error, Result};
+use crate::gpu::Capabilities;
 use crate::host_time::{self, Role};
 use crate::meta::FrameRecord;
 use crate::output::layout::{FrameFiles, FrameLine, Sample};
@@ -29,6 +30,8 @@ use crate::render::{FRAMES_IN_FLIGHT, FramePlanner, InFlight, Renderer, StageTim
 /// Frames for each worker that may be started after the oldest unfinished one: a frame that is redrawn many times does not stop the
 /// others, nor do they pile up behind it.
 const AHEAD_PER_WORKER: usize = 4;
+/// Most threads with which a software adapter works on one frame at a time.
+const MAX_THREADS_OF_ONE_FRAME: usize = 2;
 /// Keys of a frame's record that are the same for all frames: the manifest has them.
 const MANIFEST_KEYS: [&str; 4] = ["size", "samples", "edges", "version"];
 
@@ -54,15 +57,22 @@ pub struct FinishedFrame {
 pub struct Concurrency {
     /// Worker threads, each of which builds scenes, plans frames, post-processes and encodes.
     pub threads: usize,
-    /// Frames that the device may work on at a time.
-    pub frames_in_flight: usize,
+    /// Frames that the device may work on at a time; `None` for as many as suit the device and the threads.
+    pub frames_in_flight: Option<usize>,
 }
 
 impl Concurrency {
-    /// This many threads, and [`FRAMES_IN_FLIGHT`] frames.
+    /// This many threads, and as many frames as suit them.
     #[must_use]
     pub const fn with_threads(threads: usize) -> Self {
-        Self { threads, frames_in_flight: FRAMES_IN_FLIGHT }
+        Self { threads, frames_in_flight: None }
+    }
+
+    /// Frames that this device works on at a time. Where a software adapter shares its cores with no more than two threads, one: they
+    /// have other frames to work on while the next is prepared for the device, and a second one takes memory alone.
+    fn in_flight(self, device: Capabilities) -> usize {
+        let is_one = device.software_adapter && self.threads <= MAX_THREADS_OF_ONE_FRAME;
+        self.frames_in_flight.unwrap_or(if is_one { 1 } else { FRAMES_IN_FLIGHT })
     }
 }
 
@@ -107,7 +117,9 @@ pub fn run_job<T: Send>(
     renderer: &Mutex<impl BorrowMut<Renderer>>,
     mut sink: impl FnMut(T) -> Result<()> + Send,
 ) -> Result<()> {
-    let Job { plan, indices, concurrency: Concurrency { threads, frames_in_flight }, stop, finish } = job;
+    let Job { plan, indices, concurrency, stop, finish } = job;
+    let threads = concurrency.threads;
+    let frames_in_flight = concurrency.in_flight((*lock(renderer)).borrow().gpu().capabilities);
     let first_error = FirstError::default();
     let limits = QueueLimits {
         ready: threads.max(2),
@@ -217,6 +229,7 @@ fn render_prepared(
 ) {
     let _guard = queue.close_on_panic();
     let mut in_flight: VecDeque<(FrameScene, InFlight)> = VecDeque::new();
+    (*lock(renderer)).borrow_mut().expect_in_flight(frames_in_flight);
     loop {
         // What is prepared is submitted before the oldest frame is waited for.
         let next =
@@ -237,6 +250,7 @@ fn render_prepared(
             break;
         }
     }
+    (*lock(renderer)).borrow_mut().expect_in_flight(FRAMES_IN_FLIGHT);
 }
 
 /// Encodes a frame and lays out its files.

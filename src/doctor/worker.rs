@@ -25,7 +25,7 @@ use crate::gpu::Gpu;
 use crate::gpu::survey::{AdapterReport, survey};
 use crate::output::{self, Artifact, disk};
 use crate::params::config::Config;
-use crate::render::{FRAMES_IN_FLIGHT, LightingMode, RasterMode, RasterOptions, RenderSettings, Renderer};
+use crate::render::{LightingMode, RasterMode, RasterOptions, RenderSettings, Renderer};
 
 /// Times that each case is rendered.
 pub const PASSES: usize = 2;
@@ -406,7 +406,7 @@ fn bench_setup(stage: &str) -> Result<Setup> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     Ok(Setup {
         plan,
-        concurrency: Concurrency { threads, frames_in_flight: FRAMES_IN_FLIGHT },
+        concurrency: Concurrency::with_threads(threads),
         frames: BENCH_FRAMES,
         stop: Arc::new(AtomicBool::new(false)),
     })

@@ -10,6 +10,11 @@ pub const ROW_ALIGNMENT: usize = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as usize;
 pub const PAGE_BYTES: usize = 4096;
 const _: () = assert!(PAGE_BYTES.is_multiple_of(ROW_ALIGNMENT));
 
+/// Most bytes of a part that is uploaded while the device is idle.
+const IDLE_PART_BYTES: usize = 8 << 20;
+/// The size of a buffer for such parts is a multiple of this, bytes: frames differ a little in what they need.
+const STEP_BYTES: usize = 4 << 20;
+
 /// A part of a staging buffer that any one thread may write.
 pub type Page<'a> = wgpu::WriteOnly<'a, [u8; PAGE_BYTES]>;
 
@@ -51,6 +56,73 @@ pub struct StagingBuffer {
     buffer: wgpu::Buffer,
     /// The last copy from it, until it is mapped again.
     last_copy: Option<wgpu::SubmissionIndex>,
+}
+
+/// Staging buffers for uploads of two kinds, the first of which comes first in each frame.
+///
+/// Where the device works on a frame while the next is prepared, a copy waits for that frame: each kind has a buffer of its own, large
+/// enough for most frames. Where the device is idle then, both share one buffer and are uploaded in small parts.
+#[derive(Debug, Default)]
+pub struct StagingBuffers {
+    /// The device is idle while a frame is prepared.
+    pub device_is_idle: bool,
+    first: Option<StagingBuffer>,
+    second: Option<StagingBuffer>,
+}
+
+impl StagingBuffers {
+    /// The buffer for uploads of the first kind, and the most bytes of a part, at most `max_bytes`.
+    pub const fn first(&mut self, max_bytes: usize) -> (&mut Option<StagingBuffer>, usize) {
+        let part_bytes = self.part_bytes(max_bytes);
+        (&mut self.first, part_bytes)
+    }
+
+    /// The same for uploads of the second kind.
+    pub const fn second(&mut self, max_bytes: usize) -> (&mut Option<StagingBuffer>, usize) {
+        let part_bytes = self.part_bytes(max_bytes);
+        (if self.device_is_idle { &mut self.first } else { &mut self.second }, part_bytes)
+    }
+
+    /// Writes the first `size` columns and rows of a texture; `texels` are in row-major order. While the device is idle, in parts.
+    ///
+    /// # Errors
+    /// [`Error::DeviceLost`] or [`Error::Device`].
+    pub fn write_texels<T: bytemuck::NoUninit>(
+        &mut self,
+        gpu: &Gpu,
+        texture: &wgpu::Texture,
+        size: [u32; 2],
+        texels: &[T],
+    ) -> Result<()> {
+        if !self.device_is_idle {
+            return gpu.guard(|| gpu.write_texels(texture, size, texels));
+        }
+        let [width, height] = size;
+        let row_bytes = (width as usize * size_of::<T>()).next_multiple_of(ROW_ALIGNMENT);
+        let (staging, max_bytes) = self.first(IDLE_PART_BYTES);
+        let rows_at_once = (max_bytes / row_bytes).max(1) as u32;
+        for first in (0..height).step_by(rows_at_once as usize) {
+            let rows = first..height.min(first + rows_at_once);
+            let room = (rows.len() * row_bytes).next_multiple_of(STEP_BYTES);
+            let staging = StagingBuffer::with_capacity(staging, gpu, "staging/texels", room)?;
+            let texels = &texels[first as usize * width as usize..][..rows.len() * width as usize];
+            staging.write(gpu, |pages| {
+                let mut writer =
+                    PageWriter::new(pages.take((rows.len() * row_bytes).div_ceil(PAGE_BYTES)).collect());
+                for row in texels.chunks_exact(width as usize) {
+                    writer.write_row(bytemuck::cast_slice(row), row_bytes);
+                }
+            })?;
+            let size = [width, rows.len() as u32];
+            let region = TextureRegion { offset_bytes: 0, row_bytes, origin: [0, first], size };
+            staging.copy_to(gpu, texture, &[region])?;
+        }
+        Ok(())
+    }
+
+    const fn part_bytes(&self, max_bytes: usize) -> usize {
+        if self.device_is_idle && max_bytes > IDLE_PART_BYTES { IDLE_PART_BYTES } else { max_bytes }
+    }
 }
 
 /// A rectangle of a texture and where its texels lie in the staging buffer.

@@ -5,8 +5,10 @@ use std::sync::{Arc, Weak};
 
 use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 
+use crate::error::Result;
 use crate::gpu::Gpu;
 use crate::gpu::growing_buffer::GrowingBuffer;
+use crate::gpu::staging::StagingBuffers;
 use crate::render::device::bind_groups::{BindLayouts, bind_group, slot_stride};
 use crate::render::device::shader_structs::{FrameUniforms, Instance, ReliefUniforms};
 use crate::render::frame_plan::FramePlan;
@@ -55,7 +57,16 @@ impl Default for SceneBuffers {
 
 impl SceneBuffers {
     /// Writes a plan to the device and returns how many bytes that took.
-    pub(crate) fn upload(&mut self, gpu: &Gpu, scene: &Scene, plan: &FramePlan, multi_draw: bool) -> u64 {
+    ///
+    /// # Errors
+    /// [`crate::Error::DeviceLost`] or [`crate::Error::Device`].
+    pub(crate) fn upload(
+        &mut self,
+        gpu: &Gpu,
+        scene: &Scene,
+        plan: &FramePlan,
+        (multi_draw, staging): (bool, &mut StagingBuffers),
+    ) -> Result<u64> {
         let mut bytes = self.upload_uniforms(gpu, &plan.uniforms);
         bytes += self.relief.write(gpu, &slots(&plan.bands.bands));
         bytes += self.instances.write(gpu, &slots(&plan.instances));
@@ -65,7 +76,7 @@ impl SceneBuffers {
             bytes += self.meshes.upload(gpu, scene, &plan.selection);
             bytes += self.meshes.set_draws(gpu, &plan.draws.draws, multi_draw);
         }
-        bytes + self.upload_horizon(gpu, &plan.horizon)
+        Ok(bytes + self.upload_horizon(gpu, &plan.horizon, staging)?)
     }
 
     /// Writes the uniforms of the frame, or of a tile, and returns how many bytes that took.
@@ -73,12 +84,17 @@ impl SceneBuffers {
         self.frame.write(gpu, &[*uniforms])
     }
 
-    fn upload_horizon(&mut self, gpu: &Gpu, map: &Arc<HorizonMap>) -> u64 {
+    fn upload_horizon(
+        &mut self,
+        gpu: &Gpu,
+        map: &Arc<HorizonMap>,
+        staging: &mut StagingBuffers,
+    ) -> Result<u64> {
         let size @ [width, height] = [map.width, map.height()];
         let fits = |texture: &wgpu::Texture| texture.width() >= width && texture.height() >= height;
         let is_kept = self.horizon.as_ref().is_some_and(|(texture, _)| fits(texture));
         if is_kept && self.horizon_source.as_ptr() == Arc::as_ptr(map) {
-            return 0;
+            return Ok(0);
         }
         self.horizon_source = Arc::downgrade(map);
         let kept = self.horizon.take().filter(|_| is_kept);
@@ -86,8 +102,8 @@ impl SceneBuffers {
             let usage = TextureUsages::TEXTURE_BINDING | TextureUsages::COPY_DST;
             gpu.texture("shadow/horizon", size, TextureFormat::Rg32Float, usage)
         }));
-        gpu.write_texels(texture, size, &map.heights_m);
-        size_of_val(&map.heights_m[..]) as u64
+        staging.write_texels(gpu, texture, size, &map.heights_m)?;
+        Ok(size_of_val(&map.heights_m[..]) as u64)
     }
 
     /// The horizon map.

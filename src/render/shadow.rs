@@ -14,7 +14,7 @@ use wgpu::TextureUsages;
 
 use crate::error::Result;
 use crate::gpu::Gpu;
-use crate::gpu::staging::StagingBuffer;
+use crate::gpu::staging::{StagingBuffer, StagingBuffers};
 use crate::render::backend::RasterBackend;
 use crate::render::device::bind_groups::{BindLayouts, SHADOW_MAP_FORMAT};
 use crate::render::device::timing::{Pass, Timer, milliseconds};
@@ -65,15 +65,15 @@ impl ShadowBackend {
         &mut self,
         gpu: &Gpu,
         layouts: &BindLayouts,
-        (scene, selection): (&Scene, &Selection),
-        size_px: [u32; 2],
+        (scene, selection, size_px): (&Scene, &Selection, [u32; 2]),
+        staging: &mut StagingBuffers,
     ) -> Result<u64> {
         match self {
             Self::Device(pass) => {
                 pass.prepare(gpu, layouts, MapSource::new(scene, selection, size_px));
                 Ok(0)
             }
-            Self::Host(raster) => raster.prepare(gpu, scene, size_px),
+            Self::Host(raster) => raster.prepare(gpu, scene, size_px, staging),
         }
     }
 
@@ -138,8 +138,6 @@ pub(crate) struct ShadowRaster {
     /// Tiles that the map does not have yet.
     new_tiles: Vec<NewTile>,
     map: Option<(wgpu::Texture, wgpu::TextureView)>,
-    /// One for all frames in flight: when a frame is prepared, the copy of the one before it is the next that the device does.
-    staging: Option<StagingBuffer>,
     elapsed_ms: f64,
 }
 
@@ -151,7 +149,13 @@ impl ShadowRaster {
         self.tiles.size_px()
     }
 
-    fn prepare(&mut self, gpu: &Gpu, scene: &Scene, size_px: [u32; 2]) -> Result<u64> {
+    fn prepare(
+        &mut self,
+        gpu: &Gpu,
+        scene: &Scene,
+        size_px: [u32; 2],
+        staging: &mut StagingBuffers,
+    ) -> Result<u64> {
         let has_size = |texture: &wgpu::Texture| [texture.width(), texture.height()] == size_px;
         if !self.map.as_ref().is_some_and(|(texture, _)| has_size(texture)) {
             let usage = TextureUsages::COPY_DST | TextureUsages::TEXTURE_BINDING;
@@ -159,10 +163,11 @@ impl ShadowRaster {
         }
         let start = Instant::now();
         let mut uploaded = 0;
-        for bands in tiles::upload_parts(&tiles::bands(&self.new_tiles), STAGING_BYTES) {
+        let (staging, max_bytes) = staging.first(STAGING_BYTES);
+        for bands in tiles::upload_parts(&tiles::bands(&self.new_tiles), max_bytes) {
             let (regions, bytes) = tiles::upload_regions(bands);
             let room = bytes.next_multiple_of(STAGING_STEP_BYTES);
-            let staging = StagingBuffer::with_capacity(&mut self.staging, gpu, "shadow/staging", room)?;
+            let staging = StagingBuffer::with_capacity(staging, gpu, "shadow/staging", room)?;
             staging.write(gpu, |pages| host::rasterise(scene, bands, pages))?;
             let (texture, _) = self.map.as_ref().expect("it was just made");
             staging.copy_to(gpu, texture, &regions)?;

@@ -14,7 +14,7 @@ use wgpu::{TextureFormat, TextureUsages};
 
 use crate::error::Result;
 use crate::gpu::Gpu;
-use crate::gpu::staging::{PAGE_BYTES, Page, StagingBuffer, TextureRegion};
+use crate::gpu::staging::{PAGE_BYTES, Page, StagingBuffer, StagingBuffers, TextureRegion};
 use crate::render::backend::{LightingMode, RasterBackend, RasterOptions};
 use crate::render::device::bind_groups::BindLayouts;
 use crate::render::device::depth::{DEPTH_FORMAT, DEPTH_STENCIL_FORMAT, STENCIL_FORMAT};
@@ -106,7 +106,7 @@ impl VisibilityBackend {
         gpu: &Gpu,
         batches: &[DrawBatch],
         samples: PixelRect,
-        gbuffer: &mut GBuffer,
+        (gbuffer, staging): (&mut GBuffer, &mut StagingBuffers),
     ) -> Result<u64> {
         gbuffer.batches = batches.to_vec();
         let bytes = match self {
@@ -114,7 +114,7 @@ impl VisibilityBackend {
                 gbuffer.dome_stencil = None;
                 0
             }
-            Self::Host(raster) => raster.fill(gpu, samples, gbuffer)?,
+            Self::Host(raster) => raster.fill(gpu, samples, gbuffer, staging)?,
         };
         gbuffer.batches.retain(|batch| batch.bounds != ScreenBounds::EMPTY);
         for batch in &mut gbuffer.batches {
@@ -169,8 +169,6 @@ pub(crate) struct VisibilityRaster {
     triangles: VisibleTriangles,
     /// Columns and rows of samples of the image.
     sample_size: [u32; 2],
-    /// One for all frames in flight: when a frame is prepared, the copy of the one before it is among the next that the device does.
-    staging: Option<StagingBuffer>,
     elapsed_ms: f64,
 }
 
@@ -183,7 +181,13 @@ impl VisibilityRaster {
         self.elapsed_ms = milliseconds(start.elapsed());
     }
 
-    fn fill(&mut self, gpu: &Gpu, samples: PixelRect, gbuffer: &mut GBuffer) -> Result<u64> {
+    fn fill(
+        &mut self,
+        gpu: &Gpu,
+        samples: PixelRect,
+        gbuffer: &mut GBuffer,
+        staging: &mut StagingBuffers,
+    ) -> Result<u64> {
         let start = Instant::now();
         let bins = self.triangles.bins();
         for mesh in self.triangles.meshes() {
@@ -192,14 +196,20 @@ impl VisibilityRaster {
                 batch.bounds = batch.bounds.union(bounds);
             }
         }
-        let bytes = self.rasterise(gpu, samples, gbuffer)?;
+        let bytes = self.rasterise(gpu, samples, gbuffer, staging)?;
         gbuffer.dome_stencil = Some(bins.dome() + 1);
         self.elapsed_ms += milliseconds(start.elapsed());
         Ok(bytes)
     }
 
     /// Rasterises in parts that fit into the staging buffer and uploads each. Returns the bytes that were uploaded.
-    fn rasterise(&mut self, gpu: &Gpu, samples: PixelRect, gbuffer: &mut GBuffer) -> Result<u64> {
+    fn rasterise(
+        &mut self,
+        gpu: &Gpu,
+        samples: PixelRect,
+        gbuffer: &mut GBuffer,
+        staging: &mut StagingBuffers,
+    ) -> Result<u64> {
         let [width, _] = samples.size;
         // Rows are shared out to threads, and so begin with pages.
         let bytes_of = |format: TextureFormat, width: u32| {
@@ -216,9 +226,11 @@ impl VisibilityRaster {
             (STAGING_BYTES / each_bytes(image_width).iter().sum::<usize>() as u32).clamp(1, image_height);
         let each_bytes = each_bytes(width);
         let row_bytes = each_bytes[0] + each_bytes[1];
-        let largest_part = rows_at_once.min(samples.size[1]) as usize * row_bytes;
+        let (staging, max_bytes) = staging.second(STAGING_BYTES as usize);
+        let rows_of_upload = rows_of_upload(rows_at_once, max_bytes / row_bytes);
+        let largest_part = rows_of_upload.min(samples.size[1]) as usize * row_bytes;
         let largest_part = largest_part.next_multiple_of(STAGING_STEP_BYTES);
-        let staging = StagingBuffer::with_capacity(&mut self.staging, gpu, "gbuffer/staging", largest_part)?;
+        let staging = StagingBuffer::with_capacity(staging, gpu, "gbuffer/staging", largest_part)?;
         let [first_row, end_row] = [samples.origin[1], samples.origin[1] + samples.size[1]];
         // Rows that only the frame before covered are cleared.
         let within =
@@ -231,8 +243,7 @@ impl VisibilityRaster {
         let written = written.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end)).unwrap_or(0..0);
         let mut stencil = ShadingBinMask { values: gbuffer.host_stencil.take().unwrap_or_default() };
         stencil.restart(gbuffer.sample_size);
-        for first in (0..image_height).step_by(rows_at_once as usize) {
-            let rows = first..image_height.min(first + rows_at_once);
+        for rows in parts(0..image_height, rows_at_once).flat_map(|rows| parts(rows, rows_of_upload)) {
             if rows.end <= first_row || rows.start >= end_row {
                 continue;
             }
@@ -264,5 +275,38 @@ impl VisibilityRaster {
 
     fn triangles(&self) -> u64 {
         self.triangles.meshes().iter().map(|mesh| mesh.triangles.len() as u64).sum()
+    }
+}
+
+/// Parts of at most `count` rows.
+fn parts(rows: Range<u32>, count: u32) -> impl Iterator<Item = Range<u32>> {
+    let end = rows.end;
+    rows.step_by(count as usize).map(move |first| first..end.min(first + count))
+}
+
+/// Rows that are uploaded at once, of `rows_at_once` that may be and where the staging buffer has room for `max_rows`: all, or whole bands.
+fn rows_of_upload(rows_at_once: u32, max_rows: usize) -> u32 {
+    if rows_at_once as usize <= max_rows {
+        return rows_at_once;
+    }
+    let bands = (max_rows / host::BAND_ROWS).max(1);
+    (bands * host::BAND_ROWS).min(rows_at_once as usize) as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn uploads_begin_where_bands_of_the_image_do() {
+        let (rows_at_once, height) = (910, 2000);
+        let bands = |rows| parts(rows, host::BAND_ROWS as u32);
+        let of_image: Vec<Range<u32>> = parts(0..height, rows_at_once).flat_map(bands).collect();
+        for max_rows in [1, 31, 32, 100, 909, 910, 5000] {
+            let rows = rows_of_upload(rows_at_once, max_rows);
+            assert!(rows as usize <= max_rows.max(host::BAND_ROWS), "{rows} rows for {max_rows}");
+            let uploads = parts(0..height, rows_at_once).flat_map(|part| parts(part, rows));
+            assert_eq!(uploads.flat_map(bands).collect::<Vec<_>>(), of_image, "{max_rows} rows at once");
+        }
     }
 }

@@ -26,7 +26,7 @@ use crate::render::select::tiles::PixelRect;
 use crate::render::visibility::geometry::{ScreenMesh, ScreenTriangle, VisibleTriangles};
 
 /// Rows of a band.
-const BAND_ROWS: usize = 32;
+pub(super) const BAND_ROWS: usize = 32;
 /// The bit of [`GBufferBand::bins_and_slots`] where the slot of the instance begins.
 const SLOT_SHIFT: u32 = ShadingBin::BITS;
 
