@@ -12,8 +12,8 @@ use bytemuck::Pod;
 
 /// Minimum size of a pooled buffer, bytes: for smaller ones the allocator is as fast.
 const MIN_BYTES: usize = 1 << 10;
-/// Capacity of the shared pool, bytes: a scene's worth.
-const MAX_BYTES: usize = 8 << 20;
+/// Capacity of the shared pool, bytes: more than a nominal scene's worth.
+const MAX_BYTES: usize = 16 << 20;
 /// Capacity of a thread's own pool, bytes: about what stays in its core's cache.
 const MAX_OWN_BYTES: usize = 1 << 20;
 

@@ -41,7 +41,8 @@ pub(super) struct BenchArgs {
     /// Threads that build scenes, plan frames, post-process and encode, in the case dataset [default: the number of cores]
     #[arg(long, value_name = "N", value_parser = whole_number::<u16>(1, 256))]
     threads: Option<u16>,
-    /// Frames that the device works on at the same time [default: 2; in the case dataset 1 on a software adapter with up to two threads]
+    /// Frames that the device works on at the same time [default: 2; in the case dataset of the surface stage 1, on a software
+    /// adapter with up to two threads]
     #[arg(long, value_name = "N", value_parser = whole_number::<u8>(1, 16))]
     frames_in_flight: Option<u8>,
     /// Measure one case for several values of one setting, and plot the result: size, samples, rocks or frames-in-flight for

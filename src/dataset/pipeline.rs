@@ -20,11 +20,11 @@ use super::log_writer::record_files;
 use super::plan::{Plan, Seeds};
 use super::work_queue::{QueueLimits, Task, WorkQueue};
 use crate::error::{Error, Result};
-use crate::gpu::Capabilities;
 use crate::host_time::{self, Role};
 use crate::meta::FrameRecord;
 use crate::output::layout::{FrameFiles, FrameLine, Sample};
 use crate::output::{self, EncodeInput};
+use crate::params::Stage;
 use crate::render::{FRAMES_IN_FLIGHT, FramePlanner, InFlight, Renderer, StageTimes};
 
 /// Frames for each worker that may be started after the oldest unfinished one: a frame that is redrawn many times does not stop the
@@ -68,10 +68,12 @@ impl Concurrency {
         Self { threads, frames_in_flight: None }
     }
 
-    /// Frames that this device works on at a time. Where a software adapter shares its cores with no more than two threads, one: they
-    /// have other frames to work on while the next is prepared for the device, and a second one takes memory alone.
-    fn in_flight(self, device: Capabilities) -> usize {
-        let is_one = device.software_adapter && self.threads <= MAX_THREADS_OF_ONE_FRAME;
+    /// Frames of a plan that the device works on at a time. On the surface stage, where a software adapter shares its cores with no more
+    /// than two threads, one: the threads have other frames to work on while the next is prepared for it, and a second one in flight takes
+    /// memory alone. Frames of the nominal stage are so short that it would wait.
+    fn in_flight(self, is_software_adapter: bool, plan: &Plan) -> usize {
+        let is_busy = is_software_adapter && self.threads <= MAX_THREADS_OF_ONE_FRAME;
+        let is_one = is_busy && !plan.config.stages().contains(&Stage::Nominal);
         self.frames_in_flight.unwrap_or(if is_one { 1 } else { FRAMES_IN_FLIGHT })
     }
 }
@@ -119,7 +121,8 @@ pub fn run_job<T: Send>(
 ) -> Result<()> {
     let Job { plan, indices, concurrency, stop, finish } = job;
     let threads = concurrency.threads;
-    let frames_in_flight = concurrency.in_flight((*lock(renderer)).borrow().gpu().capabilities);
+    let frames_in_flight =
+        concurrency.in_flight((*lock(renderer)).borrow().gpu().capabilities.software_adapter, plan);
     let first_error = FirstError::default();
     let limits = QueueLimits {
         ready: threads.max(2),
@@ -364,5 +367,29 @@ impl FirstError {
 
     fn into_result(self) -> Result<()> {
         self.error.into_inner().unwrap_or_else(PoisonError::into_inner).map_or(Ok(()), Err)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::rules::Rules;
+    use crate::params::config::Config;
+    use crate::render::RenderSettings;
+
+    #[test]
+    fn one_frame_is_in_flight_where_threads_share_cores_with_a_driver() {
+        let in_flight = |preset: &str, threads: usize, is_software: bool, frames_in_flight: Option<usize>| {
+            let mut config = Config::new();
+            config.apply_preset(preset).expect("a preset");
+            let settings = RenderSettings::new([64, 64], 4).expect("settings");
+            let plan = Plan::in_memory(config, Rules::accepting_any_image(), 1, settings, Vec::new());
+            Concurrency { threads, frames_in_flight }.in_flight(is_software, &plan)
+        };
+        assert_eq!(in_flight("surface_train_full", 2, true, None), 1);
+        assert_eq!(in_flight("surface_train_full", 3, true, None), FRAMES_IN_FLIGHT);
+        assert_eq!(in_flight("surface_train_full", 2, false, None), FRAMES_IN_FLIGHT);
+        assert_eq!(in_flight("train_dr", 2, true, None), FRAMES_IN_FLIGHT);
+        assert_eq!(in_flight("surface_train_full", 2, true, Some(3)), 3);
     }
 }
