@@ -58,38 +58,32 @@ fn ground_detail(
     while pit < light.relief_pit_lattices && mesh_share(0.499 * relief_pits(pit).max_diameter_m, cell_m) == 1.0 { pit++; }
     // How strong the next finer octaves are here, before the cap.
     var strength = 1.0;
-    var k = 0u;
-    while k < light.relief_waves && mesh_share(relief_noise(k).cell_m, cell_m) == 1.0 {
-        for (; has_larger_pits(pit, relief_noise(k).cell_m); pit++) {
-            sum = add_pits(sum, relief_pits(pit), rays, &sun_clearance_m);
-        }
-        strength *= noise_strength(relief_noise(k), point + sum.w * eye_way);
-        k++;
-    }
-    // Two loops, as software adapters take the time of branches that are not taken: octaves that may shadow the ground and need two steps,
-    // then those whose cells span too few samples for that.
-    for (; k < light.relief_waves; k++) {
+    for (var k = 0u; k <= light.relief_waves; k++) {
+        for (; has_larger_pits(pit, k); pit++) { sum = add_pits(sum, relief_pits(pit), rays, &sun_clearance_m); }
+        if k == light.relief_waves { break; }
         let octave = relief_noise(k);
-        let is_tested = octave.cell_m > MIN_TESTED_SAMPLES * sample_m;
-        if !is_tested || sample_share(octave.cell_m, sample_m) == 0.0 { break; }
-        for (; has_larger_pits(pit, octave.cell_m); pit++) { sum = add_pits(sum, relief_pits(pit), rays, &sun_clearance_m); }
+        if sample_share(octave.cell_m, sample_m) == 0.0 { break; }
         let resolved = sample_share(octave.cell_m, local_sample_m(sample_m, sum.xy, eye_way));
         let shown = (1.0 - mesh_share(octave.cell_m, cell_m)) * resolved;
         let share = min(strength, MAX_STRENGTH) * shown;
-        let tested = select(0.0, clamp(octave.cell_m / (MIN_TESTED_SAMPLES * sample_m) - 1.0, 0.0, 1.0), share > 0.0);
-        if tested > 0.0 && per_sun_way < 1.0 / MIN_LOW_WAY {
-            let rise_m = TESTED_CELLS * octave.cell_m * per_sun_way;
-            let way = rise_m * sun_way;
-            let height_m = dot(waves, way) + share * noise_height(octave, point + sum.w * eye_way + way);
-            sun_clearance_m = min(sun_clearance_m, rise_m / tested - height_m);
-        }
         let start_m = sum.w;
         // The first of two steps of Newton's method, where one would miss.
         var rise_m = 0.0;
-        let cells = share * octave.amount / (FIRST_STEP_CELLS * octave.cell_m * per_eye_way);
-        if tested > 0.0 && cells > 1.0 {
-            let first = share * noise_slope(octave, point + sum.w * eye_way).detail;
-            rise_m = min(cells - 1.0, 1.0) * tested * first.w / clearance(sum.xy + first.xy, eye_way);
+        // How far samples are close enough for an octave that may shadow the ground and need two steps. A loop of one turn: software adapters
+        // take the time of branches that are not taken.
+        let tested = select(0.0, clamp(octave.cell_m / (MIN_TESTED_SAMPLES * sample_m) - 1.0, 0.0, 1.0), share > 0.0);
+        for (var is_tested = tested > 0.0; is_tested; is_tested = false) {
+            if per_sun_way < 1.0 / MIN_LOW_WAY {
+                let sun_rise_m = TESTED_CELLS * octave.cell_m * per_sun_way;
+                let way = sun_rise_m * sun_way;
+                let height_m = dot(waves, way) + share * noise_height(octave, point + sum.w * eye_way + way);
+                sun_clearance_m = min(sun_clearance_m, sun_rise_m / tested - height_m);
+            }
+            let cells = share * octave.amount / (FIRST_STEP_CELLS * octave.cell_m * per_eye_way);
+            if cells > 1.0 {
+                let first = share * noise_slope(octave, point + sum.w * eye_way).detail;
+                rise_m = min(cells - 1.0, 1.0) * tested * first.w / clearance(sum.xy + first.xy, eye_way);
+            }
         }
         // What the ray has risen, less what the larger relief has below it.
         let above_m = rise_m * (1.0 - dot(sum.xy, eye_way));
@@ -102,26 +96,12 @@ fn ground_detail(
         sun_clearance_m += sun_lift * (sum.w - start_m);
         waves += wave.xy;
     }
-    for (; k < light.relief_waves; k++) {
-        let octave = relief_noise(k);
-        if sample_share(octave.cell_m, sample_m) == 0.0 { break; }
-        for (; has_larger_pits(pit, octave.cell_m); pit++) { sum = add_pits(sum, relief_pits(pit), rays, &sun_clearance_m); }
-        let resolved = sample_share(octave.cell_m, local_sample_m(sample_m, sum.xy, eye_way));
-        let shown = (1.0 - mesh_share(octave.cell_m, cell_m)) * resolved;
-        let share = min(strength, MAX_STRENGTH) * shown;
-        let noise = noise_slope(octave, point + sum.w * eye_way);
-        let start_m = sum.w;
-        sum = add_detail(sum, vec4(share, share, shown, share) * noise.detail, eye_way);
-        strength *= noise.strength;
-        sun_clearance_m += sun_lift * (sum.w - start_m);
-    }
-    for (; pit < light.relief_pit_lattices; pit++) { sum = add_pits(sum, relief_pits(pit), rays, &sun_clearance_m); }
     let open_sun = clamp(0.5 + 0.5 * sun_clearance_m / (SHADOW_BLUR * across_m * per_sun_way), 0.0, 1.0);
     let sun = mix(open_sun, 1.0, hidden_shadows(dot(eye_way, sun_way), per_eye_way, per_sun_way));
     // The exponential function to second order.
     var detail = GroundDetail(sum.xy, 1.0 + sum.z * (1.0 + 0.5 * sum.z), sun);
     var cover = GrainCover(0.0, 0.0, 0.0);
-    for (k = 0u; k < light.relief_grain_lattices; k++) {
+    for (var k = 0u; k < light.relief_grain_lattices; k++) {
         let grains = relief_grains(k);
         if sample_share(1.001 * grains.max_diameter_m, across_m) == 0.0 { break; }
         detail = add_grains(detail, grains, point + sum.w * eye_way, across_m, eye_way, sun_way, &cover);
@@ -132,9 +112,10 @@ fn ground_detail(
     return detail;
 }
 
-// Whether the lattice of pits `pit` is to be added before noise with cells of this size.
-fn has_larger_pits(pit: u32, noise_cell_m: f32) -> bool {
-    return pit < light.relief_pit_lattices && relief_pits(pit).max_diameter_m > noise_cell_m;
+// Whether the lattice of pits `pit` is to be added before octave `k` of the noise; after the last octave come all that are left.
+fn has_larger_pits(pit: u32, k: u32) -> bool {
+    if pit >= light.relief_pit_lattices { return false; }
+    return k >= light.relief_waves || relief_pits(pit).max_diameter_m > relief_noise(k).cell_m;
 }
 
 // Share of the shadows of relief that are hidden from the eye, by the scalar product of the ways to the eye and to the sun and one over
@@ -237,11 +218,6 @@ fn noise_slope(lattice: Lattice, point: vec2<f32>) -> NoiseOctave {
 // Height of one octave of noise.
 fn noise_height(lattice: Lattice, point: vec2<f32>) -> f32 {
     return noise_slope(lattice, point).detail.w;
-}
-
-// Strength of octaves finer than one.
-fn noise_strength(lattice: Lattice, point: vec2<f32>) -> f32 {
-    return noise_slope(lattice, point).strength;
 }
 
 fn quintic(t: vec2<f32>) -> vec2<f32> {

@@ -127,7 +127,7 @@ struct ReliefUniforms {
 // Dynamic offsets of uniforms are multiples of 256 bytes.
 struct ReliefSlot {
     relief: ReliefUniforms,
-    unused: array<vec4<u32>, 1>,
+    unused: array<vec4<u32>, 11>,
 }
 
 // The instance of the draw, if all of its samples show the same.

@@ -182,6 +182,7 @@ shader_struct! {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::render::device::bind_groups::slot_stride;
     use crate::render::device::shader_programs::{PROGRAMS, parse};
 
     #[test]
@@ -220,5 +221,20 @@ mod tests {
             }
         }
         assert!(compared >= 8, "only {compared} structs were compared");
+    }
+
+    #[test]
+    fn slots_in_shaders_are_as_large_as_in_buffers() {
+        let slots =
+            [("InstanceSlot", slot_stride::<Instance>()), ("ReliefSlot", slot_stride::<ReliefUniforms>())];
+        for (name, stride) in slots {
+            let mut spans: Vec<u32> = Vec::new();
+            for module in PROGRAMS.iter().map(|program| parse(program)) {
+                let slot = module.types.iter().find(|(_, kind)| kind.name.as_deref() == Some(name));
+                spans.extend(slot.map(|(_, kind)| kind.inner.size(module.to_ctx())));
+            }
+            assert!(!spans.is_empty(), "no program has {name}");
+            assert!(spans.iter().all(|span| *span == stride), "{name}: {spans:?} bytes, not {stride}");
+        }
     }
 }
