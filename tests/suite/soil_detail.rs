@@ -69,18 +69,29 @@ fn shaded_and_meshed(seed: u64, [elevation_deg, azimuth_deg]: [u32; 2], side: u3
     })
 }
 
+/// Green radiance in squares of 16 pixels of a square image.
+fn squares(frame: &Frame, side: usize) -> impl Iterator<Item = Vec<f64>> {
+    const SQUARE: usize = 16;
+    let corners =
+        (0..side / SQUARE).flat_map(move |y| (0..side / SQUARE).map(move |x| (x * SQUARE, y * SQUARE)));
+    corners.map(move |(x, y)| {
+        let pixels = (0..SQUARE * SQUARE).map(|k| (y + k / SQUARE) * side + x + k % SQUARE);
+        pixels.map(|pixel| green(frame, pixel)).collect()
+    })
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
 /// Standard deviation of the radiance of soil over its mean in squares of 16 pixels, averaged over these.
 fn contrast(frame: &Frame, side: usize) -> f64 {
-    const SQUARE: usize = 16;
-    let squares = (0..side / SQUARE).flat_map(|y| (0..side / SQUARE).map(move |x| (y, x)));
-    let contrasts = squares.map(|(y, x)| {
-        let values = (0..SQUARE * SQUARE)
-            .map(|k| green(frame, (y * SQUARE + k / SQUARE) * side + x * SQUARE + k % SQUARE));
-        let n = (SQUARE * SQUARE) as f64;
-        let (sum, squares) = values.fold((0.0, 0.0), |sums, v| (sums.0 + v, sums.1 + v * v));
-        (squares / n - (sum / n).powi(2)).max(0.0).sqrt() / (sum / n)
+    let contrasts = squares(frame, side).map(|values| {
+        let middle = mean(&values);
+        let deviations: Vec<f64> = values.iter().map(|value| (value - middle).powi(2)).collect();
+        mean(&deviations).sqrt() / middle
     });
-    contrasts.sum::<f64>() / (side / SQUARE).pow(2) as f64
+    mean(&contrasts.collect::<Vec<f64>>())
 }
 
 /// With the sun behind the camera most shadows lie hidden behind the bumps that cast them.
@@ -98,15 +109,10 @@ fn relief_hides_its_own_shadows_from_an_eye_before_the_sun() {
 
 /// Correlation of the radiance of two frames, less its means in squares of 16 pixels.
 fn correlation(frames: [&Frame; 2], side: usize) -> f64 {
-    const SQUARE: usize = 16;
-    let squares = (0..side / SQUARE).flat_map(|y| (0..side / SQUARE).map(move |x| (y, x)));
     let [mut product, mut first, mut second] = [0.0; 3];
-    for (y, x) in squares {
-        let pixels = (0..SQUARE * SQUARE).map(|k| (y * SQUARE + k / SQUARE) * side + x * SQUARE + k % SQUARE);
-        let values = frames.map(|frame| pixels.clone().map(|pixel| green(frame, pixel)).collect::<Vec<_>>());
-        let means = [0, 1].map(|k| values[k].iter().sum::<f64>() / values[k].len() as f64);
-        for (a, b) in values[0].iter().zip(&values[1]) {
-            let (a, b) = (a - means[0], b - means[1]);
+    for (a, b) in squares(frames[0], side).zip(squares(frames[1], side)) {
+        let (mean_a, mean_b) = (mean(&a), mean(&b));
+        for (a, b) in a.iter().map(|a| a - mean_a).zip(b.iter().map(|b| b - mean_b)) {
             product += a * b;
             first += a * a;
             second += b * b;

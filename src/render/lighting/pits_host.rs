@@ -9,6 +9,7 @@ use glam::Vec2;
 
 use super::detail_sums::{DetailSums, MIN_CLEARANCE};
 use super::ground_batch::{BATCH, GroundBatch, Vectors};
+use super::waves_host::slope_from_lattice;
 use crate::render::device::shader_structs::LatticeUniforms;
 use crate::scene::craters::{
     BOWL, CLOD_HEIGHT, EJECTA_EXPONENT, FRESH_DEPTHS, JITTER_CELLS, PROFILE_DEPTH, RIM, WORN_DEPTHS,
@@ -148,7 +149,7 @@ fn add_pit(
     let left = if left > MIN_CLEARANCE { left } else { MIN_CLEARANCE };
     let first_m = start_m + (height_m - start_m * rise) / left;
     let (point, r, per_r, height_m) = at(first_m);
-    let slope = turned_back(pits, per_r * point);
+    let slope = pits.cell_m * slope_from_lattice(pits, [per_r * point.x, per_r * point.y]);
     let (sun_way, larger) = (
         Vec2::new(ground.ways[1].x[i], ground.ways[1].y[i]),
         sums.x[i] * ground.ways[1].x[i] + sums.y[i] * ground.ways[1].y[i],
@@ -177,15 +178,6 @@ fn add_pit(
         & (way_r * 0.5 * pit.diameter_m > ground.across_m[i]);
     let nearest_m = sums.sun_clearance_m[i];
     sums.sun_clearance_m[i] = if is_tested & (clearance_m < nearest_m) { clearance_m } else { nearest_m };
-}
-
-/// From a slope along the lattice's axes to one along x and y.
-#[inline(always)]
-fn turned_back(pits: &LatticeUniforms, slope: Vec2) -> Vec2 {
-    Vec2::new(
-        (pits.rotation_per_m.x * slope.x - pits.rotation_per_m.y * slope.y) * pits.cell_m,
-        (pits.rotation_per_m.y * slope.x + pits.rotation_per_m.x * slope.y) * pits.cell_m,
-    )
 }
 
 /// The centre of the pit of a cell with this second hash, cells from the corner of the cell. As `PitLattice::pit` in

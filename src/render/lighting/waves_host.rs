@@ -111,10 +111,10 @@ fn add_slope(
 
 /// From a slope per cell along the lattice's axes to a slope per metre along x and y.
 #[inline(always)]
-fn slope_from_lattice(wave: &LatticeUniforms, [along, across]: [f32; 2]) -> Vec2 {
+pub(super) fn slope_from_lattice(lattice: &LatticeUniforms, [along, across]: [f32; 2]) -> Vec2 {
     Vec2::new(
-        wave.rotation_per_m.x * along - wave.rotation_per_m.y * across,
-        wave.rotation_per_m.y * along + wave.rotation_per_m.x * across,
+        lattice.rotation_per_m.x * along - lattice.rotation_per_m.y * across,
+        lattice.rotation_per_m.y * along + lattice.rotation_per_m.x * across,
     )
 }
 
