@@ -6,6 +6,7 @@
 
 pub mod adapter;
 pub mod growing_buffer;
+pub mod growing_texture;
 mod memory_limits;
 pub mod pipeline_cache;
 mod platform;

@@ -434,25 +434,17 @@ impl Renderer {
         let Self { gpu, layouts, buffers, .. } = self;
         let view = wgpu::BindingResource::TextureView;
         let nearest = wgpu::BindingResource::Sampler(&self.nearest);
-        let light = [
-            view(&gbuffer.visibility.1),
-            view(self.shadow.map()),
-            view(buffers.horizon()),
-            buffers.caster_grid.buffer().as_entire_binding(),
-            nearest.clone(),
-            view(gbuffer.slopes_view()),
-        ];
         let resolve = [
             view(&gbuffer.visibility.1),
             packed.buffer.as_entire_binding(),
-            nearest,
+            nearest.clone(),
             packed.tile_list.as_entire_binding(),
         ];
         let resolve: Vec<_> = resolve.into_iter().chain(gbuffer.planes.iter().map(view)).collect();
         BindGroups {
             frame: buffers.frame_group(gpu, layouts),
             scene: buffers.scene_group(gpu, layouts),
-            light: bind_group(gpu, "light", &layouts.light, &light),
+            light: buffers.light_group(gpu, layouts, gbuffer, self.shadow.map(), nearest),
             resolve: bind_group(gpu, "resolve", &layouts.resolve, &resolve),
         }
     }

@@ -36,8 +36,8 @@ struct FrameUniforms {
     bounce_on_ground: mat3x4<f32>,
     bounce_in_shadow: mat3x4<f32>,
     rock_phase: vec4<f32>,
-    // Sunlit faces of rocks, in the buffer of the caster grid (common/lit_rocks.wgsl): its words where the lists of the cells and
-    // where the faces begin; cells along a side of each grid; 1 if there are any.
+    // Sunlit faces of rocks (common/lit_rocks.wgsl): word of the buffer of the caster grid where the lists of the cells begin; cells along a
+    // side of each grid; 1 if there are any faces.
     lit_rocks: vec4<u32>,
     // Horizontal unit vector towards the sun, along which the horizon map's columns run.
     sun_horizontal: vec2<f32>,

@@ -40,8 +40,8 @@ pub(crate) struct FramePlan {
     pub(crate) horizon: Arc<HorizonMap>,
     /// Which casters can shade each cell of the ground ([`caster_grid`]).
     pub(crate) caster_grid: PooledVec<u32>,
-    /// Sunlit rocks, and the cells that they light ([`LitRocks::words`]): on the device, behind the caster grid.
-    pub(crate) lit_rocks: Vec<u32>,
+    /// Sunlit rocks, and the cells that they light.
+    pub(crate) lit_rocks: LitRocks,
     /// Tile of each caster in the shadow map.
     pub(crate) caster_tiles: Vec<CasterTile>,
     /// Relief below the mesh, by distance.
@@ -115,7 +115,7 @@ impl FramePlan {
         Self {
             shadow_map_px: [0; 2],
             caster_grid,
-            lit_rocks: lit_rocks.words,
+            lit_rocks,
             caster_tiles: Vec::new(),
             instances,
             draws,

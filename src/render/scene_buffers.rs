@@ -3,15 +3,18 @@
 
 use std::sync::{Arc, Weak};
 
-use wgpu::{BufferUsages, TextureFormat, TextureUsages};
+use wgpu::{BufferUsages, TextureFormat};
 
 use crate::error::Result;
 use crate::gpu::Gpu;
 use crate::gpu::growing_buffer::GrowingBuffer;
+use crate::gpu::growing_texture::GrowingTexture;
 use crate::gpu::staging::StagingBuffers;
 use crate::render::device::bind_groups::{BindLayouts, bind_group, slot_stride};
 use crate::render::device::shader_structs::{FrameUniforms, Instance, ReliefUniforms};
 use crate::render::frame_plan::FramePlan;
+use crate::render::lighting::gbuffer::GBuffer;
+use crate::render::select::lit_rocks::LitRocks;
 use crate::render::shadow::horizon::HorizonMap;
 use crate::render::visibility::meshes::Meshes;
 use crate::scene::Scene;
@@ -29,10 +32,12 @@ pub(crate) struct SceneBuffers {
     instances: GrowingBuffer,
     /// `CasterTile`s.
     caster_tiles: GrowingBuffer,
-    /// Cells of the caster grids, then sunlit rocks.
-    pub(crate) caster_grid: GrowingBuffer,
+    /// Cells of the caster grids, then those that sunlit rocks light.
+    caster_grid: GrowingBuffer,
+    /// Sunlit faces of rocks.
+    lit_faces: GrowingTexture,
     /// The horizon map, two heights a texel.
-    horizon: Option<(wgpu::Texture, wgpu::TextureView)>,
+    horizon: GrowingTexture,
     /// The map that the texture holds. A weak reference keeps its address from being used again, but not the map.
     horizon_source: Weak<HorizonMap>,
 }
@@ -49,7 +54,8 @@ impl Default for SceneBuffers {
             ),
             caster_tiles: GrowingBuffer::new("shadow/tiles", BufferUsages::STORAGE),
             caster_grid: GrowingBuffer::new("shadow/caster_grid", BufferUsages::STORAGE),
-            horizon: None,
+            lit_faces: GrowingTexture::new("scene/lit_faces", TextureFormat::Rgba32Float),
+            horizon: GrowingTexture::new("shadow/horizon", TextureFormat::Rg32Float),
             horizon_source: Weak::new(),
         }
     }
@@ -71,7 +77,8 @@ impl SceneBuffers {
         bytes += self.relief.write(gpu, &slots(&plan.bands.bands));
         bytes += self.instances.write(gpu, &slots(&plan.instances));
         bytes += self.caster_tiles.write(gpu, &plan.caster_tiles);
-        bytes += self.caster_grid.write_both(gpu, &plan.caster_grid, &plan.lit_rocks);
+        bytes += self.caster_grid.write_both(gpu, &plan.caster_grid, &plan.lit_rocks.lists);
+        bytes += self.upload_lit_faces(gpu, &plan.lit_rocks, staging)?;
         if !plan.draws.draws.is_empty() {
             bytes += self.meshes.upload(gpu, scene, &plan.selection);
             bytes += self.meshes.set_draws(gpu, &plan.draws.draws, multi_draw);
@@ -90,28 +97,27 @@ impl SceneBuffers {
         map: &Arc<HorizonMap>,
         staging: &mut StagingBuffers,
     ) -> Result<u64> {
-        let size @ [width, height] = [map.width, map.height()];
-        let fits = |texture: &wgpu::Texture| texture.width() >= width && texture.height() >= height;
-        let is_kept = self.horizon.as_ref().is_some_and(|(texture, _)| fits(texture));
-        if is_kept && self.horizon_source.as_ptr() == Arc::as_ptr(map) {
+        let size = [map.width, map.height()];
+        if self.horizon.holds(size) && self.horizon_source.as_ptr() == Arc::as_ptr(map) {
             return Ok(0);
         }
         self.horizon_source = Arc::downgrade(map);
-        let kept = self.horizon.take().filter(|_| is_kept);
-        let (texture, _) = self.horizon.insert(kept.unwrap_or_else(|| {
-            let usage = TextureUsages::TEXTURE_BINDING | TextureUsages::COPY_DST;
-            gpu.texture("shadow/horizon", size, TextureFormat::Rg32Float, usage)
-        }));
-        staging.write_texels(gpu, texture, size, &map.heights_m)?;
-        Ok(size_of_val(&map.heights_m[..]) as u64)
+        self.horizon.write(gpu, staging, size, &map.heights_m)
     }
 
-    /// The horizon map.
-    ///
-    /// # Panics
-    /// Before [`Self::upload`].
-    pub(crate) fn horizon(&self) -> &wgpu::TextureView {
-        &self.horizon.as_ref().expect("a scene is uploaded before it is drawn").1
+    /// Frames under laws other than Hapke's have none: the shaders then have a texture, but read nothing of it.
+    fn upload_lit_faces(
+        &mut self,
+        gpu: &Gpu,
+        lit_rocks: &LitRocks,
+        staging: &mut StagingBuffers,
+    ) -> Result<u64> {
+        let size @ [_, rows] = lit_rocks.texture_size();
+        if rows == 0 {
+            self.lit_faces.reserve(gpu, [1, 1]);
+            return Ok(0);
+        }
+        self.lit_faces.write(gpu, staging, size, lit_rocks.texels())
     }
 
     /// Bind group 0 of every pass.
@@ -132,9 +138,31 @@ impl SceneBuffers {
         bind_group(gpu, "scene", &layouts.scene, &resources)
     }
 
+    /// Bind group 2 of the lighting pass.
+    pub(crate) fn light_group(
+        &self,
+        gpu: &Gpu,
+        layouts: &BindLayouts,
+        gbuffer: &GBuffer,
+        shadow_map: &wgpu::TextureView,
+        nearest: wgpu::BindingResource<'_>,
+    ) -> wgpu::BindGroup {
+        let view = wgpu::BindingResource::TextureView;
+        let resources = [
+            view(&gbuffer.visibility.1),
+            view(shadow_map),
+            view(self.horizon.view()),
+            self.caster_grid.buffer().as_entire_binding(),
+            nearest,
+            view(gbuffer.slopes_view()),
+            view(self.lit_faces.view()),
+        ];
+        bind_group(gpu, "light", &layouts.light, &resources)
+    }
+
     /// After an error, what was written may not have arrived: the next upload writes everything again.
     pub(crate) fn invalidate(&mut self) {
-        self.horizon = None;
+        self.horizon_source = Weak::new();
         self.meshes = Meshes::default();
     }
 }

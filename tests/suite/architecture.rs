@@ -134,6 +134,7 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
             &["adapter", "pipeline_cache"],
             &[SELF],
             &["growing_buffer", "readback", "staging", "survey"],
+            &["growing_texture"],
         ],
     ),
     (

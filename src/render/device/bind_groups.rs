@@ -19,7 +19,7 @@ pub struct BindLayouts {
     pub scene: wgpu::BindGroupLayout,
     /// Group 2 of the shadow map's compute pass: depth layers, map.
     pub layers: wgpu::BindGroupLayout,
-    /// Group 2 of the lighting pass: visibility, shadow map, horizon, caster grid, sampler, slopes.
+    /// Group 2 of the lighting pass: visibility, shadow map, horizon, caster grid, sampler, slopes, sunlit faces of rocks.
     pub light: wgpu::BindGroupLayout,
     /// Group 2 of the resolve pass: visibility, packed frame, sampler, tile list, then the planes of samples.
     pub resolve: wgpu::BindGroupLayout,
@@ -77,7 +77,7 @@ impl BindLayouts {
             ),
             scene: group("scene", drawing, &[instance, read, relief, read, read]),
             layers: group("layers", ShaderStages::COMPUTE, &[float, map]),
-            light: group("light", ShaderStages::FRAGMENT, &[uint, float, float, read, nearest, float]),
+            light: group("light", ShaderStages::FRAGMENT, &[uint, float, float, read, nearest, float, float]),
             resolve: group("resolve", ShaderStages::COMPUTE, &[&resolve[..], &sample_planes].concat()),
         }
     }

@@ -323,7 +323,7 @@ mod tests {
         use crate::render::lighting::slopes_host::SHADOW_BLUR;
         use crate::render::lighting::waves_host::{FIRST_STEP_CELLS, MIN_LOW_WAY, TESTED_CELLS};
         use crate::render::select::caster_grid::TEST_HORIZON;
-        use crate::render::select::lit_rocks::{FACE_WORDS, REACH};
+        use crate::render::select::lit_rocks::{FACE_TEXELS, FACES_PER_ROW, REACH};
         use crate::scene::craters::{CLOD_HEIGHT, JITTER_CELLS, PROFILE_DEPTH, RIM};
         use crate::scene::grains;
         use crate::scene::noise::{PATCHY_BASE, PATCHY_PEAK};
@@ -346,7 +346,8 @@ mod tests {
             (&LIGHTING_SURFACE, "TEST_HORIZON", f64::from(TEST_HORIZON)),
             (&LIGHTING_SURFACE, "SHADOWED_BY_GROUND", f64::from(ShadowSources::Ground as u32)),
             (&LIGHTING_SURFACE, "SHADOWED_BY_ROCKS", f64::from(ShadowSources::Rocks as u32)),
-            (&LIGHTING_SURFACE, "FACE_WORDS", FACE_WORDS as f64),
+            (&LIGHTING_SURFACE, "FACE_TEXELS", FACE_TEXELS as f64),
+            (&LIGHTING_SURFACE, "FACES_PER_ROW", FACES_PER_ROW as f64),
             (&LIGHTING_SURFACE, "REACH", f64::from(REACH)),
             (&LIGHTING_SURFACE, "PATCHY_BASE", f64::from(PATCHY_BASE)),
             (&LIGHTING_SURFACE, "PATCHY_PEAK", f64::from(PATCHY_PEAK)),

@@ -37,8 +37,10 @@ const MIN_ANGLE: f32 = 0.012;
 const GROUND_AROUND: [(f64, f32); 6] =
     [(-45.0, 2.5), (45.0, 2.5), (-110.0, 2.5), (110.0, 2.5), (-35.0, 6.0), (35.0, 6.0)];
 
-/// Words of [`LitRocks::words`] for a face. `common/lit_rocks.wgsl` has the same.
-pub const FACE_WORDS: usize = size_of::<LitFace>() / size_of::<u32>();
+/// Texels of a face, four numbers each, and faces in a row of the texture of faces. `common/lit_rocks.wgsl` has the same.
+pub const FACE_TEXELS: usize = size_of::<LitFace>() / size_of::<[f32; 4]>();
+/// See [`FACE_TEXELS`].
+pub const FACES_PER_ROW: usize = 64;
 
 /// A sunlit face of a rock, as the shader reads it.
 #[repr(C)]
@@ -46,22 +48,24 @@ pub const FACE_WORDS: usize = size_of::<LitFace>() / size_of::<u32>();
 struct LitFace {
     /// Its middle, metres, world.
     middle: Vec3,
+    /// Slot of its rock among the instances, a whole number.
+    slot: f32,
     /// Sum of the normals of its sunlit parts times their areas, square metres.
     area_vector: Vec3,
+    unused: [f32; 1],
     /// Its colour times the irradiance of the sun.
     light: Vec3,
-    /// Slot of its rock among the instances.
-    slot: u32,
+    unused_too: [f32; 1],
 }
 
 /// The sunlit faces of rocks in a frame, and the cells that each lights.
 #[derive(Clone, Debug, Default)]
 pub struct LitRocks {
     /// For each cell the start of its list (and after the last cell the end of the last list), then the lists of indices of
-    /// faces, then the faces.
-    pub words: Vec<u32>,
-    /// Word at which the faces begin.
-    pub first_face: u32,
+    /// faces.
+    pub lists: Vec<u32>,
+    /// Whole rows of the texture.
+    faces: Vec<LitFace>,
     /// Cells along a side of each grid.
     pub cells: u32,
     /// Of each rock of the selection, the light on the ground around it relative to that on all ground. Relief that shadows
@@ -92,7 +96,7 @@ impl LitRocks {
                 [LitFace::default(); FACES]
             };
             let light = colour * rock.material.albedo * scene.sun.irradiance;
-            let lit = faces.map(|face| LitFace { light, slot: Slots::rock(index), ..face });
+            let lit = faces.map(|face| LitFace { light, slot: Slots::rock(index) as f32, ..face });
             let is_judged = !is_speck && selected.visible_level.is_some();
             (is_judged.then(|| around(scene, &sunlight, selected, &exposed)), lit)
         };
@@ -105,21 +109,32 @@ impl LitRocks {
         let sunlit_ground = around.iter().map(|around| around.map_or(1.0, relative)).collect();
         let faces: Vec<LitFace> =
             faces.into_iter().flatten().filter(|face| face.area_vector != Vec3::ZERO).collect();
-        Self { sunlit_ground, ..Self::listed(CasterGrids::new(&scene.terrain), &faces) }
+        Self { sunlit_ground, ..Self::listed(CasterGrids::new(&scene.terrain), faces) }
     }
 
-    /// `FrameUniforms::lit_rocks`, where [`Self::words`] follow this many other words.
+    /// `FrameUniforms::lit_rocks`, where [`Self::lists`] follow this many other words.
     #[must_use]
     pub fn uniform(&self, before: usize) -> [u32; 4] {
-        let before = before as u32;
-        [before, before + self.first_face, self.cells, u32::from(!self.words.is_empty())]
+        [before as u32, self.cells, u32::from(!self.faces.is_empty()), 0]
+    }
+
+    /// Columns and rows of the texture of faces: no row if there are none.
+    #[must_use]
+    pub const fn texture_size(&self) -> [u32; 2] {
+        [(FACE_TEXELS * FACES_PER_ROW) as u32, (self.faces.len() / FACES_PER_ROW) as u32]
+    }
+
+    /// Texels of the texture of faces, in row-major order.
+    #[must_use]
+    pub fn texels(&self) -> &[[f32; 4]] {
+        bytemuck::cast_slice(&self.faces)
     }
 
     /// Lists the faces by the cells that they reach: a counting sort.
-    fn listed(grids: CasterGrids, faces: &[LitFace]) -> Self {
+    fn listed(grids: CasterGrids, mut faces: Vec<LitFace>) -> Self {
         let grids = CasterGrids { cells: (grids.cells / CASTER_CELLS).max(1), ..grids };
         let mut pairs: Vec<(u32, u32)> = Vec::new();
-        for (index, face) in (0..).zip(faces) {
+        for (index, face) in (0..).zip(&faces) {
             let reach_m = REACH * face.area_vector.length().sqrt();
             for_cells_within(&grids, face.middle.truncate(), reach_m, |cell| {
                 pairs.push((cell, index));
@@ -127,21 +142,20 @@ impl LitRocks {
         }
         pairs.sort_unstable();
         let cells = grids.cell_count();
-        let first_face = cells + 1 + pairs.len();
-        let mut words = vec![0; first_face + FACE_WORDS * faces.len()];
+        let mut lists = vec![0; cells + 1 + pairs.len()];
         for &(cell, _) in &pairs {
-            words[cell as usize + 1] += 1;
+            lists[cell as usize + 1] += 1;
         }
         let mut start = (cells + 1) as u32;
-        for word in &mut words[..=cells] {
+        for word in &mut lists[..=cells] {
             start += *word;
             *word = start;
         }
-        for (word, (_, face)) in words[cells + 1..].iter_mut().zip(&pairs) {
+        for (word, (_, face)) in lists[cells + 1..].iter_mut().zip(&pairs) {
             *word = *face;
         }
-        words[first_face..].copy_from_slice(bytemuck::cast_slice(faces));
-        Self { words, first_face: first_face as u32, cells: grids.cells, sunlit_ground: Vec::new() }
+        faces.resize(faces.len().next_multiple_of(FACES_PER_ROW), LitFace::default());
+        Self { lists, faces, cells: grids.cells, sunlit_ground: Vec::new() }
     }
 }
 
@@ -262,16 +276,14 @@ mod tests {
                 let offset = distance_m * glam::DVec2::new(libm::cos(angle), libm::sin(angle));
                 let middle = (grids.centre + offset.as_vec2()).extend(0.0);
                 let size_m = 0.05 * (1 + k % 7) as f32;
-                LitFace {
-                    middle,
-                    area_vector: size_m * size_m * Vec3::X,
-                    light: Vec3::ONE,
-                    slot: k as u32 + 1,
-                }
+                let area_vector = size_m * size_m * Vec3::X;
+                LitFace { middle, area_vector, light: Vec3::ONE, slot: (k + 1) as f32, ..LitFace::default() }
             })
             .collect();
-        let lit = LitRocks::listed(grids, &faces);
-        assert_eq!(lit.words.len(), lit.first_face as usize + FACE_WORDS * faces.len());
+        let lit = LitRocks::listed(grids, faces.clone());
+        assert_eq!(lit.texture_size(), [192, 1]);
+        assert_eq!(lit.texels().len(), 192);
+        assert_eq!(lit.texels()[3 * 7][3], 8.0, "the slot of face 7");
         let mut listed = 0;
         for (x, y) in (-300..300).flat_map(|x| (-300..300).map(move |y| (x, y))).step_by(17) {
             let from_centre = 0.2 * Vec2::new(x as f32 + 0.37, y as f32 + 0.11);
@@ -280,8 +292,8 @@ mod tests {
             let half_m = 4.0 * (1_u32 << level) as f32;
             let index = |metres: f32| ((metres + half_m) * 0.5 * lit.cells as f32 / half_m) as u32;
             let cell = (level * lit.cells + index(from_centre.y)) * lit.cells + index(from_centre.x);
-            let [first, end] = [cell, cell + 1].map(|cell| lit.words[cell as usize] as usize);
-            let list = &lit.words[first..end];
+            let [first, end] = [cell, cell + 1].map(|cell| lit.lists[cell as usize] as usize);
+            let list = &lit.lists[first..end];
             for (index, face) in (0..).zip(&faces) {
                 let distance_m = (grids.centre + from_centre).distance(face.middle.truncate());
                 let is_reached = distance_m < REACH * face.area_vector.x.sqrt();
