@@ -105,7 +105,7 @@ impl SceneBuffers {
         self.horizon.write(gpu, staging, size, &map.heights_m)
     }
 
-    /// Frames under laws other than Hapke's have none: the shaders then have a texture, but read nothing of it.
+    /// Where there are none, as under laws other than Hapke's, the shaders have a texture of one texel, which they do not read.
     fn upload_lit_faces(
         &mut self,
         gpu: &Gpu,
