@@ -81,6 +81,8 @@ pub struct Measured {
     pub process_ms: Option<f64>,
     /// Attempts that broke a rule, in the cases `frames` and `dataset`.
     pub redraws: u64,
+    /// Frames that the device worked on at a time.
+    pub frames_in_flight: usize,
     /// Peak resident memory of the process up to the end of the case, bytes.
     pub peak_rss_bytes: Option<u64>,
     /// Milliseconds of work by stage, of each frame.
@@ -153,6 +155,7 @@ impl Measured {
             "frames_per_second": self.frames_per_second(),
             "process_ms": self.process_ms,
             "redraws": self.redraws,
+            "frames_in_flight": self.frames_in_flight,
             "peak_rss_bytes": self.peak_rss_bytes,
             "host_ms": self.host_ms(),
             "host_thread_ms": self.host.map(|host| json!({
@@ -180,6 +183,13 @@ pub struct Setup {
     pub frames: u64,
     /// Once it is true, no further frame is measured.
     pub stop: Arc<AtomicBool>,
+}
+
+impl Setup {
+    /// Frames that the device works on at a time in the cases whose scenes come from one thread.
+    fn frames_in_flight(&self) -> usize {
+        self.concurrency.frames_in_flight.unwrap_or(FRAMES_IN_FLIGHT)
+    }
 }
 
 /// Measures a case. The case `dataset` writes into `folder`, which must be empty.
@@ -234,7 +244,8 @@ fn measure(
     renderer: &mut Renderer,
     mut next: impl FnMut(u64) -> Result<(Arc<Scene>, StageTimes)>,
 ) -> Result<Measured> {
-    let Setup { plan, concurrency, frames, stop } = setup;
+    let Setup { plan, frames, stop, .. } = setup;
+    let frames_in_flight = setup.frames_in_flight();
     let mut measured = Measured::default();
     let mut queue = VecDeque::new();
     let (mut start, mut last) = (Start::now(), Instant::now());
@@ -244,7 +255,7 @@ fn measure(
         if stop.load(Ordering::Relaxed) {
             return Err(stopped(finished, total));
         }
-        if submitted < total && queue.len() < concurrency.frames_in_flight.unwrap_or(FRAMES_IN_FLIGHT) {
+        if submitted < total && queue.len() < frames_in_flight {
             let (scene, times) = next(submitted)?;
             let in_flight = renderer.submit(&scene, &plan.settings)?;
             queue.push_back((scene, times, in_flight));
@@ -266,6 +277,7 @@ fn measure(
         }
     }
     start.end(&mut measured);
+    measured.frames_in_flight = frames_in_flight;
     Ok(measured)
 }
 
@@ -279,9 +291,8 @@ fn moving(setup: &Setup, sun_moves: bool, renderer: &mut Renderer) -> Result<Mea
     let [pitch, yaw, roll] = angles.map(|knob| params.number(knob));
     let fov_deg = params.number(Knob::CameraFovDeg);
     // One copy of the scene for each frame that can be in flight, so that none is made during the measurement.
-    let mut scenes: Vec<Arc<Scene>> = (0..setup.concurrency.frames_in_flight.unwrap_or(FRAMES_IN_FLIGHT))
-        .map(|_| Arc::new(still.clone()))
-        .collect();
+    let mut scenes: Vec<Arc<Scene>> =
+        (0..setup.frames_in_flight()).map(|_| Arc::new(still.clone())).collect();
     scenes.push(Arc::new(still));
     measure(setup, renderer, |frame| {
         let turn = std::f64::consts::TAU * (frame % PERIOD) as f64 / PERIOD as f64;
@@ -325,8 +336,11 @@ struct Pipeline {
 }
 
 impl Pipeline {
-    fn start() -> Self {
-        Self { measured: Measured::default(), start: Start::now(), last: Instant::now(), done: 0 }
+    fn start(setup: &Setup, renderer: &Renderer) -> Self {
+        let frames_in_flight =
+            setup.concurrency.in_flight(renderer.gpu().capabilities.software_adapter, &setup.plan);
+        let measured = Measured { frames_in_flight, ..Measured::default() };
+        Self { measured, start: Start::now(), last: Instant::now(), done: 0 }
     }
 
     /// A frame is finished.
@@ -355,7 +369,7 @@ impl Pipeline {
 }
 
 fn frames(setup: &Setup, renderer: &mut Renderer) -> Result<Measured> {
-    let mut pipeline = Pipeline::start();
+    let mut pipeline = Pipeline::start(setup, renderer);
     let Setup { plan, concurrency, frames, stop } = setup;
     let indices = 0..WARM_UP + frames;
     dataset::render_in_memory(plan, &Mutex::new(renderer), indices, *concurrency, stop, |frame| {
@@ -366,7 +380,7 @@ fn frames(setup: &Setup, renderer: &mut Renderer) -> Result<Measured> {
 }
 
 fn dataset(setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Measured> {
-    let mut pipeline = Pipeline::start();
+    let mut pipeline = Pipeline::start(setup, renderer);
     let mut files = disk::FileWriter::new(folder, "bench");
     let indices = 0..WARM_UP + setup.frames;
     dataset::render_frames(&setup.plan, renderer, indices, setup.concurrency, &setup.stop, |frame| {

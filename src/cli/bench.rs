@@ -9,7 +9,7 @@ use crate::dataset::rules::Rules;
 use crate::error::{Error, Result};
 use crate::output::{self, Artifact, disk};
 use crate::params::Knob;
-use crate::render::{FRAMES_IN_FLIGHT, LightingMode, Renderer};
+use crate::render::{LightingMode, Renderer};
 use clap::Args;
 use serde_json::{Map, Value, json};
 
@@ -140,7 +140,6 @@ fn measure(
             "cores": cores(),
             "size": settings.size,
             "samples": settings.samples_per_side.pow(2),
-            "frames_in_flight": setup.concurrency.frames_in_flight.unwrap_or(FRAMES_IN_FLIGHT),
             "stage": setup.plan.config.distribution(Knob::StageName).to_json(false),
             "cases": cases,
             "peak_rss_bytes": bench::peak_rss_bytes(),

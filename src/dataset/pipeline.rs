@@ -71,7 +71,8 @@ impl Concurrency {
     /// Frames of a plan that the device works on at a time. On the surface stage, where a software adapter shares its cores with no more
     /// than two threads, one: the threads have other frames to work on while the next is prepared for it, and a second one in flight takes
     /// memory alone. Frames of the nominal stage are so short that it would wait.
-    fn in_flight(self, is_software_adapter: bool, plan: &Plan) -> usize {
+    #[must_use]
+    pub fn in_flight(self, is_software_adapter: bool, plan: &Plan) -> usize {
         let is_busy = is_software_adapter && self.threads <= MAX_THREADS_OF_ONE_FRAME;
         let is_one = is_busy && !plan.config.stages().contains(&Stage::Nominal);
         self.frames_in_flight.unwrap_or(if is_one { 1 } else { FRAMES_IN_FLIGHT })
