@@ -89,7 +89,7 @@ pub(super) fn add_pits(
         let reach = 0.5 * PIT_REACH * diameter_m / pits.cell_m;
         let is_reached = exists & (along * along + across * across < reach * reach) & (share > 0.0);
         reached |= if is_reached { 1 } else { 0 };
-        shares[i] = if exists { share } else { 0.0 };
+        shares[i] = if is_reached { share } else { 0.0 };
         (diameters_m[i], ages_of[i]) = (diameter_m, age);
     }
     if reached == 0 {
@@ -140,7 +140,7 @@ fn add_pit(
     let closest_m = if closest_m < top_m { closest_m } else { top_m };
     let closest = offset + closest_m * way;
     let height_m = pit.share * pit.diameter_m * clod_height(closest.x * closest.x + closest.y * closest.y);
-    let is_inside = pit.is_clod & (height_m > closest_m * rise);
+    let is_inside = pit.is_clod & (pit.share > 0.0) & (height_m > closest_m * rise);
     let start_m = if is_inside { closest_m } else { 0.0 };
     // Two steps of Newton's method.
     let (point, _, per_r, height_m) = at(start_m);
