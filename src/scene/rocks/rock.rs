@@ -153,7 +153,8 @@ impl Rock {
             let positions =
                 [away, -away, away.perp(), -away.perp()].map(|side| eye.truncate() + clear_m * side);
             let max_m = terrain.half_extent_m - self.radius_m;
-            let on_ground = positions.into_iter().find(|position| position.abs().max_element() <= max_m);
+            let is_on_ground = |at: &Vec2| (*at - terrain.centre).abs().max_element() <= max_m;
+            let on_ground = positions.into_iter().find(is_on_ground);
             self.set_centre(terrain, on_ground.unwrap_or(positions[0]), embedding, lowest);
             self.moved = true;
         }
