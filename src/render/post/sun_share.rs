@@ -81,7 +81,7 @@ pub(super) fn visible_share(scene: &Scene) -> f64 {
         let [low, high] = rock.centres;
         disc.may_be_hidden_by(0.5 * (low + high), rock.radius_m + 0.5 * low.distance(high))
     });
-    for (_, rock) in rocks {
+    for (_, rock) in rocks.iter().filter(|(_, rock)| rock.body.is_visible()) {
         for triangle in rock.triangles(rock.level) {
             disc.hide_behind(triangle.map(|vertex| rock.centre + rock.vertices[vertex as usize].position));
         }
