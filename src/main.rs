@@ -4,6 +4,8 @@ use std::process::{Command, ExitCode};
 
 fn main() -> ExitCode {
     hide_displays();
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    share_heaps();
     let itself = std::env::current_exe().unwrap_or_else(|_| "regolith-render".into());
     ExitCode::from(regolith::cli::main(std::env::args_os(), &|| Command::new(&itself)))
 }
@@ -21,4 +23,20 @@ fn hide_displays() {
         // is no socket refuses the connection.
         std::env::set_var("WAYLAND_DISPLAY", "/dev/null");
     }
+}
+
+/// Lets threads share heaps of the C library, two cores each. It gives every thread one of its own, up to eight a core, and a heap keeps
+/// what its thread frees: on two cores those of workers and driver held 60 MB more.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+#[expect(unsafe_code, reason = "the standard library has no setting for it; see SAFETY")]
+fn share_heaps() {
+    use std::ffi::c_int;
+    /// `M_ARENA_MAX` of the header malloc.h.
+    const MAX_HEAPS: c_int = -8;
+    // SAFETY: the declaration is that of malloc.h; mallopt takes any two numbers, and is called while no other thread exists.
+    unsafe extern "C" {
+        safe fn mallopt(parameter: c_int, value: c_int) -> c_int;
+    }
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    mallopt(MAX_HEAPS, cores.div_ceil(2).min(64) as c_int);
 }
