@@ -13,7 +13,6 @@ use crate::render::raster::fill::FragmentSink;
 use crate::render::raster::fixed_point::{GUARD_BAND_PX, SUBPIXEL_STEPS, SubpixelPoint};
 use crate::render::raster::lanes::{BLOCK_HEIGHT, BLOCK_WIDTH, load_block, store_block};
 use crate::render::raster::setup::{Interpolant, TriangleSetup};
-use crate::render::select::selection::SelectedRock;
 use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
@@ -57,10 +56,11 @@ impl<'a> AmodalView<'a> {
         Self { scene, size: image_size, focal_px, centre_px, max_slope }
     }
 
-    /// The number of pixels whose centre shows the rock above the ground, were it alone.
-    pub(super) fn exposed_px(&self, selected: &SelectedRock) -> u32 {
-        let rock = &self.scene.rocks[selected.rock];
-        let level = selected.visible_level.unwrap_or(rock.level).min(rock.level);
+    /// The number of pixels whose centre shows the rock at an index above the ground, were it alone, by the level that the image shows
+    /// of it.
+    pub(super) fn exposed_px(&self, rock: usize, visible_level: Option<usize>) -> u32 {
+        let rock = &self.scene.rocks[rock];
+        let level = visible_level.unwrap_or(rock.level).min(rock.level);
         let camera = &self.scene.camera;
         let vertices: Vec<Vec3> = rock.vertices[..Icosphere::vertex_count(level)]
             .iter()
@@ -291,9 +291,7 @@ mod tests {
             for (beside, yaw_deg) in [(4.0, 90.0), (1.05, 60.0), (1.02, 20.0), (1.01, -10.0), (1.0, 120.0)] {
                 let eye = centre + radius_m * Vec3::new(-beside, -0.1, 0.35);
                 scene.camera = Camera::new(eye, [-5.0, yaw_deg, 10.0], 110.0, 2000.0, 0.0);
-                let selected =
-                    SelectedRock { rock: index, nearest_m: 0.0, visible_level: Some(level), caster: None };
-                let found = AmodalView::new(&scene, &settings, SIZE).exposed_px(&selected);
+                let found = AmodalView::new(&scene, &settings, SIZE).exposed_px(index, Some(level));
                 let (expected, crossing) = by_ray_casting(&scene, index, level);
                 if found.abs_diff(expected) > 2 {
                     wrong.push((level, beside, yaw_deg, found, expected));

@@ -7,7 +7,8 @@ use rayon::prelude::*;
 
 use super::amodal::AmodalView;
 use crate::frame::{Frame, LabelReason, RockLabel};
-use crate::render::select::selection::Selection;
+use crate::render::select::frustum::Frustum;
+use crate::render::select::selection::visible_level;
 use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
 use crate::scene::rocks::Rock;
@@ -30,15 +31,13 @@ pub(crate) fn rocks(
         label.box_px = [left.min(x), top.min(y), right.max(x), bottom.max(y)];
     }
     let view = AmodalView::new(scene, drawn, image_size);
-    let exposed: Vec<(usize, u32)> = Selection::new(scene, drawn)
-        .rocks
-        .par_iter()
-        .filter(|selected| labels[selected.rock].is_some())
-        .map(|selected| (selected.rock, view.exposed_px(selected)))
-        .collect();
-    for (rock, exposed_px) in exposed {
-        labels[rock].iter_mut().for_each(|label| label.exposed_px = exposed_px);
-    }
+    let frustum = Frustum::new(&scene.camera.clip_from_world(drawn.size));
+    labels.par_iter_mut().enumerate().for_each(|(rock, label)| {
+        if let Some(label) = label {
+            let level = visible_level(scene, drawn, &frustum, &scene.rocks[rock]);
+            label.exposed_px = view.exposed_px(rock, level);
+        }
+    });
     labels.into_iter().flatten().collect()
 }
 

@@ -132,9 +132,13 @@ pub fn caster_grid(
     let bands: Vec<_> = (0..grids.levels)
         .flat_map(|level| (0..grids.cells as usize).step_by(BAND_ROWS).map(move |row| (level, row)))
         .collect();
+    let rays = Rays::new(&scene.sun);
+    let rows_m: Vec<[f32; 2]> =
+        casters.iter().map(|caster| ShadowStrip::rows_m(scene, &rays, caster)).collect();
     let lists_of = |(level, first): (u32, usize)| {
         let rows = first..(first + BAND_ROWS).min(grids.cells as usize);
-        GridBand::new(&scene.terrain, &grids, level, rows, footprint).caster_lists(scene, casters)
+        let band = GridBand::new(&scene.terrain, &grids, level, rows, footprint);
+        band.caster_lists((scene, &rays), casters, &rows_m)
     };
     let (lists, horizon_flags) = rayon::join(
         || bands.into_par_iter().with_max_len(1).map(lists_of).collect::<Vec<CasterLists>>(),
@@ -272,22 +276,26 @@ impl<'a> GridBand<'a> {
         cell_index(metres - self.origin[axis], self.cell_m, self.cells)
     }
 
-    /// The lists of the cells, the casters of each in rising order: a counting sort by cell.
-    fn caster_lists(mut self, scene: &Scene, casters: &[Caster]) -> CasterLists {
+    /// The lists of the cells, the casters of each in rising order: a counting sort by cell. `rows_m` has lowest and highest y of the
+    /// shadow of each caster.
+    fn caster_lists(
+        mut self,
+        (scene, rays): (&Scene, &Rays),
+        casters: &[Caster],
+        rows_m: &[[f32; 2]],
+    ) -> CasterLists {
         let mut pairs: Vec<(u32, u32)> = Vec::new();
-        let rays = Rays::new(&scene.sun);
         let edge_m = |row: usize| self.origin.y + row as f32 * self.cell_m;
         // With a margin for the rounding of rows; the first and the last also serve what lies beyond the border.
         let south_m = if self.rows.start == 0 { f32::MIN } else { edge_m(self.rows.start) - self.cell_m };
         let north_m =
             if self.rows.end == self.cells { f32::MAX } else { edge_m(self.rows.end) + self.cell_m };
         let is_unused = self.spans.iter().all(Range::is_empty);
-        for (index, caster) in (0..).zip(if is_unused { &[] } else { casters }) {
-            let [low_m, high_m] = ShadowStrip::rows_m(scene, &rays, caster);
-            if high_m < south_m || low_m > north_m {
+        for (index, [low_m, high_m]) in (0..).zip(if is_unused { &[] } else { rows_m }) {
+            if *high_m < south_m || *low_m > north_m {
                 continue;
             }
-            let strip = ShadowStrip::new(scene, &rays, caster, self.cell_m);
+            let strip = ShadowStrip::new(scene, rays, &casters[index as usize], self.cell_m);
             dispatch!(Level::new(), simd => {
                 self.for_cells_shadowed_by(simd, &strip, |cell| pairs.push((cell as u32, index)));
             });

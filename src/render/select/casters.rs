@@ -56,6 +56,7 @@ pub(crate) fn select_casters(
     scene: &Scene,
     rocks: &[(usize, &Rock)],
     frustum: &Frustum,
+    ground: Option<&GroundRange>,
     (size_px, nearest_visible_m): ([u32; 2], f32),
 ) -> Vec<Caster> {
     let pixel_angle = 1.0 / scene.camera.focal_px(size_px[0]) as f32;
@@ -64,7 +65,6 @@ pub(crate) fn select_casters(
     let min_shadow_px = if scene.relief.is_some() { MIN_SHADOW_PX } else { 0.0 };
     // Length of a shadow on level ground, in heights; at least 1, for the width.
     let shadow_lengths = (sun.truncate().length() / sun.z.max(1e-3)).max(1.0);
-    let ground = GroundRange::new(&scene.terrain);
     let mut casters: Vec<Caster> = rocks
         .iter()
         .filter_map(|&(index, rock)| {
@@ -84,7 +84,7 @@ pub(crate) fn select_casters(
             if !reaches_view(reach_m) || is_speck(nearest_m(reach_m)) {
                 return None;
             }
-            if let Some(ground) = &ground {
+            if let Some(ground) = ground {
                 reach_m = ground.shadow_reach_m(&scene.sun, rock.centre, top_m, rock.radius_m, reach_m);
                 if !reaches_view(reach_m) {
                     return None;

@@ -3,8 +3,8 @@
 //!
 //! The triangles of a rock's coarse mesh that the sun reaches, past the ground and the other rocks, are joined to a few faces. Which
 //! they are decides most (docs/realism.md): without the shadows of rocks on one another soil in shadow would have up to four times too
-//! much light of rocks. A face lights what is within some of its sizes. Grids like those of the casters, with fewer cells, list the faces that reach each cell. Rocks too small to
-//! be more than specks in the image are left out.
+//! much light of rocks. A face lights what is within some of its sizes. Grids like those of the casters, with fewer cells, list the faces
+//! that reach each cell. Rocks too small to be more than specks in the image are left out.
 //! Must not know: how shadows are found.
 
 use bytemuck::{Pod, Zeroable};
@@ -52,10 +52,10 @@ struct LitFace {
     slot: f32,
     /// Sum of the normals of its sunlit parts times their areas, square metres.
     area_vector: Vec3,
-    unused: [f32; 1],
+    padding: f32,
     /// Its colour times the irradiance of the sun.
     light: Vec3,
-    unused_too: [f32; 1],
+    end_padding: f32,
 }
 
 /// The sunlit faces of rocks in a frame, and the cells that each lights.
@@ -140,7 +140,6 @@ impl LitRocks {
                 pairs.push((cell, index));
             });
         }
-        pairs.sort_unstable();
         let cells = grids.cell_count();
         let mut lists = vec![0; cells + 1 + pairs.len()];
         for &(cell, _) in &pairs {
@@ -151,8 +150,11 @@ impl LitRocks {
             start += *word;
             *word = start;
         }
-        for (word, (_, face)) in lists[cells + 1..].iter_mut().zip(&pairs) {
-            *word = *face;
+        let mut next = lists[..cells].to_vec();
+        for (cell, face) in pairs {
+            let place = &mut next[cell as usize];
+            lists[*place as usize] = face;
+            *place += 1;
         }
         faces.resize(faces.len().next_multiple_of(FACES_PER_ROW), LitFace::default());
         Self { lists, faces, cells: grids.cells, sunlit_ground: Vec::new() }
@@ -174,10 +176,21 @@ fn for_cells_within(grids: &CasterGrids, point: Vec2, reach_m: f32, mut visit: i
         let cells = grids.cells as f32;
         let cell_m = 2.0 * half_m / cells;
         let index = |metres: f32| ((metres + half_m) / cell_m).floor().clamp(0.0, cells - 1.0) as u32;
-        let (low, high) = (from_centre - 1.01 * reach_m, from_centre + 1.01 * reach_m);
+        let reach_m = 1.01 * reach_m;
+        let (low, high) = (from_centre - reach_m, from_centre + reach_m);
+        // Along one axis, to the nearest point that a cell serves: those at the border also serve what lies beyond.
+        let distance_m = |metres: f32, cell: u32| {
+            let start_m = if cell == 0 { f32::MIN } else { cell as f32 * cell_m - half_m };
+            let end_m = if cell + 1 == grids.cells { f32::MAX } else { (cell + 1) as f32 * cell_m - half_m };
+            (start_m - metres).max(metres - end_m).max(0.0)
+        };
         for row in index(low.y)..=index(high.y) {
+            let across_m = distance_m(from_centre.y, row);
             for column in index(low.x)..=index(high.x) {
-                visit((level * grids.cells + row) * grids.cells + column);
+                let along_m = distance_m(from_centre.x, column);
+                if along_m * along_m + across_m * across_m <= reach_m * reach_m {
+                    visit((level * grids.cells + row) * grids.cells + column);
+                }
             }
         }
     }

@@ -13,7 +13,7 @@ use crate::render::select::caster_grid::CasterGrids;
 use crate::render::select::casters::Caster;
 use crate::render::select::frustum::Frustum;
 use crate::render::select::ground_range::GroundRange;
-use crate::render::select::selection::Selection;
+use crate::render::select::selection::{SelectedRock, Selection};
 use crate::render::select::shadow_strip::Rays;
 use crate::scene::Scene;
 
@@ -91,37 +91,63 @@ impl LightBox {
     }
 }
 
-/// The texels of the tile of one of a selection's casters that surfaces in view can sample. `ground` is that of the scene.
-#[must_use]
-pub(crate) fn sampled_texels(
-    scene: &Scene,
-    ground: &GroundRange,
-    selection: &Selection,
-    caster: &Caster,
-) -> TexelRect {
-    let (sun, tile) = (&scene.sun, &caster.tile);
-    let [right, up] = sun.right_and_up();
-    let listed = listed_ground(scene, caster);
-    let [low, high] = listed;
-    let to_corner = (low - tile.centre.truncate()).abs().max((high - tile.centre.truncate()).abs());
-    let drop_m = (tile.centre.z - scene.terrain.z_range_m[0]).abs() + 1.0;
-    let shadow = Shadow {
-        basis: Mat3::from_cols(right, up, sun.direction),
-        centre: tile.centre,
-        half_m: tile.half_extent_m,
-        length_m: to_corner.length() * sun.direction.truncate().length() + drop_m * sun.direction.z.abs(),
-        penumbra: sun.tan_half_angle(),
-        listed,
-        eye: scene.camera.eye,
-    };
-    let mut bounds = shadow.of_ground(ground, &selection.frustum);
-    for selected in selection.rocks.iter().filter(|selected| selected.visible_level.is_some()) {
-        let rock = &scene.rocks[selected.rock];
-        if let Some([low, high]) = shadow.of_sphere(rock.centre, rock.radius_m) {
-            bounds = [bounds[0].min(low), bounds[1].max(high)];
-        }
+/// The surfaces in view of an image, on ground with rings.
+#[derive(Clone, Debug)]
+pub(crate) struct SurfacesInView<'a> {
+    scene: &'a Scene,
+    ground: &'a GroundRange,
+    frustum: &'a Frustum,
+    /// Spheres around the rocks: centre, world, and radius, metres.
+    rocks: Vec<(Vec3, f32)>,
+}
+
+impl<'a> SurfacesInView<'a> {
+    /// Those of a selection of a scene; `None` where the ground has no rings.
+    #[must_use]
+    pub(crate) fn new(scene: &'a Scene, selection: &'a Selection) -> Option<Self> {
+        let ground = selection.ground_range.as_ref()?;
+        let visible = selection.rocks.iter().filter(|selected| selected.visible_level.is_some());
+        let sphere = |selected: &SelectedRock| {
+            let rock = &scene.rocks[selected.rock];
+            let off_mesh_m = off_mesh_m(scene.camera.eye, rock.centre);
+            (rock.centre, rock.radius_m * (1.0 + OFF_MESH) + off_mesh_m)
+        };
+        let rocks = visible.map(sphere).collect();
+        Some(Self { scene, ground, frustum: &selection.frustum, rocks })
     }
-    texels_of(bounds, tile.half_extent_m, tile.size_px)
+
+    /// The texels of the tile of a caster that they can sample.
+    #[must_use]
+    pub(crate) fn sampled_texels(&self, caster: &Caster) -> TexelRect {
+        let (scene, tile) = (self.scene, &caster.tile);
+        let sun = &scene.sun;
+        let [right, up] = sun.right_and_up();
+        let listed = listed_ground(scene, caster);
+        let [low, high] = listed;
+        let to_corner = (low - tile.centre.truncate()).abs().max((high - tile.centre.truncate()).abs());
+        let drop_m = (tile.centre.z - scene.terrain.z_range_m[0]).abs() + 1.0;
+        let shadow = Shadow {
+            basis: Mat3::from_cols(right, up, sun.direction),
+            centre: tile.centre,
+            half_m: tile.half_extent_m,
+            length_m: to_corner.length() * sun.direction.truncate().length() + drop_m * sun.direction.z.abs(),
+            penumbra: sun.tan_half_angle(),
+            listed,
+            eye: scene.camera.eye,
+        };
+        let mut bounds = shadow.of_ground(self.ground, self.frustum);
+        for &(centre, radius_m) in &self.rocks {
+            if let Some([low, high]) = shadow.of_sphere(centre, radius_m) {
+                bounds = [bounds[0].min(low), bounds[1].max(high)];
+            }
+        }
+        texels_of(bounds, tile.half_extent_m, tile.size_px)
+    }
+}
+
+/// How far surfaces at a point may lie from their meshes, metres.
+fn off_mesh_m(eye: Vec3, point: Vec3) -> f32 {
+    OFF_MESH_M + OFF_MESH * eye.distance(point)
 }
 
 /// Bounds of the ground, seen from above, whose cells of the caster grid may list a caster: lowest and highest corner, world, metres.
@@ -181,11 +207,6 @@ impl Shadow {
         (1.0 + MARGIN) * self.penumbra * (self.half_m - along_m)
     }
 
-    /// How far surfaces at this point may lie from their meshes, metres.
-    fn off_mesh_m(&self, point: Vec3) -> f32 {
-        OFF_MESH_M + OFF_MESH * self.eye.distance(point)
-    }
-
     /// Bounds of what the ground in a frustum samples, metres to the right and up.
     fn of_ground(&self, ground: &GroundRange, frustum: &Frustum) -> [Vec2; 2] {
         let [low, high] = self.listed;
@@ -228,7 +249,8 @@ impl Shadow {
             let ends = [volume.low[axis], volume.high[axis]].map(|at_m| at_m * self.basis.col(axis));
             (low, high) = (low + ends[0].min(ends[1]), high + ends[0].max(ends[1]));
         }
-        let off_mesh_m = self.off_mesh_m(low).max(self.off_mesh_m(high)) + OFF_MESH * low.distance(high);
+        let [at_low_m, at_high_m] = [low, high].map(|point| off_mesh_m(self.eye, point));
+        let off_mesh_m = at_low_m.max(at_high_m) + OFF_MESH * low.distance(high);
         // Where there is no ground the planes leave nothing; finite, for the sums.
         let [lowest_m, highest_m] =
             ground.under(low.truncate(), high.truncate()).map(|height_m| height_m.clamp(-1e6, 1e6));
@@ -239,15 +261,18 @@ impl Shadow {
 
     /// Bounds of what surfaces in a sphere sample, metres to the right and up, if they are in the shadow's volume.
     fn of_sphere(&self, centre: Vec3, radius_m: f32) -> Option<[Vec2; 2]> {
-        let radius_m = radius_m * (1.0 + OFF_MESH) + self.off_mesh_m(centre);
-        let at = self.basis.transpose() * (centre - self.centre);
-        let search_m = self.search_m(at.z - radius_m);
-        let (reach_m, [low, high]) = (self.half_m + search_m + radius_m, self.listed);
+        let [low, high] = self.listed;
         let is_listed = (centre.truncate() + radius_m).cmpge(low).all()
             && (centre.truncate() - radius_m).cmple(high).all();
+        if !is_listed {
+            return None;
+        }
+        let at = self.basis.transpose() * (centre - self.centre);
+        let search_m = self.search_m(at.z - radius_m);
+        let reach_m = self.half_m + search_m + radius_m;
         let is_shadowed = at.z - radius_m < self.half_m && at.truncate().abs().max_element() < reach_m;
         let sampled_m = radius_m + search_m;
-        (is_listed && is_shadowed).then(|| [at.truncate() - sampled_m, at.truncate() + sampled_m])
+        is_shadowed.then(|| [at.truncate() - sampled_m, at.truncate() + sampled_m])
     }
 }
 
@@ -297,8 +322,8 @@ mod tests {
         let (mut sampled, mut whole, mut taken) = (0, 0, 0);
         for seed in 0..6 {
             let scene = Scene::build(seed, &config.draw(seed).expect("drawn")).expect("built");
-            let ground = GroundRange::new(&scene.terrain).expect("rings");
             let selection = Selection::new(&scene, &settings);
+            let surfaces = SurfacesInView::new(&scene, &selection).expect("rings");
             let is_in_view = |point: &Vec3| selection.frustum.intersects_sphere(*point, 0.0);
             let of_ground = scene.terrain.vertices.iter().map(|vertex| vertex.position);
             let visible = selection.rocks.iter().filter(|selected| selected.visible_level.is_some());
@@ -309,7 +334,7 @@ mod tests {
             let points: Vec<Vec3> = of_ground.chain(of_rocks).filter(is_in_view).collect();
             for caster in selection.casters.iter().filter(|caster| caster.tile.size_px > 64.0) {
                 let [low, high] = Rays::new(&scene.sun).bounds(&scene, caster);
-                let texels = sampled_texels(&scene, &ground, &selection, caster);
+                let texels = surfaces.sampled_texels(caster);
                 whole += (caster.tile.size_px as usize).pow(2);
                 taken += texels.columns.len() * texels.rows.len();
                 let is_listed = |p: &&Vec3| p.truncate().cmpge(low).all() && p.truncate().cmple(high).all();

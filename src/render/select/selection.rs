@@ -11,6 +11,7 @@ use glam::Vec4;
 use crate::render::select::casters::{self, Caster};
 use crate::render::select::frustum::Frustum;
 use crate::render::select::ground_blocks::block_bounds;
+use crate::render::select::ground_range::GroundRange;
 use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
 use crate::scene::rocks::Rock;
@@ -35,6 +36,8 @@ pub struct Selection {
     pub casters: Vec<Caster>,
     /// The camera's frustum.
     pub frustum: Frustum,
+    /// Bounds of the height of ground with rings.
+    pub(crate) ground_range: Option<GroundRange>,
 }
 
 /// A rock that is drawn in the image, in the shadow map, or in both.
@@ -56,7 +59,6 @@ impl Selection {
     pub fn new(scene: &Scene, settings: &RenderSettings) -> Self {
         let camera = &scene.camera;
         let frustum = Frustum::new(&camera.clip_from_world(settings.size));
-        let pixel_angle = 1.0 / camera.focal_px(settings.size[0]) as f32;
         let candidates = cull_rocks(scene, &frustum);
         let blocks: Vec<(usize, f32)> = block_bounds(&scene.terrain)
             .iter()
@@ -66,17 +68,16 @@ impl Selection {
                 frustum.intersects_box(low, high).then_some((block, nearest_m))
             })
             .collect();
-        let nearest_m = nearest_visible_m(scene, &frustum, &blocks, &candidates);
-        let casters = casters::select_casters(scene, &candidates, &frustum, (settings.size, nearest_m));
+        let nearest_in_view_m = nearest_visible_m(scene, &frustum, &blocks, &candidates);
+        let ground_range = GroundRange::new(&scene.terrain);
+        let image = (settings.size, nearest_in_view_m);
+        let casters = casters::select_casters(scene, &candidates, &frustum, ground_range.as_ref(), image);
         let mut next_caster = casters.iter().enumerate().peekable();
         let rocks = candidates
             .into_iter()
             .map(|(index, rock)| {
-                let nearest_m = (rock.centre.distance(camera.eye) - rock.radius_m).max(0.0);
-                let is_visible =
-                    rock.body.is_visible() && frustum.intersects_sphere(rock.centre, rock.radius_m);
-                let outline_error_m = settings.outline_error_px * pixel_angle * nearest_m;
-                let visible_level = is_visible.then(|| coarsest_level(rock, outline_error_m));
+                let nearest_m = nearest_m(scene, rock);
+                let visible_level = visible_level(scene, settings, &frustum, rock);
                 // A visible rock casts its shadow with the mesh that the image shows, or the shadow would not fit it.
                 let caster =
                     next_caster.next_if(|(_, caster)| caster.rock == index).map(|(caster_index, caster)| {
@@ -97,7 +98,7 @@ impl Selection {
                 is_in_view(star) && !sun.is_some_and(|sun| sun.overlaps(star, camera.eye))
             })
             .collect();
-        Self { blocks, rocks, stars, sun, casters, frustum }
+        Self { blocks, rocks, stars, sun, casters, frustum, ground_range }
     }
 
     /// The slots of its instances.
@@ -197,6 +198,24 @@ pub fn front_to_back<T>(items: impl Iterator<Item = (f32, T)>) -> Vec<(f32, T)> 
     let mut list: Vec<_> = items.collect();
     list.sort_by(|a, b| a.0.total_cmp(&b.0));
     list
+}
+
+/// The level of the icosphere that an image shows of a rock; `None` if it is outside of the image's frustum.
+#[must_use]
+pub(crate) fn visible_level(
+    scene: &Scene,
+    settings: &RenderSettings,
+    frustum: &Frustum,
+    rock: &Rock,
+) -> Option<usize> {
+    let is_visible = rock.body.is_visible() && frustum.intersects_sphere(rock.centre, rock.radius_m);
+    let pixel_angle = 1.0 / scene.camera.focal_px(settings.size[0]) as f32;
+    is_visible.then(|| coarsest_level(rock, settings.outline_error_px * pixel_angle * nearest_m(scene, rock)))
+}
+
+/// Lower bound of the distance of a rock from the eye, metres.
+fn nearest_m(scene: &Scene, rock: &Rock) -> f32 {
+    (rock.centre.distance(scene.camera.eye) - rock.radius_m).max(0.0)
 }
 
 /// The coarsest level of detail whose outline is within an error of that of the finest mesh, metres.

@@ -12,14 +12,14 @@ use std::ops::Range;
 use std::sync::{Arc, Weak};
 
 use glam::{UVec2, Vec2, Vec3};
+use rayon::prelude::*;
 
 use crate::gpu::staging::{PAGE_BYTES, ROW_ALIGNMENT, TextureRegion};
 use crate::pool::PooledVec;
 use crate::render::device::shader_structs::CasterTile;
 use crate::render::select::atlas::{Allocation, AtlasAllocator};
-use crate::render::select::ground_range::GroundRange;
-use crate::render::select::sampled_texels::{TexelRect, sampled_texels};
-use crate::render::select::selection::Selection;
+use crate::render::select::sampled_texels::{SurfacesInView, TexelRect};
+use crate::render::select::selection::{SelectedRock, Selection};
 use crate::scene::Scene;
 use crate::scene::mesh::Vertex;
 
@@ -81,15 +81,7 @@ impl ShadowMap {
     /// Allocates the tiles of a selection's casters; returns those that are to be rasterised, the highest first. Texels between
     /// the tiles are undefined, as is the origin of a tile that no surface in view samples. If the map grows it loses all earlier tiles.
     pub fn allocate(&mut self, scene: &Scene, selection: &mut Selection) -> Vec<NewTile> {
-        let casts = selection.rocks.iter().filter_map(|selected| Some((selected.rock, selected.caster?)));
-        let ground = GroundRange::new(&scene.terrain);
-        let of_casters = casts.map(|(rock, (caster, level))| {
-            let level = level.min(scene.rocks[rock].level);
-            let texels = texels_in_map((scene, ground.as_ref()), selection, caster);
-            (caster, NewTile { rock, level, tile: selection.casters[caster].tile, texels })
-        });
-        let of_casters: Vec<(usize, NewTile)> =
-            of_casters.filter(|(_, tile)| !tile.texels.is_empty()).collect();
+        let of_casters = tiles_of_casters(scene, selection);
         let mut wanted: Vec<NewTile> = of_casters.iter().map(|(_, tile)| tile.clone()).collect();
         wanted.sort_by_key(|tile| std::cmp::Reverse(tile.size_px()[1]));
         let mut new = self.retain(scene, &wanted);
@@ -158,16 +150,21 @@ impl ShadowMap {
     }
 }
 
-/// The texels of a caster's tile that the map has for an image.
-fn texels_in_map(
-    (scene, ground): (&Scene, Option<&GroundRange>),
-    selection: &Selection,
-    caster: usize,
-) -> TexelRect {
-    let caster = &selection.casters[caster];
-    let size = caster.tile.size_px as usize;
-    let Some(ground) = ground.filter(|_| size > MAX_STRIP_ROWS) else { return TexelRect::whole(size) };
-    sampled_texels(scene, ground, selection, caster)
+/// The tiles of a selection's casters of which the map has texels, each with the index of its caster.
+fn tiles_of_casters(scene: &Scene, selection: &Selection) -> Vec<(usize, NewTile)> {
+    let surfaces = SurfacesInView::new(scene, selection);
+    let tile_of = |selected: &SelectedRock| {
+        let (index, level) = selected.caster?;
+        let (rock, caster) = (&scene.rocks[selected.rock], &selection.casters[index]);
+        let size = caster.tile.size_px as usize;
+        let texels = match &surfaces {
+            Some(surfaces) if size > MAX_STRIP_ROWS => surfaces.sampled_texels(caster),
+            _ => TexelRect::whole(size),
+        };
+        let tile = NewTile { rock: selected.rock, level: level.min(rock.level), tile: caster.tile, texels };
+        (!tile.texels.is_empty()).then_some((index, tile))
+    };
+    selection.rocks.par_iter().filter_map(tile_of).collect()
 }
 
 impl Tile {
