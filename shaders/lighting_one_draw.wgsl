@@ -16,7 +16,8 @@ fn fs_main(in: LightVaryings) -> LightingOutput {
     let instance = instances[surface.slot].instance;
     let detail = instance.detail & ((1u << DETAIL_BITS) - 1u);
     if detail == DETAIL_EMISSIVE {
-        let radiance = emitted_radiance(instance.colour, instance.disc_sine, surface.offset);
+        // The sky's inverse depth is 0: it has no offset.
+        let radiance = emitted_radiance(instance.colour, instance.disc_sine, ray_through(position));
         return lighting_output(vec4(radiance, 1.0), instance.class_id, vec4(0.0), 0u, 0.0);
     }
     relief_slot = instance.detail >> DETAIL_BITS;

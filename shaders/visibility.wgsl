@@ -5,6 +5,9 @@
 //
 // CPU counterpart: src/render/visibility/host.rs.
 
+// Maximum code of a normal's coordinate: 24 bits.
+const MAX_NORMAL_CODE: f32 = 16777215.0;
+
 struct VertexOutput {
     @builtin(position) position: vec4<f32>,
     // World axes, relative to the eye, metres.
@@ -54,7 +57,9 @@ fn fs_main(in: VertexOutput) -> @location(0) vec4<u32> {
     let shading_normal = select(in.normal, moved_normal, all(abs(steps) < vec2(1.0)));
 
     let towards_eye = select(-plane_normal, plane_normal, dot(plane_normal, in.offset) < 0.0);
-    let normal = vec2<u32>((0.5 + 0.5 * octahedral_encode(shading_normal)) * 16777215.0 + 0.5);
+    // Of 1 the half that is added would round the largest code up to one that has a bit more, which is the slot's.
+    let code = min((0.5 + 0.5 * octahedral_encode(shading_normal)) * MAX_NORMAL_CODE + 0.5, vec2(MAX_NORMAL_CODE));
+    let normal = vec2<u32>(code);
     let slot = vec2(in.slot & 0xffu, in.slot >> 8u);
     let packed_geometric = pack2x16snorm(octahedral_encode(towards_eye));
     return vec4(normal | (slot << vec2(24u)), packed_geometric, bitcast<u32>(inverse_depth));

@@ -16,15 +16,18 @@ struct Surface {
 // The surface at the centre of a sample, given by its framebuffer position.
 fn surface_at(position: vec2<f32>) -> Surface {
     let packed = textureLoad(visibility_buffer, vec2<i32>(position), 0);
-    let sample = sample_position(position);
-    // Where the ray through the sample is one metre along the optical axis.
-    let ray = light.ray_origin + sample.x * light.ray_per_column + sample.y * light.ray_per_row;
     return Surface(
-        ray * (1.0 / bitcast<f32>(packed.w)),
+        ray_through(position) * (1.0 / bitcast<f32>(packed.w)),
         octahedral_decode(vec2<f32>(packed.xy & vec2(0xffffffu)) * (2.0 / 16777215.0) - 1.0),
         octahedral_decode(unpack_snorm(packed.z)),
         (packed.x >> 24u) | ((packed.y >> 24u) << 8u),
     );
+}
+
+// The ray through the centre of a sample, where it is one metre along the optical axis, by the sample's framebuffer position.
+fn ray_through(position: vec2<f32>) -> vec3<f32> {
+    let sample = sample_position(position);
+    return light.ray_origin + sample.x * light.ray_per_column + sample.y * light.ray_per_row;
 }
 
 // Position among all samples of the image of a framebuffer position, which counts from the first sample of the tile.

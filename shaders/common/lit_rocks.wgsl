@@ -1,6 +1,6 @@
 // Sunlit faces of rocks as sources of light (src/render/select/lit_rocks.rs). The buffer of the caster grid holds, after the grid's own
-// lists, for each cell the start of its list, then the lists of indices of faces. The faces are in a texture, as llvmpipe loads each number of a
-// buffer lane by lane.
+// lists, for each cell the start of its list, then the lists of indices of faces. The faces are in a texture, as llvmpipe loads each number
+// of a buffer lane by lane.
 
 // Of each face: its middle (metres, world) and the slot of its rock; the sum of the normals of its sunlit parts times their areas
 // (square metres); its colour times the irradiance of the sun.
@@ -28,9 +28,15 @@ struct BouncedLight {
     direction: vec3<f32>,
 }
 
-// Light that rocks, all but the one in a slot of the instances, reflect to a surface at a position (metres, world). None where
-// `is_wanted` is false.
-fn light_of_rocks(position: vec3<f32>, normal: vec3<f32>, slot: u32, is_wanted: bool) -> BouncedLight {
+// Light that rocks, all but the one in a slot of the instances, reflect to the ground or to a rock at a position (metres, world). None
+// where `is_wanted` is false.
+fn light_of_rocks(
+    position: vec3<f32>,
+    normal: vec3<f32>,
+    slot: u32,
+    is_ground: bool,
+    is_wanted: bool,
+) -> BouncedLight {
     var sum = BouncedLight(vec3(0.0), vec3(0.0));
     let buffer = frame.lit_rocks;
     let index = buffer.x + cell_index(position, i32(buffer.y));
@@ -57,7 +63,7 @@ fn light_of_rocks(position: vec3<f32>, normal: vec3<f32>, slot: u32, is_wanted: 
         let reach = square / (REACH * REACH * area);
         let slope = max(way.z, 0.0);
         let from_ground = mix(MIN_VISIBLE, 1.0, slope * slope / (slope * slope + HIDING_SLOPE * HIDING_SLOPE));
-        let visible = select(VISIBLE_FROM_ROCKS, from_ground, slot == 0u);
+        let visible = select(VISIBLE_FROM_ROCKS, from_ground, is_ground);
         let fade = select(visible * max(1.0 - reach * reach, 0.0), 0.0, is_own);
         let cosine = max(dot(way, normal), 0.0);
         let irradiance = face_texel(face, 2u, texel_uv).rgb * (BEYOND_FACES * fade * reflectance * solid_angle * cosine);

@@ -27,7 +27,7 @@ struct Instance {
     detail: u32,
     // Amplitude of the opposition surge of the dust on it.
     dust_surge_height: f32,
-    // Of a rock: its diameter, metres.
+    // Of a rock: its diameter, metres; 0 of what has no texture.
     diameter_m: f32,
     // Of a rock: height of the ground around it, metres, world; one over its own height above that.
     ground_z: f32,

@@ -110,10 +110,11 @@ fn shade_detail(surface: Surface, instance: Instance, detail: u32, to_eye: vec3<
         // Dust lies where the rock is level enough, and in hollows; crests stay clean.
         let lie = surface.normal.z - instance.dust_min_normal_z + 0.20 * texture.hollow;
         let dust = 0.9 * smoothstep(-0.08, 0.08, lie);
-        let gradient = (1.0 - 0.5 * dust) * texture.gradient;
+        let is_smooth = instance.diameter_m == 0.0;
+        let gradient = select((1.0 - 0.5 * dust) * texture.gradient, vec3(0.0), is_smooth);
         let tangential = gradient - surface.normal * dot(gradient, surface.normal);
         normal = unit(surface.normal - tangential);
-        albedo = mix(instance.colour * texture.shade, instance.dust, dust);
+        albedo = mix(instance.colour * select(texture.shade, 1.0, is_smooth), instance.dust, dust);
         surge_height = mix(surge_height, instance.dust_surge_height, dust);
     }
     if detail != DETAIL_NONE {
@@ -166,7 +167,7 @@ fn bounced_light(
     let is_ground = detail == DETAIL_RELIEF || detail == DETAIL_UPLOADED_SLOPES;
     var of_rocks = BouncedLight(vec3(0.0), vec3(0.0));
     if !is_ground || SHADOW_SOURCES != 0u {
-        of_rocks = light_of_rocks(position, normal, surface.slot, shade > 0.0);
+        of_rocks = light_of_rocks(position, normal, surface.slot, is_ground, shade > 0.0);
     }
     var of_ground: BouncedLight;
     if is_ground {

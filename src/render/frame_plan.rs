@@ -158,9 +158,10 @@ fn instances(
     let (soil_surge, rock_surge) = (photometry.soil.b_s0 as f32, photometry.rock_b_s0 as f32);
     let at_normal = |surge: f32| photometry.at_normal(f64::from(surge)) as f32;
     let focal_px = scene.camera.focal_px(settings.size[0]) as f32;
+    let soil = scene.regolith.albedo / at_normal(soil_surge);
     let mut instances = vec![Instance {
         scale: 1.0,
-        colour: scene.regolith.albedo / at_normal(soil_surge),
+        colour: soil,
         surge_height: soil_surge,
         roughness: scene.regolith.roughness,
         class_id: ClassId::REGOLITH.0.into(),
@@ -181,7 +182,7 @@ fn instances(
             instance_id: if counts { rock.index + 1 } else { 0 },
             surge_height: rock_surge,
             tile_half_extent_m: tile.half_extent_m,
-            dust: scene.regolith.albedo / at_normal(soil_surge),
+            dust: soil,
             dust_surge_height: soil_surge,
             diameter_m: 2.0 * rock.base_scale_m,
             dust_min_normal_z: rock.dust_above,
@@ -216,15 +217,14 @@ fn instances(
     instances
 }
 
-/// The instance of a part of the rover: smooth paint where a rock has texture, which dust covers.
+/// The instance of a part of the rover: smooth paint, without a rock's texture and dust.
 fn hardware(rock: Instance) -> Instance {
     Instance {
         class_id: ClassId::HARDWARE.0.into(),
         instance_id: 0,
-        dust: rock.colour,
-        dust_surge_height: rock.surge_height,
-        // Below every normal.
-        dust_min_normal_z: -2.0,
+        diameter_m: 0.0,
+        // Above every normal.
+        dust_min_normal_z: 2.0,
         ..rock
     }
 }

@@ -133,6 +133,30 @@ fn a_rover_is_seen_only_if_visible() {
     }
 }
 
+/// Faces along the axes have normals at the end of what their codes hold. The rover's own frame turns with it, so that a turn by a
+/// hundredth of a degree changes only outlines.
+#[test]
+fn a_visible_rover_along_the_axes_looks_as_one_turned_a_little() {
+    for backend in BACKENDS {
+        for [along, turned] in [[180.0, 179.99], [90.0, 89.99]] {
+            let [along, turned] = [along, turned].map(|heading_deg: f64| {
+                let heading = format!("rover.heading_deg={heading_deg}");
+                let set = ["camera.pitch_deg=-55", "rover.kind=rover", "rover.visible=yes", &heading];
+                render_by(backend, &scene_with(&set), &settings())
+            });
+            let pixels = along.class.len();
+            let other_classes = along.class.iter().zip(&turned.class).filter(|(a, b)| a != b).count();
+            let steps = along.rgb.chunks_exact(3).zip(turned.rgb.chunks_exact(3));
+            let is_other = |(a, b): &(&[u8], &[u8])| a.iter().zip(*b).any(|(a, b)| a.abs_diff(*b) > 20);
+            let other_colours = steps.filter(is_other).count();
+            assert!(
+                other_classes <= pixels / 1000 && other_colours <= pixels / 1000,
+                "{backend}: {other_classes} classes and {other_colours} colours of {pixels}"
+            );
+        }
+    }
+}
+
 #[test]
 fn exports_hold_the_rover() {
     let set = ["rover.kind=rover", "terrain.cells=20", "rocks.count=12"];
