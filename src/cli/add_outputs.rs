@@ -44,7 +44,7 @@ pub(super) fn run(
     };
     if is_json {
         let summary = json!({
-            "out": folder, "frames": finalized.manifest["n_completed"], "made": made,
+            "out": folder.display().to_string(), "frames": finalized.manifest["n_completed"], "made": made,
             "outputs": finalized.manifest["outputs"], "status": finalized.manifest["status"],
         });
         print(&format!("{summary:#}\n"))?;

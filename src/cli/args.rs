@@ -9,7 +9,7 @@ use crate::gpu::Gpu;
 use crate::output::edges::EdgePolicy;
 use crate::output::{LabelIds, OUTPUTS};
 use crate::params::config::Config;
-use crate::params::record::{self, FrameOrigin, is_record};
+use crate::params::record::{FrameOrigin, is_record};
 use crate::render::{RasterMode, RenderSettings, Renderer};
 use clap::Args;
 
@@ -83,7 +83,7 @@ impl ConfigArgs {
     /// What the frame was made from whose record is the file; nothing if it is no record.
     pub(super) fn origin(&self) -> Result<FrameOrigin> {
         match &self.config {
-            Some(path) if is_record(path) => Ok(FrameOrigin::of(&record::read(path)?)),
+            Some(path) if is_record(path) => FrameOrigin::read(path),
             _ => Ok(FrameOrigin::default()),
         }
     }
@@ -99,8 +99,10 @@ fn quoted(word: &str) -> String {
     }
 }
 
+/// Seed of a scene unless an option says otherwise.
+pub(super) const DEFAULT_SEED: u64 = 42;
 /// Size of an image unless an option says otherwise, pixels.
-const DEFAULT_SIZE: [u32; 2] = [512; 2];
+pub(super) const DEFAULT_SIZE: [u32; 2] = [512; 2];
 /// Samples per pixel unless an option says otherwise.
 const DEFAULT_SAMPLES: u32 = 4;
 
@@ -111,7 +113,7 @@ pub(super) struct ImageArgs {
     #[arg(long, value_name = "WxH", value_parser = parse_size, allow_hyphen_values = true)]
     size: Option<[u32; 2]>,
     /// Samples per pixel: 1, 4 (2 x 2) or 16 (4 x 4) [default: 4, or that of the record]
-    #[arg(long, value_name = "N", value_parser = whole_number::<u32>(0, u32::MAX.into()))]
+    #[arg(long, value_name = "N", value_parser = whole_number::<u32>(1, 16))]
     samples: Option<u32>,
     /// Ids in the mask: canonical (0 regolith, 1 rock, 2 sky), or those of a Replicator pipeline
     #[arg(long, value_name = "KIND", default_value = "canonical", value_parser = ["canonical", "replicator"])]

@@ -13,7 +13,7 @@ use crate::render::{LightingMode, Renderer};
 use clap::Args;
 use serde_json::{Map, Value, json};
 
-use super::args::{ConfigArgs, DeviceArgs, ImageArgs, whole_number};
+use super::args::{ConfigArgs, DEFAULT_SEED, DeviceArgs, ImageArgs, whole_number};
 use super::device;
 use super::messages::{Messages, print};
 use super::process::{cores, stop_on_signals};
@@ -26,9 +26,9 @@ pub(super) struct BenchArgs {
     /// Number of frames of each case, after a warm-up
     #[arg(long, value_name = "N", default_value_t = 30, value_parser = whole_number::<u64>(1, 1_000_000))]
     frames: u64,
-    /// Base seed
-    #[arg(long, value_name = "N", default_value_t = 42, value_parser = whole_number::<u64>(0, u64::MAX))]
-    seed: u64,
+    /// Base seed [default: 42, or that of the record]
+    #[arg(long, value_name = "N", value_parser = whole_number::<u64>(0, u64::MAX))]
+    seed: Option<u64>,
     #[command(flatten)]
     config: ConfigArgs,
     #[command(flatten)]
@@ -99,10 +99,13 @@ fn setup(args: &BenchArgs, messages: Messages) -> Result<Setup> {
     // What is measured of a preset or of a file is the dataset that it makes, redraws included.
     let rules =
         if args.config.is_named() { Rules::from_config(&config)? } else { Rules::accepting_any_image() };
+    let origin = args.config.origin()?;
+    let image = args.image.or(&origin);
+    let seed = args.seed.or(origin.seed).unwrap_or(DEFAULT_SEED);
     let plan = Plan {
-        edges: args.image.edges()?,
-        label_ids: args.image.label_ids(),
-        ..Plan::in_memory(config, rules, args.seed, args.image.settings()?, outputs)
+        edges: image.edges()?,
+        label_ids: image.label_ids(),
+        ..Plan::in_memory(config, rules, seed, image.settings()?, outputs)
     };
     let threads = args.threads.map_or_else(cores, usize::from);
     let concurrency = Concurrency { threads, frames_in_flight: args.frames_in_flight.map(usize::from) };
@@ -218,7 +221,7 @@ fn sweep(
             curve.points.iter().map(|(value, ms)| json!({ "value": value, "median_ms": ms })).collect();
         return print(&format!(
             "{:#}\n",
-            json!({ "sweep": axis, "case": case.name(), "points": points, "plot": path })
+            json!({ "sweep": axis, "case": case.name(), "points": points, "plot": path.display().to_string() })
         ));
     }
     let mut text = format!("{axis:<20}{:>12}   case {}\n", "median ms", case.name());

@@ -42,7 +42,7 @@ pub(super) fn run(args: &ConvertArgs, messages: Messages) -> Result<()> {
     let finalized = result?;
     if args.json {
         let summary = json!({
-            "out": args.out, "format": args.format, "frames": finalized.manifest["n_completed"],
+            "out": args.out.display().to_string(), "format": args.format, "frames": finalized.manifest["n_completed"],
             "status": finalized.manifest["status"],
         });
         return print(&format!("{summary:#}\n"));

@@ -72,7 +72,7 @@ pub(super) struct DatasetArgs {
     ])]
     add_outputs: Option<String>,
     /// The dataset of --add-outputs
-    #[arg(value_name = "DIR", requires = "add_outputs")]
+    #[arg(value_name = "DIR")]
     folder: Option<PathBuf>,
     /// Render nothing: print the knobs of the first frames
     #[arg(long)]
@@ -95,6 +95,13 @@ pub(super) fn formats_help() -> String {
 }
 
 pub(super) fn run(args: &DatasetArgs, messages: Messages) -> Result<()> {
+    // Not by `requires`, which does not hold beside an option that --add-outputs excludes.
+    if let (Some(folder), None) = (&args.folder, &args.add_outputs) {
+        return Err(Error::Usage(format!(
+            "{}: only --add-outputs takes a folder without an option; frames are written to --out {0}",
+            folder.display()
+        )));
+    }
     if args.merge {
         return merge(args, messages);
     }
@@ -140,7 +147,8 @@ fn plan(args: &DatasetArgs) -> Result<Plan> {
     let config = args.config.build()?;
     let (format, layout) = layout::find(&args.format)?;
     let outputs = Plan::outputs(args.outputs.as_deref(), format, layout)?;
-    let mut settings = args.image.settings()?;
+    let image = args.image.or(&args.config.origin()?);
+    let mut settings = image.settings()?;
     settings.annotations = output::annotations(&outputs);
     let splits = args.split.as_deref().map_or(Ok(Vec::new()), plan::parse_splits)?;
     let count = args.count.unwrap_or_else(|| splits.iter().map(|(_, count)| count).sum());
@@ -159,8 +167,8 @@ fn plan(args: &DatasetArgs) -> Result<Plan> {
         seeds: Seeds::OfBase,
         settings,
         outputs,
-        edges: args.image.edges()?,
-        label_ids: Plan::label_ids(args.image.label_ids(), format, layout)?,
+        edges: image.edges()?,
+        label_ids: Plan::label_ids(image.label_ids(), format, layout)?,
         format,
         layout,
         range: Range { start: args.start, count },
@@ -298,7 +306,7 @@ fn report(
         .unwrap_or_default();
     if args.json {
         let summary = json!({
-            "out": args.out,
+            "out": args.out.display().to_string(),
             "frames": manifest["n_completed"],
             "made": run.map_or(0, |run| run.made),
             "redraws": run.map_or(0, |run| run.redraws),

@@ -15,12 +15,10 @@ use crate::scene::Scene;
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::args::{ConfigArgs, DeviceArgs, ImageArgs, output_names, whole_number};
+use super::args::{ConfigArgs, DEFAULT_SEED, DeviceArgs, ImageArgs, output_names, whole_number};
 use super::device;
 use super::messages::{Messages, print};
 
-/// Seed unless an option or a record says otherwise.
-const DEFAULT_SEED: u64 = 42;
 /// Index of a single frame in its file names.
 const INDEX: u64 = 0;
 

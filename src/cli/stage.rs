@@ -12,19 +12,19 @@ use crate::scene::Scene;
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::args::{ConfigArgs, parse_size, whole_number};
+use super::args::{ConfigArgs, DEFAULT_SEED, DEFAULT_SIZE, parse_size, whole_number};
 use super::messages::{Messages, print};
 
 #[derive(Args, Debug)]
 pub(super) struct ExportArgs {
     /// File to write; its extension selects the format: .npz, .glb, .usda or .usdc
     file: PathBuf,
-    /// Seed of the scene
-    #[arg(long, value_name = "N", default_value_t = 42, value_parser = whole_number::<u64>(0, u64::MAX))]
-    seed: u64,
-    /// Image size in pixels, for the camera matrix and for --drawn: WxH, or N for a square
-    #[arg(long, value_name = "WxH", default_value = "512x512", value_parser = parse_size, allow_hyphen_values = true)]
-    size: [u32; 2],
+    /// Seed of the scene [default: 42, or that of the record]
+    #[arg(long, value_name = "N", value_parser = whole_number::<u64>(0, u64::MAX))]
+    seed: Option<u64>,
+    /// Image size in pixels, for the camera matrix and for --drawn: WxH, or N for a square [default: 512x512, or that of the record]
+    #[arg(long, value_name = "WxH", value_parser = parse_size, allow_hyphen_values = true)]
+    size: Option<[u32; 2]>,
     #[command(flatten)]
     config: ConfigArgs,
     /// Export only the triangles that a frame of this size draws or that cast its shadows, at the level of detail it uses
@@ -43,12 +43,14 @@ pub(super) fn export_stage(args: &ExportArgs, messages: Messages) -> Result<()> 
     if args.file.exists() && !args.force {
         return Err(Error::Usage(format!("{} exists; add --force to replace it", args.file.display())));
     }
-    let params = args.config.build()?.draw(args.seed)?;
-    let settings = RenderSettings::new(args.size, 1)?;
-    let scene = Scene::build(args.seed, &params)?;
+    let (config, origin) = (args.config.build()?, args.config.origin()?);
+    let seed = args.seed.or(origin.seed).unwrap_or(DEFAULT_SEED);
+    let params = config.draw(seed)?;
+    let settings = RenderSettings::new(args.size.or(origin.size).unwrap_or(DEFAULT_SIZE), 1)?;
+    let scene = Scene::build(seed, &params)?;
     let detail = if args.drawn { Detail::Drawn } else { Detail::Authored };
     let knobs = params.to_json();
-    let stage = Stage { scene: &scene, seed: args.seed, knobs: &knobs, settings: &settings, detail };
+    let stage = Stage { scene: &scene, seed, knobs: &knobs, settings: &settings, detail };
     let bytes = export::export(&stage, format)?;
     let name = args.file.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let folder = args.file.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -56,7 +58,7 @@ pub(super) fn export_stage(args: &ExportArgs, messages: Messages) -> Result<()> 
     disk::write_all(folder, &[Artifact { name, bytes }])?;
     if args.json {
         let result = json!({
-            "file": args.file, "bytes": written, "seed": args.seed, "stage": params.text(Knob::StageName), "drawn": args.drawn,
+            "file": args.file.display().to_string(), "bytes": written, "seed": seed, "stage": params.text(Knob::StageName), "drawn": args.drawn,
             "rocks": scene.rocks.count(), "geometry_hash": scene.geometry_hash(),
         });
         return print(&format!("{result:#}\n"));

@@ -49,20 +49,40 @@ pub fn read(path: &Path) -> Result<Map<String, Value>> {
 }
 
 impl FrameOrigin {
-    /// The origin of a record.
-    #[must_use]
-    pub fn of(record: &Map<String, Value>) -> Self {
+    /// The origin of the record in a file.
+    ///
+    /// # Errors
+    /// Those of [`read`]; [`Error::Config`] if a value of it is none.
+    pub fn read(path: &Path) -> Result<Self> {
+        let record = read(path)?;
         let number = |value: &Value| value.as_u64().and_then(|number| u32::try_from(number).ok());
-        let text = |key: &str| record.get(key).and_then(Value::as_str).map(str::to_owned);
-        let size = record.get("size").and_then(|size| Some([number(&size[0])?, number(&size[1])?]));
-        Self {
-            seed: record.get("seed").and_then(Value::as_u64),
-            size,
-            samples: record.get("samples").and_then(number),
-            edges: text("edges"),
-            version: text("version"),
-        }
+        let text = |value: &Value| value.as_str().map(str::to_owned);
+        let size = |value: &Value| match value.as_array()?.as_slice() {
+            [width, height] => Some([number(width)?, number(height)?]),
+            _ => None,
+        };
+        Ok(Self {
+            seed: value(&record, path, ("seed", "a whole number from 0 to 2^64 - 1"), Value::as_u64)?,
+            size: value(&record, path, ("size", "two whole numbers, width and height in pixels"), size)?,
+            samples: value(&record, path, ("samples", "a whole number"), number)?,
+            edges: value(&record, path, ("edges", "a text"), text)?,
+            version: value(&record, path, ("version", "a text"), text)?,
+        })
     }
+}
+
+/// A value of a record, if it has the key.
+fn value<T>(
+    record: &Map<String, Value>,
+    path: &Path,
+    (key, wanted): (&str, &str),
+    read: impl Fn(&Value) -> Option<T>,
+) -> Result<Option<T>> {
+    let refused = |value| {
+        let message = format!("`{key}` is {value}; it has to be {wanted}");
+        Error::Config { path: path.to_owned(), cause: std::io::Error::other(message) }
+    };
+    record.get(key).map(|value| read(value).ok_or_else(|| refused(value))).transpose()
 }
 
 impl Config {

@@ -679,8 +679,54 @@ fn a_record_repeats_its_frame() {
     run_ok(folder.path(), &changed);
     let read = |out: &str| std::fs::read(folder.path().join(out).join("rgb_0000.png")).expect("an image");
     assert!(read("first") != read("other"), "--set wins over the record");
-    std::fs::write(folder.path().join("none.json"), "{}").expect("written");
-    let output = run(folder.path(), &["--config=none.json"]);
-    let message = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.code() == Some(2) && message.contains("not the record of a frame"), "{message}");
+    for (record, says) in [
+        ("{}", "not the record of a frame"),
+        (r#"{"knobs": {}, "seed": -1}"#, "`seed` is -1"),
+        (r#"{"knobs": {}, "size": [32]}"#, "`size` is [32]"),
+        (r#"{"knobs": {}, "samples": "4"}"#, "`samples` is \"4\""),
+    ] {
+        std::fs::write(folder.path().join("wrong.json"), record).expect("written");
+        let output = run(folder.path(), &["--config=wrong.json"]);
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code() == Some(2) && message.contains(says), "{message}");
+    }
+}
+
+/// What takes a configuration takes a record, with its image as far as the command has one.
+#[test]
+fn every_command_takes_a_record() {
+    let folder = folder();
+    run_ok(
+        folder.path(),
+        &["--seed=7", "--size=40x24", "--edges=ignore:1", "--outputs=rgb,meta", "-q", "--out=first"],
+    );
+    let record = "--config=first/frame_0000.json";
+    let first = json(&folder.path().join("first/frame_0000.json"));
+    let parsed = |words: &[&str]| -> serde_json::Value {
+        serde_json::from_str(&run_ok(folder.path(), words)).expect("JSON")
+    };
+    let exported = parsed(&["export", "scene.npz", record, "--json"]);
+    assert_eq!(
+        (&exported["seed"], &exported["geometry_hash"]),
+        (&first["seed"], &first["geometry_hash"]),
+        "the scene of the record"
+    );
+    let measured = parsed(&["bench", "--frames=1", "--cases=dataset", record, "--json", "-q"]);
+    assert_eq!(measured["size"], first["size"]);
+    assert_eq!(measured["cases"]["dataset"]["frames_in_flight"], 2, "of the nominal stage");
+    run_ok(folder.path(), &["dataset", "--count=1", record, "-q", "--out=frames"]);
+    let manifest = json(&folder.path().join("frames/manifest.json"));
+    assert_eq!(manifest["edges"], first["edges"]);
+}
+
+/// The folder of --out is no argument: frames would go to `out` without a word.
+#[test]
+fn a_dataset_takes_no_folder_without_its_option() {
+    for words in [
+        &["dataset", "mine", "--count=1"][..],
+        &["dataset", "mine", "--split=a=1"],
+        &["dataset", "--merge", "mine"],
+    ] {
+        assert_refused(words, 2, &["mine", "--out mine"]);
+    }
 }
