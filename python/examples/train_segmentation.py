@@ -1,6 +1,6 @@
 """Trains a small U-Net on frames that are rendered while it trains, and tests it on frames of another preset.
 
-    pip install regolith-render torch pillow
+    pip install . torch pillow                        # in a checkout
     python train_segmentation.py                      # renders what it trains on: no files
     python train_segmentation.py --data data/train    # or takes the frames of a finished dataset
 

@@ -1,6 +1,6 @@
 """Shows frames in Rerun: image, classes and depth in the camera that saw them, and the mesh of the scene around it.
 
-    pip install regolith-render rerun-sdk
+    pip install . rerun-sdk    # in a checkout
     python view_in_rerun.py                    # opens the viewer
     python view_in_rerun.py --save moon.rrd    # writes a file, for `rerun moon.rrd`
 """

@@ -27,7 +27,8 @@ Transform = Callable[[Sample], Any]
 
 def _tensor(name: str, array: np.ndarray[Any, Any], as_uint8: bool) -> torch.Tensor:
     """An array as a tensor for a loss: images (3, H, W) float32 in [0, 1], or uint8; masks and ids int64; the rest as it is."""
-    if name == "mask" or array.dtype == np.uint16:
+    # Pillow before 11.3 reads 16 bits as 32.
+    if name == "mask" or array.dtype in (np.uint16, np.int32):
         return torch.as_tensor(array.astype(np.int64))
     tensor = torch.as_tensor(array)
     if array.ndim == 3:
@@ -57,8 +58,8 @@ class MoonDataset(IterableDataset[Any]):
     as_uint8: images as uint8, 0 to 255, without conversion.
     prefetch: finished frames that wait at most, 1 to 1000.
 
-    Which frames there are does not depend on the number of workers, and the ranks of a distributed run (`torch.distributed`) share them
-    out. Each worker opens a device of its own at its first frame. Workers that are forked after the device of this dataset was opened in
+    Which frames there are does not depend on the number of workers, and the ranks of a distributed run (`torch.distributed`) share their
+    batches out: with a length that is a multiple of `batch_size` times the number of ranks, each gets as many. Each worker opens a device of its own at its first frame. Workers that are forked after the device of this dataset was opened in
     their parent get an error; start them by `multiprocessing_context="spawn"`.
 
     Raises ConfigError for a wrong argument.
@@ -92,23 +93,28 @@ class MoonDataset(IterableDataset[Any]):
         # The same of a worker that was given a state of its own, as `torchdata`'s StatefulDataLoader does.
         self._own_start: tuple[int, int, int] | None = None
         self._position = (0, 0, 0)
+        # The epoch of a state that was loaded and not used since, as far as this process knows.
+        self._loaded_epoch: int | None = None
 
     def set_epoch(self, epoch: int) -> None:
-        """The next iteration has the frames of this epoch, which are others than those of any other, from the first one. Epoch 0 is the
-        dataset of the command line. Workers that a loader keeps (`persistent_workers`) follow."""
-        self._set_start((whole("epoch", epoch, 0, MAX_FRAMES), 0, 0))
+        """The next iteration has the frames of this epoch, which are others than those of any other, from the first one; or, if a state of
+        this epoch was just loaded, from where that is. Epoch 0 is the dataset of the command line. Workers that a loader keeps
+        (`persistent_workers`) follow."""
+        loaded, self._loaded_epoch = self._loaded_epoch, None
+        if whole("epoch", epoch, 0, MAX_FRAMES) != loaded:
+            self._set_start((epoch, 0, 0))
 
     def state_dict(self, batches: int | None = None) -> dict[str, int]:
         """Where an epoch is: `epoch`, `taken`, the frames of all ranks and workers in batches that are complete, and `within_batch`, those
         of the batch that was begun.
 
-        batches: how many of `batch_size` frames the loader of this rank has given in this epoch. With worker processes it is needed, as
-        only the loader knows; without it, the state is that of the iteration in this process.
+        batches: how many of `batch_size` frames the loader of this rank has given since the epoch was set, or the state loaded. With worker
+        processes it is needed, as only the loader knows; without it, the state is that of the iteration in this process.
         """
         epoch, taken, within = self._position
         if batches is not None:
-            epoch, within = int(self._start[0]), 0
-            taken = whole("batches", batches, 0, MAX_FRAMES) * self.batch_size * _rank_of()[1]
+            epoch, taken, within = (int(number) for number in self._start[:3])
+            taken += whole("batches", batches, 0, MAX_FRAMES) * self.batch_size * _rank_of()[1]
         return {"epoch": epoch, "taken": taken, "within_batch": within}
 
     def load_state_dict(self, state: dict[str, int]) -> None:
@@ -124,6 +130,7 @@ class MoonDataset(IterableDataset[Any]):
         if taken % self.batch_size:
             raise refused("taken", taken, f"a multiple of batch_size = {self.batch_size} is expected")
         self._set_start((whole("epoch", epoch, 0, MAX_FRAMES), taken, within))
+        self._loaded_epoch = epoch
 
     def _set_start(self, start: tuple[int, int, int]) -> None:
         self._position = start
@@ -150,6 +157,7 @@ class MoonDataset(IterableDataset[Any]):
         self._start.share_memory_()  # type: ignore[no-untyped-call,unused-ignore]
 
     def __iter__(self) -> Iterator[Any]:
+        self._loaded_epoch = None
         self._position = epoch, taken, within = self._next_start()
         (rank, ranks), (worker, workers) = _rank_of(), _worker_of()
         # Batches of a loader alternate between its workers; batches of a rank are every `ranks`-th one.
@@ -186,7 +194,8 @@ def _worker_of() -> tuple[int, int]:
 
 
 class MoonFolder(Dataset[Any]):
-    """A finished dataset of the layout `folder`, as `regolith-render dataset` writes it: the same samples as `MoonDataset`.
+    """A finished dataset of the layout `folder`, as `regolith-render dataset` writes it: the same samples as `MoonDataset`, without `hdr` and
+    `preview`.
 
     folder: with `manifest.json`. split: the name of one of its splits; all frames without it. transform, as_uint8: as in `MoonDataset`.
     Needs Pillow.

@@ -116,6 +116,17 @@ if __name__ == "__main__":
     again = loader(resumed, persistent_workers=True)
     assert digests(again) == epochs[2][1:]
     assert digests(again) == epochs[2], "the next iteration is a whole one"
+    # Stopped and resumed twice, by a loop that sets the epoch at its head.
+    twice = dataset()
+    twice.load_state_dict(state)
+    twice.set_epoch(2)
+    assert digests(loader(twice)) == epochs[2][1:]
+    third = dataset()
+    third.load_state_dict(twice.state_dict(batches=1))
+    third.set_epoch(2)
+    assert digests(loader(third)) == epochs[2][2:]
+    third.set_epoch(2)
+    assert digests(loader(third)) == epochs[2], "from the first frame"
     print("same")
 """
 
