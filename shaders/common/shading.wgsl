@@ -38,6 +38,8 @@ struct SunVisibility {
     depth_m: f32,
 }
 
+// Least cosine between the ground's normal and the direction to the eye.
+const MIN_FACING: f32 = 0.04;
 // Least cosine of incidence of bounced light.
 const MIN_BOUNCE_COSINE: f32 = 0.03;
 
@@ -186,7 +188,7 @@ fn bounced_light(
 
 // What the ground's mesh leaves out.
 fn detail_below_mesh(offset: vec3<f32>, mesh_normal: vec3<f32>, to_eye: vec3<f32>) -> GroundDetail {
-    let facing = clamp(dot(mesh_normal, to_eye), 0.04, 1.0);
+    let facing = clamp(dot(mesh_normal, to_eye), MIN_FACING, 1.0);
     let across_m = light.relief_sample_angle * length(offset);
     // The footprint of a sample is longer in depth than across: take the geometric mean of the two.
     let sample_m = across_m * inverseSqrt(facing);

@@ -50,7 +50,7 @@ pub const CLOD_LARGEST_M: f64 = 0.08;
 /// Height of a clod, diameters.
 pub const CLOD_HEIGHT: f32 = 0.22;
 /// Multiplier of [`second_hash`].
-const SECOND_HASH: u32 = 0x2c1b_3c6d;
+pub(crate) const SECOND_HASH: u32 = 0x2c1b_3c6d;
 
 /// Inside the rim crest the profile is `RIM + (1 - r) p(r)`, r in radii, heights in diameters: these are the coefficients of
 /// p, a fit to Yang's curve for a diameter of 1 m, accurate to 0.0003.

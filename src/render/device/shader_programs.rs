@@ -119,7 +119,7 @@ pub static SHADOW_MIDPOINT: Program = program!("shadow_midpoint", [], []);
 pub static VISIBILITY: Program = program!("visibility", ["frame", "scene", "octahedral"], []);
 /// Lighting of ground and rocks, one shading bin at a time.
 pub static LIGHTING_SURFACE: Program = surface_program!("lighting_surface", "relief_of_draw");
-/// Lighting of the sky's dome and of stars.
+/// Lighting of the sky's dome, of stars and of the sun's disc.
 pub static LIGHTING_SKY: Program =
     program!("lighting_sky", ["frame", "scene", "fullscreen", "sun_disc"], [LIGHT, LIGHTING_OUTPUT]);
 /// Lighting of all surfaces in one draw.
@@ -374,16 +374,41 @@ mod tests {
             (&LIGHTING_SURFACE, "HAPKE", f64::from(Law::Hapke as u32)),
         ];
         for (program, name, expected) in constants {
-            let module = parse(program);
-            let constant =
-                module.constants.iter().find(|(_, constant)| constant.name.as_deref() == Some(name));
-            let (_, constant) = constant.unwrap_or_else(|| panic!("{name} in {}", program.name));
-            let value = match module.global_expressions[constant.init] {
-                naga::Expression::Literal(naga::Literal::U32(value)) => f64::from(value),
-                naga::Expression::Literal(naga::Literal::F32(value)) => f64::from(value),
-                ref other => panic!("{name}: {other:?}"),
-            };
-            assert_eq!(value, expected, "{name} in {}", program.name);
+            assert_eq!(constant(program, name), expected, "{name} in {}", program.name);
+        }
+    }
+
+    /// The value of a constant of a program.
+    fn constant(program: &Program, name: &str) -> f64 {
+        let module = parse(program);
+        let constant = module.constants.iter().find(|(_, constant)| constant.name.as_deref() == Some(name));
+        let (_, constant) = constant.unwrap_or_else(|| panic!("{name} in {}", program.name));
+        match module.global_expressions[constant.init] {
+            naga::Expression::Literal(naga::Literal::U32(value)) => f64::from(value),
+            naga::Expression::Literal(naga::Literal::F32(value)) => f64::from(value),
+            ref other => panic!("{name}: {other:?}"),
+        }
+    }
+
+    #[test]
+    fn constants_of_the_ground_that_rust_has_too_are_equal() {
+        use crate::render::lighting::relief_bands::MIN_FACING;
+        use crate::scene::crater_rays::{
+            HALO_REACH, MEAN_STREAK, MOTTLE_CELLS_PER_RADIUS, RAYS_REACH, STREAK_CELLS,
+            STREAK_CELLS_PER_RADIUS,
+        };
+        use crate::scene::craters::SECOND_HASH;
+        for (name, expected) in [
+            ("MIN_FACING", f64::from(MIN_FACING)),
+            ("RAYS_REACH", f64::from(RAYS_REACH)),
+            ("HALO_REACH", f64::from(HALO_REACH)),
+            ("STREAK_CELLS", f64::from(STREAK_CELLS)),
+            ("STREAK_CELLS_PER_RADIUS", f64::from(STREAK_CELLS_PER_RADIUS)),
+            ("MOTTLE_CELLS_PER_RADIUS", f64::from(MOTTLE_CELLS_PER_RADIUS)),
+            ("MEAN_STREAK", f64::from(MEAN_STREAK)),
+            ("SECOND_HASH", f64::from(SECOND_HASH)),
+        ] {
+            assert_eq!(constant(&LIGHTING_SURFACE, name), expected, "{name}");
         }
     }
 

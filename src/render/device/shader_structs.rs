@@ -91,7 +91,7 @@ shader_struct! {
 }
 
 shader_struct! {
-    /// `Lattice` in `common/relief.wgsl`.
+    /// `Lattice` in `common/scene.wgsl`.
     LatticeUniforms {
         rotation_per_m: Vec2,
         phase: Vec2,
@@ -106,7 +106,7 @@ shader_struct! {
 }
 
 shader_struct! {
-    /// `ReliefView` in `common/relief.wgsl`.
+    /// `ReliefView` in `common/scene.wgsl`.
     ReliefView {
         eye_from_centre: Vec2,
         eye_height_m: f32,
@@ -132,7 +132,7 @@ shader_struct! {
 }
 
 shader_struct! {
-    /// `ReliefUniforms` in `common/relief.wgsl`.
+    /// `ReliefUniforms` in `common/scene.wgsl`.
     ReliefUniforms {
         view: ReliefView,
         noise: [LatticeUniforms; 12],

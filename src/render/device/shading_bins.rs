@@ -7,7 +7,7 @@
 //! Where the device does not gain from bins, one draw shades all samples, each by the [`Detail`] of its instance.
 //! Must not know: a pass.
 
-/// What can occlude the sun at a surface. The values are those of `SHADOW_SOURCES` in `lighting_surface.wgsl`.
+/// What can occlude the sun at a surface. The values are those of `SHADOW_SOURCES` in `common/shading.wgsl`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ShadowSources {
     /// Nothing: a surface that faces the sun sees all of it.

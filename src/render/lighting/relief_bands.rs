@@ -20,7 +20,7 @@ use crate::scene::terrain::Layout;
 const MARGIN: f32 = 1.01;
 /// Safety factor for normals between vertices, which may face the eye more than those of the vertices.
 const FACING_MARGIN: f32 = 1.15;
-/// Minimum cosine between the normal and the direction to the eye; smaller ones are clamped. Stands in `shaders/lighting_surface.wgsl` too.
+/// Minimum cosine between the normal and the direction to the eye; smaller ones are clamped. Stands in `common/shading.wgsl` too.
 pub(in crate::render) const MIN_FACING: f32 = 0.04;
 
 /// Maximum number of bands of a frame: the values of its stencil distinguish them.
