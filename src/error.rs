@@ -99,8 +99,8 @@ pub enum Error {
     /// A wrong value of a command-line option or an environment variable.
     #[error("{0}")]
     Usage(String),
-    /// `--out` is a file.
-    #[error("--out {} is a file; name a folder (it is created if missing)", .0.display())]
+    /// `--out` is a file, a device, or a link that leads nowhere.
+    #[error("--out {} is a file or leads nowhere; name a folder (it is created if missing)", .0.display())]
     OutIsFile(PathBuf),
     /// `--out` has content of another origin.
     #[error("--out {} already holds {found}, which does not belong to this run; choose an empty folder, or add --force to write there anyway", .path.display())]

@@ -44,7 +44,8 @@ fn unreadable(path: &Path) -> impl FnOnce(std::io::Error) -> Error {
 /// # Errors
 /// [`Error::OutIsFile`], [`Error::OutNotEmpty`] unless `force`, [`Error::Read`] if the folder cannot be listed.
 pub fn check_content(folder: &Path, force: bool, is_ours: impl Fn(&str) -> bool) -> Result<()> {
-    if folder.is_file() {
+    // A device and a link that leads nowhere are none either.
+    if folder.symlink_metadata().is_ok() && !folder.is_dir() {
         return Err(Error::OutIsFile(folder.to_owned()));
     }
     if folder.as_os_str() == "-" {

@@ -97,6 +97,7 @@ fn a_wrong_setting_is_refused_with_name_value_and_remedy() {
         (&["--config", "missing.toml"], &["cannot read missing.toml"]),
         (&["--outputs", "rgb,masks"], &["unknown output `masks`", "did you mean `mask`"]),
         (&["--out", "a_file"], &["--out a_file is a file"]),
+        (&["--out", "/dev/null"], &["--out /dev/null is a file"]),
         (&["--out", "."], &["already holds a_file", "--force"]),
         (&["--adapter", "voodoo"], &["no adapter matches `voodoo`", "llvmpipe"]),
         (&["--seed=-1"], &["--seed"]),
