@@ -25,8 +25,8 @@ fn hide_displays() {
     }
 }
 
-/// Lets threads share heaps of the C library, two cores each. It gives every thread one of its own, up to eight a core, and a heap keeps
-/// what its thread frees: on two cores those of workers and driver held 60 MB more.
+/// Lets threads share heaps of the C library: one for every two cores. Without this each thread has one of its own, up to eight a core, and
+/// a heap keeps what its thread frees: on two cores those of workers and driver held 50 to 100 MB more.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 #[expect(unsafe_code, reason = "the standard library has no setting for it; see SAFETY")]
 fn share_heaps() {

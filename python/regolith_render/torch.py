@@ -59,8 +59,9 @@ class MoonDataset(IterableDataset[Any]):
     prefetch: finished frames that wait at most, 1 to 1000.
 
     Which frames there are does not depend on the number of workers, and the ranks of a distributed run (`torch.distributed`) share their
-    batches out: with a length that is a multiple of `batch_size` times the number of ranks, each gets as many. Each worker opens a device of its own at its first frame. Workers that are forked after the device of this dataset was opened in
-    their parent get an error; start them by `multiprocessing_context="spawn"`.
+    batches out: with a length that is a multiple of `batch_size` times the number of ranks, each gets as many. Each worker opens a device
+    of its own at its first frame. Workers that are forked after the device of this dataset was opened in their parent get an error; start
+    them by `multiprocessing_context="spawn"`.
 
     Raises ConfigError for a wrong argument.
     """
