@@ -5,9 +5,6 @@
 //
 // CPU counterpart: src/render/visibility/host.rs.
 
-// Maximum code of a normal's coordinate: 24 bits.
-const MAX_NORMAL_CODE: f32 = 16777215.0;
-
 struct VertexOutput {
     @builtin(position) position: vec4<f32>,
     // World axes, relative to the eye, metres.

@@ -18,7 +18,7 @@ fn surface_at(position: vec2<f32>) -> Surface {
     let packed = textureLoad(visibility_buffer, vec2<i32>(position), 0);
     return Surface(
         ray_through(position) * (1.0 / bitcast<f32>(packed.w)),
-        octahedral_decode(vec2<f32>(packed.xy & vec2(0xffffffu)) * (2.0 / 16777215.0) - 1.0),
+        octahedral_decode(vec2<f32>(packed.xy & vec2(0xffffffu)) * (2.0 / MAX_NORMAL_CODE) - 1.0),
         octahedral_decode(unpack_snorm(packed.z)),
         (packed.x >> 24u) | ((packed.y >> 24u) << 8u),
     );

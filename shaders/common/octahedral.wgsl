@@ -2,6 +2,9 @@
 // 2010, "On Floating-Point Normal Vectors"; compared with others in Cigolle et al. 2014, "A Survey of Efficient
 // Representations for Independent Unit Vectors").
 
+// Maximum code of a coordinate of a normal in the visibility buffer: 24 bits.
+const MAX_NORMAL_CODE: f32 = 16777215.0;
+
 // Unit vector of a direction. One inverse square root and no divisions: llvmpipe divides once per component in
 // `normalize`.
 fn unit(v: vec3<f32>) -> vec3<f32> {

@@ -392,6 +392,7 @@ mod tests {
 
     #[test]
     fn constants_of_the_ground_that_rust_has_too_are_equal() {
+        use crate::render::lighting::gbuffer::MAX_NORMAL_CODE;
         use crate::render::lighting::relief_bands::MIN_FACING;
         use crate::scene::crater_rays::{
             HALO_REACH, MEAN_STREAK, MOTTLE_CELLS_PER_RADIUS, RAYS_REACH, STREAK_CELLS,
@@ -399,6 +400,7 @@ mod tests {
         };
         use crate::scene::craters::SECOND_HASH;
         for (name, expected) in [
+            ("MAX_NORMAL_CODE", f64::from(MAX_NORMAL_CODE)),
             ("MIN_FACING", f64::from(MIN_FACING)),
             ("RAYS_REACH", f64::from(RAYS_REACH)),
             ("HALO_REACH", f64::from(HALO_REACH)),

@@ -14,6 +14,8 @@ use crate::render::settings::RenderSettings;
 
 /// Format of the visibility texture (`visibility.wgsl` has its layout).
 pub(crate) const VISIBILITY_FORMAT: TextureFormat = TextureFormat::Rgba32Uint;
+/// Maximum code of a coordinate of a normal there: 24 bits. `common/octahedral.wgsl` has the same.
+pub(in crate::render) const MAX_NORMAL_CODE: u32 = 0x00ff_ffff;
 /// Format of the ground's detail below its mesh: slope, rise per metre along x and y; factor on the albedo; fraction of the sun's
 /// disc that grains leave visible.
 pub(crate) const SLOPES_FORMAT: TextureFormat = TextureFormat::Rgba16Float;

@@ -5,6 +5,7 @@
 
 use glam::Vec3;
 
+use super::gbuffer::MAX_NORMAL_CODE;
 use super::relief_bands::MIN_FACING;
 use crate::render::device::shader_structs::ReliefView;
 use crate::scene::relief::MIN_CELLS;
@@ -12,8 +13,6 @@ use crate::scene::relief::MIN_CELLS;
 /// Samples whose slopes are summed together: as many as the widest vectors hold, so that relief and grains that none of them needs are
 /// skipped as often as possible.
 pub(super) const BATCH: usize = 16;
-/// Maximum code of a normal's coordinate: 24 bits.
-const MAX_NORMAL_CODE: u32 = 0x00ff_ffff;
 /// Largest cells of noise, distances between samples, that neither hide nor shadow the ground; from twice as large on they do in full.
 pub(crate) const MIN_TESTED_SAMPLES: f32 = 3.0;
 /// Largest horizontal way of a ray to the eye per metre that it rises: lower ones are taken for one of 7 degrees.
@@ -192,8 +191,9 @@ fn hidden_shadows(along: f32, [per_eye_way, per_sun_way]: [f32; 2]) -> f32 {
 /// also normalises it.
 #[inline(always)]
 fn octahedral_decode(code_x: u32, code_y: u32) -> [f32; 3] {
-    let p = (code_x & MAX_NORMAL_CODE) as i32 as f32 * (2.0 / 16_777_215.0) - 1.0;
-    let q = (code_y & MAX_NORMAL_CODE) as i32 as f32 * (2.0 / 16_777_215.0) - 1.0;
+    const PER_CODE: f32 = 2.0 / MAX_NORMAL_CODE as f32;
+    let p = (code_x & MAX_NORMAL_CODE) as i32 as f32 * PER_CODE - 1.0;
+    let q = (code_y & MAX_NORMAL_CODE) as i32 as f32 * PER_CODE - 1.0;
     let z = 1.0 - p.abs() - q.abs();
     // The lower half of the octahedron is folded over the corners of the square.
     let fold = if z < 0.0 { -z } else { 0.0 };

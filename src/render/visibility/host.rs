@@ -15,6 +15,7 @@ use rayon::prelude::*;
 
 use crate::gpu::staging::{PAGE_BYTES, Page, PageWriter};
 use crate::render::device::shading_bins::{ShadingBin, ShadingBins};
+use crate::render::lighting::gbuffer::MAX_NORMAL_CODE;
 use crate::render::lighting::slopes_host::GBufferRow;
 use crate::render::raster::fill::FragmentSink;
 use crate::render::raster::lanes::{
@@ -29,8 +30,6 @@ use crate::render::visibility::geometry::{ScreenMesh, ScreenTriangle, VisibleTri
 pub(super) const BAND_ROWS: usize = 32;
 /// The bit of [`GBufferBand::bins_and_slots`] where the slot of the instance begins.
 const SLOT_SHIFT: u32 = ShadingBin::BITS;
-/// Maximum code of a normal's coordinate: 24 bits.
-const MAX_NORMAL_CODE: f32 = 16_777_215.0;
 
 thread_local! {
     /// One per thread, so that its memory is reused.
@@ -386,8 +385,9 @@ impl<S: Simd> FragmentSink<S> for GBufferWriter<'_> {
 /// From [-1, 1] to 24 bits, as `visibility.wgsl` packs it.
 #[inline(always)]
 fn to_snorm24<S: Simd>(x: f32x8<S>) -> u32x8<S> {
+    const MAX_CODE: f32 = MAX_NORMAL_CODE as f32;
     // Of 1 the half that is added would round the largest code up to one that has a bit more, which is the slot's.
-    let code = ((x * 0.5 + 0.5) * MAX_NORMAL_CODE + 0.5).min(MAX_NORMAL_CODE);
+    let code = ((x * 0.5 + 0.5) * MAX_CODE + 0.5).min(MAX_CODE);
     code.to_int::<i32x8<S>>().bitcast()
 }
 
