@@ -101,8 +101,9 @@ class MoonDataset(IterableDataset[Any]):
         """The next iteration has the frames of this epoch, which are others than those of any other, from the first one; or, if a state of
         this epoch was just loaded, from where that is. Epoch 0 is the dataset of the command line. Workers that a loader keeps
         (`persistent_workers`) follow."""
+        epoch = whole("epoch", epoch, 0, MAX_FRAMES)
         loaded, self._loaded_epoch = self._loaded_epoch, None
-        if whole("epoch", epoch, 0, MAX_FRAMES) != loaded:
+        if epoch != loaded:
             self._set_start((epoch, 0, 0))
 
     def state_dict(self, batches: int | None = None) -> dict[str, int]:

@@ -52,7 +52,7 @@ impl FrameOrigin {
     /// The origin of the record in a file.
     ///
     /// # Errors
-    /// Those of [`read`]; [`Error::Config`] if a value of it is none.
+    /// Those of [`read`]; [`Error::Config`] if a value has a wrong type or is out of range.
     pub fn read(path: &Path) -> Result<Self> {
         let record = read(path)?;
         let number = |value: &Value| value.as_u64().and_then(|number| u32::try_from(number).ok());
