@@ -88,18 +88,17 @@ impl Icosphere {
     }
 
     /// For each level, an upper bound in metres on the distance between the mesh of that level and the one of all
-    /// `vertices` (which must be those of some level of this icosphere).
+    /// `vertices` (which must be those of some level of this icosphere); 0 from their own level on.
     ///
     /// Two neighbouring levels differ by at most the largest distance of a vertex of the finer one from the midpoint of the
     /// edge that it bisects; over several levels these distances add up.
     #[must_use]
-    pub fn level_errors_m(&self, vertices: &[Vertex]) -> Vec<f32> {
+    pub fn level_errors_m(&self, vertices: &[Vertex]) -> [f32; Self::MAX_LEVEL + 1] {
         let positions = Positions::of(vertices);
-        let mut errors = vec![0.0_f32];
-        let mut level =
-            (0..self.triangles.len()).find(|&l| Self::vertex_count(l) == vertices.len()).unwrap_or(0);
-        while level > 0 {
-            let (first, last) = (Self::vertex_count(level - 1), Self::vertex_count(level));
+        let mut errors = [0.0; Self::MAX_LEVEL + 1];
+        let authored = (0..self.triangles.len()).find(|&l| Self::vertex_count(l) == vertices.len());
+        for level in (0..authored.unwrap_or(0)).rev() {
+            let (first, last) = (Self::vertex_count(level), Self::vertex_count(level + 1));
             let mut worst = 0.0;
             for (v, &[a, b]) in (first..).zip(&self.parents[first - 12..last - 12]) {
                 let middle = 0.5 * (positions.at(a as usize) + positions.at(b as usize));
@@ -107,10 +106,8 @@ impl Icosphere {
                 // `f32::max` is more than a comparison (NaN).
                 worst = if error > worst { error } else { worst };
             }
-            errors.push(errors[errors.len() - 1] + worst.sqrt());
-            level -= 1;
+            errors[level] = errors[level + 1] + worst.sqrt();
         }
-        errors.reverse();
         errors
     }
 
@@ -120,7 +117,13 @@ impl Icosphere {
     /// If the level has another number of vertices.
     pub fn set_smooth_normals(&self, vertices: &mut [Vertex], level: usize) {
         assert!(vertices.len() == Self::vertex_count(level), "the vertices of level {level}");
-        let mut sums = PooledVec::filled(vertices.len(), Vec4::ZERO);
+        // Most rocks are small: their sums need no memory of the pool or of the allocator.
+        let (mut few, mut many) = ([Vec4::ZERO; FEW_VERTICES], None);
+        let sums: &mut [Vec4] = if vertices.len() <= FEW_VERTICES {
+            &mut few[..vertices.len()]
+        } else {
+            many.insert(PooledVec::filled(vertices.len(), Vec4::ZERO))
+        };
         let positions = Positions::of(vertices);
         if level == 0 {
             for &corners in &self.triangles[0] {
@@ -144,13 +147,16 @@ impl Icosphere {
             sums[bc] = sums[bc] + second + third + middle;
             sums[ca] = sums[ca] + first + third + middle;
         }
-        for (vertex, sum) in vertices.iter_mut().zip(&sums) {
+        for (vertex, sum) in vertices.iter_mut().zip(&*sums) {
             let sum = Vec3A::from_vec4(*sum);
             let length = sum.length();
             vertex.normal = if length > 0.0 { (sum / length).into() } else { Vec3::Z };
         }
     }
 }
+
+/// Vertices of level 1.
+const FEW_VERTICES: usize = Icosphere::vertex_count(1);
 
 fn unit(v: DVec3) -> DVec3 {
     v / v.length()
@@ -275,8 +281,7 @@ mod tests {
             .map(|&d| Vertex { position: d, normal: d })
             .collect();
         let errors = sphere.level_errors_m(&vertices);
-        assert_eq!(errors.len(), 4);
-        assert_eq!(errors[3], 0.0);
+        assert_eq!(errors[3..], [0.0; 3]);
         // Depth of the face centres below the unit sphere.
         let sag = |level: usize| {
             sphere.triangles[level].iter().fold(0.0_f32, |worst, t| {

@@ -2,6 +2,7 @@
 //!
 //! Must not know: what dust looks like.
 
+use arrayvec::ArrayVec;
 use glam::Vec2;
 
 use super::rock::NO_DUST;
@@ -13,11 +14,13 @@ const LEVEL: usize = 2;
 /// The z that the normal exceeds on a share of the upward-facing surface above the ground, on which vertices lie about evenly. The ground is
 /// a plane: its height at the origin, metres, and its rise per metre along x and y.
 pub(super) fn dust_above(vertices: &[Vertex], (ground_m, slope): (f32, Vec2), share: f64) -> f32 {
-    let coarse = &vertices[..vertices.len().min(Icosphere::vertex_count(LEVEL))];
+    const COUNT: usize = Icosphere::vertex_count(LEVEL);
+    let coarse = &vertices[..vertices.len().min(COUNT)];
     let is_exposed = |vertex: &&Vertex| {
         vertex.normal.z > 0.0 && vertex.position.z > ground_m + slope.dot(vertex.position.truncate())
     };
-    let mut upward: Vec<f32> = coarse.iter().filter(is_exposed).map(|vertex| vertex.normal.z).collect();
+    let mut upward: ArrayVec<f32, COUNT> =
+        coarse.iter().filter(is_exposed).map(|vertex| vertex.normal.z).collect();
     if upward.is_empty() {
         return NO_DUST;
     }

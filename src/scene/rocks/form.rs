@@ -4,15 +4,15 @@
 //! triangle faces inwards.
 //! Must not know: how a rock is drawn, where it lies.
 
+use arrayvec::ArrayVec;
 use fearless_simd::{Level, dispatch};
 use glam::Vec3;
 
-use crate::pool::PooledVec;
 use crate::scene::mesh::Icosphere;
 use crate::scene::noise::Fbm;
 
 /// Vertices per batch: few enough for the intermediate values to stay in the first-level cache.
-const BATCH: usize = 128;
+pub(super) const BATCH: usize = 128;
 /// Least level with cracks: coarser triangles are wider than a crack.
 const CRACK_LEVEL: usize = 4;
 /// Range of a rock's radius, relative to the ellipsoid of its axes.
@@ -72,11 +72,11 @@ pub(super) struct Form {
     /// Reach of the ellipsoid that bounds the body, half axes.
     pub(super) reach: f32,
     /// The planes of the body; those from `ledge` on bound a second body, joined to the first.
-    pub(super) planes: Vec<Fracture>,
+    pub(super) planes: ArrayVec<Fracture, 13>,
     pub(super) ledge: usize,
     /// Smaller planes that cut edges and corners off both.
-    pub(super) chips: Vec<Fracture>,
-    pub(super) scars: Vec<Scar>,
+    pub(super) chips: ArrayVec<Fracture, 14>,
+    pub(super) scars: ArrayVec<Scar, 6>,
     pub(super) crack: Option<Crack>,
     pub(super) lumps: (Fbm, f32),
     pub(super) relief: (Fbm, f32),
@@ -84,21 +84,17 @@ pub(super) struct Form {
 }
 
 impl Form {
-    /// Positions of the vertices of an icosphere level. Relief is added as far as the level can hold it.
-    pub(super) fn positions(&self, level: usize) -> PooledVec<Vec3> {
-        let mut positions: PooledVec<Vec3> = PooledVec::unspecified(Icosphere::vertex_count(level));
-        for (chunk, positions) in positions.chunks_mut(BATCH).enumerate() {
-            let first = chunk * BATCH;
-            let directions =
-                Icosphere::shared().axes.each_ref().map(|axis| &axis[first..first + positions.len()]);
-            dispatch!(Level::new(), _simd => self.set_positions(level, directions, positions));
-        }
-        positions
+    /// Sets the positions of up to [`BATCH`] vertices of an icosphere level, from vertex `first` on. Relief is added as far as the level
+    /// can hold it.
+    pub(super) fn set_positions(&self, level: usize, first: usize, positions: &mut [Vec3]) {
+        let directions =
+            Icosphere::shared().axes.each_ref().map(|axis| &axis[first..first + positions.len()]);
+        dispatch!(Level::new(), _simd => self.set_batch(level, directions, positions));
     }
 
     // Must be inlined into the dispatched code to be compiled for its SIMD width.
     #[inline(always)]
-    fn set_positions(&self, level: usize, directions: [&[f32]; 3], positions: &mut [Vec3]) {
+    fn set_batch(&self, level: usize, directions: [&[f32]; 3], positions: &mut [Vec3]) {
         let n = positions.len();
         let (mut x, mut y, mut z) = ([0.0; BATCH], [0.0; BATCH], [0.0; BATCH]);
         let (mut radii, mut changes) = ([0.0; BATCH], [0.0; BATCH]);

@@ -4,9 +4,10 @@
 
 use std::f64::consts::TAU;
 
+use arrayvec::ArrayVec;
 use glam::Vec3;
 
-use super::form::{Crack, Form, Fracture, Scar};
+use super::form::{BATCH, Crack, Form, Fracture, Scar};
 use super::shape::rotated;
 use crate::pool::PooledVec;
 use crate::random::Stream;
@@ -53,11 +54,13 @@ pub(super) enum Kind {
 }
 
 /// The outline of a body: its surface in the directions of [`EXTENT_LEVEL`].
-struct Body(PooledVec<Vec3>);
+struct Body([Vec3; Icosphere::vertex_count(EXTENT_LEVEL)]);
 
 impl Body {
     fn of(form: &Form) -> Self {
-        Self(form.positions(EXTENT_LEVEL))
+        let mut body = Self([Vec3::ZERO; _]);
+        form.set_positions(EXTENT_LEVEL, 0, &mut body.0);
+        body
     }
 
     /// Cuts it by a plane at a fraction of how far it extends along a normal.
@@ -84,10 +87,10 @@ impl Form {
         let mut form = Self {
             axes,
             reach: draw.uniform(1.25, 1.50) as f32,
-            planes: Vec::with_capacity(14),
+            planes: ArrayVec::new(),
             ledge: usize::MAX,
-            chips: Vec::with_capacity(12),
-            scars: Vec::with_capacity(6),
+            chips: ArrayVec::new(),
+            scars: ArrayVec::new(),
             crack: None,
             lumps: (Fbm { octaves: 2, frequency: 0.9, lacunarity: 2.1, seed: draw.bits() }, 0.0),
             relief: (Fbm { octaves: 0, frequency: 2.6, lacunarity: 2.3, seed: draw.bits() }, 0.0),
@@ -262,13 +265,16 @@ fn draw_direction(draw: &mut Stream) -> Vec3 {
 /// A form at a heading and tilt, scaled to its diameter: the mean of its extents along x and y.
 pub(super) fn posed(draw: &mut Stream, form: &Form, level: usize, diameter_m: f32) -> PooledVec<Vertex> {
     let world_from_form = rotated(draw, [1.0; 3], TILT_DEG);
-    let positions = form.positions(level);
-    let mut vertices: PooledVec<Vertex> = PooledVec::unspecified(positions.len());
+    let mut vertices: PooledVec<Vertex> = PooledVec::unspecified(Icosphere::vertex_count(level));
     let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-    for (vertex, &p) in vertices.iter_mut().zip(&positions) {
-        vertex.position = world_from_form * p;
-        low = low.min(vertex.position);
-        high = high.max(vertex.position);
+    for (batch, vertices) in vertices.chunks_mut(BATCH).enumerate() {
+        let mut positions = [Vec3::ZERO; BATCH];
+        form.set_positions(level, batch * BATCH, &mut positions[..vertices.len()]);
+        for (vertex, &p) in vertices.iter_mut().zip(&positions) {
+            vertex.position = world_from_form * p;
+            low = low.min(vertex.position);
+            high = high.max(vertex.position);
+        }
     }
     let factor = 2.0 * diameter_m / ((high.x - low.x) + (high.y - low.y));
     for vertex in &mut vertices {
@@ -282,6 +288,14 @@ pub(super) fn posed(draw: &mut Stream, form: &Form, level: usize, diameter_m: f3
 mod tests {
     use super::*;
     use crate::random::Streams;
+
+    fn positions(form: &Form, level: usize) -> Vec<Vec3> {
+        let mut positions = vec![Vec3::ZERO; Icosphere::vertex_count(level)];
+        for (batch, positions) in positions.chunks_mut(BATCH).enumerate() {
+            form.set_positions(level, batch * BATCH, positions);
+        }
+        positions
+    }
 
     /// Shares of the kinds that the constants above promise; slabs are the thin ones among the jointed rocks.
     #[test]
@@ -318,7 +332,7 @@ mod tests {
         for k in 0..n {
             let draw = &mut Streams::new(1).stream("test.form", k);
             let age = draw.unit();
-            let positions = Form::draw(draw, age, 0.3, 3).positions(3);
+            let positions = positions(&Form::draw(draw, age, 0.3, 3), 3);
             let (low, high) =
                 positions.iter().fold((Vec3::MAX, Vec3::MIN), |(low, high), p| (low.min(*p), high.max(*p)));
             let mut axes = (high - low).to_array();
@@ -380,7 +394,7 @@ mod tests {
             form.scars.clear();
             form.crack = None;
             form.planes.truncate(form.ledge);
-            let positions = form.positions(LEVEL);
+            let positions = positions(&form, LEVEL);
             let triangles = Icosphere::shared().triangles[LEVEL].iter().step_by(7);
             let is_concave = |t: &&[u32; 3]| {
                 let [a, b, c] = t.map(|v| positions[v as usize]);
@@ -400,7 +414,7 @@ mod tests {
                 let draw = &mut Streams::new(9).stream("test.form", k);
                 Form::draw(draw, 0.4, 0.3, level)
             };
-            let (coarse, fine) = (form(3).positions(3), form(5).positions(5));
+            let (coarse, fine) = (positions(&form(3), 3), positions(&form(5), 5));
             for (a, b) in coarse.iter().zip(&fine) {
                 assert!(a.distance(*b) < 0.16 * a.length(), "form {k}: {a} and {b}");
             }

@@ -65,7 +65,7 @@ pub struct Rock {
     /// Subdivision level of the icosphere, as authored.
     pub level: usize,
     /// Per level, upper bound on the distance between the mesh of that level and the authored one, metres.
-    pub level_errors_m: Vec<f32>,
+    pub level_errors_m: [f32; Icosphere::MAX_LEVEL + 1],
     /// Greatest distance of a vertex from the centre, metres.
     pub radius_m: f32,
     /// Lowest and highest vertex, metres from the centre.
@@ -105,7 +105,7 @@ impl Rock {
         let mut rock = Self {
             index,
             centre: Vec3::ZERO,
-            level_errors_m: Vec::new(),
+            level_errors_m: [0.0; Icosphere::MAX_LEVEL + 1],
             vertices: Arc::new(vertices),
             level,
             radius_m: 0.0,
