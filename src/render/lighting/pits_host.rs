@@ -60,8 +60,8 @@ pub(super) fn add_pits(
     let zeros = [0.0; BATCH];
     let mut offsets = Vectors { x: zeros, y: zeros };
     let (mut firsts, mut seconds) = ([0; BATCH], [0; BATCH]);
-    // Most samples are further from the pit of their cell than the largest one would reach.
-    let max_reach = PIT_REACH * largest;
+    // Most samples are further from the pit of their cell than it reaches, or would with a little room for rounding.
+    let max_reach = 1.001 * PIT_REACH * largest;
     let mut near = 0_u32;
     for i in 0..BATCH {
         let (cell, position) = lattice.cell(lattice.local(sums.point(ground, i)));
@@ -70,7 +70,8 @@ pub(super) fn add_pits(
         let [x, y] = pit_centre(second);
         let (along, across) = (position[0] - x, position[1] - y);
         let exists = has_pit(pits, first);
-        let is_near = exists & (along * along + across * across < max_reach * max_reach);
+        let square = along * along + across * across;
+        let is_near = exists & (square * shrink_square(second) < max_reach * max_reach);
         near |= if is_near { 1 } else { 0 };
         (offsets.x[i], offsets.y[i]) = (along, across);
         (firsts[i], seconds[i]) = (first, second);
@@ -213,9 +214,15 @@ struct CellPit {
 /// oldest.
 #[inline(always)]
 fn size_and_age([first, second]: [u32; 2], pits: &LatticeUniforms) -> (f32, f32) {
-    // The inverse of the cumulative distribution of diameters, which goes with D^-2, within an octave.
-    let shrink = 2.0 * (1.0 - 0.75 / 4096.0 * (second >> 20) as i32 as f32).sqrt();
-    (pits.max_diameter_m / shrink, (first >> 16) as i32 as f32 * (1.0 / 65_536.0))
+    let diameter_m = pits.max_diameter_m / shrink_square(second).sqrt();
+    (diameter_m, (first >> 16) as i32 as f32 * (1.0 / 65_536.0))
+}
+
+/// Square of the ratio of a lattice's largest diameter to that of the pit of a cell with this second hash: the inverse of the cumulative
+/// distribution of diameters, which goes with D^-2, within an octave.
+#[inline(always)]
+fn shrink_square(second: u32) -> f32 {
+    4.0 * (1.0 - 0.75 / 4096.0 * (second >> 20) as i32 as f32)
 }
 
 impl CellPit {
