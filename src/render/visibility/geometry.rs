@@ -13,6 +13,7 @@ mod projection;
 mod screen_mesh;
 mod surfaces;
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 use rayon::prelude::*;
@@ -27,9 +28,10 @@ use crate::render::select::ground_blocks::ground_blocks;
 use crate::render::select::selection::{Selection, Slots, front_to_back};
 use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
+use crate::scene::mesh::Icosphere;
 use crate::scene::sky::{DOME_LEVEL, STAR_LEVEL, SUN_LEVEL};
 use screen_mesh::SHADOW_SOURCES;
-use surfaces::FrameContext;
+use surfaces::{FrameContext, visible_vertices};
 
 /// What a mesh is made from, by its index in the selection.
 #[derive(Clone, Copy, Debug)]
@@ -50,11 +52,13 @@ const MAX_SPARE_BYTES: usize = 8 << 20;
 /// The last meshes are those of the sky: stars, sun and dome.
 const SKY_MESHES: usize = 3;
 
-/// The meshes of a frame in drawing order. Kept between frames for their memory.
+/// The meshes of a frame in drawing order.
 #[derive(Debug, Default)]
 pub struct VisibleTriangles {
     meshes: Vec<ScreenMesh>,
-    mesh_count: usize,
+    /// Meshes of earlier frames, kept for their memory, by the number of vertices that they have room for: the meshes of another scene come
+    /// in another order.
+    spare: BTreeMap<usize, Vec<ScreenMesh>>,
     bins: ShadingBins,
     /// None if the ground has no relief below the size of its cells.
     slopes: Option<ReliefSlopes>,
@@ -84,11 +88,17 @@ impl VisibleTriangles {
         self.slopes = scene.relief.as_ref().map(|_| ReliefSlopes::new(bands, bins, rays, &scene.sun));
         let frame = FrameContext::new(scene, settings, caster_grid, by_shadow_sources);
         let sources = in_drawing_order(selection);
-        self.mesh_count = sources.len();
-        if self.meshes.len() < self.mesh_count {
-            self.meshes.resize_with(self.mesh_count, ScreenMesh::default);
-        }
         let block_ranges: Vec<[Range<u32>; 2]> = ground_blocks(&scene.terrain).collect();
+        self.take_meshes(sources.iter().map(|source| match *source {
+            Source::Rock(index) => visible_vertices(scene, &selection.rocks[index]).len(),
+            Source::Block(index) => {
+                let [columns, rows] = &block_ranges[selection.blocks[index].0];
+                (columns.len() + 1) * (rows.len() + 1)
+            }
+            Source::Stars => selection.stars.len() * Icosphere::vertex_count(STAR_LEVEL),
+            Source::Sun => Icosphere::vertex_count(SUN_LEVEL),
+            Source::Dome => Icosphere::vertex_count(DOME_LEVEL),
+        }));
         let meshes = self.meshes.par_iter_mut().zip(sources).with_max_len(MAX_MESHES_PER_TASK);
         meshes.for_each(|(mesh, source)| match source {
             Source::Rock(index) => {
@@ -123,15 +133,31 @@ impl VisibleTriangles {
         self.free_excess();
     }
 
-    /// Frees memory where much more is kept than the frame needs. The meshes of another scene come in another order, so that
-    /// without an end each would grow to the size of the largest.
+    /// Takes meshes with room for so many vertices each in place of those of the last frame.
+    fn take_meshes(&mut self, vertex_counts: impl Iterator<Item = usize>) {
+        for mesh in self.meshes.drain(..) {
+            self.spare.entry(mesh.room()).or_default().push(mesh);
+        }
+        self.meshes.extend(vertex_counts.map(|room| {
+            let spare = self.spare.get_mut(&room).and_then(Vec::pop);
+            spare.unwrap_or_else(|| ScreenMesh::with_room(room))
+        }));
+    }
+
+    /// Frees memory where much more is kept than the frame needs.
     fn free_excess(&mut self) {
-        let needed: usize = self.meshes().iter().map(ScreenMesh::needed_bytes).sum();
-        let kept: usize = self.meshes.iter().map(ScreenMesh::kept_bytes).sum();
-        if kept > 2 * needed + MAX_SPARE_BYTES {
-            self.meshes.truncate(self.mesh_count);
+        let needed: usize = self.meshes.iter().map(ScreenMesh::needed_bytes).sum();
+        if self.kept_bytes() > 2 * needed + MAX_SPARE_BYTES {
+            self.spare.clear();
+        }
+        if self.kept_bytes() > 2 * needed + MAX_SPARE_BYTES {
             self.meshes.par_iter_mut().for_each(ScreenMesh::free_excess);
         }
+    }
+
+    /// Bytes that are allocated for meshes.
+    fn kept_bytes(&self) -> usize {
+        self.meshes.iter().chain(self.spare.values().flatten()).map(ScreenMesh::kept_bytes).sum()
     }
 
     /// The shading bins of the frame.
@@ -143,7 +169,7 @@ impl VisibleTriangles {
     /// Rows of samples that may show ground or rocks; all others show the sky.
     #[must_use]
     pub fn surface_rows(&self) -> Range<u32> {
-        let surfaces = &self.meshes()[..self.mesh_count.saturating_sub(SKY_MESHES)];
+        let surfaces = &self.meshes[..self.meshes.len().saturating_sub(SKY_MESHES)];
         let first = surfaces.iter().map(|mesh| mesh.rows[0]).min().unwrap_or(u16::MAX);
         let last = surfaces.iter().map(|mesh| mesh.rows[1]).max().unwrap_or(0);
         if first <= last { first.into()..u32::from(last) + 1 } else { 0..0 }
@@ -152,7 +178,7 @@ impl VisibleTriangles {
     /// The meshes in drawing order.
     #[must_use]
     pub fn meshes(&self) -> &[ScreenMesh] {
-        &self.meshes[..self.mesh_count]
+        &self.meshes
     }
 }
 
@@ -173,21 +199,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn meshes_do_not_keep_the_memory_of_larger_ones() {
+    fn meshes_keep_room_for_their_size_and_no_more() {
         let mut triangles = VisibleTriangles::default();
-        triangles.meshes.resize_with(100, ScreenMesh::default);
-        triangles.mesh_count = 10;
-        for mesh in &mut triangles.meshes {
-            mesh.triangles.reserve(1 << 16);
-        }
-        let kept = |triangles: &VisibleTriangles| -> usize {
-            triangles.meshes.iter().map(ScreenMesh::kept_bytes).sum()
-        };
-        assert!(kept(&triangles) > 10 * MAX_SPARE_BYTES);
-        triangles.free_excess();
-        assert!(kept(&triangles) <= MAX_SPARE_BYTES, "{} bytes", kept(&triangles));
+        let rooms = [12, 2562, 12, 42];
+        triangles.take_meshes(rooms.into_iter());
+        triangles.meshes[1].triangles.reserve(1 << 20);
+        let large = triangles.meshes[1].triangles.as_ptr();
+        triangles.take_meshes([42, 12, 2562].into_iter());
+        assert_eq!(triangles.meshes.iter().map(ScreenMesh::room).collect::<Vec<_>>(), [42, 12, 2562]);
+        assert_eq!(triangles.meshes[2].triangles.as_ptr(), large, "the memory of the mesh of this size");
+        assert!(triangles.kept_bytes() > 2 * MAX_SPARE_BYTES);
+        triangles.take_meshes([12].into_iter());
         triangles.meshes[0].triangles.reserve(100);
         triangles.free_excess();
+        assert!(triangles.kept_bytes() <= MAX_SPARE_BYTES, "{} bytes", triangles.kept_bytes());
         assert!(triangles.meshes[0].triangles.capacity() >= 100, "a little is kept");
+        triangles.meshes[0].triangles.reserve(1 << 20);
+        triangles.free_excess();
+        assert!(triangles.kept_bytes() <= MAX_SPARE_BYTES, "{} bytes", triangles.kept_bytes());
     }
 }

@@ -52,7 +52,8 @@ fn symmetric(half: &[f32]) -> Vec<f32> {
 /// A row convolved with taps, with the border repeated.
 pub(super) fn convolve_row(taps: &[f32], row: &[f32], target: &mut [f32]) {
     let (reach, width) = (taps.len() / 2, row.len());
-    let mut padded = vec![row[0]; reach];
+    let mut padded = Vec::with_capacity(width + 2 * reach);
+    padded.resize(reach, row[0]);
     padded.extend(row);
     padded.resize(width + 2 * reach, row[width - 1]);
     let shifted = |tap: usize| &padded[tap..tap + width];

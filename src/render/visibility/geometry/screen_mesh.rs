@@ -42,6 +42,8 @@ pub struct ScreenTriangle {
 /// A mesh on the samples.
 #[derive(Debug, Default)]
 pub struct ScreenMesh {
+    /// Vertices of the surface that it was made for, before clipping.
+    room: usize,
     /// Slot of its instance.
     pub slot: u32,
     /// Shading bins of its triangles, by their `ShadowSources`.
@@ -61,6 +63,16 @@ pub struct ScreenMesh {
 }
 
 impl ScreenMesh {
+    /// A mesh for a surface with this many vertices.
+    pub(super) fn with_room(room: usize) -> Self {
+        Self { room, vertices: Vec::with_capacity(room), ..Self::default() }
+    }
+
+    /// Vertices of the surface that it was made for.
+    pub(super) const fn room(&self) -> usize {
+        self.room
+    }
+
     /// The vertices of one of its triangles.
     #[must_use]
     #[inline(always)]

@@ -69,16 +69,17 @@ impl ScreenMesh {
     /// Adds a rock, without the triangles that are buried below the lowest ground around it.
     pub(super) fn add_rock(&mut self, frame: &FrameContext<'_>, selected: &SelectedRock) {
         let Some(level) = selected.visible_level else { return };
-        let rock = &frame.scene.rocks[selected.rock];
+        let (rock, vertices) = (&frame.scene.rocks[selected.rock], visible_vertices(frame.scene, selected));
         let origin = rock.centre - frame.scene.camera.eye;
         let buried_z_m = lowest_ground_m(frame.scene, rock) - rock.centre.z;
-        let vertices = &rock.vertices[..Icosphere::vertex_count(level.min(rock.level))];
         let (centre, radius) = (rock.centre.truncate(), Vec2::splat(rock.radius_m));
         let lit_sources = frame.shadow_sources_over(centre - radius, centre + radius);
         self.add_vertices(&frame.projection, origin, vertices);
         let vertex = |v: u32| (origin + vertices[v as usize].position, vertices[v as usize].normal);
         for triangles in rock.triangles(level).chunks(CULL_BATCH) {
-            for &index in self.cull(&frame.projection, triangles).indices() {
+            let survivors = self.cull(&frame.projection, triangles);
+            self.triangles.reserve(survivors.indices().len());
+            for &index in survivors.indices() {
                 let triangle = triangles[usize::from(index)];
                 let corners = triangle.map(|vertex| &vertices[vertex as usize]);
                 let shadow_sources = || {
@@ -128,7 +129,9 @@ impl ScreenMesh {
             let per_cell = triangles.len() / columns.len();
             // Triangles of a cell follow one another and share its answer.
             let mut last_cell = None;
-            for &index in self.cull(&frame.projection, &triangles).indices() {
+            let survivors = self.cull(&frame.projection, &triangles);
+            self.triangles.reserve(survivors.indices().len());
+            for &index in survivors.indices() {
                 let column = columns.start + (usize::from(index) / per_cell) as u32;
                 let shadow_sources = || match last_cell {
                     Some((cell, sources)) if cell == column => Some(sources),
@@ -163,6 +166,13 @@ impl ScreenMesh {
             self.add(&frame.projection, triangle, CullMode::None, shadow_sources, vertex);
         }
     }
+}
+
+/// The vertices of a rock as far as the camera sees it.
+pub(super) fn visible_vertices<'a>(scene: &'a Scene, selected: &SelectedRock) -> &'a [Vertex] {
+    let rock = &scene.rocks[selected.rock];
+    let count = |level: usize| Icosphere::vertex_count(level.min(rock.level));
+    &rock.vertices[..selected.visible_level.map_or(0, count)]
 }
 
 /// A height that the ground around a rock does not fall below.
