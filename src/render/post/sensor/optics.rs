@@ -49,10 +49,10 @@ fn symmetric(half: &[f32]) -> Vec<f32> {
     half[1..].iter().rev().chain(half).copied().collect()
 }
 
-/// A row convolved with taps, with the border repeated.
-pub(super) fn convolve_row(taps: &[f32], row: &[f32], target: &mut [f32]) {
+/// A row convolved with taps, with the border repeated, for which `padded` is room.
+pub(super) fn convolve_row(taps: &[f32], row: &[f32], padded: &mut Vec<f32>, target: &mut [f32]) {
     let (reach, width) = (taps.len() / 2, row.len());
-    let mut padded = Vec::with_capacity(width + 2 * reach);
+    padded.clear();
     padded.resize(reach, row[0]);
     padded.extend(row);
     padded.resize(width + 2 * reach, row[width - 1]);
@@ -65,7 +65,7 @@ pub(super) fn convolve(channel: &[f32], width: usize, height: usize, taps: &[f32
     let reach = taps.len() / 2;
     let mut rows = vec![0.0; channel.len()];
     let of_rows = rows.par_chunks_exact_mut(width).zip(channel.par_chunks_exact(width));
-    of_rows.for_each(|(row, channel)| convolve_row(taps, channel, row));
+    of_rows.for_each_init(Vec::new, |padded, (row, channel)| convolve_row(taps, channel, padded, row));
     let mut columns = vec![0.0; channel.len()];
     columns.par_chunks_exact_mut(width).enumerate().for_each(|(y, row)| {
         let shifted = |tap: usize| &rows[(y + tap).saturating_sub(reach).min(height - 1) * width..][..width];

@@ -164,10 +164,11 @@ impl<'a> Recorder<'a> {
         let mut wide =
             WideRows { first: rows.start, width, rows: vec![0.0; kinds * width * rows.len()], kinds };
         let (mut enlarged, mut spread) = (vec![0.0; width], vec![0.0; width * self.channels.len()]);
+        let mut padded = Vec::with_capacity(width + self.taps.len());
         for (row, target) in rows.zip(wide.rows.chunks_exact_mut(kinds * width)) {
             for (channel, spread) in self.channels.iter().zip(spread.chunks_exact_mut(width)) {
                 self.enlargement.resample(&channel[row * self.image[0]..][..self.image[0]], &mut enlarged);
-                convolve_row(&self.taps, &enlarged, spread);
+                convolve_row(&self.taps, &enlarged, &mut padded, spread);
             }
             if kinds == 1 {
                 target.copy_from_slice(&spread);

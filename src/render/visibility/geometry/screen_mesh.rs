@@ -65,7 +65,9 @@ pub struct ScreenMesh {
 impl ScreenMesh {
     /// A mesh for a surface with this many vertices.
     pub(super) fn with_room(room: usize) -> Self {
-        Self { room, vertices: Vec::with_capacity(room), ..Self::default() }
+        // Of a closed surface half of the triangles, as many as there are vertices, are seen.
+        let triangles = Vec::with_capacity(room + room / 4);
+        Self { room, vertices: Vec::with_capacity(room), triangles, ..Self::default() }
     }
 
     /// Vertices of the surface that it was made for.
