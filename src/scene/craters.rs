@@ -7,6 +7,7 @@
 //! Craters above [`UNCLASSED_M`] may be replaced by a list: three classes with fixed counts.
 //! Must not know: who asks. GPU counterpart of the slopes: `shaders/common/pits.wgsl`.
 
+use fearless_simd::{Level, dispatch};
 use glam::Vec2;
 
 use super::lattice::Lattice;
@@ -49,6 +50,8 @@ pub const FRESH_DEPTHS: [f32; 2] = [0.11, 0.15];
 pub const CLOD_LARGEST_M: f64 = 0.08;
 /// Height of a clod, diameters.
 pub const CLOD_HEIGHT: f32 = 0.22;
+/// Cells of a row that are asked at once whether they have a fresh crater.
+const ASKED_CELLS: usize = 16;
 /// Multiplier of [`second_hash`].
 pub(crate) const SECOND_HASH: u32 = 0x2c1b_3c6d;
 
@@ -216,9 +219,21 @@ impl CraterField {
                 let across = y as f32 + 0.5 - local.y;
                 let half = (radius * radius - across * across).max(0.0).sqrt().min(margin);
                 let (low, high) = ((local.x - half - 0.5).ceil(), (local.x + half - 0.5).floor());
-                for x in low as i32..=high as i32 {
-                    let pit = lattice.pit([x, y], self.fresh_share, only_fresh, is_near);
+                let (low, high) = (low as i32, high as i32);
+                let mut visit_cell = |x: i32| {
+                    let pit = lattice.pit([x, y], self.fresh_share, is_near);
                     pit.into_iter().for_each(&mut visit);
+                };
+                if !only_fresh {
+                    (low..=high).for_each(visit_cell);
+                    continue;
+                }
+                for first in (low..=high).step_by(ASKED_CELLS) {
+                    let are_fresh = dispatch!(Level::new(), _simd => {
+                        lattice.are_fresh([first, y], self.fresh_share)
+                    });
+                    let cells = (first..=high).zip(are_fresh);
+                    cells.filter(|(_, is_fresh)| *is_fresh).for_each(|(x, _)| visit_cell(x));
                 }
             }
         }
@@ -241,28 +256,47 @@ fn classed(streams: &Streams, params: &Params, fresh_share: f32, centre: Vec2) -
 }
 
 impl PitLattice {
-    /// The crater or clod of a cell, if it has one whose position and diameter are wanted, and which is fresh if only such are; cells
-    /// count from the lattice's base.
+    /// Whether a cell with this first hash has a crater or clod, and its age: clods first, then craters from the youngest to the oldest.
     #[inline(always)]
-    fn pit(
-        &self,
-        [x, y]: [i32; 2],
-        fresh_share: f32,
-        only_fresh: bool,
-        is_wanted: impl Fn(Vec2, f32) -> bool,
-    ) -> Option<Pit> {
+    fn pit_age(&self, first: u32) -> (bool, f32) {
+        // Signed: such conversions vectorise.
+        let fraction = |bits: u32| bits as i32 as f32 * (1.0 / 65_536.0);
+        (fraction(first & 0xffff) < self.chance, fraction(first >> 16))
+    }
+
+    /// Age of a crater, 0 to 1, by that of its cell.
+    #[inline(always)]
+    fn crater_age(&self, pit_age: f32) -> f32 {
+        (pit_age - self.clods) / (1.0 - self.clods)
+    }
+
+    /// Whether this cell and those to the right of it have fresh craters.
+    // Must be inlined into the dispatched code to be compiled for its SIMD width.
+    #[inline(always)]
+    fn are_fresh(&self, [x, y]: [i32; 2], fresh_share: f32) -> [bool; ASKED_CELLS] {
+        let [base_x, base_y] = self.lattice.base;
+        let mut are_fresh = [false; ASKED_CELLS];
+        for (k, is_fresh) in are_fresh.iter_mut().enumerate() {
+            let cell_x = base_x.wrapping_add(x).wrapping_add(k as i32);
+            let first = lattice_hash(cell_x, base_y.wrapping_add(y), 0, self.lattice.seed);
+            let (exists, pit_age) = self.pit_age(first);
+            *is_fresh = exists & (pit_age >= self.clods) & (self.crater_age(pit_age) < fresh_share);
+        }
+        are_fresh
+    }
+
+    /// The crater or clod of a cell, if it has one whose position and diameter are wanted; cells count from the lattice's base.
+    #[inline(always)]
+    fn pit(&self, [x, y]: [i32; 2], fresh_share: f32, is_wanted: impl Fn(Vec2, f32) -> bool) -> Option<Pit> {
         let lattice = &self.lattice;
         let (cell_x, cell_y) = (lattice.base[0].wrapping_add(x), lattice.base[1].wrapping_add(y));
         let first = lattice_hash(cell_x, cell_y, 0, lattice.seed);
         let fraction = |bits: u32, count: u32| bits as f32 / (1_u32 << count) as f32;
-        if fraction(first & 0xffff, 16) >= self.chance {
+        let (exists, pit_age) = self.pit_age(first);
+        if !exists {
             return None;
         }
-        let pit_age = fraction(first >> 16, 16);
-        let age = (pit_age - self.clods) / (1.0 - self.clods);
-        if only_fresh && (pit_age < self.clods || age >= fresh_share) {
-            return None;
-        }
+        let age = self.crater_age(pit_age);
         let second = second_hash(first);
         let jitter = |bits: u32| (2.0 * fraction(bits & 0x3ff, 10) - 1.0) * JITTER_CELLS + 0.5;
         let local = Vec2::new(x as f32 + jitter(second), y as f32 + jitter(second >> 10));

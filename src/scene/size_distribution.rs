@@ -18,7 +18,7 @@ pub fn rocks_larger_than(diameter_m: f64, coverage: f64) -> f64 {
         return 0.0;
     }
     if diameter_m < TAIL_M {
-        return rocks_larger_than(TAIL_M, coverage) * libm::pow(diameter_m / TAIL_M, -TAIL_EXPONENT);
+        return in_tail(diameter_m, rocks_larger_than(TAIL_M, coverage));
     }
     let q = 0.5648 + 0.01285 / coverage;
     // Integral of k q exp(-q x) / (pi x^2 / 4) over the logarithm of x, by Simpson's rule.
@@ -33,6 +33,11 @@ pub fn rocks_larger_than(diameter_m: f64, coverage: f64) -> f64 {
     step / 3.0 * (at(low) + inner + at(high))
 }
 
+/// Rocks larger than a diameter (metres) in the tail, by those larger than all of it.
+fn in_tail(diameter_m: f64, larger_than_tail: f64) -> f64 {
+    larger_than_tail * libm::pow(diameter_m / TAIL_M, -TAIL_EXPONENT)
+}
+
 /// Tabulated inverse of the cumulative distribution within a range of diameters.
 pub(super) struct Sizes {
     logs: Vec<f64>,
@@ -44,14 +49,26 @@ impl Sizes {
 
     /// The table from `low_m` to `high_m`.
     pub(super) fn new(low_m: f64, high_m: f64, coverage: f64) -> Self {
-        let logs: Vec<f64> = (0..=Self::STEPS)
-            .map(|i| {
-                libm::log(low_m)
-                    + (libm::log(high_m) - libm::log(low_m)) * f64::from(i) / f64::from(Self::STEPS)
-            })
-            .collect();
-        let larger = logs.iter().map(|log| rocks_larger_than(libm::exp(*log), coverage)).collect();
+        let logs: Vec<f64> = (0..=Self::STEPS).map(|step| Self::log_at(low_m, high_m, step)).collect();
+        // One integral for all of the tail.
+        let larger_than_tail = if low_m < TAIL_M { rocks_larger_than(TAIL_M, coverage) } else { 0.0 };
+        let larger = |log: &f64| match libm::exp(*log) {
+            diameter_m if diameter_m < TAIL_M => in_tail(diameter_m, larger_than_tail),
+            diameter_m => rocks_larger_than(diameter_m, coverage),
+        };
+        let larger = logs.iter().map(larger).collect();
         Self { logs, larger }
+    }
+
+    /// [`Self::density`] of the table of such a range, which need not be made for it.
+    pub(super) fn density_between(low_m: f64, high_m: f64, coverage: f64) -> f64 {
+        let larger = |step| rocks_larger_than(libm::exp(Self::log_at(low_m, high_m, step)), coverage);
+        larger(0) - larger(Self::STEPS)
+    }
+
+    /// Logarithm of the diameter at a step of the table, metres.
+    fn log_at(low_m: f64, high_m: f64, step: u32) -> f64 {
+        libm::log(low_m) + (libm::log(high_m) - libm::log(low_m)) * f64::from(step) / f64::from(Self::STEPS)
     }
 
     /// Rocks of the range per square metre.
@@ -84,4 +101,26 @@ pub(super) fn poisson(mean: f64, stream: &mut Stream) -> u32 {
         product *= stream.unit();
     }
     count
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_table_holds_the_law_to_the_bit_above_and_in_the_tail() {
+        for (low_m, high_m, coverage) in
+            [(0.02, 0.04, 0.01), (0.07, 0.14, 0.05), (0.5, 1.0, 0.1), (0.02, 0.04, 0.0)]
+        {
+            let sizes = Sizes::new(low_m, high_m, coverage);
+            for (log, larger) in sizes.logs.iter().zip(&sizes.larger) {
+                assert_eq!(larger.to_bits(), rocks_larger_than(libm::exp(*log), coverage).to_bits());
+            }
+            assert_eq!(
+                sizes.density().to_bits(),
+                Sizes::density_between(low_m, high_m, coverage).to_bits(),
+                "from {low_m} m to {high_m} m"
+            );
+        }
+    }
 }

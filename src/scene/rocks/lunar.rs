@@ -364,21 +364,24 @@ fn cluster(
         f64::from((culling.distance_m(centre) - 3.0 * radius_m as f32).max(culling.view.eye_height_m));
     // Scales with the overall rock coverage.
     let rim = CLUSTER_COVERAGE * (coverage / 0.008).min(1.0);
-    let mut high_m = largest_m;
     for octave in 0..OCTAVES {
+        let high_m = largest_m / f64::from(1_u32 << octave);
         if high_m < culling.min_angle * nearest_m || high_m < LARGEST_M / f64::from(1_u32 << OCTAVES) {
             break;
         }
-        let sizes = Sizes::new(0.5 * high_m, high_m, rim);
         // Integral of (r / R)^-3 over the ring from 1 to 3 radii.
         let area_m2 = std::f64::consts::TAU * radius_m * radius_m * (1.0 - 1.0 / 3.0);
         let mut draw = streams.stream("rocks.cluster", pit.key ^ (u64::from(octave) << 20));
-        let mut left = sizes.density() * area_m2;
+        let mut left = Sizes::density_between(0.5 * high_m, high_m, rim) * area_m2;
         let mut count = 0;
         while left > 0.0 {
             count += poisson(left.min(20.0), &mut draw);
             left -= 20.0;
         }
+        if count == 0 {
+            continue;
+        }
+        let sizes = Sizes::new(0.5 * high_m, high_m, rim);
         for k in 0..count.min(4000) {
             let distance_m = radius_m / (1.0 - draw.unit() * (2.0 / 3.0));
             let angle = draw.uniform(0.0, std::f64::consts::TAU);
@@ -390,6 +393,5 @@ fn cluster(
                 placements.push(Placement { age, ..Placement::new(position, diameter_m, key) });
             }
         }
-        high_m *= 0.5;
     }
 }
