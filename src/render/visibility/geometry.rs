@@ -133,7 +133,7 @@ impl VisibleTriangles {
         self.free_excess();
     }
 
-    /// Takes meshes with room for so many vertices each in place of those of the last frame.
+    /// Takes meshes with room for these numbers of vertices in place of those of the last frame.
     fn take_meshes(&mut self, vertex_counts: impl Iterator<Item = usize>) {
         for mesh in self.meshes.drain(..) {
             self.spare.entry(mesh.room()).or_default().push(mesh);
