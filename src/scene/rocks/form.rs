@@ -71,7 +71,7 @@ pub(super) struct Form {
     pub(super) axes: Vec3,
     /// Reach of the ellipsoid that bounds the body, half axes.
     pub(super) reach: f32,
-    /// The planes of the body; those from `ledge` on bound a second body, joined to the first.
+    /// The planes of the body, of which there is room for as many as are ever drawn; those from `ledge` on bound a second body, joined to the first.
     pub(super) planes: ArrayVec<Fracture, 13>,
     pub(super) ledge: usize,
     /// Smaller planes that cut edges and corners off both.
