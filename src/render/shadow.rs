@@ -159,7 +159,7 @@ impl ShadowRaster {
         let has_size = |texture: &wgpu::Texture| [texture.width(), texture.height()] == size_px;
         if !self.map.as_ref().is_some_and(|(texture, _)| has_size(texture)) {
             let usage = TextureUsages::COPY_DST | TextureUsages::TEXTURE_BINDING;
-            // The memory of the one before is free for it.
+            // The old one first: both need not fit.
             self.map = None;
             self.map = Some(gpu.texture("shadow/map", size_px, SHADOW_MAP_FORMAT, usage));
         }

@@ -50,8 +50,8 @@ pub const FRESH_DEPTHS: [f32; 2] = [0.11, 0.15];
 pub const CLOD_LARGEST_M: f64 = 0.08;
 /// Height of a clod, diameters.
 pub const CLOD_HEIGHT: f32 = 0.22;
-/// Cells of a row that are asked at once whether they have a fresh crater.
-const ASKED_CELLS: usize = 16;
+/// Cells of a row in which fresh craters are looked for at once.
+const CELL_BATCH: usize = 16;
 /// Multiplier of [`second_hash`].
 pub(crate) const SECOND_HASH: u32 = 0x2c1b_3c6d;
 
@@ -228,7 +228,7 @@ impl CraterField {
                     (low..=high).for_each(visit_cell);
                     continue;
                 }
-                for first in (low..=high).step_by(ASKED_CELLS) {
+                for first in (low..=high).step_by(CELL_BATCH) {
                     let are_fresh = dispatch!(Level::new(), _simd => {
                         lattice.are_fresh([first, y], self.fresh_share)
                     });
@@ -256,12 +256,24 @@ fn classed(streams: &Streams, params: &Params, fresh_share: f32, centre: Vec2) -
 }
 
 impl PitLattice {
-    /// Whether a cell with this first hash has a crater or clod, and its age: clods first, then craters from the youngest to the oldest.
+    /// The first hash of a cell; cells count from the lattice's base.
     #[inline(always)]
-    fn pit_age(&self, first: u32) -> (bool, f32) {
-        // Signed: such conversions vectorise.
-        let fraction = |bits: u32| bits as i32 as f32 * (1.0 / 65_536.0);
-        (fraction(first & 0xffff) < self.chance, fraction(first >> 16))
+    const fn first_hash(&self, [x, y]: [i32; 2]) -> u32 {
+        let [base_x, base_y] = self.lattice.base;
+        lattice_hash(base_x.wrapping_add(x), base_y.wrapping_add(y), 0, self.lattice.seed)
+    }
+
+    /// Whether a cell with this first hash has a crater or clod.
+    // Here and below signed numbers are converted: that vectorises.
+    #[inline(always)]
+    fn has_pit(&self, first: u32) -> bool {
+        ((first & 0xffff) as i32 as f32 * (1.0 / 65_536.0)) < self.chance
+    }
+
+    /// Age of the crater or clod of a cell with this first hash: clods first, then craters from the youngest to the oldest.
+    #[inline(always)]
+    fn pit_age(first: u32) -> f32 {
+        (first >> 16) as i32 as f32 * (1.0 / 65_536.0)
     }
 
     /// Age of a crater, 0 to 1, by that of its cell.
@@ -273,14 +285,13 @@ impl PitLattice {
     /// Whether this cell and those to the right of it have fresh craters.
     // Must be inlined into the dispatched code to be compiled for its SIMD width.
     #[inline(always)]
-    fn are_fresh(&self, [x, y]: [i32; 2], fresh_share: f32) -> [bool; ASKED_CELLS] {
-        let [base_x, base_y] = self.lattice.base;
-        let mut are_fresh = [false; ASKED_CELLS];
+    fn are_fresh(&self, [x, y]: [i32; 2], fresh_share: f32) -> [bool; CELL_BATCH] {
+        let mut are_fresh = [false; CELL_BATCH];
         for (k, is_fresh) in are_fresh.iter_mut().enumerate() {
-            let cell_x = base_x.wrapping_add(x).wrapping_add(k as i32);
-            let first = lattice_hash(cell_x, base_y.wrapping_add(y), 0, self.lattice.seed);
-            let (exists, pit_age) = self.pit_age(first);
-            *is_fresh = exists & (pit_age >= self.clods) & (self.crater_age(pit_age) < fresh_share);
+            let first = self.first_hash([x + k as i32, y]);
+            let pit_age = Self::pit_age(first);
+            *is_fresh =
+                self.has_pit(first) & (pit_age >= self.clods) & (self.crater_age(pit_age) < fresh_share);
         }
         are_fresh
     }
@@ -292,10 +303,10 @@ impl PitLattice {
         let (cell_x, cell_y) = (lattice.base[0].wrapping_add(x), lattice.base[1].wrapping_add(y));
         let first = lattice_hash(cell_x, cell_y, 0, lattice.seed);
         let fraction = |bits: u32, count: u32| bits as f32 / (1_u32 << count) as f32;
-        let (exists, pit_age) = self.pit_age(first);
-        if !exists {
+        if !self.has_pit(first) {
             return None;
         }
+        let pit_age = Self::pit_age(first);
         let age = self.crater_age(pit_age);
         let second = second_hash(first);
         let jitter = |bits: u32| (2.0 * fraction(bits & 0x3ff, 10) - 1.0) * JITTER_CELLS + 0.5;

@@ -155,7 +155,7 @@ impl Relief {
     /// What can change the height within a circle (metres from the centre), at this cell size or a larger one.
     #[must_use]
     pub fn nearby(&self, offset: Vec2, radius_m: f32, cell_m: f32) -> Nearby {
-        let mut nearby = Nearby { pits: Vec::with_capacity(32), ..Nearby::default() };
+        let mut nearby = Nearby::default();
         self.craters.around(offset, radius_m, MIN_CELLS * cell_m, |pit| nearby.pits.push(pit));
         nearby.tracks.extend(self.tracks.iter().copied().filter(|track| track.is_near(offset, radius_m)));
         nearby.fillets.extend(self.fillets.iter().copied().filter(|fillet| {

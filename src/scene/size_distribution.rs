@@ -52,9 +52,13 @@ impl Sizes {
         let logs: Vec<f64> = (0..=Self::STEPS).map(|step| Self::log_at(low_m, high_m, step)).collect();
         // One integral for all of the tail.
         let larger_than_tail = if low_m < TAIL_M { rocks_larger_than(TAIL_M, coverage) } else { 0.0 };
-        let larger = |log: &f64| match libm::exp(*log) {
-            diameter_m if diameter_m < TAIL_M => in_tail(diameter_m, larger_than_tail),
-            diameter_m => rocks_larger_than(diameter_m, coverage),
+        let larger = |log: &f64| {
+            let diameter_m = libm::exp(*log);
+            if diameter_m < TAIL_M {
+                in_tail(diameter_m, larger_than_tail)
+            } else {
+                rocks_larger_than(diameter_m, coverage)
+            }
         };
         let larger = logs.iter().map(larger).collect();
         Self { logs, larger }

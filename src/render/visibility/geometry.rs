@@ -56,8 +56,8 @@ const SKY_MESHES: usize = 3;
 #[derive(Debug, Default)]
 pub struct VisibleTriangles {
     meshes: Vec<ScreenMesh>,
-    /// Meshes of earlier frames, kept for their memory, by the number of vertices that they have room for: the meshes of another scene come
-    /// in another order.
+    /// Meshes of earlier frames, kept for their memory, by their capacity for vertices: the meshes of another scene come in another
+    /// order.
     spare: BTreeMap<usize, Vec<ScreenMesh>>,
     bins: ShadingBins,
     /// None if the ground has no relief below the size of its cells.
@@ -133,24 +133,26 @@ impl VisibleTriangles {
         self.free_excess();
     }
 
-    /// Takes meshes with room for these numbers of vertices in place of those of the last frame.
+    /// Takes meshes with capacity for these numbers of vertices in place of those of the last frame.
     fn take_meshes(&mut self, vertex_counts: impl Iterator<Item = usize>) {
         for mesh in self.meshes.drain(..) {
-            self.spare.entry(mesh.room()).or_default().push(mesh);
+            self.spare.entry(mesh.vertex_capacity()).or_default().push(mesh);
         }
-        self.meshes.extend(vertex_counts.map(|room| {
-            let spare = self.spare.get_mut(&room).and_then(Vec::pop);
-            spare.unwrap_or_else(|| ScreenMesh::with_room(room))
+        self.meshes.extend(vertex_counts.map(|capacity| {
+            let spare = self.spare.get_mut(&capacity).and_then(Vec::pop);
+            spare.unwrap_or_else(|| ScreenMesh::with_capacity(capacity))
         }));
     }
 
     /// Frees memory where much more is kept than the frame needs.
     fn free_excess(&mut self) {
         let needed: usize = self.meshes.iter().map(ScreenMesh::needed_bytes).sum();
-        if self.kept_bytes() > 2 * needed + MAX_SPARE_BYTES {
-            self.spare.clear();
+        let max_bytes = 2 * needed + MAX_SPARE_BYTES;
+        if self.kept_bytes() <= max_bytes {
+            return;
         }
-        if self.kept_bytes() > 2 * needed + MAX_SPARE_BYTES {
+        self.spare.clear();
+        if self.kept_bytes() > max_bytes {
             self.meshes.par_iter_mut().for_each(ScreenMesh::free_excess);
         }
     }
@@ -199,14 +201,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn meshes_keep_room_for_their_size_and_no_more() {
+    fn meshes_keep_memory_for_their_size_and_no_more() {
         let mut triangles = VisibleTriangles::default();
-        let rooms = [12, 2562, 12, 42];
-        triangles.take_meshes(rooms.into_iter());
+        let capacities = [12, 2562, 12, 42];
+        triangles.take_meshes(capacities.into_iter());
         triangles.meshes[1].triangles.reserve(1 << 20);
         let large = triangles.meshes[1].triangles.as_ptr();
         triangles.take_meshes([42, 12, 2562].into_iter());
-        assert_eq!(triangles.meshes.iter().map(ScreenMesh::room).collect::<Vec<_>>(), [42, 12, 2562]);
+        assert_eq!(
+            triangles.meshes.iter().map(ScreenMesh::vertex_capacity).collect::<Vec<_>>(),
+            [42, 12, 2562]
+        );
         assert_eq!(triangles.meshes[2].triangles.as_ptr(), large, "the memory of the mesh of this size");
         assert!(triangles.kept_bytes() > 2 * MAX_SPARE_BYTES);
         triangles.take_meshes([12].into_iter());

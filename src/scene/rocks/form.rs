@@ -12,7 +12,7 @@ use crate::scene::mesh::Icosphere;
 use crate::scene::noise::Fbm;
 
 /// Vertices per batch: few enough for the intermediate values to stay in the first-level cache.
-pub(super) const BATCH: usize = 128;
+const BATCH: usize = 128;
 /// Least level with cracks: coarser triangles are wider than a crack.
 const CRACK_LEVEL: usize = 4;
 /// Range of a rock's radius, relative to the ellipsoid of its axes.
@@ -71,7 +71,7 @@ pub(super) struct Form {
     pub(super) axes: Vec3,
     /// Reach of the ellipsoid that bounds the body, half axes.
     pub(super) reach: f32,
-    /// The planes of the body, of which there is room for as many as are ever drawn; those from `ledge` on bound a second body, joined to the first.
+    /// The planes of the body, at most as many as can be drawn; those from `ledge` on bound a second body, joined to the first.
     pub(super) planes: ArrayVec<Fracture, 13>,
     pub(super) ledge: usize,
     /// Smaller planes that cut edges and corners off both.
@@ -84,17 +84,23 @@ pub(super) struct Form {
 }
 
 impl Form {
-    /// Sets the positions of up to [`BATCH`] vertices of an icosphere level, from vertex `first` on. Relief is added as far as the level
-    /// can hold it.
-    pub(super) fn set_positions(&self, level: usize, first: usize, positions: &mut [Vec3]) {
-        let directions =
-            Icosphere::shared().axes.each_ref().map(|axis| &axis[first..first + positions.len()]);
-        dispatch!(Level::new(), _simd => self.set_batch(level, directions, positions));
+    /// Calls `visit` with the index and the position of each vertex of an icosphere level, in order. Relief is added as far as the level can
+    /// hold it.
+    pub(super) fn for_each_position(&self, level: usize, mut visit: impl FnMut(usize, Vec3)) {
+        let count = Icosphere::vertex_count(level);
+        for first in (0..count).step_by(BATCH) {
+            let end = count.min(first + BATCH);
+            let directions = Icosphere::shared().axes.each_ref().map(|axis| &axis[first..end]);
+            let mut batch = [Vec3::ZERO; BATCH];
+            let positions = &mut batch[..end - first];
+            dispatch!(Level::new(), _simd => self.set_positions(level, directions, positions));
+            (first..end).zip(positions).for_each(|(vertex, position)| visit(vertex, *position));
+        }
     }
 
     // Must be inlined into the dispatched code to be compiled for its SIMD width.
     #[inline(always)]
-    fn set_batch(&self, level: usize, directions: [&[f32]; 3], positions: &mut [Vec3]) {
+    fn set_positions(&self, level: usize, directions: [&[f32]; 3], positions: &mut [Vec3]) {
         let n = positions.len();
         let (mut x, mut y, mut z) = ([0.0; BATCH], [0.0; BATCH], [0.0; BATCH]);
         let (mut radii, mut changes) = ([0.0; BATCH], [0.0; BATCH]);

@@ -7,7 +7,7 @@ use std::f64::consts::TAU;
 use arrayvec::ArrayVec;
 use glam::Vec3;
 
-use super::form::{BATCH, Crack, Form, Fracture, Scar};
+use super::form::{Crack, Form, Fracture, Scar};
 use super::shape::rotated;
 use crate::pool::PooledVec;
 use crate::random::Stream;
@@ -59,7 +59,7 @@ struct Body([Vec3; Icosphere::vertex_count(EXTENT_LEVEL)]);
 impl Body {
     fn of(form: &Form) -> Self {
         let mut body = Self([Vec3::ZERO; _]);
-        form.set_positions(EXTENT_LEVEL, 0, &mut body.0);
+        form.for_each_position(EXTENT_LEVEL, |vertex, position| body.0[vertex] = position);
         body
     }
 
@@ -267,15 +267,12 @@ pub(super) fn posed(draw: &mut Stream, form: &Form, level: usize, diameter_m: f3
     let world_from_form = rotated(draw, [1.0; 3], TILT_DEG);
     let mut vertices: PooledVec<Vertex> = PooledVec::unspecified(Icosphere::vertex_count(level));
     let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-    for (batch, vertices) in vertices.chunks_mut(BATCH).enumerate() {
-        let mut positions = [Vec3::ZERO; BATCH];
-        form.set_positions(level, batch * BATCH, &mut positions[..vertices.len()]);
-        for (vertex, &p) in vertices.iter_mut().zip(&positions) {
-            vertex.position = world_from_form * p;
-            low = low.min(vertex.position);
-            high = high.max(vertex.position);
-        }
-    }
+    form.for_each_position(level, |vertex, p| {
+        let position = world_from_form * p;
+        vertices[vertex].position = position;
+        low = low.min(position);
+        high = high.max(position);
+    });
     let factor = 2.0 * diameter_m / ((high.x - low.x) + (high.y - low.y));
     for vertex in &mut vertices {
         vertex.position *= factor;
@@ -290,10 +287,8 @@ mod tests {
     use crate::random::Streams;
 
     fn positions(form: &Form, level: usize) -> Vec<Vec3> {
-        let mut positions = vec![Vec3::ZERO; Icosphere::vertex_count(level)];
-        for (batch, positions) in positions.chunks_mut(BATCH).enumerate() {
-            form.set_positions(level, batch * BATCH, positions);
-        }
+        let mut positions = Vec::new();
+        form.for_each_position(level, |_, position| positions.push(position));
         positions
     }
 

@@ -49,7 +49,7 @@ fn symmetric(half: &[f32]) -> Vec<f32> {
     half[1..].iter().rev().chain(half).copied().collect()
 }
 
-/// A row convolved with taps, with the border repeated, for which `padded` is room.
+/// A row convolved with taps, with the border repeated; `padded` is scratch memory.
 pub(super) fn convolve_row(taps: &[f32], row: &[f32], padded: &mut Vec<f32>, target: &mut [f32]) {
     let (reach, width) = (taps.len() / 2, row.len());
     padded.clear();

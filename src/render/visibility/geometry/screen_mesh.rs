@@ -43,7 +43,7 @@ pub struct ScreenTriangle {
 #[derive(Debug, Default)]
 pub struct ScreenMesh {
     /// Vertices of the surface that it was made for, before clipping.
-    room: usize,
+    vertex_capacity: usize,
     /// Slot of its instance.
     pub slot: u32,
     /// Shading bins of its triangles, by their `ShadowSources`.
@@ -64,15 +64,15 @@ pub struct ScreenMesh {
 
 impl ScreenMesh {
     /// A mesh for a surface with this many vertices.
-    pub(super) fn with_room(room: usize) -> Self {
+    pub(super) fn with_capacity(vertex_capacity: usize) -> Self {
         // Of a closed surface half of the triangles, as many as there are vertices, are seen.
-        let triangles = Vec::with_capacity(room + room / 4);
-        Self { room, vertices: Vec::with_capacity(room), triangles, ..Self::default() }
+        let triangles = Vec::with_capacity(vertex_capacity + vertex_capacity / 4);
+        Self { vertex_capacity, vertices: Vec::with_capacity(vertex_capacity), triangles, ..Self::default() }
     }
 
     /// Vertices of the surface that it was made for.
-    pub(super) const fn room(&self) -> usize {
-        self.room
+    pub(super) const fn vertex_capacity(&self) -> usize {
+        self.vertex_capacity
     }
 
     /// The vertices of one of its triangles.

@@ -77,9 +77,7 @@ impl ScreenMesh {
         self.add_vertices(&frame.projection, origin, vertices);
         let vertex = |v: u32| (origin + vertices[v as usize].position, vertices[v as usize].normal);
         for triangles in rock.triangles(level).chunks(CULL_BATCH) {
-            let survivors = self.cull(&frame.projection, triangles);
-            self.triangles.reserve(survivors.indices().len());
-            for &index in survivors.indices() {
+            for &index in self.cull(&frame.projection, triangles).indices() {
                 let triangle = triangles[usize::from(index)];
                 let corners = triangle.map(|vertex| &vertices[vertex as usize]);
                 let shadow_sources = || {
@@ -129,9 +127,7 @@ impl ScreenMesh {
             let per_cell = triangles.len() / columns.len();
             // Triangles of a cell follow one another and share its answer.
             let mut last_cell = None;
-            let survivors = self.cull(&frame.projection, &triangles);
-            self.triangles.reserve(survivors.indices().len());
-            for &index in survivors.indices() {
+            for &index in self.cull(&frame.projection, &triangles).indices() {
                 let column = columns.start + (usize::from(index) / per_cell) as u32;
                 let shadow_sources = || match last_cell {
                     Some((cell, sources)) if cell == column => Some(sources),
