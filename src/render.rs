@@ -16,6 +16,7 @@ mod frame_packet;
 mod frame_plan;
 pub mod lighting;
 pub mod post;
+mod prepared_frame;
 mod raster;
 mod raw_frame;
 pub mod resolve;
@@ -43,48 +44,28 @@ pub use frame_packet::{FramePacket, FramePlanner};
 pub use raw_frame::{FrameCost, RawFrame};
 pub use settings::RenderSettings;
 
-use device::bind_groups::{BindLayouts, bind_group};
-use device::shading_bins::LightingVariant;
-use device::timing::{Pass, milliseconds};
+use device::bind_groups::BindLayouts;
 use frame_packet::FrameRequest;
-use frame_plan::FramePlan;
-use lighting::gbuffer::{GBuffer, GBufferPool};
-use lighting::pass::{FrameKey, LightingPass};
-use resolve::pass::{PackedFrame, ResolvePass};
+use lighting::gbuffer::GBufferPool;
+use lighting::pass::LightingPass;
+use prepared_frame::Submitted;
+use resolve::pass::ResolvePass;
 use scene_buffers::SceneBuffers;
-use select::tiles::ImageTile;
 use shadow::ShadowBackend;
-use slots::{Slot, SlotPool};
-use tiling::{TileLimits, TiledFrame};
-use visibility::{VisibilityBackend, VisibilityInputs};
+use slots::SlotPool;
+use tiling::TileLimits;
+use visibility::VisibilityBackend;
 
 /// Frames in flight that keep a device and the threads that feed it busy: one is rendered while the next is prepared.
 pub const FRAMES_IN_FLIGHT: usize = 2;
-
-/// A frame that is ready to be recorded.
-#[derive(Debug)]
-struct PreparedFrame {
-    plan: FramePlan,
-    /// One, or those that the frame is drawn in. The first is prepared.
-    tiles: Vec<ImageTile>,
-    gbuffer: GBuffer,
-    slot: Slot,
-    pipelines: FrameKey,
-    uploaded_bytes: u64,
-}
 
 /// A frame that the device works on: from [`Renderer::submit`] to [`Renderer::finish`].
 #[derive(Debug)]
 pub struct InFlight {
     request: FrameRequest,
-    slot: Slot,
-    submission: wgpu::SubmissionIndex,
-    submitted: Instant,
-    /// The frame, if it was drawn in tiles and is read back already.
-    drawn: Option<Frame>,
-    /// Times of the stages before the submission.
+    submitted: Submitted,
+    /// Times of the stages up to the submission.
     times: StageTimes,
-    device_passes: Vec<Pass>,
     /// How much was drawn and uploaded for it.
     pub cost: FrameCost,
 }
@@ -251,204 +232,6 @@ impl Renderer {
         self.submit_prepared(scene, request, frame, (start, plan_ms))
     }
 
-    /// Records a frame whose preparation began at `start`, after this many milliseconds of planning, and submits it; of a frame in
-    /// tiles, one after the other.
-    fn submit_prepared(
-        &mut self,
-        scene: &Scene,
-        request: FrameRequest,
-        mut frame: PreparedFrame,
-        (start, plan_ms): (Instant, f64),
-    ) -> Result<InFlight> {
-        let submitted = Instant::now();
-        let host_ms: f64 = self.host_times().iter().map(|(_, ms)| ms).sum();
-        let upload_ms = milliseconds(submitted - start) - host_ms;
-        let mut submission = self.submit_tile(&frame, true)?;
-        let mut drawn = None;
-        if frame.tiles.len() > 1 {
-            let (_, settings) = request.rendered(scene);
-            let mut whole = TiledFrame::new(request.image.size);
-            for number in 0..frame.tiles.len() {
-                let tile = frame.tiles[number];
-                if number > 0 {
-                    self.prepare_tile(settings, &mut frame, tile)?;
-                    submission = self.submit_tile(&frame, false)?;
-                }
-                self.gpu.wait(&submission)?;
-                whole.add(tile, frame.slot.packed.read())?;
-            }
-            drawn = Some(whole.finish());
-        }
-        let PreparedFrame { gbuffer, slot, uploaded_bytes, .. } = frame;
-        let cost = FrameCost {
-            drawn_triangles: self.visibility.triangles(&self.buffers.meshes, &gbuffer.batches),
-            lighting_draws: self.raster.lighting.draws(gbuffer.batches.len()),
-            uploaded_bytes,
-        };
-        self.last_cost = cost;
-        self.gbuffers.keep(gbuffer);
-        let mut times = vec![("plan", plan_ms), ("upload", upload_ms)];
-        times.extend(self.host_times());
-        times.push(("record", milliseconds(submitted.elapsed())));
-        let device_passes = self.device_passes();
-        Ok(InFlight { request, slot, submission, submitted, drawn, times, device_passes, cost })
-    }
-
-    /// Times of the host backends.
-    fn host_times(&self) -> StageTimes {
-        let stages = [("shadow", self.shadow.host_ms()), ("visibility", self.visibility.host_ms())];
-        stages.into_iter().filter_map(|(name, ms)| Some((name, ms?))).collect()
-    }
-
-    /// Records and submits a tile, the first of a frame with the frame's shadows.
-    fn submit_tile(&self, frame: &PreparedFrame, is_first: bool) -> Result<wgpu::SubmissionIndex> {
-        self.gpu.guard(|| {
-            let descriptor = wgpu::CommandEncoderDescriptor { label: Some("frame") };
-            let mut encoder = self.gpu.device.create_command_encoder(&descriptor);
-            self.record_frame(&mut encoder, frame, is_first);
-            let submission = self.gpu.queue.submit([encoder.finish()]);
-            frame.slot.map();
-            submission
-        })
-    }
-
-    /// Uploads a plan, rasterises what is the host's part of its first tile, and compiles the pipelines that are missing.
-    fn prepare(
-        &mut self,
-        scene: &Scene,
-        request: &FrameRequest,
-        mut plan: FramePlan,
-    ) -> Result<PreparedFrame> {
-        let image_size = request.image.size;
-        let (scene, settings) = request.rendered(scene);
-        let layout = self.visibility.gbuffer_layout(scene);
-        let tiles = tiling::tiles(&self.gpu, &request.image, (scene, settings), layout, self.tile_limits)?;
-        let tile = tiles[0];
-        let of_tile = RenderSettings { size: tile.rendered.size, ..*settings };
-        let is_distorted = request.undistorted.is_some();
-        let mut gbuffer =
-            self.gbuffers.take(&self.gpu, (&of_tile, is_distorted), layout, self.tile_limits.bytes);
-        let mut slot = self.slots.take(&self.gpu, &RenderSettings { size: tile.image.size, ..request.image });
-        // Timestamps are those of one submission.
-        slot.timer = slot.timer.filter(|_| tile.image.size == image_size);
-        let pipelines = FrameKey::new(scene, &gbuffer);
-        gbuffer.is_distorted = is_distorted;
-        gbuffer.has_rgb = scene.sensor.is_none();
-        let resolve_variant = resolve::pass::Variant::new(&gbuffer);
-        // Compiling a pipeline takes longer than it saves in one frame: the first is lit by as few pipelines as possible, which are
-        // compiled while it is prepared.
-        let is_first = !self.lighting.has(pipelines);
-        let raster = RasterOptions {
-            bin_by_shadow_sources: self.raster.bin_by_shadow_sources && !is_first,
-            ..self.raster
-        };
-        let Self { gpu, layouts, buffers, shadow, visibility, lighting, resolve, staging, .. } = self;
-        let (prepared, ()) = rayon::join(
-            || {
-                plan.place_tiles(|selection| shadow.place_tiles(scene, selection));
-                plan.uniforms = frame_plan::of_tile(&plan.uniforms, tile, settings);
-                let multi_draw = raster.multi_draw;
-                let mut bytes = gpu.guard(|| buffers.upload(gpu, scene, &plan, (multi_draw, staging)))??;
-                let size_px = plan.shadow_map_px;
-                bytes += shadow.prepare(gpu, layouts, (scene, &plan.selection, size_px), staging)?;
-                let inputs = VisibilityInputs {
-                    scene,
-                    settings,
-                    selection: &plan.selection,
-                    caster_grid: &plan.caster_grid,
-                    bands: &plan.bands,
-                    bin_by_shadow_sources: raster.bin_by_shadow_sources,
-                };
-                visibility.find(gpu, layouts, inputs);
-                let samples = tile.rendered.samples(settings.samples_per_side);
-                bytes += visibility.fill(gpu, &plan.draws.batches, samples, (&mut gbuffer, staging))?;
-                Result::Ok((plan, bytes))
-            },
-            || {
-                resolve.prepare(gpu, resolve_variant);
-                match raster.lighting {
-                    LightingMode::Bins if is_first => {
-                        lighting.prepare(gpu, pipelines, LightingVariant::GENERAL);
-                    }
-                    LightingMode::OneDraw => lighting.prepare(gpu, pipelines, [LightingVariant::Any]),
-                    LightingMode::Bins => {}
-                }
-            },
-        );
-        let (plan, mut uploaded_bytes) = prepared?;
-        uploaded_bytes += slot.packed.choose(gpu, &mut gbuffer);
-        if raster.lighting == LightingMode::Bins {
-            lighting.prepare(gpu, pipelines, gbuffer.batches.iter().map(|batch| batch.variant));
-        }
-        gpu.check()?;
-        Ok(PreparedFrame { plan, tiles, gbuffer, slot, pipelines, uploaded_bytes })
-    }
-
-    /// Prepares a further tile of a frame. `settings` are those of the image before distortion.
-    fn prepare_tile(
-        &mut self,
-        settings: &RenderSettings,
-        frame: &mut PreparedFrame,
-        tile: ImageTile,
-    ) -> Result<()> {
-        let Self { gpu, buffers, visibility, lighting, staging, .. } = self;
-        let PreparedFrame { plan, gbuffer, slot, pipelines, uploaded_bytes, .. } = frame;
-        *uploaded_bytes += buffers.upload_uniforms(gpu, &frame_plan::of_tile(&plan.uniforms, tile, settings));
-        let samples = tile.rendered.samples(settings.samples_per_side);
-        *uploaded_bytes += visibility.fill(gpu, &plan.draws.batches, samples, (gbuffer, staging))?;
-        *uploaded_bytes += slot.packed.choose(gpu, gbuffer);
-        if self.raster.lighting == LightingMode::Bins {
-            lighting.prepare(gpu, *pipelines, gbuffer.batches.iter().map(|batch| batch.variant));
-        }
-        gpu.check()
-    }
-
-    /// The frame, or a tile of one: shadows with the first, visibility, lighting, resolve, readback.
-    fn record_frame(&self, encoder: &mut wgpu::CommandEncoder, frame: &PreparedFrame, is_first: bool) {
-        let PreparedFrame { plan, gbuffer, slot: Slot { packed, timer, .. }, pipelines, .. } = frame;
-        let (meshes, timer) = (&self.buffers.meshes, timer.as_ref());
-        let groups = self.bind_groups(gbuffer, packed);
-        let drawing = [&groups.frame, &groups.scene];
-        if is_first {
-            self.shadow.record(encoder, meshes, &plan.draws.casters, drawing, timer);
-        }
-        self.visibility.record(encoder, meshes, drawing, gbuffer, timer);
-        let light = [&groups.frame, &groups.scene, &groups.light];
-        let timestamps = timer.map(|timer| timer.render_pass(Pass::Lighting));
-        self.lighting.record(encoder, light, *pipelines, gbuffer, timestamps);
-        let timestamps = timer.map(|timer| timer.compute_pass(Pass::Resolve));
-        self.resolve.record(encoder, &groups.frame, &groups.resolve, gbuffer, packed, timestamps);
-        packed.copy(encoder);
-        if let Some(timer) = timer {
-            timer.copy(encoder, &self.device_passes());
-        }
-    }
-
-    /// The passes that are recorded.
-    fn device_passes(&self) -> Vec<Pass> {
-        let raster = [self.shadow.device_pass(), self.visibility.device_pass()];
-        raster.into_iter().flatten().chain([Pass::Lighting, Pass::Resolve]).collect()
-    }
-
-    fn bind_groups(&self, gbuffer: &GBuffer, packed: &PackedFrame) -> BindGroups {
-        let Self { gpu, layouts, buffers, .. } = self;
-        let view = wgpu::BindingResource::TextureView;
-        let nearest = wgpu::BindingResource::Sampler(&self.nearest);
-        let resolve = [
-            view(&gbuffer.visibility.1),
-            packed.buffer.as_entire_binding(),
-            nearest.clone(),
-            packed.tile_list.as_entire_binding(),
-        ];
-        let resolve: Vec<_> = resolve.into_iter().chain(gbuffer.planes.iter().map(view)).collect();
-        BindGroups {
-            frame: buffers.frame_group(gpu, layouts),
-            scene: buffers.scene_group(gpu, layouts),
-            light: buffers.light_group(gpu, layouts, gbuffer, self.shadow.map(), nearest),
-            resolve: bind_group(gpu, "resolve", &layouts.resolve, &resolve),
-        }
-    }
-
     /// Waits for a frame of `scene` that was submitted, and post-processes it. Frames may be finished in any order.
     ///
     /// # Errors
@@ -466,27 +249,16 @@ impl Renderer {
     /// [`Error::DeviceLost`]: crate::Error::DeviceLost
     /// [`Error::Device`]: crate::Error::Device
     pub fn read_back(&mut self, in_flight: InFlight) -> Result<RawFrame> {
-        let InFlight { request, slot, submission, submitted, drawn, mut times, device_passes, .. } =
-            in_flight;
-        self.gpu.wait(&submission)?;
-        let done = Instant::now();
-        let is_whole = drawn.is_none();
-        let frame = drawn.map_or_else(|| slot.packed.read(), Ok)?;
-        let read = Instant::now();
-        if let Some(timer) = &slot.timer {
-            times.extend(timer.read(&self.gpu, &device_passes)?);
-        }
-        times.extend([("gpu", milliseconds(done - submitted)), ("readback", milliseconds(read - done))]);
-        if is_whole {
-            self.slots.keep(slot);
-        }
+        let InFlight { request, submitted, mut times, .. } = in_flight;
+        let frame = match submitted {
+            Submitted::InTiles(frame) => frame,
+            Submitted::Whole(slot, tile) => {
+                let (frame, device_times) = self.read_tile(&slot, &tile)?;
+                times.extend(device_times);
+                self.slots.keep(slot);
+                frame
+            }
+        };
         Ok(RawFrame { frame, request, times })
     }
-}
-
-struct BindGroups {
-    frame: wgpu::BindGroup,
-    scene: wgpu::BindGroup,
-    light: wgpu::BindGroup,
-    resolve: wgpu::BindGroup,
 }

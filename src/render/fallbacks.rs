@@ -208,6 +208,36 @@ fn tiles_make_the_frame_that_is_drawn_whole() {
     }
 }
 
+/// And where one frame is in flight at a time, the buffers of its tiles serve the next.
+#[test]
+fn a_frame_in_tiles_has_the_times_of_a_whole_one() {
+    for mode in MODES {
+        let mut renderer = renderer(Requested::Offered, mode);
+        renderer.expect_in_flight(1);
+        let [scene, _] = scenes();
+        let settings = all_planes([90, 61], 4);
+        let mut stages = |bytes| {
+            renderer.tile_limits.bytes = bytes;
+            // The first frame compiles pipelines.
+            let [_, (_, times)] = [(); 2].map(|()| renderer.render(&scene, &settings).expect("a frame"));
+            let total_ms: f64 = times.iter().map(|(_, ms)| ms).sum();
+            assert!(times.iter().all(|(_, ms)| *ms >= 0.0) && total_ms > 0.0, "{mode}: {times:?}");
+            (times.iter().map(|(stage, _)| *stage).collect::<Vec<_>>(), renderer.slots.len())
+        };
+        let (mut whole, slots) = stages(640 << 20);
+        let (mut in_tiles, slots_with_tiles) = stages(400_000);
+        whole.sort_unstable();
+        in_tiles.sort_unstable();
+        assert_eq!(whole, in_tiles, "{mode}");
+        assert!(
+            ["lighting", "resolve", "gpu", "readback"].iter().all(|stage| whole.contains(stage)),
+            "{whole:?}"
+        );
+        let is_kept = mode == RasterMode::Host;
+        assert_eq!([slots, slots_with_tiles], [1, 1 + usize::from(is_kept)], "{mode}");
+    }
+}
+
 /// A device rounds the corners of triangles and what it interpolates relative to the tile: where the host rasterises every bit is that
 /// of the whole frame, else nearly every value.
 fn assert_close(tiled: &Frame, whole: &Frame, what: &str) {
