@@ -98,7 +98,7 @@ impl Settings {
 pub(crate) struct Engine {
     open: Option<Open>,
     process: u32,
-    threads: usize,
+    threads: Option<usize>,
     adapter: String,
 }
 
@@ -120,9 +120,8 @@ impl Engine {
         threads: Option<usize>,
     ) -> PyResult<Self> {
         let raster = settings.raster;
-        let threads = threads.unwrap_or_else(cores);
         let open = py.detach(|| -> regolith::Result<(Open, String)> {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or_else(cores)).build();
             let pool = pool.map_err(|error| regolith::Error::Thread(std::io::Error::other(error)))?;
             let (renderer, name) = pool.install(|| {
                 let gpu = Gpu::open(adapter.as_deref())?;
@@ -223,7 +222,7 @@ impl Engine {
         prefetch: usize,
     ) -> PyResult<Frames> {
         let renderer = Arc::clone(&self.open()?.renderer);
-        let concurrency = Concurrency::with_threads(self.threads);
+        let concurrency = Concurrency { threads: self.threads, frames_in_flight: None };
         let stream = raised(py, FrameStream::start(plan, renderer, indices, concurrency, prefetch))?;
         Ok(Frames { stream: Mutex::new(Some(stream)), process: std::process::id() })
     }

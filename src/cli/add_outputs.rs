@@ -19,7 +19,7 @@ pub(super) fn run(
     folder: &Path,
     list: &str,
     device: &DeviceArgs,
-    threads: usize,
+    concurrency: Concurrency,
     is_json: bool,
     messages: Messages,
 ) -> Result<()> {
@@ -34,7 +34,7 @@ pub(super) fn run(
         let mut renderer = device.renderer(gpu)?;
         gpu_device::inject_fault(&renderer);
         let mut meter = Meter::new(messages, "frames");
-        let result = addition.run(&mut renderer, Concurrency::with_threads(threads), &stop, |found, made| {
+        let result = addition.run(&mut renderer, concurrency, &stop, |found, made| {
             meter.show([found, made, addition.frames()], "");
         });
         meter.finish();

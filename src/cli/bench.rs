@@ -38,11 +38,12 @@ pub(super) struct BenchArgs {
     /// Outputs to read back (and to write, in the case dataset), as for a frame
     #[arg(long, value_name = "LIST", default_value = "rgb,mask")]
     outputs: String,
-    /// Threads that build scenes, plan frames, post-process and encode, in the case dataset [default: the number of cores]
+    /// Threads that build scenes, plan frames, post-process and encode, in the case dataset [default: one
+    /// for each core, with a software adapter one for every two]
     #[arg(long, value_name = "N", value_parser = whole_number::<u16>(1, 256))]
     threads: Option<u16>,
     /// Frames that the device works on at the same time [default: 2; in the case dataset of the surface stage 1, on a software
-    /// adapter with up to two threads]
+    /// adapter with one thread]
     #[arg(long, value_name = "N", value_parser = whole_number::<u8>(1, 16))]
     frames_in_flight: Option<u8>,
     /// Measure one case for several values of one setting, and plot the result: size, samples, rocks or frames-in-flight for
@@ -107,8 +108,10 @@ fn setup(args: &BenchArgs, messages: Messages) -> Result<Setup> {
         label_ids: image.label_ids(),
         ..Plan::in_memory(config, rules, seed, image.settings()?, outputs)
     };
-    let threads = args.threads.map_or_else(cores, usize::from);
-    let concurrency = Concurrency { threads, frames_in_flight: args.frames_in_flight.map(usize::from) };
+    let concurrency = Concurrency {
+        threads: args.threads.map(usize::from),
+        frames_in_flight: args.frames_in_flight.map(usize::from),
+    };
     Ok(Setup { plan, concurrency, frames: args.frames, stop: stop_on_signals(messages)? })
 }
 

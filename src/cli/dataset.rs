@@ -23,7 +23,7 @@ use super::add_outputs;
 use super::args::{ConfigArgs, DeviceArgs, ImageArgs, output_names, whole_number};
 use super::device;
 use super::messages::{Messages, print};
-use super::process::{cores, stop_on_signals};
+use super::process::stop_on_signals;
 use super::progress::{Meter, duration};
 
 /// Number of frames of a dry run, if the range has as many.
@@ -77,7 +77,8 @@ pub(super) struct DatasetArgs {
     /// Render nothing: print the knobs of the first frames
     #[arg(long)]
     dry_run: bool,
-    /// Threads that build scenes, plan frames, post-process and encode [default: the number of cores]
+    /// Threads that build scenes, plan frames, post-process and encode [default: one for each core, with a software adapter, which draws
+    /// on the same cores, one for every two]
     #[arg(long, value_name = "N", value_parser = whole_number::<u16>(1, 256))]
     threads: Option<u16>,
     /// Write into a folder even if it has other content
@@ -105,16 +106,15 @@ pub(super) fn run(args: &DatasetArgs, messages: Messages) -> Result<()> {
     if args.merge {
         return merge(args, messages);
     }
-    let threads = args.threads.map_or_else(cores, usize::from);
+    let concurrency = Concurrency { threads: args.threads.map(usize::from), frames_in_flight: None };
     if let (Some(list), Some(folder)) = (&args.add_outputs, &args.folder) {
-        return add_outputs::run(folder, list, &args.device, threads, args.json, messages);
+        return add_outputs::run(folder, list, &args.device, concurrency, args.json, messages);
     }
     let plan = plan(args)?;
     if args.dry_run {
         return dry_run(args, &plan);
     }
     let stop = stop_on_signals(messages)?;
-    let concurrency = Concurrency::with_threads(threads);
     if args.out.as_os_str() == "-" {
         return stream(args, messages, &plan, concurrency, &stop);
     }

@@ -196,7 +196,9 @@ impl FrameStream {
         // A pool of its own: the parallel loops of a frame wait for no other work, and in a process that was forked the threads of the
         // common pool do not exist.
         let work = move || {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(concurrency.threads).use_current_thread();
+            // 0: one for each core.
+            let threads = concurrency.threads.unwrap_or(0);
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).use_current_thread();
             match pool.build() {
                 Ok(pool) => pool.install(make),
                 Err(_) => make(),

@@ -30,8 +30,8 @@ use crate::render::{FRAMES_IN_FLIGHT, FramePlanner, InFlight, Renderer, StageTim
 /// Frames for each worker that may be started after the oldest unfinished one: a frame that is redrawn many times does not stop the
 /// others, nor do they pile up behind it.
 const AHEAD_PER_WORKER: usize = 4;
-/// Most threads with which a software adapter works on one frame at a time.
-const MAX_THREADS_OF_ONE_FRAME: usize = 2;
+/// Cores for each worker where a software adapter draws on the same ones. A worker has about a third of a frame's work.
+const CORES_PER_WORKER: usize = 2;
 /// Keys of a frame's record that are the same for all frames: the manifest has them.
 const MANIFEST_KEYS: [&str; 4] = ["size", "samples", "edges", "version"];
 
@@ -53,10 +53,10 @@ pub struct FinishedFrame {
 }
 
 /// How much is done at the same time. No frame depends on it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Concurrency {
-    /// Worker threads, each of which builds scenes, plans frames, post-processes and encodes.
-    pub threads: usize,
+    /// Worker threads, each of which builds scenes, plans frames, post-processes and encodes; `None` for as many as suit the device.
+    pub threads: Option<usize>,
     /// Frames that the device may work on at a time; `None` for as many as suit the device and the threads.
     pub frames_in_flight: Option<usize>,
 }
@@ -65,15 +65,24 @@ impl Concurrency {
     /// This many threads, and as many frames as suit them.
     #[must_use]
     pub const fn with_threads(threads: usize) -> Self {
-        Self { threads, frames_in_flight: None }
+        Self { threads: Some(threads), frames_in_flight: None }
     }
 
-    /// Frames of a plan that the device works on at a time. On the surface stage, where a software adapter shares its cores with no more
-    /// than two threads, one: the threads have other frames to work on while the next is prepared for it, and a second one in flight takes
-    /// memory alone. Frames of the nominal stage are so short that it would wait.
+    /// Worker threads: one for each core, or, where a software adapter draws on the same cores, one for every two.
+    #[must_use]
+    pub fn workers(self, is_software_adapter: bool) -> usize {
+        self.threads.unwrap_or_else(|| {
+            let cores = std::thread::available_parallelism().map_or(1, usize::from);
+            if is_software_adapter { cores.div_ceil(CORES_PER_WORKER) } else { cores }
+        })
+    }
+
+    /// Frames of a plan that the device works on at a time. On the surface stage, where a software adapter shares its cores with a single
+    /// worker, one: the worker has other frames to work on while the next is prepared for it, and a second one in flight takes memory
+    /// alone. Frames of the nominal stage are so short that it would wait.
     #[must_use]
     pub fn in_flight(self, is_software_adapter: bool, plan: &Plan) -> usize {
-        let is_busy = is_software_adapter && self.threads <= MAX_THREADS_OF_ONE_FRAME;
+        let is_busy = is_software_adapter && self.workers(is_software_adapter) == 1;
         let is_one = is_busy && !plan.config.stages().contains(&Stage::Nominal);
         self.frames_in_flight.unwrap_or(if is_one { 1 } else { FRAMES_IN_FLIGHT })
     }
@@ -121,9 +130,9 @@ pub fn run_job<T: Send>(
     mut sink: impl FnMut(T) -> Result<()> + Send,
 ) -> Result<()> {
     let Job { plan, indices, concurrency, stop, finish } = job;
-    let threads = concurrency.threads;
-    let frames_in_flight =
-        concurrency.in_flight((*lock(renderer)).borrow().gpu().capabilities.software_adapter, plan);
+    let is_software_adapter = (*lock(renderer)).borrow().gpu().capabilities.software_adapter;
+    let threads = concurrency.workers(is_software_adapter);
+    let frames_in_flight = concurrency.in_flight(is_software_adapter, plan);
     let first_error = FirstError::default();
     let limits = QueueLimits {
         ready: threads.max(2),
@@ -379,18 +388,26 @@ mod tests {
     use crate::render::RenderSettings;
 
     #[test]
-    fn one_frame_is_in_flight_where_threads_share_cores_with_a_driver() {
+    fn one_frame_is_in_flight_where_one_worker_shares_cores_with_a_driver() {
         let in_flight = |preset: &str, threads: usize, is_software: bool, frames_in_flight: Option<usize>| {
             let mut config = Config::new();
             config.apply_preset(preset).expect("a preset");
             let settings = RenderSettings::new([64, 64], 4).expect("settings");
             let plan = Plan::in_memory(config, Rules::accepting_any_image(), 1, settings, Vec::new());
-            Concurrency { threads, frames_in_flight }.in_flight(is_software, &plan)
+            Concurrency { threads: Some(threads), frames_in_flight }.in_flight(is_software, &plan)
         };
-        assert_eq!(in_flight("surface_train_full", 2, true, None), 1);
-        assert_eq!(in_flight("surface_train_full", 3, true, None), FRAMES_IN_FLIGHT);
-        assert_eq!(in_flight("surface_train_full", 2, false, None), FRAMES_IN_FLIGHT);
-        assert_eq!(in_flight("train_dr", 2, true, None), FRAMES_IN_FLIGHT);
-        assert_eq!(in_flight("surface_train_full", 2, true, Some(3)), 3);
+        assert_eq!(in_flight("surface_train_full", 1, true, None), 1);
+        assert_eq!(in_flight("surface_train_full", 2, true, None), FRAMES_IN_FLIGHT);
+        assert_eq!(in_flight("surface_train_full", 1, false, None), FRAMES_IN_FLIGHT);
+        assert_eq!(in_flight("train_dr", 1, true, None), FRAMES_IN_FLIGHT);
+        assert_eq!(in_flight("surface_train_full", 1, true, Some(3)), 3);
+    }
+
+    #[test]
+    fn a_driver_on_the_cores_leaves_half_of_them_to_workers() {
+        let cores = std::thread::available_parallelism().expect("a number of cores").get();
+        let default = Concurrency::default();
+        assert_eq!([default.workers(false), default.workers(true)], [cores, cores.div_ceil(2)]);
+        assert_eq!(Concurrency::with_threads(5).workers(true), 5);
     }
 }

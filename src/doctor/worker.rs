@@ -403,10 +403,9 @@ fn bench_setup(stage: &str) -> Result<Setup> {
     let settings = RenderSettings::new(BENCH_SIZE, 4)?;
     let rules = Rules::accepting_any_image();
     let plan = Plan::in_memory(config, rules, 42, settings, outputs);
-    let threads = std::thread::available_parallelism().map_or(1, usize::from);
     Ok(Setup {
         plan,
-        concurrency: Concurrency::with_threads(threads),
+        concurrency: Concurrency::default(),
         frames: BENCH_FRAMES,
         stop: Arc::new(AtomicBool::new(false)),
     })
