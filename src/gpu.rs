@@ -299,7 +299,7 @@ fn required_limits(info: &AdapterInfo, offered: &Limits) -> Limits {
 /// How device memory is allocated. That of a software adapter is memory of the process: in large blocks much of it would lie idle.
 fn memory_hints(info: &AdapterInfo) -> wgpu::MemoryHints {
     if adapter::is_software(info) {
-        let range = 4 << 20..16 << 20;
+        let range = 2 << 20..8 << 20;
         wgpu::MemoryHints::Manual { suballocated_device_memory_block_size: range }
     } else {
         wgpu::MemoryHints::Performance

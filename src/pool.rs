@@ -93,10 +93,19 @@ impl<T: Pod + Send> Value for T {}
 pub struct PooledVec<T: Value>(Vec<T>);
 
 impl<T: Value> PooledVec<T> {
-    /// A buffer with arbitrary contents: whatever its memory held before.
+    /// A buffer with arbitrary contents: whatever its memory held before. Similar lengths share memory.
     #[must_use]
     pub fn unspecified(len: usize) -> Self {
-        let capacity = capacity_for(len);
+        Self::with_capacity(len, capacity_for(len))
+    }
+
+    /// The same for one of a few lengths that recur: with none but the memory that it needs.
+    #[must_use]
+    pub fn recurring(len: usize) -> Self {
+        Self::with_capacity(len, len)
+    }
+
+    fn with_capacity(len: usize, capacity: usize) -> Self {
         if capacity * size_of::<T>() < MIN_BYTES {
             return Self(vec![T::zeroed(); len]);
         }
@@ -177,7 +186,9 @@ impl<'a, T: Value> IntoIterator for &'a mut PooledVec<T> {
 
 impl<T: Value> Clone for PooledVec<T> {
     fn clone(&self) -> Self {
-        Self::from(&self[..])
+        let mut copy = Self::with_capacity(self.len(), self.0.capacity());
+        copy.copy_from_slice(self);
+        copy
     }
 }
 
@@ -201,6 +212,17 @@ mod tests {
         }
         capacities.dedup();
         assert!(capacities.len() < 100, "{} capacities", capacities.len());
+    }
+
+    #[test]
+    fn a_recurring_length_has_no_spare_capacity_and_finds_its_memory_again() {
+        let first = PooledVec::<f32>::recurring(642);
+        let copy = first.clone();
+        assert_eq!([first.0.capacity(), copy.0.capacity()], [642; 2]);
+        let address = copy.as_ptr();
+        drop(first);
+        drop(copy);
+        assert_eq!(PooledVec::<f32>::recurring(642).as_ptr(), address);
     }
 
     #[test]

@@ -265,7 +265,7 @@ fn draw_direction(draw: &mut Stream) -> Vec3 {
 /// A form at a heading and tilt, scaled to its diameter: the mean of its extents along x and y.
 pub(super) fn posed(draw: &mut Stream, form: &Form, level: usize, diameter_m: f32) -> PooledVec<Vertex> {
     let world_from_form = rotated(draw, [1.0; 3], TILT_DEG);
-    let mut vertices: PooledVec<Vertex> = PooledVec::unspecified(Icosphere::vertex_count(level));
+    let mut vertices: PooledVec<Vertex> = PooledVec::recurring(Icosphere::vertex_count(level));
     let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
     form.for_each_position(level, |vertex, p| {
         let position = world_from_form * p;

@@ -148,7 +148,7 @@ impl RockPlan {
     /// Vertices of a level without their normals; a finer level begins with the same vertices.
     fn vertices(&self, level: usize) -> PooledVec<Vertex> {
         let sphere = Icosphere::shared();
-        let mut vertices: PooledVec<Vertex> = PooledVec::unspecified(Icosphere::vertex_count(level));
+        let mut vertices: PooledVec<Vertex> = PooledVec::recurring(Icosphere::vertex_count(level));
         for ((vertex, &u), radius) in
             vertices.iter_mut().zip(&sphere.directions).zip(&self.shape.radii(level))
         {

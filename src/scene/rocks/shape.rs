@@ -81,7 +81,7 @@ impl Shape {
 
     /// Radius of the displaced unit sphere in the direction of each vertex of an icosphere level.
     pub(super) fn radii(&self, level: usize) -> PooledVec<f32> {
-        let mut radii: PooledVec<f32> = PooledVec::unspecified(Icosphere::vertex_count(level));
+        let mut radii: PooledVec<f32> = PooledVec::recurring(Icosphere::vertex_count(level));
         for (chunk, radii) in radii.chunks_mut(BATCH).enumerate() {
             let first = chunk * BATCH;
             let axes = Icosphere::shared().axes.each_ref().map(|axis| &axis[first..first + radii.len()]);
