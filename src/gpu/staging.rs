@@ -11,7 +11,7 @@ pub const PAGE_BYTES: usize = 4096;
 const _: () = assert!(PAGE_BYTES.is_multiple_of(ROW_ALIGNMENT));
 
 /// Most bytes of a part that is uploaded while the device is idle.
-const IDLE_PART_BYTES: usize = 8 << 20;
+const IDLE_PART_BYTES: usize = 4 << 20;
 /// The size of a buffer for such parts is a multiple of this, bytes: frames differ a little in what they need.
 const STEP_BYTES: usize = 4 << 20;
 

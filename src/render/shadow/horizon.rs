@@ -47,7 +47,8 @@ const FARTHEST_M: f32 = 1e9;
 /// Maximum number of grids. Stands in `common/frame.wgsl` too.
 pub const MAX_LEVELS: usize = 12;
 
-/// Maps whose memory later ones use: those of the frames that are planned or in flight.
+/// Maps of squares whose memory later ones use: those of the frames that are planned or in flight. A map of rings is a fraction of the
+/// work of a frame, whose other stages need its memory.
 const MAX_RETIRED: usize = 1;
 
 /// Memory of the grids of earlier maps, those of one at most. One for all threads: they seldom compute maps at the same time.
@@ -122,7 +123,7 @@ impl LastMaps {
 
     fn set(&mut self, source: Source, map: &Arc<HorizonMap>) {
         let before = self.last.replace((source, Arc::clone(map)));
-        self.retired.extend(before.map(|(_, map)| map));
+        self.retired.extend(before.map(|(_, map)| map).filter(|map| map.levels.len() == 1));
         if self.retired.len() > MAX_RETIRED {
             self.retired.remove(0);
         }
@@ -237,6 +238,7 @@ impl HorizonMap {
             std::mem::swap(&mut self.heights_m, &mut grid.heights_m);
         } else {
             self.copy_rows(&columns, &grids);
+            return;
         }
         let mut spare = spare();
         spare.extend(grids.into_iter().map(|grid| grid.heights_m));

@@ -34,7 +34,7 @@ pub(super) const BAND_ROWS: usize = 256;
 /// The map is enlarged in both directions until it is so wide, texels, then by rows: a frame needs some 30 MB.
 const MAX_WIDTH_PX: u32 = 4096;
 /// Rows by which it is enlarged then.
-const ROWS_STEP_PX: u32 = 512;
+const ROWS_STEP_PX: u32 = 128;
 
 /// Which tiles the device's shadow map holds, and where.
 #[derive(Debug, Default)]

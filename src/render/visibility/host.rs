@@ -261,7 +261,7 @@ impl GBufferBand {
         let (first_row, stride) = (rows.start, self.stride);
         for (lane, &index) in indices.iter().enumerate() {
             let triangle = &mesh.triangles[index];
-            if setup8.is_small(lane) && triangle.clipped.is_none() {
+            if setup8.is_small(lane) && triangle.clipped().is_none() {
                 let mut writer = self.writer(mesh, triangle, bins, setup8.interpolants(lane));
                 setup8.fill(simd, lane, first_row, stride, &mut writer);
                 continue;
@@ -283,7 +283,7 @@ impl GBufferBand {
         bins: ShadingBins,
         interpolants: [Interpolant; 4],
     ) -> GBufferWriter<'_> {
-        let bin = mesh.bins[triangle.shadow_sources as usize];
+        let bin = mesh.bins[triangle.shadow_sources()];
         let bin_and_slot = (u32::from(bin) + 1) | (mesh.slot << SLOT_SHIFT);
         let [inverse_w, x, y, z] = interpolants;
         // The sky has no normal.

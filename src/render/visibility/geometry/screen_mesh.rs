@@ -32,11 +32,29 @@ pub struct ScreenTriangle {
     pub face_normal: u32,
     /// First and last row of samples that it may cover.
     pub rows: [u16; 2],
-    /// What can shade it.
-    pub shadow_sources: ShadowSources,
-    /// Of a piece of a clipped triangle, the index in [`ScreenMesh::clipped_interpolants`]: the piece may be too thin to compute
-    /// interpolants from its own corners.
-    pub clipped: Option<u32>,
+    /// What can shade it, by the index in [`ShadowSources::ALL`], in the lowest bits. Above them, of a piece of a clipped triangle, one
+    /// more than its index in [`ScreenMesh::clipped_interpolants`], else 0: the piece may be too thin to compute interpolants from its
+    /// own corners.
+    sources_and_clipped: u32,
+}
+
+/// Bits of the index of the [`ShadowSources`].
+const SOURCES_BITS: u32 = SHADOW_SOURCES.ilog2();
+
+impl ScreenTriangle {
+    /// What can shade it, by the index in [`ShadowSources::ALL`].
+    #[must_use]
+    #[inline(always)]
+    pub const fn shadow_sources(&self) -> usize {
+        self.sources_and_clipped as usize % SHADOW_SOURCES
+    }
+
+    /// Of a piece of a clipped triangle, the index in [`ScreenMesh::clipped_interpolants`].
+    #[must_use]
+    #[inline(always)]
+    pub const fn clipped(&self) -> Option<usize> {
+        (self.sources_and_clipped as usize >> SOURCES_BITS).checked_sub(1)
+    }
 }
 
 /// A mesh on the samples.
@@ -65,8 +83,8 @@ pub struct ScreenMesh {
 impl ScreenMesh {
     /// A mesh for a surface with this many vertices.
     pub(super) fn with_capacity(vertex_capacity: usize) -> Self {
-        // Of a closed surface half of the triangles, as many as there are vertices, are seen.
-        let triangles = Vec::with_capacity(vertex_capacity + vertex_capacity / 4);
+        // Of a closed surface half of the triangles, as many as there are vertices, face the eye.
+        let triangles = Vec::with_capacity(vertex_capacity);
         Self { vertex_capacity, vertices: Vec::with_capacity(vertex_capacity), triangles, ..Self::default() }
     }
 
@@ -91,9 +109,9 @@ impl ScreenMesh {
         vertices: [ScreenVertex; 3],
         setup: &TriangleSetup,
     ) -> [Interpolant; 4] {
-        triangle.clipped.map_or_else(
+        triangle.clipped().map_or_else(
             || setup.interpolants(vertices.map(|v| v.position_px), vertices.map(|v| v.attributes())),
-            |clipped| self.clipped_interpolants[clipped as usize].map(|i| setup.rebase(i)),
+            |clipped| self.clipped_interpolants[clipped].map(|i| setup.rebase(i)),
         )
     }
 
@@ -168,7 +186,7 @@ impl ScreenMesh {
         let Some((vertices, bounds)) = self.front_facing(projection, triangle, cull_mode) else { return };
         if let Some(shadow_sources) = shadow_sources() {
             let face_normal = || packed_face_normal(vertices.map(|corner| vertex(corner).0));
-            self.push(vertices, bounds, shadow_sources, face_normal, None);
+            self.push(vertices, bounds, shadow_sources, face_normal, 0);
         }
     }
 
@@ -209,8 +227,8 @@ impl ScreenMesh {
         if let (Some(interpolants), Some(shadow_sources)) =
             (projection.homogeneous_interpolants(clip_vertices), shadow_sources())
         {
-            let clipped = Some(self.clipped_interpolants.len() as u32);
             self.clipped_interpolants.push(interpolants);
+            let clipped = self.clipped_interpolants.len() as u32;
             let face_normal = || packed_face_normal(triangle.map(|corner| vertex(corner).0));
             for (vertices, bounds) in pieces {
                 self.push(vertices, bounds, shadow_sources, face_normal, clipped);
@@ -247,14 +265,15 @@ impl ScreenMesh {
         PixelBounds { columns, rows }: PixelBounds,
         shadow_sources: ShadowSources,
         face_normal: impl FnOnce() -> u32,
-        clipped: Option<u32>,
+        clipped: u32,
     ) {
         let bounds = &mut self.bounds[shadow_sources as usize];
         *bounds = bounds.union(ScreenBounds::of_samples(columns, rows));
         let face_normal = if shadow_sources.has_rocks() { face_normal() } else { 0 };
         let rows = [rows.0 as u16, rows.1 as u16];
         self.rows = [self.rows[0].min(rows[0]), self.rows[1].max(rows[1])];
-        self.triangles.push(ScreenTriangle { vertices, face_normal, rows, shadow_sources, clipped });
+        let sources_and_clipped = shadow_sources as u32 | clipped << SOURCES_BITS;
+        self.triangles.push(ScreenTriangle { vertices, face_normal, rows, sources_and_clipped });
     }
 }
 
