@@ -1,7 +1,7 @@
 //! From a scene to a frame.
 //!
-//! A frame is planned (`frame_packet`), uploaded (`scene_buffers`), recorded (`Renderer::record_frame`: shadows, visibility,
-//! lighting, resolve, readback, in one function), and post-processed (`raw_frame`). The first and the last step need no device and
+//! A frame is planned (`frame_packet`), uploaded (`scene_buffers`), recorded (`prepared_frame`: shadows, visibility, lighting,
+//! resolve, readback, in one function), and post-processed (`raw_frame`). The first and the last step need no device and
 //! run on any thread; the thread that owns the [`Renderer`] does what lies between. Whether the device or the host rasterises
 //! shadows and visibility is chosen once, in [`Renderer::with_raster`].
 //! Must not know: knobs, files.
