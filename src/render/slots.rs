@@ -1,8 +1,12 @@
 //! Slots: the buffers that belong to one frame in flight.
 //! Must not know: a scene.
 
+use std::time::Instant;
+
+use crate::error::Result;
+use crate::frame::Frame;
 use crate::gpu::Gpu;
-use crate::render::device::timing::Timer;
+use crate::render::device::timing::{Pass, StageTimes, Timer, milliseconds};
 use crate::render::resolve::pass::PackedFrame;
 use crate::render::settings::RenderSettings;
 
@@ -24,6 +28,47 @@ impl Slot {
             timer.map();
         }
     }
+
+    /// Waits for a tile that was submitted and reads it back, with the times of this and of the device's passes.
+    ///
+    /// # Errors
+    /// [`Error::DeviceLost`] or [`Error::Device`]; [`Error::Unlabelled`] if a draw of it was lost.
+    ///
+    /// [`Error::Unlabelled`]: crate::Error::Unlabelled
+    /// [`Error::DeviceLost`]: crate::Error::DeviceLost
+    /// [`Error::Device`]: crate::Error::Device
+    pub(crate) fn read(&self, gpu: &Gpu, tile: &SubmittedTile) -> Result<(Frame, StageTimes)> {
+        gpu.wait(&tile.submission)?;
+        let done = Instant::now();
+        let planes = self.packed.read()?;
+        let read = Instant::now();
+        let mut times = match &self.timer {
+            Some(timer) => timer.read(gpu, &tile.passes)?,
+            None => StageTimes::new(),
+        };
+        let gpu_ms = milliseconds(done - tile.submitted);
+        times.extend([("gpu", gpu_ms), ("readback", milliseconds(read - done))]);
+        Ok((planes, times))
+    }
+}
+
+/// A frame that was submitted.
+#[derive(Debug)]
+pub(crate) enum Submitted {
+    /// The device draws it.
+    Whole(Slot, SubmittedTile),
+    /// It was drawn in tiles, which are read back already.
+    InTiles(Frame),
+}
+
+/// A tile, or a whole frame, that the device draws.
+#[derive(Debug)]
+pub(crate) struct SubmittedTile {
+    pub(crate) submission: wgpu::SubmissionIndex,
+    pub(crate) submitted: Instant,
+    pub(crate) record_ms: f64,
+    /// Passes that the device times.
+    pub(crate) passes: Vec<Pass>,
 }
 
 /// Slots of frames that are not in flight any more. Where frames of several sizes are drawn in turn, each finds its own again.

@@ -18,6 +18,16 @@ pub(crate) fn milliseconds(duration: std::time::Duration) -> f64 {
     duration.as_secs_f64() * 1e3
 }
 
+/// Adds the times of a tile to those of others.
+pub(crate) fn add_times(sum: &mut StageTimes, times: impl IntoIterator<Item = (&'static str, f64)>) {
+    for (stage, ms) in times {
+        match sum.iter_mut().find(|(name, _)| *name == stage) {
+            Some((_, of_stage)) => *of_stage += ms,
+            None => sum.push((stage, ms)),
+        }
+    }
+}
+
 /// The stages that the device can time, in their order.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Pass {

@@ -8,7 +8,7 @@ use crate::error::{Error, Result};
 use crate::frame::{Annotations, Frame};
 use crate::gpu::Gpu;
 use crate::gpu::readback::ReadbackBuffer;
-use crate::render::device::bind_groups::BindLayouts;
+use crate::render::device::bind_groups::{BindLayouts, bind_group};
 use crate::render::device::packing::{Packing, WORKGROUP_SIZE};
 use crate::render::device::planes::{packed_planes, request_override};
 use crate::render::device::shader_programs::RESOLVE;
@@ -102,6 +102,21 @@ impl ResolvePass {
             cache: gpu.pipeline_cache(),
         });
         self.pipelines.push((variant, pipeline));
+    }
+
+    /// Bind group 2 of the pass.
+    pub fn bind_group(
+        gpu: &Gpu,
+        layouts: &BindLayouts,
+        (gbuffer, packed): (&GBuffer, &PackedFrame),
+        nearest: wgpu::BindingResource<'_>,
+    ) -> wgpu::BindGroup {
+        let view = wgpu::BindingResource::TextureView;
+        let lists = [packed.buffer.as_entire_binding(), nearest, packed.tile_list.as_entire_binding()];
+        let planes = gbuffer.planes.iter().map(view);
+        let resources: Vec<_> =
+            [view(&gbuffer.visibility.1)].into_iter().chain(lists).chain(planes).collect();
+        bind_group(gpu, "resolve", &layouts.resolve, &resources)
     }
 
     /// Records the pass.
