@@ -164,7 +164,9 @@ pub fn default_list() -> String {
 pub fn parse_outputs(list: &str) -> Result<Vec<&'static Output>> {
     let words: Vec<&str> = list.split(',').map(str::trim).filter(|word| !word.is_empty()).collect();
     if words.is_empty() {
-        return Err(Error::Usage("--outputs is empty; name at least one, or leave it out".to_owned()));
+        return Err(Error::Usage(
+            "the list of outputs is empty; name at least one, or leave it out".to_owned(),
+        ));
     }
     let known = || OUTPUTS.iter().map(|output| output.name);
     if let Some(unknown) = words.iter().find(|word| **word != "all" && !known().any(|name| name == **word)) {

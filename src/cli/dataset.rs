@@ -273,8 +273,9 @@ fn merge(args: &DatasetArgs, messages: Messages) -> Result<()> {
     match finalized.missing.as_slice() {
         [] => Ok(()),
         missing => Err(Error::CheckFailed(format!(
-            "{} frames are missing from {}: {}. Make them with their --shard, or copy the other shards into the folder",
+            "{} {} missing from {}: {}. Make them with their --shard, or copy the other shards into the folder",
             missing.len(),
+            if missing.len() == 1 { "frame is" } else { "frames are" },
             args.out.display(),
             abbreviated(missing)
         ))),
