@@ -455,7 +455,7 @@ pub fn sweep(name: &str, setup: &Setup) -> Result<(&'static str, Vec<(f64, Setup
             "frames in flight"
         }
         _ => {
-            let cores = std::thread::available_parallelism().map_or(1, usize::from);
+            let cores = dataset::cores();
             for threads in (0..).map(|power| 1_usize << power).take_while(|threads| *threads <= 2 * cores) {
                 with(threads as f64, &|setup| {
                     setup.concurrency.threads = Some(threads);

@@ -40,5 +40,5 @@ pub mod verify;
 mod work_queue;
 
 pub use frame_stream::{FrameInMemory, FrameStream, render_in_memory};
-pub use pipeline::{Concurrency, render_frames};
+pub use pipeline::{Concurrency, cores, render_frames};
 pub use run::{Progress, run, stream};

@@ -10,7 +10,7 @@ use regolith::dataset::attempt::build_scene;
 use regolith::dataset::frame_stream::render_scene;
 use regolith::dataset::plan::{MAX_FRAMES, Plan, Seeds};
 use regolith::dataset::rules::Rules;
-use regolith::dataset::{Concurrency, FrameStream};
+use regolith::dataset::{Concurrency, FrameStream, cores};
 use regolith::gpu::Gpu;
 use regolith::gpu::adapter;
 use regolith::output;
@@ -291,8 +291,4 @@ impl Drop for Frames {
             Python::attach(|py| py.detach(|| drop(stream)));
         }
     }
-}
-
-fn cores() -> usize {
-    std::thread::available_parallelism().map_or(1, usize::from)
 }

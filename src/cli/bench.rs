@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 
 use crate::bench::{self, Case, Curve, Measured, SWEEPS, Setup};
-use crate::dataset::Concurrency;
 use crate::dataset::plan::Plan;
 use crate::dataset::rules::Rules;
+use crate::dataset::{Concurrency, cores};
 use crate::error::{Error, Result};
 use crate::output::{self, Artifact, disk};
 use crate::params::Knob;
@@ -16,7 +16,7 @@ use serde_json::{Map, Value, json};
 use super::args::{ConfigArgs, DEFAULT_SEED, DeviceArgs, ImageArgs, whole_number};
 use super::device;
 use super::messages::{Messages, print};
-use super::process::{cores, stop_on_signals};
+use super::process::stop_on_signals;
 
 #[derive(Args, Debug)]
 pub(super) struct BenchArgs {

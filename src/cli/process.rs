@@ -16,11 +16,6 @@ const SIGNAL_STATUS: i32 = 128;
 /// The signal on which the command is stopping; 0 if there was none.
 static RECEIVED: AtomicI32 = AtomicI32::new(0);
 
-/// Number of cores that the process may use.
-pub(super) fn cores() -> usize {
-    std::thread::available_parallelism().map_or(1, usize::from)
-}
-
 /// A flag that is set by Ctrl-C and by the signals that ask a process to end; a second one ends it at once.
 pub(super) fn stop_on_signals(messages: Messages) -> Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));

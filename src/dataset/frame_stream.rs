@@ -14,7 +14,7 @@ use serde_json::{Map, Value};
 
 use super::attempt::{self, FrameScene, RenderCost, RenderedFrame, build_scene};
 use super::in_order::InOrder;
-use super::pipeline::{Concurrency, Job, milliseconds_json, record, run_job};
+use super::pipeline::{Concurrency, Job, cores, milliseconds_json, record, run_job};
 use super::plan::Plan;
 use crate::error::{Error, Result};
 use crate::output::arrays::{Array, arrays};
@@ -196,8 +196,7 @@ impl FrameStream {
         // A pool of its own: the parallel loops of a frame wait for no other work, and in a process that was forked the threads of the
         // common pool do not exist.
         let work = move || {
-            // 0: one for each core.
-            let threads = concurrency.threads.unwrap_or(0);
+            let threads = concurrency.threads.unwrap_or_else(cores);
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).use_current_thread();
             match pool.build() {
                 Ok(pool) => pool.install(make),

@@ -72,7 +72,7 @@ impl Concurrency {
     #[must_use]
     pub fn workers(self, is_software_adapter: bool) -> usize {
         self.threads.unwrap_or_else(|| {
-            let cores = std::thread::available_parallelism().map_or(1, usize::from);
+            let cores = cores();
             if is_software_adapter { cores.div_ceil(CORES_PER_WORKER) } else { cores }
         })
     }
@@ -86,6 +86,12 @@ impl Concurrency {
         let is_one = is_busy && !plan.config.stages().contains(&Stage::Nominal);
         self.frames_in_flight.unwrap_or(if is_one { 1 } else { FRAMES_IN_FLIGHT })
     }
+}
+
+/// Number of cores that the process may use.
+#[must_use]
+pub fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
 }
 
 /// Which frames a pipeline makes, and how.

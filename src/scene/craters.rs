@@ -300,8 +300,7 @@ impl PitLattice {
     #[inline(always)]
     fn pit(&self, [x, y]: [i32; 2], fresh_share: f32, is_wanted: impl Fn(Vec2, f32) -> bool) -> Option<Pit> {
         let lattice = &self.lattice;
-        let (cell_x, cell_y) = (lattice.base[0].wrapping_add(x), lattice.base[1].wrapping_add(y));
-        let first = lattice_hash(cell_x, cell_y, 0, lattice.seed);
+        let first = self.first_hash([x, y]);
         let fraction = |bits: u32, count: u32| bits as f32 / (1_u32 << count) as f32;
         if !self.has_pit(first) {
             return None;

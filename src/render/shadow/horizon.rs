@@ -51,7 +51,7 @@ pub const MAX_LEVELS: usize = 12;
 /// work of a frame, whose other stages need its memory.
 const MAX_RETIRED: usize = 1;
 
-/// Memory of the grids of earlier maps, those of one at most. One for all threads: they seldom compute maps at the same time.
+/// Memory of the grids of earlier maps of squares. One for all threads: they seldom compute maps at the same time.
 static SPARE: Mutex<Vec<Vec<Limbs>>> = Mutex::new(Vec::new());
 
 /// The map: its grids, the finest first. Computed in place, for its memory.
