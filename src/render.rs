@@ -54,7 +54,7 @@ use resolve::pass::ResolvePass;
 use scene_buffers::SceneBuffers;
 use select::tiles::ImageTile;
 use shadow::ShadowBackend;
-use slots::{Slot, SlotPool, Submitted, SubmittedTile};
+use slots::{Slot, SlotPool, Submission, TileSubmission};
 use tiling::{TileLimits, TiledFrame};
 use visibility::{VisibilityBackend, VisibilityInputs};
 
@@ -77,7 +77,7 @@ struct PreparedFrame {
 #[derive(Debug)]
 pub struct InFlight {
     request: FrameRequest,
-    submitted: Submitted,
+    submission: Submission,
     /// Times of the stages up to the submission.
     times: StageTimes,
     /// How much was drawn and uploaded for it.
@@ -273,10 +273,10 @@ impl Renderer {
         };
         self.last_cost = cost;
         self.gbuffers.keep(gbuffer);
-        let submitted = match in_tiles {
+        let submission = match in_tiles {
             None => {
                 times.push(("record", tile.record_ms));
-                Submitted::Whole(slot, tile)
+                Submission::Whole(slot, tile)
             }
             Some((drawn, tile_times)) => {
                 times.extend(tile_times);
@@ -284,10 +284,10 @@ impl Renderer {
                 if self.draws_small_tiles() {
                     self.slots.keep(slot);
                 }
-                Submitted::InTiles(drawn)
+                Submission::InTiles(drawn)
             }
         };
-        Ok(InFlight { request, submitted, times, cost })
+        Ok(InFlight { request, submission, times, cost })
     }
 
     /// Times of the host backends.
@@ -296,7 +296,7 @@ impl Renderer {
         stages.into_iter().filter_map(|(name, ms)| Some((name, ms?))).collect()
     }
 
-    /// Whether a frame is drawn in small tiles: with a CPU driver, whose memory is the process's, where no other frame could be drawn while
+    /// Whether a frame is drawn in small tiles: with a software adapter, whose memory is the process's, where no other frame could be drawn while
     /// this one is read back, and where the host rasterises the tiles, which then have every bit of the whole frame.
     fn draws_small_tiles(&self) -> bool {
         self.staging.device_is_idle
@@ -310,7 +310,7 @@ impl Renderer {
         &mut self,
         (settings, image_size): (&RenderSettings, [u32; 2]),
         frame: &mut PreparedFrame,
-        tile: &mut SubmittedTile,
+        tile: &mut TileSubmission,
     ) -> Result<(Frame, StageTimes)> {
         let mut whole = TiledFrame::new(image_size);
         let mut times = StageTimes::new();
@@ -329,18 +329,18 @@ impl Renderer {
     }
 
     /// Records and submits a tile, the first of a frame with the frame's shadows.
-    fn submit_tile(&self, frame: &PreparedFrame, is_first: bool) -> Result<SubmittedTile> {
+    fn submit_tile(&self, frame: &PreparedFrame, is_first: bool) -> Result<TileSubmission> {
         let submitted = Instant::now();
-        let submission = self.gpu.guard(|| {
+        let index = self.gpu.guard(|| {
             let descriptor = wgpu::CommandEncoderDescriptor { label: Some("frame") };
             let mut encoder = self.gpu.device.create_command_encoder(&descriptor);
             self.record_frame(&mut encoder, frame, is_first);
-            let submission = self.gpu.queue.submit([encoder.finish()]);
+            let index = self.gpu.queue.submit([encoder.finish()]);
             frame.slot.map();
-            submission
+            index
         })?;
         let (record_ms, passes) = (milliseconds(submitted.elapsed()), self.device_passes(is_first));
-        Ok(SubmittedTile { submission, submitted, record_ms, passes })
+        Ok(TileSubmission { index, submitted, record_ms, passes })
     }
 
     /// Uploads a plan, rasterises what is the host's part of its first tile, and compiles the pipelines that are missing.
@@ -481,10 +481,10 @@ impl Renderer {
     /// [`Error::DeviceLost`]: crate::Error::DeviceLost
     /// [`Error::Device`]: crate::Error::Device
     pub fn read_back(&mut self, in_flight: InFlight) -> Result<RawFrame> {
-        let InFlight { request, submitted, mut times, .. } = in_flight;
-        let frame = match submitted {
-            Submitted::InTiles(frame) => frame,
-            Submitted::Whole(slot, tile) => {
+        let InFlight { request, submission, mut times, .. } = in_flight;
+        let frame = match submission {
+            Submission::InTiles(frame) => frame,
+            Submission::Whole(slot, tile) => {
                 let (frame, device_times) = slot.read(&self.gpu, &tile)?;
                 times.extend(device_times);
                 self.slots.keep(slot);

@@ -37,8 +37,8 @@ class Renderer:
     adapter: a part of an adapter's name (`rr.adapters()`), or `cpu`; the best one without it.
     raster: where triangles are rasterised: `auto`, `device` or `host`.
     edges: `hard`, or `ignore:N` for 255 in the mask within N pixels of another class.
-    threads: how many build scenes, 1 to 256; without it one for each core, or with a CPU driver, which draws on the same cores, one for
-        every two.
+    threads: how many build scenes, 1 to 256; without it one for each core, or with a software adapter, which draws on the same cores,
+        one for every two.
 
     Raises ConfigError for a wrong setting, FileNotFoundError for a missing file of knobs; opening the device raises NoAdapterError if there
     is none of that name, and DeviceError if its driver fails.

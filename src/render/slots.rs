@@ -37,8 +37,8 @@ impl Slot {
     /// [`Error::Unlabelled`]: crate::Error::Unlabelled
     /// [`Error::DeviceLost`]: crate::Error::DeviceLost
     /// [`Error::Device`]: crate::Error::Device
-    pub(crate) fn read(&self, gpu: &Gpu, tile: &SubmittedTile) -> Result<(Frame, StageTimes)> {
-        gpu.wait(&tile.submission)?;
+    pub(crate) fn read(&self, gpu: &Gpu, tile: &TileSubmission) -> Result<(Frame, StageTimes)> {
+        gpu.wait(&tile.index)?;
         let done = Instant::now();
         let planes = self.packed.read()?;
         let read = Instant::now();
@@ -52,19 +52,19 @@ impl Slot {
     }
 }
 
-/// A frame that was submitted.
+/// The submission of a frame.
 #[derive(Debug)]
-pub(crate) enum Submitted {
+pub(crate) enum Submission {
     /// The device draws it.
-    Whole(Slot, SubmittedTile),
+    Whole(Slot, TileSubmission),
     /// It was drawn in tiles, which are read back already.
     InTiles(Frame),
 }
 
-/// A tile, or a whole frame, that the device draws.
+/// The submission of a tile, or of a whole frame, that the device draws.
 #[derive(Debug)]
-pub(crate) struct SubmittedTile {
-    pub(crate) submission: wgpu::SubmissionIndex,
+pub(crate) struct TileSubmission {
+    pub(crate) index: wgpu::SubmissionIndex,
     pub(crate) submitted: Instant,
     pub(crate) record_ms: f64,
     /// Passes that the device times.
