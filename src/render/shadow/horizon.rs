@@ -19,7 +19,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use glam::Vec2;
 
 use self::heightfield::Heightfield;
-use self::sweep::{HorizonGrid, Limbs, SweepLattice};
+use self::sweep::{HorizonGrid, Limbs, SweepLattice, SweepRegion};
 use crate::render::device::shader_structs::HorizonLevel;
 use crate::render::select::caster_grid::ShadowedGround;
 use crate::render::select::footprint::Footprint;
@@ -34,6 +34,11 @@ const SAMPLES_PER_RING_CELL: f32 = 2.4;
 const MAX_SAMPLES: u32 = 2048;
 /// Maximum rows of the image of several grids: as many as a texture has on every device.
 const MAX_ROWS: usize = 2048;
+/// Maximum columns and rows of it where a single grid, or all of them, have more: those of a texture on every device with WebGPU's
+/// default limits.
+const MAX_SIDE: usize = 8192;
+/// Where the image would be larger, the steps of all grids grow by this factor until it is not.
+const COARSENING: f32 = 1.25;
 /// Distance that the finest grid over rings serves, metres.
 const FINEST_M: f32 = 5.0;
 /// How far ground may stand out of what a coarser grid knows of it, steps of the grid: the sweep of a finer grid starts so far
@@ -75,13 +80,92 @@ pub struct HorizonMap {
     heightfield: Arc<Heightfield>,
 }
 
-/// A column of the image of a map: grids one below the other.
+/// A column of the image of a map: grids one below the other, each row padded to the widest.
 #[derive(Clone, Copy, Debug, Default)]
 struct GridColumn {
     first_texel: usize,
     width: usize,
     rows: usize,
     grids: usize,
+}
+
+/// Where the grids lie in the image of a map: in columns of at most [`MAX_ROWS`], or of a single grid.
+#[derive(Debug, Default)]
+struct ImageLayout {
+    columns: Vec<GridColumn>,
+    /// First column and row of each grid.
+    corners: Vec<[usize; 2]>,
+}
+
+impl ImageLayout {
+    /// The layout of grids of these columns and rows.
+    fn new(sizes: impl Iterator<Item = [usize; 2]>) -> Self {
+        let mut layout = Self::default();
+        for [width, rows] in sizes {
+            let columns = &mut layout.columns;
+            if columns.last().is_none_or(|column| column.rows + rows > MAX_ROWS) {
+                let first_texel = columns.last().map_or(0, |column| column.first_texel + column.width);
+                columns.push(GridColumn { first_texel, ..GridColumn::default() });
+            }
+            let column = columns.last_mut().expect("pushed");
+            layout.corners.push([column.first_texel, column.rows]);
+            column.width = column.width.max(width);
+            column.rows += rows;
+            column.grids += 1;
+        }
+        layout
+    }
+
+    /// Whether every device has textures as large as the image.
+    fn fits(&self) -> bool {
+        let width: usize = self.columns.iter().map(|column| column.width).sum();
+        width <= MAX_SIDE && self.columns.iter().all(|column| column.rows <= MAX_SIDE)
+    }
+}
+
+/// A grid that is still to be computed.
+struct PlannedGrid<'a> {
+    lattice: SweepLattice<'a>,
+    region: SweepRegion,
+    /// As many steps towards the sun as ground that stands out of the coarser grid casts shadows.
+    beyond: usize,
+}
+
+/// The grids of a map, the finest first. Points up to `base_m` away have the first of these steps between samples, up to twice as far away
+/// the second, and so on; longer ones where the image would not fit into a texture.
+fn plan_grids<'a>(
+    (terrain, heightfield): (&'a Terrain, Option<&'a Heightfield>),
+    (sun, towards): (&Sun, Vec2),
+    (base_m, mut steps_m): (f32, Vec<f32>),
+    footprint: &Footprint,
+) -> Vec<PlannedGrid<'a>> {
+    loop {
+        let planned = grids_of_steps((terrain, heightfield), (sun, towards), (base_m, &steps_m), footprint);
+        if ImageLayout::new(planned.iter().map(|grid| grid.region.size())).fits() {
+            return planned;
+        }
+        steps_m.iter_mut().for_each(|step_m| *step_m *= COARSENING);
+    }
+}
+
+/// The grids with exactly these steps.
+fn grids_of_steps<'a>(
+    (terrain, heightfield): (&'a Terrain, Option<&'a Heightfield>),
+    (sun, towards): (&Sun, Vec2),
+    (base_m, steps_m): (f32, &[f32]),
+    footprint: &Footprint,
+) -> Vec<PlannedGrid<'a>> {
+    let plan = |(level, &step_m): (usize, &f32)| {
+        let lattice = SweepLattice::new(terrain, heightfield, sun, towards, step_m);
+        let end_m = if steps_m.len() == 1 { FARTHEST_M } else { base_m * (1_u32 << level) as f32 };
+        let beyond = (DETAIL_STEPS * step_m / lattice.fall_m[0].max(1e-6)).min(MAX_BEYOND).ceil();
+        // The sweep of the next finer grid starts beyond its own span and samples this grid there.
+        let finer_m = level.checked_sub(1).map_or(0.0, |finer| beyond * steps_m[finer]);
+        let margin = if level == 0 { 0.0 } else { (finer_m / step_m).ceil() + 2.0 };
+        let region = lattice.region(&footprint.within(terrain.centre, end_m), margin);
+        PlannedGrid { lattice, region, beyond: beyond as usize }
+    };
+    steps_m.iter().enumerate().map(plan).collect()
 }
 
 /// The map that was computed last, for as long as neither ground nor sun change, and the memory of those before. One for any number
@@ -185,20 +269,13 @@ impl HorizonMap {
             Heightfield::update_shared(&mut self.heightfield, terrain, steps_m[0]);
         }
         let heightfield = is_square.then_some(&*self.heightfield);
+        let planned = plan_grids((terrain, heightfield), (sun, towards), (base_m, steps_m), footprint);
         let mut grids: Vec<HorizonGrid> = Vec::new();
-        for (level, &step_m) in steps_m.iter().enumerate().rev() {
-            let lattice = SweepLattice::new(terrain, heightfield, sun, towards, step_m);
-            let end_m = if steps_m.len() == 1 { FARTHEST_M } else { base_m * (1_u32 << level) as f32 };
-            // As many steps towards the sun as ground that stands out of the coarser grid casts shadows.
-            let beyond = (DETAIL_STEPS * step_m / lattice.fall_m[0].max(1e-6)).min(MAX_BEYOND).ceil();
-            // The sweep of the next finer grid starts beyond its own span and samples this grid there.
-            let finer_m = level.checked_sub(1).map_or(0.0, |finer| beyond * steps_m[finer]);
-            let margin = if level == 0 { 0.0 } else { (finer_m / step_m).ceil() + 2.0 };
-            let region = lattice.region(&footprint.within(terrain.centre, end_m), margin);
+        for PlannedGrid { lattice, region, beyond } in planned.iter().rev() {
             let memory = spare().pop().unwrap_or_default();
             let grid = match grids.last() {
-                None => lattice.sweep_coarsest(&region, memory),
-                Some(coarser) => lattice.sweep_finer(&region, memory, coarser, beyond as usize),
+                None => lattice.sweep_coarsest(region, memory),
+                Some(coarser) => lattice.sweep_finer(region, memory, coarser, *beyond),
             };
             grids.push(grid);
         }
@@ -207,28 +284,17 @@ impl HorizonMap {
         self.arrange(grids);
     }
 
-    /// Arranges the grids in one image: one below the other in columns of at most [`MAX_ROWS`], each row padded to the widest of its
-    /// column.
+    /// Arranges the grids in one image.
     fn arrange(&mut self, mut grids: Vec<HorizonGrid>) {
+        let ImageLayout { columns, corners } = ImageLayout::new(grids.iter().map(|grid| grid.size));
         self.levels.clear();
-        let mut columns: Vec<GridColumn> = Vec::new();
-        for grid in &grids {
-            if columns.last().is_none_or(|column| column.rows + grid.size[1] > MAX_ROWS) {
-                let first_texel = columns.last().map_or(0, |column| column.first_texel + column.width);
-                columns.push(GridColumn { first_texel, ..GridColumn::default() });
-            }
-            let column = columns.last_mut().expect("pushed");
-            self.levels.push(HorizonLevel {
-                origin: grid.origin,
-                step_m: grid.step_m,
-                first_texel: (column.first_texel | column.rows << 16) as u32,
-                size: grid.size.map(|side| side as u32),
-                first_sample: grid.first,
-            });
-            column.width = column.width.max(grid.size[0]);
-            column.rows += grid.size[1];
-            column.grids += 1;
-        }
+        self.levels.extend(grids.iter().zip(corners).map(|(grid, [column, row])| HorizonLevel {
+            origin: grid.origin,
+            step_m: grid.step_m,
+            first_texel: (column | row << 16) as u32,
+            size: grid.size.map(|side| side as u32),
+            first_sample: grid.first,
+        }));
         self.width = columns.iter().map(|column| column.width).sum::<usize>() as u32;
         self.shadowed.clear();
         for grid in &grids {
@@ -393,5 +459,23 @@ mod tests {
         let other = cache.map(&Arc::new(Terrain::clone(&terrain)), &low_sun, &part(0.0));
         assert!(!Arc::ptr_eq(&other, &of_low_sun), "another ground");
         assert!(other.heights_m == of_low_sun.heights_m);
+    }
+
+    #[test]
+    fn the_image_of_fine_ground_fits_into_a_texture() {
+        let mut config = crate::params::config::Config::default();
+        config.apply_set("stage.name=surface").expect("a knob");
+        config.apply_set("terrain.cell_mrad=2").expect("a knob");
+        let scene = crate::scene::Scene::build(3, &config.draw(3).expect("knobs")).expect("a scene");
+        let (terrain, towards) = (&*scene.terrain, Vec2::Y);
+        let (base_m, steps_m) = level_steps_m(terrain, towards);
+        let layout =
+            |grids: &[PlannedGrid<'_>]| ImageLayout::new(grids.iter().map(|grid| grid.region.size()));
+        let footprint = whole(terrain);
+        let too_large =
+            grids_of_steps((terrain, None), (&scene.sun, towards), (base_m, &steps_m), &footprint);
+        assert!(!layout(&too_large).fits());
+        let grids = plan_grids((terrain, None), (&scene.sun, towards), (base_m, steps_m), &footprint);
+        assert!(layout(&grids).fits() && grids.len() == too_large.len());
     }
 }

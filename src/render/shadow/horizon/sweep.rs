@@ -56,6 +56,13 @@ pub(super) struct SweepRegion {
     spans: Vec<Range<usize>>,
 }
 
+impl SweepRegion {
+    /// Columns and rows.
+    pub(super) fn size(&self) -> [usize; 2] {
+        [self.columns.len(), self.rows.len()]
+    }
+}
+
 /// One level of the horizon map while it is made: a part of a lattice.
 pub(super) struct HorizonGrid {
     /// Position that samples are counted from, world, metres.
