@@ -296,6 +296,8 @@ knobs! {
         "Grain of film: standard deviation of the density of a pixel of the sensor where the density is 1; 0 for none.";
     SensorHalation "sensor.halation" "" Number, Frame, number(0.0), [0.0, 0.2],
         "Halation of film: part of the light that its base reflects into a halo around highlights; 0 for none.";
+    SensorStretch "sensor.stretch" "" Number, Frame, number(0.0), [0.0, 0.1],
+        "Contrast stretch, as published images have it: fraction of the pixels that becomes black, and as many white; 0 for none (0.005 to 0.02 is usual).";
     SensorJpegQuality "sensor.jpeg_quality" "" Integer, Frame, number(0.0), [0.0, 100.0],
         "Quality of a JPEG compression of the image, whose losses it then has; 0 for none.";
     SkyStarCount "sky.star_count" "" Integer, Frame, number(220.0), [0.0, 20_000.0],

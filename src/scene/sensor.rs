@@ -52,6 +52,8 @@ pub struct Sensor {
     pub grain: f64,
     /// Part of the light that the base of film reflects into a halo around highlights.
     pub halation: f64,
+    /// Contrast stretch: fraction of the pixels of the image that becomes black, and as many white; 0 for none.
+    pub stretch: f64,
     /// Quality of the JPEG compression of the image, 1 to 100; 0 for none.
     pub jpeg_quality: u32,
     /// Seed of this frame's noise.
@@ -85,6 +87,7 @@ impl Sensor {
             bits: params.count(Knob::SensorBits),
             grain: number(Knob::SensorGrain),
             halation: number(Knob::SensorHalation),
+            stretch: number(Knob::SensorStretch),
             jpeg_quality: params.count(Knob::SensorJpegQuality),
             noise_seed: streams.stream("sensor.noise", 0).bits(),
         };
@@ -131,6 +134,7 @@ impl Sensor {
             bits: 14,
             width_px: 0,
             gain_max_ev: 4.0,
+            stretch: 0.0,
             jpeg_quality: 0,
             grain: 0.0,
             halation: 0.0,

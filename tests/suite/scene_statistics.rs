@@ -235,7 +235,7 @@ fn every_knob_changes_the_frame() {
                 "sensor.kind" => "mono",
                 "rover.kind" => "rover",
                 "rover.visible" | "tracks.own" => "yes",
-                "sky.earthshine" | "tracks.depth_m" => "0.05",
+                "sky.earthshine" | "tracks.depth_m" | "sensor.stretch" => "0.05",
                 "tracks.count" => "2",
                 "tracks.distance_m" => "4",
                 "tracks.grouser_m" => "0.02",

@@ -2,7 +2,7 @@
 //!
 //! In the order of the light: exposure, veiling glare, vignetting, halation; then at the resolution of the sensor point spread function,
 //! colour filter array, grain, shot noise, read noise, quantisation, demosaicing, black level, encoding; then the reduction to the image
-//! and its compression. The sensor is the linear model of EMVA 1288 (release 4.0), with PRNU and DSNU as its fixed pattern. Labels are
+//! and its contrast stretch and compression. The sensor is the linear model of EMVA 1288 (release 4.0), with PRNU and DSNU as its fixed pattern. Labels are
 //! not affected: nothing here moves anything in the image.
 //! Every random number is a hash of pixel and frame, so that the same frame is the same to the bit for any number of threads.
 //! Must not know: wgpu.
@@ -17,6 +17,7 @@ mod optics;
 mod readout;
 mod recorder;
 mod resampling;
+mod stretch;
 
 use glam::Vec3;
 use half::slice::HalfFloatSliceExt;
@@ -62,14 +63,32 @@ pub fn expose(frame: &mut Frame, sensor: &Sensor, exposure_ev: f32, sun: Option<
     if sensor.halation > 0.0 {
         channels.iter_mut().for_each(|channel| film::add_halation(channel, size, sensor.halation));
     }
-    let recorder = Recorder::new(sensor, &channels, size);
-    let rows = recorder.band_rows();
-    let bands = frame.rgb.par_chunks_mut(3 * width * rows).enumerate();
-    bands.for_each(|(band, rgb)| recorder.record(band * rows, rgb));
+    record((&mut frame.rgb, &frame.class), sensor, &channels, size);
     if sensor.jpeg_quality > 0 {
         jpeg::compress(&mut frame.rgb, size, sensor.jpeg_quality);
     }
     channels
+}
+
+/// Writes the 8-bit image of `size` columns and rows that a sensor makes of the light of its channels.
+fn record(
+    (rgb, classes): (&mut [u8], &[u8]),
+    sensor: &Sensor,
+    channels: &[Vec<f32>],
+    size @ [width, _]: [usize; 2],
+) {
+    let recorder = Recorder::new(sensor, channels, size);
+    let rows = recorder.band_rows();
+    let band_len = 3 * width * rows;
+    if sensor.stretch > 0.0 {
+        let mut levels = vec![0; rgb.len()];
+        let bands = levels.par_chunks_mut(band_len).enumerate();
+        bands.for_each(|(band, levels)| recorder.record(band * rows, levels, stretch::fine_level));
+        stretch::stretch(&levels, classes, sensor.stretch, rgb);
+    } else {
+        let bands = rgb.par_chunks_mut(band_len).enumerate();
+        bands.for_each(|(band, rgb)| recorder.record(band * rows, rgb, |value| (value + 0.5) as u8));
+    }
 }
 
 /// The radiance of a frame in each channel that the filters of a sensor pass.
@@ -257,9 +276,9 @@ mod tests {
             let channels = spectral_channels(&edge_chart(60), mosaic);
             let recorder = Recorder::new(&sensor, &channels, [60, 60]);
             let [mut whole, mut bands] = [(); 2].map(|()| vec![0; 3 * 60 * 60]);
-            recorder.record(0, &mut whole);
+            recorder.record(0, &mut whole, stretch::fine_level);
             for (band, rgb) in bands.chunks_mut(3 * 60 * 7).enumerate() {
-                recorder.record(band * 7, rgb);
+                recorder.record(band * 7, rgb, stretch::fine_level);
             }
             assert!(whole == bands, "{mosaic:?}, {width_px}");
         }

@@ -66,8 +66,8 @@ impl<'a> Recorder<'a> {
         (BAND_ROWS * self.image[1] / self.size[1]).max(1)
     }
 
-    /// Writes the 8-bit pixels of rows of the image, from row `first` on.
-    pub(super) fn record(&self, first: usize, rgb: &mut [u8]) {
+    /// Writes the pixels of rows of the image, from row `first` on: red, green and blue of each, by `code` of the encoded value, 0 to 255.
+    pub(super) fn record<T: Copy>(&self, first: usize, rgb: &mut [T], code: impl Fn(f32) -> T) {
         let (width, height) = (self.size[0], self.size[1]);
         let image_width = self.image[0];
         let rows = rgb.len() / (3 * image_width);
@@ -88,7 +88,7 @@ impl<'a> Recorder<'a> {
                 self.reduction.resample(sums, &mut reduced);
                 let last = if planes == 1 { 3 } else { 1 };
                 for (rgb, value) in rgb.chunks_exact_mut(3).zip(&reduced) {
-                    rgb[plane..plane + last].fill((value + 0.5) as u8);
+                    rgb[plane..plane + last].fill(code(*value));
                 }
             }
         }
