@@ -11,9 +11,14 @@ use crate::support::{BACKENDS, folder, json, render_by, renderer, run_ok};
 const SIDE: u32 = 320;
 /// Values of the 8-bit image by which a rock's mean or texture must differ from its surroundings to be seen.
 const VISIBLE_U8: f64 = 2.0;
-/// A high sun behind the camera, and rocks as bright as the soil.
-const OPPOSITION: [&str; 4] =
-    ["sun.elevation_deg=40", "sun.azimuth_deg=180", "camera.yaw_deg=0", "rocks.albedo_ratio=1"];
+/// A high sun behind the camera, rocks as bright as the soil, and no contrast stretch.
+const OPPOSITION: [&str; 5] = [
+    "sun.elevation_deg=40",
+    "sun.azimuth_deg=180",
+    "camera.yaw_deg=0",
+    "rocks.albedo_ratio=1",
+    "sensor.stretch=0",
+];
 
 fn preset_scene(preset: &str, seed: u64, set: &[&str]) -> Scene {
     let mut config = Config::new();
@@ -116,7 +121,9 @@ fn training_presets_label_no_rock_that_nobody_can_see() {
     for (preset, set, [share_max, of_all_min]) in [
         ("surface_train_dr", &[][..], [0.01, 0.0]),
         // A sensor of more pixels than the image has less noise.
-        ("surface_train_full", &[][..], [0.01, 0.004]),
+        ("surface_train_full", &[][..], [0.01, 0.0]),
+        // A contrast stretch shows more.
+        ("surface_train_full", &["sensor.stretch=0"][..], [0.01, 0.004]),
         // The lowest sun that the preset draws: shadows are long.
         ("surface_train_full", &["sun.elevation_deg=5"][..], [0.01, 0.01]),
     ] {
