@@ -1,9 +1,9 @@
 //! The camera's optics and sensor: from the linear radiance of a frame to the 8-bit image of a real camera.
 //!
 //! In the order of the light: exposure, veiling glare, vignetting, halation; then at the resolution of the sensor point spread function,
-//! colour filter array, grain, shot noise, read noise, quantisation, demosaicing, black level, encoding; then the reduction to the image
-//! and its contrast stretch and compression. The sensor is the linear model of EMVA 1288 (release 4.0), with PRNU and DSNU as its fixed pattern. Labels are
-//! not affected: nothing here moves anything in the image.
+//! colour filter array, grain, shot noise, read noise, quantisation, demosaicing, black level, encoding; then the reduction to the image,
+//! its contrast stretch and its compression. The sensor is the linear model of EMVA 1288 (release 4.0), with PRNU and DSNU as its fixed
+//! pattern. Labels are not affected: nothing here moves anything in the image.
 //! Every random number is a hash of pixel and frame, so that the same frame is the same to the bit for any number of threads.
 //! Must not know: wgpu.
 

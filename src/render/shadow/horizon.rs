@@ -34,8 +34,7 @@ const SAMPLES_PER_RING_CELL: f32 = 2.4;
 const MAX_SAMPLES: u32 = 2048;
 /// Maximum rows of the image of several grids: as many as a texture has on every device.
 const MAX_ROWS: usize = 2048;
-/// Maximum columns and rows of it where a single grid, or all of them, have more: those of a texture on every device with WebGPU's
-/// default limits.
+/// Maximum columns of it, and rows where a single grid has more: as many as a texture has with WebGPU's default limits.
 const MAX_SIDE: usize = 8192;
 /// Where the image would be larger, the steps of all grids grow by this factor until it is not.
 const COARSENING: f32 = 1.25;
@@ -116,7 +115,7 @@ impl ImageLayout {
         layout
     }
 
-    /// Whether every device has textures as large as the image.
+    /// Whether a texture can hold the image.
     fn fits(&self) -> bool {
         let width: usize = self.columns.iter().map(|column| column.width).sum();
         width <= MAX_SIDE && self.columns.iter().all(|column| column.rows <= MAX_SIDE)
