@@ -10,6 +10,7 @@
 mod demosaic;
 mod encoding;
 mod film;
+mod histogram;
 mod jpeg;
 mod metering;
 mod noise;

@@ -115,10 +115,14 @@ impl ImageLayout {
         layout
     }
 
+    /// Columns of the image.
+    fn width(&self) -> usize {
+        self.columns.iter().map(|column| column.width).sum()
+    }
+
     /// Whether a texture can hold the image.
     fn fits(&self) -> bool {
-        let width: usize = self.columns.iter().map(|column| column.width).sum();
-        width <= MAX_SIDE && self.columns.iter().all(|column| column.rows <= MAX_SIDE)
+        self.width() <= MAX_SIDE && self.columns.iter().all(|column| column.rows <= MAX_SIDE)
     }
 }
 
@@ -130,18 +134,19 @@ struct PlannedGrid<'a> {
     beyond: usize,
 }
 
-/// The grids of a map, the finest first. Points up to `base_m` away have the first of these steps between samples, up to twice as far away
+/// The grids of a map, the finest first, and their image. Points up to `base_m` away have the first of these steps between samples, up to twice as far away
 /// the second, and so on; longer ones where the image would not fit into a texture.
 fn plan_grids<'a>(
     (terrain, heightfield): (&'a Terrain, Option<&'a Heightfield>),
     (sun, towards): (&Sun, Vec2),
     (base_m, mut steps_m): (f32, Vec<f32>),
     footprint: &Footprint,
-) -> Vec<PlannedGrid<'a>> {
+) -> (Vec<PlannedGrid<'a>>, ImageLayout) {
     loop {
         let planned = grids_of_steps((terrain, heightfield), (sun, towards), (base_m, &steps_m), footprint);
-        if ImageLayout::new(planned.iter().map(|grid| grid.region.size())).fits() {
-            return planned;
+        let layout = ImageLayout::new(planned.iter().map(|grid| grid.region.size()));
+        if layout.fits() {
+            return (planned, layout);
         }
         steps_m.iter_mut().for_each(|step_m| *step_m *= COARSENING);
     }
@@ -268,7 +273,8 @@ impl HorizonMap {
             Heightfield::update_shared(&mut self.heightfield, terrain, steps_m[0]);
         }
         let heightfield = is_square.then_some(&*self.heightfield);
-        let planned = plan_grids((terrain, heightfield), (sun, towards), (base_m, steps_m), footprint);
+        let (planned, layout) =
+            plan_grids((terrain, heightfield), (sun, towards), (base_m, steps_m), footprint);
         let mut grids: Vec<HorizonGrid> = Vec::new();
         for PlannedGrid { lattice, region, beyond } in planned.iter().rev() {
             let memory = spare().pop().unwrap_or_default();
@@ -280,12 +286,13 @@ impl HorizonMap {
         }
         grids.reverse();
         (self.towards, self.centre, self.base_m) = (towards, terrain.centre, base_m);
-        self.arrange(grids);
+        self.arrange(grids, layout);
     }
 
     /// Arranges the grids in one image.
-    fn arrange(&mut self, mut grids: Vec<HorizonGrid>) {
-        let ImageLayout { columns, corners } = ImageLayout::new(grids.iter().map(|grid| grid.size));
+    fn arrange(&mut self, mut grids: Vec<HorizonGrid>, layout: ImageLayout) {
+        self.width = layout.width() as u32;
+        let ImageLayout { columns, corners } = layout;
         self.levels.clear();
         self.levels.extend(grids.iter().zip(corners).map(|(grid, [column, row])| HorizonLevel {
             origin: grid.origin,
@@ -294,7 +301,6 @@ impl HorizonMap {
             size: grid.size.map(|side| side as u32),
             first_sample: grid.first,
         }));
-        self.width = columns.iter().map(|column| column.width).sum::<usize>() as u32;
         self.shadowed.clear();
         for grid in &grids {
             self.shadowed.extend(&grid.shadowed);
@@ -468,13 +474,12 @@ mod tests {
         let scene = crate::scene::Scene::build(3, &config.draw(3).expect("knobs")).expect("a scene");
         let (terrain, towards) = (&*scene.terrain, Vec2::Y);
         let (base_m, steps_m) = level_steps_m(terrain, towards);
-        let layout =
-            |grids: &[PlannedGrid<'_>]| ImageLayout::new(grids.iter().map(|grid| grid.region.size()));
         let footprint = whole(terrain);
         let too_large =
             grids_of_steps((terrain, None), (&scene.sun, towards), (base_m, &steps_m), &footprint);
-        assert!(!layout(&too_large).fits());
-        let grids = plan_grids((terrain, None), (&scene.sun, towards), (base_m, steps_m), &footprint);
-        assert!(layout(&grids).fits() && grids.len() == too_large.len());
+        assert!(!ImageLayout::new(too_large.iter().map(|grid| grid.region.size())).fits());
+        let (grids, layout) =
+            plan_grids((terrain, None), (&scene.sun, towards), (base_m, steps_m), &footprint);
+        assert!(layout.fits() && grids.len() == too_large.len());
     }
 }

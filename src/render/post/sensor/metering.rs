@@ -2,6 +2,7 @@
 //! Must not know: how light becomes a reading.
 
 use super::encoding::linear_from_srgb;
+use super::histogram::Histogram;
 use crate::class::ClassId;
 use crate::frame::Frame;
 use crate::render::resolve::tone::exposure;
@@ -20,34 +21,17 @@ const HEADROOM: f32 = 0.9;
 /// Largest encoded level, 0 to 1, of the median of a sky that the sun veils: a camera into the sun keeps what is black dark.
 const MAX_VEILED_SKY: f32 = 0.155;
 
-struct Histogram {
-    counts: Vec<u32>,
-    total: u64,
+/// The bin of a value.
+fn bin_of(value: f32) -> usize {
+    (value.max(0.0).to_bits() >> 16) as usize & (BINS - 1)
 }
 
-impl Histogram {
-    fn new(values: impl Iterator<Item = f32>) -> Self {
-        let mut histogram = Self { counts: vec![0; BINS], total: 0 };
-        for value in values {
-            histogram.counts[(value.max(0.0).to_bits() >> 16) as usize & (BINS - 1)] += 1;
-            histogram.total += 1;
-        }
-        histogram
-    }
-
-    /// The value that this part of all values lies below, of those from `least` on; `None` if there are none.
-    fn quantile(&self, part: f64, least: f32) -> Option<f32> {
-        let first = (least.to_bits() >> 16) as usize;
-        let bins = self.counts[first..].iter().map(|count| u64::from(*count));
-        let total: u64 = bins.clone().sum();
-        let rank = (total as f64 * part) as u64;
-        let mut below = 0;
-        let bin = bins.into_iter().position(|count| {
-            below += count;
-            below > rank
-        })?;
-        Some(f32::from_bits(((first + bin) as u32) << 16 | 0x8000))
-    }
+/// The value that this part of all values is below, of those from `least` on; `None` if there are none.
+fn quantile(histogram: &Histogram, part: f64, least: f32) -> Option<f32> {
+    let first = bin_of(least);
+    let rank = (histogram.count(first) as f64 * part) as u64;
+    let bin = histogram.bin_of_rank(rank, first)?;
+    Some(f32::from_bits((bin as u32) << 16 | 0x8000))
 }
 
 /// Factor from radiance to the fill of a pixel, where 1 is the full well. The exposure of the camera; or, with automatic exposure,
@@ -66,14 +50,14 @@ pub(super) fn exposure_gain(
     }
     let of = |is_counted: fn(u8) -> bool| {
         let counted = green.iter().zip(&frame.class).filter(move |(_, class)| is_counted(**class));
-        Histogram::new(counted.map(|(value, _)| *value))
+        Histogram::new(BINS, counted.map(|(value, _)| bin_of(*value)))
     };
     let longest = exposure(exposure_ev + sensor.gain_max_ev as f32);
-    let bright = of(|class| class != ClassId::SKY.0).quantile(BRIGHT, 0.0).unwrap_or(0.0);
-    let median = of(|class| class == ClassId::REGOLITH.0).quantile(0.5, MIN_SUNLIT * bright);
+    let bright = quantile(&of(|class| class != ClassId::SKY.0), BRIGHT, 0.0).unwrap_or(0.0);
+    let median = quantile(&of(|class| class == ClassId::REGOLITH.0), 0.5, MIN_SUNLIT * bright);
     let Some(median) = median.filter(|_| bright > 0.0) else { return fixed };
-    let sky = of(|class| class == ClassId::SKY.0).quantile(0.5, 0.0).filter(|_| is_veiled).unwrap_or(0.0);
-    let saturating = of(|_| true).quantile(1.0 - MAX_SATURATED, 0.0).unwrap_or(0.0);
+    let sky = quantile(&of(|class| class == ClassId::SKY.0), 0.5, 0.0).filter(|_| is_veiled).unwrap_or(0.0);
+    let saturating = quantile(&of(|_| true), 1.0 - MAX_SATURATED, 0.0).unwrap_or(0.0);
     (linear_from_srgb(sensor.ground_level as f32) / median)
         .min(HEADROOM / saturating.max(1e-30))
         .min(linear_from_srgb(MAX_VEILED_SKY) / sky.max(1e-30))
@@ -114,12 +98,12 @@ mod tests {
 
     #[test]
     fn quantiles_are_right_to_a_hundredth() {
-        let histogram = Histogram::new((1..=1000).map(|i| i as f32 * 0.003));
+        let histogram = Histogram::new(BINS, (1..=1000).map(|i| bin_of(i as f32 * 0.003)));
         for (part, least, expected) in [(0.5, 0.0, 1.5), (0.98, 0.0, 2.94), (0.5, 1.0, 2.0)] {
-            let found = histogram.quantile(part, least).expect("values");
+            let found = quantile(&histogram, part, least).expect("values");
             assert!((found / expected - 1.0).abs() < 0.01, "{part} from {least}: {found}");
         }
-        assert_eq!(histogram.quantile(0.5, 4.0), None);
-        assert_eq!(Histogram::new(std::iter::empty()).quantile(0.5, 0.0), None);
+        assert_eq!(quantile(&histogram, 0.5, 4.0), None);
+        assert_eq!(quantile(&Histogram::new(BINS, std::iter::empty()), 0.5, 0.0), None);
     }
 }

@@ -5,10 +5,13 @@
 //! its darkest channel is, and white where its brightest is. A sky that the sun veils gets no brighter.
 //! Must not know: a sensor.
 
+use super::histogram::Histogram;
 use crate::class::ClassId;
 
 /// Codes of fine levels to one of 8 bits.
 const FINE: f32 = 256.0;
+/// Number of fine levels.
+const LEVELS: usize = 1 << 16;
 /// The fine level of white.
 const WHITE: f32 = 255.0 * FINE;
 /// Least distance of the two levels: a quarter of the range, so that noise in a dark image is raised four times at most.
@@ -32,50 +35,21 @@ pub(super) fn stretch(levels: &[u16], classes: &[u8], share: f64, rgb: &mut [u8]
 
 /// The levels that become black and white.
 fn limits(levels: &[u16], classes: &[u8], share: f64) -> [f32; 2] {
-    let [mut darkest, mut brightest, mut of_sky] = [(); 3].map(|()| Histogram::default());
-    for (&[red, green, blue], class) in levels.as_chunks::<3>().0.iter().zip(classes) {
-        darkest.add(red.min(green).min(blue));
-        let level = red.max(green).max(blue);
-        brightest.add(level);
-        if *class == ClassId::SKY.0 {
-            of_sky.add(level);
-        }
-    }
-    let (high, veil) = (brightest.quantile(1.0 - share), of_sky.quantile(0.5));
+    let pixels = || levels.as_chunks::<3>().0.iter().zip(classes);
+    let darkest = |&[red, green, blue]: &[u16; 3]| usize::from(red.min(green).min(blue));
+    let brightest = |&[red, green, blue]: &[u16; 3]| usize::from(red.max(green).max(blue));
+    let of_sky = pixels().filter(|(_, class)| **class == ClassId::SKY.0);
+    let quantile = |levels: &mut dyn Iterator<Item = usize>, part: f64| {
+        let histogram = Histogram::new(LEVELS, levels);
+        let rank = part * histogram.count(0).saturating_sub(1) as f64;
+        histogram.bin_of_rank(rank.round() as u64, 0).unwrap_or(0) as f32
+    };
+    let high = quantile(&mut pixels().map(|(pixel, _)| brightest(pixel)), 1.0 - share);
+    let veil = quantile(&mut of_sky.map(|(pixel, _)| brightest(pixel)), 0.5);
     // The level of black that leaves half of the sky where it is.
     let of_veil = veil * (WHITE - high) / (WHITE - veil).max(FINE);
-    let low = darkest.quantile(share).max(of_veil);
+    let low = quantile(&mut pixels().map(|(pixel, _)| darkest(pixel)), share).max(of_veil);
     [low, high.max(low + MIN_SPAN)]
-}
-
-/// How many pixels have each fine level.
-struct Histogram {
-    counts: Vec<u32>,
-    pixels: usize,
-}
-
-impl Default for Histogram {
-    fn default() -> Self {
-        Self { counts: vec![0; 1 << 16], pixels: 0 }
-    }
-}
-
-impl Histogram {
-    fn add(&mut self, level: u16) {
-        self.counts[usize::from(level)] += 1;
-        self.pixels += 1;
-    }
-
-    /// The level of the pixel that this share of the others is darker than; 0 without pixels.
-    fn quantile(&self, share: f64) -> f32 {
-        let darker = (share * self.pixels.saturating_sub(1) as f64).round() as usize;
-        let mut passed = 0;
-        let level = self.counts.iter().position(|count| {
-            passed += *count as usize;
-            passed > darker
-        });
-        level.unwrap_or(0) as f32
-    }
 }
 
 #[cfg(test)]
