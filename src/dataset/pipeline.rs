@@ -30,7 +30,8 @@ use crate::render::{FRAMES_IN_FLIGHT, FramePlanner, InFlight, Renderer, StageTim
 /// Frames for each worker that may be started after the oldest unfinished one: a frame that is redrawn many times does not stop the
 /// others, nor do they pile up behind it.
 const AHEAD_PER_WORKER: usize = 4;
-/// Cores for each worker where a software adapter draws on the same ones. A worker has about a third of a frame's work.
+/// Cores for each worker where a software adapter draws on the same ones. A worker has about a third of a frame's work, more of small
+/// images.
 const CORES_PER_WORKER: usize = 2;
 /// Keys of a frame's record that are the same for all frames: the manifest has them.
 const MANIFEST_KEYS: [&str; 4] = ["size", "samples", "edges", "version"];
@@ -75,6 +76,14 @@ impl Concurrency {
             let cores = cores();
             if is_software_adapter { cores.div_ceil(CORES_PER_WORKER) } else { cores }
         })
+    }
+
+    /// Threads for the parallel loops of each worker, itself included: where nobody asked for a number of threads, its share of the cores. A
+    /// core that the driver leaves idle then helps to build a scene.
+    #[must_use]
+    pub fn threads_per_worker(self, is_software_adapter: bool) -> usize {
+        let share = cores() / self.workers(is_software_adapter);
+        if self.threads.is_some() { 1 } else { share.max(1) }
     }
 
     /// Frames of a plan that the device works on at a time. On the surface stage, where a software adapter shares its cores with a single
@@ -138,6 +147,7 @@ pub fn run_job<T: Send>(
     let Job { plan, indices, concurrency, stop, finish } = job;
     let is_software_adapter = (*lock(renderer)).borrow().gpu().capabilities.software_adapter;
     let threads = concurrency.workers(is_software_adapter);
+    let threads_per_worker = concurrency.threads_per_worker(is_software_adapter);
     let frames_in_flight = concurrency.in_flight(is_software_adapter, plan);
     let first_error = FirstError::default();
     let limits = QueueLimits {
@@ -157,8 +167,16 @@ pub fn run_job<T: Send>(
             scope.spawn(move || {
                 let _registration = host_time::register(Role::Worker);
                 let work = || worker.run(queue, &finished);
-                // A pool of this thread alone: the parallel loops of a frame stay on it and do not delay those of the device's thread.
-                match rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build() {
+                // A pool of its own: the parallel loops of its frames do not delay those of the device's thread.
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads_per_worker);
+                let pool = pool.use_current_thread().spawn_handler(|helper| {
+                    let help = || {
+                        let _registration = host_time::register(Role::Worker);
+                        helper.run();
+                    };
+                    std::thread::Builder::new().spawn_scoped(scope, help).map(drop)
+                });
+                match pool.build() {
                     Ok(pool) => pool.install(work),
                     Err(_) => work(),
                 }
@@ -415,5 +433,10 @@ mod tests {
         let default = Concurrency::default();
         assert_eq!([default.workers(false), default.workers(true)], [cores, cores.div_ceil(2)]);
         assert_eq!(Concurrency::with_threads(5).workers(true), 5);
+        assert_eq!(
+            [true, false].map(|is_software| default.threads_per_worker(is_software)),
+            [cores / cores.div_ceil(2), 1]
+        );
+        assert_eq!(Concurrency::with_threads(1).threads_per_worker(true), 1);
     }
 }
