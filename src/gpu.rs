@@ -113,6 +113,9 @@ impl Gpu {
         if !missing.is_empty() {
             return Err(unfit(format!("it lacks {}; update its driver", missing.join(", "))));
         }
+        if adapter::is_software(&info) && info.backend == Backend::Vulkan {
+            memory_limits::check_memory_file()?;
+        }
         let (required_features, required_limits) = requested.of(&info, adapter.features(), &adapter.limits());
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("regolith/device"),

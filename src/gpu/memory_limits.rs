@@ -1,7 +1,9 @@
 //! Limits on the memory of the process (`ulimit`). Drivers crash where they reach one, so they are checked before a driver is
-//! loaded.
+//! loaded, or, where they matter to one driver alone, before it opens a device.
 //!
 //! Must not know: adapters.
+
+use std::path::PathBuf;
 
 use crate::error::{Error, Result};
 
@@ -27,6 +29,17 @@ const LIMITS: [MemoryLimit; 2] = [
     MemoryLimit { line: "Max data size", what: "the data", option: "-d", base_bytes: 400_000_000 },
 ];
 
+/// The limit on the size of files, where a driver keeps the memory of its devices in one. What frames of any size need of it: see
+/// `render::tiling`.
+const FILE_SIZE: MemoryLimit = MemoryLimit {
+    line: "Max file size",
+    what: "the size of files, in one of which this driver keeps its memory,",
+    option: "-f",
+    base_bytes: 1_000_000_000,
+};
+/// How the name of that file starts: Mesa's CPU driver for Vulkan (25.0) has one, which is in no folder.
+const MEMORY_FILE: &str = "/memfd:allocation fd";
+
 /// What the threads of each core need besides, for their stacks and arenas, bytes.
 const BYTES_PER_CORE: u64 = 100_000_000;
 
@@ -37,14 +50,37 @@ const BYTES_PER_CORE: u64 = 100_000_000;
 pub(super) fn check() -> Result<()> {
     let limits = std::fs::read_to_string("/proc/self/limits").unwrap_or_default();
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    for limit in &LIMITS {
-        let needed_bytes = limit.base_bytes + BYTES_PER_CORE * cores as u64;
-        if let Some(limit_bytes) = soft_limit(&limits, limit.line).filter(|bytes| *bytes < needed_bytes) {
-            let (what, option) = (limit.what, limit.option);
-            return Err(Error::MemoryLimit { what, option, limit_bytes, needed_bytes });
+    LIMITS.iter().try_for_each(|limit| limit.check(&limits, BYTES_PER_CORE * cores as u64))
+}
+
+/// Checks that the limit on the size of files, if there is one, leaves what rendering needs, if a driver that is loaded keeps the memory
+/// of its devices in a file.
+///
+/// # Errors
+/// [`Error::MemoryLimit`].
+pub(super) fn check_memory_file() -> Result<()> {
+    let open_files = std::fs::read_dir("/proc/self/fd").into_iter().flatten().flatten();
+    if !is_memory_file_among(open_files.filter_map(|file| std::fs::read_link(file.path()).ok())) {
+        return Ok(());
+    }
+    FILE_SIZE.check(&std::fs::read_to_string("/proc/self/limits").unwrap_or_default(), 0)
+}
+
+fn is_memory_file_among(mut paths: impl Iterator<Item = PathBuf>) -> bool {
+    paths.any(|path| path.to_string_lossy().starts_with(MEMORY_FILE))
+}
+
+impl MemoryLimit {
+    /// Checks that the soft limit in the text of `/proc/self/limits` leaves what is needed, with so many bytes besides.
+    fn check(&self, limits: &str, more_bytes: u64) -> Result<()> {
+        let needed_bytes = self.base_bytes + more_bytes;
+        match soft_limit(limits, self.line) {
+            Some(limit_bytes) if limit_bytes < needed_bytes => {
+                Err(Error::MemoryLimit { what: self.what, option: self.option, limit_bytes, needed_bytes })
+            }
+            _ => Ok(()),
         }
     }
-    Ok(())
 }
 
 /// The soft limit of a line of `/proc/self/limits`, bytes; `None` if there is none.
@@ -72,5 +108,19 @@ mod tests {
         assert_eq!(soft_limit(&limits("1228800000"), data), None);
         assert_eq!(soft_limit(&limits("unlimited"), address_space), None);
         assert_eq!(soft_limit("", data), None);
+    }
+
+    #[test]
+    fn a_file_of_device_memory_is_known_by_its_name() {
+        let is_there = |names: &[&str]| is_memory_file_among(names.iter().map(PathBuf::from));
+        assert!(is_there(&["/dev/null", "/memfd:allocation fd (deleted)"]));
+        assert!(!is_there(&["/dev/null", "/memfd:xshmfence (deleted)", "/home/allocation fd"]));
+        let limited = "Max file size             4096                 unlimited            bytes     \n";
+        let message = FILE_SIZE.check(limited, 0).expect_err("4 KiB").to_string();
+        assert!(
+            message.contains("the size of files") && message.contains("ulimit -f unlimited"),
+            "{message}"
+        );
+        assert!(FILE_SIZE.check(&limited.replace("4096     ", "unlimited"), 0).is_ok());
     }
 }

@@ -3,7 +3,7 @@
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 
-use crate::support::{folder, json, program, run, run_ok, run_with_file_limit};
+use crate::support::{GL_ADAPTER, folder, json, program, run, run_ok, run_with_file_limit};
 
 /// Runs a command that must fail with this status, name all of `expected` in its message, and leave the folder unchanged.
 fn assert_refused(words: &[&str], status: i32, expected: &[&str]) {
@@ -198,7 +198,7 @@ fn an_output_folder_that_cannot_be_created_is_an_error() {
 #[test]
 fn a_full_disk_leaves_no_partial_file() {
     let folder = folder();
-    let words = ["--seed", "3", "--out", "out", "--quiet"];
+    let words = [&["--seed", "3", "--out", "out", "--quiet"], &GL_ADAPTER[..]].concat();
     let output = run_with_file_limit(folder.path(), (8, "trap '' XFSZ;"), &words);
     let message = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{message}");

@@ -13,7 +13,7 @@ use regolith::random::Streams;
 use regolith::scene::Scene;
 use serde_json::{Map, Value};
 
-use crate::support::{folder, json, program, run, run_ok, run_with_file_limit, send_signal};
+use crate::support::{GL_ADAPTER, folder, json, program, run, run_ok, run_with_file_limit, send_signal};
 
 /// Small frames of a small scene.
 const SMALL: [&str; 9] = [
@@ -499,7 +499,7 @@ fn paired_presets_have_the_same_layout_frame_by_frame() {
 #[test]
 fn a_run_stopped_by_a_full_disk_can_be_resumed() {
     let folder = folder();
-    let words = |out| dataset(out, &["--count", "6", "-q"]);
+    let words = |out| [dataset(out, &["--count", "6", "-q"]), GL_ADAPTER.to_vec()].concat();
     run_ok(folder.path(), &words("whole"));
     // Files of more than 2 KiB, which are the images, cannot be written.
     let output = run_with_file_limit(folder.path(), (2, "trap '' XFSZ;"), &words("data"));

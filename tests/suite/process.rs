@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::support::{adapter, folder, program, run, run_ok, run_with_file_limit, send_signal};
+use crate::support::{GL_ADAPTER, adapter, folder, program, run, run_ok, run_with_file_limit, send_signal};
 
 /// Small frames of a small scene.
 const SMALL: [&str; 5] =
@@ -119,7 +119,8 @@ fn a_limit_of_the_file_size_is_named_as_such() {
     let folder = folder();
     let dataset = [&["dataset", "--out", "data", "--count", "3", "-q"], SMALL.as_slice()].concat();
     for words in [&["--out", "data", "-q"][..], &dataset] {
-        let output = run_with_file_limit(folder.path(), (4, ""), words);
+        let words = [words, &GL_ADAPTER].concat();
+        let output = run_with_file_limit(folder.path(), (4, ""), &words);
         let message = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(1), "{:?}: {message}", output.status);
         for text in ["cannot write data/", "File too large", "ulimit -f", "same command"] {
@@ -129,6 +130,17 @@ fn a_limit_of_the_file_size_is_named_as_such() {
         let files = Command::new("find").args(["data", "-name", "*.tmp"]).current_dir(folder.path()).output();
         assert!(files.expect("find").stdout.is_empty());
     }
+}
+
+/// A driver that keeps its memory in a file would be ended by a signal below such a limit.
+#[test]
+fn no_driver_crashes_below_a_limit_of_the_file_size() {
+    let folder = folder();
+    let output = run_with_file_limit(folder.path(), (4, ""), &["--out", "data", "-q"]);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{:?}: {message}", output.status);
+    assert!(message.contains("ulimit -f") && message.trim_end().lines().count() == 1, "{message}");
+    assert!(!folder.path().join("data").exists(), "nothing is left");
 }
 
 #[test]

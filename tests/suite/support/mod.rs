@@ -85,6 +85,10 @@ pub(crate) fn run_ok(folder: &Path, words: &[&str]) -> String {
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
+/// The adapter by which tests render below a limit of the file size: newer versions of Mesa's CPU driver for Vulkan keep their memory in a
+/// file, which such a limit concerns too.
+pub(crate) const GL_ADAPTER: [&str; 2] = ["--adapter", ", gl,"];
+
 /// Runs the command where no file may be larger than this, KiB, as on a disk that is full. Writing more sends the signal XFSZ, which the
 /// shell `traps` (`trap '' XFSZ` has it ignored) or leaves to the command.
 pub(crate) fn run_with_file_limit(folder: &Path, (limit_kib, traps): (u32, &str), words: &[&str]) -> Output {
