@@ -135,6 +135,12 @@ pub fn is_software(info: &AdapterInfo) -> bool {
     info.device_type == DeviceType::Cpu || info.name.contains("llvmpipe") || info.name.contains("softpipe")
 }
 
+/// Major version of Mesa, where it is the driver.
+pub(crate) fn mesa_version(info: &AdapterInfo) -> Option<u32> {
+    let (_, version) = info.driver_info.split_once("Mesa ")?;
+    version.split('.').next()?.parse().ok()
+}
+
 /// Sort key: better adapters first.
 fn rank(info: &AdapterInfo) -> (u8, bool) {
     let kind = match info.device_type {
@@ -164,5 +170,20 @@ mod tests {
         assert_eq!(missing(all), [""; 0]);
         assert_eq!(missing(all - DownlevelFlags::SHADER_F16_IN_F32), [""; 0]);
         assert_eq!(missing(all - DownlevelFlags::COMPUTE_SHADERS), ["compute shaders"]);
+    }
+
+    #[test]
+    fn the_version_of_mesa_is_read() {
+        for (driver_info, version) in [
+            ("Mesa 22.3.6 (LLVM 15.0.6)", Some(22)),
+            ("Mesa 25.0.7-2+deb13u1 (LLVM 19.1.7)", Some(25)),
+            ("4.5 (Core Profile) Mesa 26.1.6-1", Some(26)),
+            ("580.95.05", None),
+            ("", None),
+        ] {
+            let blank = AdapterInfo::new(DeviceType::Cpu, Backend::Vulkan);
+            let info = AdapterInfo { driver_info: driver_info.to_owned(), ..blank };
+            assert_eq!(mesa_version(&info), version, "{driver_info}");
+        }
     }
 }

@@ -71,7 +71,7 @@ fn is_memory_file_among(mut paths: impl Iterator<Item = PathBuf>) -> bool {
 }
 
 impl MemoryLimit {
-    /// Checks that the soft limit in the text of `/proc/self/limits` leaves what is needed, with so many bytes besides.
+    /// Checks that the soft limit in the text of `/proc/self/limits` leaves what is needed, with `more_bytes` besides.
     fn check(&self, limits: &str, more_bytes: u64) -> Result<()> {
         let needed_bytes = self.base_bytes + more_bytes;
         match soft_limit(limits, self.line) {
