@@ -113,6 +113,7 @@ impl Gpu {
         if !missing.is_empty() {
             return Err(unfit(format!("it lacks {}; update its driver", missing.join(", "))));
         }
+        // On GL such a driver has the file too, and keeps nothing in it.
         if adapter::is_software(&info) && info.backend == Backend::Vulkan {
             memory_limits::check_memory_file()?;
         }

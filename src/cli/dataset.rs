@@ -78,7 +78,7 @@ pub(super) struct DatasetArgs {
     #[arg(long)]
     dry_run: bool,
     /// Threads that build scenes, plan frames, post-process and encode [default: one for each core, with a software adapter, which draws
-    /// on the same cores, one for every two]
+    /// on the same cores, one for every two, which uses idle ones as well]
     #[arg(long, value_name = "N", value_parser = whole_number::<u16>(1, 256))]
     threads: Option<u16>,
     /// Write into a folder even if it has other content

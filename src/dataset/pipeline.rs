@@ -169,12 +169,12 @@ pub fn run_job<T: Send>(
                 let work = || worker.run(queue, &finished);
                 // A pool of its own: the parallel loops of its frames do not delay those of the device's thread.
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads_per_worker);
-                let pool = pool.use_current_thread().spawn_handler(|helper| {
-                    let help = || {
+                let pool = pool.use_current_thread().spawn_handler(|thread| {
+                    let run = || {
                         let _registration = host_time::register(Role::Worker);
-                        helper.run();
+                        thread.run();
                     };
-                    std::thread::Builder::new().spawn_scoped(scope, help).map(drop)
+                    std::thread::Builder::new().spawn_scoped(scope, run).map(drop)
                 });
                 match pool.build() {
                     Ok(pool) => pool.install(work),

@@ -37,7 +37,7 @@ const FILE_SIZE: MemoryLimit = MemoryLimit {
     option: "-f",
     base_bytes: 1_000_000_000,
 };
-/// How the name of that file starts: Mesa's CPU driver for Vulkan (25.0) has one, which is in no folder.
+/// How the name of that file starts: Mesa's CPU driver (25.0) has an anonymous one (memfd).
 const MEMORY_FILE: &str = "/memfd:allocation fd";
 
 /// What the threads of each core need besides, for their stacks and arenas, bytes.

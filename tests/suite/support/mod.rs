@@ -85,8 +85,8 @@ pub(crate) fn run_ok(folder: &Path, words: &[&str]) -> String {
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
-/// The adapter by which tests render below a limit of the file size: newer versions of Mesa's CPU driver for Vulkan keep their memory in a
-/// file, which such a limit concerns too.
+/// The adapter by which tests render below a limit of the file size: newer versions of Mesa's CPU driver for Vulkan keep their memory in an
+/// anonymous file, which such a limit concerns too.
 pub(crate) const GL_ADAPTER: [&str; 2] = ["--adapter", ", gl,"];
 
 /// Runs the command where no file may be larger than this, KiB, as on a disk that is full. Writing more sends the signal XFSZ, which the
