@@ -353,7 +353,9 @@ impl Renderer {
         let (scene, settings) = request.rendered(scene);
         let layout = self.visibility.gbuffer_layout(scene);
         let limits = if self.draws_small_tiles() { self.tile_limits.small() } else { self.tile_limits };
-        let tiles = tiling::tiles(&self.gpu, &request.image, (scene, settings), layout, limits)?;
+        let rasteriser = self.raster.visibility;
+        let tiles =
+            tiling::tiles(&self.gpu, &request.image, (scene, settings), (layout, rasteriser), limits)?;
         let tile = tiles[0];
         let of_tile = RenderSettings { size: tile.rendered.size, ..*settings };
         let is_distorted = request.undistorted.is_some();

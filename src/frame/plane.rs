@@ -116,6 +116,12 @@ pub static PLANES: [PlaneRow; 13] = [
     row(Plane::FiveClasses, "five_classes", DType::U8, 1, Some(Annotation::FiveClasses)),
 ];
 
+/// The annotations of every plane.
+#[must_use]
+pub fn every_annotation() -> Annotations {
+    PLANES.iter().filter_map(|row| row.annotation).collect()
+}
+
 impl Plane {
     /// Its row.
     #[must_use]

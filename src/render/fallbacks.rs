@@ -3,8 +3,8 @@
 use half::f16;
 
 use crate::error::Error;
-use crate::frame::plane::{PLANES, Plane, Values};
-use crate::frame::{Annotations, Frame};
+use crate::frame::Frame;
+use crate::frame::plane::{PLANES, Plane, Values, every_annotation};
 use crate::gpu::{Gpu, Requested, adapter};
 use crate::params::config::Config;
 use crate::render::device::light_table::Transport;
@@ -32,7 +32,7 @@ fn scenes() -> [Scene; 2] {
 
 /// Settings with every annotation.
 fn all_planes(size: [u32; 2], samples: u32) -> RenderSettings {
-    let annotations: Annotations = PLANES.iter().filter_map(|row| row.annotation).collect();
+    let annotations = every_annotation();
     RenderSettings { annotations, ..RenderSettings::new(size, samples).expect("settings") }
 }
 
@@ -209,6 +209,23 @@ fn tiles_make_the_frame_that_is_drawn_whole() {
                 RasterMode::Device => assert_close(&tiled, &expected, &format!("{size:?}")),
                 _ => assert_equal(&tiled, &expected, &format!("{size:?}")),
             }
+        }
+    }
+}
+
+/// Labels and colours of a frame do not depend on the outputs that are asked for besides, also where these need more memory than one tile
+/// may have: a device rounds the corners of triangles relative to the tile.
+#[test]
+fn labels_do_not_depend_on_what_else_is_asked_for() {
+    let [_, scene] = scenes();
+    let (size, samples) = ([96, 70], 4);
+    for mode in MODES {
+        let mut renderer = renderer(Requested::Offered, mode);
+        for bytes in [700_000, 1_000_000, 1_300_000, 1_600_000, 2_000_000] {
+            renderer.tile_limits.bytes = bytes;
+            let few = frame(&mut renderer, &scene, &RenderSettings::new(size, samples).expect("settings"));
+            let every = frame(&mut renderer, &scene, &all_planes(size, samples));
+            assert!(few.class == every.class && few.rgb == every.rgb, "{mode}: {bytes} bytes a tile");
         }
     }
 }

@@ -6,7 +6,9 @@
 
 use crate::error::{Error, Result};
 use crate::frame::Frame;
+use crate::frame::plane::every_annotation;
 use crate::gpu::Gpu;
+use crate::render::backend::RasterBackend;
 use crate::render::device::packing::Packing;
 use crate::render::lighting::gbuffer::GBufferLayout;
 use crate::render::resolve::assemble;
@@ -42,13 +44,16 @@ const MAX_SIDE_SAMPLES: u32 = 32_768;
 
 /// The tiles of an image with these settings: one if it is drawn whole. `scene` and `rendered` are those of the image before distortion.
 ///
+/// Where the host rasterises, every bit is that of the whole frame. A device rounds the corners of triangles relative to the tile: there a
+/// frame has the tiles that it needs with every output, so that its labels do not depend on which others are asked for.
+///
 /// # Errors
 /// [`Error::SizeBeyondDevice`].
 pub(crate) fn tiles(
     gpu: &Gpu,
     image: &RenderSettings,
     (scene, rendered): (&Scene, &RenderSettings),
-    layout: GBufferLayout,
+    (layout, rasteriser): (GBufferLayout, RasterBackend),
     max: TileLimits,
 ) -> Result<Vec<ImageTile>> {
     let limits = gpu.device.limits();
@@ -65,11 +70,15 @@ pub(crate) fn tiles(
     if side > MAX_SIDE_SAMPLES {
         return Err(beyond(format!("{side} samples along a side"), MAX_SIDE_SAMPLES.to_string()));
     }
-    let bytes_per_sample = layout.bytes_per_sample(rendered.annotations);
+    let annotations = match rasteriser {
+        RasterBackend::Host => image.annotations,
+        RasterBackend::Device => every_annotation(),
+    };
+    let bytes_per_sample = layout.bytes_per_sample(annotations);
     let max_buffer_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
     let fits = |tile: ImageTile| {
         let [width, height] = tile.rendered.samples(samples_per_side).size;
-        let packed_bytes = Packing::new(tile.image.size, image.annotations).bytes();
+        let packed_bytes = Packing::new(tile.image.size, annotations).bytes();
         // Packed planes are there twice: where the device writes them and where the host reads them.
         let bytes = u64::from(width) * u64::from(height) * bytes_per_sample + 2 * packed_bytes;
         width.max(height) <= max.side_samples && packed_bytes <= max_buffer_bytes && bytes <= max.bytes

@@ -400,13 +400,14 @@ fn push_sum(declarations: &mut String, additions: &mut String, plane: Plane, sum
 mod tests {
     use super::*;
     use crate::frame::Annotation;
+    use crate::frame::plane::every_annotation;
     use crate::render::device::shader_programs::{
         LIGHTING_ONE_DRAW, LIGHTING_SKY, LIGHTING_SURFACE, RESOLVE, parse,
     };
 
     #[test]
     fn passes_write_every_needed_plane_once_and_colour_with_class() {
-        let every: Annotations = PLANES.iter().filter_map(|row| row.annotation).collect();
+        let every = every_annotation();
         let defaults = wgpu::Limits::downlevel_defaults();
         let sixteen_bytes = wgpu::Limits { max_color_attachment_bytes_per_sample: 16, ..defaults.clone() };
         for annotations in [Annotations::default(), every] {

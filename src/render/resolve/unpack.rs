@@ -69,11 +69,11 @@ fn spread<T: Copy>(mut values: Vec<T>, values_per_pixel: usize, tiles: &TileList
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame::plane::PLANES;
+    use crate::frame::plane::{PLANES, every_annotation};
 
     #[test]
     fn every_requested_plane_that_is_packed_has_its_values_per_pixel() {
-        let annotations = PLANES.iter().filter_map(|row| row.annotation).collect();
+        let annotations = every_annotation();
         let size = [7, 3];
         let packing = Packing::new(size, annotations);
         let bytes = vec![0; packing.bytes() as usize];
