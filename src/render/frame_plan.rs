@@ -6,7 +6,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
-use glam::{Mat4, UVec2};
+use glam::UVec2;
 
 use crate::class::ClassId;
 use crate::pool::PooledVec;
@@ -265,7 +265,6 @@ fn frame_uniforms(
 ) -> FrameUniforms {
     let (camera, sun) = (&scene.camera, &scene.sun);
     let [sun_right, sun_up] = sun.right_and_up();
-    let clip_from_offset = camera.clip_from_world(settings.size) * Mat4::from_translation(camera.eye);
     let lens = camera.lens;
     let focal_px = camera.focal_px(settings.size[0]);
     let half_extents = image_size.map(|side| 0.5 * f64::from(side) / focal_px);
@@ -275,7 +274,7 @@ fn frame_uniforms(
     let mut levels = [HorizonLevel::default(); horizon::MAX_LEVELS];
     levels[..horizon.levels.len()].copy_from_slice(&horizon.levels);
     let uniforms = FrameUniforms {
-        clip_from_offset,
+        clip_from_offset: camera.clip_from_offset(settings.size),
         ray_from_sample: settings.rays(camera).map(|ray| ray.extend(0.0).into()),
         eye: camera.eye,
         exposure: tone::exposure(camera.exposure_ev),

@@ -3,7 +3,7 @@
 //! Must not know: how images are rendered.
 
 use glam::camera::rh::proj::directx::perspective;
-use glam::{DVec3, Mat4, Vec2, Vec3};
+use glam::{DVec3, Mat3, Mat4, Vec2, Vec3};
 
 use super::azimuth;
 use super::rings::View;
@@ -183,10 +183,22 @@ impl Camera {
 
     /// World to clip space for an image of this size, with reversed z: depth 1 at the near plane, 0 at the far plane.
     #[must_use]
-    pub fn clip_from_world(&self, [width_px, height_px]: [u32; 2]) -> Mat4 {
+    pub fn clip_from_world(&self, size_px: [u32; 2]) -> Mat4 {
+        self.clip_from_view(size_px) * self.view_from_world()
+    }
+
+    /// Offsets from the eye, world axes, to clip space. It moves nothing: of [`Self::clip_from_world`] as much as 2e-5 m of the eye's
+    /// position would be left by rounding where the eye is 400 m from the origin.
+    #[must_use]
+    pub fn clip_from_offset(&self, size_px: [u32; 2]) -> Mat4 {
+        let view_from_world = Mat3::from_cols(self.right, self.up, -self.forward).transpose();
+        self.clip_from_view(size_px) * Mat4::from_mat3(view_from_world)
+    }
+
+    fn clip_from_view(&self, [width_px, height_px]: [u32; 2]) -> Mat4 {
         let aspect = width_px as f32 / height_px as f32;
         let fov_y = 2.0 * libm::atanf(self.tan_half_fov / aspect);
-        perspective(fov_y, aspect, self.far_m, self.near_m) * self.view_from_world()
+        perspective(fov_y, aspect, self.far_m, self.near_m)
     }
 }
 
@@ -256,6 +268,20 @@ mod tests {
         assert!(camera(0.0, 0.0, 90.0).up.distance(Vec3::X) < 1e-6, "clockwise roll tips up to the right");
         let any = camera(-12.0, 77.0, 5.0);
         assert!(any.right.cross(any.up).distance(-any.forward) < 1e-6);
+    }
+
+    #[test]
+    fn offsets_are_projected_alike_wherever_the_eye_is() {
+        let near = camera(-12.0, 77.0, 5.0);
+        let far = Camera { eye: Vec3::new(-443.6, 317.2, 1.7), ..near };
+        assert_eq!(near.clip_from_offset([320, 240]), far.clip_from_offset([320, 240]));
+        let origin = far.clip_from_offset([320, 240]) * Vec3::ZERO.extend(1.0);
+        assert_eq!((origin.x, origin.y, origin.w), (0.0, 0.0, 0.0), "the eye");
+        for offset in [Vec3::new(5.0, 1.0, -1.2), Vec3::new(40.0, 20.0, 3.0)] {
+            let clip = near.clip_from_offset([320, 240]) * offset.extend(1.0);
+            let by_world = near.clip_from_world([320, 240]) * (near.eye + offset).extend(1.0);
+            assert!(clip.abs_diff_eq(by_world, 1e-5 * offset.length()), "{clip} {by_world}");
+        }
     }
 
     #[test]

@@ -71,7 +71,7 @@ impl Projection {
         let size = settings.sample_size();
         let half_size = 0.5 * UVec2::from(size).as_vec2();
         Self {
-            clip_from_offset: camera.clip_from_world(settings.size) * Mat4::from_translation(camera.eye),
+            clip_from_offset: camera.clip_from_offset(settings.size),
             half_size,
             half_steps: size.map(|side| side as i32 * (SUBPIXEL_STEPS / 2)),
             width: size[0] as usize,
