@@ -6,6 +6,7 @@ use serde_json::{Map, Value, json};
 
 use crate::class::ClassId;
 use crate::frame::Frame;
+use crate::output::LabelIds;
 use crate::output::edges::EdgePolicy;
 use crate::params::{Knob, Params};
 use crate::render::{RasterOptions, RenderSettings, StageTimes};
@@ -32,6 +33,8 @@ pub struct FrameRecord<'a> {
     pub frame: &'a Frame,
     /// What the mask holds where classes meet.
     pub edges: EdgePolicy,
+    /// The numbering of the classes in the mask.
+    pub label_ids: LabelIds,
     /// Milliseconds of work by stage.
     pub times: &'a StageTimes,
 }
@@ -65,6 +68,7 @@ impl FrameRecord<'_> {
             "size": self.settings.size,
             "samples": self.settings.samples_per_side.pow(2),
             "edges": self.edges.to_string(),
+            "label_ids": self.label_ids.name(),
             "version": env!("CARGO_PKG_VERSION"),
             "adapter": {
                 "name": info.name,

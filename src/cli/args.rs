@@ -115,9 +115,10 @@ pub(super) struct ImageArgs {
     /// Samples per pixel: 1, 4 (2 x 2) or 16 (4 x 4) [default: 4, or that of the record]
     #[arg(long, value_name = "N", value_parser = whole_number::<u32>(1, 16))]
     samples: Option<u32>,
-    /// Ids in the mask: canonical (0 regolith, 1 rock, 2 sky), or those of a Replicator pipeline
-    #[arg(long, value_name = "KIND", default_value = "canonical", value_parser = ["canonical", "replicator"])]
-    label_ids: String,
+    /// Ids in the mask: canonical (0 regolith, 1 rock, 2 sky), or those of a Replicator pipeline [default: canonical, or those of
+    /// the record]
+    #[arg(long, value_name = "KIND", value_parser = ["canonical", "replicator"])]
+    label_ids: Option<String>,
     /// Mask at class boundaries: hard, or ignore:N to write 255 within N pixels of another class [default: hard, or that of the
     /// record]
     #[arg(long, value_name = "RULE")]
@@ -130,7 +131,7 @@ impl ImageArgs {
         Self {
             size: self.size.or(origin.size),
             samples: self.samples.or(origin.samples),
-            label_ids: self.label_ids.clone(),
+            label_ids: self.label_ids.clone().or_else(|| origin.label_ids.clone()),
             edges: self.edges.clone().or_else(|| origin.edges.clone()),
         }
     }
@@ -140,7 +141,7 @@ impl ImageArgs {
     }
 
     pub(super) fn label_ids(&self) -> LabelIds {
-        LabelIds::from_name(&self.label_ids).unwrap_or_default()
+        self.label_ids.as_deref().and_then(LabelIds::from_name).unwrap_or_default()
     }
 
     pub(super) fn edges(&self) -> Result<EdgePolicy> {

@@ -159,6 +159,8 @@ fn plan(args: &DatasetArgs) -> Result<Plan> {
             MAX_FRAMES - 1
         )));
     }
+    // A layout with ids of its own has those of no record.
+    let requested = if layout.has_fixed_ids() { &args.image } else { &image };
     Ok(Plan {
         options: args.config.options(),
         rules: Rules::from_config(&config)?,
@@ -168,7 +170,7 @@ fn plan(args: &DatasetArgs) -> Result<Plan> {
         settings,
         outputs,
         edges: image.edges()?,
-        label_ids: Plan::label_ids(image.label_ids(), format, layout)?,
+        label_ids: Plan::label_ids(requested.label_ids(), format, layout)?,
         format,
         layout,
         range: Range { start: args.start, count },

@@ -149,6 +149,7 @@ fn write(
         raster: renderer.raster(),
         frame,
         edges,
+        label_ids,
         times,
     };
     let meta = record.to_json();

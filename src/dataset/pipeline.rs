@@ -34,7 +34,7 @@ const AHEAD_PER_WORKER: usize = 4;
 /// images.
 const CORES_PER_WORKER: usize = 2;
 /// Keys of a frame's record that are the same for all frames: the manifest has them.
-const MANIFEST_KEYS: [&str; 4] = ["size", "samples", "edges", "version"];
+const MANIFEST_KEYS: [&str; 5] = ["size", "samples", "edges", "label_ids", "version"];
 
 /// A frame whose files are encoded.
 #[derive(Debug)]
@@ -336,6 +336,7 @@ pub(super) fn record(plan: &Plan, rendered: &RenderedFrame) -> Map<String, Value
         raster: rendered.raster,
         frame: &rendered.frame,
         edges: plan.edges,
+        label_ids: plan.label_ids,
         times: &Vec::new(),
     };
     let mut meta = Map::new();

@@ -21,6 +21,8 @@ pub struct FrameOrigin {
     pub samples: Option<u32>,
     /// What its mask holds where classes meet.
     pub edges: Option<String>,
+    /// The numbering of the classes in its mask.
+    pub label_ids: Option<String>,
     /// Version that made it.
     pub version: Option<String>,
 }
@@ -57,6 +59,8 @@ impl FrameOrigin {
         let record = read(path)?;
         let number = |value: &Value| value.as_u64().and_then(|number| u32::try_from(number).ok());
         let text = |value: &Value| value.as_str().map(str::to_owned);
+        let label_ids =
+            |value: &Value| text(value).filter(|name| matches!(name.as_str(), "canonical" | "replicator"));
         let size = |value: &Value| match value.as_array()?.as_slice() {
             [width, height] => Some([number(width)?, number(height)?]),
             _ => None,
@@ -66,6 +70,7 @@ impl FrameOrigin {
             size: value(&record, path, ("size", "two whole numbers, width and height in pixels"), size)?,
             samples: value(&record, path, ("samples", "a whole number"), number)?,
             edges: value(&record, path, ("edges", "a text"), text)?,
+            label_ids: value(&record, path, ("label_ids", "canonical or replicator"), label_ids)?,
             version: value(&record, path, ("version", "a text"), text)?,
         })
     }

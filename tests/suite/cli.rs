@@ -640,7 +640,7 @@ fn a_record_repeats_its_frame() {
             "surface_rover",
             &["--size=72x56", "--samples=16", "--edges=ignore:1", "--seed=9007199254740993"][..],
         ),
-        ("train_full", &["--size=64", "--set=sun.relative_azimuth_deg=77.7"]),
+        ("train_full", &["--size=64", "--set=sun.relative_azimuth_deg=77.7", "--label-ids=replicator"]),
     ] {
         let first =
             ["--preset", preset, "--outputs=rgb,mask,instances,depth,meta", "-q", "--force", "--out=first"];
@@ -665,8 +665,18 @@ fn a_record_repeats_its_frame() {
         }
         let [first, again] =
             ["first", "again"].map(|out| json(&folder.path().join(out).join("frame_0000.json")));
-        for key in ["seed", "size", "samples", "edges", "knobs", "geometry_hash", "camera", "sun", "coverage"]
-        {
+        for key in [
+            "seed",
+            "size",
+            "samples",
+            "edges",
+            "label_ids",
+            "knobs",
+            "geometry_hash",
+            "camera",
+            "sun",
+            "coverage",
+        ] {
             assert_eq!(first[key], again[key], "{preset}: {key}");
         }
     }
@@ -685,6 +695,10 @@ fn a_record_repeats_its_frame() {
         (r#"{"knobs": {}, "seed": -1}"#, "`seed` is -1"),
         (r#"{"knobs": {}, "size": [32]}"#, "`size` is [32]"),
         (r#"{"knobs": {}, "samples": "4"}"#, "`samples` is \"4\""),
+        (
+            r#"{"knobs": {}, "label_ids": "mine"}"#,
+            "`label_ids` is \"mine\"; it has to be canonical or replicator",
+        ),
     ] {
         std::fs::write(folder.path().join("wrong.json"), record).expect("written");
         let output = run(folder.path(), &["--config=wrong.json"]);
@@ -699,7 +713,15 @@ fn every_command_takes_a_record() {
     let folder = folder();
     run_ok(
         folder.path(),
-        &["--seed=7", "--size=40x24", "--edges=ignore:1", "--outputs=rgb,meta", "-q", "--out=first"],
+        &[
+            "--seed=7",
+            "--size=40x24",
+            "--edges=ignore:1",
+            "--label-ids=replicator",
+            "--outputs=rgb,meta",
+            "-q",
+            "--out=first",
+        ],
     );
     let record = "--config=first/frame_0000.json";
     let first = json(&folder.path().join("first/frame_0000.json"));
@@ -717,7 +739,11 @@ fn every_command_takes_a_record() {
     assert_eq!(measured["cases"]["dataset"]["frames_in_flight"], 2, "of the nominal stage");
     run_ok(folder.path(), &["dataset", "--count=1", record, "-q", "--out=frames"]);
     let manifest = json(&folder.path().join("frames/manifest.json"));
-    assert_eq!(manifest["edges"], first["edges"]);
+    assert_eq!((&manifest["edges"], &manifest["label_ids"]), (&first["edges"], &first["label_ids"]));
+    assert_eq!(first["label_ids"], "replicator");
+    run_ok(folder.path(), &["dataset", "--count=1", record, "--format=coco", "-q", "--out=coco"]);
+    let manifest = json(&folder.path().join("coco/manifest.json"));
+    assert_eq!(manifest["label_ids"], "canonical", "a format with ids of its own");
 }
 
 /// The folder of --out is no argument: frames would go to `out` without a word.

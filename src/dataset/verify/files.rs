@@ -179,7 +179,7 @@ fn expected_meta(plan: &Plan, version: Option<&Value>, line: &FrameLine, found: 
         let adapter = adapter.map(|(key, value)| (key.to_owned(), value)).into_iter().collect();
         meta.insert("adapter".to_owned(), Value::Object(adapter));
         for (key, value) in plan.identity() {
-            if matches!(key.as_str(), "size" | "samples" | "edges") {
+            if matches!(key.as_str(), "size" | "samples" | "edges" | "label_ids") {
                 meta.insert(key, value);
             }
         }
