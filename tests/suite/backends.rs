@@ -10,6 +10,9 @@
 
 use glam::Vec2;
 use regolith::frame::{Annotation, Frame};
+use regolith::params::config::Config;
+use regolith::params::{KNOBS, Kind, KnobInfo, Stage};
+use regolith::random::Streams;
 use regolith::render::{RasterMode, RenderSettings};
 use regolith::scene::Scene;
 
@@ -35,13 +38,13 @@ const COLOUR: (u8, f64) = (2, 0.0005);
 
 const STAGES: [&str; 2] = ["nominal", "surface"];
 const SAMPLES: [u32; 2] = [1, 4];
-const VIEWS: [&str; 5] = [
-    "camera.height_m=3",
-    "camera.height_m=1.5",
-    "camera.fov_deg=85",
-    "sun.elevation_deg=5",
+const VIEWS: [&[&str]; 5] = [
+    &["camera.height_m=3"],
+    &["camera.height_m=1.5"],
+    &["camera.fov_deg=85"],
+    &["sun.elevation_deg=5"],
     // Coordinates are large there: what is not relative to the eye has rounding errors of 1e-5 m.
-    "camera.x_m=-440",
+    &["camera.x_m=-440", "camera.yaw_deg=121", "camera.pitch_deg=-20"],
 ];
 const KINDS: u64 = (STAGES.len() * SAMPLES.len() * VIEWS.len()) as u64;
 
@@ -72,6 +75,16 @@ impl Tally {
 
     fn share(&self, count: u64) -> f64 {
         count as f64 / self.pixels as f64
+    }
+
+    /// Shares of the pixels whose depth and of the values whose colour differs. On a grid as fine as the host's no sample is excused.
+    fn counted(&self, steps: u32) -> [f64; 2] {
+        let (depth, colour) = if steps < HOST_STEPS {
+            (self.depth_inside, self.colour_inside)
+        } else {
+            (self.depth, self.colour)
+        };
+        [self.share(depth), self.share(colour) / 3.0]
     }
 
     fn print(&self, name: &str) {
@@ -120,6 +133,13 @@ impl Rays<'_> {
     }
 }
 
+/// Name and sub-pixel steps of the adapter of the tests.
+fn adapter_and_steps() -> (String, u32) {
+    let adapter = renderer().gpu().info.name.clone();
+    let coarse = COARSE_STEPS.iter().find(|(name, _)| adapter.contains(name));
+    (adapter, coarse.map_or(HOST_STEPS, |(_, steps)| *steps))
+}
+
 /// Differences in a scene, on a device with this many sub-pixel steps.
 fn compare(scene: &Scene, samples: u32, steps: u32) -> Tally {
     let mut settings = RenderSettings::new([SIDE; 2], samples).expect("settings");
@@ -166,9 +186,7 @@ fn compare(scene: &Scene, samples: u32, steps: u32) -> Tally {
 fn backends_agree_in_depth_colour_and_class() {
     let count =
         std::env::var(SCENES).map_or(DEFAULT_SCENES, |text| text.parse().expect("a number of scenes"));
-    let adapter = renderer().gpu().info.name.clone();
-    let coarse = COARSE_STEPS.iter().find(|(name, _)| adapter.contains(name));
-    let steps = coarse.map_or(HOST_STEPS, |(_, steps)| *steps);
+    let (adapter, steps) = adapter_and_steps();
     let mut all = Tally::default();
     for (k, stage) in STAGES.iter().enumerate() {
         for (l, samples) in SAMPLES.into_iter().enumerate() {
@@ -176,7 +194,9 @@ fn backends_agree_in_depth_colour_and_class() {
             let kind = (k * SAMPLES.len() + l) as u64;
             for seed in (0..count).filter(|seed| seed % (STAGES.len() * SAMPLES.len()) as u64 == kind) {
                 let view = VIEWS[(seed / (STAGES.len() * SAMPLES.len()) as u64) as usize % VIEWS.len()];
-                tally.add(&compare(&scene(seed, &[&format!("stage.name={stage}"), view]), samples, steps));
+                let stage = format!("stage.name={stage}");
+                let set = [&[&*stage], view].concat();
+                tally.add(&compare(&scene(seed, &set), samples, steps));
             }
             tally.print(&format!("{adapter}, {stage}, {samples} samples"));
             all.add(&tally);
@@ -184,14 +204,76 @@ fn backends_agree_in_depth_colour_and_class() {
     }
     all.print(&format!("{adapter}, {count} scenes"));
     assert!(all.pixels > 0, "no scene: {SCENES}={count}");
-    // On a grid as fine as the host's no sample is excused.
-    let (depth, colour) =
-        if steps < HOST_STEPS { (all.depth_inside, all.colour_inside) } else { (all.depth, all.colour) };
-    let depth = all.share(depth);
+    let [depth, colour] = all.counted(steps);
     assert!(depth <= DEPTH.1, "depth differs by over {:e} in {depth} of the pixels", DEPTH.0);
-    let colour = all.share(colour) / 3.0;
     assert!(colour <= COLOUR.1, "colour differs by over {} steps in {colour} of the values", COLOUR.0);
     assert_eq!(all.class_inside, 0, "of {} pixels of another class: not at an edge", all.class);
+}
+
+/// Scenes of [`any_scene`].
+const ANY_SCENES: u64 = 24;
+/// Knobs that are set in each, to at most these values, up or down.
+const POSE: [(&str, f64); 4] =
+    [("camera.x_m", 440.0), ("camera.y_m", 440.0), ("camera.yaw_deg", 180.0), ("camera.pitch_deg", 40.0)];
+/// Number of other knobs that are.
+const OTHER_KNOBS: usize = 6;
+/// Sections of the knobs of what is rasterised and lit.
+const SECTIONS: [&str; 10] =
+    ["camera", "terrain", "relief", "craters", "rocks", "rover", "wall", "tracks", "sun", "regolith"];
+/// Among them those whose largest values take minutes, leave the image black, or fold it over.
+const UNFIT_KNOBS: [&str; 8] = [
+    "terrain.cell_mrad",
+    "terrain.cells",
+    "camera.exposure_ev",
+    "camera.k1",
+    "camera.k2",
+    "camera.k3",
+    "camera.p1",
+    "camera.p2",
+];
+
+/// A scene with knobs from anywhere in their ranges; none if the camera would be under ground.
+fn any_scene(seed: u64) -> Option<(Vec<String>, Scene)> {
+    let draw = &mut Streams::new(seed).stream("tests.backends", 0);
+    let stage = [Stage::Nominal, Stage::Surface][seed as usize % 2];
+    let is_number = |info: &&KnobInfo| matches!(info.kind, Kind::Number | Kind::Integer);
+    let is_fit = |info: &&KnobInfo| SECTIONS.contains(&info.section()) && !UNFIT_KNOBS.contains(&info.name);
+    let numbers: Vec<&KnobInfo> =
+        KNOBS.iter().filter(|info| info.is_of(stage)).filter(is_number).filter(is_fit).collect();
+    let mut set = vec![format!("stage.name={}", STAGES[seed as usize % 2])];
+    set.extend((0..OTHER_KNOBS).map(|_| {
+        let info = numbers[draw.uniform_int(0, numbers.len() as i64 - 1) as usize];
+        let value = draw.uniform(info.range[0], info.range[1]);
+        format!("{}={}", info.name, if info.kind == Kind::Integer { value.round() } else { value })
+    }));
+    set.extend(POSE.map(|(name, most)| format!("{name}={}", draw.uniform(-most, most))));
+    let mut config = Config::new();
+    for assignment in &set {
+        config.apply_set(assignment).expect("a value in its range");
+    }
+    let scene = Scene::build(seed, &config.draw(seed).ok()?).ok()?;
+    Some((set, scene))
+}
+
+/// In every frame by itself, where [`backends_agree_in_depth_colour_and_class`] asks for all of its frames together.
+#[test]
+fn backends_agree_whatever_the_knobs() {
+    let (adapter, steps) = adapter_and_steps();
+    let mut compared = 0;
+    for (set, scene) in (0..ANY_SCENES).filter_map(any_scene) {
+        let tally = compare(&scene, 1, steps);
+        tally.print(&format!("{adapter}, {set:?}"));
+        let [depth, colour] = tally.counted(steps);
+        assert!(
+            depth <= 2.0 * DEPTH.1,
+            "{set:?}: depth differs by over {:e} in {depth} of the pixels",
+            DEPTH.0
+        );
+        assert!(colour <= 2.0 * COLOUR.1, "{set:?}: colour differs in {colour} of the values");
+        assert_eq!(tally.class_inside, 0, "{set:?}: of {} pixels of another class", tally.class);
+        compared += 1;
+    }
+    assert!(2 * compared > ANY_SCENES, "{compared} scenes could be built");
 }
 
 /// A plane is the same whatever else a frame has: each set of planes is resolved by a pipeline of its own.
