@@ -159,7 +159,7 @@ fn plan(args: &DatasetArgs) -> Result<Plan> {
             MAX_FRAMES - 1
         )));
     }
-    // A layout with ids of its own has those of no record.
+    // A layout with ids of its own takes none from a record.
     let requested = if layout.has_fixed_ids() { &args.image } else { &image };
     Ok(Plan {
         options: args.config.options(),

@@ -187,8 +187,8 @@ impl Camera {
         self.clip_from_view(size_px) * self.view_from_world()
     }
 
-    /// Offsets from the eye, world axes, to clip space. It moves nothing: of [`Self::clip_from_world`] as much as 2e-5 m of the eye's
-    /// position would be left by rounding where the eye is 400 m from the origin.
+    /// Offsets from the eye, along world axes, to clip space: a projection and a rotation. [`Self::clip_from_world`] times a translation by
+    /// the eye's position would leave up to 2e-5 m of it, by rounding, where the eye is 400 m from the origin.
     #[must_use]
     pub fn clip_from_offset(&self, size_px: [u32; 2]) -> Mat4 {
         let view_from_world = Mat3::from_cols(self.right, self.up, -self.forward).transpose();

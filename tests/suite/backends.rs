@@ -212,10 +212,10 @@ fn backends_agree_in_depth_colour_and_class() {
 
 /// Scenes of [`any_scene`].
 const ANY_SCENES: u64 = 24;
-/// Knobs that are set in each, to at most these values, up or down.
+/// Knobs of the camera's pose, which is drawn for each scene, and the largest magnitude of their values.
 const POSE: [(&str, f64); 4] =
     [("camera.x_m", 440.0), ("camera.y_m", 440.0), ("camera.yaw_deg", 180.0), ("camera.pitch_deg", 40.0)];
-/// Number of other knobs that are.
+/// Number of other knobs that are drawn for each.
 const OTHER_KNOBS: usize = 6;
 /// Sections of the knobs of what is rasterised and lit.
 const SECTIONS: [&str; 10] =
@@ -232,15 +232,16 @@ const UNFIT_KNOBS: [&str; 8] = [
     "camera.p2",
 ];
 
-/// A scene with knobs from anywhere in their ranges; none if the camera would be under ground.
+/// A scene with a pose and knobs from anywhere in their ranges, and what is set for it; none where that cannot be built.
 fn any_scene(seed: u64) -> Option<(Vec<String>, Scene)> {
     let draw = &mut Streams::new(seed).stream("tests.backends", 0);
-    let stage = [Stage::Nominal, Stage::Surface][seed as usize % 2];
+    let stage_name = STAGES[seed as usize % STAGES.len()];
+    let stage = Stage::from_name(stage_name).expect("a stage");
     let is_number = |info: &&KnobInfo| matches!(info.kind, Kind::Number | Kind::Integer);
     let is_fit = |info: &&KnobInfo| SECTIONS.contains(&info.section()) && !UNFIT_KNOBS.contains(&info.name);
     let numbers: Vec<&KnobInfo> =
         KNOBS.iter().filter(|info| info.is_of(stage)).filter(is_number).filter(is_fit).collect();
-    let mut set = vec![format!("stage.name={}", STAGES[seed as usize % 2])];
+    let mut set = vec![format!("stage.name={stage_name}")];
     set.extend((0..OTHER_KNOBS).map(|_| {
         let info = numbers[draw.uniform_int(0, numbers.len() as i64 - 1) as usize];
         let value = draw.uniform(info.range[0], info.range[1]);
