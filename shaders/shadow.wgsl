@@ -5,6 +5,9 @@
 // 0 for the layer of front faces, 1 for the layer of back faces below it.
 override ATLAS_LAYER: f32;
 
+// Texels that depths from 0 to 1 span: the side of the largest tile. src/render/select/casters.rs has the same.
+const DEPTH_RANGE_PX: f32 = 2048.0;
+
 @vertex
 fn vs_main(
     @location(0) position: vec3<f32>,
@@ -15,5 +18,6 @@ fn vs_main(
     let in_tile = (0.5 + 0.5 * across) * instances[slot].instance.tile_size_px;
     let texel = instances[slot].instance.tile_origin_px + in_tile + vec2(0.0, ATLAS_LAYER * frame.atlas_layer_height_px);
     let uv = texel / vec2(frame.atlas_width_px, 2.0 * frame.atlas_layer_height_px);
-    return vec4(2.0 * uv.x - 1.0, 1.0 - 2.0 * uv.y, 0.5 + 0.5 * dot(p, frame.sun_direction), 1.0);
+    let height_px = 0.5 * instances[slot].instance.tile_size_px * dot(p, frame.sun_direction);
+    return vec4(2.0 * uv.x - 1.0, 1.0 - 2.0 * uv.y, 0.5 + height_px / DEPTH_RANGE_PX, 1.0);
 }

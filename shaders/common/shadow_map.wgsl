@@ -1,7 +1,7 @@
 // Sun occlusion by rocks. The shadow map is an atlas with one tile per caster: a midpoint shadow map
 // (shadow_midpoint.wgsl; Woo 1992, "The Shadow Depth Map Revisited", Graphics Gems III). The midpoint gives each side of
-// the caster a bias of half its thickness, without a parameter: neither side shadows itself, and no light leaks in where
-// the rock meets the ground. A grid over the ground lists the casters that can reach each cell.
+// the caster a bias of half its thickness, of 4 texels at most: neither side shadows itself, and no light leaks in where
+// the rock meets the ground or itself. A grid over the ground lists the casters that can reach each cell.
 
 @group(2) @binding(1) var shadow_map: texture_2d<f32>;
 // Per cell the start of its list (and after the last cell the end of the last list), then the lists: indices of tiles.
@@ -13,6 +13,8 @@ const BLOCKER_TAPS: i32 = 8;
 const FILTER_TAPS: i32 = 20;
 // A filter with a smaller radius takes one tap, texels.
 const MIN_FILTER_PX: f32 = 0.5;
+// By how much the edge of a shadow may be steeper than one texel between light and dark.
+const MAX_STEEPNESS: f32 = 8.0;
 
 const COS_GOLDEN_ANGLE: f32 = -0.73736888;
 const SIN_GOLDEN_ANGLE: f32 = 0.67549029;
@@ -26,11 +28,11 @@ struct GridCell {
     in_horizon: bool,
 }
 
-// The receiving surface, as one caster's tile sees it.
+// The receiving surface, as one caster's tile sees it. Heights are along the sun, above the caster's centre.
 struct Receiver {
     // Texel position in the tile.
     texel: vec2<f32>,
-    // Plane of the receiving triangle: rise per texel along x and y, height along the sun at texel (0, 0), metres.
+    // Plane of the receiving triangle: rise along x and y, height at texel (0, 0), texels.
     plane: vec3<f32>,
 }
 
@@ -90,7 +92,7 @@ fn shadow_of_casters(
 }
 
 // The shadow of one caster. The mean height of the blockers gives the width of the penumbra
-// (Fernando 2005, "Percentage-Closer Soft Shadows"), here in metres, from the angle that the sun's disc spans. Heights are
+// (Fernando 2005, "Percentage-Closer Soft Shadows"), from the angle that the sun's disc spans. Heights are
 // relative to the plane of the receiving triangle, which therefore never occludes itself.
 fn caster_visibility(
     caster: u32,
@@ -112,12 +114,11 @@ fn caster_visibility(
     let rectangle = tiles[caster][1];
     let tile = CasterTile(sphere.xyz, half_extent_m, rectangle.xy, rectangle.z, rectangle.w);
     let texel_uv = 1.0 / vec2<f32>(textureDimensions(shadow_map));
-    let m_per_texel = 2.0 * half_extent_m / tile.size_px;
-    let texels_per_m = 1.0 / m_per_texel;
+    let texels_per_m = 0.5 * tile.size_px / half_extent_m;
     let texel = vec2(across.x, -across.y) * texels_per_m + vec2(0.5 * tile.size_px);
     let search_px = search_m * texels_per_m;
-    let slope = vec2(rise.x, -rise.y) * m_per_texel;
-    let plane = vec3(slope, along + terminator_bias * tile.edge_m - dot(slope, texel));
+    let slope = vec2(rise.x, -rise.y);
+    let plane = vec3(slope, (along + terminator_bias * tile.edge_m) * texels_per_m - dot(slope, texel));
     let receiver = Receiver(texel, plane);
 
     // The filter is never wider than the search, which is left out where it is too narrow to matter. Both are loops without
@@ -128,12 +129,12 @@ fn caster_visibility(
         if blockers.x == 0.0 { return Shadow(1.0, 0.0); }
         if blockers.x == f32(BLOCKER_TAPS) { return Shadow(0.0, depth_m); }
     }
-    let filter_px = light.sun_tan_half_angle * blockers.y / max(blockers.x, 1.0) * texels_per_m;
+    let filter_px = light.sun_tan_half_angle * blockers.y / max(blockers.x, 1.0);
     let occlusion = filtered_occlusion(tile, receiver, filter_px, spoke, texel_uv);
     return Shadow(1.0 - occlusion, occlusion * depth_m);
 }
 
-// Number of taps whose texel occludes the receiver, and the sum of their heights above its plane, metres.
+// Number of taps whose texel occludes the receiver, and the sum of their heights above its plane, texels.
 fn blocker_search(
     tile: CasterTile,
     receiver: Receiver,
@@ -143,7 +144,7 @@ fn blocker_search(
     texel_uv: vec2<f32>,
 ) -> vec2<f32> {
     var blockers = 0.0;
-    var height_m = 0.0;
+    var height_px = 0.0;
     var spoke = first_spoke;
     for (var i = 0; i < taps; i++) {
         let tap = receiver.texel + radius_px * sqrt((f32(i) + 0.5) / f32(BLOCKER_TAPS)) * spoke;
@@ -151,13 +152,15 @@ fn blocker_search(
         let above = height_above(tile, floor(tap), receiver.plane, texel_uv);
         if above > 0.0 {
             blockers += 1.0;
-            height_m += above;
+            height_px += above;
         }
     }
-    return vec2(blockers, height_m);
+    return vec2(blockers, height_px);
 }
 
 // Percentage-closer filtering over a disc (Reeves et al. 1987, "Rendering Antialiased Shadows with Depth Maps").
+// A penumbra is twice as wide as the filter's radius, and the weights of four texels rise over one texel: where it is narrower, as in
+// the shadow of a crease of the rock itself, the edge between dark and lit texels is made as steep as the penumbra is.
 fn filtered_occlusion(
     tile: CasterTile,
     receiver: Receiver,
@@ -175,7 +178,8 @@ fn filtered_occlusion(
         sum += occlusion_at(tile, tap, receiver.plane, texel_uv);
         spoke = next_spoke(spoke);
     }
-    return sum / f32(taps);
+    let steepness = clamp(0.5 / max(filter_px, 1.0e-3), 1.0, MAX_STEEPNESS);
+    return clamp(0.5 + steepness * (sum / f32(taps) - 0.5), 0.0, 1.0);
 }
 
 // Rotates by the golden angle: points on such spokes, at radii of square roots, cover a disc evenly (Vogel 1979, "A better
@@ -190,19 +194,19 @@ fn next_spoke(spoke: vec2<f32>) -> vec2<f32> {
 // Bilinear weight of those of the four texels around a position in the tile at which the caster is above the plane.
 fn occlusion_at(tile: CasterTile, texel: vec2<f32>, plane: vec3<f32>, texel_uv: vec2<f32>) -> f32 {
     let corner = floor(texel - 0.5);
-    let midpoints = textureGather(0, shadow_map, nearest, (tile.origin_px + corner + 1.0) * texel_uv);
+    let in_map = textureGather(0, shadow_map, nearest, (tile.origin_px + corner + 1.0) * texel_uv);
     // In the order of `textureGather`.
     let columns = corner.x + vec4(0.0, 1.0, 1.0, 0.0);
     let rows = corner.y + vec4(1.0, 1.0, 0.0, 0.0);
     let in_tile = (min(columns, rows) >= vec4(0.0)) & (max(columns, rows) < vec4(tile.size_px));
-    let heights = midpoints * tile.half_extent_m - (plane.z + plane.x * (columns + 0.5) + plane.y * (rows + 0.5));
+    let heights = in_map - (plane.z + plane.x * (columns + 0.5) + plane.y * (rows + 0.5));
     return bilinear(select(vec4(0.0), vec4(1.0), in_tile & (heights > vec4(0.0))), texel - 0.5 - corner);
 }
 
-// Height of the caster's midpoint above the plane at a texel of the tile, metres along the sun; far below outside the tile.
+// Height of the map above the plane at a texel of the tile, texels; far below outside the tile.
 fn height_above(tile: CasterTile, texel: vec2<f32>, plane: vec3<f32>, texel_uv: vec2<f32>) -> f32 {
-    let midpoint = textureSampleLevel(shadow_map, nearest, (tile.origin_px + texel + 0.5) * texel_uv, 0.0).r;
+    let in_map = textureSampleLevel(shadow_map, nearest, (tile.origin_px + texel + 0.5) * texel_uv, 0.0).r;
     let in_tile = all(texel >= vec2(0.0)) && all(texel < vec2(tile.size_px));
-    let height = midpoint * tile.half_extent_m - plane.z - dot(plane.xy, texel + 0.5);
+    let height = in_map - plane.z - dot(plane.xy, texel + 0.5);
     return select(-1.0e9, height, in_tile);
 }

@@ -503,8 +503,11 @@ fn contact_errors(backend: RasterMode, case: usize) -> [Vec<f32>; 2] {
         .map(|rocks| errors.iter().filter(|(rock, _)| *rock == rocks).map(|(_, error)| *error).collect())
 }
 
-/// Pooled over all cases, because a single frame has too few such pixels. On rocks the shadow of a crease starts up to half a texel
-/// late, so that their mean is a little below 0 everywhere, not only at contacts.
+/// Share of the pixels of rocks that face the sun, or of ground at contacts, whose occlusion may be off by over a quarter: along creases,
+/// whose shadows are narrower than texels of the shadow map where the sun grazes a rock.
+const MAX_FAR_OFF: f64 = 0.02;
+
+/// Pooled over all cases, because a single frame has too few such pixels.
 #[test]
 fn shadows_neither_detach_nor_creep_at_contacts() {
     BACKENDS.into_iter().for_each(check_contacts);
@@ -523,6 +526,9 @@ fn check_contacts(backend: RasterMode) {
         );
         assert!(n > 1000.0, "{what}: too few pixels: {n}");
         assert!(mean.abs() < bound, "{what}, {backend}: the mean shadow error is {mean}");
+        let far_off = errors.iter().filter(|e| e.abs() > 0.25).count() as f64 / n;
+        println!("{what}, {backend}: {:.2} % off by over 0.25", 100.0 * far_off);
+        assert!(far_off < MAX_FAR_OFF, "{what}, {backend}: {far_off} of the pixels are off by over 0.25");
     }
 }
 

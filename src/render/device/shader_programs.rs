@@ -415,6 +415,20 @@ mod tests {
     }
 
     #[test]
+    fn constants_of_the_shadow_map_that_rust_has_too_are_equal() {
+        use crate::render::select::casters::DEPTH_RANGE_PX;
+        use crate::render::shadow::host::{MAX_BEHIND_FRONT_PX, NO_CASTER};
+        for (program, name, expected) in [
+            (&SHADOW, "DEPTH_RANGE_PX", DEPTH_RANGE_PX),
+            (&SHADOW_MIDPOINT, "DEPTH_RANGE_PX", DEPTH_RANGE_PX),
+            (&SHADOW_MIDPOINT, "MAX_BEHIND_FRONT_PX", MAX_BEHIND_FRONT_PX),
+            (&SHADOW_MIDPOINT, "NO_CASTER", NO_CASTER),
+        ] {
+            assert_eq!(constant(program, name), f64::from(expected), "{name} in {}", program.name);
+        }
+    }
+
+    #[test]
     fn a_line_of_the_joined_text_is_found_in_its_file() {
         let text = LIGHTING_SURFACE.text();
         let line = text.lines().position(|l| l.contains("fn grid_cell")).expect("the function") + 1;

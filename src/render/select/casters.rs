@@ -22,6 +22,8 @@ const TEXELS_PER_PIXEL: f32 = 3.0;
 const MIN_SHADOW_PX: f32 = 1.0;
 /// Smallest and largest side of a tile, texels. The side is also at most four times the longer side of the image.
 const TILE_PX: [u32; 2] = [16, 2048];
+/// Texels of a tile that depths from 0 to 1 span along the sun: the side of the largest. Stands in `shadow.wgsl` too.
+pub(crate) const DEPTH_RANGE_PX: f32 = TILE_PX[1] as f32;
 /// Maximum columns of the atlas and rows of one of its layers, texels. All tiles shrink until they fit.
 pub(crate) const ATLAS_PX: u32 = 4096;
 /// Minimum columns of the atlas, texels.

@@ -22,12 +22,19 @@ use crate::render::raster::lanes::{
 };
 use crate::render::raster::setup::{Interpolant, TriangleSetup};
 use crate::render::raster::setup8::{TriangleSetup8, TriangleVertices8};
+use crate::render::select::casters::DEPTH_RANGE_PX;
 use crate::render::shadow::tiles::{Band, BandRows, NewTile};
 use crate::scene::Scene;
 use crate::scene::mesh::{Icosphere, Vertex};
 
-/// Height where a tile has no caster, half extents of the tile. `shadow_midpoint.wgsl` has the same.
-const NO_CASTER: f32 = -1.0e9;
+/// Height where a tile has no caster, texels. `shadow_midpoint.wgsl` has the same.
+pub(crate) const NO_CASTER: f32 = -1.0e9;
+/// How far the surface that is stored lies behind the front at most, texels: midway to the back would leave light in creases. The
+/// plane of what a crease shadows is extended to texels before the crease, and there it lies in the rock, behind the front, but before the
+/// middle of what is thick. On surfaces that face the sun and are not flat it lies less far behind the front. Nominal rocks that face the
+/// sun are wrong by over a quarter in 2.1 % of their pixels with 2 to 4 texels, in 2.4 % with 8, in 2.8 % without a limit; those of the
+/// surface stage in 0.9 to 0.7, 0.7 and 0.7 % (14 frames).
+pub(crate) const MAX_BEHIND_FRONT_PX: f32 = 4.0;
 thread_local! {
     /// One per thread, so that its memory is reused.
     static BAND: RefCell<ShadowBand> = RefCell::default();
@@ -56,7 +63,7 @@ struct ShadowVertex {
     position: SubpixelPoint,
     /// The same before it is rounded, texels from the centre of the first.
     position_px: Vec2,
-    /// Reversed: 0 at the far end of the tile's box, 1 at the end nearest to the sun.
+    /// Reversed: 1 is nearest to the sun, 0.5 at the caster's centre, and a texel of the tile is 1 / [`DEPTH_RANGE_PX`].
     depth: f32,
 }
 
@@ -131,6 +138,7 @@ impl ShadowBand {
         let (right, down, to_sun) = (right, -up, scene.sun.direction);
         let half = 0.5 / tile.half_extent_m;
         let size_px = tile.size_px;
+        let depth_range = size_px / DEPTH_RANGE_PX;
         for vertices in vertices.chunks(VERTEX_BATCH) {
             let [x, y, z] = to_soa(vertices.iter().map(|vertex| vertex.position));
             let (mut position_px, mut depth) = ([[0.0; VERTEX_BATCH]; 2], [0.0; VERTEX_BATCH]);
@@ -141,7 +149,7 @@ impl ShadowBand {
                 position_px[1][i] = (0.5 + dot(p, down)) * size_px - 0.5;
                 position[0][i] = SubpixelPoint::steps(position_px[0][i]);
                 position[1][i] = SubpixelPoint::steps(position_px[1][i]);
-                depth[i] = 0.5 + dot(p, to_sun);
+                depth[i] = 0.5 + dot(p, to_sun) * depth_range;
             }
             self.vertices.extend((0..vertices.len()).map(|i| ShadowVertex {
                 position: SubpixelPoint { x: position[0][i], y: position[1][i] },
@@ -185,8 +193,7 @@ impl ShadowBand {
         }
     }
 
-    /// Writes the depths midway between the layers, half extents of the tile from the caster's centre, `row_bytes` from one row to
-    /// the next.
+    /// Writes the heights of the map, `row_bytes` from one row to the next.
     fn write_midpoints(&mut self, row_bytes: usize, mut writer: PageWriter<'_>) {
         let mut midpoint_row = std::mem::take(&mut self.midpoint_row);
         midpoint_row.resize(self.columns.len(), 0.0);
@@ -222,7 +229,7 @@ impl ShadowBand {
         self.strip = strip;
     }
 
-    /// Sets the depths midway between the layers in a row of the tile, in the columns that are wanted.
+    /// Sets the heights of the map in a row of the tile, in the columns that are wanted: texels above the caster's centre.
     fn set_midpoint_row(&self, row: usize, midpoints: &mut [f32]) {
         let [columns, covered_rows] = &self.covered;
         if !covered_rows.contains(&row) {
@@ -243,7 +250,8 @@ impl ShadowBand {
 #[inline(always)]
 fn set_midpoints(midpoints: &mut [f32], fronts: &[f32], backs: &[f32]) {
     for (midpoint, (front, back)) in midpoints.iter_mut().zip(fronts.iter().zip(backs)) {
-        *midpoint = if *front == 0.0 { NO_CASTER } else { front + back - 1.0 };
+        let depth = (0.5 * (front + back)).max(front - MAX_BEHIND_FRONT_PX / DEPTH_RANGE_PX);
+        *midpoint = if *front == 0.0 { NO_CASTER } else { DEPTH_RANGE_PX * (depth - 0.5) };
     }
 }
 
