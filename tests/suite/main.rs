@@ -21,6 +21,7 @@ mod formats;
 mod frame_stream;
 mod fuzz;
 mod golden;
+mod horizon;
 mod hostile;
 mod label_policy;
 mod labels;

@@ -33,7 +33,7 @@ const SHADOW_STRIDE: usize = 7;
 
 /// Seed and settings of each case. Seeds of a low sun are such that few facets of the foreground are grazed by it: the horizon map takes
 /// the ground between its samples as smooth, where rays find that one facet occludes the next.
-const CASES: [(u64, &[&str]); 16] = [
+const CASES: [(u64, &[&str]); 18] = [
     (1, &[]),
     (102, &["sun.elevation_deg=5"]),
     (3, &["sun.azimuth_deg=0"]),
@@ -67,6 +67,10 @@ const CASES: [(u64, &[&str]); 16] = [
             "camera.x_m=150",
         ],
     ),
+    // Ground behind the camera shadows what is in view.
+    (8, &["stage.name=surface", "sun.elevation_deg=8"]),
+    // Ground shadows what lies in the penumbra of ground far away.
+    (5, &["stage.name=surface", "sun.elevation_deg=4", "sun.azimuth_deg=335"]),
 ];
 
 /// The triangles of a scene in a BVH, with the attributes of their hits.
@@ -549,4 +553,5 @@ cases! {
     nominal 0, low_sun 1, sun_in_front 2, low_camera 3, wide_view 4, high_relief 5, low_sun_in_front 6, high_sun 7,
     from_above 8, turned_camera 9, everything_extreme 10, near_boulder 11, surface 12, surface_low_sun 13,
     surface_sun_in_front 14, surface_turned 15,
+    surface_in_shadow 16, surface_penumbrae 17,
 }

@@ -144,7 +144,7 @@ fn plan_grids<'a>(
 ) -> (Vec<PlannedGrid<'a>>, ImageLayout) {
     loop {
         let planned = grids_of_steps((terrain, heightfield), (sun, towards), (base_m, &steps_m), footprint);
-        let layout = ImageLayout::new(planned.iter().map(|grid| grid.region.size()));
+        let layout = ImageLayout::new(planned.iter().map(|grid| grid.region.image_size()));
         if layout.fits() {
             return (planned, layout);
         }
@@ -159,14 +159,15 @@ fn grids_of_steps<'a>(
     (base_m, steps_m): (f32, &[f32]),
     footprint: &Footprint,
 ) -> Vec<PlannedGrid<'a>> {
+    // How far towards the sun from its footprint the sweep of the grid before begins, metres: there it samples this one.
+    let mut start_m = 0.0;
     let plan = |(level, &step_m): (usize, &f32)| {
         let lattice = SweepLattice::new(terrain, heightfield, sun, towards, step_m);
         let end_m = if steps_m.len() == 1 { FARTHEST_M } else { base_m * (1_u32 << level) as f32 };
         let beyond = (DETAIL_STEPS * step_m / lattice.fall_m[0].max(1e-6)).min(MAX_BEYOND).ceil();
-        // The sweep of the next finer grid starts beyond its own span and samples this grid there.
-        let finer_m = level.checked_sub(1).map_or(0.0, |finer| beyond * steps_m[finer]);
-        let margin = if level == 0 { 0.0 } else { (finer_m / step_m).ceil() + 2.0 };
+        let margin: f32 = if level == 0 { 0.0 } else { start_m / step_m };
         let region = lattice.region(&footprint.within(terrain.centre, end_m), margin);
+        start_m = step_m * (margin + SweepRegion::ROUNDED + beyond);
         PlannedGrid { lattice, region, beyond: beyond as usize }
     };
     steps_m.iter().enumerate().map(plan).collect()
@@ -298,7 +299,7 @@ impl HorizonMap {
             origin: grid.origin,
             step_m: grid.step_m,
             first_texel: (column | row << 16) as u32,
-            size: grid.size.map(|side| side as u32),
+            size: [grid.image_columns as u32, grid.size[1] as u32],
             first_sample: grid.first,
         }));
         self.shadowed.clear();
@@ -326,7 +327,9 @@ impl HorizonMap {
             .iter()
             .map(|column| {
                 let own = grids.by_ref().take(column.grids).collect::<Vec<_>>();
-                let rows = own.into_iter().flat_map(|grid| grid.heights_m.chunks(grid.size[0]));
+                let rows = own.into_iter().flat_map(|grid| {
+                    grid.heights_m.chunks(grid.size[0]).map(|row| &row[..grid.image_columns])
+                });
                 (column.width, rows)
             })
             .collect();
@@ -477,7 +480,7 @@ mod tests {
         let footprint = whole(terrain);
         let too_large =
             grids_of_steps((terrain, None), (&scene.sun, towards), (base_m, &steps_m), &footprint);
-        assert!(!ImageLayout::new(too_large.iter().map(|grid| grid.region.size())).fits());
+        assert!(!ImageLayout::new(too_large.iter().map(|grid| grid.region.image_size())).fits());
         let (grids, layout) =
             plan_grids((terrain, None), (&scene.sun, towards), (base_m, steps_m), &footprint);
         assert!(layout.fits() && grids.len() == too_large.len());

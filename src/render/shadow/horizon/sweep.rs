@@ -54,13 +54,27 @@ pub(super) struct SweepRegion {
     rows: Range<usize>,
     /// Of each row, the columns.
     spans: Vec<Range<usize>>,
+    /// Columns of the image: without those that only the next finer grid samples.
+    image_columns: usize,
 }
 
 impl SweepRegion {
-    /// Columns and rows.
-    pub(super) fn size(&self) -> [usize; 2] {
-        [self.columns.len(), self.rows.len()]
+    /// Most samples by which a span ends further towards the sun than asked for.
+    pub(super) const ROUNDED: f32 = 3.0;
+
+    /// Columns and rows of the image.
+    pub(super) fn image_size(&self) -> [usize; 2] {
+        [self.image_columns, self.rows.len()]
     }
+}
+
+/// Horizon heights at a sample behind two pieces of ground. A distant one has a wide penumbra, in which a near one may hide the sun.
+#[derive(Clone, Copy)]
+struct Occluders {
+    /// Behind the ground that the lower limb is hidden by up to the greatest height.
+    of_lower: Limbs,
+    /// Behind that of the upper limb.
+    of_upper: Limbs,
 }
 
 /// One level of the horizon map while it is made: a part of a lattice.
@@ -72,8 +86,12 @@ pub(super) struct HorizonGrid {
     pub(super) step_m: f32,
     /// Columns and rows.
     pub(super) size: [usize; 2],
-    /// Row by row; `f32::MIN` where nothing was computed.
+    /// Columns of the image.
+    pub(super) image_columns: usize,
+    /// Behind the ground that hides more of the sun from the ground at the sample, row by row; `f32::MIN` where nothing was computed.
     pub(super) heights_m: Vec<Limbs>,
+    /// Behind the other ground, of [`Occluders`], likewise. Empty where no finer grid samples this one.
+    others_m: Vec<Limbs>,
     /// Samples of a square ground around which other ground may occlude any of the sun, world, metres.
     pub(super) shadowed: Vec<Vec2>,
 }
@@ -131,7 +149,8 @@ impl<'a> SweepLattice<'a> {
                 })
             })
             .collect();
-        SweepRegion { columns, rows, spans }
+        let image_columns = samples(lowest.x, highest.x).len();
+        SweepRegion { columns, rows, spans, image_columns }
     }
 
     /// The coarsest grid: its rows begin where no ground further towards the sun is high enough to occlude it.
@@ -139,7 +158,8 @@ impl<'a> SweepLattice<'a> {
         let [lowest_m, highest_m] = self.terrain.z_range_m;
         let fall_m = self.fall_m[0].max(1e-6);
         let reach = ((highest_m - lowest_m) / fall_m).ceil().min(self.samples as f32) as usize + 2;
-        let start = |_, end: usize| ((end + reach).min(self.samples), [NO_HORIZON_M; 2]);
+        let nothing = Occluders { of_lower: [NO_HORIZON_M; 2], of_upper: [NO_HORIZON_M; 2] };
+        let start = |_, end: usize| ((end + reach).min(self.samples), nothing);
         self.sweep(region, memory, start, self.heightfield.map(|heightfield| &heightfield.chord_errors))
     }
 
@@ -155,7 +175,7 @@ impl<'a> SweepLattice<'a> {
             let end = end + beyond;
             let position = self.position(end, row);
             let ground_m = self.ground_m(position);
-            (end, raised_to_ground(coarser.sample(position, self.towards), ground_m))
+            (end, coarser.sample(position, self.towards).raised_to_ground(ground_m))
         };
         self.sweep(region, memory, start, None)
     }
@@ -166,28 +186,38 @@ impl<'a> SweepLattice<'a> {
         &self,
         region: &SweepRegion,
         mut heights_m: Vec<Limbs>,
-        start: impl Fn(usize, usize) -> (usize, Limbs) + Sync,
+        start: impl Fn(usize, usize) -> (usize, Occluders) + Sync,
         chord_errors: Option<&ChordErrors>,
     ) -> HorizonGrid {
-        let SweepRegion { columns, rows, spans } = region;
+        let SweepRegion { columns, rows, spans, image_columns } = region;
         let width = columns.len();
         let samples = width * rows.len();
+        // Nothing samples the only grid of a square.
+        let others = if self.heightfield.is_some() { 0 } else { samples };
+        let mut others_m = vec![[f32::MIN; 2]; others];
         heights_m.reserve_exact(samples.saturating_sub(heights_m.len()));
         heights_m.resize(samples, [f32::MIN; 2]);
-        let batches = heights_m.par_chunks_mut(LANES * width).zip(spans.par_chunks(LANES)).enumerate();
-        let shadowed = batches.map(|(index, (heights_m, spans))| {
-            for (row, span) in heights_m.chunks_exact_mut(width).zip(spans) {
-                // The sweep sets all of the span.
-                let span = span.start.max(columns.start) - columns.start
-                    ..span.end.max(columns.start) - columns.start;
-                row[..span.start].fill([f32::MIN; 2]);
-                row[span.end..].fill([f32::MIN; 2]);
+        let mut rows_of_others = others_m.chunks_mut((LANES * width).max(1));
+        let batches: Vec<_> = heights_m
+            .chunks_mut(LANES * width)
+            .map(|heights_m| [heights_m, rows_of_others.next().unwrap_or_default()])
+            .collect();
+        let batches = batches.into_par_iter().zip(spans.par_chunks(LANES)).enumerate();
+        let shadowed = batches.map(|(index, (mut stored_m, spans))| {
+            for stored_m in &mut stored_m {
+                for (row, span) in stored_m.chunks_exact_mut(width).zip(spans) {
+                    // The sweep sets all of the span.
+                    let span = span.start.max(columns.start) - columns.start
+                        ..span.end.max(columns.start) - columns.start;
+                    row[..span.start].fill([f32::MIN; 2]);
+                    row[span.end..].fill([f32::MIN; 2]);
+                }
             }
             let first_row = rows.start + index * LANES;
             let batch = RowBatch { first_row, first_column: columns.start, spans };
             dispatch!(
                 Level::new(),
-                simd => self.sweep_batch(simd, &batch, heights_m, &start, chord_errors)
+                simd => self.sweep_batch(simd, &batch, stored_m, &start, chord_errors)
             )
         });
         let shadowed = shadowed.collect::<Vec<_>>().into_iter().flatten().collect();
@@ -198,8 +228,8 @@ impl<'a> SweepLattice<'a> {
         } else {
             (self.origin + self.step_m * (first.x * self.towards + first.y * self.across), Vec2::ZERO)
         };
-        let size = [width, rows.len()];
-        HorizonGrid { origin, first, step_m: self.step_m, size, heights_m, shadowed }
+        let (size, image_columns, step_m) = ([width, rows.len()], *image_columns, self.step_m);
+        HorizonGrid { origin, first, step_m, size, image_columns, heights_m, others_m, shadowed }
     }
 
     /// Sweeps a batch of rows: stores the heights of their spans, and returns the positions of the samples around which ground may
@@ -210,14 +240,14 @@ impl<'a> SweepLattice<'a> {
         &self,
         simd: S,
         batch: &RowBatch<'_>,
-        heights_m: &mut [Limbs],
-        start: &impl Fn(usize, usize) -> (usize, Limbs),
+        mut stored_m: [&mut [Limbs]; 2],
+        start: &impl Fn(usize, usize) -> (usize, Occluders),
         chord_errors: Option<&ChordErrors>,
     ) -> Vec<Vec2> {
         let (mut front, columns) = SweepFront::new(simd, self, batch, start);
         let mut shadowed = Vec::new();
         let stored = batch.stored();
-        let mut block = [[[0.0; 2]; LANES]; BLOCK_COLUMNS];
+        let mut blocks = [[[[0.0; 2]; LANES]; BLOCK_COLUMNS]; 2];
         for column in columns.rev() {
             let has_started = front.fall(column, self.fall_m);
             // Beyond both ends of its span the ground below a row changes nothing.
@@ -225,15 +255,19 @@ impl<'a> SweepLattice<'a> {
             let (ground, cell) = self.ground_across(simd, front.row_origins, swept, column);
             if stored.contains(&column) {
                 let first = column - column % BLOCK_COLUMNS;
-                front.store_limbs(&mut block[column - first]);
+                let [block, others] = &mut blocks;
+                front.store_limbs(ground, [&mut block[column - first], &mut others[column - first]]);
                 if column == first || column == stored.start {
-                    batch.store(first, &block, heights_m);
+                    // The second is empty where nothing samples the grid.
+                    for (stored_m, block) in stored_m.iter_mut().zip(&blocks).filter(|(m, _)| !m.is_empty()) {
+                        batch.store(first, block, stored_m);
+                    }
                 }
             }
             if let Some(chord_errors) = chord_errors
                 && stored.contains(&column)
             {
-                let mut lanes = chord_errors.shadowed_lanes(simd, ground, cell, front.lower);
+                let mut lanes = chord_errors.shadowed_lanes(simd, ground, cell, front.of_lower[0]);
                 while lanes != 0 {
                     let lane = lanes.trailing_zeros() as usize;
                     lanes &= lanes - 1;
@@ -242,10 +276,7 @@ impl<'a> SweepLattice<'a> {
                     }
                 }
             }
-            // As `raised_to_ground`.
-            let stands_out = has_started & ground.simd_gt(front.lower);
-            front.lower = stands_out.select(ground, front.lower);
-            front.upper = stands_out.select(ground, front.upper);
+            front.raise_to_ground(has_started, ground);
         }
         shadowed
     }
@@ -332,9 +363,9 @@ struct SweepFront<S: Simd> {
     start_column: f32x8<S>,
     /// The first column of the span of each row.
     first_column: f32x8<S>,
-    /// Horizon heights for the lower and the upper limb at the current column, metres.
-    lower: f32x8<S>,
-    upper: f32x8<S>,
+    /// [`Occluders`] at the current column.
+    of_lower: [f32x8<S>; 2],
+    of_upper: [f32x8<S>; 2],
 }
 
 impl<S: Simd> SweepFront<S> {
@@ -344,11 +375,11 @@ impl<S: Simd> SweepFront<S> {
         simd: S,
         lattice: &SweepLattice<'_>,
         batch: &RowBatch<'_>,
-        start: &impl Fn(usize, usize) -> (usize, Limbs),
+        start: &impl Fn(usize, usize) -> (usize, Occluders),
     ) -> (Self, Range<usize>) {
         let (mut origins, mut start_column) = ([[0.0; LANES]; 2], [0.0; LANES]);
         let mut first_column = [0.0; LANES];
-        let mut limbs = [[0.0; LANES]; 2];
+        let mut limbs = [[[0.0; LANES]; 2]; 2];
         let (mut first, mut end) = (usize::MAX, 0);
         for (row, span) in batch.spans.iter().enumerate() {
             let origin = lattice.origin + (batch.first_row + row) as f32 * lattice.step_m * lattice.across;
@@ -357,7 +388,10 @@ impl<S: Simd> SweepFront<S> {
                 continue;
             }
             let (column, at_start) = start(batch.first_row + row, span.end);
-            (start_column[row], limbs[0][row], limbs[1][row]) = (column as f32, at_start[0], at_start[1]);
+            start_column[row] = column as f32;
+            for (limbs, at_start) in limbs.iter_mut().zip([at_start.of_lower, at_start.of_upper]) {
+                (limbs[0][row], limbs[1][row]) = (at_start[0], at_start[1]);
+            }
             first_column[row] = span.start as f32;
             (first, end) = (first.min(span.start), end.max(column));
         }
@@ -365,8 +399,8 @@ impl<S: Simd> SweepFront<S> {
             row_origins: [f32x8::from_slice(simd, &origins[0]), f32x8::from_slice(simd, &origins[1])],
             start_column: f32x8::from_slice(simd, &start_column),
             first_column: f32x8::from_slice(simd, &first_column),
-            lower: f32x8::from_slice(simd, &limbs[0]),
-            upper: f32x8::from_slice(simd, &limbs[1]),
+            of_lower: [f32x8::from_slice(simd, &limbs[0][0]), f32x8::from_slice(simd, &limbs[0][1])],
+            of_upper: [f32x8::from_slice(simd, &limbs[1][0]), f32x8::from_slice(simd, &limbs[1][1])],
         };
         (front, first..end)
     }
@@ -375,42 +409,74 @@ impl<S: Simd> SweepFront<S> {
     #[inline(always)]
     fn fall(&mut self, column: usize, fall_m: Limbs) -> mask32x8<S> {
         let has_started = self.start_column.simd_gt(column as f32);
-        self.lower = has_started.select(self.lower - fall_m[0], self.lower);
-        self.upper = has_started.select(self.upper - fall_m[1], self.upper);
+        for limbs in [&mut self.of_lower, &mut self.of_upper] {
+            for (height, fall_m) in limbs.iter_mut().zip(fall_m) {
+                *height = has_started.select(*height - fall_m, *height);
+            }
+        }
         has_started
     }
 
-    /// Stores the horizon heights of each row.
+    /// As [`Occluders::raised_to_ground`], in the rows that have started.
     #[inline(always)]
-    fn store_limbs(&self, limbs: &mut [Limbs; LANES]) {
-        let (first, second) = self.lower.interleave(self.upper);
-        let limbs: &mut [f32] = bytemuck::cast_slice_mut(limbs);
-        first.store_slice(&mut limbs[..LANES]);
-        second.store_slice(&mut limbs[LANES..]);
+    fn raise_to_ground(&mut self, has_started: mask32x8<S>, ground: f32x8<S>) {
+        for (limbs, limb) in [(&mut self.of_lower, 0), (&mut self.of_upper, 1)] {
+            let stands_out = has_started & ground.simd_gt(limbs[limb]);
+            *limbs = [stands_out.select(ground, limbs[0]), stands_out.select(ground, limbs[1])];
+        }
+    }
+
+    /// Stores the horizon heights of each row: first those behind the ground that hides more of the sun from the ground at the sample,
+    /// the height of the lower limb over that of the ground relative to the width of the penumbra.
+    #[inline(always)]
+    fn store_limbs(&self, ground: f32x8<S>, [limbs, others]: [&mut [Limbs; LANES]; 2]) {
+        let ([a, a_end], [b, b_end]) = (self.of_lower, self.of_upper);
+        let is_upper = ((b - ground) * (a - a_end)).simd_gt((a - ground) * (b - b_end));
+        store_pairs([is_upper.select(b, a), is_upper.select(b_end, a_end)], limbs);
+        store_pairs([is_upper.select(a, b), is_upper.select(a_end, b_end)], others);
     }
 }
 
-/// The horizon heights behind ground of a height: ground that occludes the lower limb also sets the height for the upper one. (Lower
-/// ground that lies nearer would occlude neither, but would cut the penumbra short.)
-fn raised_to_ground(limbs: Limbs, ground_m: f32) -> Limbs {
-    if ground_m > limbs[0] { [ground_m; 2] } else { limbs }
+/// Stores both heights of each row.
+#[inline(always)]
+fn store_pairs<S: Simd>([lower, upper]: [f32x8<S>; 2], limbs: &mut [Limbs; LANES]) {
+    let (first, second) = lower.interleave(upper);
+    let limbs: &mut [f32] = bytemuck::cast_slice_mut(limbs);
+    first.store_slice(&mut limbs[..LANES]);
+    second.store_slice(&mut limbs[LANES..]);
+}
+
+impl Occluders {
+    /// Of two pieces of ground.
+    fn new(first: Limbs, second: Limbs) -> Self {
+        let higher = |limb: usize| if second[limb] > first[limb] { second } else { first };
+        Self { of_lower: higher(0), of_upper: higher(1) }
+    }
+
+    /// Those behind ground of a height.
+    fn raised_to_ground(self, ground_m: f32) -> Self {
+        let raised = |limbs: Limbs, limb: usize| if ground_m > limbs[limb] { [ground_m; 2] } else { limbs };
+        Self { of_lower: raised(self.of_lower, 0), of_upper: raised(self.of_upper, 1) }
+    }
 }
 
 impl HorizonGrid {
     /// Horizon heights at a position, bilinearly interpolated; of a grid over rings, whose samples are counted from its first.
-    fn sample(&self, position: Vec2, towards: Vec2) -> Limbs {
+    fn sample(&self, position: Vec2, towards: Vec2) -> Occluders {
         let offset = (position - self.origin) / self.step_m;
         let limit = Vec2::new(self.size[0] as f32, self.size[1] as f32) - 1.001;
         let at = Vec2::new(offset.dot(towards), Vec2::new(-towards.y, towards.x).dot(offset));
         let at = at.clamp(Vec2::ZERO, limit);
         let (corner, t) = (at.floor(), at - at.floor());
-        let height = |dx: usize, dy: usize| {
-            self.heights_m[(corner.y as usize + dy) * self.size[0] + corner.x as usize + dx]
-        };
+        let corners = [[0, 0], [1, 0], [0, 1], [1, 1]].map(|[dx, dy]| {
+            let index = (corner.y as usize + dy) * self.size[0] + corner.x as usize + dx;
+            Occluders::new(self.heights_m[index], self.others_m[index])
+        });
         let mix = |a: f32, b: f32, t: f32| a + (b - a) * t;
-        [0, 1].map(|limb| {
-            let row = |dy| mix(height(0, dy)[limb], height(1, dy)[limb], t.x);
-            mix(row(0), row(1), t.y)
-        })
+        let limbs = |of: fn(&Occluders) -> Limbs| {
+            let [sw, se, nw, ne] = corners.each_ref().map(of);
+            [0, 1].map(|limb| mix(mix(sw[limb], se[limb], t.x), mix(nw[limb], ne[limb], t.x), t.y))
+        };
+        Occluders { of_lower: limbs(|of| of.of_lower), of_upper: limbs(|of| of.of_upper) }
     }
 }
