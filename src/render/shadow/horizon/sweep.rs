@@ -68,14 +68,13 @@ impl SweepRegion {
     }
 }
 
-/// Horizon heights at a sample behind two pieces of ground. A distant one has a wide penumbra, in which a near one may hide the sun.
+/// Parts of the sun's disc, as fractions of its height from the lower limb, each with the ground that hides it up to the greatest height.
+const PARTS: [f32; 3] = [0.0, 0.5, 1.0];
+
+/// Horizon heights behind the ground that hides each of the [`PARTS`]. The penumbra of ground far away is wide, and nearer ground in it
+/// may hide more of the sun.
 #[derive(Clone, Copy)]
-struct Occluders {
-    /// Behind the ground that the lower limb is hidden by up to the greatest height.
-    of_lower: Limbs,
-    /// Behind that of the upper limb.
-    of_upper: Limbs,
-}
+struct Occluders([Limbs; PARTS.len()]);
 
 /// One level of the horizon map while it is made: a part of a lattice.
 pub(super) struct HorizonGrid {
@@ -88,10 +87,10 @@ pub(super) struct HorizonGrid {
     pub(super) size: [usize; 2],
     /// Columns of the image.
     pub(super) image_columns: usize,
-    /// Behind the ground that hides more of the sun from the ground at the sample, row by row; `f32::MIN` where nothing was computed.
+    /// Behind the ground that hides most of the sun from the ground at the sample, row by row; `f32::MIN` where nothing was computed.
     pub(super) heights_m: Vec<Limbs>,
-    /// Behind the other ground, of [`Occluders`], likewise. Empty where no finer grid samples this one.
-    others_m: Vec<Limbs>,
+    /// Of each of the [`Occluders`], likewise. Empty where no finer grid samples this one.
+    occluders_m: [Vec<Limbs>; PARTS.len()],
     /// Samples of a square ground around which other ground may occlude any of the sun, world, metres.
     pub(super) shadowed: Vec<Vec2>,
 }
@@ -158,7 +157,7 @@ impl<'a> SweepLattice<'a> {
         let [lowest_m, highest_m] = self.terrain.z_range_m;
         let fall_m = self.fall_m[0].max(1e-6);
         let reach = ((highest_m - lowest_m) / fall_m).ceil().min(self.samples as f32) as usize + 2;
-        let nothing = Occluders { of_lower: [NO_HORIZON_M; 2], of_upper: [NO_HORIZON_M; 2] };
+        let nothing = Occluders([[NO_HORIZON_M; 2]; PARTS.len()]);
         let start = |_, end: usize| ((end + reach).min(self.samples), nothing);
         self.sweep(region, memory, start, self.heightfield.map(|heightfield| &heightfield.chord_errors))
     }
@@ -193,18 +192,18 @@ impl<'a> SweepLattice<'a> {
         let width = columns.len();
         let samples = width * rows.len();
         // Nothing samples the only grid of a square.
-        let others = if self.heightfield.is_some() { 0 } else { samples };
-        let mut others_m = vec![[f32::MIN; 2]; others];
+        let sampled = if self.heightfield.is_some() { 0 } else { samples };
+        let mut occluders_m = [(); PARTS.len()].map(|()| vec![[f32::MIN; 2]; sampled]);
         heights_m.reserve_exact(samples.saturating_sub(heights_m.len()));
         heights_m.resize(samples, [f32::MIN; 2]);
-        let mut rows_of_others = others_m.chunks_mut((LANES * width).max(1));
+        let mut of_occluders = occluders_m.each_mut().map(|heights_m| heights_m.chunks_mut(LANES * width));
         let batches: Vec<_> = heights_m
             .chunks_mut(LANES * width)
-            .map(|heights_m| [heights_m, rows_of_others.next().unwrap_or_default()])
+            .map(|heights_m| (heights_m, of_occluders.each_mut().map(|rows| rows.next().unwrap_or_default())))
             .collect();
         let batches = batches.into_par_iter().zip(spans.par_chunks(LANES)).enumerate();
-        let shadowed = batches.map(|(index, (mut stored_m, spans))| {
-            for stored_m in &mut stored_m {
+        let shadowed = batches.map(|(index, ((heights_m, mut occluders_m), spans))| {
+            for stored_m in std::iter::once(&mut *heights_m).chain(occluders_m.iter_mut().map(|m| &mut **m)) {
                 for (row, span) in stored_m.chunks_exact_mut(width).zip(spans) {
                     // The sweep sets all of the span.
                     let span = span.start.max(columns.start) - columns.start
@@ -217,7 +216,7 @@ impl<'a> SweepLattice<'a> {
             let batch = RowBatch { first_row, first_column: columns.start, spans };
             dispatch!(
                 Level::new(),
-                simd => self.sweep_batch(simd, &batch, stored_m, &start, chord_errors)
+                simd => self.sweep_batch(simd, &batch, (heights_m, occluders_m), &start, chord_errors)
             )
         });
         let shadowed = shadowed.collect::<Vec<_>>().into_iter().flatten().collect();
@@ -229,7 +228,7 @@ impl<'a> SweepLattice<'a> {
             (self.origin + self.step_m * (first.x * self.towards + first.y * self.across), Vec2::ZERO)
         };
         let (size, image_columns, step_m) = ([width, rows.len()], *image_columns, self.step_m);
-        HorizonGrid { origin, first, step_m, size, image_columns, heights_m, others_m, shadowed }
+        HorizonGrid { origin, first, step_m, size, image_columns, heights_m, occluders_m, shadowed }
     }
 
     /// Sweeps a batch of rows: stores the heights of their spans, and returns the positions of the samples around which ground may
@@ -240,14 +239,16 @@ impl<'a> SweepLattice<'a> {
         &self,
         simd: S,
         batch: &RowBatch<'_>,
-        mut stored_m: [&mut [Limbs]; 2],
+        (heights_m, mut occluders_m): (&mut [Limbs], [&mut [Limbs]; PARTS.len()]),
         start: &impl Fn(usize, usize) -> (usize, Occluders),
         chord_errors: Option<&ChordErrors>,
     ) -> Vec<Vec2> {
         let (mut front, columns) = SweepFront::new(simd, self, batch, start);
         let mut shadowed = Vec::new();
         let stored = batch.stored();
-        let mut blocks = [[[[0.0; 2]; LANES]; BLOCK_COLUMNS]; 2];
+        let mut block = [[[0.0; 2]; LANES]; BLOCK_COLUMNS];
+        let mut of_occluders = [block; PARTS.len()];
+        let is_sampled = occluders_m.iter().all(|heights_m| !heights_m.is_empty());
         for column in columns.rev() {
             let has_started = front.fall(column, self.fall_m);
             // Beyond both ends of its span the ground below a row changes nothing.
@@ -255,19 +256,25 @@ impl<'a> SweepLattice<'a> {
             let (ground, cell) = self.ground_across(simd, front.row_origins, swept, column);
             if stored.contains(&column) {
                 let first = column - column % BLOCK_COLUMNS;
-                let [block, others] = &mut blocks;
-                front.store_limbs(ground, [&mut block[column - first], &mut others[column - first]]);
+                store_limbs(front.limbs(ground), &mut block[column - first]);
+                if is_sampled {
+                    for (limbs, block) in front.occluders.into_iter().zip(&mut of_occluders) {
+                        store_limbs(limbs, &mut block[column - first]);
+                    }
+                }
                 if column == first || column == stored.start {
-                    // The second is empty where nothing samples the grid.
-                    for (stored_m, block) in stored_m.iter_mut().zip(&blocks).filter(|(m, _)| !m.is_empty()) {
-                        batch.store(first, block, stored_m);
+                    batch.store(first, &block, heights_m);
+                    if is_sampled {
+                        for (heights_m, block) in occluders_m.iter_mut().zip(&of_occluders) {
+                            batch.store(first, block, heights_m);
+                        }
                     }
                 }
             }
             if let Some(chord_errors) = chord_errors
                 && stored.contains(&column)
             {
-                let mut lanes = chord_errors.shadowed_lanes(simd, ground, cell, front.of_lower[0]);
+                let mut lanes = chord_errors.shadowed_lanes(simd, ground, cell, front.occluders[0][0]);
                 while lanes != 0 {
                     let lane = lanes.trailing_zeros() as usize;
                     lanes &= lanes - 1;
@@ -364,8 +371,7 @@ struct SweepFront<S: Simd> {
     /// The first column of the span of each row.
     first_column: f32x8<S>,
     /// [`Occluders`] at the current column.
-    of_lower: [f32x8<S>; 2],
-    of_upper: [f32x8<S>; 2],
+    occluders: [[f32x8<S>; 2]; PARTS.len()],
 }
 
 impl<S: Simd> SweepFront<S> {
@@ -379,7 +385,7 @@ impl<S: Simd> SweepFront<S> {
     ) -> (Self, Range<usize>) {
         let (mut origins, mut start_column) = ([[0.0; LANES]; 2], [0.0; LANES]);
         let mut first_column = [0.0; LANES];
-        let mut limbs = [[[0.0; LANES]; 2]; 2];
+        let mut limbs = [[[0.0; LANES]; 2]; PARTS.len()];
         let (mut first, mut end) = (usize::MAX, 0);
         for (row, span) in batch.spans.iter().enumerate() {
             let origin = lattice.origin + (batch.first_row + row) as f32 * lattice.step_m * lattice.across;
@@ -389,7 +395,7 @@ impl<S: Simd> SweepFront<S> {
             }
             let (column, at_start) = start(batch.first_row + row, span.end);
             start_column[row] = column as f32;
-            for (limbs, at_start) in limbs.iter_mut().zip([at_start.of_lower, at_start.of_upper]) {
+            for (limbs, at_start) in limbs.iter_mut().zip(at_start.0) {
                 (limbs[0][row], limbs[1][row]) = (at_start[0], at_start[1]);
             }
             first_column[row] = span.start as f32;
@@ -399,8 +405,8 @@ impl<S: Simd> SweepFront<S> {
             row_origins: [f32x8::from_slice(simd, &origins[0]), f32x8::from_slice(simd, &origins[1])],
             start_column: f32x8::from_slice(simd, &start_column),
             first_column: f32x8::from_slice(simd, &first_column),
-            of_lower: [f32x8::from_slice(simd, &limbs[0][0]), f32x8::from_slice(simd, &limbs[0][1])],
-            of_upper: [f32x8::from_slice(simd, &limbs[1][0]), f32x8::from_slice(simd, &limbs[1][1])],
+            occluders: limbs
+                .map(|[lower, upper]| [f32x8::from_slice(simd, &lower), f32x8::from_slice(simd, &upper)]),
         };
         (front, first..end)
     }
@@ -409,7 +415,7 @@ impl<S: Simd> SweepFront<S> {
     #[inline(always)]
     fn fall(&mut self, column: usize, fall_m: Limbs) -> mask32x8<S> {
         let has_started = self.start_column.simd_gt(column as f32);
-        for limbs in [&mut self.of_lower, &mut self.of_upper] {
+        for limbs in &mut self.occluders {
             for (height, fall_m) in limbs.iter_mut().zip(fall_m) {
                 *height = has_started.select(*height - fall_m, *height);
             }
@@ -420,26 +426,30 @@ impl<S: Simd> SweepFront<S> {
     /// As [`Occluders::raised_to_ground`], in the rows that have started.
     #[inline(always)]
     fn raise_to_ground(&mut self, has_started: mask32x8<S>, ground: f32x8<S>) {
-        for (limbs, limb) in [(&mut self.of_lower, 0), (&mut self.of_upper, 1)] {
-            let stands_out = has_started & ground.simd_gt(limbs[limb]);
+        for (limbs, part) in self.occluders.iter_mut().zip(PARTS) {
+            let hidden = limbs[0] + (limbs[1] - limbs[0]) * part;
+            let stands_out = has_started & ground.simd_gt(hidden);
             *limbs = [stands_out.select(ground, limbs[0]), stands_out.select(ground, limbs[1])];
         }
     }
 
-    /// Stores the horizon heights of each row: first those behind the ground that hides more of the sun from the ground at the sample,
-    /// the height of the lower limb over that of the ground relative to the width of the penumbra.
+    /// The horizon heights behind the ground that hides most of the sun from ground of this height: the height of the lower limb over
+    /// that of the ground relative to the width of the penumbra.
     #[inline(always)]
-    fn store_limbs(&self, ground: f32x8<S>, [limbs, others]: [&mut [Limbs; LANES]; 2]) {
-        let ([a, a_end], [b, b_end]) = (self.of_lower, self.of_upper);
-        let is_upper = ((b - ground) * (a - a_end)).simd_gt((a - ground) * (b - b_end));
-        store_pairs([is_upper.select(b, a), is_upper.select(b_end, a_end)], limbs);
-        store_pairs([is_upper.select(a, b), is_upper.select(a_end, b_end)], others);
+    fn limbs(&self, ground: f32x8<S>) -> [f32x8<S>; 2] {
+        let [mut darkest, nearer @ ..] = self.occluders;
+        for limbs in nearer {
+            let hides_more = ((limbs[0] - ground) * (darkest[0] - darkest[1]))
+                .simd_gt((darkest[0] - ground) * (limbs[0] - limbs[1]));
+            darkest = [hides_more.select(limbs[0], darkest[0]), hides_more.select(limbs[1], darkest[1])];
+        }
+        darkest
     }
 }
 
 /// Stores both heights of each row.
 #[inline(always)]
-fn store_pairs<S: Simd>([lower, upper]: [f32x8<S>; 2], limbs: &mut [Limbs; LANES]) {
+fn store_limbs<S: Simd>([lower, upper]: [f32x8<S>; 2], limbs: &mut [Limbs; LANES]) {
     let (first, second) = lower.interleave(upper);
     let limbs: &mut [f32] = bytemuck::cast_slice_mut(limbs);
     first.store_slice(&mut limbs[..LANES]);
@@ -447,16 +457,15 @@ fn store_pairs<S: Simd>([lower, upper]: [f32x8<S>; 2], limbs: &mut [Limbs; LANES
 }
 
 impl Occluders {
-    /// Of two pieces of ground.
-    fn new(first: Limbs, second: Limbs) -> Self {
-        let higher = |limb: usize| if second[limb] > first[limb] { second } else { first };
-        Self { of_lower: higher(0), of_upper: higher(1) }
-    }
-
     /// Those behind ground of a height.
     fn raised_to_ground(self, ground_m: f32) -> Self {
-        let raised = |limbs: Limbs, limb: usize| if ground_m > limbs[limb] { [ground_m; 2] } else { limbs };
-        Self { of_lower: raised(self.of_lower, 0), of_upper: raised(self.of_upper, 1) }
+        let mut raised = self.0;
+        for (limbs, part) in raised.iter_mut().zip(PARTS) {
+            if ground_m > limbs[0] + (limbs[1] - limbs[0]) * part {
+                *limbs = [ground_m; 2];
+            }
+        }
+        Self(raised)
     }
 }
 
@@ -468,15 +477,15 @@ impl HorizonGrid {
         let at = Vec2::new(offset.dot(towards), Vec2::new(-towards.y, towards.x).dot(offset));
         let at = at.clamp(Vec2::ZERO, limit);
         let (corner, t) = (at.floor(), at - at.floor());
-        let corners = [[0, 0], [1, 0], [0, 1], [1, 1]].map(|[dx, dy]| {
-            let index = (corner.y as usize + dy) * self.size[0] + corner.x as usize + dx;
-            Occluders::new(self.heights_m[index], self.others_m[index])
-        });
+        let index = |dx: usize, dy: usize| (corner.y as usize + dy) * self.size[0] + corner.x as usize + dx;
         let mix = |a: f32, b: f32, t: f32| a + (b - a) * t;
-        let limbs = |of: fn(&Occluders) -> Limbs| {
-            let [sw, se, nw, ne] = corners.each_ref().map(of);
-            [0, 1].map(|limb| mix(mix(sw[limb], se[limb], t.x), mix(nw[limb], ne[limb], t.x), t.y))
+        let interpolated = |heights_m: &[Limbs]| {
+            let height = |dx, dy| heights_m[index(dx, dy)];
+            [0, 1].map(|limb| {
+                let row = |dy| mix(height(0, dy)[limb], height(1, dy)[limb], t.x);
+                mix(row(0), row(1), t.y)
+            })
         };
-        Occluders { of_lower: limbs(|of| of.of_lower), of_upper: limbs(|of| of.of_upper) }
+        Occluders(self.occluders_m.each_ref().map(|heights_m| interpolated(heights_m)))
     }
 }
