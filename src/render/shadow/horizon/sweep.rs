@@ -437,8 +437,8 @@ impl<S: Simd> SweepFront<S> {
     /// that of the ground relative to the width of the penumbra.
     #[inline(always)]
     fn limbs(&self, ground: f32x8<S>) -> [f32x8<S>; 2] {
-        let [mut darkest, nearer @ ..] = self.occluders;
-        for limbs in nearer {
+        let [mut darkest, others @ ..] = self.occluders;
+        for limbs in others {
             let hides_more = ((limbs[0] - ground) * (darkest[0] - darkest[1]))
                 .simd_gt((darkest[0] - ground) * (limbs[0] - limbs[1]));
             darkest = [hides_more.select(limbs[0], darkest[0]), hides_more.select(limbs[1], darkest[1])];
