@@ -27,7 +27,7 @@ GREEN = 1
 MAX_PATH_DEPTH = 4
 # Paths a pixel, and the largest number of pixels of a kind, drawn at random. Sunlit pixels converge quickly; with fewer paths in the
 # dark, most pixels miss what is small and bright, and the median is too low. In one scene half of the soil in shadow has hardly any
-# light, and the median lies between: of 96 pixels its ratio was 2.3 to 4.9, by which they were.
+# light, and the median lies between: with 96 pixels its ratio was from 2.3 to 4.9, depending on which pixels were taken.
 PATHS = {"lit": 32, "dark": 2048}
 MAX_PIXELS = 256
 # With fewer pixels than this a kind is not judged, which is a failure.

@@ -59,7 +59,7 @@ pub(super) struct SweepRegion {
 }
 
 impl SweepRegion {
-    /// Most samples by which a span ends further towards the sun than asked for.
+    /// Largest number of samples by which a span ends further towards the sun than asked for.
     pub(super) const ROUNDED: f32 = 3.0;
 
     /// Columns and rows of the image.
@@ -202,15 +202,13 @@ impl<'a> SweepLattice<'a> {
             .map(|heights_m| (heights_m, of_occluders.each_mut().map(|rows| rows.next().unwrap_or_default())))
             .collect();
         let batches = batches.into_par_iter().zip(spans.par_chunks(LANES)).enumerate();
-        let shadowed = batches.map(|(index, ((heights_m, mut occluders_m), spans))| {
-            for stored_m in std::iter::once(&mut *heights_m).chain(occluders_m.iter_mut().map(|m| &mut **m)) {
-                for (row, span) in stored_m.chunks_exact_mut(width).zip(spans) {
-                    // The sweep sets all of the span.
-                    let span = span.start.max(columns.start) - columns.start
-                        ..span.end.max(columns.start) - columns.start;
-                    row[..span.start].fill([f32::MIN; 2]);
-                    row[span.end..].fill([f32::MIN; 2]);
-                }
+        let shadowed = batches.map(|(index, ((heights_m, occluders_m), spans))| {
+            // The memory of an earlier map. The sweep sets all of the span.
+            for (row, span) in heights_m.chunks_exact_mut(width).zip(spans) {
+                let span = span.start.max(columns.start) - columns.start
+                    ..span.end.max(columns.start) - columns.start;
+                row[..span.start].fill([f32::MIN; 2]);
+                row[span.end..].fill([f32::MIN; 2]);
             }
             let first_row = rows.start + index * LANES;
             let batch = RowBatch { first_row, first_column: columns.start, spans };
