@@ -12,7 +12,6 @@ use regolith::output::edges::EdgePolicy;
 use regolith::output::{self, EncodeInput, LabelIds};
 use regolith::params::Params;
 use regolith::random::Streams;
-use regolith::render::RenderSettings;
 use regolith::render::lighting::relief_bands::ReliefBands;
 use regolith::render::select::caster_grid::caster_grid;
 use regolith::render::select::footprint::Footprint;
@@ -23,6 +22,7 @@ use regolith::render::shadow::host;
 use regolith::render::shadow::tiles::{self, ShadowMap};
 use regolith::render::visibility::geometry::VisibleTriangles;
 use regolith::render::visibility::host::{RowsPart, ShadingBinMask};
+use regolith::render::{DEFAULT_TEXTURE_PX, RenderSettings};
 use regolith::scene::Scene;
 use regolith::scene::mesh::Icosphere;
 use regolith::scene::noise::Fbm;
@@ -80,7 +80,7 @@ fn frame_plan(c: &mut Criterion) {
     let selection = Selection::new(&scene, &settings);
     let footprint = Footprint::new(&scene, &selection);
     let mut horizon = HorizonMap::default();
-    horizon.compute(&scene.terrain, &scene.sun, &footprint);
+    horizon.compute(&scene.terrain, &scene.sun, &footprint, DEFAULT_TEXTURE_PX);
     let grid = caster_grid(&scene, &selection.casters, horizon.shadowed_ground(), &footprint);
     let bands = ReliefBands::new(&scene, &selection, &settings);
     let (mut visible, mut stencil) = (VisibleTriangles::default(), ShadingBinMask::default());
@@ -93,7 +93,14 @@ fn frame_plan(c: &mut Criterion) {
     group.bench_function("horizon_map", |b| {
         // The map is computed again only when the sun has moved.
         let (mut map, mut suns) = (HorizonMap::default(), [&scene.sun, &later.sun].into_iter().cycle());
-        b.iter(|| map.compute(&scene.terrain, black_box(suns.next().unwrap_or(&scene.sun)), &footprint));
+        b.iter(|| {
+            map.compute(
+                &scene.terrain,
+                black_box(suns.next().unwrap_or(&scene.sun)),
+                &footprint,
+                DEFAULT_TEXTURE_PX,
+            )
+        });
     });
     group.throughput(Throughput::Elements(selection.casters.len() as u64));
     group.bench_function("caster_grid", |b| {
@@ -104,7 +111,7 @@ fn frame_plan(c: &mut Criterion) {
     };
     group.throughput(Throughput::Elements(selection.rocks.iter().map(cast).sum::<usize>() as u64));
     group.bench_function("shadow_map", |b| {
-        let tiles = ShadowMap::default().allocate(&scene, &mut selection.clone());
+        let tiles = ShadowMap::default().allocate(&scene, &mut selection.clone(), DEFAULT_TEXTURE_PX);
         let bands = tiles::bands(&tiles);
         let mut room = vec![[0; PAGE_BYTES]; tiles::upload_regions(&bands).1 / PAGE_BYTES];
         b.iter(|| host::rasterise(black_box(&scene), &bands, &mut room.iter_mut().map(Page::from_mut)));

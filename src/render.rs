@@ -41,7 +41,7 @@ pub use backend::{LightingMode, RasterBackend, RasterMode, RasterOptions};
 pub use device::timing::StageTimes;
 pub use frame_packet::{FramePacket, FramePlanner};
 pub use raw_frame::{FrameCost, RawFrame};
-pub use settings::RenderSettings;
+pub use settings::{DEFAULT_TEXTURE_PX, RenderSettings};
 
 use device::bind_groups::BindLayouts;
 use device::shading_bins::LightingVariant;
@@ -375,7 +375,7 @@ impl Renderer {
         let Self { gpu, layouts, buffers, shadow, visibility, lighting, resolve, staging, .. } = self;
         let (prepared, ()) = rayon::join(
             || {
-                plan.place_tiles(|selection| shadow.place_tiles(scene, selection));
+                plan.place_tiles(|selection| shadow.place_tiles(scene, selection, raster.max_texture_px));
                 plan.uniforms = frame_plan::of_tile(&plan.uniforms, tile, settings);
                 let multi_draw = raster.multi_draw;
                 let mut bytes = gpu.guard(|| buffers.upload(gpu, scene, &plan, (multi_draw, staging)))??;

@@ -103,6 +103,8 @@ pub struct RasterOptions {
     pub multi_draw: bool,
     /// How samples are divided into draws of lighting. [`RasterOptions::with_lighting`] sets it.
     pub lighting: LightingMode,
+    /// Most columns and rows of a texture on the device. Shadow and horizon maps are coarser where they would be larger.
+    pub max_texture_px: u32,
 }
 
 impl RasterOptions {
@@ -132,7 +134,8 @@ impl RasterOptions {
             LightingMode::Bins
         };
         let multi_draw = gpu.capabilities.multi_draw;
-        Ok(Self { visibility, shadow, bin_by_shadow_sources: true, multi_draw, lighting })
+        let max_texture_px = gpu.device.limits().max_texture_dimension_2d;
+        Ok(Self { visibility, shadow, bin_by_shadow_sources: true, multi_draw, lighting, max_texture_px })
     }
 
     /// Whether the device can draw shading bins where it rasterises visibility itself, and is faster with them.

@@ -132,6 +132,37 @@ fn the_least_device_renders_what_any_other_does() {
     }
 }
 
+/// Shadows of large images, or of many rocks, would take more texels than the textures of such a device have: they are coarser there.
+#[test]
+fn shadow_maps_fit_into_the_textures_of_the_least_device() {
+    let scenes = [scene(3, &[]), scene(1, &["stage.name=surface", "rocks.coverage=0.08"])];
+    let settings = all_planes([800, 600], 1);
+    for mode in MODES {
+        let mut full = renderer(Requested::Offered, mode);
+        let mut least = renderer(Requested::Least, mode);
+        let map_px = |renderer: &Renderer| {
+            let map = renderer.shadow.map().texture();
+            [map.width(), map.height()]
+        };
+        let mut largest_px = 0;
+        // The second of equal frames finds the tiles of the first in the map.
+        for scene in scenes.iter().chain([&scenes[1]]) {
+            let [expected, found] = [&mut full, &mut least].map(|renderer| frame(renderer, scene, &settings));
+            assert!(map_px(&least).into_iter().all(|side| side <= 2048), "{mode}: {:?}", map_px(&least));
+            largest_px = map_px(&full).into_iter().fold(largest_px, u32::max);
+            let is_label = |plane| !matches!(plane, Plane::Rgb | Plane::Radiance | Plane::SunOcclusion);
+            for row in PLANES.iter().filter(|row| is_label(row.plane)) {
+                let [found, expected] = [&found, &expected].map(|frame| bytes(frame.plane(row.plane)));
+                assert!(found == expected, "{mode}: {}", row.name);
+            }
+            let off = found.sun_occlusion.iter().zip(&expected.sun_occlusion);
+            let off = off.filter(|(found, expected)| found.abs_diff(**expected) > 64).count();
+            assert!(off * 100 < found.class.len(), "{mode}: {off} pixels of shadow");
+        }
+        assert!(largest_px > 2048, "{mode}: the maps of these scenes are not too large");
+    }
+}
+
 #[test]
 fn one_draw_lights_as_shading_bins_do() {
     let mut renderer = renderer(Requested::Offered, RasterMode::Device);

@@ -96,9 +96,9 @@ impl FramePlan {
         image_size: [u32; 2],
         options: &RasterOptions,
     ) -> Self {
-        let selection = Selection::new(scene, settings);
+        let selection = Selection::within(scene, settings, options.max_texture_px);
         let footprint = Footprint::new(scene, &selection);
-        let horizon = cache.horizon.map(&scene.terrain, &scene.sun, &footprint);
+        let horizon = cache.horizon.map(&scene.terrain, &scene.sun, &footprint, options.max_texture_px);
         let casters = &selection.casters;
         let caster_grid = caster_grid(scene, casters, horizon.shadowed_ground(), &footprint);
         let bands = ReliefBands::new(scene, &selection, settings);
@@ -349,6 +349,7 @@ mod tests {
     use crate::render::select::casters;
     use crate::render::select::screen_bounds::ScreenBounds;
     use crate::render::select::sunlight::Sunlight;
+    use crate::render::settings::DEFAULT_TEXTURE_PX;
     use crate::scene::mesh::Icosphere;
 
     fn plan(cache: &PlanCache, scene: &Scene, options: &RasterOptions) -> FramePlan {
@@ -365,6 +366,7 @@ mod tests {
             bin_by_shadow_sources: true,
             multi_draw: false,
             lighting: LightingMode::Bins,
+            max_texture_px: DEFAULT_TEXTURE_PX,
         }
     }
 

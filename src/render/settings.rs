@@ -20,6 +20,9 @@ pub struct RenderSettings {
     pub annotations: Annotations,
 }
 
+/// Columns and rows that a texture has with WebGPU's default limits, and that shadow and horizon maps have at most.
+pub const DEFAULT_TEXTURE_PX: u32 = 8192;
+
 /// The specification of the scene allows less than a quarter of a pixel.
 const OUTLINE_ERROR_PX: f32 = 0.24;
 

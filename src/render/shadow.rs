@@ -49,10 +49,15 @@ impl ShadowBackend {
     }
 
     /// Gives the tiles of a selection's casters their origins in the map, and returns its columns and rows.
-    pub(crate) fn place_tiles(&mut self, scene: &Scene, selection: &mut Selection) -> [u32; 2] {
+    pub(crate) fn place_tiles(
+        &mut self,
+        scene: &Scene,
+        selection: &mut Selection,
+        max_texture_px: u32,
+    ) -> [u32; 2] {
         match self {
             Self::Device(_) => casters::atlas_size_px(&selection.casters),
-            Self::Host(raster) => raster.place_tiles(scene, selection),
+            Self::Host(raster) => raster.place_tiles(scene, selection, max_texture_px),
         }
     }
 
@@ -142,9 +147,9 @@ pub(crate) struct ShadowRaster {
 }
 
 impl ShadowRaster {
-    fn place_tiles(&mut self, scene: &Scene, selection: &mut Selection) -> [u32; 2] {
+    fn place_tiles(&mut self, scene: &Scene, selection: &mut Selection, max_texture_px: u32) -> [u32; 2] {
         let start = Instant::now();
-        self.new_tiles = self.tiles.allocate(scene, selection);
+        self.new_tiles = self.tiles.allocate(scene, selection, max_texture_px);
         self.elapsed_ms = milliseconds(start.elapsed());
         self.tiles.size_px()
     }

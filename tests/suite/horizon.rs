@@ -1,10 +1,10 @@
 //! The map of the ground's horizon: that of what an image shows is that of more ground.
 
 use glam::Vec2;
-use regolith::render::RenderSettings;
 use regolith::render::select::footprint::Footprint;
 use regolith::render::select::selection::Selection;
 use regolith::render::shadow::horizon::HorizonMap;
+use regolith::render::{DEFAULT_TEXTURE_PX, RenderSettings};
 
 use crate::support::scene;
 
@@ -29,7 +29,7 @@ fn ground_out_of_view_casts_its_shadow_into_view() {
                 .map(|corner| centre + 150.0 * corner);
             let [of_view, of_more] = [in_view, Footprint::hull(around.into_iter())].map(|footprint| {
                 let mut map = HorizonMap::default();
-                map.compute(&scene.terrain, &scene.sun, &footprint);
+                map.compute(&scene.terrain, &scene.sun, &footprint, DEFAULT_TEXTURE_PX);
                 map
             });
             for step in 0..400 {

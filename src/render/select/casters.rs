@@ -24,8 +24,8 @@ const MIN_SHADOW_PX: f32 = 1.0;
 const TILE_PX: [u32; 2] = [16, 2048];
 /// Texels of a tile that depths from 0 to 1 span along the sun: the side of the largest. Stands in `shadow.wgsl` too.
 pub(crate) const DEPTH_RANGE_PX: f32 = TILE_PX[1] as f32;
-/// Maximum columns of the atlas and rows of one of its layers, texels. All tiles shrink until they fit.
-pub(crate) const ATLAS_PX: u32 = 4096;
+/// Maximum columns of the atlas and rows of one of its layers, texels; fewer where textures are smaller. All tiles shrink until they fit.
+const ATLAS_PX: u32 = 4096;
 /// Minimum columns of the atlas, texels.
 const MIN_ATLAS_PX: u32 = 512;
 
@@ -52,14 +52,15 @@ pub(crate) fn shadow_extent_m(scene: &Scene, top_m: f32, radius_m: f32) -> (f32,
 }
 
 /// The casters among `rocks` (with their indices in the scene) whose shadow volume intersects the frustum, with their tiles packed
-/// into the atlas. Nothing in view is nearer to the eye than `nearest_visible_m`, which bounds their resolution.
+/// into the atlas, which fits into a texture of `max_texture_px` columns and rows. Nothing in view is nearer to the eye than
+/// `nearest_visible_m`, which bounds their resolution.
 #[must_use]
 pub(crate) fn select_casters(
     scene: &Scene,
     rocks: &[(usize, &Rock)],
-    frustum: &Frustum,
-    ground: Option<&GroundRange>,
+    (frustum, ground): (&Frustum, Option<&GroundRange>),
     (size_px, nearest_visible_m): ([u32; 2], f32),
+    max_texture_px: u32,
 ) -> Vec<Caster> {
     let pixel_angle = 1.0 / scene.camera.focal_px(size_px[0]) as f32;
     let largest_px = (4 * size_px[0].max(size_px[1])).clamp(TILE_PX[0], TILE_PX[1]);
@@ -108,7 +109,7 @@ pub(crate) fn select_casters(
             Some(Caster { rock: index, tile, reach_m })
         })
         .collect();
-    while !pack(&mut casters) {
+    while !pack(&mut casters, max_texture_px) {
         for caster in &mut casters {
             caster.tile.size_px = (0.8 * caster.tile.size_px).floor().max(4.0);
         }
@@ -137,17 +138,19 @@ fn width_px(casters: &[Caster]) -> u32 {
     width.next_power_of_two().clamp(MIN_ATLAS_PX, ATLAS_PX)
 }
 
-/// Packs the tiles into the atlas, largest first; `false` if they do not fit.
-fn pack(casters: &mut [Caster]) -> bool {
-    let mut atlas = AtlasAllocator::new([width_px(casters), ATLAS_PX]);
-    largest_first(casters).into_iter().all(|caster| {
+/// Packs the tiles into the atlas, largest first; `false` if they do not fit. A texture has two layers, one below the other.
+fn pack(casters: &mut [Caster], max_texture_px: u32) -> bool {
+    let columns_px = width_px(casters);
+    let mut atlas = AtlasAllocator::new([columns_px, ATLAS_PX.min(max_texture_px / 2)]);
+    let fits_all = largest_first(casters).into_iter().all(|caster| {
         let tile = &mut casters[caster].tile;
         let allocation = atlas.allocate([tile.size_px as u32; 2]);
         if let Some(allocation) = allocation {
             tile.origin_px = UVec2::from(allocation.corner).as_vec2();
         }
         allocation.is_some()
-    })
+    });
+    fits_all && columns_px <= max_texture_px
 }
 
 /// Indices of the casters, those with the largest tiles first.
@@ -168,6 +171,7 @@ fn distance_to_segment(point: Vec3, a: Vec3, b: Vec3) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::render::settings::DEFAULT_TEXTURE_PX;
 
     #[test]
     fn tiles_do_not_overlap_and_lie_inside_the_atlas() {
@@ -178,7 +182,8 @@ mod tests {
                 reach_m: 0.0,
             })
             .collect();
-        assert!(pack(&mut casters));
+        assert!(!pack(&mut casters, 1024), "too many for half as many rows");
+        assert!(pack(&mut casters, DEFAULT_TEXTURE_PX));
         for (i, a) in casters.iter().enumerate() {
             let far = a.tile.origin_px + a.tile.size_px;
             assert!(far.max_element() <= ATLAS_PX as f32);

@@ -12,7 +12,7 @@ use crate::render::select::casters::{self, Caster};
 use crate::render::select::frustum::Frustum;
 use crate::render::select::ground_blocks::block_bounds;
 use crate::render::select::ground_range::GroundRange;
-use crate::render::settings::RenderSettings;
+use crate::render::settings::{DEFAULT_TEXTURE_PX, RenderSettings};
 use crate::scene::Scene;
 use crate::scene::rocks::Rock;
 use crate::scene::sky::Star;
@@ -54,9 +54,14 @@ pub struct SelectedRock {
 }
 
 impl Selection {
-    /// Culls a scene and chooses levels of detail.
+    /// Culls a scene and chooses levels of detail, for a device with WebGPU's default limits.
     #[must_use]
     pub fn new(scene: &Scene, settings: &RenderSettings) -> Self {
+        Self::within(scene, settings, DEFAULT_TEXTURE_PX)
+    }
+
+    /// The same for a device whose textures have at most so many columns and rows.
+    pub(crate) fn within(scene: &Scene, settings: &RenderSettings, max_texture_px: u32) -> Self {
         let camera = &scene.camera;
         let frustum = Frustum::new(&camera.clip_from_world(settings.size));
         let candidates = cull_rocks(scene, &frustum);
@@ -71,7 +76,8 @@ impl Selection {
         let nearest_in_view_m = nearest_visible_m(scene, &frustum, &blocks, &candidates);
         let ground_range = GroundRange::new(&scene.terrain);
         let image = (settings.size, nearest_in_view_m);
-        let casters = casters::select_casters(scene, &candidates, &frustum, ground_range.as_ref(), image);
+        let ground = ground_range.as_ref();
+        let casters = casters::select_casters(scene, &candidates, (&frustum, ground), image, max_texture_px);
         let mut next_caster = casters.iter().enumerate().peekable();
         let rocks = candidates
             .into_iter()

@@ -12,6 +12,7 @@
 //! Must not know: how the map is sampled (`common/horizon_map.wgsl`).
 
 mod heightfield;
+mod image_layout;
 mod sweep;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -19,6 +20,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use glam::Vec2;
 
 use self::heightfield::Heightfield;
+use self::image_layout::{GridColumn, ImageLayout};
 use self::sweep::{HorizonGrid, Limbs, SweepLattice, SweepRegion};
 use crate::render::device::shader_structs::HorizonLevel;
 use crate::render::select::caster_grid::ShadowedGround;
@@ -32,10 +34,6 @@ const SAMPLES_PER_CELL: f32 = 3.0;
 const SAMPLES_PER_RING_CELL: f32 = 2.4;
 /// Maximum samples along a side of the map.
 const MAX_SAMPLES: u32 = 2048;
-/// Maximum rows of the image of several grids: as many as a texture has on every device.
-const MAX_ROWS: usize = 2048;
-/// Maximum columns of it, and rows where a single grid has more: as many as a texture has with WebGPU's default limits.
-const MAX_SIDE: usize = 8192;
 /// Where the image would be larger, the steps of all grids grow by this factor until it is not.
 const COARSENING: f32 = 1.25;
 /// Distance that the finest grid over rings serves, metres.
@@ -79,53 +77,6 @@ pub struct HorizonMap {
     heightfield: Arc<Heightfield>,
 }
 
-/// A column of the image of a map: grids one below the other, each row padded to the widest.
-#[derive(Clone, Copy, Debug, Default)]
-struct GridColumn {
-    first_texel: usize,
-    width: usize,
-    rows: usize,
-    grids: usize,
-}
-
-/// Where the grids lie in the image of a map: in columns of at most [`MAX_ROWS`], or of a single grid.
-#[derive(Debug, Default)]
-struct ImageLayout {
-    columns: Vec<GridColumn>,
-    /// First column and row of each grid.
-    corners: Vec<[usize; 2]>,
-}
-
-impl ImageLayout {
-    /// The layout of grids of these columns and rows.
-    fn new(sizes: impl Iterator<Item = [usize; 2]>) -> Self {
-        let mut layout = Self::default();
-        for [width, rows] in sizes {
-            let columns = &mut layout.columns;
-            if columns.last().is_none_or(|column| column.rows + rows > MAX_ROWS) {
-                let first_texel = columns.last().map_or(0, |column| column.first_texel + column.width);
-                columns.push(GridColumn { first_texel, ..GridColumn::default() });
-            }
-            let column = columns.last_mut().expect("pushed");
-            layout.corners.push([column.first_texel, column.rows]);
-            column.width = column.width.max(width);
-            column.rows += rows;
-            column.grids += 1;
-        }
-        layout
-    }
-
-    /// Columns of the image.
-    fn width(&self) -> usize {
-        self.columns.iter().map(|column| column.width).sum()
-    }
-
-    /// Whether a texture can hold the image.
-    fn fits(&self) -> bool {
-        self.width() <= MAX_SIDE && self.columns.iter().all(|column| column.rows <= MAX_SIDE)
-    }
-}
-
 /// A grid that is still to be computed.
 struct PlannedGrid<'a> {
     lattice: SweepLattice<'a>,
@@ -140,12 +91,12 @@ fn plan_grids<'a>(
     (terrain, heightfield): (&'a Terrain, Option<&'a Heightfield>),
     (sun, towards): (&Sun, Vec2),
     (base_m, mut steps_m): (f32, Vec<f32>),
-    footprint: &Footprint,
+    (footprint, max_texture_px): (&Footprint, u32),
 ) -> (Vec<PlannedGrid<'a>>, ImageLayout) {
     loop {
         let planned = grids_of_steps((terrain, heightfield), (sun, towards), (base_m, &steps_m), footprint);
         let layout = ImageLayout::new(planned.iter().map(|grid| grid.region.image_size()));
-        if layout.fits() {
+        if layout.fits(max_texture_px) {
             return (planned, layout);
         }
         steps_m.iter_mut().for_each(|step_m| *step_m *= COARSENING);
@@ -224,7 +175,13 @@ impl HorizonCache {
     ///
     /// Samples lie where they would in a map of the whole ground, and over a square they have the same values. If a square and its
     /// sun are those of the last map, this computes the map of the whole ground, once, for all later frames.
-    pub fn map(&self, terrain: &Arc<Terrain>, sun: &Sun, footprint: &Footprint) -> Arc<HorizonMap> {
+    pub fn map(
+        &self,
+        terrain: &Arc<Terrain>,
+        sun: &Sun,
+        footprint: &Footprint,
+        max_texture_px: u32,
+    ) -> Arc<HorizonMap> {
         let lock = || self.last.lock().unwrap_or_else(PoisonError::into_inner);
         let mut maps = lock();
         let is_square = matches!(terrain.layout, Layout::Square);
@@ -242,10 +199,10 @@ impl HorizonCache {
         map.heightfield = heightfield.unwrap_or(map.heightfield);
         if is_whole {
             // With the lock held: the other threads wait for the same map.
-            map.compute(terrain, sun, &whole(terrain));
+            map.compute(terrain, sun, &whole(terrain), max_texture_px);
         } else {
             drop(maps);
-            map.compute(terrain, sun, footprint);
+            map.compute(terrain, sun, footprint, max_texture_px);
             maps = lock();
         }
         let footprint = (!is_whole).then(|| footprint.clone());
@@ -264,8 +221,9 @@ fn whole(terrain: &Terrain) -> Footprint {
 }
 
 impl HorizonMap {
-    /// Computes the map over a footprint: sweeps all grids, from the coarsest to the finest.
-    pub fn compute(&mut self, terrain: &Arc<Terrain>, sun: &Sun, footprint: &Footprint) {
+    /// Computes the map over a footprint: sweeps all grids, from the coarsest to the finest. Their image has at most so many columns and
+    /// rows.
+    pub fn compute(&mut self, terrain: &Arc<Terrain>, sun: &Sun, footprint: &Footprint, max_texture_px: u32) {
         let azimuth = sun.azimuth_deg.to_radians();
         let towards = Vec2::new(libm::sin(azimuth) as f32, libm::cos(azimuth) as f32);
         let (base_m, steps_m) = level_steps_m(terrain, towards);
@@ -274,8 +232,12 @@ impl HorizonMap {
             Heightfield::update_shared(&mut self.heightfield, terrain, steps_m[0]);
         }
         let heightfield = is_square.then_some(&*self.heightfield);
-        let (planned, layout) =
-            plan_grids((terrain, heightfield), (sun, towards), (base_m, steps_m), footprint);
+        let (planned, layout) = plan_grids(
+            (terrain, heightfield),
+            (sun, towards),
+            (base_m, steps_m),
+            (footprint, max_texture_px),
+        );
         let mut grids: Vec<HorizonGrid> = Vec::new();
         for PlannedGrid { lattice, region, beyond } in planned.iter().rev() {
             let memory = spare().pop().unwrap_or_default();
@@ -406,6 +368,7 @@ fn level_steps_m(terrain: &Terrain, towards: Vec2) -> (f32, Vec<f32>) {
 #[allow(clippy::disallowed_methods, reason = "expected values may use std's functions")]
 mod tests {
     use super::*;
+    use crate::render::settings::DEFAULT_TEXTURE_PX;
     use glam::Vec3;
 
     #[test]
@@ -416,7 +379,7 @@ mod tests {
         let corners =
             [Vec2::splat(-100.0), Vec2::splat(100.0), Vec2::new(-100.0, 100.0), Vec2::new(100.0, -100.0)];
         let mut map = HorizonMap::default();
-        map.compute(&Arc::new(terrain), &sun, &Footprint::hull(corners.into_iter()));
+        map.compute(&Arc::new(terrain), &sun, &Footprint::hull(corners.into_iter()), DEFAULT_TEXTURE_PX);
         let level = map.levels[0];
         // Beyond 13 m the shadow of the ridge has reached the ground.
         for x in [-5.0_f32, -8.0, -12.0] {
@@ -443,10 +406,13 @@ mod tests {
             Footprint::hull(corners.into_iter().map(move |(dx, y)| Vec2::new(x + dx, y)))
         };
         let cache = HorizonCache::default();
-        let of_part = cache.map(&terrain, &sun, &part(0.0));
-        let map = cache.map(&terrain, &sun, &part(-3.0));
+        let of_part = cache.map(&terrain, &sun, &part(0.0), DEFAULT_TEXTURE_PX);
+        let map = cache.map(&terrain, &sun, &part(-3.0), DEFAULT_TEXTURE_PX);
         assert!(!Arc::ptr_eq(&map, &of_part), "now the whole ground");
-        assert!(Arc::ptr_eq(&map, &cache.map(&terrain, &sun, &part(9.0))), "the map is already whole");
+        assert!(
+            Arc::ptr_eq(&map, &cache.map(&terrain, &sun, &part(9.0), DEFAULT_TEXTURE_PX)),
+            "the map is already whole"
+        );
         assert!(Arc::ptr_eq(&map.heightfield, &of_part.heightfield), "the ground is read once");
         let (part_level, level) = (of_part.levels[0], map.levels[0]);
         assert_eq!((level.origin, level.step_m), (part_level.origin, part_level.step_m));
@@ -462,9 +428,9 @@ mod tests {
         }
         assert!(compared > 1000, "{compared}");
         let low_sun = Sun::new(5.0, 230.0, 0.53, Vec3::ONE);
-        let of_low_sun = cache.map(&terrain, &low_sun, &part(0.0));
+        let of_low_sun = cache.map(&terrain, &low_sun, &part(0.0), DEFAULT_TEXTURE_PX);
         assert!(of_low_sun.levels[0].size[0] < level.size[0], "a part again");
-        let other = cache.map(&Arc::new(Terrain::clone(&terrain)), &low_sun, &part(0.0));
+        let other = cache.map(&Arc::new(Terrain::clone(&terrain)), &low_sun, &part(0.0), DEFAULT_TEXTURE_PX);
         assert!(!Arc::ptr_eq(&other, &of_low_sun), "another ground");
         assert!(other.heights_m == of_low_sun.heights_m);
     }
@@ -480,9 +446,16 @@ mod tests {
         let footprint = whole(terrain);
         let too_large =
             grids_of_steps((terrain, None), (&scene.sun, towards), (base_m, &steps_m), &footprint);
-        assert!(!ImageLayout::new(too_large.iter().map(|grid| grid.region.image_size())).fits());
-        let (grids, layout) =
-            plan_grids((terrain, None), (&scene.sun, towards), (base_m, steps_m), &footprint);
-        assert!(layout.fits() && grids.len() == too_large.len());
+        let layout = ImageLayout::new(too_large.iter().map(|grid| grid.region.image_size()));
+        assert!(!layout.fits(DEFAULT_TEXTURE_PX));
+        for max_texture_px in [DEFAULT_TEXTURE_PX, 2048] {
+            let (grids, layout) = plan_grids(
+                (terrain, None),
+                (&scene.sun, towards),
+                (base_m, steps_m.clone()),
+                (&footprint, max_texture_px),
+            );
+            assert!(layout.fits(max_texture_px) && grids.len() == too_large.len());
+        }
     }
 }

@@ -303,7 +303,7 @@ mod tests {
     use crate::params::Params;
     use crate::render::select::casters;
     use crate::render::select::selection::Selection;
-    use crate::render::settings::RenderSettings;
+    use crate::render::settings::{DEFAULT_TEXTURE_PX, RenderSettings};
     use crate::render::shadow::tiles::{ShadowMap, bands, upload_parts, upload_regions};
     use crate::scene::sky::Sun;
 
@@ -369,10 +369,10 @@ mod tests {
             }
             let mut selection = Selection::new(&scene, &settings);
             let mut alone = selection.clone();
-            let new = map.allocate(&scene, &mut selection);
+            let new = map.allocate(&scene, &mut selection, DEFAULT_TEXTURE_PX);
             device.copy(&scene, &map, &new);
             let (mut fresh, mut of_fresh) = (ShadowMap::default(), Device::default());
-            let all = fresh.allocate(&scene, &mut alone);
+            let all = fresh.allocate(&scene, &mut alone, DEFAULT_TEXTURE_PX);
             of_fresh.copy(&scene, &fresh, &all);
             assert_eq!(device.tiles(&selection), of_fresh.tiles(&alone), "change {change}");
             drawn.push((new.len(), all.len()));
@@ -393,7 +393,7 @@ mod tests {
         let settings = RenderSettings::new([512, 512], 1).expect("settings");
         let mut selection = Selection::new(&scene, &settings);
         let mut map = ShadowMap::default();
-        let new = map.allocate(&scene, &mut selection);
+        let new = map.allocate(&scene, &mut selection, DEFAULT_TEXTURE_PX);
         let area: f32 = new.iter().map(|tile| tile.tile.size_px * tile.tile.size_px).sum();
         let [width, height] = map.size_px();
         assert!(
@@ -402,7 +402,7 @@ mod tests {
         );
         // A smaller image has smaller tiles, and the map stays.
         let settings = RenderSettings::new([64, 64], 1).expect("settings");
-        map.allocate(&scene, &mut Selection::new(&scene, &settings));
+        map.allocate(&scene, &mut Selection::new(&scene, &settings), DEFAULT_TEXTURE_PX);
         assert_eq!(map.size_px(), [width, height]);
     }
 }

@@ -79,14 +79,20 @@ impl ShadowMap {
     }
 
     /// Allocates the tiles of a selection's casters; returns those that are to be rasterised, the highest first. Texels between
-    /// the tiles are undefined, as is the origin of a tile that no surface in view samples. If the map grows it loses all earlier tiles.
-    pub fn allocate(&mut self, scene: &Scene, selection: &mut Selection) -> Vec<NewTile> {
+    /// the tiles are undefined, as is the origin of a tile that no surface in view samples. If the map grows it loses all earlier tiles;
+    /// it has at most `max_texture_px` columns and rows, in half of which the selection's tiles fit.
+    pub fn allocate(
+        &mut self,
+        scene: &Scene,
+        selection: &mut Selection,
+        max_texture_px: u32,
+    ) -> Vec<NewTile> {
         let of_casters = tiles_of_casters(scene, selection);
         let mut wanted: Vec<NewTile> = of_casters.iter().map(|(_, tile)| tile.clone()).collect();
         wanted.sort_by_key(|tile| std::cmp::Reverse(tile.size_px()[1]));
         let mut new = self.retain(scene, &wanted);
         while !new.iter().all(|tile| self.add(tile, scene)) {
-            self.make_room(&wanted, new.len());
+            self.make_room(&wanted, new.len(), max_texture_px);
             new.clone_from(&wanted);
         }
         for (caster, tile) in &of_casters {
@@ -122,13 +128,15 @@ impl ShadowMap {
 
     /// Empties the map, which is too small or too fragmented for the wanted tiles, `new_count` of which are new; grows it unless
     /// defragmentation will do.
-    fn make_room(&mut self, wanted: &[NewTile], new_count: usize) {
+    fn make_room(&mut self, wanted: &[NewTile], new_count: usize, max_texture_px: u32) {
         let [width, height] = self.atlas.size();
         let area_px: u32 = wanted.iter().map(|tile| tile.size_px().iter().product::<u32>()).sum();
-        let is_fragmented = new_count < wanted.len() && 2 * area_px <= width * height;
+        let is_full_size = height + ROWS_STEP_PX > max_texture_px;
+        let is_fragmented = new_count < wanted.len() && (is_full_size || 2 * area_px <= width * height);
+        let is_widest = 2 * width > MAX_WIDTH_PX.min(max_texture_px);
         self.clear(match (is_fragmented, width > height) {
             (true, _) => [width, height],
-            (false, _) if width == MAX_WIDTH_PX && 2 * height >= width => [width, height + ROWS_STEP_PX],
+            (false, _) if is_widest && 2 * height >= width => [width, height + ROWS_STEP_PX],
             (false, true) => [width, 2 * height],
             (false, false) => [2 * width, height],
         });
