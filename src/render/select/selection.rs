@@ -60,7 +60,7 @@ impl Selection {
         Self::within(scene, settings, DEFAULT_TEXTURE_PX)
     }
 
-    /// The same for a device whose textures have at most so many columns and rows.
+    /// The same for a device whose textures have at most `max_texture_px` columns and rows.
     pub(crate) fn within(scene: &Scene, settings: &RenderSettings, max_texture_px: u32) -> Self {
         let camera = &scene.camera;
         let frustum = Frustum::new(&camera.clip_from_world(settings.size));

@@ -221,8 +221,8 @@ fn whole(terrain: &Terrain) -> Footprint {
 }
 
 impl HorizonMap {
-    /// Computes the map over a footprint: sweeps all grids, from the coarsest to the finest. Their image has at most so many columns and
-    /// rows.
+    /// Computes the map over a footprint: sweeps all grids, from the coarsest to the finest. Their image has at most
+    /// `max_texture_px` columns and rows.
     pub fn compute(&mut self, terrain: &Arc<Terrain>, sun: &Sun, footprint: &Footprint, max_texture_px: u32) {
         let azimuth = sun.azimuth_deg.to_radians();
         let towards = Vec2::new(libm::sin(azimuth) as f32, libm::cos(azimuth) as f32);

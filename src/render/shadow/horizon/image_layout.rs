@@ -47,7 +47,7 @@ impl ImageLayout {
         self.columns.iter().map(|column| column.width).sum()
     }
 
-    /// Whether a texture of so many columns and rows can hold the image.
+    /// Whether a texture of `max_texture_px` columns and rows can hold the image.
     pub(super) fn fits(&self, max_texture_px: u32) -> bool {
         let max_side = DEFAULT_TEXTURE_PX.min(max_texture_px) as usize;
         self.width() <= max_side && self.columns.iter().all(|column| column.rows <= max_side)
