@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import textwrap
@@ -15,6 +16,10 @@ import regolith_render as rr
 
 ADAPTER = os.environ.get("REGOLITH_TEST_ADAPTER", "cpu")
 """The adapter of the tests: a part of its name."""
+
+# A shell ignores Ctrl-C for what it starts in the background, and so would all processes of the tests.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def program(*words: str, folder: Path | None = None) -> subprocess.CompletedProcess[str]:

@@ -164,10 +164,13 @@ def test_ctrl_c_ends_it(what: str) -> None:
     stderr = subprocess.STDOUT if what == "command" else subprocess.PIPE
     environment = {**os.environ, "WGPU_ADAPTER_NAME": ADAPTER}
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True, env=environment)
-    assert process.stdout is not None and process.stdout.readline()
-    time.sleep(0.5)
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=20)
+    try:
+        assert process.stdout is not None and process.stdout.readline()
+        time.sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=20)
+    finally:
+        process.kill()
     if what == "command":
         assert process.returncode in (130, -signal.SIGINT)
     else:
