@@ -293,6 +293,7 @@ fn required_limits(info: &AdapterInfo, offered: &Limits) -> Limits {
     Limits {
         max_texture_dimension_2d: offered.max_texture_dimension_2d,
         max_color_attachments: offered.max_color_attachments.min(8),
+        max_storage_textures_per_shader_stage: offered.max_storage_textures_per_shader_stage.min(8),
         max_color_attachment_bytes_per_sample: offered.max_color_attachment_bytes_per_sample.min(32),
         max_buffer_size: offered.max_buffer_size,
         max_storage_buffer_binding_size: offered.max_storage_buffer_binding_size,

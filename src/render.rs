@@ -403,6 +403,9 @@ impl Renderer {
                         lighting.prepare(gpu, pipelines, LightingVariant::GENERAL);
                     }
                     LightingMode::OneDraw => lighting.prepare(gpu, pipelines, [LightingVariant::Any]),
+                    LightingMode::Compute => {
+                        lighting.prepare_compute(gpu, layouts, pipelines, settings.samples_per_side);
+                    }
                     LightingMode::Bins => {}
                 }
             },
@@ -450,8 +453,7 @@ impl Renderer {
         }
         self.visibility.record(encoder, meshes, drawing, gbuffer, timer);
         let light = [drawing[0], drawing[1], &of_light];
-        let timestamps = timer.map(|timer| timer.render_pass(Pass::Lighting));
-        self.lighting.record(encoder, light, *pipelines, gbuffer, timestamps);
+        self.lighting.record(gpu, encoder, light, (*pipelines, gbuffer), timer);
         let timestamps = timer.map(|timer| timer.compute_pass(Pass::Resolve));
         self.resolve.record(encoder, drawing[0], &of_resolve, gbuffer, packed, timestamps);
         packed.copy(encoder);

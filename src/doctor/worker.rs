@@ -59,6 +59,8 @@ impl Backend {
     pub const HOST: Self = Self { raster: RasterMode::Host, lighting: None };
     /// The device as GPUs run it.
     pub const ONE_DRAW: Self = Self { raster: RasterMode::Device, lighting: Some(LightingMode::OneDraw) };
+    /// The device as NVIDIA's Hopper runs it.
+    pub const COMPUTE: Self = Self { raster: RasterMode::Device, lighting: Some(LightingMode::Compute) };
     /// The device as software adapters run it.
     pub const BINS: Self = Self { raster: RasterMode::Device, lighting: Some(LightingMode::Bins) };
 }
@@ -85,11 +87,12 @@ pub enum Job {
 
 impl Job {
     /// Every job, in order.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::Adapters,
         Self::Render(Backend::HOST),
         Self::Render(Backend::BINS),
         Self::Render(Backend::ONE_DRAW),
+        Self::Render(Backend::COMPUTE),
         Self::Render(Backend::AUTO),
         Self::Bench,
     ];
@@ -174,7 +177,7 @@ pub struct Opened {
     pub is_software: bool,
     /// Who rasterises: `device`, `host` or `mixed`.
     pub raster: String,
-    /// How lighting is divided into draws: `bins` or `one-draw`.
+    /// How lighting is divided into draws: `bins`, `one-draw` or `compute`.
     pub lighting: String,
     /// Who would rasterise without `--raster`.
     pub auto_raster: String,

@@ -16,6 +16,9 @@ const REQUIRED_FLAGS: [(DownlevelFlags, &str); 3] = [
     (DownlevelFlags::FRAGMENT_STORAGE, "storage buffers in fragment shaders"),
 ];
 
+/// PCI vendor id of NVIDIA.
+const NVIDIA: u32 = 0x10de;
+
 /// What an adapter with these flags lacks, in words.
 pub(super) fn missing(flags: DownlevelFlags) -> Vec<&'static str> {
     REQUIRED_FLAGS.iter().filter(|(flag, _)| !flags.contains(*flag)).map(|(_, name)| *name).collect()
@@ -141,6 +144,16 @@ pub(crate) fn mesa_version(info: &AdapterInfo) -> Option<u32> {
     version.split('.').next()?.parse().ok()
 }
 
+/// NVIDIA's devices of the Hopper generation.
+const HOPPER: [&str; 5] = ["H20", "H100", "H200", "H800", "GH200"];
+
+/// Whether it is one of NVIDIA's Hopper generation, which runs vertex and fragment shaders on 2 of its 66 pairs of multiprocessors and
+/// compute shaders on all (NVIDIA H100 Tensor Core GPU Architecture, 2022).
+pub(crate) fn is_hopper(info: &AdapterInfo) -> bool {
+    info.vendor == NVIDIA
+        && info.name.split(|c: char| !c.is_alphanumeric()).any(|word| HOPPER.contains(&word))
+}
+
 /// Sort key: better adapters first.
 fn rank(info: &AdapterInfo) -> (u8, bool) {
     let kind = match info.device_type {
@@ -170,6 +183,22 @@ mod tests {
         assert_eq!(missing(all), [""; 0]);
         assert_eq!(missing(all - DownlevelFlags::SHADER_F16_IN_F32), [""; 0]);
         assert_eq!(missing(all - DownlevelFlags::COMPUTE_SHADERS), ["compute shaders"]);
+    }
+
+    #[test]
+    fn devices_of_the_hopper_generation_are_known_by_name() {
+        for (vendor, name, expected) in [
+            (NVIDIA, "NVIDIA H200", true),
+            (NVIDIA, "NVIDIA H100 80GB HBM3", true),
+            (NVIDIA, "NVIDIA GH200 480GB", true),
+            (NVIDIA, "NVIDIA A100-SXM4-40GB", false),
+            (NVIDIA, "NVIDIA GeForce RTX 4090", false),
+            (0x8086, "H100", false),
+        ] {
+            let blank = AdapterInfo::new(DeviceType::DiscreteGpu, Backend::Vulkan);
+            let info = AdapterInfo { vendor, name: name.to_owned(), ..blank };
+            assert_eq!(is_hopper(&info), expected, "{name}");
+        }
     }
 
     #[test]

@@ -97,6 +97,7 @@ fn limits(info: &AdapterInfo, offered: &Limits) -> Vec<LimitReport> {
         max_bind_groups,
         max_sampled_textures_per_shader_stage,
         max_storage_buffers_per_shader_stage,
+        max_storage_textures_per_shader_stage,
         max_inter_stage_shader_variables,
         max_color_attachments,
         max_color_attachment_bytes_per_sample,

@@ -8,7 +8,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use crate::error::{Error, Result};
-use crate::gpu::Gpu;
+use crate::gpu::{Gpu, adapter};
 
 /// The backend that is asked for (`--raster`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -52,7 +52,7 @@ pub enum RasterBackend {
     Host,
 }
 
-/// How lighting divides the samples into draws. Changes no bit of any plane.
+/// How lighting divides the samples into draws, or into none. Changes no bit of any plane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LightingMode {
     /// One draw for each shading bin, with a pipeline that does no more than the bin needs: for software adapters, which take the
@@ -60,17 +60,27 @@ pub enum LightingMode {
     Bins,
     /// One draw for all samples, each by what its instance says. Needs no stencil, but visibility that the device rasterises.
     OneDraw,
+    /// The same in a compute pass, for devices that compute on more of the chip than they draw on, as NVIDIA's Hopper does.
+    Compute,
 }
 
 impl LightingMode {
-    const NAMES: [(&'static str, Self); 2] = [("bins", Self::Bins), ("one-draw", Self::OneDraw)];
+    const NAMES: [(&'static str, Self); 3] =
+        [("bins", Self::Bins), ("one-draw", Self::OneDraw), ("compute", Self::Compute)];
 
     /// Draws of samples in this many shading bins.
     pub(crate) const fn draws(self, bins: usize) -> usize {
         match self {
             Self::Bins => bins,
             Self::OneDraw => 1,
+            Self::Compute => 0,
         }
+    }
+
+    /// Whether each sample is shaded by what its instance says, none by its shading bin.
+    #[must_use]
+    pub const fn is_by_instance(self) -> bool {
+        matches!(self, Self::OneDraw | Self::Compute)
     }
 
     /// Name for records.
@@ -85,7 +95,7 @@ impl FromStr for LightingMode {
 
     fn from_str(text: &str) -> std::result::Result<Self, String> {
         let found = Self::NAMES.iter().find(|(name, _)| *name == text);
-        found.map(|(_, mode)| *mode).ok_or_else(|| "allowed are bins and one-draw".to_owned())
+        found.map(|(_, mode)| *mode).ok_or_else(|| "allowed are bins, one-draw and compute".to_owned())
     }
 }
 
@@ -128,10 +138,11 @@ impl RasterOptions {
             }
             RasterMode::Host => (RasterBackend::Host, RasterBackend::Host),
         };
-        let lighting = if visibility == RasterBackend::Device && !Self::gains_from_bins(gpu) {
-            LightingMode::OneDraw
-        } else {
-            LightingMode::Bins
+        let lighting = match visibility {
+            RasterBackend::Host => LightingMode::Bins,
+            RasterBackend::Device if Self::gains_from_bins(gpu) => LightingMode::Bins,
+            RasterBackend::Device if adapter::is_hopper(&gpu.info) => LightingMode::Compute,
+            RasterBackend::Device => LightingMode::OneDraw,
         };
         let multi_draw = gpu.capabilities.multi_draw;
         let max_texture_px = gpu.device.limits().max_texture_dimension_2d;
@@ -149,7 +160,9 @@ impl RasterOptions {
     /// [`Error::Usage`] for what the device or the backend of the visibility stage does not support.
     pub fn with_lighting(self, lighting: LightingMode, gpu: &Gpu) -> Result<Self> {
         let refused = match (lighting, self.visibility) {
-            (LightingMode::OneDraw, RasterBackend::Host) => Some("the host rasterises; use --raster device"),
+            (LightingMode::OneDraw | LightingMode::Compute, RasterBackend::Host) => {
+                Some("the host rasterises; use --raster device")
+            }
             (LightingMode::Bins, RasterBackend::Device) if !gpu.capabilities.depth_stencil => {
                 Some("the device has no depth of 32 bits with a stencil; use one-draw")
             }

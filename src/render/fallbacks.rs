@@ -164,12 +164,14 @@ fn shadow_maps_fit_into_the_textures_of_the_least_device() {
 }
 
 #[test]
-fn one_draw_lights_as_shading_bins_do() {
+fn one_draw_and_a_compute_pass_light_as_shading_bins_do() {
     let mut renderer = renderer(Requested::Offered, RasterMode::Device);
     let own = renderer.raster();
     let low_sun =
         ["stage.name=surface", "sun.elevation_deg=6", "sun.relative_azimuth_deg=5", "camera.pitch_deg=2"];
-    for scene in scenes().iter().chain([&scene(12, &low_sun)]) {
+    // A lens needs textures that are larger than the frame.
+    let distorted = ["stage.name=surface", "camera.k1=-0.1"];
+    for scene in scenes().iter().chain([&scene(12, &low_sun), &scene(4, &distorted)]) {
         let settings = all_planes([160, 120], 4);
         let mut frame_with = |lighting| {
             renderer.set_raster(own.with_lighting(lighting, renderer.gpu()).expect("supported"));
@@ -178,8 +180,31 @@ fn one_draw_lights_as_shading_bins_do() {
         };
         let (by_bins, bins) = frame_with(LightingMode::Bins);
         let (at_once, draws) = frame_with(LightingMode::OneDraw);
-        assert!(bins >= 4 && draws == 1, "{bins} bins, {draws} draws");
+        let (computed, none) = frame_with(LightingMode::Compute);
+        assert!(bins >= 4 && (draws, none) == (1, 0), "{bins} bins, {draws} draws, {none} draws");
         assert_equal_but_for_rounding(&at_once, &by_bins, "one draw");
+        assert_equal_but_for_rounding(&computed, &at_once, "a compute pass");
+    }
+}
+
+/// Which stores fewer planes at a time.
+#[test]
+fn the_least_device_lights_in_a_compute_pass_too() {
+    let [mut full, mut least] = [Requested::Offered, Requested::Least].map(|requested| {
+        let mut renderer = renderer(requested, RasterMode::Device);
+        let options = renderer.raster().with_lighting(LightingMode::Compute, renderer.gpu());
+        renderer.set_raster(options.expect("supported"));
+        renderer
+    });
+    for scene in &scenes() {
+        for settings in [all_planes([96, 64], 4), RenderSettings::new([64, 64], 16).expect("settings")] {
+            let expected = frame(&mut full, scene, &settings);
+            assert_equal_but_for_rounding(
+                &frame(&mut least, scene, &settings),
+                &expected,
+                "the least device",
+            );
+        }
     }
 }
 

@@ -209,7 +209,7 @@ fn instances(
         ..in_sky(disc.centre, disc.radius_m, scene.sun.disc_radiance())
     }));
     instances.push(in_sky(scene.sky.centre, scene.sky.radius_m, scene.sky.radiance));
-    if lighting == LightingMode::OneDraw {
+    if lighting.is_by_instance() {
         let ground = instances[Slots::GROUND as usize];
         let of_band = |band| Instance { detail: detail(Detail::Relief).with_relief(band), ..ground };
         instances.extend((0..bands as u32).map(of_band));

@@ -1,6 +1,7 @@
-//! Lighting: from the G-buffer to radiance and class, in one draw for each shading bin or in one for all.
+//! Lighting: from the G-buffer to radiance and class, in one draw for each shading bin, in one for all, or in a compute pass.
 //! Must not know: how visibility was found.
 
+pub(crate) mod compute;
 pub(crate) mod crater_rays_host;
 pub(crate) mod detail_sums;
 pub(crate) mod gbuffer;

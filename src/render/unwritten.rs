@@ -80,12 +80,15 @@ fn a_frame_that_loses_a_draw_is_refused_by_both_backends() {
             });
         }
     }
-    let one_draw = renderer.raster().with_lighting(LightingMode::OneDraw, renderer.gpu());
-    renderer.set_raster(one_draw.expect("a mode"));
     let scene = Scene::build(5, &Config::new().draw(5).expect("parameters")).expect("a scene");
-    render_with(&mut renderer, &scene, 4, |_| ()).expect("a frame that lost nothing");
-    let nothing = render_with(&mut renderer, &scene, 4, |gbuffer| gbuffer.batches.clear());
-    assert_refused("one draw, without batches", nothing, |pixels| pixels == u64::from(SIZE[0] * SIZE[1]));
+    for lighting in [LightingMode::OneDraw, LightingMode::Compute] {
+        let options = renderer.raster().with_lighting(lighting, renderer.gpu());
+        renderer.set_raster(options.expect("a mode"));
+        render_with(&mut renderer, &scene, 4, |_| ()).expect("a frame that lost nothing");
+        let nothing = render_with(&mut renderer, &scene, 4, |gbuffer| gbuffer.batches.clear());
+        let what = format!("{}, without batches", lighting.name());
+        assert_refused(&what, nothing, |pixels| pixels == u64::from(SIZE[0] * SIZE[1]));
+    }
     assert!(lost.iter().all(|&lost| lost >= 6), "{lost:?}");
 }
 

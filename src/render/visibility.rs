@@ -17,7 +17,7 @@ use crate::gpu::Gpu;
 use crate::gpu::staging::{PAGE_BYTES, Page, StagingBuffer, StagingBuffers, TextureRegion};
 use crate::render::backend::{LightingMode, RasterBackend, RasterOptions};
 use crate::render::device::bind_groups::BindLayouts;
-use crate::render::device::depth::{DEPTH_FORMAT, DEPTH_STENCIL_FORMAT, STENCIL_FORMAT};
+use crate::render::device::depth::STENCIL_FORMAT;
 use crate::render::device::timing::{Pass, Timer, milliseconds};
 use crate::render::lighting::gbuffer::{GBuffer, GBufferLayout, SLOPES_FORMAT, VISIBILITY_FORMAT};
 use crate::render::lighting::relief_bands::ReliefBands;
@@ -62,10 +62,7 @@ impl VisibilityBackend {
     /// A backend that has rasterised nothing yet.
     pub(crate) fn new(options: &RasterOptions) -> Self {
         match options.visibility {
-            RasterBackend::Device => Self::Device(VisibilityPass::new(match options.lighting {
-                LightingMode::Bins => DEPTH_STENCIL_FORMAT,
-                LightingMode::OneDraw => DEPTH_FORMAT,
-            })),
+            RasterBackend::Device => Self::Device(VisibilityPass::new(options.lighting)),
             RasterBackend::Host => Self::Host(Box::default()),
         }
     }
@@ -75,13 +72,15 @@ impl VisibilityBackend {
         match self {
             Self::Device(pass) => GBufferLayout {
                 write_usage: TextureUsages::RENDER_ATTACHMENT,
-                depth_stencil_format: pass.depth_stencil_format,
+                depth_stencil_format: pass.depth_stencil_format(),
+                is_computed: matches!(pass.lighting, LightingMode::Compute),
                 has_slopes: false,
                 has_host_stencil: false,
             },
             Self::Host(_) => GBufferLayout {
                 write_usage: TextureUsages::COPY_DST,
                 depth_stencil_format: STENCIL_FORMAT,
+                is_computed: false,
                 has_slopes: scene.relief.is_some(),
                 has_host_stencil: true,
             },

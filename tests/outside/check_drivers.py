@@ -219,9 +219,10 @@ def main() -> int:
         report.case = name
         check_scene(report, drivers, scene, rasters)
     report.case = "doctor"
+    on_device = {"device-bins", "device-one-draw", "device-compute"}
     for driver in drivers:
-        check_doctor(report, driver.name, driver, "vulkan", {"host", "device-bins", "device-one-draw"})
-    check_doctor(report, f"{drivers[0].name}, GL", drivers[0], "gl", {"device-bins", "device-one-draw", "mixed"})
+        check_doctor(report, driver.name, driver, "vulkan", {"host", *on_device})
+    check_doctor(report, f"{drivers[0].name}, GL", drivers[0], "gl", {"mixed", *on_device})
     report.case = f"{BACKEND_SCENES} scenes"
     for driver in drivers:
         check_backends(report, driver)

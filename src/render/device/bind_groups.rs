@@ -75,9 +75,13 @@ impl BindLayouts {
                 drawing | ShaderStages::COMPUTE,
                 &[buffer(wgpu::BufferBindingType::Uniform)],
             ),
-            scene: group("scene", drawing, &[instance, read, relief, read, read]),
+            scene: group("scene", drawing | ShaderStages::COMPUTE, &[instance, read, relief, read, read]),
             layers: group("layers", ShaderStages::COMPUTE, &[float, map]),
-            light: group("light", ShaderStages::FRAGMENT, &[uint, float, float, read, nearest, float, float]),
+            light: group(
+                "light",
+                ShaderStages::FRAGMENT | ShaderStages::COMPUTE,
+                &[uint, float, float, read, nearest, float, float],
+            ),
             resolve: group("resolve", ShaderStages::COMPUTE, &[&resolve[..], &sample_planes].concat()),
         }
     }

@@ -188,7 +188,7 @@ pub(in crate::render) fn light_wgsl(transport: Transport) -> String {
     for row in &LIGHT_TABLE {
         push(&mut text, format_args!("    {}: {},\n", row.name, row.kind.wgsl()));
     }
-    text.push_str("}\n\nstruct LightVaryings {\n    @builtin(position) position: vec4<f32>,\n");
+    text.push_str("}\n\n// The light numbers of the draw. An entry point sets it first.\nvar<private> light: Light;\n\nstruct LightVaryings {\n    @builtin(position) position: vec4<f32>,\n");
     let (slots, used) = match transport {
         Transport::Varyings => pack(),
         Transport::Uniforms => (Vec::new(), Vec::new()),

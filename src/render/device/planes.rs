@@ -11,6 +11,8 @@
 //! see [`crate::frame::plane`], and here its arm in [`resolve_rule`].
 //! Must not know: a pass.
 
+pub(crate) mod stored;
+
 use std::fmt::Write as _;
 
 use wgpu::TextureFormat;
@@ -161,6 +163,11 @@ pub(crate) fn lighting_passes(annotations: Annotations, limits: &wgpu::Limits) -
     if PlaneSet::ALL.fits(limits) {
         return vec![PlaneSet::ALL];
     }
+    divide(annotations, |set| set.fits(limits))
+}
+
+/// The planes that a frame with these annotations needs, in as few sets that `fits` accepts as their order allows.
+fn divide(annotations: Annotations, fits: impl Fn(PlaneSet) -> bool) -> Vec<PlaneSet> {
     let mut passes: Vec<PlaneSet> = Vec::new();
     for row in SAMPLE_PLANES.iter().filter(|row| row.plane.is_needed(annotations)) {
         let with_row = |mut set: PlaneSet| {
@@ -169,7 +176,7 @@ pub(crate) fn lighting_passes(annotations: Annotations, limits: &wgpu::Limits) -
         };
         let none = PlaneSet([false; SAMPLE_PLANES.len()]);
         match passes.last_mut() {
-            Some(last) if with_row(*last).fits(limits) => *last = with_row(*last),
+            Some(last) if fits(with_row(*last)) => *last = with_row(*last),
             _ => passes.push(with_row(none)),
         }
     }

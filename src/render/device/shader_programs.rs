@@ -9,6 +9,7 @@ use std::borrow::Cow;
 
 use crate::gpu::Gpu;
 use crate::render::device::light_table::{Transport, light_wgsl};
+use crate::render::device::planes::stored::stored_planes_wgsl;
 use crate::render::device::planes::{PlaneSet, lighting_output_wgsl, resolve_planes_wgsl};
 
 /// A WGSL program: the parts that make it.
@@ -51,6 +52,14 @@ impl Default for TextOptions {
 /// `generated/light.wgsl`: see [`crate::render::device::light_table`].
 const LIGHT: Part =
     Part { path: "generated/light.wgsl", source: Source::Generated(|options| light_wgsl(options.transport)) };
+/// The same where there are no varyings.
+const UNIFORM_LIGHT: Part =
+    Part { path: "generated/light.wgsl", source: Source::Generated(|_| light_wgsl(Transport::Uniforms)) };
+/// `generated/stored_planes.wgsl`: see [`crate::render::device::planes::stored`].
+const STORED_PLANES: Part = Part {
+    path: "generated/stored_planes.wgsl",
+    source: Source::Generated(|options| stored_planes_wgsl(options.planes)),
+};
 /// `generated/lighting_output.wgsl`: see [`crate::render::device::planes`].
 const LIGHTING_OUTPUT: Part = Part {
     path: "generated/lighting_output.wgsl",
@@ -81,13 +90,12 @@ macro_rules! program {
 
 /// Lighting of ground and rocks: all that it needs but where the relief's numbers come from.
 macro_rules! surface_program {
-    ($name:literal, $relief:literal) => {
+    ($name:literal, [$($own:literal),*], [$($generated:expr),*]) => {
         program!(
             $name,
             [
                 "frame",
                 "scene",
-                "fullscreen",
                 "octahedral",
                 "gbuffer",
                 "horizon_map",
@@ -104,9 +112,9 @@ macro_rules! surface_program {
                 "sun_disc",
                 "rock_texture",
                 "shading",
-                $relief
+                $($own),*
             ],
-            [LIGHT, LIGHTING_OUTPUT]
+            [$($generated),*]
         )
     };
 }
@@ -118,18 +126,37 @@ pub static SHADOW_MIDPOINT: Program = program!("shadow_midpoint", [], []);
 /// The visibility buffer.
 pub static VISIBILITY: Program = program!("visibility", ["frame", "scene", "octahedral"], []);
 /// Lighting of ground and rocks, one shading bin at a time.
-pub static LIGHTING_SURFACE: Program = surface_program!("lighting_surface", "relief_of_draw");
+pub static LIGHTING_SURFACE: Program =
+    surface_program!("lighting_surface", ["fullscreen", "relief_of_draw"], [LIGHT, LIGHTING_OUTPUT]);
 /// Lighting of the sky's dome, of stars and of the sun's disc.
 pub static LIGHTING_SKY: Program =
     program!("lighting_sky", ["frame", "scene", "fullscreen", "sun_disc"], [LIGHT, LIGHTING_OUTPUT]);
 /// Lighting of all surfaces in one draw.
-pub static LIGHTING_ONE_DRAW: Program = surface_program!("lighting_one_draw", "relief_of_sample");
+pub static LIGHTING_ONE_DRAW: Program = surface_program!(
+    "lighting_one_draw",
+    ["fullscreen", "relief_of_sample", "any_surface"],
+    [LIGHT, LIGHTING_OUTPUT]
+);
+/// Lighting of all surfaces in a compute pass.
+pub static LIGHTING_COMPUTE: Program = surface_program!(
+    "lighting_compute",
+    ["relief_of_sample", "any_surface"],
+    [UNIFORM_LIGHT, LIGHTING_OUTPUT, STORED_PLANES]
+);
 /// Samples to pixels.
 pub static RESOLVE: Program = program!("resolve", ["frame", "lens", "tone", "half"], [RESOLVE_PLANES]);
 
 /// Every program.
-pub static PROGRAMS: [&Program; 7] =
-    [&SHADOW, &SHADOW_MIDPOINT, &VISIBILITY, &LIGHTING_SURFACE, &LIGHTING_SKY, &LIGHTING_ONE_DRAW, &RESOLVE];
+pub static PROGRAMS: [&Program; 8] = [
+    &SHADOW,
+    &SHADOW_MIDPOINT,
+    &VISIBILITY,
+    &LIGHTING_SURFACE,
+    &LIGHTING_SKY,
+    &LIGHTING_ONE_DRAW,
+    &LIGHTING_COMPUTE,
+    &RESOLVE,
+];
 
 impl Part {
     fn text(&self, options: TextOptions) -> Cow<'static, str> {
@@ -287,6 +314,7 @@ mod tests {
                 let expected = match name {
                     "frame" => 0,
                     "instance" | "instances" | "tiles" | "relief" | "reliefs" => 1,
+                    _ if name.ends_with("_texels") => 3,
                     _ => 2,
                 };
                 assert_eq!(binding.group, expected, "`{name}` in {}", program.name);

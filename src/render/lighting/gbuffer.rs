@@ -7,7 +7,7 @@ use wgpu::{TextureFormat, TextureUsages};
 
 use crate::frame::Annotations;
 use crate::gpu::Gpu;
-use crate::render::device::planes::SAMPLE_PLANES;
+use crate::render::device::planes::{SAMPLE_PLANES, SamplePlaneRow, stored};
 use crate::render::select::draw_list::DrawBatch;
 use crate::render::select::screen_bounds::ScreenBounds;
 use crate::render::settings::RenderSettings;
@@ -28,6 +28,8 @@ pub struct GBufferLayout {
     /// Format of depth, stencil or both: depth where the device rasterises visibility, a stencil where it selects the samples of a
     /// shading bin.
     pub depth_stencil_format: TextureFormat,
+    /// A compute pass writes the planes, which are storage textures then.
+    pub is_computed: bool,
     /// There are slopes of the relief below the mesh.
     pub has_slopes: bool,
     /// The stencil is known to the host too.
@@ -39,7 +41,7 @@ impl GBufferLayout {
     #[must_use]
     pub fn bytes_per_sample(&self, annotations: Annotations) -> u64 {
         let planes =
-            SAMPLE_PLANES.iter().filter(|row| row.plane.is_needed(annotations)).map(|row| row.format);
+            SAMPLE_PLANES.iter().filter(|row| row.plane.is_needed(annotations)).map(|row| self.format(row));
         let slopes = self.has_slopes.then_some(SLOPES_FORMAT);
         let copied = planes.chain([VISIBILITY_FORMAT]).chain(slopes);
         let copied: u64 = copied.map(|format| u64::from(format.block_copy_size(None).unwrap_or(0))).sum();
@@ -49,6 +51,11 @@ impl GBufferLayout {
             _ => 8,
         };
         copied + depth_stencil
+    }
+
+    /// Format of a plane.
+    pub(crate) const fn format(&self, row: &SamplePlaneRow) -> TextureFormat {
+        if self.is_computed { stored::format(row) } else { row.format }
     }
 
     /// The format with the stencil that selects samples, if there is one.
@@ -103,7 +110,12 @@ impl GBuffer {
     #[must_use]
     fn new(gpu: &Gpu, settings: &RenderSettings, layout: GBufferLayout, capacity: [u32; 2]) -> Self {
         let &RenderSettings { size, samples_per_side, annotations, .. } = settings;
-        let drawn = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
+        let written = if layout.is_computed {
+            TextureUsages::STORAGE_BINDING
+        } else {
+            TextureUsages::RENDER_ATTACHMENT
+        };
+        let planes = written | TextureUsages::TEXTURE_BINDING;
         let uploaded = TextureUsages::COPY_DST | TextureUsages::TEXTURE_BINDING;
         Self {
             size,
@@ -114,7 +126,7 @@ impl GBuffer {
             layout,
             planes: SAMPLE_PLANES.map(|row| {
                 let size = if row.plane.is_needed(annotations) { capacity } else { [1, 1] };
-                gpu.texture(&format!("gbuffer/{}", row.name), size, row.format, drawn).1
+                gpu.texture(&format!("gbuffer/{}", row.name), size, layout.format(&row), planes).1
             }),
             visibility: gpu.texture(
                 "gbuffer/visibility",

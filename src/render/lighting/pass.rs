@@ -16,6 +16,8 @@ use crate::render::device::shader_programs::{
 };
 use crate::render::device::shader_structs::{Instance, ReliefUniforms};
 use crate::render::device::shading_bins::{Detail, LightingVariant, ShadowSources};
+use crate::render::device::timing::{Pass, Timer};
+use crate::render::lighting::compute::ComputeLighting;
 use crate::render::lighting::gbuffer::GBuffer;
 use crate::scene::Scene;
 use crate::scene::photometry::Law;
@@ -32,6 +34,8 @@ pub(crate) struct LightingPass {
     modules: Vec<(ModuleKey, wgpu::ShaderModule)>,
     /// All pipelines that were needed so far.
     pipelines: Vec<(PipelineKey, wgpu::RenderPipeline)>,
+    /// Those of the compute pass.
+    compute: ComputeLighting,
 }
 
 /// A program for a pass that writes these planes, by the program's name.
@@ -44,7 +48,7 @@ type PipelineKey = (FrameKey, LightingVariant, PlaneSet);
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct FrameKey {
     /// Annotations that are rendered.
-    annotations: Annotations,
+    pub(super) annotations: Annotations,
     /// Law of reflection.
     law: Law,
     /// The ground's mesh is made of rings.
@@ -55,6 +59,8 @@ pub(crate) struct FrameKey {
     has_slopes: bool,
     /// Format of the stencil that selects samples. Without one, each sample says what it is.
     stencil_format: Option<TextureFormat>,
+    /// The samples are lit in a compute pass.
+    is_computed: bool,
 }
 
 impl FrameKey {
@@ -67,6 +73,7 @@ impl FrameKey {
             has_detail: scene.relief.is_some(),
             has_slopes: gbuffer.layout.has_slopes,
             stencil_format: gbuffer.layout.stencil_format(),
+            is_computed: gbuffer.layout.is_computed,
         }
     }
 }
@@ -90,13 +97,25 @@ impl LightingPass {
             immediate_size: 0,
         });
         let (transport, limits) = (Transport::of(gpu), gpu.device.limits());
-        Self { transport, limits, layout, modules: Vec::new(), pipelines: Vec::new() }
+        let compute = ComputeLighting::default();
+        Self { transport, limits, layout, modules: Vec::new(), pipelines: Vec::new(), compute }
     }
 
     /// Whether there is any pipeline with this key.
     #[must_use]
     pub(crate) fn has(&self, key: FrameKey) -> bool {
-        self.pipelines.iter().any(|((found, ..), _)| *found == key)
+        self.pipelines.iter().any(|((found, ..), _)| *found == key) || self.compute.has(key)
+    }
+
+    /// Compiles the pipelines of the compute pass that are missing.
+    pub(crate) fn prepare_compute(
+        &mut self,
+        gpu: &Gpu,
+        layouts: &BindLayouts,
+        key: FrameKey,
+        samples_per_side: u32,
+    ) {
+        self.compute.prepare(gpu, layouts, key, samples_per_side);
     }
 
     /// The planes that each pass of a frame writes.
@@ -182,18 +201,24 @@ impl LightingPass {
         })
     }
 
-    /// Records the pass. `timestamps` are those of its start and of its end.
+    /// Records the pass.
     ///
     /// # Panics
     /// If [`Self::prepare`] has not compiled the pipelines of the G-buffer's batches.
     pub(crate) fn record(
         &self,
+        gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         groups: [&wgpu::BindGroup; 3],
-        key: FrameKey,
-        gbuffer: &GBuffer,
-        timestamps: Option<wgpu::RenderPassTimestampWrites<'_>>,
+        (key, gbuffer): (FrameKey, &GBuffer),
+        timer: Option<&Timer>,
     ) {
+        if key.is_computed {
+            let timestamps = timer.map(|timer| timer.compute_pass(Pass::Lighting));
+            self.compute.record(gpu, encoder, groups, (key, gbuffer), timestamps);
+            return;
+        }
+        let timestamps = timer.map(|timer| timer.render_pass(Pass::Lighting));
         let passes = self.passes(key);
         let last = passes.len() - 1;
         for (number, planes) in passes.into_iter().enumerate() {
@@ -272,7 +297,7 @@ fn begin_pass<'a>(
 }
 
 /// The constants that a pipeline is specialised for.
-fn constants(key: FrameKey, variant: LightingVariant) -> Vec<(&'static str, f64)> {
+pub(super) fn constants(key: FrameKey, variant: LightingVariant) -> Vec<(&'static str, f64)> {
     let shading = |sources: ShadowSources| {
         vec![
             ("SHADOW_SOURCES", f64::from(sources as u32)),

@@ -124,10 +124,7 @@ impl DrawList {
         for (_, block) in front_to_back(blocks) {
             let band = band_of_block(block);
             let bin = ShadingBins::ground(band, ShadowSources::GroundAndRocks);
-            let slot = match lighting {
-                LightingMode::Bins => Slots::GROUND,
-                LightingMode::OneDraw => slots.ground_of_band(band),
-            };
+            let slot = if lighting.is_by_instance() { slots.ground_of_band(band) } else { Slots::GROUND };
             let draw = MeshDraw { mesh: MeshRef::Block(block), slots: slot..slot + 1 };
             add(bin, draw, ScreenBounds::UNBOUNDED);
         }

@@ -4,8 +4,9 @@
 use wgpu::TextureFormat;
 
 use crate::gpu::Gpu;
+use crate::render::backend::LightingMode;
 use crate::render::device::bind_groups::BindLayouts;
-use crate::render::device::depth::depth_state;
+use crate::render::device::depth::{DEPTH_FORMAT, DEPTH_STENCIL_FORMAT, depth_state};
 use crate::render::device::shader_programs::VISIBILITY;
 use crate::render::device::shading_bins::LightingVariant;
 use crate::render::lighting::gbuffer::{GBuffer, VISIBILITY_FORMAT};
@@ -18,8 +19,8 @@ const STORE: wgpu::StoreOp = wgpu::StoreOp::Store;
 /// The pass.
 #[derive(Debug)]
 pub(crate) struct VisibilityPass {
-    /// Format of depth, with a stencil beside it where lighting is divided into shading bins.
-    pub(crate) depth_stencil_format: TextureFormat,
+    /// How the samples are lit, which the stencil depends on.
+    pub(crate) lighting: LightingMode,
     pipelines: Option<Pipelines>,
 }
 
@@ -72,14 +73,19 @@ impl Pipelines {
 }
 
 impl VisibilityPass {
-    /// A pass with this format of depth, which compiles nothing yet.
-    pub(crate) const fn new(depth_stencil_format: TextureFormat) -> Self {
-        Self { depth_stencil_format, pipelines: None }
+    /// A pass for samples that are lit like this, which has compiled nothing yet.
+    pub(crate) const fn new(lighting: LightingMode) -> Self {
+        Self { lighting, pipelines: None }
+    }
+
+    /// Format of depth, with a stencil beside it where lighting is divided into shading bins.
+    pub(crate) const fn depth_stencil_format(&self) -> TextureFormat {
+        if self.lighting.is_by_instance() { DEPTH_FORMAT } else { DEPTH_STENCIL_FORMAT }
     }
 
     /// Compiles the pass, unless it is there.
     pub(crate) fn prepare(&mut self, gpu: &Gpu, layouts: &BindLayouts) {
-        let format = self.depth_stencil_format;
+        let format = self.depth_stencil_format();
         self.pipelines.get_or_insert_with(|| Pipelines::new(gpu, layouts, format));
     }
 
@@ -92,7 +98,7 @@ impl VisibilityPass {
         gbuffer: &GBuffer,
         timestamps: Option<wgpu::RenderPassTimestampWrites<'_>>,
     ) {
-        let has_stencil = self.depth_stencil_format.has_stencil_aspect();
+        let has_stencil = self.depth_stencil_format().has_stencil_aspect();
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("visibility"),
             color_attachments: &[Some(wgpu::RenderPassColorAttachment {

@@ -1,0 +1,134 @@
+//! Lighting in a compute pass, of all samples at once: each by what its instance says. Dispatches write the planes to storage textures, one
+//! all of them where the device can store to so many, radiance and class always together.
+//! Must not know: who filled the G-buffer.
+
+use wgpu::{BindingType, ShaderStages};
+
+use crate::gpu::Gpu;
+use crate::render::device::bind_groups::{BindLayouts, bind_group};
+use crate::render::device::light_table::Transport;
+use crate::render::device::planes::{PlaneSet, stored};
+use crate::render::device::shader_programs::{LIGHTING_COMPUTE, TextOptions};
+use crate::render::device::shading_bins::LightingVariant;
+use crate::render::lighting::gbuffer::GBuffer;
+use crate::render::lighting::pass::{FrameKey, constants};
+
+/// Columns and rows of samples that a workgroup lights; `lighting_compute.wgsl` has the same constant.
+const WORKGROUP_SIDE: u32 = 8;
+
+/// What a dispatch is compiled for: what the pipelines of a frame have in common, samples along a side of a pixel, planes.
+type DispatchKey = (FrameKey, u32, PlaneSet);
+
+/// Pipelines of the dispatches, all that were needed so far.
+#[derive(Debug, Default)]
+pub(crate) struct ComputeLighting {
+    dispatches: Vec<(DispatchKey, Dispatch)>,
+}
+
+#[derive(Debug)]
+struct Dispatch {
+    pipeline: wgpu::ComputePipeline,
+    /// Layout of group 3: the textures that it writes.
+    written: wgpu::BindGroupLayout,
+}
+
+/// What the dispatches of a frame are compiled for.
+fn keys(gpu: &Gpu, key: FrameKey, samples_per_side: u32) -> impl Iterator<Item = DispatchKey> {
+    let sets = stored::dispatches(key.annotations, &gpu.device.limits());
+    sets.into_iter().map(move |planes| (key, samples_per_side, planes))
+}
+
+impl ComputeLighting {
+    /// Whether there is any pipeline with this key.
+    pub(crate) fn has(&self, key: FrameKey) -> bool {
+        self.dispatches.iter().any(|((found, ..), _)| *found == key)
+    }
+
+    /// Compiles the pipelines of a frame that are missing.
+    pub(crate) fn prepare(&mut self, gpu: &Gpu, layouts: &BindLayouts, key: FrameKey, samples_per_side: u32) {
+        for key in keys(gpu, key, samples_per_side) {
+            if self.dispatches.iter().all(|(found, _)| *found != key) {
+                self.dispatches.push((key, Dispatch::new(gpu, layouts, key)));
+            }
+        }
+    }
+
+    /// Records the pass.
+    ///
+    /// # Panics
+    /// If [`Self::prepare`] has not compiled the pipelines of the frame.
+    pub(crate) fn record(
+        &self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        [frame, instances, light]: [&wgpu::BindGroup; 3],
+        (key, gbuffer): (FrameKey, &GBuffer),
+        timestamps: Option<wgpu::ComputePassTimestampWrites<'_>>,
+    ) {
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+            label: Some("lighting"),
+            timestamp_writes: timestamps,
+        });
+        pass.set_bind_group(0, frame, &[]);
+        pass.set_bind_group(1, instances, &[0, 0]);
+        pass.set_bind_group(2, light, &[]);
+        let [columns, rows] = gbuffer.sample_size.map(|side| side.div_ceil(WORKGROUP_SIDE));
+        for key in keys(gpu, key, gbuffer.samples_per_side) {
+            let found = self.dispatches.iter().find(|(found, _)| *found == key);
+            let (_, dispatch) = found.expect("pipelines are prepared before they are used");
+            let (.., planes) = key;
+            let views = planes.rows().map(|row| &gbuffer.planes[row.plane as usize]);
+            let written: Vec<_> = views.map(wgpu::BindingResource::TextureView).collect();
+            pass.set_pipeline(&dispatch.pipeline);
+            pass.set_bind_group(3, &bind_group(gpu, "lighting", &dispatch.written, &written), &[]);
+            pass.dispatch_workgroups(columns, rows, 1);
+        }
+    }
+}
+
+impl Dispatch {
+    fn new(gpu: &Gpu, layouts: &BindLayouts, (key, samples_per_side, planes): DispatchKey) -> Self {
+        let written: Vec<_> = (0..)
+            .zip(planes.rows())
+            .map(|(binding, row)| wgpu::BindGroupLayoutEntry {
+                binding,
+                visibility: ShaderStages::COMPUTE,
+                ty: BindingType::StorageTexture {
+                    access: wgpu::StorageTextureAccess::WriteOnly,
+                    format: stored::format(row),
+                    view_dimension: wgpu::TextureViewDimension::D2,
+                },
+                count: None,
+            })
+            .collect();
+        let written = gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("lighting/written"),
+            entries: &written,
+        });
+        let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some("lighting/compute/layout"),
+            bind_group_layouts: &[
+                Some(&layouts.frame),
+                Some(&layouts.scene),
+                Some(&layouts.light),
+                Some(&written),
+            ],
+            immediate_size: 0,
+        });
+        let options = TextOptions { transport: Transport::Uniforms, planes };
+        let mut constants = constants(key, LightingVariant::Any);
+        constants.push(("SAMPLES_PER_SIDE", f64::from(samples_per_side)));
+        let pipeline = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(LIGHTING_COMPUTE.name),
+            layout: Some(&layout),
+            module: &LIGHTING_COMPUTE.compile_for(gpu, options),
+            entry_point: Some("cs_main"),
+            compilation_options: wgpu::PipelineCompilationOptions {
+                constants: &constants,
+                ..Default::default()
+            },
+            cache: gpu.pipeline_cache(),
+        });
+        Self { pipeline, written }
+    }
+}
