@@ -110,10 +110,9 @@ def environment_of(driver: Driver) -> dict[str, str]:
     }
 
 
-def render(driver: Driver, scene: list[str], raster: str) -> tuple[Path, str]:
-    """Renders a frame under the layers. Returns its folder and what the layers wrote."""
-    out, log, settings, cache = (WORK / name for name in ("frame", "messages.txt", "vk_layer_settings.txt", "cache"))
-    shutil.rmtree(out, ignore_errors=True)
+def under_layers(driver: Driver, words: list[str]) -> str:
+    """Runs the program under the layers. Returns what these wrote."""
+    log, settings, cache = (WORK / name for name in ("messages.txt", "vk_layer_settings.txt", "cache"))
     # Without a cache every shader is compiled, so that the layers see it.
     shutil.rmtree(cache, ignore_errors=True)
     log.unlink(missing_ok=True)
@@ -125,11 +124,19 @@ def render(driver: Driver, scene: list[str], raster: str) -> tuple[Path, str]:
         "VK_LAYER_SETTINGS_PATH": str(settings),
         "XDG_CACHE_HOME": str(cache),
     }
-    command = [PROGRAM, *scene, *SIZE, "--raster", raster, "--out", str(out), "--quiet"]
+    command = [PROGRAM, *words]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"{' '.join(command)}: {done.stderr.strip()}")
-    return out, log.read_text() if log.exists() else ""
+    return log.read_text() if log.exists() else ""
+
+
+def check_layers(report: Report, name: str, text: str) -> None:
+    """Adds what the layers wrote to the report."""
+    missing = [what for what in ACTIVE if what not in text]
+    report.none(f"{name}: layers run", [f"not {what}" for what in missing], "all checks")
+    faults = [found[2] for found in MESSAGE.finditer(text) if found[2] not in KNOWN]
+    report.none(f"{name}: messages of the layers", faults, "none")
 
 
 def on_outline(mask: np.ndarray) -> np.ndarray:
@@ -142,15 +149,14 @@ def on_outline(mask: np.ndarray) -> np.ndarray:
 
 def check_frame(report: Report, name: str, driver: Driver, scene: list[str], raster: str) -> np.ndarray:
     """Renders a frame, adds what the layers found to the report, and returns the mask."""
-    out, text = render(driver, scene, raster)
+    out = WORK / "frame"
+    shutil.rmtree(out, ignore_errors=True)
+    text = under_layers(driver, [*scene, *SIZE, "--raster", raster, "--out", str(out), "--quiet"])
     record = json.loads((out / "frame_0000.json").read_text())
     adapter = f"{record['adapter']['name']}, {record['raster']}"
     is_right = driver.adapter in record["adapter"]["name"].lower() and record["raster"] == raster
     report.none(f"{name}: adapter and raster", [] if is_right else [adapter], adapter)
-    missing = [what for what in ACTIVE if what not in text]
-    report.none(f"{name}: layers run", [f"not {what}" for what in missing], "all checks")
-    faults = [found[2] for found in MESSAGE.finditer(text) if found[2] not in KNOWN]
-    report.none(f"{name}: messages of the layers", faults, "none")
+    check_layers(report, name, text)
     return np.array(Image.open(out / "semantic_segmentation_0000.png"))
 
 
@@ -165,6 +171,13 @@ def check_scene(report: Report, drivers: list[Driver], scene: list[str], rasters
         report.at_most(what, 100 * different.mean(), 100 * MAX_DIFFERENT, " %")
         inside = int((different & ~outline).sum())
         report.none(f"{what}, not on an outline", [f"{inside} px"] if inside else [], int(outline.sum()))
+
+
+def check_lighting(report: Report, driver: Driver, lighting: str, stage: str) -> None:
+    """Lights as GPUs do, which CPU drivers do not by default, under the layers."""
+    words = ["bench", "--raster", "device", "--lighting", lighting, "--stage", stage]
+    words += ["--cases", "camera", "--frames", "1", "--outputs", "all", "--size", "64", "--json", "--quiet"]
+    check_layers(report, f"{driver.name}, {stage}", under_layers(driver, words))
 
 
 def check_doctor(report: Report, name: str, driver: Driver, backend: str, rasters: set[str]) -> None:
@@ -218,6 +231,11 @@ def main() -> int:
     for name, (scene, rasters) in SCENES.items():
         report.case = name
         check_scene(report, drivers, scene, rasters)
+    for lighting in ("one-draw", "compute"):
+        report.case = f"lighting: {lighting}"
+        for driver in drivers:
+            for stage in ("nominal", "surface"):
+                check_lighting(report, driver, lighting, stage)
     report.case = "doctor"
     on_device = {"device-bins", "device-one-draw", "device-compute"}
     for driver in drivers:
