@@ -47,7 +47,9 @@ pub(in crate::render) fn stored_planes_wgsl(planes: PlaneSet) -> String {
         let texel = match row.format {
             TextureFormat::R8Uint | TextureFormat::R16Uint => format!("vec4(lit.{name}, 0u, 0u, 0u)"),
             // As a target of 8 bits rounds it.
-            TextureFormat::R8Unorm => format!("vec4(round(255.0 * lit.{name}) / 255.0, 0.0, 0.0, 0.0)"),
+            TextureFormat::R8Unorm => {
+                format!("vec4(round(255.0 * lit.{name}) * (1.0 / 255.0), 0.0, 0.0, 0.0)")
+            }
             _ => format!("lit.{name}"),
         };
         push(&mut text, format_args!("    textureStore({name}_texels, at, {texel});\n"));
