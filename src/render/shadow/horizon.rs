@@ -11,8 +11,10 @@
 //! It stands in `shadow/` and uses `select/` for footprints; what `select/` needs of it, it hands over as [`ShadowedGround`].
 //! Must not know: how the map is sampled (`common/horizon_map.wgsl`).
 
+mod grid_frame;
 mod heightfield;
 mod image_layout;
+mod occluders;
 mod sweep;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -239,11 +241,14 @@ impl HorizonMap {
             (footprint, max_texture_px),
         );
         let mut grids: Vec<HorizonGrid> = Vec::new();
-        for PlannedGrid { lattice, region, beyond } in planned.iter().rev() {
+        for (level, PlannedGrid { lattice, region, beyond }) in planned.iter().enumerate().rev() {
             let memory = spare().pop().unwrap_or_default();
+            let finer = level.checked_sub(1).map(|finer| &planned[finer]);
+            let finer = finer.map(|finer| (&finer.lattice, &finer.region, finer.beyond));
+            let strips = lattice.strips(region, finer);
             let grid = match grids.last() {
-                None => lattice.sweep_coarsest(region, memory),
-                Some(coarser) => lattice.sweep_finer(region, memory, coarser, *beyond),
+                None => lattice.sweep_coarsest(region, memory, strips),
+                Some(coarser) => lattice.sweep_finer(region, (memory, strips), coarser, *beyond),
             };
             grids.push(grid);
         }
@@ -258,11 +263,11 @@ impl HorizonMap {
         let ImageLayout { columns, corners } = layout;
         self.levels.clear();
         self.levels.extend(grids.iter().zip(corners).map(|(grid, [column, row])| HorizonLevel {
-            origin: grid.origin,
-            step_m: grid.step_m,
+            origin: grid.frame.origin,
+            step_m: grid.frame.step_m,
             first_texel: (column | row << 16) as u32,
-            size: [grid.image_columns as u32, grid.size[1] as u32],
-            first_sample: grid.first,
+            size: [grid.image_columns as u32, grid.frame.size[1] as u32],
+            first_sample: grid.frame.first,
         }));
         self.shadowed.clear();
         for grid in &grids {
@@ -290,7 +295,7 @@ impl HorizonMap {
             .map(|column| {
                 let own = grids.by_ref().take(column.grids).collect::<Vec<_>>();
                 let rows = own.into_iter().flat_map(|grid| {
-                    grid.heights_m.chunks(grid.size[0]).map(|row| &row[..grid.image_columns])
+                    grid.heights_m.chunks(grid.frame.size[0]).map(|row| &row[..grid.image_columns])
                 });
                 (column.width, rows)
             })

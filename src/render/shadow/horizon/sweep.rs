@@ -13,7 +13,9 @@ use fearless_simd::{Level, dispatch, f32x8, i32x8, mask32x8};
 use glam::Vec2;
 use rayon::prelude::*;
 
+use super::grid_frame::GridFrame;
 use super::heightfield::{ChordErrors, Heightfield, LANES};
+use super::occluders::{OccluderStrips, Occluders, PARTS, StripBatch};
 use crate::render::select::footprint::Footprint;
 use crate::scene::sky::Sun;
 use crate::scene::terrain::{Layout, Terrain};
@@ -68,29 +70,15 @@ impl SweepRegion {
     }
 }
 
-/// Parts of the sun's disc, as fractions of its height from the lower limb, each with the ground that hides it up to the greatest height.
-const PARTS: [f32; 3] = [0.0, 0.5, 1.0];
-
-/// Horizon heights behind the ground that hides each of the [`PARTS`]. The penumbra of ground far away is wide, and nearer ground in it
-/// may hide more of the sun.
-#[derive(Clone, Copy)]
-struct Occluders([Limbs; PARTS.len()]);
-
 /// One level of the horizon map while it is made: a part of a lattice.
 pub(super) struct HorizonGrid {
-    /// Position that samples are counted from, world, metres.
-    pub(super) origin: Vec2,
-    /// Column and row of its first sample, counted from `origin`.
-    pub(super) first: Vec2,
-    pub(super) step_m: f32,
-    /// Columns and rows.
-    pub(super) size: [usize; 2],
+    pub(super) frame: GridFrame,
     /// Columns of the image.
     pub(super) image_columns: usize,
     /// Behind the ground that hides most of the sun from the ground at the sample, row by row; `f32::MIN` where nothing was computed.
     pub(super) heights_m: Vec<Limbs>,
-    /// Of each of the [`Occluders`], likewise. Empty where no finer grid samples this one.
-    occluders_m: [Vec<Limbs>; PARTS.len()],
+    /// Where a finer grid begins.
+    occluders: OccluderStrips,
     /// Samples of a square ground around which other ground may occlude any of the sun, world, metres.
     pub(super) shadowed: Vec<Vec2>,
 }
@@ -152,21 +140,55 @@ impl<'a> SweepLattice<'a> {
         SweepRegion { columns, rows, spans, image_columns }
     }
 
+    /// Where the samples of a region lie.
+    fn frame(&self, region: &SweepRegion) -> GridFrame {
+        let SweepRegion { columns, rows, .. } = region;
+        let first = Vec2::new(columns.start as f32, rows.start as f32);
+        // Finer samples than those of a square are counted from nearby, for the precision of their coordinates.
+        let (origin, first) = if self.heightfield.is_some() {
+            (self.origin, first)
+        } else {
+            (self.origin + self.step_m * (first.x * self.towards + first.y * self.across), Vec2::ZERO)
+        };
+        let size = [columns.len(), rows.len()];
+        GridFrame { origin, first, step_m: self.step_m, size, towards: self.towards }
+    }
+
+    /// Strips for the occluders at the samples between which a finer grid begins, `beyond` samples further towards the sun than its spans.
+    pub(super) fn strips(
+        &self,
+        region: &SweepRegion,
+        finer: Option<(&SweepLattice<'_>, &SweepRegion, usize)>,
+    ) -> OccluderStrips {
+        let frame = self.frame(region);
+        let starts = finer.into_iter().flat_map(|(lattice, region, beyond)| {
+            let rows = region.rows.clone().zip(&region.spans).filter(|(_, span)| !span.is_empty());
+            rows.map(move |(row, span)| lattice.position(span.end + beyond, row))
+        });
+        OccluderStrips::new(frame.size[1], starts.map(|start| frame.cell(start).0))
+    }
+
     /// The coarsest grid: its rows begin where no ground further towards the sun is high enough to occlude it.
-    pub(super) fn sweep_coarsest(&self, region: &SweepRegion, memory: Vec<Limbs>) -> HorizonGrid {
+    pub(super) fn sweep_coarsest(
+        &self,
+        region: &SweepRegion,
+        memory: Vec<Limbs>,
+        strips: OccluderStrips,
+    ) -> HorizonGrid {
         let [lowest_m, highest_m] = self.terrain.z_range_m;
         let fall_m = self.fall_m[0].max(1e-6);
         let reach = ((highest_m - lowest_m) / fall_m).ceil().min(self.samples as f32) as usize + 2;
         let nothing = Occluders([[NO_HORIZON_M; 2]; PARTS.len()]);
         let start = |_, end: usize| ((end + reach).min(self.samples), nothing);
-        self.sweep(region, memory, start, self.heightfield.map(|heightfield| &heightfield.chord_errors))
+        let chord_errors = self.heightfield.map(|heightfield| &heightfield.chord_errors);
+        self.sweep(region, (memory, strips), start, chord_errors)
     }
 
     /// A finer grid: its rows begin `beyond` samples further towards the sun than their spans, with the heights of a coarser grid.
     pub(super) fn sweep_finer(
         &self,
         region: &SweepRegion,
-        memory: Vec<Limbs>,
+        (memory, strips): (Vec<Limbs>, OccluderStrips),
         coarser: &HorizonGrid,
         beyond: usize,
     ) -> HorizonGrid {
@@ -174,9 +196,9 @@ impl<'a> SweepLattice<'a> {
             let end = end + beyond;
             let position = self.position(end, row);
             let ground_m = self.ground_m(position);
-            (end, coarser.sample(position, self.towards).raised_to_ground(ground_m))
+            (end, coarser.sample(position).raised_to_ground(ground_m))
         };
-        self.sweep(region, memory, start, None)
+        self.sweep(region, (memory, strips), start, None)
     }
 
     /// Sweeps every row of a region, several rows at once and batches in parallel. `start` maps a row and the end of its span to the
@@ -184,25 +206,19 @@ impl<'a> SweepLattice<'a> {
     fn sweep(
         &self,
         region: &SweepRegion,
-        mut heights_m: Vec<Limbs>,
+        (mut heights_m, mut occluders): (Vec<Limbs>, OccluderStrips),
         start: impl Fn(usize, usize) -> (usize, Occluders) + Sync,
         chord_errors: Option<&ChordErrors>,
     ) -> HorizonGrid {
         let SweepRegion { columns, rows, spans, image_columns } = region;
         let width = columns.len();
         let samples = width * rows.len();
-        // Nothing samples the only grid of a square.
-        let sampled = if self.heightfield.is_some() { 0 } else { samples };
-        let mut occluders_m = [(); PARTS.len()].map(|()| vec![[f32::MIN; 2]; sampled]);
         heights_m.reserve_exact(samples.saturating_sub(heights_m.len()));
         heights_m.resize(samples, [f32::MIN; 2]);
-        let mut of_occluders = occluders_m.each_mut().map(|heights_m| heights_m.chunks_mut(LANES * width));
-        let batches: Vec<_> = heights_m
-            .chunks_mut(LANES * width)
-            .map(|heights_m| (heights_m, of_occluders.each_mut().map(|rows| rows.next().unwrap_or_default())))
-            .collect();
-        let batches = batches.into_par_iter().zip(spans.par_chunks(LANES)).enumerate();
-        let shadowed = batches.map(|(index, ((heights_m, occluders_m), spans))| {
+        let strips = occluders.batches().into_par_iter();
+        let batches =
+            heights_m.par_chunks_mut(LANES * width).zip(strips).zip(spans.par_chunks(LANES)).enumerate();
+        let shadowed = batches.map(|(index, ((heights_m, strips), spans))| {
             // The memory of an earlier map. The sweep sets all of the span.
             for (row, span) in heights_m.chunks_exact_mut(width).zip(spans) {
                 let span = span.start.max(columns.start) - columns.start
@@ -214,19 +230,17 @@ impl<'a> SweepLattice<'a> {
             let batch = RowBatch { first_row, first_column: columns.start, spans };
             dispatch!(
                 Level::new(),
-                simd => self.sweep_batch(simd, &batch, (heights_m, occluders_m), &start, chord_errors)
+                simd => self.sweep_batch(simd, &batch, (heights_m, strips), &start, chord_errors)
             )
         });
         let shadowed = shadowed.collect::<Vec<_>>().into_iter().flatten().collect();
-        let first = Vec2::new(columns.start as f32, rows.start as f32);
-        // Finer samples than those of a square are counted from nearby, for the precision of their coordinates.
-        let (origin, first) = if self.heightfield.is_some() {
-            (self.origin, first)
-        } else {
-            (self.origin + self.step_m * (first.x * self.towards + first.y * self.across), Vec2::ZERO)
-        };
-        let (size, image_columns, step_m) = ([width, rows.len()], *image_columns, self.step_m);
-        HorizonGrid { origin, first, step_m, size, image_columns, heights_m, occluders_m, shadowed }
+        HorizonGrid {
+            frame: self.frame(region),
+            image_columns: *image_columns,
+            heights_m,
+            occluders,
+            shadowed,
+        }
     }
 
     /// Sweeps a batch of rows: stores the heights of their spans, and returns the positions of the samples around which ground may
@@ -237,7 +251,7 @@ impl<'a> SweepLattice<'a> {
         &self,
         simd: S,
         batch: &RowBatch<'_>,
-        (heights_m, mut occluders_m): (&mut [Limbs], [&mut [Limbs]; PARTS.len()]),
+        (heights_m, mut strips): (&mut [Limbs], StripBatch<'_>),
         start: &impl Fn(usize, usize) -> (usize, Occluders),
         chord_errors: Option<&ChordErrors>,
     ) -> Vec<Vec2> {
@@ -245,8 +259,7 @@ impl<'a> SweepLattice<'a> {
         let mut shadowed = Vec::new();
         let stored = batch.stored();
         let mut block = [[[0.0; 2]; LANES]; BLOCK_COLUMNS];
-        let mut of_occluders = [block; PARTS.len()];
-        let is_sampled = occluders_m.iter().all(|heights_m| !heights_m.is_empty());
+        let sampled = batch.first_column + strips.columns.start..batch.first_column + strips.columns.end;
         for column in columns.rev() {
             let has_started = front.fall(column, self.fall_m);
             // Beyond both ends of its span the ground below a row changes nothing.
@@ -255,18 +268,18 @@ impl<'a> SweepLattice<'a> {
             if stored.contains(&column) {
                 let first = column - column % BLOCK_COLUMNS;
                 store_limbs(front.limbs(ground), &mut block[column - first]);
-                if is_sampled {
-                    for (limbs, block) in front.occluders.into_iter().zip(&mut of_occluders) {
-                        store_limbs(limbs, &mut block[column - first]);
-                    }
-                }
                 if column == first || column == stored.start {
                     batch.store(first, &block, heights_m);
-                    if is_sampled {
-                        for (heights_m, block) in occluders_m.iter_mut().zip(&of_occluders) {
-                            batch.store(first, block, heights_m);
-                        }
-                    }
+                }
+            }
+            if sampled.contains(&column) {
+                let mut of_parts = [[[0.0; 2]; LANES]; PARTS.len()];
+                for (limbs, of_part) in front.occluders.into_iter().zip(&mut of_parts) {
+                    store_limbs(limbs, of_part);
+                }
+                for lane in (0..LANES).filter(|lane| batch.stores(*lane, column)) {
+                    let occluders = Occluders(of_parts.map(|of_part| of_part[lane]));
+                    strips.store(column - batch.first_column, lane, occluders);
                 }
             }
             if let Some(chord_errors) = chord_errors
@@ -454,36 +467,20 @@ fn store_limbs<S: Simd>([lower, upper]: [f32x8<S>; 2], limbs: &mut [Limbs; LANES
     second.store_slice(&mut limbs[LANES..]);
 }
 
-impl Occluders {
-    /// Those behind ground of a height.
-    fn raised_to_ground(self, ground_m: f32) -> Self {
-        let mut raised = self.0;
-        for (limbs, part) in raised.iter_mut().zip(PARTS) {
-            if ground_m > limbs[0] + (limbs[1] - limbs[0]) * part {
-                *limbs = [ground_m; 2];
-            }
-        }
-        Self(raised)
-    }
-}
-
 impl HorizonGrid {
-    /// Horizon heights at a position, bilinearly interpolated; of a grid over rings, whose samples are counted from its first.
-    fn sample(&self, position: Vec2, towards: Vec2) -> Occluders {
-        let offset = (position - self.origin) / self.step_m;
-        let limit = Vec2::new(self.size[0] as f32, self.size[1] as f32) - 1.001;
-        let at = Vec2::new(offset.dot(towards), Vec2::new(-towards.y, towards.x).dot(offset));
-        let at = at.clamp(Vec2::ZERO, limit);
-        let (corner, t) = (at.floor(), at - at.floor());
-        let index = |dx: usize, dy: usize| (corner.y as usize + dy) * self.size[0] + corner.x as usize + dx;
+    /// Horizon heights at a position where a finer grid begins, bilinearly interpolated.
+    fn sample(&self, position: Vec2) -> Occluders {
+        let ([column, row], t) = self.frame.cell(position);
+        let corner = |dx: usize, dy: usize| self.occluders.at(column + dx, row + dy).0;
+        let [south_west, south_east, north_west, north_east] =
+            [corner(0, 0), corner(1, 0), corner(0, 1), corner(1, 1)];
         let mix = |a: f32, b: f32, t: f32| a + (b - a) * t;
-        let interpolated = |heights_m: &[Limbs]| {
-            let height = |dx, dy| heights_m[index(dx, dy)];
-            [0, 1].map(|limb| {
-                let row = |dy| mix(height(0, dy)[limb], height(1, dy)[limb], t.x);
-                mix(row(0), row(1), t.y)
+        Occluders(std::array::from_fn(|part| {
+            std::array::from_fn(|limb| {
+                let south = mix(south_west[part][limb], south_east[part][limb], t.x);
+                let north = mix(north_west[part][limb], north_east[part][limb], t.x);
+                mix(south, north, t.y)
             })
-        };
-        Occluders(self.occluders_m.each_ref().map(|heights_m| interpolated(heights_m)))
+        }))
     }
 }
