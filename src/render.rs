@@ -49,7 +49,7 @@ use device::timing::{Pass, add_times, milliseconds};
 use frame_packet::FrameRequest;
 use frame_plan::FramePlan;
 use lighting::gbuffer::{GBuffer, GBufferPool};
-use lighting::pass::{FrameKey, LightingPass};
+use lighting::{frame_key::FrameKey, pass::LightingPass};
 use resolve::pass::ResolvePass;
 use scene_buffers::SceneBuffers;
 use select::tiles::ImageTile;

@@ -4,6 +4,7 @@
 pub(crate) mod compute;
 pub(crate) mod crater_rays_host;
 pub(crate) mod detail_sums;
+pub(crate) mod frame_key;
 pub(crate) mod gbuffer;
 pub(crate) mod grains_host;
 pub(crate) mod ground_batch;

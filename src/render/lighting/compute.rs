@@ -1,5 +1,5 @@
-//! Lighting in a compute pass, of all samples at once: each by what its instance says. Dispatches write the planes to storage textures, one
-//! all of them where the device can store to so many, radiance and class always together.
+//! Lighting in a compute pass, of all samples at once: each by what its instance says. A dispatch writes the planes to storage textures, or as
+//! many as the device can store to, and others the rest; radiance and class are always written together.
 //! Must not know: who filled the G-buffer.
 
 use wgpu::{BindingType, ShaderStages};
@@ -10,8 +10,8 @@ use crate::render::device::light_table::Transport;
 use crate::render::device::planes::{PlaneSet, stored};
 use crate::render::device::shader_programs::{LIGHTING_COMPUTE, TextOptions};
 use crate::render::device::shading_bins::LightingVariant;
+use crate::render::lighting::frame_key::{FrameKey, constants};
 use crate::render::lighting::gbuffer::GBuffer;
-use crate::render::lighting::pass::{FrameKey, constants};
 
 /// Columns and rows of samples that a workgroup lights; `lighting_compute.wgsl` has the same constant.
 const WORKGROUP_SIDE: u32 = 8;

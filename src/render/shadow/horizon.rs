@@ -17,13 +17,14 @@ mod image_layout;
 mod occluders;
 mod sweep;
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 use glam::Vec2;
 
 use self::heightfield::Heightfield;
-use self::image_layout::{GridColumn, ImageLayout};
-use self::sweep::{HorizonGrid, Limbs, SweepLattice, SweepRegion};
+use self::image_layout::{ImageLayout, ImageRows};
+use self::occluders::Limbs;
+use self::sweep::{HorizonGrid, SweepLattice, SweepRegion};
 use crate::render::device::shader_structs::HorizonLevel;
 use crate::render::select::caster_grid::ShadowedGround;
 use crate::render::select::footprint::Footprint;
@@ -55,9 +56,6 @@ pub const MAX_LEVELS: usize = 12;
 /// work of a frame, whose other stages need its memory.
 const MAX_RETIRED: usize = 1;
 
-/// Memory of the grids of earlier maps of squares. One for all threads: they seldom compute maps at the same time.
-static SPARE: Mutex<Vec<Vec<Limbs>>> = Mutex::new(Vec::new());
-
 /// The map: its grids, the finest first. Computed in place, for its memory.
 #[derive(Clone, Debug, Default)]
 pub struct HorizonMap {
@@ -87,8 +85,8 @@ struct PlannedGrid<'a> {
     beyond: usize,
 }
 
-/// The grids of a map, the finest first, and their image. Points up to `base_m` away have the first of these steps between samples, up to twice as far away
-/// the second, and so on; longer ones where the image would not fit into a texture.
+/// The grids of a map, the finest first, and their image. Points up to `base_m` away have the first of these steps between samples, up to
+/// twice as far away the second, and so on; longer ones where the image would not fit into a texture.
 fn plan_grids<'a>(
     (terrain, heightfield): (&'a Terrain, Option<&'a Heightfield>),
     (sun, towards): (&Sun, Vec2),
@@ -240,29 +238,33 @@ impl HorizonMap {
             (base_m, steps_m),
             (footprint, max_texture_px),
         );
+        let size @ [width, _] = layout.size();
+        let texels: usize = size.into_iter().product();
+        if is_square {
+            self.heights_m.reserve_exact(texels.saturating_sub(self.heights_m.len()));
+            self.heights_m.resize(texels, [f32::MIN; 2]);
+        } else {
+            self.heights_m = vec![[0.0; 2]; texels];
+        }
         let mut grids: Vec<HorizonGrid> = Vec::new();
         for (level, PlannedGrid { lattice, region, beyond }) in planned.iter().enumerate().rev() {
-            let memory = spare().pop().unwrap_or_default();
+            let [column, first_row] = layout.corners[level];
+            let [_, rows] = region.image_size();
+            let texels = &mut self.heights_m[first_row * width..(first_row + rows) * width];
             let finer = level.checked_sub(1).map(|finer| &planned[finer]);
             let finer = finer.map(|finer| (&finer.lattice, &finer.region, finer.beyond));
-            let strips = lattice.strips(region, finer);
+            let output = (ImageRows { texels, width, column }, lattice.strips(region, finer));
             let grid = match grids.last() {
-                None => lattice.sweep_coarsest(region, memory, strips),
-                Some(coarser) => lattice.sweep_finer(region, (memory, strips), coarser, *beyond),
+                None => lattice.sweep_coarsest(region, output),
+                Some(coarser) => lattice.sweep_finer(region, output, coarser, *beyond),
             };
             grids.push(grid);
         }
         grids.reverse();
         (self.towards, self.centre, self.base_m) = (towards, terrain.centre, base_m);
-        self.arrange(grids, layout);
-    }
-
-    /// Arranges the grids in one image.
-    fn arrange(&mut self, mut grids: Vec<HorizonGrid>, layout: ImageLayout) {
-        self.width = layout.width() as u32;
-        let ImageLayout { columns, corners } = layout;
+        self.width = width as u32;
         self.levels.clear();
-        self.levels.extend(grids.iter().zip(corners).map(|(grid, [column, row])| HorizonLevel {
+        self.levels.extend(grids.iter().zip(&layout.corners).map(|(grid, [column, row])| HorizonLevel {
             origin: grid.frame.origin,
             step_m: grid.frame.step_m,
             first_texel: (column | row << 16) as u32,
@@ -270,43 +272,7 @@ impl HorizonMap {
             first_sample: grid.frame.first,
         }));
         self.shadowed.clear();
-        for grid in &grids {
-            self.shadowed.extend(&grid.shadowed);
-        }
-        if let [grid] = &mut grids[..] {
-            std::mem::swap(&mut self.heights_m, &mut grid.heights_m);
-        } else {
-            self.copy_rows(&columns, &grids);
-            return;
-        }
-        let mut spare = spare();
-        spare.extend(grids.into_iter().map(|grid| grid.heights_m));
-        spare.truncate(MAX_LEVELS);
-    }
-
-    /// Copies the rows of all grids to where the columns have them.
-    fn copy_rows(&mut self, columns: &[GridColumn], grids: &[HorizonGrid]) {
-        let height = columns.iter().map(|column| column.rows).max().unwrap_or(0);
-        self.heights_m.clear();
-        self.heights_m.reserve_exact(self.width as usize * height);
-        let mut grids = grids.iter();
-        let mut columns: Vec<_> = columns
-            .iter()
-            .map(|column| {
-                let own = grids.by_ref().take(column.grids).collect::<Vec<_>>();
-                let rows = own.into_iter().flat_map(|grid| {
-                    grid.heights_m.chunks(grid.frame.size[0]).map(|row| &row[..grid.image_columns])
-                });
-                (column.width, rows)
-            })
-            .collect();
-        for _ in 0..height {
-            for (width, rows) in &mut columns {
-                let row = rows.next().unwrap_or_default();
-                self.heights_m.extend(row);
-                self.heights_m.resize(self.heights_m.len() + *width - row.len(), [0.0; 2]);
-            }
-        }
+        self.shadowed.extend(grids.into_iter().flat_map(|grid| grid.shadowed));
     }
 
     /// Where ground may occlude any of the sun from a surface on a square ground or above it.
@@ -339,10 +305,6 @@ impl HorizonMap {
     pub fn height(&self) -> u32 {
         (self.heights_m.len() / self.width as usize) as u32
     }
-}
-
-fn spare() -> MutexGuard<'static, Vec<Vec<Limbs>>> {
-    SPARE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// The distance that the finest grid serves, and the step between the samples of each grid, the finest first, metres.

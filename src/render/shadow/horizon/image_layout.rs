@@ -1,26 +1,33 @@
 //! Where the grids of a horizon map lie in its image, a texture.
 //! Must not know: what a grid holds.
 
+use super::occluders::Limbs;
 use crate::render::settings::DEFAULT_TEXTURE_PX;
 
 /// Maximum rows of the image of several grids: as many as a texture has on every device.
 const MAX_ROWS: usize = 2048;
 
-/// A column of the image of a map: grids one below the other, each row padded to the widest.
+/// A column of the image of a map: grids one below the other, as wide as the widest.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct GridColumn {
-    pub(super) first_texel: usize,
-    pub(super) width: usize,
-    pub(super) rows: usize,
-    pub(super) grids: usize,
+struct GridColumn {
+    first_texel: usize,
+    width: usize,
+    rows: usize,
 }
 
 /// Where the grids lie in the image of a map: in columns of at most [`MAX_ROWS`], or of a single grid.
 #[derive(Debug, Default)]
 pub(super) struct ImageLayout {
-    pub(super) columns: Vec<GridColumn>,
+    columns: Vec<GridColumn>,
     /// First column and row of each grid.
     pub(super) corners: Vec<[usize; 2]>,
+}
+
+/// The rows of an image that a grid lies in, and its first column there.
+pub(super) struct ImageRows<'a> {
+    pub(super) texels: &'a mut [Limbs],
+    pub(super) width: usize,
+    pub(super) column: usize,
 }
 
 impl ImageLayout {
@@ -37,19 +44,18 @@ impl ImageLayout {
             layout.corners.push([column.first_texel, column.rows]);
             column.width = column.width.max(width);
             column.rows += rows;
-            column.grids += 1;
         }
         layout
     }
 
-    /// Columns of the image.
-    pub(super) fn width(&self) -> usize {
-        self.columns.iter().map(|column| column.width).sum()
+    /// Columns and rows of the image.
+    pub(super) fn size(&self) -> [usize; 2] {
+        let rows = self.columns.iter().map(|column| column.rows).max().unwrap_or(0);
+        [self.columns.iter().map(|column| column.width).sum(), rows]
     }
 
     /// Whether a texture of `max_texture_px` columns and rows can hold the image.
     pub(super) fn fits(&self, max_texture_px: u32) -> bool {
-        let max_side = DEFAULT_TEXTURE_PX.min(max_texture_px) as usize;
-        self.width() <= max_side && self.columns.iter().all(|column| column.rows <= max_side)
+        self.size().into_iter().all(|side| side <= DEFAULT_TEXTURE_PX.min(max_texture_px) as usize)
     }
 }

@@ -4,7 +4,9 @@
 use std::ops::Range;
 
 use super::heightfield::LANES;
-use super::sweep::Limbs;
+
+/// Heights from which the lower and the upper limb of the sun are just visible, metres.
+pub(super) type Limbs = [f32; 2];
 
 /// Parts of the sun's disc, as fractions of its height from the lower limb, each with the ground that hides it up to the greatest height.
 pub(super) const PARTS: [f32; 3] = [0.0, 0.5, 1.0];
@@ -78,7 +80,8 @@ impl OccluderStrips {
         let mut rest = &mut self.occluders[..];
         let mut batches = Vec::new();
         for rows in self.rows.chunks(LANES) {
-            let filled = || rows.iter().map(|strip| &strip.columns).filter(|columns| columns.len() > 0);
+            let filled =
+                || rows.iter().map(|strip| &strip.columns).filter(|columns| !Range::is_empty(columns));
             let occluders = rest.split_off_mut(..filled().map(Range::len).sum()).unwrap_or_default();
             let start = filled().map(|columns| columns.start).min().unwrap_or(0);
             let end = filled().map(|columns| columns.end).max().unwrap_or(0);

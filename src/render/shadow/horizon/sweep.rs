@@ -15,7 +15,8 @@ use rayon::prelude::*;
 
 use super::grid_frame::GridFrame;
 use super::heightfield::{ChordErrors, Heightfield, LANES};
-use super::occluders::{OccluderStrips, Occluders, PARTS, StripBatch};
+use super::image_layout::ImageRows;
+use super::occluders::{Limbs, OccluderStrips, Occluders, PARTS, StripBatch};
 use crate::render::select::footprint::Footprint;
 use crate::scene::sky::Sun;
 use crate::scene::terrain::{Layout, Terrain};
@@ -29,9 +30,6 @@ const NO_HORIZON_M: f32 = -1.0e9;
 
 /// Columns whose heights are stored at once, row by row: a few cache lines of each.
 const BLOCK_COLUMNS: usize = 32;
-
-/// Heights from which the lower and the upper limb of the sun are just visible, metres.
-pub(super) type Limbs = [f32; 2];
 
 /// A lattice of samples over the whole ground: columns run towards the sun, rows across.
 pub(super) struct SweepLattice<'a> {
@@ -75,8 +73,6 @@ pub(super) struct HorizonGrid {
     pub(super) frame: GridFrame,
     /// Columns of the image.
     pub(super) image_columns: usize,
-    /// Behind the ground that hides most of the sun from the ground at the sample, row by row; `f32::MIN` where nothing was computed.
-    pub(super) heights_m: Vec<Limbs>,
     /// Where a finer grid begins.
     occluders: OccluderStrips,
     /// Samples of a square ground around which other ground may occlude any of the sun, world, metres.
@@ -88,7 +84,9 @@ struct RowBatch<'a> {
     first_row: usize,
     /// The column that the stored heights begin with.
     first_column: usize,
-    /// Of each row, the columns that are stored.
+    /// The column that they end before.
+    end_column: usize,
+    /// Of each row, the columns that are computed.
     spans: &'a [Range<usize>],
 }
 
@@ -172,8 +170,7 @@ impl<'a> SweepLattice<'a> {
     pub(super) fn sweep_coarsest(
         &self,
         region: &SweepRegion,
-        memory: Vec<Limbs>,
-        strips: OccluderStrips,
+        output: (ImageRows<'_>, OccluderStrips),
     ) -> HorizonGrid {
         let [lowest_m, highest_m] = self.terrain.z_range_m;
         let fall_m = self.fall_m[0].max(1e-6);
@@ -181,14 +178,14 @@ impl<'a> SweepLattice<'a> {
         let nothing = Occluders([[NO_HORIZON_M; 2]; PARTS.len()]);
         let start = |_, end: usize| ((end + reach).min(self.samples), nothing);
         let chord_errors = self.heightfield.map(|heightfield| &heightfield.chord_errors);
-        self.sweep(region, (memory, strips), start, chord_errors)
+        self.sweep(region, output, start, chord_errors)
     }
 
     /// A finer grid: its rows begin `beyond` samples further towards the sun than their spans, with the heights of a coarser grid.
     pub(super) fn sweep_finer(
         &self,
         region: &SweepRegion,
-        (memory, strips): (Vec<Limbs>, OccluderStrips),
+        output: (ImageRows<'_>, OccluderStrips),
         coarser: &HorizonGrid,
         beyond: usize,
     ) -> HorizonGrid {
@@ -198,49 +195,44 @@ impl<'a> SweepLattice<'a> {
             let ground_m = self.ground_m(position);
             (end, coarser.sample(position).raised_to_ground(ground_m))
         };
-        self.sweep(region, (memory, strips), start, None)
+        self.sweep(region, output, start, None)
     }
 
-    /// Sweeps every row of a region, several rows at once and batches in parallel. `start` maps a row and the end of its span to the
-    /// column that the sweep begins behind, and the horizon heights there.
+    /// Sweeps every row of a region into its rows of the image, several at once and batches in parallel: heights behind the ground that
+    /// hides most of the sun from the ground at the sample, `f32::MIN` where nothing is computed. `start` maps a row and the end of its
+    /// span to the column that the sweep begins behind, and the horizon heights there.
     fn sweep(
         &self,
         region: &SweepRegion,
-        (mut heights_m, mut occluders): (Vec<Limbs>, OccluderStrips),
+        (image, mut occluders): (ImageRows<'_>, OccluderStrips),
         start: impl Fn(usize, usize) -> (usize, Occluders) + Sync,
         chord_errors: Option<&ChordErrors>,
     ) -> HorizonGrid {
         let SweepRegion { columns, rows, spans, image_columns } = region;
-        let width = columns.len();
-        let samples = width * rows.len();
-        heights_m.reserve_exact(samples.saturating_sub(heights_m.len()));
-        heights_m.resize(samples, [f32::MIN; 2]);
+        let ImageRows { texels, width, column } = image;
         let strips = occluders.batches().into_par_iter();
         let batches =
-            heights_m.par_chunks_mut(LANES * width).zip(strips).zip(spans.par_chunks(LANES)).enumerate();
-        let shadowed = batches.map(|(index, ((heights_m, strips), spans))| {
+            texels.par_chunks_mut(LANES * width).zip(strips).zip(spans.par_chunks(LANES)).enumerate();
+        let shadowed = batches.map(|(index, ((texels, strips), spans))| {
+            let texels = texels.chunks_exact_mut(width).map(|row| &mut row[column..][..*image_columns]);
+            let mut texels: Vec<&mut [Limbs]> = texels.collect();
             // The memory of an earlier map. The sweep sets all of the span.
-            for (row, span) in heights_m.chunks_exact_mut(width).zip(spans) {
-                let span = span.start.max(columns.start) - columns.start
-                    ..span.end.max(columns.start) - columns.start;
-                row[..span.start].fill([f32::MIN; 2]);
-                row[span.end..].fill([f32::MIN; 2]);
+            for (row, span) in texels.iter_mut().zip(spans) {
+                let [start, end] =
+                    [span.start, span.end].map(|column| column.max(columns.start) - columns.start);
+                row[..start.min(*image_columns)].fill([f32::MIN; 2]);
+                row[end.min(*image_columns)..].fill([f32::MIN; 2]);
             }
             let first_row = rows.start + index * LANES;
-            let batch = RowBatch { first_row, first_column: columns.start, spans };
+            let end_column = columns.start + image_columns;
+            let batch = RowBatch { first_row, first_column: columns.start, end_column, spans };
             dispatch!(
                 Level::new(),
-                simd => self.sweep_batch(simd, &batch, (heights_m, strips), &start, chord_errors)
+                simd => self.sweep_batch(simd, &batch, (&mut texels, strips), &start, chord_errors)
             )
         });
         let shadowed = shadowed.collect::<Vec<_>>().into_iter().flatten().collect();
-        HorizonGrid {
-            frame: self.frame(region),
-            image_columns: *image_columns,
-            heights_m,
-            occluders,
-            shadowed,
-        }
+        HorizonGrid { frame: self.frame(region), image_columns: *image_columns, occluders, shadowed }
     }
 
     /// Sweeps a batch of rows: stores the heights of their spans, and returns the positions of the samples around which ground may
@@ -251,7 +243,7 @@ impl<'a> SweepLattice<'a> {
         &self,
         simd: S,
         batch: &RowBatch<'_>,
-        (heights_m, mut strips): (&mut [Limbs], StripBatch<'_>),
+        (texels, mut strips): (&mut [&mut [Limbs]], StripBatch<'_>),
         start: &impl Fn(usize, usize) -> (usize, Occluders),
         chord_errors: Option<&ChordErrors>,
     ) -> Vec<Vec2> {
@@ -269,7 +261,7 @@ impl<'a> SweepLattice<'a> {
                 let first = column - column % BLOCK_COLUMNS;
                 store_limbs(front.limbs(ground), &mut block[column - first]);
                 if column == first || column == stored.start {
-                    batch.store(first, &block, heights_m);
+                    batch.store(first, &block, texels);
                 }
             }
             if sampled.contains(&column) {
@@ -342,7 +334,7 @@ pub(super) fn side_m(terrain: &Terrain, towards: Vec2) -> f32 {
 }
 
 impl RowBatch<'_> {
-    /// Whether the height at a column of a row of the batch is stored.
+    /// Whether the height at a column of a row of the batch is computed.
     #[inline(always)]
     fn stores(&self, row: usize, column: usize) -> bool {
         self.spans.get(row).is_some_and(|span| span.contains(&column))
@@ -353,15 +345,14 @@ impl RowBatch<'_> {
         let spans = self.spans.iter().filter(|span| !span.is_empty());
         let ends = spans.map(|span| [span.start, span.end]);
         let [first, end] = ends.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]).unwrap_or_default();
-        first..end
+        first..end.min(self.end_column)
     }
 
     /// Stores the heights of a block of columns from `first` on, of each row those in its span.
     #[inline(always)]
-    fn store(&self, first: usize, block: &[[Limbs; LANES]; BLOCK_COLUMNS], heights_m: &mut [Limbs]) {
-        let width = heights_m.len() / self.spans.len();
-        for (lane, (span, row)) in self.spans.iter().zip(heights_m.chunks_exact_mut(width)).enumerate() {
-            let columns = span.start.max(first)..span.end.min(first + BLOCK_COLUMNS);
+    fn store(&self, first: usize, block: &[[Limbs; LANES]; BLOCK_COLUMNS], texels: &mut [&mut [Limbs]]) {
+        for (lane, (span, row)) in self.spans.iter().zip(texels).enumerate() {
+            let columns = span.start.max(first)..span.end.min(first + BLOCK_COLUMNS).min(self.end_column);
             if columns.is_empty() {
                 continue;
             }
