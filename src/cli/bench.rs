@@ -60,7 +60,7 @@ pub(super) struct BenchArgs {
     plot: Option<PathBuf>,
     /// How lighting is divided into draws: bins (one for each kind of surface, selected by the stencil), one-draw (all at once) or
     /// compute (all in a compute pass); the last two need --raster device where that is not the default [default: bins on a software
-    /// adapter, else one-draw]
+    /// adapter, compute on NVIDIA's Hopper, else one-draw]
     #[arg(long, value_name = "bins|one-draw|compute")]
     lighting: Option<LightingMode>,
     /// Print JSON

@@ -163,6 +163,9 @@ impl RasterOptions {
             (LightingMode::OneDraw | LightingMode::Compute, RasterBackend::Host) => {
                 Some("the host rasterises; use --raster device")
             }
+            (LightingMode::Compute, _) if gpu.device.limits().max_storage_textures_per_shader_stage < 4 => {
+                Some("the device cannot store to four textures at once; use one-draw")
+            }
             (LightingMode::Bins, RasterBackend::Device) if !gpu.capabilities.depth_stencil => {
                 Some("the device has no depth of 32 bits with a stencil; use one-draw")
             }

@@ -342,6 +342,7 @@ mod tests {
     fn constants_that_rust_has_too_are_equal() {
         use crate::render::device::packing::{NOT_REQUESTED, WORKGROUP_SIZE};
         use crate::render::device::shading_bins::ShadowSources;
+        use crate::render::lighting::compute::WORKGROUP_SIDE;
         use crate::render::lighting::detail_sums::{FAR_M, MIN_CLEARANCE};
         use crate::render::lighting::grains_host::{MAX_CELLS, ROUGHNESS};
         use crate::render::lighting::ground_batch::{
@@ -371,6 +372,7 @@ mod tests {
             (&LIGHTING_SURFACE, "GRAIN_ROUGHNESS", f64::from(ROUGHNESS)),
             (&RESOLVE, "WORKGROUP_SIZE", f64::from(WORKGROUP_SIZE)),
             (&RESOLVE, "NOT_REQUESTED", f64::from(NOT_REQUESTED)),
+            (&LIGHTING_COMPUTE, "WORKGROUP_SIDE", f64::from(WORKGROUP_SIDE)),
             (&LIGHTING_SURFACE, "TEST_HORIZON", f64::from(TEST_HORIZON)),
             (&LIGHTING_SURFACE, "SHADOWED_BY_GROUND", f64::from(ShadowSources::Ground as u32)),
             (&LIGHTING_SURFACE, "SHADOWED_BY_ROCKS", f64::from(ShadowSources::Rocks as u32)),

@@ -14,7 +14,7 @@ use crate::render::lighting::frame_key::{FrameKey, constants};
 use crate::render::lighting::gbuffer::GBuffer;
 
 /// Columns and rows of samples that a workgroup lights; `lighting_compute.wgsl` has the same constant.
-const WORKGROUP_SIDE: u32 = 8;
+pub(in crate::render) const WORKGROUP_SIDE: u32 = 8;
 
 /// What a dispatch is compiled for: what the pipelines of a frame have in common, samples along a side of a pixel, planes.
 type DispatchKey = (FrameKey, u32, PlaneSet);
