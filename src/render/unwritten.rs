@@ -30,6 +30,12 @@ fn render_with(
     Ok(renderer.finish(in_flight, scene)?.0)
 }
 
+/// Rasterises as a mode says, and lights each shading bin with a draw of its own.
+fn light_by_bins(renderer: &mut Renderer, mode: RasterMode) {
+    let options = RasterOptions::new(mode, renderer.gpu()).expect("a mode");
+    renderer.set_raster(options.with_lighting(LightingMode::Bins, renderer.gpu()).expect("a stencil"));
+}
+
 /// Asserts that a frame is refused, with as many pixels as `expected` allows.
 fn assert_refused(what: &str, result: Result<Frame>, expected: impl Fn(u64) -> bool) {
     match result {
@@ -51,8 +57,7 @@ fn a_frame_that_loses_a_draw_is_refused_by_both_backends() {
         config.apply_set(set).expect("a setting");
         let scene = Scene::build(5, &config.draw(5).expect("parameters")).expect("a scene");
         for (index, mode) in [RasterMode::Host, RasterMode::Device].into_iter().enumerate() {
-            let options = RasterOptions::new(mode, renderer.gpu()).expect("a mode");
-            renderer.set_raster(options);
+            light_by_bins(&mut renderer, mode);
             let mut batches = Vec::new();
             // The second frame is binned by what shades it.
             for _ in 0..2 {
@@ -97,7 +102,8 @@ fn a_frame_that_loses_a_draw_is_refused_by_both_backends() {
 fn a_pixel_with_one_unwritten_sample_is_unlabelled() {
     let gpu = Gpu::open(Some("cpu")).expect("an adapter");
     // The host resolves one of all tiles that show nothing but the dome.
-    let mut renderer = Renderer::with_raster(gpu, RasterMode::Device).expect("a renderer");
+    let mut renderer = Renderer::new(gpu).expect("a renderer");
+    light_by_bins(&mut renderer, RasterMode::Device);
     let scene = Scene::build(5, &Config::new().draw(5).expect("parameters")).expect("a scene");
     for samples in [4, 16] {
         // All lighting draws leave out the last column of samples.
