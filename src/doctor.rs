@@ -16,5 +16,4 @@ pub mod machine;
 pub mod markdown;
 pub mod planes;
 pub mod reference;
-pub mod vendor;
 pub mod worker;

@@ -14,6 +14,7 @@ mod processor;
 pub mod readback;
 pub mod staging;
 pub mod survey;
+pub mod vendor;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -403,9 +403,7 @@ impl Renderer {
                         lighting.prepare(gpu, pipelines, LightingVariant::GENERAL);
                     }
                     LightingMode::OneDraw => lighting.prepare(gpu, pipelines, [LightingVariant::Any]),
-                    LightingMode::Compute => {
-                        lighting.prepare_compute(gpu, layouts, pipelines, settings.samples_per_side);
-                    }
+                    LightingMode::Compute => lighting.prepare_compute(gpu, layouts, pipelines),
                     LightingMode::Bins => {}
                 }
             },

@@ -5,7 +5,7 @@
 use serde_json::Value;
 
 use super::machine::Machine;
-use super::vendor::Vendor;
+use crate::gpu::vendor::Vendor;
 
 /// The Vulkan loader, which finds drivers by their manifests.
 const LOADER: &str = "libvulkan.so.1";

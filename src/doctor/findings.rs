@@ -7,8 +7,8 @@ use serde_json::{Value, json};
 
 use super::drivers::Manifest;
 use super::hardware::{Container, DeviceFile, Hardware};
-use super::vendor::Vendor;
 use crate::gpu::survey::AdapterReport;
+use crate::gpu::vendor::Vendor;
 
 /// An observation about the machine.
 #[derive(Clone, Debug, PartialEq, Eq)]

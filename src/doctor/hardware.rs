@@ -10,8 +10,7 @@ use serde_json::{Value, json};
 
 use super::drivers::{self, Manifest};
 pub use super::machine::Machine;
-pub use super::vendor::Vendor;
-use super::vendor::pci_id;
+use crate::gpu::vendor::{Vendor, pci_id};
 
 /// Environment variables that concern drivers, GPUs and the batch system. A report has no others: some hold secrets.
 const VARIABLES: [&str; 11] = [

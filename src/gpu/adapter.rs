@@ -7,6 +7,7 @@ use wgpu::{AdapterInfo, Backend, Backends, DeviceType, DownlevelFlags, InstanceD
 use crate::error::{Error, Result};
 use crate::gpu::memory_limits;
 use crate::gpu::platform::Platform;
+use crate::gpu::vendor::Vendor;
 
 /// What of WebGPU the passes use and an adapter may lack, in words. Shaders need nothing optional: tests validate every program
 /// without any capability.
@@ -15,9 +16,6 @@ const REQUIRED_FLAGS: [(DownlevelFlags, &str); 3] = [
     (DownlevelFlags::VERTEX_STORAGE, "storage buffers in vertex shaders"),
     (DownlevelFlags::FRAGMENT_STORAGE, "storage buffers in fragment shaders"),
 ];
-
-/// PCI vendor id of NVIDIA.
-const NVIDIA: u32 = 0x10de;
 
 /// What an adapter with these flags lacks, in words.
 pub(super) fn missing(flags: DownlevelFlags) -> Vec<&'static str> {
@@ -147,10 +145,10 @@ pub(crate) fn mesa_version(info: &AdapterInfo) -> Option<u32> {
 /// NVIDIA's devices of the Hopper generation.
 const HOPPER: [&str; 5] = ["H20", "H100", "H200", "H800", "GH200"];
 
-/// Whether it is one of NVIDIA's Hopper generation, which runs vertex and fragment shaders on 2 of its 66 pairs of multiprocessors and
-/// compute shaders on all (NVIDIA H100 Tensor Core GPU Architecture, 2022).
+/// Whether it is one of NVIDIA's Hopper generation, which runs vertex and fragment shaders on 2 of its 66 TPCs (pairs of streaming
+/// multiprocessors) and compute shaders on all (NVIDIA H100 Tensor Core GPU Architecture, 2022).
 pub(crate) fn is_hopper(info: &AdapterInfo) -> bool {
-    info.vendor == NVIDIA
+    Vendor::of_pci(info.vendor) == Some(Vendor::Nvidia)
         && info.name.split(|c: char| !c.is_alphanumeric()).any(|word| HOPPER.contains(&word))
 }
 
@@ -188,11 +186,11 @@ mod tests {
     #[test]
     fn devices_of_the_hopper_generation_are_known_by_name() {
         for (vendor, name, expected) in [
-            (NVIDIA, "NVIDIA H200", true),
-            (NVIDIA, "NVIDIA H100 80GB HBM3", true),
-            (NVIDIA, "NVIDIA GH200 480GB", true),
-            (NVIDIA, "NVIDIA A100-SXM4-40GB", false),
-            (NVIDIA, "NVIDIA GeForce RTX 4090", false),
+            (0x10de, "NVIDIA H200", true),
+            (0x10de, "NVIDIA H100 80GB HBM3", true),
+            (0x10de, "NVIDIA GH200 480GB", true),
+            (0x10de, "NVIDIA A100-SXM4-40GB", false),
+            (0x10de, "NVIDIA GeForce RTX 4090", false),
             (0x8086, "H100", false),
         ] {
             let blank = AdapterInfo::new(DeviceType::DiscreteGpu, Backend::Vulkan);

@@ -52,7 +52,7 @@ pub enum RasterBackend {
     Host,
 }
 
-/// How lighting divides the samples into draws, or into none. Changes no bit of any plane.
+/// How lighting divides the samples into draws, or into none. Labels do not depend on it, and colours only by rounding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LightingMode {
     /// One draw for each shading bin, with a pipeline that does no more than the bin needs: for software adapters, which take the

@@ -236,6 +236,7 @@ fn lighting_that_a_device_cannot_draw_is_refused() {
     };
     assert!(refused(RasterMode::Device, LightingMode::Bins), "without a stencil");
     assert!(refused(RasterMode::Host, LightingMode::OneDraw), "of samples from the host");
+    assert!(refused(RasterMode::Host, LightingMode::Compute), "of samples from the host");
     assert!(!refused(RasterMode::Device, LightingMode::OneDraw));
     assert!(!refused(RasterMode::Host, LightingMode::Bins));
 }

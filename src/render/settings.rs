@@ -20,7 +20,7 @@ pub struct RenderSettings {
     pub annotations: Annotations,
 }
 
-/// Columns and rows that a texture has with WebGPU's default limits, and that shadow and horizon maps have at most.
+/// Columns and rows that a texture has with WebGPU's default limits: the image of a horizon map and the layers of a shadow map have no more.
 pub const DEFAULT_TEXTURE_PX: u32 = 8192;
 
 /// The specification of the scene allows less than a quarter of a pixel.

@@ -66,14 +66,12 @@ def four_frames(program: str) -> Image.Image:
 
 def main() -> None:
     program, *names = sys.argv[1:]
-    if not names or "four" in names:
-        four_frames(program).save(ROOT / "assets/surface_four.png", optimize=True)
-        names = [name for name in names if name != "four"]
-        if len(sys.argv) > 2 and not names:
-            return
     SHEETS.mkdir(exist_ok=True)
-    for name in names or preset_names(program):
-        sheet(program, name).save(SHEETS / f"{name}.jpg", quality=82, optimize=True)
+    for name in names or ["four", *preset_names(program)]:
+        if name == "four":
+            four_frames(program).save(ROOT / "assets/surface_four.png", optimize=True)
+        else:
+            sheet(program, name).save(SHEETS / f"{name}.jpg", quality=82, optimize=True)
         print(name, flush=True)
 
 

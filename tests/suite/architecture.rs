@@ -130,7 +130,7 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
     (
         "gpu",
         &[
-            &["memory_limits", "platform", "processor"],
+            &["memory_limits", "platform", "processor", "vendor"],
             &["adapter", "pipeline_cache"],
             &[SELF],
             &["growing_buffer", "readback", "staging", "survey"],
@@ -181,7 +181,7 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
     (
         "doctor",
         &[
-            &["cases", "machine", "planes", "vendor"],
+            &["cases", "machine", "planes"],
             &["compare", "drivers", "reference", "worker"],
             &["hardware"],
             &["findings"],

@@ -1,4 +1,5 @@
-//! Layouts of the bind groups that the passes share: group 0 is the frame's, group 1 the scene's, group 2 the pass's own.
+//! Layouts of the bind groups that the passes share: group 0 is the frame's, group 1 the scene's, group 2 the pass's own. Group 3 is
+//! in no other pass than that of `lighting/compute.rs`.
 //! Must not know: a pass.
 
 use wgpu::{BindingType, ShaderStages, TextureFormat, TextureSampleType};

@@ -11,7 +11,7 @@
 //! see [`crate::frame::plane`], and here its arm in [`resolve_rule`].
 //! Must not know: a pass.
 
-pub(crate) mod stored;
+pub(crate) mod storage;
 
 use std::fmt::Write as _;
 

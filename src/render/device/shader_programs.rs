@@ -9,7 +9,7 @@ use std::borrow::Cow;
 
 use crate::gpu::Gpu;
 use crate::render::device::light_table::{Transport, light_wgsl};
-use crate::render::device::planes::stored::stored_planes_wgsl;
+use crate::render::device::planes::storage::storage_planes_wgsl;
 use crate::render::device::planes::{PlaneSet, lighting_output_wgsl, resolve_planes_wgsl};
 
 /// A WGSL program: the parts that make it.
@@ -55,10 +55,10 @@ const LIGHT: Part =
 /// The same where there are no varyings.
 const UNIFORM_LIGHT: Part =
     Part { path: "generated/light.wgsl", source: Source::Generated(|_| light_wgsl(Transport::Uniforms)) };
-/// `generated/stored_planes.wgsl`: see [`crate::render::device::planes::stored`].
-const STORED_PLANES: Part = Part {
-    path: "generated/stored_planes.wgsl",
-    source: Source::Generated(|options| stored_planes_wgsl(options.planes)),
+/// `generated/storage_planes.wgsl`: see [`crate::render::device::planes::storage`].
+const STORAGE_PLANES: Part = Part {
+    path: "generated/storage_planes.wgsl",
+    source: Source::Generated(|options| storage_planes_wgsl(options.planes)),
 };
 /// `generated/lighting_output.wgsl`: see [`crate::render::device::planes`].
 const LIGHTING_OUTPUT: Part = Part {
@@ -141,7 +141,7 @@ pub static LIGHTING_ONE_DRAW: Program = surface_program!(
 pub static LIGHTING_COMPUTE: Program = surface_program!(
     "lighting_compute",
     ["relief_of_sample", "any_surface"],
-    [UNIFORM_LIGHT, LIGHTING_OUTPUT, STORED_PLANES]
+    [UNIFORM_LIGHT, LIGHTING_OUTPUT, STORAGE_PLANES]
 );
 /// Samples to pixels.
 pub static RESOLVE: Program = program!("resolve", ["frame", "lens", "tone", "half"], [RESOLVE_PLANES]);

@@ -7,7 +7,7 @@ use wgpu::{BindingType, ShaderStages};
 use crate::gpu::Gpu;
 use crate::render::device::bind_groups::{BindLayouts, bind_group};
 use crate::render::device::light_table::Transport;
-use crate::render::device::planes::{PlaneSet, stored};
+use crate::render::device::planes::{PlaneSet, storage};
 use crate::render::device::shader_programs::{LIGHTING_COMPUTE, TextOptions};
 use crate::render::device::shading_bins::LightingVariant;
 use crate::render::lighting::frame_key::{FrameKey, constants};
@@ -16,8 +16,8 @@ use crate::render::lighting::gbuffer::GBuffer;
 /// Columns and rows of samples that a workgroup lights; `lighting_compute.wgsl` has the same constant.
 pub(in crate::render) const WORKGROUP_SIDE: u32 = 8;
 
-/// What a dispatch is compiled for: what the pipelines of a frame have in common, samples along a side of a pixel, planes.
-type DispatchKey = (FrameKey, u32, PlaneSet);
+/// What a dispatch is compiled for: what the pipelines of a frame have in common, and the planes that it writes.
+type DispatchKey = (FrameKey, PlaneSet);
 
 /// Pipelines of the dispatches, all that were needed so far.
 #[derive(Debug, Default)]
@@ -33,20 +33,15 @@ struct Dispatch {
 }
 
 /// What the dispatches of a frame are compiled for.
-fn keys(gpu: &Gpu, key: FrameKey, samples_per_side: u32) -> impl Iterator<Item = DispatchKey> {
-    let sets = stored::dispatches(key.annotations, &gpu.device.limits());
-    sets.into_iter().map(move |planes| (key, samples_per_side, planes))
+fn keys(gpu: &Gpu, key: FrameKey) -> impl Iterator<Item = DispatchKey> {
+    let sets = storage::dispatches(key.annotations, &gpu.device.limits());
+    sets.into_iter().map(move |planes| (key, planes))
 }
 
 impl ComputeLighting {
-    /// Whether there is any pipeline with this key.
-    pub(crate) fn has(&self, key: FrameKey) -> bool {
-        self.dispatches.iter().any(|((found, ..), _)| *found == key)
-    }
-
     /// Compiles the pipelines of a frame that are missing.
-    pub(crate) fn prepare(&mut self, gpu: &Gpu, layouts: &BindLayouts, key: FrameKey, samples_per_side: u32) {
-        for key in keys(gpu, key, samples_per_side) {
+    pub(crate) fn prepare(&mut self, gpu: &Gpu, layouts: &BindLayouts, key: FrameKey) {
+        for key in keys(gpu, key) {
             if self.dispatches.iter().all(|(found, _)| *found != key) {
                 self.dispatches.push((key, Dispatch::new(gpu, layouts, key)));
             }
@@ -73,10 +68,10 @@ impl ComputeLighting {
         pass.set_bind_group(1, instances, &[0, 0]);
         pass.set_bind_group(2, light, &[]);
         let [columns, rows] = gbuffer.sample_size.map(|side| side.div_ceil(WORKGROUP_SIDE));
-        for key in keys(gpu, key, gbuffer.samples_per_side) {
+        for key in keys(gpu, key) {
             let found = self.dispatches.iter().find(|(found, _)| *found == key);
             let (_, dispatch) = found.expect("pipelines are prepared before they are used");
-            let (.., planes) = key;
+            let (_, planes) = key;
             let views = planes.rows().map(|row| &gbuffer.planes[row.plane as usize]);
             let written: Vec<_> = views.map(wgpu::BindingResource::TextureView).collect();
             pass.set_pipeline(&dispatch.pipeline);
@@ -87,7 +82,7 @@ impl ComputeLighting {
 }
 
 impl Dispatch {
-    fn new(gpu: &Gpu, layouts: &BindLayouts, (key, samples_per_side, planes): DispatchKey) -> Self {
+    fn new(gpu: &Gpu, layouts: &BindLayouts, (key, planes): DispatchKey) -> Self {
         let written: Vec<_> = (0..)
             .zip(planes.rows())
             .map(|(binding, row)| wgpu::BindGroupLayoutEntry {
@@ -95,7 +90,7 @@ impl Dispatch {
                 visibility: ShaderStages::COMPUTE,
                 ty: BindingType::StorageTexture {
                     access: wgpu::StorageTextureAccess::WriteOnly,
-                    format: stored::format(row),
+                    format: storage::format(row),
                     view_dimension: wgpu::TextureViewDimension::D2,
                 },
                 count: None,
@@ -117,7 +112,9 @@ impl Dispatch {
         });
         let options = TextOptions { transport: Transport::Uniforms, planes };
         let mut constants = constants(key, LightingVariant::Any);
-        constants.push(("SAMPLES_PER_SIDE", f64::from(samples_per_side)));
+        let samples_per_side =
+            key.computed_samples_per_side.map(|samples| ("SAMPLES_PER_SIDE", f64::from(samples)));
+        constants.extend(samples_per_side);
         let pipeline = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some(LIGHTING_COMPUTE.name),
             layout: Some(&layout),

@@ -7,7 +7,7 @@ use wgpu::{TextureFormat, TextureUsages};
 
 use crate::frame::Annotations;
 use crate::gpu::Gpu;
-use crate::render::device::planes::{SAMPLE_PLANES, SamplePlaneRow, stored};
+use crate::render::device::planes::{SAMPLE_PLANES, SamplePlaneRow, storage};
 use crate::render::select::draw_list::DrawBatch;
 use crate::render::select::screen_bounds::ScreenBounds;
 use crate::render::settings::RenderSettings;
@@ -55,7 +55,7 @@ impl GBufferLayout {
 
     /// Format of a plane.
     pub(crate) const fn format(&self, row: &SamplePlaneRow) -> TextureFormat {
-        if self.is_computed { stored::format(row) } else { row.format }
+        if self.is_computed { storage::format(row) } else { row.format }
     }
 
     /// The format with the stencil that selects samples, if there is one.

@@ -63,21 +63,15 @@ impl LightingPass {
         Self { transport, limits, layout, modules: Vec::new(), pipelines: Vec::new(), compute }
     }
 
-    /// Whether there is any pipeline with this key.
+    /// Whether there is any pipeline of a draw with this key.
     #[must_use]
     pub(crate) fn has(&self, key: FrameKey) -> bool {
-        self.pipelines.iter().any(|((found, ..), _)| *found == key) || self.compute.has(key)
+        self.pipelines.iter().any(|((found, ..), _)| *found == key)
     }
 
     /// Compiles the pipelines of the compute pass that are missing.
-    pub(crate) fn prepare_compute(
-        &mut self,
-        gpu: &Gpu,
-        layouts: &BindLayouts,
-        key: FrameKey,
-        samples_per_side: u32,
-    ) {
-        self.compute.prepare(gpu, layouts, key, samples_per_side);
+    pub(crate) fn prepare_compute(&mut self, gpu: &Gpu, layouts: &BindLayouts, key: FrameKey) {
+        self.compute.prepare(gpu, layouts, key);
     }
 
     /// The planes that each pass of a frame writes.
@@ -175,7 +169,7 @@ impl LightingPass {
         (key, gbuffer): (FrameKey, &GBuffer),
         timer: Option<&Timer>,
     ) {
-        if key.is_computed {
+        if key.computed_samples_per_side.is_some() {
             let timestamps = timer.map(|timer| timer.compute_pass(Pass::Lighting));
             self.compute.record(gpu, encoder, groups, (key, gbuffer), timestamps);
             return;

@@ -269,7 +269,7 @@ impl<'a> SweepLattice<'a> {
                 for (limbs, of_part) in front.occluders.into_iter().zip(&mut of_parts) {
                     store_limbs(limbs, of_part);
                 }
-                for lane in (0..LANES).filter(|lane| batch.stores(*lane, column)) {
+                for lane in (0..LANES).filter(|lane| batch.computes(*lane, column)) {
                     let occluders = Occluders(of_parts.map(|of_part| of_part[lane]));
                     strips.store(column - batch.first_column, lane, occluders);
                 }
@@ -281,7 +281,7 @@ impl<'a> SweepLattice<'a> {
                 while lanes != 0 {
                     let lane = lanes.trailing_zeros() as usize;
                     lanes &= lanes - 1;
-                    if batch.stores(lane, column) {
+                    if batch.computes(lane, column) {
                         shadowed.push(self.position(column, batch.first_row + lane));
                     }
                 }
@@ -336,7 +336,7 @@ pub(super) fn side_m(terrain: &Terrain, towards: Vec2) -> f32 {
 impl RowBatch<'_> {
     /// Whether the height at a column of a row of the batch is computed.
     #[inline(always)]
-    fn stores(&self, row: usize, column: usize) -> bool {
+    fn computes(&self, row: usize, column: usize) -> bool {
         self.spans.get(row).is_some_and(|span| span.contains(&column))
     }
 

@@ -67,6 +67,6 @@ impl Vendor {
 }
 
 /// A PCI id in the form of `/sys`, `0x10de`.
-pub(super) fn pci_id(text: &str) -> Option<u32> {
+pub(crate) fn pci_id(text: &str) -> Option<u32> {
     u32::from_str_radix(text.trim().strip_prefix("0x")?, 16).ok()
 }

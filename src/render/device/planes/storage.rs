@@ -1,5 +1,5 @@
 //! The planes of samples as storage textures, which a compute pass writes: their formats, what one dispatch writes, and the WGSL that
-//! stores them (`generated/stored_planes.wgsl`).
+//! stores them (`generated/storage_planes.wgsl`).
 //! Must not know: a pass.
 
 use wgpu::TextureFormat;
@@ -23,9 +23,9 @@ pub(crate) fn dispatches(annotations: Annotations, limits: &wgpu::Limits) -> Vec
     divide(annotations, |set| set.rows().count() <= limits.max_storage_textures_per_shader_stage as usize)
 }
 
-/// `generated/stored_planes.wgsl` for a dispatch that writes these planes.
+/// `generated/storage_planes.wgsl` for a dispatch that writes these planes.
 #[must_use]
-pub(in crate::render) fn stored_planes_wgsl(planes: PlaneSet) -> String {
+pub(in crate::render) fn storage_planes_wgsl(planes: PlaneSet) -> String {
     let mut text = "// Generated from the table in src/render/device/planes.rs.\n\n".to_owned();
     for (binding, row) in planes.rows().enumerate() {
         let format = match format(row) {
