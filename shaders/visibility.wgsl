@@ -27,10 +27,6 @@ fn vs_main(
     return VertexOutput(vec4(in_tile, clip.zw), offset, octahedral_decode(normal), slot);
 }
 
-// `surface_at` in common/gbuffer.wgsl unpacks it:
-//   x, y  24 bits each: the shading normal, octahedral; above them the low and the high byte of the slot
-//   z     the triangle's normal, octahedral, two signed 16-bit numbers
-//   w     inverse depth, 1/m, as the bits of a float
 @fragment
 fn fs_main(in: VertexOutput) -> @location(0) vec4<u32> {
     let across = dpdx(in.offset);
@@ -54,12 +50,7 @@ fn fs_main(in: VertexOutput) -> @location(0) vec4<u32> {
     let shading_normal = select(in.normal, moved_normal, all(abs(steps) < vec2(1.0)));
 
     let towards_eye = select(-plane_normal, plane_normal, dot(plane_normal, in.offset) < 0.0);
-    // Of 1 the half that is added would round the largest code up to one that has a bit more, which is the slot's.
-    let code = min((0.5 + 0.5 * octahedral_encode(shading_normal)) * MAX_NORMAL_CODE + 0.5, vec2(MAX_NORMAL_CODE));
-    let normal = vec2<u32>(code);
-    let slot = vec2(in.slot & 0xffu, in.slot >> 8u);
-    let packed_geometric = pack2x16snorm(octahedral_encode(towards_eye));
-    return vec4(normal | (slot << vec2(24u)), packed_geometric, bitcast<u32>(inverse_depth));
+    return packed_surface(packed_slot(in.slot), shading_normal, towards_eye, bitcast<u32>(inverse_depth));
 }
 
 // Inverse depth where a ray meets the plane through `offset`, near which the inverse depth is `interpolated`.
@@ -77,6 +68,5 @@ fn inverse_depth_on_plane(interpolated: f32, offset: vec3<f32>, plane_normal: ve
 // The sky has no normals and no inverse depth. Its slot, which is not 0, tells it from where nothing is drawn.
 @fragment
 fn fs_sky(in: VertexOutput) -> @location(0) vec4<u32> {
-    let slot = vec2(in.slot & 0xffu, in.slot >> 8u);
-    return vec4(slot << vec2(24u), 0u, 0u);
+    return vec4(packed_slot(in.slot), 0u, 0u);
 }

@@ -47,7 +47,7 @@ use device::bind_groups::BindLayouts;
 use device::shading_bins::LightingVariant;
 use device::timing::{Pass, add_times, milliseconds};
 use frame_packet::FrameRequest;
-use frame_plan::FramePlan;
+use frame_plan::{FramePlan, uniforms};
 use lighting::gbuffer::{GBuffer, GBufferPool};
 use lighting::{frame_key::FrameKey, pass::LightingPass};
 use resolve::pass::ResolvePass;
@@ -376,7 +376,7 @@ impl Renderer {
         let (prepared, ()) = rayon::join(
             || {
                 plan.place_tiles(|selection| shadow.place_tiles(scene, selection, raster.max_texture_px));
-                plan.uniforms = frame_plan::of_tile(&plan.uniforms, tile, settings);
+                plan.uniforms = uniforms::of_tile(&plan.uniforms, tile, settings);
                 let multi_draw = raster.multi_draw;
                 let mut bytes = gpu.guard(|| buffers.upload(gpu, scene, &plan, (multi_draw, staging)))??;
                 // Nothing else needs these.
@@ -389,9 +389,10 @@ impl Renderer {
                     selection: &plan.selection,
                     caster_grid: &plan.caster_grid,
                     bands: &plan.bands,
+                    draws: (&buffers.meshes, &plan.draws.batches),
                     bin_by_shadow_sources: raster.bin_by_shadow_sources,
                 };
-                visibility.find(gpu, layouts, inputs);
+                bytes += visibility.find(gpu, layouts, inputs);
                 let samples = tile.rendered.samples(settings.samples_per_side);
                 bytes += visibility.fill(gpu, &plan.draws.batches, samples, (&mut gbuffer, staging))?;
                 Result::Ok((plan, bytes))
@@ -426,7 +427,7 @@ impl Renderer {
     ) -> Result<()> {
         let Self { gpu, buffers, visibility, lighting, staging, .. } = self;
         let PreparedFrame { plan, gbuffer, slot, pipelines, uploaded_bytes, .. } = frame;
-        *uploaded_bytes += buffers.upload_uniforms(gpu, &frame_plan::of_tile(&plan.uniforms, tile, settings));
+        *uploaded_bytes += buffers.upload_uniforms(gpu, &uniforms::of_tile(&plan.uniforms, tile, settings));
         let samples = tile.rendered.samples(settings.samples_per_side);
         *uploaded_bytes += visibility.fill(gpu, &plan.draws.batches, samples, (gbuffer, staging))?;
         *uploaded_bytes += slot.packed.choose(gpu, gbuffer);
@@ -449,7 +450,7 @@ impl Renderer {
         if is_first {
             self.shadow.record(encoder, meshes, &plan.draws.casters, drawing, timer);
         }
-        self.visibility.record(encoder, meshes, drawing, gbuffer, timer);
+        self.visibility.record(gpu, encoder, meshes, drawing, (gbuffer, timer));
         let light = [drawing[0], drawing[1], &of_light];
         self.lighting.record(gpu, encoder, light, (*pipelines, gbuffer), timer);
         let timestamps = timer.map(|timer| timer.compute_pass(Pass::Resolve));

@@ -70,6 +70,12 @@ struct FrameUniforms {
     rendered_tile: vec4<u32>,
     // Scale and offset from clip space to that of the tile: horizontal scale and offset, vertical scale and offset.
     tile_from_clip: vec4<f32>,
+    // The guard band around the image over half its size: clip coordinates within it, times w, can be rounded to sub-pixel steps.
+    guard_band: vec2<f32>,
+    // Distance of the near plane, metres.
+    near_m: f32,
+    // Samples along a side of a pixel.
+    samples_per_side: u32,
     // Column and row of the G-buffer's first sample among all rendered samples.
     first_sample: vec2<f32>,
     // Steps of the inverse of the lens (common/lens.wgsl).

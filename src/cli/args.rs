@@ -156,7 +156,7 @@ pub(super) struct DeviceArgs {
     #[arg(long, value_name = "TEXT")]
     adapter: Option<String>,
     /// Where to rasterise: device, host, or auto (the host on a software adapter, else the device)
-    #[arg(long, value_name = "auto|device|host", default_value_t = RasterMode::Auto)]
+    #[arg(long, value_name = "auto|device|compute|host", default_value_t = RasterMode::Auto)]
     raster: RasterMode,
 }
 

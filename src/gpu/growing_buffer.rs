@@ -53,6 +53,14 @@ impl GrowingBuffer {
         })
     }
 
+    /// Makes room for this many bytes, whatever they are.
+    pub fn reserve(&mut self, gpu: &Gpu, bytes: u64) {
+        if self.buffer.as_ref().is_none_or(|buffer| buffer.size() < bytes) {
+            let capacity = bytes.next_power_of_two();
+            self.buffer = Some(gpu.buffer(self.label, capacity, self.usage | BufferUsages::COPY_DST));
+        }
+    }
+
     /// Replaces the content with the `bytes` bytes (a multiple of four) that `write` writes; returns their number.
     pub fn write_with(
         &mut self,
@@ -60,10 +68,7 @@ impl GrowingBuffer {
         bytes: usize,
         write: impl FnOnce(wgpu::WriteOnly<'_, [u8]>),
     ) -> u64 {
-        if self.buffer.as_ref().is_none_or(|buffer| buffer.size() < bytes as u64) {
-            let capacity = (bytes as u64).next_power_of_two();
-            self.buffer = Some(gpu.buffer(self.label, capacity, self.usage | BufferUsages::COPY_DST));
-        }
+        self.reserve(gpu, bytes as u64);
         self.try_write_at(gpu, 0, bytes, write);
         bytes as u64
     }

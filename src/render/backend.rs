@@ -1,7 +1,9 @@
-//! Which backend rasterises: the device, or the host with its CPU rasteriser. And in how many draws the samples are shaded.
+//! Which backend rasterises: the device in render passes or in a compute pass, or the host with its CPU rasteriser. And in how many draws
+//! the samples are shaded.
 //!
 //! The host backend exists because a software adapter runs every stage of a pipeline on the CPU anyway, and slower than the CPU
-//! rasteriser does. Labels agree to within the rounding of vertex positions.
+//! rasteriser does. The compute backend exists because render passes leave the rounding of positions, and with it outlines, to the
+//! device: labels agree to within that rounding, those of the compute backend to the bit.
 //! Must not know: a scene, a pass.
 
 use std::fmt;
@@ -16,15 +18,17 @@ pub enum RasterMode {
     /// The host on a software adapter, the device on any other.
     #[default]
     Auto,
-    /// The device.
+    /// The device, in render passes.
     Device,
+    /// The device, what is visible in a compute pass.
+    Compute,
     /// The host.
     Host,
 }
 
 impl RasterMode {
-    const NAMES: [(&'static str, Self); 3] =
-        [("auto", Self::Auto), ("device", Self::Device), ("host", Self::Host)];
+    const NAMES: [(&'static str, Self); 4] =
+        [("auto", Self::Auto), ("device", Self::Device), ("compute", Self::Compute), ("host", Self::Host)];
 }
 
 impl FromStr for RasterMode {
@@ -32,7 +36,7 @@ impl FromStr for RasterMode {
 
     fn from_str(text: &str) -> std::result::Result<Self, String> {
         let found = Self::NAMES.iter().find(|(name, _)| *name == text);
-        found.map(|(_, mode)| *mode).ok_or_else(|| "allowed are auto, device and host".to_owned())
+        found.map(|(_, mode)| *mode).ok_or_else(|| "allowed are auto, device, compute and host".to_owned())
     }
 }
 
@@ -48,6 +52,8 @@ impl fmt::Display for RasterMode {
 pub enum RasterBackend {
     /// Render passes on the device.
     Device,
+    /// A compute pass on the device. Of visibility alone: shadows are drawn as by [`Self::Device`].
+    Compute,
     /// The CPU rasteriser; the device gets its result by upload.
     Host,
 }
@@ -117,6 +123,9 @@ pub struct RasterOptions {
     pub max_texture_px: u32,
 }
 
+/// Storage buffers of the compute pass that rasterises, those of the scene's bind group with them.
+const COMPUTE_STORAGE_BUFFERS: u32 = 7;
+
 impl RasterOptions {
     /// Options of a mode on a device.
     ///
@@ -130,6 +139,14 @@ impl RasterOptions {
                 (backend(is_software), backend(is_software && gpu.capabilities.stencil_upload))
             }
             RasterMode::Device => (RasterBackend::Device, RasterBackend::Device),
+            RasterMode::Compute if !Self::can_compute(gpu) => {
+                return Err(Error::Usage(format!(
+                    "--raster compute: {} ({}) has no {COMPUTE_STORAGE_BUFFERS} storage buffers for a compute pass; \
+                     use --raster auto or device",
+                    gpu.info.name, gpu.info.backend,
+                )));
+            }
+            RasterMode::Compute => (RasterBackend::Device, RasterBackend::Compute),
             RasterMode::Host if !gpu.capabilities.stencil_upload => {
                 return Err(Error::Usage(format!(
                     "--raster host: {} ({}) cannot copy to stencil textures; use --raster auto or device",
@@ -143,10 +160,22 @@ impl RasterOptions {
             RasterBackend::Device if Self::gains_from_bins(gpu) => LightingMode::Bins,
             RasterBackend::Device if adapter::is_hopper(&gpu.info) => LightingMode::Compute,
             RasterBackend::Device => LightingMode::OneDraw,
+            RasterBackend::Compute if Self::can_store_planes(gpu) => LightingMode::Compute,
+            RasterBackend::Compute => LightingMode::OneDraw,
         };
         let multi_draw = gpu.capabilities.multi_draw;
         let max_texture_px = gpu.device.limits().max_texture_dimension_2d;
         Ok(Self { visibility, shadow, bin_by_shadow_sources: true, multi_draw, lighting, max_texture_px })
+    }
+
+    /// Whether the device can rasterise in a compute pass.
+    fn can_compute(gpu: &Gpu) -> bool {
+        gpu.device.limits().max_storage_buffers_per_shader_stage >= COMPUTE_STORAGE_BUFFERS
+    }
+
+    /// Whether the device can light in a compute pass.
+    fn can_store_planes(gpu: &Gpu) -> bool {
+        gpu.device.limits().max_storage_textures_per_shader_stage >= 4
     }
 
     /// Whether the device can draw shading bins where it rasterises visibility itself, and is faster with them.
@@ -163,8 +192,11 @@ impl RasterOptions {
             (LightingMode::OneDraw | LightingMode::Compute, RasterBackend::Host) => {
                 Some("the host rasterises; use --raster device")
             }
-            (LightingMode::Compute, _) if gpu.device.limits().max_storage_textures_per_shader_stage < 4 => {
+            (LightingMode::Compute, _) if !Self::can_store_planes(gpu) => {
                 Some("the device cannot store to four textures at once; use one-draw")
+            }
+            (LightingMode::Bins, RasterBackend::Compute) => {
+                Some("a compute pass that rasterises fills no bins; use one-draw or compute")
             }
             (LightingMode::Bins, RasterBackend::Device) if !gpu.capabilities.depth_stencil => {
                 Some("the device has no depth of 32 bits with a stencil; use one-draw")
@@ -182,12 +214,13 @@ impl RasterOptions {
         matches!(self.visibility, RasterBackend::Host) || matches!(self.shadow, RasterBackend::Host)
     }
 
-    /// Name for records: `device` or `host`; `mixed` where the device rasterises visibility and the host shadows, or the other
+    /// Name for records: `device`, `compute` or `host`; `mixed` where the device rasterises visibility and the host shadows, or the other
     /// way round.
     #[must_use]
     pub const fn name(&self) -> &'static str {
         match (self.visibility, self.shadow) {
             (RasterBackend::Device, RasterBackend::Device) => "device",
+            (RasterBackend::Compute, RasterBackend::Device) => "compute",
             (RasterBackend::Host, RasterBackend::Host) => "host",
             _ => "mixed",
         }

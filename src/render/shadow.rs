@@ -43,7 +43,7 @@ impl ShadowBackend {
     /// A backend that has rasterised nothing yet.
     pub(crate) fn new(backend: RasterBackend) -> Self {
         match backend {
-            RasterBackend::Device => Self::Device(ShadowPass::default()),
+            RasterBackend::Device | RasterBackend::Compute => Self::Device(ShadowPass::default()),
             RasterBackend::Host => Self::Host(ShadowRaster::default()),
         }
     }

@@ -71,7 +71,7 @@ pub(crate) fn tiles(
         return Err(beyond(format!("{side} samples along a side"), MAX_SIDE_SAMPLES.to_string()));
     }
     let annotations = match rasteriser {
-        RasterBackend::Host => image.annotations,
+        RasterBackend::Host | RasterBackend::Compute => image.annotations,
         RasterBackend::Device => every_annotation(),
     };
     let bytes_per_sample = layout.bytes_per_sample(annotations);

@@ -1,7 +1,8 @@
-//! Visibility: the nearest surface at each sample, written to the G-buffer by one of two backends with the same stages:
+//! Visibility: the nearest surface at each sample, written to the G-buffer by one of three backends with the same stages:
 //! `find`, then for each tile of the image `fill` and `record`.
 //! Must not know: how surfaces are shaded.
 
+mod compute;
 mod device;
 pub mod geometry;
 pub mod host;
@@ -27,6 +28,7 @@ use crate::render::select::selection::Selection;
 use crate::render::select::tiles::PixelRect;
 use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
+use compute::ComputeVisibility;
 use device::VisibilityPass;
 use geometry::VisibleTriangles;
 use host::{RowsPart, ShadingBinMask};
@@ -45,6 +47,8 @@ pub(crate) struct VisibilityInputs<'a> {
     pub(crate) selection: &'a Selection,
     pub(crate) caster_grid: &'a [u32],
     pub(crate) bands: &'a ReliefBands,
+    /// The draws of the plan, of these meshes.
+    pub(crate) draws: (&'a Meshes, &'a [DrawBatch]),
     /// Triangles are binned by what can shade them ([`crate::render::backend::RasterOptions`]).
     pub(crate) bin_by_shadow_sources: bool,
 }
@@ -54,6 +58,8 @@ pub(crate) struct VisibilityInputs<'a> {
 pub(crate) enum VisibilityBackend {
     /// A render pass on the device.
     Device(VisibilityPass),
+    /// A compute pass on the device.
+    Compute(ComputeVisibility),
     /// The CPU rasteriser, whose samples are uploaded.
     Host(Box<VisibilityRaster>),
 }
@@ -63,6 +69,7 @@ impl VisibilityBackend {
     pub(crate) fn new(options: &RasterOptions) -> Self {
         match options.visibility {
             RasterBackend::Device => Self::Device(VisibilityPass::new(options.lighting)),
+            RasterBackend::Compute => Self::Compute(ComputeVisibility::new(options.lighting)),
             RasterBackend::Host => Self::Host(Box::default()),
         }
     }
@@ -72,14 +79,21 @@ impl VisibilityBackend {
         match self {
             Self::Device(pass) => GBufferLayout {
                 write_usage: TextureUsages::RENDER_ATTACHMENT,
-                depth_stencil_format: pass.depth_stencil_format(),
+                depth_stencil_format: Some(pass.depth_stencil_format()),
+                is_computed: matches!(pass.lighting, LightingMode::Compute),
+                has_slopes: false,
+                has_host_stencil: false,
+            },
+            Self::Compute(pass) => GBufferLayout {
+                write_usage: TextureUsages::STORAGE_BINDING,
+                depth_stencil_format: None,
                 is_computed: matches!(pass.lighting, LightingMode::Compute),
                 has_slopes: false,
                 has_host_stencil: false,
             },
             Self::Host(_) => GBufferLayout {
                 write_usage: TextureUsages::COPY_DST,
-                depth_stencil_format: STENCIL_FORMAT,
+                depth_stencil_format: Some(STENCIL_FORMAT),
                 is_computed: false,
                 has_slopes: scene.relief.is_some(),
                 has_host_stencil: true,
@@ -87,12 +101,14 @@ impl VisibilityBackend {
         }
     }
 
-    /// Finds what may be visible in the image, for [`Self::fill`].
-    pub(crate) fn find(&mut self, gpu: &Gpu, layouts: &BindLayouts, inputs: VisibilityInputs<'_>) {
+    /// Finds what may be visible in the image, for [`Self::fill`]. Returns the bytes that were uploaded.
+    pub(crate) fn find(&mut self, gpu: &Gpu, layouts: &BindLayouts, inputs: VisibilityInputs<'_>) -> u64 {
         match self {
             Self::Device(pass) => pass.prepare(gpu, layouts),
+            Self::Compute(pass) => return pass.prepare(gpu, layouts, inputs.draws),
             Self::Host(raster) => raster.find(inputs),
         }
+        0
     }
 
     /// Prepares everything for [`Self::record`] of a rectangle of the image's samples, the G-buffer's, and sets the G-buffer's
@@ -113,6 +129,11 @@ impl VisibilityBackend {
                 gbuffer.dome_stencil = None;
                 0
             }
+            Self::Compute(pass) => {
+                gbuffer.dome_stencil = None;
+                pass.reserve(gpu, gbuffer.sample_size);
+                0
+            }
             Self::Host(raster) => raster.fill(gpu, samples, gbuffer, staging)?,
         };
         gbuffer.batches.retain(|batch| batch.bounds != ScreenBounds::EMPTY);
@@ -125,22 +146,29 @@ impl VisibilityBackend {
     /// Records the pass that draws the G-buffer's batches, which are draws of `meshes`: none where it was uploaded.
     pub(crate) fn record(
         &self,
+        gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         meshes: &Meshes,
         groups: [&wgpu::BindGroup; 2],
-        gbuffer: &GBuffer,
-        timer: Option<&Timer>,
+        (gbuffer, timer): (&GBuffer, Option<&Timer>),
     ) {
-        if let Self::Device(pass) = self {
-            let timestamps = timer.map(|timer| timer.render_pass(Pass::Visibility));
-            pass.record(encoder, meshes, groups, gbuffer, timestamps);
+        match self {
+            Self::Device(pass) => {
+                let timestamps = timer.map(|timer| timer.render_pass(Pass::Visibility));
+                pass.record(encoder, meshes, groups, gbuffer, timestamps);
+            }
+            Self::Compute(pass) => {
+                let timestamps = timer.map(|timer| timer.compute_pass(Pass::Visibility));
+                pass.record(gpu, encoder, meshes, groups, (gbuffer, timestamps));
+            }
+            Self::Host(_) => {}
         }
     }
 
     /// The pass whose time the device measures.
     pub(crate) const fn device_pass(&self) -> Option<Pass> {
         match self {
-            Self::Device(_) => Some(Pass::Visibility),
+            Self::Device(_) | Self::Compute(_) => Some(Pass::Visibility),
             Self::Host(_) => None,
         }
     }
@@ -148,7 +176,7 @@ impl VisibilityBackend {
     /// The time that the host took for the frame, milliseconds.
     pub(crate) const fn host_ms(&self) -> Option<f64> {
         match self {
-            Self::Device(_) => None,
+            Self::Device(_) | Self::Compute(_) => None,
             Self::Host(raster) => Some(raster.elapsed_ms),
         }
     }
@@ -156,7 +184,7 @@ impl VisibilityBackend {
     /// Triangles that are rasterised for the frame.
     pub(crate) fn triangles(&self, meshes: &Meshes, batches: &[DrawBatch]) -> u64 {
         match self {
-            Self::Device(_) => batches.iter().map(|batch| meshes.triangles(&batch.draws)).sum(),
+            Self::Device(_) | Self::Compute(_) => batches.iter().map(|batch| meshes.triangles(&batch.draws)).sum(),
             Self::Host(raster) => raster.triangles(),
         }
     }

@@ -124,7 +124,11 @@ pub static SHADOW: Program = program!("shadow", ["frame", "scene"], []);
 /// The shadow map, from the two depth layers of [`SHADOW`].
 pub static SHADOW_MIDPOINT: Program = program!("shadow_midpoint", [], []);
 /// The visibility buffer.
-pub static VISIBILITY: Program = program!("visibility", ["frame", "scene", "octahedral"], []);
+pub static VISIBILITY: Program =
+    program!("visibility", ["frame", "scene", "octahedral", "packed_surface"], []);
+/// The visibility buffer in a compute pass.
+pub static VISIBILITY_COMPUTE: Program =
+    program!("visibility_compute", ["frame", "scene", "octahedral", "packed_surface", "exact"], []);
 /// Lighting of ground and rocks, one shading bin at a time.
 pub static LIGHTING_SURFACE: Program =
     surface_program!("lighting_surface", ["fullscreen", "relief_of_draw"], [LIGHT, LIGHTING_OUTPUT]);
@@ -147,10 +151,11 @@ pub static LIGHTING_COMPUTE: Program = surface_program!(
 pub static RESOLVE: Program = program!("resolve", ["frame", "lens", "tone", "half"], [RESOLVE_PLANES]);
 
 /// Every program.
-pub static PROGRAMS: [&Program; 8] = [
+pub static PROGRAMS: [&Program; 9] = [
     &SHADOW,
     &SHADOW_MIDPOINT,
     &VISIBILITY,
+    &VISIBILITY_COMPUTE,
     &LIGHTING_SURFACE,
     &LIGHTING_SKY,
     &LIGHTING_ONE_DRAW,

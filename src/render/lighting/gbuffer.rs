@@ -20,14 +20,17 @@ pub(in crate::render) const MAX_NORMAL_CODE: u32 = 0x00ff_ffff;
 /// disc that grains leave visible.
 pub(crate) const SLOPES_FORMAT: TextureFormat = TextureFormat::Rgba16Float;
 
+/// Bytes that a compute pass that rasterises keeps of each sample beside the G-buffer, in place of depth.
+pub(in crate::render) const NEAREST_BYTES: u64 = 8;
+
 /// How the textures are filled, which their usages and formats depend on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GBufferLayout {
     /// Usage through which visibility and stencil are written.
     pub write_usage: TextureUsages,
-    /// Format of depth, stencil or both: depth where the device rasterises visibility, a stencil where it selects the samples of a
-    /// shading bin.
-    pub depth_stencil_format: TextureFormat,
+    /// Format of depth, stencil or both: depth where a render pass rasterises visibility, a stencil where it selects the samples of a
+    /// shading bin. None where a compute pass rasterises.
+    pub depth_stencil_format: Option<TextureFormat>,
     /// A compute pass writes the planes, which are storage textures then.
     pub is_computed: bool,
     /// There are slopes of the relief below the mesh.
@@ -46,9 +49,10 @@ impl GBufferLayout {
         let copied = planes.chain([VISIBILITY_FORMAT]).chain(slopes);
         let copied: u64 = copied.map(|format| u64::from(format.block_copy_size(None).unwrap_or(0))).sum();
         let depth_stencil = match self.depth_stencil_format {
-            TextureFormat::Stencil8 => 1,
-            TextureFormat::Depth32Float => 4,
-            _ => 8,
+            None => NEAREST_BYTES,
+            Some(TextureFormat::Stencil8) => 1,
+            Some(TextureFormat::Depth32Float) => 4,
+            Some(_) => 8,
         };
         copied + depth_stencil
     }
@@ -61,7 +65,7 @@ impl GBufferLayout {
     /// The format with the stencil that selects samples, if there is one.
     #[must_use]
     pub fn stencil_format(&self) -> Option<TextureFormat> {
-        Some(self.depth_stencil_format).filter(TextureFormat::has_stencil_aspect)
+        self.depth_stencil_format.filter(TextureFormat::has_stencil_aspect)
     }
 }
 
@@ -86,7 +90,8 @@ pub struct GBuffer {
     pub visibility: (wgpu::Texture, wgpu::TextureView),
     /// Slopes of the relief below the mesh, where the host computes them. Without them the lighting pass does.
     pub slopes: Option<(wgpu::Texture, wgpu::TextureView)>,
-    /// The stencil holds one more than the shading bin of each sample, 0 where there is no surface.
+    /// The stencil holds one more than the shading bin of each sample, 0 where there is no surface. Of a single sample where there is
+    /// neither depth nor stencil.
     pub depth_stencil: (wgpu::Texture, wgpu::TextureView),
     /// The same in host memory, row by row, if it is known there.
     pub host_stencil: Option<Vec<u8>>,
@@ -117,6 +122,8 @@ impl GBuffer {
         };
         let planes = written | TextureUsages::TEXTURE_BINDING;
         let uploaded = TextureUsages::COPY_DST | TextureUsages::TEXTURE_BINDING;
+        // Depth cannot be stored to.
+        let depth_usage = layout.write_usage - TextureUsages::STORAGE_BINDING;
         Self {
             size,
             samples_per_side,
@@ -139,9 +146,9 @@ impl GBuffer {
                 .then(|| gpu.texture("gbuffer/slopes", capacity, SLOPES_FORMAT, uploaded)),
             depth_stencil: gpu.texture(
                 "gbuffer/depth_stencil",
-                capacity,
-                layout.depth_stencil_format,
-                layout.write_usage | TextureUsages::RENDER_ATTACHMENT,
+                layout.depth_stencil_format.map_or([1, 1], |_| capacity),
+                layout.depth_stencil_format.unwrap_or(TextureFormat::Depth32Float),
+                depth_usage | TextureUsages::RENDER_ATTACHMENT,
             ),
             host_stencil: layout.has_host_stencil.then(Vec::new),
             written_rows: 0..0,

@@ -76,10 +76,10 @@ impl DrawList {
         options: &RasterOptions,
     ) -> Self {
         let mut list = Self { draws: Vec::new(), casters: 0..0, batches: empty_batches(bins, slots) };
-        if options.shadow == RasterBackend::Device {
+        if options.shadow != RasterBackend::Host {
             list.add_casters(slots);
         }
-        if options.visibility == RasterBackend::Device {
+        if options.visibility != RasterBackend::Host {
             list.add_visible(scene, settings, slots, bins, band_of_block, options.lighting);
         }
         list

@@ -127,9 +127,9 @@ struct RockVertices {
 impl Default for Meshes {
     fn default() -> Self {
         Self {
-            vertices: GrowingBuffer::new("scene/vertices", BufferUsages::VERTEX),
+            vertices: GrowingBuffer::new("scene/vertices", BufferUsages::VERTEX.union(BufferUsages::STORAGE)),
             vertex_count: 0,
-            indices: GrowingBuffer::new("scene/indices", BufferUsages::INDEX),
+            indices: GrowingBuffer::new("scene/indices", BufferUsages::INDEX.union(BufferUsages::STORAGE)),
             index_format: IndexFormat::Uint16,
             draws: Vec::new(),
             indirect: None,
@@ -182,7 +182,22 @@ impl Meshes {
 
     /// Number of triangles in a range of the draws.
     pub(crate) fn triangles(&self, draws: &Range<usize>) -> u64 {
-        self.draws[draws.clone()].iter().map(Draw::triangles).sum()
+        self.draws(draws).iter().map(Draw::triangles).sum()
+    }
+
+    /// A range of the draws.
+    pub(crate) fn draws(&self, draws: &Range<usize>) -> &[Draw] {
+        &self.draws[draws.clone()]
+    }
+
+    /// The buffers of vertices and of indices.
+    pub(crate) fn buffers(&self) -> [&wgpu::Buffer; 2] {
+        [self.vertices.buffer(), self.indices.buffer()]
+    }
+
+    /// Whether an index has 16 bits, else 32.
+    pub(crate) fn has_narrow_indices(&self) -> bool {
+        self.index_format == IndexFormat::Uint16
     }
 
     /// Records a range of the draws.
@@ -197,7 +212,7 @@ impl Meshes {
             pass.multi_draw_indexed_indirect(indirect.buffer(), first, draws.len() as u32);
             return;
         }
-        for draw in &self.draws[draws.clone()] {
+        for draw in self.draws(draws) {
             let slots = draw.first_instance..draw.first_instance + draw.instance_count;
             let indices = draw.first_index..draw.first_index + draw.index_count;
             pass.draw_indexed(indices, draw.base_vertex, slots);
