@@ -12,6 +12,8 @@ pub mod pipeline_cache;
 mod platform;
 mod processor;
 pub mod readback;
+#[cfg(test)]
+pub(crate) mod shader_check;
 pub mod staging;
 pub mod survey;
 pub mod vendor;

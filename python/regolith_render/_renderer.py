@@ -35,7 +35,7 @@ class Renderer:
     outputs: names; `rr.outputs()` lists them, and `Frame` says what they are.
     samples: 1, 4 or 16 for each pixel.
     adapter: a part of an adapter's name (`rr.adapters()`), or `cpu`; the best one without it.
-    raster: where triangles are rasterised: `auto`, `device` or `host`.
+    raster: where triangles are rasterised: `auto`, `device`, `compute` or `host`.
     edges: `hard`, or `ignore:N` for 255 in the mask within N pixels of another class.
     threads: how many build scenes, 1 to 256; without it one for each core, or with a software adapter, which draws on the same cores,
         one for every two.

@@ -155,7 +155,8 @@ pub(super) struct DeviceArgs {
     /// Adapter to use: a part of its name, or `cpu`
     #[arg(long, value_name = "TEXT")]
     adapter: Option<String>,
-    /// Where to rasterise: device, host, or auto (the host on a software adapter, else the device)
+    /// Where to rasterise: device (in render passes), compute (on the device too, in a compute pass: labels and depth have the same bits
+    /// on every device), host, or auto (the host on a software adapter, compute on NVIDIA's Hopper, else the device)
     #[arg(long, value_name = "auto|device|compute|host", default_value_t = RasterMode::Auto)]
     raster: RasterMode,
 }

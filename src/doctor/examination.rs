@@ -213,7 +213,9 @@ impl Examination {
         let is_host = run.job == Job::Render(Backend::HOST);
         match self.host_frame(case, &shipped).filter(|_| !is_host) {
             Some(host) => {
-                let rule = Rule { exact_labels: false, equal_depth: EQUAL_DEPTH };
+                // The compute pass leaves no rounding of positions to the device.
+                let exact_labels = run.job == Job::Render(Backend::COMPUTE) && case.has_exact_labels();
+                let rule = Rule { exact_labels, equal_depth: EQUAL_DEPTH };
                 checks.extend(
                     compare(planes, host, rule).map(|difference| check("the host rasteriser", difference)),
                 );

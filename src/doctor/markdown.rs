@@ -131,7 +131,8 @@ fn checks(text: &mut String, examination: &Examination) {
     let checks = examination.checks();
     text.push_str(
         "\n## Checks\n\nThe host backend is compared with the shipped reference: masks and ids exactly. The others are compared \
-         with the host backend where its labels are right, else with the reference: masks and ids may differ on outlines only. Each frame is rendered twice and must \
+         with the host backend where its labels are right, else with the reference: masks and ids may differ on outlines only, those of `compute` nowhere. Each frame is \
+         rendered twice and must \
          repeat its bytes.\n\n| case | backend | mask | ids | depth | colour | repeats |\n|---|---|---|---|---|---|---|\n",
     );
     for case in &CASES {

@@ -59,8 +59,10 @@ impl Backend {
     pub const HOST: Self = Self { raster: RasterMode::Host, lighting: None };
     /// The device as GPUs run it.
     pub const ONE_DRAW: Self = Self { raster: RasterMode::Device, lighting: Some(LightingMode::OneDraw) };
-    /// The device as NVIDIA's Hopper runs it.
-    pub const COMPUTE: Self = Self { raster: RasterMode::Device, lighting: Some(LightingMode::Compute) };
+    /// The same, lit in a compute pass.
+    pub const COMPUTE_LIT: Self = Self { raster: RasterMode::Device, lighting: Some(LightingMode::Compute) };
+    /// The device as NVIDIA's Hopper runs it: visibility and lighting in compute passes.
+    pub const COMPUTE: Self = Self { raster: RasterMode::Compute, lighting: None };
     /// The device as software adapters run it.
     pub const BINS: Self = Self { raster: RasterMode::Device, lighting: Some(LightingMode::Bins) };
 }
@@ -87,11 +89,12 @@ pub enum Job {
 
 impl Job {
     /// Every job, in order.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Adapters,
         Self::Render(Backend::HOST),
         Self::Render(Backend::BINS),
         Self::Render(Backend::ONE_DRAW),
+        Self::Render(Backend::COMPUTE_LIT),
         Self::Render(Backend::COMPUTE),
         Self::Render(Backend::AUTO),
         Self::Bench,

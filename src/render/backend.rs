@@ -15,7 +15,7 @@ use crate::gpu::{Gpu, adapter};
 /// The backend that is asked for (`--raster`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RasterMode {
-    /// The host on a software adapter, the device on any other.
+    /// The host on a software adapter, a compute pass on NVIDIA's Hopper, the device's render passes on any other.
     #[default]
     Auto,
     /// The device, in render passes.
@@ -136,7 +136,9 @@ impl RasterOptions {
         let (shadow, visibility) = match mode {
             RasterMode::Auto => {
                 let is_software = gpu.capabilities.software_adapter;
-                (backend(is_software), backend(is_software && gpu.capabilities.stencil_upload))
+                let visibility = backend(is_software && gpu.capabilities.stencil_upload);
+                let computes = adapter::is_hopper(&gpu.info) && Self::can_compute(gpu);
+                (backend(is_software), if computes { RasterBackend::Compute } else { visibility })
             }
             RasterMode::Device => (RasterBackend::Device, RasterBackend::Device),
             RasterMode::Compute if !Self::can_compute(gpu) => {

@@ -12,7 +12,10 @@ use crate::render::tiling::TileLimits;
 use crate::render::{LightingMode, RasterMode, RasterOptions, RenderSettings, Renderer};
 use crate::scene::Scene;
 
+/// The modes that every device supports.
 const MODES: [RasterMode; 2] = [RasterMode::Device, RasterMode::Host];
+/// All.
+const ALL_MODES: [RasterMode; 3] = [RasterMode::Device, RasterMode::Compute, RasterMode::Host];
 
 fn scene(seed: u64, set: &[&str]) -> Scene {
     let mut config = Config::new();
@@ -237,6 +240,8 @@ fn lighting_that_a_device_cannot_draw_is_refused() {
     assert!(refused(RasterMode::Device, LightingMode::Bins), "without a stencil");
     assert!(refused(RasterMode::Host, LightingMode::OneDraw), "of samples from the host");
     assert!(refused(RasterMode::Host, LightingMode::Compute), "of samples from the host");
+    let computed = RasterOptions::new(RasterMode::Compute, &gpu);
+    assert!(matches!(computed, Err(Error::Usage(message)) if message.starts_with("--raster compute")));
     assert!(!refused(RasterMode::Device, LightingMode::OneDraw));
     assert!(!refused(RasterMode::Host, LightingMode::Bins));
 }
@@ -244,7 +249,7 @@ fn lighting_that_a_device_cannot_draw_is_refused() {
 /// Three columns and several rows of tiles, with and without a lens.
 #[test]
 fn tiles_make_the_frame_that_is_drawn_whole() {
-    for mode in MODES {
+    for mode in ALL_MODES {
         let mut renderer = renderer(Requested::Offered, mode);
         let whole = renderer.tile_limits;
         let lens = ["camera.k1=-0.12", "camera.p1=0.004"];
@@ -276,7 +281,7 @@ fn tiles_make_the_frame_that_is_drawn_whole() {
 fn labels_do_not_depend_on_what_else_is_asked_for() {
     let [_, scene] = scenes();
     let (size, samples) = ([96, 70], 4);
-    for mode in MODES {
+    for mode in ALL_MODES {
         let mut renderer = renderer(Requested::Offered, mode);
         for bytes in [700_000, 1_000_000, 1_300_000, 1_600_000, 2_000_000] {
             renderer.tile_limits.bytes = bytes;
@@ -290,7 +295,7 @@ fn labels_do_not_depend_on_what_else_is_asked_for() {
 /// And where one frame is in flight at a time, the buffers of its tiles serve the next.
 #[test]
 fn a_frame_in_tiles_has_the_times_of_a_whole_one() {
-    for mode in MODES {
+    for mode in ALL_MODES {
         let mut renderer = renderer(Requested::Offered, mode);
         renderer.expect_in_flight(1);
         let [scene, _] = scenes();

@@ -4,6 +4,8 @@
 
 mod compute;
 mod device;
+#[cfg(test)]
+mod exact_check;
 pub mod geometry;
 pub mod host;
 pub(crate) mod meshes;

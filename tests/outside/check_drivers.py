@@ -1,5 +1,6 @@
 """Renders on two independent Vulkan drivers under the validation layers: no message, and the same masks; runs `doctor` on them
-and on Mesa's GL driver; and compares the host's frames with the device's on each driver, by the suite's test in backends.rs.
+and on Mesa's GL driver; compares labels and depth of the compute pass that rasterises between the drivers, which must have the same
+bytes; and compares the host's frames with the device's on each driver, by the suite's test in backends.rs.
 
 The drivers are Mesa's lavapipe and Google's SwiftShader. SwiftShader and the layers, which also check synchronization, come
 from Debian's package chromium-common; nothing is installed. Run through check.sh.
@@ -47,6 +48,8 @@ SCENES = {
     "surface, lens": (["--stage", "surface", "--seed", "3", "--set", "camera.k1=-0.1"], ("device", "host")),
 }
 SIZE = ["--size", "256", "--outputs", "all"]
+# What has the same bytes on every driver where a compute pass rasterises.
+COMPUTED = ("semantic_segmentation_0000.png", "instance_segmentation_0000.png", "distance_to_camera_0000.npy")
 # The test that compares the raster backends, the scenes that it gets on each driver, and the lines that it prints.
 BACKENDS = "backends::backends_agree_in_depth_colour_and_class"
 BACKEND_SCENES = 100
@@ -173,6 +176,17 @@ def check_scene(report: Report, drivers: list[Driver], scene: list[str], rasters
         report.none(f"{what}, not on an outline", [f"{inside} px"] if inside else [], int(outline.sum()))
 
 
+def check_computed(report: Report, drivers: list[Driver], scene: list[str]) -> None:
+    """Rasterises in a compute pass on every driver: labels and depth have the bytes that they have on the first."""
+    first: dict[str, bytes] = {}
+    for driver in drivers:
+        check_frame(report, f"{driver.name}, compute", driver, scene, "compute")
+        planes = {name: (WORK / "frame" / name).read_bytes() for name in COMPUTED}
+        first = first or planes
+        different = [name for name in COMPUTED if planes[name] != first[name]]
+        report.none(f"{driver.name}, compute: other bytes than {drivers[0].name}", different, ", ".join(COMPUTED))
+
+
 def check_lighting(report: Report, driver: Driver, lighting: str, stage: str) -> None:
     """Lights as GPUs do, which CPU drivers do not by default, under the layers."""
     words = ["bench", "--raster", "device", "--lighting", lighting, "--stage", stage]
@@ -231,6 +245,9 @@ def main() -> int:
     for name, (scene, rasters) in SCENES.items():
         report.case = name
         check_scene(report, drivers, scene, rasters)
+        # The lens is the adapter's: its rounding decides which sample a pixel takes.
+        if "lens" not in name:
+            check_computed(report, drivers, scene)
     for lighting in ("one-draw", "compute"):
         report.case = f"lighting: {lighting}"
         for driver in drivers:
@@ -238,8 +255,9 @@ def main() -> int:
                 check_lighting(report, driver, lighting, stage)
     report.case = "doctor"
     on_device = {"device-bins", "device-one-draw", "device-compute"}
+    vulkan = {"host", "compute", *on_device}
     for driver in drivers:
-        check_doctor(report, driver.name, driver, "vulkan", {"host", *on_device})
+        check_doctor(report, driver.name, driver, "vulkan", vulkan)
     check_doctor(report, f"{drivers[0].name}, GL", drivers[0], "gl", {"mixed", *on_device})
     report.case = f"{BACKEND_SCENES} scenes"
     for driver in drivers:

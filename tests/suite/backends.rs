@@ -1,8 +1,9 @@
-//! The host's frames against the device's, over many scenes: depth, colour and class.
+//! The host's frames against the device's, in render passes and in a compute pass, over many scenes: depth, colour and class.
 //!
-//! Both round the corners of triangles to a grid before they decide which samples a triangle covers (Vulkan specification,
+//! All round the corners of triangles to a grid before they decide which samples a triangle covers (Vulkan specification,
 //! `subPixelPrecisionBits`). The host's grid has 256 steps a pixel, as that of nearly every device. Where the device's is
-//! coarser, a sample near an edge may belong to another triangle on the device: such samples are counted apart.
+//! coarser, a sample near an edge may belong to another triangle in a render pass: such samples are counted apart. The compute pass has
+//! the host's grid on every device.
 //!
 //! `tests/outside/check_drivers.py` runs this on other drivers and on more scenes.
 
@@ -35,6 +36,9 @@ const COARSE_STEPS: [(&str, u32); 1] = [("SwiftShader", 16)];
 const DEPTH: (f32, f64) = (1e-5, 0.001);
 /// Largest difference of a colour value, steps of 255, and the share of the values that may exceed it.
 const COLOUR: (u8, f64) = (2, 0.0005);
+
+/// Share of the pixels whose class may differ where a compute pass rasterises: surfaces that meet there, at depths that round differently.
+const MAX_COMPUTED_CLASS: f64 = 1e-5;
 
 const STAGES: [&str; 2] = ["nominal", "surface"];
 const SAMPLES: [u32; 2] = [1, 4];
@@ -140,12 +144,12 @@ fn adapter_and_steps() -> (String, u32) {
     (adapter, coarse.map_or(HOST_STEPS, |(_, steps)| *steps))
 }
 
-/// Differences in a scene, on a device with this many sub-pixel steps.
-fn compare(scene: &Scene, samples: u32, steps: u32) -> Tally {
+/// Differences in a scene between the host and another backend, with this many sub-pixel steps.
+fn compare(scene: &Scene, samples: u32, (backend, steps): (RasterMode, u32)) -> Tally {
     let mut settings = RenderSettings::new([SIDE; 2], samples).expect("settings");
     settings.annotations = [Annotation::Depth].into_iter().collect();
     let [host, device]: [Frame; 2] =
-        [RasterMode::Host, RasterMode::Device].map(|backend| render_by(backend, scene, &settings));
+        [RasterMode::Host, backend].map(|backend| render_by(backend, scene, &settings));
     let mut tally = Tally { pixels: host.class.len() as u64, ..Tally::default() };
     let mut rays = None;
     for pixel in 0..host.class.len() {
@@ -184,9 +188,16 @@ fn compare(scene: &Scene, samples: u32, steps: u32) -> Tally {
 
 #[test]
 fn backends_agree_in_depth_colour_and_class() {
+    let (adapter, steps) = adapter_and_steps();
+    check_many((RasterMode::Device, steps), &adapter);
+    let computed = check_many((RasterMode::Compute, HOST_STEPS), &format!("{adapter}, compute"));
+    assert!(computed.share(computed.class) <= MAX_COMPUTED_CLASS, "{} pixels of another class", computed.class);
+}
+
+/// Compares the host with a backend in as many scenes as are asked for.
+fn check_many((backend, steps): (RasterMode, u32), name: &str) -> Tally {
     let count =
         std::env::var(SCENES).map_or(DEFAULT_SCENES, |text| text.parse().expect("a number of scenes"));
-    let (adapter, steps) = adapter_and_steps();
     let mut all = Tally::default();
     for (k, stage) in STAGES.iter().enumerate() {
         for (l, samples) in SAMPLES.into_iter().enumerate() {
@@ -196,18 +207,19 @@ fn backends_agree_in_depth_colour_and_class() {
                 let view = VIEWS[(seed / (STAGES.len() * SAMPLES.len()) as u64) as usize % VIEWS.len()];
                 let stage = format!("stage.name={stage}");
                 let set = [&[&*stage], view].concat();
-                tally.add(&compare(&scene(seed, &set), samples, steps));
+                tally.add(&compare(&scene(seed, &set), samples, (backend, steps)));
             }
-            tally.print(&format!("{adapter}, {stage}, {samples} samples"));
+            tally.print(&format!("{name}, {stage}, {samples} samples"));
             all.add(&tally);
         }
     }
-    all.print(&format!("{adapter}, {count} scenes"));
+    all.print(&format!("{name}, {count} scenes"));
     assert!(all.pixels > 0, "no scene: {SCENES}={count}");
     let [depth, colour] = all.counted(steps);
     assert!(depth <= DEPTH.1, "depth differs by over {:e} in {depth} of the pixels", DEPTH.0);
     assert!(colour <= COLOUR.1, "colour differs by over {} steps in {colour} of the values", COLOUR.0);
     assert_eq!(all.class_inside, 0, "of {} pixels of another class: not at an edge", all.class);
+    all
 }
 
 /// Scenes of [`any_scene`].
@@ -262,16 +274,18 @@ fn backends_agree_whatever_the_knobs() {
     let (adapter, steps) = adapter_and_steps();
     let mut compared = 0;
     for (set, scene) in (0..ANY_SCENES).filter_map(any_scene) {
-        let tally = compare(&scene, 1, steps);
-        tally.print(&format!("{adapter}, {set:?}"));
-        let [depth, colour] = tally.counted(steps);
-        assert!(
-            depth <= 2.0 * DEPTH.1,
-            "{set:?}: depth differs by over {:e} in {depth} of the pixels",
-            DEPTH.0
-        );
-        assert!(colour <= 2.0 * COLOUR.1, "{set:?}: colour differs in {colour} of the values");
-        assert_eq!(tally.class_inside, 0, "{set:?}: of {} pixels of another class", tally.class);
+        for (backend, steps) in [(RasterMode::Device, steps), (RasterMode::Compute, HOST_STEPS)] {
+            let tally = compare(&scene, 1, (backend, steps));
+            tally.print(&format!("{adapter}, {backend}, {set:?}"));
+            let [depth, colour] = tally.counted(steps);
+            assert!(
+                depth <= 2.0 * DEPTH.1,
+                "{backend}, {set:?}: depth differs by over {:e} in {depth} of the pixels",
+                DEPTH.0
+            );
+            assert!(colour <= 2.0 * COLOUR.1, "{backend}, {set:?}: colour differs in {colour} of the values");
+            assert_eq!(tally.class_inside, 0, "{backend}, {set:?}: of {} pixels of another class", tally.class);
+        }
         compared += 1;
     }
     assert!(2 * compared > ANY_SCENES, "{compared} scenes could be built");

@@ -1,11 +1,8 @@
 //! Test of the inverse of the lens as shaders compute it.
 
 use bytemuck::Zeroable;
-use wgpu::BufferUsages;
-use wgpu::util::{BufferInitDescriptor, DeviceExt};
 
-use crate::gpu::Gpu;
-use crate::gpu::readback::ReadbackBuffer;
+use crate::gpu::{Gpu, shader_check};
 use crate::lens::Lens;
 use crate::render::device::shader_structs::FrameUniforms;
 
@@ -29,45 +26,7 @@ fn displacements(gpu: &Gpu, lens: Lens, half: f64, points: &[[f32; 2]]) -> Vec<[
         include_str!("../../../shaders/common/lens.wgsl"),
         ENTRY,
     ];
-    let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
-        label: None,
-        source: wgpu::ShaderSource::Wgsl(text.concat().into()),
-    });
-    let pipeline = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-        label: None,
-        layout: None,
-        module: &module,
-        entry_point: Some("cs_main"),
-        compilation_options: wgpu::PipelineCompilationOptions::default(),
-        cache: None,
-    });
-    let buffer = |contents, usage| {
-        gpu.device.create_buffer_init(&BufferInitDescriptor { label: None, contents, usage })
-    };
-    let uniform = buffer(bytemuck::bytes_of(&uniforms), BufferUsages::UNIFORM);
-    let storage = buffer(bytemuck::cast_slice(points), BufferUsages::STORAGE | BufferUsages::COPY_SRC);
-    let entries = [&uniform, &storage].map(wgpu::Buffer::as_entire_binding);
-    let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-        label: None,
-        layout: &pipeline.get_bind_group_layout(0),
-        entries: &[0, 1].map(|binding: usize| wgpu::BindGroupEntry {
-            binding: binding as u32,
-            resource: entries[binding].clone(),
-        }),
-    });
-    let readback = ReadbackBuffer::new(gpu, "points", storage.size());
-    let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-    {
-        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-        pass.set_pipeline(&pipeline);
-        pass.set_bind_group(0, &group, &[]);
-        pass.dispatch_workgroups((points.len() / 64) as u32, 1, 1);
-    }
-    readback.copy(&mut encoder, &storage, storage.size());
-    let submission = gpu.queue.submit([encoder.finish()]);
-    readback.map();
-    gpu.wait(&submission).expect("the device works");
-    readback.read(bytemuck::pod_collect_to_vec).expect("points")
+    shader_check::run(gpu, &text.concat(), bytemuck::bytes_of(&uniforms), points)
 }
 
 /// Half the field of view of each lens is what an image of 512 x 512 pixels with 2 x 2 samples each covers.

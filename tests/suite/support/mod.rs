@@ -29,15 +29,18 @@ pub(crate) fn renderer() -> MutexGuard<'static, Renderer> {
     RENDERER.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The raster backends: whatever is asserted of a frame holds for both.
-pub(crate) const BACKENDS: [RasterMode; 2] = [RasterMode::Host, RasterMode::Device];
+/// The raster backends: whatever is asserted of a frame holds for all.
+pub(crate) const BACKENDS: [RasterMode; 3] = [RasterMode::Host, RasterMode::Device, RasterMode::Compute];
 
 /// A frame by a raster backend. Each has a renderer of its own, which keeps its pipelines.
 pub(crate) fn render_by(backend: RasterMode, scene: &Scene, settings: &RenderSettings) -> Frame {
-    static RENDERERS: [LazyLock<Mutex<Renderer>>; 2] =
-        [LazyLock::new(|| open(RasterMode::Host)), LazyLock::new(|| open(RasterMode::Device))];
-    let renderer = &RENDERERS[usize::from(backend == RasterMode::Device)];
-    let mut renderer = renderer.lock().unwrap_or_else(PoisonError::into_inner);
+    static RENDERERS: [LazyLock<Mutex<Renderer>>; 3] = [
+        LazyLock::new(|| open(RasterMode::Host)),
+        LazyLock::new(|| open(RasterMode::Device)),
+        LazyLock::new(|| open(RasterMode::Compute)),
+    ];
+    let index = BACKENDS.iter().position(|mode| *mode == backend).expect("a backend");
+    let mut renderer = RENDERERS[index].lock().unwrap_or_else(PoisonError::into_inner);
     renderer.render(scene, settings).unwrap_or_else(|error| panic!("{backend}: {error}")).0
 }
 
