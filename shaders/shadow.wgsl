@@ -5,9 +5,6 @@
 // 0 for the layer of front faces, 1 for the layer of back faces below it.
 override ATLAS_LAYER: f32;
 
-// Texels that depths from 0 to 1 span: the side of the largest tile. src/render/select/casters.rs has the same.
-const DEPTH_RANGE_PX: f32 = 2048.0;
-
 @vertex
 fn vs_main(
     @location(0) position: vec3<f32>,

@@ -381,8 +381,9 @@ impl Renderer {
                 let mut bytes = gpu.guard(|| buffers.upload(gpu, scene, &plan, (multi_draw, staging)))??;
                 // Nothing else needs these.
                 (plan.horizon, plan.instances, plan.lit_rocks) = Default::default();
-                let size_px = plan.shadow_map_px;
-                bytes += shadow.prepare(gpu, layouts, (scene, &plan.selection, size_px), staging)?;
+                let selected = (scene, &plan.selection, plan.shadow_map_px);
+                let casters = (&buffers.meshes, &plan.draws.casters);
+                bytes += shadow.prepare(gpu, layouts, selected, (casters, staging))?;
                 let inputs = VisibilityInputs {
                     scene,
                     settings,

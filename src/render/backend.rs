@@ -20,7 +20,7 @@ pub enum RasterMode {
     Auto,
     /// The device, in render passes.
     Device,
-    /// The device, what is visible in a compute pass.
+    /// The device, in compute passes.
     Compute,
     /// The host.
     Host,
@@ -52,7 +52,7 @@ impl fmt::Display for RasterMode {
 pub enum RasterBackend {
     /// Render passes on the device.
     Device,
-    /// A compute pass on the device. Of visibility alone: shadows are drawn as by [`Self::Device`].
+    /// A compute pass on the device.
     Compute,
     /// The CPU rasteriser; the device gets its result by upload.
     Host,
@@ -123,8 +123,8 @@ pub struct RasterOptions {
     pub max_texture_px: u32,
 }
 
-/// Storage buffers of the compute pass that rasterises, those of the scene's bind group with them.
-const COMPUTE_STORAGE_BUFFERS: u32 = 7;
+/// Storage buffers of a compute pass that rasterises, those of the scene's bind group with them.
+const COMPUTE_STORAGE_BUFFERS: u32 = 8;
 
 impl RasterOptions {
     /// Options of a mode on a device.
@@ -134,11 +134,12 @@ impl RasterOptions {
     pub fn new(mode: RasterMode, gpu: &Gpu) -> Result<Self> {
         let backend = |is_host| if is_host { RasterBackend::Host } else { RasterBackend::Device };
         let (shadow, visibility) = match mode {
+            RasterMode::Auto if adapter::is_hopper(&gpu.info) && Self::can_compute(gpu) => {
+                (RasterBackend::Compute, RasterBackend::Compute)
+            }
             RasterMode::Auto => {
                 let is_software = gpu.capabilities.software_adapter;
-                let visibility = backend(is_software && gpu.capabilities.stencil_upload);
-                let computes = adapter::is_hopper(&gpu.info) && Self::can_compute(gpu);
-                (backend(is_software), if computes { RasterBackend::Compute } else { visibility })
+                (backend(is_software), backend(is_software && gpu.capabilities.stencil_upload))
             }
             RasterMode::Device => (RasterBackend::Device, RasterBackend::Device),
             RasterMode::Compute if !Self::can_compute(gpu) => {
@@ -148,7 +149,7 @@ impl RasterOptions {
                     gpu.info.name, gpu.info.backend,
                 )));
             }
-            RasterMode::Compute => (RasterBackend::Device, RasterBackend::Compute),
+            RasterMode::Compute => (RasterBackend::Compute, RasterBackend::Compute),
             RasterMode::Host if !gpu.capabilities.stencil_upload => {
                 return Err(Error::Usage(format!(
                     "--raster host: {} ({}) cannot copy to stencil textures; use --raster auto or device",
@@ -222,7 +223,7 @@ impl RasterOptions {
     pub const fn name(&self) -> &'static str {
         match (self.visibility, self.shadow) {
             (RasterBackend::Device, RasterBackend::Device) => "device",
-            (RasterBackend::Compute, RasterBackend::Device) => "compute",
+            (RasterBackend::Compute, RasterBackend::Compute) => "compute",
             (RasterBackend::Host, RasterBackend::Host) => "host",
             _ => "mixed",
         }

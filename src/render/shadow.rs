@@ -1,10 +1,12 @@
-//! Shadow maps: of rocks by midpoint shadow maps, of the ground by its horizon. The map of the rocks is rasterised by one of two
+//! Shadow maps: of rocks by midpoint shadow maps, of the ground by its horizon. The map of the rocks is rasterised by one of three
 //! backends with the same stages: `place_tiles`, `prepare`, `record`.
 //! Must not know: what is visible.
 
+mod compute;
 mod device;
 pub mod horizon;
 pub mod host;
+mod map_source;
 pub mod tiles;
 
 use std::ops::Range;
@@ -22,7 +24,9 @@ use crate::render::select::casters;
 use crate::render::select::selection::Selection;
 use crate::render::visibility::meshes::Meshes;
 use crate::scene::Scene;
-use device::{MapSource, ShadowPass};
+use compute::ComputeShadow;
+use device::ShadowPass;
+use map_source::MapSource;
 use tiles::{NewTile, ShadowMap};
 
 /// The room for new tiles in the staging buffer is a multiple of this, bytes: frames differ a little in what they need.
@@ -35,6 +39,8 @@ const STAGING_BYTES: usize = 16 << 20;
 pub(crate) enum ShadowBackend {
     /// Render passes on the device.
     Device(ShadowPass),
+    /// A compute pass on the device.
+    Compute(Box<ComputeShadow>),
     /// The CPU rasteriser, whose tiles are uploaded.
     Host(ShadowRaster),
 }
@@ -43,7 +49,8 @@ impl ShadowBackend {
     /// A backend that has rasterised nothing yet.
     pub(crate) fn new(backend: RasterBackend) -> Self {
         match backend {
-            RasterBackend::Device | RasterBackend::Compute => Self::Device(ShadowPass::default()),
+            RasterBackend::Device => Self::Device(ShadowPass::default()),
+            RasterBackend::Compute => Self::Compute(Box::default()),
             RasterBackend::Host => Self::Host(ShadowRaster::default()),
         }
     }
@@ -56,13 +63,13 @@ impl ShadowBackend {
         max_texture_px: u32,
     ) -> [u32; 2] {
         match self {
-            Self::Device(_) => casters::atlas_size_px(&selection.casters),
+            Self::Device(_) | Self::Compute(_) => casters::atlas_size_px(&selection.casters),
             Self::Host(raster) => raster.place_tiles(scene, selection, max_texture_px),
         }
     }
 
-    /// Prepares everything for [`Self::record`], with a map of exactly this many columns and rows. Returns the bytes that were
-    /// uploaded.
+    /// Prepares everything for [`Self::record`], with a map of exactly this many columns and rows. The casters are draws of the meshes.
+    /// Returns the bytes that were uploaded.
     ///
     /// # Errors
     /// [`crate::Error::DeviceLost`] or [`crate::Error::Device`].
@@ -71,12 +78,15 @@ impl ShadowBackend {
         gpu: &Gpu,
         layouts: &BindLayouts,
         (scene, selection, size_px): (&Scene, &Selection, [u32; 2]),
-        staging: &mut StagingBuffers,
+        (casters, staging): ((&Meshes, &Range<usize>), &mut StagingBuffers),
     ) -> Result<u64> {
         match self {
             Self::Device(pass) => {
                 pass.prepare(gpu, layouts, MapSource::new(scene, selection, size_px));
                 Ok(0)
+            }
+            Self::Compute(pass) => {
+                Ok(pass.prepare(gpu, layouts, MapSource::new(scene, selection, size_px), casters))
             }
             Self::Host(raster) => raster.prepare(gpu, scene, size_px, staging),
         }
@@ -89,6 +99,7 @@ impl ShadowBackend {
     pub(crate) fn map(&self) -> &wgpu::TextureView {
         match self {
             Self::Device(pass) => pass.map(),
+            Self::Compute(pass) => pass.map(),
             Self::Host(raster) => &raster.texture().1,
         }
     }
@@ -103,26 +114,32 @@ impl ShadowBackend {
         groups: [&wgpu::BindGroup; 2],
         timer: Option<&Timer>,
     ) {
-        if let Self::Device(pass) = self
-            && !pass.is_kept()
-        {
-            let timestamps = timer.map(|timer| timer.render_and_compute_pass(Pass::Shadow));
-            pass.record(encoder, meshes, casters, groups, timestamps);
+        match self {
+            Self::Device(pass) if !pass.is_kept() => {
+                let timestamps = timer.map(|timer| timer.render_and_compute_pass(Pass::Shadow));
+                pass.record(encoder, meshes, casters, groups, timestamps);
+            }
+            Self::Compute(pass) if !pass.is_kept() => {
+                pass.record(encoder, groups, timer.map(|timer| timer.compute_pass(Pass::Shadow)));
+            }
+            Self::Device(_) | Self::Compute(_) | Self::Host(_) => {}
         }
     }
 
     /// The pass whose time the device measures.
-    pub(crate) const fn device_pass(&self) -> Option<Pass> {
-        match self {
-            Self::Device(pass) if !pass.is_kept() => Some(Pass::Shadow),
-            Self::Device(_) | Self::Host(_) => None,
-        }
+    pub(crate) fn device_pass(&self) -> Option<Pass> {
+        let is_made = match self {
+            Self::Device(pass) => !pass.is_kept(),
+            Self::Compute(pass) => !pass.is_kept(),
+            Self::Host(_) => false,
+        };
+        is_made.then_some(Pass::Shadow)
     }
 
     /// The time that the host took for the frame, milliseconds.
     pub(crate) const fn host_ms(&self) -> Option<f64> {
         match self {
-            Self::Device(_) => None,
+            Self::Device(_) | Self::Compute(_) => None,
             Self::Host(raster) => Some(raster.elapsed_ms),
         }
     }
@@ -131,6 +148,7 @@ impl ShadowBackend {
     pub(crate) fn invalidate(&mut self) {
         match self {
             Self::Device(pass) => pass.invalidate(),
+            Self::Compute(pass) => pass.invalidate(),
             Self::Host(raster) => raster.tiles = ShadowMap::default(),
         }
     }

@@ -9,6 +9,7 @@ mod exact_check;
 pub mod geometry;
 pub mod host;
 pub(crate) mod meshes;
+pub(crate) mod triangle_groups;
 
 use std::ops::Range;
 use std::time::Instant;
@@ -186,7 +187,9 @@ impl VisibilityBackend {
     /// Triangles that are rasterised for the frame.
     pub(crate) fn triangles(&self, meshes: &Meshes, batches: &[DrawBatch]) -> u64 {
         match self {
-            Self::Device(_) | Self::Compute(_) => batches.iter().map(|batch| meshes.triangles(&batch.draws)).sum(),
+            Self::Device(_) | Self::Compute(_) => {
+                batches.iter().map(|batch| meshes.triangles(&batch.draws)).sum()
+            }
             Self::Host(raster) => raster.triangles(),
         }
     }

@@ -191,7 +191,11 @@ fn backends_agree_in_depth_colour_and_class() {
     let (adapter, steps) = adapter_and_steps();
     check_many((RasterMode::Device, steps), &adapter);
     let computed = check_many((RasterMode::Compute, HOST_STEPS), &format!("{adapter}, compute"));
-    assert!(computed.share(computed.class) <= MAX_COMPUTED_CLASS, "{} pixels of another class", computed.class);
+    assert!(
+        computed.share(computed.class) <= MAX_COMPUTED_CLASS,
+        "{} pixels of another class",
+        computed.class
+    );
 }
 
 /// Compares the host with a backend in as many scenes as are asked for.
@@ -284,7 +288,11 @@ fn backends_agree_whatever_the_knobs() {
                 DEPTH.0
             );
             assert!(colour <= 2.0 * COLOUR.1, "{backend}, {set:?}: colour differs in {colour} of the values");
-            assert_eq!(tally.class_inside, 0, "{backend}, {set:?}: of {} pixels of another class", tally.class);
+            assert_eq!(
+                tally.class_inside, 0,
+                "{backend}, {set:?}: of {} pixels of another class",
+                tally.class
+            );
         }
         compared += 1;
     }

@@ -120,15 +120,21 @@ macro_rules! surface_program {
 }
 
 /// Depth of the shadow casters seen from the sun.
-pub static SHADOW: Program = program!("shadow", ["frame", "scene"], []);
+pub static SHADOW: Program = program!("shadow", ["frame", "scene", "midpoint"], []);
 /// The shadow map, from the two depth layers of [`SHADOW`].
-pub static SHADOW_MIDPOINT: Program = program!("shadow_midpoint", [], []);
+pub static SHADOW_MIDPOINT: Program = program!("shadow_midpoint", ["midpoint"], []);
+/// The shadow map in compute passes.
+pub static SHADOW_COMPUTE: Program =
+    program!("shadow_compute", ["frame", "scene", "exact", "triangle_groups", "coverage", "midpoint"], []);
 /// The visibility buffer.
 pub static VISIBILITY: Program =
     program!("visibility", ["frame", "scene", "octahedral", "packed_surface"], []);
 /// The visibility buffer in a compute pass.
-pub static VISIBILITY_COMPUTE: Program =
-    program!("visibility_compute", ["frame", "scene", "octahedral", "packed_surface", "exact"], []);
+pub static VISIBILITY_COMPUTE: Program = program!(
+    "visibility_compute",
+    ["frame", "scene", "octahedral", "packed_surface", "exact", "triangle_groups", "coverage"],
+    []
+);
 /// Lighting of ground and rocks, one shading bin at a time.
 pub static LIGHTING_SURFACE: Program =
     surface_program!("lighting_surface", ["fullscreen", "relief_of_draw"], [LIGHT, LIGHTING_OUTPUT]);
@@ -151,9 +157,10 @@ pub static LIGHTING_COMPUTE: Program = surface_program!(
 pub static RESOLVE: Program = program!("resolve", ["frame", "lens", "tone", "half"], [RESOLVE_PLANES]);
 
 /// Every program.
-pub static PROGRAMS: [&Program; 9] = [
+pub static PROGRAMS: [&Program; 10] = [
     &SHADOW,
     &SHADOW_MIDPOINT,
+    &SHADOW_COMPUTE,
     &VISIBILITY,
     &VISIBILITY_COMPUTE,
     &LIGHTING_SURFACE,

@@ -1,26 +1,19 @@
 //! The device backend of shadows: depth of all casters, fronts in one layer of an atlas and backs in the other, then the midpoint
 //! map of the two (Woo 1992).
 //!
-//! The map stays for as long as sun, casters and tiles do. It stays or goes as a whole: a device rounds a tile by its place in the map,
-//! so that a tile in another place is not the same to the bit.
+//! The map stays or goes as a whole: a device rounds a tile by its place in the map, so that a tile in another place is not the same to the
+//! bit.
 
 use std::ops::Range;
-use std::sync::{Arc, Weak};
-
-use glam::Vec3;
 
 use wgpu::TextureUsages;
 
+use super::map_source::{KeptMap, MapSource};
 use crate::gpu::Gpu;
-use crate::pool::PooledVec;
 use crate::render::device::bind_groups::{BindLayouts, SHADOW_MAP_FORMAT, bind_group};
 use crate::render::device::depth::{SHADOW_LAYERS_FORMAT, depth_state};
 use crate::render::device::shader_programs::{SHADOW, SHADOW_MIDPOINT};
-use crate::render::device::shader_structs::CasterTile;
-use crate::render::select::selection::Selection;
 use crate::render::visibility::meshes::{Meshes, vertex_layout};
-use crate::scene::Scene;
-use crate::scene::mesh::Vertex;
 
 /// Columns and rows of texels that a workgroup of `shadow_midpoint.wgsl` makes of the map; the shader has the same constant.
 const WORKGROUP_PX: u32 = 8;
@@ -30,54 +23,7 @@ const WORKGROUP_PX: u32 = 8;
 pub(crate) struct ShadowPass {
     pipelines: Option<Pipelines>,
     map: Option<Map>,
-    /// What the map is drawn from, by this frame or by one before.
-    source: Option<MapSource>,
-    /// A frame before has drawn the map.
-    is_kept: bool,
-}
-
-/// What a map depends on.
-#[derive(Clone, Debug)]
-pub(super) struct MapSource {
-    sun_direction: Vec3,
-    /// Columns and rows.
-    size_px: [u32; 2],
-    casters: Vec<CasterSource>,
-}
-
-/// What a tile depends on.
-#[derive(Clone, Debug)]
-struct CasterSource {
-    /// Identifies the mesh: while this exists its address goes to no other mesh, though the mesh itself may be dropped.
-    mesh: Weak<PooledVec<Vertex>>,
-    level: usize,
-    tile: CasterTile,
-}
-
-impl MapSource {
-    pub(super) fn new(scene: &Scene, selection: &Selection, size_px: [u32; 2]) -> Self {
-        let casters = selection.rocks.iter().filter_map(|selected| {
-            let (caster, level) = selected.caster?;
-            let mesh = Arc::downgrade(&scene.rocks[selected.rock].vertices);
-            Some(CasterSource { mesh, level, tile: selection.casters[caster].tile })
-        });
-        Self { sun_direction: scene.sun.direction, size_px, casters: casters.collect() }
-    }
-}
-
-impl PartialEq for MapSource {
-    fn eq(&self, other: &Self) -> bool {
-        (self.sun_direction, self.size_px) == (other.sun_direction, other.size_px)
-            && self.casters == other.casters
-    }
-}
-
-impl PartialEq for CasterSource {
-    fn eq(&self, other: &Self) -> bool {
-        self.mesh.ptr_eq(&other.mesh)
-            && self.level == other.level
-            && bytemuck::bytes_of(&self.tile) == bytemuck::bytes_of(&other.tile)
-    }
+    kept: KeptMap,
 }
 
 #[derive(Debug)]
@@ -104,21 +50,20 @@ impl ShadowPass {
     pub(super) fn prepare(&mut self, gpu: &Gpu, layouts: &BindLayouts, source: MapSource) {
         if self.map.as_ref().is_none_or(|map| map.size_px != source.size_px) {
             self.map = Some(Map::new(gpu, layouts, source.size_px));
-            self.source = None;
+            self.kept.invalidate();
         }
-        self.is_kept = self.source.as_ref() == Some(&source);
-        self.source = Some(source);
+        self.kept.holds(source);
         self.pipelines.get_or_insert_with(|| Pipelines::new(gpu, layouts));
     }
 
     /// Whether the map is that of a frame before, so that there is nothing to record.
     pub(super) const fn is_kept(&self) -> bool {
-        self.is_kept
+        self.kept.is_kept
     }
 
     /// The next frame draws the map, whatever it holds.
     pub(super) fn invalidate(&mut self) {
-        self.source = None;
+        self.kept.invalidate();
     }
 
     /// The map.

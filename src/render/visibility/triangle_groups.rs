@@ -1,0 +1,144 @@
+//! Triangles for compute passes that rasterise: the draws of a frame, divided into groups of which a workgroup takes one
+//! (`common/triangle_groups.wgsl`).
+//! Must not know: a stage.
+
+use std::ops::Range;
+
+use wgpu::{BindingType, BufferUsages, ShaderStages};
+
+use crate::gpu::Gpu;
+use crate::gpu::growing_buffer::GrowingBuffer;
+use crate::render::device::bind_groups::BindLayouts;
+use crate::render::device::shader_programs::Program;
+use crate::render::visibility::meshes::Meshes;
+
+/// Triangles of a group. The shader has the same constants.
+pub(in crate::render) const GROUP_TRIANGLES: u32 = 64;
+/// Groups of a row of workgroups: more than a device takes along one axis may be needed.
+pub(in crate::render) const GROUPS_PER_ROW: u32 = 128;
+/// Bits above the number of triangles in the last word of a group.
+pub(in crate::render) const IS_SKY: u32 = 0x80;
+/// See [`IS_SKY`].
+pub(in crate::render) const IS_NARROW: u32 = 0x100;
+
+/// The first index of the triangles, what is added to each index, the slot of their instance; their number, [`IS_SKY`] and [`IS_NARROW`].
+type Group = [u32; 4];
+
+/// The groups of some draws on the device.
+#[derive(Debug)]
+pub(in crate::render) struct TriangleGroups {
+    /// [`Group`]s, whole rows of them.
+    buffer: GrowingBuffer,
+    rows: u32,
+}
+
+impl TriangleGroups {
+    /// None yet.
+    pub(in crate::render) const fn new(label: &'static str) -> Self {
+        Self { buffer: GrowingBuffer::new(label, BufferUsages::STORAGE), rows: 0 }
+    }
+
+    /// Replaces them with those of ranges of the draws, in their order; each range is of the sky or not. Returns the bytes that were
+    /// uploaded.
+    pub(in crate::render) fn write<'a>(
+        &mut self,
+        gpu: &Gpu,
+        meshes: &Meshes,
+        draws: impl Iterator<Item = (&'a Range<usize>, bool)>,
+    ) -> u64 {
+        let mut groups = Vec::new();
+        for (draws, is_sky) in draws {
+            add_groups(&mut groups, meshes, draws, if is_sky { IS_SKY } else { 0 });
+        }
+        groups.resize(groups.len().next_multiple_of(GROUPS_PER_ROW as usize).max(1), [0; 4]);
+        self.rows = groups.len() as u32 / GROUPS_PER_ROW;
+        self.buffer.write(gpu, &groups)
+    }
+
+    /// What the shader binds first in group 2: groups, indices, vertices.
+    pub(in crate::render) fn bindings<'a>(&'a self, meshes: &'a Meshes) -> [wgpu::BindingResource<'a>; 3] {
+        let [vertices, indices] = meshes.buffers();
+        [self.buffer.buffer(), indices, vertices].map(wgpu::Buffer::as_entire_binding)
+    }
+
+    /// Dispatches a workgroup for each group.
+    pub(in crate::render) fn dispatch(&self, pass: &mut wgpu::ComputePass<'_>) {
+        pass.dispatch_workgroups(GROUPS_PER_ROW, self.rows, 1);
+    }
+}
+
+/// Layout of group 2 of a compute pass that rasterises: the groups, then what is its own.
+pub(in crate::render) fn bind_group_layout(
+    gpu: &Gpu,
+    label: &str,
+    own: &[BindingType],
+) -> wgpu::BindGroupLayout {
+    let entries: Vec<_> = (0..)
+        .zip([storage_buffer(true); 3].iter().chain(own))
+        .map(|(binding, &ty)| wgpu::BindGroupLayoutEntry {
+            binding,
+            visibility: ShaderStages::COMPUTE,
+            ty,
+            count: None,
+        })
+        .collect();
+    let descriptor = wgpu::BindGroupLayoutDescriptor { label: Some(label), entries: &entries };
+    gpu.device.create_bind_group_layout(&descriptor)
+}
+
+/// Pipelines of compute passes with the bind groups of the frame and of the scene, and one of their own.
+pub(in crate::render) fn compute_pipelines<const N: usize>(
+    gpu: &Gpu,
+    program: &Program,
+    (layouts, own): (&BindLayouts, &wgpu::BindGroupLayout),
+    entry_points: [&str; N],
+) -> [wgpu::ComputePipeline; N] {
+    let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some(program.name),
+        bind_group_layouts: &[Some(&layouts.frame), Some(&layouts.scene), Some(own)],
+        immediate_size: 0,
+    });
+    let module = program.compile(gpu);
+    entry_points.map(|entry_point| {
+        gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(program.name),
+            layout: Some(&layout),
+            module: &module,
+            entry_point: Some(entry_point),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            cache: gpu.pipeline_cache(),
+        })
+    })
+}
+
+/// A storage buffer.
+pub(in crate::render) const fn storage_buffer(read_only: bool) -> BindingType {
+    BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Storage { read_only },
+        has_dynamic_offset: false,
+        min_binding_size: None,
+    }
+}
+
+/// A texture that is written.
+pub(in crate::render) const fn storage_texture(format: wgpu::TextureFormat) -> BindingType {
+    BindingType::StorageTexture {
+        access: wgpu::StorageTextureAccess::WriteOnly,
+        format,
+        view_dimension: wgpu::TextureViewDimension::D2,
+    }
+}
+
+fn add_groups(groups: &mut Vec<Group>, meshes: &Meshes, draws: &Range<usize>, sky: u32) {
+    let narrow = if meshes.has_narrow_indices() { IS_NARROW } else { 0 };
+    for draw in meshes.draws(draws) {
+        let end = draw.first_index + draw.index_count;
+        for slot in draw.first_instance..draw.first_instance + draw.instance_count {
+            let firsts = (draw.first_index..end).step_by(3 * GROUP_TRIANGLES as usize);
+            groups.extend(firsts.map(|first| {
+                let count = ((end - first) / 3).min(GROUP_TRIANGLES);
+                [first, draw.base_vertex.cast_unsigned(), slot, count | sky | narrow]
+            }));
+        }
+    }
+}
