@@ -128,21 +128,25 @@ fn first_rendered() -> vec2<i32> {
 var<private> source_positions: array<vec2<f32>, 16>;
 var<private> source_samples: array<vec2<i32>, 16>;
 
+fn in_focal_lengths(samples: vec2<f32>) -> vec2<f32> {
+    return vec2(quotient(samples.x, frame.focal_samples), quotient(samples.y, frame.focal_samples));
+}
+
 fn find_sources(first: vec2<u32>) {
     let corner = first + SAMPLES_PER_SIDE * frame.image_tile.xy;
     let principal_point = 0.5 * f32(SAMPLES_PER_SIDE) * vec2<f32>(frame.image_size_px);
-    let distorted = (vec2<f32>(corner) + 0.5 - principal_point) / frame.focal_samples;
+    let distorted = in_focal_lengths(exact2(vec2<f32>(corner) + 0.5) - principal_point);
     let displacement = undistortion(distorted);
-    let jacobian = distortion_at(distorted + displacement).jacobian;
+    let jacobian = distortion_at(exact2(distorted + displacement)).jacobian;
     let margin = 0.5 * f32(SAMPLES_PER_SIDE) * vec2<f32>(frame.render_size_px - frame.image_size_px);
     let last = vec2<i32>(SAMPLES_PER_SIDE * frame.render_size_px) - 1;
     for (var i = 0u; i < SAMPLES_PER_SIDE * SAMPLES_PER_SIDE; i++) {
         let sample = vec2(i % SAMPLES_PER_SIDE, i / SAMPLES_PER_SIDE);
         // From the first sample along the tangent, which is off by the square of a pixel, and one step from there.
-        let offset = vec2<f32>(sample) / frame.focal_samples;
-        let along_tangent = displacement + inverse_of(jacobian, offset) - offset;
-        let of_sample = newton_step(distorted + offset, along_tangent);
-        source_positions[i] = vec2<f32>(corner + sample) + (0.5 + margin) + frame.focal_samples * of_sample;
+        let offset = in_focal_lengths(vec2<f32>(sample));
+        let along_tangent = exact2(exact2(displacement + inverse_of(jacobian, offset)) - offset);
+        let of_sample = newton_step(exact2(distorted + offset), along_tangent);
+        source_positions[i] = exact2(vec2<f32>(corner + sample) + (0.5 + margin)) + exact2(frame.focal_samples * of_sample);
         source_samples[i] = clamp(vec2<i32>(floor(source_positions[i])), vec2(0), last) - first_rendered();
     }
 }
@@ -198,13 +202,19 @@ fn find_instances(first: vec2<u32>) {
 fn inverse_depth_of(i: u32, sample: vec2<i32>, class_id: u32, instance_id: u32) -> f32 {
     let inverse_depth = inverse_depth_at(sample);
     if !HAS_LENS_DISTORTION { return inverse_depth; }
-    let offset = source_positions[i] - (vec2<f32>(sample + first_rendered()) + 0.5);
+    let offset = exact2(source_positions[i] - exact2(vec2<f32>(sample + first_rendered()) + 0.5));
     let slope = vec2(
         inverse_depth_step(sample, vec2(1, 0), inverse_depth, class_id, instance_id),
         inverse_depth_step(sample, vec2(0, 1), inverse_depth, class_id, instance_id),
     );
     // At most twice as far away, towards the horizon.
-    return max(inverse_depth + dot(slope, offset), 0.5 * inverse_depth);
+    return max(exact(inverse_depth + exact_dot2(slope, offset)), 0.5 * inverse_depth);
+}
+
+// Depth, by the sum of this many inverse depths; infinite where it is 0, in the sky. The same on every device.
+fn mean_depth(samples: f32, sum: f32) -> f32 {
+    if sum == 0.0 { return samples / sum; }
+    return quotient(samples, sum);
 }
 
 // Change of the inverse depth from a rendered sample to the next one along `step`.

@@ -22,28 +22,43 @@ fn exact_dot(a: vec3<f32>, b: vec3<f32>) -> f32 {
     return exact(exact(products.x + products.y) + products.z);
 }
 
-// 1 / x to the nearest float, for a magnitude from 2^-125 to 2^125.
+fn exact_dot2(a: vec2<f32>, b: vec2<f32>) -> f32 {
+    let products = exact2(a * b);
+    return exact(products.x + products.y);
+}
+
+// 1 / x as `quotient`.
 fn reciprocal(x: f32) -> f32 {
-    let bits = bitcast<u32>(x);
-    // x = significand * 2^(exponent - 150), and 1 / x = quotient * 2^(103 - exponent) with quotient = 2^47 / significand.
-    let significand = (bits & 0x7fffffu) | 0x800000u;
-    var quotient = u32(140737488355328.0 / f32(significand));
-    // 2^47 - quotient * significand, whose upper bits are known: the quotient is off by a few units.
-    var rest = bitcast<i32>(0u - quotient * significand);
-    let divisor = bitcast<i32>(significand);
+    return quotient(1.0, x);
+}
+
+// a / b to the nearest float; 0 where it is smaller than 2^-126. Neither `b` nor the quotient may be larger than 2^125, nor `b` smaller than
+// 2^-126.
+fn quotient(a: f32, b: f32) -> f32 {
+    let bits = vec2(bitcast<u32>(a), bitcast<u32>(b));
+    let significands = (bits & vec2(0x7fffffu)) | vec2(0x800000u);
+    // The quotient of the significands, of 24 bits: that of the first one times 2^shift.
+    let shift = select(24u, 23u, significands.x >= significands.y);
+    let scale = select(16777216.0, 8388608.0, shift == 23u);
+    var whole = u32(scale * (f32(significands.x) / f32(significands.y)));
+    // What is left over, whose upper bits are known: the division is off by a few units.
+    var rest = bitcast<i32>((significands.x << shift) - whole * significands.y);
+    let divisor = bitcast<i32>(significands.y);
     for (var i = 0; i < 4 && rest < 0; i++) {
-        quotient -= 1u;
+        whole -= 1u;
         rest += divisor;
     }
     for (var i = 0; i < 4 && rest >= divisor; i++) {
-        quotient += 1u;
+        whole += 1u;
         rest -= divisor;
     }
-    // There are no ties.
-    quotient += u32(2 * rest > divisor);
-    let exponent = (bits >> 23u) & 0xffu;
-    // The quotient is from 2^23 to 2^24.
-    return bitcast<f32>((bits & 0x80000000u) | (((253u - exponent) << 23u) + (quotient - 0x800000u)));
+    // There are no ties. A quotient that is rounded up to 2^24 has the next exponent.
+    whole += u32(2 * rest > divisor);
+    let exponents = vec2<i32>((bits >> vec2(23u)) & vec2(0xffu));
+    let exponent = exponents.x - exponents.y + 150 - i32(shift);
+    let magnitude = (u32(exponent) << 23u) + (whole - 0x800000u);
+    let sign = (bits.x ^ bits.y) & 0x80000000u;
+    return bitcast<f32>(select(sign | magnitude, sign, exponents.x == 0 || exponent < 1));
 }
 
 // A signed integer of 64 bits.

@@ -2,7 +2,8 @@
 // Newton's method. CPU counterpart: `Lens::undistort` in src/lens.rs.
 //
 // All is computed as displacements, which are small: a position of some thousand samples plus a displacement is exact to 1e-4 of
-// a sample, the same from a position in units of the focal length is not.
+// a sample, the same from a position in units of the focal length is not. And all is rounded alike on every device (exact.wgsl): it decides
+// which sample a pixel takes its labels from.
 
 // How a lens displaces a point of the undistorted image.
 struct Distortion {
@@ -13,31 +14,40 @@ struct Distortion {
 }
 
 fn distortion_at(point: vec2<f32>) -> Distortion {
-    let square = dot(point, point);
-    let radial = square * (frame.lens_k.x + square * (frame.lens_k.y + square * frame.lens_k.z));
-    let slope = 2.0 * (frame.lens_k.x + square * (2.0 * frame.lens_k.y + square * 3.0 * frame.lens_k.z));
-    let product = point.x * point.y;
-    let tangential = 2.0 * dot(point, frame.lens_p.yx);
+    let k = frame.lens_k;
+    let p = frame.lens_p;
+    let square = exact_dot2(point, point);
+    let radial = exact(square * exact(k.x + exact(square * exact(k.y + exact(square * k.z)))));
+    let third = exact(exact(square * 3.0) * k.z);
+    let slope = 2.0 * exact(k.x + exact(square * exact(2.0 * k.y + third)));
+    let product = exact(point.x * point.y);
+    let tangential = 2.0 * exact_dot2(point, p.yx);
+    // Of the radial term along each axis, and of the tangential one.
+    let stretch = exact2(exact2(slope * point) * point);
+    let bend = exact2(4.0 * exact2(p.yx * point));
+    let common_part = exact(1.0 + radial);
+    let diagonal = exact2(exact2(exact2(common_part + stretch) + tangential) + bend);
     let jacobian = vec3(
-        1.0 + radial + slope * point.x * point.x + tangential + 4.0 * frame.lens_p.y * point.x,
-        slope * product + 2.0 * dot(point.yx, frame.lens_p.yx),
-        1.0 + radial + slope * point.y * point.y + tangential + 4.0 * frame.lens_p.x * point.y,
+        diagonal.x,
+        exact(exact(slope * product) + 2.0 * exact_dot2(point.yx, p.yx)),
+        diagonal.y,
     );
-    let shift = radial * point + 2.0 * product * frame.lens_p
-        + frame.lens_p.yx * (square + 2.0 * point * point);
+    let squares = exact2(square + exact2(2.0 * exact2(point * point)));
+    let shift = exact2(exact2(exact2(radial * point) + exact2(2.0 * exact2(product * p))) + exact2(p.yx * squares));
     return Distortion(shift, jacobian);
 }
 
 // The offset that a Jacobian maps to `mapped`.
 fn inverse_of(jacobian: vec3<f32>, mapped: vec2<f32>) -> vec2<f32> {
-    let determinant = jacobian.x * jacobian.z - jacobian.y * jacobian.y;
-    return (jacobian.zx * mapped - jacobian.y * mapped.yx) / determinant;
+    let determinant = exact(exact(jacobian.x * jacobian.z) - exact(jacobian.y * jacobian.y));
+    let numerator = exact2(exact2(jacobian.zx * mapped) - exact2(jacobian.y * mapped.yx));
+    return vec2(quotient(numerator.x, determinant), quotient(numerator.y, determinant));
 }
 
 // The displacement from a distorted to the undistorted point, one step after `displacement`.
 fn newton_step(distorted: vec2<f32>, displacement: vec2<f32>) -> vec2<f32> {
-    let lens = distortion_at(distorted + displacement);
-    return displacement - inverse_of(lens.jacobian, displacement + lens.shift);
+    let lens = distortion_at(exact2(distorted + displacement));
+    return exact2(displacement - inverse_of(lens.jacobian, exact2(displacement + lens.shift)));
 }
 
 // The displacement from a distorted to the undistorted point. The host counts the steps (`Lens::newton_steps`).

@@ -75,11 +75,4 @@ impl Case {
         let annotations: Annotations = [Annotation::Depth, Annotation::Instances].into_iter().collect();
         Ok(RenderSettings { annotations, ..RenderSettings::new(self.size, self.samples)? })
     }
-
-    /// Whether its labels are the same on every adapter where the host rasterises. With a distorting lens they are not: the
-    /// adapter computes which sample a pixel takes.
-    #[must_use]
-    pub fn has_exact_labels(&self) -> bool {
-        self.set.iter().all(|assignment| !assignment.starts_with("camera.k1"))
-    }
 }

@@ -178,7 +178,7 @@ impl Examination {
         let (_, planes) = host.frame(case.name, 0)?;
         let (found, expected) = (planes.hashes(), &shipped.hashes.planes);
         let is_right = found.mask == expected.mask && found.instances == expected.instances;
-        (is_right || !case.has_exact_labels()).then_some(planes)
+        is_right.then_some(planes)
     }
 
     /// Everything that was compared.
@@ -211,26 +211,29 @@ impl Examination {
             checks.push(check("the reference", wrong("geometry", text)));
         }
         let is_host = run.job == Job::Render(Backend::HOST);
+        // The compute pass leaves no rounding of positions to the device.
+        let is_computed = run.job == Job::Render(Backend::COMPUTE);
         match self.host_frame(case, &shipped).filter(|_| !is_host) {
             Some(host) => {
-                // The compute pass leaves no rounding of positions to the device.
-                let exact_labels = run.job == Job::Render(Backend::COMPUTE) && case.has_exact_labels();
-                let rule = Rule { exact_labels, equal_depth: EQUAL_DEPTH };
+                let rule = Rule { exact_labels: is_computed, equal_depth: EQUAL_DEPTH };
                 checks.extend(
                     compare(planes, host, rule).map(|difference| check("the host rasteriser", difference)),
                 );
             }
             None => {
-                let exact_labels = is_host && case.has_exact_labels();
-                let rule = Rule { exact_labels, equal_depth: DEPTH_PRECISION };
+                let rule = Rule { exact_labels: is_host || is_computed, equal_depth: DEPTH_PRECISION };
                 let differences = compare(planes, &shipped.planes, rule);
                 checks.extend(differences.map(|difference| check("the reference", difference)));
-                if exact_labels {
-                    checks.extend(
-                        hashes(planes, &shipped).map(|difference| check("the reference", difference)),
-                    );
-                }
             }
+        }
+        if is_host || is_computed {
+            checks
+                .extend(label_hashes(planes, &shipped).map(|difference| check("the reference", difference)));
+        }
+        if is_computed {
+            let expected = &shipped.hashes.computed_depth;
+            let depth = hash("depth hash", planes.hashes().depth, expected, Verdict::Deviates);
+            checks.push(check("the reference", depth));
         }
         checks
     }
@@ -345,17 +348,19 @@ fn repeated(first: &Planes, second: &Planes) -> Difference {
 }
 
 /// Whether masks and ids have the shipped hashes.
-fn hashes(planes: &Planes, shipped: &Reference) -> [Difference; 2] {
+fn label_hashes(planes: &Planes, shipped: &Reference) -> [Difference; 2] {
     let (found, expected) = (planes.hashes(), &shipped.hashes.planes);
-    [("mask hash", found.mask, &expected.mask), ("instances hash", found.instances, &expected.instances)].map(
-        |(plane, found, expected)| {
-            let is_same = found == *expected;
-            Difference {
-                plane,
-                verdict: if is_same { Verdict::Right } else { Verdict::Wrong },
-                text: if is_same { found.clone() } else { format!("{found} instead of {expected}") },
-                figures: json!({ "found": found, "expected": expected }),
-            }
-        },
-    )
+    [("mask hash", found.mask, &expected.mask), ("instances hash", found.instances, &expected.instances)]
+        .map(|(plane, found, expected)| hash(plane, found, expected, Verdict::Wrong))
+}
+
+/// Whether a hash is the expected one, else this verdict.
+fn hash(plane: &'static str, found: String, expected: &str, otherwise: Verdict) -> Difference {
+    let is_same = found == expected;
+    Difference {
+        plane,
+        verdict: if is_same { Verdict::Right } else { otherwise },
+        text: if is_same { found.clone() } else { format!("{found} instead of {expected}") },
+        figures: json!({ "found": found, "expected": expected }),
+    }
 }

@@ -1,4 +1,5 @@
-//! What the cases look like where everything is right: frames of the host rasteriser on Mesa's CPU driver, shipped in the binary.
+//! What the cases look like where everything is right: frames of the host rasteriser on Mesa's CPU driver, shipped in the binary, and the
+//! depth of the compute pass that rasterises.
 //!
 //! `assets/doctor` has, for each case, the hashes of its planes and the planes themselves as PNG: the hashes say whether a frame
 //! is right, the planes where it is not. Depth is stored as 16-bit logarithm, which is coarser than the plane.
@@ -29,6 +30,8 @@ pub struct CaseHashes {
     /// Hashes of the planes.
     #[serde(flatten)]
     pub planes: Hashes,
+    /// Hash of the depth where a compute pass rasterises, which differs from that of the host rasteriser in the last bits.
+    pub computed_depth: String,
 }
 
 /// The hashes of each case, as JSON by name.

@@ -6,6 +6,8 @@ pub(crate) mod depth;
 pub(crate) mod light_table;
 pub(crate) mod packing;
 pub(crate) mod planes;
+#[cfg(test)]
+mod shader_constants;
 pub mod shader_programs;
 pub mod shader_structs;
 pub(crate) mod shading_bins;

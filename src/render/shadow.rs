@@ -2,7 +2,7 @@
 //! backends with the same stages: `place_tiles`, `prepare`, `record`.
 //! Must not know: what is visible.
 
-mod compute;
+pub(in crate::render) mod compute;
 mod device;
 pub mod horizon;
 pub mod host;

@@ -2,7 +2,7 @@
 //! `find`, then for each tile of the image `fill` and `record`.
 //! Must not know: how surfaces are shaded.
 
-mod compute;
+pub(in crate::render) mod compute;
 mod device;
 #[cfg(test)]
 mod exact_check;

@@ -11,12 +11,13 @@ use regolith::doctor::findings::{Finding, findings};
 use regolith::doctor::hardware::{Hardware, Machine};
 use regolith::doctor::planes::Planes;
 use regolith::doctor::reference::{CaseHashes, encode_depth, reference};
+use regolith::render::RasterMode;
 
 use regolith::gpu::survey::AdapterReport;
 use serde_json::Value;
 
 use crate::support::compare::updating;
-use crate::support::{folder, json, program, renderer, run, run_ok};
+use crate::support::{folder, json, program, render_by, renderer, run, run_ok};
 
 /// The planes of a case on the adapter of the tests, and its hashes.
 fn rendered(case: &Case) -> (Planes, CaseHashes) {
@@ -24,7 +25,12 @@ fn rendered(case: &Case) -> (Planes, CaseHashes) {
     let settings = case.settings().unwrap_or_else(|error| panic!("{error}"));
     let (frame, _) = renderer().render(&scene, &settings).unwrap_or_else(|error| panic!("{error}"));
     let planes = Planes::from(frame);
-    let hashes = CaseHashes { geometry: scene.geometry_hash(), planes: planes.hashes() };
+    let computed = Planes::from(render_by(RasterMode::Compute, &scene, &settings));
+    let hashes = CaseHashes {
+        geometry: scene.geometry_hash(),
+        planes: planes.hashes(),
+        computed_depth: computed.hashes().depth,
+    };
     (planes, hashes)
 }
 
@@ -62,7 +68,9 @@ fn the_shipped_reference_is_up_to_date() {
     }
     for (name, (planes, hashes)) in frames {
         let shipped = reference(name).expect("a reference");
-        let exact = |hashes: CaseHashes| (hashes.geometry, hashes.planes.mask, hashes.planes.instances);
+        let exact = |hashes: CaseHashes| {
+            (hashes.geometry, hashes.planes.mask, hashes.planes.instances, hashes.computed_depth)
+        };
         assert_eq!(
             exact(hashes),
             exact(shipped.hashes),

@@ -239,7 +239,7 @@ pub(crate) const fn resolve_rule(plane: Plane) -> ResolveRule {
         // The mean of the inverse depth, which is linear in the image: the depth of a plane at the pixel's centre.
         Plane::Depth => InstanceMean {
             sum: Sum::Expression("inverse_depth_of(i, sample, class_id, instance_id)"),
-            words: &["bitcast<u32>(samples / $sum)"],
+            words: &["bitcast<u32>(mean_depth(samples, $sum))"],
         },
         Plane::Normals => InstanceMean {
             sum: Sum::Plane(SamplePlane::Normal),

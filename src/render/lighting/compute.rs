@@ -111,10 +111,7 @@ impl Dispatch {
             immediate_size: 0,
         });
         let options = TextOptions { transport: Transport::Uniforms, planes };
-        let mut constants = constants(key, LightingVariant::Any);
-        let samples_per_side =
-            key.computed_samples_per_side.map(|samples| ("SAMPLES_PER_SIDE", f64::from(samples)));
-        constants.extend(samples_per_side);
+        let constants = constants(key, LightingVariant::Any);
         let pipeline = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some(LIGHTING_COMPUTE.name),
             layout: Some(&layout),

@@ -25,8 +25,8 @@ pub(crate) struct FrameKey {
     pub(super) has_slopes: bool,
     /// Format of the stencil that selects samples. Without one, each sample says what it is.
     pub(super) stencil_format: Option<TextureFormat>,
-    /// Samples along a side of a pixel, if a compute pass lights them.
-    pub(super) computed_samples_per_side: Option<u32>,
+    /// A compute pass lights the samples.
+    pub(super) is_computed: bool,
 }
 
 impl FrameKey {
@@ -39,7 +39,7 @@ impl FrameKey {
             has_detail: scene.relief.is_some(),
             has_slopes: gbuffer.layout.has_slopes,
             stencil_format: gbuffer.layout.stencil_format(),
-            computed_samples_per_side: gbuffer.layout.is_computed.then_some(gbuffer.samples_per_side),
+            is_computed: gbuffer.layout.is_computed,
         }
     }
 }

@@ -169,7 +169,7 @@ impl LightingPass {
         (key, gbuffer): (FrameKey, &GBuffer),
         timer: Option<&Timer>,
     ) {
-        if key.computed_samples_per_side.is_some() {
+        if key.is_computed {
             let timestamps = timer.map(|timer| timer.compute_pass(Pass::Lighting));
             self.compute.record(gpu, encoder, groups, (key, gbuffer), timestamps);
             return;

@@ -23,6 +23,7 @@ fn displacements(gpu: &Gpu, lens: Lens, half: f64, points: &[[f32; 2]]) -> Vec<[
     };
     let text = [
         include_str!("../../../shaders/common/frame.wgsl"),
+        include_str!("../../../shaders/common/exact.wgsl"),
         include_str!("../../../shaders/common/lens.wgsl"),
         ENTRY,
     ];

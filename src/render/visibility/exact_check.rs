@@ -7,15 +7,15 @@ use crate::gpu::{Gpu, shader_check};
 use crate::random::Streams;
 use crate::render::device::shader_structs::FrameUniforms;
 
-/// Of each row: the reciprocal of the first number in its place, and in place of the next an integer of 64 bits over 256: the product of
-/// the second and third less that of the fourth and fifth. Then, of three more numbers, a sum of products in place of the first.
+/// Of each row: the quotient of the first and the sixth number in place of the first, and in place of the next an integer of 64 bits over 256: the product of
+/// the second and third less that of the fourth and fifth. Then, of the last three numbers, a sum of products in place of the first of them.
 const ENTRY: &str = "
 @group(0) @binding(1) var<storage, read_write> rows: array<array<u32, 8>>;
 @compute @workgroup_size(64)
 fn cs_main(@builtin(global_invocation_id) id: vec3<u32>) {
     if id.x >= arrayLength(&rows) { return; }
     let row = rows[id.x];
-    rows[id.x][0] = bitcast<u32>(reciprocal(bitcast<f32>(row[0])));
+    rows[id.x][0] = bitcast<u32>(quotient(bitcast<f32>(row[5]), bitcast<f32>(row[0])));
     let products = wide_difference(
         wide_product(bitcast<i32>(row[1]), bitcast<i32>(row[2])),
         wide_product(bitcast<i32>(row[3]), bitcast<i32>(row[4])),
@@ -46,7 +46,9 @@ fn shaders_compute_what_labels_depend_on_as_the_host_does() {
         let integers = [integer(), integer(), integer(), integer()];
         let mut float = || (draw.uniform(-600.0, 600.0) as f32).to_bits();
         let [a, b, c, d] = integers;
-        rows.push([any, a, b, c, d, float(), float(), float()]);
+        // Every other quotient is a reciprocal.
+        let numerator = if number % 2 == 0 { 1.0_f32.to_bits() } else { float() };
+        rows.push([any, a, b, c, d, numerator, float(), float()]);
     }
     let gpu = Gpu::open(Some(&adapter_of_tests())).expect("an adapter");
     let text = [
@@ -59,8 +61,8 @@ fn shaders_compute_what_labels_depend_on_as_the_host_does() {
     let mut beyond = 0;
     for (row, found) in rows.iter().zip(found) {
         let [x, y, z] = [row[5], row[6], row[7]].map(f32::from_bits);
-        let reciprocal = (1.0 / f32::from_bits(row[0])).to_bits();
-        assert_eq!(found[0], reciprocal, "1 / {}", f32::from_bits(row[0]));
+        let quotient = x / f32::from_bits(row[0]);
+        assert_eq!(found[0], quotient.to_bits(), "{x} / {}", f32::from_bits(row[0]));
         let [a, b, c, d] = [row[1], row[2], row[3], row[4]].map(|v| i64::from(v.cast_signed()));
         let expected = (a * b - c * d) >> 8;
         // Beyond 2^30 the sign is all that counts.
