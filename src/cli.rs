@@ -127,7 +127,7 @@ fn with_completions(command: clap::Command) -> clap::Command {
             "outputs" => crate::output::OUTPUTS.iter().map(|output| output.name).chain(["all"]).collect(),
             "adapter" => vec!["cpu", "nvidia", "amd", "intel", "apple", "llvmpipe"],
             "stage" => crate::params::Stage::ALL.iter().map(|(_, name)| *name).collect(),
-            "raster" => vec!["auto", "device", "host"],
+            "raster" => crate::render::RasterMode::names().to_vec(),
             "edges" => vec!["hard", "ignore:1", "ignore:2"],
             "knob" => {
                 let mut sections: Vec<&str> = KNOBS.iter().map(crate::params::KnobInfo::section).collect();

@@ -7,8 +7,8 @@
 
 // Sub-pixel steps from sample to sample.
 const SUBPIXEL_STEPS: i32 = 256;
-// Most samples in the bounds of a triangle that one thread rasterises.
-const MAX_ALONE: i32 = 64;
+// Most samples in the bounds of a triangle that one thread rasterises: as long as a workgroup takes to set up one that it shares.
+const MAX_ALONE: i32 = 128;
 // Columns and rows of samples that a workgroup tests at once: one to a thread.
 const BLOCK: i32 = 8;
 
@@ -45,17 +45,23 @@ fn edges_of(a: vec2<i32>, b: vec2<i32>, c: vec2<i32>) -> Edges {
     return Edges(from_x, from_y, dx, dy, select(vec3(1), vec3(0), is_top_left));
 }
 
-// A triangle whose edge functions fit into 32 bits.
+// A triangle whose edge functions fit into 32 bits. One loop over all samples of its bounds, not two: threads that run together wait for
+// the longest.
 fn cover_alone(edges: Edges, bounds: SampleRect, fragments: Fragments) {
     let first = bounds.origin * SUBPIXEL_STEPS;
-    var at_row = edges.dx * (first.y - edges.from_y) - edges.dy * (first.x - edges.from_x) - edges.bias;
-    for (var y = bounds.origin.y; y < bounds.end.y; y++) {
-        var at = at_row;
-        for (var x = bounds.origin.x; x < bounds.end.x; x++) {
-            if all(at >= vec3(0)) { cover(vec2(x, y), fragments); }
-            at -= SUBPIXEL_STEPS * edges.dy;
+    var at = edges.dx * (first.y - edges.from_y) - edges.dy * (first.x - edges.from_x) - edges.bias;
+    let per_column = -SUBPIXEL_STEPS * edges.dy;
+    let size = bounds.end - bounds.origin;
+    let to_next_row = SUBPIXEL_STEPS * edges.dx - size.x * per_column;
+    var sample = bounds.origin;
+    for (var left = size.x * size.y; left > 0; left--) {
+        if all(at >= vec3(0)) { cover(sample, fragments); }
+        sample.x += 1;
+        at += per_column;
+        if sample.x == bounds.end.x {
+            sample = vec2(bounds.origin.x, sample.y + 1);
+            at += to_next_row;
         }
-        at_row += SUBPIXEL_STEPS * edges.dx;
     }
 }
 

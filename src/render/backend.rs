@@ -29,6 +29,12 @@ pub enum RasterMode {
 impl RasterMode {
     const NAMES: [(&'static str, Self); 4] =
         [("auto", Self::Auto), ("device", Self::Device), ("compute", Self::Compute), ("host", Self::Host)];
+
+    /// The names of all modes.
+    #[must_use]
+    pub fn names() -> [&'static str; 4] {
+        Self::NAMES.map(|(name, _)| name)
+    }
 }
 
 impl FromStr for RasterMode {
@@ -216,6 +222,15 @@ impl RasterOptions {
     pub const fn uses_host(&self) -> bool {
         matches!(self.visibility, RasterBackend::Host) || matches!(self.shadow, RasterBackend::Host)
     }
+
+    /// Whether a device has no influence on the labels.
+    #[must_use]
+    pub const fn has_exact_labels(&self) -> bool {
+        matches!(self.visibility, RasterBackend::Compute)
+    }
+
+    /// Every name for records.
+    pub const NAMES: [&'static str; 4] = ["device", "compute", "host", "mixed"];
 
     /// Name for records: `device`, `compute` or `host`; `mixed` where the device rasterises visibility and the host shadows, or the other
     /// way round.

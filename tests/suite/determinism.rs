@@ -8,7 +8,7 @@ use regolith::frame::{Annotation, Frame};
 use regolith::gpu::Gpu;
 use regolith::gpu::staging::PAGE_BYTES;
 use regolith::render::select::selection::{SelectedRock, Selection};
-use regolith::render::{InFlight, RasterBackend, RasterOptions, RenderSettings, Renderer};
+use regolith::render::{InFlight, RasterBackend, RasterMode, RasterOptions, RenderSettings, Renderer};
 use regolith::scene::Scene;
 use regolith::scene::mesh::Icosphere;
 use regolith::scene::sky::Sun;
@@ -250,7 +250,8 @@ fn the_first_frame_uses_fewer_lighting_variants_and_equals_the_second() {
 fn reuse_between_frames_changes_no_plane() {
     let mut renderer = renderer();
     let own = renderer.raster();
-    for raster in [own, on_device(own)] {
+    let computed = in_compute_passes(&renderer);
+    for raster in [own, on_device(own), computed] {
         renderer.set_raster(raster);
         assert_reuse_changes_no_plane(&mut renderer);
     }
@@ -361,9 +362,13 @@ fn a_large_image_has_the_same_labels_from_host_and_device() {
     let host = renderer.render(&scene, &settings).expect("a frame").0;
     renderer.set_raster(RasterOptions { visibility: RasterBackend::Device, ..raster });
     let device = renderer.render(&scene, &settings).expect("a frame").0;
+    let computed = in_compute_passes(&renderer);
+    renderer.set_raster(computed);
+    let computed = renderer.render(&scene, &settings).expect("a frame").0;
     renderer.set_raster(raster);
     let labels = share(&host.class, &device.class, |a, b| a != b);
     assert!(labels < 1e-5, "{labels} of the labels differ");
+    assert!(host.class == computed.class, "labels of a compute pass");
 }
 
 #[test]
@@ -401,7 +406,16 @@ fn host_and_device_rasterise_the_same_frame() {
                 "seed {seed}: a backend of each"
             );
         }
+        let computed = in_compute_passes(&renderer);
+        renderer.set_raster(computed);
+        let computed = renderer.render(&scene, &settings).expect("a frame").0;
         renderer.set_raster(raster);
+        assert!(
+            host.class == computed.class && host.instances == computed.instances,
+            "seed {seed}: labels of a compute pass"
+        );
+        let depth = share(&host.depth_m, &computed.depth_m, |a, b| (a - b).abs() > 1e-5 * a);
+        assert!(depth < 1e-3, "seed {seed}: {depth} of the depths of a compute pass differ");
         // Where a vertex rounds to another subpixel position, a sample of an outline or a texel of a shadow may differ, and with it
         // every plane.
         let labels = share(&host.class, &device.class, |a, b| a != b)
@@ -425,6 +439,11 @@ fn host_and_device_rasterise_the_same_frame() {
 /// The same options with the device as every stage's backend.
 const fn on_device(raster: RasterOptions) -> RasterOptions {
     RasterOptions { visibility: RasterBackend::Device, shadow: RasterBackend::Device, ..raster }
+}
+
+/// The options of a renderer's device with compute passes as every stage's backend.
+fn in_compute_passes(renderer: &Renderer) -> RasterOptions {
+    RasterOptions::new(RasterMode::Compute, renderer.gpu()).expect("eight storage buffers")
 }
 
 /// Fraction of the pairs of two lists for which a condition holds.

@@ -6,7 +6,8 @@ use crate::support::{folder, json, program, run, run_ok};
 fn frames_record_their_raster_backend_and_agree_on_labels() {
     let folder = folder();
     let mut masks = Vec::new();
-    for (mode, used) in [("auto", "host"), ("host", "host"), ("device", "device")] {
+    let modes = [("auto", "host"), ("host", "host"), ("compute", "compute"), ("device", "device")];
+    for (mode, used) in modes {
         run_ok(folder.path(), &["--size", "96", "--raster", mode, "--out", mode]);
         let out = folder.path().join(mode);
         assert_eq!(json(&out.join("frame_0000.json"))["raster"], used, "--raster {mode}");
@@ -14,7 +15,8 @@ fn frames_record_their_raster_backend_and_agree_on_labels() {
         masks.push(mask.into_luma8().into_raw());
     }
     assert!(masks[0] == masks[1], "auto is the host on a software adapter");
-    let different = masks[0].iter().zip(&masks[2]).filter(|(host, device)| host != device).count();
+    assert!(masks[0] == masks[2], "a compute pass rounds positions as the host does");
+    let different = masks[0].iter().zip(&masks[3]).filter(|(host, device)| host != device).count();
     assert!(different <= 2, "{different} of 9216 labels differ");
 }
 
@@ -28,18 +30,23 @@ fn raster_modes_that_do_not_exist_or_are_not_supported_are_refused() {
         let message = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{message}");
         assert!(message.contains("`cpu`") || message.contains("'cpu'"), "{message}");
-        assert!(message.contains("auto, device and host"), "{message}");
+        assert!(message.contains("auto, device, compute and host"), "{message}");
     }
-    // GL cannot copy to stencil textures.
-    let output = program(folder.path())
-        .args(["--raster", "host", "--size", "32"])
-        .env_remove("WGPU_ADAPTER_NAME")
-        .env("WGPU_BACKEND", "gl")
-        .output()
-        .expect("the program starts");
-    let message = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(2), "{message}");
-    assert!(message.contains("--raster host") && message.contains("--raster auto"), "{message}");
+    // GL cannot copy to stencil textures, and has too few storage buffers.
+    for raster in ["host", "compute"] {
+        let output = program(folder.path())
+            .args(["--raster", raster, "--size", "32"])
+            .env_remove("WGPU_ADAPTER_NAME")
+            .env("WGPU_BACKEND", "gl")
+            .output()
+            .expect("the program starts");
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{message}");
+        assert!(
+            message.contains(&format!("--raster {raster}")) && message.contains("--raster auto"),
+            "{message}"
+        );
+    }
     assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0, "nothing is written");
 }
 
@@ -52,13 +59,14 @@ fn a_dataset_records_the_backend_of_each_frame_and_can_be_continued_by_another()
     };
     dataset("1", "device");
     dataset("2", "host");
+    dataset("3", "compute");
     let lines = std::fs::read_to_string(folder.path().join("d/frames.jsonl")).expect("lines");
     let used: Vec<String> = lines
         .lines()
         .map(|line| serde_json::from_str::<serde_json::Value>(line).expect("JSON")["raster"].to_string())
         .collect();
-    assert_eq!(used, ["\"device\"", "\"host\""]);
-    for raster in ["auto", "device"] {
+    assert_eq!(used, ["\"device\"", "\"host\"", "\"compute\""]);
+    for raster in ["auto", "device", "compute"] {
         run_ok(folder.path(), &["verify", "d", "--raster", raster]);
     }
 }
@@ -66,7 +74,7 @@ fn a_dataset_records_the_backend_of_each_frame_and_can_be_continued_by_another()
 #[test]
 fn bench_records_the_raster_backend() {
     let folder = folder();
-    for (mode, used) in [("auto", "host"), ("device", "device")] {
+    for (mode, used) in [("auto", "host"), ("device", "device"), ("compute", "compute")] {
         let words = ["bench", "--json", "-q", "--cases=scene", "--frames=1", "--size=32", "--raster", mode];
         let result: serde_json::Value = serde_json::from_str(&run_ok(folder.path(), &words)).expect("JSON");
         assert_eq!(result["raster"], used);

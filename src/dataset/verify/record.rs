@@ -16,11 +16,10 @@ use crate::dataset::plan::frame_seed;
 use crate::meta;
 use crate::output::layout::FrameLine;
 use crate::params::{Knob, Params};
+use crate::render::RasterOptions;
 use crate::scene::camera::Camera;
 use crate::scene::sky::Sun;
 
-/// Names of the raster backends, as a renderer records them.
-const RASTER_NAMES: [&str; 3] = ["device", "host", "mixed"];
 /// Hexadecimal digits of a hash.
 const HASH_DIGITS: usize = 32;
 /// Keys that say which frame it is.
@@ -128,8 +127,8 @@ fn list_problems(context: &Context<'_>, line: &FrameLine) -> Vec<Difference> {
         expect("redrawn", false, rule.as_str().into(), "a rule of the dataset");
     }
     expect("adapter", !line.adapter.is_empty(), line.adapter.as_str().into(), "the name of an adapter");
-    let is_raster = line.raster.as_deref().is_some_and(|raster| RASTER_NAMES.contains(&raster));
-    expect("raster", is_raster, json!(line.raster), &format!("one of {}", RASTER_NAMES.join(", ")));
+    let is_raster = line.raster.as_deref().is_some_and(|raster| RasterOptions::NAMES.contains(&raster));
+    expect("raster", is_raster, json!(line.raster), &format!("one of {}", RasterOptions::NAMES.join(", ")));
     let hash = line.geometry_hash.as_str();
     expect("geometry_hash", is_hash(hash), hash.into(), "32 hexadecimal digits");
     let is_ascending = line.moved_rocks.is_sorted_by(|a, b| a < b);

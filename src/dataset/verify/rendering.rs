@@ -7,11 +7,12 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use super::context::{self, Context, Version};
+use super::depth;
 use super::differences::differences;
 use super::report::{Report, name};
 use super::store::{Archives, StoredFile, files_in, read_hashed};
 use super::templates::{ExpectedFile, ExpectedFrame};
-use super::{depth, tolerance};
+use super::tolerance::{self, Agreement};
 use crate::dataset::attempt::{Attempt, RenderedFrame, render_attempt, render_frame};
 use crate::dataset::log::FrameLog;
 use crate::dataset::pipeline::{EncodedFrame, encode_frame};
@@ -75,17 +76,22 @@ impl FrameCheck<'_> {
         self.report.problem(name::RENDERING, Some(self.line.index), found);
     }
 
-    /// Whether every bit must be equal.
-    fn is_same_renderer(&self, renderer: &Renderer) -> bool {
-        self.context.version == Version::Same
-            && self.line.adapter == renderer.gpu().info.name
-            && self.line.raster.as_deref() == Some(renderer.raster().name())
+    /// In what the frame must agree with what a renderer makes of it.
+    fn agreement(&self, renderer: &Renderer) -> Agreement {
+        let raster = renderer.raster().name();
+        let is_same_program =
+            self.context.version == Version::Same && self.line.raster.as_deref() == Some(raster);
+        match (is_same_program, self.line.adapter == renderer.gpu().info.name) {
+            (true, true) => Agreement::Bytes,
+            (true, false) if renderer.raster().has_exact_labels() => Agreement::Labels,
+            _ => Agreement::Near,
+        }
     }
 
     fn run(&mut self, renderer: &mut Renderer) -> Result<()> {
         let (plan, line) = (&self.context.plan, self.line);
-        let is_same = self.is_same_renderer(renderer);
-        let mut rendered = if is_same {
+        let agreement = self.agreement(renderer);
+        let mut rendered = if agreement == Agreement::Bytes {
             // With all attempts, so that those that were rejected are rejected again.
             render_frame(plan, renderer, line.index)?
         } else if line.attempt < plan.rules.attempts_max {
@@ -95,17 +101,17 @@ impl FrameCheck<'_> {
             return Ok(());
         };
         let again = encode_frame(plan, &mut rendered)?;
-        self.compare_lines(&again.line, is_same);
-        self.compare_files(&again, &rendered, is_same, renderer)
+        self.compare_lines(&again.line, agreement);
+        self.compare_files(&again, &rendered, agreement, renderer)
     }
 
-    fn compare_lines(&mut self, again: &FrameLine, is_same: bool) {
+    fn compare_lines(&mut self, again: &FrameLine, agreement: Agreement) {
         self.report.look(name::RENDERING);
         // Hashes are compared with the files, and the files with those made again.
         let (ms, hashes) = (self.line.ms.clone(), self.line.hashes.clone());
         let mut expected = json!(FrameLine { ms, hashes, ..again.clone() });
         let mut found = json!(self.line);
-        if !is_same {
+        if agreement != Agreement::Bytes {
             tolerance::forgive_record(&mut found, &mut expected);
         }
         for difference in differences(&found, &expected) {
@@ -117,7 +123,7 @@ impl FrameCheck<'_> {
         &mut self,
         again: &EncodedFrame,
         rendered: &RenderedFrame,
-        is_same: bool,
+        agreement: Agreement,
         renderer: &mut Renderer,
     ) -> Result<()> {
         let expected = ExpectedFrame::new(&self.context.plan, &self.context.templates, self.line)?;
@@ -133,7 +139,7 @@ impl FrameCheck<'_> {
                 let file = expected.files.iter().find(|file| file.path == name);
                 let stored = stored.iter().find(|(stored, _)| *stored == name);
                 if let (Some(file), Some((_, stored))) = (file, stored) {
-                    self.compare_file(file, stored, &made.bytes, is_same);
+                    self.compare_file(file, stored, &made.bytes, agreement);
                     if file.kind.is_some_and(|kind| kind.stem == "distance_to_image_plane") {
                         depth::check_depth(
                             self.context,
@@ -150,7 +156,7 @@ impl FrameCheck<'_> {
         Ok(())
     }
 
-    fn compare_file(&mut self, file: &ExpectedFile, stored: &StoredFile, made: &[u8], is_same: bool) {
+    fn compare_file(&mut self, file: &ExpectedFile, stored: &StoredFile, made: &[u8], agreement: Agreement) {
         self.report.look(name::RENDERING);
         if stored.bytes == made {
             return;
@@ -162,7 +168,7 @@ impl FrameCheck<'_> {
                 // Another driver of the same adapter is not a fault; the name is compared with the line.
                 tolerance::forgive_driver(&mut found, &mut expected);
             }
-            if !is_same {
+            if agreement != Agreement::Bytes {
                 tolerance::forgive_record(&mut found, &mut expected);
                 tolerance::forgive_rocks(&mut found, &mut expected);
             }
@@ -171,7 +177,7 @@ impl FrameCheck<'_> {
             }
             return;
         }
-        if let Some(found) = tolerance::difference(file, &stored.bytes, made, is_same) {
+        if let Some(found) = tolerance::difference(file, &stored.bytes, made, agreement) {
             self.problem(format!("{path}: {found}"));
         }
     }

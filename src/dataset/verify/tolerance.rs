@@ -1,4 +1,5 @@
-//! How much a frame may differ that another adapter, raster backend or version rendered. On the same ones nothing may.
+//! How much a frame may differ that another adapter, raster backend or version rendered. On the same ones nothing may, and where compute
+//! passes rasterised both, no label.
 //!
 //! Must not know: files, rendering.
 
@@ -30,6 +31,17 @@ const ROCK_FRACTION: f64 = 0.15;
 const ROCK_BOX_PX: f64 = 2.0;
 /// The same for a box whose pixels are unknown, as a fraction of the image's sides.
 const ROW_BOX: f64 = 0.05;
+
+/// In what a frame must agree with one that is rendered again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Agreement {
+    /// In every byte.
+    Bytes,
+    /// In every label of an image.
+    Labels,
+    /// But for what another renderer may change.
+    Near,
+}
 
 /// Copies a value of the other to a record where the two may differ.
 fn forgive(found: &Value, expected: &mut Value, path: &[&str], is_near: impl FnOnce(f64, f64) -> bool) {
@@ -105,24 +117,29 @@ pub(super) fn forgive_rocks(found: &mut Value, expected: &mut Value) {
 }
 
 /// What differs between a stored file and the same file made again, if it is more than allowed.
-pub(super) fn difference(file: &ExpectedFile, stored: &[u8], made: &[u8], is_same: bool) -> Option<String> {
+pub(super) fn difference(
+    file: &ExpectedFile,
+    stored: &[u8],
+    made: &[u8],
+    agreement: Agreement,
+) -> Option<String> {
     let found = match file.path.rsplit_once('.').map(|(_, extension)| extension) {
-        Some("png") => image_difference(file, stored, made, is_same),
-        Some("npy") => array_difference(stored, made, is_same),
-        Some("exr") => radiance_difference(stored, made, is_same),
-        Some("txt") => rows_difference(stored, made, is_same),
+        Some("png") => image_difference(file, stored, made, agreement),
+        Some("npy") => array_difference(stored, made, agreement),
+        Some("exr") => radiance_difference(stored, made, agreement),
+        Some("txt") => rows_difference(stored, made, agreement),
         _ => Some("it differs".to_owned()),
     };
-    let is_other_form = is_same && found.is_none();
+    let is_other_form = agreement == Agreement::Bytes && found.is_none();
     if is_other_form { Some("its bytes differ, though its values are the same".to_owned()) } else { found }
 }
 
 /// What differs between two label files of rocks, of either task of YOLO.
-fn rows_difference(stored: &[u8], made: &[u8], is_same: bool) -> Option<String> {
+fn rows_difference(stored: &[u8], made: &[u8], agreement: Agreement) -> Option<String> {
     let (Some(found), Some(expected)) = (row_boxes(stored), row_boxes(made)) else {
         return Some("it is not a label file".to_owned());
     };
-    if is_same {
+    if agreement != Agreement::Near {
         return Some("its rows differ".to_owned());
     }
     // Rocks of a few pixels may be missing, be added, or have another box.
@@ -135,7 +152,7 @@ fn rows_difference(stored: &[u8], made: &[u8], is_same: bool) -> Option<String> 
     (wrong > allowed).then(|| format!("{wrong} of its rows have no counterpart; at most {allowed} may"))
 }
 
-fn image_difference(file: &ExpectedFile, stored: &[u8], made: &[u8], is_same: bool) -> Option<String> {
+fn image_difference(file: &ExpectedFile, stored: &[u8], made: &[u8], agreement: Agreement) -> Option<String> {
     let decode = |bytes: &[u8]| decode_png(bytes).ok();
     // A file that cannot be decoded is already in the report.
     let (stored, made) = decode(stored).zip(decode(made))?;
@@ -146,7 +163,7 @@ fn image_difference(file: &ExpectedFile, stored: &[u8], made: &[u8], is_same: bo
     if matches!(stem, "rgb" | "shadow") {
         let (a, b) = (stored.as_bytes(), made.as_bytes());
         let mean = a.iter().zip(b).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / a.len() as f64;
-        let allowed = if is_same { 0.0 } else { MEAN_U8 };
+        let allowed = if agreement == Agreement::Bytes { 0.0 } else { MEAN_U8 };
         return (mean > allowed)
             .then(|| format!("its values differ by {mean:.3} on average; allowed is {allowed}"));
     }
@@ -157,12 +174,12 @@ fn image_difference(file: &ExpectedFile, stored: &[u8], made: &[u8], is_same: bo
         "semantic_segmentation" | "preview" | "craters" => LABEL_FRACTION,
         _ => INSTANCE_FRACTION,
     };
-    let allowed = if is_same { 0.0 } else { fraction * count as f64 };
+    let allowed = if agreement == Agreement::Near { fraction * count as f64 } else { 0.0 };
     (differing as f64 > allowed)
         .then(|| format!("{differing} pixels come out as another class; allowed are {allowed:.0}"))
 }
 
-fn array_difference(stored: &[u8], made: &[u8], is_same: bool) -> Option<String> {
+fn array_difference(stored: &[u8], made: &[u8], agreement: Agreement) -> Option<String> {
     let values = |npy: &[u8]| {
         let (shape, start) = array_header(npy)?;
         let floats =
@@ -174,23 +191,50 @@ fn array_difference(stored: &[u8], made: &[u8], is_same: bool) -> Option<String>
         return Some("it has another shape".to_owned());
     }
     let is_equal = |(a, b): (&f64, &f64)| {
-        let is_near = !is_same && (a - b).abs() <= EQUAL + EQUAL * b.abs();
+        let is_near = agreement != Agreement::Bytes && (a - b).abs() <= EQUAL + EQUAL * b.abs();
         a.to_bits() == b.to_bits() || (a.is_nan() && b.is_nan()) || is_near
     };
     let differing = a.iter().zip(&b).filter(|pair| !is_equal(*pair)).count();
-    let allowed = if is_same { 0.0 } else { ARRAY_FRACTION * a.len() as f64 };
+    let allowed = if agreement == Agreement::Bytes { 0.0 } else { ARRAY_FRACTION * a.len() as f64 };
     (differing as f64 > allowed)
         .then(|| format!("{differing} of {} values differ; allowed are {allowed:.0}", a.len()))
 }
 
-fn radiance_difference(stored: &[u8], made: &[u8], is_same: bool) -> Option<String> {
+fn radiance_difference(stored: &[u8], made: &[u8], agreement: Agreement) -> Option<String> {
     // A file of another size is already in the report.
     let size = size_of_exr(made)?;
     let (a, b) = decode_exr(stored, size).zip(decode_exr(made, size))?;
     let sum = |values: &mut dyn Iterator<Item = f64>| values.sum::<f64>();
     let difference = sum(&mut a.iter().zip(&b).map(|(a, b)| f64::from((a - b).abs())));
     let fraction = difference / sum(&mut b.iter().map(|value| f64::from(value.abs()))).max(f64::MIN_POSITIVE);
-    let allowed = if is_same { 0.0 } else { RADIANCE_FRACTION };
+    let allowed = if agreement == Agreement::Bytes { 0.0 } else { RADIANCE_FRACTION };
     (fraction > allowed || fraction.is_nan())
         .then(|| format!("its values differ by {fraction:.5} of their mean; allowed is {allowed}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_label_may_differ_only_where_not_every_label_must_agree() {
+        let png = |class: u8| {
+            let mut labels = image::GrayImage::new(64, 64);
+            labels.put_pixel(3, 5, image::Luma([class]));
+            let mut bytes = std::io::Cursor::new(Vec::new());
+            labels.write_to(&mut bytes, image::ImageFormat::Png).expect("encoded");
+            bytes.into_inner()
+        };
+        let file = ExpectedFile {
+            path: "labels.png".to_owned(),
+            kind: None,
+            template: Vec::new(),
+            is_constant: false,
+        };
+        let found = |agreement| difference(&file, &png(0), &png(1), agreement);
+        assert_eq!(found(Agreement::Near), None);
+        for agreement in [Agreement::Labels, Agreement::Bytes] {
+            assert!(found(agreement).is_some_and(|text| text.starts_with("1 pixels")), "{agreement:?}");
+        }
+    }
 }
