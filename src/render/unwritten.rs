@@ -11,6 +11,7 @@ use crate::render::device::shading_bins::LightingVariant;
 use crate::render::lighting::gbuffer::GBuffer;
 use crate::render::select::draw_list::DrawBatch;
 use crate::render::select::screen_bounds::ScreenBounds;
+use crate::render::visibility::VisibilityBackend;
 use crate::scene::Scene;
 
 const SIZE: [u32; 2] = [96, 64];
@@ -95,6 +96,29 @@ fn a_frame_that_loses_a_draw_is_refused_by_both_backends() {
         assert_refused(&what, nothing, |pixels| pixels == u64::from(SIZE[0] * SIZE[1]));
     }
     assert!(lost.iter().all(|&lost| lost >= 6), "{lost:?}");
+}
+
+/// Draws of the sky come last.
+#[test]
+fn a_frame_that_loses_triangles_of_a_compute_pass_is_refused() {
+    let gpu = Gpu::open(Some("cpu")).expect("an adapter");
+    let mut renderer = Renderer::with_raster(gpu, RasterMode::Compute).expect("a renderer");
+    let scene = Scene::build(5, &Config::new().draw(5).expect("parameters")).expect("a scene");
+    render_with(&mut renderer, &scene, 4, |_| ()).expect("a frame that lost nothing");
+    let all = u64::from(SIZE[0] * SIZE[1]);
+    for rows in [0, 1] {
+        let settings = RenderSettings::new(SIZE, 4).expect("settings");
+        let FramePacket { request, plan, plan_ms } =
+            renderer.planner().plan(&scene, &settings).expect("a plan");
+        let frame = renderer.prepare(&scene, &request, plan).expect("prepared");
+        let VisibilityBackend::Compute(pass) = &mut renderer.visibility else { panic!("a compute pass") };
+        pass.groups.lose(rows);
+        let submitted = renderer.submit_prepared(&scene, request, frame, (Instant::now(), plan_ms));
+        let result = submitted.and_then(|in_flight| renderer.finish(in_flight, &scene));
+        assert_refused(&format!("{rows} rows"), result.map(|(frame, _)| frame), |pixels| {
+            if rows == 0 { pixels == all } else { pixels > 0 && pixels < all }
+        });
+    }
 }
 
 /// Of four samples, one that is unwritten suffices.

@@ -26,7 +26,7 @@ pub(crate) struct ComputeVisibility {
     /// How the samples are lit.
     pub(crate) lighting: LightingMode,
     pipelines: Option<Pipelines>,
-    groups: TriangleGroups,
+    pub(in crate::render) groups: TriangleGroups,
     /// What the dispatches know of each sample of a tile. One after the other, all frames share it.
     nearest: GrowingBuffer,
 }

@@ -61,6 +61,13 @@ impl TriangleGroups {
         [self.buffer.buffer(), indices, vertices].map(wgpu::Buffer::as_entire_binding)
     }
 
+    /// Loses all rows of groups but these first ones.
+    #[cfg(test)]
+    pub(in crate::render) fn lose(&mut self, rows: u32) {
+        assert!(rows < self.rows, "{rows} of {} rows", self.rows);
+        self.rows = rows;
+    }
+
     /// Dispatches a workgroup for each group.
     pub(in crate::render) fn dispatch(&self, pass: &mut wgpu::ComputePass<'_>) {
         pass.dispatch_workgroups(GROUPS_PER_ROW, self.rows, 1);
