@@ -1,6 +1,7 @@
 // The shadow map in compute passes: what shadow.wgsl draws and shadow_midpoint.wgsl makes of it, the same on every device.
 //
-// `cs_layers` finds the largest depth of each caster's front and back faces at each texel of its tile, `cs_map` the map halfway between. As
+// `cs_layers` and, for large triangles, `cs_layers_left` find the largest depth of each caster's front and back faces at each texel of its
+// tile, `cs_map` the map halfway between. As
 // in visibility_compute.wgsl positions are rounded to integers and floats are rounded once an operation.
 //
 // CPU counterpart: src/render/shadow/host.rs.
@@ -9,9 +10,9 @@
 const WORKGROUP_SIDE: u32 = 8u;
 
 // Bits of the largest depth of the faces towards the sun and of those away from it, by texel of the map; 0 where there is none.
-@group(2) @binding(3) var<storage, read_write> fronts: array<atomic<u32>>;
-@group(2) @binding(4) var<storage, read_write> backs: array<atomic<u32>>;
-@group(2) @binding(5) var map_out: texture_storage_2d<r32float, write>;
+@group(2) @binding(4) var<storage, read_write> fronts: array<atomic<u32>>;
+@group(2) @binding(5) var<storage, read_write> backs: array<atomic<u32>>;
+@group(2) @binding(6) var map_out: texture_storage_2d<r32float, write>;
 
 // What a triangle does to the texels that it covers: its depth is linear over them.
 struct Fragments {
@@ -61,8 +62,8 @@ fn rounded(position: vec2<f32>) -> vec2<i32> {
     return vec2<i32>(floor(exact2(f32(SUBPIXEL_STEPS) * position) + 0.5));
 }
 
-// Rasterises a triangle. Returns whether it is left to the workgroup.
-fn rasterise_triangle(number: u32, pass_number: u32, threads: Threads) -> bool {
+// Rasterises a triangle. Returns how it is left.
+fn rasterise_triangle(number: u32, pass_number: u32, threads: Threads) -> u32 {
     let packed = vertices_of(number);
     let slot = groups[number / GROUP_TRIANGLES].z;
     let size_px = instances[slot].instance.tile_size_px;
@@ -72,7 +73,7 @@ fn rasterise_triangle(number: u32, pass_number: u32, threads: Threads) -> bool {
     var b = corner_of(packed[1], scale, per_m, size_px);
     var c = corner_of(packed[2], scale, per_m, size_px);
     let facing = winding(rounded(a.position), rounded(b.position), rounded(c.position));
-    if facing == 0 { return false; }
+    if facing == 0 { return DONE; }
     if facing > 0 {
         let before = b;
         b = c;
@@ -81,8 +82,11 @@ fn rasterise_triangle(number: u32, pass_number: u32, threads: Threads) -> bool {
     let positions = array<vec2<i32>, 3>(rounded(a.position), rounded(b.position), rounded(c.position));
     let tile = SampleRect(vec2(0), vec2(i32(size_px)));
     let bounds = bounds_of(positions[0], positions[1], positions[2], tile);
-    if any(bounds.end <= bounds.origin) { return false; }
-    if threads.are_alone && is_left(positions[0], positions[1], positions[2], bounds) { return true; }
+    if any(bounds.end <= bounds.origin) { return DONE; }
+    if threads.are_alone {
+        let left = how_left(positions[0], positions[1], positions[2], bounds);
+        if left != DONE { return left; }
+    }
     var fragments = Fragments(
         vec2<i32>(instances[slot].instance.tile_origin_px),
         i32(frame.atlas_width_px),
@@ -109,12 +113,21 @@ fn rasterise_triangle(number: u32, pass_number: u32, threads: Threads) -> bool {
         fragments.depth = exact(exact(a.depth + steps.x) + steps.y);
     }
     cover_triangle(positions[0], positions[1], positions[2], bounds, fragments, threads);
-    return false;
+    return DONE;
 }
 
 @compute @workgroup_size(GROUP_TRIANGLES)
 fn cs_layers(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     rasterise_group(workgroup, thread, 0u);
+}
+
+@compute @workgroup_size(GROUP_TRIANGLES)
+fn cs_layers_left(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(num_workgroups) workgroups: vec3<u32>,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    rasterise_left(workgroup, workgroups, thread, 0u);
 }
 
 @compute @workgroup_size(WORKGROUP_SIDE, WORKGROUP_SIDE)

@@ -2,7 +2,8 @@
 //
 // `cs_depth` finds the largest inverse depth at each sample, `cs_triangle` the first triangle that has it there, and `cs_write` writes
 // what that triangle shows (Burns and Hunt 2013, "The Visibility Buffer"). Triangles of few samples, which are most, have a thread
-// each; a workgroup shares the others (as Karis et al. 2021, "Nanite: A Deep Dive", divides triangles between software and hardware).
+// each; `cs_depth_left` and `cs_triangle_left` take the others with whole workgroups (as Karis et al. 2021, "Nanite: A Deep Dive", divides
+// triangles between software and hardware).
 //
 // What labels depend on is computed without a choice that a device may make: positions are rounded to integers as the host's are
 // (src/render/raster), edge functions are integers, and products, sums and reciprocals of floats are rounded once each
@@ -18,8 +19,8 @@ const FINDS_TRIANGLE: u32 = 1u;
 
 // Two words for each sample of the tile: the bits of the largest inverse depth, and the complement of the number of the first
 // triangle that has it. Both are 0 where there is no surface.
-@group(2) @binding(3) var<storage, read_write> nearest: array<atomic<u32>>;
-@group(2) @binding(4) var visibility_out: texture_storage_2d<rgba32uint, write>;
+@group(2) @binding(4) var<storage, read_write> nearest: array<atomic<u32>>;
+@group(2) @binding(5) var visibility_out: texture_storage_2d<rgba32uint, write>;
 
 fn tile_rect() -> SampleRect {
     let side = frame.samples_per_side;
@@ -187,24 +188,27 @@ fn cover(sample: vec2<i32>, fragments: Fragments) {
     }
 }
 
-// Rasterises a triangle or a piece of one. Returns whether it is left to the workgroup.
+// Rasterises a triangle or a piece of one. Returns how it is left.
 fn rasterise_piece(
     positions: array<vec2<i32>, 3>,
     t: Triangle,
     is_whole: bool,
     numbers: vec2<u32>,
     threads: Threads,
-) -> bool {
+) -> u32 {
     let a = positions[0];
     var b = positions[1];
     var c = positions[2];
     let tile = tile_rect();
     let bounds = bounds_of(a, b, c, tile);
-    if any(bounds.end <= bounds.origin) { return false; }
+    if any(bounds.end <= bounds.origin) { return DONE; }
     let facing = winding(a, b, c);
     // The sky's spheres are seen from inside too.
-    if facing == 0 || (facing > 0 && !t.is_sky) { return false; }
-    if threads.are_alone && is_left(a, b, c, bounds) { return true; }
+    if facing == 0 || (facing > 0 && !t.is_sky) { return DONE; }
+    if threads.are_alone {
+        let left = how_left(a, b, c, bounds);
+        if left != DONE { return left; }
+    }
     if facing > 0 {
         b = positions[2];
         c = positions[1];
@@ -212,11 +216,11 @@ fn rasterise_piece(
     let last = vec2<i32>(frame.samples_per_side * frame.render_size_px) - 1;
     let plane = depth_plane(t, clamp(a >> vec2(8u), vec2(0), last), is_whole);
     cover_triangle(a, b, c, bounds, Fragments(plane, tile, numbers.x, numbers.y), threads);
-    return false;
+    return DONE;
 }
 
-// Rasterises a triangle. Returns whether it is left to the workgroup.
-fn rasterise_triangle(number: u32, pass_number: u32, threads: Threads) -> bool {
+// Rasterises a triangle. Returns how it is left.
+fn rasterise_triangle(number: u32, pass_number: u32, threads: Threads) -> u32 {
     let t = triangle_at(number);
     let numbers = vec2(number, pass_number);
     let a = t.corners[0].clip;
@@ -230,8 +234,9 @@ fn rasterise_triangle(number: u32, pass_number: u32, threads: Threads) -> bool {
     let w = vec3(a.z, b.z, c.z);
     let x = vec3(a.x, b.x, c.x);
     let y = vec3(a.y, b.y, c.y);
-    if all(w < vec3(frame.near_m)) || all(w < x) || all(w < -x) || all(w < y) || all(w < -y) { return false; }
-    if threads.are_alone { return true; }
+    if all(w < vec3(frame.near_m)) || all(w < x) || all(w < -x) || all(w < y) || all(w < -y) { return DONE; }
+    // Its bounds are not known yet.
+    if threads.are_alone { return LEFT_HUGE; }
     var polygon = Polygon(array<vec3<f32>, 8>(a, b, c, a, a, a, a, a), 3u);
     for (var plane = 0u; plane < CLIP_PLANES; plane++) {
         polygon = clip_polygon(polygon, plane);
@@ -244,7 +249,7 @@ fn rasterise_triangle(number: u32, pass_number: u32, threads: Threads) -> bool {
         );
         _ = rasterise_piece(positions, t, false, numbers, threads);
     }
-    return false;
+    return DONE;
 }
 
 // A convex polygon in clip x, y and w.
@@ -297,8 +302,26 @@ fn cs_depth(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocati
 }
 
 @compute @workgroup_size(GROUP_TRIANGLES)
+fn cs_depth_left(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(num_workgroups) workgroups: vec3<u32>,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    rasterise_left(workgroup, workgroups, thread, FINDS_DEPTH);
+}
+
+@compute @workgroup_size(GROUP_TRIANGLES)
 fn cs_triangle(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     rasterise_group(workgroup, thread, FINDS_TRIANGLE);
+}
+
+@compute @workgroup_size(GROUP_TRIANGLES)
+fn cs_triangle_left(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(num_workgroups) workgroups: vec3<u32>,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    rasterise_left(workgroup, workgroups, thread, FINDS_TRIANGLE);
 }
 
 // Writes the visibility buffer.

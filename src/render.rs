@@ -444,18 +444,17 @@ impl Renderer {
         let Self { gpu, layouts, buffers, .. } = self;
         let (meshes, timer) = (&buffers.meshes, timer.as_ref());
         let nearest = || wgpu::BindingResource::Sampler(&self.nearest);
-        let drawing = [buffers.frame_group(gpu, layouts), buffers.scene_group(gpu, layouts)];
-        let drawing = drawing.each_ref();
+        let groups = buffers.raster_groups(gpu, layouts);
         let of_light = buffers.light_group(gpu, layouts, gbuffer, self.shadow.map(), nearest());
         let of_resolve = ResolvePass::bind_group(gpu, layouts, (gbuffer, packed), nearest());
         if is_first {
-            self.shadow.record(encoder, meshes, &plan.draws.casters, drawing, timer);
+            self.shadow.record(encoder, meshes, &plan.draws.casters, &groups, timer);
         }
-        self.visibility.record(gpu, encoder, meshes, drawing, (gbuffer, timer));
-        let light = [drawing[0], drawing[1], &of_light];
+        self.visibility.record(gpu, encoder, meshes, &groups, (gbuffer, timer));
+        let light = [&groups.frame, &groups.scene, &of_light];
         self.lighting.record(gpu, encoder, light, (*pipelines, gbuffer), timer);
         let timestamps = timer.map(|timer| timer.compute_pass(Pass::Resolve));
-        self.resolve.record(encoder, drawing[0], &of_resolve, gbuffer, packed, timestamps);
+        self.resolve.record(encoder, &groups.frame, &of_resolve, gbuffer, packed, timestamps);
         packed.copy(encoder);
         if let Some(timer) = timer {
             timer.copy(encoder, &self.device_passes(is_first));

@@ -7,16 +7,20 @@
 
 // Sub-pixel steps from sample to sample.
 const SUBPIXEL_STEPS: i32 = 256;
-// Most samples in the bounds of a triangle that one thread rasterises: as long as a workgroup takes to set up one that it shares.
+// Most samples in the bounds of a triangle that one thread rasterises: as long as a workgroup takes to set up one.
 const MAX_ALONE: i32 = 128;
+// Most samples in the bounds of a triangle that one workgroup rasterises.
+const MAX_LARGE: i32 = 32768;
 // Columns and rows of samples that a workgroup tests at once: one to a thread.
 const BLOCK: i32 = 8;
 
-// Who rasterises a triangle: one thread alone, or all of its workgroup.
+// Who rasterises a triangle: one thread alone, or all of some workgroups, of which each takes a slice of the rows.
 struct Threads {
     are_alone: bool,
     // The number of this thread.
     thread: u32,
+    slice: u32,
+    slices: u32,
 }
 
 // Columns and rows of samples.
@@ -65,13 +69,14 @@ fn cover_alone(edges: Edges, bounds: SampleRect, fragments: Fragments) {
     }
 }
 
-// A triangle of any size, by all threads of the workgroup.
-fn cover_together(edges: Edges, bounds: SampleRect, fragments: Fragments, thread: u32) {
-    let within = vec2<i32>(vec2(thread % u32(BLOCK), thread / u32(BLOCK)));
+// A triangle of any size, by all threads of some workgroups.
+fn cover_together(edges: Edges, bounds: SampleRect, fragments: Fragments, threads: Threads) {
+    let within = vec2<i32>(vec2(threads.thread % u32(BLOCK), threads.thread / u32(BLOCK)));
     // The edge functions over 256, from the first sample of a block to that of the thread, and to the innermost of the block.
     let to_thread = edges.dx * within.y - edges.dy * within.x;
     let to_innermost = (BLOCK - 1) * (max(edges.dx, vec3(0)) + max(-edges.dy, vec3(0)));
-    for (var y = bounds.origin.y; y < bounds.end.y; y += BLOCK) {
+    let first = bounds.origin.y + BLOCK * i32(threads.slice);
+    for (var y = first; y < bounds.end.y; y += BLOCK * i32(threads.slices)) {
         for (var x = bounds.origin.x; x < bounds.end.x; x += BLOCK) {
             let at = vec3(
                 edge_over_256(edges, 0u, x, y),
@@ -117,10 +122,11 @@ fn winding(a: vec2<i32>, b: vec2<i32>, c: vec2<i32>) -> i32 {
     return i32(area.low != 0u);
 }
 
-// Whether a thread leaves a triangle of these points and bounds to its workgroup.
-fn is_left(a: vec2<i32>, b: vec2<i32>, c: vec2<i32>, bounds: SampleRect) -> bool {
+// How a thread leaves a triangle of these points and bounds.
+fn how_left(a: vec2<i32>, b: vec2<i32>, c: vec2<i32>, bounds: SampleRect) -> u32 {
     let size = bounds.end - bounds.origin;
-    return !is_small(a, b, c) || size.x * size.y > MAX_ALONE;
+    if size.x * size.y > MAX_LARGE { return LEFT_HUGE; }
+    return select(LEFT_LARGE, DONE, is_small(a, b, c) && size.x * size.y <= MAX_ALONE);
 }
 
 // Covers the samples of a front face.
@@ -129,6 +135,6 @@ fn cover_triangle(a: vec2<i32>, b: vec2<i32>, c: vec2<i32>, bounds: SampleRect, 
     if threads.are_alone {
         cover_alone(edges, bounds, fragments);
     } else {
-        cover_together(edges, bounds, fragments, threads.thread);
+        cover_together(edges, bounds, fragments, threads);
     }
 }

@@ -1,9 +1,19 @@
-// Triangles for compute passes that rasterise: groups of those that are drawn with the same instance, one group to a workgroup.
-// src/render/visibility/triangle_groups.rs makes them.
+// Triangles for compute passes that rasterise: groups of those that are drawn with the same instance. A workgroup takes a group, each
+// thread one small triangle. The others are left in two lists: large triangles have a workgroup each, huge ones a column of them.
+// src/render/visibility/triangle_groups.rs makes the groups.
+//
+// A program has `rasterise_triangle(number, pass_number, threads)`, which returns how a thread alone leaves a triangle.
 
-// Triangles of a group, and threads of the workgroup that rasterises it; groups in a row of workgroups.
+// Triangles of a group, and threads of a workgroup; groups in a row of workgroups.
 const GROUP_TRIANGLES: u32 = 64u;
 const GROUPS_PER_ROW: u32 = 128u;
+// Workgroups along the lists of triangles that are left, and the most huge ones.
+const LEFT_WORKGROUPS: u32 = 512u;
+const MAX_HUGE: u32 = 4096u;
+// How a triangle is left.
+const DONE: u32 = 0u;
+const LEFT_LARGE: u32 = 1u;
+const LEFT_HUGE: u32 = 2u;
 // The last word of a group: its number of triangles, and above it what they are.
 const COUNT_MASK: u32 = 0x7fu;
 const IS_SKY: u32 = 0x80u;
@@ -16,9 +26,8 @@ const IS_NARROW: u32 = 0x100u;
 // Position in three words, then the normal, octahedral in two signed normalised numbers.
 @group(2) @binding(2) var<storage, read> vertices: array<vec4<u32>>;
 
-var<workgroup> shared_count: atomic<u32>;
-// Triangles of the group that the workgroup shares.
-var<workgroup> shared_triangles: array<u32, GROUP_TRIANGLES>;
+// Numbers of large and of huge triangles, then the large ones, and in the last `MAX_HUGE` words the huge ones, in any order.
+@group(2) @binding(3) var<storage, read_write> left_triangles: array<atomic<u32>>;
 
 // The three vertices of a triangle, by its number among all.
 fn vertices_of(number: u32) -> array<vec4<u32>, 3> {
@@ -37,21 +46,36 @@ fn index_at(number: u32, is_narrow: bool) -> u32 {
     return (indices[number >> 1u] >> (16u * (number & 1u))) & 0xffffu;
 }
 
-// Rasterises the triangles of a workgroup's group by `rasterise_triangle`, which a program has: small ones each by a thread, and
-// those that it leaves, which is what it returns, by all threads together.
+// Rasterises the small triangles of a workgroup's group. The first pass lists the others.
 fn rasterise_group(workgroup: vec3<u32>, thread: u32, pass_number: u32) {
     let group = workgroup.y * GROUPS_PER_ROW + workgroup.x;
-    let first = group * GROUP_TRIANGLES;
-    if thread == 0u { atomicStore(&shared_count, 0u); }
-    workgroupBarrier();
-    if thread < (groups[group].w & COUNT_MASK) {
-        if rasterise_triangle(first + thread, pass_number, Threads(true, thread)) {
-            shared_triangles[atomicAdd(&shared_count, 1u)] = thread;
+    if thread >= (groups[group].w & COUNT_MASK) { return; }
+    let number = group * GROUP_TRIANGLES + thread;
+    let left = rasterise_triangle(number, pass_number, Threads(true, thread, 0u, 1u));
+    if pass_number > 0u || left == DONE { return; }
+    if left == LEFT_HUGE {
+        let index = atomicAdd(&left_triangles[1], 1u);
+        if index < MAX_HUGE {
+            atomicStore(&left_triangles[first_huge() + index], number);
+            return;
         }
     }
-    workgroupBarrier();
-    let count = atomicLoad(&shared_count);
-    for (var i = 0u; i < count; i++) {
-        _ = rasterise_triangle(first + shared_triangles[i], pass_number, Threads(false, thread));
+    atomicStore(&left_triangles[2u + atomicAdd(&left_triangles[0], 1u)], number);
+}
+
+fn first_huge() -> u32 {
+    return arrayLength(&left_triangles) - MAX_HUGE;
+}
+
+// Rasterises the triangles that were left: the first row of workgroups the large ones, the others, each a slice of them, the huge ones.
+fn rasterise_left(workgroup: vec3<u32>, workgroups: vec3<u32>, thread: u32, pass_number: u32) {
+    let is_huge = workgroup.y > 0u;
+    let count = select(atomicLoad(&left_triangles[0]), min(atomicLoad(&left_triangles[1]), MAX_HUGE), is_huge);
+    let first = select(2u, first_huge(), is_huge);
+    let slice = select(0u, workgroup.y - 1u, is_huge);
+    let slices = select(1u, workgroups.y - 1u, is_huge);
+    for (var i = workgroup.x; i < count; i += LEFT_WORKGROUPS) {
+        let number = atomicLoad(&left_triangles[first + i]);
+        _ = rasterise_triangle(number, pass_number, Threads(false, thread, slice, slices));
     }
 }

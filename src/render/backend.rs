@@ -129,8 +129,8 @@ pub struct RasterOptions {
     pub max_texture_px: u32,
 }
 
-/// Storage buffers of a compute pass that rasterises, those of the scene's bind group with them.
-const COMPUTE_STORAGE_BUFFERS: u32 = 8;
+/// Storage buffers of a compute pass that rasterises.
+const COMPUTE_STORAGE_BUFFERS: u32 = 7;
 
 impl RasterOptions {
     /// Options of a mode on a device.
@@ -173,7 +173,13 @@ impl RasterOptions {
             RasterBackend::Compute => LightingMode::OneDraw,
         };
         let multi_draw = gpu.capabilities.multi_draw;
-        let max_texture_px = gpu.device.limits().max_texture_dimension_2d;
+        let limits = gpu.device.limits();
+        // Where a compute pass makes the shadow map, which has at most half as many rows as columns, a buffer of its size is bound.
+        let max_in_buffer_px = match shadow {
+            RasterBackend::Compute => (limits.max_storage_buffer_binding_size / 2).isqrt() as u32,
+            RasterBackend::Device | RasterBackend::Host => u32::MAX,
+        };
+        let max_texture_px = limits.max_texture_dimension_2d.min(max_in_buffer_px);
         Ok(Self { visibility, shadow, bin_by_shadow_sources: true, multi_draw, lighting, max_texture_px })
     }
 

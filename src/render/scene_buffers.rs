@@ -10,7 +10,9 @@ use crate::gpu::Gpu;
 use crate::gpu::growing_buffer::GrowingBuffer;
 use crate::gpu::growing_texture::GrowingTexture;
 use crate::gpu::staging::StagingBuffers;
-use crate::render::device::bind_groups::{BindLayouts, bind_group, slot_stride};
+use crate::render::device::bind_groups::{
+    BindLayouts, RasterGroups, bind_group, instances_group, slot_stride,
+};
 use crate::render::device::shader_structs::{FrameUniforms, Instance, ReliefUniforms};
 use crate::render::frame_plan::FramePlan;
 use crate::render::lighting::gbuffer::GBuffer;
@@ -120,22 +122,21 @@ impl SceneBuffers {
         self.lit_faces.write(gpu, staging, size, lit_rocks.texels())
     }
 
-    /// Bind group 0 of every pass.
-    pub(crate) fn frame_group(&self, gpu: &Gpu, layouts: &BindLayouts) -> wgpu::BindGroup {
-        bind_group(gpu, "frame", &layouts.frame, &[self.frame.buffer().as_entire_binding()])
-    }
-
-    /// Bind group 1 of the drawing passes. Its dynamic offsets are those of the slots of an instance and of a relief
-    /// ([`slot_stride`]).
-    pub(crate) fn scene_group(&self, gpu: &Gpu, layouts: &BindLayouts) -> wgpu::BindGroup {
-        let resources = [
+    /// Bind groups 0 and 1.
+    pub(crate) fn raster_groups(&self, gpu: &Gpu, layouts: &BindLayouts) -> RasterGroups {
+        let instances = self.instances.buffer();
+        let scene = [
             self.instances.bind_first(size_of::<Instance>()),
             self.caster_tiles.buffer().as_entire_binding(),
             self.relief.bind_first(size_of::<ReliefUniforms>()),
-            self.instances.buffer().as_entire_binding(),
+            instances.as_entire_binding(),
             self.relief.buffer().as_entire_binding(),
         ];
-        bind_group(gpu, "scene", &layouts.scene, &resources)
+        RasterGroups {
+            frame: bind_group(gpu, "frame", &layouts.frame, &[self.frame.buffer().as_entire_binding()]),
+            scene: bind_group(gpu, "scene", &layouts.scene, &scene),
+            instances: instances_group(gpu, layouts, instances),
+        }
     }
 
     /// Bind group 2 of the lighting pass.

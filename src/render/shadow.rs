@@ -18,7 +18,7 @@ use crate::error::Result;
 use crate::gpu::Gpu;
 use crate::gpu::staging::{StagingBuffer, StagingBuffers};
 use crate::render::backend::RasterBackend;
-use crate::render::device::bind_groups::{BindLayouts, SHADOW_MAP_FORMAT};
+use crate::render::device::bind_groups::{BindLayouts, RasterGroups, SHADOW_MAP_FORMAT};
 use crate::render::device::timing::{Pass, Timer, milliseconds};
 use crate::render::select::casters;
 use crate::render::select::selection::Selection;
@@ -111,7 +111,7 @@ impl ShadowBackend {
         encoder: &mut wgpu::CommandEncoder,
         meshes: &Meshes,
         casters: &Range<usize>,
-        groups: [&wgpu::BindGroup; 2],
+        groups: &RasterGroups,
         timer: Option<&Timer>,
     ) {
         match self {

@@ -20,7 +20,7 @@ use crate::error::Result;
 use crate::gpu::Gpu;
 use crate::gpu::staging::{PAGE_BYTES, Page, StagingBuffer, StagingBuffers, TextureRegion};
 use crate::render::backend::{LightingMode, RasterBackend, RasterOptions};
-use crate::render::device::bind_groups::BindLayouts;
+use crate::render::device::bind_groups::{BindLayouts, RasterGroups};
 use crate::render::device::depth::STENCIL_FORMAT;
 use crate::render::device::timing::{Pass, Timer, milliseconds};
 use crate::render::lighting::gbuffer::{GBuffer, GBufferLayout, SLOPES_FORMAT, VISIBILITY_FORMAT};
@@ -152,7 +152,7 @@ impl VisibilityBackend {
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         meshes: &Meshes,
-        groups: [&wgpu::BindGroup; 2],
+        groups: &RasterGroups,
         (gbuffer, timer): (&GBuffer, Option<&Timer>),
     ) {
         match self {

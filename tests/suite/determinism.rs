@@ -371,6 +371,20 @@ fn a_large_image_has_the_same_labels_from_host_and_device() {
     assert!(host.class == computed.class, "labels of a compute pass");
 }
 
+/// Triangles of the sky have more blocks of samples there than a loop on Mesa's CPU driver has steps.
+#[test]
+fn a_wide_image_has_the_same_labels_from_a_compute_pass() {
+    let (scene, settings) = (scene(42, &[]), RenderSettings::new([8192, 1024], 1).expect("settings"));
+    let mut renderer = renderer();
+    let raster = renderer.raster();
+    let host = renderer.render(&scene, &settings).expect("a frame").0;
+    let computed = in_compute_passes(&renderer);
+    renderer.set_raster(computed);
+    let computed = renderer.render(&scene, &settings);
+    renderer.set_raster(raster);
+    assert!(host.class == computed.expect("a frame").0.class);
+}
+
 #[test]
 fn host_and_device_rasterise_the_same_frame() {
     let mut renderer = renderer();
@@ -443,7 +457,7 @@ const fn on_device(raster: RasterOptions) -> RasterOptions {
 
 /// The options of a renderer's device with compute passes as every stage's backend.
 fn in_compute_passes(renderer: &Renderer) -> RasterOptions {
-    RasterOptions::new(RasterMode::Compute, renderer.gpu()).expect("eight storage buffers")
+    RasterOptions::new(RasterMode::Compute, renderer.gpu()).expect("enough storage buffers")
 }
 
 /// Fraction of the pairs of two lists for which a condition holds.

@@ -18,6 +18,8 @@ pub struct BindLayouts {
     pub frame: wgpu::BindGroupLayout,
     /// Group 1 of the drawing passes: the instance of the draw, caster tiles, its relief, all instances, all reliefs.
     pub scene: wgpu::BindGroupLayout,
+    /// Group 1 of compute passes that rasterise: of the scene's group all instances alone.
+    pub instances: wgpu::BindGroupLayout,
     /// Group 2 of the shadow map's compute pass: depth layers, map.
     pub layers: wgpu::BindGroupLayout,
     /// Group 2 of the lighting pass: visibility, shadow map, horizon, caster grid, sampler, slopes, sunlit faces of rocks.
@@ -76,6 +78,7 @@ impl BindLayouts {
                 drawing | ShaderStages::COMPUTE,
                 &[buffer(wgpu::BufferBindingType::Uniform)],
             ),
+            instances: instances_layout(gpu, read),
             scene: group("scene", drawing | ShaderStages::COMPUTE, &[instance, read, relief, read, read]),
             layers: group("layers", ShaderStages::COMPUTE, &[float, map]),
             light: group(
@@ -86,6 +89,43 @@ impl BindLayouts {
             resolve: group("resolve", ShaderStages::COMPUTE, &[&resolve[..], &sample_planes].concat()),
         }
     }
+}
+
+/// Binding of all instances in the scene's group.
+const ALL_INSTANCES: u32 = 3;
+
+fn instances_layout(gpu: &Gpu, ty: BindingType) -> wgpu::BindGroupLayout {
+    let entry = wgpu::BindGroupLayoutEntry {
+        binding: ALL_INSTANCES,
+        visibility: ShaderStages::COMPUTE,
+        ty,
+        count: None,
+    };
+    gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("instances"),
+        entries: &[entry],
+    })
+}
+
+/// The bind groups of a frame that passes which rasterise share.
+#[derive(Debug)]
+pub(crate) struct RasterGroups {
+    /// Group 0.
+    pub(crate) frame: wgpu::BindGroup,
+    /// Group 1 of render passes. Its dynamic offsets are those of the slots of an instance and of a relief ([`slot_stride`]).
+    pub(crate) scene: wgpu::BindGroup,
+    /// Group 1 of compute passes.
+    pub(crate) instances: wgpu::BindGroup,
+}
+
+/// The bind group of [`BindLayouts::instances`].
+#[must_use]
+pub(crate) fn instances_group(gpu: &Gpu, layouts: &BindLayouts, instances: &wgpu::Buffer) -> wgpu::BindGroup {
+    gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+        label: Some("instances"),
+        layout: &layouts.instances,
+        entries: &[wgpu::BindGroupEntry { binding: ALL_INSTANCES, resource: instances.as_entire_binding() }],
+    })
 }
 
 /// Bytes from one slot of a buffer of uniforms to the next: by WebGPU's default limits, dynamic offsets are multiples of 256.

@@ -8,8 +8,9 @@ use wgpu::{BufferUsages, TextureUsages};
 use super::map_source::{KeptMap, MapSource};
 use crate::gpu::Gpu;
 use crate::gpu::growing_buffer::GrowingBuffer;
-use crate::render::device::bind_groups::{BindLayouts, SHADOW_MAP_FORMAT, bind_group};
+use crate::render::device::bind_groups::{BindLayouts, RasterGroups, SHADOW_MAP_FORMAT, bind_group};
 use crate::render::device::shader_programs::SHADOW_COMPUTE;
+use crate::render::select::casters::DEPTH_RANGE_PX;
 use crate::render::visibility::meshes::Meshes;
 use crate::render::visibility::triangle_groups::{
     TriangleGroups, bind_group_layout, compute_pipelines, storage_buffer, storage_texture,
@@ -17,6 +18,9 @@ use crate::render::visibility::triangle_groups::{
 
 /// Columns and rows of texels that a workgroup writes; `shadow_compute.wgsl` has the same constant.
 pub(in crate::render) const WORKGROUP_SIDE: u32 = 8;
+
+/// Rows of the largest tile.
+const MAX_TILE_PX: u32 = DEPTH_RANGE_PX as u32;
 
 /// The pass, and the map that it makes.
 #[derive(Debug)]
@@ -32,7 +36,8 @@ pub(crate) struct ComputeShadow {
 #[derive(Debug)]
 struct Pipelines {
     layout: wgpu::BindGroupLayout,
-    layers: wgpu::ComputePipeline,
+    /// Of small triangles, and of those that these leave.
+    layers: [wgpu::ComputePipeline; 2],
     map: wgpu::ComputePipeline,
 }
 
@@ -84,10 +89,9 @@ impl ComputeShadow {
             layer.reserve(gpu, layer_bytes(size_px));
         }
         let map = self.map.as_mut().expect("it was just made");
-        let [groups, indices, vertices] = self.groups.bindings(meshes);
         let [fronts, backs] = self.layers.each_ref().map(|layer| layer.buffer().as_entire_binding());
         let out = wgpu::BindingResource::TextureView(&map.view);
-        let own = [groups, indices, vertices, fronts, backs, out];
+        let own: Vec<_> = self.groups.bindings(meshes).into_iter().chain([fronts, backs, out]).collect();
         map.group = Some(bind_group(gpu, SHADOW_COMPUTE.name, &pipelines.layout, &own));
         bytes
     }
@@ -117,7 +121,7 @@ impl ComputeShadow {
     pub(crate) fn record(
         &self,
         encoder: &mut wgpu::CommandEncoder,
-        [frame, instances]: [&wgpu::BindGroup; 2],
+        groups: &RasterGroups,
         timestamps: Option<wgpu::ComputePassTimestampWrites<'_>>,
     ) {
         let map = self.map.as_ref().expect("a map is prepared before it is made");
@@ -125,15 +129,17 @@ impl ComputeShadow {
         for layer in &self.layers {
             encoder.clear_buffer(layer.buffer(), 0, Some(layer_bytes(map.size_px)));
         }
+        self.groups.clear(encoder);
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
             label: Some("shadow"),
             timestamp_writes: timestamps,
         });
-        pass.set_bind_group(0, frame, &[]);
-        pass.set_bind_group(1, instances, &[0, 0]);
+        pass.set_bind_group(0, &groups.frame, &[]);
+        pass.set_bind_group(1, &groups.instances, &[]);
         pass.set_bind_group(2, map.group.as_ref(), &[]);
-        pass.set_pipeline(&pipelines.layers);
-        self.groups.dispatch(&mut pass);
+        let [small, left] = &pipelines.layers;
+        self.groups.dispatch(&mut pass, small);
+        self.groups.dispatch_left(&mut pass, left, MAX_TILE_PX);
         pass.set_pipeline(&pipelines.map);
         let [columns, rows] = map.size_px.map(|side| side.div_ceil(WORKGROUP_SIDE));
         pass.dispatch_workgroups(columns, rows, 1);
@@ -144,9 +150,10 @@ impl Pipelines {
     fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
         let own = [storage_buffer(false), storage_buffer(false), storage_texture(SHADOW_MAP_FORMAT)];
         let layout = bind_group_layout(gpu, SHADOW_COMPUTE.name, &own);
-        let entry_points = ["cs_layers", "cs_map"];
-        let [layers, map] = compute_pipelines(gpu, &SHADOW_COMPUTE, (layouts, &layout), entry_points);
-        Self { layout, layers, map }
+        let entry_points = ["cs_layers", "cs_layers_left", "cs_map"];
+        let [layers, layers_left, map] =
+            compute_pipelines(gpu, &SHADOW_COMPUTE, (layouts, &layout), entry_points);
+        Self { layout, layers: [layers, layers_left], map }
     }
 }
 

@@ -10,7 +10,7 @@ use wgpu::TextureUsages;
 
 use super::map_source::{KeptMap, MapSource};
 use crate::gpu::Gpu;
-use crate::render::device::bind_groups::{BindLayouts, SHADOW_MAP_FORMAT, bind_group};
+use crate::render::device::bind_groups::{BindLayouts, RasterGroups, SHADOW_MAP_FORMAT, bind_group};
 use crate::render::device::depth::{SHADOW_LAYERS_FORMAT, depth_state};
 use crate::render::device::shader_programs::{SHADOW, SHADOW_MIDPOINT};
 use crate::render::visibility::meshes::{Meshes, vertex_layout};
@@ -83,7 +83,7 @@ impl ShadowPass {
         encoder: &mut wgpu::CommandEncoder,
         meshes: &Meshes,
         casters: &Range<usize>,
-        groups: [&wgpu::BindGroup; 2],
+        groups: &RasterGroups,
         timestamps: Option<(wgpu::RenderPassTimestampWrites<'_>, wgpu::ComputePassTimestampWrites<'_>)>,
     ) {
         let map = self.map.as_ref().expect("a map is prepared before it is drawn");
@@ -103,9 +103,8 @@ impl ShadowPass {
             timestamp_writes: start,
             ..Default::default()
         });
-        let [frame, instances] = groups;
-        pass.set_bind_group(0, frame, &[]);
-        pass.set_bind_group(1, instances, &[0, 0]);
+        pass.set_bind_group(0, &groups.frame, &[]);
+        pass.set_bind_group(1, &groups.scene, &[0, 0]);
         for pipeline in &pipelines.layers {
             pass.set_pipeline(pipeline);
             meshes.record(&mut pass, casters);

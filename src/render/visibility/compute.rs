@@ -1,4 +1,4 @@
-//! The compute backend of visibility: three dispatches of one compute pass write the visible surface of each sample, the same on every
+//! The compute backend of visibility: dispatches of one compute pass write the visible surface of each sample, the same on every
 //! device.
 //! Must not know: how surfaces are shaded.
 
@@ -7,7 +7,7 @@ use wgpu::BufferUsages;
 use crate::gpu::Gpu;
 use crate::gpu::growing_buffer::GrowingBuffer;
 use crate::render::backend::LightingMode;
-use crate::render::device::bind_groups::{BindLayouts, bind_group};
+use crate::render::device::bind_groups::{BindLayouts, RasterGroups, bind_group};
 use crate::render::device::shader_programs::VISIBILITY_COMPUTE;
 use crate::render::device::shading_bins::LightingVariant;
 use crate::render::lighting::gbuffer::{GBuffer, NEAREST_BYTES, VISIBILITY_FORMAT};
@@ -34,8 +34,9 @@ pub(crate) struct ComputeVisibility {
 #[derive(Debug)]
 struct Pipelines {
     layout: wgpu::BindGroupLayout,
-    depth: wgpu::ComputePipeline,
-    triangle: wgpu::ComputePipeline,
+    /// Of small triangles, and of those that these leave.
+    depth: [wgpu::ComputePipeline; 2],
+    triangle: [wgpu::ComputePipeline; 2],
     write: wgpu::ComputePipeline,
 }
 
@@ -43,10 +44,10 @@ impl Pipelines {
     fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
         let own = [storage_buffer(false), storage_texture(VISIBILITY_FORMAT)];
         let layout = bind_group_layout(gpu, VISIBILITY_COMPUTE.name, &own);
-        let entry_points = ["cs_depth", "cs_triangle", "cs_write"];
-        let [depth, triangle, write] =
+        let entry_points = ["cs_depth", "cs_depth_left", "cs_triangle", "cs_triangle_left", "cs_write"];
+        let [depth, depth_left, triangle, triangle_left, write] =
             compute_pipelines(gpu, &VISIBILITY_COMPUTE, (layouts, &layout), entry_points);
-        Self { layout, depth, triangle, write }
+        Self { layout, depth: [depth, depth_left], triangle: [triangle, triangle_left], write }
     }
 }
 
@@ -88,26 +89,28 @@ impl ComputeVisibility {
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         meshes: &Meshes,
-        [frame, instances]: [&wgpu::BindGroup; 2],
+        groups: &RasterGroups,
         (gbuffer, timestamps): (&GBuffer, Option<wgpu::ComputePassTimestampWrites<'_>>),
     ) {
         let pipelines = self.pipelines.as_ref().expect("a pass is prepared before it is recorded");
-        let nearest = self.nearest.buffer();
-        encoder.clear_buffer(nearest, 0, Some(nearest_bytes(gbuffer.sample_size)));
-        let [groups, indices, vertices] = self.groups.bindings(meshes);
         let out = wgpu::BindingResource::TextureView(&gbuffer.visibility.1);
-        let own = [groups, indices, vertices, nearest.as_entire_binding(), out];
+        let bytes = nearest_bytes(gbuffer.sample_size);
+        let own = [self.nearest.bind_first(bytes as usize), out];
+        let own: Vec<_> = self.groups.bindings(meshes).into_iter().chain(own).collect();
+        self.groups.clear(encoder);
+        encoder.clear_buffer(self.nearest.buffer(), 0, Some(bytes));
         let own = bind_group(gpu, VISIBILITY_COMPUTE.name, &pipelines.layout, &own);
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
             label: Some("visibility"),
             timestamp_writes: timestamps,
         });
-        pass.set_bind_group(0, frame, &[]);
-        pass.set_bind_group(1, instances, &[0, 0]);
+        pass.set_bind_group(0, &groups.frame, &[]);
+        pass.set_bind_group(1, &groups.instances, &[]);
         pass.set_bind_group(2, &own, &[]);
-        for pipeline in [&pipelines.depth, &pipelines.triangle] {
-            pass.set_pipeline(pipeline);
-            self.groups.dispatch(&mut pass);
+        let [_, rows] = gbuffer.sample_size;
+        for [small, left] in [&pipelines.depth, &pipelines.triangle] {
+            self.groups.dispatch(&mut pass, small);
+            self.groups.dispatch_left(&mut pass, left, rows);
         }
         pass.set_pipeline(&pipelines.write);
         let [columns, rows] = gbuffer.sample_size.map(|side| side.div_ceil(WORKGROUP_SIDE));

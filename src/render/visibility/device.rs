@@ -5,7 +5,7 @@ use wgpu::TextureFormat;
 
 use crate::gpu::Gpu;
 use crate::render::backend::LightingMode;
-use crate::render::device::bind_groups::BindLayouts;
+use crate::render::device::bind_groups::{BindLayouts, RasterGroups};
 use crate::render::device::depth::{DEPTH_FORMAT, DEPTH_STENCIL_FORMAT, depth_state};
 use crate::render::device::shader_programs::VISIBILITY;
 use crate::render::device::shading_bins::LightingVariant;
@@ -94,7 +94,7 @@ impl VisibilityPass {
         &self,
         encoder: &mut wgpu::CommandEncoder,
         meshes: &Meshes,
-        groups: [&wgpu::BindGroup; 2],
+        groups: &RasterGroups,
         gbuffer: &GBuffer,
         timestamps: Option<wgpu::RenderPassTimestampWrites<'_>>,
     ) {
@@ -120,10 +120,9 @@ impl VisibilityPass {
             ..Default::default()
         });
         let pipelines = self.pipelines.as_ref().expect("a pass is prepared before it is recorded");
-        let [frame, instances] = groups;
         gbuffer.set_viewport(&mut pass);
-        pass.set_bind_group(0, frame, &[]);
-        pass.set_bind_group(1, instances, &[0, 0]);
+        pass.set_bind_group(0, &groups.frame, &[]);
+        pass.set_bind_group(1, &groups.scene, &[0, 0]);
         for batch in &gbuffer.batches {
             let is_sky = batch.variant == LightingVariant::Sky;
             pass.set_pipeline(if is_sky { &pipelines.sky } else { &pipelines.surfaces });

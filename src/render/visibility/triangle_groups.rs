@@ -16,6 +16,14 @@ use crate::render::visibility::meshes::Meshes;
 pub(in crate::render) const GROUP_TRIANGLES: u32 = 64;
 /// Groups of a row of workgroups: more than a device takes along one axis may be needed.
 pub(in crate::render) const GROUPS_PER_ROW: u32 = 128;
+/// Workgroups along the lists of triangles that are left, and the most huge ones.
+pub(in crate::render) const LEFT_WORKGROUPS: u32 = 512;
+/// See [`LEFT_WORKGROUPS`].
+pub(in crate::render) const MAX_HUGE: u32 = 4096;
+/// Rows of samples for which a huge triangle has one more workgroup, and the most that it has. Mesa's CPU driver ends a loop after 65,535
+/// steps: a workgroup tests some thousand blocks of samples at most.
+const ROWS_PER_SLICE: u32 = 128;
+const MAX_SLICES: u32 = 64;
 /// Bits above the number of triangles in the last word of a group.
 pub(in crate::render) const IS_SKY: u32 = 0x80;
 /// See [`IS_SKY`].
@@ -30,12 +38,18 @@ pub(in crate::render) struct TriangleGroups {
     /// [`Group`]s, whole rows of them.
     buffer: GrowingBuffer,
     rows: u32,
+    /// Triangles that are left: two counts, the large ones, the huge ones.
+    left: GrowingBuffer,
 }
 
 impl TriangleGroups {
     /// None yet.
     pub(in crate::render) const fn new(label: &'static str) -> Self {
-        Self { buffer: GrowingBuffer::new(label, BufferUsages::STORAGE), rows: 0 }
+        Self {
+            buffer: GrowingBuffer::new(label, BufferUsages::STORAGE),
+            rows: 0,
+            left: GrowingBuffer::new(label, BufferUsages::STORAGE),
+        }
     }
 
     /// Replaces them with those of ranges of the draws, in their order; each range is of the sky or not. Returns the bytes that were
@@ -52,13 +66,20 @@ impl TriangleGroups {
         }
         groups.resize(groups.len().next_multiple_of(GROUPS_PER_ROW as usize).max(1), [0; 4]);
         self.rows = groups.len() as u32 / GROUPS_PER_ROW;
+        let triangles = groups.len() as u64 * u64::from(GROUP_TRIANGLES);
+        self.left.reserve(gpu, (2 + triangles + u64::from(MAX_HUGE)) * size_of::<u32>() as u64);
         self.buffer.write(gpu, &groups)
     }
 
-    /// What the shader binds first in group 2: groups, indices, vertices.
-    pub(in crate::render) fn bindings<'a>(&'a self, meshes: &'a Meshes) -> [wgpu::BindingResource<'a>; 3] {
+    /// What the shader binds first in group 2: groups, indices, vertices, the triangles that are left.
+    pub(in crate::render) fn bindings<'a>(&'a self, meshes: &'a Meshes) -> [wgpu::BindingResource<'a>; 4] {
         let [vertices, indices] = meshes.buffers();
-        [self.buffer.buffer(), indices, vertices].map(wgpu::Buffer::as_entire_binding)
+        [self.buffer.buffer(), indices, vertices, self.left.buffer()].map(wgpu::Buffer::as_entire_binding)
+    }
+
+    /// Empties the triangles that are left.
+    pub(in crate::render) fn clear(&self, encoder: &mut wgpu::CommandEncoder) {
+        encoder.clear_buffer(self.left.buffer(), 0, Some(2 * size_of::<u32>() as u64));
     }
 
     /// Loses all rows of groups but these first ones.
@@ -69,8 +90,25 @@ impl TriangleGroups {
     }
 
     /// Dispatches a workgroup for each group.
-    pub(in crate::render) fn dispatch(&self, pass: &mut wgpu::ComputePass<'_>) {
+    pub(in crate::render) fn dispatch(
+        &self,
+        pass: &mut wgpu::ComputePass<'_>,
+        pipeline: &wgpu::ComputePipeline,
+    ) {
+        pass.set_pipeline(pipeline);
         pass.dispatch_workgroups(GROUPS_PER_ROW, self.rows, 1);
+    }
+
+    /// Dispatches workgroups for the triangles that are left, which cover at most this many rows of samples.
+    pub(in crate::render) fn dispatch_left(
+        &self,
+        pass: &mut wgpu::ComputePass<'_>,
+        pipeline: &wgpu::ComputePipeline,
+        rows: u32,
+    ) {
+        pass.set_pipeline(pipeline);
+        let slices = rows.div_ceil(ROWS_PER_SLICE).clamp(1, MAX_SLICES);
+        pass.dispatch_workgroups(LEFT_WORKGROUPS, 1 + slices, 1);
     }
 }
 
@@ -81,7 +119,7 @@ pub(in crate::render) fn bind_group_layout(
     own: &[BindingType],
 ) -> wgpu::BindGroupLayout {
     let entries: Vec<_> = (0..)
-        .zip([storage_buffer(true); 3].iter().chain(own))
+        .zip([storage_buffer(true); 3].iter().chain(&[storage_buffer(false)]).chain(own))
         .map(|(binding, &ty)| wgpu::BindGroupLayoutEntry {
             binding,
             visibility: ShaderStages::COMPUTE,
@@ -102,7 +140,7 @@ pub(in crate::render) fn compute_pipelines<const N: usize>(
 ) -> [wgpu::ComputePipeline; N] {
     let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
         label: Some(program.name),
-        bind_group_layouts: &[Some(&layouts.frame), Some(&layouts.scene), Some(own)],
+        bind_group_layouts: &[Some(&layouts.frame), Some(&layouts.instances), Some(own)],
         immediate_size: 0,
     });
     let module = program.compile(gpu);
