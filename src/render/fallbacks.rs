@@ -190,6 +190,25 @@ fn one_draw_and_a_compute_pass_light_as_shading_bins_do() {
     }
 }
 
+/// As on devices that cannot store planes.
+#[test]
+fn what_a_compute_pass_rasterises_is_lit_by_a_draw_too() {
+    let mut renderer = renderer(Requested::Offered, RasterMode::Compute);
+    let own = renderer.raster();
+    assert_eq!(own.lighting, LightingMode::Compute);
+    let bins = own.with_lighting(LightingMode::Bins, renderer.gpu());
+    assert!(matches!(bins, Err(Error::Usage(message)) if message.starts_with("--lighting bins")));
+    for scene in &scenes() {
+        let settings = all_planes([96, 64], 4);
+        let mut frame_with = |lighting| {
+            renderer.set_raster(own.with_lighting(lighting, renderer.gpu()).expect("supported"));
+            frame(&mut renderer, scene, &settings)
+        };
+        let [computed, drawn] = [LightingMode::Compute, LightingMode::OneDraw].map(&mut frame_with);
+        assert_equal_but_for_rounding(&drawn, &computed, "one draw");
+    }
+}
+
 /// Which stores fewer planes at a time.
 #[test]
 fn the_least_device_lights_in_a_compute_pass_too() {
