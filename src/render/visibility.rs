@@ -62,7 +62,7 @@ pub(crate) enum VisibilityBackend {
     /// A render pass on the device.
     Device(VisibilityPass),
     /// A compute pass on the device.
-    Compute(ComputeVisibility),
+    Compute(Box<ComputeVisibility>),
     /// The CPU rasteriser, whose samples are uploaded.
     Host(Box<VisibilityRaster>),
 }
@@ -72,7 +72,7 @@ impl VisibilityBackend {
     pub(crate) fn new(options: &RasterOptions) -> Self {
         match options.visibility {
             RasterBackend::Device => Self::Device(VisibilityPass::new(options.lighting)),
-            RasterBackend::Compute => Self::Compute(ComputeVisibility::new(options.lighting)),
+            RasterBackend::Compute => Self::Compute(Box::new(ComputeVisibility::new(options.lighting))),
             RasterBackend::Host => Self::Host(Box::default()),
         }
     }
