@@ -32,7 +32,7 @@ SETTINGS: list[tuple[dict[str, Any], str]] = [
     ({"samples": -4}, "samples = -4"),
     ({"samples": None}, "samples = None"),
     ({"edges": "soft"}, "edges soft: allowed are hard"),
-    ({"raster": "gpu"}, "raster = gpu: allowed are auto, device and host"),
+    ({"raster": "gpu"}, "raster = gpu: allowed are auto, device, compute and host"),
     ({"threads": 0}, "threads = 0"),
     ({"threads": 10**6}, "threads = 1000000"),
     ({"adapter": 0}, "adapter = 0"),

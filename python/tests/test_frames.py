@@ -22,7 +22,7 @@ from conftest import ADAPTER, program, python
 SETTINGS: dict[str, dict[str, Any]] = {
     "nominal stage": {},
     "lens, Bayer sensor, edges": {"preset": "train_full", "set": {"camera.k1": -0.1, "sensor.kind": "bayer"}, "edges": "ignore:2"},
-    "surface preset": {"preset": "surface_train_full"},
+    "surface preset, compute passes": {"preset": "surface_train_full", "raster": "compute"},
     "surface stage, lens, sensor, one sample, device": {
         "stage": "surface",
         "samples": 1,
@@ -30,7 +30,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
         "set": {"camera.k1": -0.15, "camera.p1": 0.01, "sensor.kind": "mono"},
     },
 }
-"""Both stages, lenses, sensors, edges, samples, and both raster backends."""
+"""Both stages, lenses, sensors, edges, samples, and every raster backend."""
 FRAMES = 5
 """Of each: 20 seeds in all."""
 
