@@ -1,6 +1,6 @@
 // The shadow map in compute passes: what shadow.wgsl draws and shadow_midpoint.wgsl makes of it, the same on every device.
 //
-// `cs_layers` and, for large triangles, `cs_layers_left` find the largest depth of each caster's front and back faces at each texel of its
+// `cs_layers` and, for large triangles, `cs_layers_queued` find the largest depth of each caster's front and back faces at each texel of its
 // tile, `cs_map` the map halfway between. As
 // in visibility_compute.wgsl positions are rounded to integers and floats are rounded once an operation.
 //
@@ -62,7 +62,7 @@ fn rounded(position: vec2<f32>) -> vec2<i32> {
     return vec2<i32>(floor(exact2(f32(SUBPIXEL_STEPS) * position) + 0.5));
 }
 
-// Rasterises a triangle. Returns how it is left.
+// Rasterises a triangle. Returns the queue that it goes to.
 fn rasterise_triangle(number: u32, pass_number: u32, threads: Threads) -> u32 {
     let packed = vertices_of(number);
     let slot = groups[number / GROUP_TRIANGLES].z;
@@ -84,8 +84,8 @@ fn rasterise_triangle(number: u32, pass_number: u32, threads: Threads) -> u32 {
     let bounds = bounds_of(positions[0], positions[1], positions[2], tile);
     if any(bounds.end <= bounds.origin) { return DONE; }
     if threads.are_alone {
-        let left = how_left(positions[0], positions[1], positions[2], bounds);
-        if left != DONE { return left; }
+        let queue = queue_of(positions[0], positions[1], positions[2], bounds);
+        if queue != DONE { return queue; }
     }
     var fragments = Fragments(
         vec2<i32>(instances[slot].instance.tile_origin_px),
@@ -122,12 +122,12 @@ fn cs_layers(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocat
 }
 
 @compute @workgroup_size(GROUP_TRIANGLES)
-fn cs_layers_left(
+fn cs_layers_queued(
     @builtin(workgroup_id) workgroup: vec3<u32>,
     @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    rasterise_left(workgroup, workgroups, thread, 0u);
+    rasterise_queues(workgroup, workgroups, thread, 0u);
 }
 
 @compute @workgroup_size(WORKGROUP_SIDE, WORKGROUP_SIDE)

@@ -2,7 +2,7 @@
 //
 // `cs_depth` finds the largest inverse depth at each sample, `cs_triangle` the first triangle that has it there, and `cs_write` writes
 // what that triangle shows (Burns and Hunt 2013, "The Visibility Buffer"). Triangles of few samples, which are most, have a thread
-// each; `cs_depth_left` and `cs_triangle_left` take the others with whole workgroups (as Karis et al. 2021, "Nanite: A Deep Dive", divides
+// each; `cs_depth_queued` and `cs_triangle_queued` take the others with whole workgroups (as Karis et al. 2021, "Nanite: A Deep Dive", divides
 // triangles between software and hardware).
 //
 // What labels depend on is computed without a choice that a device may make: positions are rounded to integers as the host's are
@@ -117,11 +117,15 @@ fn ray_at(sample: vec2<i32>) -> vec3<f32> {
     return exact3(exact3(frame.ray_from_sample[0].xyz + across) + down);
 }
 
+// From the first corner of a triangle to another, metres.
+fn to_corner(t: Triangle, corner: u32) -> vec3<f32> {
+    return exact3(t.scale * exact3(t.corners[corner].position - t.corners[0].position));
+}
+
 // Twice the area of a triangle along its normal, m2.
 fn area_normal(t: Triangle) -> vec3<f32> {
-    let a = t.corners[0].position;
-    let to_b = exact3(t.scale * exact3(t.corners[1].position - a));
-    let to_c = exact3(t.scale * exact3(t.corners[2].position - a));
+    let to_b = to_corner(t, 1u);
+    let to_c = to_corner(t, 2u);
     return exact3(exact3(to_b.yzx * to_c.zxy) - exact3(to_b.zxy * to_c.yzx));
 }
 
@@ -188,7 +192,7 @@ fn cover(sample: vec2<i32>, fragments: Fragments) {
     }
 }
 
-// Rasterises a triangle or a piece of one. Returns how it is left.
+// Rasterises a triangle or a piece of one. Returns the queue that it goes to.
 fn rasterise_piece(
     positions: array<vec2<i32>, 3>,
     t: Triangle,
@@ -206,8 +210,8 @@ fn rasterise_piece(
     // The sky's spheres are seen from inside too.
     if facing == 0 || (facing > 0 && !t.is_sky) { return DONE; }
     if threads.are_alone {
-        let left = how_left(a, b, c, bounds);
-        if left != DONE { return left; }
+        let queue = queue_of(a, b, c, bounds);
+        if queue != DONE { return queue; }
     }
     if facing > 0 {
         b = positions[2];
@@ -219,7 +223,7 @@ fn rasterise_piece(
     return DONE;
 }
 
-// Rasterises a triangle. Returns how it is left.
+// Rasterises a triangle. Returns the queue that it goes to.
 fn rasterise_triangle(number: u32, pass_number: u32, threads: Threads) -> u32 {
     let t = triangle_at(number);
     let numbers = vec2(number, pass_number);
@@ -236,7 +240,7 @@ fn rasterise_triangle(number: u32, pass_number: u32, threads: Threads) -> u32 {
     let y = vec3(a.y, b.y, c.y);
     if all(w < vec3(frame.near_m)) || all(w < x) || all(w < -x) || all(w < y) || all(w < -y) { return DONE; }
     // Its bounds are not known yet.
-    if threads.are_alone { return LEFT_HUGE; }
+    if threads.are_alone { return QUEUE_HUGE; }
     var polygon = Polygon(array<vec3<f32>, 8>(a, b, c, a, a, a, a, a), 3u);
     for (var plane = 0u; plane < CLIP_PLANES; plane++) {
         polygon = clip_polygon(polygon, plane);
@@ -302,12 +306,12 @@ fn cs_depth(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocati
 }
 
 @compute @workgroup_size(GROUP_TRIANGLES)
-fn cs_depth_left(
+fn cs_depth_queued(
     @builtin(workgroup_id) workgroup: vec3<u32>,
     @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    rasterise_left(workgroup, workgroups, thread, FINDS_DEPTH);
+    rasterise_queues(workgroup, workgroups, thread, FINDS_DEPTH);
 }
 
 @compute @workgroup_size(GROUP_TRIANGLES)
@@ -316,12 +320,12 @@ fn cs_triangle(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoc
 }
 
 @compute @workgroup_size(GROUP_TRIANGLES)
-fn cs_triangle_left(
+fn cs_triangle_queued(
     @builtin(workgroup_id) workgroup: vec3<u32>,
     @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    rasterise_left(workgroup, workgroups, thread, FINDS_TRIANGLE);
+    rasterise_queues(workgroup, workgroups, thread, FINDS_TRIANGLE);
 }
 
 // Writes the visibility buffer.
@@ -349,8 +353,8 @@ fn cs_write(@builtin(global_invocation_id) invocation: vec3<u32>) {
     let a = t.corners[0];
     let ray = ray_at(vec2<i32>(at) + tile_rect().origin);
     let from_a = ray * reciprocal(bitcast<f32>(depth)) - a.offset;
-    let to_b = t.scale * (t.corners[1].position - a.position);
-    let to_c = t.scale * (t.corners[2].position - a.position);
+    let to_b = to_corner(t, 1u);
+    let to_c = to_corner(t, 2u);
     // Parts of the corners b and c. A sample lies beside the triangle by at most a sub-pixel step.
     let per_area = 1.0 / max(dot(normal, normal), 1.0e-30);
     let parts = per_area * vec2(dot(cross(from_a, to_c), normal), dot(cross(to_b, from_a), normal));

@@ -58,7 +58,7 @@ fn cover_alone(edges: Edges, bounds: SampleRect, fragments: Fragments) {
     let size = bounds.end - bounds.origin;
     let to_next_row = SUBPIXEL_STEPS * edges.dx - size.x * per_column;
     var sample = bounds.origin;
-    for (var left = size.x * size.y; left > 0; left--) {
+    for (var remaining = size.x * size.y; remaining > 0; remaining--) {
         if all(at >= vec3(0)) { cover(sample, fragments); }
         sample.x += 1;
         at += per_column;
@@ -122,11 +122,11 @@ fn winding(a: vec2<i32>, b: vec2<i32>, c: vec2<i32>) -> i32 {
     return i32(area.low != 0u);
 }
 
-// How a thread leaves a triangle of these points and bounds.
-fn how_left(a: vec2<i32>, b: vec2<i32>, c: vec2<i32>, bounds: SampleRect) -> u32 {
+// The queue that a triangle of these points and bounds goes to.
+fn queue_of(a: vec2<i32>, b: vec2<i32>, c: vec2<i32>, bounds: SampleRect) -> u32 {
     let size = bounds.end - bounds.origin;
-    if size.x * size.y > MAX_LARGE { return LEFT_HUGE; }
-    return select(LEFT_LARGE, DONE, is_small(a, b, c) && size.x * size.y <= MAX_ALONE);
+    if size.x * size.y > MAX_LARGE { return QUEUE_HUGE; }
+    return select(QUEUE_LARGE, DONE, is_small(a, b, c) && size.x * size.y <= MAX_ALONE);
 }
 
 // Covers the samples of a front face.

@@ -1,19 +1,20 @@
 // Triangles for compute passes that rasterise: groups of those that are drawn with the same instance. A workgroup takes a group, each
-// thread one small triangle. The others are left in two lists: large triangles have a workgroup each, huge ones a column of them.
+// thread one small triangle. The others go to two queues: large triangles have a workgroup each, huge ones a column of them.
 // src/render/visibility/triangle_groups.rs makes the groups.
 //
-// A program has `rasterise_triangle(number, pass_number, threads)`, which returns how a thread alone leaves a triangle.
+// A program has `rasterise_triangle(number, pass_number, threads)`, which returns the queue that a triangle goes to where
+// a thread alone does not rasterise it.
 
 // Triangles of a group, and threads of a workgroup; groups in a row of workgroups.
 const GROUP_TRIANGLES: u32 = 64u;
 const GROUPS_PER_ROW: u32 = 128u;
-// Workgroups along the lists of triangles that are left, and the most huge ones.
-const LEFT_WORKGROUPS: u32 = 512u;
+// Workgroups along the queues, and the most huge triangles.
+const QUEUE_WORKGROUPS: u32 = 512u;
 const MAX_HUGE: u32 = 4096u;
-// How a triangle is left.
+// Where a triangle goes.
 const DONE: u32 = 0u;
-const LEFT_LARGE: u32 = 1u;
-const LEFT_HUGE: u32 = 2u;
+const QUEUE_LARGE: u32 = 1u;
+const QUEUE_HUGE: u32 = 2u;
 // The last word of a group: its number of triangles, and above it what they are.
 const COUNT_MASK: u32 = 0x7fu;
 const IS_SKY: u32 = 0x80u;
@@ -26,8 +27,8 @@ const IS_NARROW: u32 = 0x100u;
 // Position in three words, then the normal, octahedral in two signed normalised numbers.
 @group(2) @binding(2) var<storage, read> vertices: array<vec4<u32>>;
 
-// Numbers of large and of huge triangles, then the large ones, and in the last `MAX_HUGE` words the huge ones, in any order.
-@group(2) @binding(3) var<storage, read_write> left_triangles: array<atomic<u32>>;
+// Lengths of the queues of large and of huge triangles, then the large ones, and in the last `MAX_HUGE` words the huge ones, in any order.
+@group(2) @binding(3) var<storage, read_write> queues: array<atomic<u32>>;
 
 // The three vertices of a triangle, by its number among all.
 fn vertices_of(number: u32) -> array<vec4<u32>, 3> {
@@ -46,36 +47,36 @@ fn index_at(number: u32, is_narrow: bool) -> u32 {
     return (indices[number >> 1u] >> (16u * (number & 1u))) & 0xffffu;
 }
 
-// Rasterises the small triangles of a workgroup's group. The first pass lists the others.
+// Rasterises the small triangles of a workgroup's group. The first pass queues the others.
 fn rasterise_group(workgroup: vec3<u32>, thread: u32, pass_number: u32) {
     let group = workgroup.y * GROUPS_PER_ROW + workgroup.x;
     if thread >= (groups[group].w & COUNT_MASK) { return; }
     let number = group * GROUP_TRIANGLES + thread;
-    let left = rasterise_triangle(number, pass_number, Threads(true, thread, 0u, 1u));
-    if pass_number > 0u || left == DONE { return; }
-    if left == LEFT_HUGE {
-        let index = atomicAdd(&left_triangles[1], 1u);
+    let queue = rasterise_triangle(number, pass_number, Threads(true, thread, 0u, 1u));
+    if pass_number > 0u || queue == DONE { return; }
+    if queue == QUEUE_HUGE {
+        let index = atomicAdd(&queues[1], 1u);
         if index < MAX_HUGE {
-            atomicStore(&left_triangles[first_huge() + index], number);
+            atomicStore(&queues[first_huge() + index], number);
             return;
         }
     }
-    atomicStore(&left_triangles[2u + atomicAdd(&left_triangles[0], 1u)], number);
+    atomicStore(&queues[2u + atomicAdd(&queues[0], 1u)], number);
 }
 
 fn first_huge() -> u32 {
-    return arrayLength(&left_triangles) - MAX_HUGE;
+    return arrayLength(&queues) - MAX_HUGE;
 }
 
-// Rasterises the triangles that were left: the first row of workgroups the large ones, the others, each a slice of them, the huge ones.
-fn rasterise_left(workgroup: vec3<u32>, workgroups: vec3<u32>, thread: u32, pass_number: u32) {
+// Rasterises the queued triangles: the first row of workgroups the large ones, the others, each a slice of them, the huge ones.
+fn rasterise_queues(workgroup: vec3<u32>, workgroups: vec3<u32>, thread: u32, pass_number: u32) {
     let is_huge = workgroup.y > 0u;
-    let count = select(atomicLoad(&left_triangles[0]), min(atomicLoad(&left_triangles[1]), MAX_HUGE), is_huge);
+    let count = select(atomicLoad(&queues[0]), min(atomicLoad(&queues[1]), MAX_HUGE), is_huge);
     let first = select(2u, first_huge(), is_huge);
     let slice = select(0u, workgroup.y - 1u, is_huge);
     let slices = select(1u, workgroups.y - 1u, is_huge);
-    for (var i = workgroup.x; i < count; i += LEFT_WORKGROUPS) {
-        let number = atomicLoad(&left_triangles[first + i]);
+    for (var i = workgroup.x; i < count; i += QUEUE_WORKGROUPS) {
+        let number = atomicLoad(&queues[first + i]);
         _ = rasterise_triangle(number, pass_number, Threads(false, thread, slice, slices));
     }
 }

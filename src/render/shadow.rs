@@ -4,9 +4,9 @@
 
 pub(in crate::render) mod compute;
 mod device;
+mod device_map;
 pub mod horizon;
 pub mod host;
-mod map_source;
 pub mod tiles;
 
 use std::ops::Range;
@@ -26,7 +26,7 @@ use crate::render::visibility::meshes::Meshes;
 use crate::scene::Scene;
 use compute::ComputeShadow;
 use device::ShadowPass;
-use map_source::MapSource;
+use device_map::{DeviceMap, MapSource};
 use tiles::{NewTile, ShadowMap};
 
 /// The room for new tiles in the staging buffer is a multiple of this, bytes: frames differ a little in what they need.
@@ -98,9 +98,18 @@ impl ShadowBackend {
     /// Before [`Self::prepare`].
     pub(crate) fn map(&self) -> &wgpu::TextureView {
         match self {
-            Self::Device(pass) => pass.map(),
-            Self::Compute(pass) => pass.map(),
+            Self::Device(pass) => pass.map.view(),
+            Self::Compute(pass) => pass.map.view(),
             Self::Host(raster) => &raster.texture().1,
+        }
+    }
+
+    /// The map that the device makes.
+    fn device_map(&self) -> Option<&DeviceMap> {
+        match self {
+            Self::Device(pass) => Some(&pass.map),
+            Self::Compute(pass) => Some(&pass.map),
+            Self::Host(_) => None,
         }
     }
 
@@ -114,26 +123,24 @@ impl ShadowBackend {
         groups: &RasterGroups,
         timer: Option<&Timer>,
     ) {
+        if self.device_pass().is_none() {
+            return;
+        }
         match self {
-            Self::Device(pass) if !pass.is_kept() => {
+            Self::Device(pass) => {
                 let timestamps = timer.map(|timer| timer.render_and_compute_pass(Pass::Shadow));
                 pass.record(encoder, meshes, casters, groups, timestamps);
             }
-            Self::Compute(pass) if !pass.is_kept() => {
+            Self::Compute(pass) => {
                 pass.record(encoder, groups, timer.map(|timer| timer.compute_pass(Pass::Shadow)));
             }
-            Self::Device(_) | Self::Compute(_) | Self::Host(_) => {}
+            Self::Host(_) => {}
         }
     }
 
     /// The pass whose time the device measures.
     pub(crate) fn device_pass(&self) -> Option<Pass> {
-        let is_made = match self {
-            Self::Device(pass) => !pass.is_kept(),
-            Self::Compute(pass) => !pass.is_kept(),
-            Self::Host(_) => false,
-        };
-        is_made.then_some(Pass::Shadow)
+        self.device_map().filter(|map| !map.is_kept()).map(|_| Pass::Shadow)
     }
 
     /// The time that the host took for the frame, milliseconds.
@@ -147,8 +154,8 @@ impl ShadowBackend {
     /// After an error, what was uploaded or recorded may not have arrived: all tiles are rasterised again.
     pub(crate) fn invalidate(&mut self) {
         match self {
-            Self::Device(pass) => pass.invalidate(),
-            Self::Compute(pass) => pass.invalidate(),
+            Self::Device(pass) => pass.map.invalidate(),
+            Self::Compute(pass) => pass.map.invalidate(),
             Self::Host(raster) => raster.tiles = ShadowMap::default(),
         }
     }

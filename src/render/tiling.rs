@@ -10,7 +10,7 @@ use crate::frame::plane::every_annotation;
 use crate::gpu::Gpu;
 use crate::render::backend::RasterBackend;
 use crate::render::device::packing::Packing;
-use crate::render::lighting::gbuffer::{GBufferLayout, NEAREST_BYTES};
+use crate::render::lighting::gbuffer::GBufferLayout;
 use crate::render::resolve::assemble;
 use crate::render::select::tiles::{DividedImage, ImageTile, divide};
 use crate::render::settings::RenderSettings;
@@ -81,8 +81,7 @@ pub(crate) fn tiles(
         let packed_bytes = Packing::new(tile.image.size, annotations).bytes();
         // Packed planes are there twice: where the device writes them and where the host reads them.
         let bytes = u64::from(width) * u64::from(height) * bytes_per_sample + 2 * packed_bytes;
-        let nearest_bytes = if layout.depth_stencil_format.is_none() { NEAREST_BYTES } else { 0 };
-        let bound_bytes = packed_bytes.max(u64::from(width) * u64::from(height) * nearest_bytes);
+        let bound_bytes = packed_bytes.max(u64::from(width) * u64::from(height) * layout.nearest_bytes());
         width.max(height) <= max.side_samples && bound_bytes <= max_buffer_bytes && bytes <= max.bytes
     };
     let divided = DividedImage { size: image.size, rendered_size: rendered.size, camera: &scene.camera };

@@ -127,13 +127,10 @@ impl VisibilityBackend {
         (gbuffer, staging): (&mut GBuffer, &mut StagingBuffers),
     ) -> Result<u64> {
         gbuffer.batches = batches.to_vec();
+        gbuffer.dome_stencil = None;
         let bytes = match self {
-            Self::Device(_) => {
-                gbuffer.dome_stencil = None;
-                0
-            }
+            Self::Device(_) => 0,
             Self::Compute(pass) => {
-                gbuffer.dome_stencil = None;
                 pass.reserve(gpu, gbuffer.sample_size);
                 0
             }

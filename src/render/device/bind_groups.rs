@@ -32,30 +32,21 @@ impl BindLayouts {
     /// Creates the layouts on a device.
     #[must_use]
     pub fn new(gpu: &Gpu) -> Self {
-        let group = |label, stages: ShaderStages, bindings: &[BindingType]| {
-            let entries: Vec<_> = (0..)
-                .zip(bindings)
-                .map(|(binding, &ty)| wgpu::BindGroupLayoutEntry {
-                    binding,
-                    visibility: stages,
-                    ty,
-                    count: None,
-                })
-                .collect();
-            gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-                label: Some(label),
-                entries: &entries,
-            })
+        let group = |label, stages, bindings: &[BindingType]| {
+            bind_group_layout(gpu, label, stages, (0..).zip(bindings.iter().copied()))
         };
-        let buffer = |ty| BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None };
         let slot = |bytes: usize| BindingType::Buffer {
             ty: wgpu::BufferBindingType::Uniform,
             has_dynamic_offset: true,
             min_binding_size: wgpu::BufferSize::new(bytes as u64),
         };
         let (instance, relief) = (slot(size_of::<Instance>()), slot(size_of::<ReliefUniforms>()));
-        let read = buffer(wgpu::BufferBindingType::Storage { read_only: true });
-        let write = buffer(wgpu::BufferBindingType::Storage { read_only: false });
+        let uniforms = BindingType::Buffer {
+            ty: wgpu::BufferBindingType::Uniform,
+            has_dynamic_offset: false,
+            min_binding_size: None,
+        };
+        let (read, write) = (storage_buffer(true), storage_buffer(false));
         let texture = |sample_type| BindingType::Texture {
             sample_type,
             view_dimension: wgpu::TextureViewDimension::D2,
@@ -63,22 +54,14 @@ impl BindLayouts {
         };
         let float = texture(TextureSampleType::Float { filterable: false });
         let uint = texture(TextureSampleType::Uint);
-        let map = BindingType::StorageTexture {
-            access: wgpu::StorageTextureAccess::WriteOnly,
-            format: SHADOW_MAP_FORMAT,
-            view_dimension: wgpu::TextureViewDimension::D2,
-        };
+        let map = storage_texture(SHADOW_MAP_FORMAT);
         let nearest = BindingType::Sampler(wgpu::SamplerBindingType::NonFiltering);
         let resolve = [uint, write, nearest, read];
         let sample_planes = SAMPLE_PLANES.map(|row| if row.is_uint() { uint } else { float });
         let drawing = ShaderStages::VERTEX_FRAGMENT;
         Self {
-            frame: group(
-                "frame",
-                drawing | ShaderStages::COMPUTE,
-                &[buffer(wgpu::BufferBindingType::Uniform)],
-            ),
-            instances: instances_layout(gpu, read),
+            frame: group("frame", drawing | ShaderStages::COMPUTE, &[uniforms]),
+            instances: bind_group_layout(gpu, "instances", ShaderStages::COMPUTE, [(ALL_INSTANCES, read)]),
             scene: group("scene", drawing | ShaderStages::COMPUTE, &[instance, read, relief, read, read]),
             layers: group("layers", ShaderStages::COMPUTE, &[float, map]),
             light: group(
@@ -94,17 +77,36 @@ impl BindLayouts {
 /// Binding of all instances in the scene's group.
 const ALL_INSTANCES: u32 = 3;
 
-fn instances_layout(gpu: &Gpu, ty: BindingType) -> wgpu::BindGroupLayout {
-    let entry = wgpu::BindGroupLayoutEntry {
-        binding: ALL_INSTANCES,
-        visibility: ShaderStages::COMPUTE,
-        ty,
-        count: None,
-    };
-    gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-        label: Some("instances"),
-        entries: &[entry],
-    })
+/// A layout of these bindings.
+#[must_use]
+pub(crate) fn bind_group_layout(
+    gpu: &Gpu,
+    label: &str,
+    visibility: ShaderStages,
+    bindings: impl IntoIterator<Item = (u32, BindingType)>,
+) -> wgpu::BindGroupLayout {
+    let entry = |(binding, ty)| wgpu::BindGroupLayoutEntry { binding, visibility, ty, count: None };
+    let entries: Vec<_> = bindings.into_iter().map(entry).collect();
+    let descriptor = wgpu::BindGroupLayoutDescriptor { label: Some(label), entries: &entries };
+    gpu.device.create_bind_group_layout(&descriptor)
+}
+
+/// A storage buffer.
+pub(crate) const fn storage_buffer(read_only: bool) -> BindingType {
+    BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Storage { read_only },
+        has_dynamic_offset: false,
+        min_binding_size: None,
+    }
+}
+
+/// A texture that is written.
+pub(crate) const fn storage_texture(format: TextureFormat) -> BindingType {
+    BindingType::StorageTexture {
+        access: wgpu::StorageTextureAccess::WriteOnly,
+        format,
+        view_dimension: wgpu::TextureViewDimension::D2,
+    }
 }
 
 /// The bind groups of a frame that passes which rasterise share.

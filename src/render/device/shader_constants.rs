@@ -121,7 +121,7 @@ fn constants_of_compute_passes_that_rust_has_too_are_equal() {
         (&SHADOW_COMPUTE, "WORKGROUP_SIDE", shadow::WORKGROUP_SIDE),
         (&SHADOW_COMPUTE, "GROUP_TRIANGLES", groups::GROUP_TRIANGLES),
         (&SHADOW_COMPUTE, "GROUPS_PER_ROW", groups::GROUPS_PER_ROW),
-        (&SHADOW_COMPUTE, "LEFT_WORKGROUPS", groups::LEFT_WORKGROUPS),
+        (&SHADOW_COMPUTE, "QUEUE_WORKGROUPS", groups::QUEUE_WORKGROUPS),
         (&SHADOW_COMPUTE, "MAX_HUGE", groups::MAX_HUGE),
         (&SHADOW_COMPUTE, "IS_NARROW", groups::IS_NARROW),
         (&VISIBILITY_COMPUTE, "IS_SKY", groups::IS_SKY),

@@ -2,10 +2,10 @@
 //! many as the device can store to, and others the rest; radiance and class are always written together.
 //! Must not know: who filled the G-buffer.
 
-use wgpu::{BindingType, ShaderStages};
+use wgpu::ShaderStages;
 
 use crate::gpu::Gpu;
-use crate::render::device::bind_groups::{BindLayouts, bind_group};
+use crate::render::device::bind_groups::{BindLayouts, bind_group, bind_group_layout, storage_texture};
 use crate::render::device::light_table::Transport;
 use crate::render::device::planes::{PlaneSet, storage};
 use crate::render::device::shader_programs::{LIGHTING_COMPUTE, TextOptions};
@@ -83,23 +83,8 @@ impl ComputeLighting {
 
 impl Dispatch {
     fn new(gpu: &Gpu, layouts: &BindLayouts, (key, planes): DispatchKey) -> Self {
-        let written: Vec<_> = (0..)
-            .zip(planes.rows())
-            .map(|(binding, row)| wgpu::BindGroupLayoutEntry {
-                binding,
-                visibility: ShaderStages::COMPUTE,
-                ty: BindingType::StorageTexture {
-                    access: wgpu::StorageTextureAccess::WriteOnly,
-                    format: storage::format(row),
-                    view_dimension: wgpu::TextureViewDimension::D2,
-                },
-                count: None,
-            })
-            .collect();
-        let written = gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some("lighting/written"),
-            entries: &written,
-        });
+        let written = (0..).zip(planes.rows().map(|row| storage_texture(storage::format(row))));
+        let written = bind_group_layout(gpu, "lighting/written", ShaderStages::COMPUTE, written);
         let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("lighting/compute/layout"),
             bind_group_layouts: &[

@@ -49,12 +49,17 @@ impl GBufferLayout {
         let copied = planes.chain([VISIBILITY_FORMAT]).chain(slopes);
         let copied: u64 = copied.map(|format| u64::from(format.block_copy_size(None).unwrap_or(0))).sum();
         let depth_stencil = match self.depth_stencil_format {
-            None => NEAREST_BYTES,
+            None => 0,
             Some(TextureFormat::Stencil8) => 1,
             Some(TextureFormat::Depth32Float) => 4,
             Some(_) => 8,
         };
-        copied + depth_stencil
+        copied + depth_stencil + self.nearest_bytes()
+    }
+
+    /// Bytes that a compute pass that rasterises keeps of each sample beside the textures; 0 where none does.
+    pub(crate) const fn nearest_bytes(&self) -> u64 {
+        if self.depth_stencil_format.is_none() { NEAREST_BYTES } else { 0 }
     }
 
     /// Format of a plane.

@@ -3,18 +3,18 @@
 
 use std::ops::Range;
 
-use wgpu::{BufferUsages, TextureUsages};
+use wgpu::BufferUsages;
 
-use super::map_source::{KeptMap, MapSource};
+use super::device_map::{DeviceMap, MapSource};
 use crate::gpu::Gpu;
 use crate::gpu::growing_buffer::GrowingBuffer;
-use crate::render::device::bind_groups::{BindLayouts, RasterGroups, SHADOW_MAP_FORMAT, bind_group};
+use crate::render::device::bind_groups::{
+    BindLayouts, RasterGroups, SHADOW_MAP_FORMAT, bind_group, storage_buffer, storage_texture,
+};
 use crate::render::device::shader_programs::SHADOW_COMPUTE;
 use crate::render::select::casters::DEPTH_RANGE_PX;
 use crate::render::visibility::meshes::Meshes;
-use crate::render::visibility::triangle_groups::{
-    TriangleGroups, bind_group_layout, compute_pipelines, storage_buffer, storage_texture,
-};
+use crate::render::visibility::triangle_groups::{TriangleGroups, compute_pipelines, group_layout};
 
 /// Columns and rows of texels that a workgroup writes; `shadow_compute.wgsl` has the same constant.
 pub(in crate::render) const WORKGROUP_SIDE: u32 = 8;
@@ -29,25 +29,17 @@ pub(crate) struct ComputeShadow {
     groups: TriangleGroups,
     /// Depths of fronts and of backs.
     layers: [GrowingBuffer; 2],
-    map: Option<Map>,
-    kept: KeptMap,
+    pub(super) map: DeviceMap,
+    /// What the pass binds in group 2, once it has made a map.
+    own: Option<wgpu::BindGroup>,
 }
 
 #[derive(Debug)]
 struct Pipelines {
     layout: wgpu::BindGroupLayout,
-    /// Of small triangles, and of those that these leave.
+    /// Of small triangles, and of those that these queue.
     layers: [wgpu::ComputePipeline; 2],
     map: wgpu::ComputePipeline,
-}
-
-/// The map, and what the pass that makes it binds.
-#[derive(Debug)]
-struct Map {
-    /// Columns and rows.
-    size_px: [u32; 2],
-    view: wgpu::TextureView,
-    group: Option<wgpu::BindGroup>,
 }
 
 impl Default for ComputeShadow {
@@ -57,15 +49,15 @@ impl Default for ComputeShadow {
             pipelines: None,
             groups: TriangleGroups::new("shadow/groups"),
             layers: [layer("shadow/fronts"), layer("shadow/backs")],
-            map: None,
-            kept: KeptMap::default(),
+            map: DeviceMap::default(),
+            own: None,
         }
     }
 }
 
 impl ComputeShadow {
-    /// Compiles the pass, unless it is there, and makes a map of the columns and rows of its source; unless a frame before has made
-    /// it, uploads the triangles of these draws. Returns the bytes that were uploaded.
+    /// Compiles the pass, unless it is there, and readies the map; unless a frame before has made it, uploads the triangles of these
+    /// draws. Returns the bytes that were uploaded.
     pub(super) fn prepare(
         &mut self,
         gpu: &Gpu,
@@ -73,45 +65,20 @@ impl ComputeShadow {
         source: MapSource,
         (meshes, casters): (&Meshes, &Range<usize>),
     ) -> u64 {
-        let size_px = source.size_px;
-        if self.map.as_ref().is_none_or(|map| map.size_px != size_px) {
-            let usage = TextureUsages::STORAGE_BINDING | TextureUsages::TEXTURE_BINDING;
-            let (_, view) = gpu.texture("shadow/map", size_px, SHADOW_MAP_FORMAT, usage);
-            self.map = Some(Map { size_px, view, group: None });
-            self.kept.invalidate();
-        }
+        self.map.prepare(gpu, source);
         let pipelines = self.pipelines.get_or_insert_with(|| Pipelines::new(gpu, layouts));
-        if self.kept.holds(source) {
+        if self.map.is_kept() {
             return 0;
         }
         let bytes = self.groups.write(gpu, meshes, std::iter::once((casters, false)));
         for layer in &mut self.layers {
-            layer.reserve(gpu, layer_bytes(size_px));
+            layer.reserve(gpu, layer_bytes(self.map.size_px()));
         }
-        let map = self.map.as_mut().expect("it was just made");
         let [fronts, backs] = self.layers.each_ref().map(|layer| layer.buffer().as_entire_binding());
-        let out = wgpu::BindingResource::TextureView(&map.view);
+        let out = wgpu::BindingResource::TextureView(self.map.view());
         let own: Vec<_> = self.groups.bindings(meshes).into_iter().chain([fronts, backs, out]).collect();
-        map.group = Some(bind_group(gpu, SHADOW_COMPUTE.name, &pipelines.layout, &own));
+        self.own = Some(bind_group(gpu, SHADOW_COMPUTE.name, &pipelines.layout, &own));
         bytes
-    }
-
-    /// Whether the map is that of a frame before, so that there is nothing to record.
-    pub(super) const fn is_kept(&self) -> bool {
-        self.kept.is_kept
-    }
-
-    /// The next frame makes the map, whatever it holds.
-    pub(super) fn invalidate(&mut self) {
-        self.kept.invalidate();
-    }
-
-    /// The map.
-    ///
-    /// # Panics
-    /// Before [`Self::prepare`].
-    pub(crate) fn map(&self) -> &wgpu::TextureView {
-        &self.map.as_ref().expect("a map is prepared before it is used").view
     }
 
     /// Records the pass.
@@ -124,24 +91,24 @@ impl ComputeShadow {
         groups: &RasterGroups,
         timestamps: Option<wgpu::ComputePassTimestampWrites<'_>>,
     ) {
-        let map = self.map.as_ref().expect("a map is prepared before it is made");
+        let size_px = self.map.size_px();
         let pipelines = self.pipelines.as_ref().expect("a pass is prepared before it is recorded");
         for layer in &self.layers {
-            encoder.clear_buffer(layer.buffer(), 0, Some(layer_bytes(map.size_px)));
+            encoder.clear_buffer(layer.buffer(), 0, Some(layer_bytes(size_px)));
         }
-        self.groups.clear(encoder);
+        self.groups.clear_queues(encoder);
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
             label: Some("shadow"),
             timestamp_writes: timestamps,
         });
         pass.set_bind_group(0, &groups.frame, &[]);
         pass.set_bind_group(1, &groups.instances, &[]);
-        pass.set_bind_group(2, map.group.as_ref(), &[]);
-        let [small, left] = &pipelines.layers;
+        pass.set_bind_group(2, self.own.as_ref(), &[]);
+        let [small, queued] = &pipelines.layers;
         self.groups.dispatch(&mut pass, small);
-        self.groups.dispatch_left(&mut pass, left, MAX_TILE_PX);
+        self.groups.dispatch_queues(&mut pass, queued, MAX_TILE_PX);
         pass.set_pipeline(&pipelines.map);
-        let [columns, rows] = map.size_px.map(|side| side.div_ceil(WORKGROUP_SIDE));
+        let [columns, rows] = size_px.map(|side| side.div_ceil(WORKGROUP_SIDE));
         pass.dispatch_workgroups(columns, rows, 1);
     }
 }
@@ -149,11 +116,11 @@ impl ComputeShadow {
 impl Pipelines {
     fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
         let own = [storage_buffer(false), storage_buffer(false), storage_texture(SHADOW_MAP_FORMAT)];
-        let layout = bind_group_layout(gpu, SHADOW_COMPUTE.name, &own);
-        let entry_points = ["cs_layers", "cs_layers_left", "cs_map"];
-        let [layers, layers_left, map] =
+        let layout = group_layout(gpu, SHADOW_COMPUTE.name, &own);
+        let entry_points = ["cs_layers", "cs_layers_queued", "cs_map"];
+        let [layers, layers_queued, map] =
             compute_pipelines(gpu, &SHADOW_COMPUTE, (layouts, &layout), entry_points);
-        Self { layout, layers: [layers, layers_left], map }
+        Self { layout, layers: [layers, layers_queued], map }
     }
 }
 

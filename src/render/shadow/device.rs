@@ -8,9 +8,9 @@ use std::ops::Range;
 
 use wgpu::TextureUsages;
 
-use super::map_source::{KeptMap, MapSource};
+use super::device_map::{DeviceMap, MapSource};
 use crate::gpu::Gpu;
-use crate::render::device::bind_groups::{BindLayouts, RasterGroups, SHADOW_MAP_FORMAT, bind_group};
+use crate::render::device::bind_groups::{BindLayouts, RasterGroups, bind_group};
 use crate::render::device::depth::{SHADOW_LAYERS_FORMAT, depth_state};
 use crate::render::device::shader_programs::{SHADOW, SHADOW_MIDPOINT};
 use crate::render::visibility::meshes::{Meshes, vertex_layout};
@@ -22,8 +22,8 @@ const WORKGROUP_PX: u32 = 8;
 #[derive(Debug, Default)]
 pub(crate) struct ShadowPass {
     pipelines: Option<Pipelines>,
-    map: Option<Map>,
-    kept: KeptMap,
+    pub(super) map: DeviceMap,
+    layers: Option<Layers>,
 }
 
 #[derive(Debug)]
@@ -32,46 +32,22 @@ struct Pipelines {
     midpoint: wgpu::ComputePipeline,
 }
 
-/// The map, and the layers that it is made of.
+/// The layers that the map is made of.
 #[derive(Debug)]
-struct Map {
-    /// Columns and rows of the map and of each layer.
-    size_px: [u32; 2],
-    view: wgpu::TextureView,
+struct Layers {
     /// Depth of the fronts, above that of the backs.
-    layers: wgpu::TextureView,
-    /// Bind group of the compute pass that makes the map of the layers.
+    view: wgpu::TextureView,
+    /// Bind group of the compute pass that makes the map of them.
     midpoint_group: wgpu::BindGroup,
 }
 
 impl ShadowPass {
-    /// Compiles the pipelines, unless they are there, and makes a map of exactly the columns and rows of its source. Not a larger one:
-    /// positions in it would be rounded otherwise, and a frame would depend on those before it.
+    /// Compiles the pipelines, unless they are there, and readies the map.
     pub(super) fn prepare(&mut self, gpu: &Gpu, layouts: &BindLayouts, source: MapSource) {
-        if self.map.as_ref().is_none_or(|map| map.size_px != source.size_px) {
-            self.map = Some(Map::new(gpu, layouts, source.size_px));
-            self.kept.invalidate();
+        if self.map.prepare(gpu, source) {
+            self.layers = Some(Layers::new(gpu, layouts, &self.map));
         }
-        self.kept.holds(source);
         self.pipelines.get_or_insert_with(|| Pipelines::new(gpu, layouts));
-    }
-
-    /// Whether the map is that of a frame before, so that there is nothing to record.
-    pub(super) const fn is_kept(&self) -> bool {
-        self.kept.is_kept
-    }
-
-    /// The next frame draws the map, whatever it holds.
-    pub(super) fn invalidate(&mut self) {
-        self.kept.invalidate();
-    }
-
-    /// The map.
-    ///
-    /// # Panics
-    /// Before [`Self::prepare`].
-    pub(crate) fn map(&self) -> &wgpu::TextureView {
-        &self.map.as_ref().expect("a map is prepared before it is used").view
     }
 
     /// Records the passes. `timestamps` are those of the start of the first and of the end of the last.
@@ -86,14 +62,14 @@ impl ShadowPass {
         groups: &RasterGroups,
         timestamps: Option<(wgpu::RenderPassTimestampWrites<'_>, wgpu::ComputePassTimestampWrites<'_>)>,
     ) {
-        let map = self.map.as_ref().expect("a map is prepared before it is drawn");
+        let layers = self.layers.as_ref().expect("a map is prepared before it is drawn");
         let pipelines = self.pipelines.as_ref().expect("a pass is prepared before it is recorded");
         let (start, end) = timestamps.unzip();
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("shadow"),
             color_attachments: &[],
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                view: &map.layers,
+                view: &layers.view,
                 depth_ops: Some(wgpu::Operations {
                     load: wgpu::LoadOp::Clear(0.0),
                     store: wgpu::StoreOp::Store,
@@ -115,8 +91,8 @@ impl ShadowPass {
             timestamp_writes: end,
         });
         pass.set_pipeline(&pipelines.midpoint);
-        pass.set_bind_group(2, &map.midpoint_group, &[]);
-        let [columns, rows] = map.size_px.map(|side| side.div_ceil(WORKGROUP_PX));
+        pass.set_bind_group(2, &layers.midpoint_group, &[]);
+        let [columns, rows] = self.map.size_px().map(|side| side.div_ceil(WORKGROUP_PX));
         pass.dispatch_workgroups(columns, rows, 1);
     }
 }
@@ -169,15 +145,13 @@ impl Pipelines {
     }
 }
 
-impl Map {
-    fn new(gpu: &Gpu, layouts: &BindLayouts, size_px: [u32; 2]) -> Self {
-        let usage = TextureUsages::STORAGE_BINDING | TextureUsages::TEXTURE_BINDING;
-        let (_, view) = gpu.texture("shadow/map", size_px, SHADOW_MAP_FORMAT, usage);
-        let layers_px = [size_px[0], 2 * size_px[1]];
+impl Layers {
+    fn new(gpu: &Gpu, layouts: &BindLayouts, map: &DeviceMap) -> Self {
+        let [columns, rows] = map.size_px();
         let usage = TextureUsages::RENDER_ATTACHMENT | TextureUsages::TEXTURE_BINDING;
-        let (_, layers) = gpu.texture("shadow/layers", layers_px, SHADOW_LAYERS_FORMAT, usage);
-        let textures = [&layers, &view].map(wgpu::BindingResource::TextureView);
+        let (_, view) = gpu.texture("shadow/layers", [columns, 2 * rows], SHADOW_LAYERS_FORMAT, usage);
+        let textures = [&view, map.view()].map(wgpu::BindingResource::TextureView);
         let midpoint_group = bind_group(gpu, "shadow/map", &layouts.layers, &textures);
-        Self { size_px, view, layers, midpoint_group }
+        Self { view, midpoint_group }
     }
 }

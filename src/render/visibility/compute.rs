@@ -7,15 +7,15 @@ use wgpu::BufferUsages;
 use crate::gpu::Gpu;
 use crate::gpu::growing_buffer::GrowingBuffer;
 use crate::render::backend::LightingMode;
-use crate::render::device::bind_groups::{BindLayouts, RasterGroups, bind_group};
+use crate::render::device::bind_groups::{
+    BindLayouts, RasterGroups, bind_group, storage_buffer, storage_texture,
+};
 use crate::render::device::shader_programs::VISIBILITY_COMPUTE;
 use crate::render::device::shading_bins::LightingVariant;
 use crate::render::lighting::gbuffer::{GBuffer, NEAREST_BYTES, VISIBILITY_FORMAT};
 use crate::render::select::draw_list::DrawBatch;
 use crate::render::visibility::meshes::Meshes;
-use crate::render::visibility::triangle_groups::{
-    TriangleGroups, bind_group_layout, compute_pipelines, storage_buffer, storage_texture,
-};
+use crate::render::visibility::triangle_groups::{TriangleGroups, compute_pipelines, group_layout};
 
 /// Columns and rows of samples that a workgroup writes; `visibility_compute.wgsl` has the same constant.
 pub(in crate::render) const WORKGROUP_SIDE: u32 = 8;
@@ -34,7 +34,7 @@ pub(crate) struct ComputeVisibility {
 #[derive(Debug)]
 struct Pipelines {
     layout: wgpu::BindGroupLayout,
-    /// Of small triangles, and of those that these leave.
+    /// Of small triangles, and of those that these queue.
     depth: [wgpu::ComputePipeline; 2],
     triangle: [wgpu::ComputePipeline; 2],
     write: wgpu::ComputePipeline,
@@ -43,11 +43,11 @@ struct Pipelines {
 impl Pipelines {
     fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
         let own = [storage_buffer(false), storage_texture(VISIBILITY_FORMAT)];
-        let layout = bind_group_layout(gpu, VISIBILITY_COMPUTE.name, &own);
-        let entry_points = ["cs_depth", "cs_depth_left", "cs_triangle", "cs_triangle_left", "cs_write"];
-        let [depth, depth_left, triangle, triangle_left, write] =
+        let layout = group_layout(gpu, VISIBILITY_COMPUTE.name, &own);
+        let entry_points = ["cs_depth", "cs_depth_queued", "cs_triangle", "cs_triangle_queued", "cs_write"];
+        let [depth, depth_queued, triangle, triangle_queued, write] =
             compute_pipelines(gpu, &VISIBILITY_COMPUTE, (layouts, &layout), entry_points);
-        Self { layout, depth: [depth, depth_left], triangle: [triangle, triangle_left], write }
+        Self { layout, depth: [depth, depth_queued], triangle: [triangle, triangle_queued], write }
     }
 }
 
@@ -97,7 +97,7 @@ impl ComputeVisibility {
         let bytes = nearest_bytes(gbuffer.sample_size);
         let own = [self.nearest.bind_first(bytes as usize), out];
         let own: Vec<_> = self.groups.bindings(meshes).into_iter().chain(own).collect();
-        self.groups.clear(encoder);
+        self.groups.clear_queues(encoder);
         encoder.clear_buffer(self.nearest.buffer(), 0, Some(bytes));
         let own = bind_group(gpu, VISIBILITY_COMPUTE.name, &pipelines.layout, &own);
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
@@ -108,9 +108,9 @@ impl ComputeVisibility {
         pass.set_bind_group(1, &groups.instances, &[]);
         pass.set_bind_group(2, &own, &[]);
         let [_, rows] = gbuffer.sample_size;
-        for [small, left] in [&pipelines.depth, &pipelines.triangle] {
+        for [small, queued] in [&pipelines.depth, &pipelines.triangle] {
             self.groups.dispatch(&mut pass, small);
-            self.groups.dispatch_left(&mut pass, left, rows);
+            self.groups.dispatch_queues(&mut pass, queued, rows);
         }
         pass.set_pipeline(&pipelines.write);
         let [columns, rows] = gbuffer.sample_size.map(|side| side.div_ceil(WORKGROUP_SIDE));

@@ -8,7 +8,7 @@ use wgpu::{BindingType, BufferUsages, ShaderStages};
 
 use crate::gpu::Gpu;
 use crate::gpu::growing_buffer::GrowingBuffer;
-use crate::render::device::bind_groups::BindLayouts;
+use crate::render::device::bind_groups::{BindLayouts, bind_group_layout, storage_buffer};
 use crate::render::device::shader_programs::Program;
 use crate::render::visibility::meshes::Meshes;
 
@@ -16,9 +16,9 @@ use crate::render::visibility::meshes::Meshes;
 pub(in crate::render) const GROUP_TRIANGLES: u32 = 64;
 /// Groups of a row of workgroups: more than a device takes along one axis may be needed.
 pub(in crate::render) const GROUPS_PER_ROW: u32 = 128;
-/// Workgroups along the lists of triangles that are left, and the most huge ones.
-pub(in crate::render) const LEFT_WORKGROUPS: u32 = 512;
-/// See [`LEFT_WORKGROUPS`].
+/// Workgroups along the queues of triangles that no thread alone rasterises, and the most huge ones.
+pub(in crate::render) const QUEUE_WORKGROUPS: u32 = 512;
+/// See [`QUEUE_WORKGROUPS`].
 pub(in crate::render) const MAX_HUGE: u32 = 4096;
 /// Rows of samples for which a huge triangle has one more workgroup, and the most that it has. Mesa's CPU driver ends a loop after 65,535
 /// steps: a workgroup tests some thousand blocks of samples at most.
@@ -38,8 +38,8 @@ pub(in crate::render) struct TriangleGroups {
     /// [`Group`]s, whole rows of them.
     buffer: GrowingBuffer,
     rows: u32,
-    /// Triangles that are left: two counts, the large ones, the huge ones.
-    left: GrowingBuffer,
+    /// Queues of triangles that no thread alone rasterises: two lengths, the large ones, the huge ones.
+    queues: GrowingBuffer,
 }
 
 impl TriangleGroups {
@@ -48,7 +48,7 @@ impl TriangleGroups {
         Self {
             buffer: GrowingBuffer::new(label, BufferUsages::STORAGE),
             rows: 0,
-            left: GrowingBuffer::new(label, BufferUsages::STORAGE),
+            queues: GrowingBuffer::new(label, BufferUsages::STORAGE),
         }
     }
 
@@ -67,19 +67,19 @@ impl TriangleGroups {
         groups.resize(groups.len().next_multiple_of(GROUPS_PER_ROW as usize).max(1), [0; 4]);
         self.rows = groups.len() as u32 / GROUPS_PER_ROW;
         let triangles = groups.len() as u64 * u64::from(GROUP_TRIANGLES);
-        self.left.reserve(gpu, (2 + triangles + u64::from(MAX_HUGE)) * size_of::<u32>() as u64);
+        self.queues.reserve(gpu, (2 + triangles + u64::from(MAX_HUGE)) * size_of::<u32>() as u64);
         self.buffer.write(gpu, &groups)
     }
 
-    /// What the shader binds first in group 2: groups, indices, vertices, the triangles that are left.
+    /// What the shader binds first in group 2: groups, indices, vertices, queues.
     pub(in crate::render) fn bindings<'a>(&'a self, meshes: &'a Meshes) -> [wgpu::BindingResource<'a>; 4] {
         let [vertices, indices] = meshes.buffers();
-        [self.buffer.buffer(), indices, vertices, self.left.buffer()].map(wgpu::Buffer::as_entire_binding)
+        [self.buffer.buffer(), indices, vertices, self.queues.buffer()].map(wgpu::Buffer::as_entire_binding)
     }
 
-    /// Empties the triangles that are left.
-    pub(in crate::render) fn clear(&self, encoder: &mut wgpu::CommandEncoder) {
-        encoder.clear_buffer(self.left.buffer(), 0, Some(2 * size_of::<u32>() as u64));
+    /// Empties the queues.
+    pub(in crate::render) fn clear_queues(&self, encoder: &mut wgpu::CommandEncoder) {
+        encoder.clear_buffer(self.queues.buffer(), 0, Some(2 * size_of::<u32>() as u64));
     }
 
     /// Loses all rows of groups but these first ones.
@@ -99,8 +99,8 @@ impl TriangleGroups {
         pass.dispatch_workgroups(GROUPS_PER_ROW, self.rows, 1);
     }
 
-    /// Dispatches workgroups for the triangles that are left, which cover at most this many rows of samples.
-    pub(in crate::render) fn dispatch_left(
+    /// Dispatches workgroups for the queued triangles, which cover at most this many rows of samples.
+    pub(in crate::render) fn dispatch_queues(
         &self,
         pass: &mut wgpu::ComputePass<'_>,
         pipeline: &wgpu::ComputePipeline,
@@ -108,27 +108,15 @@ impl TriangleGroups {
     ) {
         pass.set_pipeline(pipeline);
         let slices = rows.div_ceil(ROWS_PER_SLICE).clamp(1, MAX_SLICES);
-        pass.dispatch_workgroups(LEFT_WORKGROUPS, 1 + slices, 1);
+        pass.dispatch_workgroups(QUEUE_WORKGROUPS, 1 + slices, 1);
     }
 }
 
-/// Layout of group 2 of a compute pass that rasterises: the groups, then what is its own.
-pub(in crate::render) fn bind_group_layout(
-    gpu: &Gpu,
-    label: &str,
-    own: &[BindingType],
-) -> wgpu::BindGroupLayout {
-    let entries: Vec<_> = (0..)
-        .zip([storage_buffer(true); 3].iter().chain(&[storage_buffer(false)]).chain(own))
-        .map(|(binding, &ty)| wgpu::BindGroupLayoutEntry {
-            binding,
-            visibility: ShaderStages::COMPUTE,
-            ty,
-            count: None,
-        })
-        .collect();
-    let descriptor = wgpu::BindGroupLayoutDescriptor { label: Some(label), entries: &entries };
-    gpu.device.create_bind_group_layout(&descriptor)
+/// Layout of group 2 of a compute pass that rasterises: what [`TriangleGroups::bindings`] binds, then what is its own.
+pub(in crate::render) fn group_layout(gpu: &Gpu, label: &str, own: &[BindingType]) -> wgpu::BindGroupLayout {
+    let (read, write) = (storage_buffer(true), storage_buffer(false));
+    let bindings = [read, read, read, write].into_iter().chain(own.iter().copied());
+    bind_group_layout(gpu, label, ShaderStages::COMPUTE, (0..).zip(bindings))
 }
 
 /// Pipelines of compute passes with the bind groups of the frame and of the scene, and one of their own.
@@ -154,24 +142,6 @@ pub(in crate::render) fn compute_pipelines<const N: usize>(
             cache: gpu.pipeline_cache(),
         })
     })
-}
-
-/// A storage buffer.
-pub(in crate::render) const fn storage_buffer(read_only: bool) -> BindingType {
-    BindingType::Buffer {
-        ty: wgpu::BufferBindingType::Storage { read_only },
-        has_dynamic_offset: false,
-        min_binding_size: None,
-    }
-}
-
-/// A texture that is written.
-pub(in crate::render) const fn storage_texture(format: wgpu::TextureFormat) -> BindingType {
-    BindingType::StorageTexture {
-        access: wgpu::StorageTextureAccess::WriteOnly,
-        format,
-        view_dimension: wgpu::TextureViewDimension::D2,
-    }
 }
 
 fn add_groups(groups: &mut Vec<Group>, meshes: &Meshes, draws: &Range<usize>, sky: u32) {

@@ -1,36 +1,68 @@
-//! What a shadow map that the device makes depends on, and whether it has it from an earlier frame: a map stays for as long as sun,
+//! The shadow map that the device makes, in render passes or in a compute pass, and what it depends on: it stays for as long as sun,
 //! casters and tiles do.
 
 use std::sync::{Arc, Weak};
 
 use glam::Vec3;
+use wgpu::TextureUsages;
 
+use crate::gpu::Gpu;
 use crate::pool::PooledVec;
+use crate::render::device::bind_groups::SHADOW_MAP_FORMAT;
 use crate::render::device::shader_structs::CasterTile;
 use crate::render::select::selection::Selection;
 use crate::scene::Scene;
 use crate::scene::mesh::Vertex;
 
-/// What the map of the device is made from.
+/// The map on the device.
 #[derive(Debug, Default)]
-pub(super) struct KeptMap {
-    /// By this frame or by one before.
+pub(super) struct DeviceMap {
+    view: Option<wgpu::TextureView>,
+    /// What it is made from, by this frame or by one before.
     source: Option<MapSource>,
-    /// A frame before has made the map of this one.
-    pub(super) is_kept: bool,
+    /// A frame before has made it.
+    is_kept: bool,
 }
 
-impl KeptMap {
-    /// Whether the map that the device has is that of a frame with this source; otherwise the frame makes it.
-    pub(super) fn holds(&mut self, source: MapSource) -> bool {
+impl DeviceMap {
+    /// Readies the map of a frame, unless the device has it, with exactly the columns and rows of its source. Not more: in render passes
+    /// positions in it would be rounded otherwise, and a frame would depend on those before it. Returns whether it is another texture.
+    pub(super) fn prepare(&mut self, gpu: &Gpu, source: MapSource) -> bool {
+        let size_px = |source: &MapSource| source.size_px;
+        let is_new = self.source.as_ref().map(size_px) != Some(source.size_px);
         self.is_kept = self.source.as_ref() == Some(&source);
+        if is_new {
+            let usage = TextureUsages::STORAGE_BINDING | TextureUsages::TEXTURE_BINDING;
+            self.view = Some(gpu.texture("shadow/map", source.size_px, SHADOW_MAP_FORMAT, usage).1);
+        }
         self.source = Some(source);
+        is_new
+    }
+
+    /// Whether it is that of a frame before, so that there is nothing to record.
+    pub(super) const fn is_kept(&self) -> bool {
         self.is_kept
     }
 
-    /// The next frame makes the map, whatever the device has.
+    /// The next frame makes it, whatever it holds.
     pub(super) fn invalidate(&mut self) {
         self.source = None;
+    }
+
+    /// The map.
+    ///
+    /// # Panics
+    /// Before [`Self::prepare`].
+    pub(super) fn view(&self) -> &wgpu::TextureView {
+        self.view.as_ref().expect("a map is prepared before it is used")
+    }
+
+    /// Its columns and rows.
+    ///
+    /// # Panics
+    /// As [`Self::view`].
+    pub(super) fn size_px(&self) -> [u32; 2] {
+        self.source.as_ref().expect("a map is prepared before it is used").size_px
     }
 }
 
@@ -39,7 +71,7 @@ impl KeptMap {
 pub(super) struct MapSource {
     sun_direction: Vec3,
     /// Columns and rows.
-    pub(super) size_px: [u32; 2],
+    size_px: [u32; 2],
     casters: Vec<CasterSource>,
 }
 
