@@ -158,7 +158,7 @@ fn changes(value: &Value) -> Vec<(String, Value)> {
                 *value = match &*value {
                     Value::String(text) => other_text(text).into(),
                     Value::Number(number) if number.is_u64() => (number.as_u64().expect("whole") ^ 1).into(),
-                    Value::Number(number) => (number.as_f64().expect("a number") * 0.5 + 0.125).into(),
+                    Value::Number(number) => other_number(number.as_f64().expect("a number")).into(),
                     _ => Value::Bool(true),
                 }
             });
@@ -176,6 +176,11 @@ fn changes(value: &Value) -> Vec<(String, Value)> {
         }
     }
     changed
+}
+
+/// Another number of the same magnitude: half of it and an eighth, which of a quarter, as a time may be, would be a quarter again.
+fn other_number(number: f64) -> f64 {
+    if number == 0.25 { 0.125 } else { number * 0.5 + 0.125 }
 }
 
 /// Another text of the same form.
