@@ -1,8 +1,8 @@
 // The shadow map in compute passes: what shadow.wgsl draws and shadow_midpoint.wgsl makes of it, the same on every device.
 //
-// `cs_layers` and, for large triangles, `cs_layers_queued` find the largest depth of each caster's front and back faces at each texel of its
-// tile, `cs_map` the map halfway between. As
-// in visibility_compute.wgsl positions are rounded to integers and floats are rounded once an operation.
+// `cs_small` and, for large triangles, `cs_queued` (common/triangle_groups.wgsl) find the largest depth of each caster's front and back faces
+// at each texel of its tile, `cs_map` the map halfway between. As in visibility_compute.wgsl positions are rounded to integers and floats
+// are rounded once an operation.
 //
 // CPU counterpart: src/render/shadow/host.rs.
 
@@ -63,7 +63,7 @@ fn rounded(position: vec2<f32>) -> vec2<i32> {
 }
 
 // Rasterises a triangle. Returns the queue that it goes to.
-fn rasterise_triangle(number: u32, pass_number: u32, threads: Threads) -> u32 {
+fn rasterise_triangle(number: u32, threads: Threads) -> u32 {
     let packed = vertices_of(number);
     let slot = groups[number / GROUP_TRIANGLES].z;
     let size_px = instances[slot].instance.tile_size_px;
@@ -83,7 +83,7 @@ fn rasterise_triangle(number: u32, pass_number: u32, threads: Threads) -> u32 {
     let tile = SampleRect(vec2(0), vec2(i32(size_px)));
     let bounds = bounds_of(positions[0], positions[1], positions[2], tile);
     if any(bounds.end <= bounds.origin) { return DONE; }
-    if threads.are_alone {
+    if ARE_ALONE {
         let queue = queue_of(positions[0], positions[1], positions[2], bounds);
         if queue != DONE { return queue; }
     }
@@ -114,20 +114,6 @@ fn rasterise_triangle(number: u32, pass_number: u32, threads: Threads) -> u32 {
     }
     cover_triangle(positions[0], positions[1], positions[2], bounds, fragments, threads);
     return DONE;
-}
-
-@compute @workgroup_size(GROUP_TRIANGLES)
-fn cs_layers(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
-    rasterise_group(workgroup, thread, 0u);
-}
-
-@compute @workgroup_size(GROUP_TRIANGLES)
-fn cs_layers_queued(
-    @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
-    @builtin(local_invocation_index) thread: u32,
-) {
-    rasterise_queues(workgroup, workgroups, thread, 0u);
 }
 
 @compute @workgroup_size(WORKGROUP_SIDE, WORKGROUP_SIDE)

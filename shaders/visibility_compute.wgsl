@@ -1,9 +1,9 @@
 // Visibility in a compute pass: the same visibility buffer as visibility.wgsl draws, with the same samples on every device.
 //
-// `cs_depth` finds the largest inverse depth at each sample, `cs_triangle` the first triangle that has it there, and `cs_write` writes
-// what that triangle shows (Burns and Hunt 2013, "The Visibility Buffer"). Triangles of few samples, which are most, have a thread
-// each; `cs_depth_queued` and `cs_triangle_queued` take the others with whole workgroups (as Karis et al. 2021, "Nanite: A Deep Dive", divides
-// triangles between software and hardware).
+// A first pass over the triangles finds the largest inverse depth at each sample, a second the first triangle that has it there, and
+// `cs_write` writes what that triangle shows (Burns and Hunt 2013, "The Visibility Buffer"). Triangles of few samples, which are most,
+// have a thread each (`cs_small` in common/triangle_groups.wgsl), the others whole workgroups (`cs_queued`; as Karis et al. 2021, "Nanite:
+// A Deep Dive", divides triangles between software and hardware).
 //
 // What labels depend on is computed without a choice that a device may make: positions are rounded to integers as the host's are
 // (src/render/raster), edge functions are integers, and products, sums and reciprocals of floats are rounded once each
@@ -13,8 +13,7 @@
 
 // Columns and rows of samples that a workgroup writes at once.
 const WORKGROUP_SIDE: u32 = 8u;
-// The passes over the triangles.
-const FINDS_DEPTH: u32 = 0u;
+// The second pass over the triangles.
 const FINDS_TRIANGLE: u32 = 1u;
 
 // Two words for each sample of the tile: the bits of the largest inverse depth, and the complement of the number of the first
@@ -176,7 +175,6 @@ struct Fragments {
     plane: DepthPlane,
     tile: SampleRect,
     number: u32,
-    pass_number: u32,
 }
 
 // The first pass keeps the largest inverse depth, the second the first triangle that has it.
@@ -185,7 +183,7 @@ fn cover(sample: vec2<i32>, fragments: Fragments) {
     let word = 2u * u32(at.y * (fragments.tile.end.x - fragments.tile.origin.x) + at.x);
     let depth = bitcast<u32>(inverse_depth(fragments.plane, sample));
     let found = atomicLoad(&nearest[word]);
-    if fragments.pass_number == FINDS_TRIANGLE {
+    if PASS_NUMBER == FINDS_TRIANGLE {
         if found == depth { atomicMax(&nearest[word + 1u], ~fragments.number); }
     } else if found < depth {
         atomicMax(&nearest[word], depth);
@@ -197,7 +195,7 @@ fn rasterise_piece(
     positions: array<vec2<i32>, 3>,
     t: Triangle,
     is_whole: bool,
-    numbers: vec2<u32>,
+    number: u32,
     threads: Threads,
 ) -> u32 {
     let a = positions[0];
@@ -209,7 +207,7 @@ fn rasterise_piece(
     let facing = winding(a, b, c);
     // The sky's spheres are seen from inside too.
     if facing == 0 || (facing > 0 && !t.is_sky) { return DONE; }
-    if threads.are_alone {
+    if ARE_ALONE {
         let queue = queue_of(a, b, c, bounds);
         if queue != DONE { return queue; }
     }
@@ -219,47 +217,76 @@ fn rasterise_piece(
     }
     let last = vec2<i32>(frame.samples_per_side * frame.render_size_px) - 1;
     let plane = depth_plane(t, clamp(a >> vec2(8u), vec2(0), last), is_whole);
-    cover_triangle(a, b, c, bounds, Fragments(plane, tile, numbers.x, numbers.y), threads);
+    cover_triangle(a, b, c, bounds, Fragments(plane, tile, number), threads);
     return DONE;
 }
 
 // Rasterises a triangle. Returns the queue that it goes to.
-fn rasterise_triangle(number: u32, pass_number: u32, threads: Threads) -> u32 {
+fn rasterise_triangle(number: u32, threads: Threads) -> u32 {
     let t = triangle_at(number);
-    let numbers = vec2(number, pass_number);
     let a = t.corners[0].clip;
     let b = t.corners[1].clip;
     let c = t.corners[2].clip;
-    if is_projectable(a) && is_projectable(b) && is_projectable(c) {
+    let is_whole = is_projectable(a) && is_projectable(b) && is_projectable(c);
+    if !is_whole {
+        // Wholly nearer than the near plane, or wholly beside the image.
+        let w = vec3(a.z, b.z, c.z);
+        let x = vec3(a.x, b.x, c.x);
+        let y = vec3(a.y, b.y, c.y);
+        if all(w < vec3(frame.near_m)) || all(w < x) || all(w < -x) || all(w < y) || all(w < -y) { return DONE; }
+    }
+    if ARE_ALONE {
+        // The bounds of a triangle that is clipped are not known yet.
+        if !is_whole { return QUEUE_HUGE; }
         let positions = array<vec2<i32>, 3>(screen_position(a), screen_position(b), screen_position(c));
-        return rasterise_piece(positions, t, true, numbers, threads);
+        return rasterise_piece(positions, t, is_whole, number, threads);
     }
-    // Wholly nearer than the near plane, or wholly beside the image.
-    let w = vec3(a.z, b.z, c.z);
-    let x = vec3(a.x, b.x, c.x);
-    let y = vec3(a.y, b.y, c.y);
-    if all(w < vec3(frame.near_m)) || all(w < x) || all(w < -x) || all(w < y) || all(w < -y) { return DONE; }
-    // Its bounds are not known yet.
-    if threads.are_alone { return QUEUE_HUGE; }
     var polygon = Polygon(array<vec3<f32>, 8>(a, b, c, a, a, a, a, a), 3u);
-    for (var plane = 0u; plane < CLIP_PLANES; plane++) {
-        polygon = clip_polygon(polygon, plane);
+    if !is_whole {
+        for (var plane = 0u; plane < CLIP_PLANES; plane++) { polygon = clip_polygon(polygon, plane); }
     }
-    for (var i = 2u; i < polygon.count; i++) {
-        let positions = array<vec2<i32>, 3>(
-            screen_position(polygon.corners[0]),
-            screen_position(polygon.corners[i - 1u]),
-            screen_position(polygon.corners[i]),
-        );
-        _ = rasterise_piece(positions, t, false, numbers, threads);
+    // A fan around the first corner.
+    let centre = screen_position(pop(&polygon));
+    var corner = screen_position(pop(&polygon));
+    while polygon.count > 0u {
+        let next = screen_position(pop(&polygon));
+        _ = rasterise_piece(array<vec2<i32>, 3>(centre, corner, next), t, is_whole, number, threads);
+        corner = next;
     }
     return DONE;
 }
 
-// A convex polygon in clip x, y and w.
+// A convex polygon in clip x, y and w. A stack whose first corner is on top, and whose places are never chosen by a variable, so that it
+// stays in registers.
 struct Polygon {
     corners: array<vec3<f32>, 8>,
     count: u32,
+}
+
+fn push(polygon: ptr<function, Polygon>, corner: vec3<f32>) {
+    (*polygon).corners[7] = (*polygon).corners[6];
+    (*polygon).corners[6] = (*polygon).corners[5];
+    (*polygon).corners[5] = (*polygon).corners[4];
+    (*polygon).corners[4] = (*polygon).corners[3];
+    (*polygon).corners[3] = (*polygon).corners[2];
+    (*polygon).corners[2] = (*polygon).corners[1];
+    (*polygon).corners[1] = (*polygon).corners[0];
+    (*polygon).corners[0] = corner;
+    (*polygon).count += 1u;
+}
+
+// Of an empty polygon, whatever lies there.
+fn pop(polygon: ptr<function, Polygon>) -> vec3<f32> {
+    let corner = (*polygon).corners[0];
+    (*polygon).corners[0] = (*polygon).corners[1];
+    (*polygon).corners[1] = (*polygon).corners[2];
+    (*polygon).corners[2] = (*polygon).corners[3];
+    (*polygon).corners[3] = (*polygon).corners[4];
+    (*polygon).corners[4] = (*polygon).corners[5];
+    (*polygon).corners[5] = (*polygon).corners[6];
+    (*polygon).corners[6] = (*polygon).corners[7];
+    (*polygon).count -= min((*polygon).count, 1u);
+    return corner;
 }
 
 // The near plane, then the guard band on four sides. Each adds one corner at most.
@@ -267,65 +294,38 @@ const CLIP_PLANES: u32 = 5u;
 
 fn distance_to_plane(clip: vec3<f32>, plane: u32) -> f32 {
     if plane == 0u { return exact(clip.z - frame.near_m); }
-    let axis = (plane - 1u) / 2u;
-    let along = select(clip[axis], -clip[axis], plane % 2u == 1u);
-    return exact(exact(frame.guard_band[axis] * clip.z) + along);
+    let is_across = plane < 3u;
+    let coordinate = select(clip.y, clip.x, is_across);
+    let along = select(coordinate, -coordinate, plane % 2u == 1u);
+    return exact(exact(select(frame.guard_band.y, frame.guard_band.x, is_across) * clip.z) + along);
 }
 
 // The part of a polygon on the inner side of a plane (Sutherland and Hodgman 1974). An edge that two triangles share is cut at the
 // same point in both: always from its inner corner to its outer one.
 fn clip_polygon(polygon: Polygon, plane: u32) -> Polygon {
-    var corners = polygon.corners;
-    var clipped = Polygon(polygon.corners, 0u);
-    for (var i = 0u; i < polygon.count; i++) {
-        let a = corners[i];
-        let b = corners[select(i + 1u, 0u, i + 1u == polygon.count)];
+    var remaining = polygon;
+    // The last corner on top.
+    var reversed = Polygon(polygon.corners, 0u);
+    let first = polygon.corners[0];
+    while remaining.count > 0u {
+        let a = pop(&remaining);
+        let b = select(first, remaining.corners[0], remaining.count > 0u);
         let at_a = distance_to_plane(a, plane);
         let at_b = distance_to_plane(b, plane);
-        if at_a >= 0.0 {
-            clipped.corners[clipped.count] = a;
-            clipped.count += 1u;
-        }
-        if (at_a >= 0.0) != (at_b >= 0.0) {
-            let is_a_inner = at_a >= 0.0;
+        let is_a_inner = at_a >= 0.0;
+        if is_a_inner { push(&reversed, a); }
+        if is_a_inner != (at_b >= 0.0) {
             let inner = select(b, a, is_a_inner);
             let outer = select(a, b, is_a_inner);
             let at_inner = select(at_b, at_a, is_a_inner);
             let whole = exact(abs(at_a) + abs(at_b));
             let part = select(0.0, exact(at_inner * reciprocal(max(whole, 1.0e-30))), whole > 1.0e-30);
-            clipped.corners[clipped.count] = exact3(inner + exact3(part * exact3(outer - inner)));
-            clipped.count += 1u;
+            push(&reversed, exact3(inner + exact3(part * exact3(outer - inner))));
         }
     }
+    var clipped = Polygon(reversed.corners, 0u);
+    while reversed.count > 0u { push(&clipped, pop(&reversed)); }
     return clipped;
-}
-
-@compute @workgroup_size(GROUP_TRIANGLES)
-fn cs_depth(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
-    rasterise_group(workgroup, thread, FINDS_DEPTH);
-}
-
-@compute @workgroup_size(GROUP_TRIANGLES)
-fn cs_depth_queued(
-    @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
-    @builtin(local_invocation_index) thread: u32,
-) {
-    rasterise_queues(workgroup, workgroups, thread, FINDS_DEPTH);
-}
-
-@compute @workgroup_size(GROUP_TRIANGLES)
-fn cs_triangle(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
-    rasterise_group(workgroup, thread, FINDS_TRIANGLE);
-}
-
-@compute @workgroup_size(GROUP_TRIANGLES)
-fn cs_triangle_queued(
-    @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
-    @builtin(local_invocation_index) thread: u32,
-) {
-    rasterise_queues(workgroup, workgroups, thread, FINDS_TRIANGLE);
 }
 
 // Writes the visibility buffer.

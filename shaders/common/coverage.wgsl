@@ -14,9 +14,10 @@ const MAX_LARGE: i32 = 32768;
 // Columns and rows of samples that a workgroup tests at once: one to a thread.
 const BLOCK: i32 = 8;
 
-// Who rasterises a triangle: one thread alone, or all of some workgroups, of which each takes a slice of the rows.
+// Whether one thread alone rasterises a triangle, or all of some workgroups, of which each takes a slice of the rows.
+override ARE_ALONE: bool;
+
 struct Threads {
-    are_alone: bool,
     // The number of this thread.
     thread: u32,
     slice: u32,
@@ -132,7 +133,7 @@ fn queue_of(a: vec2<i32>, b: vec2<i32>, c: vec2<i32>, bounds: SampleRect) -> u32
 // Covers the samples of a front face.
 fn cover_triangle(a: vec2<i32>, b: vec2<i32>, c: vec2<i32>, bounds: SampleRect, fragments: Fragments, threads: Threads) {
     let edges = edges_of(a, b, c);
-    if threads.are_alone {
+    if ARE_ALONE {
         cover_alone(edges, bounds, fragments);
     } else {
         cover_together(edges, bounds, fragments, threads);

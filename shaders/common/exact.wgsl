@@ -41,17 +41,15 @@ fn quotient(a: f32, b: f32) -> f32 {
     let shift = select(24u, 23u, significands.x >= significands.y);
     let scale = select(16777216.0, 8388608.0, shift == 23u);
     var whole = u32(scale * (f32(significands.x) / f32(significands.y)));
-    // What is left over, whose upper bits are known: the division is off by a few units.
+    // What is left over, whose upper bits are known: the division is off by a few units, four at most.
     var rest = bitcast<i32>((significands.x << shift) - whole * significands.y);
     let divisor = bitcast<i32>(significands.y);
-    for (var i = 0; i < 4 && rest < 0; i++) {
-        whole -= 1u;
-        rest += divisor;
-    }
-    for (var i = 0; i < 4 && rest >= divisor; i++) {
-        whole += 1u;
-        rest -= divisor;
-    }
+    let too_small = vec4<i32>(vec4(rest) >= divisor * vec4(1, 2, 3, 4));
+    let too_large = vec4<i32>(vec4(rest) < divisor * vec4(0, -1, -2, -3));
+    let missing = too_small - too_large;
+    let units = missing.x + missing.y + missing.z + missing.w;
+    whole += bitcast<u32>(units);
+    rest -= units * divisor;
     // There are no ties. A quotient that is rounded up to 2^24 has the next exponent.
     whole += u32(2 * rest > divisor);
     let exponents = vec2<i32>((bits >> vec2(23u)) & vec2(0xffu));

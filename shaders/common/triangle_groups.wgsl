@@ -2,8 +2,11 @@
 // thread one small triangle. The others go to two queues: large triangles have a workgroup each, huge ones a column of them.
 // src/render/visibility/triangle_groups.rs makes the groups.
 //
-// A program has `rasterise_triangle(number, pass_number, threads)`, which returns the queue that a triangle goes to where
-// a thread alone does not rasterise it.
+// A program has `rasterise_triangle(number, threads)`, which returns the queue that a triangle goes to where a thread alone does not
+// rasterise it.
+
+// Which of a program's passes over the triangles this is, from 0.
+override PASS_NUMBER: u32;
 
 // Triangles of a group, and threads of a workgroup; groups in a row of workgroups.
 const GROUP_TRIANGLES: u32 = 64u;
@@ -48,12 +51,13 @@ fn index_at(number: u32, is_narrow: bool) -> u32 {
 }
 
 // Rasterises the small triangles of a workgroup's group. The first pass queues the others.
-fn rasterise_group(workgroup: vec3<u32>, thread: u32, pass_number: u32) {
+@compute @workgroup_size(GROUP_TRIANGLES)
+fn cs_small(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let group = workgroup.y * GROUPS_PER_ROW + workgroup.x;
     if thread >= (groups[group].w & COUNT_MASK) { return; }
     let number = group * GROUP_TRIANGLES + thread;
-    let queue = rasterise_triangle(number, pass_number, Threads(true, thread, 0u, 1u));
-    if pass_number > 0u || queue == DONE { return; }
+    let queue = rasterise_triangle(number, Threads(thread, 0u, 1u));
+    if PASS_NUMBER > 0u || queue == DONE { return; }
     if queue == QUEUE_HUGE {
         let index = atomicAdd(&queues[1], 1u);
         if index < MAX_HUGE {
@@ -69,7 +73,12 @@ fn first_huge() -> u32 {
 }
 
 // Rasterises the queued triangles: the first row of workgroups the large ones, the others, each a slice of them, the huge ones.
-fn rasterise_queues(workgroup: vec3<u32>, workgroups: vec3<u32>, thread: u32, pass_number: u32) {
+@compute @workgroup_size(GROUP_TRIANGLES)
+fn cs_queued(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(num_workgroups) workgroups: vec3<u32>,
+    @builtin(local_invocation_index) thread: u32,
+) {
     let is_huge = workgroup.y > 0u;
     let count = select(atomicLoad(&queues[0]), min(atomicLoad(&queues[1]), MAX_HUGE), is_huge);
     let first = select(2u, first_huge(), is_huge);
@@ -77,6 +86,6 @@ fn rasterise_queues(workgroup: vec3<u32>, workgroups: vec3<u32>, thread: u32, pa
     let slices = select(1u, workgroups.y - 1u, is_huge);
     for (var i = workgroup.x; i < count; i += QUEUE_WORKGROUPS) {
         let number = atomicLoad(&queues[first + i]);
-        _ = rasterise_triangle(number, pass_number, Threads(false, thread, slice, slices));
+        _ = rasterise_triangle(number, Threads(thread, slice, slices));
     }
 }

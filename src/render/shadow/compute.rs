@@ -14,7 +14,9 @@ use crate::render::device::bind_groups::{
 use crate::render::device::shader_programs::SHADOW_COMPUTE;
 use crate::render::select::casters::DEPTH_RANGE_PX;
 use crate::render::visibility::meshes::Meshes;
-use crate::render::visibility::triangle_groups::{TriangleGroups, compute_pipelines, group_layout};
+use crate::render::visibility::triangle_groups::{
+    TriangleGroups, TrianglePass, compile_passes, group_layout,
+};
 
 /// Columns and rows of texels that a workgroup writes; `shadow_compute.wgsl` has the same constant.
 pub(in crate::render) const WORKGROUP_SIDE: u32 = 8;
@@ -37,8 +39,7 @@ pub(crate) struct ComputeShadow {
 #[derive(Debug)]
 struct Pipelines {
     layout: wgpu::BindGroupLayout,
-    /// Of small triangles, and of those that these queue.
-    layers: [wgpu::ComputePipeline; 2],
+    layers: TrianglePass,
     map: wgpu::ComputePipeline,
 }
 
@@ -104,9 +105,7 @@ impl ComputeShadow {
         pass.set_bind_group(0, &groups.frame, &[]);
         pass.set_bind_group(1, &groups.instances, &[]);
         pass.set_bind_group(2, self.own.as_ref(), &[]);
-        let [small, queued] = &pipelines.layers;
-        self.groups.dispatch(&mut pass, small);
-        self.groups.dispatch_queues(&mut pass, queued, MAX_TILE_PX);
+        self.groups.dispatch(&mut pass, &pipelines.layers, MAX_TILE_PX);
         pass.set_pipeline(&pipelines.map);
         let [columns, rows] = size_px.map(|side| side.div_ceil(WORKGROUP_SIDE));
         pass.dispatch_workgroups(columns, rows, 1);
@@ -117,10 +116,8 @@ impl Pipelines {
     fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
         let own = [storage_buffer(false), storage_buffer(false), storage_texture(SHADOW_MAP_FORMAT)];
         let layout = group_layout(gpu, SHADOW_COMPUTE.name, &own);
-        let entry_points = ["cs_layers", "cs_layers_queued", "cs_map"];
-        let [layers, layers_queued, map] =
-            compute_pipelines(gpu, &SHADOW_COMPUTE, (layouts, &layout), entry_points);
-        Self { layout, layers: [layers, layers_queued], map }
+        let ([layers], map) = compile_passes(gpu, &SHADOW_COMPUTE, (layouts, &layout), "cs_map");
+        Self { layout, layers, map }
     }
 }
 

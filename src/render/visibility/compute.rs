@@ -15,7 +15,9 @@ use crate::render::device::shading_bins::LightingVariant;
 use crate::render::lighting::gbuffer::{GBuffer, NEAREST_BYTES, VISIBILITY_FORMAT};
 use crate::render::select::draw_list::DrawBatch;
 use crate::render::visibility::meshes::Meshes;
-use crate::render::visibility::triangle_groups::{TriangleGroups, compute_pipelines, group_layout};
+use crate::render::visibility::triangle_groups::{
+    TriangleGroups, TrianglePass, compile_passes, group_layout,
+};
 
 /// Columns and rows of samples that a workgroup writes; `visibility_compute.wgsl` has the same constant.
 pub(in crate::render) const WORKGROUP_SIDE: u32 = 8;
@@ -34,9 +36,8 @@ pub(crate) struct ComputeVisibility {
 #[derive(Debug)]
 struct Pipelines {
     layout: wgpu::BindGroupLayout,
-    /// Of small triangles, and of those that these queue.
-    depth: [wgpu::ComputePipeline; 2],
-    triangle: [wgpu::ComputePipeline; 2],
+    /// Which find the largest inverse depth, then the first triangle that has it.
+    passes: [TrianglePass; 2],
     write: wgpu::ComputePipeline,
 }
 
@@ -44,10 +45,8 @@ impl Pipelines {
     fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
         let own = [storage_buffer(false), storage_texture(VISIBILITY_FORMAT)];
         let layout = group_layout(gpu, VISIBILITY_COMPUTE.name, &own);
-        let entry_points = ["cs_depth", "cs_depth_queued", "cs_triangle", "cs_triangle_queued", "cs_write"];
-        let [depth, depth_queued, triangle, triangle_queued, write] =
-            compute_pipelines(gpu, &VISIBILITY_COMPUTE, (layouts, &layout), entry_points);
-        Self { layout, depth: [depth, depth_queued], triangle: [triangle, triangle_queued], write }
+        let (passes, write) = compile_passes(gpu, &VISIBILITY_COMPUTE, (layouts, &layout), "cs_write");
+        Self { layout, passes, write }
     }
 }
 
@@ -108,9 +107,8 @@ impl ComputeVisibility {
         pass.set_bind_group(1, &groups.instances, &[]);
         pass.set_bind_group(2, &own, &[]);
         let [_, rows] = gbuffer.sample_size;
-        for [small, queued] in [&pipelines.depth, &pipelines.triangle] {
-            self.groups.dispatch(&mut pass, small);
-            self.groups.dispatch_queues(&mut pass, queued, rows);
+        for triangle_pass in &pipelines.passes {
+            self.groups.dispatch(&mut pass, triangle_pass, rows);
         }
         pass.set_pipeline(&pipelines.write);
         let [columns, rows] = gbuffer.sample_size.map(|side| side.div_ceil(WORKGROUP_SIDE));

@@ -4,6 +4,7 @@
 
 use std::ops::Range;
 
+use rayon::prelude::*;
 use wgpu::{BindingType, BufferUsages, ShaderStages};
 
 use crate::gpu::Gpu;
@@ -89,24 +90,17 @@ impl TriangleGroups {
         self.rows = rows;
     }
 
-    /// Dispatches a workgroup for each group.
+    /// Dispatches a workgroup for each group, then workgroups for the triangles that these queued, which cover at most this many rows of
+    /// samples.
     pub(in crate::render) fn dispatch(
         &self,
         pass: &mut wgpu::ComputePass<'_>,
-        pipeline: &wgpu::ComputePipeline,
-    ) {
-        pass.set_pipeline(pipeline);
-        pass.dispatch_workgroups(GROUPS_PER_ROW, self.rows, 1);
-    }
-
-    /// Dispatches workgroups for the queued triangles, which cover at most this many rows of samples.
-    pub(in crate::render) fn dispatch_queues(
-        &self,
-        pass: &mut wgpu::ComputePass<'_>,
-        pipeline: &wgpu::ComputePipeline,
+        [small, queued]: &TrianglePass,
         rows: u32,
     ) {
-        pass.set_pipeline(pipeline);
+        pass.set_pipeline(small);
+        pass.dispatch_workgroups(GROUPS_PER_ROW, self.rows, 1);
+        pass.set_pipeline(queued);
         let slices = rows.div_ceil(ROWS_PER_SLICE).clamp(1, MAX_SLICES);
         pass.dispatch_workgroups(QUEUE_WORKGROUPS, 1 + slices, 1);
     }
@@ -119,29 +113,43 @@ pub(in crate::render) fn group_layout(gpu: &Gpu, label: &str, own: &[BindingType
     bind_group_layout(gpu, label, ShaderStages::COMPUTE, (0..).zip(bindings))
 }
 
-/// Pipelines of compute passes with the bind groups of the frame and of the scene, and one of their own.
-pub(in crate::render) fn compute_pipelines<const N: usize>(
+/// Pipelines of a pass over the triangles: of small ones, and of those that these queue.
+pub(in crate::render) type TrianglePass = [wgpu::ComputePipeline; 2];
+
+/// Compiles a program with the bind groups of the frame and of the scene, and one of its own: its passes over the triangles, and the entry
+/// point of what follows them.
+pub(in crate::render) fn compile_passes<const PASSES: usize>(
     gpu: &Gpu,
     program: &Program,
     (layouts, own): (&BindLayouts, &wgpu::BindGroupLayout),
-    entry_points: [&str; N],
-) -> [wgpu::ComputePipeline; N] {
+    last: &str,
+) -> ([TrianglePass; PASSES], wgpu::ComputePipeline) {
     let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
         label: Some(program.name),
         bind_group_layouts: &[Some(&layouts.frame), Some(&layouts.instances), Some(own)],
         immediate_size: 0,
     });
     let module = program.compile(gpu);
-    entry_points.map(|entry_point| {
+    let compile = |(entry_point, pass_number, are_alone): (&str, usize, bool)| {
+        let constants = [("PASS_NUMBER", pass_number as f64), ("ARE_ALONE", f64::from(u8::from(are_alone)))];
         gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some(program.name),
             layout: Some(&layout),
             module: &module,
             entry_point: Some(entry_point),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            compilation_options: wgpu::PipelineCompilationOptions {
+                constants: &constants,
+                ..Default::default()
+            },
             cache: gpu.pipeline_cache(),
         })
-    })
+    };
+    let passes = (0..PASSES).flat_map(|pass| [("cs_small", pass, true), ("cs_queued", pass, false)]);
+    let entry_points: Vec<_> = passes.chain([(last, 0, true)]).collect();
+    let pipelines: Vec<_> = entry_points.into_par_iter().map(compile).collect();
+    let mut pipelines = pipelines.into_iter();
+    let mut next = || pipelines.next().expect("a pipeline for each entry point");
+    (std::array::from_fn(|_| [next(), next()]), next())
 }
 
 fn add_groups(groups: &mut Vec<Group>, meshes: &Meshes, draws: &Range<usize>, sky: u32) {
