@@ -156,7 +156,7 @@ pub(super) struct DeviceArgs {
     #[arg(long, value_name = "TEXT")]
     adapter: Option<String>,
     /// Where to rasterise: device (in render passes), compute (on the device too, in a compute pass: labels and depth have the same bits
-    /// on every device), host, or auto (the host on a software adapter, compute on NVIDIA's Hopper, else the device)
+    /// on every device), host, or auto (the host on a software adapter, compute on a GPU with Vulkan, else device)
     #[arg(long, value_name = "auto|device|compute|host", default_value_t = RasterMode::Auto)]
     raster: RasterMode,
 }

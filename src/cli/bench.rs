@@ -59,8 +59,8 @@ pub(super) struct BenchArgs {
     )]
     plot: Option<PathBuf>,
     /// How lighting is divided into draws: bins (one for each kind of surface, selected by the stencil), one-draw (all at once) or
-    /// compute (all in a compute pass); the last two need --raster device or compute where that is not the default [default: compute with
-    /// --raster compute and on NVIDIA's Hopper, bins on a software adapter, else one-draw]
+    /// compute (all in a compute pass); the last two need --raster device or compute where that is not the default [default: compute on
+    /// NVIDIA's Hopper, bins with --raster device on a software adapter and with --raster host, else one-draw]
     #[arg(long, value_name = "bins|one-draw|compute")]
     lighting: Option<LightingMode>,
     /// Print JSON

@@ -13,6 +13,7 @@ use super::reference::{DEPTH_PRECISION, Reference, reference};
 use super::worker::{Backend, Event, FrameResult, Job, Memory, Opened, PASSES};
 use crate::error::Result;
 use crate::gpu::survey::AdapterReport;
+use crate::render::RasterMode;
 
 /// The version of the form of `doctor.json`.
 const FORMAT: u32 = 1;
@@ -211,8 +212,8 @@ impl Examination {
             checks.push(check("the reference", wrong("geometry", text)));
         }
         let is_host = run.job == Job::Render(Backend::HOST);
-        // The compute pass leaves no rounding of positions to the device.
-        let is_computed = run.job == Job::Render(Backend::COMPUTE);
+        // Compute passes leave no rounding of positions to the device.
+        let is_computed = matches!(run.job, Job::Render(Backend { raster: RasterMode::Compute, .. }));
         match self.host_frame(case, &shipped).filter(|_| !is_host) {
             Some(host) => {
                 let rule = Rule { exact_labels: is_computed, equal_depth: EQUAL_DEPTH };

@@ -57,13 +57,13 @@ impl Backend {
     pub const AUTO: Self = Self { raster: RasterMode::Auto, lighting: None };
     /// The host, which has one lighting only.
     pub const HOST: Self = Self { raster: RasterMode::Host, lighting: None };
-    /// The device as GPUs run it.
+    /// The device in render passes, as GPUs without Vulkan run it.
     pub const ONE_DRAW: Self = Self { raster: RasterMode::Device, lighting: Some(LightingMode::OneDraw) };
-    /// The same, lit in a compute pass.
-    pub const COMPUTE_LIT: Self = Self { raster: RasterMode::Device, lighting: Some(LightingMode::Compute) };
-    /// The device as NVIDIA's Hopper runs it: visibility and lighting in compute passes.
-    pub const COMPUTE: Self = Self { raster: RasterMode::Compute, lighting: None };
-    /// The device as software adapters run it.
+    /// The device in compute passes, lit by a draw, as GPUs with Vulkan run it.
+    pub const COMPUTE: Self = Self { raster: RasterMode::Compute, lighting: Some(LightingMode::OneDraw) };
+    /// The same, lit in a compute pass, as NVIDIA's Hopper runs it.
+    pub const COMPUTE_LIT: Self = Self { raster: RasterMode::Compute, lighting: Some(LightingMode::Compute) };
+    /// The device in render passes, as software adapters run it.
     pub const BINS: Self = Self { raster: RasterMode::Device, lighting: Some(LightingMode::Bins) };
 }
 
@@ -94,8 +94,8 @@ impl Job {
         Self::Render(Backend::HOST),
         Self::Render(Backend::BINS),
         Self::Render(Backend::ONE_DRAW),
-        Self::Render(Backend::COMPUTE_LIT),
         Self::Render(Backend::COMPUTE),
+        Self::Render(Backend::COMPUTE_LIT),
         Self::Render(Backend::AUTO),
         Self::Bench,
     ];

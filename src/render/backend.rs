@@ -3,19 +3,21 @@
 //!
 //! The host backend exists because a software adapter runs every stage of a pipeline on the CPU anyway, and slower than the CPU
 //! rasteriser does. The compute backend exists because render passes leave the rounding of positions, and with it outlines, to the
-//! device: labels agree to within that rounding, those of the compute backend to the bit.
+//! device: labels agree to within that rounding, those of the compute backend to the bit. So GPUs take it.
 //! Must not know: a scene, a pass.
 
 use std::fmt;
 use std::str::FromStr;
 
+use wgpu::AdapterInfo;
+
 use crate::error::{Error, Result};
-use crate::gpu::{Gpu, adapter};
+use crate::gpu::{Capabilities, Gpu, adapter};
 
 /// The backend that is asked for (`--raster`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RasterMode {
-    /// The host on a software adapter, a compute pass on NVIDIA's Hopper, the device's render passes on any other.
+    /// The host on a software adapter, compute passes on a GPU with Vulkan, render passes on any other.
     #[default]
     Auto,
     /// The device, in render passes.
@@ -138,15 +140,8 @@ impl RasterOptions {
     /// # Errors
     /// [`Error::Usage`] for [`RasterMode::Host`] on a device that cannot copy to stencil textures.
     pub fn new(mode: RasterMode, gpu: &Gpu) -> Result<Self> {
-        let backend = |is_host| if is_host { RasterBackend::Host } else { RasterBackend::Device };
         let (shadow, visibility) = match mode {
-            RasterMode::Auto if adapter::is_hopper(&gpu.info) && Self::can_compute(gpu) => {
-                (RasterBackend::Compute, RasterBackend::Compute)
-            }
-            RasterMode::Auto => {
-                let is_software = gpu.capabilities.software_adapter;
-                (backend(is_software), backend(is_software && gpu.capabilities.stencil_upload))
-            }
+            RasterMode::Auto => Self::automatic(&gpu.info, gpu.capabilities, Self::can_compute(gpu)),
             RasterMode::Device => (RasterBackend::Device, RasterBackend::Device),
             RasterMode::Compute if !Self::can_compute(gpu) => {
                 return Err(Error::Usage(format!(
@@ -167,10 +162,12 @@ impl RasterOptions {
         let lighting = match visibility {
             RasterBackend::Host => LightingMode::Bins,
             RasterBackend::Device if Self::gains_from_bins(gpu) => LightingMode::Bins,
-            RasterBackend::Device if adapter::is_hopper(&gpu.info) => LightingMode::Compute,
-            RasterBackend::Device => LightingMode::OneDraw,
-            RasterBackend::Compute if Self::can_store_planes(gpu) => LightingMode::Compute,
-            RasterBackend::Compute => LightingMode::OneDraw,
+            RasterBackend::Device | RasterBackend::Compute
+                if adapter::is_hopper(&gpu.info) && Self::can_store_planes(gpu) =>
+            {
+                LightingMode::Compute
+            }
+            RasterBackend::Device | RasterBackend::Compute => LightingMode::OneDraw,
         };
         let multi_draw = gpu.capabilities.multi_draw;
         let limits = gpu.device.limits();
@@ -181,6 +178,24 @@ impl RasterOptions {
         };
         let max_texture_px = limits.max_texture_dimension_2d.min(max_in_buffer_px);
         Ok(Self { visibility, shadow, bin_by_shadow_sources: true, multi_draw, lighting, max_texture_px })
+    }
+
+    /// The backends of the shadow stage and of the visibility stage where none is asked for.
+    fn automatic(
+        info: &AdapterInfo,
+        capabilities: Capabilities,
+        can_compute: bool,
+    ) -> (RasterBackend, RasterBackend) {
+        if capabilities.software_adapter {
+            let is_uploaded = capabilities.stencil_upload;
+            let visibility = if is_uploaded { RasterBackend::Host } else { RasterBackend::Device };
+            return (RasterBackend::Host, visibility);
+        }
+        // Translated to other languages than Vulkan's, the shaders have been compiled, and never run.
+        if can_compute && info.backend == wgpu::Backend::Vulkan {
+            return (RasterBackend::Compute, RasterBackend::Compute);
+        }
+        (RasterBackend::Device, RasterBackend::Device)
     }
 
     /// Whether the device can rasterise in a compute pass.
@@ -254,6 +269,30 @@ impl RasterOptions {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use wgpu::{Backend, DeviceType};
+
+    #[test]
+    fn gpus_with_vulkan_rasterise_in_compute_passes_unless_asked_otherwise() {
+        let automatic = |backend, software_adapter, stencil_upload, can_compute| {
+            let kind = if software_adapter { DeviceType::Cpu } else { DeviceType::DiscreteGpu };
+            let info = AdapterInfo::new(kind, backend);
+            let (multi_draw, depth_stencil) = (true, true);
+            let capabilities = Capabilities { software_adapter, stencil_upload, multi_draw, depth_stencil };
+            RasterOptions::automatic(&info, capabilities, can_compute)
+        };
+        use RasterBackend::{Compute, Device, Host};
+        assert_eq!(automatic(Backend::Vulkan, false, true, true), (Compute, Compute));
+        assert_eq!(
+            automatic(Backend::Vulkan, false, true, false),
+            (Device, Device),
+            "too few storage buffers"
+        );
+        for backend in [Backend::Gl, Backend::Metal, Backend::Dx12] {
+            assert_eq!(automatic(backend, false, true, true), (Device, Device), "{backend}");
+        }
+        assert_eq!(automatic(Backend::Vulkan, true, true, true), (Host, Host));
+        assert_eq!(automatic(Backend::Gl, true, false, false), (Host, Device));
+    }
 
     #[test]
     fn modes_are_read_as_they_are_written() {

@@ -190,12 +190,12 @@ fn one_draw_and_a_compute_pass_light_as_shading_bins_do() {
     }
 }
 
-/// As on devices that cannot store planes.
+/// As on GPUs, and in a compute pass as on NVIDIA's Hopper.
 #[test]
-fn what_a_compute_pass_rasterises_is_lit_by_a_draw_too() {
+fn what_compute_passes_rasterise_is_lit_by_a_draw_or_a_compute_pass() {
     let mut renderer = renderer(Requested::Offered, RasterMode::Compute);
     let own = renderer.raster();
-    assert_eq!(own.lighting, LightingMode::Compute);
+    assert_eq!(own.lighting, LightingMode::OneDraw);
     let bins = own.with_lighting(LightingMode::Bins, renderer.gpu());
     assert!(matches!(bins, Err(Error::Usage(message)) if message.starts_with("--lighting bins")));
     for scene in &scenes() {

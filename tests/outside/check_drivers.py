@@ -253,8 +253,8 @@ def main() -> int:
             for stage in ("nominal", "surface"):
                 check_lighting(report, driver, lighting, stage)
     report.case = "doctor"
-    on_device = {"device-bins", "device-one-draw", "device-compute"}
-    vulkan = {"host", "compute", *on_device}
+    on_device = {"device-bins", "device-one-draw"}
+    vulkan = {"host", "compute-one-draw", "compute-compute", *on_device}
     for driver in drivers:
         check_doctor(report, driver.name, driver, "vulkan", vulkan)
     check_doctor(report, f"{drivers[0].name}, GL", drivers[0], "gl", {"mixed", *on_device})

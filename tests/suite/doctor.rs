@@ -118,7 +118,7 @@ fn a_machine_with_right_labels_passes() {
     assert!(output.status.success(), "{message}{:#}", report["checks"]);
     assert_eq!(report, json(&folder.path().join("doctor/doctor.json")), "--json prints what is written");
     assert_eq!((&report["verdict"]["labels"], &report["verdict"]["wrong"]), (&"right".into(), &0.into()));
-    for job in ["host", "device-bins", "device-one-draw", "device-compute", "compute", "bench"] {
+    for job in ["host", "device-bins", "device-one-draw", "compute-one-draw", "compute-compute", "bench"] {
         let run = report["runs"].as_array().expect("runs").iter().find(|run| run["job"] == job).expect(job);
         assert!(run["memory"]["peak_rss_bytes"].as_u64() > Some(10_000_000), "{job}: {}", run["memory"]);
         let count =
@@ -149,7 +149,7 @@ fn wrong_labels_and_a_driver_that_crashes_are_reported_and_the_rest_goes_on() {
     let failed = failures(&report, "device-bins");
     assert!(failed.len() == 1 && failed[0].contains("the driver ended the process (signal: 4"), "{failed:?}");
     assert!(failed[0].starts_with(case), "{failed:?}");
-    let right = serde_json::json!(["device-one-draw", "device-compute", "compute"]);
+    let right = serde_json::json!(["device-one-draw", "compute-one-draw", "compute-compute"]);
     assert_eq!(report["verdict"]["right_backends"], right);
     let bench = report["runs"].as_array().expect("runs").last().expect("a run");
     assert_eq!(bench["bench"].as_object().map(serde_json::Map::len), Some(6), "{bench}");
