@@ -13,7 +13,9 @@ use regolith::random::Streams;
 use regolith::scene::Scene;
 use serde_json::{Map, Value};
 
-use crate::support::{GL_ADAPTER, folder, json, program, run, run_ok, run_with_file_limit, send_signal};
+use crate::support::{
+    GL_ADAPTER, folder, json, program, run, run_ok, run_with_file_limit, send_signal, stoppable,
+};
 
 /// Small frames of a small scene.
 const SMALL: [&str; 9] = [
@@ -221,7 +223,7 @@ fn memory_does_not_grow_over_two_thousand_frames() {
 fn ctrl_c_finishes_frames_in_flight_and_says_how_to_continue() {
     let folder = folder();
     let words = dataset("data", &["--count", "400"]);
-    let child = program(folder.path()).args(&words).stderr(Stdio::piped()).stdout(Stdio::piped()).spawn();
+    let child = stoppable(folder.path()).args(&words).stderr(Stdio::piped()).stdout(Stdio::piped()).spawn();
     let child = child.expect("started");
     wait_until(|| lines_that_parse(&folder.path().join("data")) > 2);
     send_signal(&child, "-INT");

@@ -4,14 +4,14 @@ use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::support::{GL_ADAPTER, adapter, folder, program, run, run_ok, run_with_file_limit, send_signal};
+use crate::support::{GL_ADAPTER, adapter, folder, run, run_ok, run_with_file_limit, send_signal, stoppable};
 
 /// Small frames of a small scene.
 const SMALL: [&str; 5] =
     ["--size=48", "--samples=1", "--set=terrain.cells=40", "--set=rocks.count=14", "--set=sky.star_count=20"];
 
 fn start(folder: &Path, words: &[&str]) -> Child {
-    let child = program(folder).args(words).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
+    let child = stoppable(folder).args(words).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
     child.expect("started")
 }
 
@@ -70,7 +70,7 @@ fn every_long_command_ends_with_the_status_of_its_signal() {
 fn a_stopped_measurement_leaves_no_files() {
     let folder = folder();
     let words = [&["bench", "--cases=dataset", "--frames=5000"], SMALL.as_slice()].concat();
-    let child = program(folder.path())
+    let child = stoppable(folder.path())
         .args(&words)
         .env("TMPDIR", folder.path())
         .stderr(Stdio::piped())

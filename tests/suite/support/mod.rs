@@ -76,6 +76,14 @@ pub(crate) fn program(folder: &Path) -> Command {
     command
 }
 
+/// The same, for which no signal is ignored, as whoever runs the tests may have it (`nohup`, a job in the background).
+pub(crate) fn stoppable(folder: &Path) -> Command {
+    let mut command = Command::new("env");
+    command.args(["--default-signal=INT,TERM,HUP", env!("CARGO_BIN_EXE_regolith-render")]);
+    command.current_dir(folder).env_remove("WGPU_BACKEND").env("WGPU_ADAPTER_NAME", adapter());
+    command
+}
+
 /// Runs the command with these arguments.
 pub(crate) fn run(folder: &Path, words: &[&str]) -> Output {
     program(folder).args(words).output().expect("the program starts")
