@@ -44,7 +44,6 @@ pub use raw_frame::{FrameCost, RawFrame};
 pub use settings::{DEFAULT_TEXTURE_PX, RenderSettings};
 
 use device::bind_groups::BindLayouts;
-use device::shading_bins::LightingVariant;
 use device::timing::{Pass, add_times, milliseconds};
 use frame_packet::FrameRequest;
 use frame_plan::{FramePlan, uniforms};
@@ -399,15 +398,10 @@ impl Renderer {
                 Result::Ok((plan, bytes))
             },
             || {
-                resolve.prepare(gpu, resolve_variant);
-                match raster.lighting {
-                    LightingMode::Bins if is_first => {
-                        lighting.prepare(gpu, pipelines, LightingVariant::GENERAL);
-                    }
-                    LightingMode::OneDraw => lighting.prepare(gpu, pipelines, [LightingVariant::Any]),
-                    LightingMode::Compute => lighting.prepare_compute(gpu, layouts, pipelines),
-                    LightingMode::Bins => {}
-                }
+                rayon::join(
+                    || resolve.prepare(gpu, resolve_variant),
+                    || lighting.prepare_general(gpu, layouts, pipelines, raster.lighting),
+                );
             },
         );
         let (plan, mut uploaded_bytes) = prepared?;

@@ -11,4 +11,5 @@ mod shader_constants;
 pub mod shader_programs;
 pub mod shader_structs;
 pub(crate) mod shading_bins;
+mod specialisation;
 pub(crate) mod timing;

@@ -7,6 +7,9 @@
 
 use std::borrow::Cow;
 
+use wgpu::naga::{self, Module};
+
+use super::specialisation::specialised;
 use crate::gpu::Gpu;
 use crate::render::device::light_table::{Transport, light_wgsl};
 use crate::render::device::planes::storage::storage_planes_wgsl;
@@ -207,34 +210,50 @@ impl Program {
         ("", line)
     }
 
-    /// Compiles the program on a device.
+    /// Parses the program with these options.
+    ///
+    /// # Panics
+    /// Where the text does not parse, with naga's message and the line of the file.
     #[must_use]
-    pub fn compile(&self, gpu: &Gpu) -> wgpu::ShaderModule {
-        self.compile_for(gpu, TextOptions::default())
+    pub(crate) fn parse(&self, options: TextOptions) -> ParsedProgram {
+        let text = self.text_for(options);
+        let module = naga::front::wgsl::parse_str(&text).unwrap_or_else(|error| {
+            let line = error.location(&text).map_or(1, |l| l.line_number as usize);
+            let (file, line) = self.locate(line);
+            panic!("{file}:{line}: {}", error.emit_to_string(&text))
+        });
+        ParsedProgram { name: self.name, module }
     }
+}
 
-    /// Compiles the program with these options on a device.
+/// A program to make pipelines of.
+#[derive(Debug)]
+pub(crate) struct ParsedProgram {
+    name: &'static str,
+    module: Module,
+}
+
+impl ParsedProgram {
+    /// What a device compiles for the pipeline with these entry points, where overrides have these values.
     #[must_use]
-    pub(crate) fn compile_for(&self, gpu: &Gpu, options: TextOptions) -> wgpu::ShaderModule {
+    pub(crate) fn specialise(
+        &self,
+        gpu: &Gpu,
+        entry_points: &[&str],
+        constants: &[(&str, f64)],
+    ) -> wgpu::ShaderModule {
+        let module = specialised(&self.module, entry_points, constants);
         gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(self.name),
-            source: wgpu::ShaderSource::Wgsl(self.text_for(options).into()),
+            source: wgpu::ShaderSource::Naga(Cow::Owned(module)),
         })
     }
 }
 
-/// The naga module of a program.
-///
-/// # Panics
-/// Where the text does not parse, with naga's message and the line of the file.
+/// The naga module of a program, with the options of a software adapter.
 #[cfg(test)]
-pub(in crate::render) fn parse(program: &Program) -> naga::Module {
-    let text = program.text();
-    naga::front::wgsl::parse_str(&text).unwrap_or_else(|error| {
-        let line = error.location(&text).map_or(1, |l| l.line_number as usize);
-        let (file, line) = program.locate(line);
-        panic!("{file}:{line}: {}", error.emit_to_string(&text))
-    })
+pub(in crate::render) fn parse(program: &Program) -> Module {
+    program.parse(TextOptions::default()).module
 }
 
 #[cfg(test)]

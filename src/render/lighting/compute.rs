@@ -100,12 +100,9 @@ impl Dispatch {
         let pipeline = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some(LIGHTING_COMPUTE.name),
             layout: Some(&layout),
-            module: &LIGHTING_COMPUTE.compile_for(gpu, options),
+            module: &LIGHTING_COMPUTE.parse(options).specialise(gpu, &["cs_main"], &constants),
             entry_point: Some("cs_main"),
-            compilation_options: wgpu::PipelineCompilationOptions {
-                constants: &constants,
-                ..Default::default()
-            },
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
             cache: gpu.pipeline_cache(),
         });
         Self { pipeline, written }

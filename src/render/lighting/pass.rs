@@ -6,11 +6,12 @@
 use rayon::prelude::*;
 
 use crate::gpu::Gpu;
+use crate::render::backend::LightingMode;
 use crate::render::device::bind_groups::{BindLayouts, slot_stride};
 use crate::render::device::light_table::Transport;
 use crate::render::device::planes::{PlaneSet, lighting_passes};
 use crate::render::device::shader_programs::{
-    LIGHTING_ONE_DRAW, LIGHTING_SKY, LIGHTING_SURFACE, Program, TextOptions,
+    LIGHTING_ONE_DRAW, LIGHTING_SKY, LIGHTING_SURFACE, ParsedProgram, Program, TextOptions,
 };
 use crate::render::device::shader_structs::{Instance, ReliefUniforms};
 use crate::render::device::shading_bins::LightingVariant;
@@ -26,8 +27,8 @@ pub(crate) struct LightingPass {
     pub(crate) transport: Transport,
     limits: wgpu::Limits,
     layout: wgpu::PipelineLayout,
-    /// All modules that were needed so far.
-    modules: Vec<(ModuleKey, wgpu::ShaderModule)>,
+    /// All programs that were needed so far.
+    programs: Vec<(ProgramKey, ParsedProgram)>,
     /// All pipelines that were needed so far.
     pipelines: Vec<(PipelineKey, wgpu::RenderPipeline)>,
     /// Those of the compute pass.
@@ -35,7 +36,7 @@ pub(crate) struct LightingPass {
 }
 
 /// A program for a pass that writes these planes, by the program's name.
-type ModuleKey = (&'static str, PlaneSet);
+type ProgramKey = (&'static str, PlaneSet);
 
 /// A pipeline: what a frame's have in common, what it shades, and the planes that it writes.
 type PipelineKey = (FrameKey, LightingVariant, PlaneSet);
@@ -60,7 +61,7 @@ impl LightingPass {
         });
         let (transport, limits) = (Transport::of(gpu), gpu.device.limits());
         let compute = ComputeLighting::default();
-        Self { transport, limits, layout, modules: Vec::new(), pipelines: Vec::new(), compute }
+        Self { transport, limits, layout, programs: Vec::new(), pipelines: Vec::new(), compute }
     }
 
     /// Whether there is any pipeline of a draw with this key.
@@ -69,9 +70,21 @@ impl LightingPass {
         self.pipelines.iter().any(|((found, ..), _)| *found == key)
     }
 
-    /// Compiles the pipelines of the compute pass that are missing.
-    pub(crate) fn prepare_compute(&mut self, gpu: &Gpu, layouts: &BindLayouts, key: FrameKey) {
-        self.compute.prepare(gpu, layouts, key);
+    /// Compiles the pipelines that do not depend on what a frame shows, where they are missing. Those of shading bins only if there are
+    /// none at all: they can light every frame.
+    pub(crate) fn prepare_general(
+        &mut self,
+        gpu: &Gpu,
+        layouts: &BindLayouts,
+        key: FrameKey,
+        mode: LightingMode,
+    ) {
+        match mode {
+            LightingMode::Bins if self.has(key) => {}
+            LightingMode::Bins => self.prepare(gpu, key, LightingVariant::GENERAL),
+            LightingMode::OneDraw => self.prepare(gpu, key, [LightingVariant::Any]),
+            LightingMode::Compute => self.compute.prepare(gpu, layouts, key),
+        }
     }
 
     /// The planes that each pass of a frame writes.
@@ -97,9 +110,9 @@ impl LightingPass {
         }
         for (_, variant, planes) in &missing {
             let program = program(*variant);
-            if self.module(program, *planes).is_none() {
+            if self.program(program, *planes).is_none() {
                 let options = TextOptions { transport: self.transport, planes: *planes };
-                self.modules.push(((program.name, *planes), program.compile_for(gpu, options)));
+                self.programs.push(((program.name, *planes), program.parse(options)));
             }
         }
         let compiled = missing.par_iter().map(|&key| self.compile(gpu, key));
@@ -107,13 +120,14 @@ impl LightingPass {
         self.pipelines.extend(missing.into_iter().zip(compiled));
     }
 
-    fn module(&self, program: &Program, planes: PlaneSet) -> Option<&wgpu::ShaderModule> {
-        let found = self.modules.iter().find(|(found, _)| *found == (program.name, planes));
-        found.map(|(_, module)| module)
+    fn program(&self, program: &Program, planes: PlaneSet) -> Option<&ParsedProgram> {
+        let found = self.programs.iter().find(|(found, _)| *found == (program.name, planes));
+        found.map(|(_, program)| program)
     }
 
     fn compile(&self, gpu: &Gpu, (key, variant, planes): PipelineKey) -> wgpu::RenderPipeline {
-        let module = self.module(program(variant), planes).expect("modules are compiled before pipelines");
+        let parsed = self.program(program(variant), planes).expect("programs are parsed before pipelines");
+        let module = &parsed.specialise(gpu, &["vs_main", "fs_main"], &constants(key, variant));
         let targets: Vec<_> = planes
             .rows()
             .map(|row| {
@@ -146,10 +160,7 @@ impl LightingPass {
             fragment: Some(wgpu::FragmentState {
                 module,
                 entry_point: Some("fs_main"),
-                compilation_options: wgpu::PipelineCompilationOptions {
-                    constants: &constants(key, variant),
-                    ..Default::default()
-                },
+                compilation_options: wgpu::PipelineCompilationOptions::default(),
                 targets: &targets,
             }),
             multiview_mask: None,

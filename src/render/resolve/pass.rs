@@ -11,7 +11,7 @@ use crate::gpu::readback::ReadbackBuffer;
 use crate::render::device::bind_groups::{BindLayouts, bind_group};
 use crate::render::device::packing::{Packing, WORKGROUP_SIZE};
 use crate::render::device::planes::{packed_planes, request_override};
-use crate::render::device::shader_programs::RESOLVE;
+use crate::render::device::shader_programs::{ParsedProgram, RESOLVE, TextOptions};
 use crate::render::lighting::gbuffer::GBuffer;
 use crate::render::resolve::tile_list::{SkyStencil, TileList};
 use crate::render::resolve::tone::{TONE_KNEE, TONE_WHITE};
@@ -23,7 +23,7 @@ const DISPATCH_WIDTH: u32 = 1024;
 /// The pass with its compiled pipelines.
 #[derive(Debug)]
 pub struct ResolvePass {
-    module: wgpu::ShaderModule,
+    program: ParsedProgram,
     layout: wgpu::PipelineLayout,
     /// One for each variant that was used.
     pipelines: Vec<(Variant, wgpu::ComputePipeline)>,
@@ -72,7 +72,7 @@ impl Variant {
 }
 
 impl ResolvePass {
-    /// Compiles the program.
+    /// Parses the program.
     #[must_use]
     pub fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
         let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
@@ -80,7 +80,7 @@ impl ResolvePass {
             bind_group_layouts: &[Some(&layouts.frame), None, Some(&layouts.resolve)],
             immediate_size: 0,
         });
-        Self { module: RESOLVE.compile(gpu), layout, pipelines: Vec::new() }
+        Self { program: RESOLVE.parse(TextOptions::default()), layout, pipelines: Vec::new() }
     }
 
     /// Compiles the pipeline of a variant, unless there is one.
@@ -93,12 +93,9 @@ impl ResolvePass {
         let pipeline = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some("resolve"),
             layout: Some(&self.layout),
-            module: &self.module,
+            module: &self.program.specialise(gpu, &["cs_main"], &constants),
             entry_point: Some("cs_main"),
-            compilation_options: wgpu::PipelineCompilationOptions {
-                constants: &constants,
-                ..Default::default()
-            },
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
             cache: gpu.pipeline_cache(),
         });
         self.pipelines.push((variant, pipeline));

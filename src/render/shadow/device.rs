@@ -12,7 +12,7 @@ use super::device_map::{DeviceMap, MapSource};
 use crate::gpu::Gpu;
 use crate::render::device::bind_groups::{BindLayouts, RasterGroups, bind_group};
 use crate::render::device::depth::{SHADOW_LAYERS_FORMAT, depth_state};
-use crate::render::device::shader_programs::{SHADOW, SHADOW_MIDPOINT};
+use crate::render::device::shader_programs::{SHADOW, SHADOW_MIDPOINT, TextOptions};
 use crate::render::visibility::meshes::{Meshes, vertex_layout};
 
 /// Columns and rows of texels that a workgroup of `shadow_midpoint.wgsl` makes of the map; the shader has the same constant.
@@ -99,7 +99,7 @@ impl ShadowPass {
 
 impl Pipelines {
     fn new(gpu: &Gpu, layouts: &BindLayouts) -> Self {
-        let module = SHADOW.compile(gpu);
+        let program = SHADOW.parse(TextOptions::default());
         let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("shadow/layout"),
             bind_group_layouts: &[Some(&layouts.frame), Some(&layouts.scene)],
@@ -110,12 +110,9 @@ impl Pipelines {
                 label: Some(label),
                 layout: Some(&layout),
                 vertex: wgpu::VertexState {
-                    module: &module,
+                    module: &program.specialise(gpu, &["vs_main"], &[("ATLAS_LAYER", layer)]),
                     entry_point: Some("vs_main"),
-                    compilation_options: wgpu::PipelineCompilationOptions {
-                        constants: &[("ATLAS_LAYER", layer)],
-                        ..Default::default()
-                    },
+                    compilation_options: wgpu::PipelineCompilationOptions::default(),
                     buffers: &[Some(vertex_layout(1))],
                 },
                 primitive: wgpu::PrimitiveState { cull_mode: Some(cull), ..Default::default() },
@@ -136,7 +133,7 @@ impl Pipelines {
         let midpoint = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some("shadow/map"),
             layout: Some(&layout),
-            module: &SHADOW_MIDPOINT.compile(gpu),
+            module: &SHADOW_MIDPOINT.parse(TextOptions::default()).specialise(gpu, &["cs_main"], &[]),
             entry_point: Some("cs_main"),
             compilation_options: wgpu::PipelineCompilationOptions::default(),
             cache: gpu.pipeline_cache(),

@@ -7,7 +7,7 @@ use crate::gpu::Gpu;
 use crate::render::backend::LightingMode;
 use crate::render::device::bind_groups::{BindLayouts, RasterGroups};
 use crate::render::device::depth::{DEPTH_FORMAT, DEPTH_STENCIL_FORMAT, depth_state};
-use crate::render::device::shader_programs::VISIBILITY;
+use crate::render::device::shader_programs::{TextOptions, VISIBILITY};
 use crate::render::device::shading_bins::LightingVariant;
 use crate::render::lighting::gbuffer::{GBuffer, VISIBILITY_FORMAT};
 use crate::render::visibility::meshes::{Meshes, vertex_layout};
@@ -34,13 +34,14 @@ struct Pipelines {
 
 impl Pipelines {
     fn new(gpu: &Gpu, layouts: &BindLayouts, depth_stencil_format: TextureFormat) -> Self {
-        let module = VISIBILITY.compile(gpu);
+        let program = VISIBILITY.parse(TextOptions::default());
         let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some(VISIBILITY.name),
             bind_group_layouts: &[Some(&layouts.frame), Some(&layouts.scene)],
             immediate_size: 0,
         });
         let pipeline = |entry_point, cull_mode, write_mask| {
+            let module = program.specialise(gpu, &["vs_main", entry_point], &[]);
             gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
                 label: Some(VISIBILITY.name),
                 layout: Some(&layout),

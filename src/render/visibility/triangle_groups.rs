@@ -10,7 +10,7 @@ use wgpu::{BindingType, BufferUsages, ShaderStages};
 use crate::gpu::Gpu;
 use crate::gpu::growing_buffer::GrowingBuffer;
 use crate::render::device::bind_groups::{BindLayouts, bind_group_layout, storage_buffer};
-use crate::render::device::shader_programs::Program;
+use crate::render::device::shader_programs::{Program, TextOptions};
 use crate::render::visibility::meshes::Meshes;
 
 /// Triangles of a group. The shader has the same constants.
@@ -124,23 +124,21 @@ pub(in crate::render) fn compile_passes<const PASSES: usize>(
     (layouts, own): (&BindLayouts, &wgpu::BindGroupLayout),
     last: &str,
 ) -> ([TrianglePass; PASSES], wgpu::ComputePipeline) {
+    let label = program.name;
     let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-        label: Some(program.name),
+        label: Some(label),
         bind_group_layouts: &[Some(&layouts.frame), Some(&layouts.instances), Some(own)],
         immediate_size: 0,
     });
-    let module = program.compile(gpu);
+    let program = program.parse(TextOptions::default());
     let compile = |(entry_point, pass_number, are_alone): (&str, usize, bool)| {
         let constants = [("PASS_NUMBER", pass_number as f64), ("ARE_ALONE", f64::from(u8::from(are_alone)))];
         gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-            label: Some(program.name),
+            label: Some(label),
             layout: Some(&layout),
-            module: &module,
+            module: &program.specialise(gpu, &[entry_point], &constants),
             entry_point: Some(entry_point),
-            compilation_options: wgpu::PipelineCompilationOptions {
-                constants: &constants,
-                ..Default::default()
-            },
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
             cache: gpu.pipeline_cache(),
         })
     };
