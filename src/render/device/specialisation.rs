@@ -347,9 +347,13 @@ fn cs_other() { out[2] = 1.0; }
                 module.overrides.iter().filter_map(|(_, declared)| declared.name.clone()).collect();
             for entry_point in &module.entry_points {
                 for values in 0_u32..64 {
-                    let value = |index: u32| f64::from(values >> (index % 6) & 3);
-                    let constants: Vec<_> =
-                        (0..).zip(&names).map(|(i, name)| (name.as_str(), value(i))).collect();
+                    let value = |(index, name): (u32, &str)| {
+                        // Resolve divides by it.
+                        let least = u32::from(name == "SAMPLES_PER_SIDE");
+                        f64::from((values >> (index % 6) & 3).max(least))
+                    };
+                    let names = (0..).zip(names.iter().map(String::as_str));
+                    let constants: Vec<_> = names.map(|numbered| (numbered.1, value(numbered))).collect();
                     let module = specialised(&module, &[&entry_point.name], &constants);
                     assert_valid(&module, program.name);
                     assert!(module.overrides.is_empty(), "{}", program.name);
