@@ -197,6 +197,7 @@ impl Setup {
 /// # Errors
 /// Those of rendering and writing; [`Error::Stopped`].
 pub fn run(case: Case, setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Measured> {
+    host_time::start();
     let _registration = host_time::register(Role::Device);
     let _pool = rayon::broadcast(|_| host_time::register(Role::Pool));
     match case {

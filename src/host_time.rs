@@ -1,11 +1,13 @@
 //! Processor time of the program's own threads: what the host spends on frames, without the threads that a driver starts.
 //!
 //! A driver's threads cannot be told from others by what the system knows of them, so the program's own threads register. What a
-//! driver does in calls from them counts.
+//! driver does in calls from them counts. Without [`start`] nothing is registered, so that no thread takes a lock that a process forked
+//! from this one would find taken for ever.
 //! Must not know: what the threads do.
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// What a thread does.
@@ -51,6 +53,8 @@ impl RoleTimes {
     }
 }
 
+/// Whether threads register.
+static STARTED: AtomicBool = AtomicBool::new(false);
 /// The registered threads.
 static THREADS: Mutex<Threads> = Mutex::new(Threads { running: BTreeMap::new(), ended_ns: [0; 4] });
 
@@ -66,13 +70,22 @@ fn threads() -> MutexGuard<'static, Threads> {
     THREADS.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// From now on threads register.
+pub fn start() {
+    STARTED.store(true, Ordering::Relaxed);
+}
+
 /// The registration of a thread; dropped when the thread ends.
 #[derive(Debug)]
 pub struct Registration(Option<u32>);
 
-/// Registers the calling thread, unless it is registered already or the system does not report times of threads.
+/// Registers the calling thread, unless nothing has [started](start), it is registered already, or the system does not report times of
+/// threads.
 #[must_use]
 pub fn register(role: Role) -> Registration {
+    if !STARTED.load(Ordering::Relaxed) {
+        return Registration(None);
+    }
     let link = fs::read_link("/proc/thread-self").ok();
     let id: Option<u32> = link.and_then(|link| link.file_name()?.to_str()?.parse().ok());
     let mut threads = threads();
@@ -83,8 +96,9 @@ pub fn register(role: Role) -> Registration {
 
 impl Drop for Registration {
     fn drop(&mut self) {
+        let Some(id) = self.0 else { return };
         let mut threads = threads();
-        if let Some((id, role)) = self.0.and_then(|id| Some((id, threads.running.remove(&id)?))) {
+        if let Some(role) = threads.running.remove(&id) {
             threads.ended_ns[role as usize] += of_thread_ns(id).unwrap_or_default();
         }
     }
@@ -141,6 +155,7 @@ mod tests {
     #[test]
     #[cfg_attr(not(target_os = "linux"), ignore = "the system does not report times of threads")]
     fn only_registered_threads_count_and_ended_ones_stay() {
+        start();
         let _registration = register(Role::Device);
         assert!(register(Role::Worker).0.is_none(), "this thread is registered already");
         let before = by_role().expect("a time");

@@ -1,12 +1,17 @@
-//! A pool of buffers: scenes and frames reuse the memory of earlier ones, which saves page faults and zeroing.
+//! Shared memory: a pool of buffers, by which scenes and frames reuse the memory of earlier ones, which saves page faults and zeroing; and
+//! tables that are made once.
+//!
+//! Nothing here waits for another thread. In a process that was forked from another, that thread may have been left behind there, and what
+//! it began is never finished.
 //!
 //! Must not know: what the buffers hold.
 
 use std::any::{Any, TypeId};
 use std::cell::RefCell;
 use std::collections::{BTreeMap, VecDeque};
+use std::hint;
 use std::ops::{Deref, DerefMut};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard, OnceLock, TryLockError};
 
 use bytemuck::Pod;
 
@@ -16,6 +21,8 @@ const MIN_BYTES: usize = 1 << 10;
 const MAX_BYTES: usize = 16 << 20;
 /// Capacity of a thread's own pool, bytes: about what stays in its core's cache.
 const MAX_OWN_BYTES: usize = 1 << 20;
+/// How often a thread tries to get the shared pool: for longer than any other keeps it while both run.
+const MAX_TRIES: usize = 1000;
 
 /// Unused buffers, shared by all threads. When it is full, those that have been unused the longest are freed: otherwise it would
 /// fill with sizes that no scene needs any more.
@@ -80,8 +87,24 @@ impl Pool {
     }
 }
 
-fn shared() -> MutexGuard<'static, Pool> {
-    SHARED.lock().unwrap_or_else(PoisonError::into_inner)
+/// The shared pool, unless another thread keeps it for long.
+fn shared() -> Option<MutexGuard<'static, Pool>> {
+    for _ in 0..MAX_TRIES {
+        match SHARED.try_lock() {
+            Ok(pool) => return Some(pool),
+            Err(TryLockError::Poisoned(error)) => return Some(error.into_inner()),
+            Err(TryLockError::WouldBlock) => hint::spin_loop(),
+        }
+    }
+    None
+}
+
+/// What is shared, made first if there is none yet; threads that come at the same time all make it.
+pub fn made_once<T>(shared: &'static OnceLock<T>, make: impl FnOnce() -> T) -> &'static T {
+    shared.get().unwrap_or_else(|| {
+        let made = make();
+        shared.get_or_init(|| made)
+    })
 }
 
 /// An element type for which any bit pattern is valid.
@@ -111,7 +134,7 @@ impl<T: Value> PooledVec<T> {
         }
         let own = OWN.try_with(|own| own.borrow_mut().take(capacity)).ok().flatten();
         let mut list =
-            own.or_else(|| shared().take(capacity)).unwrap_or_else(|| Vec::with_capacity(capacity));
+            own.or_else(|| shared()?.take(capacity)).unwrap_or_else(|| Vec::with_capacity(capacity));
         list.resize(len, T::zeroed());
         Self(list)
     }
@@ -139,8 +162,7 @@ impl<T: Value> Drop for PooledVec<T> {
         }
         // While a thread ends its own pool is gone, and the buffer is freed.
         let left = OWN.try_with(|own| own.borrow_mut().put(list, MAX_OWN_BYTES)).ok().flatten();
-        if let Some(list) = left {
-            let mut shared = shared();
+        if let Some((list, mut shared)) = left.zip(shared()) {
             let removed = shared.make_room(list.capacity() * size_of::<T>(), MAX_BYTES);
             let too_large = shared.put(list, MAX_BYTES);
             // Freed once others may use the pool.
@@ -202,6 +224,10 @@ impl<T: Value> From<&[T]> for PooledVec<T> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::mpsc;
+    use std::thread;
+    use std::time::Duration;
+
     use super::*;
 
     #[test]
@@ -252,6 +278,39 @@ mod tests {
         assert_eq!(pool.make_room(1000, 700).len(), 1);
         assert_eq!(pool.bytes, 0);
         assert_eq!(pool.make_room(1000, 700).len(), 0, "it is empty");
+    }
+
+    #[test]
+    fn a_thread_that_keeps_the_shared_pool_stops_no_other() {
+        let kept = shared();
+        assert!(kept.is_some());
+        let len = MAX_OWN_BYTES + 1;
+        let (sender, receiver) = mpsc::channel();
+        thread::spawn(move || {
+            drop(PooledVec::filled(len, 1_u8));
+            sender.send(PooledVec::filled(len, 2_u8).len())
+        });
+        let other = receiver.recv_timeout(Duration::from_secs(60));
+        drop(kept);
+        assert_eq!(other, Ok(len));
+    }
+
+    #[test]
+    fn what_another_thread_never_finishes_is_made_here() {
+        static TABLE: OnceLock<u32> = OnceLock::new();
+        let (making, made) = mpsc::channel();
+        let (end, ended) = mpsc::channel::<()>();
+        let other = thread::spawn(move || {
+            *made_once(&TABLE, || {
+                making.send(()).expect("a receiver");
+                ended.recv().expect_err("nothing is sent");
+                1
+            })
+        });
+        made.recv().expect("a start");
+        assert_eq!(made_once(&TABLE, || 2), &2);
+        drop(end);
+        assert_eq!(other.join().expect("an end"), 2, "what was there first is shared");
     }
 
     #[test]

@@ -3,12 +3,12 @@
 //! Must not know: what is modelled with them.
 
 use std::collections::HashMap;
-use std::sync::LazyLock;
+use std::sync::OnceLock;
 
 use bytemuck::{Pod, Zeroable};
 use glam::{DVec3, Vec3, Vec3A, Vec4, Vec4Swizzles};
 
-use crate::pool::PooledVec;
+use crate::pool::{self, PooledVec};
 
 /// A vertex as it is hashed, uploaded and exported.
 #[repr(C)]
@@ -43,8 +43,8 @@ impl Icosphere {
     /// The shared icosphere with levels 0 to [`Self::MAX_LEVEL`].
     #[must_use]
     pub fn shared() -> &'static Self {
-        static SHARED: LazyLock<Icosphere> = LazyLock::new(|| Icosphere::new(Icosphere::MAX_LEVEL));
-        &SHARED
+        static SHARED: OnceLock<Icosphere> = OnceLock::new();
+        pool::made_once(&SHARED, || Self::new(Self::MAX_LEVEL))
     }
 
     /// Number of vertices of `level`.

@@ -1,7 +1,9 @@
 //! The sRGB transfer function.
 //! Must not know: what is encoded.
 
-use std::sync::LazyLock;
+use std::sync::OnceLock;
+
+use crate::pool;
 
 /// Steps of the table that finds an sRGB code from above: a power of two, so that scaling by it is exact.
 const TABLE_STEPS: usize = 4096;
@@ -17,8 +19,8 @@ pub(super) struct SrgbCodes {
 impl SrgbCodes {
     /// The table, made once.
     pub(super) fn shared() -> &'static Self {
-        static SHARED: LazyLock<SrgbCodes> = LazyLock::new(SrgbCodes::new);
-        &SHARED
+        static SHARED: OnceLock<SrgbCodes> = OnceLock::new();
+        pool::made_once(&SHARED, Self::new)
     }
 
     fn new() -> Self {
