@@ -43,7 +43,7 @@ struct PitPoint {
 
 // Adds the pit of a lattice's cell to what is summed so far, and its shadow: at most one crater or clod a cell, which does not reach beyond
 // its cell: its centre is at most JITTER_CELLS off the cell's, its radius at most 0.22 cells, and it has faded out at 1.5 radii.
-fn add_pits(before: vec4<f32>, lattice: Lattice, rays: PitRays, sun_clearance_m: ptr<function, f32>) -> vec4<f32> {
+fn add_pits(before: vec4<f32>, lattice: Lattice, rays: PitRays, occluder: ptr<function, Occluder>) -> vec4<f32> {
     if sample_share(1.001 * lattice.max_diameter_m, rays.sample_m) == 0.0 { return before; }
     let local = to_lattice(lattice, rays.point + before.w * rays.eye_way);
     let corner = floor(local);
@@ -82,17 +82,18 @@ fn add_pits(before: vec4<f32>, lattice: Lattice, rays: PitRays, sun_clearance_m:
     let shade = select(0.0, fade * FRESH_SHADE * pit.share, is_fresh);
     let risen = vec4(before.xyz, before.w + first_m);
     let sum = add_detail(risen, vec4(slope, shade, seen.height_m - first_m * rise), rays.eye_way);
-    *sun_clearance_m += rays.sun_lift * (sum.w - before.w);
+    (*occluder).clearance_m += rays.sun_lift * (sum.w - before.w);
     // Its shadow: of a crater's crest into the crater, of a clod where the ray to the sun passes closest to its centre.
     let sun = along_lattice(lattice, rays.sun_way * rays.per_sun_way);
     let away = dot(seen.offset, sun);
     let past = away * away - seen.r * seen.r;
     let way_r = select(sqrt(max(past + 1.0, 0.0)) - away, max(-away, 0.0), pit.is_clod);
     let top = select(RIM / PROFILE_DEPTH * pit.depth, clod_height(max(-past, 0.0)), pit.is_clod);
-    let rise_m = way_r * radius_m * rays.per_sun_way * (1.0 - dot(before.xy, rays.sun_way));
-    if fade > 0.0 && (pit.is_clod || seen.r < 1.0) && way_r * radius_m > rays.across_m {
+    let way_m = way_r * radius_m;
+    let rise_m = way_m * rays.per_sun_way * (1.0 - dot(before.xy, rays.sun_way));
+    if fade > 0.0 && (pit.is_clod || seen.r < 1.0) && way_m > rays.across_m {
         let clearance_m = rise_m / fade - (pit.share * pit.diameter_m * top - seen.height_m);
-        *sun_clearance_m = min(*sun_clearance_m, clearance_m);
+        *occluder = nearer_occluder(*occluder, Occluder(clearance_m, way_m, sum.w));
     }
     return sum;
 }

@@ -17,7 +17,6 @@ const MIN_LOW_WAY: f32 = 2.0;
 const FIRST_STEP_CELLS: f32 = 0.125;
 const SHADOW_BLUR: f32 = 0.5;
 const MIN_TESTED_SAMPLES: f32 = 3.0;
-const MIN_WAYS_COSINE: f32 = -0.999;
 const MIN_WAY: f32 = 1.0e-3;
 
 // Fraction of a feature of this size that the mesh has: 0 up to MIN_CELLS cells, 1 from twice as many on.
@@ -28,6 +27,14 @@ fn mesh_share(size_m: f32, cell_m: f32) -> f32 {
 // Fraction of a feature of this size that samples can resolve: fades out between four samples and two.
 fn sample_share(size_m: f32, sample_m: f32) -> f32 {
     return clamp(0.5 * size_m / sample_m - 1.0, 0.0, 1.0);
+}
+
+// Where a ray to the sun clears the ground the least: by how much, how far away that was, and up to which height the ray to the eye was
+// followed there, metres.
+struct Occluder {
+    clearance_m: f32,
+    way_m: f32,
+    height_m: f32,
 }
 
 // What the mesh leaves out of the ground at a point (metres from the centre of the ground), where samples are `sample_m` apart
@@ -44,13 +51,14 @@ fn ground_detail(
     let cell_m = light.relief_cell_angle * sqrt(dot(point, point) + light.relief_eye_height_m * light.relief_eye_height_m);
     // Slope, logarithm of the albedo, and height above the mesh. What the eye sees lies on its ray at that height.
     var sum = vec4(0.0);
-    // The slope of the noise alone, and by how much the ray to the sun clears it.
+    // The slope of the noise alone.
     var waves = vec2(0.0);
-    var sun_clearance_m = FAR_M;
+    var occluder = Occluder(FAR_M, FAR_M, 0.0);
     let per_eye_way = 1.0 / (length(eye_way) + MIN_WAY);
     let per_sun_way = 1.0 / (length(sun_way) + MIN_WAY);
     // By how much a ray to the sun is higher if it starts higher on the ray to the eye: not at all if the two are one.
-    let sun_lift = 1.0 - dot(eye_way, sun_way) * per_sun_way * per_sun_way;
+    let towards_sun = dot(eye_way, sun_way) * per_sun_way;
+    let sun_lift = 1.0 - towards_sun * per_sun_way;
     let rays = PitRays(point, eye_way, sun_way, per_sun_way, sun_lift, cell_m, sample_m, across_m);
     // Coarse to fine, pits and noise by their size: skip what is wholly in the mesh, stop at the first that samples cannot resolve.
     var pit = 0u;
@@ -59,7 +67,7 @@ fn ground_detail(
     // How strong the next finer octaves are here, before the cap.
     var strength = 1.0;
     for (var k = 0u; k <= light.relief_waves; k++) {
-        for (; has_larger_pits(pit, k); pit++) { sum = add_pits(sum, relief_pits(pit), rays, &sun_clearance_m); }
+        for (; has_larger_pits(pit, k); pit++) { sum = add_pits(sum, relief_pits(pit), rays, &occluder); }
         if k == light.relief_waves { break; }
         let octave = relief_noise(k);
         if sample_share(octave.cell_m, sample_m) == 0.0 { break; }
@@ -74,10 +82,11 @@ fn ground_detail(
         let tested = select(0.0, clamp(octave.cell_m / (MIN_TESTED_SAMPLES * sample_m) - 1.0, 0.0, 1.0), share > 0.0);
         for (var is_tested = tested > 0.0; is_tested; is_tested = false) {
             if per_sun_way < 1.0 / MIN_LOW_WAY {
-                let sun_rise_m = TESTED_CELLS * octave.cell_m * per_sun_way;
+                let way_m = TESTED_CELLS * octave.cell_m;
+                let sun_rise_m = way_m * per_sun_way;
                 let way = sun_rise_m * sun_way;
                 let height_m = dot(waves, way) + share * noise_height(octave, point + sum.w * eye_way + way);
-                sun_clearance_m = min(sun_clearance_m, sun_rise_m / tested - height_m);
+                occluder = nearer_occluder(occluder, Occluder(sun_rise_m / tested - height_m, way_m, sum.w));
             }
             let cells = share * octave.amount / (FIRST_STEP_CELLS * octave.cell_m * per_eye_way);
             if cells > 1.0 {
@@ -93,11 +102,13 @@ fn ground_detail(
         var wave = vec4(share, share, shown, share) * noise.detail;
         wave.w -= above_m;
         sum = add_detail(sum, wave, eye_way);
-        sun_clearance_m += sun_lift * (sum.w - start_m);
+        occluder.clearance_m += sun_lift * (sum.w - start_m);
         waves += wave.xy;
     }
-    let open_sun = clamp(0.5 + 0.5 * sun_clearance_m / (SHADOW_BLUR * across_m * per_sun_way), 0.0, 1.0);
-    let sun = mix(open_sun, 1.0, hidden_shadows(dot(eye_way, sun_way), per_eye_way, per_sun_way));
+    // Finer detail has moved the point on, perhaps up to its occluder.
+    let hidden = clamp(0.5 - 0.5 * occluder.clearance_m / (SHADOW_BLUR * across_m * per_sun_way), 0.0, 1.0);
+    let moved_m = max(towards_sun, 0.0) * (sum.w - occluder.height_m);
+    let sun = 1.0 - hidden * clamp(1.0 - moved_m / occluder.way_m, 0.0, 1.0);
     // The exponential function to second order.
     var detail = GroundDetail(sum.xy, 1.0 + sum.z * (1.0 + 0.5 * sum.z), sun);
     var cover = GrainCover(0.0, 0.0, 0.0);
@@ -118,13 +129,9 @@ fn has_larger_pits(pit: u32, k: u32) -> bool {
     return k >= light.relief_waves || relief_pits(pit).max_diameter_m > relief_noise(k).cell_m;
 }
 
-// Share of the shadows of relief that are hidden from the eye, by the scalar product of the ways to the eye and to the sun and one over
-// their lengths: src/render/lighting/ground_batch.rs explains it.
-fn hidden_shadows(along: f32, per_eye_way: f32, per_sun_way: f32) -> f32 {
-    let cosine = min(along * per_eye_way * per_sun_way, 1.0);
-    let tangent_squared = (1.0 - cosine) / (1.0 + max(cosine, MIN_WAYS_COSINE));
-    let exponential = 1.0 + sqrt(tangent_squared) + 0.5 * tangent_squared;
-    return min(per_sun_way / per_eye_way, 1.0) / (exponential * exponential);
+fn nearer_occluder(one: Occluder, other: Occluder) -> Occluder {
+    if other.clearance_m < one.clearance_m { return other; }
+    return one;
 }
 
 // Adds detail at the point where the ray to the eye has the height that is summed so far. The height at which it leaves the ground

@@ -12,9 +12,7 @@ fn constants_that_rust_has_too_are_equal() {
     use crate::render::lighting::compute::WORKGROUP_SIDE;
     use crate::render::lighting::detail_sums::{FAR_M, MIN_CLEARANCE};
     use crate::render::lighting::grains_host::{MAX_CELLS, ROUGHNESS};
-    use crate::render::lighting::ground_batch::{
-        MAX_EYE_WAY, MAX_SUN_WAY, MIN_TESTED_SAMPLES, MIN_WAY, MIN_WAYS_COSINE,
-    };
+    use crate::render::lighting::ground_batch::{MAX_EYE_WAY, MAX_SUN_WAY, MIN_TESTED_SAMPLES, MIN_WAY};
     use crate::render::lighting::pits_host::{FRESH_SHADE, PIT_REACH};
     use crate::render::lighting::slopes_host::SHADOW_BLUR;
     use crate::render::lighting::waves_host::{FIRST_STEP_CELLS, MIN_LOW_WAY, TESTED_CELLS};
@@ -54,7 +52,6 @@ fn constants_that_rust_has_too_are_equal() {
         (&LIGHTING_SURFACE, "PIT_REACH", f64::from(PIT_REACH)),
         (&LIGHTING_SURFACE, "MIN_CLEARANCE", f64::from(MIN_CLEARANCE)),
         (&LIGHTING_SURFACE, "FAR_M", f64::from(FAR_M)),
-        (&LIGHTING_SURFACE, "MIN_WAYS_COSINE", f64::from(MIN_WAYS_COSINE)),
         (&LIGHTING_SURFACE, "MIN_TESTED_SAMPLES", f64::from(MIN_TESTED_SAMPLES)),
         (&LIGHTING_SURFACE, "MIN_WAY", f64::from(MIN_WAY)),
         (&LIGHTING_SURFACE, "MIN_LOW_WAY", f64::from(MIN_LOW_WAY)),

@@ -21,6 +21,9 @@ pub(super) struct DetailSums {
     pub(super) shade: [f32; BATCH],
     pub(super) height_m: [f32; BATCH],
     pub(super) sun_clearance_m: [f32; BATCH],
+    /// Of the ground that these clear the least: how far away it was, metres, where the ray to the eye was followed up to this height.
+    occluder_way_m: [f32; BATCH],
+    occluder_height_m: [f32; BATCH],
     /// The part of the slope that waves have.
     pub(super) waves: Vectors,
     /// How strong the next finer waves are here, before the cap.
@@ -38,6 +41,8 @@ impl DetailSums {
             shade: zeros,
             height_m: zeros,
             sun_clearance_m: [FAR_M; BATCH],
+            occluder_way_m: [FAR_M; BATCH],
+            occluder_height_m: zeros,
             waves: Vectors { x: zeros, y: zeros },
             strength: [1.0; BATCH],
         }
@@ -69,6 +74,27 @@ impl DetailSums {
         self.sun_clearance_m[i] += ground.sun_lift[i] * rise_m;
     }
 
+    /// Takes ground at a horizontal distance from the point towards the sun for its occluder, if the ray to the sun clears no other by less.
+    #[inline(always)]
+    pub(super) fn add_occluder(&mut self, i: usize, clearance_m: f32, way_m: f32) {
+        let is_nearest = clearance_m < self.sun_clearance_m[i];
+        self.sun_clearance_m[i] = if is_nearest { clearance_m } else { self.sun_clearance_m[i] };
+        self.occluder_way_m[i] = if is_nearest { way_m } else { self.occluder_way_m[i] };
+        self.occluder_height_m[i] = if is_nearest { self.height_m[i] } else { self.occluder_height_m[i] };
+    }
+
+    /// Share of the sun that relief hides, its penumbra `blur_m` high on the occluder.
+    ///
+    /// Finer relief moves the point on its ray to the eye, with the sun behind the camera also towards the sun: there the shadow loses
+    /// strength until the point has reached the occluder, whose face towards the eye is lit. Extrapolated clearances alone would hide the
+    /// sun from points beyond.
+    #[inline(always)]
+    pub(super) fn sun_hidden(&self, ground: &GroundBatch, i: usize, blur_m: f32) -> f32 {
+        let hidden = (0.5 - 0.5 * self.sun_clearance_m[i] / blur_m).clamp(0.0, 1.0);
+        let moved_m = ground.towards_sun[i] * (self.height_m[i] - self.occluder_height_m[i]);
+        hidden * (1.0 - moved_m / self.occluder_way_m[i]).clamp(0.0, 1.0)
+    }
+
     /// How much of relief of this size the mesh leaves out and samples can show, 0 to 1: samples on slopes that face away from the eye are
     /// further apart.
     #[inline(always)]
@@ -89,5 +115,30 @@ impl DetailSums {
     #[inline(always)]
     pub(super) fn rise(&self, ground: &GroundBatch, i: usize) -> f32 {
         1.0 - (self.x[i] * ground.ways[0].x[i] + self.y[i] * ground.ways[0].y[i])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A point in the shadow of a bump 4 cm away, and finer relief that moves it along its ray to the eye, 3 m for each that it rises.
+    #[test]
+    fn no_bump_shadows_its_face_towards_the_sun() {
+        const BLUR_M: f32 = 1e-4;
+        for (towards_sun, rise_m, hidden) in
+            [(3.0, 0.0, 1.0), (3.0, 0.01, 0.25), (3.0, 0.02, 0.0), (3.0, -0.01, 1.0), (0.0, 0.02, 1.0)]
+        {
+            let mut ground = GroundBatch::towards_eye(Vec2::ZERO, 3.0, 1e-3, 0.05);
+            ground.towards_sun = [towards_sun; BATCH];
+            ground.sun_lift = [1.0 - towards_sun; BATCH];
+            let mut sums = DetailSums::new();
+            // So far below the edge of its shadow that no penumbra counts; ground that the ray clears by more does not count either.
+            sums.add_occluder(0, -1.0, 0.04);
+            sums.add_occluder(0, 0.02, 0.01);
+            sums.move_up(&ground, 0, rise_m);
+            let got = sums.sun_hidden(&ground, 0, BLUR_M);
+            assert!((got - hidden).abs() < 1e-5, "{rise_m} m up, {towards_sun} towards the sun: {got}");
+        }
     }
 }

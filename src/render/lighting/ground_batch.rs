@@ -19,8 +19,6 @@ pub(crate) const MIN_TESTED_SAMPLES: f32 = 3.0;
 pub(crate) const MAX_EYE_WAY: f32 = 8.0;
 /// The same of a ray to the sun, for 5 degrees.
 pub(crate) const MAX_SUN_WAY: f32 = 11.0;
-/// Least cosine of the angle between the ways to the eye and to the sun: that of opposite ones would be divided by zero.
-pub(crate) const MIN_WAYS_COSINE: f32 = -0.999;
 /// Added to the length of a way before one is divided by it.
 pub(crate) const MIN_WAY: f32 = 1e-3;
 
@@ -55,10 +53,10 @@ pub(super) struct GroundBatch {
     pub(super) ways: [Vectors; 2],
     /// One over the lengths of these ways.
     pub(super) per_way: [[f32; BATCH]; 2],
-    /// Share of the shadows of relief that are hidden from the eye.
-    pub(super) hidden_shadows: [f32; BATCH],
     /// By how much a ray to the sun is higher if it starts a metre higher on the ray to the eye, metres: 0 if the two are one.
     pub(super) sun_lift: [f32; BATCH],
+    /// How far the ray to the eye goes towards the sun per metre that it rises, metres: 0 if it goes away.
+    pub(super) towards_sun: [f32; BATCH],
 }
 
 impl SampleBatch {
@@ -99,8 +97,8 @@ impl GroundBatch {
             across_m: zeros,
             ways: [Vectors { x: zeros, y: zeros }; 2],
             per_way: [zeros; 2],
-            hidden_shadows: zeros,
             sun_lift: zeros,
+            towards_sun: zeros,
         };
         let sun_way = (sun.x * sun.x + sun.y * sun.y).sqrt();
         let row_start = corner + (row as f32 + 0.5) * down;
@@ -130,8 +128,9 @@ impl GroundBatch {
             ground.ways[1].y[i] = sun.y * per_rise;
             ground.per_way[1][i] = 1.0 / (sun_way * per_rise + MIN_WAY);
             let along = ground.ways[0].x[i] * ground.ways[1].x[i] + ground.ways[0].y[i] * ground.ways[1].y[i];
-            ground.sun_lift[i] = 1.0 - along * (ground.per_way[1][i] * ground.per_way[1][i]);
-            ground.hidden_shadows[i] = hidden_shadows(along, [ground.per_way[0][i], ground.per_way[1][i]]);
+            let towards_sun = along * ground.per_way[1][i];
+            ground.sun_lift[i] = 1.0 - towards_sun * ground.per_way[1][i];
+            ground.towards_sun[i] = if towards_sun > 0.0 { towards_sun } else { 0.0 };
             let (x, y) = (view.eye_from_centre.x + x, view.eye_from_centre.y + y);
             let height = view.eye_height_m;
             ground.x[i] = x;
@@ -160,6 +159,29 @@ impl GroundBatch {
     }
 }
 
+#[cfg(test)]
+impl GroundBatch {
+    /// Level ground at samples that follow each other towards the eye, whose rays have this way and lie so far apart across the view. The
+    /// sun stands behind it, half a right angle high.
+    pub(super) fn towards_eye(start: glam::Vec2, way: f32, across_m: f32, cell_m: f32) -> Self {
+        let sample_m = across_m * (1.0 + way * way).sqrt().sqrt();
+        let step_m = sample_m * sample_m / across_m;
+        Self {
+            x: [start.x; BATCH],
+            y: std::array::from_fn(|i| start.y + step_m * i as f32),
+            cell_m: [cell_m; BATCH],
+            sample_m: [sample_m; BATCH],
+            per_mesh: [1.0 / (MIN_CELLS * cell_m); BATCH],
+            per_sample: [0.5 / sample_m; BATCH],
+            across_m: [across_m; BATCH],
+            ways: [way, 1.0].map(|way| Vectors { x: [0.0; BATCH], y: [way; BATCH] }),
+            per_way: [[1.0 / way; BATCH], [1.0; BATCH]],
+            sun_lift: [1.0 - way; BATCH],
+            towards_sun: [way; BATCH],
+        }
+    }
+}
+
 /// One over how much a ray rises above the ground, `rise`, or over the least at which the horizontal part of the ray, `way`, is
 /// `max_way` times as long.
 #[inline(always)]
@@ -167,24 +189,6 @@ fn per_rise(rise: f32, way: f32, max_way: f32) -> f32 {
     let lowest = way / max_way;
     let lowest = if lowest > 1e-6 { lowest } else { 1e-6 };
     1.0 / if rise > lowest { rise } else { lowest }
-}
-
-/// Share of the shadows of relief that are hidden from the eye, by the scalar product of the ways to the eye and to the sun and one over
-/// the lengths of these.
-///
-/// A bump hides the start of its own shadow, as far as the way to the eye is long beside that to the sun; all if the eye is lower. That
-/// holds for the sun behind the camera, and falls with the angle psi between the two ways as exp(-2 tan(psi / 2)) (Hapke 1984,
-/// "Bidirectional reflectance spectroscopy 3"). Here the exponential of t is 1 + t + t^2 / 2, as devices can compute alike.
-#[inline(always)]
-fn hidden_shadows(along: f32, [per_eye_way, per_sun_way]: [f32; 2]) -> f32 {
-    let cosine = along * per_eye_way * per_sun_way;
-    let cosine = if cosine < 1.0 { cosine } else { 1.0 };
-    let tangent_squared =
-        (1.0 - cosine) / if cosine > MIN_WAYS_COSINE { 1.0 + cosine } else { 1.0 + MIN_WAYS_COSINE };
-    let exponential = 1.0 + tangent_squared.sqrt() + 0.5 * tangent_squared;
-    let hidden = per_sun_way / per_eye_way;
-    let hidden = if hidden < 1.0 { hidden } else { 1.0 };
-    hidden / (exponential * exponential)
 }
 
 /// A vector along the normal with these octahedral coordinates. CPU counterpart of the function in `common/octahedral.wgsl`, which

@@ -171,14 +171,12 @@ fn add_pit(
     let closest_square = -past;
     let clod = clod_height(if closest_square > 0.0 { closest_square } else { 0.0 });
     let top = if pit.is_clod { clod } else { RIM / PROFILE_DEPTH * pit.depth };
-    let rise_m = way_r * 0.5 * pit.diameter_m * per_sun_way;
+    let way_m = way_r * 0.5 * pit.diameter_m;
+    let rise_m = way_m * per_sun_way;
     let clearance_m = rise_m * (1.0 - larger) / fade - (pit.share * pit.diameter_m * top - height_m);
-    let is_tested = (pit.share > 0.0)
-        & (fade > 0.0)
-        & (pit.is_clod | (r < 1.0))
-        & (way_r * 0.5 * pit.diameter_m > ground.across_m[i]);
-    let nearest_m = sums.sun_clearance_m[i];
-    sums.sun_clearance_m[i] = if is_tested & (clearance_m < nearest_m) { clearance_m } else { nearest_m };
+    let is_tested =
+        (pit.share > 0.0) & (fade > 0.0) & (pit.is_clod | (r < 1.0)) & (way_m > ground.across_m[i]);
+    sums.add_occluder(i, if is_tested { clearance_m } else { f32::INFINITY }, way_m);
 }
 
 /// The centre of the pit of a cell with this second hash, cells from the corner of the cell. As `PitLattice::pit` in

@@ -143,8 +143,7 @@ fn ground_detail(
         let point = sums.point(&ground, i);
         (x[i], y[i]) = (point.x, point.y);
         let blur_m = SHADOW_BLUR * ground.across_m[i] * ground.per_way[1][i];
-        let sun = (0.5 + 0.5 * sums.sun_clearance_m[i] / blur_m).clamp(0.0, 1.0);
-        sun_on_ground[i] = sun + (1.0 - sun) * ground.hidden_shadows[i];
+        sun_on_ground[i] = 1.0 - sums.sun_hidden(&ground, i, blur_m);
     }
     let mut detail = GroundDetail {
         slope: Vectors { x: sums.x, y: sums.y },

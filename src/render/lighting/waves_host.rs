@@ -7,7 +7,7 @@
 
 use glam::Vec2;
 
-use super::detail_sums::{DetailSums, FAR_M};
+use super::detail_sums::DetailSums;
 use super::ground_batch::{BATCH, GroundBatch};
 use crate::render::device::shader_structs::LatticeUniforms;
 use crate::scene::noise::{gradient_noise_2d, gradient_noise_slope_2d, patchy_noise_2d};
@@ -36,10 +36,12 @@ pub(super) fn noise_slope(
         *resolved = sums.share(ground, i, wave.cell_m);
     }
     if is_tested && is_sun_low {
-        for (i, resolved) in resolved.iter().enumerate() {
-            let clearance_m = sun_clearance(wave, ground, sums, (i, *resolved));
-            let nearest_m = sums.sun_clearance_m[i];
-            sums.sun_clearance_m[i] = if clearance_m < nearest_m { clearance_m } else { nearest_m };
+        let mut clearances_m = [0.0; BATCH];
+        for (i, clearance_m) in clearances_m.iter_mut().enumerate() {
+            *clearance_m = sun_clearance(wave, ground, sums, (i, resolved[i]));
+        }
+        for (i, clearance_m) in clearances_m.into_iter().enumerate() {
+            sums.add_occluder(i, clearance_m, TESTED_CELLS * wave.cell_m);
         }
     }
     let rises_m = if is_tested { first_step(wave, ground, &resolved, sums) } else { [0.0; BATCH] };
@@ -151,7 +153,7 @@ fn sun_clearance(
     let tested = ground.tested_share(i, wave.cell_m);
     let is_tested = (per_way < 1.0 / MIN_LOW_WAY) & (resolved > 0.0) & (tested > 0.0);
     let clearance_m = rise_m / tested - (sums.waves.x[i] * way.x + sums.waves.y[i] * way.y + height_m);
-    if is_tested { clearance_m } else { FAR_M }
+    if is_tested { clearance_m } else { f32::INFINITY }
 }
 
 #[cfg(test)]
@@ -159,28 +161,9 @@ mod tests {
     use super::*;
     use crate::params::config::Config;
     use crate::random::Streams;
-    use crate::render::lighting::ground_batch::{MIN_TESTED_SAMPLES, Vectors};
+    use crate::render::lighting::ground_batch::MIN_TESTED_SAMPLES;
     use crate::render::lighting::relief_bands::{lattice_uniforms, sample_share};
-    use crate::scene::relief::{MIN_CELLS, Relief, mesh_share};
-
-    /// Level ground at samples that follow each other towards the eye, whose rays have this way and lie so far apart across the view.
-    fn ground_towards_eye(start: Vec2, way: f32, across_m: f32, cell_m: f32) -> GroundBatch {
-        let sample_m = across_m * (1.0 + way * way).sqrt().sqrt();
-        let step_m = sample_m * sample_m / across_m;
-        GroundBatch {
-            x: [start.x; BATCH],
-            y: std::array::from_fn(|i| start.y + step_m * i as f32),
-            cell_m: [cell_m; BATCH],
-            sample_m: [sample_m; BATCH],
-            per_mesh: [1.0 / (MIN_CELLS * cell_m); BATCH],
-            per_sample: [0.5 / sample_m; BATCH],
-            across_m: [across_m; BATCH],
-            ways: [0.0, way].map(|_| Vectors { x: [0.0; BATCH], y: [way; BATCH] }),
-            per_way: [[1.0 / way; BATCH], [1.0; BATCH]],
-            hidden_shadows: [0.0; BATCH],
-            sun_lift: [0.0; BATCH],
-        }
-    }
+    use crate::scene::relief::{Relief, mesh_share};
 
     /// A surface that hides itself from the eye shows its points in their order: of samples that follow each other towards the eye, the next
     /// one sees ground that is nearer. A step that misses turns this round, and stretches what it shows; with one step a wave 1.5 % do at the
@@ -197,7 +180,7 @@ mod tests {
             let (mut backwards, mut all) = (0, 0);
             for k in 0..400_u16 {
                 let start = Vec2::new(0.37 * f32::from(k), 0.61 * f32::from(k % 29));
-                let ground = ground_towards_eye(start, way, across_m, cell_m);
+                let ground = GroundBatch::towards_eye(start, way, across_m, cell_m);
                 let mut sums = DetailSums::new();
                 for octave in &relief.octaves {
                     let wave = LatticeUniforms {
