@@ -1,7 +1,7 @@
-"""Makes the pictures of the documentation again, all or those named: docs/presets/NAME.jpg, the first frames that a dataset of each preset
+"""Makes the images of the documentation again, all or those named: docs/presets/NAME.jpg, the first frames that a dataset of each preset
 has, and assets/NAME.png. assets/evidence.png is made by evidence.py.
 
-    python tests/outside/pictures.py target/release/regolith-render [NAME ...]
+    python tests/outside/doc_images.py target/release/regolith-render [NAME ...]
 
 Needs Pillow. Presets of suns and cameras are joined with a training preset of the surface stage.
 """
