@@ -1,5 +1,5 @@
-//! Shared memory: a pool of buffers, by which scenes and frames reuse the memory of earlier ones, which saves page faults and zeroing; and
-//! tables that are made once.
+//! What threads share: a pool of buffers, by which scenes and frames reuse the memory of earlier ones, which saves page faults and zeroing;
+//! and tables that are made once.
 //!
 //! Nothing here waits for another thread. In a process that was forked from another, that thread may have been left behind there, and what
 //! it began is never finished.
@@ -162,7 +162,9 @@ impl<T: Value> Drop for PooledVec<T> {
         }
         // While a thread ends its own pool is gone, and the buffer is freed.
         let left = OWN.try_with(|own| own.borrow_mut().put(list, MAX_OWN_BYTES)).ok().flatten();
-        if let Some((list, mut shared)) = left.zip(shared()) {
+        if let Some(list) = left
+            && let Some(mut shared) = shared()
+        {
             let removed = shared.make_room(list.capacity() * size_of::<T>(), MAX_BYTES);
             let too_large = shared.put(list, MAX_BYTES);
             // Freed once others may use the pool.
