@@ -112,9 +112,10 @@ impl Gpu {
     ) -> Result<Self> {
         let info = adapter.get_info();
         let unfit = |reason: String| Error::AdapterUnfit { adapter: info.name.clone(), reason };
-        let missing = adapter::missing(adapter.get_downlevel_capabilities().flags);
+        let missing = adapter::missing(&info, adapter.get_downlevel_capabilities().flags);
         if !missing.is_empty() {
-            return Err(unfit(format!("it lacks {}; update its driver", missing.join(", "))));
+            let remedy = if info.backend == Backend::Gl { "use Vulkan" } else { "update its driver" };
+            return Err(unfit(format!("it lacks {}; {remedy}", missing.join(", "))));
         }
         // On GL such a driver has the file too, and keeps nothing in it.
         if adapter::is_software(&info) && info.backend == Backend::Vulkan {

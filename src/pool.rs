@@ -12,13 +12,14 @@ use std::collections::{BTreeMap, VecDeque};
 use std::hint;
 use std::ops::{Deref, DerefMut};
 use std::sync::{Mutex, MutexGuard, OnceLock, TryLockError};
+use std::thread;
 
 use bytemuck::Pod;
 
 /// Minimum size of a pooled buffer, bytes: for smaller ones the allocator is as fast.
 const MIN_BYTES: usize = 1 << 10;
-/// Capacity of the shared pool, bytes: more than a nominal scene's worth.
-const MAX_BYTES: usize = 16 << 20;
+/// Capacity of the shared pool for each core, bytes: more than a nominal scene's worth for two, of which one makes the next scene.
+const MAX_BYTES_PER_CORE: usize = 8 << 20;
 /// Capacity of a thread's own pool, bytes: about what stays in its core's cache.
 const MAX_OWN_BYTES: usize = 1 << 20;
 /// How often a thread tries to get the shared pool: for longer than any other keeps it while both run.
@@ -99,6 +100,13 @@ fn shared() -> Option<MutexGuard<'static, Pool>> {
     None
 }
 
+/// Capacity of the shared pool, bytes.
+fn max_bytes() -> usize {
+    static MAX_BYTES: OnceLock<usize> = OnceLock::new();
+    let cores = || thread::available_parallelism().map_or(1, usize::from);
+    *made_once(&MAX_BYTES, || MAX_BYTES_PER_CORE * cores().max(2))
+}
+
 /// What is shared, made first if there is none yet; threads that come at the same time all make it.
 pub fn made_once<T>(shared: &'static OnceLock<T>, make: impl FnOnce() -> T) -> &'static T {
     shared.get().unwrap_or_else(|| {
@@ -165,8 +173,8 @@ impl<T: Value> Drop for PooledVec<T> {
         if let Some(list) = left
             && let Some(mut shared) = shared()
         {
-            let removed = shared.make_room(list.capacity() * size_of::<T>(), MAX_BYTES);
-            let too_large = shared.put(list, MAX_BYTES);
+            let removed = shared.make_room(list.capacity() * size_of::<T>(), max_bytes());
+            let too_large = shared.put(list, max_bytes());
             // Freed once others may use the pool.
             drop(shared);
             drop((removed, too_large));
@@ -227,7 +235,6 @@ impl<T: Value> From<&[T]> for PooledVec<T> {
 #[cfg(test)]
 mod tests {
     use std::sync::mpsc;
-    use std::thread;
     use std::time::Duration;
 
     use super::*;

@@ -366,44 +366,44 @@ impl Renderer {
         let resolve_variant = resolve::pass::Variant::new(&gbuffer);
         // Compiling a pipeline takes longer than it saves in one frame: the first is lit by as few pipelines as possible, which are
         // compiled while it is prepared.
-        let is_first = !self.lighting.has(pipelines);
+        let is_first = !self.lighting.has(pipelines, self.raster.lighting);
         let raster = RasterOptions {
             bin_by_shadow_sources: self.raster.bin_by_shadow_sources && !is_first,
             ..self.raster
         };
         let Self { gpu, layouts, buffers, shadow, visibility, lighting, resolve, staging, .. } = self;
-        let (prepared, ()) = rayon::join(
-            || {
-                plan.place_tiles(|selection| shadow.place_tiles(scene, selection, raster.max_texture_px));
-                plan.uniforms = uniforms::of_tile(&plan.uniforms, tile, settings);
-                let multi_draw = raster.multi_draw;
-                let mut bytes = gpu.guard(|| buffers.upload(gpu, scene, &plan, (multi_draw, staging)))??;
-                // Nothing else needs these.
-                (plan.horizon, plan.instances, plan.lit_rocks) = Default::default();
-                let selected = (scene, &plan.selection, plan.shadow_map_px);
-                let casters = (&buffers.meshes, &plan.draws.casters);
-                bytes += shadow.prepare(gpu, layouts, selected, (casters, staging))?;
-                let inputs = VisibilityInputs {
-                    scene,
-                    settings,
-                    selection: &plan.selection,
-                    caster_grid: &plan.caster_grid,
-                    bands: &plan.bands,
-                    draws: (&buffers.meshes, &plan.draws.batches),
-                    bin_by_shadow_sources: raster.bin_by_shadow_sources,
-                };
-                bytes += visibility.find(gpu, layouts, inputs);
-                let samples = tile.rendered.samples(settings.samples_per_side);
-                bytes += visibility.fill(gpu, &plan.draws.batches, samples, (&mut gbuffer, staging))?;
-                Result::Ok((plan, bytes))
-            },
-            || {
-                rayon::join(
-                    || resolve.prepare(gpu, resolve_variant),
-                    || lighting.prepare_general(gpu, layouts, pipelines, raster.lighting),
-                );
-            },
-        );
+        let prepare = || {
+            plan.place_tiles(|selection| shadow.place_tiles(scene, selection, raster.max_texture_px));
+            plan.uniforms = uniforms::of_tile(&plan.uniforms, tile, settings);
+            let multi_draw = raster.multi_draw;
+            let mut bytes = gpu.guard(|| buffers.upload(gpu, scene, &plan, (multi_draw, staging)))??;
+            // Nothing else needs these.
+            (plan.horizon, plan.instances, plan.lit_rocks) = Default::default();
+            let selected = (scene, &plan.selection, plan.shadow_map_px);
+            let casters = (&buffers.meshes, &plan.draws.casters);
+            bytes += shadow.prepare(gpu, layouts, selected, (casters, staging))?;
+            let inputs = VisibilityInputs {
+                scene,
+                settings,
+                selection: &plan.selection,
+                caster_grid: &plan.caster_grid,
+                bands: &plan.bands,
+                draws: (&buffers.meshes, &plan.draws.batches),
+                bin_by_shadow_sources: raster.bin_by_shadow_sources,
+            };
+            bytes += visibility.find(gpu, layouts, inputs);
+            let samples = tile.rendered.samples(settings.samples_per_side);
+            bytes += visibility.fill(gpu, &plan.draws.batches, samples, (&mut gbuffer, staging))?;
+            Result::Ok((plan, bytes))
+        };
+        let mut compile_resolve = || resolve.prepare(gpu, resolve_variant);
+        let mut compile_lighting = || lighting.prepare_general(gpu, layouts, pipelines, raster.lighting);
+        // Once there are pipelines, this thread neither wakes those of the pool nor waits for them.
+        let (prepared, _) = if is_first {
+            rayon::join(prepare, || rayon::join(compile_resolve, compile_lighting))
+        } else {
+            (prepare(), (compile_resolve(), compile_lighting()))
+        };
         let (plan, mut uploaded_bytes) = prepared?;
         uploaded_bytes += slot.packed.choose(gpu, &mut gbuffer);
         if raster.lighting == LightingMode::Bins {

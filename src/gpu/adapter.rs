@@ -17,9 +17,32 @@ const REQUIRED_FLAGS: [(DownlevelFlags, &str); 3] = [
     (DownlevelFlags::FRAGMENT_STORAGE, "storage buffers in fragment shaders"),
 ];
 
+/// Versions of GL and of GL ES from which shaders are compiled with what the passes use.
+const GL_VERSION: (u32, u32) = (4, 3);
+/// See [`GL_VERSION`].
+const GL_ES_VERSION: (u32, u32) = (3, 1);
+
 /// What an adapter with these flags lacks, in words.
-pub(super) fn missing(flags: DownlevelFlags) -> Vec<&'static str> {
-    REQUIRED_FLAGS.iter().filter(|(flag, _)| !flags.contains(*flag)).map(|(_, name)| *name).collect()
+pub(super) fn missing(info: &AdapterInfo, flags: DownlevelFlags) -> Vec<String> {
+    let lacking = REQUIRED_FLAGS.iter().filter(|(flag, _)| !flags.contains(*flag));
+    lacking.map(|(_, name)| (*name).to_owned()).chain(missing_gl(info)).collect()
+}
+
+/// The version of GL that an adapter lacks. wgpu asks for a context of version 3.3: Mesa answers with the latest that it has, NVIDIA's driver
+/// with that one, for which shaders are not compiled, whatever extensions there are.
+fn missing_gl(info: &AdapterInfo) -> Option<String> {
+    if info.backend != Backend::Gl {
+        return None;
+    }
+    let is_es = info.driver_info.contains("OpenGL ES");
+    let (name, needed) = if is_es { ("GL ES", GL_ES_VERSION) } else { ("GL", GL_VERSION) };
+    let version = |word: &str| {
+        let mut numbers = word.split('.').map_while(|number| number.parse().ok());
+        Some((numbers.next()?, numbers.next()?))
+    };
+    let (major, minor) = info.driver_info.split_whitespace().find_map(version)?;
+    let is_too_old = (major, minor) < needed;
+    is_too_old.then(|| format!("{name} {}.{} (its driver opens {major}.{minor})", needed.0, needed.1))
 }
 
 /// The adapter whose description contains `wanted`, or the best one; see [`crate::gpu::Gpu::open`].
@@ -178,9 +201,21 @@ mod tests {
     #[test]
     fn what_an_adapter_lacks_is_named() {
         let all = DownlevelFlags::all();
-        assert_eq!(missing(all), [""; 0]);
-        assert_eq!(missing(all - DownlevelFlags::SHADER_F16_IN_F32), [""; 0]);
-        assert_eq!(missing(all - DownlevelFlags::COMPUTE_SHADERS), ["compute shaders"]);
+        let vulkan = AdapterInfo::new(DeviceType::DiscreteGpu, Backend::Vulkan);
+        assert_eq!(missing(&vulkan, all), [""; 0]);
+        assert_eq!(missing(&vulkan, all - DownlevelFlags::SHADER_F16_IN_F32), [""; 0]);
+        assert_eq!(missing(&vulkan, all - DownlevelFlags::COMPUTE_SHADERS), ["compute shaders"]);
+        for (driver, lacks) in [
+            ("3.3.0 NVIDIA 580.159.04", &["GL 4.3 (its driver opens 3.3)"][..]),
+            ("4.5 (Core Profile) Mesa 22.3.6", &[]),
+            ("OpenGL ES 3.2 Mesa 25.0.7", &[]),
+            ("OpenGL ES 3.0 of some phone", &["GL ES 3.1 (its driver opens 3.0)"]),
+            ("of no version", &[]),
+        ] {
+            let blank = AdapterInfo::new(DeviceType::Other, Backend::Gl);
+            let info = AdapterInfo { driver_info: driver.to_owned(), ..blank };
+            assert_eq!(missing(&info, all), lacks, "{driver}");
+        }
     }
 
     #[test]

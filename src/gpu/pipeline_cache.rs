@@ -83,6 +83,8 @@ fn without_hash(stored: &[u8]) -> Option<&[u8]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gpu::Gpu;
+    use crate::gpu::adapter::adapter_of_tests;
 
     #[test]
     fn damaged_data_never_reaches_a_driver() {
@@ -101,7 +103,7 @@ mod tests {
 
     #[test]
     fn drivers_and_processors_do_not_share_a_cache() {
-        let info = crate::gpu::Gpu::open(Some("cpu")).expect("a device").info;
+        let info = Gpu::open(Some(&adapter_of_tests())).expect("a device").info;
         let updated = AdapterInfo { driver_info: format!("{} (git)", info.driver_info), ..info.clone() };
         let wider = AdapterInfo { name: format!("{}, 512 bits", info.name), ..info.clone() };
         let keys = [(&info, "fma avx2"), (&info, "sse4.2"), (&updated, "fma avx2"), (&wider, "fma avx2")]
@@ -114,10 +116,10 @@ mod tests {
     #[test]
     fn a_driver_reuses_its_own_data_and_survives_any_other() {
         let open = |stored: Option<Vec<u8>>| {
-            let gpu = crate::gpu::Gpu::open_with_cache(Some("cpu"), |_| stored).expect("a device");
+            let gpu = Gpu::open_with_cache(Some(&adapter_of_tests()), |_| stored).expect("a device");
             let data = gpu.pipeline_cache().and_then(wgpu::PipelineCache::get_data);
             gpu.check().expect("no pending error");
-            data.expect("the software adapter exports its cache")
+            data.expect("the driver exports its cache")
         };
         let exported = open(None);
         assert_eq!(open(Some(with_hash(&exported))), exported);

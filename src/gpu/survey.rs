@@ -59,7 +59,7 @@ impl AdapterReport {
 
     fn new(adapter: &wgpu::Adapter) -> Self {
         let info = adapter.get_info();
-        let missing = adapter::missing(adapter.get_downlevel_capabilities().flags);
+        let missing = adapter::missing(&info, adapter.get_downlevel_capabilities().flags);
         Self {
             kind: adapter::kind(&info).to_owned(),
             backend: info.backend.to_string(),
@@ -67,7 +67,7 @@ impl AdapterReport {
             vendor: info.vendor,
             device: info.device,
             is_software: adapter::is_software(&info),
-            missing: missing.into_iter().map(str::to_owned).collect(),
+            missing,
             limits: limits(&info, &adapter.limits()),
             name: info.name,
         }

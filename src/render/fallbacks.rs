@@ -5,7 +5,8 @@ use half::f16;
 use crate::error::Error;
 use crate::frame::Frame;
 use crate::frame::plane::{PLANES, Plane, Values, every_annotation};
-use crate::gpu::{Gpu, Requested, adapter};
+use crate::gpu::adapter::{self, adapter_of_tests};
+use crate::gpu::{Gpu, Requested};
 use crate::params::config::Config;
 use crate::render::device::light_table::Transport;
 use crate::render::tiling::TileLimits;
@@ -40,7 +41,7 @@ fn all_planes(size: [u32; 2], samples: u32) -> RenderSettings {
 }
 
 fn renderer(requested: Requested, mode: RasterMode) -> Renderer {
-    let gpu = Gpu::open_with(Some("cpu"), requested).expect("a device");
+    let gpu = Gpu::open_with(Some(&adapter_of_tests()), requested).expect("a device");
     Renderer::with_raster(gpu, mode).expect("a renderer")
 }
 
@@ -251,7 +252,7 @@ fn light_numbers_in_uniforms_are_those_in_varyings() {
 
 #[test]
 fn lighting_that_a_device_cannot_draw_is_refused() {
-    let gpu = Gpu::open_with(Some("cpu"), Requested::Least).expect("a device");
+    let gpu = Gpu::open_with(Some(&adapter_of_tests()), Requested::Least).expect("a device");
     let refused = |mode, lighting| {
         let options = RasterOptions::new(mode, &gpu).expect("a mode").with_lighting(lighting, &gpu);
         matches!(options, Err(Error::Usage(message)) if message.starts_with("--lighting"))

@@ -12,6 +12,7 @@ use crate::render::frame_plan::{FramePlan, PlanCache};
 use crate::render::post::hazards;
 use crate::render::select::near_plane;
 use crate::render::settings::RenderSettings;
+use crate::render::visibility::packed_vertices::PackedMeshes;
 use crate::scene::Scene;
 
 /// What the caller asked for, and what has to be rendered for it.
@@ -82,4 +83,17 @@ pub struct FramePacket {
     pub(crate) plan: FramePlan,
     /// Milliseconds that the planning took.
     pub(crate) plan_ms: f64,
+}
+
+impl FramePacket {
+    /// Packs all meshes of the frame too, for a device that has none of this scene: whoever submits the packet need not.
+    #[must_use]
+    pub fn with_meshes(mut self, scene: &Scene) -> Self {
+        let start = Instant::now();
+        if !self.plan.draws.draws.is_empty() {
+            self.plan.meshes = Some(PackedMeshes::new(self.request.rendered(scene).0, &self.plan.selection));
+        }
+        self.plan_ms += milliseconds(start.elapsed());
+        self
+    }
 }

@@ -21,6 +21,7 @@ use crate::render::select::lit_rocks::{Exposed, LitRocks};
 use crate::render::select::selection::{Selection, Slots};
 use crate::render::settings::RenderSettings;
 use crate::render::shadow::horizon::{HorizonCache, HorizonMap};
+use crate::render::visibility::packed_vertices::PackedMeshes;
 use crate::scene::Scene;
 use crate::scene::bounce::{Bounce, rms_slope};
 use crate::scene::photometry::{Law, Photometry};
@@ -48,6 +49,10 @@ pub(crate) struct FramePlan {
     pub(crate) instances: Vec<Instance>,
     /// What the device draws, and the batches of the shading bins.
     pub(crate) draws: DrawList,
+    /// All meshes of the selection, packed for the device, if the packet has them ([`FramePacket::with_meshes`]).
+    ///
+    /// [`FramePacket::with_meshes`]: crate::render::FramePacket::with_meshes
+    pub(crate) meshes: Option<PackedMeshes>,
     /// Uniforms of the frame.
     pub(crate) uniforms: FrameUniforms,
 }
@@ -117,6 +122,7 @@ impl FramePlan {
             caster_tiles: Vec::new(),
             instances,
             draws,
+            meshes: None,
             uniforms,
             bands,
             selection,

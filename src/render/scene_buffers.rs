@@ -82,7 +82,7 @@ impl SceneBuffers {
         bytes += self.caster_grid.write_both(gpu, &plan.caster_grid, &plan.lit_rocks.lists);
         bytes += self.upload_lit_faces(gpu, &plan.lit_rocks, staging)?;
         if !plan.draws.draws.is_empty() {
-            bytes += self.meshes.upload(gpu, scene, &plan.selection);
+            bytes += self.meshes.upload(gpu, scene, &plan.selection, plan.meshes.as_ref());
             bytes += self.meshes.set_draws(gpu, &plan.draws.draws, multi_draw);
         }
         Ok(bytes + self.upload_horizon(gpu, &plan.horizon, staging)?)

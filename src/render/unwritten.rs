@@ -6,6 +6,7 @@ use super::{FramePacket, LightingMode, RasterMode, RasterOptions, RenderSettings
 use crate::error::{Error, Result};
 use crate::frame::Frame;
 use crate::gpu::Gpu;
+use crate::gpu::adapter::adapter_of_tests;
 use crate::params::config::Config;
 use crate::render::device::shading_bins::LightingVariant;
 use crate::render::lighting::gbuffer::GBuffer;
@@ -51,7 +52,8 @@ fn assert_refused(what: &str, result: Result<Frame>, expected: impl Fn(u64) -> b
 
 #[test]
 fn a_frame_that_loses_a_draw_is_refused_by_both_backends() {
-    let mut renderer = Renderer::new(Gpu::open(Some("cpu")).expect("an adapter")).expect("a renderer");
+    let mut renderer =
+        Renderer::new(Gpu::open(Some(&adapter_of_tests())).expect("an adapter")).expect("a renderer");
     let mut lost = [0; 2];
     for (set, samples) in [("stage.name=surface", 1), ("camera.k1=-0.1", 4)] {
         let mut config = Config::new();
@@ -101,7 +103,7 @@ fn a_frame_that_loses_a_draw_is_refused_by_both_backends() {
 /// Draws of the sky come last.
 #[test]
 fn a_frame_that_loses_triangles_of_a_compute_pass_is_refused() {
-    let gpu = Gpu::open(Some("cpu")).expect("an adapter");
+    let gpu = Gpu::open(Some(&adapter_of_tests())).expect("an adapter");
     let mut renderer = Renderer::with_raster(gpu, RasterMode::Compute).expect("a renderer");
     let scene = Scene::build(5, &Config::new().draw(5).expect("parameters")).expect("a scene");
     render_with(&mut renderer, &scene, 4, |_| ()).expect("a frame that lost nothing");
@@ -124,7 +126,7 @@ fn a_frame_that_loses_triangles_of_a_compute_pass_is_refused() {
 /// Of four samples, one that is unwritten suffices.
 #[test]
 fn a_pixel_with_one_unwritten_sample_is_unlabelled() {
-    let gpu = Gpu::open(Some("cpu")).expect("an adapter");
+    let gpu = Gpu::open(Some(&adapter_of_tests())).expect("an adapter");
     // The host resolves one of all tiles that show nothing but the dome.
     let mut renderer = Renderer::new(gpu).expect("a renderer");
     light_by_bins(&mut renderer, RasterMode::Device);

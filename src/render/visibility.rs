@@ -9,6 +9,7 @@ mod exact_check;
 pub mod geometry;
 pub mod host;
 pub(crate) mod meshes;
+pub(crate) mod packed_vertices;
 pub(crate) mod triangle_groups;
 
 use std::ops::Range;

@@ -20,6 +20,11 @@ const MAX_FRAME_BYTES: u64 = 700_000;
 /// Largest growth in 15 frames of different scenes, bytes.
 const MAX_ADDED_BYTES: i64 = 20_000_000;
 
+/// The adapter of the tests: a part of its name, from `REGOLITH_TEST_ADAPTER`; else `cpu`.
+fn adapter() -> String {
+    std::env::var("REGOLITH_TEST_ADAPTER").unwrap_or_else(|_| "cpu".to_owned())
+}
+
 /// Runs `work` on one thread, as allocations are counted per thread, and one test at a time, as memory is shared.
 fn on_one_thread(work: impl FnOnce() + Send) {
     static ALONE: Mutex<()> = Mutex::new(());
@@ -63,7 +68,7 @@ fn a_scene_reuses_the_memory_of_earlier_scenes() {
 #[test]
 fn memory_does_not_grow_with_the_number_of_scenes() {
     on_one_thread(|| {
-        let mut renderer = Renderer::new(Gpu::open(Some("cpu")).expect("a device")).expect("a renderer");
+        let mut renderer = Renderer::new(Gpu::open(Some(&adapter())).expect("a device")).expect("a renderer");
         let settings = RenderSettings::new([96, 72], 1).expect("settings");
         let mut render = |seeds: std::ops::Range<u64>| {
             measure(|| {
@@ -86,7 +91,7 @@ fn memory_does_not_grow_with_the_number_of_scenes() {
 #[test]
 fn a_frame_of_a_moving_camera_allocates_only_its_planes_and_lists() {
     on_one_thread(|| {
-        let mut renderer = Renderer::new(Gpu::open(Some("cpu")).expect("a device")).expect("a renderer");
+        let mut renderer = Renderer::new(Gpu::open(Some(&adapter())).expect("a device")).expect("a renderer");
         let settings = RenderSettings::new([512, 512], 4).expect("settings");
         let mut scene = Scene::build(1, &Params::draw_default(1)).expect("a scene");
         for frame in 0..10 {

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 
 use crate::formats::content;
-use crate::support::{folder, json, program, run, run_ok, send_signal};
+use crate::support::{folder, json, program, run, run_ok};
 
 const SMALL: [&str; 9] = [
     "dataset",
@@ -96,16 +96,15 @@ fn a_killed_addition_leaves_the_dataset_as_it_was_and_is_continued() {
     make(path, "whole", &["--count=40", ALL]);
     make(path, "data", &["--count=40", FEW]);
     let before = content(&path.join("data"));
-    let words = ["dataset", "--add-outputs", "depth,instances,meta", "data", "-q"];
+    let words = ["dataset", "--add-outputs", "depth,instances,meta", "data", "-q", "--threads=1"];
     let mut child = program(path).args(words).spawn().expect("started");
     let start = Instant::now();
     let log = path.join("data/frames-added.jsonl");
     let lines = || fs::read_to_string(&log).map_or(0, |text| text.lines().count());
     while lines() < 3 && start.elapsed() < Duration::from_secs(60) {
-        std::thread::sleep(Duration::from_millis(5));
+        std::thread::sleep(Duration::from_millis(1));
     }
-    send_signal(&child, "-KILL");
-    child.wait().expect("ended");
+    child.kill().and_then(|()| child.wait()).expect("killed");
     assert!((3..41).contains(&lines()), "{} lines: killed in between", lines());
     // Every file of the dataset is what it was; other outputs have to wait, and whoever asks for less changes nothing.
     let during = content(&path.join("data"));

@@ -14,7 +14,7 @@ use regolith::scene::Scene;
 use serde_json::{Map, Value};
 
 use crate::support::{
-    GL_ADAPTER, folder, json, program, run, run_ok, run_with_file_limit, send_signal, stoppable,
+    adapter_below_file_limit, folder, json, program, run, run_ok, run_with_file_limit, send_signal, stoppable,
 };
 
 /// Small frames of a small scene.
@@ -130,7 +130,9 @@ fn a_run_killed_a_hundred_times_ends_with_the_same_bytes() {
     let folder = folder();
     let words =
         |out| dataset(out, &["--count", "700", "--preset", "train_dr", "-q", "--outputs", "rgb,mask"]);
+    let start = Instant::now();
     run_ok(folder.path(), &words("whole"));
+    let frame_s = start.elapsed().as_secs_f64() / 700.0;
     let killed = folder.path().join("killed");
     // The time until the first frame exists, on this machine.
     let start = Instant::now();
@@ -146,12 +148,12 @@ fn a_run_killed_a_hundred_times_ends_with_the_same_bytes() {
         let mut child = program(folder.path()).args(words("killed")).spawn().expect("started");
         // Every other kill at any moment, also during startup; the rest shortly after a frame was made.
         if kill % 2 == 0 {
-            std::thread::sleep(Duration::from_secs_f64(draw.uniform(0.02, 1.5 * first_s)));
+            std::thread::sleep(Duration::from_secs_f64(draw.uniform(0.02, first_s + 5.0 * frame_s)));
         } else {
             wait_until(|| lines_that_parse(&killed) > before);
             // The machine may have been busy while the first run was timed.
             first_s = first_s.min(start.elapsed().as_secs_f64());
-            std::thread::sleep(Duration::from_secs_f64(draw.uniform(0.0, 0.3 * first_s)));
+            std::thread::sleep(Duration::from_secs_f64(draw.uniform(0.0, 3.0 * frame_s)));
         }
         child.kill().expect("killed");
         let _ = child.wait();
@@ -501,7 +503,7 @@ fn paired_presets_have_the_same_layout_frame_by_frame() {
 #[test]
 fn a_run_stopped_by_a_full_disk_can_be_resumed() {
     let folder = folder();
-    let words = |out| [dataset(out, &["--count", "6", "-q"]), GL_ADAPTER.to_vec()].concat();
+    let words = |out| [dataset(out, &["--count", "6", "-q"]), adapter_below_file_limit().to_vec()].concat();
     run_ok(folder.path(), &words("whole"));
     // Files of more than 2 KiB, which are the images, cannot be written.
     let output = run_with_file_limit(folder.path(), (2, "trap '' XFSZ;"), &words("data"));
@@ -531,7 +533,7 @@ fn a_run_stopped_by_a_lost_device_can_be_resumed() {
 #[test]
 fn a_second_run_of_a_shard_is_refused_while_the_first_writes() {
     let folder = folder();
-    let words = dataset("data", &["--count", "300", "-q"]);
+    let words = dataset("data", &["--count", "100000", "-q"]);
     let mut first = program(folder.path()).args(&words).stdout(Stdio::null()).spawn().expect("started");
     wait_until(|| lines_that_parse(&folder.path().join("data")) > 0);
     let output = run(folder.path(), &words);

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::support::{folder, program};
+use crate::support::{folder, missing_gl, program};
 
 /// Time after which a command of these tests counts as hanging.
 const LIMIT: Duration = Duration::from_secs(60);
@@ -46,6 +46,7 @@ fn no_run_connects_to_a_display() {
     let socket = folder.path().join("wayland-0");
     let listener = UnixListener::bind(&socket).expect("a socket");
     listener.set_nonblocking(true).expect("a socket that does not block");
+    let renders_by_gl = missing_gl().is_empty();
     for (variable, value) in [
         ("TMPDIR", folder.path()),
         ("XDG_RUNTIME_DIR", folder.path()),
@@ -61,7 +62,8 @@ fn no_run_connects_to_a_display() {
                 output_within_limit(command.args(words).env("WGPU_BACKEND", backend).env(variable, value));
             let message = String::from_utf8_lossy(&output.stderr);
             assert!(
-                output.status.success() && message.lines().all(|line| !line.contains("XDG_RUNTIME_DIR")),
+                (output.status.success() || (backend == "gl" && !renders_by_gl))
+                    && message.lines().all(|line| !line.contains("XDG_RUNTIME_DIR")),
                 "{message}"
             );
             let connection = listener.accept().map_err(|error| error.kind());

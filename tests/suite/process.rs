@@ -4,7 +4,9 @@ use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::support::{GL_ADAPTER, adapter, folder, run, run_ok, run_with_file_limit, send_signal, stoppable};
+use crate::support::{
+    adapter, adapter_below_file_limit, folder, run, run_ok, run_with_file_limit, send_signal, stoppable,
+};
 
 /// Small frames of a small scene.
 const SMALL: [&str; 5] =
@@ -119,7 +121,7 @@ fn a_limit_of_the_file_size_is_named_as_such() {
     let folder = folder();
     let dataset = [&["dataset", "--out", "data", "--count", "3", "-q"], SMALL.as_slice()].concat();
     for words in [&["--out", "data", "-q"][..], &dataset] {
-        let words = [words, &GL_ADAPTER].concat();
+        let words = [words, &adapter_below_file_limit()].concat();
         let output = run_with_file_limit(folder.path(), (4, ""), &words);
         let message = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(1), "{:?}: {message}", output.status);

@@ -39,6 +39,11 @@ fn keys(gpu: &Gpu, key: FrameKey) -> impl Iterator<Item = DispatchKey> {
 }
 
 impl ComputeLighting {
+    /// Whether there are pipelines for a frame.
+    pub(crate) fn has(&self, key: FrameKey) -> bool {
+        self.dispatches.iter().any(|((found, _), _)| *found == key)
+    }
+
     /// Compiles the pipelines of a frame that are missing.
     pub(crate) fn prepare(&mut self, gpu: &Gpu, layouts: &BindLayouts, key: FrameKey) {
         for key in keys(gpu, key) {

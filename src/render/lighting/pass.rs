@@ -64,10 +64,15 @@ impl LightingPass {
         Self { transport, limits, layout, programs: Vec::new(), pipelines: Vec::new(), compute }
     }
 
-    /// Whether there is any pipeline of a draw with this key.
+    /// Whether there is any pipeline with this key.
     #[must_use]
-    pub(crate) fn has(&self, key: FrameKey) -> bool {
-        self.pipelines.iter().any(|((found, ..), _)| *found == key)
+    pub(crate) fn has(&self, key: FrameKey, mode: LightingMode) -> bool {
+        match mode {
+            LightingMode::Compute => self.compute.has(key),
+            LightingMode::Bins | LightingMode::OneDraw => {
+                self.pipelines.iter().any(|((found, ..), _)| *found == key)
+            }
+        }
     }
 
     /// Compiles the pipelines that do not depend on what a frame shows, where they are missing. Those of shading bins only if there are
@@ -80,7 +85,7 @@ impl LightingPass {
         mode: LightingMode,
     ) {
         match mode {
-            LightingMode::Bins if self.has(key) => {}
+            LightingMode::Bins if self.has(key, mode) => {}
             LightingMode::Bins => self.prepare(gpu, key, LightingVariant::GENERAL),
             LightingMode::OneDraw => self.prepare(gpu, key, [LightingVariant::Any]),
             LightingMode::Compute => self.compute.prepare(gpu, layouts, key),

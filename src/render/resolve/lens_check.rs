@@ -2,6 +2,7 @@
 
 use bytemuck::Zeroable;
 
+use crate::gpu::adapter::adapter_of_tests;
 use crate::gpu::{Gpu, shader_check};
 use crate::lens::Lens;
 use crate::render::device::shader_structs::FrameUniforms;
@@ -33,7 +34,7 @@ fn displacements(gpu: &Gpu, lens: Lens, half: f64, points: &[[f32; 2]]) -> Vec<[
 /// Half the field of view of each lens is what an image of 512 x 512 pixels with 2 x 2 samples each covers.
 #[test]
 fn shaders_undistort_to_a_ten_thousandth_of_a_sample() {
-    let gpu = Gpu::open(Some("cpu")).expect("an adapter");
+    let gpu = Gpu::open(Some(&adapter_of_tests())).expect("an adapter");
     for (lens, half) in [
         (Lens { k1: -0.08, ..Lens::default() }, 0.77),
         (Lens { k1: 0.2, k2: -0.03, ..Lens::default() }, 0.5),

@@ -10,7 +10,6 @@ use std::ops::Range;
 use std::sync::{Arc, Weak};
 
 use bytemuck::{Pod, Zeroable};
-use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 use wgpu::{BufferUsages, IndexFormat};
 
@@ -18,21 +17,19 @@ use crate::gpu::Gpu;
 use crate::gpu::growing_buffer::GrowingBuffer;
 use crate::gpu::staging::{PAGE_BYTES, Page};
 use crate::pool::PooledVec;
-use crate::render::raster::lanes::{VERTEX_BATCH, to_soa};
 use crate::render::select::draw_list::{MeshDraw, MeshRef};
 use crate::render::select::ground_blocks::ground_blocks;
 use crate::render::select::selection::Selection;
-use crate::rounding::floor;
+use crate::render::visibility::packed_vertices::{
+    PER_PAGE, PackedMeshes, PackedVertex, packed_page, unit_sphere, vertices_of,
+};
 use crate::scene::Scene;
 use crate::scene::mesh::{Icosphere, Vertex};
-use crate::scene::sky::DOME_LEVEL;
 use crate::scene::terrain::{Layout, Terrain};
 
 /// Columns of cells in a strip, whose triangles are indexed row by row: few enough for the vertices of a row to be among the last 16
 /// in the vertex cache when the next row is drawn.
 const STRIP_CELLS: u32 = 6;
-/// Vertices in a page of the upload.
-const PER_PAGE: usize = PAGE_BYTES / size_of::<PackedVertex>();
 /// Least number of pages that a thread packs.
 const MIN_PAGES_PER_THREAD: usize = 16;
 
@@ -59,19 +56,6 @@ impl Draw {
         u64::from(self.index_count / 3) * u64::from(self.instance_count)
     }
 }
-
-/// A vertex in the vertex buffer. Its position is that of the scene to the bit, for labels depend on it.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
-struct PackedVertex {
-    /// Relative to its instance, metres.
-    position: [f32; 3],
-    /// Octahedral encoding of the normal, signed normalised: [`SNORM_MAX`] is 1.
-    normal: [i16; 2],
-}
-
-/// The value of a 16-bit signed normalised number that stands for 1.
-const SNORM_MAX: f32 = 32_767.0;
 
 /// Stride of the vertex buffer.
 const VERTEX_BYTES: u64 = size_of::<PackedVertex>() as u64;
@@ -144,9 +128,16 @@ impl Default for Meshes {
 }
 
 impl Meshes {
-    /// Uploads the meshes of a selection that the device does not have yet. Returns the bytes that were uploaded.
-    pub(crate) fn upload(&mut self, gpu: &Gpu, scene: &Scene, selection: &Selection) -> u64 {
-        self.upload_indices(gpu, &scene.terrain) + self.upload_vertices(gpu, scene, selection)
+    /// Uploads the meshes of a selection that the device does not have yet; `packed` are all of them, if they are packed already. Returns
+    /// the bytes that were uploaded.
+    pub(crate) fn upload(
+        &mut self,
+        gpu: &Gpu,
+        scene: &Scene,
+        selection: &Selection,
+        packed: Option<&PackedMeshes>,
+    ) -> u64 {
+        self.upload_indices(gpu, &scene.terrain) + self.upload_vertices(gpu, scene, selection, packed)
     }
 
     /// Sets the draws of the frame, whose meshes must be uploaded. With `multi_draw` they are uploaded too, for indirect drawing.
@@ -261,7 +252,13 @@ impl Meshes {
     }
 
     /// Uploads the vertices of the unit sphere, the ground and a selection's rocks that the device does not have yet.
-    fn upload_vertices(&mut self, gpu: &Gpu, scene: &Scene, selection: &Selection) -> u64 {
+    fn upload_vertices(
+        &mut self,
+        gpu: &Gpu,
+        scene: &Scene,
+        selection: &Selection,
+        packed: Option<&PackedMeshes>,
+    ) -> u64 {
         let sphere: Vec<Vertex>;
         // Each with its first vertex, counted from `begin`.
         let mut missing: Vec<(usize, &[Vertex])> = Vec::new();
@@ -274,8 +271,7 @@ impl Meshes {
             first as i32
         };
         if begin == 0 {
-            let directions = &Icosphere::shared().directions[..Icosphere::vertex_count(DOME_LEVEL)];
-            sphere = directions.iter().map(|&d| Vertex { position: d, normal: d }).collect();
+            sphere = unit_sphere();
             add(&sphere);
             self.ground = add(&scene.terrain.vertices);
             self.terrain = Arc::downgrade(&scene.terrain);
@@ -284,13 +280,13 @@ impl Meshes {
         self.rocks.resize(scene.rocks.len(), RockVertices::default());
         for selected in &selection.rocks {
             let (uploaded, rock) = (&mut self.rocks[selected.rock], &scene.rocks[selected.rock]);
-            let finest = selected.visible_level.max(selected.caster.map(|(_, level)| level)).unwrap_or(0);
-            let count = Icosphere::vertex_count(finest.min(rock.level));
+            let vertices = vertices_of(scene, selected);
+            let count = vertices.len();
             let is_uploaded =
                 uploaded.mesh.as_ptr() == Arc::as_ptr(&rock.vertices) && uploaded.count >= count;
             if !is_uploaded {
                 let mesh = Arc::downgrade(&rock.vertices);
-                *uploaded = RockVertices { mesh, first: add(&rock.vertices[..count]), count };
+                *uploaded = RockVertices { mesh, first: add(vertices), count };
             }
         }
         if missing.is_empty() {
@@ -306,11 +302,14 @@ impl Meshes {
             });
         };
         if begin == 0 {
-            self.vertices.write_with(gpu, bytes, write);
+            match packed.map(PackedMeshes::bytes).filter(|packed| packed.len() == bytes) {
+                Some(packed) => self.vertices.write(gpu, packed),
+                None => self.vertices.write_with(gpu, bytes, write),
+            };
         } else if !self.vertices.try_write_at(gpu, begin * size_of::<PackedVertex>(), bytes, write) {
             // The buffer is full: a larger one gets everything.
             self.terrain = Weak::new();
-            return self.upload_vertices(gpu, scene, selection);
+            return self.upload_vertices(gpu, scene, selection, packed);
         }
         bytes as u64
     }
@@ -336,52 +335,10 @@ fn block_triangles(
     })
 }
 
-/// A page of packed vertices, from vertex `first` on, of meshes that lie one behind the other, each with its first vertex.
-fn packed_page(meshes: &[(usize, &[Vertex])], first: usize) -> [PackedVertex; PER_PAGE] {
-    let mut page = [PackedVertex::default(); PER_PAGE];
-    let mut rest = &mut page[..];
-    let started = meshes.partition_point(|(start, _)| *start <= first);
-    for (start, mesh) in &meshes[started.saturating_sub(1)..] {
-        let vertices = mesh.get(first.saturating_sub(*start)..).unwrap_or_default();
-        let (packed, after) = rest.split_at_mut(vertices.len().min(rest.len()));
-        dispatch!(Level::new(), _simd => pack(vertices, packed));
-        rest = after;
-        if rest.is_empty() {
-            break;
-        }
-    }
-    page
-}
-
-// Inlined into `dispatch!`, so that it is compiled for each SIMD level.
-#[inline(always)]
-fn pack(vertices: &[Vertex], packed: &mut [PackedVertex]) {
-    for (vertices, packed) in vertices.chunks(VERTEX_BATCH).zip(packed.chunks_mut(VERTEX_BATCH)) {
-        let [x, y, z] = to_soa(vertices.iter().map(|vertex| vertex.normal));
-        // CPU counterpart of `octahedral_encode` in `common/octahedral.wgsl`.
-        let mut octahedral = [[0_i32; VERTEX_BATCH]; 2];
-        for i in 0..VERTEX_BATCH {
-            let sum = x[i].abs() + y[i].abs() + z[i].abs();
-            let scale = SNORM_MAX / if sum > 1e-30 { sum } else { 1e-30 };
-            let (u, v) = (scale * x[i], scale * y[i]);
-            let is_below = z[i] < 0.0;
-            let folded_u = (SNORM_MAX - v.abs()).copysign(u);
-            let folded_v = (SNORM_MAX - u.abs()).copysign(v);
-            octahedral[0][i] = floor(0.5 + if is_below { folded_u } else { u });
-            octahedral[1][i] = floor(0.5 + if is_below { folded_v } else { v });
-        }
-        for (i, (vertex, packed)) in vertices.iter().zip(packed).enumerate() {
-            let normal = octahedral.map(|axis| axis[i] as i16);
-            *packed = PackedVertex { position: vertex.position.into(), normal };
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::params::config::Config;
-    use glam::{Vec2, Vec3};
 
     fn ground(stage: &str) -> Terrain {
         let mut config = Config::new();
@@ -441,27 +398,6 @@ mod tests {
             reordered.sort_unstable();
             expected.sort_unstable();
             assert!(reordered == expected, "level {level}");
-        }
-    }
-
-    #[test]
-    fn packing_keeps_positions_and_changes_normals_by_less_than_a_ten_thousandth() {
-        let normals = &Icosphere::shared().directions;
-        let vertices: Vec<Vertex> =
-            normals.iter().map(|&normal| Vertex { position: 3.7 * normal, normal }).collect();
-        let (one, others) = vertices.split_at(1);
-        // A mesh without vertices, and some that end within a page.
-        let meshes = [(0, one), (1, &[]), (1, &others[..700]), (701, &others[700..])];
-        for (first, expected) in vertices.chunks(PER_PAGE).enumerate() {
-            let page = packed_page(&meshes, first * PER_PAGE);
-            for (packed, vertex) in page.iter().zip(expected) {
-                assert_eq!(Vec3::from(packed.position), vertex.position);
-                let p = Vec2::from(packed.normal.map(|snorm| f32::from(snorm) / SNORM_MAX));
-                let z = 1.0 - p.x.abs() - p.y.abs();
-                let back = (-z).max(0.0);
-                let normal = Vec3::new(p.x - back.copysign(p.x), p.y - back.copysign(p.y), z).normalize();
-                assert!(normal.distance(vertex.normal) < 1e-4, "{normal} for {}", vertex.normal);
-            }
         }
     }
 }

@@ -29,19 +29,36 @@ pub(crate) fn renderer() -> MutexGuard<'static, Renderer> {
     RENDERER.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// What the GL driver of the adapter of the tests lacks: NVIDIA's, for one, the version.
+pub(crate) fn missing_gl() -> Vec<String> {
+    let adapters = regolith::gpu::survey::survey().expect("adapters");
+    let of_gl = adapters.into_iter().find(|found| found.backend == "gl" && found.matches(&adapter()));
+    of_gl.expect("a GL driver").missing
+}
+
+/// The name of the adapter of the tests, as its driver reports it.
+pub(crate) fn adapter_name() -> String {
+    renderer().gpu().info.name.clone()
+}
+
 /// The raster backends: whatever is asserted of a frame holds for all.
 pub(crate) const BACKENDS: [RasterMode; 3] = [RasterMode::Host, RasterMode::Device, RasterMode::Compute];
 
-/// A frame by a raster backend. Each has a renderer of its own, which keeps its pipelines.
-pub(crate) fn render_by(backend: RasterMode, scene: &Scene, settings: &RenderSettings) -> Frame {
+/// A renderer that rasterises by a backend, shared by all tests.
+pub(crate) fn renderer_by(backend: RasterMode) -> MutexGuard<'static, Renderer> {
     static RENDERERS: [LazyLock<Mutex<Renderer>>; 3] = [
         LazyLock::new(|| open(RasterMode::Host)),
         LazyLock::new(|| open(RasterMode::Device)),
         LazyLock::new(|| open(RasterMode::Compute)),
     ];
     let index = BACKENDS.iter().position(|mode| *mode == backend).expect("a backend");
-    let mut renderer = RENDERERS[index].lock().unwrap_or_else(PoisonError::into_inner);
-    renderer.render(scene, settings).unwrap_or_else(|error| panic!("{backend}: {error}")).0
+    RENDERERS[index].lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A frame by a raster backend.
+pub(crate) fn render_by(backend: RasterMode, scene: &Scene, settings: &RenderSettings) -> Frame {
+    let frame = renderer_by(backend).render(scene, settings);
+    frame.unwrap_or_else(|error| panic!("{backend}: {error}")).0
 }
 
 fn open(mode: RasterMode) -> Mutex<Renderer> {
@@ -97,8 +114,14 @@ pub(crate) fn run_ok(folder: &Path, words: &[&str]) -> String {
 }
 
 /// The adapter by which tests render below a limit of the file size: newer versions of Mesa's CPU driver for Vulkan keep their memory in an
-/// anonymous file, which such a limit concerns too.
-pub(crate) const GL_ADAPTER: [&str; 2] = ["--adapter", ", gl,"];
+/// anonymous file, which such a limit concerns too, and their GL driver does not.
+pub(crate) fn adapter_below_file_limit() -> [&'static str; 2] {
+    static ADAPTER: LazyLock<String> = LazyLock::new(|| {
+        let is_software = renderer().gpu().capabilities.software_adapter;
+        if is_software { ", gl,".to_owned() } else { adapter() }
+    });
+    ["--adapter", &ADAPTER]
+}
 
 /// Runs the command where no file may be larger than this, KiB, as on a disk that is full. Writing more sends the signal XFSZ, which the
 /// shell `traps` (`trap '' XFSZ` has it ignored) or leaves to the command.
