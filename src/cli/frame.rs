@@ -101,6 +101,8 @@ fn render(
     params: Params,
     settings: RenderSettings,
 ) -> Result<Rendered> {
+    // Before any thread is started.
+    gpu::adapter::check_environment()?;
     let (scene, renderer) = rayon::join(
         || {
             timed("scene", || {

@@ -76,8 +76,8 @@ impl SceneBuffers {
         (multi_draw, staging): (bool, &mut StagingBuffers),
     ) -> Result<u64> {
         let mut bytes = self.upload_uniforms(gpu, &plan.uniforms);
-        bytes += self.relief.write(gpu, &slots(&plan.bands.bands));
-        bytes += self.instances.write(gpu, &slots(&plan.instances));
+        bytes += write_slots(&mut self.relief, gpu, &plan.bands.bands);
+        bytes += write_slots(&mut self.instances, gpu, &plan.instances);
         bytes += self.caster_tiles.write(gpu, &plan.caster_tiles);
         bytes += self.caster_grid.write_both(gpu, &plan.caster_grid, &plan.lit_rocks.lists);
         bytes += self.upload_lit_faces(gpu, &plan.lit_rocks, staging)?;
@@ -168,12 +168,13 @@ impl SceneBuffers {
     }
 }
 
-/// Uniforms, each in its slot.
-fn slots<T: bytemuck::NoUninit>(uniforms: &[T]) -> Vec<u8> {
+/// Writes uniforms, each to its slot; returns how many bytes that took.
+fn write_slots<T: bytemuck::NoUninit>(buffer: &mut GrowingBuffer, gpu: &Gpu, uniforms: &[T]) -> u64 {
     let stride = slot_stride::<T>() as usize;
-    let mut bytes = vec![0; stride * uniforms.len()];
-    for (slot, uniforms) in bytes.chunks_exact_mut(stride).zip(uniforms) {
-        slot[..size_of::<T>()].copy_from_slice(bytemuck::bytes_of(uniforms));
-    }
-    bytes
+    buffer.write_with(gpu, stride * uniforms.len(), |mut slots| {
+        for uniforms in uniforms {
+            let slot = slots.split_off(..stride);
+            slot.expect("one for each").slice(..size_of::<T>()).copy_from_slice(bytemuck::bytes_of(uniforms));
+        }
+    })
 }

@@ -14,11 +14,15 @@ use crate::output::dataset_path;
 const ATTEMPTS_MAX: usize = 1000;
 
 /// A lock on a file, exclusive or shared, released on drop. On a file system without locks every attempt succeeds.
+///
+/// A process that was forked from this one has it too. There a drop changes nothing, and here it releases the lock for both.
 #[derive(Debug)]
 pub struct Lock {
     file: File,
     path: PathBuf,
     is_held: bool,
+    /// The process that took it.
+    process: u32,
 }
 
 impl Lock {
@@ -64,7 +68,8 @@ impl Lock {
             };
             // The process that had the lock may have removed the file: then the lock protects nothing.
             if !is_held || is_at(&file, path) || attempt == ATTEMPTS_MAX {
-                return Ok(Some(Self { file, path: path.to_owned(), is_held }));
+                let process = std::process::id();
+                return Ok(Some(Self { file, path: path.to_owned(), is_held, process }));
             }
         }
         Ok(None)
@@ -104,8 +109,21 @@ impl Lock {
     /// Removes the lock file and releases the lock. Only for an exclusive lock.
     pub fn remove(self) {
         // The path may lead elsewhere by now, if the folder was renamed.
-        if self.is_held && is_at(&self.file, &self.path) {
+        if self.is_held && self.is_of_this_process() && is_at(&self.file, &self.path) {
             let _ = std::fs::remove_file(&self.path);
+        }
+    }
+
+    fn is_of_this_process(&self) -> bool {
+        self.process == std::process::id()
+    }
+}
+
+impl Drop for Lock {
+    fn drop(&mut self) {
+        // Closing the file would leave the lock with any process that was forked meanwhile, if only to start another program.
+        if self.is_held && self.is_of_this_process() {
+            let _ = self.file.unlock();
         }
     }
 }
@@ -127,6 +145,25 @@ mod tests {
         assert!(exclusive().is_none(), "taken");
         drop((first, second));
         assert!(exclusive().is_some(), "free again");
+    }
+
+    #[test]
+    fn a_lock_ends_although_a_forked_process_has_its_file() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("lock");
+        let lock = Lock::wait(&path).expect("a file");
+        let of_child = lock.file.try_clone().expect("a descriptor");
+        drop(lock);
+        let mut again = Lock::try_exclusive(&path).expect("a file").expect("free");
+        drop(of_child);
+        assert!(Lock::try_exclusive(&path).expect("a file").is_none(), "taken again");
+        // As that process has it.
+        again.process += 1;
+        let file = again.file.try_clone().expect("a descriptor");
+        again.remove();
+        assert!(is_at(&file, &path) && Lock::try_exclusive(&path).expect("a file").is_none(), "kept");
+        drop(file);
+        assert!(Lock::try_exclusive(&path).expect("a file").is_some(), "free again");
     }
 
     #[test]

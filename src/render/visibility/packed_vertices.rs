@@ -106,7 +106,7 @@ fn pack(vertices: &[Vertex], packed: &mut [PackedVertex]) {
             octahedral[1][i] = floor(0.5 + if is_below { folded_v } else { v });
         }
         for (i, (vertex, packed)) in vertices.iter().zip(packed).enumerate() {
-            let normal = octahedral.map(|axis| axis[i] as i16);
+            let normal = [octahedral[0][i] as i16, octahedral[1][i] as i16];
             *packed = PackedVertex { position: vertex.position.into(), normal };
         }
     }

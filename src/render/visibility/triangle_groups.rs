@@ -61,7 +61,8 @@ impl TriangleGroups {
         meshes: &Meshes,
         draws: impl Iterator<Item = (&'a Range<usize>, bool)>,
     ) -> u64 {
-        let mut groups = Vec::new();
+        // About as many as for the frame before.
+        let mut groups = Vec::with_capacity((self.rows * GROUPS_PER_ROW) as usize);
         for (draws, is_sky) in draws {
             add_groups(&mut groups, meshes, draws, if is_sky { IS_SKY } else { 0 });
         }
