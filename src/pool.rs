@@ -18,7 +18,7 @@ use bytemuck::Pod;
 
 /// Minimum size of a pooled buffer, bytes: for smaller ones the allocator is as fast.
 const MIN_BYTES: usize = 1 << 10;
-/// Capacity of the shared pool for each core, bytes: more than a nominal scene's worth for two, of which one makes the next scene.
+/// Capacity of the shared pool for each core, bytes. That for two holds more than a nominal scene.
 const MAX_BYTES_PER_CORE: usize = 8 << 20;
 /// Capacity of a thread's own pool, bytes: about what stays in its core's cache.
 const MAX_OWN_BYTES: usize = 1 << 20;

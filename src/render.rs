@@ -378,7 +378,7 @@ impl Renderer {
             let multi_draw = raster.multi_draw;
             let mut bytes = gpu.guard(|| buffers.upload(gpu, scene, &plan, (multi_draw, staging)))??;
             // Nothing else needs these.
-            (plan.horizon, plan.instances, plan.lit_rocks) = Default::default();
+            (plan.horizon, plan.instances, plan.lit_rocks, plan.meshes) = Default::default();
             let selected = (scene, &plan.selection, plan.shadow_map_px);
             let casters = (&buffers.meshes, &plan.draws.casters);
             bytes += shadow.prepare(gpu, layouts, selected, (casters, staging))?;
