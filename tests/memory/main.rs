@@ -1,6 +1,9 @@
 //! Memory that scenes and frames allocate once buffers of earlier ones can be reused. A binary of its own, so that no other test
 //! allocates at the same time.
 
+#[path = "../suite/support/adapter.rs"]
+mod adapter;
+
 use std::sync::{Mutex, PoisonError};
 
 use allocation_counter::measure;
@@ -11,6 +14,8 @@ use regolith::render::select::selection::build_rocks;
 use regolith::render::{RasterMode, RenderSettings, Renderer};
 use regolith::scene::Scene;
 
+use adapter::adapter;
+
 /// Largest allocation for lists whose length differs from scene to scene, bytes.
 const MAX_LISTS_BYTES: u64 = 100_000;
 
@@ -19,11 +24,6 @@ const MAX_FRAME_BYTES: u64 = 700_000;
 
 /// Largest growth in 15 frames of different scenes, bytes.
 const MAX_ADDED_BYTES: i64 = 20_000_000;
-
-/// The adapter of the tests: a part of its name, from `REGOLITH_TEST_ADAPTER`; else `cpu`.
-fn adapter() -> String {
-    std::env::var("REGOLITH_TEST_ADAPTER").unwrap_or_else(|_| "cpu".to_owned())
-}
 
 /// Runs `work` on one thread, as allocations are counted per thread, and one test at a time, as memory is shared.
 fn on_one_thread(work: impl FnOnce() + Send) {

@@ -168,7 +168,7 @@ fn all_planes(side: u32) -> RenderSettings {
 fn shading_bins_change_no_label_and_no_colour() {
     let mut renderer = renderer_by(RasterMode::Host);
     let raster = renderer.raster();
-    assert!(raster.bin_by_shadow_sources, "the host's bins are divided by what can shade them");
+    assert!(raster.bin_by_shadow_sources && raster.visibility == RasterBackend::Host, "bins of the host");
     let mut additional_draws = 0;
     for (seed, set) in [
         (1, &[][..]),
@@ -389,6 +389,7 @@ fn a_wide_image_has_the_same_labels_from_a_compute_pass() {
 fn host_and_device_rasterise_the_same_frame() {
     let mut renderer = renderer_by(RasterMode::Host);
     let raster = renderer.raster();
+    assert_eq!((raster.visibility, raster.shadow), (RasterBackend::Host, RasterBackend::Host));
     for (seed, set) in [
         (1, &[][..]),
         (2, &["sun.elevation_deg=3", "sun.azimuth_deg=10"]),

@@ -137,7 +137,58 @@ impl Meshes {
         selection: &Selection,
         packed: Option<&PackedMeshes>,
     ) -> u64 {
-        self.upload_indices(gpu, &scene.terrain) + self.upload_vertices(gpu, scene, selection, packed)
+        let of_indices = self.upload_indices(gpu, &scene.terrain);
+        // Each with its first vertex, counted from `begin`.
+        let mut missing: Vec<(usize, &[Vertex])> = Vec::new();
+        let begin = if self.terrain.as_ptr() == Arc::as_ptr(&scene.terrain) { self.vertex_count } else { 0 };
+        let mut end = begin;
+        let mut add = |vertices| {
+            let first = end;
+            missing.push((first - begin, vertices));
+            end += vertices.len();
+            first as i32
+        };
+        if begin == 0 {
+            add(unit_sphere());
+            self.ground = add(&scene.terrain.vertices);
+            self.terrain = Arc::downgrade(&scene.terrain);
+            self.rocks.clear();
+        }
+        self.rocks.resize(scene.rocks.len(), RockVertices::default());
+        for selected in &selection.rocks {
+            let (uploaded, rock) = (&mut self.rocks[selected.rock], &scene.rocks[selected.rock]);
+            let vertices = vertices_of(scene, selected);
+            let count = vertices.len();
+            let is_uploaded =
+                uploaded.mesh.as_ptr() == Arc::as_ptr(&rock.vertices) && uploaded.count >= count;
+            if !is_uploaded {
+                let mesh = Arc::downgrade(&rock.vertices);
+                *uploaded = RockVertices { mesh, first: add(vertices), count };
+            }
+        }
+        if missing.is_empty() {
+            return of_indices;
+        }
+        self.vertex_count = end;
+        let bytes = ((end - begin) * size_of::<PackedVertex>()).next_multiple_of(PAGE_BYTES);
+        let write = |view: wgpu::WriteOnly<'_, [u8]>| {
+            let pages: Vec<Page<'_>> = view.into_chunks().0.into_iter().collect();
+            pages.into_par_iter().enumerate().with_min_len(MIN_PAGES_PER_THREAD).for_each(|(index, page)| {
+                let mut page: wgpu::WriteOnly<'_, [u8]> = page.into();
+                page.copy_from_slice(bytemuck::cast_slice(&packed_page(&missing, index * PER_PAGE)));
+            });
+        };
+        if begin == 0 {
+            match packed.map(PackedMeshes::bytes).filter(|packed| packed.len() == bytes) {
+                Some(packed) => self.vertices.write(gpu, packed),
+                None => self.vertices.write_with(gpu, bytes, write),
+            };
+        } else if !self.vertices.try_write_at(gpu, begin * size_of::<PackedVertex>(), bytes, write) {
+            // The buffer is full: a larger one gets everything.
+            self.terrain = Weak::new();
+            return of_indices + self.upload(gpu, scene, selection, packed);
+        }
+        of_indices + bytes as u64
     }
 
     /// Sets the draws of the frame, whose meshes must be uploaded. With `multi_draw` they are uploaded too, for indirect drawing.
@@ -249,69 +300,6 @@ impl Meshes {
             }
             None => self.indices.write(gpu, indices),
         }
-    }
-
-    /// Uploads the vertices of the unit sphere, the ground and a selection's rocks that the device does not have yet.
-    fn upload_vertices(
-        &mut self,
-        gpu: &Gpu,
-        scene: &Scene,
-        selection: &Selection,
-        packed: Option<&PackedMeshes>,
-    ) -> u64 {
-        let sphere: Vec<Vertex>;
-        // Each with its first vertex, counted from `begin`.
-        let mut missing: Vec<(usize, &[Vertex])> = Vec::new();
-        let begin = if self.terrain.as_ptr() == Arc::as_ptr(&scene.terrain) { self.vertex_count } else { 0 };
-        let mut end = begin;
-        let mut add = |vertices| {
-            let first = end;
-            missing.push((first - begin, vertices));
-            end += vertices.len();
-            first as i32
-        };
-        if begin == 0 {
-            sphere = unit_sphere();
-            add(&sphere);
-            self.ground = add(&scene.terrain.vertices);
-            self.terrain = Arc::downgrade(&scene.terrain);
-            self.rocks.clear();
-        }
-        self.rocks.resize(scene.rocks.len(), RockVertices::default());
-        for selected in &selection.rocks {
-            let (uploaded, rock) = (&mut self.rocks[selected.rock], &scene.rocks[selected.rock]);
-            let vertices = vertices_of(scene, selected);
-            let count = vertices.len();
-            let is_uploaded =
-                uploaded.mesh.as_ptr() == Arc::as_ptr(&rock.vertices) && uploaded.count >= count;
-            if !is_uploaded {
-                let mesh = Arc::downgrade(&rock.vertices);
-                *uploaded = RockVertices { mesh, first: add(vertices), count };
-            }
-        }
-        if missing.is_empty() {
-            return 0;
-        }
-        self.vertex_count = end;
-        let bytes = ((end - begin) * size_of::<PackedVertex>()).next_multiple_of(PAGE_BYTES);
-        let write = |view: wgpu::WriteOnly<'_, [u8]>| {
-            let pages: Vec<Page<'_>> = view.into_chunks().0.into_iter().collect();
-            pages.into_par_iter().enumerate().with_min_len(MIN_PAGES_PER_THREAD).for_each(|(index, page)| {
-                let mut page: wgpu::WriteOnly<'_, [u8]> = page.into();
-                page.copy_from_slice(bytemuck::cast_slice(&packed_page(&missing, index * PER_PAGE)));
-            });
-        };
-        if begin == 0 {
-            match packed.map(PackedMeshes::bytes).filter(|packed| packed.len() == bytes) {
-                Some(packed) => self.vertices.write(gpu, packed),
-                None => self.vertices.write_with(gpu, bytes, write),
-            };
-        } else if !self.vertices.try_write_at(gpu, begin * size_of::<PackedVertex>(), bytes, write) {
-            // The buffer is full: a larger one gets everything.
-            self.terrain = Weak::new();
-            return self.upload_vertices(gpu, scene, selection, packed);
-        }
-        bytes as u64
     }
 }
 

@@ -1,11 +1,13 @@
 //! Vertices as the device has them: a position, and a normal of two numbers.
 //! Must not know: a device.
 
+use std::sync::OnceLock;
+
 use bytemuck::{Pod, Zeroable};
 use fearless_simd::{Level, dispatch};
 
 use crate::gpu::staging::PAGE_BYTES;
-use crate::pool::PooledVec;
+use crate::pool::{PooledVec, made_once};
 use crate::render::raster::lanes::{VERTEX_BATCH, to_soa};
 use crate::render::select::selection::{SelectedRock, Selection};
 use crate::rounding::floor;
@@ -37,9 +39,8 @@ pub(crate) struct PackedMeshes(PooledVec<PackedVertex>);
 impl PackedMeshes {
     /// Packs the meshes of a selection.
     pub(crate) fn new(scene: &Scene, selection: &Selection) -> Self {
-        let sphere = unit_sphere();
         let rocks = selection.rocks.iter().map(|selected| vertices_of(scene, selected));
-        let meshes = || [&sphere[..], &scene.terrain.vertices].into_iter().chain(rocks.clone());
+        let meshes = || [unit_sphere(), &scene.terrain.vertices].into_iter().chain(rocks.clone());
         let len: usize = meshes().map(<[Vertex]>::len).sum();
         let mut packed = PooledVec::unspecified(len.next_multiple_of(PER_PAGE));
         let mut rest = &mut packed[..];
@@ -59,9 +60,13 @@ impl PackedMeshes {
 }
 
 /// The sphere of radius 1 m that stars, the sun and the dome are drawn with.
-pub(super) fn unit_sphere() -> Vec<Vertex> {
-    let directions = &Icosphere::shared().directions[..Icosphere::vertex_count(DOME_LEVEL)];
-    directions.iter().map(|&d| Vertex { position: d, normal: d }).collect()
+pub(super) fn unit_sphere() -> &'static [Vertex] {
+    static VERTICES: OnceLock<Vec<Vertex>> = OnceLock::new();
+    let make = || {
+        let directions = &Icosphere::shared().directions[..Icosphere::vertex_count(DOME_LEVEL)];
+        directions.iter().map(|&d| Vertex { position: d, normal: d }).collect()
+    };
+    made_once::<Vec<Vertex>>(&VERTICES, make)
 }
 
 /// The vertices of a rock down to the finest level at which a frame needs it.
@@ -145,10 +150,9 @@ mod tests {
         let scene = Scene::build(6, &Config::new().draw(6).expect("drawn")).expect("built");
         let selection = Selection::new(&scene, &RenderSettings::new([96, 64], 4).expect("settings"));
         let PackedMeshes(packed) = PackedMeshes::new(&scene, &selection);
-        let sphere = unit_sphere();
         let rocks = selection.rocks.iter().map(|selected| vertices_of(&scene, selected));
         let mut first = 0;
-        let meshes: Vec<(usize, &[Vertex])> = [&sphere[..], &scene.terrain.vertices]
+        let meshes: Vec<(usize, &[Vertex])> = [unit_sphere(), &scene.terrain.vertices]
             .into_iter()
             .chain(rocks)
             .map(|mesh| {

@@ -1,5 +1,6 @@
 //! Helpers that the tests share: the renderer, scenes, the command line as a process.
 
+mod adapter;
 pub(crate) mod compare;
 pub(crate) mod source;
 
@@ -14,13 +15,7 @@ use regolith::params::config::Config;
 use regolith::render::{RasterMode, RenderSettings, Renderer};
 use regolith::scene::Scene;
 
-/// What `--adapter` of the tests is: a part of an adapter's name, from `REGOLITH_TEST_ADAPTER`; else `cpu`.
-pub(crate) fn adapter() -> String {
-    std::env::var("REGOLITH_TEST_ADAPTER")
-        .ok()
-        .filter(|name| !name.is_empty())
-        .unwrap_or_else(|| "cpu".to_owned())
-}
+pub(crate) use adapter::adapter;
 
 /// A renderer on the adapter of the tests, shared by all tests. Without a driver every test that renders fails with the message that a
 /// user would get: what is missing and how to install it.
