@@ -40,6 +40,8 @@ pub const WHEEL_WIDTH: f32 = 0.5;
 const AXLES: [f32; 3] = [-0.42, 0.0, 0.42];
 /// Depth that the wheels sink in, metres: 1 to 2 cm in lunar soil.
 const SINKAGE_M: f32 = 0.015;
+/// Least distance of a wheel below a solar panel, metres.
+const CLEARANCE_M: f32 = 0.02;
 /// Overlap of a solar panel with the deck, metres.
 const OVERLAP_M: f32 = 0.02;
 /// Diffuse reflectance of painted hardware, of solar cells and of wheels.
@@ -54,7 +56,7 @@ pub struct Rover {
     pub heading: Vec2,
     /// Length and width of the body, metres.
     pub size_m: [f32; 2],
-    /// Height of the deck above the ground below the camera, metres.
+    /// Height of the deck above the ground between the wheels, metres.
     pub deck_m: f32,
     /// Width of each of the two solar panels, metres; 0 for none.
     pub panel_m: f32,
@@ -176,66 +178,178 @@ impl Rover {
     /// Its parts, with indices from `first` on, for a camera at `eye` that looks along the azimuth of `view`.
     #[must_use]
     pub fn parts(&self, terrain: &Terrain, eye: Vec3, view: Vec2, first: u32) -> Vec<Rock> {
-        let up = Vec3::Z;
-        let [ahead, view] = [self.heading, view].map(|azimuth| azimuth.extend(0.0));
-        let right = ahead.cross(up);
-        let ground_m = terrain.height_at(eye.truncate());
-        let deck_m = ground_m + self.deck_m;
+        let has_mast = self.above_deck_m(terrain, eye) >= MIN_MAST_M;
+        let stance = self.stance(terrain, eye, view);
+        let axes @ [right, _, up] = stance.axes;
+        let view = view.extend(0.0);
         let [length_m, width_m] = self.size_m;
-        let has_mast = eye.z - deck_m >= MIN_MAST_M;
-        let mast = if has_mast { eye - MAST_BEHIND_M * view } else { eye };
-        // Middle of the body, on the deck.
-        let middle = (eye.truncate() + self.middle(view.truncate(), eye.z - deck_m)).extend(deck_m);
-        let axes = [right, ahead, up];
         let mut parts = Vec::new();
         let mut add_box = |half_m: [f32; 3], axes, centre, albedo| {
             parts.push(Part { shape: Shape::Box, half_m: half_m.into(), axes, centre, albedo });
         };
-        let body_m = BODY_OF_DECK * self.deck_m;
-        add_box([0.5 * width_m, 0.5 * length_m, 0.5 * body_m], axes, middle - 0.5 * body_m * up, PAINT);
+        let (deck, body_m) = (stance.deck, self.body_m());
+        add_box([0.5 * width_m, 0.5 * length_m, 0.5 * body_m], axes, deck - 0.5 * body_m * up, PAINT);
         if has_mast {
-            let head = [view.cross(up), view, up];
+            let head = [view.cross(Vec3::Z), view, Vec3::Z];
             add_box(HEAD_M, head, eye - (HEAD_BEHIND_M + HEAD_M[1]) * view, PAINT);
         }
         for side in [-1.0, 1.0] {
             let beside_m = side * (0.5 * width_m + ROCKER_HALF_M);
-            let rocker = middle + beside_m * right - (self.deck_m - self.wheel_m) * up;
+            let rocker = deck + beside_m * right - (self.deck_m - self.wheel_m) * up;
             add_box([ROCKER_HALF_M, -AXLES[0] * length_m, ROCKER_HALF_M], axes, rocker, METAL);
             if self.panel_m > 0.0 {
                 let from_middle_m = 0.5 * (width_m + self.panel_m) - OVERLAP_M;
-                let panel = middle + side * from_middle_m * right;
+                let panel = deck + side * from_middle_m * right;
                 add_box([0.5 * self.panel_m, 0.5 * length_m, PANEL_HALF_M], axes, panel, CELLS);
             }
         }
         if has_mast {
-            let (low, high) = (deck_m, eye.z - HEAD_M[2]);
+            let axis = (eye - MAST_BEHIND_M * view).truncate();
+            let (low, high) = (stance.deck_height_at(axis), eye.z - HEAD_M[2]);
             parts.push(Part {
                 shape: Shape::Cylinder,
                 half_m: Vec3::new(0.5 * (high - low), MAST_RADIUS_M, MAST_RADIUS_M),
-                axes: [up, right, ahead],
-                centre: mast.truncate().extend(0.5 * (low + high)),
+                axes: [Vec3::Z, Vec3::X, Vec3::Y],
+                centre: axis.extend(0.5 * (low + high)),
                 albedo: PAINT,
             });
         }
         let (radius_m, half_width_m) = (0.5 * self.wheel_m, 0.5 * WHEEL_WIDTH * self.wheel_m);
-        for (side, axle) in [-1.0, 1.0].into_iter().flat_map(|side| AXLES.map(|axle| (side, axle))) {
-            let beside_m = 0.5 * side * gauge_m(width_m, self.wheel_m);
-            let at = (middle + beside_m * right + axle * length_m * ahead).truncate();
+        for below in stance.wheels {
             parts.push(Part {
                 shape: Shape::Cylinder,
                 half_m: Vec3::new(half_width_m, radius_m, radius_m),
-                axes: [right, ahead, up],
-                centre: at.extend(terrain.height_at(at) + radius_m - SINKAGE_M),
+                axes,
+                centre: below + (radius_m - SINKAGE_M) * up,
                 albedo: METAL,
             });
         }
         (first..).zip(parts).map(|(index, part)| part.body(index, self.is_visible)).collect()
+    }
+
+    /// Height of the body, metres.
+    fn body_m(&self) -> f32 {
+        BODY_OF_DECK * self.deck_m
+    }
+
+    /// Height of an eye above the deck of a rover that stands on level ground below it, metres.
+    fn above_deck_m(&self, terrain: &Terrain, eye: Vec3) -> f32 {
+        eye.z - terrain.height_at(eye.truncate()) - self.deck_m
+    }
+
+    /// How it stands on the ground: the body over the plane that fits the ground below its wheels, raised where a wheel would reach the
+    /// panels, and wholly behind a camera without a mast.
+    fn stance(&self, terrain: &Terrain, eye: Vec3, view: Vec2) -> Stance {
+        let above_deck_m = self.above_deck_m(terrain, eye);
+        let middle = eye.truncate() + self.middle(view, above_deck_m);
+        let mut stance = self.stance_at(terrain, middle);
+        let mut room_m = f32::INFINITY;
+        if above_deck_m >= MIN_MAST_M {
+            room_m = (eye.z - stance.deck_height_at(eye.truncate()) - MIN_MAST_M).max(0.0);
+        } else {
+            let [_, ahead, up] = stance.axes;
+            let top = stance.deck + 0.5 * self.size_m[0] * ahead;
+            let [top_m, bottom_m] = [top, top - self.body_m() * up]
+                .map(|edge| (edge.truncate() - eye.truncate()).dot(self.heading) + BODY_BEHIND_M);
+            stance = self.stance_at(terrain, middle - top_m.max(bottom_m) * self.heading);
+        }
+        stance.deck += self.lift_m(&stance).min(room_m) * stance.axes[2];
+        stance
+    }
+
+    /// How it stands with its middle over a point of the ground.
+    fn stance_at(&self, terrain: &Terrain, middle: Vec2) -> Stance {
+        let right = -self.heading.perp();
+        let beside_m = 0.5 * gauge_m(self.size_m[1], self.wheel_m);
+        let (mut wheels, mut sum) = ([Vec3::ZERO; 6], [0.0; 3]);
+        let (mut ahead_square, mut right_square) = (0.0, 0.0);
+        for (wheel, below) in wheels.iter_mut().enumerate() {
+            let ahead_m = AXLES[wheel % 3] * self.size_m[0];
+            let right_m = if wheel < 3 { -beside_m } else { beside_m };
+            let at = middle + ahead_m * self.heading + right_m * right;
+            *below = at.extend(terrain.height_at(at));
+            for (sum, weight) in sum.iter_mut().zip([1.0, ahead_m, right_m]) {
+                *sum += weight * below.z;
+            }
+            ahead_square += ahead_m * ahead_m;
+            right_square += right_m * right_m;
+        }
+        // Least squares, simple because the wheels lie symmetrically about the middle.
+        let [mean_m, rise_ahead, rise_right] = [sum[0] / 6.0, sum[1] / ahead_square, sum[2] / right_square];
+        let unit = |v: Vec3| v / v.length();
+        let up = unit((-rise_ahead * self.heading - rise_right * right).extend(1.0));
+        let ahead = unit(self.heading.extend(rise_ahead));
+        Stance { axes: [ahead.cross(up), ahead, up], deck: middle.extend(mean_m) + self.deck_m * up, wheels }
+    }
+
+    /// By how much the body must be raised for its panels to stay clear of the wheels, metres.
+    fn lift_m(&self, stance: &Stance) -> f32 {
+        let up = stance.axes[2];
+        let tops = stance.wheels.map(|below| (below - stance.deck).dot(up) + self.wheel_m - SINKAGE_M);
+        tops.into_iter().fold(0.0, |lift, top| lift.max(top + PANEL_HALF_M + CLEARANCE_M))
+    }
+}
+
+/// How a rover stands on the ground.
+struct Stance {
+    /// Unit vectors of its body: to the right, ahead and up.
+    axes: [Vec3; 3],
+    /// The middle of its deck, metres.
+    deck: Vec3,
+    /// The ground below its wheels, metres.
+    wheels: [Vec3; 6],
+}
+
+impl Stance {
+    /// Height of the plane of the deck over a point, metres.
+    fn deck_height_at(&self, point: Vec2) -> f32 {
+        let up = self.axes[2];
+        self.deck.z - (point - self.deck.truncate()).dot(up.truncate()) / up.z
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::params::config::Config;
+    use crate::scene::Scene;
+
+    /// On slopes, crater walls among them: wheels stand on the ground and below the panels, and the body lies along the ground.
+    #[test]
+    fn a_rover_stands_on_its_wheels() {
+        let mut steepest = 0.0_f32;
+        for seed in 0..12 {
+            let height = if seed % 2 == 0 { "camera.height_m=1.5" } else { "camera.height_m=0.4" };
+            let mut config = Config::new();
+            for set in ["stage.name=surface", "rover.kind=rover", "rocks.coverage=0", height] {
+                config.apply_set(set).expect(set);
+            }
+            let params = config.draw(seed).expect("parameters");
+            let scene = Scene::build(seed, &params).expect("scene");
+            let rover = Rover::build(&params).expect("rover");
+            let (eye, view) = (scene.camera.eye, scene.camera.forward.truncate().normalize());
+            let stance = rover.stance(&scene.terrain, eye, view);
+            let [right, ahead, up] = stance.axes;
+            assert!((right.cross(ahead) - up).length() < 1e-5, "{seed}: {:?}", stance.axes);
+            steepest = steepest.max(libm::acosf(up.z).to_degrees());
+            for below in stance.wheels {
+                assert!((below.z - scene.terrain.height_at(below.truncate())).abs() < 1e-4);
+                let below_deck_m = (stance.deck - below).dot(up);
+                let top_m = rover.wheel_m - SINKAGE_M + PANEL_HALF_M;
+                assert!(below_deck_m > top_m, "{seed}: {below_deck_m} m below the deck, top at {top_m}");
+            }
+            if rover.above_deck_m(&scene.terrain, eye) >= MIN_MAST_M {
+                assert!(stance.deck_height_at(eye.truncate()) < eye.z - 0.9 * MIN_MAST_M, "{seed}");
+            } else {
+                let front = stance.deck + 0.5 * rover.size_m[0] * ahead;
+                for edge in [front, front - rover.body_m() * up] {
+                    let ahead_m = (edge - eye).truncate().dot(rover.heading);
+                    assert!(ahead_m < 0.0, "{seed}: {ahead_m} m ahead of the eye");
+                }
+            }
+        }
+        assert!(steepest > 8.0, "no slope was tried: {steepest} degrees at most");
+    }
 
     #[test]
     fn parts_are_closed_and_fill_their_boxes() {
