@@ -16,6 +16,7 @@ pub mod readback;
 pub(crate) mod shader_check;
 pub mod staging;
 pub mod survey;
+pub mod upload;
 pub mod vendor;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};

@@ -24,6 +24,7 @@ pub mod select;
 mod settings;
 pub mod shadow;
 mod slots;
+mod staged_frame;
 mod tiling;
 #[cfg(test)]
 mod unwritten;
@@ -36,6 +37,7 @@ use crate::error::Result;
 use crate::frame::Frame;
 use crate::gpu::Gpu;
 use crate::gpu::staging::StagingBuffers;
+use crate::gpu::upload::UploadPool;
 use crate::scene::Scene;
 pub use backend::{LightingMode, RasterBackend, RasterMode, RasterOptions};
 pub use device::timing::StageTimes;
@@ -54,6 +56,7 @@ use scene_buffers::SceneBuffers;
 use select::tiles::ImageTile;
 use shadow::ShadowBackend;
 use slots::{Slot, SlotPool, Submission, TileSubmission};
+use staged_frame::StagedFrame;
 use tiling::{TileLimits, TiledFrame};
 use visibility::{VisibilityBackend, VisibilityInputs};
 
@@ -64,6 +67,8 @@ pub const FRAMES_IN_FLIGHT: usize = 2;
 #[derive(Debug)]
 struct PreparedFrame {
     plan: FramePlan,
+    /// What is copied to the device with the first tile.
+    staged: Option<StagedFrame>,
     /// One, or those that the frame is drawn in. The first is prepared.
     tiles: Vec<ImageTile>,
     gbuffer: GBuffer,
@@ -137,7 +142,7 @@ impl Renderer {
             lighting: LightingPass::new(&gpu, &layouts),
             resolve: ResolvePass::new(&gpu, &layouts),
             buffers: SceneBuffers::default(),
-            planner: Arc::new(FramePlanner::new(raster)),
+            planner: Arc::new(FramePlanner::new(raster, UploadPool::new(&gpu.device))),
             gbuffers: GBufferPool::default(),
             slots: SlotPool::default(),
             staging: StagingBuffers::default(),
@@ -172,7 +177,7 @@ impl Renderer {
             self.visibility = VisibilityBackend::new(&raster);
         }
         if raster != self.raster {
-            self.planner = Arc::new(FramePlanner::new(raster));
+            self.planner = Arc::new(self.planner.with_options(raster));
         }
         self.raster = raster;
     }
@@ -240,8 +245,8 @@ impl Renderer {
 
     fn try_submit(&mut self, scene: &Scene, packet: FramePacket) -> Result<InFlight> {
         let start = Instant::now();
-        let FramePacket { request, plan, plan_ms } = packet;
-        let frame = self.prepare(scene, &request, plan)?;
+        let FramePacket { request, plan, staged, plan_ms } = packet;
+        let frame = self.prepare(scene, &request, (plan, staged))?;
         self.submit_prepared(scene, request, frame, (start, plan_ms))
     }
 
@@ -347,7 +352,7 @@ impl Renderer {
         &mut self,
         scene: &Scene,
         request: &FrameRequest,
-        mut plan: FramePlan,
+        (mut plan, mut staged): (FramePlan, Option<StagedFrame>),
     ) -> Result<PreparedFrame> {
         let (scene, settings) = request.rendered(scene);
         let layout = self.visibility.gbuffer_layout(scene);
@@ -376,10 +381,11 @@ impl Renderer {
             plan.place_tiles(|selection| shadow.place_tiles(scene, selection, raster.max_texture_px));
             plan.uniforms = uniforms::of_tile(&plan.uniforms, tile, settings);
             let multi_draw = raster.multi_draw;
-            let mut bytes = gpu.guard(|| buffers.upload(gpu, scene, &plan, (multi_draw, staging)))??;
+            let to_upload = (&plan, staged.as_mut());
+            let mut bytes = gpu.guard(|| buffers.upload(gpu, scene, to_upload, (multi_draw, staging)))??;
             // Nothing else needs these.
-            (plan.horizon, plan.instances, plan.lit_rocks, plan.meshes) = Default::default();
-            let selected = (scene, &plan.selection, plan.shadow_map_px);
+            (plan.horizon, plan.instances, plan.lit_rocks) = Default::default();
+            let selected = (scene, plan.map_source.take(), plan.shadow_map_px);
             let casters = (&buffers.meshes, &plan.draws.casters);
             bytes += shadow.prepare(gpu, layouts, selected, (casters, staging))?;
             let inputs = VisibilityInputs {
@@ -394,7 +400,7 @@ impl Renderer {
             bytes += visibility.find(gpu, layouts, inputs);
             let samples = tile.rendered.samples(settings.samples_per_side);
             bytes += visibility.fill(gpu, &plan.draws.batches, samples, (&mut gbuffer, staging))?;
-            Result::Ok((plan, bytes))
+            Result::Ok((plan, staged, bytes))
         };
         let mut compile_resolve = || resolve.prepare(gpu, resolve_variant);
         let mut compile_lighting = || lighting.prepare_general(gpu, layouts, pipelines, raster.lighting);
@@ -404,13 +410,13 @@ impl Renderer {
         } else {
             (prepare(), (compile_resolve(), compile_lighting()))
         };
-        let (plan, mut uploaded_bytes) = prepared?;
+        let (plan, staged, mut uploaded_bytes) = prepared?;
         uploaded_bytes += slot.packed.choose(gpu, &mut gbuffer);
         if raster.lighting == LightingMode::Bins {
             lighting.prepare(gpu, pipelines, gbuffer.batches.iter().map(|batch| batch.variant));
         }
         gpu.check()?;
-        Ok(PreparedFrame { plan, tiles, gbuffer, slot, pipelines, uploaded_bytes })
+        Ok(PreparedFrame { plan, staged, tiles, gbuffer, slot, pipelines, uploaded_bytes })
     }
 
     /// Prepares a further tile of a frame. `settings` are those of the image before distortion.
@@ -442,6 +448,7 @@ impl Renderer {
         let of_light = buffers.light_group(gpu, layouts, gbuffer, self.shadow.map(), nearest());
         let of_resolve = ResolvePass::bind_group(gpu, layouts, (gbuffer, packed), nearest());
         if is_first {
+            buffers.record_copies(encoder, frame.staged.as_ref());
             self.shadow.record(encoder, meshes, &plan.draws.casters, &groups, timer);
         }
         self.visibility.record(gpu, encoder, meshes, &groups, (gbuffer, timer));

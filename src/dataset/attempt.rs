@@ -223,7 +223,7 @@ fn prepare(
     let seed = plan.seed_of(index, attempt);
     let (scene, params) = build_scene(plan, seed)?;
     let times = vec![("scene", start.elapsed().as_secs_f64() * 1e3)];
-    let packet = planner.plan(&scene, &plan.settings)?.with_meshes(&scene);
+    let packet = planner.plan_and_stage(&scene, &plan.settings)?;
     Ok(PreparedAttempt { source: FrameScene { index, attempt, seed, params, scene, times, redrawn }, packet })
 }
 

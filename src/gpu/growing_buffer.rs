@@ -53,12 +53,13 @@ impl GrowingBuffer {
         })
     }
 
-    /// Makes room for this many bytes, whatever they are.
-    pub fn reserve(&mut self, gpu: &Gpu, bytes: u64) {
+    /// Makes room for this many bytes, whatever they are; returns their number.
+    pub fn reserve(&mut self, gpu: &Gpu, bytes: u64) -> u64 {
         if self.buffer.as_ref().is_none_or(|buffer| buffer.size() < bytes) {
             let capacity = bytes.next_power_of_two();
             self.buffer = Some(gpu.buffer(self.label, capacity, self.usage | BufferUsages::COPY_DST));
         }
+        bytes
     }
 
     /// Replaces the content with the `bytes` bytes (a multiple of four) that `write` writes; returns their number.

@@ -26,8 +26,21 @@ impl GrowingTexture {
     /// # Panics
     /// Before the first write.
     #[must_use]
+    pub fn texture(&self) -> &wgpu::Texture {
+        &self.current().0
+    }
+
+    /// Its view.
+    ///
+    /// # Panics
+    /// Before the first write.
+    #[must_use]
     pub fn view(&self) -> &wgpu::TextureView {
-        &self.texture.as_ref().expect("a texture is written before it is bound").1
+        &self.current().1
+    }
+
+    fn current(&self) -> &(wgpu::Texture, wgpu::TextureView) {
+        self.texture.as_ref().expect("a texture is written before it is bound")
     }
 
     /// Whether it has this many columns and rows.

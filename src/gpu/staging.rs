@@ -197,21 +197,28 @@ impl StagingBuffer {
     pub fn copy_to(&mut self, gpu: &Gpu, texture: &wgpu::Texture, regions: &[TextureRegion]) -> Result<()> {
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         for region in regions {
-            let layout = wgpu::TexelCopyBufferLayout {
-                offset: region.offset_bytes as u64,
-                bytes_per_row: Some(region.row_bytes as u32),
-                rows_per_image: None,
-            };
-            let ([x, y], [width, height]) = (region.origin, region.size);
-            let to = wgpu::TexelCopyTextureInfo {
-                origin: wgpu::Origin3d { x, y, z: 0 },
-                ..texture.as_image_copy()
-            };
-            let from = wgpu::TexelCopyBufferInfo { buffer: &self.buffer, layout };
-            let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
-            encoder.copy_buffer_to_texture(from, to, size);
+            copy_to_texture(&mut encoder, &self.buffer, texture, region);
         }
         self.last_copy = Some(gpu.guard(|| gpu.queue.submit([encoder.finish()]))?);
         Ok(())
     }
+}
+
+/// Records the copy of a region of a buffer to a texture.
+pub fn copy_to_texture(
+    encoder: &mut wgpu::CommandEncoder,
+    buffer: &wgpu::Buffer,
+    texture: &wgpu::Texture,
+    region: &TextureRegion,
+) {
+    let layout = wgpu::TexelCopyBufferLayout {
+        offset: region.offset_bytes as u64,
+        bytes_per_row: Some(region.row_bytes as u32),
+        rows_per_image: None,
+    };
+    let ([x, y], [width, height]) = (region.origin, region.size);
+    let origin = wgpu::Origin3d { x, y, z: 0 };
+    let to = wgpu::TexelCopyTextureInfo { origin, ..texture.as_image_copy() };
+    let from = wgpu::TexelCopyBufferInfo { buffer, layout };
+    encoder.copy_buffer_to_texture(from, to, wgpu::Extent3d { width, height, depth_or_array_layers: 1 });
 }

@@ -1,18 +1,20 @@
 //! Frame packets: all that is chosen and computed for a frame before a device is needed. Made by any thread, submitted by the one
 //! that owns the device.
-//! Must not know: a device, buffers.
+//! Must not know: a device.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use crate::error::Result;
 use crate::frame::{Annotation, Annotations};
+use crate::gpu::upload::UploadPool;
 use crate::render::backend::RasterOptions;
 use crate::render::device::timing::milliseconds;
 use crate::render::frame_plan::{FramePlan, PlanCache};
 use crate::render::post::hazards;
 use crate::render::select::near_plane;
 use crate::render::settings::RenderSettings;
-use crate::render::visibility::packed_vertices::PackedMeshes;
+use crate::render::staged_frame::StagedFrame;
 use crate::scene::Scene;
 
 /// What the caller asked for, and what has to be rendered for it.
@@ -55,12 +57,18 @@ impl FrameRequest {
 pub struct FramePlanner {
     raster: RasterOptions,
     cache: PlanCache,
+    uploads: Arc<UploadPool>,
 }
 
 impl FramePlanner {
     /// A planner for renderers with these options.
-    pub(crate) fn new(raster: RasterOptions) -> Self {
-        Self { raster, cache: PlanCache::default() }
+    pub(crate) fn new(raster: RasterOptions, uploads: UploadPool) -> Self {
+        Self { raster, cache: PlanCache::default(), uploads: Arc::new(uploads) }
+    }
+
+    /// A planner of the same renderer, from when it has these options.
+    pub(crate) fn with_options(&self, raster: RasterOptions) -> Self {
+        Self { raster, cache: PlanCache::default(), uploads: Arc::clone(&self.uploads) }
     }
 
     /// Plans a frame of a scene, on this thread and those of its rayon pool.
@@ -72,7 +80,23 @@ impl FramePlanner {
         let request = FrameRequest::new(scene, settings)?;
         let (rendered_scene, rendered) = request.rendered(scene);
         let plan = FramePlan::new(&self.cache, rendered_scene, rendered, settings.size, &self.raster);
-        Ok(FramePacket { request, plan, plan_ms: milliseconds(start.elapsed()) })
+        Ok(FramePacket { request, plan, staged: None, plan_ms: milliseconds(start.elapsed()) })
+    }
+
+    /// Plans a frame of a scene of which the device has nothing, and writes what it needs of it to where it copies from: the thread that
+    /// submits the packet need not.
+    ///
+    /// # Errors
+    /// Those of [`Self::plan`].
+    pub fn plan_and_stage(&self, scene: &Scene, settings: &RenderSettings) -> Result<FramePacket> {
+        let mut packet = self.plan(scene, settings)?;
+        let start = Instant::now();
+        if packet.plan.map_source.is_some() && !packet.plan.draws.draws.is_empty() {
+            let rendered = packet.request.rendered(scene).0;
+            packet.staged = StagedFrame::new(&self.uploads, rendered, &packet.plan);
+        }
+        packet.plan_ms += milliseconds(start.elapsed());
+        Ok(packet)
     }
 }
 
@@ -81,19 +105,16 @@ impl FramePlanner {
 pub struct FramePacket {
     pub(crate) request: FrameRequest,
     pub(crate) plan: FramePlan,
+    /// What is written for the device already.
+    pub(crate) staged: Option<StagedFrame>,
     /// Milliseconds that the planning took.
     pub(crate) plan_ms: f64,
 }
 
 impl FramePacket {
-    /// Packs all meshes of the frame too, for a device that has none of this scene: whoever submits the packet need not.
+    /// Whether what the device needs of the scene is written to where it copies from ([`FramePlanner::plan_and_stage`]).
     #[must_use]
-    pub fn with_meshes(mut self, scene: &Scene) -> Self {
-        let start = Instant::now();
-        if !self.plan.draws.draws.is_empty() {
-            self.plan.meshes = Some(PackedMeshes::new(self.request.rendered(scene).0, &self.plan.selection));
-        }
-        self.plan_ms += milliseconds(start.elapsed());
-        self
+    pub const fn is_staged(&self) -> bool {
+        self.staged.is_some()
     }
 }

@@ -10,18 +10,19 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 use crate::class::ClassId;
 use crate::pool::PooledVec;
-use crate::render::backend::{LightingMode, RasterOptions};
+use crate::render::backend::{LightingMode, RasterBackend, RasterOptions};
 use crate::render::device::shader_structs::{CasterTile, FrameUniforms, Instance};
 use crate::render::device::shading_bins::{Detail, ShadingBins};
 use crate::render::lighting::relief_bands::ReliefBands;
 use crate::render::select::caster_grid::caster_grid;
+use crate::render::select::casters;
 use crate::render::select::draw_list::DrawList;
 use crate::render::select::footprint::Footprint;
 use crate::render::select::lit_rocks::{Exposed, LitRocks};
 use crate::render::select::selection::{Selection, Slots};
 use crate::render::settings::RenderSettings;
+use crate::render::shadow::MapSource;
 use crate::render::shadow::horizon::{HorizonCache, HorizonMap};
-use crate::render::visibility::packed_vertices::PackedMeshes;
 use crate::scene::Scene;
 use crate::scene::bounce::{Bounce, rms_slope};
 use crate::scene::photometry::{Law, Photometry};
@@ -35,6 +36,8 @@ pub(crate) struct FramePlan {
     pub(crate) selection: Selection,
     /// Columns and rows of the shadow map, once its tiles are placed ([`FramePlan::place_tiles`]).
     pub(crate) shadow_map_px: [u32; 2],
+    /// What the shadow map depends on, if the device makes it: then its tiles are placed already.
+    pub(crate) map_source: Option<MapSource>,
     /// Horizon of the ground towards the sun.
     pub(crate) horizon: Arc<HorizonMap>,
     /// Which casters can shade each cell of the ground ([`caster_grid`]).
@@ -49,10 +52,6 @@ pub(crate) struct FramePlan {
     pub(crate) instances: Vec<Instance>,
     /// What the device draws, and the batches of the shading bins.
     pub(crate) draws: DrawList,
-    /// All meshes of the selection, packed for the device, if the packet has them ([`FramePacket::with_meshes`]).
-    ///
-    /// [`FramePacket::with_meshes`]: crate::render::FramePacket::with_meshes
-    pub(crate) meshes: Option<PackedMeshes>,
     /// Uniforms of the frame.
     pub(crate) uniforms: FrameUniforms,
 }
@@ -102,8 +101,7 @@ impl FramePlan {
         let selection = Selection::within(scene, settings, options.max_texture_px);
         let footprint = Footprint::new(scene, &selection);
         let horizon = cache.horizon.map(&scene.terrain, &scene.sun, &footprint, options.max_texture_px);
-        let casters = &selection.casters;
-        let caster_grid = caster_grid(scene, casters, horizon.shadowed_ground(), &footprint);
+        let caster_grid = caster_grid(scene, &selection.casters, horizon.shadowed_ground(), &footprint);
         let bands = ReliefBands::new(scene, &selection, settings);
         let bins = ShadingBins::new(bands.bands.len());
         let slots = selection.slots();
@@ -115,25 +113,31 @@ impl FramePlan {
         uniforms.lit_rocks = lit_rocks.uniform(caster_grid.len());
         let mut instances = instances(scene, settings, slots, bands.bands.len(), options.lighting);
         set_surroundings(scene, &selection, &lit_rocks.sunlit_ground, &mut instances);
-        Self {
+        let mut plan = Self {
             shadow_map_px: [0; 2],
+            map_source: None,
             caster_grid,
             lit_rocks,
             caster_tiles: Vec::new(),
             instances,
             draws,
-            meshes: None,
             uniforms,
             bands,
             selection,
             horizon,
+        };
+        if options.shadow != RasterBackend::Host {
+            plan.place_tiles(|selection| Some(casters::atlas_size_px(&selection.casters)));
+            plan.map_source = Some(MapSource::new(scene, &plan.selection, plan.shadow_map_px));
         }
+        plan
     }
 
-    /// Gives the casters' tiles their origins in the shadow map. `place` sets those of the selection and returns the size of the map:
-    /// the shadow backend does, which may keep tiles of frames before.
-    pub(crate) fn place_tiles(&mut self, place: impl FnOnce(&mut Selection) -> [u32; 2]) {
-        self.shadow_map_px = place(&mut self.selection);
+    /// Gives the casters' tiles their origins in the shadow map. `place` sets those of the selection and returns the size of the map, or
+    /// `None` if they are placed. Where the host makes the map its backend does so, which may keep tiles of frames before.
+    pub(crate) fn place_tiles(&mut self, place: impl FnOnce(&mut Selection) -> Option<[u32; 2]>) {
+        let Some(size_px) = place(&mut self.selection) else { return };
+        self.shadow_map_px = size_px;
         let [width_px, height_px] = self.shadow_map_px.map(|side| side as f32);
         (self.uniforms.atlas_width_px, self.uniforms.atlas_layer_height_px) = (width_px, height_px);
         let Selection { casters, rocks, .. } = &self.selection;
@@ -266,9 +270,7 @@ mod tests {
 
     use super::*;
     use crate::params::Params;
-    use crate::render::backend::RasterBackend;
     use crate::render::device::bind_groups::slot_stride;
-    use crate::render::select::casters;
     use crate::render::select::screen_bounds::ScreenBounds;
     use crate::render::select::sunlight::Sunlight;
     use crate::render::settings::DEFAULT_TEXTURE_PX;
@@ -277,7 +279,7 @@ mod tests {
     fn plan(cache: &PlanCache, scene: &Scene, options: &RasterOptions) -> FramePlan {
         let settings = RenderSettings::new([96, 64], 4).expect("settings");
         let mut plan = FramePlan::new(cache, scene, &settings, settings.size, options);
-        plan.place_tiles(|selection| casters::atlas_size_px(&selection.casters));
+        plan.place_tiles(|selection| Some(casters::atlas_size_px(&selection.casters)));
         plan
     }
 

@@ -18,6 +18,7 @@ use crate::render::frame_plan::FramePlan;
 use crate::render::lighting::gbuffer::GBuffer;
 use crate::render::select::lit_rocks::LitRocks;
 use crate::render::shadow::horizon::HorizonMap;
+use crate::render::staged_frame::{CopyTargets, StagedFrame};
 use crate::render::visibility::meshes::Meshes;
 use crate::scene::Scene;
 
@@ -64,7 +65,8 @@ impl Default for SceneBuffers {
 }
 
 impl SceneBuffers {
-    /// Writes a plan to the device and returns how many bytes that took.
+    /// Writes a plan to the device and returns how many bytes that took. What is staged of it is copied once [`Self::record_copies`] is
+    /// recorded.
     ///
     /// # Errors
     /// [`crate::Error::DeviceLost`] or [`crate::Error::Device`].
@@ -72,20 +74,43 @@ impl SceneBuffers {
         &mut self,
         gpu: &Gpu,
         scene: &Scene,
-        plan: &FramePlan,
+        (plan, mut staged): (&FramePlan, Option<&mut StagedFrame>),
         (multi_draw, staging): (bool, &mut StagingBuffers),
     ) -> Result<u64> {
         let mut bytes = self.upload_uniforms(gpu, &plan.uniforms);
         bytes += write_slots(&mut self.relief, gpu, &plan.bands.bands);
-        bytes += write_slots(&mut self.instances, gpu, &plan.instances);
         bytes += self.caster_tiles.write(gpu, &plan.caster_tiles);
-        bytes += self.caster_grid.write_both(gpu, &plan.caster_grid, &plan.lit_rocks.lists);
+        bytes += if let Some(staged) = &staged {
+            let [of_instances, of_grid] = staged.instance_and_grid_bytes();
+            self.instances.reserve(gpu, of_instances) + self.caster_grid.reserve(gpu, of_grid)
+        } else {
+            write_slots(&mut self.instances, gpu, &plan.instances)
+                + self.caster_grid.write_both(gpu, &plan.caster_grid, &plan.lit_rocks.lists)
+        };
         bytes += self.upload_lit_faces(gpu, &plan.lit_rocks, staging)?;
         if !plan.draws.draws.is_empty() {
-            bytes += self.meshes.upload(gpu, scene, &plan.selection, plan.meshes.as_ref());
+            let is_new = !self.meshes.has_ground(scene);
+            bytes += match staged.as_deref_mut().filter(|_| is_new).map(StagedFrame::copy_vertices) {
+                Some((places, size)) => size + self.meshes.expect_copy(gpu, scene, places, size),
+                None => self.meshes.upload(gpu, scene, &plan.selection),
+            };
             bytes += self.meshes.set_draws(gpu, &plan.draws.draws, multi_draw);
         }
-        Ok(bytes + self.upload_horizon(gpu, &plan.horizon, staging)?)
+        bytes += self.upload_horizon(gpu, &plan.horizon, (staged.as_deref_mut(), staging))?;
+        if let Some(staged) = staged {
+            staged.unmap();
+        }
+        Ok(bytes)
+    }
+
+    /// Records the copies of what is staged of a frame.
+    pub(crate) fn record_copies(&self, encoder: &mut wgpu::CommandEncoder, staged: Option<&StagedFrame>) {
+        if let Some(staged) = staged {
+            let [vertices, _] = self.meshes.buffers();
+            let (instances, grid) = (self.instances.buffer(), self.caster_grid.buffer());
+            let to = CopyTargets { vertices, horizon: self.horizon.texture(), instances, grid };
+            staged.record(encoder, &to);
+        }
     }
 
     /// Writes the uniforms of the frame, or of a tile, and returns how many bytes that took.
@@ -97,13 +122,18 @@ impl SceneBuffers {
         &mut self,
         gpu: &Gpu,
         map: &Arc<HorizonMap>,
-        staging: &mut StagingBuffers,
+        (staged, staging): (Option<&mut StagedFrame>, &mut StagingBuffers),
     ) -> Result<u64> {
         let size = [map.width, map.height()];
         if self.horizon.holds(size) && self.horizon_source.as_ptr() == Arc::as_ptr(map) {
             return Ok(0);
         }
         self.horizon_source = Arc::downgrade(map);
+        if let Some(staged) = staged {
+            self.horizon.reserve(gpu, size);
+            staged.copy_horizon();
+            return Ok(size_of_val(&map.heights_m[..]) as u64);
+        }
         self.horizon.write(gpu, staging, size, &map.heights_m)
     }
 

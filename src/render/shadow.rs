@@ -20,13 +20,13 @@ use crate::gpu::staging::{StagingBuffer, StagingBuffers};
 use crate::render::backend::RasterBackend;
 use crate::render::device::bind_groups::{BindLayouts, RasterGroups, SHADOW_MAP_FORMAT};
 use crate::render::device::timing::{Pass, Timer, milliseconds};
-use crate::render::select::casters;
 use crate::render::select::selection::Selection;
 use crate::render::visibility::meshes::Meshes;
 use crate::scene::Scene;
 use compute::ComputeShadow;
 use device::ShadowPass;
-use device_map::{DeviceMap, MapSource};
+use device_map::DeviceMap;
+pub(crate) use device_map::MapSource;
 use tiles::{NewTile, ShadowMap};
 
 /// The room for new tiles in the staging buffer is a multiple of this, bytes: frames differ a little in what they need.
@@ -55,20 +55,21 @@ impl ShadowBackend {
         }
     }
 
-    /// Gives the tiles of a selection's casters their origins in the map, and returns its columns and rows.
+    /// Gives the tiles of a selection's casters their origins in the map, and returns its columns and rows. `None` where the device makes the
+    /// map: those of a plan are placed already.
     pub(crate) fn place_tiles(
         &mut self,
         scene: &Scene,
         selection: &mut Selection,
         max_texture_px: u32,
-    ) -> [u32; 2] {
+    ) -> Option<[u32; 2]> {
         match self {
-            Self::Device(_) | Self::Compute(_) => casters::atlas_size_px(&selection.casters),
-            Self::Host(raster) => raster.place_tiles(scene, selection, max_texture_px),
+            Self::Device(_) | Self::Compute(_) => None,
+            Self::Host(raster) => Some(raster.place_tiles(scene, selection, max_texture_px)),
         }
     }
 
-    /// Prepares everything for [`Self::record`], with a map of exactly this many columns and rows. The casters are draws of the meshes.
+    /// Prepares everything for [`Self::record`], with a map of exactly this many columns and rows, which the device makes of `source`. The casters are draws of the meshes.
     /// Returns the bytes that were uploaded.
     ///
     /// # Errors
@@ -77,17 +78,16 @@ impl ShadowBackend {
         &mut self,
         gpu: &Gpu,
         layouts: &BindLayouts,
-        (scene, selection, size_px): (&Scene, &Selection, [u32; 2]),
+        (scene, source, size_px): (&Scene, Option<MapSource>, [u32; 2]),
         (casters, staging): ((&Meshes, &Range<usize>), &mut StagingBuffers),
     ) -> Result<u64> {
+        let of_device = |source: Option<MapSource>| source.expect("a plan for the device has a source");
         match self {
             Self::Device(pass) => {
-                pass.prepare(gpu, layouts, MapSource::new(scene, selection, size_px));
+                pass.prepare(gpu, layouts, of_device(source));
                 Ok(0)
             }
-            Self::Compute(pass) => {
-                Ok(pass.prepare(gpu, layouts, MapSource::new(scene, selection, size_px), casters))
-            }
+            Self::Compute(pass) => Ok(pass.prepare(gpu, layouts, of_device(source), casters)),
             Self::Host(raster) => raster.prepare(gpu, scene, size_px, staging),
         }
     }

@@ -25,8 +25,8 @@ fn render_with(
     fault: impl FnOnce(&mut GBuffer),
 ) -> Result<Frame> {
     let settings = RenderSettings::new(SIZE, samples).expect("settings");
-    let FramePacket { request, plan, plan_ms } = renderer.planner().plan(scene, &settings)?;
-    let mut frame = renderer.prepare(scene, &request, plan)?;
+    let FramePacket { request, plan, plan_ms, .. } = renderer.planner().plan(scene, &settings)?;
+    let mut frame = renderer.prepare(scene, &request, (plan, None))?;
     fault(&mut frame.gbuffer);
     let in_flight = renderer.submit_prepared(scene, request, frame, (Instant::now(), plan_ms))?;
     Ok(renderer.finish(in_flight, scene)?.0)
@@ -110,9 +110,9 @@ fn a_frame_that_loses_triangles_of_a_compute_pass_is_refused() {
     let all = u64::from(SIZE[0] * SIZE[1]);
     for rows in [0, 1] {
         let settings = RenderSettings::new(SIZE, 4).expect("settings");
-        let FramePacket { request, plan, plan_ms } =
+        let FramePacket { request, plan, plan_ms, .. } =
             renderer.planner().plan(&scene, &settings).expect("a plan");
-        let frame = renderer.prepare(&scene, &request, plan).expect("prepared");
+        let frame = renderer.prepare(&scene, &request, (plan, None)).expect("prepared");
         let VisibilityBackend::Compute(pass) = &mut renderer.visibility else { panic!("a compute pass") };
         pass.groups.lose(rows);
         let submitted = renderer.submit_prepared(&scene, request, frame, (Instant::now(), plan_ms));

@@ -8,6 +8,7 @@ mod device;
 mod exact_check;
 pub mod geometry;
 pub mod host;
+pub(crate) mod mesh_places;
 pub(crate) mod meshes;
 pub(crate) mod packed_vertices;
 pub(crate) mod triangle_groups;

@@ -134,7 +134,7 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
             &["adapter", "pipeline_cache"],
             &[SELF],
             &["growing_buffer", "readback", "staging", "survey"],
-            &["growing_texture"],
+            &["growing_texture", "upload"],
         ],
     ),
     (
@@ -146,6 +146,7 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
             &["resolve", "visibility"],
             &["post", "shadow"],
             &["frame_plan"],
+            &["staged_frame"],
             &["frame_packet", "scene_buffers", "slots", "tiling"],
             &["raw_frame"],
             &[SELF],

@@ -124,7 +124,8 @@ fn a_frame_polls_the_device_once() {
     renderer.set_raster(own);
 }
 
-/// Packets are planned by many threads at a time and submitted in another order: each frame is the one that is rendered alone.
+/// Packets are planned by many threads at a time, staged or not, and submitted in another order: each frame is the one that is rendered
+/// alone. The second time their memory is that of the first.
 #[test]
 fn frames_of_packets_equal_frames_rendered_alone() {
     let mut renderer = renderer();
@@ -133,22 +134,29 @@ fn frames_of_packets_equal_frames_rendered_alone() {
     moved.camera.eye.x += 0.4;
     let sets = [&[][..], &["stage.name=surface", "sensor.kind=bayer"], &["camera.k1=-0.1"]];
     let scenes: Vec<_> = [scene(3, &[]), moved].into_iter().chain(sets.map(|set| scene(3, set))).collect();
-    for raster in [own, on_device(own)] {
+    for raster in [own, on_device(own), in_compute_passes(&renderer)] {
         renderer.set_raster(raster);
+        let is_on_device = raster.visibility != RasterBackend::Host;
         let settings = all_planes(96);
         let alone: Vec<Frame> =
             scenes.iter().map(|scene| renderer.render(scene, &settings).expect("a frame").0).collect();
         let planner = renderer.planner();
-        let packets: Vec<_> = std::thread::scope(|scope| {
-            let plan = |scene| planner.plan(scene, &settings).expect("a packet");
-            let threads: Vec<_> = scenes.iter().map(|scene| scope.spawn(move || plan(scene))).collect();
-            threads.into_iter().map(|thread| thread.join().expect("a thread")).collect()
-        });
-        for (index, packet) in packets.into_iter().enumerate().rev() {
-            let in_flight = renderer.submit_packet(&scenes[index], packet).expect("submitted");
-            let raw = renderer.read_back(in_flight).expect("a frame");
-            let (frame, _) = raw.post_process(&scenes[index]);
-            assert!(frame == alone[index], "{}, frame {index}", raster.name());
+        for stages in [false, true, true] {
+            let plan = |scene: &Scene| match stages {
+                false => planner.plan(scene, &settings).expect("a packet"),
+                true => planner.plan_and_stage(scene, &settings).expect("a packet"),
+            };
+            let packets: Vec<_> = std::thread::scope(|scope| {
+                let threads: Vec<_> = scenes.iter().map(|scene| scope.spawn(move || plan(scene))).collect();
+                threads.into_iter().map(|thread| thread.join().expect("a thread")).collect()
+            });
+            for (index, packet) in packets.into_iter().enumerate().rev() {
+                assert_eq!(packet.is_staged(), stages && is_on_device, "{}, frame {index}", raster.name());
+                let in_flight = renderer.submit_packet(&scenes[index], packet).expect("submitted");
+                let raw = renderer.read_back(in_flight).expect("a frame");
+                let (frame, _) = raw.post_process(&scenes[index]);
+                assert!(frame == alone[index], "{}, frame {index}", raster.name());
+            }
         }
     }
     renderer.set_raster(own);

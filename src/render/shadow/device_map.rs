@@ -68,7 +68,7 @@ impl DeviceMap {
 
 /// What a map depends on.
 #[derive(Clone, Debug)]
-pub(super) struct MapSource {
+pub(crate) struct MapSource {
     sun_direction: Vec3,
     /// Columns and rows.
     size_px: [u32; 2],
@@ -85,7 +85,8 @@ struct CasterSource {
 }
 
 impl MapSource {
-    pub(super) fn new(scene: &Scene, selection: &Selection, size_px: [u32; 2]) -> Self {
+    /// That of a selection whose tiles are placed in a map of these columns and rows.
+    pub(crate) fn new(scene: &Scene, selection: &Selection, size_px: [u32; 2]) -> Self {
         let casters = selection.rocks.iter().filter_map(|selected| {
             let (caster, level) = selected.caster?;
             let mesh = Arc::downgrade(&scene.rocks[selected.rock].vertices);

@@ -300,6 +300,9 @@ impl HorizonMap {
         self.heights_m[((first_row + row) * self.width + first_column + column) as usize]
     }
 
+    /// Bytes of a texel.
+    pub const TEXEL_BYTES: usize = size_of::<Limbs>();
+
     /// Rows of [`Self::heights_m`].
     #[must_use]
     pub fn height(&self) -> u32 {

@@ -1,13 +1,11 @@
 //! Meshes on the device, for the stages that it rasterises: vertices, indices, and the draws of a frame.
 //!
-//! Vertices stay for as long as their scene; those of a rock are appended when it is first drawn, and again when it is drawn at a
-//! finer level: those of a level are the first of each finer one. Indices stay for as long as the
+//! Vertices stay for as long as their scene; those of rocks are appended as they are needed. Indices stay for as long as the
 //! ground's grid. Draws are set for each frame.
 //! Must not know: a stage.
 
 use std::collections::HashMap;
 use std::ops::Range;
-use std::sync::{Arc, Weak};
 
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
@@ -15,16 +13,14 @@ use wgpu::{BufferUsages, IndexFormat};
 
 use crate::gpu::Gpu;
 use crate::gpu::growing_buffer::GrowingBuffer;
-use crate::gpu::staging::{PAGE_BYTES, Page};
-use crate::pool::PooledVec;
+use crate::gpu::staging::Page;
 use crate::render::select::draw_list::{MeshDraw, MeshRef};
 use crate::render::select::ground_blocks::ground_blocks;
 use crate::render::select::selection::Selection;
-use crate::render::visibility::packed_vertices::{
-    PER_PAGE, PackedMeshes, PackedVertex, packed_page, unit_sphere, vertices_of,
-};
+use crate::render::visibility::mesh_places::MeshPlaces;
+use crate::render::visibility::packed_vertices::PackedVertex;
 use crate::scene::Scene;
-use crate::scene::mesh::{Icosphere, Vertex};
+use crate::scene::mesh::Icosphere;
 use crate::scene::terrain::{Layout, Terrain};
 
 /// Columns of cells in a strip, whose triangles are indexed row by row: few enough for the vertices of a row to be among the last 16
@@ -77,7 +73,6 @@ pub(crate) fn vertex_layout(attributes: usize) -> wgpu::VertexBufferLayout<'stat
 pub(crate) struct Meshes {
     /// Vertices of the unit sphere, the ground, then rocks.
     vertices: GrowingBuffer,
-    vertex_count: usize,
     /// Triangles of the icosphere's levels, then of the ground's blocks.
     indices: GrowingBuffer,
     index_format: IndexFormat,
@@ -91,28 +86,14 @@ pub(crate) struct Meshes {
     blocks: Vec<(Range<u32>, i32)>,
     /// The grid that the indices are for: columns, rows, and 1 if it is made of rings.
     grid: [u32; 3],
-    /// The ground whose vertices these are. A weak reference keeps its address from being used again.
-    terrain: Weak<Terrain>,
-    /// First vertex of the ground.
-    ground: i32,
-    /// What is uploaded of each rock of the scene.
-    rocks: Vec<RockVertices>,
-}
-
-/// The vertices of a rock in the vertex buffer.
-#[derive(Clone, Debug, Default)]
-struct RockVertices {
-    /// Its mesh; a dangling reference where nothing is uploaded.
-    mesh: Weak<PooledVec<Vertex>>,
-    first: i32,
-    count: usize,
+    /// Where the vertices lie.
+    places: MeshPlaces,
 }
 
 impl Default for Meshes {
     fn default() -> Self {
         Self {
             vertices: GrowingBuffer::new("scene/vertices", BufferUsages::VERTEX.union(BufferUsages::STORAGE)),
-            vertex_count: 0,
             indices: GrowingBuffer::new("scene/indices", BufferUsages::INDEX.union(BufferUsages::STORAGE)),
             index_format: IndexFormat::Uint16,
             draws: Vec::new(),
@@ -120,75 +101,54 @@ impl Default for Meshes {
             levels: Vec::new(),
             blocks: Vec::new(),
             grid: [0; 3],
-            terrain: Weak::new(),
-            ground: 0,
-            rocks: Vec::new(),
+            places: MeshPlaces::default(),
         }
     }
 }
 
 impl Meshes {
-    /// Uploads the meshes of a selection that the device does not have yet; `packed` are all of them, if they are packed already. Returns
-    /// the bytes that were uploaded.
-    pub(crate) fn upload(
-        &mut self,
-        gpu: &Gpu,
-        scene: &Scene,
-        selection: &Selection,
-        packed: Option<&PackedMeshes>,
-    ) -> u64 {
+    /// Uploads the meshes of a selection that the device does not have yet. Returns the bytes that were uploaded.
+    pub(crate) fn upload(&mut self, gpu: &Gpu, scene: &Scene, selection: &Selection) -> u64 {
         let of_indices = self.upload_indices(gpu, &scene.terrain);
-        // Each with its first vertex, counted from `begin`.
-        let mut missing: Vec<(usize, &[Vertex])> = Vec::new();
-        let begin = if self.terrain.as_ptr() == Arc::as_ptr(&scene.terrain) { self.vertex_count } else { 0 };
-        let mut end = begin;
-        let mut add = |vertices| {
-            let first = end;
-            missing.push((first - begin, vertices));
-            end += vertices.len();
-            first as i32
-        };
+        if let Some(bytes) = self.upload_missing(gpu, scene, selection) {
+            return of_indices + bytes as u64;
+        }
+        // The buffer is full: a larger one gets everything.
+        self.places = MeshPlaces::default();
+        of_indices + self.upload_missing(gpu, scene, selection).unwrap_or_default() as u64
+    }
+
+    /// Makes room for the meshes of a scene, which have these places and this size, and which a copy recorded later brings. Returns the
+    /// bytes of the indices that were uploaded.
+    pub(crate) fn expect_copy(&mut self, gpu: &Gpu, scene: &Scene, places: MeshPlaces, bytes: u64) -> u64 {
+        self.vertices.reserve(gpu, bytes);
+        self.places = places;
+        self.upload_indices(gpu, &scene.terrain)
+    }
+
+    /// Whether the device has the ground of a scene.
+    pub(crate) fn has_ground(&self, scene: &Scene) -> bool {
+        self.places.has_ground(scene)
+    }
+
+    /// Uploads what is missing; `None` if it has no room behind what is there.
+    fn upload_missing(&mut self, gpu: &Gpu, scene: &Scene, selection: &Selection) -> Option<usize> {
+        let begin = if self.places.has_ground(scene) { self.places.len() } else { 0 };
+        let missing = self.places.add(scene, selection);
+        let bytes = missing.bytes();
+        if bytes == 0 {
+            return Some(0);
+        }
         if begin == 0 {
-            add(unit_sphere());
-            self.ground = add(&scene.terrain.vertices);
-            self.terrain = Arc::downgrade(&scene.terrain);
-            self.rocks.clear();
+            self.vertices.reserve(gpu, bytes as u64);
         }
-        self.rocks.resize(scene.rocks.len(), RockVertices::default());
-        for selected in &selection.rocks {
-            let (uploaded, rock) = (&mut self.rocks[selected.rock], &scene.rocks[selected.rock]);
-            let vertices = vertices_of(scene, selected);
-            let count = vertices.len();
-            let is_uploaded =
-                uploaded.mesh.as_ptr() == Arc::as_ptr(&rock.vertices) && uploaded.count >= count;
-            if !is_uploaded {
-                let mesh = Arc::downgrade(&rock.vertices);
-                *uploaded = RockVertices { mesh, first: add(vertices), count };
-            }
-        }
-        if missing.is_empty() {
-            return of_indices;
-        }
-        self.vertex_count = end;
-        let bytes = ((end - begin) * size_of::<PackedVertex>()).next_multiple_of(PAGE_BYTES);
         let write = |view: wgpu::WriteOnly<'_, [u8]>| {
             let pages: Vec<Page<'_>> = view.into_chunks().0.into_iter().collect();
-            pages.into_par_iter().enumerate().with_min_len(MIN_PAGES_PER_THREAD).for_each(|(index, page)| {
-                let mut page: wgpu::WriteOnly<'_, [u8]> = page.into();
-                page.copy_from_slice(bytemuck::cast_slice(&packed_page(&missing, index * PER_PAGE)));
-            });
+            let pages = pages.into_par_iter().enumerate().with_min_len(MIN_PAGES_PER_THREAD);
+            pages.for_each(|(index, page)| missing.write_page(index, page));
         };
-        if begin == 0 {
-            match packed.map(PackedMeshes::bytes).filter(|packed| packed.len() == bytes) {
-                Some(packed) => self.vertices.write(gpu, packed),
-                None => self.vertices.write_with(gpu, bytes, write),
-            };
-        } else if !self.vertices.try_write_at(gpu, begin * size_of::<PackedVertex>(), bytes, write) {
-            // The buffer is full: a larger one gets everything.
-            self.terrain = Weak::new();
-            return of_indices + self.upload(gpu, scene, selection, packed);
-        }
-        of_indices + bytes as u64
+        let at = begin * size_of::<PackedVertex>();
+        self.vertices.try_write_at(gpu, at, bytes, write).then_some(bytes)
     }
 
     /// Sets the draws of the frame, whose meshes must be uploaded. With `multi_draw` they are uploaded too, for indirect drawing.
@@ -206,10 +166,10 @@ impl Meshes {
 
     fn indexed_draw(&self, draw: &MeshDraw) -> Draw {
         let (indices, base_vertex) = match draw.mesh {
-            MeshRef::Rock { rock, level } => (&self.levels[level], self.rocks[rock].first),
+            MeshRef::Rock { rock, level } => (&self.levels[level], self.places.rock(rock)),
             MeshRef::Block(block) => {
                 let (indices, first_vertex) = &self.blocks[block];
-                (indices, self.ground + first_vertex)
+                (indices, self.places.ground() + first_vertex)
             }
             MeshRef::UnitSphere(level) => (&self.levels[level], 0),
         };
@@ -325,6 +285,8 @@ fn block_triangles(
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
     use crate::params::config::Config;
 

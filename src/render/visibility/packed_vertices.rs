@@ -6,17 +6,17 @@ use std::sync::OnceLock;
 use bytemuck::{Pod, Zeroable};
 use fearless_simd::{Level, dispatch};
 
-use crate::gpu::staging::PAGE_BYTES;
-use crate::pool::{PooledVec, made_once};
+use crate::gpu::staging::{PAGE_BYTES, Page};
+use crate::pool::made_once;
 use crate::render::raster::lanes::{VERTEX_BATCH, to_soa};
-use crate::render::select::selection::{SelectedRock, Selection};
+use crate::render::select::selection::SelectedRock;
 use crate::rounding::floor;
 use crate::scene::Scene;
 use crate::scene::mesh::{Icosphere, Vertex};
 use crate::scene::sky::DOME_LEVEL;
 
 /// Vertices in a page of the upload.
-pub(super) const PER_PAGE: usize = PAGE_BYTES / size_of::<PackedVertex>();
+const PER_PAGE: usize = PAGE_BYTES / size_of::<PackedVertex>();
 
 /// A vertex in the vertex buffer. Its position is that of the scene to the bit, for labels depend on it.
 #[repr(C)]
@@ -31,31 +31,54 @@ pub(super) struct PackedVertex {
 /// The value of a 16-bit signed normalised number that stands for 1.
 const SNORM_MAX: f32 = 32_767.0;
 
-/// All vertices of a frame, packed before a device is needed: those of the unit sphere, of the ground, and of the selected rocks, in whole
-/// pages.
-#[derive(Debug)]
-pub(crate) struct PackedMeshes(PooledVec<PackedVertex>);
+/// Meshes that lie one behind the other in an upload, which has whole pages.
+#[derive(Debug, Default)]
+pub(crate) struct MeshList<'a> {
+    /// Each with its first vertex.
+    meshes: Vec<(usize, &'a [Vertex])>,
+    len: usize,
+}
 
-impl PackedMeshes {
-    /// Packs the meshes of a selection.
-    pub(crate) fn new(scene: &Scene, selection: &Selection) -> Self {
-        let rocks = selection.rocks.iter().map(|selected| vertices_of(scene, selected));
-        let meshes = || [unit_sphere(), &scene.terrain.vertices].into_iter().chain(rocks.clone());
-        let len: usize = meshes().map(<[Vertex]>::len).sum();
-        let mut packed = PooledVec::unspecified(len.next_multiple_of(PER_PAGE));
-        let mut rest = &mut packed[..];
-        for mesh in meshes() {
-            let (of_mesh, after) = rest.split_at_mut(mesh.len());
-            dispatch!(Level::new(), _simd => pack(mesh, of_mesh));
-            rest = after;
-        }
-        rest.fill(PackedVertex::default());
-        Self(packed)
+impl<'a> MeshList<'a> {
+    /// Appends a mesh; returns its first vertex.
+    pub(super) fn push(&mut self, mesh: &'a [Vertex]) -> usize {
+        let first = self.len;
+        self.meshes.push((first, mesh));
+        self.len += mesh.len();
+        first
     }
 
-    /// What the vertex buffer gets.
-    pub(super) fn bytes(&self) -> &[u8] {
-        bytemuck::cast_slice(&self.0)
+    /// Number of vertices.
+    pub(super) const fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Size of the upload.
+    pub(crate) const fn bytes(&self) -> usize {
+        (self.len * size_of::<PackedVertex>()).next_multiple_of(PAGE_BYTES)
+    }
+
+    /// Writes a page of the upload.
+    pub(crate) fn write_page(&self, index: usize, page: Page<'_>) {
+        let mut page: wgpu::WriteOnly<'_, [u8]> = page.into();
+        page.copy_from_slice(bytemuck::cast_slice(&self.packed_page(index)));
+    }
+
+    fn packed_page(&self, index: usize) -> [PackedVertex; PER_PAGE] {
+        let first = index * PER_PAGE;
+        let mut page = [PackedVertex::default(); PER_PAGE];
+        let mut rest = &mut page[..];
+        let started = self.meshes.partition_point(|(start, _)| *start <= first);
+        for (start, mesh) in &self.meshes[started.saturating_sub(1)..] {
+            let vertices = mesh.get(first.saturating_sub(*start)..).unwrap_or_default();
+            let (packed, after) = rest.split_at_mut(vertices.len().min(rest.len()));
+            dispatch!(Level::new(), _simd => pack(vertices, packed));
+            rest = after;
+            if rest.is_empty() {
+                break;
+            }
+        }
+        page
     }
 }
 
@@ -74,23 +97,6 @@ pub(super) fn vertices_of<'a>(scene: &'a Scene, selected: &SelectedRock) -> &'a 
     let rock = &scene.rocks[selected.rock];
     let finest = selected.visible_level.max(selected.caster.map(|(_, level)| level)).unwrap_or(0);
     &rock.vertices[..Icosphere::vertex_count(finest.min(rock.level))]
-}
-
-/// A page of packed vertices, from vertex `first` on, of meshes that lie one behind the other, each with its first vertex.
-pub(super) fn packed_page(meshes: &[(usize, &[Vertex])], first: usize) -> [PackedVertex; PER_PAGE] {
-    let mut page = [PackedVertex::default(); PER_PAGE];
-    let mut rest = &mut page[..];
-    let started = meshes.partition_point(|(start, _)| *start <= first);
-    for (start, mesh) in &meshes[started.saturating_sub(1)..] {
-        let vertices = mesh.get(first.saturating_sub(*start)..).unwrap_or_default();
-        let (packed, after) = rest.split_at_mut(vertices.len().min(rest.len()));
-        dispatch!(Level::new(), _simd => pack(vertices, packed));
-        rest = after;
-        if rest.is_empty() {
-            break;
-        }
-    }
-    page
 }
 
 // Inlined into `dispatch!`, so that it is compiled for each SIMD level.
@@ -120,8 +126,6 @@ fn pack(vertices: &[Vertex], packed: &mut [PackedVertex]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::params::config::Config;
-    use crate::render::settings::RenderSettings;
     use glam::{Vec2, Vec3};
 
     #[test]
@@ -131,9 +135,13 @@ mod tests {
             normals.iter().map(|&normal| Vertex { position: 3.7 * normal, normal }).collect();
         let (one, others) = vertices.split_at(1);
         // A mesh without vertices, and some that end within a page.
-        let meshes = [(0, one), (1, &[]), (1, &others[..700]), (701, &others[700..])];
-        for (first, expected) in vertices.chunks(PER_PAGE).enumerate() {
-            let page = packed_page(&meshes, first * PER_PAGE);
+        let mut meshes = MeshList::default();
+        for mesh in [one, &[], &others[..700], &others[700..]] {
+            meshes.push(mesh);
+        }
+        assert_eq!(meshes.bytes(), vertices.len().div_ceil(PER_PAGE) * PAGE_BYTES);
+        for (index, expected) in vertices.chunks(PER_PAGE).enumerate() {
+            let page = meshes.packed_page(index);
             for (packed, vertex) in page.iter().zip(expected) {
                 assert_eq!(Vec3::from(packed.position), vertex.position);
                 let p = Vec2::from(packed.normal.map(|snorm| f32::from(snorm) / SNORM_MAX));
@@ -142,27 +150,6 @@ mod tests {
                 let normal = Vec3::new(p.x - back.copysign(p.x), p.y - back.copysign(p.y), z).normalize();
                 assert!(normal.distance(vertex.normal) < 1e-4, "{normal} for {}", vertex.normal);
             }
-        }
-    }
-
-    #[test]
-    fn all_meshes_are_packed_as_pages_are() {
-        let scene = Scene::build(6, &Config::new().draw(6).expect("drawn")).expect("built");
-        let selection = Selection::new(&scene, &RenderSettings::new([96, 64], 4).expect("settings"));
-        let PackedMeshes(packed) = PackedMeshes::new(&scene, &selection);
-        let rocks = selection.rocks.iter().map(|selected| vertices_of(&scene, selected));
-        let mut first = 0;
-        let meshes: Vec<(usize, &[Vertex])> = [unit_sphere(), &scene.terrain.vertices]
-            .into_iter()
-            .chain(rocks)
-            .map(|mesh| {
-                first += mesh.len();
-                (first - mesh.len(), mesh)
-            })
-            .collect();
-        assert!(meshes.len() > 10 && packed.len() == first.next_multiple_of(PER_PAGE), "{first} vertices");
-        for (page, packed) in packed.chunks_exact(PER_PAGE).enumerate() {
-            assert_eq!(packed_page(&meshes, page * PER_PAGE), packed, "page {page}");
         }
     }
 }

@@ -1,0 +1,100 @@
+//! Buffers that any thread fills before the thread of the device copies from them, kept from frame to frame.
+//! Must not know: what they hold.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use crate::gpu::staging::{PAGE_BYTES, Page};
+
+/// Mapped buffers that no frame uses. Their number is that of the frames that were planned or in flight at a time.
+#[derive(Debug)]
+pub struct UploadPool {
+    device: wgpu::Device,
+    unused: Arc<Mutex<Vec<wgpu::Buffer>>>,
+}
+
+impl UploadPool {
+    /// A pool without buffers.
+    #[must_use]
+    pub fn new(device: &wgpu::Device) -> Self {
+        Self { device: device.clone(), unused: Arc::default() }
+    }
+
+    /// A mapped buffer of at least `bytes`, for any thread to fill; `None` if the device has failed, which
+    /// [`Gpu::check`](super::Gpu::check) reports.
+    #[must_use]
+    pub fn take(&self, bytes: usize) -> Option<MappedBuffer> {
+        let bytes = bytes.next_multiple_of(PAGE_BYTES) as u64;
+        let unused = {
+            let mut unused = self.unused.lock().unwrap_or_else(PoisonError::into_inner);
+            let fits = |&index: &usize| unused[index].size() >= bytes;
+            let smallest = (0..unused.len()).filter(fits).min_by_key(|&index| unused[index].size());
+            // One that is too small makes way for the new one.
+            let index = smallest.or_else(|| unused.len().checked_sub(1));
+            index.map(|index| unused.swap_remove(index)).filter(|buffer| buffer.size() >= bytes)
+        };
+        let create = || {
+            let descriptor = wgpu::BufferDescriptor {
+                label: Some("upload"),
+                size: bytes.next_multiple_of(STEP_BYTES),
+                usage: wgpu::BufferUsages::MAP_WRITE | wgpu::BufferUsages::COPY_SRC,
+                mapped_at_creation: true,
+            };
+            catch_unwind(AssertUnwindSafe(|| self.device.create_buffer(&descriptor))).ok()
+        };
+        let buffer = unused.or_else(create)?;
+        Some(MappedBuffer { buffer, is_mapped: true, unused: Arc::clone(&self.unused) })
+    }
+}
+
+/// Sizes of new buffers are multiples of this, bytes: frames differ a little in what they need.
+const STEP_BYTES: u64 = 2 << 20;
+
+/// A buffer of an [`UploadPool`], which returns there when it is dropped, as soon as the device has done what was submitted with it.
+#[derive(Debug)]
+pub struct MappedBuffer {
+    buffer: wgpu::Buffer,
+    is_mapped: bool,
+    unused: Arc<Mutex<Vec<wgpu::Buffer>>>,
+}
+
+impl MappedBuffer {
+    /// Lets `write` fill its pages, from the first on; `None` if the device has failed.
+    pub fn write<T>(&mut self, write: impl FnOnce(&mut dyn Iterator<Item = Page<'_>>) -> T) -> Option<T> {
+        let mut view = self.buffer.get_mapped_range_mut(..).ok()?;
+        Some(write(&mut view.slice(..).into_chunks().0.into_iter()))
+    }
+
+    /// Gives it to the device, to be copied from. It cannot be written after that.
+    pub fn unmap(&mut self) -> &wgpu::Buffer {
+        if std::mem::take(&mut self.is_mapped) {
+            self.buffer.unmap();
+        }
+        &self.buffer
+    }
+
+    /// The buffer, after [`Self::unmap`].
+    #[must_use]
+    pub const fn buffer(&self) -> &wgpu::Buffer {
+        &self.buffer
+    }
+}
+
+impl Drop for MappedBuffer {
+    fn drop(&mut self) {
+        let (buffer, unused) = (self.buffer.clone(), Arc::clone(&self.unused));
+        let keep = move || unused.lock().unwrap_or_else(PoisonError::into_inner).push(buffer);
+        if self.is_mapped {
+            keep();
+            return;
+        }
+        // A lost device may panic here; then the buffer is not kept.
+        let _ = catch_unwind(AssertUnwindSafe(|| {
+            self.buffer.map_async(wgpu::MapMode::Write, .., |mapped| {
+                if mapped.is_ok() {
+                    keep();
+                }
+            });
+        }));
+    }
+}
