@@ -6,7 +6,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::gpu::staging::{PAGE_BYTES, Page};
 
-/// Mapped buffers that no frame uses. Their number is that of the frames that were planned or in flight at a time.
+/// Sizes of new buffers are multiples of this, bytes: frames differ a little in what they need.
+const STEP_BYTES: u64 = 2 << 20;
+
+/// Mapped buffers that no frame uses: no more than frames were planned or in flight at a time.
 #[derive(Debug)]
 pub struct UploadPool {
     device: wgpu::Device,
@@ -47,9 +50,6 @@ impl UploadPool {
     }
 }
 
-/// Sizes of new buffers are multiples of this, bytes: frames differ a little in what they need.
-const STEP_BYTES: u64 = 2 << 20;
-
 /// A buffer of an [`UploadPool`], which returns there when it is dropped, as soon as the device has done what was submitted with it.
 #[derive(Debug)]
 pub struct MappedBuffer {
@@ -66,11 +66,10 @@ impl MappedBuffer {
     }
 
     /// Gives it to the device, to be copied from. It cannot be written after that.
-    pub fn unmap(&mut self) -> &wgpu::Buffer {
+    pub fn unmap(&mut self) {
         if std::mem::take(&mut self.is_mapped) {
             self.buffer.unmap();
         }
-        &self.buffer
     }
 
     /// The buffer, after [`Self::unmap`].
@@ -96,5 +95,53 @@ impl Drop for MappedBuffer {
                 }
             });
         }));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::Gpu;
+    use crate::gpu::adapter::adapter_of_tests;
+    use crate::gpu::readback::ReadbackBuffer;
+
+    /// Sizes of the unused buffers, in steps, the smallest first.
+    fn unused_sizes(pool: &UploadPool) -> Vec<u64> {
+        let unused = pool.unused.lock().expect("unpoisoned");
+        let mut sizes: Vec<u64> = unused.iter().map(|buffer| buffer.size() / STEP_BYTES).collect();
+        sizes.sort_unstable();
+        sizes
+    }
+
+    #[test]
+    fn buffers_return_when_the_device_has_copied_from_them() {
+        let gpu = Gpu::open(Some(&adapter_of_tests())).expect("an adapter");
+        let pool = UploadPool::new(&gpu.device);
+        let step = STEP_BYTES as usize;
+        drop([pool.take(1).expect("a buffer"), pool.take(3 * step).expect("a buffer")]);
+        assert_eq!(unused_sizes(&pool), [1, 3]);
+
+        let page: [u8; PAGE_BYTES] = std::array::from_fn(|i| (i * i % 251) as u8);
+        let mut smallest = pool.take(PAGE_BYTES).expect("a buffer");
+        assert_eq!(unused_sizes(&pool), [3]);
+        let written = smallest.write(|pages| {
+            pages.next().map(|first| wgpu::WriteOnly::<'_, [u8]>::from(first).copy_from_slice(&page))
+        });
+        assert_eq!(written, Some(Some(())));
+        smallest.unmap();
+        let copy = ReadbackBuffer::new(&gpu, "copy", PAGE_BYTES as u64);
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        copy.copy(&mut encoder, smallest.buffer(), PAGE_BYTES as u64);
+        let submission = gpu.queue.submit([encoder.finish()]);
+        copy.map();
+        drop(smallest);
+        gpu.wait(&submission).expect("copied");
+        assert!(copy.read(|bytes| bytes == page).expect("mapped"));
+        assert_eq!(unused_sizes(&pool), [1, 3]);
+
+        // None is large enough: one makes way.
+        drop(pool.take(4 * step));
+        let sizes = unused_sizes(&pool);
+        assert!(sizes.len() == 2 && sizes[1] == 4, "{sizes:?}");
     }
 }
