@@ -1,6 +1,6 @@
-"""Renders on two independent Vulkan drivers under the validation layers: no message, and the same masks; runs `doctor` on them
-and on Mesa's GL driver; compares labels and depth of the compute pass that rasterises between the drivers, which must have the same
-bytes; and compares the host's frames with the device's on each driver, by the suite's test in backends.rs.
+"""Renders frames and datasets on two independent Vulkan drivers under the validation layers: no message, and the same masks; runs
+`doctor` on them and on Mesa's GL driver; compares labels and depth of the compute pass that rasterises between the drivers, which must
+have the same bytes; and compares the host's frames with the device's on each driver, by the suite's test in backends.rs.
 
 The drivers are Mesa's lavapipe and Google's SwiftShader. SwiftShader and the layers, which also check synchronization, come
 from Debian's package chromium-common; nothing is installed. Run through check.sh.
@@ -194,6 +194,14 @@ def check_lighting(report: Report, driver: Driver, lighting: str, stage: str) ->
     check_layers(report, f"{driver.name}, {stage}", under_layers(driver, words))
 
 
+def check_dataset(report: Report, driver: Driver, raster: str, stage: str) -> None:
+    """Makes a dataset, whose workers write uploads to buffers that later frames use again, under the layers."""
+    out = WORK / "dataset"
+    shutil.rmtree(out, ignore_errors=True)
+    words = ["dataset", "--raster", raster, "--stage", stage, "--count", "5", "--size", "64", "--out", str(out), "--quiet"]
+    check_layers(report, f"{driver.name}, {raster}, {stage}", under_layers(driver, words))
+
+
 def check_doctor(report: Report, name: str, driver: Driver, backend: str, rasters: set[str]) -> None:
     """Runs `doctor` without layers: every raster backend of the adapter runs and is right."""
     out = WORK / "doctor"
@@ -252,6 +260,10 @@ def main() -> int:
         for driver in drivers:
             for stage in ("nominal", "surface"):
                 check_lighting(report, driver, lighting, stage)
+    report.case = "datasets"
+    for driver in drivers:
+        for raster, stage in (("compute", "surface"), ("device", "nominal")):
+            check_dataset(report, driver, raster, stage)
     report.case = "doctor"
     on_device = {"device-bins", "device-one-draw"}
     vulkan = {"host", "compute-one-draw", "compute-compute", *on_device}
