@@ -385,9 +385,9 @@ impl Renderer {
             let mut bytes = gpu.guard(|| buffers.upload(gpu, scene, to_upload, (multi_draw, staging)))??;
             // Nothing else needs these.
             (plan.horizon, plan.instances, plan.lit_rocks) = Default::default();
-            let selected = (scene, plan.map_source.take(), plan.shadow_map_px);
+            let of_map = (scene, plan.map_source.take(), plan.shadow_map_px);
             let casters = (&buffers.meshes, &plan.draws.casters);
-            bytes += shadow.prepare(gpu, layouts, selected, (casters, staging))?;
+            bytes += shadow.prepare(gpu, layouts, of_map, (casters, staging))?;
             let inputs = VisibilityInputs {
                 scene,
                 settings,

@@ -1,6 +1,6 @@
 //! Frame packets: all that is chosen and computed for a frame before a device is needed. Made by any thread, submitted by the one
 //! that owns the device.
-//! Must not know: a device.
+//! Must not know: how a frame is recorded.
 
 use std::sync::Arc;
 use std::time::Instant;

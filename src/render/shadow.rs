@@ -69,8 +69,8 @@ impl ShadowBackend {
         }
     }
 
-    /// Prepares everything for [`Self::record`], with a map of exactly this many columns and rows, which the device makes of `source`. The casters are draws of the meshes.
-    /// Returns the bytes that were uploaded.
+    /// Prepares everything for [`Self::record`], with a map of exactly this many columns and rows, which the device makes of `source`. The
+    /// casters are draws of the meshes. Returns the bytes that were uploaded.
     ///
     /// # Errors
     /// [`crate::Error::DeviceLost`] or [`crate::Error::Device`].

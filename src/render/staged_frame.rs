@@ -60,16 +60,14 @@ impl StagedFrame {
                 rows.write_row(list, list.len());
             }
         })?;
-        let vertex_bytes = meshes.bytes();
-        let horizon_is_missing = false;
         Some(Self {
             buffer,
+            vertex_bytes: meshes.bytes(),
             places: Some(places),
-            vertex_bytes,
             horizon,
             instances,
             grid,
-            horizon_is_missing,
+            horizon_is_missing: false,
         })
     }
 

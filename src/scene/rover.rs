@@ -179,15 +179,15 @@ impl Rover {
     #[must_use]
     pub fn parts(&self, terrain: &Terrain, eye: Vec3, view: Vec2, first: u32) -> Vec<Rock> {
         let has_mast = self.above_deck_m(terrain, eye) >= MIN_MAST_M;
-        let stance = self.stance(terrain, eye, view);
-        let axes @ [right, _, up] = stance.axes;
+        let pose = self.pose(terrain, eye, view);
+        let axes @ [right, _, up] = pose.axes;
         let view = view.extend(0.0);
         let [length_m, width_m] = self.size_m;
         let mut parts = Vec::new();
         let mut add_box = |half_m: [f32; 3], axes, centre, albedo| {
             parts.push(Part { shape: Shape::Box, half_m: half_m.into(), axes, centre, albedo });
         };
-        let (deck, body_m) = (stance.deck, self.body_m());
+        let (deck, body_m) = (pose.deck, self.body_m());
         add_box([0.5 * width_m, 0.5 * length_m, 0.5 * body_m], axes, deck - 0.5 * body_m * up, PAINT);
         if has_mast {
             let head = [view.cross(Vec3::Z), view, Vec3::Z];
@@ -205,7 +205,7 @@ impl Rover {
         }
         if has_mast {
             let axis = (eye - MAST_BEHIND_M * view).truncate();
-            let (low, high) = (stance.deck_height_at(axis), eye.z - HEAD_M[2]);
+            let (low, high) = (pose.deck_height_at(axis), eye.z - HEAD_M[2]);
             parts.push(Part {
                 shape: Shape::Cylinder,
                 half_m: Vec3::new(0.5 * (high - low), MAST_RADIUS_M, MAST_RADIUS_M),
@@ -215,7 +215,7 @@ impl Rover {
             });
         }
         let (radius_m, half_width_m) = (0.5 * self.wheel_m, 0.5 * WHEEL_WIDTH * self.wheel_m);
-        for below in stance.wheels {
+        for below in pose.wheels {
             parts.push(Part {
                 shape: Shape::Cylinder,
                 half_m: Vec3::new(half_width_m, radius_m, radius_m),
@@ -239,26 +239,26 @@ impl Rover {
 
     /// How it stands on the ground: the body over the plane that fits the ground below its wheels, raised where a wheel would reach the
     /// panels, and wholly behind a camera without a mast.
-    fn stance(&self, terrain: &Terrain, eye: Vec3, view: Vec2) -> Stance {
+    fn pose(&self, terrain: &Terrain, eye: Vec3, view: Vec2) -> Pose {
         let above_deck_m = self.above_deck_m(terrain, eye);
         let middle = eye.truncate() + self.middle(view, above_deck_m);
-        let mut stance = self.stance_at(terrain, middle);
+        let mut pose = self.pose_at(terrain, middle);
         let mut room_m = f32::INFINITY;
         if above_deck_m >= MIN_MAST_M {
-            room_m = (eye.z - stance.deck_height_at(eye.truncate()) - MIN_MAST_M).max(0.0);
+            room_m = (eye.z - pose.deck_height_at(eye.truncate()) - MIN_MAST_M).max(0.0);
         } else {
-            let [_, ahead, up] = stance.axes;
-            let top = stance.deck + 0.5 * self.size_m[0] * ahead;
+            let [_, ahead, up] = pose.axes;
+            let top = pose.deck + 0.5 * self.size_m[0] * ahead;
             let [top_m, bottom_m] = [top, top - self.body_m() * up]
                 .map(|edge| (edge.truncate() - eye.truncate()).dot(self.heading) + BODY_BEHIND_M);
-            stance = self.stance_at(terrain, middle - top_m.max(bottom_m) * self.heading);
+            pose = self.pose_at(terrain, middle - top_m.max(bottom_m) * self.heading);
         }
-        stance.deck += self.lift_m(&stance).min(room_m) * stance.axes[2];
-        stance
+        pose.deck += self.lift_m(&pose).min(room_m) * pose.axes[2];
+        pose
     }
 
     /// How it stands with its middle over a point of the ground.
-    fn stance_at(&self, terrain: &Terrain, middle: Vec2) -> Stance {
+    fn pose_at(&self, terrain: &Terrain, middle: Vec2) -> Pose {
         let right = -self.heading.perp();
         let beside_m = 0.5 * gauge_m(self.size_m[1], self.wheel_m);
         let (mut wheels, mut sum) = ([Vec3::ZERO; 6], [0.0; 3]);
@@ -279,19 +279,19 @@ impl Rover {
         let unit = |v: Vec3| v / v.length();
         let up = unit((-rise_ahead * self.heading - rise_right * right).extend(1.0));
         let ahead = unit(self.heading.extend(rise_ahead));
-        Stance { axes: [ahead.cross(up), ahead, up], deck: middle.extend(mean_m) + self.deck_m * up, wheels }
+        Pose { axes: [ahead.cross(up), ahead, up], deck: middle.extend(mean_m) + self.deck_m * up, wheels }
     }
 
     /// By how much the body must be raised for its panels to stay clear of the wheels, metres.
-    fn lift_m(&self, stance: &Stance) -> f32 {
-        let up = stance.axes[2];
-        let tops = stance.wheels.map(|below| (below - stance.deck).dot(up) + self.wheel_m - SINKAGE_M);
+    fn lift_m(&self, pose: &Pose) -> f32 {
+        let up = pose.axes[2];
+        let tops = pose.wheels.map(|below| (below - pose.deck).dot(up) + self.wheel_m - SINKAGE_M);
         tops.into_iter().fold(0.0, |lift, top| lift.max(top + PANEL_HALF_M + CLEARANCE_M))
     }
 }
 
 /// How a rover stands on the ground.
-struct Stance {
+struct Pose {
     /// Unit vectors of its body: to the right, ahead and up.
     axes: [Vec3; 3],
     /// The middle of its deck, metres.
@@ -300,7 +300,7 @@ struct Stance {
     wheels: [Vec3; 6],
 }
 
-impl Stance {
+impl Pose {
     /// Height of the plane of the deck over a point, metres.
     fn deck_height_at(&self, point: Vec2) -> f32 {
         let up = self.axes[2];
@@ -328,20 +328,20 @@ mod tests {
             let scene = Scene::build(seed, &params).expect("scene");
             let rover = Rover::build(&params).expect("rover");
             let (eye, view) = (scene.camera.eye, scene.camera.forward.truncate().normalize());
-            let stance = rover.stance(&scene.terrain, eye, view);
-            let [right, ahead, up] = stance.axes;
-            assert!((right.cross(ahead) - up).length() < 1e-5, "{seed}: {:?}", stance.axes);
+            let pose = rover.pose(&scene.terrain, eye, view);
+            let [right, ahead, up] = pose.axes;
+            assert!((right.cross(ahead) - up).length() < 1e-5, "{seed}: {:?}", pose.axes);
             steepest = steepest.max(libm::acosf(up.z).to_degrees());
-            for below in stance.wheels {
+            for below in pose.wheels {
                 assert!((below.z - scene.terrain.height_at(below.truncate())).abs() < 1e-4);
-                let below_deck_m = (stance.deck - below).dot(up);
+                let below_deck_m = (pose.deck - below).dot(up);
                 let top_m = rover.wheel_m - SINKAGE_M + PANEL_HALF_M;
                 assert!(below_deck_m > top_m, "{seed}: {below_deck_m} m below the deck, top at {top_m}");
             }
             if rover.above_deck_m(&scene.terrain, eye) >= MIN_MAST_M {
-                assert!(stance.deck_height_at(eye.truncate()) < eye.z - 0.9 * MIN_MAST_M, "{seed}");
+                assert!(pose.deck_height_at(eye.truncate()) < eye.z - 0.9 * MIN_MAST_M, "{seed}");
             } else {
-                let front = stance.deck + 0.5 * rover.size_m[0] * ahead;
+                let front = pose.deck + 0.5 * rover.size_m[0] * ahead;
                 for edge in [front, front - rover.body_m() * up] {
                     let ahead_m = (edge - eye).truncate().dot(rover.heading);
                     assert!(ahead_m < 0.0, "{seed}: {ahead_m} m ahead of the eye");
