@@ -49,7 +49,7 @@ fn frame(renderer: &mut Renderer, scene: &Scene, settings: &RenderSettings) -> F
     renderer.render(scene, settings).expect("a frame").0
 }
 
-/// Fraction of the bytes of colour that may differ by a step.
+/// Fraction of the bytes of colour, and of how much of the sun is hidden, that may differ by a step.
 const MAX_DIFFERING_SHARE: f64 = 0.005;
 
 /// Checks every bit of every plane, and every label.
@@ -58,7 +58,7 @@ fn assert_equal(left: &Frame, right: &Frame, what: &str) {
 }
 
 /// The same of frames by other programs, which round differently in the last bit: textures of a millimetre magnify it. A step of a byte of
-/// colour is allowed, in few of them.
+/// colour, or of how much of the sun is hidden, is allowed, in few of them.
 fn assert_equal_but_for_rounding(left: &Frame, right: &Frame, what: &str) {
     compare(left, right, what, MAX_DIFFERING_SHARE);
 }
@@ -70,7 +70,7 @@ fn compare(left: &Frame, right: &Frame, what: &str, max_share: f64) {
         let most =
             left.iter().zip(right.iter()).map(|(left, right)| left.abs_diff(*right)).max().unwrap_or(0);
         let is_right = match row.plane {
-            Plane::Rgb => most <= 1 && differing as f64 <= max_share * left.len() as f64,
+            Plane::Rgb | Plane::SunOcclusion => most <= 1 && differing as f64 <= max_share * left.len() as f64,
             // Its last bits round too: `assert_radiance_is_close`.
             Plane::Radiance => differing == 0 || max_share > 0.0,
             _ => differing == 0,
@@ -337,7 +337,7 @@ fn a_frame_in_tiles_has_the_times_of_a_whole_one() {
             ["lighting", "resolve", "gpu", "readback"].iter().all(|stage| whole.contains(stage)),
             "{whole:?}"
         );
-        let is_kept = mode == RasterMode::Host;
+        let is_kept = mode == RasterMode::Host && renderer.gpu().capabilities.software_adapter;
         assert_eq!([slots, slots_with_tiles], [1, 1 + usize::from(is_kept)], "{mode}");
     }
 }
