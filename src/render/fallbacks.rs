@@ -70,7 +70,9 @@ fn compare(left: &Frame, right: &Frame, what: &str, max_share: f64) {
         let most =
             left.iter().zip(right.iter()).map(|(left, right)| left.abs_diff(*right)).max().unwrap_or(0);
         let is_right = match row.plane {
-            Plane::Rgb | Plane::SunOcclusion => most <= 1 && differing as f64 <= max_share * left.len() as f64,
+            Plane::Rgb | Plane::SunOcclusion => {
+                most <= 1 && differing as f64 <= max_share * left.len() as f64
+            }
             // Its last bits round too: `assert_radiance_is_close`.
             Plane::Radiance => differing == 0 || max_share > 0.0,
             _ => differing == 0,

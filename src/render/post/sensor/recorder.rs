@@ -98,10 +98,9 @@ impl<'a> Recorder<'a> {
     fn encoded_rows(&self, rows: std::ops::Range<usize>) -> Vec<f32> {
         let [width, height] = self.size;
         let black = self.sensor.black_level as f32;
-        let code = |linear: f32| f32::from(self.codes.code((linear - black) / (1.0 - black)));
         if self.sensor.mosaic == Mosaic::Monochrome {
             let mut readings = self.readings(rows);
-            readings.iter_mut().for_each(|value| *value = code(*value));
+            self.codes.encode(&mut readings, black);
             return readings;
         }
         let with_neighbours = rows.start.saturating_sub(REACH)..(rows.end + REACH).min(height);
@@ -124,7 +123,7 @@ impl<'a> Recorder<'a> {
             let (red, others) = channels.split_at_mut(width);
             let (green, blue) = others.split_at_mut(width);
             dispatch!(Level::new(), _simd => demosaic_row(around, y % 2 == 1, [red, green, blue]));
-            channels.iter_mut().for_each(|value| *value = code(*value));
+            self.codes.encode(channels, black);
         }
         encoded
     }

@@ -1,6 +1,8 @@
 //! Resampling by area: each sample is the mean of what it covers.
 //! Must not know: what is resampled.
 
+use fearless_simd::{Level, dispatch};
+
 /// From a line of `from` samples to one of `to` samples of the same length.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Resampling {
@@ -30,7 +32,28 @@ pub(super) struct ResamplingTable {
     /// First sample that each sample of the new line overlaps, and where its weights end in `weights`.
     spans: Vec<[u32; 2]>,
     weights: Vec<f32>,
-    is_identity: bool,
+    ratio: Ratio,
+}
+
+/// The numbers of samples of two lines, as far as it matters to how fast one becomes the other.
+#[derive(Clone, Copy, Debug)]
+enum Ratio {
+    /// The new line has this many times as many.
+    Multiple(usize),
+    /// The old line has this many times as many.
+    Part(usize),
+    /// Neither.
+    Other,
+}
+
+impl Ratio {
+    const fn new(Resampling { from, to }: Resampling) -> Self {
+        match (to % from, from % to) {
+            (0, _) => Self::Multiple(to / from),
+            (_, 0) => Self::Part(from / to),
+            _ => Self::Other,
+        }
+    }
 }
 
 impl ResamplingTable {
@@ -41,15 +64,21 @@ impl ResamplingTable {
             weights.extend(overlap.clone().map(|source| resampling.weight(index, source)));
             spans.push([overlap.start as u32, weights.len() as u32]);
         }
-        Self { spans, weights, is_identity: resampling.from == resampling.to }
+        Self { spans, weights, ratio: Ratio::new(resampling) }
     }
 
     /// Resamples a row.
     pub(super) fn resample(&self, row: &[f32], target: &mut [f32]) {
-        if self.is_identity {
-            target.copy_from_slice(row);
-            return;
+        match self.ratio {
+            Ratio::Multiple(1) => target.copy_from_slice(row),
+            Ratio::Multiple(2) => repeat::<2>(row, target),
+            Ratio::Part(2) => dispatch!(Level::new(), _simd => means::<2>(row, target)),
+            Ratio::Part(4) => dispatch!(Level::new(), _simd => means::<4>(row, target)),
+            _ => self.resample_any(row, target),
         }
+    }
+
+    fn resample_any(&self, row: &[f32], target: &mut [f32]) {
         let mut first_weight = 0;
         for (value, &[first, end]) in target.iter_mut().zip(&self.spans) {
             let weights = &self.weights[first_weight..end as usize];
@@ -57,6 +86,22 @@ impl ResamplingTable {
             *value = weights.iter().zip(sources).map(|(weight, source)| weight * source).sum();
             first_weight = end as usize;
         }
+    }
+}
+
+/// Each sample this many times.
+fn repeat<const TIMES: usize>(row: &[f32], target: &mut [f32]) {
+    for (values, source) in target.as_chunks_mut::<TIMES>().0.iter_mut().zip(row) {
+        *values = [*source; TIMES];
+    }
+}
+
+/// The mean of each so many samples.
+#[inline(always)]
+fn means<const COUNT: usize>(row: &[f32], target: &mut [f32]) {
+    let weight = 1.0 / COUNT as f32;
+    for (value, sources) in target.iter_mut().zip(row.as_chunks::<COUNT>().0) {
+        *value = sources.iter().map(|source| weight * source).sum();
     }
 }
 
@@ -77,6 +122,18 @@ mod tests {
                 ResamplingTable::new(Resampling { from: to, to: 12 }).resample(&resampled, &mut back);
                 assert!(back.iter().zip(&row).all(|(a, b)| (a - b).abs() < 1e-6), "{to}");
             }
+        }
+    }
+
+    #[test]
+    fn whole_ratios_have_the_bits_of_any_other() {
+        let row: Vec<f32> = (0..24).map(|i| libm::sinf(i as f32 * 1.3)).collect();
+        for to in [6, 8, 12, 24, 48, 72, 96] {
+            let table = ResamplingTable::new(Resampling { from: 24, to });
+            let [mut found, mut expected] = [(); 2].map(|()| vec![0.0; to]);
+            table.resample(&row, &mut found);
+            table.resample_any(&row, &mut expected);
+            assert_eq!(found, expected, "{to}");
         }
     }
 }
