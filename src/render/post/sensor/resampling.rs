@@ -89,14 +89,14 @@ impl ResamplingTable {
     }
 }
 
-/// Each sample this many times.
+/// Each sample `TIMES` times.
 fn repeat<const TIMES: usize>(row: &[f32], target: &mut [f32]) {
     for (values, source) in target.as_chunks_mut::<TIMES>().0.iter_mut().zip(row) {
         *values = [*source; TIMES];
     }
 }
 
-/// The mean of each so many samples.
+/// The mean of each `COUNT` samples.
 #[inline(always)]
 fn means<const COUNT: usize>(row: &[f32], target: &mut [f32]) {
     let weight = 1.0 / COUNT as f32;
