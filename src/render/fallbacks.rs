@@ -49,7 +49,7 @@ fn frame(renderer: &mut Renderer, scene: &Scene, settings: &RenderSettings) -> F
     renderer.render(scene, settings).expect("a frame").0
 }
 
-/// Fraction of the bytes of colour, and of how much of the sun is hidden, that may differ by a step.
+/// Fraction of the bytes of colour, and of those of sun occlusion, that may differ by a step.
 const MAX_DIFFERING_SHARE: f64 = 0.005;
 
 /// Checks every bit of every plane, and every label.
@@ -58,7 +58,7 @@ fn assert_equal(left: &Frame, right: &Frame, what: &str) {
 }
 
 /// The same of frames by other programs, which round differently in the last bit: textures of a millimetre magnify it. A step of a byte of
-/// colour, or of how much of the sun is hidden, is allowed, in few of them.
+/// colour, or of sun occlusion, is allowed, in few of them.
 fn assert_equal_but_for_rounding(left: &Frame, right: &Frame, what: &str) {
     compare(left, right, what, MAX_DIFFERING_SHARE);
 }

@@ -32,28 +32,7 @@ pub(super) struct ResamplingTable {
     /// First sample that each sample of the new line overlaps, and where its weights end in `weights`.
     spans: Vec<[u32; 2]>,
     weights: Vec<f32>,
-    ratio: Ratio,
-}
-
-/// The numbers of samples of two lines, as far as it matters to how fast one becomes the other.
-#[derive(Clone, Copy, Debug)]
-enum Ratio {
-    /// The new line has this many times as many.
-    Multiple(usize),
-    /// The old line has this many times as many.
-    Part(usize),
-    /// Neither.
-    Other,
-}
-
-impl Ratio {
-    const fn new(Resampling { from, to }: Resampling) -> Self {
-        match (to % from, from % to) {
-            (0, _) => Self::Multiple(to / from),
-            (_, 0) => Self::Part(from / to),
-            _ => Self::Other,
-        }
-    }
+    resampling: Resampling,
 }
 
 impl ResamplingTable {
@@ -64,20 +43,26 @@ impl ResamplingTable {
             weights.extend(overlap.clone().map(|source| resampling.weight(index, source)));
             spans.push([overlap.start as u32, weights.len() as u32]);
         }
-        Self { spans, weights, ratio: Ratio::new(resampling) }
+        Self { spans, weights, resampling }
     }
 
     /// Resamples a row.
     pub(super) fn resample(&self, row: &[f32], target: &mut [f32]) {
-        match self.ratio {
-            Ratio::Multiple(1) => target.copy_from_slice(row),
-            Ratio::Multiple(2) => repeat::<2>(row, target),
-            Ratio::Part(2) => dispatch!(Level::new(), _simd => means::<2>(row, target)),
-            Ratio::Part(4) => dispatch!(Level::new(), _simd => means::<4>(row, target)),
-            _ => self.resample_any(row, target),
+        let Resampling { from, to } = self.resampling;
+        if to == from {
+            target.copy_from_slice(row);
+        } else if to == 2 * from {
+            double(row, target);
+        } else if from == 2 * to {
+            dispatch!(Level::new(), _simd => means::<2>(row, target));
+        } else if from == 4 * to {
+            dispatch!(Level::new(), _simd => means::<4>(row, target));
+        } else {
+            self.resample_any(row, target);
         }
     }
 
+    /// The same for any numbers of samples.
     fn resample_any(&self, row: &[f32], target: &mut [f32]) {
         let mut first_weight = 0;
         for (value, &[first, end]) in target.iter_mut().zip(&self.spans) {
@@ -89,10 +74,10 @@ impl ResamplingTable {
     }
 }
 
-/// Each sample `TIMES` times.
-fn repeat<const TIMES: usize>(row: &[f32], target: &mut [f32]) {
-    for (values, source) in target.as_chunks_mut::<TIMES>().0.iter_mut().zip(row) {
-        *values = [*source; TIMES];
+/// Each sample twice.
+fn double(row: &[f32], target: &mut [f32]) {
+    for (pair, source) in target.as_chunks_mut::<2>().0.iter_mut().zip(row) {
+        *pair = [*source; 2];
     }
 }
 
@@ -126,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn whole_ratios_have_the_bits_of_any_other() {
+    fn integer_ratios_have_the_bits_of_any_other() {
         let row: Vec<f32> = (0..24).map(|i| libm::sinf(i as f32 * 1.3)).collect();
         for to in [6, 8, 12, 24, 48, 72, 96] {
             let table = ResamplingTable::new(Resampling { from: 24, to });
