@@ -15,6 +15,7 @@ pub mod fillet;
 pub mod flare;
 pub mod grains;
 pub mod grid_cell;
+pub(crate) mod ground_range;
 pub mod label_rule;
 pub mod lattice;
 pub mod mesh;

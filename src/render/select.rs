@@ -8,7 +8,6 @@ pub(crate) mod draw_list;
 pub mod footprint;
 pub(crate) mod frustum;
 pub(crate) mod ground_blocks;
-pub(crate) mod ground_range;
 pub mod lit_rocks;
 pub mod near_plane;
 pub(crate) mod sampled_texels;

@@ -46,6 +46,23 @@ pub struct Rings {
     first_bin: u32,
 }
 
+/// The cells that eight points were in: points that follow them, one after another along eight rows, are often in the same ones.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LaneCells {
+    pub(super) columns: [u32; LANES],
+    pub(super) rows: [u32; LANES],
+    /// Pseudo-angles and squared radii that the cells begin with and end before; of no cell, none.
+    turns: [[f32; LANES]; 2],
+    squares_m2: [[f32; LANES]; 2],
+}
+
+impl Default for LaneCells {
+    fn default() -> Self {
+        let nothing = [[f32::INFINITY; LANES]; 2];
+        Self { columns: [0; LANES], rows: [0; LANES], turns: nothing, squares_m2: nothing }
+    }
+}
+
 /// What the grid is built for.
 #[derive(Clone, Copy, Debug)]
 pub struct View {
@@ -193,14 +210,16 @@ impl Rings {
         [self.column_of(turn) as u32, self.row_of(offset.length_squared()) as u32]
     }
 
-    /// [`Self::cell`] of eight offsets from the centre, of those in a mask; 0 elsewhere.
+    /// Sets `known` to [`Self::cell`] of eight offsets from the centre, of those in a mask. Returns the lanes in which that is another than
+    /// before, as bits.
     #[inline(always)]
-    pub(super) fn cells<S: Simd>(
+    pub(super) fn find_cells<S: Simd>(
         &self,
         simd: S,
         [x, y]: [f32x8<S>; 2],
         mask: mask32x8<S>,
-    ) -> [[u32; LANES]; 2] {
+        known: &mut LaneCells,
+    ) -> u64 {
         let ahead = self.ahead;
         // As `pseudo_angle` of `local`.
         let (local_x, local_y) = (x * ahead.y - y * ahead.x, x * ahead.x + y * ahead.y);
@@ -212,18 +231,33 @@ impl Rings {
         let right = is_behind.select(f32x8::splat(simd, 3.0) - v, u + 2.0);
         let turn = is_left.select(left, right).min(LARGEST_TURN);
         let turn = sum.simd_eq(0.0).select(f32x8::splat(simd, 0.0), turn);
+        let square = x * x + y * y;
+        let load = |values: &[f32; LANES]| f32x8::from_slice(simd, values);
+        // As `column_of` and `row_of` compare.
+        let [first_turn, end_turn] = [load(&known.turns[0]), load(&known.turns[1])];
+        let [first_m2, end_m2] = [load(&known.squares_m2[0]), load(&known.squares_m2[1])];
+        let in_column = turn.simd_ge(first_turn) & turn.simd_lt(end_turn);
+        let in_row = square.simd_ge(first_m2) & square.simd_lt(end_m2);
+        let moved = (mask & !(in_column & in_row)).to_bitmask();
+        if moved == 0 {
+            return 0;
+        }
         let (mut turns, mut squares) = ([0.0; LANES], [0.0; LANES]);
         turn.store_slice(&mut turns);
-        (x * x + y * y).store_slice(&mut squares);
-        let mut cells = [[0; LANES]; 2];
-        let mut lanes = mask.to_bitmask();
+        square.store_slice(&mut squares);
+        let mut lanes = moved;
         while lanes != 0 {
             let lane = lanes.trailing_zeros() as usize;
             lanes &= lanes - 1;
-            cells[0][lane] = self.column_of(turns[lane]) as u32;
-            cells[1][lane] = self.row_of(squares[lane]) as u32;
+            let (column, row) = (self.column_of(turns[lane]), self.row_of(squares[lane]));
+            (known.columns[lane], known.rows[lane]) = (column as u32, row as u32);
+            for end in 0..2 {
+                let radius_m = self.radii_m[row + end];
+                known.turns[end][lane] = self.turns[column + end];
+                known.squares_m2[end][lane] = radius_m * radius_m;
+            }
         }
-        cells
+        moved
     }
 
     #[inline]

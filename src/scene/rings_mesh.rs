@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use super::mesh::Vertex;
 use super::relief::Relief;
-use super::rings::{LANES, Rings, View};
+use super::rings::{LANES, LaneCells, Rings, View};
 use super::terrain::{Layout, MIN_AREA_M2, Terrain, z_range_m};
 use crate::pool::PooledVec;
 
@@ -50,12 +50,24 @@ impl Terrain {
             vertices,
             craters: Vec::new(),
             block_bounds: OnceLock::new(),
+            range: OnceLock::new(),
         }
     }
 }
 
+/// The cells of a ground with rings that eight points were in, with their corners.
+#[derive(Debug, Default)]
+pub(crate) struct CornersOfLanes {
+    cells: LaneCells,
+    /// South-west, south-east, north-west and north-east: x, y and z of each lane.
+    corners: [[[f32; LANES]; 3]; 4],
+    /// 1 where a cell is a single triangle, around the centre.
+    is_fan: [f32; LANES],
+}
+
 impl Terrain {
-    /// [`Self::surface_height_at`] of eight points of a ground with these rings, to the bit, of those in a mask; anything elsewhere.
+    /// [`Self::surface_height_at`] of eight points of a ground with these rings, to the bit, of those in a mask; anything elsewhere. `known`
+    /// has what the points before found, on this ground.
     // Inlined into `dispatch!`, so that it is compiled for each SIMD level.
     #[inline(always)]
     pub(crate) fn ring_heights<S: Simd>(
@@ -64,31 +76,31 @@ impl Terrain {
         rings: &Rings,
         [x, y]: [f32x8<S>; 2],
         mask: mask32x8<S>,
+        known: &mut CornersOfLanes,
     ) -> f32x8<S> {
-        let [columns, rows] = rings.cells(simd, [x - self.centre.x, y - self.centre.y], mask);
-        let mut corners = [[[0.0; LANES]; 3]; 4];
-        let mut is_fan = [0.0; LANES];
+        let CornersOfLanes { cells, corners, is_fan } = known;
+        let offset = [x - self.centre.x, y - self.centre.y];
+        let mut lanes = rings.find_cells(simd, offset, mask, cells);
         let row_len = self.columns as usize + 1;
-        let mut lanes = mask.to_bitmask();
         while lanes != 0 {
             let lane = lanes.trailing_zeros() as usize;
             lanes &= lanes - 1;
-            let sw = rows[lane] as usize * row_len + columns[lane] as usize;
+            let sw = cells.rows[lane] as usize * row_len + cells.columns[lane] as usize;
             for (corner, vertex) in corners.iter_mut().zip([sw, sw + 1, sw + row_len, sw + row_len + 1]) {
                 let Vec3 { x, y, z } = self.vertices[vertex].position;
                 (corner[0][lane], corner[1][lane], corner[2][lane]) = (x, y, z);
             }
-            is_fan[lane] = if rows[lane] == 0 { 1.0 } else { 0.0 };
+            is_fan[lane] = if cells.rows[lane] == 0 { 1.0 } else { 0.0 };
         }
         // Written out: a closure that returns a vector is not always inlined.
-        let [sw, se, nw, ne] = &corners;
+        let [sw, se, nw, ne] = &*corners;
         let (a_x, a_y, a_z) = load(simd, sw);
         let (se_x, se_y, se_z) = load(simd, se);
         let (nw_x, nw_y, nw_z) = load(simd, nw);
         let (ne_x, ne_y, ne_z) = load(simd, ne);
         let (p_x, p_y) = (x - a_x, y - a_y);
         let is_right = ((ne_x - a_x) * p_y - (ne_y - a_y) * p_x).simd_lt(0.0)
-            & f32x8::from_slice(simd, &is_fan).simd_eq(0.0);
+            & f32x8::from_slice(simd, &*is_fan).simd_eq(0.0);
         // As `plane_height`, with the corners of the triangle relative to the first.
         let (b_x, b_y) = (is_right.select(se_x, ne_x) - a_x, is_right.select(se_y, ne_y) - a_y);
         let (c_x, c_y) = (is_right.select(ne_x, nw_x) - a_x, is_right.select(ne_y, nw_y) - a_y);
@@ -186,14 +198,24 @@ mod tests {
             let direction = Vec2::new(libm::sinf(angle), libm::cosf(angle));
             terrain.centre + 0.999 * terrain.half_extent_m * part * part * part * direction
         };
-        for first in (0..4000).step_by(LANES) {
-            let points: [Vec2; LANES] = std::array::from_fn(|lane| point(first + lane as u16));
+        // Scattered points, and others that follow one another within cells and from cell to cell.
+        let scattered =
+            (0..4000).step_by(LANES).map(|first| std::array::from_fn(|lane| point(first + lane as u16)));
+        let rows = (0..2000).map(|step: u16| {
+            let along = 0.004 * f32::from(step) - 4.0;
+            std::array::from_fn(|lane| {
+                terrain.centre + Vec2::new(along, 0.3 * lane as f32 - 0.9 + 0.4 * along)
+            })
+        });
+        let mut known = CornersOfLanes::default();
+        for points in scattered.chain(rows) {
+            let points: [Vec2; LANES] = points;
             let (x, y) = (points.map(|p| p.x), points.map(|p| p.y));
             let mut heights = [0.0; LANES];
             dispatch!(Level::new(), simd => {
                 let points = [f32x8::from_slice(simd, &x), f32x8::from_slice(simd, &y)];
                 let all = points[0].simd_eq(points[0]);
-                terrain.ring_heights(simd, rings, points, all).store_slice(&mut heights);
+                terrain.ring_heights(simd, rings, points, all, &mut known).store_slice(&mut heights);
             });
             let expected = points.map(|p| terrain.surface_height_at(p));
             assert_eq!(heights.map(f32::to_bits), expected.map(f32::to_bits), "{points:?}");

@@ -107,6 +107,7 @@ impl Terrain {
             vertices,
             craters,
             block_bounds: OnceLock::new(),
+            range: OnceLock::new(),
         }
     }
 }

@@ -10,6 +10,7 @@ use std::sync::OnceLock;
 use glam::{Vec2, Vec3};
 
 use super::grid_cell::CellPoint;
+use super::ground_range::GroundRange;
 use super::mesh::Vertex;
 use super::nominal_craters::Crater;
 use super::rings::Rings;
@@ -47,6 +48,8 @@ pub struct Terrain {
     /// Lowest and highest corner of the bounding box of each block of cells that is culled as one, world, metres; set by the first
     /// frame.
     pub block_bounds: OnceLock<Vec<[Vec3; 2]>>,
+    /// Bounds of its heights, if it has rings; set by the first frame.
+    pub(crate) range: OnceLock<GroundRange>,
 }
 
 impl Terrain {
@@ -63,6 +66,15 @@ impl Terrain {
             Layout::Square => p.abs().max_element() <= self.half_extent_m,
             Layout::Rings(_) => p.distance_squared(self.centre) <= self.half_extent_m * self.half_extent_m,
         }
+    }
+
+    /// Bounds of the heights of rings, computed once; `None` for a square.
+    #[must_use]
+    pub(crate) fn range(&self) -> Option<&GroundRange> {
+        let Layout::Rings(_) = self.layout else { return None };
+        let size = [self.columns as usize, self.rows as usize];
+        let around = (self.centre, self.half_extent_m);
+        Some(self.range.get_or_init(|| GroundRange::new(&self.vertices, size, around)))
     }
 
     /// Ground height at a point, bilinear in its cell, metres. Outside the ground: that of its border.

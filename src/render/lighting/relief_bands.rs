@@ -6,6 +6,8 @@
 
 use std::ops::Range;
 
+use rayon::prelude::*;
+
 use crate::render::device::shader_structs::{LatticeUniforms, RayCrater, ReliefUniforms, ReliefView};
 use crate::render::select::ground_blocks::{BLOCK_CELLS, ground_blocks};
 use crate::render::select::selection::Selection;
@@ -60,7 +62,7 @@ impl ReliefBands {
         };
         let rows = (terrain.rows.div_ceil(BLOCK_CELLS) as usize).div_ceil(MAX_BANDS);
         let spans: Vec<[Range<u32>; 2]> = ground_blocks(terrain).collect();
-        let bands = spans.chunks(rows * columns).enumerate().map(|(band, blocks)| {
+        let bands = spans.par_chunks(rows * columns).enumerate().map(|(band, blocks)| {
             let first_block = band * rows * columns;
             let visible =
                 selection.blocks.iter().filter_map(|(block, _)| blocks.get(block.checked_sub(first_block)?));
@@ -71,7 +73,8 @@ impl ReliefBands {
             let samples_m = nearest.map(|distance_m| view.sample_angle * distance_m / MARGIN);
             band_uniforms(relief, view, largest_cell_m(rings, &ring_rows), samples_m)
         });
-        let bands = std::iter::once(ReliefUniforms { view, ..Default::default() }).chain(bands).collect();
+        let without = ReliefUniforms { view, ..Default::default() };
+        let bands = rayon::iter::once(without).chain(bands).collect();
         Self { bands, rows: Some(rows), columns }
     }
 

@@ -10,7 +10,6 @@ use glam::{UVec2, Vec3};
 use crate::render::device::shader_structs::CasterTile;
 use crate::render::select::atlas::AtlasAllocator;
 use crate::render::select::frustum::Frustum;
-use crate::render::select::ground_range::GroundRange;
 use crate::scene::Scene;
 use crate::scene::rocks::Rock;
 
@@ -58,7 +57,7 @@ pub(crate) fn shadow_extent_m(scene: &Scene, top_m: f32, radius_m: f32) -> (f32,
 pub(crate) fn select_casters(
     scene: &Scene,
     rocks: &[(usize, &Rock)],
-    (frustum, ground): (&Frustum, Option<&GroundRange>),
+    frustum: &Frustum,
     (size_px, nearest_visible_m): ([u32; 2], f32),
     max_texture_px: u32,
 ) -> Vec<Caster> {
@@ -87,7 +86,7 @@ pub(crate) fn select_casters(
             if !reaches_view(reach_m) || is_speck(nearest_m(reach_m)) {
                 return None;
             }
-            if let Some(ground) = ground {
+            if let Some(ground) = scene.terrain.range() {
                 reach_m = ground.shadow_reach_m(&scene.sun, rock.centre, top_m, rock.radius_m, reach_m);
                 if !reaches_view(reach_m) {
                     return None;

@@ -12,10 +12,10 @@ use glam::{Mat3, Vec2, Vec3, Vec4};
 use crate::render::select::caster_grid::CasterGrids;
 use crate::render::select::casters::Caster;
 use crate::render::select::frustum::Frustum;
-use crate::render::select::ground_range::GroundRange;
 use crate::render::select::selection::{SelectedRock, Selection};
 use crate::render::select::shadow_strip::Rays;
 use crate::scene::Scene;
+use crate::scene::ground_range::GroundRange;
 
 /// Parts that a shadow is divided into along the sun's rays: bounds of a short part are tight.
 const PARTS: usize = 24;
@@ -105,7 +105,7 @@ impl<'a> SurfacesInView<'a> {
     /// Those of a selection of a scene; `None` where the ground has no rings.
     #[must_use]
     pub(crate) fn new(scene: &'a Scene, selection: &'a Selection) -> Option<Self> {
-        let ground = selection.ground_range.as_ref()?;
+        let ground = scene.terrain.range()?;
         let visible = selection.rocks.iter().filter(|selected| selected.visible_level.is_some());
         let sphere = |selected: &SelectedRock| {
             let rock = &scene.rocks[selected.rock];

@@ -11,7 +11,6 @@ use glam::Vec4;
 use crate::render::select::casters::{self, Caster};
 use crate::render::select::frustum::Frustum;
 use crate::render::select::ground_blocks::block_bounds;
-use crate::render::select::ground_range::GroundRange;
 use crate::render::settings::{DEFAULT_TEXTURE_PX, RenderSettings};
 use crate::scene::Scene;
 use crate::scene::rocks::Rock;
@@ -36,8 +35,6 @@ pub struct Selection {
     pub casters: Vec<Caster>,
     /// The camera's frustum.
     pub frustum: Frustum,
-    /// Bounds of the height of ground with rings.
-    pub(crate) ground_range: Option<GroundRange>,
 }
 
 /// A rock that is drawn in the image, in the shadow map, or in both.
@@ -74,10 +71,8 @@ impl Selection {
             })
             .collect();
         let nearest_in_view_m = nearest_visible_m(scene, &frustum, &blocks, &candidates);
-        let ground_range = GroundRange::new(&scene.terrain);
         let image = (settings.size, nearest_in_view_m);
-        let ground = ground_range.as_ref();
-        let casters = casters::select_casters(scene, &candidates, (&frustum, ground), image, max_texture_px);
+        let casters = casters::select_casters(scene, &candidates, &frustum, image, max_texture_px);
         let mut next_caster = casters.iter().enumerate().peekable();
         let rocks = candidates
             .into_iter()
@@ -104,7 +99,7 @@ impl Selection {
                 is_in_view(star) && !sun.is_some_and(|sun| sun.overlaps(star, camera.eye))
             })
             .collect();
-        Self { blocks, rocks, stars, sun, casters, frustum, ground_range }
+        Self { blocks, rocks, stars, sun, casters, frustum }
     }
 
     /// The slots of its instances.

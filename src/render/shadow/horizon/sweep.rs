@@ -18,6 +18,7 @@ use super::heightfield::{ChordErrors, Heightfield, LANES};
 use super::image_layout::ImageRows;
 use super::occluders::{Limbs, OccluderStrips, Occluders, PARTS, StripBatch};
 use crate::render::select::footprint::Footprint;
+use crate::scene::rings_mesh::CornersOfLanes;
 use crate::scene::sky::Sun;
 use crate::scene::terrain::{Layout, Terrain};
 
@@ -251,12 +252,13 @@ impl<'a> SweepLattice<'a> {
         let mut shadowed = Vec::new();
         let stored = batch.stored();
         let mut block = [[[0.0; 2]; LANES]; BLOCK_COLUMNS];
+        let mut known = CornersOfLanes::default();
         let sampled = batch.first_column + strips.columns.start..batch.first_column + strips.columns.end;
         for column in columns.rev() {
             let has_started = front.fall(column, self.fall_m);
             // Beyond both ends of its span the ground below a row changes nothing.
             let swept = has_started & front.first_column.simd_le(column as f32);
-            let (ground, cell) = self.ground_across(simd, front.row_origins, swept, column);
+            let (ground, cell) = self.ground_across(simd, (front.row_origins, swept), column, &mut known);
             if stored.contains(&column) {
                 let first = column - column % BLOCK_COLUMNS;
                 store_limbs(front.limbs(ground), &mut block[column - first]);
@@ -292,14 +294,14 @@ impl<'a> SweepLattice<'a> {
     }
 
     /// Heights of the ground in a column of rows, which begin at `row_origins`, and of a square ground the cells there. Of rings only
-    /// in some rows; elsewhere `f32::MIN`.
+    /// in some rows; elsewhere `f32::MIN`. `known` has the cells of the column before.
     #[inline(always)]
     fn ground_across<S: Simd>(
         &self,
         simd: S,
-        row_origins: [f32x8<S>; 2],
-        rows: mask32x8<S>,
+        (row_origins, rows): ([f32x8<S>; 2], mask32x8<S>),
         column: usize,
+        known: &mut CornersOfLanes,
     ) -> (f32x8<S>, i32x8<S>) {
         let along = column as f32 * self.step_m * self.towards;
         let (x, y) = (row_origins[0] + along.x, row_origins[1] + along.y);
@@ -313,7 +315,7 @@ impl<'a> SweepLattice<'a> {
         let (centre, radius_m) = (self.terrain.centre, self.terrain.half_extent_m);
         let (from_x, from_y) = (x - centre.x, y - centre.y);
         let on_ground = rows & (from_x * from_x + from_y * from_y).simd_le(radius_m * radius_m);
-        let heights_m = self.terrain.ring_heights(simd, rings, [x, y], on_ground);
+        let heights_m = self.terrain.ring_heights(simd, rings, [x, y], on_ground, known);
         (on_ground.select(heights_m, f32x8::splat(simd, f32::MIN)), i32x8::splat(simd, 0))
     }
 

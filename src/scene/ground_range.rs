@@ -8,8 +8,8 @@ use std::ops::RangeInclusive;
 
 use glam::{Vec2, Vec3};
 
-use crate::scene::sky::Sun;
-use crate::scene::terrain::{Layout, Terrain};
+use super::mesh::Vertex;
+use super::sky::Sun;
 
 /// Cells along a side of each grid.
 const CELLS: usize = 64;
@@ -34,26 +34,28 @@ pub(crate) struct GroundRange {
 }
 
 impl GroundRange {
-    /// Of a ground with rings.
+    /// Of rings around `centre`: `rows` of them, each with `columns` cells, out to `radius_m`.
     #[must_use]
-    pub(crate) fn new(terrain: &Terrain) -> Option<Self> {
-        let Layout::Rings(_) = terrain.layout else { return None };
+    pub(super) fn new(
+        vertices: &[Vertex],
+        [columns, rows]: [usize; 2],
+        (centre, radius_m): (Vec2, f32),
+    ) -> Self {
         let mut levels = 1;
-        while terrain.half_extent_m > half_m(levels - 1) {
+        while radius_m > half_m(levels - 1) {
             levels += 1;
         }
         let lowest_m = vec![f32::INFINITY; levels * CELLS * CELLS];
         let highest_m = vec![f32::NEG_INFINITY; lowest_m.len()];
-        let mut ground = Self { centre: terrain.centre, levels, lowest_m, highest_m };
-        let (columns, rows) = (terrain.columns as usize, terrain.rows as usize);
+        let mut ground = Self { centre, levels, lowest_m, highest_m };
         for row in (0..rows).step_by(BLOCK_CELLS) {
             for column in (0..columns).step_by(BLOCK_CELLS) {
                 let last = [(column + BLOCK_CELLS).min(columns), (row + BLOCK_CELLS).min(rows)];
-                let vertices = (row..=last[1]).flat_map(|row| {
+                let block = (row..=last[1]).flat_map(|row| {
                     let first = row * (columns + 1);
-                    &terrain.vertices[first + column..=first + last[0]]
+                    &vertices[first + column..=first + last[0]]
                 });
-                let bounds = vertices.fold([Vec3::MAX, Vec3::MIN], |[low, high], vertex| {
+                let bounds = block.fold([Vec3::MAX, Vec3::MIN], |[low, high], vertex| {
                     [low.min(vertex.position), high.max(vertex.position)]
                 });
                 ground.enter(bounds);
@@ -71,7 +73,7 @@ impl GroundRange {
                 }
             }
         }
-        Some(ground)
+        ground
     }
 
     /// Enters what lies within a box, into the grids that no finer one covers there.
@@ -183,7 +185,6 @@ const fn index(level: usize, column: usize, row: usize) -> usize {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use crate::params::config::Config;
     use crate::scene::Scene;
 
@@ -196,7 +197,7 @@ mod tests {
             config.apply_set(&format!("sun.elevation_deg={elevation_deg}")).expect("a knob");
             let scene = Scene::build(seed, &config.draw(seed).expect("drawn")).expect("built");
             let (terrain, sun) = (&scene.terrain, &scene.sun);
-            let ground = GroundRange::new(terrain).expect("rings");
+            let ground = terrain.range().expect("rings");
             for rock in scene.rocks.iter().step_by(7) {
                 let top_m = rock.centre.z + rock.z_range_m[1];
                 let longest_m = (top_m - terrain.z_range_m[0]) / sun.direction.z + rock.radius_m;
