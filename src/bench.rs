@@ -8,6 +8,7 @@
 //! To add a case: a variant of [`Case`] with its arm in [`run`].
 
 mod curve;
+mod moving;
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -17,23 +18,19 @@ use std::time::Instant;
 
 use serde_json::{Map, Value, json};
 
-use crate::dataset::attempt::RenderCost;
-use crate::dataset::plan::{Plan, frame_seed};
+use crate::dataset::attempt::{RenderCost, Scenes, scene_of_seed};
+use crate::dataset::plan::{Plan, Seeds, frame_seed};
 use crate::dataset::{self, Concurrency};
 use crate::error::{Error, Result};
 use crate::host_time::{self, Role, RoleTimes};
 use crate::output::disk;
-use crate::params::Knob;
 use crate::render::{FRAMES_IN_FLIGHT, Renderer, StageTimes, select::selection};
 use crate::scene::Scene;
-use crate::scene::camera::Camera;
-use crate::scene::sky::Sun;
 pub use curve::Curve;
+use moving::Moving;
 
 /// Number of frames before the measurement starts.
 const WARM_UP: u64 = 3;
-/// Number of frames after which camera and sun are back where they started.
-const PERIOD: u64 = 40;
 
 /// What changes from frame to frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,6 +39,8 @@ pub enum Case {
     Camera,
     /// One scene; the camera moves.
     StaticSun,
+    /// One scene; camera and sun move, in memory, on the threads of a dataset.
+    Poses,
     /// A new scene for every frame, in memory.
     Scene,
     /// A new scene for every frame, in memory, on the threads of a dataset.
@@ -52,9 +51,10 @@ pub enum Case {
 
 impl Case {
     /// Every case with its name and a description of what changes from frame to frame.
-    pub const ALL: [(Self, &'static str, &'static str); 5] = [
+    pub const ALL: [(Self, &'static str, &'static str); 6] = [
         (Self::Camera, "camera", "one scene, camera and sun move"),
         (Self::StaticSun, "static-sun", "one scene, the camera moves"),
+        (Self::Poses, "poses", "one scene, camera and sun move, on the threads of a dataset"),
         (Self::Scene, "scene", "a new scene for every frame, in memory"),
         (Self::Frames, "frames", "a new scene for every frame, in memory, on the threads of a dataset"),
         (Self::Dataset, "dataset", "the same, encoded and written"),
@@ -79,7 +79,7 @@ pub struct Measured {
     /// Processor time of the whole process for a frame, a driver's threads included, milliseconds; `None` where the system does not
     /// report it.
     pub process_ms: Option<f64>,
-    /// Attempts that broke a rule, in the cases `frames` and `dataset`.
+    /// Attempts that broke a rule, in the cases on the threads of a dataset.
     pub redraws: u64,
     /// Frames that the device worked on at a time.
     pub frames_in_flight: usize,
@@ -203,8 +203,15 @@ pub fn run(case: Case, setup: &Setup, folder: &Path, renderer: &mut Renderer) ->
     match case {
         Case::Camera => moving(setup, true, renderer),
         Case::StaticSun => moving(setup, false, renderer),
+        Case::Poses => {
+            // No other attempt would be another scene.
+            let plan = Plan { seeds: Seeds::Given, ..setup.plan.clone() };
+            let (moving, seed) = (Moving::new(&plan)?, plan.base_seed);
+            let scenes = |_: &Plan, frame, _| Ok(moving.scene_of_frame(seed, frame));
+            in_memory(&Setup { plan, ..setup.clone() }, renderer, scenes)
+        }
         Case::Scene => scenes(setup, renderer),
-        Case::Frames => frames(setup, renderer),
+        Case::Frames => in_memory(setup, renderer, scene_of_seed),
         Case::Dataset => dataset(setup, folder, renderer),
     }
 }
@@ -284,33 +291,15 @@ fn measure(
 
 /// One scene with a moving camera and, if `sun_moves`, a moving sun.
 fn moving(setup: &Setup, sun_moves: bool, renderer: &mut Renderer) -> Result<Measured> {
-    let plan = &setup.plan;
-    let params = plan.config.draw(plan.base_seed)?;
-    let still = Scene::build(plan.base_seed, &params)?;
-    let (eye, sun) = (still.camera.eye, still.sun);
-    let angles = [Knob::CameraPitchDeg, Knob::CameraYawDeg, Knob::CameraRollDeg];
-    let [pitch, yaw, roll] = angles.map(|knob| params.number(knob));
-    let fov_deg = params.number(Knob::CameraFovDeg);
+    let moving = Moving::new(&setup.plan)?;
     // One copy of the scene for each frame that can be in flight, so that none is made during the measurement.
     let mut scenes: Vec<Arc<Scene>> =
-        (0..setup.frames_in_flight()).map(|_| Arc::new(still.clone())).collect();
-    scenes.push(Arc::new(still));
+        (0..=setup.frames_in_flight()).map(|_| Arc::new(moving.still.clone())).collect();
     measure(setup, renderer, |frame| {
-        let turn = std::f64::consts::TAU * (frame % PERIOD) as f64 / PERIOD as f64;
         let start = Instant::now();
         let oldest = scenes.remove(0);
         let mut scene = Arc::try_unwrap(oldest).unwrap_or_else(|shared| Scene::clone(&shared));
-        let mut moved_eye = eye;
-        moved_eye.x += 2.0 * libm::sin(turn) as f32;
-        moved_eye.z +=
-            scene.terrain.height_at(moved_eye.truncate()) - scene.terrain.height_at(eye.truncate());
-        let angles = [pitch + libm::cos(turn), yaw + 8.0 * libm::sin(turn), roll];
-        let (far_m, exposure_ev) = (scene.camera.far_m, scene.camera.exposure_ev);
-        scene.camera = Camera::new(moved_eye, angles, fov_deg, far_m, exposure_ev);
-        if sun_moves {
-            let azimuth_deg = (sun.azimuth_deg + 30.0 * libm::sin(turn)).rem_euclid(360.0);
-            scene.sun = Sun::new(sun.elevation_deg, azimuth_deg, sun.angular_diameter_deg, sun.irradiance);
-        }
+        moving.set_pose(&mut scene, frame, sun_moves);
         let scene = Arc::new(scene);
         scenes.push(Arc::clone(&scene));
         Ok((scene, vec![("scene", start.elapsed().as_secs_f64() * 1e3)]))
@@ -369,11 +358,12 @@ impl Pipeline {
     }
 }
 
-fn frames(setup: &Setup, renderer: &mut Renderer) -> Result<Measured> {
+/// Frames of these scenes, in memory, on the threads of a dataset.
+fn in_memory(setup: &Setup, renderer: &mut Renderer, scenes: impl Scenes) -> Result<Measured> {
     let mut pipeline = Pipeline::start(setup, renderer);
     let Setup { plan, concurrency, frames, stop } = setup;
-    let indices = 0..WARM_UP + frames;
-    dataset::render_in_memory(plan, &Mutex::new(renderer), indices, *concurrency, stop, |frame| {
+    let of_frames = (0..WARM_UP + frames, scenes);
+    dataset::render_in_memory(plan, &Mutex::new(renderer), of_frames, *concurrency, stop, |frame| {
         pipeline.add(frame.times, frame.redraws, &frame.cost);
         Ok(())
     })?;

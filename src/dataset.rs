@@ -31,6 +31,7 @@ pub mod manifest;
 pub mod merge;
 pub mod pipeline;
 pub mod plan;
+pub mod pose;
 #[cfg(test)]
 mod power_cut;
 pub mod rules;

@@ -41,7 +41,7 @@ use crate::gpu::upload::UploadPool;
 use crate::scene::Scene;
 pub use backend::{LightingMode, RasterBackend, RasterMode, RasterOptions};
 pub use device::timing::StageTimes;
-pub use frame_packet::{FramePacket, FramePlanner};
+pub use frame_packet::{FramePacket, FramePlanner, Staging};
 pub use raw_frame::{FrameCost, RawFrame};
 pub use settings::{DEFAULT_TEXTURE_PX, RenderSettings};
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from itertools import islice
 from types import TracebackType
 from typing import Any
@@ -16,11 +16,10 @@ from ._frame import Frame
 from ._scene import Scene
 from ._settings import MAX_FRAMES, MAX_PREFETCH, MAX_SEED, MAX_THREADS
 from ._settings import Knobs, document, names_of, opening, refused, release_memory, seed_of, size_of, whole
+from ._stream import streamed
 
 SEEDS_AHEAD = 1024
 """How many seeds `frames` reads ahead."""
-FRAMES_BETWEEN_RELEASES = 100
-"""Frames of a stream after which memory that is free goes back to the system."""
 
 
 class Renderer:
@@ -161,7 +160,7 @@ class Renderer:
             some = list(islice(rest, SEEDS_AHEAD))
             return self._engine().frames_of_seeds(self._settings, some, prefetch) if some else None
 
-        return _streamed(stream(), stream)
+        return streamed(stream(), stream)
 
     def dataset_frames(
         self, base_seed: int, first: int = 0, step: int = 1, end: int | None = None, prefetch: int = 2
@@ -184,7 +183,7 @@ class Renderer:
         end = None if end is None else whole("end", end, 0, MAX_FRAMES)
         prefetch = whole("prefetch", prefetch, 1, MAX_PREFETCH)
         engine = self._engine()
-        return _streamed(engine.frames_of_dataset(self._settings, base_seed, (first, step, end), runs, prefetch))
+        return streamed(engine.frames_of_dataset(self._settings, base_seed, (first, step, end), runs, prefetch))
 
     def batch(self, seeds: Iterable[int], out: dict[str, NDArray[Any]] | None = None) -> dict[str, NDArray[Any]]:
         """The frames of these seeds as arrays (B, H, W, ...) by name, of the types of `arrays()`. out: arrays to fill instead of new ones,
@@ -220,23 +219,3 @@ def _iterator(seeds: Iterable[int]) -> Iterator[object]:
         return iter(seeds)
     except TypeError:
         raise refused("seeds", seeds, "seeds are expected, as in range(100) or [3, 5]") from None
-
-
-def _streamed(
-    frames: _native.Frames | None, more: Callable[[], _native.Frames | None] = lambda: None
-) -> Generator[Frame, None, None]:
-    """The frames of a stream, and of those that `more` returns after it."""
-    taken = 0
-    try:
-        while frames is not None:
-            while (frame := frames.next()) is not None:
-                yield Frame(*frame)
-                taken += 1
-                if taken % FRAMES_BETWEEN_RELEASES == 0:
-                    release_memory()
-            frames.close()
-            frames = more()
-    finally:
-        if frames is not None:
-            frames.close()
-        release_memory()

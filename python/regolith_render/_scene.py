@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import os
+from collections.abc import Generator, Iterable
 from dataclasses import dataclass
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,10 +14,14 @@ from numpy.typing import NDArray
 
 from . import _native
 from ._frame import Frame
-from ._settings import Knobs, document, refused
+from ._settings import MAX_PREFETCH, Knobs, document, refused, whole
+from ._stream import streamed
 
 if TYPE_CHECKING:
     from ._renderer import Renderer
+
+POSES_AHEAD = 256
+"""How many poses `frames` reads ahead."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +69,8 @@ def _position(camera: Camera) -> tuple[float, float, float] | None:
     return _number("position", x), _number("position", y), _number("position", z)
 
 
-def _pose(camera: Camera | None, sun: Sun | None, scene: _native.Scene) -> tuple[dict[str, float], float | None]:
-    """The knobs that differ, and the height of the eye, metres, world."""
+def _pose(camera: Camera | None, sun: Sun | None, scene: _native.Scene) -> tuple[str, float | None]:
+    """The knobs that differ, as TOML, and the height of the eye, metres, world."""
     values: dict[str, Any] = {}
     eye_z_m = None
     if camera is not None:
@@ -78,7 +84,17 @@ def _pose(camera: Camera | None, sun: Sun | None, scene: _native.Scene) -> tuple
         if not isinstance(sun, Sun):
             raise refused("sun", sun, "a regolith_render.Sun is expected")
         values |= {"sun.elevation_deg": sun.elevation_deg, "sun.azimuth_deg": sun.azimuth_deg}
-    return {name: _number(name, value) for name, value in values.items() if value is not None}, eye_z_m
+    return document({name: _number(name, value) for name, value in values.items() if value is not None}), eye_z_m
+
+
+def _camera_and_sun(pose: object) -> tuple[Camera | None, Sun | None]:
+    if isinstance(pose, Camera):
+        return pose, None
+    try:
+        camera, sun = pose  # type: ignore[misc]
+    except (TypeError, ValueError):
+        raise refused("pose", pose, "a Camera is expected, or a pair of Camera and Sun") from None
+    return camera, sun
 
 
 class Scene:
@@ -118,8 +134,31 @@ class Scene:
         Raises ConfigError for a pose out of the ranges of the knobs `camera.*` and `sun.*`.
         """
         native = self._native()
-        values, eye_z_m = _pose(camera, sun, native)
-        return Frame(*native.render(self._renderer._engine(), document(values), eye_z_m))
+        return Frame(*native.render(self._renderer._engine(), *_pose(camera, sun, native)))
+
+    def frames(
+        self, poses: Iterable[Camera | tuple[Camera | None, Sun | None]], prefetch: int = 2
+    ) -> Generator[Frame, None, None]:
+        """The frames from these poses, each that of `render`, in order. They are planned on threads, several at a time, and rendered ahead
+        from this call on; `prefetch` finished ones, 1 to 1000, wait at most to be taken. Closing the generator stops that.
+
+        poses: cameras, or pairs of camera and sun; any iterable, which may have no end. Up to 256 poses are read ahead: a pose that depends
+        on a frame is one for `render`.
+
+        Raises ConfigError for a pose out of range, when it is read.
+        """
+        prefetch = whole("prefetch", prefetch, 1, MAX_PREFETCH)
+        try:
+            rest = iter(poses)
+        except TypeError:
+            raise refused("poses", poses, "an iterable of poses is expected") from None
+        native = self._native()
+
+        def stream() -> _native.Frames | None:
+            some = [_pose(*_camera_and_sun(pose), native) for pose in islice(rest, POSES_AHEAD)]
+            return native.frames(self._renderer._engine(), some, prefetch) if some else None
+
+        return streamed(stream(), stream)
 
     def ground_height(self, x_m: float, y_m: float) -> float:
         """Height of the ground at a point, metres, world."""

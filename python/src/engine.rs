@@ -6,9 +6,10 @@ use std::task::Poll;
 use std::time::Duration;
 
 use pyo3::prelude::*;
-use regolith::dataset::attempt::build_scene;
+use regolith::dataset::attempt::{build_scene, scene_of_seed};
 use regolith::dataset::frame_stream::render_scene;
 use regolith::dataset::plan::{MAX_FRAMES, Plan, Seeds};
+use regolith::dataset::pose::PosedScene;
 use regolith::dataset::rules::Rules;
 use regolith::dataset::{Concurrency, FrameStream, cores};
 use regolith::gpu::Gpu;
@@ -150,15 +151,15 @@ impl Engine {
     ) -> PyResult<PyFrame<'py>> {
         let plan = Plan { seeds: Seeds::Given, ..settings.with(py, set)? };
         let frame =
-            self.on_pool(py, |renderer| render_scene(&plan, renderer, seed, build_scene(&plan, seed)?));
+            self.on_pool(py, |renderer| render_scene(&plan, renderer, scene_of_seed(&plan, seed, 0)?));
         convert::frame(py, frame?)
     }
 
     /// The scene of a seed.
     fn scene(&self, py: Python<'_>, settings: &Settings, seed: u64, set: &str) -> PyResult<Scene> {
         let plan = Plan { seeds: Seeds::Given, ..settings.with(py, set)? };
-        let built = self.on_pool(py, |_| build_scene(&plan, seed))?;
-        Ok(Scene::new(plan, seed, built))
+        let (scene, params) = self.on_pool(py, |_| build_scene(&plan, seed))?;
+        Ok(Scene::new(plan, PosedScene { seed, scene, params }))
     }
 
     /// The frames of these seeds.
@@ -170,7 +171,9 @@ impl Engine {
         prefetch: usize,
     ) -> PyResult<Frames> {
         let plan = Plan { seeds: Seeds::Given, ..settings.plan.clone() };
-        self.stream(py, plan, seeds.into_iter(), prefetch)
+        self.stream(py, |renderer, concurrency| {
+            FrameStream::start(plan, renderer, seeds.into_iter(), concurrency, prefetch)
+        })
     }
 
     /// Frames of a dataset below `end`, without end if it is `None`: `run` in a row from `first`, `first + step`, ..., without the first
@@ -189,7 +192,9 @@ impl Engine {
         let end = end.unwrap_or(MAX_FRAMES);
         let starts = (first..end).step_by(usize::try_from(step.max(1))?);
         let indices = starts.flat_map(move |start| start..start.saturating_add(run).min(end)).skip(skip);
-        self.stream(py, plan, indices, prefetch)
+        self.stream(py, |renderer, concurrency| {
+            FrameStream::start(plan, renderer, indices, concurrency, prefetch)
+        })
     }
 }
 
@@ -214,16 +219,15 @@ impl Engine {
         raised(py, py.detach(|| pool().install(|| work(&open.renderer))))
     }
 
-    fn stream(
+    /// The frames of a stream that `start` starts.
+    pub(crate) fn stream(
         &self,
         py: Python<'_>,
-        plan: Plan,
-        indices: impl Iterator<Item = u64> + Clone + Send + 'static,
-        prefetch: usize,
+        start: impl FnOnce(Arc<Mutex<Renderer>>, Concurrency) -> regolith::Result<FrameStream>,
     ) -> PyResult<Frames> {
         let renderer = Arc::clone(&self.open()?.renderer);
         let concurrency = Concurrency { threads: self.threads, frames_in_flight: None };
-        let stream = raised(py, FrameStream::start(plan, renderer, indices, concurrency, prefetch))?;
+        let stream = raised(py, start(renderer, concurrency))?;
         Ok(Frames { stream: Mutex::new(Some(stream)), process: std::process::id() })
     }
 }

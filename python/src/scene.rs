@@ -2,27 +2,26 @@
 
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use regolith::dataset::frame_stream::{posed, render_scene};
+use regolith::dataset::FrameStream;
+use regolith::dataset::frame_stream::render_scene;
 use regolith::dataset::plan::Plan;
+use regolith::dataset::pose::{Pose, PosedScene};
 use regolith::export::{self, Detail, Format, Stage};
-use regolith::params::Params;
 
 use crate::convert::{self, PyFrame};
-use crate::engine::Engine;
+use crate::engine::{Engine, Frames};
 use crate::errors::raised;
 
 /// A scene with the values of its knobs.
 #[pyclass(frozen)]
 pub(crate) struct Scene {
     plan: Plan,
-    seed: u64,
-    scene: regolith::scene::Scene,
-    params: Params,
+    built: PosedScene,
 }
 
 impl Scene {
-    pub(crate) fn new(plan: Plan, seed: u64, (scene, params): (regolith::scene::Scene, Params)) -> Self {
-        Self { plan, seed, scene, params }
+    pub(crate) fn new(plan: Plan, built: PosedScene) -> Self {
+        Self { plan, built }
     }
 }
 
@@ -37,25 +36,42 @@ impl Scene {
         eye_z_m: Option<f32>,
     ) -> PyResult<PyFrame<'py>> {
         let frame = engine.on_pool(py, |renderer| {
-            let posed = posed(&self.plan, self.seed, (&self.scene, &self.params), set, eye_z_m)?;
-            render_scene(&self.plan, renderer, self.seed, posed)
+            let pose = Pose::new(&self.plan, &self.built, set, eye_z_m)?;
+            render_scene(&self.plan, renderer, pose.in_scene(&self.built, &self.plan.settings)?)
         });
         convert::frame(py, frame?)
     }
 
+    /// Frames from these poses, each as in `render`.
+    fn frames(
+        &self,
+        py: Python<'_>,
+        engine: &Engine,
+        poses: Vec<(String, Option<f32>)>,
+        prefetch: usize,
+    ) -> PyResult<Frames> {
+        let checked = poses.iter().map(|(set, eye_z_m)| Pose::new(&self.plan, &self.built, set, *eye_z_m));
+        let poses: Vec<Pose> = raised(py, checked.collect())?;
+        engine.stream(py, |renderer, concurrency| {
+            let of_scene = (self.built.clone(), poses);
+            FrameStream::of_poses(self.plan.clone(), renderer, of_scene, concurrency, prefetch)
+        })
+    }
+
     /// Height of the ground at a point, metres.
     fn ground_height(&self, x_m: f32, y_m: f32) -> f32 {
-        self.scene.terrain.height_at([x_m, y_m].into())
+        self.built.scene.terrain.height_at([x_m, y_m].into())
     }
 
     /// The scene as a file: npz, glb, usda or usdc.
     fn export<'py>(&self, py: Python<'py>, format: &str, drawn: bool) -> PyResult<Bound<'py, PyBytes>> {
         let bytes = || -> regolith::Result<Vec<u8>> {
             let format = Format::from_path(std::path::Path::new(&format!("scene.{format}")))?;
-            let knobs = self.params.to_json();
+            let PosedScene { seed, scene, params } = &self.built;
+            let knobs = params.to_json();
             let detail = if drawn { Detail::Drawn } else { Detail::Authored };
             let settings = &self.plan.settings;
-            let stage = Stage { scene: &self.scene, seed: self.seed, knobs: &knobs, settings, detail };
+            let stage = Stage { scene, seed: *seed, knobs: &knobs, settings, detail };
             export::export(&stage, format)
         };
         Ok(PyBytes::new(py, &raised(py, py.detach(bytes))?))

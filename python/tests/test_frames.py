@@ -176,8 +176,8 @@ def test_a_stream_gives_free_memory_back(renderer: rr.Renderer, monkeypatch: pyt
     """Every so many frames and at its end, also across the streams that follow one another beneath it."""
     taken, released = 0, []
     monkeypatch.setattr("regolith_render._renderer.SEEDS_AHEAD", 4)
-    monkeypatch.setattr("regolith_render._renderer.FRAMES_BETWEEN_RELEASES", 3)
-    monkeypatch.setattr("regolith_render._renderer.release_memory", lambda: released.append(taken))
+    monkeypatch.setattr("regolith_render._stream.FRAMES_BETWEEN_RELEASES", 3)
+    monkeypatch.setattr("regolith_render._stream.release_memory", lambda: released.append(taken))
     for _ in renderer.frames(range(8)):
         taken += 1
     assert released == [3, 6, 8]
@@ -228,6 +228,37 @@ def test_a_scene_is_rendered_from_poses() -> None:
         assert abs(camera["fov_deg"] - 50) < 1e-4 and posed.meta["sun"]["azimuth_deg"] == 200
         mesh = scene.mesh()
         assert mesh["triangles"].max() < len(mesh["vertices"]) and mesh["vertices"].dtype == np.float32
+
+
+@pytest.mark.parametrize("raster", ["host", "compute"])
+@pytest.mark.parametrize("stage", ["nominal", "surface"])
+def test_frames_of_poses_equal_single_ones(stage: str, raster: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Across the streams that follow one another beneath them; cameras move, suns alone move, and nothing does."""
+    monkeypatch.setattr("regolith_render._scene.POSES_AHEAD", 4)
+    renderer = rr.Renderer(stage=stage, size=(56, 40), outputs=["rgb", "mask", "depth"], raster=raster, adapter=ADAPTER)
+    scene = renderer.scene(7)
+    eyes = [(x, -85.0, scene.ground_height(x, -85.0) + 1.6) for x in (0.0, 2.0, 4.0)]
+    poses: list[Any] = [(rr.Camera(eye, yaw_deg=5.0 * turn), None) for turn, eye in enumerate(eyes)]
+    poses += [rr.Camera(pitch_deg=-15), (None, rr.Sun(azimuth_deg=300)), (None, None), (rr.Camera(eyes[1]), rr.Sun(elevation_deg=9))]
+    frames = list(scene.frames(iter(poses), prefetch=3))
+    assert len(frames) == len(poses)
+    for pose, frame in zip(poses, frames):
+        alone = scene.render(pose) if isinstance(pose, rr.Camera) else scene.render(*pose)
+        for name in alone:
+            assert_same(frame[name], alone[name], f"{name} of {pose}")
+        meta, expected = dict(frame.meta), dict(alone.meta)
+        assert meta.pop("ms") and expected.pop("ms") and meta == expected
+    assert list(scene.frames([])) == []
+
+
+def test_a_wrong_pose_is_refused_when_it_is_read() -> None:
+    scene = rr.Renderer(size=32, adapter=ADAPTER).scene(3)
+    for wrong, message in [(3, "poses"), ([rr.Sun()], "pose"), ([(rr.Camera(), 3)], "sun"), ([rr.Camera(fov_deg=900)], "camera.fov_deg")]:
+        with pytest.raises(rr.ConfigError, match=message):
+            scene.frames(wrong)  # type: ignore[arg-type]
+    endless = scene.frames(rr.Camera(yaw_deg=float(turn % 360)) for turn in count())
+    assert next(endless)["mask"].shape == (32, 32)
+    endless.close()
 
 
 def test_tables() -> None:

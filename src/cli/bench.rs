@@ -20,7 +20,7 @@ use super::process::stop_on_signals;
 
 #[derive(Args, Debug)]
 pub(super) struct BenchArgs {
-    /// Cases to measure, separated by commas: camera, static-sun, scene, frames, dataset
+    /// Cases to measure, separated by commas: camera, static-sun, poses, scene, frames, dataset
     #[arg(long, value_name = "LIST", default_value = "camera,static-sun,scene,dataset")]
     cases: String,
     /// Number of frames of each case, after a warm-up
@@ -38,11 +38,11 @@ pub(super) struct BenchArgs {
     /// Outputs to read back (and to write, in the case dataset), as for a frame
     #[arg(long, value_name = "LIST", default_value = "rgb,mask")]
     outputs: String,
-    /// Threads that build scenes, plan frames, post-process and encode, in the case dataset [default: one
+    /// Threads that build scenes, plan frames, post-process and encode, in the cases poses, frames and dataset [default: one
     /// for each core, with a software adapter one for every two]
     #[arg(long, value_name = "N", value_parser = whole_number::<u16>(1, 256))]
     threads: Option<u16>,
-    /// Frames that the device works on at the same time [default: 2; in the case dataset of the surface stage 1, on a software
+    /// Frames that the device works on at the same time [default: 2; in these cases of the surface stage 1, on a software
     /// adapter with one thread]
     #[arg(long, value_name = "N", value_parser = whole_number::<u8>(1, 16))]
     frames_in_flight: Option<u8>,

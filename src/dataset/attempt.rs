@@ -12,7 +12,8 @@ use crate::error::{Error, Result};
 use crate::frame::Frame;
 use crate::params::Params;
 use crate::render::{
-    FrameCost, FramePacket, FramePlanner, RasterOptions, RawFrame, Renderer, StageTimes, select::selection,
+    FrameCost, FramePacket, FramePlanner, RasterOptions, RawFrame, Renderer, StageTimes, Staging,
+    select::selection,
 };
 use crate::scene::Scene;
 
@@ -26,6 +27,34 @@ pub(super) struct FrameScene {
     pub(super) times: StageTimes,
     /// The rule that each earlier attempt broke.
     pub(super) redrawn: Vec<String>,
+}
+
+/// What a frame is of.
+#[derive(Debug)]
+pub struct SceneOfFrame {
+    /// The seed of the scene.
+    pub seed: u64,
+    /// The scene.
+    pub scene: Scene,
+    /// The values of its knobs.
+    pub params: Params,
+    /// What the device lacks of it.
+    pub staging: Staging,
+}
+
+/// Where the scenes of a plan's frames come from: that of an attempt at a frame, by the frame's index and the number of the attempt.
+pub trait Scenes: Fn(&Plan, u64, u32) -> Result<SceneOfFrame> + Sync {}
+
+impl<F: Fn(&Plan, u64, u32) -> Result<SceneOfFrame> + Sync> Scenes for F {}
+
+/// The scene of an attempt's seed. It is a [`Scenes`].
+///
+/// # Errors
+/// Those of [`build_scene`].
+pub fn scene_of_seed(plan: &Plan, index: u64, attempt: u32) -> Result<SceneOfFrame> {
+    let seed = plan.seed_of(index, attempt);
+    let (scene, params) = build_scene(plan, seed)?;
+    Ok(SceneOfFrame { seed, scene, params, staging: Staging::Whole })
 }
 
 /// A rendered frame that keeps the rules.
@@ -133,10 +162,16 @@ impl Attempt {
     ///
     /// # Errors
     /// [`Error::RuleBroken`] if that was the last one allowed.
-    pub(super) fn prepare(mut self, plan: &Plan, planner: &FramePlanner) -> Result<PreparedAttempt> {
+    pub(super) fn prepare(
+        mut self,
+        plan: &Plan,
+        planner: &FramePlanner,
+        scenes: &impl Scenes,
+    ) -> Result<PreparedAttempt> {
         loop {
+            let prepared = prepare(plan, planner, scenes, &self);
             let Self { index, number, redrawn } = self;
-            let violation = match prepare(plan, planner, index, number, redrawn.clone()) {
+            let violation = match prepared {
                 Err(Error::Scene(found)) if plan.seeds == Seeds::OfBase => {
                     Violation { rule: "scene".to_owned(), found }
                 }
@@ -215,16 +250,17 @@ pub fn build_scene(plan: &Plan, seed: u64) -> Result<(Scene, Params)> {
 fn prepare(
     plan: &Plan,
     planner: &FramePlanner,
-    index: u64,
-    attempt: u32,
-    redrawn: Vec<String>,
+    scenes: &impl Scenes,
+    attempt: &Attempt,
 ) -> Result<PreparedAttempt> {
     let start = Instant::now();
-    let seed = plan.seed_of(index, attempt);
-    let (scene, params) = build_scene(plan, seed)?;
+    let &Attempt { index, number, ref redrawn } = attempt;
+    let SceneOfFrame { seed, scene, params, staging } = scenes(plan, index, number)?;
     let times = vec![("scene", start.elapsed().as_secs_f64() * 1e3)];
-    let packet = planner.plan_and_stage(&scene, &plan.settings)?;
-    Ok(PreparedAttempt { source: FrameScene { index, attempt, seed, params, scene, times, redrawn }, packet })
+    let packet = planner.plan_and_stage(&scene, &plan.settings, staging)?;
+    let redrawn = redrawn.clone();
+    let source = FrameScene { index, attempt: number, seed, params, scene, times, redrawn };
+    Ok(PreparedAttempt { source, packet })
 }
 
 /// Renders a scene that is built already, whatever rules say, and waits for it.
@@ -252,10 +288,9 @@ fn render(renderer: &mut Renderer, prepared: PreparedAttempt) -> Result<RawAttem
 pub(super) fn render_attempt(
     plan: &Plan,
     renderer: &mut Renderer,
-    attempt: Attempt,
+    attempt: &Attempt,
 ) -> Result<RenderedFrame> {
-    let Attempt { index, number, redrawn } = attempt;
-    let prepared = prepare(plan, &renderer.planner(), index, number, redrawn)?;
+    let prepared = prepare(plan, &renderer.planner(), &scene_of_seed, attempt)?;
     Ok(render(renderer, prepared)?.post_process(&RendererInfo::new(renderer)))
 }
 
@@ -264,7 +299,7 @@ pub(super) fn render_frame(plan: &Plan, renderer: &mut Renderer, index: u64) -> 
     let (planner, info) = (renderer.planner(), RendererInfo::new(renderer));
     let mut attempt = Attempt::first(index);
     loop {
-        let prepared = attempt.prepare(plan, &planner)?;
+        let prepared = attempt.prepare(plan, &planner, &scene_of_seed)?;
         match render(renderer, prepared)?.check(plan, &info)? {
             Ok(rendered) => return Ok(rendered),
             Err(next) => attempt = next,

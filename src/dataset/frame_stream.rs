@@ -12,23 +12,20 @@ use std::time::Duration;
 
 use serde_json::{Map, Value};
 
-use super::attempt::{self, FrameScene, RenderCost, RenderedFrame, build_scene};
+use super::attempt::{self, FrameScene, RenderCost, RenderedFrame, SceneOfFrame, Scenes, scene_of_seed};
 use super::in_order::InOrder;
 use super::pipeline::{Concurrency, Job, cores, milliseconds_json, record, run_job};
-use super::plan::Plan;
+use super::plan::{Plan, Seeds};
+use super::pose::{Pose, PosedScene};
 use crate::error::{Error, Result};
 use crate::output::arrays::{Array, arrays};
 use crate::output::rocks_json;
-use crate::params::{Knob, Params, Stage};
 use crate::render::{Renderer, StageTimes};
-use crate::scene::Scene;
-use crate::scene::camera::Camera;
-use crate::scene::sky::Sun;
 
 /// A frame in memory.
 #[derive(Clone, Debug)]
 pub struct FrameInMemory {
-    /// Its number in the dataset.
+    /// Its number in the dataset, or among poses.
     pub index: u64,
     /// Width and height, pixels.
     pub size: [u32; 2],
@@ -60,58 +57,6 @@ impl FrameInMemory {
     }
 }
 
-/// A scene from another pose, or under another sun: `set` is TOML of the knobs that differ, of the sections `camera` and `sun`. What the
-/// plan draws besides stays. The nominal stage is the same geometry from every pose; the ground of the surface stage is made for the
-/// camera, and is made again where the camera has moved. `eye_z_m` is the height of the camera, metres, world: heights above the ground are
-/// those of the mesh, which differs a little from camera to camera.
-///
-/// # Errors
-/// [`Error::Usage`] for a knob of another section; those of [`build_scene`].
-pub fn posed(
-    plan: &Plan,
-    seed: u64,
-    (scene, params): (&Scene, &Params),
-    set: &str,
-    eye_z_m: Option<f32>,
-) -> Result<(Scene, Params)> {
-    let mut posed = posed_by_knobs(plan, seed, (scene, params), set)?;
-    if let Some(z_m) = eye_z_m {
-        posed.0.camera.eye.z = z_m;
-    }
-    Ok(posed)
-}
-
-fn posed_by_knobs(
-    plan: &Plan,
-    seed: u64,
-    (scene, params): (&Scene, &Params),
-    set: &str,
-) -> Result<(Scene, Params)> {
-    let mut config = plan.config.clone();
-    config.apply_toml(set, "camera and sun")?;
-    config.check()?;
-    let moved = config.draw(seed)?;
-    let changed = |knob: &Knob| params.setting(*knob) != moved.setting(*knob);
-    let is_of = |knob: &Knob, section: &str| knob.name().starts_with(section);
-    let is_pose = |knob: &Knob| is_of(knob, "camera.") || is_of(knob, "sun.");
-    if let Some(other) = Knob::ALL.iter().find(|knob| changed(knob) && !is_pose(knob)) {
-        return Err(Error::Usage(format!(
-            "{}: a scene's pose is that of camera and sun alone",
-            other.name()
-        )));
-    }
-    if !Knob::ALL.iter().any(|knob| changed(knob) && is_of(knob, "camera.")) {
-        return Ok((Scene { sun: Sun::build(&moved), ..scene.clone() }, moved));
-    }
-    match moved.stage() {
-        Stage::Nominal => {
-            let camera = Camera::build(&moved, &scene.terrain)?;
-            Ok((Scene { camera, sun: Sun::build(&moved), ..scene.clone() }, moved))
-        }
-        Stage::Surface => build_scene(&Plan { config, ..plan.clone() }, seed),
-    }
-}
-
 /// Renders one frame of a scene and waits for it. Its index is the seed.
 ///
 /// # Errors
@@ -119,9 +64,9 @@ fn posed_by_knobs(
 pub fn render_scene(
     plan: &Plan,
     renderer: &Mutex<impl BorrowMut<Renderer>>,
-    seed: u64,
-    (scene, params): (Scene, Params),
+    of_frame: SceneOfFrame,
 ) -> Result<FrameInMemory> {
+    let SceneOfFrame { seed, scene, params, .. } = of_frame;
     let source = FrameScene {
         index: seed,
         attempt: 0,
@@ -134,25 +79,25 @@ pub fn render_scene(
     Ok(FrameInMemory::of_rendered(plan, attempt::render_scene(plan, renderer, source)?))
 }
 
-/// Makes the frames of a plan at these indices as [`render_frames`](super::render_frames) does, and passes each to `sink`, in any order,
+/// Makes frames of a plan at these indices as [`render_frames`](super::render_frames) does, and passes each to `sink`, in any order,
 /// without encoding it.
 ///
 /// # Errors
-/// The first that occurs in rendering or `sink`.
+/// The first that occurs in `scenes`, in rendering or in `sink`.
 pub fn render_in_memory(
     plan: &Plan,
     renderer: &Mutex<impl BorrowMut<Renderer>>,
-    indices: impl Iterator<Item = u64> + Send,
+    (indices, scenes): (impl Iterator<Item = u64> + Send, impl Scenes),
     concurrency: Concurrency,
     stop: &AtomicBool,
     sink: impl FnMut(FrameInMemory) -> Result<()> + Send,
 ) -> Result<()> {
     let finish = |plan: &Plan, rendered| Ok(FrameInMemory::of_rendered(plan, rendered));
-    run_job(Job { plan, indices, concurrency, stop, finish }, renderer, sink)
+    run_job(Job { plan, scenes, indices, concurrency, stop, finish }, renderer, sink)
 }
 
-/// The frames of a plan at these indices, in this order, made on threads of its own: those of a dataset's pipeline, without encoding and
-/// without files. An iterator; after an error it ends. Dropping it stops the threads.
+/// Frames in the order that was asked for, made on threads of its own: those of a dataset's pipeline, without encoding and without files.
+/// An iterator; after an error it ends. Dropping it stops the threads.
 #[derive(Debug)]
 pub struct FrameStream {
     /// `None` once it has ended.
@@ -162,8 +107,8 @@ pub struct FrameStream {
 }
 
 impl FrameStream {
-    /// Starts to make the frames. At most `ahead` finished ones wait to be taken, besides those that the pipeline works on. Others may use
-    /// the renderer in between.
+    /// Starts to make the frames of a plan at these indices. At most `ahead` finished ones wait to be taken, besides those that the pipeline
+    /// works on. Others may use the renderer in between.
     ///
     /// # Errors
     /// [`Error::Thread`] if the system has no thread to spare.
@@ -174,12 +119,41 @@ impl FrameStream {
         concurrency: Concurrency,
         ahead: usize,
     ) -> Result<Self> {
+        Self::of_scenes(plan, renderer, (indices, scene_of_seed), concurrency, ahead)
+    }
+
+    /// Starts to make the frames of a scene from these poses, whatever rules say; the index of a frame is its number among them. For the
+    /// rest as [`Self::start`].
+    ///
+    /// # Errors
+    /// Those of [`Self::start`].
+    pub fn of_poses(
+        plan: Plan,
+        renderer: Arc<Mutex<Renderer>>,
+        (posed, poses): (PosedScene, Vec<Pose>),
+        concurrency: Concurrency,
+        ahead: usize,
+    ) -> Result<Self> {
+        let plan = Plan { seeds: Seeds::Given, ..plan };
+        let indices = 0..poses.len() as u64;
+        let scenes = move |plan: &Plan, index: u64, _| poses[index as usize].in_scene(&posed, &plan.settings);
+        Self::of_scenes(plan, renderer, (indices, scenes), concurrency, ahead)
+    }
+
+    fn of_scenes(
+        plan: Plan,
+        renderer: Arc<Mutex<Renderer>>,
+        (indices, scenes): (impl Iterator<Item = u64> + Clone + Send + 'static, impl Scenes + Send + 'static),
+        concurrency: Concurrency,
+        ahead: usize,
+    ) -> Result<Self> {
         let stop = Arc::new(AtomicBool::new(false));
         let (sender, frames) = sync_channel(ahead.max(1));
         let is_stopped = Arc::clone(&stop);
         let make = move || {
             let mut in_order = InOrder::new(indices.clone());
-            let result = render_in_memory(&plan, &renderer, indices, concurrency, &is_stopped, |frame| {
+            let frames = (indices, scenes);
+            let result = render_in_memory(&plan, &renderer, frames, concurrency, &is_stopped, |frame| {
                 in_order.add(frame.index, frame);
                 while let Some(frame) = in_order.take() {
                     if sender.send(Ok(frame)).is_err() {

@@ -13,8 +13,8 @@ use std::time::Instant;
 use serde_json::{Map, Value, json};
 
 use super::attempt::{
-    Attempt, FrameScene, PreparedAttempt, RawAttempt, RenderCost, RenderedFrame, RendererInfo, lock,
-    planner_and_info,
+    Attempt, FrameScene, PreparedAttempt, RawAttempt, RenderCost, RenderedFrame, RendererInfo, Scenes, lock,
+    planner_and_info, scene_of_seed,
 };
 use super::log_writer::record_files;
 use super::plan::{Plan, Seeds};
@@ -104,9 +104,11 @@ pub fn cores() -> usize {
 }
 
 /// Which frames a pipeline makes, and how.
-pub struct Job<'a, Indices, Finish> {
+pub struct Job<'a, Indices, Source, Finish> {
     /// What each frame is.
     pub plan: &'a Plan,
+    /// Where the scenes of frames come from.
+    pub scenes: Source,
     /// The frames.
     pub indices: Indices,
     /// How much is done at the same time.
@@ -130,7 +132,7 @@ pub fn render_frames(
     stop: &AtomicBool,
     sink: impl FnMut(FinishedFrame) -> Result<()> + Send,
 ) -> Result<()> {
-    let job = Job { plan, indices, concurrency, stop, finish: encode };
+    let job = Job { plan, scenes: scene_of_seed, indices, concurrency, stop, finish: encode };
     run_job(job, &Mutex::new(renderer), sink)
 }
 
@@ -140,11 +142,16 @@ pub fn render_frames(
 /// # Errors
 /// The first that occurs in rendering, finishing or `sink`.
 pub fn run_job<T: Send>(
-    job: Job<'_, impl Iterator<Item = u64> + Send, impl Fn(&Plan, RenderedFrame) -> Result<T> + Sync>,
+    job: Job<
+        '_,
+        impl Iterator<Item = u64> + Send,
+        impl Scenes,
+        impl Fn(&Plan, RenderedFrame) -> Result<T> + Sync,
+    >,
     renderer: &Mutex<impl BorrowMut<Renderer>>,
     mut sink: impl FnMut(T) -> Result<()> + Send,
 ) -> Result<()> {
-    let Job { plan, indices, concurrency, stop, finish } = job;
+    let Job { plan, scenes, indices, concurrency, stop, finish } = job;
     let is_software_adapter = (*lock(renderer)).borrow().gpu().capabilities.software_adapter;
     let threads = concurrency.workers(is_software_adapter);
     let threads_per_worker = concurrency.threads_per_worker(is_software_adapter);
@@ -160,8 +167,8 @@ pub fn run_job<T: Send>(
     let (finished_sender, finished) = sync_channel::<T>(threads);
     let (planner, info) = planner_and_info(renderer);
     std::thread::scope(|scope| {
-        let (queue, first_error, finish) = (&queue, &first_error, &finish);
-        let worker = Worker { plan, planner: &planner, renderer: &info, stop, first_error, finish };
+        let (queue, first_error, scenes, finish) = (&queue, &first_error, &scenes, &finish);
+        let worker = Worker { plan, scenes, planner: &planner, renderer: &info, stop, first_error, finish };
         for _ in 0..threads {
             let finished = finished_sender.clone();
             scope.spawn(move || {
@@ -197,8 +204,9 @@ pub fn run_job<T: Send>(
 }
 
 /// What the workers share.
-struct Worker<'a, Finish> {
+struct Worker<'a, Source, Finish> {
     plan: &'a Plan,
+    scenes: &'a Source,
     planner: &'a FramePlanner,
     renderer: &'a RendererInfo,
     stop: &'a AtomicBool,
@@ -206,18 +214,22 @@ struct Worker<'a, Finish> {
     finish: &'a Finish,
 }
 
-impl<Finish> Clone for Worker<'_, Finish> {
+impl<Source, Finish> Clone for Worker<'_, Source, Finish> {
     fn clone(&self) -> Self {
         *self
     }
 }
 
-impl<Finish> Copy for Worker<'_, Finish> {}
+impl<Source, Finish> Copy for Worker<'_, Source, Finish> {}
 
 /// The queue of a pipeline over these indices.
 type FrameQueue<Indices> = WorkQueue<Indices, Attempt, PreparedAttempt, RawAttempt>;
 
-impl<T, Finish: Fn(&Plan, RenderedFrame) -> Result<T>> Worker<'_, Finish> {
+impl<T, Source, Finish> Worker<'_, Source, Finish>
+where
+    Source: Scenes,
+    Finish: Fn(&Plan, RenderedFrame) -> Result<T>,
+{
     /// Works until every frame is finished.
     fn run(self, queue: &FrameQueue<impl Iterator<Item = u64>>, finished: &SyncSender<T>) {
         let _guard = queue.close_on_panic();
@@ -234,7 +246,7 @@ impl<T, Finish: Fn(&Plan, RenderedFrame) -> Result<T>> Worker<'_, Finish> {
 
     fn prepare(self, attempt: Attempt, queue: &FrameQueue<impl Iterator<Item = u64>>) -> Result<()> {
         let is_redraw = attempt.is_redraw();
-        queue.add_prepared(attempt.prepare(self.plan, self.planner)?, is_redraw);
+        queue.add_prepared(attempt.prepare(self.plan, self.planner, self.scenes)?, is_redraw);
         Ok(())
     }
 

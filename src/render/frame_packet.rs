@@ -15,6 +15,7 @@ use crate::render::post::hazards;
 use crate::render::select::near_plane;
 use crate::render::settings::RenderSettings;
 use crate::render::staged_frame::StagedFrame;
+pub use crate::render::staged_frame::Staging;
 use crate::scene::Scene;
 
 /// What the caller asked for, and what has to be rendered for it.
@@ -83,17 +84,22 @@ impl FramePlanner {
         Ok(FramePacket { request, plan, staged: None, plan_ms: milliseconds(start.elapsed()) })
     }
 
-    /// Plans a frame of a scene of which the device has nothing, and writes what it needs of it to where it copies from: the thread that
-    /// submits the packet need not.
+    /// Plans a frame of a scene, and writes what the device needs of it to where it copies from: the thread that submits the packet need
+    /// not.
     ///
     /// # Errors
     /// Those of [`Self::plan`].
-    pub fn plan_and_stage(&self, scene: &Scene, settings: &RenderSettings) -> Result<FramePacket> {
+    pub fn plan_and_stage(
+        &self,
+        scene: &Scene,
+        settings: &RenderSettings,
+        staging: Staging,
+    ) -> Result<FramePacket> {
         let mut packet = self.plan(scene, settings)?;
         let start = Instant::now();
         if packet.plan.map_source.is_some() && !packet.plan.draws.draws.is_empty() {
             let rendered = packet.request.rendered(scene).0;
-            packet.staged = StagedFrame::new(&self.uploads, rendered, &packet.plan);
+            packet.staged = StagedFrame::new(&self.uploads, rendered, &packet.plan, staging);
         }
         packet.plan_ms += milliseconds(start.elapsed());
         Ok(packet)

@@ -90,7 +90,7 @@ impl SceneBuffers {
         bytes += self.upload_lit_faces(gpu, &plan.lit_rocks, staging)?;
         if !plan.draws.draws.is_empty() {
             let is_new = !self.meshes.has_ground(scene);
-            bytes += match staged.as_deref_mut().filter(|_| is_new).map(StagedFrame::copy_vertices) {
+            bytes += match staged.as_deref_mut().filter(|_| is_new).and_then(StagedFrame::copy_vertices) {
                 Some((places, size)) => size + self.meshes.expect_copy(gpu, scene, places, size),
                 None => self.meshes.upload(gpu, scene, &plan.selection),
             };

@@ -11,16 +11,28 @@ use crate::render::device::shader_structs::Instance;
 use crate::render::frame_plan::FramePlan;
 use crate::render::shadow::horizon::HorizonMap;
 use crate::render::visibility::mesh_places::MeshPlaces;
+use crate::render::visibility::packed_vertices::MeshList;
 use crate::scene::Scene;
+
+/// What of a frame is written to where the device copies it from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Staging {
+    /// All that the device needs: it has nothing of the scene.
+    Whole,
+    /// The same without meshes: the device has those of earlier frames of the scene, or will upload them.
+    WithoutMeshes,
+}
 
 /// A buffer with all vertices of a frame and, behind them, its horizon map, its instances, and its caster grid with the cells that rocks
 /// light.
 #[derive(Debug)]
 pub(crate) struct StagedFrame {
     buffer: MappedBuffer,
-    /// Where the vertices lie, until they are taken.
+    /// Where the vertices lie, until they are taken; `None` if it has none.
     places: Option<MeshPlaces>,
     vertex_bytes: usize,
+    /// Whether the device lacks the vertices.
+    vertices_are_missing: bool,
     horizon: TextureRegion,
     instances: Range<usize>,
     grid: Range<usize>,
@@ -30,9 +42,10 @@ pub(crate) struct StagedFrame {
 
 impl StagedFrame {
     /// Writes what the device needs of a plan whose tiles are placed; `None` if the device has failed.
-    pub(crate) fn new(pool: &UploadPool, scene: &Scene, plan: &FramePlan) -> Option<Self> {
-        let mut places = MeshPlaces::default();
-        let meshes = places.add(scene, &plan.selection);
+    pub(crate) fn new(pool: &UploadPool, scene: &Scene, plan: &FramePlan, staging: Staging) -> Option<Self> {
+        let mut places = (staging == Staging::Whole).then(MeshPlaces::default);
+        let of_places = places.as_mut().map(|places| places.add(scene, &plan.selection));
+        let meshes: MeshList<'_> = of_places.unwrap_or_default();
         let map = &*plan.horizon;
         let horizon = TextureRegion {
             offset_bytes: meshes.bytes(),
@@ -63,7 +76,8 @@ impl StagedFrame {
         Some(Self {
             buffer,
             vertex_bytes: meshes.bytes(),
-            places: Some(places),
+            places,
+            vertices_are_missing: false,
             horizon,
             instances,
             grid,
@@ -76,9 +90,11 @@ impl StagedFrame {
         [&self.instances, &self.grid].map(|range| range.len() as u64)
     }
 
-    /// Asks for a copy of its vertices; returns where they lie, and their bytes.
-    pub(crate) fn copy_vertices(&mut self) -> (MeshPlaces, u64) {
-        (self.places.take().unwrap_or_default(), self.vertex_bytes as u64)
+    /// Asks for a copy of its vertices; returns where they lie, and their bytes. `None` if it has none.
+    pub(crate) fn copy_vertices(&mut self) -> Option<(MeshPlaces, u64)> {
+        let places = self.places.take()?;
+        self.vertices_are_missing = true;
+        Some((places, self.vertex_bytes as u64))
     }
 
     /// Asks for a copy of its horizon map.
@@ -99,7 +115,7 @@ impl StagedFrame {
         };
         copy(&self.instances, to.instances);
         copy(&self.grid, to.grid);
-        if self.places.is_none() {
+        if self.vertices_are_missing {
             copy(&(0..self.vertex_bytes), to.vertices);
         }
         if self.horizon_is_missing {

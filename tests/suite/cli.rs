@@ -544,7 +544,8 @@ fn the_bench_reports_every_case_and_a_sweep_plots_its_curve() {
     let folder = folder();
     let small =
         ["bench", "--frames", "3", "--size", "64", "--samples", "1", "-q", "--set", "terrain.cells=40"];
-    let result = run_ok(folder.path(), &[&small[..], &["--json"]].concat());
+    let cases = ["camera", "static-sun", "poses", "scene", "frames", "dataset"];
+    let result = run_ok(folder.path(), &[&small[..], &["--json", "--cases", &cases.join(",")]].concat());
     let result: serde_json::Value = serde_json::from_str(&result).expect("JSON");
     assert_eq!((&result["size"], &result["samples"]), (&serde_json::json!([64, 64]), &1.into()));
     assert_eq!(result["stage"], "nominal");
@@ -554,7 +555,7 @@ fn the_bench_reports_every_case_and_a_sweep_plots_its_curve() {
         serde_json::from_str(&run_ok(folder.path(), &preset_words)).expect("JSON");
     assert_eq!(of_preset["stage"], "surface", "a preset's stage");
     assert!(result["peak_rss_bytes"].as_u64() > Some(1 << 20) && result["adapter"]["name"].is_string());
-    for case in ["camera", "static-sun", "scene", "dataset"] {
+    for case in cases {
         let case = &result["cases"][case];
         assert_eq!(case["frames"], 3);
         for key in ["median_ms", "p95_ms", "frames_per_second", "triangles", "upload_bytes", "readback_bytes"]

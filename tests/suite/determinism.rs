@@ -8,7 +8,9 @@ use regolith::frame::{Annotation, Frame};
 use regolith::gpu::Gpu;
 use regolith::gpu::staging::PAGE_BYTES;
 use regolith::render::select::selection::{SelectedRock, Selection};
-use regolith::render::{InFlight, RasterBackend, RasterMode, RasterOptions, RenderSettings, Renderer};
+use regolith::render::{
+    InFlight, RasterBackend, RasterMode, RasterOptions, RenderSettings, Renderer, Staging,
+};
 use regolith::scene::Scene;
 use regolith::scene::mesh::Icosphere;
 use regolith::scene::sky::Sun;
@@ -141,21 +143,22 @@ fn frames_of_packets_equal_frames_rendered_alone() {
         let alone: Vec<Frame> =
             scenes.iter().map(|scene| renderer.render(scene, &settings).expect("a frame").0).collect();
         let planner = renderer.planner();
-        for stages in [false, true, true] {
-            let plan = |scene: &Scene| match stages {
-                false => planner.plan(scene, &settings).expect("a packet"),
-                true => planner.plan_and_stage(scene, &settings).expect("a packet"),
+        for staging in [None, Some(Staging::Whole), Some(Staging::Whole), Some(Staging::WithoutMeshes)] {
+            let plan = |scene: &Scene| match staging {
+                None => planner.plan(scene, &settings).expect("a packet"),
+                Some(staging) => planner.plan_and_stage(scene, &settings, staging).expect("a packet"),
             };
             let packets: Vec<_> = std::thread::scope(|scope| {
                 let threads: Vec<_> = scenes.iter().map(|scene| scope.spawn(move || plan(scene))).collect();
                 threads.into_iter().map(|thread| thread.join().expect("a thread")).collect()
             });
             for (index, packet) in packets.into_iter().enumerate().rev() {
-                assert_eq!(packet.is_staged(), stages && is_on_device, "{}, frame {index}", raster.name());
+                let is_staged = staging.is_some() && is_on_device;
+                assert_eq!(packet.is_staged(), is_staged, "{}, frame {index}", raster.name());
                 let in_flight = renderer.submit_packet(&scenes[index], packet).expect("submitted");
                 let raw = renderer.read_back(in_flight).expect("a frame");
                 let (frame, _) = raw.post_process(&scenes[index]);
-                assert!(frame == alone[index], "{}, frame {index}", raster.name());
+                assert!(frame == alone[index], "{}, frame {index}, {staging:?}", raster.name());
             }
         }
     }

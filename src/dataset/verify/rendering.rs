@@ -96,7 +96,7 @@ impl FrameCheck<'_> {
             render_frame(plan, renderer, line.index)?
         } else if line.attempt < plan.rules.attempts_max {
             // Where a rule is at its limit, another renderer may decide otherwise.
-            render_attempt(plan, renderer, Attempt::known(line.index, line.attempt, line.redrawn.clone()))?
+            render_attempt(plan, renderer, &Attempt::known(line.index, line.attempt, line.redrawn.clone()))?
         } else {
             return Ok(());
         };

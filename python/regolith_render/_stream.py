@@ -1,0 +1,32 @@
+"""Streams of frames that are rendered ahead."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+
+from . import _native
+from ._frame import Frame
+from ._settings import release_memory
+
+FRAMES_BETWEEN_RELEASES = 100
+"""Frames of a stream after which memory that is free goes back to the system."""
+
+
+def streamed(
+    frames: _native.Frames | None, more: Callable[[], _native.Frames | None] = lambda: None
+) -> Generator[Frame, None, None]:
+    """The frames of a stream, and of those that `more` returns after it."""
+    taken = 0
+    try:
+        while frames is not None:
+            while (frame := frames.next()) is not None:
+                yield Frame(*frame)
+                taken += 1
+                if taken % FRAMES_BETWEEN_RELEASES == 0:
+                    release_memory()
+            frames.close()
+            frames = more()
+    finally:
+        if frames is not None:
+            frames.close()
+        release_memory()
