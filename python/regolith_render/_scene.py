@@ -87,11 +87,14 @@ def _pose(camera: Camera | None, sun: Sun | None, scene: _native.Scene) -> tuple
     return document({name: _number(name, value) for name, value in values.items() if value is not None}), eye_z_m
 
 
-def _camera_and_sun(pose: object) -> tuple[Camera | None, Sun | None]:
+def _camera_and_sun(pose: Any) -> tuple[Camera | None, Sun | None]:
+    """Those of a camera alone, or of a pair."""
     if isinstance(pose, Camera):
         return pose, None
+    camera: Camera | None
+    sun: Sun | None
     try:
-        camera, sun = pose  # type: ignore[misc]
+        camera, sun = pose
     except (TypeError, ValueError):
         raise refused("pose", pose, "a Camera is expected, or a pair of Camera and Sun") from None
     return camera, sun
