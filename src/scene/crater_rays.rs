@@ -8,7 +8,7 @@
 
 use glam::Vec2;
 
-use super::craters::{CraterField, Pit};
+use super::craters::{CraterField, Pit, Region};
 use super::noise::value_noise_2d;
 use crate::params::{Knob, Params};
 
@@ -59,7 +59,7 @@ impl CraterRays {
             return Self::default();
         }
         let mut fresh: Vec<Pit> = Vec::new();
-        craters.fresh_around(Vec2::ZERO, radius_m, SMALLEST_M, |pit| fresh.push(pit));
+        craters.fresh_around(&Region::circle(Vec2::ZERO, radius_m), SMALLEST_M, |pit| fresh.push(pit));
         let strength = |pit: &Pit| pit.diameter_m / pit.offset.length().max(pit.diameter_m);
         fresh.sort_by(|a, b| strength(b).total_cmp(&strength(a)).then(a.key.cmp(&b.key)));
         let of_pit = |pit: &Pit| RayCrater {

@@ -126,6 +126,41 @@ pub fn profile(r: f32) -> f32 {
     RIM * bend / (r * r * r) * fade
 }
 
+/// A part of the ground: of a circle, what lies in a ring around the centre of the ground, or in a sector of one.
+#[derive(Clone, Copy, Debug)]
+pub struct Region {
+    /// Middle of the circle, metres from the centre of the ground.
+    pub middle: Vec2,
+    /// Its radius, metres.
+    pub radius_m: f32,
+    /// Nearest and farthest distance from the centre of the ground, metres.
+    pub distances_m: [f32; 2],
+    /// Outward unit normals of the rays that bound a sector of less than half a turn; zero for a whole ring.
+    pub sides: [Vec2; 2],
+}
+
+impl Region {
+    /// A whole circle.
+    #[must_use]
+    pub const fn circle(middle: Vec2, radius_m: f32) -> Self {
+        Self { middle, radius_m, distances_m: [0.0, f32::INFINITY], sides: [Vec2::ZERO; 2] }
+    }
+
+    /// Whether any of it may be within `reach_m` of a point (metres from the centre of the ground).
+    #[inline(always)]
+    fn is_near(&self, point: Vec2, reach_m: f32) -> bool {
+        let within_m = self.radius_m + reach_m;
+        if point.distance_squared(self.middle) >= within_m * within_m {
+            return false;
+        }
+        // With a little room for rounding.
+        let (distance_m, reach_m) = (point.length(), 1.01 * reach_m);
+        distance_m + reach_m >= self.distances_m[0]
+            && distance_m - reach_m <= self.distances_m[1]
+            && self.sides.iter().all(|side| side.dot(point) <= reach_m)
+    }
+}
+
 /// One lattice of craters.
 #[derive(Clone, Copy, Debug)]
 pub struct PitLattice {
@@ -177,15 +212,15 @@ impl CraterField {
         Self { lattices, listed, fresh_share }
     }
 
-    /// Calls `visit` with every crater and clod larger than `min_m` that can change the height within a circle (metres from the
-    /// centre of the ground), always in the same order.
-    pub fn around(&self, offset: Vec2, radius_m: f32, min_m: f32, visit: impl FnMut(Pit)) {
-        self.visit_around(offset, radius_m, min_m, false, visit);
+    /// Calls `visit` with every crater and clod larger than `min_m` that can change the height within a region, always in the same
+    /// order.
+    pub fn around(&self, region: &Region, min_m: f32, visit: impl FnMut(Pit)) {
+        self.visit_around(region, min_m, false, visit);
     }
 
     /// The same for fresh craters alone, which are few.
-    pub fn fresh_around(&self, offset: Vec2, radius_m: f32, min_m: f32, mut visit: impl FnMut(Pit)) {
-        self.visit_around(offset, radius_m, min_m, true, |pit| {
+    pub fn fresh_around(&self, region: &Region, min_m: f32, mut visit: impl FnMut(Pit)) {
+        self.visit_around(region, min_m, true, |pit| {
             if pit.is_fresh() {
                 visit(pit);
             }
@@ -194,24 +229,16 @@ impl CraterField {
 
     /// See [`Self::around`]; with `only_fresh` no crater of a lattice that is not fresh.
     #[inline(always)]
-    fn visit_around(
-        &self,
-        offset: Vec2,
-        radius_m: f32,
-        min_m: f32,
-        only_fresh: bool,
-        mut visit: impl FnMut(Pit),
-    ) {
+    fn visit_around(&self, region: &Region, min_m: f32, only_fresh: bool, mut visit: impl FnMut(Pit)) {
         let is_near = |position: Vec2, diameter_m: f32| {
-            let reach_m = radius_m + reach_m(diameter_m);
-            diameter_m > min_m && position.distance_squared(offset) < reach_m * reach_m
+            diameter_m > min_m && region.is_near(position, reach_m(diameter_m))
         };
         self.listed.iter().copied().filter(|pit| is_near(pit.offset, pit.diameter_m)).for_each(&mut visit);
         let wanted = self.lattices.iter().take_while(|lattice| lattice.largest_m > min_m);
         for lattice in wanted.filter(|lattice| lattice.chance > 0.0) {
-            let reach = (radius_m + reach_m(lattice.largest_m)) / lattice.lattice.cell_m;
+            let reach = (region.radius_m + reach_m(lattice.largest_m)) / lattice.lattice.cell_m;
             let margin = reach + JITTER_CELLS;
-            let local = lattice.lattice.local(offset);
+            let local = lattice.lattice.local(region.middle);
             let (low, high) = ((local.y - margin - 0.5).ceil(), (local.y + margin - 0.5).floor());
             // The middles of cells lie within a circle, with a little room for rounding.
             let radius = 1.001 * (reach + std::f32::consts::SQRT_2 * JITTER_CELLS) + 0.001;

@@ -10,7 +10,7 @@ use glam::Vec2;
 
 use super::crater_rays::CraterRays;
 use super::crater_wall::CraterWall;
-use super::craters::{CraterField, Pit};
+use super::craters::{CraterField, Pit, Region};
 use super::far_hills::FarHills;
 use super::fillet::{BATCH, Fillet};
 use super::grains::GrainField;
@@ -88,7 +88,8 @@ pub struct Relief {
 /// The craters, clods, tracks and fillets that can change the height in some region.
 #[derive(Clone, Debug, Default)]
 pub struct Nearby {
-    pits: Vec<Pit>,
+    /// Each with its distance from the centre, metres.
+    pits: Vec<(f32, Pit)>,
     tracks: Vec<Track>,
     fillets: Vec<Fillet>,
 }
@@ -152,15 +153,16 @@ impl Relief {
         }
     }
 
-    /// What can change the height within a circle (metres from the centre), at this cell size or a larger one.
+    /// What can change the height within a region, at this cell size or a larger one.
     #[must_use]
-    pub fn nearby(&self, offset: Vec2, radius_m: f32, cell_m: f32) -> Nearby {
+    pub fn nearby(&self, region: &Region, cell_m: f32) -> Nearby {
         let mut nearby = Nearby::default();
-        self.craters.around(offset, radius_m, MIN_CELLS * cell_m, |pit| nearby.pits.push(pit));
-        nearby.tracks.extend(self.tracks.iter().copied().filter(|track| track.is_near(offset, radius_m)));
+        self.craters.around(region, MIN_CELLS * cell_m, |pit| nearby.pits.push((pit.offset.length(), pit)));
+        let &Region { middle, radius_m, .. } = region;
+        nearby.tracks.extend(self.tracks.iter().copied().filter(|track| track.is_near(middle, radius_m)));
         nearby.fillets.extend(self.fillets.iter().copied().filter(|fillet| {
             let reach_m = radius_m + fillet.reach_m();
-            fillet.offset.distance_squared(offset) < reach_m * reach_m
+            fillet.offset.distance_squared(middle) < reach_m * reach_m
         }));
         nearby
     }
@@ -203,12 +205,13 @@ impl Relief {
             wall.add_heights([x, y], |size_m| mesh_share(size_m, cell_m), heights);
         }
         let circle = Circle::around([x, y]);
-        for pit in &nearby.pits {
-            if !circle.is_near(pit.offset, pit.reach_m()) {
+        for (distance_m, pit) in &nearby.pits {
+            let reach_m = pit.reach_m();
+            if !circle.is_at_distance(*distance_m, reach_m) || !circle.is_near(pit.offset, reach_m) {
                 continue;
             }
             let share = mesh_share(pit.diameter_m, cell_m);
-            if share > 0.0 && is_any_within(pit.reach_m(), pit.offset, [x, y]) {
+            if share > 0.0 && is_any_within(reach_m, pit.offset, [x, y]) {
                 for ((height, x), y) in heights.iter_mut().zip(x).zip(y) {
                     *height += share * pit.height_at(Vec2::new(*x, *y));
                 }
@@ -234,16 +237,18 @@ impl Relief {
     #[must_use]
     pub fn height_at(&self, offset: Vec2, cell_m: f32) -> f32 {
         let mut height = [0.0];
-        let nearby = self.nearby(offset, 0.0, cell_m);
+        let nearby = self.nearby(&Region::circle(offset, 0.0), cell_m);
         self.set_heights([&[offset.x], &[offset.y]], cell_m, &nearby, &mut height);
         height[0]
     }
 }
 
-/// A circle around points.
+/// A circle around points, and the ring that they lie in.
 struct Circle {
     centre: Vec2,
     radius_m: f32,
+    /// Smallest and largest distance of a point from the origin, metres.
+    distances_m: [f32; 2],
 }
 
 impl Circle {
@@ -251,13 +256,25 @@ impl Circle {
     #[inline(always)]
     fn around([x, y]: [&[f32]; 2]) -> Self {
         let (mut low, mut high) = ([f32::MAX; 2], [f32::MIN; 2]);
+        let mut squares = [f32::MAX, 0.0];
         for (x, y) in x.iter().zip(y) {
+            let square = x * x + y * y;
+            squares[0] = if square < squares[0] { square } else { squares[0] };
+            squares[1] = if square > squares[1] { square } else { squares[1] };
             // `f32::min` is more than a comparison (NaN).
             low = [if *x < low[0] { *x } else { low[0] }, if *y < low[1] { *y } else { low[1] }];
             high = [if *x > high[0] { *x } else { high[0] }, if *y > high[1] { *y } else { high[1] }];
         }
         let (low, high) = (Vec2::from(low), Vec2::from(high));
-        Self { centre: 0.5 * (low + high), radius_m: 0.5 * low.distance(high) }
+        let (centre, radius_m) = (0.5 * (low + high), 0.5 * low.distance(high));
+        Self { centre, radius_m, distances_m: squares.map(f32::sqrt) }
+    }
+
+    /// Whether any of the points may be within a distance of a point this far from the origin.
+    #[inline(always)]
+    fn is_at_distance(&self, distance_m: f32, reach_m: f32) -> bool {
+        let reach_m = 1.01 * reach_m;
+        distance_m + reach_m >= self.distances_m[0] && distance_m - reach_m <= self.distances_m[1]
     }
 
     /// Whether any of the points may be within a distance of another one: wherever [`is_any_within`] says so, and in few other cases.

@@ -12,6 +12,7 @@ use fearless_simd::{f32x8, mask32x8};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
+use super::craters::Region;
 use super::mesh::Vertex;
 use super::relief::Relief;
 use super::rings::{LANES, LaneCells, Rings, View};
@@ -131,14 +132,15 @@ fn set_tile_positions(
     let offset = |column: usize, row: usize| rings.offset(column as u32, (first_row + row) as u32);
     // A circle around the tile.
     let middle = offset((columns.start + columns.end) / 2, tile_rows / 2);
-    let corners = [0, tile_rows - 1].into_iter().flat_map(|row| {
-        [columns.start, (columns.start + columns.end) / 2, columns.end - 1]
-            .map(|column| offset(column, row).distance(middle))
-    });
-    let radius_m = corners.fold(0.0, f32::max);
+    let ends = [0, tile_rows - 1].into_iter();
+    let from_middle_m =
+        ends.flat_map(|row| columns.clone().map(move |column| offset(column, row).distance(middle)));
+    let radius_m = from_middle_m.fold(0.0, f32::max);
     let finest_m = rings.view.cell_m(rings.radii_m[first_row]);
-    let nearby = relief.nearby(middle, 1.01 * radius_m, finest_m);
+    let distances_m = [first_row, first_row + tile_rows - 1].map(|row| rings.radii_m[row]);
     let rays = &rings.rays[columns.clone()];
+    let sides = sides_of_sector(rays);
+    let nearby = relief.nearby(&Region { middle, radius_m: 1.01 * radius_m, distances_m, sides }, finest_m);
     let (mut x, mut y, mut heights) = ([0.0; TILE.1], [0.0; TILE.1], [0.0; TILE.1]);
     for (row, vertices) in vertices.chunks_exact_mut(row_len).enumerate() {
         let radius_m = rings.radii_m[first_row + row];
@@ -152,6 +154,13 @@ fn set_tile_positions(
             vertex.position = (centre + Vec2::new(*x, *y)).extend(*height);
         }
     }
+}
+
+/// Outward normals of the first and the last of rays that follow one another clockwise; zero if they span more than half a turn.
+fn sides_of_sector(rays: &[Vec2]) -> [Vec2; 2] {
+    let sides = [rays[0].perp(), -rays[rays.len() - 1].perp()];
+    let is_inside = |ray: &Vec2| sides.iter().all(|side| side.dot(*ray) < 1e-6);
+    if rays.iter().all(is_inside) { sides } else { [Vec2::ZERO; 2] }
 }
 
 /// Sets all normals by central differences along rings and rays.
@@ -186,11 +195,34 @@ mod tests {
     use crate::scene::Scene;
     use fearless_simd::{Level, dispatch};
 
-    #[test]
-    fn eight_heights_are_those_of_their_points() {
+    fn scene(set: &[&str]) -> Scene {
         let mut config = Config::new();
         config.set_stage("surface").expect("a stage");
-        let scene = Scene::build(3, &config.draw(3).expect("drawn")).expect("built");
+        set.iter().for_each(|set| config.apply_set(set).expect("a knob"));
+        Scene::build(3, &config.draw(3).expect("drawn")).expect("built")
+    }
+
+    /// What is near a tile holds all that is near one of its vertices, also where its columns are most of a turn.
+    #[test]
+    fn heights_of_a_tile_are_those_of_its_vertices() {
+        for set in [&[][..], &["terrain.cell_mrad=30"], &["camera.fov_deg=8", "rocks.coverage=0.03"]] {
+            let scene = scene(set);
+            let (terrain, relief) = (&scene.terrain, scene.relief.as_ref().expect("a relief"));
+            let Layout::Rings(rings) = &terrain.layout else { unreachable!() };
+            let (columns, rows) = (rings.columns(), rings.rows());
+            for at in (0..columns * (rows + 1)).step_by((columns * rows / 7000) as usize | 1) {
+                let (column, row) = (at % columns, at / columns);
+                let cell_m = rings.view.cell_m(rings.radii_m[row as usize]);
+                let expected = relief.height_at(rings.offset(column, row), cell_m);
+                let height = terrain.vertices[(row * (columns + 1) + column) as usize].position.z;
+                assert_eq!(height.to_bits(), expected.to_bits(), "{set:?}, column {column}, row {row}");
+            }
+        }
+    }
+
+    #[test]
+    fn eight_heights_are_those_of_their_points() {
+        let scene = scene(&[]);
         let terrain = &scene.terrain;
         let Layout::Rings(rings) = &terrain.layout else { unreachable!() };
         let point = |k: u16| {

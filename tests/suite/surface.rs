@@ -9,7 +9,7 @@ use regolith::class::ClassId;
 use regolith::frame::{Annotation, Frame};
 use regolith::random::Streams;
 use regolith::render::RenderSettings;
-use regolith::scene::craters::{Pit, TRASK_DENSITY, profile};
+use regolith::scene::craters::{Pit, Region, TRASK_DENSITY, profile};
 use regolith::scene::relief::Relief;
 use regolith::scene::rocks::lunar::rocks_larger_than;
 use regolith::scene::{Scene, mesh};
@@ -36,7 +36,7 @@ const SIDE: usize = 500;
 /// Heights on a square of 2.5 m, at full detail.
 fn heights(relief: &Relief, corner: Vec2) -> Vec<f32> {
     let half = 0.5 * STEP_M * SIDE as f32;
-    let nearby = relief.nearby(corner + half, 1.5 * half, 1e-4);
+    let nearby = relief.nearby(&Region::circle(corner + half, 1.5 * half), 1e-4);
     let along = |from: f32, step: usize| from + STEP_M * step as f32;
     let x: Vec<f32> = (0..SIDE * SIDE).map(|i| along(corner.x, i % SIDE)).collect();
     let y: Vec<f32> = (0..SIDE * SIDE).map(|i| along(corner.y, i / SIDE)).collect();
@@ -202,7 +202,7 @@ fn ground_does_not_swim_as_the_camera_drives() {
 
 fn pits(seed: u64, set: &[&str], radius_m: f32, min_diameter_m: f32) -> Vec<Pit> {
     let mut found = Vec::new();
-    relief(seed, set).craters.around(Vec2::ZERO, radius_m, min_diameter_m, |pit| {
+    relief(seed, set).craters.around(&Region::circle(Vec2::ZERO, radius_m), min_diameter_m, |pit| {
         if pit.offset.length() < radius_m && pit.depth > 0.0 {
             found.push(pit);
         }
@@ -344,7 +344,7 @@ fn rocks_lie_closer_around_fresh_craters() {
         let scene = scene(seed, &set);
         let mut fresh = Vec::new();
         let relief = scene.relief.as_ref().expect("a relief");
-        relief.craters.around(Vec2::ZERO, 60.0, 2.0, |pit| {
+        relief.craters.around(&Region::circle(Vec2::ZERO, 60.0), 2.0, |pit| {
             if pit.is_fresh() {
                 fresh.push(pit);
             }
@@ -515,11 +515,15 @@ fn hazard_planes_agree_with_the_scene() {
     let focal = camera.focal_px(160) as f32;
     let mut craters = Vec::new();
     let relief = scene.relief.as_ref().expect("a relief");
-    relief.craters.around(Vec2::ZERO, 100.0, scene.label_rule.crater_min_diameter_m, |pit| {
-        if pit.depth >= scene.label_rule.crater_min_depth {
-            craters.push((scene.terrain.centre + pit.offset, 0.5 * pit.diameter_m));
-        }
-    });
+    relief.craters.around(
+        &Region::circle(Vec2::ZERO, 100.0),
+        scene.label_rule.crater_min_diameter_m,
+        |pit| {
+            if pit.depth >= scene.label_rule.crater_min_depth {
+                craters.push((scene.terrain.centre + pit.offset, 0.5 * pit.diameter_m));
+            }
+        },
+    );
     let mut counts = [0_u32; 5];
     for pixel in 0..frame.class.len() {
         counts[usize::from(frame.five_classes[pixel])] += 1;
@@ -848,7 +852,7 @@ fn craters_can_be_counted_by_class() {
     let relief = relief(7, &["craters.law=classes", "craters.small_count=250"]);
     let mut found: [u32; 3] = [0; 3];
     let mut deepened = 0;
-    relief.craters.around(Vec2::ZERO, 1000.0, 1.25, |pit| {
+    relief.craters.around(&Region::circle(Vec2::ZERO, 1000.0), 1.25, |pit| {
         let class = match 0.5 * pit.diameter_m {
             r if (14.0..=40.0).contains(&r) => 0,
             r if (3.0..=12.0).contains(&r) => 1,

@@ -11,7 +11,7 @@ use crate::class::ClassId;
 use crate::frame::{Annotation, Annotations, Frame};
 use crate::lens::Lens;
 use crate::scene::Scene;
-use crate::scene::craters::Pit;
+use crate::scene::craters::{Pit, Region};
 
 /// Side of the square tiles of pixels that look up their craters together.
 const TILE_PX: usize = 16;
@@ -239,11 +239,15 @@ fn near_craters(scene: &Scene, middle: Vec2, radius_m: f32) -> Vec<(Vec2, f32)> 
     let mut near: Vec<(Vec2, f32)> = classic.map(|crater| (crater.centre, crater.radius_m)).collect();
     if let Some(relief) = &scene.relief {
         let centre = scene.terrain.centre;
-        relief.craters.around(middle - centre, radius_m, rule.crater_min_diameter_m, |pit: Pit| {
-            if is_labelled(pit.diameter_m, pit.depth) {
-                near.push((centre + pit.offset, 0.5 * pit.diameter_m));
-            }
-        });
+        relief.craters.around(
+            &Region::circle(middle - centre, radius_m),
+            rule.crater_min_diameter_m,
+            |pit: Pit| {
+                if is_labelled(pit.diameter_m, pit.depth) {
+                    near.push((centre + pit.offset, 0.5 * pit.diameter_m));
+                }
+            },
+        );
     }
     near
 }

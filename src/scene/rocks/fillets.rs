@@ -10,6 +10,7 @@ use super::lunar::Placement;
 use super::rock::Rock;
 use crate::params::Params;
 use crate::random::Streams;
+use crate::scene::craters::Region;
 use crate::scene::fillet::{Fillet, OUTLINE_TERMS};
 use crate::scene::mesh::{Icosphere, Vertex};
 use crate::scene::relief::{Relief, mesh_share};
@@ -70,7 +71,7 @@ pub fn fillets(
 /// Slope of the ground beneath a rock, rise per metre along x and y; uphill is where it points.
 fn slope(relief: &Relief, offset: Vec2, diameter_m: f32) -> Vec2 {
     let cell_m = 0.35 * diameter_m;
-    let nearby = relief.nearby(offset, 1.5 * diameter_m, cell_m);
+    let nearby = relief.nearby(&Region::circle(offset, 1.5 * diameter_m), cell_m);
     let [x, y] = offset.to_array();
     let (west, east, south, north) = (x - diameter_m, x + diameter_m, y - diameter_m, y + diameter_m);
     let mut heights = [0.0; 4];

@@ -11,7 +11,7 @@ use crate::params::{Knob, Params};
 use crate::random::Streams;
 use crate::scene::azimuth;
 use crate::scene::crater_wall::CraterWall;
-use crate::scene::craters::Pit;
+use crate::scene::craters::{Pit, Region};
 use crate::scene::relief::Relief;
 use crate::scene::rings::View;
 pub use crate::scene::size_distribution::rocks_larger_than;
@@ -199,7 +199,7 @@ fn draw_placements(
         wall_rocks(streams, wall, extra.min(WALL_MAX_COVERAGE), &culling, &mut placements);
     }
     let farthest_m = (LARGEST_M / min_angle).min(view.radius_m) as f32;
-    relief.craters.fresh_around(Vec2::ZERO, farthest_m, CLUSTER_MIN_M, |pit| {
+    relief.craters.fresh_around(&Region::circle(Vec2::ZERO, farthest_m), CLUSTER_MIN_M, |pit| {
         cluster(streams, &pit, coverage, &culling, &mut placements);
     });
     debris(streams, &culling, &mut placements);
