@@ -18,13 +18,13 @@ use std::time::Instant;
 
 use serde_json::{Map, Value, json};
 
-use crate::dataset::attempt::{RenderCost, Scenes, scene_of_seed};
+use crate::dataset::attempt::{RenderCost, Scenes, build_scene, scene_of_seed};
 use crate::dataset::plan::{Plan, Seeds, frame_seed};
 use crate::dataset::{self, Concurrency};
 use crate::error::{Error, Result};
 use crate::host_time::{self, Role, RoleTimes};
 use crate::output::disk;
-use crate::render::{FRAMES_IN_FLIGHT, Renderer, StageTimes, select::selection};
+use crate::render::{FRAMES_IN_FLIGHT, Renderer, StageTimes, Staging};
 use crate::scene::Scene;
 pub use curve::Curve;
 use moving::Moving;
@@ -206,8 +206,8 @@ pub fn run(case: Case, setup: &Setup, folder: &Path, renderer: &mut Renderer) ->
         Case::Poses => {
             // No other attempt would be another scene.
             let plan = Plan { seeds: Seeds::Given, ..setup.plan.clone() };
-            let (moving, seed) = (Moving::new(&plan)?, plan.base_seed);
-            let scenes = |_: &Plan, frame, _| Ok(moving.scene_of_frame(seed, frame));
+            let moving = Moving::new(&plan)?;
+            let scenes = |_: &Plan, frame, _| Ok((moving.scene_of_frame(frame), Staging::WithoutMeshes));
             in_memory(&Setup { plan, ..setup.clone() }, renderer, scenes)
         }
         Case::Scene => scenes(setup, renderer),
@@ -294,7 +294,7 @@ fn moving(setup: &Setup, sun_moves: bool, renderer: &mut Renderer) -> Result<Mea
     let moving = Moving::new(&setup.plan)?;
     // One copy of the scene for each frame that can be in flight, so that none is made during the measurement.
     let mut scenes: Vec<Arc<Scene>> =
-        (0..=setup.frames_in_flight()).map(|_| Arc::new(moving.still.clone())).collect();
+        (0..=setup.frames_in_flight()).map(|_| Arc::new(moving.still.scene.clone())).collect();
     measure(setup, renderer, |frame| {
         let start = Instant::now();
         let oldest = scenes.remove(0);
@@ -310,9 +310,7 @@ fn scenes(setup: &Setup, renderer: &mut Renderer) -> Result<Measured> {
     let plan = &setup.plan;
     measure(setup, renderer, |frame| {
         let start = Instant::now();
-        let seed = frame_seed(plan.base_seed, frame, 0);
-        let scene = Scene::build(seed, &plan.config.draw(seed)?)?;
-        selection::build_rocks(&scene, &plan.settings);
+        let scene = build_scene(plan, frame_seed(plan.base_seed, frame, 0))?.scene;
         Ok((Arc::new(scene), vec![("scene", start.elapsed().as_secs_f64() * 1e3)]))
     })
 }

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Generator, Iterable, Iterator
-from itertools import islice
 from types import TracebackType
 from typing import Any
 
@@ -16,7 +15,7 @@ from ._frame import Frame
 from ._scene import Scene
 from ._settings import MAX_FRAMES, MAX_PREFETCH, MAX_SEED, MAX_THREADS
 from ._settings import Knobs, document, names_of, opening, refused, release_memory, seed_of, size_of, whole
-from ._stream import streamed
+from ._stream import streamed, streamed_in_parts
 
 SEEDS_AHEAD = 1024
 """How many seeds `frames` reads ahead."""
@@ -154,13 +153,12 @@ class Renderer:
         Raises ConfigError for a wrong seed.
         """
         prefetch = whole("prefetch", prefetch, 1, MAX_PREFETCH)
-        rest = map(seed_of, _iterator(seeds))
+        checked = map(seed_of, _iterator(seeds))
 
-        def stream() -> _native.Frames | None:
-            some = list(islice(rest, SEEDS_AHEAD))
-            return self._engine().frames_of_seeds(self._settings, some, prefetch) if some else None
+        def start(some: list[int]) -> _native.Frames:
+            return self._engine().frames_of_seeds(self._settings, some, prefetch)
 
-        return streamed(stream(), stream)
+        return streamed_in_parts(checked, SEEDS_AHEAD, start)
 
     def dataset_frames(
         self, base_seed: int, first: int = 0, step: int = 1, end: int | None = None, prefetch: int = 2

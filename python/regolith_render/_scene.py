@@ -6,7 +6,6 @@ import io
 import os
 from collections.abc import Generator, Iterable
 from dataclasses import dataclass
-from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from . import _native
 from ._frame import Frame
 from ._settings import MAX_PREFETCH, Knobs, document, refused, whole
-from ._stream import streamed
+from ._stream import streamed_in_parts
 
 if TYPE_CHECKING:
     from ._renderer import Renderer
@@ -152,16 +151,16 @@ class Scene:
         """
         prefetch = whole("prefetch", prefetch, 1, MAX_PREFETCH)
         try:
-            rest = iter(poses)
+            listed = iter(poses)
         except TypeError:
             raise refused("poses", poses, "an iterable of poses is expected") from None
         native = self._native()
 
-        def stream() -> _native.Frames | None:
-            some = [_pose(*_camera_and_sun(pose), native) for pose in islice(rest, POSES_AHEAD)]
-            return native.frames(self._renderer._engine(), some, prefetch) if some else None
+        def start(some: list[tuple[str, float | None]]) -> _native.Frames:
+            return native.frames(self._renderer._engine(), some, prefetch)
 
-        return streamed(stream(), stream)
+        checked = (_pose(*_camera_and_sun(pose), native) for pose in listed)
+        return streamed_in_parts(checked, POSES_AHEAD, start)
 
     def ground_height(self, x_m: float, y_m: float) -> float:
         """Height of the ground at a point, metres, world."""

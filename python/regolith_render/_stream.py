@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
+from itertools import islice
+from typing import TypeVar
 
 from . import _native
 from ._frame import Frame
@@ -10,6 +12,20 @@ from ._settings import release_memory
 
 FRAMES_BETWEEN_RELEASES = 100
 """Frames of a stream after which memory that is free goes back to the system."""
+
+Item = TypeVar("Item")
+
+
+def streamed_in_parts(
+    items: Iterator[Item], ahead: int, start: Callable[[list[Item]], _native.Frames]
+) -> Generator[Frame, None, None]:
+    """The frames of these items, of which up to `ahead` are read at once, from now on; `start` starts the stream of some."""
+
+    def part() -> _native.Frames | None:
+        some = list(islice(items, ahead))
+        return start(some) if some else None
+
+    return streamed(part(), part)
 
 
 def streamed(

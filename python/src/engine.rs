@@ -6,10 +6,9 @@ use std::task::Poll;
 use std::time::Duration;
 
 use pyo3::prelude::*;
-use regolith::dataset::attempt::{build_scene, scene_of_seed};
+use regolith::dataset::attempt::build_scene;
 use regolith::dataset::frame_stream::render_scene;
 use regolith::dataset::plan::{MAX_FRAMES, Plan, Seeds};
-use regolith::dataset::pose::PosedScene;
 use regolith::dataset::rules::Rules;
 use regolith::dataset::{Concurrency, FrameStream, cores};
 use regolith::gpu::Gpu;
@@ -150,16 +149,15 @@ impl Engine {
         set: &str,
     ) -> PyResult<PyFrame<'py>> {
         let plan = Plan { seeds: Seeds::Given, ..settings.with(py, set)? };
-        let frame =
-            self.on_pool(py, |renderer| render_scene(&plan, renderer, scene_of_seed(&plan, seed, 0)?));
+        let frame = self.on_pool(py, |renderer| render_scene(&plan, renderer, build_scene(&plan, seed)?));
         convert::frame(py, frame?)
     }
 
     /// The scene of a seed.
     fn scene(&self, py: Python<'_>, settings: &Settings, seed: u64, set: &str) -> PyResult<Scene> {
         let plan = Plan { seeds: Seeds::Given, ..settings.with(py, set)? };
-        let (scene, params) = self.on_pool(py, |_| build_scene(&plan, seed))?;
-        Ok(Scene::new(plan, PosedScene { seed, scene, params }))
+        let built = self.on_pool(py, |_| build_scene(&plan, seed))?;
+        Ok(Scene::new(plan, built))
     }
 
     /// The frames of these seeds.

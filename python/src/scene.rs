@@ -3,9 +3,10 @@
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use regolith::dataset::FrameStream;
+use regolith::dataset::attempt::BuiltScene;
 use regolith::dataset::frame_stream::render_scene;
 use regolith::dataset::plan::Plan;
-use regolith::dataset::pose::{Pose, PosedScene};
+use regolith::dataset::pose::Pose;
 use regolith::export::{self, Detail, Format, Stage};
 
 use crate::convert::{self, PyFrame};
@@ -16,11 +17,11 @@ use crate::errors::raised;
 #[pyclass(frozen)]
 pub(crate) struct Scene {
     plan: Plan,
-    built: PosedScene,
+    built: BuiltScene,
 }
 
 impl Scene {
-    pub(crate) fn new(plan: Plan, built: PosedScene) -> Self {
+    pub(crate) fn new(plan: Plan, built: BuiltScene) -> Self {
         Self { plan, built }
     }
 }
@@ -37,7 +38,7 @@ impl Scene {
     ) -> PyResult<PyFrame<'py>> {
         let frame = engine.on_pool(py, |renderer| {
             let pose = Pose::new(&self.plan, &self.built, set, eye_z_m)?;
-            render_scene(&self.plan, renderer, pose.in_scene(&self.built, &self.plan.settings)?)
+            render_scene(&self.plan, renderer, pose.in_scene(&self.built, &self.plan.settings)?.0)
         });
         convert::frame(py, frame?)
     }
@@ -67,7 +68,7 @@ impl Scene {
     fn export<'py>(&self, py: Python<'py>, format: &str, drawn: bool) -> PyResult<Bound<'py, PyBytes>> {
         let bytes = || -> regolith::Result<Vec<u8>> {
             let format = Format::from_path(std::path::Path::new(&format!("scene.{format}")))?;
-            let PosedScene { seed, scene, params } = &self.built;
+            let BuiltScene { seed, scene, params } = &self.built;
             let knobs = params.to_json();
             let detail = if drawn { Detail::Drawn } else { Detail::Authored };
             let settings = &self.plan.settings;

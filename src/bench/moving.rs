@@ -2,11 +2,10 @@
 //!
 //! Must not know: how a frame is measured.
 
-use crate::dataset::attempt::SceneOfFrame;
+use crate::dataset::attempt::{BuiltScene, build_scene};
 use crate::dataset::plan::Plan;
 use crate::error::Result;
-use crate::params::{Knob, Params};
-use crate::render::Staging;
+use crate::params::Knob;
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
 use crate::scene::sky::Sun;
@@ -16,23 +15,21 @@ const PERIOD: u64 = 40;
 
 /// A scene, and how camera and sun move in it.
 pub(super) struct Moving {
-    params: Params,
     /// At the start.
-    pub(super) still: Scene,
+    pub(super) still: BuiltScene,
 }
 
 impl Moving {
     /// The scene of a plan's base seed.
     pub(super) fn new(plan: &Plan) -> Result<Self> {
-        let params = plan.config.draw(plan.base_seed)?;
-        let still = Scene::build(plan.base_seed, &params)?;
-        Ok(Self { params, still })
+        Ok(Self { still: build_scene(plan, plan.base_seed)? })
     }
 
     /// Moves the camera of a clone of the scene and, if `sun_moves`, its sun to where they are at a frame.
     pub(super) fn set_pose(&self, scene: &mut Scene, frame: u64, sun_moves: bool) {
-        let (eye, sun) = (self.still.camera.eye, self.still.sun);
-        let number = |knob| self.params.number(knob);
+        let BuiltScene { scene: still, params, .. } = &self.still;
+        let (eye, sun) = (still.camera.eye, still.sun);
+        let number = |knob| params.number(knob);
         let turn = std::f64::consts::TAU * (frame % PERIOD) as f64 / PERIOD as f64;
         let mut moved_eye = eye;
         moved_eye.x += 2.0 * libm::sin(turn) as f32;
@@ -52,9 +49,9 @@ impl Moving {
     }
 
     /// The scene with camera and sun moved, for any thread.
-    pub(super) fn scene_of_frame(&self, seed: u64, frame: u64) -> SceneOfFrame {
-        let mut scene = self.still.clone();
-        self.set_pose(&mut scene, frame, true);
-        SceneOfFrame { seed, scene, params: self.params.clone(), staging: Staging::WithoutMeshes }
+    pub(super) fn scene_of_frame(&self, frame: u64) -> BuiltScene {
+        let mut moved = self.still.clone();
+        self.set_pose(&mut moved.scene, frame, true);
+        moved
     }
 }

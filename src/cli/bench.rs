@@ -42,7 +42,7 @@ pub(super) struct BenchArgs {
     /// for each core, with a software adapter one for every two]
     #[arg(long, value_name = "N", value_parser = whole_number::<u16>(1, 256))]
     threads: Option<u16>,
-    /// Frames that the device works on at the same time [default: 2; in these cases of the surface stage 1, on a software
+    /// Frames that the device works on at the same time [default: 2; in the cases poses, frames and dataset of the surface stage 1, on a software
     /// adapter with one thread]
     #[arg(long, value_name = "N", value_parser = whole_number::<u8>(1, 16))]
     frames_in_flight: Option<u8>,

@@ -12,8 +12,8 @@ use crate::error::{Error, Result};
 use crate::frame::Frame;
 use crate::params::Params;
 use crate::render::{
-    FrameCost, FramePacket, FramePlanner, RasterOptions, RawFrame, Renderer, StageTimes, Staging,
-    select::selection,
+    FrameCost, FramePacket, FramePlanner, RasterOptions, RawFrame, RenderSettings, Renderer, StageTimes,
+    Staging, select::selection,
 };
 use crate::scene::Scene;
 
@@ -29,32 +29,41 @@ pub(super) struct FrameScene {
     pub(super) redrawn: Vec<String>,
 }
 
-/// What a frame is of.
-#[derive(Debug)]
-pub struct SceneOfFrame {
-    /// The seed of the scene.
+/// A scene, and what it was built from.
+#[derive(Clone, Debug)]
+pub struct BuiltScene {
+    /// Its seed.
     pub seed: u64,
     /// The scene.
     pub scene: Scene,
     /// The values of its knobs.
     pub params: Params,
-    /// What the device lacks of it.
-    pub staging: Staging,
 }
 
-/// Where the scenes of a plan's frames come from: that of an attempt at a frame, by the frame's index and the number of the attempt.
-pub trait Scenes: Fn(&Plan, u64, u32) -> Result<SceneOfFrame> + Sync {}
+impl BuiltScene {
+    /// Builds a scene with the rocks that a frame of it may need.
+    ///
+    /// # Errors
+    /// Those of [`Scene::build`].
+    pub fn new(seed: u64, params: Params, settings: &RenderSettings) -> Result<Self> {
+        let scene = Scene::build(seed, &params)?;
+        selection::build_rocks(&scene, settings);
+        Ok(Self { seed, scene, params })
+    }
+}
 
-impl<F: Fn(&Plan, u64, u32) -> Result<SceneOfFrame> + Sync> Scenes for F {}
+/// Where the scenes of a plan's frames come from: that of an attempt at a frame, by the frame's index and the number of the attempt, and
+/// what of it is to be staged.
+pub trait Scenes: Fn(&Plan, u64, u32) -> Result<(BuiltScene, Staging)> + Sync {}
+
+impl<F: Fn(&Plan, u64, u32) -> Result<(BuiltScene, Staging)> + Sync> Scenes for F {}
 
 /// The scene of an attempt's seed. It is a [`Scenes`].
 ///
 /// # Errors
 /// Those of [`build_scene`].
-pub fn scene_of_seed(plan: &Plan, index: u64, attempt: u32) -> Result<SceneOfFrame> {
-    let seed = plan.seed_of(index, attempt);
-    let (scene, params) = build_scene(plan, seed)?;
-    Ok(SceneOfFrame { seed, scene, params, staging: Staging::Whole })
+pub fn scene_of_seed(plan: &Plan, index: u64, attempt: u32) -> Result<(BuiltScene, Staging)> {
+    Ok((build_scene(plan, plan.seed_of(index, attempt))?, Staging::Whole))
 }
 
 /// A rendered frame that keeps the rules.
@@ -235,15 +244,12 @@ impl RawAttempt {
     }
 }
 
-/// Builds the scene of a seed with a plan's knobs; returns it with the knobs' values.
+/// Builds the scene of a seed with a plan's knobs.
 ///
 /// # Errors
 /// Those of [`Config::draw`](crate::params::config::Config::draw) and [`Scene::build`].
-pub fn build_scene(plan: &Plan, seed: u64) -> Result<(Scene, Params)> {
-    let params = plan.config.draw(seed)?;
-    let scene = Scene::build(seed, &params)?;
-    selection::build_rocks(&scene, &plan.settings);
-    Ok((scene, params))
+pub fn build_scene(plan: &Plan, seed: u64) -> Result<BuiltScene> {
+    BuiltScene::new(seed, plan.config.draw(seed)?, &plan.settings)
 }
 
 /// Builds the scene of an attempt and plans its frame.
@@ -255,7 +261,7 @@ fn prepare(
 ) -> Result<PreparedAttempt> {
     let start = Instant::now();
     let &Attempt { index, number, ref redrawn } = attempt;
-    let SceneOfFrame { seed, scene, params, staging } = scenes(plan, index, number)?;
+    let (BuiltScene { seed, scene, params }, staging) = scenes(plan, index, number)?;
     let times = vec![("scene", start.elapsed().as_secs_f64() * 1e3)];
     let packet = planner.plan_and_stage(&scene, &plan.settings, staging)?;
     let redrawn = redrawn.clone();

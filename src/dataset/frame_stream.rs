@@ -12,11 +12,11 @@ use std::time::Duration;
 
 use serde_json::{Map, Value};
 
-use super::attempt::{self, FrameScene, RenderCost, RenderedFrame, SceneOfFrame, Scenes, scene_of_seed};
+use super::attempt::{self, BuiltScene, FrameScene, RenderCost, RenderedFrame, Scenes, scene_of_seed};
 use super::in_order::InOrder;
 use super::pipeline::{Concurrency, Job, cores, milliseconds_json, record, run_job};
 use super::plan::{Plan, Seeds};
-use super::pose::{Pose, PosedScene};
+use super::pose::Pose;
 use crate::error::{Error, Result};
 use crate::output::arrays::{Array, arrays};
 use crate::output::rocks_json;
@@ -64,9 +64,8 @@ impl FrameInMemory {
 pub fn render_scene(
     plan: &Plan,
     renderer: &Mutex<impl BorrowMut<Renderer>>,
-    of_frame: SceneOfFrame,
+    BuiltScene { seed, scene, params }: BuiltScene,
 ) -> Result<FrameInMemory> {
-    let SceneOfFrame { seed, scene, params, .. } = of_frame;
     let source = FrameScene {
         index: seed,
         attempt: 0,
@@ -130,13 +129,13 @@ impl FrameStream {
     pub fn of_poses(
         plan: Plan,
         renderer: Arc<Mutex<Renderer>>,
-        (posed, poses): (PosedScene, Vec<Pose>),
+        (built, poses): (BuiltScene, Vec<Pose>),
         concurrency: Concurrency,
         ahead: usize,
     ) -> Result<Self> {
         let plan = Plan { seeds: Seeds::Given, ..plan };
         let indices = 0..poses.len() as u64;
-        let scenes = move |plan: &Plan, index: u64, _| poses[index as usize].in_scene(&posed, &plan.settings);
+        let scenes = move |plan: &Plan, index: u64, _| poses[index as usize].in_scene(&built, &plan.settings);
         Self::of_scenes(plan, renderer, (indices, scenes), concurrency, ahead)
     }
 

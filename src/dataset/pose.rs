@@ -2,26 +2,14 @@
 //!
 //! Must not know: threads, files.
 
-use super::attempt::SceneOfFrame;
+use super::attempt::BuiltScene;
 use super::plan::Plan;
 use crate::error::{Error, Result};
 use crate::params::{Knob, Params, Stage};
-use crate::render::select::selection;
 use crate::render::{RenderSettings, Staging};
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
 use crate::scene::sky::Sun;
-
-/// A scene, and what it was built from.
-#[derive(Clone, Debug)]
-pub struct PosedScene {
-    /// Its seed.
-    pub seed: u64,
-    /// The scene.
-    pub scene: Scene,
-    /// The values of its knobs.
-    pub params: Params,
-}
 
 /// A pose of the camera, and a sun.
 #[derive(Clone, Debug)]
@@ -39,7 +27,7 @@ impl Pose {
     /// # Errors
     /// [`Error::Usage`] for a knob of another section; those of [`Config::apply_toml`](crate::params::config::Config::apply_toml),
     /// [`Config::check`](crate::params::config::Config::check) and [`Config::draw`](crate::params::config::Config::draw).
-    pub fn new(plan: &Plan, of: &PosedScene, set: &str, eye_z_m: Option<f32>) -> Result<Self> {
+    pub fn new(plan: &Plan, of: &BuiltScene, set: &str, eye_z_m: Option<f32>) -> Result<Self> {
         let mut config = plan.config.clone();
         config.apply_toml(set, "camera and sun")?;
         config.check()?;
@@ -58,28 +46,24 @@ impl Pose {
     }
 
     /// The scene from this pose. The nominal stage is the same geometry from every pose; the ground of the surface stage is made for the
-    /// camera, and is made again where the camera has moved.
+    /// camera, and is made again where the camera has moved. Returns what of it is to be staged as well.
     ///
     /// # Errors
     /// Those of [`Scene::build`].
-    pub fn in_scene(&self, of: &PosedScene, settings: &RenderSettings) -> Result<SceneOfFrame> {
+    pub fn in_scene(&self, of: &BuiltScene, settings: &RenderSettings) -> Result<(BuiltScene, Staging)> {
         let params = self.params.clone();
-        let is_rebuilt = self.moves_camera && params.stage() == Stage::Surface;
-        let mut scene = if is_rebuilt {
-            let scene = Scene::build(of.seed, &params)?;
-            selection::build_rocks(&scene, settings);
-            scene
+        let (mut built, staging) = if self.moves_camera && params.stage() == Stage::Surface {
+            (BuiltScene::new(of.seed, params, settings)?, Staging::Whole)
         } else {
             let mut scene = Scene { sun: Sun::build(&params), ..of.scene.clone() };
             if self.moves_camera {
                 scene.camera = Camera::build(&params, &scene.terrain)?;
             }
-            scene
+            (BuiltScene { seed: of.seed, scene, params }, Staging::WithoutMeshes)
         };
         if let Some(z_m) = self.eye_z_m {
-            scene.camera.eye.z = z_m;
+            built.scene.camera.eye.z = z_m;
         }
-        let staging = if is_rebuilt { Staging::Whole } else { Staging::WithoutMeshes };
-        Ok(SceneOfFrame { seed: of.seed, scene, params, staging })
+        Ok((built, staging))
     }
 }

@@ -153,12 +153,17 @@ impl Region {
         if point.distance_squared(self.middle) >= within_m * within_m {
             return false;
         }
-        // With a little room for rounding.
-        let (distance_m, reach_m) = (point.length(), 1.01 * reach_m);
-        distance_m + reach_m >= self.distances_m[0]
-            && distance_m - reach_m <= self.distances_m[1]
-            && self.sides.iter().all(|side| side.dot(point) <= reach_m)
+        // With a little room for rounding, as in a ring.
+        is_near_ring(point.length(), reach_m, self.distances_m)
+            && self.sides.iter().all(|side| side.dot(point) <= 1.01 * reach_m)
     }
+}
+
+/// Whether a point this far from the centre of a ring may be within `reach_m` of it, with a little room for rounding; all in metres.
+#[inline(always)]
+pub(super) fn is_near_ring(distance_m: f32, reach_m: f32, [nearest_m, farthest_m]: [f32; 2]) -> bool {
+    let reach_m = 1.01 * reach_m;
+    distance_m + reach_m >= nearest_m && distance_m - reach_m <= farthest_m
 }
 
 /// One lattice of craters.

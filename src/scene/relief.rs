@@ -10,7 +10,7 @@ use glam::Vec2;
 
 use super::crater_rays::CraterRays;
 use super::crater_wall::CraterWall;
-use super::craters::{CraterField, Pit, Region};
+use super::craters::{CraterField, Pit, Region, is_near_ring};
 use super::far_hills::FarHills;
 use super::fillet::{BATCH, Fillet};
 use super::grains::GrainField;
@@ -207,7 +207,8 @@ impl Relief {
         let circle = Circle::around([x, y]);
         for (distance_m, pit) in &nearby.pits {
             let reach_m = pit.reach_m();
-            if !circle.is_at_distance(*distance_m, reach_m) || !circle.is_near(pit.offset, reach_m) {
+            if !is_near_ring(*distance_m, reach_m, circle.distances_m) || !circle.is_near(pit.offset, reach_m)
+            {
                 continue;
             }
             let share = mesh_share(pit.diameter_m, cell_m);
@@ -268,13 +269,6 @@ impl Circle {
         let (low, high) = (Vec2::from(low), Vec2::from(high));
         let (centre, radius_m) = (0.5 * (low + high), 0.5 * low.distance(high));
         Self { centre, radius_m, distances_m: squares.map(f32::sqrt) }
-    }
-
-    /// Whether any of the points may be within a distance of a point this far from the origin.
-    #[inline(always)]
-    fn is_at_distance(&self, distance_m: f32, reach_m: f32) -> bool {
-        let reach_m = 1.01 * reach_m;
-        distance_m + reach_m >= self.distances_m[0] && distance_m - reach_m <= self.distances_m[1]
     }
 
     /// Whether any of the points may be within a distance of another one: wherever [`is_any_within`] says so, and in few other cases.

@@ -7,7 +7,7 @@ use regolith::Error;
 use regolith::dataset::attempt::build_scene;
 use regolith::dataset::frame_stream::render_scene;
 use regolith::dataset::plan::{Plan, Seeds};
-use regolith::dataset::pose::{Pose, PosedScene};
+use regolith::dataset::pose::Pose;
 use regolith::dataset::rules::Rules;
 use regolith::dataset::{Concurrency, FrameInMemory, FrameStream};
 use regolith::frame::plane::OwnedValues;
@@ -117,9 +117,8 @@ fn frames_of_poses_are_those_of_the_poses_alone() {
         let gpu = Gpu::open(Some(&adapter())).unwrap_or_else(|error| panic!("{error}"));
         let renderer = Arc::new(Mutex::new(Renderer::with_raster(gpu, raster).expect("a renderer")));
         let plan = plan(preset, 48, "rgb,mask,depth,instances");
-        let (scene, params) = build_scene(&plan, 11).expect("a scene");
-        let posed = PosedScene { seed: 11, scene, params };
-        let pose = |set: &str| Pose::new(&plan, &posed, set, None).expect("a pose");
+        let built = build_scene(&plan, 11).expect("a scene");
+        let pose = |set: &str| Pose::new(&plan, &built, set, None).expect("a pose");
         let poses: Vec<Pose> = [
             "",
             "camera.yaw_deg = 20",
@@ -131,22 +130,22 @@ fn frames_of_poses_are_those_of_the_poses_alone() {
         .map(pose)
         .to_vec();
         let concurrency = Concurrency::with_threads(3);
-        let of_scene = (posed.clone(), poses.clone());
+        let of_scene = (built.clone(), poses.clone());
         let frames = FrameStream::of_poses(plan.clone(), Arc::clone(&renderer), of_scene, concurrency, 1);
         let frames: Vec<FrameInMemory> =
             frames.expect("threads").map(|frame| frame.expect("a frame")).collect();
         assert_eq!(frames.iter().map(|frame| frame.index).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 5]);
         assert_eq!(frames[1].arrays, frames[5].arrays);
         for (index, (frame, pose)) in frames.iter().zip(&poses).enumerate() {
-            let of_frame = pose.in_scene(&posed, &plan.settings).expect("a scene");
-            let alone = render_scene(&plan, &renderer, of_frame).expect("a frame");
+            let (posed, _) = pose.in_scene(&built, &plan.settings).expect("a scene");
+            let alone = render_scene(&plan, &renderer, posed).expect("a frame");
             assert_eq!(frame.arrays, alone.arrays, "{preset}, {raster:?}, pose {index}");
             assert_eq!((&frame.record["seed"], &frame.rocks), (&11.into(), &alone.rocks));
             let others = frames.iter().enumerate().filter(|(other, _)| *other != index);
             let same = others.filter(|(_, other)| other.arrays == frame.arrays).count();
             assert_eq!(same, usize::from(index == 1 || index == 5), "pose {index} shows");
         }
-        let wrong = Pose::new(&plan, &posed, "rocks.count = 3", None).expect_err("no pose");
+        let wrong = Pose::new(&plan, &built, "rocks.count = 3", None).expect_err("no pose");
         assert!(wrong.to_string().contains("rocks.count"), "{wrong}");
     }
 }
