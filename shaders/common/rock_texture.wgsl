@@ -1,10 +1,11 @@
 // Solid texture of rocks, anchored in the rock at physical sizes (Perlin 1985, "An Image Synthesizer", introduced solid
 // textures): roughness of fracture faces, vesicles and impact pits, clasts, fractures. Octaves smaller than the spacing of the
-// samples fade out.
+// samples fade out; the coarsest follow from the size of the rock, below what its mesh has.
 
-// Octaves of roughness and of inclusions, from the finest that the samples resolve.
-const ROUGHNESS_OCTAVES: i32 = 3;
-const INCLUSION_OCTAVES: i32 = 3;
+// Fewest octaves of roughness and of inclusions, from the finest that the samples resolve.
+const MIN_OCTAVES: f32 = 3.0;
+// Diameter of a rock over the largest cells of its roughness; those of inclusions are twice as large.
+const CELLS_PER_DIAMETER: f32 = 8.0;
 // Slope per octave of roughness at a size of 8 mm: rock joints have a root mean square slope of 0.2 to 0.4 at 1.3 mm
 // (joint roughness coefficients of 10 to 20; Tse and Cruden 1979).
 const ROUGHNESS_SLOPE: f32 = 0.18;
@@ -20,6 +21,8 @@ const VESICLE_OCTAVE: f32 = -4.0;
 const CLAST_OCTAVE: f32 = -1.7;
 // Half the width of a fracture's dark line, metres.
 const FRACTURE_HALF_WIDTH_M: f32 = 0.0025;
+// How far each octave moves it off its plane, cells.
+const FRACTURE_WANDER: f32 = 0.2;
 
 // A rotation.
 const TEXTURE_FROM_WORLD: mat3x3<f32> = mat3x3<f32>(
@@ -53,11 +56,13 @@ fn rock_texture(position: vec3<f32>, sample_m: f32, seed: u32, diameter_m: f32) 
     let distance_bits = bitcast<u32>(1.4 * sample_m);
     let first = f32(i32(distance_bits >> 23u) - 126);
     let fade_in = 2.0 - bitcast<f32>((distance_bits & 0x7fffffu) | 0x3f800000u);
+    let largest = f32(i32(bitcast<u32>(diameter_m * (1.0 / CELLS_PER_DIAMETER)) >> 23u) - 127);
+    let last = max(largest, first + MIN_OCTAVES - 1.0);
     var coarse = 0.0;
-    for (var k = 0; k < ROUGHNESS_OCTAVES; k++) {
-        let octave = first + f32(k);
+    var wander_m = 0.0;
+    for (var octave = first; octave <= last; octave += 1.0) {
         // The finest fades in.
-        let share = select(1.0, fade_in, k == 0);
+        let share = select(1.0, fade_in, octave == first);
         let noise = value_noise(point * power_of_two(-octave), octave_seed(seed, octave));
         let slope = ROUGHNESS_SLOPE * fifth_root_of_two_to(-octave - 7.0);
         let mottling = MOTTLING * min(1.0, power_of_two(-octave - 6.0));
@@ -65,10 +70,10 @@ fn rock_texture(position: vec3<f32>, sample_m: f32, seed: u32, diameter_m: f32) 
         texture.shade += share * mottling * noise.w;
         texture.hollow -= share * 0.35 * noise.w;
         coarse = noise.w;
+        wander_m += share * power_of_two(octave) * noise.w;
     }
-    for (var k = 0; k < INCLUSION_OCTAVES; k++) {
-        let octave = first + 1.0 + f32(k);
-        let share = select(1.0, fade_in, k == 0);
+    for (var octave = first + 1.0; octave <= last + 1.0; octave += 1.0) {
+        let share = select(1.0, fade_in, octave == first + 1.0);
         let found = inclusion(point * power_of_two(-octave), octave_seed(seed ^ 0x5bd1e995u, octave));
         if is_breccia {
             // Clasts, bright and dark, with sharp borders.
@@ -86,7 +91,7 @@ fn rock_texture(position: vec3<f32>, sample_m: f32, seed: u32, diameter_m: f32) 
         }
     }
     if !is_breccia {
-        texture.shade *= 1.0 - fracture_line(point, coarse, sample_m, diameter_m, kinds);
+        texture.shade *= 1.0 - fracture_line(point, FRACTURE_WANDER * wander_m, coarse, sample_m, diameter_m, kinds);
     }
     texture.shade = max(texture.shade, 0.25);
     texture.gradient = texture.gradient * TEXTURE_FROM_WORLD;
@@ -136,13 +141,12 @@ fn inclusion(p: vec3<f32>, seed: u32) -> Inclusion {
     return Inclusion(offset, dot(offset, offset), f32((hash * 0x9e3779b9u) >> 8u) * (1.0 / 16777216.0));
 }
 
-// Darkening by the fractures of a family of parallel planes; they wander and end where the coarse noise says.
-fn fracture_line(point: vec3<f32>, coarse: f32, sample_m: f32, diameter_m: f32, kinds: u32) -> f32 {
+// Darkening by the fractures of a family of parallel planes; they wander off these, and end where the coarsest noise says.
+fn fracture_line(point: vec3<f32>, wander_m: f32, coarse: f32, sample_m: f32, diameter_m: f32, kinds: u32) -> f32 {
     let bits = vec4<f32>((vec4(kinds * 0x9e3779b9u) >> vec4(0u, 8u, 16u, 24u)) & vec4(255u)) * (1.0 / 255.0);
     let across = unit(bits.xyz - 0.5 + vec3(0.001));
     let spacing_m = 0.06 + diameter_m * (0.25 + 0.30 * bits.w);
-    // The coarse noise varies over about 12 samples.
-    let along = dot(across, point) + 0.8 * sample_m * coarse;
+    let along = dot(across, point) + wander_m;
     let distance_m = spacing_m * abs(fract(along / spacing_m + bits.x) - 0.5);
     let covered = clamp((FRACTURE_HALF_WIDTH_M + 0.5 * sample_m - distance_m) / sample_m, 0.0, 1.0);
     let thinned = min(1.0, 2.0 * FRACTURE_HALF_WIDTH_M / sample_m);
