@@ -20,8 +20,8 @@ use super::process::stop_on_signals;
 
 #[derive(Args, Debug)]
 pub(super) struct BenchArgs {
-    /// Cases to measure, separated by commas: camera, static-sun, poses, scene, frames, dataset
-    #[arg(long, value_name = "LIST", default_value = "camera,static-sun,scene,dataset")]
+    /// Cases to measure, separated by commas; --help lists them
+    #[arg(long, value_name = "LIST", default_value = "camera,static-sun,scene,dataset", long_help = list_of_cases())]
     cases: String,
     /// Number of frames of each case, after a warm-up
     #[arg(long, value_name = "N", default_value_t = 30, value_parser = whole_number::<u64>(1, 1_000_000))]
@@ -81,6 +81,11 @@ pub(super) fn run(args: &BenchArgs, messages: Messages) -> Result<()> {
     }?;
     device::store_pipelines(renderer.gpu());
     Ok(())
+}
+
+fn list_of_cases() -> String {
+    let line = |(_, name, what): &(Case, &str, &str)| format!("\n  {name:<10}  {what}");
+    "Cases to measure, separated by commas:".to_owned() + &Case::ALL.iter().map(line).collect::<String>()
 }
 
 fn parse_cases(list: &str) -> Result<Vec<Case>> {
