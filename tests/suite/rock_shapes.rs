@@ -158,8 +158,8 @@ fn texture_bands(frame: &Frame, side: usize) -> Option<[f64; 2]> {
 }
 
 /// An image of a quarter of the width shows the same texture as the mean of the larger one's pixels: a rock that comes nearer gains finer
-/// detail and keeps what was seen of it. While the texture had only the octaves next to the size of a sample, nothing that a large rock
-/// showed at some distance was left close by (correlations of 0.67 to 0.82).
+/// detail and keeps what was seen of it. While the texture had only the three octaves next to the size of a sample, much of what a large
+/// rock showed at some distance was gone close by (correlations of 0.67 to 0.82).
 #[test]
 fn texture_of_rocks_is_the_same_at_four_times_the_resolution() {
     const SIDES: [usize; 2] = [192, 768];
