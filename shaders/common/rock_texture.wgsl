@@ -1,6 +1,6 @@
 // Solid texture of rocks, anchored in the rock at physical sizes (Perlin 1985, "An Image Synthesizer", introduced solid
 // textures): roughness of fracture faces, vesicles and impact pits, clasts, fractures. Octaves smaller than the spacing of the
-// samples fade out; the coarsest follow from the size of the rock, below what its mesh has.
+// samples fade out; the coarsest follow from the size of the rock.
 
 // Fewest octaves of roughness and of inclusions, from the finest that the samples resolve.
 const MIN_OCTAVES: f32 = 3.0;
@@ -51,12 +51,11 @@ fn rock_texture(position: vec3<f32>, sample_m: f32, seed: u32, diameter_m: f32) 
     let is_vesicular = kind > 0.4 && !is_breccia;
 
     var texture = RockTexture(vec3(0.0), 1.0, 0.0);
-    // The next power of two above the distance between samples, and how far that is below it: without a logarithm, which drivers
-    // compute with or without fused operations.
-    let distance_bits = bitcast<u32>(1.4 * sample_m);
-    let first = f32(i32(distance_bits >> 23u) - 126);
-    let fade_in = 2.0 - bitcast<f32>((distance_bits & 0x7fffffu) | 0x3f800000u);
-    let largest = f32(i32(bitcast<u32>(diameter_m * (1.0 / CELLS_PER_DIAMETER)) >> 23u) - 127);
+    // The next power of two above the distance between samples, and how far that is below it.
+    let distance_m = 1.4 * sample_m;
+    let first = floor_log2(distance_m) + 1.0;
+    let fade_in = 2.0 - distance_m * power_of_two(1.0 - first);
+    let largest = floor_log2(diameter_m * (1.0 / CELLS_PER_DIAMETER));
     let last = max(largest, first + MIN_OCTAVES - 1.0);
     var coarse = 0.0;
     var wander_m = 0.0;
@@ -98,7 +97,12 @@ fn rock_texture(position: vec3<f32>, sample_m: f32, seed: u32, diameter_m: f32) 
     return texture;
 }
 
-// Drivers compute exp2 with or without fused operations; these are exact, or the same everywhere. Exponents are whole numbers.
+// Drivers compute log2 and exp2 with or without fused operations; these are exact, or the same everywhere. Exponents are whole numbers.
+
+// Logarithm of a positive number, rounded down.
+fn floor_log2(x: f32) -> f32 {
+    return f32(i32(bitcast<u32>(x) >> 23u) - 127);
+}
 
 fn power_of_two(exponent: f32) -> f32 {
     return bitcast<f32>(u32(clamp(i32(exponent), -60, 60) + 127) << 23u);
