@@ -47,16 +47,16 @@ impl RawFrame {
                 frame.rocks = post::rock_labels::rocks(rendered_scene, rendered, request.image.size, frame);
             });
         }
-        let (mut light, mut sun) = (Vec::new(), None);
+        let (mut exposure, mut sun) = (None, None);
         if let Some(sensor) = &scene.sensor {
             timed(&mut frame, "sensor", &mut |frame| {
                 sun = SunGlare::take(frame, scene);
-                light = post::sensor::expose(frame, sensor, scene.camera.exposure_ev, sun.as_ref());
+                exposure = Some(post::sensor::expose(frame, sensor, scene.camera.exposure_ev, sun.as_ref()));
             });
         }
         if scene.label_rule.needs_instances() {
             timed(&mut frame, "label_policy", &mut |frame| {
-                post::label_policy::apply(rendered_scene, rendered, frame, &light);
+                post::label_policy::apply(rendered_scene, rendered, frame, exposure.as_ref());
                 if !request.annotations.contains(Annotation::Instances) {
                     frame.instances = Vec::new();
                 }

@@ -6,8 +6,9 @@
 //! * the root of the sum of squares of the differences in mean and in standard deviation between its pixels and those around it is
 //!   below a number of standard deviations of the noise of a pixel, by default 3, the limit of detection (Currie 1968), or
 //! * the mean of its signal above that of the darkest pixel of the image is below the same number of standard deviations of the noise
-//!   in the dark: a rock in shadow, whose outline cannot be distinguished from the shadow's.
+//!   in the dark, or that of nine tenths of its pixels is: a rock in shadow, whose outline cannot be distinguished from the shadow's.
 //!
+//! What a contrast stretch makes black is dark, and what it makes white is equal, whatever the sensor got of it.
 //! Each rock is summed by itself in the order of its pixels, so that no number depends on threads.
 //! Must not know: how rocks were drawn.
 
@@ -15,6 +16,7 @@ use rayon::prelude::*;
 
 use crate::class::ClassId;
 use crate::frame::{Frame, LabelReason};
+use crate::render::post::sensor::{CodeRange, Exposure};
 use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
 use crate::scene::label_rule::{LabelPolicy, LabelRule};
@@ -24,15 +26,18 @@ use crate::scene::sensor::Sensor;
 const RING_PX: usize = 3;
 /// Largest value, in means of the image, that counts as dark.
 const MAX_DARK: f64 = 0.1;
+/// Least share of the pixels of a rock that must stand out from the dark.
+const MIN_LIT_SHARE: f64 = 0.1;
 /// Fewest pixels of surroundings without rocks; with fewer, other rocks are part of the surroundings.
 const MIN_RING_PX: f64 = 4.0;
 
 /// Applies the label rule to the class, the instances and the rock labels of a frame with instances. `scene` and `drawn` are those
-/// that were drawn; `light` is that of each of the sensor's channels, as `sensor::expose` returns it.
-pub(crate) fn apply(scene: &Scene, drawn: &RenderSettings, frame: &mut Frame, light: &[Vec<f32>]) {
+/// that were drawn; `exposure` is that of the scene's sensor, if it has one.
+pub(crate) fn apply(scene: &Scene, drawn: &RenderSettings, frame: &mut Frame, exposure: Option<&Exposure>) {
     let rule = &scene.label_rule;
     let regions = Region::all(frame);
-    let signal = (rule.unseen != LabelPolicy::Rock).then(|| Signal::new(frame, scene.sensor.as_ref(), light));
+    let seen_by = scene.sensor.as_ref().zip(exposure);
+    let signal = (rule.unseen != LabelPolicy::Rock).then(|| Signal::new(frame, seen_by));
     let focal_px = scene.camera.focal_px(drawn.size[0]) as f32;
     let reason = |region: &Region| {
         let rock = &scene.rocks[usize::from(region.instance) - 1];
@@ -189,24 +194,24 @@ impl Moments {
 struct Signal<'a> {
     /// Of each pixel: electrons, the mean of the channels; without a sensor 8-bit values.
     values: Vec<f32>,
-    sensor: Option<&'a Sensor>,
-    /// The value of the darkest pixel, as far as that is dark: the veil that lies over the image.
+    sensor: Option<(&'a Sensor, CodeRange)>,
+    /// The value of the darkest pixel, as far as that is dark: the veil that lies over the image. What is black in the image is dark.
     dark: f64,
     /// Pixels of the sensor that a pixel of the image is the mean of, 1 or more.
     averaged: f64,
 }
 
 impl<'a> Signal<'a> {
-    fn new(frame: &Frame, sensor: Option<&'a Sensor>, light: &[Vec<f32>]) -> Self {
-        let values: Vec<f32> = if let Some(sensor) = sensor {
-            let (black, scale) = (sensor.black_level as f32, sensor.full_well_e as f32);
+    fn new(frame: &Frame, seen_by: Option<(&'a Sensor, &Exposure)>) -> Self {
+        let values: Vec<f32> = if let Some((sensor, Exposure { light, codes })) = seen_by {
+            let ([black, white], scale) = (codes.light, sensor.full_well_e as f32);
             let part = 1.0 / light.len() as f32;
             let (first, others) = light.split_first().expect("a sensor has channels");
             let mut values = first.clone();
             for channel in others {
                 values.iter_mut().zip(channel).for_each(|(value, light)| *value += light);
             }
-            values.iter_mut().for_each(|value| *value = scale * (part * *value).clamp(black, 1.0));
+            values.iter_mut().for_each(|value| *value = scale * (part * *value).clamp(black, white.min(1.0)));
             blurred(&values, frame.width as usize, sensor.psf_px / sensor.pixels_per_side(frame.width))
         } else {
             frame
@@ -217,20 +222,28 @@ impl<'a> Signal<'a> {
         };
         let darkest = values.iter().copied().fold(f32::INFINITY, f32::min);
         let mean = values.iter().map(|value| f64::from(*value)).sum::<f64>() / values.len() as f64;
-        let per_side = sensor.map_or(1.0, |sensor| sensor.pixels_per_side(frame.width).max(1.0));
-        Self { dark: f64::from(darkest).min(MAX_DARK * mean), values, sensor, averaged: per_side * per_side }
+        let sensor = seen_by.map(|(sensor, exposure)| (sensor, exposure.codes));
+        let per_side = sensor.map_or(1.0, |(sensor, _)| sensor.pixels_per_side(frame.width).max(1.0));
+        let black = sensor.map_or(0.0, |(sensor, codes)| sensor.full_well_e * f64::from(codes.light[0]));
+        let dark = f64::from(darkest).min(MAX_DARK * mean).max(black);
+        Self { dark, values, sensor, averaged: per_side * per_side }
     }
 
     /// Whether nobody can see a rock: see the head of this file.
     fn hides(&self, frame: &Frame, region: &Region, contrast: f64) -> bool {
         let value = |pixel: usize| f64::from(self.values[pixel]);
         let (mut rock, mut ground, mut others) = (Moments::default(), Moments::default(), Moments::default());
+        let least_lit = self.dark + contrast * self.noise(self.dark);
+        let mut lit_px = 0.0;
         region.for_each_pixel(
             frame,
-            |pixel| rock.add(value(pixel)),
+            |pixel| {
+                rock.add(value(pixel));
+                lit_px += f64::from(u8::from(value(pixel) >= least_lit));
+            },
             |pixel| (if frame.instances[pixel] == 0 { &mut ground } else { &mut others }).add(value(pixel)),
         );
-        if rock.mean() - self.dark < contrast * self.noise(self.dark) {
+        if rock.mean() < least_lit || lit_px < MIN_LIT_SHARE * rock.count() {
             return true;
         }
         if ground.count() < MIN_RING_PX {
@@ -244,18 +257,16 @@ impl<'a> Signal<'a> {
     /// Standard deviation of a pixel's noise at this signal, electrons: the sensor's, and a step of the 8-bit image, below which no
     /// difference is visible. Without a sensor that step alone.
     fn noise(&self, signal_e: f64) -> f64 {
-        let Some(sensor) = self.sensor else { return 1.0 };
+        let Some((sensor, codes)) = self.sensor else { return 1.0 };
         let fill = signal_e / sensor.full_well_e;
-        let (noise, step) = (sensor.noise_of(fill, self.averaged), srgb_step(fill));
+        let (noise, step) = (sensor.noise_of(fill, self.averaged), f64::from(codes.step) * srgb_slope(fill));
         sensor.full_well_e * (noise * noise + step * step).sqrt()
     }
 }
 
-/// Height of a step of the 8-bit image at a linear value, 0 to 1: the derivative of the inverse of the sRGB curve (IEC 61966-2-1).
-fn srgb_step(linear: f64) -> f64 {
-    let slope =
-        if linear <= 0.003_130_8 { 1.0 / 12.92 } else { 2.4 / 1.055 * libm::pow(linear.min(1.0), 1.4 / 2.4) };
-    slope / 255.0
+/// Derivative of the inverse of the sRGB curve (IEC 61966-2-1) at a linear value, 0 to 1.
+fn srgb_slope(linear: f64) -> f64 {
+    if linear <= 0.003_130_8 { 1.0 / 12.92 } else { 2.4 / 1.055 * libm::pow(linear.min(1.0), 1.4 / 2.4) }
 }
 
 /// An image behind a narrow point spread function of this standard deviation: three taps along rows and columns with the same variance.
@@ -288,6 +299,47 @@ fn blurred(values: &[f32], width: usize, sigma_px: f64) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::sensor::Mosaic;
+
+    /// Whether a rock on even ground is hidden, in an image whose codes span this light. `rock` maps the columns and rows of its 10 x 10
+    /// pixels to light.
+    fn is_hidden(rock: impl Fn(usize, usize) -> f32, ground: f32, codes: [f32; 2]) -> bool {
+        const SIDE: usize = 30;
+        let within = |at: usize| at.checked_sub(10).filter(|from_edge| *from_edge < 10);
+        let pixels = || (0..SIDE * SIDE).map(|pixel| within(pixel % SIDE).zip(within(pixel / SIDE)));
+        let frame = Frame {
+            width: SIDE as u32,
+            height: SIDE as u32,
+            instances: pixels().map(|in_rock| u16::from(in_rock.is_some())).collect(),
+            ..Frame::default()
+        };
+        let light = |in_rock: Option<(usize, usize)>| in_rock.map_or(ground, |(x, y)| rock(x, y));
+        let mut light: Vec<f32> = pixels().map(light).collect();
+        // The image has a black sky.
+        light[..SIDE].fill(0.0);
+        let sensor = Sensor { read_noise_e: 20.0, ..Sensor::ideal(Mosaic::Monochrome) };
+        let exposure = Exposure { light: vec![light], codes: CodeRange { light: codes, step: 1.0 / 255.0 } };
+        Signal::new(&frame, Some((&sensor, &exposure))).hides(&frame, &Region::all(&frame)[0], 3.0)
+    }
+
+    #[test]
+    fn rocks_that_are_black_but_for_a_few_pixels_are_hidden() {
+        let lit =
+            |count: usize| is_hidden(|x, y| if x + 10 * y < count { 0.5 } else { 0.0 }, 0.01, [0.0, 1.0]);
+        assert_eq!([0, 3, 9, 10, 40].map(lit), [true, true, true, false, false]);
+        // A mean of as much light, spread evenly, is seen.
+        assert!(!is_hidden(|_, _| 0.015, 0.01, [0.0, 1.0]));
+    }
+
+    #[test]
+    fn what_a_contrast_stretch_makes_black_or_white_is_hidden() {
+        let hidden = |rock: f32, ground: f32, codes| is_hidden(|_, _| rock, ground, codes);
+        for (rock, ground, range) in [(0.05, 0.07, [0.08, 1.0]), (0.9, 0.8, [0.0, 0.7])] {
+            assert!(!hidden(rock, ground, [0.0, 1.0]) && hidden(rock, ground, range), "{rock} on {ground}");
+        }
+        // One that is black on brighter ground looks like a shadow, one that is white is a rock.
+        assert!(hidden(0.05, 0.2, [0.08, 1.0]) && !hidden(0.9, 0.5, [0.0, 0.7]));
+    }
 
     /// Rocks with holes, in several parts, at the edges, and one that surrounds another.
     #[test]

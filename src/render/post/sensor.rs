@@ -37,10 +37,27 @@ const PANCHROMATIC: [f32; 3] = [1.0 / 3.0; 3];
 /// of the point spread function visible as black rings.
 const MAX_FILL: f32 = 4.0;
 
+/// What a sensor got of a frame, and what the image shows of it.
+#[derive(Clone, Debug)]
+pub struct Exposure {
+    /// The light of each channel in each pixel of the image, glare included, before point spread and noise; 1 is the full well.
+    pub light: Vec<Vec<f32>>,
+    /// What the 8 bits of the image are of it.
+    pub codes: CodeRange,
+}
+
+/// The light of the 8-bit codes of an image.
+#[derive(Clone, Copy, Debug)]
+pub struct CodeRange {
+    /// The light that becomes black, and the light that becomes white.
+    pub light: [f32; 2],
+    /// A step of the codes in the sRGB encoding of the light, 1 for white: 1/255 without a contrast stretch.
+    pub step: f32,
+}
+
 /// Replaces the 8-bit image of `frame`, whose radiance must be present, by what `sensor` records of it. `exposure_ev` is the
-/// exposure of the camera, stops; `sun`, what was taken out of the radiance of a sun in or near the image. Returns the
-/// light of each channel in each pixel of the image, glare included, before point spread and noise; 1 is the full well.
-pub fn expose(frame: &mut Frame, sensor: &Sensor, exposure_ev: f32, sun: Option<&SunGlare>) -> Vec<Vec<f32>> {
+/// exposure of the camera, stops; `sun`, what was taken out of the radiance of a sun in or near the image.
+pub fn expose(frame: &mut Frame, sensor: &Sensor, exposure_ev: f32, sun: Option<&SunGlare>) -> Exposure {
     let size @ [width, height] = [frame.width as usize, frame.height as usize];
     let mut channels = spectral_channels(frame, sensor.mosaic);
     let veils: Vec<f32> = channels.iter().map(|channel| veil(channel, sensor)).collect();
@@ -64,31 +81,36 @@ pub fn expose(frame: &mut Frame, sensor: &Sensor, exposure_ev: f32, sun: Option<
     if sensor.halation > 0.0 {
         channels.iter_mut().for_each(|channel| film::add_halation(channel, size, sensor.halation));
     }
-    record((&mut frame.rgb, &frame.class), sensor, &channels, size);
+    let codes = record((&mut frame.rgb, &frame.class), sensor, &channels, size);
     if sensor.jpeg_quality > 0 {
         jpeg::compress(&mut frame.rgb, size, sensor.jpeg_quality);
     }
-    channels
+    Exposure { light: channels, codes }
 }
 
-/// Writes the 8-bit image of `size` columns and rows that a sensor makes of the light of its channels.
+/// Writes the 8-bit image of `size` columns and rows that a sensor makes of the light of its channels. Returns what its codes are.
 fn record(
     (rgb, classes): (&mut [u8], &[u8]),
     sensor: &Sensor,
     channels: &[Vec<f32>],
     size @ [width, _]: [usize; 2],
-) {
+) -> CodeRange {
     let recorder = Recorder::new(sensor, channels, size);
     let rows = recorder.band_rows();
     let band_len = 3 * width * rows;
-    if sensor.stretch > 0.0 {
+    let [black, white] = if sensor.stretch > 0.0 {
         let mut levels = vec![0; rgb.len()];
         let bands = levels.par_chunks_mut(band_len).enumerate();
         bands.for_each(|(band, levels)| recorder.record(band * rows, levels, stretch::fine_level));
-        stretch::stretch(&levels, classes, sensor.stretch, rgb);
+        stretch::stretch(&levels, classes, sensor.stretch, rgb)
     } else {
         let bands = rgb.par_chunks_mut(band_len).enumerate();
         bands.for_each(|(band, rgb)| recorder.record(band * rows, rgb, |value| (value + 0.5) as u8));
+        [0.0, 1.0]
+    };
+    CodeRange {
+        light: [black, white].map(|encoded| recorder.light_of(encoded)),
+        step: (white - black) / 255.0,
     }
 }
 

@@ -5,7 +5,7 @@
 use fearless_simd::{Level, dispatch};
 
 use super::demosaic::{REACH, demosaic_row, mirrored};
-use super::encoding::SrgbCodes;
+use super::encoding::{SrgbCodes, linear_from_srgb};
 use super::optics::{convolve_row, psf_taps, weighted_sum};
 use super::readout::Readout;
 use super::resampling::{Resampling, ResamplingTable};
@@ -92,6 +92,12 @@ impl<'a> Recorder<'a> {
                 }
             }
         }
+    }
+
+    /// The light, 1 for the full well, of an encoded value, 1 for white.
+    pub(super) fn light_of(&self, encoded: f32) -> f32 {
+        let black = self.sensor.black_level as f32;
+        black + (1.0 - black) * linear_from_srgb(encoded)
     }
 
     /// The encoded values, 0 to 255, of rows of the sensor: of each row its channels, one after another.

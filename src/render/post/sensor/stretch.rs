@@ -23,14 +23,16 @@ pub(super) fn fine_level(value: f32) -> u16 {
 }
 
 /// Writes the 8-bit image of the fine levels of an image, red, green and blue in turn, of which this fraction becomes black and as many
-/// white, unless the two levels are closer than a quarter of the range. `classes` has the class of each pixel.
-pub(super) fn stretch(levels: &[u16], classes: &[u8], share: f64, rgb: &mut [u8]) {
+/// white, unless the two levels are closer than a quarter of the range. `classes` has the class of each pixel. Returns the encoded values
+/// that become black and white, 0 to 1; above 1 if none becomes white.
+pub(super) fn stretch(levels: &[u16], classes: &[u8], share: f64, rgb: &mut [u8]) -> [f32; 2] {
     let [low, high] = limits(levels, classes, share);
     let per_level = 255.0 / (high - low);
     for (value, level) in rgb.iter_mut().zip(levels) {
         // A cast to `u8` ends at 0 and 255.
         *value = ((f32::from(*level) - low) * per_level + 0.5) as u8;
     }
+    [low / WHITE, high / WHITE]
 }
 
 /// The levels that become black and white.
