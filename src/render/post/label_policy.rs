@@ -233,17 +233,17 @@ impl<'a> Signal<'a> {
     fn hides(&self, frame: &Frame, region: &Region, contrast: f64) -> bool {
         let value = |pixel: usize| f64::from(self.values[pixel]);
         let (mut rock, mut ground, mut others) = (Moments::default(), Moments::default(), Moments::default());
-        let least_lit = self.dark + contrast * self.noise(self.dark);
+        let min_lit = self.dark + contrast * self.noise(self.dark);
         let mut lit_px = 0.0;
         region.for_each_pixel(
             frame,
             |pixel| {
                 rock.add(value(pixel));
-                lit_px += f64::from(u8::from(value(pixel) >= least_lit));
+                lit_px += f64::from(u8::from(value(pixel) >= min_lit));
             },
             |pixel| (if frame.instances[pixel] == 0 { &mut ground } else { &mut others }).add(value(pixel)),
         );
-        if rock.mean() < least_lit || lit_px < MIN_LIT_SHARE * rock.count() {
+        if rock.mean() < min_lit || lit_px < MIN_LIT_SHARE * rock.count() {
             return true;
         }
         if ground.count() < MIN_RING_PX {
