@@ -335,12 +335,7 @@ fn check_frame(name: &str, scene: &Scene, frame: &Frame, (truth, hits): (&Truth,
     let bound = if scene.relief.is_some() { 15.0 } else { 1.0 };
     assert!(normal < bound, "{name}: normals {normal} degrees");
 
-    let errors: Vec<f32> = shadows
-        .par_iter()
-        .map(|&(pixel, origin)| {
-            f32::from(frame.sun_occlusion[pixel]) / 255.0 - truth.sun_occlusion(scene, origin, pixel as u64)
-        })
-        .collect();
+    let errors = shadow_errors(scene, frame, truth, &shadows);
     let n = errors.len() as f32;
     let mean = errors.iter().map(|e| e.abs()).sum::<f32>() / n;
     let signed = errors.iter().sum::<f32>() / n;
@@ -352,6 +347,39 @@ fn check_frame(name: &str, scene: &Scene, frame: &Frame, (truth, hits): (&Truth,
     assert!(mean < 0.01, "{name}: mean shadow error {mean}");
     assert!(signed.abs() < 0.005, "{name}: signed shadow error {signed}");
     assert!(far_off < 0.01, "{name}: {far_off} of the pixels are off by over 0.25");
+}
+
+/// Errors of the sun's occlusion in some pixels of a frame, each with the origin of its shadow rays.
+fn shadow_errors(scene: &Scene, frame: &Frame, truth: &Truth, shadows: &[(usize, Vec3)]) -> Vec<f32> {
+    let error = |&(pixel, origin): &(usize, Vec3)| {
+        f32::from(frame.sun_occlusion[pixel]) / 255.0 - truth.sun_occlusion(scene, origin, pixel as u64)
+    };
+    shadows.par_iter().map(error).collect()
+}
+
+/// The seeds among 24 whose foreground has most facets that a sun 5 degrees high grazes.
+#[test]
+fn shadows_of_grazed_ground_keep_their_bound() {
+    for seed in [2, 16] {
+        let scene = scene(seed, &["sun.elevation_deg=5"]);
+        let mut settings = RenderSettings::new([SIDE; 2], 1).expect("settings");
+        settings.annotations = [Annotation::Instances, Annotation::Shadow].into_iter().collect();
+        let truth = Truth::new(&scene, Some(&settings));
+        let frame = render_by(BACKENDS[0], &scene, &settings);
+        let of_ground = |(pixel, found): (usize, Option<(Hit, Vec3)>)| {
+            let (hit, point) = found?;
+            let is_lit = [hit.facet_normal, hit.normal].iter().all(|n| n.dot(scene.sun.direction) > 0.0);
+            let is_checked =
+                is_lit && pixel % SHADOW_STRIDE == 0 && hit.instance == 0 && frame.instances[pixel] == 0;
+            is_checked.then(|| (pixel, shadow_ray_origin(&scene, &hit, point)))
+        };
+        let shadows: Vec<_> =
+            cast_image(&scene, &truth).into_iter().enumerate().filter_map(of_ground).collect();
+        let errors = shadow_errors(&scene, &frame, &truth, &shadows);
+        let mean = errors.iter().map(|e| e.abs()).sum::<f32>() / errors.len() as f32;
+        println!("seed {seed}: shadow mean error {mean:.4} over {} pixels of ground", errors.len());
+        assert!(errors.len() > 1000 && mean < 0.01, "seed {seed}: mean shadow error {mean}");
+    }
 }
 
 /// Classes against the finest meshes, whose levels of detail a frame may not show.

@@ -31,21 +31,26 @@ use crate::render::select::footprint::Footprint;
 use crate::scene::sky::Sun;
 use crate::scene::terrain::{Layout, Terrain};
 
-/// Samples of the map per cell of a square of ground.
+/// Samples of the map per cell of a square of ground, under a sun that is not low.
 const SAMPLES_PER_CELL: f32 = 3.0;
 /// Samples of the map per cell of rings, at the distance where a grid ends; half as many where it begins.
 const SAMPLES_PER_RING_CELL: f32 = 2.4;
+/// Elevation of the sun, degrees, below which the map has more samples per cell: rays that graze the ground are stopped by less than
+/// lies between the samples.
+const LOW_SUN_DEG: f64 = 7.5;
+/// How many times as many it has at most, along each axis. Beyond this the errors of shadows fall slowly.
+const MAX_REFINEMENT: f64 = 1.5;
 /// Maximum samples along a side of the map.
 const MAX_SAMPLES: u32 = 2048;
 /// Where the image would be larger, the steps of all grids grow by this factor until it is not.
 const COARSENING: f32 = 1.25;
 /// Distance that the finest grid over rings serves, metres.
 const FINEST_M: f32 = 5.0;
-/// How far ground may stand out of what a coarser grid knows of it, steps of the grid: the sweep of a finer grid starts so far
+/// How far ground may stand out of what a coarser grid knows of it, steps of the grid under a high sun: the sweep of a finer grid starts so far
 /// towards the sun that such ground casts no shadow into it. With three times as much, images with the sun 2 to 17 degrees high
 /// were the same to the bit; with half as much, some were not.
 const DETAIL_STEPS: f32 = 9.0;
-/// Maximum number of samples that the sweep of a finer grid starts further towards the sun.
+/// Maximum number of samples that the sweep of a finer grid starts further towards the sun, under a high sun.
 const MAX_BEYOND: f32 = 512.0;
 /// Further than everything, metres.
 const FARTHEST_M: f32 = 1e9;
@@ -115,7 +120,8 @@ fn grids_of_steps<'a>(
     let plan = |(level, &step_m): (usize, &f32)| {
         let lattice = SweepLattice::new(terrain, heightfield, sun, towards, step_m);
         let end_m = if steps_m.len() == 1 { FARTHEST_M } else { base_m * (1_u32 << level) as f32 };
-        let beyond = (DETAIL_STEPS * step_m / lattice.fall_m[0].max(1e-6)).min(MAX_BEYOND).ceil();
+        let detail_m = DETAIL_STEPS * refinement(sun) * step_m;
+        let beyond = (detail_m / lattice.fall_m[0].max(1e-6)).min(MAX_BEYOND * refinement(sun)).ceil();
         let margin: f32 = if level == 0 { 0.0 } else { start_m / step_m };
         let region = lattice.region(&footprint.within(terrain.centre, end_m), margin);
         start_m = step_m * (margin + SweepRegion::ROUNDED + beyond);
@@ -226,7 +232,7 @@ impl HorizonMap {
     pub fn compute(&mut self, terrain: &Arc<Terrain>, sun: &Sun, footprint: &Footprint, max_texture_px: u32) {
         let azimuth = sun.azimuth_deg.to_radians();
         let towards = Vec2::new(libm::sin(azimuth) as f32, libm::cos(azimuth) as f32);
-        let (base_m, steps_m) = level_steps_m(terrain, towards);
+        let (base_m, steps_m) = level_steps_m(terrain, sun, towards);
         let is_square = matches!(terrain.layout, Layout::Square);
         if is_square {
             Heightfield::update_shared(&mut self.heightfield, terrain, steps_m[0]);
@@ -310,12 +316,19 @@ impl HorizonMap {
     }
 }
 
+/// How many times as many samples per cell the map of a sun has, along each axis, as that of a high one.
+fn refinement(sun: &Sun) -> f32 {
+    (LOW_SUN_DEG / sun.elevation_deg.max(1.0)).clamp(1.0, MAX_REFINEMENT) as f32
+}
+
 /// The distance that the finest grid serves, and the step between the samples of each grid, the finest first, metres.
-fn level_steps_m(terrain: &Terrain, towards: Vec2) -> (f32, Vec<f32>) {
+fn level_steps_m(terrain: &Terrain, sun: &Sun, towards: Vec2) -> (f32, Vec<f32>) {
+    let refinement = refinement(sun);
     match &terrain.layout {
         Layout::Square => {
             let side_m = sweep::side_m(terrain, towards);
-            let step_m = (terrain.cell_m() / SAMPLES_PER_CELL).max(side_m / (MAX_SAMPLES - 2) as f32);
+            let step_m =
+                (terrain.cell_m() / (SAMPLES_PER_CELL * refinement)).max(side_m / (MAX_SAMPLES - 2) as f32);
             (FARTHEST_M, vec![step_m])
         }
         Layout::Rings(rings) => {
@@ -323,7 +336,7 @@ fn level_steps_m(terrain: &Terrain, towards: Vec2) -> (f32, Vec<f32>) {
             let base_m = FINEST_M.max(reach_m / (1_u32 << (MAX_LEVELS - 1)) as f32);
             let (mut steps_m, mut end_m) = (Vec::new(), base_m);
             loop {
-                steps_m.push(rings.cell_m(end_m.min(reach_m)) / SAMPLES_PER_RING_CELL);
+                steps_m.push(rings.cell_m(end_m.min(reach_m)) / (SAMPLES_PER_RING_CELL * refinement));
                 if end_m >= reach_m {
                     break;
                 }
@@ -412,7 +425,7 @@ mod tests {
         config.apply_set("terrain.cell_mrad=2").expect("a knob");
         let scene = crate::scene::Scene::build(3, &config.draw(3).expect("knobs")).expect("a scene");
         let (terrain, towards) = (&*scene.terrain, Vec2::Y);
-        let (base_m, steps_m) = level_steps_m(terrain, towards);
+        let (base_m, steps_m) = level_steps_m(terrain, &scene.sun, towards);
         let footprint = whole(terrain);
         let too_large =
             grids_of_steps((terrain, None), (&scene.sun, towards), (base_m, &steps_m), &footprint);
