@@ -211,7 +211,10 @@ impl<'a> Signal<'a> {
             for channel in others {
                 values.iter_mut().zip(channel).for_each(|(value, light)| *value += light);
             }
-            values.iter_mut().for_each(|value| *value = scale * (part * *value).clamp(black, white.min(1.0)));
+            // Of an image that is white all over, both are that white, but for rounding.
+            values
+                .iter_mut()
+                .for_each(|value| *value = scale * (part * *value).max(black).min(white.min(1.0)));
             blurred(&values, frame.width as usize, sensor.psf_px / sensor.pixels_per_side(frame.width))
         } else {
             frame
@@ -337,6 +340,7 @@ mod tests {
         for (rock, ground, range) in [(0.05, 0.07, [0.08, 1.0]), (0.9, 0.8, [0.0, 0.7])] {
             assert!(!hidden(rock, ground, [0.0, 1.0]) && hidden(rock, ground, range), "{rock} on {ground}");
         }
+        assert!(hidden(1.0, 1.0, [1.000_000_1, 1.2]), "white all over");
         // One that is black on brighter ground looks like a shadow, one that is white is a rock.
         assert!(hidden(0.05, 0.2, [0.08, 1.0]) && !hidden(0.9, 0.5, [0.0, 0.7]));
     }
