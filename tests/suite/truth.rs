@@ -88,6 +88,13 @@ struct Hit {
     normal: Vec3,
 }
 
+impl Hit {
+    /// Whether both its facet and the smooth surface face a direction.
+    fn faces(&self, direction: Vec3) -> bool {
+        self.facet_normal.dot(direction) > 0.0 && self.normal.dot(direction) > 0.0
+    }
+}
+
 impl Truth {
     /// The triangles at the levels of detail that a frame with these settings draws, or at the finest.
     pub(crate) fn new(scene: &Scene, settings: Option<&RenderSettings>) -> Self {
@@ -321,9 +328,7 @@ fn check_frame(name: &str, scene: &Scene, frame: &Frame, (truth, hits): (&Truth,
             let n = &frame.normals[3 * pixel..3 * pixel + 3];
             angles.push(hit.normal.dot(Vec3::new(n[0], n[1], n[2])).clamp(-1.0, 1.0).acos().to_degrees());
         }
-        let faces_sun =
-            hit.facet_normal.dot(scene.sun.direction) > 0.0 && hit.normal.dot(scene.sun.direction) > 0.0;
-        if pixel % SHADOW_STRIDE == 0 && faces_sun {
+        if pixel % SHADOW_STRIDE == 0 && hit.faces(scene.sun.direction) {
             shadows.push((pixel, shadow_ray_origin(scene, hit, *point)));
         }
     }
@@ -368,9 +373,8 @@ fn shadows_of_grazed_ground_keep_their_bound() {
         let frame = render_by(BACKENDS[0], &scene, &settings);
         let of_ground = |(pixel, found): (usize, Option<(Hit, Vec3)>)| {
             let (hit, point) = found?;
-            let is_lit = [hit.facet_normal, hit.normal].iter().all(|n| n.dot(scene.sun.direction) > 0.0);
-            let is_checked =
-                is_lit && pixel % SHADOW_STRIDE == 0 && hit.instance == 0 && frame.instances[pixel] == 0;
+            let is_of_ground = hit.instance == 0 && frame.instances[pixel] == 0;
+            let is_checked = pixel % SHADOW_STRIDE == 0 && is_of_ground && hit.faces(scene.sun.direction);
             is_checked.then(|| (pixel, shadow_ray_origin(&scene, &hit, point)))
         };
         let shadows: Vec<_> =
@@ -511,10 +515,10 @@ fn contact_errors(backend: RasterMode, case: usize) -> [Vec<f32>; 2] {
         .enumerate()
         .filter_map(|(pixel, found)| {
             let (hit, point) = found.as_ref()?;
-            let sun = scene.sun.direction;
-            let faces_sun = hit.facet_normal.dot(sun) > 0.0 && hit.normal.dot(sun) > 0.0;
             let on_rock = hit.instance > 0;
-            if !faces_sun || frame.instances[pixel] != hit.instance || (on_rock && pixel % SHADOW_STRIDE > 0)
+            if !hit.faces(scene.sun.direction)
+                || frame.instances[pixel] != hit.instance
+                || (on_rock && pixel % SHADOW_STRIDE > 0)
             {
                 return None;
             }

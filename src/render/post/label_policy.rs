@@ -6,7 +6,7 @@
 //! * the root of the sum of squares of the differences in mean and in standard deviation between its pixels and those around it is
 //!   below a number of standard deviations of the noise of a pixel, by default 3, the limit of detection (Currie 1968), or
 //! * the mean of its signal above that of the darkest pixel of the image is below the same number of standard deviations of the noise
-//!   in the dark, or that of nine tenths of its pixels is: a rock in shadow, whose outline cannot be distinguished from the shadow's.
+//!   in the dark, or that of more than nine tenths of its pixels is: a rock in shadow, whose outline cannot be distinguished from the shadow's.
 //!
 //! What a contrast stretch makes black is dark, and what it makes white is equal, whatever the sensor got of it.
 //! Each rock is summed by itself in the order of its pixels, so that no number depends on threads.
@@ -211,10 +211,7 @@ impl<'a> Signal<'a> {
             for channel in others {
                 values.iter_mut().zip(channel).for_each(|(value, light)| *value += light);
             }
-            // Of an image that is white all over, both are that white, but for rounding.
-            values
-                .iter_mut()
-                .for_each(|value| *value = scale * (part * *value).max(black).min(white.min(1.0)));
+            values.iter_mut().for_each(|value| *value = scale * (part * *value).max(black).min(white));
             blurred(&values, frame.width as usize, sensor.psf_px / sensor.pixels_per_side(frame.width))
         } else {
             frame

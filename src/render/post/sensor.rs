@@ -49,7 +49,7 @@ pub struct Exposure {
 /// The light of the 8-bit codes of an image.
 #[derive(Clone, Copy, Debug)]
 pub struct CodeRange {
-    /// The light that becomes black, and the light that becomes white.
+    /// The light that becomes black, and the light that becomes white; at most 1, the full well.
     pub light: [f32; 2],
     /// A step of the codes in the sRGB encoding of the light, 1 for white: 1/255 without a contrast stretch.
     pub step: f32,

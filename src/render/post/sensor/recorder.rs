@@ -94,10 +94,10 @@ impl<'a> Recorder<'a> {
         }
     }
 
-    /// The light, 1 for the full well, of an encoded value, 1 for white.
+    /// The light of an encoded value, 1 for white: at most 1, the full well.
     pub(super) fn light_of(&self, encoded: f32) -> f32 {
         let black = self.sensor.black_level as f32;
-        black + (1.0 - black) * linear_from_srgb(encoded)
+        (black + (1.0 - black) * linear_from_srgb(encoded)).min(1.0)
     }
 
     /// The encoded values, 0 to 255, of rows of the sensor: of each row its channels, one after another.
