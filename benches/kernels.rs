@@ -13,7 +13,7 @@ use regolith::output::{self, EncodeInput, LabelIds};
 use regolith::params::Params;
 use regolith::random::Streams;
 use regolith::render::lighting::relief_bands::ReliefBands;
-use regolith::render::select::caster_grid::caster_grid;
+use regolith::render::select::caster_grid::CasterCells;
 use regolith::render::select::footprint::Footprint;
 use regolith::render::select::selection::{SelectedRock, Selection};
 use regolith::render::select::tiles::PixelRect;
@@ -81,7 +81,7 @@ fn frame_plan(c: &mut Criterion) {
     let footprint = Footprint::new(&scene, &selection);
     let mut horizon = HorizonMap::default();
     horizon.compute(&scene.terrain, &scene.sun, &footprint, DEFAULT_TEXTURE_PX);
-    let grid = caster_grid(&scene, &selection.casters, horizon.shadowed_ground(), &footprint);
+    let grid = CasterCells::new(&scene, &selection.casters, &footprint).grid(horizon.shadowed_ground());
     let bands = ReliefBands::new(&scene, &selection, &settings);
     let (mut visible, mut stencil) = (VisibleTriangles::default(), ShadingBinMask::default());
     let mut later = scene.clone();
@@ -104,7 +104,10 @@ fn frame_plan(c: &mut Criterion) {
     });
     group.throughput(Throughput::Elements(selection.casters.len() as u64));
     group.bench_function("caster_grid", |b| {
-        b.iter(|| caster_grid(black_box(&scene), &selection.casters, horizon.shadowed_ground(), &footprint));
+        b.iter(|| {
+            CasterCells::new(black_box(&scene), &selection.casters, &footprint)
+                .grid(horizon.shadowed_ground())
+        });
     });
     let cast = |rock: &SelectedRock| {
         rock.caster.map_or(0, |(_, level)| scene.rocks[rock.rock].triangles(level).len())

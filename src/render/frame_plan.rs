@@ -14,7 +14,7 @@ use crate::render::backend::{LightingMode, RasterBackend, RasterOptions};
 use crate::render::device::shader_structs::{CasterTile, FrameUniforms, Instance};
 use crate::render::device::shading_bins::{Detail, ShadingBins};
 use crate::render::lighting::relief_bands::ReliefBands;
-use crate::render::select::caster_grid::caster_grid;
+use crate::render::select::caster_grid::CasterCells;
 use crate::render::select::casters;
 use crate::render::select::draw_list::DrawList;
 use crate::render::select::footprint::Footprint;
@@ -40,7 +40,7 @@ pub(crate) struct FramePlan {
     pub(crate) map_source: Option<MapSource>,
     /// Horizon of the ground towards the sun.
     pub(crate) horizon: Arc<HorizonMap>,
-    /// Which casters can shade each cell of the ground ([`caster_grid`]).
+    /// Which casters can shade each cell of the ground ([`CasterCells::grid`]).
     pub(crate) caster_grid: PooledVec<u32>,
     /// Sunlit rocks, and the cells that they light.
     pub(crate) lit_rocks: LitRocks,
@@ -100,9 +100,15 @@ impl FramePlan {
     ) -> Self {
         let selection = Selection::within(scene, settings, options.max_texture_px);
         let footprint = Footprint::new(scene, &selection);
-        let horizon = cache.horizon.map(&scene.terrain, &scene.sun, &footprint, options.max_texture_px);
-        let caster_grid = caster_grid(scene, &selection.casters, horizon.shadowed_ground(), &footprint);
-        let bands = ReliefBands::new(scene, &selection, settings);
+        // Beside the horizon, whose grids wait for one another.
+        let of_selection = || {
+            let cells = || CasterCells::new(scene, &selection.casters, &footprint);
+            rayon::join(cells, || ReliefBands::new(scene, &selection, settings))
+        };
+        let ((cells, bands), horizon) = beside(of_selection, || {
+            cache.horizon.map(&scene.terrain, &scene.sun, &footprint, options.max_texture_px)
+        });
+        let caster_grid = cells.grid(horizon.shadowed_ground());
         let bins = ShadingBins::new(bands.bands.len());
         let slots = selection.slots();
         let band_of_block = |block| bands.of_block(block);
@@ -149,6 +155,17 @@ impl FramePlan {
             }
         }
     }
+}
+
+/// Runs one closure on the threads of the pool while another runs on this one. With `rayon::join` both may run on a thread of the pool, and
+/// one that holds a lock while it waits for others would take up work that wants the same lock.
+fn beside<A: Send, B>(on_pool: impl FnOnce() -> A + Send, here: impl FnOnce() -> B) -> (A, B) {
+    let mut of_pool = None;
+    let of_here = rayon::in_place_scope(|scope| {
+        scope.spawn(|_| of_pool = Some(on_pool()));
+        here()
+    });
+    (of_pool.expect("the scope ends with its tasks"), of_here)
 }
 
 /// The instances of a frame, by slot: ground, rocks, stars, sun, dome; then the ground of each relief band where samples look up their

@@ -26,6 +26,8 @@ const SQUARE_CELLS: u32 = 512;
 const RING_CELLS: u32 = 192;
 /// Half the side of the innermost grid over rings, metres.
 const INNERMOST_M: f32 = 4.0;
+/// Fewest casters that are worth a task of their own.
+const CASTERS_PER_TASK: usize = 128;
 /// Rows of a grid that one thread fills.
 const BAND_ROWS: usize = 32;
 /// Cells along a side of a block, whose range of heights decides most tests without a look at its cells: the lanes of a vector.
@@ -118,33 +120,38 @@ impl CasterGrids {
     }
 }
 
-/// The caster lists of the cells that lie in a footprint, as compressed sparse rows: the offset of each cell's list, level by level
-/// and row by row, the end of the last list, then the lists of indices into `casters`. An offset has [`TEST_HORIZON`] set where
-/// the horizon map is to be sampled too.
-#[must_use]
-pub fn caster_grid(
-    scene: &Scene,
-    casters: &[Caster],
-    shadowed_ground: ShadowedGround<'_>,
-    footprint: &Footprint,
-) -> PooledVec<u32> {
-    let grids = CasterGrids::new(&scene.terrain);
-    let bands: Vec<_> = (0..grids.levels)
-        .flat_map(|level| (0..grids.cells as usize).step_by(BAND_ROWS).map(move |row| (level, row)))
-        .collect();
-    let rays = Rays::new(&scene.sun);
-    let rows_m: Vec<[f32; 2]> =
-        casters.iter().map(|caster| ShadowStrip::rows_m(scene, &rays, caster)).collect();
-    let lists_of = |(level, first): (u32, usize)| {
-        let rows = first..(first + BAND_ROWS).min(grids.cells as usize);
-        let band = GridBand::new(&scene.terrain, &grids, level, rows, footprint);
-        band.caster_lists((scene, &rays), casters, &rows_m)
-    };
-    let (lists, horizon_flags) = rayon::join(
-        || bands.into_par_iter().with_max_len(1).map(lists_of).collect::<Vec<CasterLists>>(),
-        || horizon_flags(&grids, shadowed_ground),
-    );
-    join_lists(&grids, &lists, &horizon_flags)
+/// The casters that can shade each cell of a footprint: what of the caster grid does not depend on the horizon map.
+pub struct CasterCells {
+    grids: CasterGrids,
+    /// Level by level and row by row.
+    bands: Vec<CasterLists>,
+}
+
+impl CasterCells {
+    /// The lists of the cells that lie in a footprint.
+    #[must_use]
+    pub fn new(scene: &Scene, casters: &[Caster], footprint: &Footprint) -> Self {
+        let grids = CasterGrids::new(&scene.terrain);
+        let bands: Vec<_> = (0..grids.levels)
+            .flat_map(|level| (0..grids.cells as usize).step_by(BAND_ROWS).map(move |row| (level, row)))
+            .collect();
+        let rays = Rays::new(&scene.sun);
+        let rows_m = casters.par_iter().with_min_len(CASTERS_PER_TASK);
+        let rows_m: Vec<[f32; 2]> = rows_m.map(|caster| ShadowStrip::rows_m(scene, &rays, caster)).collect();
+        let lists_of = |(level, first): (u32, usize)| {
+            let rows = first..(first + BAND_ROWS).min(grids.cells as usize);
+            let band = GridBand::new(&scene.terrain, &grids, level, rows, footprint);
+            band.caster_lists((scene, &rays), casters, &rows_m)
+        };
+        Self { grids, bands: bands.into_par_iter().with_max_len(1).map(lists_of).collect() }
+    }
+
+    /// The caster grid as compressed sparse rows: the offset of each cell's list, level by level and row by row, the end of the last
+    /// list, then the lists of indices of casters. An offset has [`TEST_HORIZON`] set where the horizon map is to be sampled too.
+    #[must_use]
+    pub fn grid(&self, shadowed_ground: ShadowedGround<'_>) -> PooledVec<u32> {
+        join_lists(&self.grids, &self.bands, &horizon_flags(&self.grids, shadowed_ground))
+    }
 }
 
 /// Joins the lists of all bands, in order, and sets the flags of the cells' offsets.
