@@ -77,10 +77,9 @@ fn ground_detail(
         let start_m = sum.w;
         // The first of two steps of Newton's method, where one would miss.
         var rise_m = 0.0;
-        // How far samples are close enough for an octave that may shadow the ground and need two steps. A loop of one turn: software adapters
-        // take the time of branches that are not taken.
+        // How far samples are close enough for an octave that may shadow the ground and need two steps.
         let tested = select(0.0, clamp(octave.cell_m / (MIN_TESTED_SAMPLES * sample_m) - 1.0, 0.0, 1.0), share > 0.0);
-        for (var is_tested = tested > 0.0; is_tested; is_tested = false) {
+        if tested > 0.0 {
             if per_sun_way < 1.0 / MIN_LOW_WAY {
                 let way_m = TESTED_CELLS * octave.cell_m;
                 let sun_rise_m = way_m * per_sun_way;
