@@ -100,7 +100,7 @@ impl FramePlan {
     ) -> Self {
         let selection = Selection::within(scene, settings, options.max_texture_px);
         let footprint = Footprint::new(scene, &selection);
-        // Beside the horizon, whose grids wait for one another.
+        // While the horizon is swept, grid after grid, other threads have little to do.
         let of_selection = || {
             let cells = || CasterCells::new(scene, &selection.casters, &footprint);
             rayon::join(cells, || ReliefBands::new(scene, &selection, settings))
@@ -157,8 +157,8 @@ impl FramePlan {
     }
 }
 
-/// Runs one closure on the threads of the pool while another runs on this one. With `rayon::join` both may run on a thread of the pool, and
-/// one that holds a lock while it waits for others would take up work that wants the same lock.
+/// Runs one closure on the threads of the pool while another, which may take locks, runs on this one. `rayon::join` may run both on the pool,
+/// where a thread that holds a lock and waits for others may steal work that waits for the same lock.
 fn beside<A: Send, B>(on_pool: impl FnOnce() -> A + Send, here: impl FnOnce() -> B) -> (A, B) {
     let mut of_pool = None;
     let of_here = rayon::in_place_scope(|scope| {

@@ -26,8 +26,8 @@ const SQUARE_CELLS: u32 = 512;
 const RING_CELLS: u32 = 192;
 /// Half the side of the innermost grid over rings, metres.
 const INNERMOST_M: f32 = 4.0;
-/// Fewest casters that are worth a task of their own.
-const CASTERS_PER_TASK: usize = 128;
+/// Minimum casters of a task: fewer are not worth a thread.
+const MIN_CASTERS_PER_TASK: usize = 128;
 /// Rows of a grid that one thread fills.
 const BAND_ROWS: usize = 32;
 /// Cells along a side of a block, whose range of heights decides most tests without a look at its cells: the lanes of a vector.
@@ -120,7 +120,7 @@ impl CasterGrids {
     }
 }
 
-/// The casters that can shade each cell of a footprint: what of the caster grid does not depend on the horizon map.
+/// The casters that can shade each cell of a footprint: the part of the caster grid that does not depend on the horizon map.
 pub struct CasterCells {
     grids: CasterGrids,
     /// Level by level and row by row.
@@ -136,7 +136,7 @@ impl CasterCells {
             .flat_map(|level| (0..grids.cells as usize).step_by(BAND_ROWS).map(move |row| (level, row)))
             .collect();
         let rays = Rays::new(&scene.sun);
-        let rows_m = casters.par_iter().with_min_len(CASTERS_PER_TASK);
+        let rows_m = casters.par_iter().with_min_len(MIN_CASTERS_PER_TASK);
         let rows_m: Vec<[f32; 2]> = rows_m.map(|caster| ShadowStrip::rows_m(scene, &rays, caster)).collect();
         let lists_of = |(level, first): (u32, usize)| {
             let rows = first..(first + BAND_ROWS).min(grids.cells as usize);

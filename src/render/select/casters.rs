@@ -26,8 +26,8 @@ const TILE_PX: [u32; 2] = [16, 2048];
 pub(crate) const DEPTH_RANGE_PX: f32 = TILE_PX[1] as f32;
 /// Maximum columns of the atlas and rows of one of its layers, texels; fewer where textures are smaller. All tiles shrink until they fit.
 const ATLAS_PX: u32 = 4096;
-/// Fewest rocks that are worth a task of their own.
-const ROCKS_PER_TASK: usize = 64;
+/// Minimum rocks of a task: fewer are not worth a thread.
+const MIN_ROCKS_PER_TASK: usize = 64;
 /// Minimum columns of the atlas, texels.
 const MIN_ATLAS_PX: u32 = 512;
 
@@ -72,7 +72,7 @@ pub(crate) fn select_casters(
     let shadow_lengths = (sun.truncate().length() / sun.z.max(1e-3)).max(1.0);
     let mut casters: Vec<Caster> = rocks
         .par_iter()
-        .with_min_len(ROCKS_PER_TASK)
+        .with_min_len(MIN_ROCKS_PER_TASK)
         .filter_map(|&(index, rock)| {
             let top_m = rock.centre.z + rock.z_range_m[1];
             let (mut reach_m, width_m) = shadow_extent_m(scene, top_m, rock.radius_m);
