@@ -8,7 +8,8 @@
 //! * the mean of its signal above that of the darkest pixel of the image is below the same number of standard deviations of the noise
 //!   in the dark, or that of more than nine tenths of its pixels is: a rock in shadow, whose outline cannot be distinguished from the shadow's.
 //!
-//! What a contrast stretch makes black is dark, and what it makes white is equal, whatever the sensor got of it.
+//! What a contrast stretch makes black is dark, and what it makes white is equal, whatever the sensor got of it. Light of the sun that
+//! the lens scatters and reflects lies over the scene: no signal of a rock, but with a noise of its own.
 //! Each rock is summed by itself in the order of its pixels, so that no number depends on threads.
 //! Must not know: how rocks were drawn.
 
@@ -190,10 +191,12 @@ impl Moments {
     }
 }
 
-/// What the sensor records without noise.
+/// What the sensor records without noise. Of each pixel: electrons, the mean of the channels; without a sensor 8-bit values.
 struct Signal<'a> {
-    /// Of each pixel: electrons, the mean of the channels; without a sensor 8-bit values.
+    /// What the light of the scene adds to that of the sun in the lens.
     values: Vec<f32>,
+    /// What scattered light, ghosts and the disc of the sun give by themselves. Empty without them.
+    stray: Vec<f32>,
     sensor: Option<(&'a Sensor, CodeRange)>,
     /// The value of the darkest pixel, as far as that is dark: the veil that lies over the image. What is black in the image is dark.
     dark: f64,
@@ -203,22 +206,22 @@ struct Signal<'a> {
 
 impl<'a> Signal<'a> {
     fn new(frame: &Frame, seen_by: Option<(&'a Sensor, &Exposure)>) -> Self {
-        let values: Vec<f32> = if let Some((sensor, Exposure { light, codes })) = seen_by {
-            let ([black, white], scale) = (codes.light, sensor.full_well_e as f32);
-            let part = 1.0 / light.len() as f32;
-            let (first, others) = light.split_first().expect("a sensor has channels");
-            let mut values = first.clone();
-            for channel in others {
-                values.iter_mut().zip(channel).for_each(|(value, light)| *value += light);
+        let (values, stray) = if let Some((sensor, exposure)) = seen_by {
+            let psf_px = sensor.psf_px / sensor.pixels_per_side(frame.width);
+            let shown = |channels: &[Vec<f32>]| {
+                let signal = shown(channels, sensor.full_well_e, exposure.codes.light);
+                blurred(&signal, frame.width as usize, psf_px)
+            };
+            let (mut values, mut stray) = (shown(&exposure.light), shown(&exposure.stray));
+            let black = sensor.full_well_e as f32 * exposure.codes.light[0];
+            for (value, stray) in values.iter_mut().zip(&mut stray) {
+                *stray -= black;
+                *value -= *stray;
             }
-            values.iter_mut().for_each(|value| *value = scale * (part * *value).max(black).min(white));
-            blurred(&values, frame.width as usize, sensor.psf_px / sensor.pixels_per_side(frame.width))
+            (values, stray)
         } else {
-            frame
-                .rgb
-                .chunks_exact(3)
-                .map(|rgb| rgb.iter().map(|v| f32::from(*v)).sum::<f32>() / 3.0)
-                .collect()
+            let mean = |rgb: &[u8]| rgb.iter().map(|v| f32::from(*v)).sum::<f32>() / 3.0;
+            (frame.rgb.chunks_exact(3).map(mean).collect(), Vec::new())
         };
         let darkest = values.iter().copied().fold(f32::INFINITY, f32::min);
         let mean = values.iter().map(|value| f64::from(*value)).sum::<f64>() / values.len() as f64;
@@ -226,31 +229,37 @@ impl<'a> Signal<'a> {
         let per_side = sensor.map_or(1.0, |(sensor, _)| sensor.pixels_per_side(frame.width).max(1.0));
         let black = sensor.map_or(0.0, |(sensor, codes)| sensor.full_well_e * f64::from(codes.light[0]));
         let dark = f64::from(darkest).min(MAX_DARK * mean).max(black);
-        Self { dark, values, sensor, averaged: per_side * per_side }
+        Self { values, stray, sensor, dark, averaged: per_side * per_side }
     }
 
     /// Whether nobody can see a rock: see the head of this file.
     fn hides(&self, frame: &Frame, region: &Region, contrast: f64) -> bool {
         let value = |pixel: usize| f64::from(self.values[pixel]);
-        let (mut rock, mut ground, mut others) = (Moments::default(), Moments::default(), Moments::default());
-        let min_lit = self.dark + contrast * self.noise(self.dark);
+        let stray = |pixel: usize| self.stray.get(pixel).map_or(0.0, |stray| f64::from(*stray));
+        let [mut rock, mut stray_there, mut ground, mut others] = [Moments::default(); 4];
+        let dark_noise = self.noise(self.dark);
         let mut lit_px = 0.0;
         region.for_each_pixel(
             frame,
             |pixel| {
-                rock.add(value(pixel));
-                lit_px += f64::from(u8::from(value(pixel) >= min_lit));
+                let (value, stray) = (value(pixel), stray(pixel));
+                rock.add(value);
+                stray_there.add(stray);
+                let noise = if stray > 0.0 { self.noise(self.dark + stray) } else { dark_noise };
+                lit_px += f64::from(u8::from(value >= self.dark + contrast * noise));
             },
             |pixel| (if frame.instances[pixel] == 0 { &mut ground } else { &mut others }).add(value(pixel)),
         );
-        if rock.mean() < min_lit || lit_px < MIN_LIT_SHARE * rock.count() {
+        let stray = stray_there.mean();
+        let least = self.dark + contrast * self.noise(self.dark + stray);
+        if rock.mean() < least || lit_px < MIN_LIT_SHARE * rock.count() {
             return true;
         }
         if ground.count() < MIN_RING_PX {
             ground.0 = [0, 1, 2].map(|i| ground.0[i] + others.0[i]);
         }
         let (level, texture) = (rock.mean() - ground.mean(), rock.deviation() - ground.deviation());
-        let least = contrast * self.noise(0.5 * (rock.mean() + ground.mean()));
+        let least = contrast * self.noise(0.5 * (rock.mean() + ground.mean()) + stray);
         ground.count() > 0.0 && level * level + texture * texture < least * least
     }
 
@@ -262,6 +271,18 @@ impl<'a> Signal<'a> {
         let (noise, step) = (sensor.noise_of(fill, self.averaged), f64::from(codes.step) * srgb_slope(fill));
         sensor.full_well_e * (noise * noise + step * step).sqrt()
     }
+}
+
+/// What an image whose codes are of this light shows of channels, before the point spread: electrons, the mean of the channels.
+fn shown(channels: &[Vec<f32>], full_well_e: f64, [black, white]: [f32; 2]) -> Vec<f32> {
+    let Some((first, others)) = channels.split_first() else { return Vec::new() };
+    let (part, scale) = (1.0 / channels.len() as f32, full_well_e as f32);
+    let mut values = first.clone();
+    for channel in others {
+        values.iter_mut().zip(channel).for_each(|(value, light)| *value += light);
+    }
+    values.iter_mut().for_each(|value| *value = scale * (part * *value).max(black).min(white));
+    values
 }
 
 /// Derivative of the inverse of the sRGB curve (IEC 61966-2-1) at a linear value, 0 to 1.
@@ -301,9 +322,19 @@ mod tests {
     use super::*;
     use crate::scene::sensor::Mosaic;
 
-    /// Whether a rock on even ground is hidden, in an image whose codes span this light. `rock` maps the columns and rows of its 10 x 10
-    /// pixels to light.
+    /// [`is_hidden_behind`] without stray light.
     fn is_hidden(rock: impl Fn(usize, usize) -> f32, ground: f32, codes: [f32; 2]) -> bool {
+        is_hidden_behind(|_| 0.0, rock, ground, codes)
+    }
+
+    /// Whether a rock on even ground is hidden, in an image whose codes span this light. `rock` maps the columns and rows of its 10 x 10
+    /// pixels to light, `stray` the columns of the image, 10 to 19 with the rock, to the sun's light in the lens.
+    fn is_hidden_behind(
+        stray: impl Fn(usize) -> f32,
+        rock: impl Fn(usize, usize) -> f32,
+        ground: f32,
+        codes: [f32; 2],
+    ) -> bool {
         const SIDE: usize = 30;
         let within = |at: usize| at.checked_sub(10).filter(|from_edge| *from_edge < 10);
         let pixels = || (0..SIDE * SIDE).map(|pixel| within(pixel % SIDE).zip(within(pixel / SIDE)));
@@ -317,8 +348,11 @@ mod tests {
         let mut light: Vec<f32> = pixels().map(light).collect();
         // The image has a black sky.
         light[..SIDE].fill(0.0);
+        let stray: Vec<f32> = (0..light.len()).map(|pixel| stray(pixel % SIDE)).collect();
+        light.iter_mut().zip(&stray).for_each(|(light, stray)| *light += stray);
         let sensor = Sensor { read_noise_e: 20.0, ..Sensor::ideal(Mosaic::Monochrome) };
-        let exposure = Exposure { light: vec![light], codes: CodeRange { light: codes, step: 1.0 / 255.0 } };
+        let codes = CodeRange { light: codes, step: 1.0 / 255.0 };
+        let exposure = Exposure { light: vec![light], stray: vec![stray], codes };
         Signal::new(&frame, Some((&sensor, &exposure))).hides(&frame, &Region::all(&frame)[0], 3.0)
     }
 
@@ -340,6 +374,20 @@ mod tests {
         assert!(hidden(1.0, 1.0, [1.000_000_1, 1.2]), "white all over");
         // One that is black on brighter ground looks like a shadow, one that is white is a rock.
         assert!(hidden(0.05, 0.2, [0.08, 1.0]) && !hidden(0.9, 0.5, [0.0, 0.7]));
+    }
+
+    #[test]
+    fn stray_light_shows_no_rock_and_hides_those_that_it_outshines() {
+        let ghost = |light: f32| move |column: usize| if column < 15 { light } else { 0.1 };
+        let hidden = |stray: f32, rock: f32, codes| is_hidden_behind(ghost(stray), |_, _| rock, 0.05, codes);
+        for stray in [0.1, 0.3, 0.9] {
+            assert!(hidden(stray, 0.0, [0.0, 1.0]), "a black rock below {stray}");
+        }
+        // A step of the codes at 0.5 is 0.004, at 0.1 0.0012.
+        assert!(!hidden(0.1, 0.02, [0.0, 1.0]) && !hidden(0.5, 0.02, [0.0, 1.0]));
+        assert!(is_hidden_behind(|_| 0.5, |_, _| 0.008, 0.2, [0.0, 1.0]), "less than a step of the codes");
+        assert!(!is_hidden_behind(|_| 0.0, |_, _| 0.008, 0.2, [0.0, 1.0]));
+        assert!(is_hidden_behind(|_| 1.1, |_, _| 0.5, 0.2, [0.0, 1.0]), "white all over");
     }
 
     /// Rocks with holes, in several parts, at the edges, and one that surrounds another.

@@ -42,6 +42,8 @@ const MAX_FILL: f32 = 4.0;
 pub struct Exposure {
     /// The light of each channel in each pixel of the image, glare included, before point spread and noise; 1 is the full well.
     pub light: Vec<Vec<f32>>,
+    /// The part of it that comes from the sun without the scene: what the lens scatters, ghosts and the disc. Empty without them.
+    pub stray: Vec<Vec<f32>>,
     /// What the 8 bits of the image are of it.
     pub codes: CodeRange,
 }
@@ -62,8 +64,13 @@ pub fn expose(frame: &mut Frame, sensor: &Sensor, exposure_ev: f32, sun: Option<
     let mut channels = spectral_channels(frame, sensor.mosaic);
     let veils: Vec<f32> = channels.iter().map(|channel| veil(channel, sensor)).collect();
     let channel_of = |channel: usize, rgb: Vec3| channel_of_rgb(sensor.mosaic, channel, rgb);
-    if let Some(sun) = sun {
-        sun.add_stray_light(&mut channels, channel_of, sensor.glare);
+    let mut stray = sun.map_or_else(Vec::new, |sun| {
+        let mut stray = vec![vec![0.0; width * height]; channels.len()];
+        sun.add_stray_light(&mut stray, channel_of, sensor.glare);
+        stray
+    });
+    for (channel, stray) in channels.iter_mut().zip(&stray) {
+        channel.iter_mut().zip(stray).for_each(|(value, stray)| *value += stray);
     }
     // What the sun veils is metered, its disc is not.
     let gain = exposure_gain(frame, sensor, (&channels[channels.len() / 2], sun.is_some()), exposure_ev);
@@ -71,21 +78,23 @@ pub fn expose(frame: &mut Frame, sensor: &Sensor, exposure_ev: f32, sun: Option<
     for (channel, veil) in channels.iter_mut().zip(veils) {
         add_veil_and_vignetting(channel, &falloff, veil, gain);
     }
+    stray.iter_mut().for_each(|channel| add_veil_and_vignetting(channel, &falloff, 0.0, gain));
     if let Some(sun) = sun {
         let psf_px = sensor.psf_px / sensor.pixels_per_side(frame.width);
-        sun.add_disc(&mut channels, channel_of, (gain, &falloff), (psf_px, sensor.glare));
-        for channel in &mut channels {
-            channel.iter_mut().for_each(|value| *value = value.min(MAX_FILL));
+        for channels in [&mut channels, &mut stray] {
+            sun.add_disc(channels, channel_of, (gain, &falloff), (psf_px, sensor.glare));
+            channels.iter_mut().flatten().for_each(|value| *value = value.min(MAX_FILL));
         }
     }
     if sensor.halation > 0.0 {
-        channels.iter_mut().for_each(|channel| film::add_halation(channel, size, sensor.halation));
+        let channels = channels.iter_mut().chain(&mut stray);
+        channels.for_each(|channel| film::add_halation(channel, size, sensor.halation));
     }
     let codes = record((&mut frame.rgb, &frame.class), sensor, &channels, size);
     if sensor.jpeg_quality > 0 {
         jpeg::compress(&mut frame.rgb, size, sensor.jpeg_quality);
     }
-    Exposure { light: channels, codes }
+    Exposure { light: channels, stray, codes }
 }
 
 /// Writes the 8-bit image of `size` columns and rows that a sensor makes of the light of its channels. Returns what its codes are.
