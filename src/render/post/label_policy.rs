@@ -1,15 +1,17 @@
 //! The label rule, applied to a finished image: rocks that are too small, and rocks that nobody can see.
 //!
 //! A rock is compared with its surroundings in the signal that the sensor would record without noise: electrons, between black level
-//! and full well, behind the point spread function. Without a sensor the signal is the 8-bit image. A rock is unseen if
+//! and full well. Without a sensor the signal is the 8-bit image. A rock is unseen if
 //!
-//! * the root of the sum of squares of the differences in mean and in standard deviation between its pixels and those around it is
-//!   below a number of standard deviations of the noise of a pixel, by default 3, the limit of detection (Currie 1968), or
-//! * the mean of its signal above that of the darkest pixel of the image is below the same number of standard deviations of the noise
-//!   in the dark, or that of more than nine tenths of its pixels is: a rock in shadow, whose outline cannot be distinguished from the shadow's.
+//! * the root of the sum of squares of the differences in mean and in standard deviation between its pixels and those around it, behind
+//!   the point spread function, is below a number of standard deviations of the noise of a pixel, by default 3, the limit of detection
+//!   (Currie 1968), or
+//! * in more than nine tenths of its pixels its own signal above that of the darkest pixel of the image is below the same number of
+//!   standard deviations of the noise in the dark: a rock in shadow, whose outline cannot be distinguished from the shadow's.
 //!
-//! What a contrast stretch makes black is dark, and what it makes white is equal, whatever the sensor got of it. Light of the sun that
-//! the lens scatters and reflects lies over the scene: no signal of a rock, but with a noise of its own.
+//! A pixel at the outline shows what is beside the rock too, in at most half of its samples: half of the brightest pixel beside it is not
+//! the rock's own signal. Light of the sun that the lens scatters and reflects lies over the scene: no signal of a rock, but with a noise
+//! of its own. What a contrast stretch makes black is dark, and what it makes white is equal, whatever the sensor got of it.
 //! Each rock is summed by itself in the order of its pixels, so that no number depends on threads.
 //! Must not know: how rocks were drawn.
 
@@ -29,6 +31,10 @@ const RING_PX: usize = 3;
 const MAX_DARK: f64 = 0.1;
 /// Least share of the pixels of a rock that must stand out from the dark.
 const MIN_LIT_SHARE: f64 = 0.1;
+/// Largest share of a pixel of a rock that shows what is beside the rock.
+const MAX_SHARE_BESIDE: f32 = 0.5;
+/// What that share of its light is of its 8-bit value at most: 0.5^(1 / 2.4).
+const MAX_CODE_BESIDE: f32 = 0.75;
 /// Fewest pixels of surroundings without rocks; with fewer, other rocks are part of the surroundings.
 const MIN_RING_PX: f64 = 4.0;
 
@@ -195,6 +201,8 @@ impl Moments {
 struct Signal<'a> {
     /// What the light of the scene adds to that of the sun in the lens.
     values: Vec<f32>,
+    /// The same before the point spread, which takes light across the outlines of rocks.
+    sharp: Vec<f32>,
     /// What scattered light, ghosts and the disc of the sun give by themselves. Empty without them.
     stray: Vec<f32>,
     sensor: Option<(&'a Sensor, CodeRange)>,
@@ -206,30 +214,28 @@ struct Signal<'a> {
 
 impl<'a> Signal<'a> {
     fn new(frame: &Frame, seen_by: Option<(&'a Sensor, &Exposure)>) -> Self {
-        let (values, stray) = if let Some((sensor, exposure)) = seen_by {
-            let psf_px = sensor.psf_px / sensor.pixels_per_side(frame.width);
-            let shown = |channels: &[Vec<f32>]| {
-                let signal = shown(channels, sensor.full_well_e, exposure.codes.light);
-                blurred(&signal, frame.width as usize, psf_px)
-            };
-            let (mut values, mut stray) = (shown(&exposure.light), shown(&exposure.stray));
+        let (sharp, stray) = if let Some((sensor, exposure)) = seen_by {
+            let shown = |channels: &[Vec<f32>]| shown(channels, sensor.full_well_e, exposure.codes.light);
+            let (mut sharp, mut stray) = (shown(&exposure.light), shown(&exposure.stray));
             let black = sensor.full_well_e as f32 * exposure.codes.light[0];
-            for (value, stray) in values.iter_mut().zip(&mut stray) {
+            for (value, stray) in sharp.iter_mut().zip(&mut stray) {
                 *stray -= black;
                 *value -= *stray;
             }
-            (values, stray)
+            (sharp, stray)
         } else {
             let mean = |rgb: &[u8]| rgb.iter().map(|v| f32::from(*v)).sum::<f32>() / 3.0;
             (frame.rgb.chunks_exact(3).map(mean).collect(), Vec::new())
         };
-        let darkest = values.iter().copied().fold(f32::INFINITY, f32::min);
+        let psf_px = seen_by.map_or(0.0, |(sensor, _)| sensor.psf_px / sensor.pixels_per_side(frame.width));
+        let values = blurred(&sharp, frame.width as usize, psf_px);
+        let darkest = sharp.iter().copied().fold(f32::INFINITY, f32::min);
         let mean = values.iter().map(|value| f64::from(*value)).sum::<f64>() / values.len() as f64;
         let sensor = seen_by.map(|(sensor, exposure)| (sensor, exposure.codes));
         let per_side = sensor.map_or(1.0, |(sensor, _)| sensor.pixels_per_side(frame.width).max(1.0));
         let black = sensor.map_or(0.0, |(sensor, codes)| sensor.full_well_e * f64::from(codes.light[0]));
         let dark = f64::from(darkest).min(MAX_DARK * mean).max(black);
-        Self { values, stray, sensor, dark, averaged: per_side * per_side }
+        Self { values, sharp, stray, sensor, dark, averaged: per_side * per_side }
     }
 
     /// Whether nobody can see a rock: see the head of this file.
@@ -242,25 +248,36 @@ impl<'a> Signal<'a> {
         region.for_each_pixel(
             frame,
             |pixel| {
-                let (value, stray) = (value(pixel), stray(pixel));
-                rock.add(value);
+                let stray = stray(pixel);
+                rock.add(value(pixel));
                 stray_there.add(stray);
                 let noise = if stray > 0.0 { self.noise(self.dark + stray) } else { dark_noise };
-                lit_px += f64::from(u8::from(value >= self.dark + contrast * noise));
+                lit_px += f64::from(u8::from(self.own(frame, pixel) >= self.dark + contrast * noise));
             },
             |pixel| (if frame.instances[pixel] == 0 { &mut ground } else { &mut others }).add(value(pixel)),
         );
-        let stray = stray_there.mean();
-        let least = self.dark + contrast * self.noise(self.dark + stray);
-        if rock.mean() < least || lit_px < MIN_LIT_SHARE * rock.count() {
+        if lit_px < MIN_LIT_SHARE * rock.count() {
             return true;
         }
         if ground.count() < MIN_RING_PX {
             ground.0 = [0, 1, 2].map(|i| ground.0[i] + others.0[i]);
         }
         let (level, texture) = (rock.mean() - ground.mean(), rock.deviation() - ground.deviation());
-        let least = contrast * self.noise(0.5 * (rock.mean() + ground.mean()) + stray);
+        let least = contrast * self.noise(0.5 * (rock.mean() + ground.mean()) + stray_there.mean());
         ground.count() > 0.0 && level * level + texture * texture < least * least
+    }
+
+    /// The least that a pixel of a rock has of the rock's own signal.
+    fn own(&self, frame: &Frame, pixel: usize) -> f64 {
+        let (width, height) = (frame.width as usize, frame.height as usize);
+        let (x, y) = (pixel % width, pixel / width);
+        let columns = x.saturating_sub(1)..(x + 2).min(width);
+        let near = (y.saturating_sub(1)..(y + 2).min(height))
+            .flat_map(|y| columns.clone().map(move |x| y * width + x));
+        let beside = near.filter(|near| frame.instances[*near] != frame.instances[pixel]);
+        let brightest = beside.map(|pixel| self.sharp[pixel]).fold(0.0, f32::max);
+        let share = if self.sensor.is_some() { MAX_SHARE_BESIDE } else { MAX_CODE_BESIDE };
+        f64::from(self.sharp[pixel] - share * brightest)
     }
 
     /// Standard deviation of a pixel's noise at this signal, electrons: the sensor's, and a step of the 8-bit image, below which no
@@ -363,6 +380,18 @@ mod tests {
         assert_eq!([0, 3, 9, 10, 40].map(lit), [true, true, true, false, false]);
         // A mean of as much light, spread evenly, is seen.
         assert!(!is_hidden(|_, _| 0.015, 0.01, [0.0, 1.0]));
+    }
+
+    /// Mixed with the ground along its outline, with a bright edge, and dim.
+    #[test]
+    fn light_of_the_ground_beside_a_rock_is_not_its_own() {
+        let hidden = |outline: f32, inside: f32| {
+            let is_outline = |at: usize| at == 0 || at == 9;
+            let rock = |x, y| if is_outline(x) || is_outline(y) { outline } else { inside };
+            is_hidden(rock, 0.2, [0.0, 1.0])
+        };
+        assert_eq!([0.0, 0.1, 0.15].map(|outline| hidden(outline, 0.0)), [true, true, false]);
+        assert!(!hidden(0.1, 0.01), "dim all over");
     }
 
     #[test]
