@@ -49,7 +49,7 @@ Examples:
   regolith-render params --preset train_dr > my.toml     every knob, to be edited and passed to --config
   regolith-render --config out/frame_0000.json           the frame of a record again, byte for byte
 
-Exit status: 0 success, 2 wrong usage or configuration, 130 stopped by Ctrl-C, 143 stopped by the signal TERM, 1 any other error.
+Exit status: 0 success, 2 wrong usage or configuration, 130, 143 and 129 stopped by Ctrl-C, the signal TERM or HUP, 1 any other error.
 Environment: WGPU_BACKEND (vulkan, gl), WGPU_ADAPTER_NAME.
 `regolith-render doctor` says why a GPU is not used, and whether the labels of this machine are right.";
 

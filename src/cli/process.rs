@@ -76,7 +76,7 @@ fn ignores_hangup() -> bool {
     mask.is_some_and(|mask| mask >> (SIGHUP - 1) & 1 == 1)
 }
 
-/// Exit status of a command that has stopped: 130 after Ctrl-C, 143 after the signal TERM; `None` without a signal.
+/// Exit status of a command that has stopped: 130 after Ctrl-C, 143 and 129 after the signals TERM and HUP; `None` without a signal.
 pub(super) fn stopped_status() -> Option<u8> {
     match RECEIVED.load(Ordering::Relaxed) {
         0 => None,

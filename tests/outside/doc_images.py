@@ -1,12 +1,13 @@
 """Makes the images of the documentation again, all or those named: docs/presets/NAME.jpg, the first frames that a dataset of each preset
 has, and assets/NAME.png. assets/evidence.png is made by evidence.py.
 
-    python tests/outside/doc_images.py target/release/regolith-render [NAME ...]
+    tests/outside/check.sh doc_images.py [NAME ...]
 
-Needs Pillow. Presets of suns and cameras are joined with a training preset of the surface stage.
+Presets of suns and cameras are joined with a training preset of the surface stage.
 """
 
 import json
+import os
 import re
 import shlex
 import shutil
@@ -112,7 +113,7 @@ COMPOSED = {"surface_four": four_frames, "surface_sixteen": sixteen_frames, "nom
 
 
 def main() -> None:
-    program, *names = sys.argv[1:]
+    program, names = os.environ["REGOLITH_BINARY"], sys.argv[1:]
     SHEETS.mkdir(exist_ok=True)
     for name in names or ["surface_36", *COMPOSED, *preset_names(program)]:
         if name == "surface_36":

@@ -50,7 +50,7 @@ class Bounds:
 BOUNDS = {
     "unlit faces of rocks over sunlit soil": Bounds(17, 2.0, 0.28),
     "soil in shadow over sunlit soil": Bounds(14, 4.0, 0.45),
-    "unlit faces over soil in shadow": Bounds(10, 2.6, 0.48),
+    "unlit faces over soil in shadow": Bounds(11, 2.6, 0.48),
 }
 # Largest relative difference of sunlit soil, below a sun of LOW_SUN_DEG, where penumbrae are wide, and above.
 LOW_SUN_DEG = 9.0
