@@ -352,12 +352,16 @@ impl Error {
 /// The remedy after an interrupted run into a folder.
 pub const RUN_AGAIN: &str = "Run the same command again to continue";
 
-/// The name in `known` that is most similar to `name` (Jaro-Winkler), if it is similar enough to be a typo.
+/// The name in `known` that is most similar to `name`, if it is similar enough to be a typo: one that a letter more, less, changed or
+/// swapped with its neighbour makes the same, else by Jaro-Winkler.
 #[must_use]
 pub fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<String> {
     known
         .into_iter()
-        .map(|candidate| (strsim::jaro_winkler(name, candidate), candidate))
+        .map(|candidate| {
+            let is_near = strsim::osa_distance(name, candidate) <= 1;
+            (if is_near { 1.0 } else { strsim::jaro_winkler(name, candidate) }, candidate)
+        })
         .filter(|(similarity, _)| *similarity > 0.75)
         .max_by(|a, b| a.0.total_cmp(&b.0))
         .map(|(_, candidate)| candidate.to_owned())
@@ -392,6 +396,7 @@ mod tests {
         let known = ["sun.elevation_deg", "sun.azimuth_deg", "rocks.count"];
         assert_eq!(nearest("sun.elevaton_deg", known).as_deref(), Some("sun.elevation_deg"));
         assert_eq!(nearest("rock.count", known).as_deref(), Some("rocks.count"));
+        assert_eq!(nearest("snu", ["sensor", "sun"]).as_deref(), Some("sun"));
         assert_eq!(nearest("zzz", known), None);
     }
 }

@@ -23,7 +23,7 @@ use super::add_outputs;
 use super::args::{ConfigArgs, DeviceArgs, ImageArgs, output_names, whole_number};
 use super::device;
 use super::messages::{Messages, print};
-use super::process::stop_on_signals;
+use super::process::{end_on_signals, stop_on_signals};
 use super::progress::{Meter, duration};
 
 /// Number of frames of a dry run, if the range has as many.
@@ -104,6 +104,7 @@ pub(super) fn run(args: &DatasetArgs, messages: Messages) -> Result<()> {
         )));
     }
     if args.merge {
+        end_on_signals()?;
         return merge(args, messages);
     }
     let concurrency = Concurrency { threads: args.threads.map(usize::from), frames_in_flight: None };
@@ -212,6 +213,7 @@ fn stream(
     });
     meter.finish();
     if closed.load(Ordering::Relaxed) {
+        messages.note("stopped: whoever read the archive has closed it");
         return Ok(());
     }
     let progress = result?;

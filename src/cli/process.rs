@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 
 use crate::error::{Error, Result};
+use crate::output::disk;
 use signal_hook::consts::signal::{SIGABRT, SIGINT, SIGTERM};
 #[cfg(unix)]
 use signal_hook::consts::signal::{SIGHUP, SIGXFSZ};
@@ -24,9 +25,21 @@ pub(super) fn stop_on_signals(messages: Messages) -> Result<Arc<AtomicBool>> {
         set.store(true, Ordering::Relaxed);
         messages.note(format_args!("\nstopping after the frames in flight (Ctrl-C again stops at once)"));
     };
-    let listening = listen(note);
-    listening.map_err(|error| Error::Usage(format!("cannot listen for Ctrl-C: {error}")))?;
+    listen(note).map_err(not_listening)?;
     Ok(stop)
+}
+
+/// Lets Ctrl-C and the signals that ask a process to end remove unfinished files before they end it.
+pub(super) fn end_on_signals() -> Result<()> {
+    let end = || {
+        disk::remove_unfinished();
+        signal_hook::low_level::exit(SIGNAL_STATUS + RECEIVED.load(Ordering::Relaxed));
+    };
+    listen(end).map_err(not_listening)
+}
+
+fn not_listening(error: std::io::Error) -> Error {
+    Error::Usage(format!("cannot listen for Ctrl-C: {error}"))
 }
 
 /// Calls `stop` in a thread on the first signal, and exits on the second.

@@ -255,6 +255,11 @@ pub fn remove(path: &Path) -> Result<()> {
     }
 }
 
+/// Removes the files that this process has not finished, before it ends: writers wait from then on.
+pub fn remove_unfinished() {
+    operations::remove_unfinished();
+}
+
 /// Removes a folder if it is empty.
 pub fn remove_empty_folder(path: &Path) {
     let _ = operations::remove_folder(path);

@@ -435,7 +435,8 @@ fn unknown(name: &str, origin: &str) -> Error {
             "`{name}` in {origin} is a group of knobs and no knob; `regolith-render params` lists those in [{name}]"
         ));
     }
-    let suggestion = nearest(name, KNOBS.iter().map(|info| info.name));
+    let groups = KNOBS.iter().filter_map(|info| info.name.split_once('.')).map(|(group, _)| group);
+    let suggestion = nearest(name, KNOBS.iter().map(|info| info.name).chain(groups).chain(["rules"]));
     Error::UnknownKnob { name: name.to_owned(), origin: origin.to_owned(), suggestion }
 }
 

@@ -68,6 +68,33 @@ fn every_long_command_ends_with_the_status_of_its_signal() {
     }
 }
 
+/// They have no way to go on: what they have not finished is removed.
+#[test]
+fn a_stopped_frame_or_export_leaves_no_unfinished_file() {
+    let folder = folder();
+    let frame = ["--size=1024", "--samples=1", "--outputs=all", "--out=."];
+    let export = ["export", "stage.usda", "--force"];
+    let unfinished = || {
+        let names = std::fs::read_dir(folder.path()).expect("a folder").map(|entry| entry.expect("an entry"));
+        names.filter(|entry| entry.path().extension().is_some_and(|extension| extension == "tmp")).count()
+    };
+    let ended_by = |words: &[&str], signal: &str| {
+        let child = start(folder.path(), words);
+        wait_until(|| unfinished() > 0);
+        send_signal(&child, signal);
+        let output = child.wait_with_output().expect("ended");
+        assert_eq!(unfinished(), 0, "{words:?}: {}", String::from_utf8_lossy(&output.stderr));
+        output.status.code().expect("a status")
+    };
+    for (words, signal, status) in
+        [(&frame[..], "-INT", 130), (&frame[..], "-TERM", 143), (&export[..], "-INT", 130)]
+    {
+        // It may be done before the signal comes.
+        let ended = (0..5).map(|_| ended_by(words, signal)).find(|ended| *ended != 0);
+        assert_eq!(ended, Some(status), "{words:?}");
+    }
+}
+
 #[test]
 fn a_stopped_measurement_leaves_no_files() {
     let folder = folder();

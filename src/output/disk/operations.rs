@@ -4,9 +4,11 @@
 //! the record.
 //! Must not know: names of files, what the bytes mean.
 
+use std::collections::BTreeSet;
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read as _, Seek as _, SeekFrom, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use tempfile::NamedTempFile;
 
@@ -111,9 +113,32 @@ pub(super) fn remove_folder(path: &Path) -> io::Result<()> {
     Ok(())
 }
 
+/// The temporary files of this process.
+static UNFINISHED: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+
+/// Removes the temporary files of this process, for good: whoever creates another one afterwards waits until the process ends.
+pub(super) fn remove_unfinished() {
+    let unfinished = UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner);
+    for path in &*unfinished {
+        let _ = std::fs::remove_file(path);
+    }
+    std::mem::forget(unfinished);
+}
+
+/// Lists a temporary file in [`UNFINISHED`] as long as it exists.
+struct Unfinished(PathBuf);
+
+impl Drop for Unfinished {
+    fn drop(&mut self) {
+        UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.0);
+    }
+}
+
 /// A file under a temporary name; it is removed when dropped.
 pub(super) struct TemporaryFile {
     file: NamedTempFile,
+    // Behind the file, which is dropped first.
+    _unfinished: Unfinished,
     #[cfg(test)]
     length: u64,
 }
@@ -125,10 +150,17 @@ impl TemporaryFile {
         builder.prefix(prefix).rand_bytes(random).suffix(suffix);
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-        let file = builder.tempfile_in(folder)?;
+        let (file, unfinished) = {
+            let mut all = UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner);
+            let file = builder.tempfile_in(folder)?;
+            all.insert(file.path().to_owned());
+            let path = file.path().to_owned();
+            (file, Unfinished(path))
+        };
         record!(Create(file.path().to_owned()));
         Ok(Self {
             file,
+            _unfinished: unfinished,
             #[cfg(test)]
             length: 0,
         })

@@ -221,6 +221,10 @@ fn variants_draw_their_knobs_together() {
         ("[[variant]]\npreset = \"surface_train_dr\"\n", "stage.name"),
         ("[[variant]]\ncamera.fow_deg = 3\n", "did you mean `camera.fov_deg`"),
         ("preset = \"pcan\"\n", "did you mean `pcam`"),
+        ("[snu]\nelevation_deg = 3\n", "did you mean `sun`"),
+        ("[cameras]\nfov_deg = 3\n", "did you mean `camera`"),
+        ("rule = 3\n", "did you mean `rules`"),
+        ("elevation_deg = 3\n", "did you mean `sun.elevation_deg`"),
     ] {
         let message = Config::new().apply_toml(text, "f").expect_err(text).to_string();
         assert!(message.contains(said), "{text}: {message}");
