@@ -21,6 +21,8 @@ pub struct Frame {
     pub focal_px: f64,
     /// The distortion of the lens, which is applied to every plane.
     pub lens: Lens,
+    /// Samples of each pixel.
+    pub samples: u32,
     /// 8-bit sRGB, three values per pixel.
     pub rgb: Vec<u8>,
     /// Class id.
@@ -35,7 +37,7 @@ pub struct Frame {
     pub sun_occlusion: Vec<u8>,
     /// Linear radiance before exposure and tone curve, three values per pixel.
     pub radiance: Vec<half::f16>,
-    /// Number of samples of each class, by class id.
+    /// Number of samples of each class, by class id. A visible rover's are of none.
     pub sample_counts: Vec<[u8; 3]>,
     /// Slope of the ground over half a metre, degrees; NaN where there is no ground.
     pub slope_deg: Vec<f32>,

@@ -220,6 +220,7 @@ mod tests {
             height: 2,
             focal_px: 2.0,
             lens: crate::lens::Lens::default(),
+            samples: 4,
             rgb: (0..18).map(|i| i * 14).collect(),
             class: vec![0, 1, 2, 2, 1, 255],
             depth_m: vec![1.0, 2.0, f32::INFINITY, 4.0, 5.0, 6.0],

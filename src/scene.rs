@@ -139,15 +139,7 @@ impl Scene {
         camera: Camera,
     ) -> Self {
         let below_eye = camera.eye.truncate();
-        let yaw = params.number(Knob::CameraYawDeg).to_radians();
-        let view = azimuth::direction(yaw);
-        let rocks = match Rover::build(params) {
-            Some(rover) => {
-                let parts = rover.parts(&terrain, camera.eye, view, rocks.len() as u32);
-                rocks.with(parts)
-            }
-            None => rocks,
-        };
+        let rocks = with_rover(params, rocks, &terrain, camera.eye);
         Self {
             sky: Sky::build(streams, params, below_eye.extend(terrain.height_at(below_eye))),
             photometry: Photometry::build(params),
@@ -161,6 +153,19 @@ impl Scene {
             terrain,
             camera,
         }
+    }
+
+    /// The same stage seen by another camera, which takes its rover along.
+    #[must_use]
+    pub(crate) fn seen_by(&self, params: &Params, camera: Camera) -> Self {
+        let rocks = self.rocks.clone().without_parts();
+        let rocks = with_rover(params, rocks, &self.terrain, camera.eye);
+        Self { camera, rocks, ..self.clone() }
+    }
+
+    /// Whether a rover carries the camera.
+    pub(crate) fn has_rover(&self) -> bool {
+        self.rocks.count() < self.rocks.len()
     }
 
     /// Indices of the rocks that were moved because they overlapped the camera.
@@ -189,6 +194,14 @@ impl Scene {
             write(&star.radius_m.to_le_bytes());
         }
     }
+}
+
+/// The rocks of a stage and behind them the parts of the rover that carries a camera at `eye`, if there is one.
+fn with_rover(params: &Params, rocks: Rocks, terrain: &Terrain, eye: Vec3) -> Rocks {
+    let Some(rover) = Rover::build(params) else { return rocks };
+    let view = azimuth::direction(params.number(Knob::CameraYawDeg).to_radians());
+    let parts = rover.parts(terrain, eye, view, rocks.len() as u32);
+    rocks.with(parts)
 }
 
 /// The nominal ground's material: the regolith's tint with the albedo knob as its mean.

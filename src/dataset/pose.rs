@@ -4,6 +4,7 @@
 
 use super::attempt::BuiltScene;
 use super::plan::Plan;
+use super::rules::{Rules, Violation};
 use crate::error::{Error, Result};
 use crate::params::{Knob, Params, Stage};
 use crate::render::{RenderSettings, Staging};
@@ -49,21 +50,84 @@ impl Pose {
     /// camera, and is made again where the camera has moved. Returns what of it is to be staged as well.
     ///
     /// # Errors
-    /// Those of [`Scene::build`].
+    /// Those of [`Scene::build`], and [`Error::Scene`] for a camera below the ground or inside a rock.
     pub fn in_scene(&self, of: &BuiltScene, settings: &RenderSettings) -> Result<(BuiltScene, Staging)> {
         let params = self.params.clone();
         let (mut built, staging) = if self.moves_camera && params.stage() == Stage::Surface {
             (BuiltScene::new(of.seed, params, settings)?, Staging::Whole)
         } else {
             let mut scene = Scene { sun: Sun::build(&params), ..of.scene.clone() };
+            let mut staging = Staging::WithoutMeshes;
             if self.moves_camera {
-                scene.camera = Camera::build(&params, &scene.terrain)?;
+                let mut camera = Camera::build(&params, &scene.terrain)?;
+                camera.eye.z = self.eye_z_m.unwrap_or(camera.eye.z);
+                scene = scene.seen_by(&params, camera);
+                // Of its rover the device has no meshes.
+                if scene.has_rover() {
+                    staging = Staging::Whole;
+                }
             }
-            (BuiltScene { seed: of.seed, scene, params }, Staging::WithoutMeshes)
+            (BuiltScene { seed: of.seed, scene, params }, staging)
         };
         if let Some(z_m) = self.eye_z_m {
             built.scene.camera.eye.z = z_m;
         }
-        Ok((built, staging))
+        match Rules::violation_of_scene(&built.scene).filter(|_| self.moves_camera) {
+            Some(Violation { found, .. }) => Err(Error::Scene(found)),
+            None => Ok((built, staging)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::rules::Rules;
+    use crate::params::config::Config;
+
+    fn plan(set: &[&str]) -> Plan {
+        let mut config = Config::new();
+        set.iter().for_each(|assignment| config.apply_set(assignment).expect("a setting"));
+        let settings = RenderSettings::new([64, 48], 1).expect("settings");
+        Plan::in_memory(config, Rules::default(), 7, settings, Vec::new())
+    }
+
+    fn built(plan: &Plan) -> BuiltScene {
+        BuiltScene::new(7, plan.config.draw(7).expect("drawn"), &plan.settings).expect("a scene")
+    }
+
+    #[test]
+    fn a_camera_takes_its_rover_along() {
+        let plan = plan(&["rover.kind=rover"]);
+        let of = built(&plan);
+        let parts = |scene: &Scene| {
+            let parts = (scene.rocks.count()..scene.rocks.len()).map(|index| scene.rocks[index].centre);
+            parts.collect::<Vec<_>>()
+        };
+        let moved = Pose::new(&plan, &of, "camera.x_m = 20\ncamera.y_m = -30", None).expect("a pose");
+        let (seen, staging) = moved.in_scene(&of, &plan.settings).expect("a scene");
+        assert!(parts(&seen.scene).len() > 5 && parts(&seen.scene) != parts(&of.scene));
+        assert_eq!(staging, Staging::Whole);
+        let fresh = Scene::build(7, &seen.params).expect("a scene");
+        assert_eq!(parts(&seen.scene), parts(&fresh));
+        assert_eq!(seen.scene.rocks.len(), of.scene.rocks.len());
+        let sun = Pose::new(&plan, &of, "sun.elevation_deg = 30", None).expect("a pose");
+        let (lit, staging) = sun.in_scene(&of, &plan.settings).expect("a scene");
+        assert_eq!((parts(&lit.scene), staging), (parts(&of.scene), Staging::WithoutMeshes));
+    }
+
+    #[test]
+    fn a_camera_below_the_ground_or_inside_a_rock_is_refused() {
+        let plan = plan(&[]);
+        let of = built(&plan);
+        let rock = of.scene.rocks.iter().max_by(|a, b| a.radius_m.total_cmp(&b.radius_m)).expect("a rock");
+        let at = format!("camera.x_m = {}\ncamera.y_m = {}", rock.centre.x, rock.centre.y);
+        let refused = |z_m| {
+            let pose = Pose::new(&plan, &of, &at, Some(z_m)).expect("a pose");
+            pose.in_scene(&of, &plan.settings).map(|_| ()).map_err(|error| error.to_string())
+        };
+        assert!(refused(rock.centre.z).expect_err("inside").contains("inside rock"));
+        assert!(refused(-100.0).expect_err("below").contains("above the ground"));
+        refused(rock.centre.z + 2.0 * rock.radius_m).expect("above the rock");
     }
 }

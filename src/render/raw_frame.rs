@@ -37,6 +37,7 @@ impl RawFrame {
         let (rendered_scene, rendered) = request.rendered(scene);
         frame.focal_px = rendered_scene.camera.focal_px(rendered.size[0]);
         frame.lens = rendered_scene.camera.lens;
+        frame.samples = rendered.samples_per_side * rendered.samples_per_side;
         let mut timed = |frame: &mut Frame, stage, work: &mut dyn FnMut(&mut Frame)| {
             let start = Instant::now();
             work(frame);

@@ -4,7 +4,7 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 
 use crate::support::{
-    adapter_below_file_limit, adapter_name, folder, json, missing_gl, program, run, run_ok,
+    adapter_below_file_limit, adapter_name, folder, json, missing_gl, npy, program, run, run_ok,
     run_with_file_limit,
 };
 
@@ -394,13 +394,6 @@ fn a_folder_with_other_content_needs_force() {
     run_ok(folder.path(), &["--size", "16", "--force"]);
     run_ok(folder.path(), &["--size", "16", "--force"]);
     assert!(Path::exists(&out.join("notes.txt")) && Path::exists(&out.join("rgb_0000.png")));
-}
-
-/// The values of a float32 .npy file.
-fn npy(path: &Path) -> Vec<f32> {
-    let bytes = std::fs::read(path).expect("an array");
-    let data = 10 + usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
-    bytes[data..].chunks_exact(4).map(|f| f32::from_le_bytes([f[0], f[1], f[2], f[3]])).collect()
 }
 
 /// Depth, K and pose from the files reproject every pixel of flat ground onto it, and both kinds of distance agree.

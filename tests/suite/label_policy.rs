@@ -31,7 +31,7 @@ fn preset_scene(preset: &str, seed: u64, set: &[&str]) -> Scene {
 
 fn settings(samples: u32) -> RenderSettings {
     let mut settings = RenderSettings::new([SIDE; 2], samples).expect("settings");
-    settings.annotations = [Annotation::Instances].into_iter().collect();
+    settings.annotations = [Annotation::Instances, Annotation::Coverage].into_iter().collect();
     settings
 }
 
@@ -183,6 +183,7 @@ fn policies_change_labels_of_whole_rocks_and_nothing_else() {
         assert!(pixels().all(|pixel| ignored.class[pixel] == expected.0), "rock {}", rock.instance);
         if rock.reason == LabelReason::Unseen {
             assert!(pixels().all(|pixel| as_ground.class[pixel] == 0 && as_ground.instances[pixel] == 0));
+            assert!(pixels().all(|pixel| as_ground.sample_counts[pixel][1] == 0), "its samples are ground");
             assert!(as_ground.rocks.iter().all(|other| other.instance != rock.instance));
         }
         assert!(rock.visible_px >= 25 || rock.reason == LabelReason::TooSmall, "{rock:?}");

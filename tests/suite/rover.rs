@@ -9,7 +9,7 @@ use regolith::frame::{Annotation, Frame};
 use regolith::render::{RasterMode, RenderSettings};
 use regolith::scene::Scene;
 
-use crate::support::{BACKENDS, params, render_by, scene};
+use crate::support::{BACKENDS, folder, npy, params, render_by, run_ok, scene};
 use crate::truth::Truth;
 
 const SIDE: u32 = 192;
@@ -131,6 +131,35 @@ fn a_rover_is_seen_only_if_visible() {
             }
         }
     }
+}
+
+/// The rover's samples are of no class: they count in none of the fractions, and as samples.
+#[test]
+fn class_fractions_are_those_of_all_samples_of_a_pixel() {
+    let folder = folder();
+    let words = [
+        "--size=96x72",
+        "--outputs=coverage,mask",
+        "--set=rover.kind=rover",
+        "--set=rover.visible=yes",
+        "--set=rover.heading_deg=180",
+        "--set=camera.pitch_deg=-55",
+    ];
+    run_ok(folder.path(), &words);
+    let out = folder.path().join("out");
+    let mask = image::open(out.join("semantic_segmentation_0000.png")).expect("a mask").into_luma8();
+    let coverage = npy(&out.join("semantic_coverage_0000.npy"));
+    let mut sums = [0; 3];
+    for (id, shares) in mask.iter().zip(coverage.chunks_exact(3)) {
+        let sum: f32 = shares.iter().sum();
+        assert!(shares.iter().all(|share| (0.0..=1.0).contains(share)) && sum <= 1.0, "{shares:?}");
+        assert!(if *id == 255 { sum <= 0.75 } else { sum >= 0.25 }, "{id}: {shares:?}");
+        sums[if sum == 0.0 { 0 } else { 1 + usize::from(sum == 1.0) }] += 1;
+    }
+    assert!(
+        sums.iter().all(|count| *count > 10),
+        "pixels of the rover, of its outline, and others: {sums:?}"
+    );
 }
 
 /// Faces along the axes have normals at the end of what their codes hold. The rover's own frame turns with it, so that a turn by a

@@ -193,6 +193,16 @@ fn no_two_scenes_have_a_rock_at_the_same_position() {
     assert_eq!(positions.len(), count);
 }
 
+/// Instance ids have 16 bits: where more rocks would be in view, the smallest are left out.
+#[test]
+fn a_scene_has_at_most_as_many_rocks_as_there_are_ids() {
+    let set = ["stage.name=surface", "craters.fresh_share=1", "craters.density=1.6", "rocks.coverage=0.008"];
+    let view = ["camera.fov_deg=130", "camera.height_m=6", "camera.pitch_deg=-50"];
+    let scene = scene(5, &[&set[..], &view[..]].concat());
+    let count = scene.rocks.count();
+    assert!((40_000..=60_000).contains(&count), "{count} rocks");
+}
+
 /// Mean coverage of the classes over 200 frames; a training frame typically has 1 to 10 % of rock.
 #[test]
 fn coverage_suits_training() {

@@ -61,6 +61,7 @@ fn pixel(class: u8) -> Frame {
         instances: vec![instance],
         sun_occlusion: vec![class],
         radiance: vec![half::f16::ONE; 3],
+        samples: 3,
         sample_counts: vec![[1; 3]],
         slope_deg: vec![0.0],
         craters: vec![class],

@@ -33,13 +33,10 @@ pub(in crate::output) fn camera_distance(frame: &Frame) -> Vec<f32> {
     (0..).zip(&frame.depth_m).map(along_ray).collect()
 }
 
-/// Fraction of a pixel's samples that belong to each class, by class id.
+/// Fraction of a pixel's samples that belong to each class, by class id. Those that show the rover belong to none.
 pub(in crate::output) fn coverage(frame: &Frame) -> Vec<f32> {
-    let fractions = |counts: &[u8; 3]| {
-        let all: f32 = counts.iter().map(|count| f32::from(*count)).sum();
-        counts.map(|count| f32::from(count) / all)
-    };
-    frame.sample_counts.iter().flat_map(fractions).collect()
+    let share = |count: &u8| f32::from(*count) / frame.samples as f32;
+    frame.sample_counts.as_flattened().iter().map(share).collect()
 }
 
 /// The five classes in colours.

@@ -72,7 +72,7 @@ pub(crate) fn apply(scene: &Scene, drawn: &RenderSettings, frame: &mut Frame, ex
 fn relabel(frame: &mut Frame, rule: &LabelRule, reason_of: &[LabelReason]) {
     let becomes_ground =
         |reason: LabelReason| reason == LabelReason::Unseen && rule.unseen == LabelPolicy::Regolith;
-    for (class, instance) in frame.class.iter_mut().zip(&mut frame.instances) {
+    for (pixel, (class, instance)) in frame.class.iter_mut().zip(&mut frame.instances).enumerate() {
         let reason = reason_of[usize::from(*instance)];
         if reason == LabelReason::Rock {
             continue;
@@ -81,6 +81,9 @@ fn relabel(frame: &mut Frame, rule: &LabelRule, reason_of: &[LabelReason]) {
         *(if reason == LabelReason::TooSmall { &mut counts.too_small } else { &mut counts.unseen }) += 1;
         if becomes_ground(reason) {
             (*class, *instance) = (ClassId::REGOLITH.0, 0);
+            if let Some([ground, rock, _]) = frame.sample_counts.get_mut(pixel) {
+                *ground += std::mem::take(rock);
+            }
         } else {
             *class = ClassId::UNLABELLED.0;
             counts.ignored += 1;

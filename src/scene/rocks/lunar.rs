@@ -26,6 +26,9 @@ const OCTAVES: u32 = 7;
 const ROCKS_PER_CELL: f64 = 3.0;
 /// Approximate limit on the number of rocks: the smallest of them are left out where there would be more.
 const MAX_ROCKS: f64 = 15_000.0;
+/// Maximum number of all rocks, with those around fresh craters, on walls and of debris; of more, those that span the smallest angles are
+/// left out. Instance ids have 16 bits.
+const MAX_PLACEMENTS: usize = 60_000;
 /// Rocks outside the viewed sector are made within this many of their diameters of it, at most [`OUTSIDE_MAX_M`] metres:
 /// their shadows reach into it.
 const OUTSIDE_DIAMETERS: f32 = 20.0;
@@ -99,8 +102,7 @@ struct ViewCulling<'a> {
 impl ViewCulling<'_> {
     /// Distance from the eye to a point of the ground, metres.
     fn distance_m(&self, point: Vec2) -> f32 {
-        let height_m = self.view.eye_height_m;
-        (point.distance_squared(self.centre) + height_m * height_m).sqrt()
+        distance_m(self.view, self.centre, point)
     }
 
     /// Whether a circle overlaps the viewed sector.
@@ -154,6 +156,9 @@ pub fn placements(
     centre: Vec2,
 ) -> Vec<Placement> {
     let mut placements = draw_placements(streams, params, relief, view, centre);
+    keep_largest(&mut placements, MAX_PLACEMENTS, |rock| {
+        rock.diameter_m / f64::from(distance_m(view, centre, rock.position))
+    });
     // No rocks beyond the border of the ground.
     placements.retain(|rock| f64::from(rock.position.distance(centre)) + rock.diameter_m <= view.radius_m);
     // Wheels go around rocks, but for those that they press into the soil.
@@ -294,13 +299,23 @@ fn wall_rocks(
     // Of the key, as the age is, but of bits of their own.
     rocks.retain(|rock| wall.rock_share(rock.position - centre) > age_of(rock.key.rotate_left(24)));
     let angle = |rock: &Placement| rock.diameter_m / f64::from(culling.distance_m(rock.position));
-    if rocks.len() > MAX_WALL_ROCKS {
-        let mut angles: Vec<f64> = rocks.iter().map(angle).collect();
-        let (_, least, _) = angles.select_nth_unstable_by(MAX_WALL_ROCKS, |a, b| b.total_cmp(a));
+    keep_largest(&mut rocks, MAX_WALL_ROCKS, angle);
+    placements.append(&mut rocks);
+}
+
+/// Distance of level ground at a point from the eye, which stands above `centre`, metres.
+fn distance_m(view: &View, centre: Vec2, point: Vec2) -> f32 {
+    (point.distance_squared(centre) + view.eye_height_m * view.eye_height_m).sqrt()
+}
+
+/// Keeps at most `max` rocks, those that span the largest angles.
+fn keep_largest(rocks: &mut Vec<Placement>, max: usize, angle: impl Fn(&Placement) -> f64) {
+    if rocks.len() > max {
+        let mut angles: Vec<f64> = rocks.iter().map(&angle).collect();
+        let (_, least, _) = angles.select_nth_unstable_by(max, |a, b| b.total_cmp(a));
         let least = *least;
         rocks.retain(|rock| angle(rock) > least);
     }
-    placements.append(&mut rocks);
 }
 
 /// The scattered rocks of an octave, in the cells (their middle, and a radius around them, metres) that are wanted. `high_m` is the largest

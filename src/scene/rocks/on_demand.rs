@@ -111,6 +111,13 @@ impl Rocks {
         }
     }
 
+    /// These without the parts of a rover.
+    #[must_use]
+    pub(in crate::scene) fn without_parts(self) -> Self {
+        let count = self.count();
+        if count == self.len() { self } else { Self(self.0[..count].iter().cloned().collect()) }
+    }
+
     /// These, with further ones behind them.
     #[must_use]
     pub(in crate::scene) fn with(mut self, more: Vec<Rock>) -> Self {
