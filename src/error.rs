@@ -22,7 +22,7 @@ pub enum Error {
         suggestion: Option<String>,
     },
     /// A knob value, or the bound of a distribution, outside the allowed range.
-    #[error("{name} = {value} in {origin} is out of range; allowed: {allowed}")]
+    #[error("{name} = {value} in {origin} is out of range; allowed: {allowed}{}", did_you_mean(.suggestion.as_deref()))]
     KnobOutOfRange {
         /// Dotted knob name.
         name: String,
@@ -30,8 +30,10 @@ pub enum Error {
         value: String,
         /// Where it was written: `--set`, a file, a preset.
         origin: String,
-        /// The allowed range, with unit.
+        /// The allowed range, with unit, or the words that are allowed.
         allowed: String,
+        /// The most similar word that is allowed.
+        suggestion: Option<String>,
     },
     /// A knob value of the wrong type or shape.
     #[error("{name} = {value} in {origin} cannot be used: expected {expected}")]

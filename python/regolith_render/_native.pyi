@@ -22,6 +22,7 @@ class NoAdapterError(DeviceError):
 _Frame = tuple[dict[str, NDArray[Any]], str, str]
 
 def main(words: list[str], executable: str) -> int: ...
+def config_text(path: str | os.PathLike[str]) -> str: ...
 def adapters() -> list[tuple[str, str, str, str]]: ...
 def knobs(stage: str) -> list[tuple[str, str, tuple[float, float] | None, list[str], str, str]]: ...
 def presets() -> list[tuple[str, str]]: ...
@@ -32,7 +33,7 @@ class Settings:
         self,
         stage: str | None,
         presets: list[str],
-        config: str | os.PathLike[str] | None,
+        config: tuple[str, str] | None,
         set: str,
         size: tuple[int, int],
         outputs: str,

@@ -63,10 +63,13 @@ class Renderer:
         for name, text in texts.items():
             if text is not None and not isinstance(text, str):
                 raise refused(name, text, "a text is expected")
+        if config is not None and not isinstance(config, (str, os.PathLike)):
+            raise refused("config", config, "the path of a file is expected")
         self._settings_of: dict[str, Any] = {
             "stage": stage,
             "presets": names_of("preset", preset),
-            "config": config,
+            # As it is now: a copy in another process has neither this folder nor this version of the file.
+            "config": None if config is None else (_native.config_text(config), os.fsdecode(config)),
             "set": document(set),
             "size": size_of(size),
             "outputs": ",".join(names_of("outputs", outputs)),

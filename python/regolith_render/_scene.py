@@ -106,14 +106,14 @@ class Scene:
     """
 
     def __init__(self, renderer: Renderer, seed: int, set: Knobs | None = None) -> None:
-        self._renderer, self._seed, self._set = renderer, seed, dict(set or {})
+        self._renderer, self._seed, self._set = renderer, seed, document(set)
         self._built: _native.Scene | None = None
         self._native()
 
     def _native(self) -> _native.Scene:
         if self._built is None:
             renderer = self._renderer
-            self._built = renderer._engine().scene(renderer._settings, self._seed, document(self._set))
+            self._built = renderer._engine().scene(renderer._settings, self._seed, self._set)
         return self._built
 
     def __getstate__(self) -> dict[str, Any]:

@@ -42,7 +42,7 @@ def whole(name: str, value: object, low: int, high: int) -> int:
         number = operator.index(value)  # type: ignore[arg-type]
     except TypeError:
         raise refused(name, value, allowed) from None
-    if not low <= number <= high:
+    if isinstance(value, (bool, np.bool_)) or not low <= number <= high:
         raise refused(name, value, allowed)
     return number
 
@@ -53,7 +53,7 @@ def seed_of(value: object) -> int:
 
 def size_of(value: Any) -> tuple[int, int]:
     """Width and height, pixels, of one number or a pair."""
-    sides = (value, value) if np.ndim(value) == 0 else value
+    sides = value if _is_list(value) else (value, value)
     width: object
     height: object
     try:
@@ -61,6 +61,15 @@ def size_of(value: Any) -> tuple[int, int]:
     except (TypeError, ValueError):
         raise refused("size", value, "(width, height) in pixels is expected, or one number for both") from None
     return whole("size", width, 1, MAX_SIDE), whole("size", height, 1, MAX_SIDE)
+
+
+def _is_list(value: object) -> bool:
+    """Whether it has items by number: texts and NumPy's arrays of no dimension have none."""
+    try:
+        len(value)  # type: ignore[arg-type]
+    except TypeError:
+        return False
+    return not isinstance(value, (str, bytes, Mapping))
 
 
 def names_of(name: str, value: object) -> list[str]:
@@ -81,13 +90,25 @@ def document(set: Knobs | None) -> str:
     """Values of knobs as TOML."""
     if set is not None and not isinstance(set, Mapping):
         raise refused("set", set, 'a mapping of knobs is expected, as in {"sun.elevation_deg": 12}')
-    return "".join(f"{_key(name)} = {_toml(str(name), value)}\n" for name, value in (set or {}).items())
+    try:
+        return "".join(f"{_key(name)} = {_toml(str(name), value)}\n" for name, value in (set or {}).items())
+    except RecursionError:
+        raise refused("set", set, "values of finite depth are expected") from None
 
 
 def _key(name: object) -> str:
     """A dotted name; what is no name becomes one that no knob has."""
     parts = str(name).split(".")
-    return ".".join(part if re.fullmatch(r"[A-Za-z0-9_-]+", part) else json.dumps(part) for part in parts)
+    return ".".join(part if re.fullmatch(r"[A-Za-z0-9_-]+", part) else _text(part) for part in parts)
+
+
+def _text(text: str) -> str:
+    """A text as TOML, which knows no surrogates; its delete character is escaped."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise refused("set", text, "a text without lone surrogates is expected") from None
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _toml(knob: str, value: object) -> str:
@@ -95,14 +116,14 @@ def _toml(knob: str, value: object) -> str:
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_key(key)} = {_toml(knob, item)}" for key, item in value.items()) + "}"
     if isinstance(value, str):
-        return json.dumps(value)
+        return _text(value)
     if isinstance(value, (bool, np.bool_)):
         return "true" if value else "false"
     if isinstance(value, (int, np.integer)) and -(2**63) <= int(value) < 2**63:
         return str(int(value))
     if isinstance(value, (float, np.floating)):
         return repr(float(value))
-    if isinstance(value, (Sequence, np.ndarray)) and np.ndim(value) > 0:
+    if _is_list(value) and isinstance(value, (Sequence, np.ndarray)):
         return "[" + ", ".join(_toml(knob, item) for item in value) + "]"
     expected = "a number, a text, a list or a distribution is expected; this is no value of a knob"
     raise refused(knob, value, expected, knob=knob)
@@ -118,7 +139,10 @@ def _new_lock() -> None:
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_new_lock)
+    # No process is forked while a device is opened: the locks of loader and drivers would never be released in the child.
+    os.register_at_fork(
+        before=lambda: _opening.acquire(), after_in_parent=lambda: _opening.release(), after_in_child=_new_lock
+    )
 
 
 @contextmanager

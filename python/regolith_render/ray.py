@@ -15,7 +15,7 @@ from ray.data import Datasource, ReadTask
 from ray.data.block import BlockAccessor, BlockMetadata
 
 from ._renderer import Renderer
-from ._settings import MAX_FRAMES, MAX_SEED, Knobs, names_of, whole
+from ._settings import MAX_FRAMES, MAX_SEED, Knobs, document, names_of, whole
 
 _RENDERERS: dict[str, Renderer] = {}
 """The renderers of this worker process by their settings: a device is opened once, not for each block."""
@@ -98,6 +98,7 @@ def read_moon(
 
     Raises ConfigError for a wrong setting.
     """
+    document(set)
     settings = {
         "preset": names_of("preset", preset),
         "outputs": names_of("outputs", outputs),

@@ -26,6 +26,12 @@ const SET: &str = "set";
 /// How long a wait for a frame goes on before Python may handle signals: Ctrl-C ends it.
 const SIGNALS_EVERY: Duration = Duration::from_millis(50);
 
+/// The text of a file of knobs.
+#[pyfunction]
+pub(crate) fn config_text(py: Python<'_>, path: PathBuf) -> PyResult<String> {
+    raised(py, Config::read_file(&path))
+}
+
 /// Everything that decides what frames are, checked. Opens no device.
 #[pyclass(frozen)]
 pub(crate) struct Settings {
@@ -41,7 +47,7 @@ impl Settings {
         py: Python<'_>,
         stage: Option<&str>,
         presets: Vec<String>,
-        config: Option<PathBuf>,
+        config: Option<(String, String)>,
         set: &str,
         size: [u32; 2],
         outputs: &str,
@@ -60,8 +66,8 @@ impl Settings {
             for preset in &presets {
                 knobs.apply_preset(preset)?;
             }
-            if let Some(path) = &config {
-                knobs.apply_file(path)?;
+            if let Some((text, path)) = &config {
+                knobs.apply_toml(text, path)?;
             }
             knobs.apply_toml(set, SET)?;
             if let Some(stage) = stage {

@@ -35,7 +35,9 @@ fn details(error: &Error) -> Details {
     let some = |text: &String| Some(text.clone());
     match error {
         Error::UnknownKnob { name, suggestion, .. } => [some(name), None, None, suggestion.clone()],
-        Error::KnobOutOfRange { name, value, allowed, .. } => [some(name), some(value), some(allowed), None],
+        Error::KnobOutOfRange { name, value, allowed, suggestion, .. } => {
+            [some(name), some(value), some(allowed), suggestion.clone()]
+        }
         Error::KnobType { name, value, expected, .. } => [some(name), some(value), some(expected), None],
         Error::UnknownPreset { name, suggestion, available }
         | Error::UnknownOutput { name, suggestion, available } => {
@@ -51,6 +53,9 @@ pub(crate) fn exception(py: Python<'_>, error: &Error) -> PyErr {
     match error {
         Error::NoAdapter { .. } | Error::AdapterNotFound { .. } | Error::AdapterUnfit { .. } => {
             NoAdapterError::new_err(message)
+        }
+        Error::Config { cause, .. } if cause.kind() == std::io::ErrorKind::InvalidData => {
+            ConfigError::new_err(message)
         }
         Error::Read { cause, .. } | Error::Write { cause, .. } | Error::Config { cause, .. } => {
             // The class is that of the cause: FileNotFoundError, PermissionError, ...

@@ -28,6 +28,7 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     errors::add_to(module)?;
     module.add_function(wrap_pyfunction!(main, module)?)?;
+    module.add_function(wrap_pyfunction!(engine::config_text, module)?)?;
     module.add_function(wrap_pyfunction!(tables::adapters, module)?)?;
     module.add_function(wrap_pyfunction!(tables::knobs, module)?)?;
     module.add_function(wrap_pyfunction!(tables::presets, module)?)?;

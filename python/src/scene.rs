@@ -2,11 +2,11 @@
 
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use regolith::dataset::FrameStream;
 use regolith::dataset::attempt::BuiltScene;
 use regolith::dataset::frame_stream::render_scene;
 use regolith::dataset::plan::Plan;
 use regolith::dataset::pose::Pose;
+use regolith::dataset::{FrameStream, cores};
 use regolith::export::{self, Detail, Format, Stage};
 
 use crate::convert::{self, PyFrame};
@@ -73,7 +73,10 @@ impl Scene {
             let detail = if drawn { Detail::Drawn } else { Detail::Authored };
             let settings = &self.plan.settings;
             let stage = Stage { scene, seed: *seed, knobs: &knobs, settings, detail };
-            export::export(&stage, format)
+            // A pool of its own: the threads of the common pool do not exist in a process that was forked.
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(cores()).build();
+            let pool = pool.map_err(|error| regolith::Error::Thread(std::io::Error::other(error)))?;
+            pool.install(|| export::export(&stage, format))
         };
         Ok(PyBytes::new(py, &raised(py, py.detach(bytes))?))
     }

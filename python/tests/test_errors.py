@@ -12,6 +12,8 @@ import pytest
 import regolith_render as rr
 from conftest import ADAPTER, python
 
+ENDLESS: list[Any] = []
+ENDLESS.append(ENDLESS)
 SETTINGS: list[tuple[dict[str, Any], str]] = [
     ({"preset": "trian_dr"}, r"unknown preset `trian_dr` \(did you mean `train_dr`\?\)"),
     ({"preset": 3}, "preset = 3"),
@@ -44,6 +46,16 @@ SETTINGS: list[tuple[dict[str, Any], str]] = [
     ({"set": {"rocks.count": 10**30}}, "rocks.count"),
     ({"set": {"a b\nc": 1}}, "unknown knob"),
     ({"set": ["sun.elevation_deg"]}, "mapping of knobs"),
+    ({"set": {"photometry.law": "\U0001f600"}}, "photometry.law.*\U0001f600.*lambert"),
+    ({"set": {"photometry.law": "hap\x7fke"}}, "photometry.law"),
+    ({"set": {"photometry.law": "\ud800"}}, "lone surrogates"),
+    ({"set": {"rocks.scale_m": [[1], [2, 3]]}}, "rocks.scale_m"),
+    ({"set": {"rocks.scale_m": ENDLESS}}, "finite depth"),
+    ({"size": [[1], [2, 3]]}, r"size = \[1\]"),
+    ({"size": True}, "size = True"),
+    ({"samples": True}, "samples = True"),
+    ({"config": 3}, "config = 3"),
+    ({"config": b"/x"}, "config = b'/x'"),
 ]
 
 
@@ -53,6 +65,25 @@ def test_wrong_settings_are_named_before_a_device_is_opened(settings: dict[str, 
         rr.Renderer(**settings)
     assert not str(caught.value).startswith("--")
     assert all(hasattr(caught.value, name) for name in ("knob", "value", "allowed", "nearest"))
+
+
+def test_an_error_names_the_nearest_word() -> None:
+    for settings, knob, nearest in [
+        ({"set": {"photometry.law": "hapk"}}, "photometry.law", "hapke"),
+        ({"stage": "surfac"}, "stage.name", "surface"),
+        ({"set": {"snu": 3}}, "snu", "sun"),
+    ]:
+        with pytest.raises(rr.ConfigError, match=f"did you mean `{nearest}`") as caught:
+            rr.Renderer(**settings)  # type: ignore[arg-type]
+        assert (caught.value.knob, caught.value.nearest) == (knob, nearest)
+        assert "mean" not in str(caught.value.allowed)
+
+
+def test_a_file_that_is_no_text_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "knobs.toml"
+    file.write_bytes(b"\xff\xfe")
+    with pytest.raises(rr.ConfigError, match="knobs.toml"):
+        rr.Renderer(config=file)
 
 
 CALLS: list[tuple[Callable[[rr.Renderer], object], str]] = [

@@ -73,6 +73,20 @@ def test_threads_may_share_a_renderer() -> None:
     assert ran.returncode == 0, ran.stderr
 
 
+def test_a_pickled_renderer_has_the_file_of_knobs_as_it_was(tmp_path: Path) -> None:
+    file = tmp_path / "knobs.toml"
+    file.write_text("sun.elevation_deg = 11")
+    renderer = rr.Renderer(config=file, size=32, adapter=ADAPTER)
+    pickled = pickle.dumps(renderer)
+    file.unlink()
+    copy = pickle.loads(pickled)
+    assert copy.render(1).meta["knobs"]["sun.elevation_deg"] == 11
+    nested = {"camera.fov_deg": {"uniform": [20, 30]}}
+    scene = renderer.scene(1, set=nested)
+    nested["camera.fov_deg"]["uniform"][1] = 90
+    assert np.array_equal(pickle.loads(pickle.dumps(scene)).render()["rgb"], scene.render()["rgb"])
+
+
 def test_a_renderer_and_its_scenes_pickle_as_their_settings() -> None:
     renderer = rr.Renderer(preset="train_dr", size=32, adapter=ADAPTER, set={"rocks.count": 20})
     before, scene = renderer.render(6), renderer.scene(6, set={"sun.azimuth_deg": 100})
@@ -94,12 +108,16 @@ FORKS = """
             return float(renderer.render(4)["rgb"].mean())
         except rr.DeviceError as error:
             return str(error)
-    def child(renderer, pipe):
-        pipe.send(mean(renderer))
-    def in_child(method, renderer):
+    def vertices(renderer):
+        return len(renderer.scene(4).mesh()["vertices"])
+    def adapters(_):
+        return len(rr.adapters())
+    def child(renderer, pipe, work):
+        pipe.send(work(renderer))
+    def in_child(method, renderer, work=mean):
         context = multiprocessing.get_context(method)
         mine, theirs = context.Pipe()
-        process = context.Process(target=child, args=(renderer, theirs))
+        process = context.Process(target=child, args=(renderer, theirs, work))
         process.start()
         assert mine.poll(60), "the child hangs"
         answer = mine.recv()
@@ -113,6 +131,17 @@ FORKS = """
         assert mean(fresh) == of_child
         for method in ("spawn", "forkserver"):
             assert in_child(method, fresh) == of_child, method
+        count = vertices(fresh)
+        assert in_child("fork", rr.Renderer(size=32, adapter=ADAPTER), vertices) == count
+        stop = threading.Event()
+        def look():
+            while not stop.is_set(): rr.adapters()
+        looking = threading.Thread(target=look)
+        looking.start()
+        for _ in range(4):  # while a thread of the parent opens drivers
+            assert in_child("fork", fresh, adapters) >= 1
+        stop.set()
+        looking.join()
         frames = fresh.frames(range(1000))
         next(frames)
         def take():

@@ -157,9 +157,16 @@ impl Config {
     /// # Errors
     /// [`Error::Config`], or those of [`Self::apply_toml`].
     pub fn apply_file(&mut self, path: &Path) -> Result<()> {
-        let text = input::read_named_text(path, MAX_FILE_BYTES)
-            .map_err(|cause| Error::Config { path: path.to_owned(), cause })?;
-        self.apply_toml(&text, &path.display().to_string())
+        self.apply_toml(&Self::read_file(path)?, &path.display().to_string())
+    }
+
+    /// The text of a file for [`Self::apply_toml`].
+    ///
+    /// # Errors
+    /// [`Error::Config`].
+    pub fn read_file(path: &Path) -> Result<String> {
+        input::read_named_text(path, MAX_FILE_BYTES)
+            .map_err(|cause| Error::Config { path: path.to_owned(), cause })
     }
 
     /// Applies knobs from TOML: `elevation_deg = 3` below `[sun]`, or `sun.elevation_deg = 3`.
@@ -281,6 +288,7 @@ impl Config {
                 value: value.to_string(),
                 origin: origin.to_owned(),
                 allowed: format!("{}, finite", info.allowed()),
+                suggestion: None,
             });
         }
         let distribution =

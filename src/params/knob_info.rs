@@ -125,12 +125,10 @@ impl KnobInfo {
             name: self.name.to_owned(),
             value: distribution.to_string(),
             origin: origin.to_owned(),
-            allowed: match (self.kind, distribution) {
-                (Text(words), Fixed(Value::Text(word))) => nearest(word, words.iter().copied()).map_or_else(
-                    || self.allowed(),
-                    |near| format!("{} (did you mean `{near}`?)", self.allowed()),
-                ),
-                _ => self.allowed(),
+            allowed: self.allowed(),
+            suggestion: match (self.kind, distribution) {
+                (Text(words), Fixed(Value::Text(word))) => nearest(word, words.iter().copied()),
+                _ => None,
             },
         };
         let within = |value: &f64| (self.range[0]..=self.range[1]).contains(value);
