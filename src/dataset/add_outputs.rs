@@ -19,7 +19,7 @@ use serde_json::{Map, Value, json};
 
 use super::gate::{Gate, MAX_LINE_BYTES, read_manifest};
 use super::lock::RunLock;
-use super::log::{FoundLines, LinePosition, find_lines, has_files};
+use super::log::{FoundLines, LinePosition, find_lines, has_files, line_at};
 use super::manifest;
 use super::merge::{Finalized, finalize_run};
 use super::pipeline::{Concurrency, FinishedFrame, render_frames};
@@ -337,18 +337,6 @@ impl ExistingLines {
     fn line(&self, index: u64) -> Result<FrameLine> {
         line_at(&self.path, self.positions.get(&index))
     }
-}
-
-/// The line at a position of a log.
-fn line_at(path: &Path, position: Option<&LinePosition>) -> Result<FrameLine> {
-    let failed = |cause| Error::Read { path: path.to_owned(), cause };
-    let Some(&LinePosition { offset, length, .. }) = position else {
-        return Err(failed(std::io::ErrorKind::NotFound.into()));
-    };
-    let mut text = vec![0; length];
-    let mut file = input::open(path)?;
-    file.seek(SeekFrom::Start(offset)).and_then(|_| file.read_exact(&mut text)).map_err(failed)?;
-    FrameLine::parse(&text).map_err(|error| failed(std::io::Error::other(error)))
 }
 
 /// The log of what is added, and the writer of the files.

@@ -6,12 +6,13 @@
 //! Must not know: how frames are made, who writes.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::io::{Read as _, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use super::gate::{Gate, MAX_LINE_BYTES};
 use super::plan::Shard;
 use crate::error::{Error, Result};
-use crate::input::Lines;
+use crate::input::{self, Lines};
 use crate::output::layout::{FrameLine, FrameLines};
 use crate::output::{dataset_path, disk};
 
@@ -63,7 +64,8 @@ pub(super) struct LinePosition {
 pub(super) struct FoundLines {
     /// The logs, sorted by name.
     pub(super) logs: Vec<PathBuf>,
-    /// For each frame whose files exist, the position of its last complete line.
+    /// For each frame whose files exist, the position of its last complete line. Of lines that differ in their hashes the one counts that
+    /// has those of the files.
     pub(super) positions: BTreeMap<u64, LinePosition>,
     /// Paths of the folders, below the dataset's, that frames' files are in; with those above them.
     pub(super) folders: BTreeSet<String>,
@@ -104,7 +106,9 @@ pub(super) fn find_lines(folder: &Path, gate: &Gate) -> Result<FoundLines> {
                 gate.check(&line).map_err(|message| refused(path, number, &message))?;
                 let has_files = has_files(folder, &line)?;
                 found.add_folders(&line);
-                if has_files && gate.lists_all_files(&line) {
+                let earlier = found.positions.get(&line.index);
+                let is_last = || earlier.is_none_or(|earlier| !is_outdated(folder, &line, (&logs, earlier)));
+                if has_files && gate.lists_all_files(&line) && is_last() {
                     found.positions.insert(line.index, LinePosition { log, offset, length: text.len() });
                 }
             }
@@ -112,6 +116,34 @@ pub(super) fn find_lines(folder: &Path, gate: &Gate) -> Result<FoundLines> {
         }
     }
     Ok(found)
+}
+
+/// Whether a frame's files are those of an earlier line, and not those of this one. No order of the logs says so: a shard makes a frame again
+/// that a run of all frames has made, or the other way round.
+fn is_outdated(folder: &Path, line: &FrameLine, (logs, earlier): (&[PathBuf], &LinePosition)) -> bool {
+    // A log that another shard has just removed is merged; the lines of the merged log count.
+    let Ok(earlier) = line_at(&logs[earlier.log], Some(earlier)) else { return false };
+    earlier.hashes != line.hashes && !has_hashed_files(folder, line) && has_hashed_files(folder, &earlier)
+}
+
+/// Whether a frame's own files have the hashes of its line.
+fn has_hashed_files(folder: &Path, line: &FrameLine) -> bool {
+    let is_same = |(path, hash): (&str, &str)| {
+        dataset_path::hash(folder, path).is_ok_and(|(_, of_file)| of_file == hash)
+    };
+    line.hashes().all(is_same)
+}
+
+/// The line at a position of a log.
+pub(super) fn line_at(path: &Path, position: Option<&LinePosition>) -> Result<FrameLine> {
+    let failed = |cause| Error::Read { path: path.to_owned(), cause };
+    let Some(&LinePosition { offset, length, .. }) = position else {
+        return Err(failed(std::io::ErrorKind::NotFound.into()));
+    };
+    let mut text = vec![0; length];
+    let mut file = input::open(path)?;
+    file.seek(SeekFrom::Start(offset)).and_then(|_| file.read_exact(&mut text)).map_err(failed)?;
+    FrameLine::parse(&text).map_err(|error| failed(std::io::Error::other(error)))
 }
 
 /// Opens a log in a dataset's folder.
@@ -203,5 +235,42 @@ impl FrameLog {
 impl FrameLines for FrameLog {
     fn for_each(&self, visit: &mut dyn FnMut(FrameLine) -> Result<()>) -> Result<()> {
         self.for_each_result(&mut |line| visit(line?))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use crate::output::disk::content_hash;
+
+    /// A frame that was made again has two lines, and any of the logs may have the new one.
+    #[test]
+    fn of_two_lines_the_one_with_the_hashes_of_the_files_counts() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let folder = folder.path();
+        let manifest = json!({
+            "format": "folder", "outputs": ["rgb", "mask"], "splits": {}, "start": 0, "count": 1, "size": [8, 8],
+        });
+        let gate = Gate::of_manifest(manifest.as_object().expect("an object")).expect("a gate");
+        let paths = gate.names_of(&FrameLine::default()).files;
+        let write_files = |content: &str| {
+            for path in &paths {
+                let path = folder.join(path);
+                std::fs::create_dir_all(path.parent().expect("a folder")).expect("created");
+                std::fs::write(path, content).expect("written");
+            }
+        };
+        for (log, content) in [("frames-0-of-2.jsonl", "of a shard"), ("frames.jsonl", "of a whole run")] {
+            let hash = |path: &String| (path.clone(), content_hash(content.as_bytes()).into());
+            let line = FrameLine { hashes: paths.iter().map(hash).collect(), ..FrameLine::default() };
+            std::fs::write(folder.join(log), json!(line).to_string() + "\n").expect("written");
+        }
+        for (content, log) in [("of a shard", 0), ("of a whole run", 1), ("of neither", 1)] {
+            write_files(content);
+            let found = find_lines(folder, &gate).expect("read");
+            assert_eq!(found.positions[&0].log, log, "the files are {content}");
+        }
     }
 }
