@@ -136,7 +136,7 @@ impl Addition {
             return Err(self.unfinished(&of_log));
         }
         if !of_log.is_empty() {
-            let log = AddedLog::open(self, &of_log)?;
+            let log = AddedLog::open(self, &of_log, &ExistingLines::of_log(&self.folder)?)?;
             if log.positions.len() as u64 == self.frames() {
                 return Ok(Added { made: 0, finalized: self.switch(log, lock)? });
             }
@@ -174,7 +174,7 @@ impl Addition {
         }
         let existing = ExistingLines::find(self, &self.gates[0])?;
         lock.remove_leftovers(&self.file_folders())?;
-        let mut log = AddedLog::open(self, &self.added)?;
+        let mut log = AddedLog::open(self, &self.added, &existing)?;
         let missing: Vec<u64> = self.indices().filter(|index| !log.positions.contains_key(index)).collect();
         let (found, mut made, wanted) = (log.positions.len() as u64, 0, missing.len() as u64);
         watch(found, made);
@@ -264,13 +264,17 @@ impl Addition {
     /// Removes all that was added.
     fn take_back(&self, existing: &ExistingLines, log: &AddedLog) -> Result<()> {
         let mut folders = BTreeSet::new();
-        for index in log.positions.keys() {
-            let (old, new) = (existing.line(*index)?, log.line(*index)?);
+        for_each_line(&log.path, |new, _| {
+            if !existing.positions.contains_key(&new.index) || self.gates[1].check(&new).is_err() {
+                return Ok(());
+            }
+            let old = existing.line(new.index)?;
             for path in new.hashes.keys().filter(|path| !old.hashes.contains_key(*path)) {
                 disk::remove(&dataset_path::for_writing(&self.folder, path)?)?;
                 folders.extend(path.rsplit_once('/').map(|(folder, _)| folder.to_owned()));
             }
-        }
+            Ok(())
+        })?;
         folders.iter().for_each(|folder| disk::remove_empty_folder(&self.folder.join(folder)));
         disk::remove(&log.path)
     }
@@ -285,19 +289,7 @@ fn is_bundled(plan: &Plan) -> bool {
 /// The line of a frame with its new files, and these, if all that the dataset has of it came out again.
 fn same(old: &FrameLine, frame: FinishedFrame) -> Result<(FrameLine, FrameFiles)> {
     let FinishedFrame { mut line, mut files, .. } = frame;
-    let without_files = |line: &FrameLine| {
-        json!(FrameLine { hashes: Map::new(), entry: Value::Null, ms: Map::new(), ..line.clone() })
-    };
-    let (found, expected) = (without_files(&line), without_files(old));
-    let changed =
-        expected.as_object().into_iter().flatten().find(|(key, value)| found.get(key) != Some(value));
-    let moved = changed.map(|(key, value)| (key.clone(), found[key].clone(), value.clone())).or_else(|| {
-        let moved = old.hashes.iter().find(|(path, hash)| line.hashes.get(*path) != Some(hash));
-        moved.map(|(path, hash)| {
-            (path.clone(), line.hashes.get(path).cloned().unwrap_or_default(), hash.clone())
-        })
-    });
-    if let Some((what, now, there)) = moved {
+    if let Some((what, now, there)) = difference(old, &line) {
         let short = |value: &Value| value.to_string().chars().take(80).collect::<String>();
         return Err(Error::CheckFailed(format!(
             "frame {}: rendered again, its `{what}` is {}; in the dataset it is {}. Outputs are added by the version, adapter and --raster \
@@ -310,6 +302,35 @@ fn same(old: &FrameLine, frame: FinishedFrame) -> Result<(FrameLine, FrameFiles)
     files.artifacts.retain(|file| !old.hashes.contains_key(&file.name));
     line.ms = old.ms.clone();
     Ok((line, files))
+}
+
+/// The first key or file of a frame's line that is another in its new line, with the new value and the old one.
+fn difference(old: &FrameLine, new: &FrameLine) -> Option<(String, Value, Value)> {
+    let without_files = |line: &FrameLine| {
+        json!(FrameLine { hashes: Map::new(), entry: Value::Null, ms: Map::new(), ..line.clone() })
+    };
+    let (found, expected) = (without_files(new), without_files(old));
+    let changed =
+        expected.as_object().into_iter().flatten().find(|(key, value)| found.get(key) != Some(value));
+    changed.map(|(key, value)| (key.clone(), found[key].clone(), value.clone())).or_else(|| {
+        let changed = old.hashes.iter().find(|(path, hash)| new.hashes.get(*path) != Some(hash));
+        changed.map(|(path, hash)| {
+            (path.clone(), new.hashes.get(path).cloned().unwrap_or_default(), hash.clone())
+        })
+    })
+}
+
+/// Passes each line of a log that can be read to `visit`, with its position. Returns the length of the log, bytes.
+fn for_each_line(path: &Path, mut visit: impl FnMut(FrameLine, LinePosition) -> Result<()>) -> Result<u64> {
+    let mut lines = Lines::open(&dataset_path::own_file(path)?, MAX_LINE_BYTES)?;
+    let (mut text, mut offset) = (Vec::new(), 0);
+    while lines.next_into(&mut text)?.is_some() {
+        if let Ok(line) = FrameLine::parse(&text) {
+            visit(line, LinePosition { log: 0, offset, length: text.len() })?;
+        }
+        offset += text.len() as u64;
+    }
+    Ok(offset)
 }
 
 /// The lines that a dataset has, read one at a time.
@@ -334,8 +355,24 @@ impl ExistingLines {
         Ok(Self { path, positions })
     }
 
+    /// The last of each frame in `frames.jsonl`, whatever files the frame has.
+    fn of_log(folder: &Path) -> Result<Self> {
+        let path = folder.join("frames.jsonl");
+        let mut positions = BTreeMap::new();
+        for_each_line(&path, |line, position| {
+            positions.insert(line.index, position);
+            Ok(())
+        })?;
+        Ok(Self { path, positions })
+    }
+
     fn line(&self, index: u64) -> Result<FrameLine> {
         line_at(&self.path, self.positions.get(&index))
+    }
+
+    /// Whether a frame with this new line is that of the dataset: it may have been made again since.
+    fn agree_with(&self, new: &FrameLine) -> Result<bool> {
+        Ok(self.positions.contains_key(&new.index) && difference(&self.line(new.index)?, new).is_none())
     }
 }
 
@@ -351,8 +388,8 @@ struct AddedLog {
 }
 
 impl AddedLog {
-    /// Opens the log of an addition of these outputs, or begins it.
-    fn open(addition: &Addition, added: &[&'static str]) -> Result<Self> {
+    /// Opens the log of an addition of these outputs to frames with these lines, or begins it.
+    fn open(addition: &Addition, added: &[&'static str], existing: &ExistingLines) -> Result<Self> {
         let path = addition.folder.join(ADDED_FILE);
         let of_log = addition.outputs_of_log()?;
         if !of_log.is_empty() && of_log != added {
@@ -374,32 +411,28 @@ impl AddedLog {
         if of_log.is_empty() {
             log.append(&json!({ HEADER: added }).to_string())?;
         } else {
-            log.read(addition)?;
+            log.read(addition, existing)?;
         }
         Ok(log)
     }
 
-    /// Reads the lines whose files exist.
-    fn read(&mut self, addition: &Addition) -> Result<()> {
+    /// Reads the lines whose files exist and that agree with those of the dataset.
+    fn read(&mut self, addition: &Addition, existing: &ExistingLines) -> Result<()> {
         let [_, gate] = &addition.gates;
-        let mut lines = Lines::open(&dataset_path::own_file(&self.path)?, MAX_LINE_BYTES)?;
-        let mut text = Vec::new();
-        while lines.next_into(&mut text)?.is_some() {
-            if let Ok(line) = FrameLine::parse(&text)
-                && gate.check(&line).is_ok()
+        let positions = &mut self.positions;
+        self.length = for_each_line(&self.path, |line, position| {
+            if gate.check(&line).is_ok()
                 && gate.lists_all_files(&line)
                 && has_files(&addition.folder, &line)?
+                && existing.agree_with(&line)?
             {
-                let position = LinePosition { log: 0, offset: self.length, length: text.len() };
-                self.positions.insert(line.index, position);
+                positions.insert(line.index, position);
+            } else {
+                positions.remove(&line.index);
             }
-            self.length += text.len() as u64;
-        }
+            Ok(())
+        })?;
         Ok(())
-    }
-
-    fn line(&self, index: u64) -> Result<FrameLine> {
-        line_at(&self.path, self.positions.get(&index))
     }
 
     /// Writes the new files of a frame, and after a fraction of a second its line.

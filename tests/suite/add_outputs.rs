@@ -160,6 +160,32 @@ fn an_addition_that_stopped_at_its_end_is_completed() {
     }
 }
 
+/// Else the dataset would get the line that the frame had before it was made again.
+#[test]
+fn a_frame_that_was_made_again_meanwhile_is_rendered_again() {
+    let folder = folder();
+    let path = folder.path();
+    make(path, "whole", &["--count=3", ALL]);
+    make(path, "few", &["--count=3", FEW]);
+    let lines = fs::read_to_string(path.join("whole/frames.jsonl")).expect("read");
+    let line: Value = serde_json::from_str(lines.lines().nth(1).expect("a line")).expect("JSON");
+    let hash = line["hashes"]["rgb/rgb_00001.png"].as_str().expect("a hash");
+    let log =
+        "{\"adds\":[\"depth\",\"instances\",\"meta\"]}\n".to_owned() + &lines.replace(hash, &"0".repeat(32));
+    for output in ["depth", "instances", "meta"] {
+        copy(&path.join("whole").join(output), &path.join("few").join(output));
+    }
+    // The addition is resumed; and it was finished by other means, and its log is left.
+    copy(&path.join("whole"), &path.join("finished"));
+    for (data, made) in [("few", 1), ("finished", 0)] {
+        fs::write(path.join(data).join("frames-added.jsonl"), &log).expect("written");
+        let words = ["dataset", "--add-outputs", "depth,instances,meta", data, "-q", "--json"];
+        let summary: Value = serde_json::from_str(&run_ok(path, &words)).expect("JSON");
+        assert_eq!(summary["made"], made, "{data}");
+        assert_same(path, data, "whole");
+    }
+}
+
 #[test]
 fn frames_that_do_not_come_out_again_get_nothing() {
     let folder = folder();
