@@ -90,6 +90,9 @@ fn finalize_locked(folder: &Path, lock: MergeLock) -> Result<Finalized> {
     let (identity, options, range) = merged_identity(&manifests)?.ok_or_else(|| no_dataset(folder))?;
     let gate = Gate::of_identity(&identity, range)?;
     let FoundLines { logs, positions, folders } = find_lines(folder, &gate)?;
+    // Frames of a run whose manifest was lost belong to the dataset as those of other manifests do.
+    let range = with_found(range, &positions);
+    let gate = Gate::of_identity(&identity, range)?;
     lock.remove_leftovers(&folders)?;
     let mut files = FileWriter::new(folder, MERGE_TAG);
     merge_logs(&mut files, &logs, &positions)?;
@@ -137,6 +140,14 @@ fn merged_identity(manifests: &[PathBuf]) -> Result<Option<MergedIdentity>> {
         range = range.hull(manifest::range_of(&other));
     }
     Ok(Some((identity, options, range)))
+}
+
+/// The smallest range that contains a range and the frames that were found.
+fn with_found(range: Range, positions: &BTreeMap<u64, LinePosition>) -> Range {
+    let ends = positions.first_key_value().zip(positions.last_key_value());
+    ends.map_or(range, |((&first, _), (&last, _))| {
+        range.hull(Range { start: first, count: last - first + 1 })
+    })
 }
 
 /// Copies the lines at these positions to `frames.jsonl`, byte for byte.

@@ -436,6 +436,10 @@ fn lost_and_damaged_files_are_made_again() {
     assert!(message.contains("add --force"), "{message}");
     run_ok(folder.path(), &[command.as_slice(), &["--force"]].concat());
     assert!(content(&data) == before);
+    // Frames beyond the command's are not left out of the new manifest.
+    std::fs::remove_file(data.join("manifest.json")).expect("removed");
+    run_ok(folder.path(), &dataset("data", &["--count", "2", "-q", "--force"]));
+    assert!(content(&data) == before);
 }
 
 #[test]
