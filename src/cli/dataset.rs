@@ -243,6 +243,9 @@ fn dry_run(args: &DatasetArgs, plan: &Plan) -> Result<()> {
             .collect();
         return print(&format!("{:#}\n", Value::from(rows)));
     }
+    if rows.is_empty() {
+        return print(&format!("--shard {} has no frame of this range\n", args.shard));
+    }
     let mut text = format!("{:<26}", "frame");
     for (index, ..) in &rows {
         text.push_str(&format!("{index:>18}"));
@@ -251,12 +254,19 @@ fn dry_run(args: &DatasetArgs, plan: &Plan) -> Result<()> {
     for (_, seed, _) in &rows {
         text.push_str(&format!("{seed:>18}"));
     }
-    for knob in rows[0].2.keys() {
-        let values: Vec<&Value> = rows.iter().map(|row| &row.2[knob]).collect();
-        let formatted = |value: &Value| {
-            value.as_f64().map_or(value.to_string(), |number| {
-                if number.fract() == 0.0 { number.to_string() } else { format!("{number:.4}") }
-            })
+    // Frames of different stages have different knobs.
+    let mut knobs: Vec<&String> = Vec::new();
+    for (_, _, row) in &rows {
+        let further: Vec<&String> = row.keys().filter(|knob| !knobs.contains(knob)).collect();
+        knobs.extend(further);
+    }
+    for knob in knobs {
+        let values: Vec<Option<&Value>> = rows.iter().map(|row| row.2.get(knob)).collect();
+        let formatted = |value: Option<&Value>| match value.map(|value| (value, value.as_f64())) {
+            None => "-".to_owned(),
+            Some((value, None)) => value.to_string(),
+            Some((_, Some(number))) if number.fract() == 0.0 => number.to_string(),
+            Some((_, Some(number))) => format!("{number:.4}"),
         };
         text.push_str(&format!("\n{knob:<26}"));
         if values.iter().all(|value| *value == values[0]) {

@@ -562,6 +562,17 @@ fn a_dry_run_prints_the_knobs_and_writes_nothing() {
     let rows = run_ok(folder.path(), &dataset("data", &["--count", "3", "--dry-run", "--json"]));
     let rows: Value = serde_json::from_str(&rows).expect("JSON");
     assert_eq!(rows.as_array().map(Vec::len), Some(3));
+    // A shard without frames, and frames of both stages, which have different knobs.
+    let none = run_ok(folder.path(), &dataset("data", &["--count", "1", "--shard", "1/2", "--dry-run"]));
+    assert!(none.contains("has no frame of this range"), "{none}");
+    let stages = "--set=stage.name={choice=[\"nominal\",\"surface\"]}";
+    let both = run_ok(folder.path(), &["dataset", "--count", "5", "--out", "data", stages, "--dry-run"]);
+    let row = |knob: &str| both.lines().find(|line| line.starts_with(knob)).map(str::to_owned);
+    assert!(
+        row("stage.name").is_some_and(|row| row.contains("nominal") && row.contains("surface")),
+        "{both}"
+    );
+    assert!(row("grains.density").is_some_and(|row| row.contains(" -")), "{both}");
     assert!(!folder.path().join("data").exists());
     run_ok(folder.path(), &dataset("data", &["--count", "3", "-q"]));
     for (row, line) in rows.as_array().expect("rows").iter().zip(lines(&folder.path().join("data"))) {
