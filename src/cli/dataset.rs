@@ -150,6 +150,7 @@ fn plan(args: &DatasetArgs) -> Result<Plan> {
     let outputs = Plan::outputs(args.outputs.as_deref(), format, layout)?;
     let image = args.image.or(&args.config.origin()?);
     let mut settings = image.settings()?;
+    Plan::check_size(settings.size)?;
     settings.annotations = output::annotations(&outputs);
     let splits = args.split.as_deref().map_or(Ok(Vec::new()), plan::parse_splits)?;
     let count = args.count.unwrap_or_else(|| splits.iter().map(|(_, count)| count).sum());

@@ -28,6 +28,8 @@ use crate::scene::Scene;
 const SEEDS: u64 = 1 << 53;
 /// Largest number of frames of a base seed, and distance between the seeds of a frame's attempts.
 pub const MAX_FRAMES: u64 = 1 << 32;
+/// Largest side of an image, pixels; no device renders a larger one.
+const MAX_SIDE_PX: u32 = 1 << 15;
 
 /// What a dataset consists of.
 #[derive(Clone, Debug)]
@@ -143,12 +145,13 @@ impl FromStr for Shard {
 /// Parses a list of splits, as in `train=1500,val=200`.
 ///
 /// # Errors
-/// [`Error::Usage`] for an empty or repeated name, or a missing number of frames.
+/// [`Error::Usage`] for an empty or repeated name, a missing number of frames, or more frames than a dataset has.
 pub fn parse_splits(text: &str) -> Result<Vec<(String, u64)>> {
     let refused = |why: &str| {
         Error::Usage(format!("--split {text}: {why}; the form is NAME=FRAMES,..., as in train=1500,val=200"))
     };
     let mut splits: Vec<(String, u64)> = Vec::new();
+    let mut frames: u64 = 0;
     for part in text.split(',') {
         let (name, count) = part.split_once('=').ok_or_else(|| refused(&format!("`{part}` has no `=`")))?;
         let name = name.trim();
@@ -159,10 +162,10 @@ pub fn parse_splits(text: &str) -> Result<Vec<(String, u64)>> {
             return Err(refused(&format!("`{name}` occurs twice")));
         }
         let count = count.trim().parse().ok().filter(|count| *count > 0);
-        splits.push((
-            name.to_owned(),
-            count.ok_or_else(|| refused(&format!("`{part}` has no positive number of frames")))?,
-        ));
+        let count = count.ok_or_else(|| refused(&format!("`{part}` has no positive number of frames")))?;
+        let sum = frames.checked_add(count).filter(|frames| *frames <= MAX_FRAMES);
+        frames = sum.ok_or_else(|| refused(&format!("a dataset has at most {MAX_FRAMES} frames in all")))?;
+        splits.push((name.to_owned(), count));
     }
     Ok(splits)
 }
@@ -305,6 +308,18 @@ impl Plan {
         }
     }
 
+    /// Checks the requested size of the images, pixels.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for one that no device renders.
+    pub fn check_size([width, height]: [u32; 2]) -> Result<()> {
+        if width.max(height) > MAX_SIDE_PX {
+            let message = format!("--size {width}x{height}: no side has more than {MAX_SIDE_PX} pixels");
+            return Err(Error::Usage(message));
+        }
+        Ok(())
+    }
+
     /// Checks the requested numbering of the classes against the layout.
     ///
     /// # Errors
@@ -429,9 +444,19 @@ mod tests {
     fn splits_keep_their_order_and_invalid_ones_are_refused() {
         let splits = parse_splits("train=1500, val=200").expect("read");
         assert_eq!(splits, [("train".to_owned(), 1500), ("val".to_owned(), 200)]);
-        for wrong in ["train", "train=", "train=0", "=3", "a=1,a=2", "a/b=1", "../x=2"] {
+        assert!(parse_splits("a=4294967295,b=1").is_ok());
+        for wrong in ["train", "train=", "train=0", "=3", "a=1,a=2", "a/b=1", "../x=2", "a=4294967296,b=1"] {
             assert!(parse_splits(wrong).is_err(), "{wrong}");
         }
+        let message = parse_splits("a=18446744073709551615,b=2").expect_err("too many").to_string();
+        assert!(message.contains("at most 4294967296 frames"), "{message}");
+    }
+
+    #[test]
+    fn sizes_beyond_those_of_devices_are_errors_of_usage() {
+        assert!(Plan::check_size([32_768, 1]).is_ok());
+        let error = Plan::check_size([40_000, 10]).expect_err("too wide");
+        assert!(matches!(error, Error::Usage(_)) && error.to_string().contains("--size 40000x10"), "{error}");
     }
 
     #[test]

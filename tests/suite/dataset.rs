@@ -350,6 +350,8 @@ fn a_wrong_configuration_is_refused_before_anything_is_written() {
         (vec!["--split", "train=2,train=3"], "occurs twice"),
         (vec!["--split", "../up=2"], "is not a name; allowed are letters"),
         (vec!["--split", "train"], "has no `=`"),
+        (vec!["--split", "a=18446744073709551615,b=2"], "at most 4294967296 frames in all"),
+        (vec!["--count", "1", "--size", "40000x10"], "--size 40000x10: no side has more than 32768 pixels"),
         (vec!["--count", "1", "--format", "cocoo"], "unknown format"),
         (vec!["--count", "1", "--outputs", "rgb,masks"], "did you mean `mask`"),
         (vec!["--count", "1", "--preset", "train_rd"], "did you mean `train_dr`"),

@@ -4,16 +4,13 @@
 
 use serde_json::{Map, Value};
 
-use super::{MAX_FRAMES, Plan, Range, Seeds, Shard, is_split_name};
+use super::{MAX_FRAMES, MAX_SIDE_PX, Plan, Range, Seeds, Shard, is_split_name};
 use crate::dataset::rules::Rules;
 use crate::error::{Error, Result};
 use crate::output::layout::{self, Layout};
 use crate::output::{self, LabelIds, OUTPUTS, Output};
 use crate::params::config::Config;
 use crate::render::RenderSettings;
-
-/// Largest side of an image, pixels; no device renders a larger one.
-const MAX_SIDE_PX: u64 = 1 << 15;
 
 /// Which files a dataset has: the part of its plan that every reader of its folder needs.
 #[derive(Clone, Debug)]
@@ -147,8 +144,9 @@ fn splits(value: &Value, frames: u64) -> Option<Vec<(String, u64)>> {
 fn size_of(manifest: &Map<String, Value>) -> Result<[u32; 2]> {
     read(manifest, "size", "[width, height] in pixels", |value| {
         let [width, height] = value.as_array()?.as_slice() else { return None };
-        let side =
-            |value: &Value| Some(value.as_u64().filter(|side| (1..=MAX_SIDE_PX).contains(side))? as u32);
+        let side = |value: &Value| {
+            u32::try_from(value.as_u64()?).ok().filter(|side| (1..=MAX_SIDE_PX).contains(side))
+        };
         Some([side(width)?, side(height)?])
     })
 }
