@@ -9,7 +9,7 @@ use crate::class::ClassId;
 use crate::dataset::lock;
 use crate::dataset::log_writer::FrameLogWriter;
 use crate::dataset::manifest::DatasetSpec;
-use crate::dataset::merge::{Finalized, finalize, finalize_frames};
+use crate::dataset::merge::{Finalized, MissingFrames, finalize, finalize_frames};
 use crate::dataset::plan::{self, MAX_FRAMES, Plan, Range, Seeds, frame_seed};
 use crate::dataset::rules::Rules;
 use crate::dataset::{self, Concurrency, Progress};
@@ -28,6 +28,8 @@ use super::progress::{Meter, duration};
 
 /// Number of frames of a dry run, if the range has as many.
 const DRY_FRAMES: u64 = 5;
+/// Missing frames that the JSON summary lists.
+const MAX_LISTED: usize = 1000;
 
 #[derive(Args, Debug)]
 pub(super) struct DatasetArgs {
@@ -126,7 +128,7 @@ pub(super) fn run(args: &DatasetArgs, messages: Messages) -> Result<()> {
             // The manifest was lost, and --force confirms that the frames belong to this run.
             drop(FrameLogWriter::open(&args.out, &spec, args.force)?);
         }
-        return report(args, messages, None, &finalize_frames(&args.out, plan.own_indices())?, 0.0);
+        return report(args, messages, None, &finalize_frames(&args.out, plan.range, plan.shard)?, 0.0);
     }
     let start = Instant::now();
     // Before the folder is created, so that nothing is left behind on a machine without an adapter.
@@ -285,22 +287,23 @@ fn dry_run(args: &DatasetArgs, plan: &Plan) -> Result<()> {
 fn merge(args: &DatasetArgs, messages: Messages) -> Result<()> {
     let finalized = finalize(&args.out)?;
     report(args, messages, None, &finalized, 0.0)?;
-    match finalized.missing.as_slice() {
-        [] => Ok(()),
-        missing => Err(Error::CheckFailed(format!(
-            "{} {} missing from {}: {}. Make them with their --shard, or copy the other shards into the folder",
-            missing.len(),
-            if missing.len() == 1 { "frame is" } else { "frames are" },
-            args.out.display(),
-            abbreviated(missing)
-        ))),
+    let missing = &finalized.missing;
+    if missing.is_empty() {
+        return Ok(());
     }
+    Err(Error::CheckFailed(format!(
+        "{} {} missing from {}: {}. Make them with their --shard, or copy the other shards into the folder",
+        missing.count(),
+        if missing.count() == 1 { "frame is" } else { "frames are" },
+        args.out.display(),
+        abbreviated(missing)
+    )))
 }
 
-/// The first few of a list of frames.
-fn abbreviated(indices: &[u64]) -> String {
-    let first: Vec<String> = indices.iter().take(8).map(ToString::to_string).collect();
-    format!("{}{}", first.join(", "), if indices.len() > 8 { ", ..." } else { "" })
+/// The first few missing frames.
+fn abbreviated(missing: &MissingFrames) -> String {
+    let first: Vec<String> = missing.indices().take(8).map(|index| index.to_string()).collect();
+    format!("{}{}", first.join(", "), if missing.count() > 8 { ", ..." } else { "" })
 }
 
 /// Prints the summary of a finished run; without `run`, of a folder in which nothing had to be rendered.
@@ -326,7 +329,8 @@ fn report(
             "frames": manifest["n_completed"],
             "made": run.map_or(0, |run| run.made),
             "redraws": run.map_or(0, |run| run.redraws),
-            "missing": finalized.missing,
+            "n_missing": finalized.missing.count(),
+            "missing": finalized.missing.indices().take(MAX_LISTED).collect::<Vec<_>>(),
             "seconds": seconds,
             "ms_per_frame": ms,
             "status": manifest["status"],
@@ -366,7 +370,7 @@ fn report(
     } else {
         messages.note(format_args!(
             "{} frames of other shards are still missing: {}; once they are copied here, `regolith-render dataset --merge --out {}` completes the folder",
-            finalized.missing.len(),
+            finalized.missing.count(),
             abbreviated(&finalized.missing),
             args.out.display()
         ));

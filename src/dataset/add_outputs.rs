@@ -143,7 +143,7 @@ impl Addition {
             disk::remove(&log.path)?;
         }
         ExistingLines::find(self, &self.gates[1])?;
-        Ok(Added { made: 0, finalized: finalize_run(&self.folder, lock, self.indices())? })
+        Ok(Added { made: 0, finalized: finalize_run(&self.folder, lock, self.plan.range, Shard::WHOLE)? })
     }
 
     /// The error of an addition beside another one.
@@ -258,7 +258,7 @@ impl Addition {
         })?;
         writer.sync_folders()?;
         disk::remove(&path)?;
-        finalize_run(&self.folder, lock, self.indices())
+        finalize_run(&self.folder, lock, range, Shard::WHOLE)
     }
 
     /// Removes all that was added.
@@ -344,7 +344,7 @@ impl ExistingLines {
     fn find(addition: &Addition, gate: &Gate) -> Result<Self> {
         let FoundLines { logs, positions, .. } = find_lines(&addition.folder, gate)?;
         let path = addition.folder.join("frames.jsonl");
-        let missing = addition.indices().filter(|index| !positions.contains_key(index)).count() as u64;
+        let missing = addition.frames() - positions.range(addition.indices()).count() as u64;
         if missing > 0 || logs != [path.clone()] {
             let message = format!(
                 "{missing} of its {} frames are not on the disk; run its dataset command again, which makes them",

@@ -140,8 +140,7 @@ impl Conversion {
         })?;
         convert_chunk(&mut chunk)?;
         log.write_manifest("done")?;
-        let range = self.spec.range;
-        finalize_run(out, log.close(), range.start..range.end())
+        finalize_run(out, log.close(), self.spec.range, self.spec.shard)
     }
 
     /// A frame's line and files in the new layout.

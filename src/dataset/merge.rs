@@ -13,7 +13,7 @@ use super::digest::{self, Digest};
 use super::gate::{Gate, read_manifest};
 use super::lock::{MERGE_TAG, MergeLock, RunLock};
 use super::log::{FoundLines, FrameLog, LinePosition, MANIFEST, find_lines, shard_files};
-use super::plan::{Range, differences, frame_seed};
+use super::plan::{Range, Shard, differences, frame_seed};
 use super::totals::Totals;
 use super::{contact_sheet, data_card, histograms, manifest};
 use crate::error::{Error, Result};
@@ -28,7 +28,44 @@ pub struct Finalized {
     /// Its manifest.
     pub manifest: Map<String, Value>,
     /// Frames of the dataset that do not exist yet.
-    pub missing: Vec<u64>,
+    pub missing: MissingFrames,
+}
+
+/// Frames that do not exist, as the ranges between those that do: a dataset can have more frames than the memory has room for.
+#[derive(Clone, Debug)]
+pub struct MissingFrames(Vec<std::ops::Range<u64>>);
+
+impl MissingFrames {
+    /// Those of a range where these frames, ascending, exist.
+    fn between(range: Range, existing: impl Iterator<Item = u64>) -> Self {
+        let mut gaps = Vec::new();
+        let mut next = range.start;
+        for index in existing.filter(|index| (range.start..range.end()).contains(index)).chain([range.end()])
+        {
+            if next < index {
+                gaps.push(next..index);
+            }
+            next = index + 1;
+        }
+        Self(gaps)
+    }
+
+    /// Whether every frame exists.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Number of missing frames.
+    #[must_use]
+    pub fn count(&self) -> u64 {
+        self.0.iter().map(|gap| gap.end - gap.start).sum()
+    }
+
+    /// Their indices, ascending.
+    pub fn indices(&self) -> impl Iterator<Item = u64> {
+        self.0.iter().cloned().flatten()
+    }
 }
 
 /// Makes one `frames.jsonl` in ascending order of index and one `manifest.json` out of those of all runs. Once every
@@ -45,38 +82,30 @@ pub fn finalize(folder: &Path) -> Result<Finalized> {
     finalize_locked(folder, MergeLock::acquire(folder)?)
 }
 
-/// Like [`finalize`], at the end of a run of these frames. Counts what is on the disk.
+/// Like [`finalize`], at the end of a run of the frames of a range that belong to a shard. Counts what is on the disk.
 ///
 /// # Errors
 /// [`Error::FramesLost`] if one of the run's frames is missing; those of [`finalize`].
-pub(super) fn finalize_run(
-    folder: &Path,
-    lock: RunLock,
-    own: impl Iterator<Item = u64>,
-) -> Result<Finalized> {
-    check_frames(folder, finalize_locked(folder, MergeLock::after(lock)?)?, own)
+pub(super) fn finalize_run(folder: &Path, lock: RunLock, range: Range, shard: Shard) -> Result<Finalized> {
+    check_frames(folder, finalize_locked(folder, MergeLock::after(lock)?)?, range, shard)
 }
 
 /// Like [`finalize`], where these frames were found. Counts what is on the disk.
 ///
 /// # Errors
 /// [`Error::FramesLost`] if one of them is missing; those of [`finalize`].
-pub fn finalize_frames(folder: &Path, own: impl Iterator<Item = u64>) -> Result<Finalized> {
-    check_frames(folder, finalize(folder)?, own)
+pub fn finalize_frames(folder: &Path, range: Range, shard: Shard) -> Result<Finalized> {
+    check_frames(folder, finalize(folder)?, range, shard)
 }
 
-fn check_frames(folder: &Path, finalized: Finalized, own: impl Iterator<Item = u64>) -> Result<Finalized> {
-    let range = manifest::range_of(&finalized.manifest);
-    let is_missing = |index: &u64| {
-        finalized.missing.binary_search(index).is_ok() || !(range.start..range.end()).contains(index)
-    };
-    let (mut wanted, mut missing) = (0, 0);
-    for index in own {
-        wanted += 1;
-        missing += u64::from(is_missing(&index));
-    }
-    if missing > 0 {
-        return Err(Error::FramesLost { path: folder.to_owned(), missing, wanted });
+fn check_frames(folder: &Path, finalized: Finalized, range: Range, shard: Shard) -> Result<Finalized> {
+    let own_in = |start: u64, end: u64| shard.count_in(&(start.max(range.start)..end.min(range.end())));
+    let of_dataset = manifest::range_of(&finalized.manifest);
+    let wanted = own_in(range.start, range.end());
+    let missing: u64 = finalized.missing.0.iter().map(|gap| own_in(gap.start, gap.end)).sum();
+    let found = own_in(of_dataset.start, of_dataset.end()) - missing;
+    if found < wanted {
+        return Err(Error::FramesLost { path: folder.to_owned(), missing: wanted - found, wanted });
     }
     Ok(finalized)
 }
@@ -96,8 +125,7 @@ fn finalize_locked(folder: &Path, lock: MergeLock) -> Result<Finalized> {
     lock.remove_leftovers(&folders)?;
     let mut files = FileWriter::new(folder, MERGE_TAG);
     merge_logs(&mut files, &logs, &positions)?;
-    let missing: Vec<u64> =
-        (range.start..range.end()).filter(|index| !positions.contains_key(index)).collect();
+    let missing = MissingFrames::between(range, positions.keys().copied());
     let totals = Totals::of(&FrameLog::new(folder, gate.clone()), gate.size())?;
     let mut manifest =
         merged_manifest(identity, &options, range, positions.len() as u64, missing.is_empty(), &totals);
@@ -248,4 +276,42 @@ pub(super) fn index_files(
 
 fn layout_of(manifest: &Map<String, Value>) -> Result<(&'static str, &'static dyn Layout)> {
     layout::find(manifest.get("format").and_then(Value::as_str).unwrap_or_default())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A hostile manifest names billions of frames.
+    #[test]
+    fn missing_frames_are_counted_without_a_list_of_them() {
+        let range = Range { start: 2, count: (1 << 32) - 2 };
+        let missing = MissingFrames::between(range, [0, 2, 3, 6, u64::from(u32::MAX)].into_iter());
+        assert_eq!(missing.count(), range.count - 4);
+        assert_eq!(missing.indices().take(4).collect::<Vec<_>>(), [4, 5, 7, 8]);
+        assert!(!missing.is_empty() && missing.0.len() == 2);
+        assert!(MissingFrames::between(Range { start: 3, count: 2 }, 0..9).is_empty());
+    }
+
+    #[test]
+    fn a_run_misses_the_frames_of_its_own_only() {
+        let frames = |start, count| Range { start, count };
+        let missing = |range, shard| {
+            let manifest = [("start", 2.into()), ("count", 8.into())]
+                .map(|(key, value): (_, Value)| (key.to_owned(), value));
+            let missing = MissingFrames::between(frames(2, 8), [2, 3, 4, 6, 8, 9].into_iter());
+            let finalized = Finalized { manifest: manifest.into_iter().collect(), missing };
+            match check_frames(Path::new("data"), finalized, range, shard) {
+                Err(Error::FramesLost { missing, wanted, .. }) => (missing, wanted),
+                result => result.map(|_| (0, 0)).expect("no other error"),
+            }
+        };
+        let [even, odd] = [0, 1].map(|number| Shard { number, of: 2 });
+        assert_eq!(missing(frames(2, 8), Shard::WHOLE), (2, 8));
+        assert_eq!(missing(frames(2, 8), even), (0, 0));
+        assert_eq!(missing(frames(2, 8), odd), (2, 4));
+        assert_eq!(missing(frames(8, 2), Shard::WHOLE), (0, 0));
+        assert_eq!(missing(frames(8, 5), Shard::WHOLE), (3, 5), "frames beyond the dataset are missing");
+        assert_eq!(missing(frames(20, 4), odd), (2, 2));
+    }
 }

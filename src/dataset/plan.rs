@@ -117,6 +117,13 @@ impl Shard {
         index % self.of == self.number
     }
 
+    /// Number of frames of a range that belong to the shard.
+    #[must_use]
+    pub fn count_in(self, range: &std::ops::Range<u64>) -> u64 {
+        let before = |end: u64| end.saturating_sub(self.number).div_ceil(self.of);
+        before(range.end).saturating_sub(before(range.start))
+    }
+
     /// The tag of its temporary files, by which shards that share a folder know their own.
     #[must_use]
     pub fn tag(self) -> String {
@@ -253,6 +260,12 @@ impl Plan {
     pub fn own_indices(&self) -> impl Iterator<Item = u64> + Clone + Send + use<> {
         let shard = self.shard;
         (self.range.start..self.range.end()).filter(move |index| shard.contains(*index))
+    }
+
+    /// Number of frames that this run makes.
+    #[must_use]
+    pub fn own_count(&self) -> u64 {
+        self.shard.count_in(&(self.range.start..self.range.end()))
     }
 
     /// The split that a frame belongs to; empty if there are no splits.
@@ -433,6 +446,12 @@ mod tests {
         let shards: Vec<Shard> = (0..3).map(|i| format!("{i}/3").parse().expect("a shard")).collect();
         for index in 0..30 {
             assert_eq!(shards.iter().filter(|shard| shard.contains(index)).count(), 1);
+        }
+        for (start, end) in [(0, 0), (0, 1), (1, 2), (2, 9), (5, 30), (7, 7)] {
+            for shard in &shards {
+                let expected = (start..end).filter(|index| shard.contains(*index)).count();
+                assert_eq!(shard.count_in(&(start..end)), expected as u64, "{shard:?} of {start}..{end}");
+            }
         }
         for wrong in ["3/3", "1", "-1/2", "a/b", "0/0", ""] {
             let message = wrong.parse::<Shard>().expect_err(wrong).to_string();

@@ -95,7 +95,7 @@ fn make(format: &str, shards: u64, folder: &Path) {
             log.write_files(&files).and_then(|()| log.append(&line)).expect("written");
         }
         log.write_manifest("done").expect("written");
-        finalize_run(folder, log.close(), plan.own_indices()).expect("completed");
+        finalize_run(folder, log.close(), plan.range, plan.shard).expect("completed");
     }
 }
 

@@ -62,13 +62,17 @@ pub fn run(
     stop: &AtomicBool,
     mut watch: impl FnMut(&Progress) + Send,
 ) -> Result<(Progress, Finalized)> {
-    let missing: Vec<u64> = plan.own_indices().filter(|index| !log.finished().contains(index)).collect();
-    let wanted = plan.own_indices().count() as u64;
-    let mut progress = Progress::new(wanted - missing.len() as u64, wanted);
+    // Not a list of the missing frames: a plan has up to 2^32.
+    let finished = log.finished().clone();
+    let of_plan = finished.range(plan.range.start..plan.range.end());
+    let found = of_plan.filter(|index| plan.shard.contains(**index)).count() as u64;
+    let missing = plan.own_indices().filter(|index| !finished.contains(index));
+    let wanted = plan.own_count();
+    let mut progress = Progress::new(found, wanted);
     watch(&progress);
     let folder = log.folder().to_owned();
     let mut manifest_written = Instant::now();
-    let result = render_frames(plan, renderer, missing.into_iter(), concurrency, stop, |mut frame| {
+    let result = render_frames(plan, renderer, missing, concurrency, stop, |mut frame| {
         let start = Instant::now();
         log.write_files(&frame.files)?;
         frame.times.push(("write", milliseconds_since(start)));
@@ -97,7 +101,7 @@ pub fn run(
     if !is_complete {
         return Err(Error::Stopped { done: progress.found + progress.made, wanted, remedy: RUN_AGAIN });
     }
-    Ok((progress, finalize_run(&folder, log.close(), plan.own_indices())?))
+    Ok((progress, finalize_run(&folder, log.close(), plan.range, plan.shard)?))
 }
 
 /// Makes the frames of a plan and passes the files of each to `sink`, in ascending order of index.
@@ -112,7 +116,7 @@ pub fn stream(
     mut sink: impl FnMut(&FrameFiles, &Progress) -> Result<()> + Send,
 ) -> Result<Progress> {
     let indices = plan.own_indices();
-    let wanted = indices.clone().count() as u64;
+    let wanted = plan.own_count();
     let mut progress = Progress::new(0, wanted);
     let mut in_order = InOrder::new(indices.clone());
     render_frames(plan, renderer, indices, concurrency, stop, |frame| {

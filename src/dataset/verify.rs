@@ -91,7 +91,7 @@ pub fn check(folder: &Path, mut watch: impl FnMut(u64, u64)) -> Result<Report> {
         let mut paths = check_index(&context, &summary, &mut report)?;
         paths.extend(["manifest.json", "frames.jsonl"].map(str::to_owned));
         paths.iter().for_each(|path| inventory.add(&context, path));
-        inventory.check(&context, summary.next - context.plan.range.start, &paths, &mut report)?;
+        inventory.check(&context, summary.span(context.plan.range), &paths, &mut report)?;
         if summary.is_readable {
             check_form(&context, &mut report)?;
         }

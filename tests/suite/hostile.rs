@@ -216,6 +216,46 @@ fn numbers_beyond_any_dataset_are_refused() {
     assert_eq!(sandbox.run(&["verify", "data", "--rerender=0"]).status.code(), Some(1));
 }
 
+/// A manifest may have as many frames as there are. What is missing of them is neither listed nor looked for one by one.
+#[cfg(unix)]
+#[test]
+fn a_huge_number_of_frames_takes_neither_memory_nor_time() {
+    let sandbox = Sandbox::new();
+    let limited = |words: &[&str]| {
+        let whole = program(sandbox.path());
+        let mut shell = Command::new("bash");
+        shell.args(["-c", "ulimit -v 4000000; exec \"$0\" \"$@\""]).arg(whole.get_program()).args(words);
+        let output = ends_soon(shell.current_dir(sandbox.path()));
+        assert_eq!(output.status.code(), Some(1), "{words:?}: {}", text(&output));
+        text(&output)
+    };
+    run_ok(sandbox.path(), &["convert", "data", "--format=webdataset", "--out=archives", "-q"]);
+    sandbox.change_manifest(|manifest| manifest["count"] = (1_u64 << 32).into());
+    for words in
+        [&["verify", "data", "--rerender=0"][..], &["convert", "data", "--format=coco", "--out=coco"]]
+    {
+        limited(words);
+    }
+    let message = limited(&["dataset", "--merge", "--out=data"]);
+    assert!(message.contains("4294967293 frames are missing from data: 3, 4, 5"), "{message}");
+
+    // A line of the last frame is no sign of all before it.
+    let archives = sandbox.path().join("archives");
+    let path = archives.join("manifest.json");
+    let mut manifest = read_json(&path);
+    manifest["count"] = (1_u64 << 32).into();
+    fs::write(path, manifest.to_string()).expect("written");
+    let path = archives.join("frames.jsonl");
+    let lines = fs::read_to_string(&path).expect("read");
+    let mut last: Value = serde_json::from_str(lines.lines().last().expect("a line")).expect("JSON");
+    last["index"] = u32::MAX.into();
+    last["hashes"] = json!({});
+    last["entry"]["bundle"] = "4294967.tar".into();
+    fs::write(path, format!("{lines}{last}\n")).expect("written");
+    let message = limited(&["verify", "archives", "--rerender=0"]);
+    assert!(message.contains("index is 4294967295; it should be 3"), "{message}");
+}
+
 #[test]
 fn repeated_keys_are_refused() {
     let sandbox = Sandbox::new();

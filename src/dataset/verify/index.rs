@@ -8,6 +8,7 @@ use super::context::{Context, Version};
 use super::differences::{Difference, differences};
 use super::report::{Report, name};
 use super::store::archive_problem;
+use crate::dataset::plan::Range;
 use crate::dataset::totals::Totals;
 use crate::dataset::{digest, manifest, merge};
 use crate::error::Result;
@@ -16,6 +17,8 @@ use crate::output::{Artifact, dataset_path};
 
 /// Keys of the manifest that name the ids of the masks.
 const ID_KEYS: [&str; 3] = ["label_ids", "class_map", "ignore_index"];
+/// Index files that are looked for beyond the number of those in the manifest.
+const MAX_UNLISTED: usize = 10_000;
 
 /// What the lines amount to.
 pub(super) struct LogSummary {
@@ -62,6 +65,17 @@ impl LogSummary {
         }
         is_frame
     }
+
+    /// Whether there are as many lines as frames, up to the last frame.
+    fn is_complete(&self, range: Range) -> bool {
+        self.frames == range.count && self.next == range.end()
+    }
+
+    /// Number of frames from the first on that the lines are of, those between them included; a line far ahead of the others adds no
+    /// more than there are lines.
+    pub(super) fn span(&self, range: Range) -> u64 {
+        (self.next - range.start).min(2 * self.frames)
+    }
 }
 
 /// Checks every key of the manifest, and the files that belong to no single frame. Returns the paths of these files.
@@ -89,8 +103,11 @@ pub(super) fn check_index(
         true,
         &summary.totals,
     );
+    // A number of frames that the manifest does not have the files for is in the report already.
+    let listed = context.manifest.get("index_files").and_then(Value::as_object).map_or(0, Map::len);
+    let splits = manifest::splits_of(&expected);
     let paths: Vec<String> =
-        manifest::index_paths(context.plan.layout, &manifest::splits_of(&expected)).collect();
+        manifest::index_paths(context.plan.layout, &splits).take(listed + MAX_UNLISTED).collect();
     let hashes = check_index_files(context, summary, &expected, &paths, report);
     expected.insert("index_files".to_owned(), hashes.into());
     if context.manifest.contains_key(digest::KEY) {
@@ -140,7 +157,7 @@ fn check_index_files(
         hashes.insert(path.clone(), recorded(path).unwrap_or_default().into());
     }
     // Their content is compared only if it must be equal, and if all that it follows from is there.
-    if context.version != Version::Same || !summary.is_readable || summary.next != context.plan.range.end() {
+    if context.version != Version::Same || !summary.is_readable || !summary.is_complete(context.plan.range) {
         return hashes;
     }
     check_archives(context, report);
