@@ -64,7 +64,7 @@ pub(super) struct DatasetArgs {
     #[arg(long, value_name = "NAME", default_value = "folder")]
     format: String,
     /// Render nothing: merge the shards in --out into one frames.jsonl and one manifest
-    #[arg(long, conflicts_with_all = ["count", "split", "start", "shard"])]
+    #[arg(long, conflicts_with_all = ["count", "split", "start", "shard", "dry_run"])]
     merge: bool,
     /// Add these outputs, separated by commas, to the finished dataset in DIR: its frames are rendered again, compared with what it has, and
     /// only the new files are written; the same command resumes an interrupted run

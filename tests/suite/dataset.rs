@@ -347,6 +347,7 @@ fn a_wrong_configuration_is_refused_before_anything_is_written() {
         (vec!["--count", "1", "--shard", "2/2"], "I/N"),
         (vec!["--count", "1", "--shard", "half"], "I/N"),
         (vec!["--count", "1", "--split", "train=1"], "--split"),
+        (vec!["--merge", "--dry-run"], "cannot be used with '--dry-run'"),
         (vec!["--split", "train=2,train=3"], "occurs twice"),
         (vec!["--split", "../up=2"], "is not a name; allowed are letters"),
         (vec!["--split", "train"], "has no `=`"),
