@@ -167,6 +167,11 @@ impl DeviceArgs {
         device::open(self.adapter.as_deref(), messages)
     }
 
+    /// The option that has an effect on the bytes of frames as a command line has it; nothing by default.
+    pub(super) fn options(&self) -> Option<String> {
+        (self.raster != RasterMode::Auto).then(|| format!("--raster {}", self.raster))
+    }
+
     /// A renderer on an open device.
     pub(super) fn renderer(&self, gpu: Gpu) -> Result<Renderer> {
         Renderer::with_raster(gpu, self.raster)

@@ -165,8 +165,9 @@ fn plan(args: &DatasetArgs) -> Result<Plan> {
     }
     // A layout with ids of its own takes none from a record.
     let requested = if layout.has_fixed_ids() { &args.image } else { &image };
+    let options = [Some(args.config.options()).filter(|options| !options.is_empty()), args.device.options()];
     Ok(Plan {
-        options: args.config.options(),
+        options: options.into_iter().flatten().collect::<Vec<_>>().join(" "),
         rules: Rules::from_config(&config)?,
         config,
         base_seed: args.seed,

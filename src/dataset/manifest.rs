@@ -31,7 +31,7 @@ const STATE_KEYS: [&str; 11] = [
 const PRESET: &str = "preset";
 /// Key of the command that makes the dataset, but for the folder and what has no effect on the files.
 const COMMAND: &str = "command";
-/// How every command begins, and the first option after those that set the knobs.
+/// How every command begins, and the first option after those that set the knobs or name the rasteriser.
 const PROGRAM: &str = "regolith-render dataset";
 const SEED: &str = " --seed ";
 
@@ -40,7 +40,7 @@ const SEED: &str = " --seed ";
 pub struct DatasetSpec {
     /// Everything that decides the content of the files; see [`Plan::identity`].
     pub identity: Map<String, Value>,
-    /// The options of the command that set the knobs.
+    /// The options of the command that set the knobs or name the rasteriser.
     pub options: String,
     /// The frames.
     pub range: Range,
@@ -80,15 +80,15 @@ pub fn identity_of(mut manifest: Map<String, Value>) -> Map<String, Value> {
     manifest
 }
 
-/// The options of a manifest's command that set the knobs; empty if it has no command.
+/// The options of a manifest's command that set the knobs or name the rasteriser; empty if it has no command.
 #[must_use]
 pub fn options_of(manifest: &Map<String, Value>) -> String {
     let command = manifest.get(COMMAND).and_then(Value::as_str).and_then(|text| text.strip_prefix(PROGRAM));
     command.and_then(|text| text.rsplit_once(SEED)).map_or("", |(options, _)| options.trim()).to_owned()
 }
 
-/// The keys of a manifest that say which command makes the dataset. It follows from the options that set the knobs, the identity
-/// and the range, so that shards, resumed runs and conversions have the same.
+/// The keys of a manifest that say which command makes the dataset. It follows from the options that set the knobs or name the rasteriser,
+/// the identity and the range, so that shards, resumed runs and conversions have the same.
 #[must_use]
 pub fn command(options: &str, identity: &Map<String, Value>, range: Range) -> Map<String, Value> {
     let text = |key: &str| identity.get(key).and_then(Value::as_str).unwrap_or_default().to_owned();
@@ -123,12 +123,30 @@ pub fn command(options: &str, identity: &Map<String, Value>, range: Range) -> Ma
         list("outputs", ","),
         text("format"),
     );
-    let mut words = options.split(' ').skip_while(|word| *word != "--preset").skip(1);
-    let preset = words.next().map_or(Value::Null, Value::from);
+    let words = shell_words(options);
+    // Each option has a value.
+    let preset = words.chunks(2).find(|pair| pair[0] == "--preset").and_then(|pair| pair.get(1));
+    let preset = preset.map_or(Value::Null, |preset| preset.as_str().into());
     [(PRESET, preset), (COMMAND, command.into())]
         .map(|(key, value)| (key.to_owned(), value))
         .into_iter()
         .collect()
+}
+
+/// The words of a command line as a shell reads them.
+fn shell_words(text: &str) -> Vec<String> {
+    let (mut words, mut word, mut is_quoted) = (Vec::new(), String::new(), false);
+    let mut chars = text.chars();
+    while let Some(c) = chars.next() {
+        match c {
+            '\'' => is_quoted = !is_quoted,
+            '\\' if !is_quoted => word.extend(chars.next()),
+            ' ' if !is_quoted => words.push(std::mem::take(&mut word)),
+            _ => word.push(c),
+        }
+    }
+    words.push(word);
+    words
 }
 
 /// The frames of a manifest.
@@ -175,4 +193,30 @@ pub fn index_paths<'a>(
 /// [`Error::Encode`].
 pub fn to_file(name: String, manifest: Map<String, Value>) -> Result<Artifact> {
     Ok(Artifact { name, bytes: json::to_bytes(&manifest)? })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_command_has_its_options_and_the_preset_among_them() {
+        let quoted = r"--config 'a --preset b'\''s.toml'";
+        for (options, preset) in [
+            ("", None),
+            ("--raster host", None),
+            (
+                "--stage surface --preset train_dr,sun_polar --set a=1 --raster host",
+                Some("train_dr,sun_polar"),
+            ),
+            (quoted, None),
+            ("--config --preset --set a=1", None),
+            (&format!("--preset train_dr {quoted}"), Some("train_dr")),
+        ] {
+            let manifest = command(options, &Map::new(), Range { start: 0, count: 3 });
+            assert_eq!(options_of(&manifest), options);
+            assert_eq!(manifest[PRESET].as_str(), preset, "{options}");
+        }
+        assert_eq!(shell_words(quoted), ["--config", "a --preset b's.toml"]);
+    }
 }

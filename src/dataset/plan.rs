@@ -36,7 +36,7 @@ const MAX_SIDE_PX: u32 = 1 << 15;
 pub struct Plan {
     /// The distribution of each knob.
     pub config: Config,
-    /// The options of a command line that give this configuration, for the manifest.
+    /// The options of a command line that give this configuration, and the rasteriser if it is named, for the manifest.
     pub options: String,
     /// Which frames are accepted.
     pub rules: Rules,

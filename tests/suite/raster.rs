@@ -78,6 +78,11 @@ fn a_dataset_records_the_backend_of_each_frame_and_can_be_continued_by_another()
         .map(|line| serde_json::from_str::<serde_json::Value>(line).expect("JSON")["raster"].to_string())
         .collect();
     assert_eq!(used, ["\"device\"", "\"host\"", "\"compute\""]);
+    // The manifest's command names it, as other backends give other bytes; the default is not written out.
+    let command = || json(&folder.path().join("d/manifest.json"))["command"].to_string();
+    assert!(command().contains("dataset --raster compute --seed"), "{}", command());
+    dataset("4", "auto");
+    assert!(!command().contains("--raster"), "{}", command());
     for raster in ["auto", "device", "compute"] {
         run_ok(folder.path(), &["verify", "d", "--raster", raster]);
     }
