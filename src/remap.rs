@@ -211,12 +211,41 @@ fn parse_colour(key: &str) -> Option<[u8; 4]> {
     }
 }
 
+/// How the pixels of a PNG file are stored. The decoder scales those of fewer than 8 bits and replaces indices of a palette.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct PixelFormat {
+    /// Bits of each channel.
+    bits: u8,
+    /// Whether pixels are indices of a palette.
+    has_palette: bool,
+}
+
+impl PixelFormat {
+    /// The format in the header of a decoded PNG file: behind signature, length and type of the first chunk and the size.
+    fn of(png: &[u8]) -> Self {
+        let byte = |offset: usize| png.get(offset).copied().unwrap_or_default();
+        Self { bits: byte(24), has_palette: byte(25) == 3 }
+    }
+
+    /// What the decoder multiplies grey values by, so that the largest becomes 255.
+    fn grey_scale(self) -> u32 {
+        match self.bits {
+            bits @ (1 | 2 | 4) => 255 / ((1 << bits) - 1),
+            _ => 1,
+        }
+    }
+}
+
 /// The canonical id of each pixel.
-fn remap_pixels(path: &Path, mask: &DynamicImage, labels: &Labels) -> Result<Vec<u8>> {
+fn remap_pixels(path: &Path, mask: &DynamicImage, format: PixelFormat, labels: &Labels) -> Result<Vec<u8>> {
     let unlabelled = ClassId::UNLABELLED.0;
     match labels {
+        Labels::Ids(_) if format.has_palette => Err(wrong(
+            path,
+            "it has a palette, so its pixels are colours, but its label file has ids; write the ids as a greyscale image",
+        )),
         Labels::Ids(ids) => {
-            let raw = raw_ids(mask).ok_or_else(|| {
+            let raw = raw_ids(mask, format.grey_scale()).ok_or_else(|| {
                 wrong(path, "it is a colour image, but its label file has ids, not colours; use a mask of raw ids, or the labels of the colours")
             })?;
             Ok(raw.iter().map(|id| ids.get(id).copied().unwrap_or(unlabelled)).collect())
@@ -228,21 +257,35 @@ fn remap_pixels(path: &Path, mask: &DynamicImage, labels: &Labels) -> Result<Vec
     }
 }
 
-/// The raw ids of a mask: one channel of 8 or 16 bits, several equal channels, or 32-bit ids spread over R, G, B and A.
-/// `None` for a colour image.
-fn raw_ids(mask: &DynamicImage) -> Option<Vec<u32>> {
+/// The raw ids of a mask: one channel of up to 16 bits, several equal channels, or 32-bit ids spread over R, G, B and A of 8 bits.
+/// `None` for a colour image. Values of one channel of 8 bits are divided by `grey_scale`.
+fn raw_ids(mask: &DynamicImage, grey_scale: u32) -> Option<Vec<u32>> {
     match mask {
-        DynamicImage::ImageLuma8(image) => Some(image.iter().map(|id| u32::from(*id)).collect()),
-        DynamicImage::ImageLuma16(image) => Some(image.iter().map(|id| u32::from(*id)).collect()),
-        _ => {
-            let pixels: Vec<[u8; 4]> = mask.to_rgba8().pixels().map(|pixel| pixel.0).collect();
-            if pixels.iter().all(|[r, g, b, _]| r == g && g == b) {
-                return Some(pixels.iter().map(|pixel| u32::from(pixel[0])).collect());
-            }
-            let is_rgba = matches!(mask, DynamicImage::ImageRgba8(_));
-            is_rgba.then(|| pixels.into_iter().map(u32::from_le_bytes).collect())
+        DynamicImage::ImageLuma8(image) => {
+            Some(image.iter().map(|grey| u32::from(*grey) / grey_scale).collect())
         }
+        DynamicImage::ImageLumaA8(image) => {
+            Some(image.pixels().map(|pixel| u32::from(pixel[0]) / grey_scale).collect())
+        }
+        DynamicImage::ImageLuma16(image) => Some(image.iter().map(|grey| u32::from(*grey)).collect()),
+        DynamicImage::ImageLumaA16(image) => Some(image.pixels().map(|pixel| u32::from(pixel[0])).collect()),
+        DynamicImage::ImageRgb16(image) => equal_channels(image.pixels().map(|pixel| pixel.0)),
+        DynamicImage::ImageRgba16(image) => {
+            equal_channels(image.pixels().map(|pixel| pixel.0).map(|[r, g, b, _]| [r, g, b]))
+        }
+        DynamicImage::ImageRgb8(image) => equal_channels(image.pixels().map(|pixel| pixel.0)),
+        DynamicImage::ImageRgba8(image) => {
+            let pixels = || image.pixels().map(|pixel| pixel.0);
+            equal_channels(pixels().map(|[r, g, b, _]| [r, g, b]))
+                .or_else(|| Some(pixels().map(u32::from_le_bytes).collect()))
+        }
+        _ => None,
     }
+}
+
+/// The value of each pixel if its channels are equal in all of them.
+fn equal_channels<T: Copy + PartialEq + Into<u32>>(pixels: impl Iterator<Item = [T; 3]>) -> Option<Vec<u32>> {
+    pixels.map(|[r, g, b]| (r == g && g == b).then(|| r.into())).collect()
 }
 
 /// Remaps one mask. Its files get the same paths below `out`.
@@ -253,10 +296,10 @@ pub fn remap(folder: &Path, pair: &Pair, out: &Path) -> Result<Remapped> {
     let path = folder.join(&pair.mask);
     let mut result = Remapped { masks: 1, ..Remapped::default() };
     let labels = read_labels(&folder.join(&pair.labels), &mut result.unknown_names)?;
-    let mask =
-        image::load_from_memory_with_format(&input::read(&path, MAX_MASK_BYTES)?, image::ImageFormat::Png)
-            .map_err(|error| wrong(&path, format!("it cannot be decoded: {error}")))?;
-    let ids = remap_pixels(&path, &mask, &labels)?;
+    let bytes = input::read(&path, MAX_MASK_BYTES)?;
+    let mask = image::load_from_memory_with_format(&bytes, image::ImageFormat::Png)
+        .map_err(|error| wrong(&path, format!("it cannot be decoded: {error}")))?;
+    let ids = remap_pixels(&path, &mask, PixelFormat::of(&bytes), &labels)?;
     for class in ClassId::ALL {
         let count = ids.iter().filter(|id| **id == class.id.0).count() as u64;
         result.pixels.insert(class.name, count);
@@ -284,9 +327,15 @@ mod tests {
 
     /// Canonical ids of a mask of four pixels in a row under these labels.
     fn remapped(mask: impl Into<DynamicImage>, labels: &str) -> Result<Vec<u8>> {
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        mask.into().write_to(&mut bytes, image::ImageFormat::Png).expect("encoded");
+        remapped_png(&bytes.into_inner(), labels)
+    }
+
+    /// The same of a PNG file.
+    fn remapped_png(png: &[u8], labels: &str) -> Result<Vec<u8>> {
         let folder = tempfile::tempdir().expect("a folder");
-        let path = folder.path().join("semantic_segmentation_0003.png");
-        mask.into().save(&path).expect("saved");
+        std::fs::write(folder.path().join("semantic_segmentation_0003.png"), png).expect("written");
         std::fs::write(folder.path().join("semantic_segmentation_labels_0003.json"), labels)
             .expect("written");
         let out = folder.path().join("out");
@@ -321,6 +370,63 @@ mod tests {
         });
         assert_eq!(remapped(equal_channels, LABELS).expect("remapped"), [2, 1, 0, 1]);
     }
+
+    #[test]
+    fn ids_of_16_bits_are_not_scaled_in_images_of_several_channels() {
+        let labels = r#"{"2": {"class": "sky"}, "3": {"class": "rock"}, "300": {"class": "regolith"}}"#;
+        let ids = [2_u16, 3, 300, 9];
+        let expected = [2, 1, 0, 255];
+        let rgb: ImageBuffer<image::Rgb<u16>, _> =
+            ImageBuffer::from_fn(4, 1, |x, _| image::Rgb([ids[x as usize]; 3]));
+        assert_eq!(remapped(rgb, labels).expect("remapped"), expected);
+        let rgba: ImageBuffer<Rgba<u16>, _> = ImageBuffer::from_fn(4, 1, |x, _| {
+            let id = ids[x as usize];
+            Rgba([id, id, id, u16::MAX])
+        });
+        assert_eq!(remapped(rgba, labels).expect("remapped"), expected);
+        let grey_alpha: ImageBuffer<image::LumaA<u16>, _> =
+            ImageBuffer::from_fn(4, 1, |x, _| image::LumaA([ids[x as usize], u16::MAX]));
+        assert_eq!(remapped(grey_alpha, labels).expect("remapped"), expected);
+        let colours: ImageBuffer<image::Rgb<u16>, _> =
+            ImageBuffer::from_fn(4, 1, |x, _| image::Rgb([x as u16, 2, 2]));
+        let message = remapped(colours, labels).expect_err("colours").to_string();
+        assert!(message.contains("colour image"), "{message}");
+    }
+
+    #[test]
+    fn ids_of_fewer_than_8_bits_are_not_scaled_and_palettes_are_refused() {
+        // Four pixels in a row; written with Python's zlib.
+        assert_eq!(remapped_png(&GREY_4_BITS, LABELS).expect("remapped"), [2, 1, 0, 1]);
+        assert_eq!(remapped_png(&GREY_2_BITS, LABELS).expect("remapped"), [2, 1, 255, 255]);
+        let message = remapped_png(&PALETTE_8_BITS, LABELS).expect_err("a palette").to_string();
+        assert!(message.contains("it has a palette"), "{message}");
+        let colours = r#"{"(2, 2, 2, 255)": {"class": "sky"}, "(3, 3, 3, 255)": {"class": "rock"}}"#;
+        assert_eq!(remapped_png(&PALETTE_8_BITS, colours).expect("remapped"), [2, 1, 255, 255]);
+    }
+
+    /// A greyscale PNG file of 4 bits: 2, 3, 4, 9.
+    #[rustfmt::skip]
+    const GREY_4_BITS: [u8; 68] = [
+        137, 80, 78, 71, 13, 10, 26, 10, 0, 0, 0, 13, 73, 72, 68, 82, 0, 0, 0, 4, 0, 0, 0, 1,
+        4, 0, 0, 0, 0, 25, 167, 189, 16, 0, 0, 0, 11, 73, 68, 65, 84, 120, 156, 99, 80, 246, 4, 0,
+        0, 146, 0, 109, 146, 60, 151, 186, 0, 0, 0, 0, 73, 69, 78, 68, 174, 66, 96, 130,
+    ];
+    /// A greyscale PNG file of 2 bits: 2, 3, 0, 1.
+    #[rustfmt::skip]
+    const GREY_2_BITS: [u8; 67] = [
+        137, 80, 78, 71, 13, 10, 26, 10, 0, 0, 0, 13, 73, 72, 68, 82, 0, 0, 0, 4, 0, 0, 0, 1,
+        2, 0, 0, 0, 0, 150, 231, 72, 176, 0, 0, 0, 10, 73, 68, 65, 84, 120, 156, 99, 216, 8, 0, 0,
+        179, 0, 178, 33, 146, 81, 202, 0, 0, 0, 0, 73, 69, 78, 68, 174, 66, 96, 130,
+    ];
+    /// A PNG file with a palette of greys: indices 2, 3, 4, 0.
+    #[rustfmt::skip]
+    const PALETTE_8_BITS: [u8; 97] = [
+        137, 80, 78, 71, 13, 10, 26, 10, 0, 0, 0, 13, 73, 72, 68, 82, 0, 0, 0, 4, 0, 0, 0, 1,
+        8, 3, 0, 0, 0, 206, 226, 255, 255, 0, 0, 0, 15, 80, 76, 84, 69, 0, 0, 0, 1, 1, 1, 2,
+        2, 2, 3, 3, 3, 4, 4, 4, 182, 34, 47, 159, 0, 0, 0, 13, 73, 68, 65, 84, 120, 156, 99, 96,
+        98, 102, 97, 0, 0, 0, 30, 0, 10, 108, 185, 250, 236, 0, 0, 0, 0, 73, 69, 78, 68, 174, 66, 96,
+        130,
+    ];
 
     #[test]
     fn colours_are_mapped_if_the_labels_are_colours() {
