@@ -79,9 +79,12 @@ fn labels(frame: &Frame, task: Task) -> String {
 /// `data.yaml`. Its folder is the root of the paths.
 fn data_file(splits: &[String]) -> String {
     let of_role = |names: &[&str]| splits.iter().find(|split| names.contains(&split.as_str()));
-    let train = of_role(&["train"]).or(splits.first()).map_or("train", String::as_str);
+    let has_role = |split: &String| split == "test" || VALIDATION.contains(&split.as_str());
+    let of_training = of_role(&["train"]).or_else(|| splits.iter().find(|split| !has_role(split)));
+    let train = of_training.or(splits.first()).map_or("train", String::as_str);
     let mut text = "# Rocks on the Moon, rendered by regolith-render; for Ultralytics YOLO\n".to_owned();
-    let _ = writeln!(text, "train: images/{train}");
+    let remark = if of_training.is_none() { " # there is no split for training" } else { "" };
+    let _ = writeln!(text, "train: images/{train}{remark}");
     match of_role(&VALIDATION) {
         Some(split) => {
             let _ = writeln!(text, "val: images/{split}");
@@ -214,5 +217,14 @@ mod tests {
         );
         assert!(of(&["train"]).contains("val: images/train #"));
         assert!(of(&["a", "validation"]).contains("train: images/a\nval: images/validation\n"));
+        let data = of(&["test", "valid", "train_a"]);
+        assert!(
+            data.contains("train: images/train_a\nval: images/valid\ntest: images/test\n"),
+            "no role of another split: {data}"
+        );
+        assert!(
+            of(&["test", "val"])
+                .contains("train: images/test # there is no split for training\nval: images/val\n")
+        );
     }
 }
