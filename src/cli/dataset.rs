@@ -155,6 +155,7 @@ fn plan(args: &DatasetArgs) -> Result<Plan> {
     Plan::check_size(settings.size)?;
     settings.annotations = output::annotations(&outputs);
     let splits = args.split.as_deref().map_or(Ok(Vec::new()), plan::parse_splits)?;
+    layout.check_splits(&splits.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>())?;
     let count = args.count.unwrap_or_else(|| splits.iter().map(|(_, count)| count).sum());
     if count == 0 || args.start.checked_add(count).is_none_or(|end| end > MAX_FRAMES) {
         return Err(Error::Usage(format!(

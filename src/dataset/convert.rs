@@ -47,7 +47,7 @@ impl Conversion {
     ///
     /// # Errors
     /// [`Error::Dataset`] if the dataset is not finished, has another layout, or lacks an output; [`Error::Usage`] for an
-    /// unknown layout.
+    /// unknown layout, or one that cannot hold splits of these names.
     pub fn new(source: &Path, format: &str) -> Result<Self> {
         let (format, layout) = layout::find(format)?;
         let refused = |message: String| Error::Dataset { path: source.to_owned(), message };
@@ -68,6 +68,8 @@ impl Conversion {
                 "it is not finished; run its dataset command again, or `dataset --merge`".to_owned(),
             ));
         }
+        let splits = manifest.get("splits").and_then(Value::as_object).into_iter().flatten();
+        layout.check_splits(&splits.map(|(name, _)| name.as_str()).collect::<Vec<_>>())?;
         let has = |name: &str| {
             let list = manifest.get("outputs").and_then(Value::as_array);
             list.is_some_and(|list| list.iter().any(|output| output == name))

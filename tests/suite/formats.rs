@@ -436,6 +436,25 @@ fn an_impossible_conversion_is_refused_with_the_remedy() {
 }
 
 #[test]
+fn splits_that_a_format_cannot_name_are_refused_before_rendering() {
+    let folder = folder();
+    let refused = |words: &[&str], expected: &str| {
+        let output = run(folder.path(), words);
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code() == Some(2) && message.contains(expected), "{message}");
+        assert!(!folder.path().join("new").exists());
+    };
+    for (splits, expected) in [("train=1,all=1", "`all`"), ("a-b=1,a_b=1", "`a-b` and `a_b`")] {
+        refused(&["dataset", "--format=hf", "--out=new", "--split", splits], expected);
+    }
+    run_ok(
+        folder.path(),
+        &[&SMALL[..8], &["--split=a-b=1,a_b=1", "--outputs=rgb,mask", "--out=plain"]].concat(),
+    );
+    refused(&["convert", "plain", "--format", "hf", "--out", "new"], "`a-b` and `a_b`");
+}
+
+#[test]
 fn a_shard_survives_a_stop_between_joining_and_removing_its_fragments() {
     let folder = folder();
     make(folder.path(), "whole", "webdataset", &["--count=5"]);

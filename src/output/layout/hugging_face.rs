@@ -13,7 +13,7 @@ use super::interface::{
     CARD_FILE, DatasetIndex, FrameFiles, FrameNames, Layout, Sample, SplitRange, split_or_train,
 };
 use crate::class::ClassId;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::output::artifact::{Artifact, EncodedFile, FileKind};
 use crate::output::encode::json;
 use crate::output::label_ids::LabelIds;
@@ -64,6 +64,11 @@ fn metadata_row(line: FrameLine) -> Map<String, Value> {
     row
 }
 
+/// Name of a split in the data card: Hugging Face allows no hyphen.
+fn card_name(split: &str) -> String {
+    split.replace('-', "_")
+}
+
 /// The YAML header of the data card, by which the Hub lists the dataset and the loader finds its splits.
 fn yaml_header(frames: u64, splits: &[String]) -> String {
     let size = match frames {
@@ -78,8 +83,8 @@ fn yaml_header(frames: u64, splits: &[String]) -> String {
          - config_name: default\n  data_files:\n"
     );
     for split in splits {
-        // Hugging Face allows no hyphen in a split's name.
-        let _ = writeln!(header, "  - split: {}\n    path: \"{split}/**\"", split.replace('-', "_"));
+        // In quotes, as YAML would read a number, a date, a truth value or null.
+        let _ = writeln!(header, "  - split: \"{}\"\n    path: \"{split}/**\"", card_name(split));
     }
     header.push_str("---\n\n");
     header
@@ -88,6 +93,26 @@ fn yaml_header(frames: u64, splits: &[String]) -> String {
 impl Layout for HuggingFace {
     fn supports(&self, output: &str) -> bool {
         !matches!(output, "preview" | "meta")
+    }
+
+    fn check_splits(&self, names: &[&str]) -> Result<()> {
+        for (i, name) in names.iter().enumerate() {
+            if card_name(name) == "all" {
+                return Err(Error::Usage(
+                    "a split called `all` does not go with --format hf: the library `datasets` reads that name as every split \
+                     together; use another name"
+                        .to_owned(),
+                ));
+            }
+            if let Some(other) = names[..i].iter().find(|other| card_name(other) == card_name(name)) {
+                return Err(Error::Usage(format!(
+                    "splits called `{other}` and `{name}` do not go together with --format hf: Hugging Face allows no hyphen, and \
+                     both would be `{}`; rename one",
+                    card_name(name)
+                )));
+            }
+        }
+        Ok(())
     }
 
     fn frame_files(&self, sample: &Sample<'_>) -> Result<FrameFiles> {
@@ -143,5 +168,33 @@ impl Layout for HuggingFace {
         let frames = index.manifest.get("n_completed").and_then(Value::as_u64).unwrap_or_default();
         let card = yaml_header(frames, &splits) + index.card;
         write(Artifact { name: CARD_FILE.to_owned(), bytes: card.into_bytes() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_splits_are_text_in_the_card() {
+        let names = ["train", "2024-01-01", "0", "no", "null"].map(str::to_owned);
+        let header = yaml_header(5, &names);
+        for (quoted, folder) in
+            [("train", "train"), ("2024_01_01", "2024-01-01"), ("0", "0"), ("no", "no"), ("null", "null")]
+        {
+            let rows = format!("  - split: \"{quoted}\"\n    path: \"{folder}/**\"\n");
+            assert!(header.contains(&rows), "{header}");
+        }
+    }
+
+    #[test]
+    fn names_that_the_card_cannot_hold_are_refused() {
+        HuggingFace.check_splits(&["train", "a-b", "a-c", "ALL"]).expect("different names");
+        for (names, expected) in
+            [(&["train", "all"][..], "`all`"), (&["a-b", "train", "a_b"], "`a-b` and `a_b`")]
+        {
+            let message = HuggingFace.check_splits(names).expect_err("refused").to_string();
+            assert!(message.contains(expected), "{message}");
+        }
     }
 }

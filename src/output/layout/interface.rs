@@ -120,6 +120,14 @@ pub trait Layout: std::fmt::Debug + Sync {
         false
     }
 
+    /// Checks that the layout can hold splits of these names beside each other.
+    ///
+    /// # Errors
+    /// [`crate::Error::Usage`].
+    fn check_splits(&self, _names: &[&str]) -> Result<()> {
+        Ok(())
+    }
+
     /// The files of one frame. Called by many threads at once.
     ///
     /// # Errors
