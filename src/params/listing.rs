@@ -9,10 +9,15 @@ use serde_json::json;
 use super::config::Config;
 use super::distribution::Distribution;
 use super::groups::{GROUPS, group_of};
-use super::knob_info::{Kind, KnobInfo, Scope};
+use super::knob_info::{Kind, KnobInfo, Scope, Stage};
 use super::knobs::Knob;
 
 impl Config {
+    /// Whether a knob has the default of its stage, which differs between the stages that frames may have.
+    fn depends_on_stage(&self, info: &KnobInfo) -> bool {
+        self.stages().len() > 1 && info.surface_default.is_some() && self.setting(info.knob()).is_none()
+    }
+
     /// The knobs of the stages with their distributions, on the first stage that has each.
     fn rows(&self) -> impl Iterator<Item = (&'static KnobInfo, &Distribution)> {
         let stages = self.stages();
@@ -22,7 +27,8 @@ impl Config {
         })
     }
 
-    /// Every knob with its description, by groups, as TOML that [`Self::apply_toml`] reads.
+    /// Every knob with its description, by groups, as TOML that [`Self::apply_toml`] reads. What frames of several stages draw from
+    /// different defaults is a comment, as a value would hold for all of them.
     #[must_use]
     pub fn to_toml(&self) -> String {
         self.to_toml_where(|_| true) + &self.variants_toml()
@@ -49,15 +55,24 @@ impl Config {
                 }
                 let _ = writeln!(text, "[{section}]");
             }
-            // Of the two azimuths the one that was set.
-            let unset = if Some(info.knob()) == self.computed_azimuth() { "# " } else { "" };
+            // Not set: what each stage has its own default for, and of the two azimuths the one that follows from the other.
+            let depends_on_stage = self.depends_on_stage(info);
+            let is_unset = depends_on_stage || Some(info.knob()) == self.computed_azimuth();
+            let unset = if is_unset { "# " } else { "" };
+            let by_stage = if depends_on_stage {
+                let default = |stage: &Stage| format!("{} {}", stage.name(), info.default_on(*stage));
+                let defaults: Vec<String> = self.stages().iter().map(default).collect();
+                format!(" Defaults by stage: {}.", defaults.join(", "))
+            } else {
+                String::new()
+            };
             let each = match info.scope {
                 Scope::Frame => String::new(),
                 Scope::Element(element) => format!(" Drawn per {element}."),
             };
             let _ = writeln!(
                 text,
-                "# {}{each} Allowed: {}.\n{unset}{key} = {distribution}",
+                "# {}{each} Allowed: {}.{by_stage}\n{unset}{key} = {distribution}",
                 info.doc,
                 info.allowed()
             );
@@ -69,12 +84,10 @@ impl Config {
     /// defaults is left to them.
     #[must_use]
     pub fn distributions_json(&self) -> serde_json::Map<String, serde_json::Value> {
-        let several = self.stages().len() > 1;
-        let is_set = |info: &KnobInfo| self.setting(info.knob()).is_some();
         let variants = (!self.variants.is_empty()).then(|| ("variant".to_owned(), self.variants_json()));
         self.rows()
             .filter(|(info, _)| Some(info.knob()) != self.computed_azimuth())
-            .filter(|(info, _)| !several || info.surface_default.is_none() || is_set(info))
+            .filter(|(info, _)| !self.depends_on_stage(info))
             .map(|(info, from)| (info.name.to_owned(), from.to_json(info.kind == Kind::Integer)))
             .chain(variants)
             .collect()
@@ -107,8 +120,8 @@ impl Config {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::params::KNOBS;
     use crate::params::presets::{preset_description, presets};
-    use crate::params::{KNOBS, Stage};
 
     #[test]
     fn the_listing_reads_back() {
@@ -130,5 +143,30 @@ mod tests {
         assert_eq!(preset_description("train"), None);
         let nominal = KNOBS.iter().filter(|info| info.is_of(Stage::Nominal)).count();
         assert_eq!(Config::new().to_json().as_array().map(Vec::len), Some(nominal));
+    }
+
+    #[test]
+    fn a_listing_of_several_stages_leaves_each_its_defaults() {
+        let mut both = Config::new();
+        both.apply_set(r#"stage.name={choice=["nominal","surface"]}"#).expect("set");
+        both.apply_set("regolith.albedo=0.15").expect("set");
+        let listing = both.to_toml();
+        let mut read = Config::new();
+        read.apply_toml(&listing, "listing").expect("read");
+        for knob in Knob::ALL {
+            for stage in both.stages().into_iter().filter(|stage| knob.info().is_of(*stage)) {
+                assert_eq!(
+                    read.distribution_on(stage, knob),
+                    both.distribution_on(stage, knob),
+                    "{}",
+                    knob.name()
+                );
+            }
+        }
+        assert!(
+            listing.contains(" Defaults by stage: nominal 14000, surface 3500.\n# intensity = 14000\n"),
+            "{listing}"
+        );
+        assert!(listing.contains("\nalbedo = 0.15\n"), "what was set holds for both");
     }
 }
