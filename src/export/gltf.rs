@@ -297,12 +297,12 @@ fn glb(root: &Value, mut binary: Vec<u8>) -> Result<Vec<u8>> {
     Ok(file)
 }
 
-/// A rough dielectric surface.
+/// A rough dielectric surface. A base colour has channels of at most 1; a brighter one of an extreme albedo is clamped.
 fn surface(name: &str, material: Material) -> Value {
     json!({
         "name": name,
         "pbrMetallicRoughness": {
-            "baseColorFactor": material.albedo.extend(1.0).to_array(),
+            "baseColorFactor": material.albedo.min(Vec3::ONE).extend(1.0).to_array(),
             "metallicFactor": 0.0,
             "roughnessFactor": material.roughness,
         },
@@ -333,6 +333,13 @@ mod tests {
     use crate::params::Params;
     use crate::render::RenderSettings;
     use crate::scene::Scene;
+
+    #[test]
+    fn base_colours_are_at_most_one() {
+        let material = Material { albedo: Vec3::new(2.0, 1.0, 0.5), roughness: 0.75 };
+        let made = surface("Regolith", material);
+        assert_eq!(made["pbrMetallicRoughness"]["baseColorFactor"], json!([1.0, 1.0, 0.5, 1.0]));
+    }
 
     #[test]
     fn chunks_nodes_and_accessors_match_the_scene() {
