@@ -24,10 +24,7 @@ impl Config {
             other => Err(refused(other, origin)),
         };
         self.variants = tables.iter().map(read).collect::<Result<_>>()?;
-        if self.variants.iter().map(|variant| variant.weight).sum::<f64>() <= 0.0 {
-            return Err(refused(value, origin));
-        }
-        Ok(())
+        if has_finite_sum(&self.variants) { Ok(()) } else { Err(refused(value, origin)) }
     }
 
     /// Applies presets by name, separated by commas.
@@ -117,7 +114,12 @@ impl Config {
             }
             Ok(Variant { weight, settings })
         };
-        self.variants = variants.as_array().ok_or_else(refused)?.iter().map(read).collect::<Result<_>>()?;
+        let read: Vec<_> =
+            variants.as_array().ok_or_else(refused)?.iter().map(read).collect::<Result<_>>()?;
+        if !read.is_empty() && !has_finite_sum(&read) {
+            return Err(refused());
+        }
+        self.variants = read;
         Ok(())
     }
 
@@ -151,8 +153,14 @@ impl Config {
     }
 }
 
+/// Whether the weights have a finite sum above 0. One that overflows would leave every frame the last variant.
+fn has_finite_sum(variants: &[Variant]) -> bool {
+    let sum: f64 = variants.iter().map(|variant| variant.weight).sum();
+    (f64::MIN_POSITIVE..=f64::MAX).contains(&sum)
+}
+
 fn refused(value: &toml::Value, origin: &str) -> Error {
     Error::Usage(format!(
-        "variant = {value} in {origin}: each [[variant]] has a weight of 0 or more, not all of them 0, a preset or none, and knobs"
+        "variant = {value} in {origin}: each [[variant]] has a weight of 0 or more, with a finite sum above 0, a preset or none, and knobs"
     ))
 }

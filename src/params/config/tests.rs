@@ -215,6 +215,7 @@ fn variants_draw_their_knobs_together() {
     for (text, said) in [
         ("[[variant]]\nweight = -1\n", "weight"),
         ("[[variant]]\nweight = 0\n", "weight"),
+        ("[[variant]]\nweight = 1e308\n[[variant]]\nweight = 1e308\n", "finite sum"),
         ("variant = 3\n", "weight"),
         ("[[variant]]\nrules = { clipped_max = 0.1 }\n", "rules hold for all frames"),
         ("[[variant]]\npreset = \"surface_rover\"\n", "variants itself"),
