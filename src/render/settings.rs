@@ -49,10 +49,10 @@ impl RenderSettings {
         }
     }
 
-    /// Columns and rows of samples.
+    /// Columns and rows of samples; at most [`u32::MAX`], which is beyond every device.
     #[must_use]
     pub fn sample_size(&self) -> [u32; 2] {
-        self.size.map(|side| side * self.samples_per_side)
+        self.size.map(|side| side.saturating_mul(self.samples_per_side))
     }
 
     /// Tangent of the angle between two neighbouring samples at the centre of the image.
@@ -72,5 +72,16 @@ impl RenderSettings {
     /// Focal length, samples.
     pub(super) fn focal_samples(&self, camera: &Camera) -> f32 {
         (camera.focal_px(self.size[0]) * f64::from(self.samples_per_side)) as f32
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_samples_of_an_enormous_image_do_not_wrap() {
+        let settings = RenderSettings::new([1_073_741_825, 1], 16).expect("settings");
+        assert_eq!(settings.sample_size(), [u32::MAX, 4]);
     }
 }
