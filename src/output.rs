@@ -242,7 +242,7 @@ mod tests {
             craters: vec![0, 1, 2, 0, 0, 1],
             incidence_deg: vec![10.0; 6],
             phase_deg: vec![20.0; 6],
-            five_classes: vec![0, 1, 2, 3, 4, 0],
+            five_classes: vec![0, 1, 2, 3, 4, 255],
             label_pixels: LabelPixels::default(),
         }
     }
@@ -337,6 +337,23 @@ mod tests {
                 (other, extension) => panic!("{}: {other:?} in {extension}", array.name),
             }
         }
+    }
+
+    #[test]
+    fn an_edge_policy_holds_for_every_form_of_the_mask() {
+        let (frame, meta, edges) = (frame(), json!({}), EdgePolicy::Ignore(1));
+        let input = EncodeInput { frame: &frame, meta: &meta, label_ids: LabelIds::Canonical, edges };
+        let files = encode(&input, &parse_outputs("mask,five_classes,rock_sizes").expect("outputs"))
+            .expect("encoded");
+        let pixels = |stem: &str| {
+            let file = files.iter().find(|file| file.stem == stem && file.extension == "png").expect(stem);
+            image::load_from_memory(&file.bytes).expect("an image").into_bytes()
+        };
+        // Every pixel is beside another class.
+        assert_eq!(pixels("semantic_segmentation"), [255; 6]);
+        assert_eq!(pixels("five_classes"), [255; 6]);
+        assert_eq!(pixels("five_classes_preview"), [0; 18]);
+        assert_eq!(pixels("rock_sizes"), [255; 18]);
     }
 
     #[test]

@@ -48,9 +48,9 @@ fn source(stem: &'static str) -> Option<(&'static str, Source)> {
         "craters" => Of(Plane::Craters),
         "incidence" => Of(Plane::Incidence),
         "phase" => Of(Plane::Phase),
-        "five_classes" => Of(Plane::FiveClasses),
-        "five_classes_preview" => Computed(3, |input| U8(values::five_classes_preview(input.frame))),
-        "rock_sizes" => Computed(3, |input| U8(values::rock_sizes(input.frame))),
+        "five_classes" => Computed(1, |input| U8(values::five_classes(input))),
+        "five_classes_preview" => Computed(3, |input| U8(values::five_classes_preview(input))),
+        "rock_sizes" => Computed(3, |input| U8(values::rock_sizes(input))),
         _ => return None,
     };
     Some((stem, source))

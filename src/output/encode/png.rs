@@ -42,17 +42,17 @@ pub(in crate::output) fn shadow(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
 
 /// The mask with craters and mountains as classes of their own.
 pub(in crate::output) fn five_classes(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
-    ids_of(input.frame, &input.frame.five_classes)
+    ids_of(input.frame, &values::five_classes(input))
 }
 
 /// The same in colours.
 pub(in crate::output) fn five_classes_preview(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
-    colours_of(input.frame, &values::five_classes_preview(input.frame))
+    colours_of(input.frame, &values::five_classes_preview(input))
 }
 
-/// The classes in colours, with small and large rocks distinguished.
+/// The mask in colours, with small and large rocks distinguished.
 pub(in crate::output) fn rock_sizes(input: &EncodeInput<'_>) -> Result<Vec<u8>> {
-    colours_of(input.frame, &values::rock_sizes(input.frame))
+    colours_of(input.frame, &values::rock_sizes(input))
 }
 
 fn ids_of(frame: &Frame, ids: &[u8]) -> Result<Vec<u8>> {

@@ -39,14 +39,22 @@ pub(in crate::output) fn coverage(frame: &Frame) -> Vec<f32> {
     frame.sample_counts.as_flattened().iter().map(share).collect()
 }
 
-/// The five classes in colours.
-pub(in crate::output) fn five_classes_preview(frame: &Frame) -> Vec<u8> {
-    let colour = |id: &u8| FIVE_CLASSES.get(usize::from(*id)).map_or([0; 3], |(.., rgb)| *rgb);
-    frame.five_classes.iter().flat_map(colour).collect()
+/// The five classes, unlabelled where the mask is under the edge policy.
+pub(in crate::output) fn five_classes(input: &EncodeInput<'_>) -> Vec<u8> {
+    let unlabelled = ClassId::UNLABELLED.0;
+    let id = |(class, id): (u8, &u8)| if class == unlabelled { unlabelled } else { *id };
+    input.classes().into_iter().zip(&input.frame.five_classes).map(id).collect()
 }
 
-/// The classes in colours, with small and large rocks distinguished.
-pub(in crate::output) fn rock_sizes(frame: &Frame) -> Vec<u8> {
+/// The same in colours; unlabelled pixels are black.
+pub(in crate::output) fn five_classes_preview(input: &EncodeInput<'_>) -> Vec<u8> {
+    let colour = |id: &u8| FIVE_CLASSES.get(usize::from(*id)).map_or([0; 3], |(.., rgb)| *rgb);
+    five_classes(input).iter().flat_map(colour).collect()
+}
+
+/// The mask in colours, with small and large rocks distinguished.
+pub(in crate::output) fn rock_sizes(input: &EncodeInput<'_>) -> Vec<u8> {
+    let frame = input.frame;
     let max_instance = frame.rocks.iter().map(|rock| rock.instance).max().unwrap_or(0);
     let mut is_large = vec![false; usize::from(max_instance) + 1];
     for rock in &frame.rocks {
@@ -61,5 +69,5 @@ pub(in crate::output) fn rock_sizes(frame: &Frame) -> Vec<u8> {
         };
         ROCK_SIZE_CLASSES[row].1
     };
-    frame.class.iter().zip(&frame.instances).flat_map(colour).collect()
+    input.classes().iter().zip(&frame.instances).flat_map(colour).collect()
 }
