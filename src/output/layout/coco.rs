@@ -262,12 +262,35 @@ fn compress_counts(counts: &[u32]) -> String {
     text
 }
 
+/// Whether the entry of a frame agrees with that of its panoptic segments under an edge policy, which takes pixels from the segments of
+/// rocks and none from their annotations: these contain the segments.
+#[must_use]
+pub fn contains_segments(entry: &Value, of_segments: &Value) -> bool {
+    let annotations = |entry: &Value| entry["instances"].as_array().cloned().unwrap_or_default();
+    let whole = annotations(entry);
+    let bounds = |row: &Value| {
+        let [left, top, width, height] = [0, 1, 2, 3].map(|i| row["bbox"][i].as_f64().unwrap_or(f64::NAN));
+        [-left, -top, left + width, top + height]
+    };
+    let contains = |whole: &Value, part: &Value| {
+        whole["area"].as_u64() >= part["area"].as_u64()
+            && bounds(whole).iter().zip(bounds(part)).all(|(whole, part)| *whole >= part)
+            && ["image_id", "category_id", "iscrowd"].iter().all(|key| whole[*key] == part[*key])
+    };
+    entry["segments"] == of_segments["segments"]
+        && annotations(of_segments)
+            .iter()
+            .all(|part| whole.iter().any(|row| row["id"] == part["id"] && contains(row, part)))
+}
+
 /// The panoptic segment id of every pixel; 0 is void.
 fn panoptic_ids(frame: &Frame) -> Vec<u32> {
     let segment = |(class, rock): (&u8, u32)| match ClassId(*class) {
         ClassId::REGOLITH => REGOLITH_SEGMENT,
         ClassId::SKY => SKY_SEGMENT,
-        _ if rock > 0 => ROCK_SEGMENT_BASE + rock,
+        ClassId::ROCK if rock > 0 => ROCK_SEGMENT_BASE + rock,
+        // Other rocks are void where the edge policy ignores them.
+        _ if rock == CROWD => CROWD_SEGMENT,
         _ => 0,
     };
     frame.class.iter().zip(annotated_rocks(frame)).map(segment).collect()
@@ -294,6 +317,7 @@ fn segments_info(frame: &Frame, segments: &[u32]) -> Vec<Map<String, Value>> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::frame_line::FrameLine;
     use super::super::regions::Region;
     use super::*;
 
@@ -312,6 +336,52 @@ mod tests {
         // Columns: 000 110 101 000.
         assert_eq!(run_lengths(&frame, region.bounds, |pixel| rocks[pixel] == 7), [3, 2, 1, 1, 1, 1, 3]);
         assert_eq!(region.bbox(), [1.0, 0.0, 2.0, 3.0]);
+    }
+
+    #[test]
+    fn an_edge_policy_leaves_rocks_whole_and_takes_pixels_from_segments() {
+        let rock = |instance, reason| RockLabel { instance, reason, ..crowd_label() };
+        // Rock 7 loses two of three pixels, rock 8 its only one; rock 9 is ignored by rule.
+        let frame = Frame {
+            width: 4,
+            height: 2,
+            class: vec![255, 1, 255, 0, 255, 255, 255, 0],
+            instances: vec![7, 7, 7, 0, 8, 9, 9, 0],
+            rocks: vec![rock(7, LabelReason::Rock), rock(8, LabelReason::Rock), rock(9, LabelReason::Unseen)],
+            ..Frame::default()
+        };
+        let record = FrameLine::default();
+        let sample = Sample { frame: &frame, files: &[], record: &record };
+        let files = Coco.frame_files(&sample).expect("files");
+        let areas = |list: &str| -> Vec<u64> {
+            files.entry[list]
+                .as_array()
+                .into_iter()
+                .flatten()
+                .filter_map(|row| row["area"].as_u64())
+                .collect()
+        };
+        assert_eq!(areas("instances"), [3, 1, 2]);
+        assert_eq!(files.entry["instances"][0]["bbox"], json!([0.0, 0.0, 3.0, 1.0]));
+        assert_eq!(panoptic_ids(&frame), [0, 9, 0, 1, 0, CROWD_SEGMENT, CROWD_SEGMENT, 1]);
+        assert_eq!(areas("segments"), [2, 1, 2]);
+
+        // `verify` has the segments only.
+        let panoptic = image::load_from_memory(&files.artifacts[1].bytes).expect("an image");
+        let decoded = Coco.decode_labels("annotations/panoptic_train/000000.png", &panoptic).expect("labels");
+        let of_segments = Coco.frame_files(&Sample { frame: &decoded, ..sample }).expect("files").entry;
+        assert!(contains_segments(&files.entry, &of_segments));
+        for (pointer, value) in [
+            ("/instances/0/id", json!(5)),
+            ("/instances/0/bbox/2", json!(1.0)),
+            ("/instances/0/area", json!(0)),
+            ("/instances/2/iscrowd", json!(0)),
+            ("/segments/1/area", json!(2)),
+        ] {
+            let mut changed = files.entry.clone();
+            *changed.pointer_mut(pointer).expect(pointer) = value;
+            assert!(!contains_segments(&changed, &of_segments), "{pointer}");
+        }
     }
 
     #[test]

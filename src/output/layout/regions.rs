@@ -10,17 +10,19 @@ use crate::frame::{Frame, LabelReason};
 /// The annotation of the rocks that the label rule ignores: above all instance ids.
 pub(super) const CROWD: u32 = u16::MAX as u32;
 
-/// The annotation that each pixel belongs to: an instance id, [`CROWD`] where the label rule ignores a rock, or 0. An edge policy
-/// makes pixels of other rocks unlabelled, which belong to none.
+/// The annotation that each pixel belongs to: an instance id, [`CROWD`] where the label rule ignores a rock, or 0. It follows from the
+/// instances and their reasons, not from the class: an edge policy takes pixels from the mask, and leaves every rock whole.
 pub(super) fn annotated_rocks(frame: &Frame) -> Vec<u32> {
-    let mut is_ignored = vec![false; usize::from(u16::MAX) + 1];
-    for rock in frame.rocks.iter().filter(|rock| rock.reason != LabelReason::Rock) {
-        is_ignored[usize::from(rock.instance)] = true;
+    let mut reasons = vec![None; usize::from(u16::MAX) + 1];
+    for rock in &frame.rocks {
+        reasons[usize::from(rock.instance)] = Some(rock.reason);
     }
-    let annotation = |(class, instance): (&u8, &u16)| match ClassId(*class) {
-        ClassId::ROCK => u32::from(*instance),
-        ClassId::UNLABELLED if is_ignored[usize::from(*instance)] => CROWD,
-        _ => 0,
+    let annotation = |(class, instance): (&u8, &u16)| match reasons[usize::from(*instance)] {
+        Some(LabelReason::Rock) => u32::from(*instance),
+        Some(_) => CROWD,
+        // Mappings of earlier versions lack the rocks that are ignored.
+        None if ClassId(*class) == ClassId::ROCK => u32::from(*instance),
+        None => 0,
     };
     frame.class.iter().zip(&frame.instances).map(annotation).collect()
 }
