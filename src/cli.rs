@@ -202,26 +202,17 @@ fn run(
 
 fn run_command(cli: Cli, itself: &dyn Fn() -> std::process::Command) -> Result<()> {
     match cli.command {
-        None => {
-            process::end_on_signals()?;
-            frame::run(&cli.frame, cli.messages)
-        }
+        None => frame::run(&cli.frame, cli.messages),
         Some(Command::Dataset(args)) => dataset::run(&args, cli.messages),
         Some(Command::Bench(args)) => bench::run(&args, cli.messages),
-        Some(Command::Verify(args)) => {
-            process::end_on_signals()?;
-            verify::run(&args, cli.messages)
-        }
+        Some(Command::Verify(args)) => verify::run(&args, cli.messages),
         Some(Command::Convert(args)) => convert::run(&args, cli.messages),
         Some(Command::Remap(args)) => remap::run(&args, cli.messages),
         Some(Command::Params(args)) => knobs::list_params(&args),
         Some(Command::Presets(args)) => knobs::list_presets(&args),
         Some(Command::Adapters { json }) => stage::list_adapters(json),
         Some(Command::Doctor(args)) => doctor::run(&args, itself, cli.messages),
-        Some(Command::Export(args)) => {
-            process::end_on_signals()?;
-            stage::export_stage(&args, cli.messages)
-        }
+        Some(Command::Export(args)) => stage::export_stage(&args, cli.messages),
         Some(Command::Completions { shell }) => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut with_completions(command()), "regolith-render", &mut script);

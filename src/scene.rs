@@ -157,10 +157,9 @@ impl Scene {
 
     /// The same stage seen by another camera, which takes its rover along.
     #[must_use]
-    pub(crate) fn seen_by(&self, params: &Params, camera: Camera) -> Self {
-        let rocks = self.rocks.clone().without_parts();
-        let rocks = with_rover(params, rocks, &self.terrain, camera.eye);
-        Self { camera, rocks, ..self.clone() }
+    pub(crate) fn seen_by(self, params: &Params, camera: Camera) -> Self {
+        let rocks = with_rover(params, self.rocks.without_parts(), &self.terrain, camera.eye);
+        Self { camera, rocks, ..self }
     }
 
     /// Whether a rover carries the camera.

@@ -106,7 +106,6 @@ pub(super) fn run(args: &DatasetArgs, messages: Messages) -> Result<()> {
         )));
     }
     if args.merge {
-        end_on_signals()?;
         return merge(args, messages);
     }
     let concurrency = Concurrency { threads: args.threads.map(usize::from), frames_in_flight: None };
@@ -287,6 +286,7 @@ fn dry_run(args: &DatasetArgs, plan: &Plan) -> Result<()> {
 
 /// Merges the shards of the folder without rendering.
 fn merge(args: &DatasetArgs, messages: Messages) -> Result<()> {
+    end_on_signals()?;
     let finalized = finalize(&args.out)?;
     report(args, messages, None, &finalized, 0.0)?;
     let missing = &finalized.missing;

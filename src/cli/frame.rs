@@ -18,6 +18,7 @@ use serde_json::{Value, json};
 use super::args::{ConfigArgs, DEFAULT_SEED, DeviceArgs, ImageArgs, output_names, whole_number};
 use super::device;
 use super::messages::{Messages, print};
+use super::process::end_on_signals;
 
 /// Index of a single frame in its file names.
 const INDEX: u64 = 0;
@@ -58,6 +59,7 @@ struct Rendered {
 }
 
 pub(super) fn run(args: &FrameArgs, messages: Messages) -> Result<()> {
+    end_on_signals()?;
     let start = Instant::now();
     let config = args.config.build()?;
     let origin = args.config.origin()?;

@@ -14,6 +14,7 @@ use serde_json::{Value, json};
 
 use super::args::{ConfigArgs, DEFAULT_SEED, DEFAULT_SIZE, parse_size, whole_number};
 use super::messages::{Messages, print};
+use super::process::end_on_signals;
 
 #[derive(Args, Debug)]
 pub(super) struct ExportArgs {
@@ -39,6 +40,7 @@ pub(super) struct ExportArgs {
 }
 
 pub(super) fn export_stage(args: &ExportArgs, messages: Messages) -> Result<()> {
+    end_on_signals()?;
     let format = Format::from_path(&args.file)?;
     if args.file.exists() && !args.force {
         return Err(Error::Usage(format!("{} exists; add --force to replace it", args.file.display())));

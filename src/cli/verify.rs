@@ -10,6 +10,7 @@ use clap::Args;
 use super::args::DeviceArgs;
 use super::device;
 use super::messages::{Messages, print};
+use super::process::end_on_signals;
 use super::progress::Meter;
 
 /// Number of problems in the table; `--json` lists all.
@@ -36,6 +37,7 @@ fn frames_to_render(text: &str) -> std::result::Result<u64, String> {
 }
 
 pub(super) fn run(args: &VerifyArgs, messages: Messages) -> Result<()> {
+    end_on_signals()?;
     let mut meter = Meter::new(messages, "frames");
     let report = verify::check(&args.folder, |checked, wanted| meter.show([0, checked, wanted], ""));
     meter.finish();

@@ -23,6 +23,7 @@ use super::dataset_path;
 use crate::error::{Error, Result};
 pub use line_file::LineFile;
 pub use lock::Lock;
+pub use operations::remove_unfinished;
 #[cfg(test)]
 pub(crate) use operations::{Operation, recorder};
 use operations::{TemporaryFile, failed};
@@ -253,11 +254,6 @@ pub fn remove(path: &Path) -> Result<()> {
         Err(cause) if cause.kind() != std::io::ErrorKind::NotFound => Err(failed(path)(cause)),
         _ => Ok(()),
     }
-}
-
-/// Removes the files that this process has not finished, before it ends: writers wait from then on.
-pub fn remove_unfinished() {
-    operations::remove_unfinished();
 }
 
 /// Removes a folder if it is empty.

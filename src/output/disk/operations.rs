@@ -116,8 +116,8 @@ pub(super) fn remove_folder(path: &Path) -> io::Result<()> {
 /// The temporary files of this process.
 static UNFINISHED: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 
-/// Removes the temporary files of this process, for good: whoever creates another one afterwards waits until the process ends.
-pub(super) fn remove_unfinished() {
+/// Removes the temporary files of this process before it ends: whoever creates another one afterwards waits until then.
+pub fn remove_unfinished() {
     let unfinished = UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner);
     for path in &*unfinished {
         let _ = std::fs::remove_file(path);
@@ -153,8 +153,8 @@ impl TemporaryFile {
         let (file, unfinished) = {
             let mut all = UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner);
             let file = builder.tempfile_in(folder)?;
-            all.insert(file.path().to_owned());
             let path = file.path().to_owned();
+            all.insert(path.clone());
             (file, Unfinished(path))
         };
         record!(Create(file.path().to_owned()));

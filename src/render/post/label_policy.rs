@@ -255,7 +255,7 @@ impl<'a> Signal<'a> {
                 rock.add(value(pixel));
                 stray_there.add(stray);
                 let noise = if stray > 0.0 { self.noise(self.dark + stray) } else { dark_noise };
-                lit_px += f64::from(u8::from(self.own(frame, pixel) >= self.dark + contrast * noise));
+                lit_px += f64::from(u8::from(self.own_signal(frame, pixel) >= self.dark + contrast * noise));
             },
             |pixel| (if frame.instances[pixel] == 0 { &mut ground } else { &mut others }).add(value(pixel)),
         );
@@ -271,7 +271,7 @@ impl<'a> Signal<'a> {
     }
 
     /// The least that a pixel of a rock has of the rock's own signal.
-    fn own(&self, frame: &Frame, pixel: usize) -> f64 {
+    fn own_signal(&self, frame: &Frame, pixel: usize) -> f64 {
         let (width, height) = (frame.width as usize, frame.height as usize);
         let (x, y) = (pixel % width, pixel / width);
         let columns = x.saturating_sub(1)..(x + 2).min(width);
