@@ -72,6 +72,13 @@ pub(crate) fn apply(scene: &Scene, drawn: &RenderSettings, frame: &mut Frame, ex
 fn relabel(frame: &mut Frame, rule: &LabelRule, reason_of: &[LabelReason]) {
     let becomes_ground =
         |reason: LabelReason| reason == LabelReason::Unseen && rule.unseen == LabelPolicy::Regolith;
+    let of_outlines = outline_pixels(frame, |instance| {
+        instance > 0 && becomes_ground(reason_of[usize::from(instance)])
+    });
+    for pixel in of_outlines {
+        let [ground, rock, _] = &mut frame.sample_counts[pixel];
+        *ground += std::mem::take(rock);
+    }
     for (pixel, (class, instance)) in frame.class.iter_mut().zip(&mut frame.instances).enumerate() {
         let reason = reason_of[usize::from(*instance)];
         if reason == LabelReason::Rock {
@@ -93,6 +100,25 @@ fn relabel(frame: &mut Frame, rule: &LabelRule, reason_of: &[LabelReason]) {
         rock.reason = reason_of[usize::from(rock.instance)];
     }
     frame.rocks.retain(|rock| !becomes_ground(rock.reason));
+}
+
+/// Pixels of something else whose samples of rocks are of rocks that become ground: of the pixels around them some show such a rock, and none
+/// another.
+fn outline_pixels(frame: &Frame, becomes_ground: impl Fn(u16) -> bool + Sync) -> Vec<usize> {
+    let (width, height) = (frame.width as usize, frame.height as usize);
+    let is_outline = |pixel: usize| {
+        if frame.instances[pixel] != 0 || frame.sample_counts[pixel][1] == 0 {
+            return false;
+        }
+        let (x, y) = (pixel % width, pixel / width);
+        let columns = x.saturating_sub(1)..(x + 2).min(width);
+        let rows = y.saturating_sub(1)..(y + 2).min(height);
+        let near = rows.flat_map(|y| columns.clone().map(move |x| y * width + x));
+        let mut rocks = near.map(|pixel| frame.instances[pixel]).filter(|instance| *instance > 0).peekable();
+        rocks.peek().is_some() && rocks.all(&becomes_ground)
+    };
+    let counted = if frame.sample_counts.is_empty() { 0 } else { frame.class.len() };
+    (0..counted).into_par_iter().filter(|pixel| is_outline(*pixel)).collect()
 }
 
 /// Pixels beside each other in a row that show the same rock.
@@ -288,7 +314,10 @@ impl<'a> Signal<'a> {
     fn noise(&self, signal_e: f64) -> f64 {
         let Some((sensor, codes)) = self.sensor else { return 1.0 };
         let fill = signal_e / sensor.full_well_e;
-        let (noise, step) = (sensor.noise_of(fill, self.averaged), f64::from(codes.step) * srgb_slope(fill));
+        let noise = sensor.noise_of(fill, self.averaged);
+        // Codes span black to the full well.
+        let (black, white) = (sensor.black_level, 1.0 - sensor.black_level);
+        let step = f64::from(codes.step) * white * srgb_slope((fill - black) / white);
         sensor.full_well_e * (noise * noise + step * step).sqrt()
     }
 }

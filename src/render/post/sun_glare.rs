@@ -62,7 +62,7 @@ impl SunGlare {
         let axes = [camera.right, -camera.up, camera.forward];
         let towards = Vec3::from(axes.map(|axis| axis.dot(sun.direction)));
         let size = [frame.width, frame.height].map(|side| side as usize);
-        let lit = lit_part(towards, frame)?;
+        let lit = lit_part(towards, frame).filter(|_| sun.irradiance.max_element() > 0.0)?;
         let share = visible_share(scene);
         let mut glare = Self {
             size,

@@ -64,6 +64,11 @@ fn set_linear(readings: &mut [f32], black: f32, white: f32) {
     }
 }
 
+/// The reading, 1 for the full well, that an encoded value, 0 to 1, stands for, where `black` is the reading of no light.
+pub(super) fn reading_of(encoded: f32, black: f32) -> f32 {
+    black + (1.0 - black) * linear_from_srgb(encoded)
+}
+
 /// Smallest linear value of each 8-bit sRGB code, then infinity.
 fn thresholds() -> [f32; 257] {
     let mut thresholds = [f32::INFINITY; 257];
@@ -95,7 +100,7 @@ pub(super) fn srgb_from_linear(x: f32) -> f32 {
 }
 
 /// The inverse of the sRGB transfer function, encoded to linear.
-pub(super) fn linear_from_srgb(x: f32) -> f32 {
+fn linear_from_srgb(x: f32) -> f32 {
     if x <= 0.040_45 { x / 12.92 } else { libm::powf((x + 0.055) / 1.055, 2.4) }
 }
 

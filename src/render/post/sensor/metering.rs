@@ -1,7 +1,7 @@
 //! Automatic exposure, from a histogram as cameras do it.
 //! Must not know: how light becomes a reading.
 
-use super::encoding::linear_from_srgb;
+use super::encoding::reading_of;
 use super::histogram::Histogram;
 use crate::class::ClassId;
 use crate::frame::Frame;
@@ -58,15 +58,17 @@ pub(super) fn exposure_gain(
     let Some(median) = median.filter(|_| bright > 0.0) else { return fixed };
     let sky = quantile(&of(|class| class == ClassId::SKY.0), 0.5, 0.0).filter(|_| is_veiled).unwrap_or(0.0);
     let saturating = quantile(&of(|_| true), 1.0 - MAX_SATURATED, 0.0).unwrap_or(0.0);
-    (linear_from_srgb(sensor.ground_level as f32) / median)
+    let black = sensor.black_level as f32;
+    (reading_of(sensor.ground_level as f32, black) / median)
         .min(HEADROOM / saturating.max(1e-30))
-        .min(linear_from_srgb(MAX_VEILED_SKY) / sky.max(1e-30))
+        .min(reading_of(MAX_VEILED_SKY, black) / sky.max(1e-30))
         .min(longest)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::render::post::sensor::encoding::SrgbCodes;
 
     /// The veil of the sun is part of what is metered, and keeps the sky dark; without it neither counts.
     #[test]
@@ -83,7 +85,7 @@ mod tests {
             let light = [vec![sky; 100], vec![ground; 100]].concat();
             exposure_gain(&frame, &sensor, (&light, is_veiled), 0.0)
         };
-        let target = linear_from_srgb(0.5);
+        let target = reading_of(0.5, 0.0);
         let of_ground = gain(0.0, 0.1, false);
         assert!((of_ground * 0.1 / target - 1.0).abs() < 0.01);
         assert_eq!(gain(0.0, 0.1, true), of_ground);
@@ -92,8 +94,22 @@ mod tests {
             "light of the ground and the veil"
         );
         let veiled = gain(0.06, 0.16, true);
-        assert!((veiled * 0.06 / linear_from_srgb(MAX_VEILED_SKY) - 1.0).abs() < 0.01, "{veiled}");
+        assert!((veiled * 0.06 / reading_of(MAX_VEILED_SKY, 0.0) - 1.0).abs() < 0.01, "{veiled}");
         assert!((gain(0.06, 0.16, false) * 0.16 / target - 1.0).abs() < 0.01, "a sky that shines by itself");
+    }
+
+    /// An encoded level is counted from the black level on.
+    #[test]
+    fn ground_has_its_level_above_black() {
+        use crate::scene::sensor::Mosaic;
+        let sensor =
+            Sensor { ground_level: 0.3, black_level: 0.1, ..Sensor::ideal(Mosaic::Monochrome) };
+        let class = vec![ClassId::REGOLITH.0; 100];
+        let frame = Frame { width: 10, height: 10, class, ..Frame::default() };
+        let mut readings = [0.2];
+        readings[0] *= exposure_gain(&frame, &sensor, (&[0.2; 100], false), 0.0);
+        SrgbCodes::shared().encode(&mut readings, 0.1);
+        assert!((readings[0] - 0.3 * 255.0).abs() < 1.0, "{readings:?}");
     }
 
     #[test]

@@ -58,11 +58,10 @@ impl Readout {
             self.add_grain(x, y, values);
         }
         let [prnu, dsnu] = normal_pairs(x, y, purpose::FIXED_PATTERN, FIXED_PATTERN_SEED);
-        let (mut means_e, mut dark_e) = ([0.0; BLOCK], [0.0; BLOCK]);
+        let mut means_e = [0.0; BLOCK];
         for lane in 0..BLOCK {
-            dark_e[lane] = self.dark_e + self.dsnu_e * dsnu[lane];
             let signal_e = values[lane] * self.full_well_e * (1.0 + self.prnu * prnu[lane]);
-            means_e[lane] = (signal_e + dark_e[lane]).max(0.0);
+            means_e[lane] = (signal_e + self.dark_e + self.dsnu_e * dsnu[lane]).max(0.0);
         }
         let [shot, read] = normal_pairs(x, y, purpose::READOUT, self.noise_seed);
         let collected_e = poisson(&means_e, &shot, x, y, self.noise_seed);
@@ -70,8 +69,8 @@ impl Readout {
         let (per_e, lowest) = (self.max_code / self.full_well_e, -0.02 * self.max_code);
         for lane in 0..BLOCK {
             let electrons =
-                collected_e[lane].min(self.full_well_e + dark_e[lane]) + self.read_noise_e * read[lane];
-            let code = ((electrons - dark_e[lane]) * per_e).clamp(lowest, self.max_code);
+                collected_e[lane].min(self.full_well_e + self.dark_e) + self.read_noise_e * read[lane];
+            let code = ((electrons - self.dark_e) * per_e).clamp(lowest, self.max_code);
             values[lane] = floor(code + 0.5) as f32 / self.max_code;
         }
     }
@@ -141,11 +140,13 @@ mod tests {
     /// Readings vary as [`Sensor::noise_of`] says, fixed patterns included.
     #[test]
     fn noise_is_that_of_the_model() {
-        for (dark_e, full_well_e, bits) in [(2.0, 25_000.0, 12), (20.0, 10_000.0, 10)] {
+        for (dark_e, dsnu_e, full_well_e, bits) in
+            [(2.0, 3.0, 25_000.0, 12), (20.0, 3.0, 10_000.0, 10), (2000.0, 200.0, 25_000.0, 14)]
+        {
             let sensor = Sensor {
                 read_noise_e: 8.0,
                 dark_e,
-                dsnu_e: 3.0,
+                dsnu_e,
                 prnu: 0.01,
                 full_well_e,
                 bits,

@@ -5,7 +5,7 @@
 use fearless_simd::{Level, dispatch};
 
 use super::demosaic::{REACH, demosaic_row, mirrored};
-use super::encoding::{SrgbCodes, linear_from_srgb};
+use super::encoding::{SrgbCodes, reading_of};
 use super::optics::{convolve_row, psf_taps, weighted_sum};
 use super::readout::Readout;
 use super::resampling::{Resampling, ResamplingTable};
@@ -96,8 +96,7 @@ impl<'a> Recorder<'a> {
 
     /// The light of an encoded value, 1 for white: at most 1, the full well.
     pub(super) fn light_of(&self, encoded: f32) -> f32 {
-        let black = self.sensor.black_level as f32;
-        (black + (1.0 - black) * linear_from_srgb(encoded)).min(1.0)
+        reading_of(encoded, self.sensor.black_level as f32).min(1.0)
     }
 
     /// The encoded values, 0 to 255, of rows of the sensor: of each row its channels, one after another.
