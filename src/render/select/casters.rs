@@ -14,9 +14,11 @@ use crate::render::select::frustum::Frustum;
 use crate::scene::Scene;
 use crate::scene::rocks::Rock;
 
-/// Texels of a tile per pixel of the image, where the shadow is nearest to the eye. With half as many the shadows of boulders on
-/// themselves miss their bounds against ray-traced truth.
+/// Texels of a tile per pixel of the image, where the shadow is nearest to the eye.
 const TEXELS_PER_PIXEL: f32 = 3.0;
+/// The same of rocks that are in view themselves. With fewer their shadows on themselves, which the sun grazes, miss their bound against
+/// ray-traced truth.
+const TEXELS_PER_PIXEL_IN_VIEW: f32 = 6.0;
 /// Rocks of the surface stage cast no shadow if they, and their shadows on level ground, span fewer pixels, from where the shadow comes
 /// nearest to the eye: many rocks of a dense field under a high sun.
 const MIN_SHADOW_PX: f32 = 1.0;
@@ -48,7 +50,8 @@ pub struct Caster {
 pub(crate) fn shadow_extent_m(scene: &Scene, top_m: f32, radius_m: f32) -> (f32, f32) {
     let [lowest_ground_m, _] = scene.terrain.z_range_m;
     let drop_m = (top_m - lowest_ground_m).max(0.0);
-    let along_m = drop_m / scene.sun.direction.z.max(1e-3);
+    // Rays from the lower limb fall least.
+    let along_m = drop_m / (scene.sun.direction.z - scene.sun.tan_half_angle()).max(1e-3);
     let reach_m = along_m.min(2.0 * (2.0 * scene.terrain.half_extent_m)) + radius_m;
     (reach_m, radius_m + scene.sun.tan_half_angle() * reach_m)
 }
@@ -100,7 +103,9 @@ pub(crate) fn select_casters(
             if is_speck(nearest_m) {
                 return None;
             }
-            let texel_m = nearest_m * pixel_angle / TEXELS_PER_PIXEL;
+            let is_in_view = frustum.intersects_sphere(rock.centre, rock.radius_m);
+            let texels = if is_in_view { TEXELS_PER_PIXEL_IN_VIEW } else { TEXELS_PER_PIXEL };
+            let texel_m = nearest_m * pixel_angle / texels;
             // A margin of a texel on each side keeps the outline inside the tile.
             let side_px = quantized_side((2.0 * rock.radius_m / texel_m).ceil() as u32 + 2);
             let half_extent_m = rock.radius_m * 1.02;
