@@ -113,10 +113,7 @@ impl Renderer {
     /// A renderer that chooses by the device who rasterises ([`RasterMode::Auto`]).
     ///
     /// # Errors
-    /// [`Error::DeviceLost`] or [`Error::Device`].
-    ///
-    /// [`Error::DeviceLost`]: crate::Error::DeviceLost
-    /// [`Error::Device`]: crate::Error::Device
+    /// Those of [`Self::with_raster`].
     pub fn new(gpu: Gpu) -> Result<Self> {
         Self::with_raster(gpu, RasterMode::Auto)
     }
@@ -237,10 +234,13 @@ impl Renderer {
         } else {
             self.try_submit(scene, packet)
         };
-        submitted.inspect_err(|_| {
-            self.buffers.invalidate();
-            self.shadow.invalidate();
-        })
+        submitted.inspect_err(|_| self.forget_uploads())
+    }
+
+    /// After an error nobody knows what the device holds.
+    fn forget_uploads(&mut self) {
+        self.buffers.invalidate();
+        self.shadow.invalidate();
     }
 
     fn try_submit(&mut self, scene: &Scene, packet: FramePacket) -> Result<InFlight> {
@@ -479,17 +479,14 @@ impl Renderer {
     /// Waits for a frame that was submitted, and reads it back. Frames may be read back in any order.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`] or [`Error::Device`]; [`Error::Unlabelled`] if a draw of it was lost.
-    ///
-    /// [`Error::Unlabelled`]: crate::Error::Unlabelled
-    /// [`Error::DeviceLost`]: crate::Error::DeviceLost
-    /// [`Error::Device`]: crate::Error::Device
+    /// [`crate::Error::DeviceLost`] or [`crate::Error::Device`]; [`crate::Error::Unlabelled`] if a draw of it was lost.
     pub fn read_back(&mut self, in_flight: InFlight) -> Result<RawFrame> {
         let InFlight { request, submission, mut times, .. } = in_flight;
         let frame = match submission {
             Submission::InTiles(frame) => frame,
             Submission::Whole(slot, tile) => {
-                let (frame, device_times) = slot.read(&self.gpu, &tile)?;
+                let read = slot.read(&self.gpu, &tile).inspect_err(|_| self.forget_uploads());
+                let (frame, device_times) = read?;
                 times.extend(device_times);
                 self.slots.keep(slot);
                 frame

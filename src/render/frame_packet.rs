@@ -75,12 +75,13 @@ impl FramePlanner {
     /// Plans a frame of a scene, on this thread and those of its rayon pool.
     ///
     /// # Errors
-    /// [`Error::Scene`](crate::Error::Scene), see [`near_plane::checked`].
+    /// [`Error::Scene`](crate::Error::Scene), see [`near_plane::checked`]; [`Error::Contradiction`](crate::Error::Contradiction) for more
+    /// rocks, stars or shadows in view than a device holds.
     pub fn plan(&self, scene: &Scene, settings: &RenderSettings) -> Result<FramePacket> {
         let start = Instant::now();
         let request = FrameRequest::new(scene, settings)?;
         let (rendered_scene, rendered) = request.rendered(scene);
-        let plan = FramePlan::new(&self.cache, rendered_scene, rendered, settings.size, &self.raster);
+        let plan = FramePlan::new(&self.cache, rendered_scene, rendered, settings.size, &self.raster)?;
         Ok(FramePacket { request, plan, staged: None, plan_ms: milliseconds(start.elapsed()) })
     }
 

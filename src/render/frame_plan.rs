@@ -9,6 +9,7 @@ pub(super) mod uniforms;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 use crate::class::ClassId;
+use crate::error::{Error, Result};
 use crate::pool::PooledVec;
 use crate::render::backend::{LightingMode, RasterBackend, RasterOptions};
 use crate::render::device::shader_structs::{CasterTile, FrameUniforms, Instance};
@@ -89,16 +90,27 @@ impl BounceCache {
     }
 }
 
+/// Most instances of a frame: the G-buffer has 16 bits for the slot of each.
+const MAX_SLOTS: u32 = 1 << 16;
+
 impl FramePlan {
     /// Plans a frame. `image_size` is that of the image, which is smaller than the settings' where a lens distorts it.
+    ///
+    /// # Errors
+    /// [`Error::Contradiction`] for more rocks and stars in view, or more shadows, than a device holds.
     pub(crate) fn new(
         cache: &PlanCache,
         scene: &Scene,
         settings: &RenderSettings,
         image_size: [u32; 2],
         options: &RasterOptions,
-    ) -> Self {
+    ) -> Result<Self> {
         let selection = Selection::within(scene, settings, options.max_texture_px);
+        if selection.slots().dome().end > MAX_SLOTS {
+            return Err(Error::Contradiction(format!(
+                "the view has more than {MAX_SLOTS} rocks and stars; choose fewer (rocks.coverage, rocks.count, sky.star_count)"
+            )));
+        }
         let footprint = Footprint::new(scene, &selection);
         // While the horizon is swept, grid after grid, other threads have little to do.
         let of_selection = || {
@@ -108,7 +120,7 @@ impl FramePlan {
         let ((cells, bands), horizon) = beside(of_selection, || {
             cache.horizon.map(&scene.terrain, &scene.sun, &footprint, options.max_texture_px)
         });
-        let caster_grid = cells.grid(horizon.shadowed_ground());
+        let caster_grid = cells?.grid(horizon.shadowed_ground());
         let bins = ShadingBins::new(bands.bands.len());
         let slots = selection.slots();
         let band_of_block = |block| bands.of_block(block);
@@ -136,7 +148,7 @@ impl FramePlan {
             plan.place_tiles(|selection| Some(casters::atlas_size_px(&selection.casters)));
             plan.map_source = Some(MapSource::new(scene, &plan.selection, plan.shadow_map_px));
         }
-        plan
+        Ok(plan)
     }
 
     /// Gives the casters' tiles their origins in the shadow map. `place` sets those of the selection and returns the size of the map, or
@@ -295,7 +307,7 @@ mod tests {
 
     fn plan(cache: &PlanCache, scene: &Scene, options: &RasterOptions) -> FramePlan {
         let settings = RenderSettings::new([96, 64], 4).expect("settings");
-        let mut plan = FramePlan::new(cache, scene, &settings, settings.size, options);
+        let mut plan = FramePlan::new(cache, scene, &settings, settings.size, options).expect("a plan");
         plan.place_tiles(|selection| Some(casters::atlas_size_px(&selection.casters)));
         plan
     }

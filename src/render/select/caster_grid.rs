@@ -6,12 +6,14 @@
 //! Must not know: how shadow and horizon map are made.
 
 use std::ops::Range;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, dispatch, f32x8};
 use glam::Vec2;
 use rayon::prelude::*;
 
+use crate::error::{Error, Result};
 use crate::pool::PooledVec;
 use crate::render::device::shading_bins::ShadowSources;
 use crate::render::select::casters::Caster;
@@ -26,6 +28,8 @@ const SQUARE_CELLS: u32 = 512;
 const RING_CELLS: u32 = 192;
 /// Half the side of the innermost grid over rings, metres.
 const INNERMOST_M: f32 = 4.0;
+/// Most entries of the lists of all cells together: with their offsets they fit into the 128 MiB that every device binds.
+const MAX_LISTED: usize = 32_000_000;
 /// Minimum casters of a task: fewer are not worth a thread.
 const MIN_CASTERS_PER_TASK: usize = 128;
 /// Rows of a grid that one thread fills.
@@ -129,8 +133,15 @@ pub struct CasterCells {
 
 impl CasterCells {
     /// The lists of the cells that lie in a footprint.
-    #[must_use]
-    pub fn new(scene: &Scene, casters: &[Caster], footprint: &Footprint) -> Self {
+    ///
+    /// # Errors
+    /// [`Error::Contradiction`] if they are longer than devices bind.
+    pub fn new(scene: &Scene, casters: &[Caster], footprint: &Footprint) -> Result<Self> {
+        Self::within(scene, casters, footprint, MAX_LISTED)
+    }
+
+    /// The same with a limit on the entries of all lists together.
+    fn within(scene: &Scene, casters: &[Caster], footprint: &Footprint, max_listed: usize) -> Result<Self> {
         let grids = CasterGrids::new(&scene.terrain);
         let bands: Vec<_> = (0..grids.levels)
             .flat_map(|level| (0..grids.cells as usize).step_by(BAND_ROWS).map(move |row| (level, row)))
@@ -138,12 +149,22 @@ impl CasterCells {
         let rays = Rays::new(&scene.sun);
         let rows_m = casters.par_iter().with_min_len(MIN_CASTERS_PER_TASK);
         let rows_m: Vec<[f32; 2]> = rows_m.map(|caster| ShadowStrip::rows_m(scene, &rays, caster)).collect();
+        let listed = AtomicUsize::new(0);
         let lists_of = |(level, first): (u32, usize)| {
             let rows = first..(first + BAND_ROWS).min(grids.cells as usize);
             let band = GridBand::new(&scene.terrain, &grids, level, rows, footprint);
-            band.caster_lists((scene, &rays), casters, &rows_m)
+            band.caster_lists((scene, &rays), casters, &rows_m, (&listed, max_listed))
         };
-        Self { grids, bands: bands.into_par_iter().with_max_len(1).map(lists_of).collect() }
+        let bands = bands.into_par_iter().with_max_len(1).map(lists_of).collect();
+        if listed.into_inner() > max_listed {
+            return Err(Error::Contradiction(format!(
+                "the shadows of the {} rocks that reach the view overlap so much that a device cannot hold their lists; \
+                 choose fewer or smaller rocks (rocks.count, rocks.scale_m, rocks.large_factor, rocks.coverage) or a higher sun \
+                 (sun.elevation_deg)",
+                casters.len()
+            )));
+        }
+        Ok(Self { grids, bands })
     }
 
     /// The caster grid as compressed sparse rows: the offset of each cell's list, level by level and row by row, the end of the last
@@ -284,12 +305,13 @@ impl<'a> GridBand<'a> {
     }
 
     /// The lists of the cells, the casters of each in rising order: a counting sort by cell. `rows_m` has lowest and highest y of the
-    /// shadow of each caster.
+    /// shadow of each caster. Counts what it lists, and leaves off once all bands together have more than the limit.
     fn caster_lists(
         mut self,
         (scene, rays): (&Scene, &Rays),
         casters: &[Caster],
         rows_m: &[[f32; 2]],
+        (listed, max_listed): (&AtomicUsize, usize),
     ) -> CasterLists {
         let mut pairs: Vec<(u32, u32)> = Vec::new();
         let edge_m = |row: usize| self.origin.y + row as f32 * self.cell_m;
@@ -303,9 +325,14 @@ impl<'a> GridBand<'a> {
                 continue;
             }
             let strip = ShadowStrip::new(scene, rays, &casters[index as usize], self.cell_m);
+            let before = pairs.len();
             dispatch!(Level::new(), simd => {
                 self.for_cells_shadowed_by(simd, &strip, |cell| pairs.push((cell as u32, index)));
             });
+            let added = pairs.len() - before;
+            if listed.fetch_add(added, Ordering::Relaxed) + added > max_listed {
+                break;
+            }
         }
         let mut ends = PooledVec::filled(self.rows.len() * self.cells, 0);
         let mut casters: PooledVec<u32> = PooledVec::unspecified(pairs.len());
@@ -400,6 +427,21 @@ impl<'a> GridBand<'a> {
 mod tests {
     use super::*;
     use crate::params::config::Config;
+    use crate::render::select::selection::Selection;
+    use crate::render::settings::{DEFAULT_TEXTURE_PX, RenderSettings};
+
+    #[test]
+    fn lists_beyond_the_limit_are_an_error_that_names_the_knobs() {
+        let scene = Scene::build(3, &crate::params::Params::draw_default(3)).expect("a scene");
+        let settings = RenderSettings::new([64; 2], 1).expect("settings");
+        let selection = Selection::within(&scene, &settings, DEFAULT_TEXTURE_PX);
+        let footprint = Footprint::new(&scene, &selection);
+        let within = |max_listed| CasterCells::within(&scene, &selection.casters, &footprint, max_listed);
+        let listed: usize = within(MAX_LISTED).expect("lists").bands.iter().map(|band| band.casters.len()).sum();
+        assert!(listed > 100 && within(listed).is_ok());
+        let error = within(listed - 1).err().expect("an error");
+        assert!(error.to_string().contains("rocks.count") && error.exit_status() == 2, "{error}");
+    }
 
     #[test]
     fn heights_of_blocks_decide_as_those_of_cells_do() {
