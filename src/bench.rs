@@ -24,6 +24,7 @@ use crate::dataset::{self, Concurrency};
 use crate::error::{Error, Result};
 use crate::host_time::{self, Role, RoleTimes};
 use crate::output::disk;
+use crate::params::Stage;
 use crate::render::{FRAMES_IN_FLIGHT, Renderer, StageTimes, Staging};
 use crate::scene::Scene;
 pub use curve::Curve;
@@ -427,6 +428,11 @@ pub fn sweep(name: &str, setup: &Setup) -> Result<(&'static str, Vec<(f64, Setup
             "samples per pixel"
         }
         "rocks" => {
+            if setup.plan.config.stages() != [Stage::Nominal] {
+                return Err(Error::Usage(
+                    "--sweep rocks: only the stage nominal has a number of rocks (rocks.count)".to_owned(),
+                ));
+            }
             for count in [0, 50, 100, 200, 400, 800] {
                 with(f64::from(count), &|setup| {
                     setup.plan.config.apply_set(&format!("rocks.count={count}"))

@@ -216,7 +216,9 @@ fn run_command(cli: Cli, itself: &dyn Fn() -> std::process::Command) -> Result<(
         Some(Command::Completions { shell }) => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut with_completions(command()), "regolith-render", &mut script);
-            print(&String::from_utf8_lossy(&script))
+            // The generator takes the hyphen of the program's name for a level of subcommands in the labels of the branches.
+            let script = String::from_utf8_lossy(&script).replace("regolith__subcmd__render", "regolith__render");
+            print(&script)
         }
     }
 }

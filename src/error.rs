@@ -129,17 +129,17 @@ pub enum Error {
     )]
     Thread(std::io::Error),
     /// No adapter was found.
-    #[error("no graphics adapter was found{limit}.\n{advice} `regolith-render doctor` says what is missing.")]
+    #[error("no graphics adapter was found; tried: {tried}.\n{advice} `regolith-render doctor` says what is missing.")]
     NoAdapter {
-        /// What `WGPU_BACKEND` allows, in parentheses; empty if it is not set.
-        limit: String,
+        /// The backends that were tried, in words.
+        tried: String,
         /// What to do on this platform.
         advice: String,
     },
     /// A limit on the memory of the process (`ulimit`) under which drivers crash.
     #[error(
-        "{what} of this process is limited to {:.1} GB, and rendering needs {:.1} GB here; raise the limit, for instance with `ulimit {option} unlimited`, or in the memory request of the batch system",
-        *.limit_bytes as f64 * 1e-9, *.needed_bytes as f64 * 1e-9
+        "{what} of this process is limited to {} MB, and rendering needs {} MB here; raise the limit, for instance with `ulimit {option} unlimited`, or in the memory request of the batch system",
+        .limit_bytes / 1_000_000, .needed_bytes.div_ceil(1_000_000)
     )]
     MemoryLimit {
         /// What is limited, in words.

@@ -15,6 +15,9 @@ use crate::error::{Error, Result};
 /// One binary megabyte, bytes.
 pub const MIB: u64 = 1 << 20;
 
+/// What some editors put before text in UTF-8.
+const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
+
 /// Opens a regular file, or what a link to one leads to.
 ///
 /// # Errors
@@ -79,16 +82,19 @@ pub fn read(path: &Path, max_bytes: u64) -> Result<Vec<u8>> {
 }
 
 /// The text of a file that the user named: a regular file, a pipe (as the shell passes in `<(...)`), or, for `-`, standard
-/// input. At most `max_bytes`, also of a pipe.
+/// input. At most `max_bytes`, also of a pipe; without a byte order mark.
 ///
 /// # Errors
 /// Those of the operating system; invalid UTF-8; a device, which is not opened.
 pub fn read_named_text(path: &Path, max_bytes: u64) -> std::io::Result<String> {
-    let bytes = if path.as_os_str() == "-" {
+    let mut bytes = if path.as_os_str() == "-" {
         read_bounded(std::io::stdin().lock(), max_bytes)?
     } else {
         read_bounded(try_open(path, true)?, max_bytes)?
     };
+    if bytes.starts_with(BYTE_ORDER_MARK) {
+        bytes.drain(..BYTE_ORDER_MARK.len());
+    }
     String::from_utf8(bytes).map_err(|error| {
         let at = error.utf8_error().valid_up_to();
         std::io::Error::new(

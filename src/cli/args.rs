@@ -113,7 +113,7 @@ pub(super) struct ImageArgs {
     #[arg(long, value_name = "WxH", value_parser = parse_size, allow_hyphen_values = true)]
     size: Option<[u32; 2]>,
     /// Samples per pixel: 1, 4 (2 x 2) or 16 (4 x 4) [default: 4, or that of the record]
-    #[arg(long, value_name = "N", value_parser = whole_number::<u32>(1, 16))]
+    #[arg(long, value_name = "N", value_parser = whole_number::<u32>(0, u32::MAX.into()))]
     samples: Option<u32>,
     /// Ids in the mask: canonical (0 regolith, 1 rock, 2 sky), or those of a Replicator pipeline [default: canonical, or those of
     /// the record]

@@ -46,8 +46,8 @@ pub(super) struct BenchArgs {
     /// adapter with one thread]
     #[arg(long, value_name = "N", value_parser = whole_number::<u8>(1, 16))]
     frames_in_flight: Option<u8>,
-    /// Measure one case for several values of one setting, and plot the result: size, samples, rocks or frames-in-flight for
-    /// the first of --cases, threads for the case dataset
+    /// Measure one case for several values of one setting, and plot the result: size, samples, rocks (of the nominal stage) or
+    /// frames-in-flight for the first of --cases, threads for the case dataset
     #[arg(long, value_name = "NAME", value_parser = SWEEPS)]
     sweep: Option<String>,
     /// File for the plot of the sweep [default: sweep.svg]

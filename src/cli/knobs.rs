@@ -1,6 +1,6 @@
 //! `params` and `presets`: what can be set, and sets of it.
 
-use crate::dataset::rules::Rules;
+use crate::dataset::rules::{Rules, SETTINGS};
 use crate::error::nearest;
 use crate::error::{Error, Result};
 use crate::params::config::Config;
@@ -23,7 +23,7 @@ pub(super) struct ParamsArgs {
     knob: Option<String>,
     #[command(flatten)]
     config: ConfigArgs,
-    /// Print JSON
+    /// Print JSON: a list of knobs; with KNOB `rules`, the rules
     #[arg(long)]
     json: bool,
 }
@@ -51,10 +51,13 @@ pub(super) fn list_params(args: &ParamsArgs) -> Result<()> {
     if name == RULES {
         return print(&if args.json { format!("{:#}\n", rules.to_json()) } else { rules.to_toml() });
     }
+    if let Some(text) = name.strip_prefix("rules.").and_then(|rule| rules_listing(&rules, rule, args.json)) {
+        return print(&text);
+    }
     let is_listed = |info: &KnobInfo| info.name == name || info.section() == name;
     let text = config.to_toml_where(is_listed);
     if text.is_empty() {
-        return Err(no_such_knob(name, &config));
+        return Err(no_such_knob(name, &config, args.config.is_named()));
     }
     if !args.json {
         return print(&text);
@@ -68,22 +71,36 @@ pub(super) fn list_params(args: &ParamsArgs) -> Result<()> {
     print(&format!("{:#}\n", json!(rows)))
 }
 
-/// Why nothing is listed for a name: no knob has it, or none of the stage.
-fn no_such_knob(name: &str, config: &Config) -> Error {
+/// A rule by the name of its key; `None` if there is none.
+fn rules_listing(rules: &Rules, key: &str, as_json: bool) -> Option<String> {
+    if as_json {
+        return rules.to_json().get(key).map(|value| format!("{value:#}\n"));
+    }
+    let text = rules.to_toml();
+    let lines: Vec<&str> = text.lines().collect();
+    let line = lines.iter().position(|line| line.split_once(" = ").is_some_and(|(name, _)| name == key))?;
+    Some(format!("[{RULES}]\n{}\n{}\n", lines[line - 1], lines[line]))
+}
+
+/// Why nothing is listed for a name: no knob has it, or none of the stage, which a preset or a file may have chosen.
+fn no_such_knob(name: &str, config: &Config, stage_is_chosen: bool) -> Error {
     let elsewhere = KNOBS.iter().find(|info| info.name == name || info.section() == name);
     if let Some(stage) = elsewhere.and_then(|info| info.stage) {
         let own: Vec<&str> = config.stages().iter().map(|stage| stage.name()).collect();
+        let remedy = if stage_is_chosen { "choose another preset or file, or none and" } else { "add" };
         return Error::Usage(format!(
-            "`{name}` is of the stage {0}, and not of {1}; add --stage {0}",
+            "`{name}` is of the stage {0}, and not of {1}; {remedy} --stage {0}",
             stage.name(),
             own.join(", ")
         ));
     }
     let sections = GROUPS.iter().flat_map(|(.., sections)| sections.iter().copied()).chain([RULES]);
+    let names = KNOBS.iter().map(|info| info.name.to_owned()).chain(sections.map(str::to_owned));
+    let names: Vec<String> = names.chain(SETTINGS.iter().map(|rule| format!("{RULES}.{rule}"))).collect();
     Error::UnknownKnob {
         name: name.to_owned(),
         origin: "the command line".to_owned(),
-        suggestion: nearest(name, KNOBS.iter().map(|info| info.name).chain(sections)),
+        suggestion: nearest(name, names.iter().map(String::as_str)),
     }
 }
 
@@ -95,7 +112,12 @@ pub(super) fn list_presets(args: &PresetsArgs) -> Result<()> {
         config.apply_preset(name)?;
         let text = presets().into_iter().find(|(known, _)| known == name).map_or("", |(_, text)| text);
         if args.json {
-            let row = json!({ "name": name, "description": description(name), "knobs": config.distributions_json() });
+            let row = json!({
+                "name": name,
+                "description": description(name),
+                "knobs": config.distributions_json(),
+                "rules": Rules::from_config(&config)?.to_json(),
+            });
             return print(&format!("{row:#}\n"));
         }
         return print(text);

@@ -18,7 +18,7 @@ const BLACK: u8 = 2;
 /// A pixel is lit if a channel has at least this value: above shadows, which light from sunlit ground fills.
 const LIT: u8 = 32;
 /// Names of the settings.
-const SETTINGS: [&str; 7] =
+pub const SETTINGS: [&str; 7] =
     ["black_max", "clipped_max", "saturated_max", "lit_min", "sky_max", "attempts_max", "require"];
 
 /// The rules and their settings.

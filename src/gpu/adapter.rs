@@ -111,9 +111,10 @@ fn backends_allowed() -> Result<Option<Backends>> {
 }
 
 fn no_adapter() -> Error {
-    let named = std::env::var("WGPU_BACKEND").unwrap_or_default();
-    let limit = if named.is_empty() { String::new() } else { format!(" (WGPU_BACKEND allows only {named})") };
-    Error::NoAdapter { limit, advice: Platform::HERE.advice(backends_allowed().ok().flatten()) }
+    let allowed = backends_allowed().ok().flatten();
+    let names = Platform::HERE.names_of(allowed.unwrap_or(Backends::all())).join(", ");
+    let tried = if allowed.is_some() { format!("{names} (WGPU_BACKEND allows no other)") } else { names };
+    Error::NoAdapter { tried, advice: Platform::HERE.advice(allowed) }
 }
 
 /// One line for people: name, kind, backend, driver.

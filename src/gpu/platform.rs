@@ -56,9 +56,15 @@ impl Platform {
         self.backends().iter().find(|(_, names)| names.contains(&name)).map(|(backend, _)| *backend)
     }
 
+    /// The names of those of its backends that are among these.
+    pub(super) fn names_of(self, backends: Backends) -> Vec<&'static str> {
+        let among = self.backends().iter().filter(|(backend, _)| backends.contains(*backend));
+        among.map(|(_, names)| names[0]).collect()
+    }
+
     /// The names of its backends, in words.
     pub(super) fn backend_names(self) -> String {
-        let names: Vec<&str> = self.backends().iter().map(|(_, names)| names[0]).collect();
+        let names = self.names_of(Backends::all());
         match names.as_slice() {
             [name] => format!("the backend is {name}"),
             [others @ .., last] => format!("the backends are {} and {last}", others.join(", ")),

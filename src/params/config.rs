@@ -10,7 +10,7 @@ use super::Params;
 use super::azimuth::{self, RELATIVE};
 use super::distribution::{Distribution, Value};
 use super::document::{collect_entries, has_non_finite};
-use super::knob_info::{KnobInfo, Scope, Stage};
+use super::knob_info::{Kind, KnobInfo, Scope, Stage};
 use super::knobs::{KNOBS, Knob};
 use super::presets::presets;
 use super::variant::Variant;
@@ -269,6 +269,9 @@ impl Config {
             return Ok(());
         }
         let info = find(name, origin)?;
+        // Numbers that TOML has no form for, as `.5` and `05`, or that are beyond its range.
+        let number = || text.parse().ok().filter(|_| !matches!(info.kind, Kind::Text(_)));
+        let value = value.or_else(|| number().map(toml::Value::Float));
         match value {
             Some(value) => self.set_toml(info, &value, origin),
             // Text needs no quotes here.
@@ -432,15 +435,38 @@ pub(super) fn find(name: &str, origin: &str) -> Result<&'static KnobInfo> {
 
 fn unknown(name: &str, origin: &str) -> Error {
     // Options that exist on the command line only.
-    const OPTIONS: [&str; 11] = [
-        "seed", "size", "samples", "outputs", "out", "count", "start", "split", "format", "adapter", "edges",
+    const OPTIONS: [&str; 18] = [
+        "seed",
+        "size",
+        "samples",
+        "outputs",
+        "out",
+        "count",
+        "start",
+        "split",
+        "format",
+        "adapter",
+        "edges",
+        "preset",
+        "stage",
+        "config",
+        "raster",
+        "label-ids",
+        "shard",
+        "threads",
     ];
     if OPTIONS.contains(&name) {
         return Error::Usage(format!("`{name}` in {origin} is no knob; it is the option --{name}"));
     }
-    if KNOBS.iter().any(|info| info.name.split_once('.').is_some_and(|(group, _)| group == name)) {
+    let is_group = |info: &KnobInfo| info.name.split_once('.').is_some_and(|(group, _)| group == name);
+    if name == "rules" || KNOBS.iter().any(is_group) {
         return Error::Usage(format!(
-            "`{name}` in {origin} is a group of knobs and no knob; `regolith-render params` lists those in [{name}]"
+            "`{name}` in {origin} is a group and no knob; `regolith-render params {name}` lists what is in it"
+        ));
+    }
+    if let Some(knob) = name.strip_prefix("fallback.") {
+        return Error::Usage(format!(
+            "`{name}` in {origin}: only presets and files propose values; set `{knob}` itself"
         ));
     }
     let groups = KNOBS.iter().filter_map(|info| info.name.split_once('.')).map(|(group, _)| group);

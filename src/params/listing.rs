@@ -11,6 +11,7 @@ use super::distribution::Distribution;
 use super::groups::{GROUPS, group_of};
 use super::knob_info::{Kind, KnobInfo, Scope, Stage};
 use super::knobs::Knob;
+use super::variant::Variant;
 
 impl Config {
     /// Whether a knob has the default of its stage, which differs between the stages that frames may have.
@@ -34,7 +35,7 @@ impl Config {
         self.to_toml_where(|_| true) + &self.variants_toml()
     }
 
-    /// The same for some knobs, without variants.
+    /// The same for some knobs; a comment names those of them that variants draw from something else.
     #[must_use]
     pub fn to_toml_where(&self, is_listed: impl Fn(&KnobInfo) -> bool) -> String {
         let mut rows: Vec<_> = self.rows().filter(|(info, _)| is_listed(info)).collect();
@@ -77,7 +78,28 @@ impl Config {
                 info.allowed()
             );
         }
+        let of_variants: Vec<&str> = self
+            .rows()
+            .map(|(info, _)| info)
+            .filter(|info| is_listed(info) && !self.in_variants(info.knob()).is_empty())
+            .map(|info| info.name)
+            .collect();
+        if !of_variants.is_empty() {
+            let _ = writeln!(
+                text,
+                "\n# Some frames draw otherwise, by [[variant]], which `params` lists behind all knobs: {}.",
+                of_variants.join(", ")
+            );
+        }
         text
+    }
+
+    /// What variants draw a knob from, in their order; none of those that leave it as it is.
+    fn in_variants(&self, knob: Knob) -> Vec<(f64, &Distribution)> {
+        let set = self.variants.iter().filter_map(|Variant { weight, settings }| {
+            settings[knob as usize].as_ref().map(|distribution| (*weight, distribution))
+        });
+        set.collect()
     }
 
     /// What every knob of the stages is drawn from, by its dotted name. What frames of several stages draw from different
@@ -93,16 +115,20 @@ impl Config {
             .collect()
     }
 
-    /// Every knob with its type, unit, default and description.
+    /// Every knob with its type, unit, default and description. The value is null of what each stage has its own default for, listed as
+    /// `value_by_stage`, and of the azimuth that follows from the other; `variants` are what variants draw from instead, with their weights.
     #[must_use]
     pub fn to_json(&self) -> serde_json::Value {
         let stage = self.stages()[0];
         let rows = self.rows().map(|(info, distribution)| {
+            let json_of = |from: &Distribution| from.to_json(info.kind == Kind::Integer);
+            let depends_on_stage = self.depends_on_stage(info);
+            let is_unset = depends_on_stage || Some(info.knob()) == self.computed_azimuth();
             let mut row = json!({
                 "name": info.name,
                 "group": GROUPS.get(group_of(info.section())).map(|(title, ..)| title),
-                "value": distribution.to_json(info.kind == Kind::Integer),
-                "default": info.default_on(stage).to_json(info.kind == Kind::Integer),
+                "value": if is_unset { serde_json::Value::Null } else { json_of(distribution) },
+                "default": json_of(info.default_on(stage)),
                 "unit": info.unit,
                 "drawn_per": match info.scope { Scope::Frame => "frame", Scope::Element(element) => element },
                 "doc": info.doc,
@@ -111,6 +137,15 @@ impl Config {
                 Kind::Text(words) => json!(words),
                 _ => json!(info.range),
             };
+            if depends_on_stage {
+                let default = |stage: Stage| (stage.name().to_owned(), json_of(info.default_on(stage)));
+                row["value_by_stage"] = self.stages().into_iter().map(default).collect();
+            }
+            let of_variants = self.in_variants(info.knob());
+            if !of_variants.is_empty() {
+                let variant = |(weight, from): &(f64, &Distribution)| json!({ "weight": weight, "value": json_of(from) });
+                row["variants"] = of_variants.iter().map(variant).collect();
+            }
             row
         });
         rows.collect()
@@ -143,6 +178,28 @@ mod tests {
         assert_eq!(preset_description("train"), None);
         let nominal = KNOBS.iter().filter(|info| info.is_of(Stage::Nominal)).count();
         assert_eq!(Config::new().to_json().as_array().map(Vec::len), Some(nominal));
+    }
+
+    /// JSON has no value where TOML has a comment, and what variants draw from.
+    #[test]
+    fn json_says_what_each_stage_and_variant_draws_from() {
+        let row = |config: &Config, name: &str| -> serde_json::Value {
+            let rows = config.to_json();
+            rows.as_array().into_iter().flatten().find(|row| row["name"] == name).expect("a row").clone()
+        };
+        let mut config = Config::new();
+        config.apply_set("camera.yaw_deg=90").expect("set");
+        assert_eq!(row(&config, "sun.relative_azimuth_deg")["value"], serde_json::Value::Null);
+        assert_eq!(row(&config, "sun.azimuth_deg")["value"], json!(120.0));
+        config.apply_set(r#"stage.name={choice=["nominal","surface"]}"#).expect("set");
+        let intensity = row(&config, "sun.intensity");
+        assert_eq!(intensity["value"], serde_json::Value::Null);
+        assert_eq!(intensity["value_by_stage"], json!({ "nominal": 14000.0, "surface": 3500.0 }));
+        let mut rover = Config::new();
+        rover.apply_preset("surface_rover").expect("a preset");
+        assert!(row(&rover, "camera.height_m")["variants"].as_array().is_some_and(|list| list.len() > 1));
+        assert!(rover.to_toml_where(|info| info.section() == "camera").contains("# Some frames draw otherwise"));
+        assert!(!rover.to_toml_where(|info| info.section() == "sky").contains("Some frames draw otherwise"));
     }
 
     #[test]

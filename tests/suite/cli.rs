@@ -128,7 +128,8 @@ fn without_an_adapter_the_message_says_how_to_install_one() {
             .expect("the program starts");
         let message = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(1), "{message}");
-        assert!(message.contains("no graphics adapter") && message.contains(packages), "{message}");
+        let tried = format!("no graphics adapter was found; tried: {backend} (WGPU_BACKEND allows no other)");
+        assert!(message.contains(&tried) && message.contains(packages), "{message}");
         assert!(!folder.path().join("out").exists());
     }
 }
@@ -621,6 +622,64 @@ fn params_lists_groups_sections_and_single_knobs() {
         let output = run(folder.path(), &["params", name]);
         let message = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.code() == Some(2) && message.contains(said), "{name}: {message}");
+    }
+}
+
+#[test]
+fn params_shows_single_rules_and_other_stages() {
+    let folder = folder();
+    let preset = ["--preset", "surface_train_full"];
+    let rule = run_ok(folder.path(), &[&["params", "rules.sky_max"], &preset[..]].concat());
+    assert!(rule.starts_with("[rules]\n# Largest value") && rule.ends_with("\nsky_max = 50\n"), "{rule}");
+    let rule = run_ok(folder.path(), &[&["params", "rules.sky_max", "--json"], &preset[..]].concat());
+    assert_eq!(rule, "50.0\n");
+    let preset: serde_json::Value =
+        serde_json::from_str(&run_ok(folder.path(), &["presets", "train_full", "--json"])).expect("JSON");
+    assert!(preset["rules"]["require"]["rock"].is_array(), "{preset}");
+    for (words, said) in [
+        (&["params", "rules.skymax"][..], "did you mean `rules.sky_max`"),
+        (&["params", "rocks.count", "--preset", "navcam"], "choose another preset or file, or none and --stage nominal"),
+        (&["params", "--set", "rules=3"], "`regolith-render params rules` lists"),
+        (&["params", "--set", "preset=train_dr"], "it is the option --preset"),
+        (&["params", "--set", "fallback.sensor.bits=10"], "set `sensor.bits` itself"),
+        (&["params", "--set", "sun.intensity=99999999999999999999"], "sun.intensity = 100000000000000000000"),
+        (&["bench", "--sweep", "rocks", "--stage", "surface"], "only the stage nominal"),
+        (&["--samples", "0"], "allowed are 1, 4 (2 x 2) and 16 (4 x 4)"),
+    ] {
+        assert_refused(words, 2, &[said]);
+    }
+    let listed = run_ok(folder.path(), &["params", "sun.elevation_deg", "--set", "sun.elevation_deg=05.5"]);
+    assert!(listed.ends_with("elevation_deg = 5.5\n"), "{listed}");
+}
+
+/// Sources the script in a shell and asks it as the shell does.
+#[test]
+fn bash_completes_options_and_values_of_subcommands() {
+    let folder = folder();
+    let script = folder.path().join("completions.bash");
+    std::fs::write(&script, run_ok(folder.path(), &["completions", "bash"])).expect("a file");
+    for (words, completed) in [
+        (&["--preset", "surface_ro"][..], "surface_rover"),
+        (&["dataset", "--preset", "surface_ro"], "surface_rover"),
+        (&["dataset", "--cou"], "--count"),
+        (&["presets", "surface_ro"], "surface_rover"),
+    ] {
+        let line: Vec<&str> = [&["regolith-render"], words].concat();
+        let ask = format!(
+            "source {}; COMP_WORDS=({}); COMP_CWORD={}; _regolith-render regolith-render {} {}; echo \"${{COMPREPLY[*]}}\"",
+            script.display(),
+            line.join(" "),
+            line.len() - 1,
+            line[line.len() - 1],
+            line[line.len() - 2],
+        );
+        let output = std::process::Command::new("bash").args(["-c", &ask]).output().expect("bash starts");
+        let replies = String::from_utf8_lossy(&output.stdout);
+        assert!(
+            replies.split_whitespace().any(|word| word == completed),
+            "{line:?}: {replies} {}",
+            String::from_utf8_lossy(&output.stderr)
+        );
     }
 }
 
