@@ -43,7 +43,10 @@ __all__ = [
     "presets",
 ]
 
-if not TYPE_CHECKING:
+if TYPE_CHECKING:
+    from . import ray as ray
+    from . import torch as torch
+else:
 
     def __getattr__(name: str) -> ModuleType:
         """`rr.torch` and `rr.ray`, imported at first use."""

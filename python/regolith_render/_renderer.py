@@ -190,10 +190,12 @@ class Renderer:
         """The frames of these seeds as arrays (B, H, W, ...) by name, of the types of `arrays()`. out: arrays to fill instead of new ones,
         as an earlier call returned them; the same dictionary is returned.
 
-        Raises ConfigError if an array of `out` is missing or of another shape or type.
+        Raises ConfigError if an array of `out` is missing, of another shape or type, or read-only.
         """
         listed = [seed_of(seed) for seed in _iterator(seeds)]
         wanted = {name: ((len(listed), *shape), dtype) for name, (shape, dtype) in self.arrays().items()}
+        if out is not None and not isinstance(out, dict):
+            raise refused("out", out, "a dictionary of arrays by name is expected")
         batch = out if out is not None else {}
         if not batch:
             batch.update({name: np.empty(shape, dtype) for name, (shape, dtype) in wanted.items()})
@@ -202,6 +204,8 @@ class Renderer:
             if not isinstance(array, np.ndarray) or array.shape != shape or array.dtype != dtype:
                 found = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
                 raise refused(f"out[{name!r}]", found, f"an array {dtype} {shape} is expected")
+            if not array.flags.writeable:
+                raise refused(f"out[{name!r}]", "read-only", "an array that may be written is expected")
         for row, frame in enumerate(self.frames(listed)):
             for name, pixels in frame.items():
                 batch[name][row] = pixels

@@ -29,10 +29,10 @@ class Knob(NamedTuple):
     """`deg`, `m`, ...; empty for none."""
     low: float | None
     high: float | None
-    allowed: tuple[str, ...]
     default: str
     """As TOML."""
     help: str
+    allowed: tuple[str, ...] = ()
 
 
 class Preset(NamedTuple):
@@ -57,8 +57,8 @@ def knobs(stage: str = "nominal") -> list[Knob]:
     Raises ConfigError for another stage.
     """
     return [
-        Knob(name, unit, bounds[0] if bounds else None, bounds[1] if bounds else None, tuple(allowed), default, text)
-        for name, unit, bounds, allowed, default, text in _native.knobs(stage)
+        Knob(name, unit, *(bounds or (None, None)), default, text, tuple(allowed))
+        for name, unit, bounds, default, text, allowed in _native.knobs(stage)
     ]
 
 

@@ -20,8 +20,8 @@ pub(crate) fn adapters(py: Python<'_>) -> PyResult<Vec<(String, &'static str, St
         .collect())
 }
 
-/// A knob: name, unit, range of a number, allowed texts, default, help.
-type KnobRow = (&'static str, &'static str, Option<[f64; 2]>, Vec<&'static str>, String, &'static str);
+/// A knob: name, unit, range of a number, default, help, allowed texts.
+type KnobRow = (&'static str, &'static str, Option<[f64; 2]>, String, &'static str, Vec<&'static str>);
 
 /// The knobs of a stage.
 #[pyfunction]
@@ -35,7 +35,7 @@ pub(crate) fn knobs(stage: &str) -> PyResult<Vec<KnobRow>> {
             Kind::Text(texts) => (None, texts.to_vec()),
             Kind::Number | Kind::Integer | Kind::Rgb => (Some(info.range), Vec::new()),
         };
-        (info.name, info.unit, range, texts, info.default_on(stage).to_string(), info.doc)
+        (info.name, info.unit, range, info.default_on(stage).to_string(), info.doc, texts)
     });
     Ok(rows.collect())
 }

@@ -86,6 +86,12 @@ def test_a_file_that_is_no_text_is_named(tmp_path: Path) -> None:
         rr.Renderer(config=file)
 
 
+def read_only(batch: dict[str, Any]) -> dict[str, Any]:
+    for array in batch.values():
+        array.flags.writeable = False
+    return batch
+
+
 CALLS: list[tuple[Callable[[rr.Renderer], object], str]] = [
     (lambda renderer: renderer.render(-1), "seed = -1"),
     (lambda renderer: renderer.render(2**64), "seed = 18446744073709551616.*0 to 18446744073709551615"),
@@ -103,6 +109,8 @@ CALLS: list[tuple[Callable[[rr.Renderer], object], str]] = [
     (lambda renderer: renderer.batch([1, -2]), "seed = -2"),
     (lambda renderer: renderer.batch([1], out={"rgb": np.zeros((1, 64, 64, 3), np.uint8)}), "out.*mask"),
     (lambda renderer: renderer.batch([1], out=renderer.batch([1, 2])), r"out.*\(1, 64, 64"),
+    (lambda renderer: renderer.batch([1], out=[]), r"out = \[\].*dictionary"),  # type: ignore[arg-type]
+    (lambda renderer: renderer.batch([1], out=read_only(renderer.batch([1]))), r"out\['rgb'\].*read-only"),
     (lambda renderer: renderer.scene(-5), "seed = -5"),
     (lambda renderer: renderer.scene(5, set={"rocks.cuont": 3}), "did you mean `rocks.count`"),
     (lambda renderer: renderer.scene(5).render(camera=(1, 2, 3)), "Camera is expected"),  # type: ignore[arg-type]
