@@ -173,8 +173,8 @@ impl Scene {
         self.rocks.built().filter(|rock| rock.moved).map(|rock| rock.index).collect()
     }
 
-    /// Hash (XXH3, 128 bits, hexadecimal) of the geometry, independent of the camera on the nominal stage: every vertex of
-    /// the ground, dome and stars, and the rocks ([`Rocks::write_to`]).
+    /// Hash (XXH3, 128 bits, hexadecimal) of the geometry, on the nominal stage independent of where the camera looks: every vertex of
+    /// the ground, dome and stars, which are around the place below the camera, and the rocks ([`Rocks::write_to`]).
     #[must_use]
     pub fn geometry_hash(&self) -> String {
         let mut hasher = XxHash3_128::new();

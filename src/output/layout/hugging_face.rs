@@ -76,7 +76,10 @@ fn yaml_header(frames: u64, splits: &[String]) -> String {
         1_000..10_000 => "1K<n<10K",
         10_000..100_000 => "10K<n<100K",
         100_000..1_000_000 => "100K<n<1M",
-        _ => "1M<n<10M",
+        1_000_000..10_000_000 => "1M<n<10M",
+        10_000_000..100_000_000 => "10M<n<100M",
+        100_000_000..1_000_000_000 => "100M<n<1B",
+        _ => "1B<n<10B",
     };
     let mut header = format!(
         "---\nlicense: cc0-1.0\ntask_categories:\n- image-segmentation\nsize_categories:\n- {size}\nconfigs:\n\
