@@ -78,7 +78,7 @@ fn wrong(path: &Path, message: impl Into<String>) -> Error {
 /// Finds every mask in a folder and its subfolders, with its label file. Links to folders are refused, not followed.
 ///
 /// # Errors
-/// [`Error::Dataset`] if there is no mask, one has no label file, or a folder is a link; [`Error::Read`].
+/// [`Error::Dataset`] if there is no mask, one has no label file, a folder is a link, or a name is not UTF-8; [`Error::Read`].
 pub fn find(folder: &Path) -> Result<Vec<Pair>> {
     if !folder.is_dir() {
         return Err(wrong(folder, "there is no such folder; name the folder of the masks"));
@@ -95,8 +95,17 @@ pub fn find(folder: &Path) -> Result<Vec<Pair>> {
 }
 
 fn find_below(folder: &Path, below: &Path, pairs: &mut Vec<Pair>) -> Result<()> {
-    for name in disk::names(&folder.join(below))? {
-        let path = below.join(&name);
+    for os_name in disk::os_names(&folder.join(below))? {
+        let path = below.join(&os_name);
+        let Some(name) = os_name.to_str() else {
+            if folder.join(&path).is_dir() || os_name.as_encoded_bytes().starts_with(MASK_STEM.as_bytes()) {
+                return Err(wrong(
+                    &folder.join(&path),
+                    "its name is not UTF-8, and the names of masks, label files and folders must be; rename it",
+                ));
+            }
+            continue;
+        };
         if folder.join(&path).is_dir() {
             if folder.join(&path).is_symlink() {
                 return Err(wrong(

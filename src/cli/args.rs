@@ -3,6 +3,7 @@
 use std::any::TypeId;
 use std::path::PathBuf;
 
+use crate::dataset::manifest::shell_word;
 use crate::dataset::rules::Rules;
 use crate::error::Result;
 use crate::gpu::Gpu;
@@ -75,7 +76,7 @@ impl ConfigArgs {
         let set = self.set.iter().map(|assignment| ("--set", assignment.clone()));
         named
             .chain(set)
-            .map(|(option, value)| format!("{option} {}", quoted(&value)))
+            .map(|(option, value)| format!("{option} {}", shell_word(&value)))
             .collect::<Vec<_>>()
             .join(" ")
     }
@@ -86,16 +87,6 @@ impl ConfigArgs {
             Some(path) if is_record(path) => FrameOrigin::read(path),
             _ => Ok(FrameOrigin::default()),
         }
-    }
-}
-
-/// A word as a shell reads it.
-fn quoted(word: &str) -> String {
-    let is_plain = |c: char| c.is_ascii_alphanumeric() || "_.,:/=+-".contains(c);
-    if !word.is_empty() && word.chars().all(is_plain) {
-        word.to_owned()
-    } else {
-        format!("'{}'", word.replace('\'', r"'\''"))
     }
 }
 

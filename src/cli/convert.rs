@@ -22,7 +22,7 @@ pub(super) struct ConvertArgs {
     /// Output folder, created if missing; the same command resumes an interrupted run
     #[arg(long, value_name = "DIR", default_value = "out")]
     out: PathBuf,
-    /// Write into a folder even if it has other content
+    /// Write into a folder even if it has other content; a file of it whose name the dataset needs is replaced
     #[arg(long)]
     force: bool,
     /// Print the summary as JSON

@@ -58,7 +58,7 @@ pub(super) struct DatasetArgs {
     image: ImageArgs,
     #[command(flatten)]
     device: DeviceArgs,
-    #[arg(long, value_name = "LIST", help = format!("Outputs to write, separated by commas, or `all` that the format holds: {}. rgb and mask are always written, and what else the format requires; preview is written for every 25th frame [default: rgb,mask,preview, as far as the format holds them]", output_names()))]
+    #[arg(long, value_name = "LIST", help = format!("Outputs to write, separated by commas, or `all` that the format holds: {}. rgb and mask are always written, and what else the format requires; in the format folder preview is written for every 25th frame [default: rgb,mask,preview, as far as the format holds them]", output_names()))]
     outputs: Option<String>,
     /// Layout of the files; see the list below
     #[arg(long, value_name = "NAME", default_value = "folder")]
@@ -83,7 +83,7 @@ pub(super) struct DatasetArgs {
     /// on the same cores, one for every two, which uses idle ones as well]
     #[arg(long, value_name = "N", value_parser = whole_number::<u16>(1, 256))]
     threads: Option<u16>,
-    /// Write into a folder even if it has other content
+    /// Write into a folder even if it has other content; a file of it whose name the dataset needs is replaced
     #[arg(long)]
     force: bool,
     /// Print the summary as JSON on stdout
@@ -123,9 +123,10 @@ pub(super) fn run(args: &DatasetArgs, messages: Messages) -> Result<()> {
     let spec = DatasetSpec::of_plan(&plan);
     let finished = lock::check_folder(&args.out, &spec, args.force)?;
     if plan.own_indices().all(|index| finished.contains(&index)) {
-        if !lock::has_manifest(&args.out)? {
-            // The manifest was lost, and --force confirms that the frames belong to this run.
-            drop(FrameLogWriter::open(&args.out, &spec, args.force)?);
+        if !lock::is_recorded(&args.out, plan.range)? {
+            // The manifest was lost, and --force confirms that the frames belong to this run; or the range has grown, by frames of other
+            // shards alone.
+            FrameLogWriter::open(&args.out, &spec, args.force)?.write_manifest("done")?;
         }
         return report(args, messages, None, &finalize_frames(&args.out, plan.range, plan.shard)?, 0.0);
     }
@@ -195,6 +196,11 @@ fn stream(
     if plan.format != "webdataset" || !plan.splits.is_empty() {
         return Err(Error::Usage(
             "--out - streams one archive: it needs --format webdataset and no --split".to_owned(),
+        ));
+    }
+    if args.json {
+        return Err(Error::Usage(
+            "--json: with --out - standard output has the archive; leave one of them out".to_owned(),
         ));
     }
     let gpu = args.device.open(messages)?;
@@ -370,9 +376,10 @@ fn report(
             args.out.display()
         ));
     } else {
+        let count = finalized.missing.count();
         messages.note(format_args!(
-            "{} frames of other shards are still missing: {}; once they are copied here, `regolith-render dataset --merge --out {}` completes the folder",
-            finalized.missing.count(),
+            "{count} {} still missing: {}; once they are copied here, `regolith-render dataset --merge --out {}` completes the folder",
+            if count == 1 { "frame of another shard is" } else { "frames of other shards are" },
             abbreviated(&finalized.missing),
             args.out.display()
         ));

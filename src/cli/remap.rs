@@ -22,7 +22,7 @@ pub(super) struct RemapArgs {
     /// Output folder, created if missing; files keep their names and subfolders
     #[arg(long, value_name = "DIR", default_value = "out")]
     out: PathBuf,
-    /// Write into a folder even if it has other content
+    /// Write into a folder even if it has other content; a file of it whose name a mask or a label file needs is replaced
     #[arg(long)]
     force: bool,
     /// Print the summary as JSON

@@ -17,7 +17,7 @@ use super::log::{FrameLog, finished_frames};
 use super::log_writer::{FrameLogWriter, record_files};
 use super::manifest::DatasetSpec;
 use super::merge::{Finalized, finalize_run};
-use super::plan::Plan;
+use super::plan::{Plan, Range};
 use crate::class::ClassId;
 use crate::error::{Error, RUN_AGAIN, Result};
 use crate::frame::{Frame, LabelReason, RockLabel};
@@ -47,7 +47,7 @@ impl Conversion {
     ///
     /// # Errors
     /// [`Error::Dataset`] if the dataset is not finished, has another layout, or lacks an output; [`Error::Usage`] for an
-    /// unknown layout, or one that cannot hold splits of these names.
+    /// unknown layout, or one that cannot hold splits of these names; [`Error::CheckFailed`] if its log lacks a frame.
     pub fn new(source: &Path, format: &str) -> Result<Self> {
         let (format, layout) = layout::find(format)?;
         let refused = |message: String| Error::Dataset { path: source.to_owned(), message };
@@ -91,6 +91,7 @@ impl Conversion {
             spec.identity.extend(Plan::identity_of_ids(LabelIds::default()));
         }
         let gate = Gate::of_manifest(&manifest)?;
+        check_log(source, &gate, spec.range)?;
         Ok(Self { spec, layout, outputs, label_ids, gate, manifest })
     }
 
@@ -203,6 +204,27 @@ impl Conversion {
         };
         frame.class = mask.into_raw().into_iter().map(class_of).collect();
     }
+}
+
+/// Checks that the log of a dataset has the line of each of its frames.
+fn check_log(source: &Path, gate: &Gate, range: Range) -> Result<()> {
+    let lacks = |index: u64| {
+        Err(Error::CheckFailed(format!(
+            "{}: the line of frame {index} is missing, or not in its order; run the dataset command of {} again, which makes the frame \
+             again, and then convert it",
+            source.join("frames.jsonl").display(),
+            source.display()
+        )))
+    };
+    let mut next = range.start;
+    FrameLog::new(source, gate.clone()).for_each(&mut |line| {
+        if line.index != next {
+            return lacks(next);
+        }
+        next += 1;
+        Ok(())
+    })?;
+    if next < range.end() { lacks(next) } else { Ok(()) }
 }
 
 /// Reads a file of the dataset and compares it with its recorded hash.

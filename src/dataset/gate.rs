@@ -5,6 +5,7 @@
 //! becomes a path.
 //! Must not know: how frames are made, who reads.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use serde_json::{Map, Value};
@@ -86,6 +87,28 @@ impl Gate {
         self.names_of(line).files.iter().all(|path| line.hashes.contains_key(path))
     }
 
+    /// The folders, below the dataset's, that the files of frames are in; the empty path is the dataset's own.
+    #[must_use]
+    pub fn frame_folders(&self) -> BTreeSet<String> {
+        let first = |split: &SplitRange| self.layout.frame_names(&self.kinds, &split.name, split.start).files;
+        let paths = self.splits.iter().flat_map(first);
+        paths.map(|path| path.rsplit_once('/').map_or("", |(folder, _)| folder).to_owned()).collect()
+    }
+
+    /// Whether a path is that of the file of a frame. The frame's index is a number in the file name, or two that follow each other.
+    #[must_use]
+    pub fn is_frame_file(&self, path: &str) -> bool {
+        let name = path.rsplit_once('/').map_or(path, |(_, name)| name);
+        let numbers: Vec<&str> =
+            name.split(|c: char| !c.is_ascii_digit()).filter(|number| !number.is_empty()).collect();
+        let candidates = numbers.windows(1).chain(numbers.windows(2)).map(<[&str]>::concat);
+        let indices = candidates.filter_map(|number| number.parse().ok());
+        let indices = indices.filter(|index| *index < MAX_FRAMES);
+        indices.filter_map(|index| Some((index, self.split_of(index)?))).any(|(index, split)| {
+            self.layout.frame_names(&self.kinds, split, index).files.iter().any(|file| file == path)
+        })
+    }
+
     /// Checks a line.
     ///
     /// # Errors
@@ -131,7 +154,7 @@ impl Gate {
         let files = files
             .as_object()
             .ok_or_else(|| format!("index_files is {}; expected is an object", quote(files)))?;
-        let mut unknown: std::collections::BTreeSet<&str> = files.keys().map(String::as_str).collect();
+        let mut unknown: BTreeSet<&str> = files.keys().map(String::as_str).collect();
         for path in manifest::index_paths(self.layout, &self.splits) {
             if unknown.is_empty() {
                 break;
@@ -203,4 +226,37 @@ fn parse_manifest(path: &Path, text: &[u8]) -> Result<Map<String, Value>> {
             path.display()
         ))
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::output::OUTPUTS;
+    use crate::output::layout::LAYOUTS;
+
+    #[test]
+    fn files_of_frames_are_distinguished_from_others_in_every_layout() {
+        for row in &LAYOUTS {
+            let outputs = OUTPUTS.iter().filter(|output| row.layout.supports(output.name));
+            let gate = Gate {
+                layout: row.layout,
+                kinds: outputs.flat_map(Output::file_kinds).collect(),
+                splits: vec![SplitRange { name: String::new(), start: 0, count: MAX_FRAMES }],
+                size: [8, 8],
+            };
+            for index in [0, 7, 12, 1_000_012, MAX_FRAMES - 1] {
+                for path in gate.names_of(&FrameLine { index, ..FrameLine::default() }).files {
+                    assert!(gate.is_frame_file(&path), "{}: {path}", row.name);
+                    assert!(!gate.is_frame_file(&format!("{path}.bak")), "{}: {path}.bak", row.name);
+                    let folder = path.rsplit_once('/').map_or("", |(folder, _)| folder);
+                    assert!(gate.frame_folders().contains(folder), "{}: {folder}", row.name);
+                }
+            }
+            assert!(
+                !gate.is_frame_file("README.md") && !gate.is_frame_file("rgb/notes 7.txt"),
+                "{}",
+                row.name
+            );
+        }
+    }
 }

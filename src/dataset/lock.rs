@@ -28,8 +28,10 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+use serde_json::{Map, Value};
+
 use super::gate::{Gate, read_manifest};
-use super::log::{self, LOG, MANIFEST, finished_frames, is_shard_file, shard_file_name, shard_files};
+use super::log::{LOG, MANIFEST, finished_frames, is_shard_file, shard_file_name, shard_files};
 use super::manifest::{self, DatasetSpec};
 use super::plan::{Range, Shard, differences};
 use crate::error::{Error, Result};
@@ -54,11 +56,32 @@ pub fn check_folder(folder: &Path, spec: &DatasetSpec, force: bool) -> Result<BT
 }
 
 /// Whether a folder has a manifest of some run.
+fn has_manifest(folder: &Path) -> Result<bool> {
+    Ok(folder.is_dir() && !shard_files(folder, MANIFEST)?.is_empty())
+}
+
+/// Whether the range that the manifests of a folder cover has all frames of this one. Without a manifest it has none.
 ///
 /// # Errors
-/// [`Error::Read`].
-pub fn has_manifest(folder: &Path) -> Result<bool> {
-    Ok(folder.is_dir() && !shard_files(folder, MANIFEST)?.is_empty())
+/// [`Error::Read`]; [`Error::CheckFailed`] for a manifest that the gate refuses.
+pub fn is_recorded(folder: &Path, range: Range) -> Result<bool> {
+    let mut recorded: Option<Range> = None;
+    let manifests = if folder.is_dir() { shard_files(folder, MANIFEST)? } else { Vec::new() };
+    for path in manifests {
+        if let Some(manifest) = read_if_there(&path)? {
+            let other = manifest::range_of(&manifest);
+            recorded = Some(recorded.map_or(other, |known| known.hull(other)));
+        }
+    }
+    Ok(recorded.is_some_and(|known| known.hull(range) == known))
+}
+
+/// A manifest, unless another shard has just completed the folder and removed it.
+fn read_if_there(path: &Path) -> Result<Option<Map<String, Value>>> {
+    match read_manifest(path) {
+        Err(Error::Read { .. }) if !path.exists() => Ok(None),
+        manifest => manifest.map(Some),
+    }
 }
 
 /// The range of frames that covers the planned ones and those of the dataset in the folder, if that is the same dataset.
@@ -69,16 +92,12 @@ pub(super) fn merged_range(folder: &Path, spec: &DatasetSpec, force: bool) -> Re
     let mut range = spec.range;
     let manifests = if folder.exists() { shard_files(folder, MANIFEST)? } else { Vec::new() };
     for path in &manifests {
-        let manifest = match read_manifest(path) {
-            // Another shard has just completed the folder and removed its manifest.
-            Err(Error::Read { .. }) if !path.exists() => continue,
-            manifest => manifest?,
-        };
+        let Some(manifest) = read_if_there(path)? else { continue };
         let existing = manifest::range_of(&manifest);
         let differences = spec_differences(spec, &manifest, existing);
         if !differences.is_empty() {
             let is_own = path.ends_with(shard_file_name(MANIFEST, spec.shard)) && manifests.len() == 1;
-            if is_own && log::find_lines(folder, &Gate::of_manifest(&manifest)?)?.positions.is_empty() {
+            if is_own && is_without_frames(folder, &manifest)? {
                 // An earlier run that finished no frame: nothing is lost by replacing it.
                 continue;
             }
@@ -106,12 +125,27 @@ pub(super) fn merged_range(folder: &Path, spec: &DatasetSpec, force: bool) -> Re
     Ok(range)
 }
 
+/// Whether the dataset of a manifest never had a frame: none is counted, and there is no line and no file of one.
+fn is_without_frames(folder: &Path, manifest: &Map<String, Value>) -> Result<bool> {
+    let is_filled = |log: &PathBuf| log.metadata().is_ok_and(|file| file.len() > 0);
+    let counted = manifest.get("n_completed").and_then(Value::as_u64);
+    if counted != Some(0) || shard_files(folder, LOG)?.iter().any(is_filled) {
+        return Ok(false);
+    }
+    let gate = Gate::of_manifest(manifest)?;
+    for below in gate.frame_folders() {
+        let path = folder.join(&below);
+        let names = if path.is_dir() { disk::names(&path)? } else { Vec::new() };
+        let path_of = |name: String| if below.is_empty() { name } else { format!("{below}/{name}") };
+        if names.into_iter().any(|name| gate.is_frame_file(&path_of(name))) {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
 /// Where the dataset of a manifest differs from the planned one, one line each.
-fn spec_differences(
-    spec: &DatasetSpec,
-    manifest: &serde_json::Map<String, serde_json::Value>,
-    existing: Range,
-) -> Vec<String> {
+fn spec_differences(spec: &DatasetSpec, manifest: &Map<String, Value>, existing: Range) -> Vec<String> {
     let mut differences = differences(manifest, &spec.identity);
     if spec.is_split && existing != spec.range {
         differences.push(format!("  --split: there {} frames, now {}", existing.count, spec.range.count));

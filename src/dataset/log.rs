@@ -13,6 +13,7 @@ use super::gate::{Gate, MAX_LINE_BYTES};
 use super::plan::Shard;
 use crate::error::{Error, Result};
 use crate::input::{self, Lines};
+use crate::output::layout::webdataset::{sample_key, whole_samples};
 use crate::output::layout::{FrameLine, FrameLines};
 use crate::output::{dataset_path, disk};
 
@@ -92,6 +93,7 @@ impl FoundLines {
 pub(super) fn find_lines(folder: &Path, gate: &Gate) -> Result<FoundLines> {
     let logs = shard_files(folder, LOG)?;
     let mut found = FoundLines { logs: logs.clone(), ..FoundLines::default() };
+    let mut bundles = Bundles::new(folder);
     for (log, path) in logs.iter().enumerate() {
         let mut lines = match open_log(path) {
             // Another shard has just completed the folder; these lines are in its merged log.
@@ -104,7 +106,7 @@ pub(super) fn find_lines(folder: &Path, gate: &Gate) -> Result<FoundLines> {
             let line = text.ends_with(b"\n").then(|| FrameLine::parse(&text).ok()).flatten();
             if let Some(line) = line {
                 gate.check(&line).map_err(|message| refused(path, number, &message))?;
-                let has_files = has_files(folder, &line)?;
+                let has_files = has_files(folder, &line)? || bundles.contain(&line)?;
                 found.add_folders(&line);
                 let earlier = found.positions.get(&line.index);
                 let is_last = || earlier.is_none_or(|earlier| !is_outdated(folder, &line, (&logs, earlier)));
@@ -156,19 +158,52 @@ fn refused(log: &Path, number: u64, message: &str) -> Error {
     Error::CheckFailed(format!("{}: line {number}: {message}", log.display()))
 }
 
-/// Whether a frame's files exist, on their own or in their bundle.
+/// Whether each of a frame's files exists on its own, outside a bundle.
 pub(super) fn has_files(folder: &Path, line: &FrameLine) -> Result<bool> {
-    // A file of a frame is never empty; an empty one is the result of a crash.
-    let exists = |path: &str| -> Result<bool> {
-        let path = dataset_path::for_reading(folder, path)?;
-        Ok(path.symlink_metadata().is_ok_and(|file| file.is_file() && file.len() > 0))
-    };
-    let mut has_own = true;
     for (path, _) in line.hashes() {
-        has_own &= exists(path)?;
+        if !is_filled(&dataset_path::for_reading(folder, path)?) {
+            return Ok(false);
+        }
     }
-    let has_bundle = line.bundle().map_or(Ok(false), exists)?;
-    Ok(has_own || has_bundle)
+    Ok(true)
+}
+
+/// Whether a file exists. A file of a frame is never empty; an empty one is the result of a crash.
+fn is_filled(path: &Path) -> bool {
+    path.symlink_metadata().is_ok_and(|file| file.is_file() && file.len() > 0)
+}
+
+/// The frames in the bundles of a folder. Each bundle's index is read once, when the first of its frames is asked for.
+struct Bundles<'a> {
+    folder: &'a Path,
+    /// By name of the bundle.
+    frames: BTreeMap<String, BTreeSet<u64>>,
+}
+
+impl<'a> Bundles<'a> {
+    const fn new(folder: &'a Path) -> Self {
+        Self { folder, frames: BTreeMap::new() }
+    }
+
+    /// Whether a frame is in its bundle.
+    fn contain(&mut self, line: &FrameLine) -> Result<bool> {
+        let Some(name) = line.bundle() else { return Ok(false) };
+        if !self.frames.contains_key(name) {
+            self.frames.insert(name.to_owned(), self.read(name)?);
+        }
+        Ok(self.frames.get(name).is_some_and(|frames| frames.contains(&line.index)))
+    }
+
+    /// The frames of a bundle. One that does not exist, was cut short or is no archive has none: they are made again.
+    fn read(&self, name: &str) -> Result<BTreeSet<u64>> {
+        let path = dataset_path::for_reading(self.folder, name)?;
+        if !is_filled(&path) {
+            return Ok(BTreeSet::new());
+        }
+        let samples = whole_samples(input::open(&path)?).unwrap_or_default();
+        let index_of = |key: &String| key.parse().ok().filter(|index| sample_key(*index) == *key);
+        Ok(samples.keys().filter_map(index_of).collect())
+    }
 }
 
 /// The frames that are finished in a folder, which need not exist.

@@ -133,8 +133,20 @@ pub fn command(options: &str, identity: &Map<String, Value>, range: Range) -> Ma
         .collect()
 }
 
-/// The words of a command line as a shell reads them.
-fn shell_words(text: &str) -> Vec<String> {
+/// A word as a shell reads it.
+#[must_use]
+pub fn shell_word(word: &str) -> String {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "_.,:/=+-".contains(c);
+    if !word.is_empty() && word.chars().all(is_plain) {
+        word.to_owned()
+    } else {
+        format!("'{}'", word.replace('\'', r"'\''"))
+    }
+}
+
+/// The words of a command line as a shell reads them, but for what it expands.
+#[must_use]
+pub fn shell_words(text: &str) -> Vec<String> {
     let (mut words, mut word, mut is_quoted) = (Vec::new(), String::new(), false);
     let mut chars = text.chars();
     while let Some(c) = chars.next() {
@@ -218,5 +230,8 @@ mod tests {
             assert_eq!(manifest[PRESET].as_str(), preset, "{options}");
         }
         assert_eq!(shell_words(quoted), ["--config", "a --preset b's.toml"]);
+        for word in ["", "plain", "a b", "$(x)", "it's", r"''"] {
+            assert_eq!(shell_words(&shell_word(word)), [word]);
+        }
     }
 }

@@ -9,6 +9,7 @@
 //! To add a check: a row in [`CHECKS`], and its code where the frame, the folder or the rendered frame is
 //! examined.
 
+mod command;
 mod context;
 mod depth;
 mod differences;

@@ -12,6 +12,7 @@ mod operations;
 pub mod own_name;
 
 use std::collections::BTreeSet;
+use std::ffi::OsString;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -66,15 +67,26 @@ pub fn check_content(folder: &Path, force: bool, is_ours: impl Fn(&str) -> bool)
     }
 }
 
-/// Names of the files and folders in a folder, sorted.
+/// Names of the files and folders in a folder, sorted. Of names that are not UTF-8 the invalid bytes are replaced, so that no file is found
+/// under them.
 ///
 /// # Errors
 /// [`Error::Read`].
 pub fn names(folder: &Path) -> Result<Vec<String>> {
+    let mut names: Vec<String> =
+        os_names(folder)?.into_iter().map(|name| name.to_string_lossy().into_owned()).collect();
+    names.sort_unstable();
+    Ok(names)
+}
+
+/// Names of the files and folders in a folder as the system has them, sorted by their bytes.
+///
+/// # Errors
+/// [`Error::Read`].
+pub fn os_names(folder: &Path) -> Result<Vec<OsString>> {
     let mut names = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(unreadable(folder))? {
-        let entry = entry.map_err(unreadable(folder))?;
-        names.push(entry.file_name().to_string_lossy().into_owned());
+        names.push(entry.map_err(unreadable(folder))?.file_name());
     }
     names.sort_unstable();
     Ok(names)

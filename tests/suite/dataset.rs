@@ -718,3 +718,56 @@ fn the_manifest_has_weights_and_channel_statistics_of_all_pixels() {
         assert!((totals["channel_std"][channel].as_f64().expect("a number") - variance.sqrt()).abs() < 1e-9);
     }
 }
+
+/// Also if the damage leaves no frame whole: it has lost the files of an output, its log, or the count in its manifest.
+#[test]
+fn a_damaged_folder_of_another_configuration_is_refused() {
+    type Damage = fn(&Path) -> std::io::Result<()>;
+    let remove_log: Damage = |data| std::fs::remove_file(data.join("frames.jsonl"));
+    let damages: [Damage; 3] = [
+        |data| std::fs::rename(data.join("depth"), data.with_extension("depth")),
+        remove_log,
+        // As a run leaves it that is killed between the files of its first frame and the line of it.
+        |data| {
+            let mut manifest = json(&data.join("manifest.json"));
+            manifest["n_completed"] = 0.into();
+            std::fs::write(data.join("manifest.json"), manifest.to_string())?;
+            std::fs::write(data.join("frames.jsonl"), "")
+        },
+    ];
+    for (damage, format) in damages.iter().zip(["folder", "folder", "basic"]) {
+        let folder = folder();
+        let of_format = ["--format", format, "-q"];
+        let outputs = ["--outputs=rgb,mask,depth"];
+        run_ok(folder.path(), &[&dataset("data", &["--count=3"])[..], &outputs, &of_format].concat());
+        let data = folder.path().join("data");
+        // Only the first has the folder `depth`.
+        damage(&data).expect("damaged");
+        let before = content(&data);
+        for (words, expected) in [
+            (&["--seed=7", outputs[0]][..], "base_seed: there 42, now 7"),
+            (&["--outputs=rgb,mask"], "outputs"),
+        ] {
+            let command = [&dataset("data", &["--count=2"])[..], &of_format, words].concat();
+            let output = run(folder.path(), &command);
+            let message = String::from_utf8_lossy(&output.stderr);
+            assert_eq!(output.status.code(), Some(2), "{message}");
+            assert!(message.contains("another configuration") && message.contains(expected), "{message}");
+        }
+        assert!(content(&data) == before);
+    }
+}
+
+/// The frames of the other shards are not gone through.
+#[test]
+fn one_frame_of_four_billion_is_made_at_once() {
+    let folder = folder();
+    let start = Instant::now();
+    let words = ["--count=4294967296", "--shard=4294967295/4294967296", "--json", "-q"];
+    let summary = run_ok(folder.path(), &dataset("data", &words));
+    let seconds = start.elapsed().as_secs();
+    let summary: Value = serde_json::from_str(&summary).expect("JSON");
+    assert_eq!((&summary["made"], &summary["n_missing"]), (&1.into(), &u64::from(u32::MAX).into()));
+    assert!(folder.path().join("data/rgb/rgb_4294967295.png").is_file());
+    assert!(seconds < 45, "{seconds} s");
+}

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::path::Path;
-use std::process::{Child, Output, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::support::{folder, json, program, run, run_ok, send_signal};
@@ -215,4 +215,46 @@ fn the_files_of_a_live_run_stay() {
     assert!(live.is_file());
     assert!(first.finish().status.success());
     assert!(!live.exists(), "at the end nobody writes it any more");
+}
+
+/// A shard that has all of its own frames still has to say that the dataset is larger now.
+#[test]
+fn a_range_that_grows_by_frames_of_another_shard_is_recorded() {
+    let folder = folder();
+    let copy = |from: &str, to: &str| {
+        let words = ["-r", &format!("{from}/."), to];
+        assert!(Command::new("cp").args(words).current_dir(folder.path()).status().expect("cp").success());
+    };
+    let make = |out: &str, words: &[&str]| {
+        let output = run(folder.path(), &[&["dataset", "--out", out], &SMALL[..5], words].concat());
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{message}");
+        message
+    };
+    make("a", &["--count=3"]);
+    ["b", "all", "other"]
+        .iter()
+        .for_each(|name| std::fs::create_dir(folder.path().join(name)).expect("made"));
+    copy("a", "b");
+    let message = make("a", &["--count=4", "--shard=0/2"]);
+    assert!(message.contains("1 frame of another shard is still missing: 3"), "{message}");
+    let a = folder.path().join("a");
+    assert!(a.join("frames-0-of-2.jsonl").is_file());
+    for (name, status) in [("manifest.json", "incomplete"), ("manifest-0-of-2.json", "done")] {
+        let manifest = json(&a.join(name));
+        assert_eq!((&manifest["count"], &manifest["status"]), (&4.into(), &status.into()), "{name}");
+    }
+    make("b", &["--count=4", "--shard=1/2"]);
+    assert_complete(&folder.path().join("b"), 4);
+    // Copied into one folder, whichever log is the last: no frame is left out without a word.
+    copy("a", "all");
+    copy("b", "all");
+    run_ok(folder.path(), &["dataset", "--merge", "--out", "all", "-q"]);
+    assert_complete(&folder.path().join("all"), 4);
+    copy("b", "other");
+    copy("a", "other");
+    let merge = run(folder.path(), &["dataset", "--merge", "--out", "other", "-q"]);
+    assert_fails(&merge, "1 frame is missing from other: 3");
+    make("other", &["--count=4", "--shard=1/2"]);
+    assert_complete(&folder.path().join("other"), 4);
 }

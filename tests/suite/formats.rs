@@ -472,3 +472,53 @@ fn a_shard_survives_a_stop_between_joining_and_removing_its_fragments() {
     make(folder.path(), "grown", "webdataset", &["--count=5"]);
     assert!(whole == content(&grown));
 }
+
+/// That an archive exists does not mean that it has each of its thousand frames.
+#[test]
+fn frames_of_lost_fragments_and_damaged_archives_are_made_again() {
+    let folder = folder();
+    make(folder.path(), "whole", "webdataset", &["--count=6"]);
+    let whole = content(&folder.path().join("whole"));
+    make(folder.path(), "grown", "webdataset", &["--count=2"]);
+    make(folder.path(), "grown", "webdataset", &["--count=6", "--shard=0/2"]);
+    let fragment = folder.path().join("grown/.parts/000000004.tar");
+    std::fs::remove_file(&fragment).expect("removed");
+    make(folder.path(), "grown", "webdataset", &["--count=6", "--shard=0/2"]);
+    assert!(fragment.is_file(), "the lost frame was not made again");
+    std::fs::remove_file(&fragment).expect("removed");
+    make(folder.path(), "grown", "webdataset", &["--count=6"]);
+    assert!(whole == content(&folder.path().join("grown")));
+    // Cut within a file, at the end of the last sample, before it, and to nothing; and no archive at all.
+    let path = folder.path().join("grown/000000.tar");
+    let archive = &whole["000000.tar"];
+    let last = archive.windows(9).position(|window| window == b"000000005").expect("the last sample");
+    let not_zero = [&archive[..last], &[7; 700]].concat();
+    for damaged in [&archive[..5000], &archive[..archive.len() - 1024], &archive[..last], &[], &not_zero] {
+        std::fs::write(&path, damaged).expect("written");
+        make(folder.path(), "grown", "webdataset", &["--count=6"]);
+        assert!(whole == content(&folder.path().join("grown")), "of {} bytes", damaged.len());
+    }
+}
+
+#[test]
+fn a_log_that_lacks_a_frame_is_not_converted() {
+    let folder = folder();
+    make(folder.path(), "plain", "folder", &["--count=3"]);
+    let path = folder.path().join("plain/frames.jsonl");
+    let text = std::fs::read_to_string(&path).expect("read");
+    let convert = ["convert", "plain", "--format=basic", "--out=new", "-q"];
+    for lost in [0, 1, 2] {
+        let lines = text.lines().enumerate().filter(|(i, _)| *i != lost);
+        let kept: String = lines.map(|(_, line)| format!("{line}\n")).collect();
+        std::fs::write(&path, kept).expect("written");
+        let output = run(folder.path(), &convert);
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{message}");
+        let missing = format!("plain/frames.jsonl: the line of frame {lost} is missing");
+        assert!(message.contains(&missing) && message.contains("dataset command of plain"), "{message}");
+        assert!(!folder.path().join("new").exists());
+    }
+    // The remedy works.
+    make(folder.path(), "plain", "folder", &["--count=3"]);
+    run_ok(folder.path(), &convert);
+}

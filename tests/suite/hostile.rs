@@ -542,3 +542,29 @@ fn a_file_of_a_dataset_that_cannot_be_read_is_status_1() {
     let message = text(&output);
     assert!(output.status.code() == Some(1) && message.contains("mask_00001.png"), "{message}");
 }
+
+#[cfg(target_os = "linux")]
+#[test]
+fn remap_passes_over_no_name_that_is_not_utf8() {
+    use std::ffi::OsStr;
+    use std::os::unix::ffi::OsStrExt as _;
+    for (name, shown) in [
+        (&b"part_\xff"[..], "masks/part_\u{fffd}"),
+        (b"semantic_segmentation_\xff.png", "masks/semantic_segmentation_\u{fffd}.png"),
+        (b"semantic_segmentation_labels_\xff.json", "masks/semantic_segmentation_labels_\u{fffd}.json"),
+        (b"notes_\xff.txt", ""),
+    ] {
+        let folder = masks(LABELS);
+        let path = folder.path().join("masks").join(OsStr::from_bytes(name));
+        if shown.contains("part") { fs::create_dir(path) } else { fs::write(path, "") }.expect("made");
+        let output = ends_soon(program(folder.path()).args(["remap", "masks", "--out=out"]));
+        let message = text(&output);
+        if shown.is_empty() {
+            assert!(output.status.success(), "{message}");
+            continue;
+        }
+        assert_eq!(output.status.code(), Some(2), "{message}");
+        assert!(message.contains(shown) && message.contains("not UTF-8"), "{message}");
+        assert!(!folder.path().join("out").exists());
+    }
+}

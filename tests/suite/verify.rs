@@ -293,3 +293,71 @@ fn a_dataset_that_is_not_finished_is_named_as_such_and_its_frames_pass() {
         assert!(report.to_string().contains("dataset --merge"), "{report:#}");
     }
 }
+
+#[test]
+fn a_command_that_does_not_make_the_dataset_is_found() {
+    let folder = folder();
+    make(folder.path());
+    let path = folder.path().join("data/manifest.json");
+    let manifest = json(&path);
+    let command = manifest["command"].as_str().expect("a command");
+    let options = "--preset train_dr --set terrain.cells=60 --set rocks.count=20";
+    assert!(command.contains(options), "{command}");
+    for (preset, changed, said) in [
+        (
+            "train_dr",
+            "--preset train_dr --set terrain.cells=60 --set rocks.count=21",
+            "another rocks.count than",
+        ),
+        ("train_full", &options.replace("train_dr", "train_full"), "its options give another "),
+        ("train_dr", "--preset train_dr --set terrain.cells=60", "another rocks.count than"),
+        ("train_dr", &format!("{options} --set rules.black_max=0.9"), "other rules"),
+        ("train_dr", &format!("{options} --stage surface"), "--stage occurs twice, or behind"),
+        ("train_dr", &format!("{options}; rm -rf /"), "the word rm is no option"),
+        ("train_dr", &format!("{options} rm"), "the word rm has no value"),
+        ("train_dr", &format!("{options}$(rm)"), "should be written as"),
+        ("train_dr", &format!("{options} --raster gpu"), "--raster gpu is no rasteriser"),
+        ("train_drr", &options.replace("train_dr", "train_drr"), "unknown preset `train_drr`"),
+        ("train_dr", "--preset train_dr --config a.toml --set rocks.count=21", "another rocks.count than"),
+    ] {
+        let mut forged = manifest.clone();
+        forged["preset"] = preset.into();
+        forged["command"] = command.replace(options, changed).into();
+        fs::write(&path, forged.to_string()).expect("written");
+        let output = run(folder.path(), &["verify", "data", "--json", "--rerender=0"]);
+        let report: Value = serde_json::from_slice(&output.stdout).expect("a report");
+        let problems = report["problems"].as_array().expect("problems");
+        assert!(output.status.code() == Some(1) && problems.len() == 1, "{changed}: {report:#}");
+        assert_eq!(problems[0]["check"], "books");
+        let found = problems[0]["found"].as_str().expect("text");
+        assert!(found.starts_with("manifest.json: command: ") && found.contains(said), "{changed}: {found}");
+    }
+    // What cannot be compared: the file.
+    let mut other = manifest.clone();
+    let with_file = "--preset train_dr --config 'my knobs.toml' --set rocks.count=20";
+    other["command"] = command.replace(options, with_file).into();
+    fs::write(&path, other.to_string()).expect("written");
+    run_ok(folder.path(), &["verify", "data", "--rerender=0"]);
+}
+
+#[test]
+fn every_command_line_of_the_knobs_passes() {
+    let folder = folder();
+    fs::write(folder.path().join("my knobs.toml"), "[camera]\nroll_deg = 3\n[rules]\nblack_max = 0.97\n")
+        .expect("written");
+    for (i, options) in [
+        &["--preset=surface_train_full, navcam,sun_polar", "--set=sun.azimuth_deg={uniform=[0.1,40]}"][..],
+        &["--stage=surface", "--config=my knobs.toml", "--set=sun.elevation_deg=0.3e1", "--raster=host"],
+        &["--preset=train_full", "--set=sun.relative_azimuth_deg=170", "--set=rules.black_max=0.98"],
+        &["--set=terrain.cells=60", "--set=terrain.cells=50", "--set=camera.exposure_ev=-0.5"],
+        &[],
+    ]
+    .iter()
+    .enumerate()
+    {
+        let out = format!("data{i}");
+        let words = ["dataset", "--count=1", "--size=24", "--samples=1", "-q", "--out", &out];
+        run_ok(folder.path(), &[&words[..], options].concat());
+        run_ok(folder.path(), &["verify", &out, "--rerender=0"]);
+    }
+}

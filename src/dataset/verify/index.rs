@@ -4,6 +4,7 @@
 
 use serde_json::{Map, Value};
 
+use super::command::options_problem;
 use super::context::{Context, Version};
 use super::differences::{Difference, differences};
 use super::report::{Report, name};
@@ -95,14 +96,11 @@ pub(super) fn check_index(
         report.problem(name::LOG, None, found);
     }
     let identity = context.identity();
-    let mut expected = merge::merged_manifest(
-        identity,
-        &manifest::options_of(context.manifest),
-        range,
-        range.count,
-        true,
-        &summary.totals,
-    );
+    let options = manifest::options_of(context.manifest);
+    if let Some(problem) = options_problem(context, &options) {
+        report.problem(name::LOG, None, format!("manifest.json: command: {problem}"));
+    }
+    let mut expected = merge::merged_manifest(identity, &options, range, range.count, true, &summary.totals);
     // A number of frames that the manifest does not have the files for is in the report already.
     let listed = context.manifest.get("index_files").and_then(Value::as_object).map_or(0, Map::len);
     let splits = manifest::splits_of(&expected);

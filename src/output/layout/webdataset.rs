@@ -7,7 +7,7 @@
 //! Must not know: scene, GPU.
 
 use std::collections::BTreeMap;
-use std::io::{Read, Seek};
+use std::io::{Read, Seek, SeekFrom};
 use std::ops::Range;
 use std::path::Path;
 
@@ -165,22 +165,21 @@ impl Shard {
         } else {
             Vec::new()
         };
-        let samples = samples(std::io::Cursor::new(&existing)).map_err(|error| {
-            Error::CheckFailed(format!(
-                "{}: it is not a tar archive ({error}); delete it and run the dataset's command, which makes its frames \
-                 again",
-                path.display()
-            ))
-        })?;
+        // The frames of an archive that was damaged have been made again: each has a fragment.
+        let samples = whole_samples(std::io::Cursor::new(&existing)).unwrap_or_default();
         let mut bytes = Vec::new();
         for frame in &self.frames {
-            let fragment = folder.join(fragment_name(*frame));
-            match samples.get(&sample_key(*frame)) {
-                Some(sample) if !fragment.is_file() => {
-                    let end = existing.len().min(sample.end as usize);
-                    bytes.extend(&existing[sample.start as usize..end]);
-                }
-                _ => bytes.extend(dataset_path::read(folder, &fragment_name(*frame), MAX_ARCHIVE_BYTES)?),
+            let (fragment, key) = (fragment_name(*frame), sample_key(*frame));
+            if folder.join(&fragment).is_file() {
+                bytes.extend(dataset_path::read(folder, &fragment, MAX_ARCHIVE_BYTES)?);
+            } else if let Some(sample) = samples.get(&key) {
+                bytes.extend(&existing[sample.start as usize..sample.end as usize]);
+            } else {
+                return Err(Error::CheckFailed(format!(
+                    "{}: sample {key} is neither in it nor in {fragment}; run the dataset's command again, which makes the \
+                     frame again",
+                    path.display()
+                )));
             }
         }
         bytes.extend(archive_end());
@@ -205,6 +204,18 @@ pub fn samples(archive: impl Read + Seek) -> std::io::Result<BTreeMap<String, Ra
         samples.entry(key.to_owned()).or_insert(start..end).end = end;
     }
     Ok(samples)
+}
+
+/// The samples of a whole archive, as [`samples`]: all of their members lie within it, and nothing but its end follows the last.
+///
+/// # Errors
+/// Those of [`samples`]; [`std::io::ErrorKind::InvalidData`] for an archive that was cut short or goes on behind its end.
+pub fn whole_samples(mut archive: impl Read + Seek) -> std::io::Result<BTreeMap<String, Range<u64>>> {
+    let samples = samples(&mut archive)?;
+    let end = samples.values().map(|sample| sample.end).max().unwrap_or_default();
+    let length = archive.seek(SeekFrom::End(0))?;
+    let is_whole = end.checked_add(archive_end().len() as u64) == Some(length);
+    if is_whole { Ok(samples) } else { Err(std::io::ErrorKind::InvalidData.into()) }
 }
 
 /// Names and contents of the members of a fragment or an archive.
@@ -264,5 +275,14 @@ mod tests {
         let names: Vec<String> =
             members(&archive).expect("an archive").into_iter().map(|member| member.0).collect();
         assert_eq!(names, ["000000007.rgb.png", "000000007.json", "000000008.rgb.png", "000000008.json"]);
+        let whole = |archive: &[u8]| whole_samples(std::io::Cursor::new(archive));
+        assert_eq!(whole(&archive).expect("whole").len(), 2);
+        let longer = [&archive[..], &[0; BLOCK]].concat();
+        assert!(whole(&longer).is_err());
+        // Also where a member or a sample ends.
+        for length in [archive.len() - 1, archive.len() - BLOCK, both as usize, first as usize, 1800, 600, 0]
+        {
+            assert!(whole(&archive[..length]).is_err(), "{length} of {} bytes", archive.len());
+        }
     }
 }
