@@ -541,7 +541,7 @@ fn contact_errors(backend: RasterMode, case: usize) -> [Vec<f32>; 2] {
 
 /// Share of the pixels of rocks that face the sun, or of ground at contacts, whose occlusion may be off by over a quarter: along creases,
 /// whose shadows are narrower than texels of the shadow map where the sun grazes a rock.
-const MAX_FAR_OFF: f64 = 0.02;
+const MAX_FAR_OFF: f64 = 0.01;
 
 /// Pooled over all cases, because a single frame has too few such pixels.
 #[test]

@@ -177,9 +177,27 @@ fn distance_to_segment(point: Vec3, a: Vec3, b: Vec3) -> f32 {
 }
 
 #[cfg(test)]
+#[allow(clippy::disallowed_methods, reason = "expected values may use std's functions")]
 mod tests {
     use super::*;
+    use crate::params::config::Config;
     use crate::render::settings::DEFAULT_TEXTURE_PX;
+
+    #[test]
+    fn shadows_reach_as_far_as_rays_from_the_lower_limb() {
+        for (elevation_deg, diameter_deg) in [(1.0_f64, 0.53), (3.0, 2.0), (17.0, 5.0)] {
+            let mut config = Config::new();
+            for (knob, value) in [("elevation_deg", elevation_deg), ("angular_diameter_deg", diameter_deg)] {
+                config.apply_set(&format!("sun.{knob}={value}")).expect("a knob");
+            }
+            let scene = Scene::build(3, &config.draw(3).expect("drawn")).expect("built");
+            let top_m = scene.terrain.z_range_m[0] + 0.8;
+            let (reach_m, _) = shadow_extent_m(&scene, top_m, 0.4);
+            let furthest_m = 0.8 / (elevation_deg - 0.5 * diameter_deg).to_radians().tan();
+            let way_m = f64::from(reach_m) * elevation_deg.to_radians().cos();
+            assert!(way_m >= furthest_m, "{elevation_deg} deg: {way_m} of {furthest_m} m");
+        }
+    }
 
     #[test]
     fn tiles_do_not_overlap_and_lie_inside_the_atlas() {
