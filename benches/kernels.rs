@@ -81,7 +81,9 @@ fn frame_plan(c: &mut Criterion) {
     let footprint = Footprint::new(&scene, &selection);
     let mut horizon = HorizonMap::default();
     horizon.compute(&scene.terrain, &scene.sun, &footprint, DEFAULT_TEXTURE_PX);
-    let grid = CasterCells::new(&scene, &selection.casters, &footprint).grid(horizon.shadowed_ground());
+    let grid = CasterCells::new(&scene, &selection.casters, &footprint)
+        .expect("lists")
+        .grid(horizon.shadowed_ground());
     let bands = ReliefBands::new(&scene, &selection, &settings);
     let (mut visible, mut stencil) = (VisibleTriangles::default(), ShadingBinMask::default());
     let mut later = scene.clone();
@@ -106,6 +108,7 @@ fn frame_plan(c: &mut Criterion) {
     group.bench_function("caster_grid", |b| {
         b.iter(|| {
             CasterCells::new(black_box(&scene), &selection.casters, &footprint)
+                .expect("lists")
                 .grid(horizon.shadowed_ground())
         });
     });

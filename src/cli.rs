@@ -217,7 +217,8 @@ fn run_command(cli: Cli, itself: &dyn Fn() -> std::process::Command) -> Result<(
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut with_completions(command()), "regolith-render", &mut script);
             // The generator takes the hyphen of the program's name for a level of subcommands in the labels of the branches.
-            let script = String::from_utf8_lossy(&script).replace("regolith__subcmd__render", "regolith__render");
+            let script =
+                String::from_utf8_lossy(&script).replace("regolith__subcmd__render", "regolith__render");
             print(&script)
         }
     }

@@ -129,7 +129,9 @@ pub enum Error {
     )]
     Thread(std::io::Error),
     /// No adapter was found.
-    #[error("no graphics adapter was found; tried: {tried}.\n{advice} `regolith-render doctor` says what is missing.")]
+    #[error(
+        "no graphics adapter was found; tried: {tried}.\n{advice} `regolith-render doctor` says what is missing."
+    )]
     NoAdapter {
         /// The backends that were tried, in words.
         tried: String,

@@ -198,7 +198,9 @@ mod tests {
         let mut rover = Config::new();
         rover.apply_preset("surface_rover").expect("a preset");
         assert!(row(&rover, "camera.height_m")["variants"].as_array().is_some_and(|list| list.len() > 1));
-        assert!(rover.to_toml_where(|info| info.section() == "camera").contains("# Some frames draw otherwise"));
+        assert!(
+            rover.to_toml_where(|info| info.section() == "camera").contains("# Some frames draw otherwise")
+        );
         assert!(!rover.to_toml_where(|info| info.section() == "sky").contains("Some frames draw otherwise"));
     }
 

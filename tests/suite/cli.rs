@@ -90,7 +90,7 @@ fn a_wrong_setting_is_refused_with_name_value_and_remedy() {
         (&["--size", "16x2000"], &["16 x 2000 pixels", "camera.height_m"]),
         (&["--size", "64x160", "--set", "camera.k1=-0.1"], &["camera.k1 = -0.1", "64 x 160 pixels"]),
         (&["--config", "seed.toml"], &["`seed` in seed.toml", "--seed"]),
-        (&["--set", "sun=5"], &["`sun` in --set is a group of knobs"]),
+        (&["--set", "sun=5"], &["`sun` in --set is a group and no knob"]),
         (&["--size", "100000"], &["100000x100000", "200000 samples along a side", "smaller --size"]),
         (&["--samples", "3"], &["--samples 3", "1, 4 (2 x 2) and 16"]),
         (&["--preset", "referense"], &["unknown preset `referense`", "did you mean `reference`", "train_dr"]),
@@ -638,11 +638,17 @@ fn params_shows_single_rules_and_other_stages() {
     assert!(preset["rules"]["require"]["rock"].is_array(), "{preset}");
     for (words, said) in [
         (&["params", "rules.skymax"][..], "did you mean `rules.sky_max`"),
-        (&["params", "rocks.count", "--preset", "navcam"], "choose another preset or file, or none and --stage nominal"),
+        (
+            &["params", "rocks.count", "--preset", "navcam"],
+            "choose another preset or file, or none and --stage nominal",
+        ),
         (&["params", "--set", "rules=3"], "`regolith-render params rules` lists"),
         (&["params", "--set", "preset=train_dr"], "it is the option --preset"),
         (&["params", "--set", "fallback.sensor.bits=10"], "set `sensor.bits` itself"),
-        (&["params", "--set", "sun.intensity=99999999999999999999"], "sun.intensity = 100000000000000000000"),
+        (
+            &["params", "--set", "sun.intensity=99999999999999999999"],
+            "sun.intensity = 1e20 in --set is out of range",
+        ),
         (&["bench", "--sweep", "rocks", "--stage", "surface"], "only the stage nominal"),
         (&["--samples", "0"], "allowed are 1, 4 (2 x 2) and 16 (4 x 4)"),
     ] {
@@ -666,7 +672,7 @@ fn bash_completes_options_and_values_of_subcommands() {
     ] {
         let line: Vec<&str> = [&["regolith-render"], words].concat();
         let ask = format!(
-            "source {}; COMP_WORDS=({}); COMP_CWORD={}; _regolith-render regolith-render {} {}; echo \"${{COMPREPLY[*]}}\"",
+            "source {}; COMP_WORDS=({}); COMP_CWORD={}; _regolith__render regolith-render {} {}; echo \"${{COMPREPLY[*]}}\"",
             script.display(),
             line.join(" "),
             line.len() - 1,

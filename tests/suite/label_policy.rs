@@ -198,6 +198,27 @@ fn policies_change_labels_of_whole_rocks_and_nothing_else() {
     assert_eq!((as_ground.label_pixels.unseen, as_ground.label_pixels.ignored), (unseen, small));
 }
 
+/// Samples of rocks that become ground do so at their outlines too, where other pixels show few of them.
+#[test]
+fn no_outline_is_left_of_rocks_that_become_ground() {
+    let of = |unseen: &str| frame("reference", 3, &["sun.elevation_deg=2", "sun.azimuth_deg=20", unseen]);
+    let (every, as_ground) = (of("label.unseen=rock"), of("label.unseen=regolith"));
+    let has_rock = |frame: &Frame, pixel: usize, reach: usize| {
+        let side = SIDE as usize;
+        let (x, y) = (pixel % side, pixel / side);
+        let columns = x.saturating_sub(reach)..(x + reach + 1).min(side);
+        let rows = y.saturating_sub(reach)..(y + reach + 1).min(side);
+        rows.flat_map(|y| columns.clone().map(move |x| y * side + x)).any(|near| frame.instances[near] > 0)
+    };
+    let outlines = (0..every.class.len()).filter(|&pixel| {
+        let was_rock = every.sample_counts[pixel][1] > 0 && has_rock(&every, pixel, 1);
+        was_rock && !has_rock(&as_ground, pixel, 2)
+    });
+    let outlines: Vec<usize> = outlines.collect();
+    let left = outlines.iter().filter(|&&pixel| as_ground.sample_counts[pixel][1] > 0).count();
+    assert!(outlines.len() > 100 && left == 0, "{left} of {} pixels", outlines.len());
+}
+
 #[test]
 fn backends_agree_on_what_is_ignored() {
     let scene = preset_scene("surface_train_full", 71, &[]);

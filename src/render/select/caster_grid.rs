@@ -437,7 +437,8 @@ mod tests {
         let selection = Selection::within(&scene, &settings, DEFAULT_TEXTURE_PX);
         let footprint = Footprint::new(&scene, &selection);
         let within = |max_listed| CasterCells::within(&scene, &selection.casters, &footprint, max_listed);
-        let listed: usize = within(MAX_LISTED).expect("lists").bands.iter().map(|band| band.casters.len()).sum();
+        let listed: usize =
+            within(MAX_LISTED).expect("lists").bands.iter().map(|band| band.casters.len()).sum();
         assert!(listed > 100 && within(listed).is_ok());
         let error = within(listed - 1).err().expect("an error");
         assert!(error.to_string().contains("rocks.count") && error.exit_status() == 2, "{error}");

@@ -102,8 +102,7 @@ mod tests {
     #[test]
     fn ground_has_its_level_above_black() {
         use crate::scene::sensor::Mosaic;
-        let sensor =
-            Sensor { ground_level: 0.3, black_level: 0.1, ..Sensor::ideal(Mosaic::Monochrome) };
+        let sensor = Sensor { ground_level: 0.3, black_level: 0.1, ..Sensor::ideal(Mosaic::Monochrome) };
         let class = vec![ClassId::REGOLITH.0; 100];
         let frame = Frame { width: 10, height: 10, class, ..Frame::default() };
         let mut readings = [0.2];
