@@ -73,7 +73,7 @@ pub(crate) fn select_casters(
     let min_shadow_px = if scene.relief.is_some() { MIN_SHADOW_PX } else { 0.0 };
     // Length of a shadow on level ground, in heights; at least 1, for the width.
     let shadow_lengths = (sun.truncate().length() / sun.z.max(1e-3)).max(1.0);
-    let mut casters: Vec<Caster> = rocks
+    let (mut casters, plain_px): (Vec<Caster>, Vec<f32>) = rocks
         .par_iter()
         .with_min_len(MIN_ROCKS_PER_TASK)
         .filter_map(|&(index, rock)| {
@@ -103,26 +103,39 @@ pub(crate) fn select_casters(
             if is_speck(nearest_m) {
                 return None;
             }
+            let size_px = |texels_per_pixel: f32| {
+                let texel_m = nearest_m * pixel_angle / texels_per_pixel;
+                // A margin of a texel on each side keeps the outline inside the tile.
+                let side_px = quantized_side((2.0 * rock.radius_m / texel_m).ceil() as u32 + 2);
+                side_px.clamp(TILE_PX[0], largest_px) as f32
+            };
+            let plain_px = size_px(TEXELS_PER_PIXEL);
             let is_in_view = frustum.intersects_sphere(rock.centre, rock.radius_m);
-            let texels = if is_in_view { TEXELS_PER_PIXEL_IN_VIEW } else { TEXELS_PER_PIXEL };
-            let texel_m = nearest_m * pixel_angle / texels;
-            // A margin of a texel on each side keeps the outline inside the tile.
-            let side_px = quantized_side((2.0 * rock.radius_m / texel_m).ceil() as u32 + 2);
+            let size_px = if is_in_view { size_px(TEXELS_PER_PIXEL_IN_VIEW) } else { plain_px };
             let half_extent_m = rock.radius_m * 1.02;
-            let size_px = side_px.clamp(TILE_PX[0], largest_px) as f32;
             // An edge of the icosahedron spans 63 degrees of the sphere, and each level of subdivision halves it.
             let edge_m = 1.1 * rock.radius_m / (1 << rock.level) as f32;
             let tile =
                 CasterTile { centre: rock.centre, half_extent_m, size_px, edge_m, ..Default::default() };
-            Some(Caster { rock: index, tile, reach_m })
+            Some((Caster { rock: index, tile, reach_m }, plain_px))
         })
-        .collect();
+        .unzip();
     while !pack(&mut casters, max_texture_px) {
-        for caster in &mut casters {
-            caster.tile.size_px = (0.8 * caster.tile.size_px).floor().max(4.0);
-        }
+        shrink(&mut casters, &plain_px);
     }
     casters
+}
+
+/// Makes tiles smaller: as long as there are some, those that have more texels than [`TEXELS_PER_PIXEL`] gives them, `plain_px` along a
+/// side; then all.
+fn shrink(casters: &mut [Caster], plain_px: &[f32]) {
+    let mut sizes = casters.iter().map(|caster| caster.tile.size_px).zip(plain_px);
+    let some_are_finer = sizes.any(|(size_px, plain_px)| size_px > *plain_px);
+    for (caster, plain_px) in casters.iter_mut().zip(plain_px) {
+        let min_px = if some_are_finer { *plain_px } else { 4.0 };
+        let size_px = &mut caster.tile.size_px;
+        *size_px = (0.8 * *size_px).floor().max(min_px).min(*size_px);
+    }
 }
 
 /// Rounds the side of a tile up to one of eight sizes per octave, so that tiles keep their size while the camera hardly moves.
@@ -197,6 +210,26 @@ mod tests {
             let way_m = f64::from(reach_m) * elevation_deg.to_radians().cos();
             assert!(way_m >= furthest_m, "{elevation_deg} deg: {way_m} of {furthest_m} m");
         }
+    }
+
+    /// What rocks in view have more costs no other shadow a texel.
+    #[test]
+    fn finer_tiles_shrink_first() {
+        let mut casters: Vec<Caster> = [100.0, 50.0, 16.0]
+            .map(|size_px| Caster {
+                rock: 0,
+                tile: CasterTile { size_px, ..Default::default() },
+                reach_m: 0.0,
+            })
+            .into();
+        let mut sizes = |times: usize| {
+            (0..times).for_each(|_| shrink(&mut casters, &[70.0, 50.0, 16.0]));
+            casters.iter().map(|caster| caster.tile.size_px).collect::<Vec<_>>()
+        };
+        assert_eq!(sizes(1), [80.0, 50.0, 16.0]);
+        assert_eq!(sizes(1), [70.0, 50.0, 16.0]);
+        assert_eq!(sizes(1), [56.0, 40.0, 12.0]);
+        assert_eq!(sizes(20), [4.0; 3]);
     }
 
     #[test]
