@@ -38,7 +38,7 @@ pub mod track;
 use std::sync::Arc;
 
 use bytemuck::bytes_of;
-use glam::{Vec2, Vec3};
+use glam::Vec3;
 use twox_hash::XxHash3_128;
 
 use crate::error::Result;
@@ -55,6 +55,7 @@ use rover::Rover;
 use sensor::Sensor;
 use sky::{Sky, Sun};
 use terrain::Terrain;
+use track::Track;
 
 /// Colour of the regolith before it is scaled to the albedo knob, linear RGB.
 const REGOLITH_TINT: [f64; 3] = [0.22, 0.205, 0.19];
@@ -92,10 +93,19 @@ impl Scene {
     /// # Errors
     /// [`crate::Error::Scene`] if the camera is too low or outside the sky dome.
     pub fn build(seed: u64, params: &Params) -> Result<Self> {
+        Self::build_for_pose(seed, params, params)
+    }
+
+    /// The scene of the parameters `first` for another camera, that of `params`, which differ in nothing but camera and sun: what counts from
+    /// the camera, the wall of a crater and tracks, counts from the first one.
+    ///
+    /// # Errors
+    /// Those of [`Self::build`].
+    pub(crate) fn build_for_pose(seed: u64, params: &Params, first: &Params) -> Result<Self> {
         let streams = Streams::new(seed);
         match params.stage() {
             Stage::Nominal => Self::nominal(&streams, params),
-            Stage::Surface => Self::surface(&streams, params),
+            Stage::Surface => Self::surface(&streams, params, first),
         }
     }
 
@@ -106,11 +116,14 @@ impl Scene {
         Ok(Self::assembled(streams, params, (terrain, None), rocks, nominal_regolith(params), camera))
     }
 
-    fn surface(streams: &Streams, params: &Params) -> Result<Self> {
-        let centre = Vec2::new(params.number(Knob::CameraXM) as f32, params.number(Knob::CameraYM) as f32);
+    fn surface(streams: &Streams, params: &Params, first: &Params) -> Result<Self> {
+        let centre = camera::position(params);
         let view = camera::ground_view(params);
-        let mut relief = Relief::new(streams, params, centre);
-        relief.tracks = rover_tracks::tracks(streams, params);
+        let to_first = camera::position(first) - centre;
+        let mut relief = Relief::new(streams, first, centre);
+        relief.wall = relief.wall.map(|wall| wall.moved(to_first));
+        let tracks = rover_tracks::tracks(streams, first).into_iter();
+        relief.tracks = tracks.map(|track| Track { offset: track.offset + to_first, ..track }).collect();
         let placements = lunar::placements(streams, params, &relief, &view, centre);
         let number = |knob| params.number(knob);
         let regolith = Material {

@@ -50,6 +50,16 @@ impl BuiltScene {
         selection::build_rocks(&scene, settings);
         Ok(Self { seed, scene, params })
     }
+
+    /// Builds the same scene for another camera, that of `params`.
+    ///
+    /// # Errors
+    /// Those of [`Scene::build`].
+    pub(super) fn for_pose(&self, params: Params, settings: &RenderSettings) -> Result<Self> {
+        let scene = Scene::build_for_pose(self.seed, &params, &self.params)?;
+        selection::build_rocks(&scene, settings);
+        Ok(Self { seed: self.seed, scene, params })
+    }
 }
 
 /// Where the scenes of a plan's frames come from: that of an attempt at a frame, by the frame's index and the number of the attempt, and

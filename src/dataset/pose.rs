@@ -30,6 +30,9 @@ impl Pose {
     /// [`Config::check`](crate::params::config::Config::check) and [`Config::draw`](crate::params::config::Config::draw).
     pub fn new(plan: &Plan, of: &BuiltScene, set: &str, eye_z_m: Option<f32>) -> Result<Self> {
         let mut config = plan.config.clone();
+        // The sun stays where it is, also if its azimuth counts from the camera's.
+        let azimuth_deg = of.params.number(Knob::SunAzimuthDeg);
+        config.apply_toml(&format!("sun.azimuth_deg = {azimuth_deg:?}"), "the scene")?;
         config.apply_toml(set, "camera and sun")?;
         config.check()?;
         let params = config.draw(of.seed)?;
@@ -54,7 +57,7 @@ impl Pose {
     pub fn in_scene(&self, of: &BuiltScene, settings: &RenderSettings) -> Result<(BuiltScene, Staging)> {
         let params = self.params.clone();
         let (mut built, staging) = if self.moves_camera && params.stage() == Stage::Surface {
-            (BuiltScene::new(of.seed, params, settings)?, Staging::Whole)
+            (of.for_pose(params, settings)?, Staging::Whole)
         } else {
             let mut scene = Scene { sun: Sun::build(&params), ..of.scene.clone() };
             let mut staging = Staging::WithoutMeshes;
@@ -80,7 +83,10 @@ impl Pose {
 }
 
 #[cfg(test)]
+#[allow(clippy::disallowed_methods, reason = "test points may use std's functions")]
 mod tests {
+    use glam::Vec2;
+
     use super::*;
     use crate::dataset::rules::Rules;
     use crate::params::config::Config;
@@ -114,6 +120,45 @@ mod tests {
         let sun = Pose::new(&plan, &of, "sun.elevation_deg = 30", None).expect("a pose");
         let (lit, staging) = sun.in_scene(&of, &plan.settings).expect("a scene");
         assert_eq!((parts(&lit.scene), staging), (parts(&of.scene), Staging::WithoutMeshes));
+    }
+
+    /// What counts from the camera counts from that of the scene.
+    #[test]
+    fn sun_wall_and_tracks_stay_where_they_are() {
+        let plan = plan(&[
+            "stage.name=surface",
+            "sun.relative_azimuth_deg=70",
+            "wall.height_m=60",
+            "wall.distance_m=400",
+            "tracks.count=2",
+            "tracks.own=yes",
+            "rover.kind=rover",
+        ]);
+        let of = built(&plan);
+        let set = "camera.yaw_deg = 90\ncamera.x_m = 3\ncamera.y_m = -85";
+        let (seen, _) = Pose::new(&plan, &of, set, None)
+            .and_then(|pose| pose.in_scene(&of, &plan.settings))
+            .expect("a scene");
+        assert_eq!(seen.scene.sun, of.scene.sun);
+        let tracks = |scene: &Scene| -> Vec<Vec2> {
+            let relief = scene.relief.as_ref().expect("relief");
+            relief.tracks.iter().map(|track| scene.terrain.centre + track.offset).collect()
+        };
+        let (before, after) = (tracks(&of.scene), tracks(&seen.scene));
+        assert!(before.len() == 3 && before.iter().zip(&after).all(|(a, b)| a.distance(*b) < 1e-3));
+        let heights = |scene: &Scene| {
+            let around = (0..12).map(|i| {
+                let (sin, cos) = (f64::from(i) / 12.0 * std::f64::consts::TAU).sin_cos();
+                Vec2::new(450.0 * sin as f32, 450.0 * cos as f32)
+            });
+            around.map(|point| scene.terrain.height_at(point)).collect::<Vec<f32>>()
+        };
+        let (before, after) = (heights(&of.scene), heights(&seen.scene));
+        assert!(before.iter().fold(0.0_f32, |a, b| a.max(*b)) > 40.0, "no wall: {before:?}");
+        for (a, b) in before.iter().zip(&after) {
+            // Cells of the mesh are wide where the camera does not look.
+            assert!((a - b).abs() < 6.0, "{before:?} {after:?}");
+        }
     }
 
     #[test]

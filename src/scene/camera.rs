@@ -42,7 +42,7 @@ pub struct Camera {
 }
 
 /// Horizontal position of the camera, metres.
-fn position(params: &Params) -> Vec2 {
+pub(super) fn position(params: &Params) -> Vec2 {
     Vec2::new(params.number(Knob::CameraXM) as f32, params.number(Knob::CameraYM) as f32)
 }
 

@@ -83,6 +83,12 @@ impl CraterWall {
         })
     }
 
+    /// The wall with its crater elsewhere, by this many metres.
+    #[must_use]
+    pub(super) fn moved(self, by: Vec2) -> Self {
+        Self { centre: self.centre + by, ..self }
+    }
+
     /// Adds its height at points (structure of arrays, metres from the centre of the ground). `in_mesh` is the fraction of a feature
     /// of some size, metres, that a mesh through these points has.
     #[inline(always)]
