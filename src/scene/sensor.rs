@@ -16,6 +16,12 @@ pub enum Mosaic {
 
 /// Least black level, standard deviations of the noise in the dark.
 const BLACK_IN_NOISE: f64 = 2.0;
+/// Largest black level that noise leads to: codes span black to the full well.
+const MAX_BLACK_OF_NOISE: f64 = 0.5;
+/// Film: exposure of the toe of its characteristic curve, 1 for the full well. Its density is D = gamma log10(1 + E / toe) at an exposure E.
+pub const FILM_TOE: f32 = 0.02;
+/// Slope of that curve, density per decade.
+pub const FILM_GAMMA: f32 = 0.7;
 
 /// A sensor in the linear model of EMVA 1288 (release 4.0, section 2.2), and the optics in front of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -92,7 +98,8 @@ impl Sensor {
             noise_seed: streams.stream("sensor.noise", 0).bits(),
         };
         // Noise that is cut off at black from below would make the sky grey.
-        sensor.black_level = sensor.black_level.max(BLACK_IN_NOISE * sensor.noise_of(0.0, 1.0));
+        let of_noise = (BLACK_IN_NOISE * sensor.noise_of(0.0, 1.0)).min(MAX_BLACK_OF_NOISE);
+        sensor.black_level = sensor.black_level.max(of_noise);
         Some(sensor)
     }
     /// Pixels along the side of a pixel of an image with this many columns.
@@ -110,6 +117,12 @@ impl Sensor {
         let step_e = self.full_well_e / f64::from((1_u32 << self.bits) - 1);
         let square = |deviation_e: f64| deviation_e * deviation_e;
         let fixed_e = square(self.prnu * signal_e) + square(self.dsnu_e);
+        // Of film: see `add_grain` of the read-out.
+        let exposed = fill.clamp(0.0, 1.0) + f64::from(FILM_TOE);
+        let density = f64::from(FILM_GAMMA) * libm::log10(exposed / f64::from(FILM_TOE));
+        let per_density = exposed * std::f64::consts::LN_10 / f64::from(FILM_GAMMA);
+        let grain_e = self.full_well_e * per_density * self.grain * density.max(0.0).sqrt();
+        let fixed_e = fixed_e + square(grain_e);
         let variance_e = signal_e + self.dark_e + fixed_e + square(self.read_noise_e) + square(step_e) / 12.0;
         (variance_e / pixels.max(1.0)).sqrt() / self.full_well_e
     }

@@ -241,7 +241,8 @@ fn near_craters(scene: &Scene, middle: Vec2, radius_m: f32) -> Vec<(Vec2, f32)> 
         let centre = scene.terrain.centre;
         relief.craters.around(
             &Region::circle(middle - centre, radius_m),
-            rule.crater_min_diameter_m,
+            // Those of the least diameter too.
+            rule.crater_min_diameter_m.next_down(),
             |pit: Pit| {
                 if is_labelled(pit.diameter_m, pit.depth) {
                     near.push((centre + pit.offset, 0.5 * pit.diameter_m));

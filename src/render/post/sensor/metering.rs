@@ -53,7 +53,8 @@ pub(super) fn exposure_gain(
         Histogram::new(BINS, counted.map(|(value, _)| bin_of(*value)))
     };
     let longest = exposure(exposure_ev + sensor.gain_max_ev as f32);
-    let bright = quantile(&of(|class| class != ClassId::SKY.0), BRIGHT, 0.0).unwrap_or(0.0);
+    let is_ground = |class: u8| class != ClassId::SKY.0 && class != ClassId::HARDWARE.0;
+    let bright = quantile(&of(is_ground), BRIGHT, 0.0).unwrap_or(0.0);
     let median = quantile(&of(|class| class == ClassId::REGOLITH.0), 0.5, MIN_SUNLIT * bright);
     let Some(median) = median.filter(|_| bright > 0.0) else { return fixed };
     let sky = quantile(&of(|class| class == ClassId::SKY.0), 0.5, 0.0).filter(|_| is_veiled).unwrap_or(0.0);

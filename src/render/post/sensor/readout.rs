@@ -5,13 +5,10 @@ use fearless_simd::{Level, dispatch};
 
 use super::noise::{BLOCK, normal_pairs, poisson, purpose};
 use crate::rounding::floor;
-use crate::scene::sensor::Sensor;
+use crate::scene::sensor::{FILM_GAMMA, FILM_TOE, Sensor};
 
 /// Seed of the fixed pattern, which no frame changes.
 const FIXED_PATTERN_SEED: u32 = 0x5e25_0a11;
-/// Exposure of the toe of film's characteristic curve, relative to the full range, and its slope, density per decade.
-const TOE: f32 = 0.02;
-const GAMMA: f32 = 0.7;
 
 /// The numbers of a sensor that its pixels need.
 #[derive(Clone, Copy, Debug)]
@@ -80,10 +77,10 @@ impl Readout {
     fn add_grain(&self, x: usize, y: usize, values: &mut [f32; BLOCK]) {
         let [normal, _] = normal_pairs(x, y, purpose::GRAIN, self.noise_seed);
         for (value, z) in values.iter_mut().zip(normal) {
-            let exposed = value.max(0.0) + TOE;
-            let density = GAMMA * log10(exposed * (1.0 / TOE));
+            let exposed = value.max(0.0) + FILM_TOE;
+            let density = FILM_GAMMA * log10(exposed * (1.0 / FILM_TOE));
             let deviation = self.grain * density.max(0.0).sqrt();
-            *value += exposed * (std::f32::consts::LN_10 / GAMMA) * deviation * z;
+            *value += exposed * (std::f32::consts::LN_10 / FILM_GAMMA) * deviation * z;
         }
     }
 }
@@ -140,9 +137,12 @@ mod tests {
     /// Readings vary as [`Sensor::noise_of`] says, fixed patterns included.
     #[test]
     fn noise_is_that_of_the_model() {
-        for (dark_e, dsnu_e, full_well_e, bits) in
-            [(2.0, 3.0, 25_000.0, 12), (20.0, 3.0, 10_000.0, 10), (2000.0, 200.0, 25_000.0, 14)]
-        {
+        for (dark_e, dsnu_e, full_well_e, bits, grain) in [
+            (2.0, 3.0, 25_000.0, 12, 0.0),
+            (20.0, 3.0, 10_000.0, 10, 0.0),
+            (2000.0, 200.0, 25_000.0, 14, 0.0),
+            (2.0, 3.0, 25_000.0, 14, 0.016),
+        ] {
             let sensor = Sensor {
                 read_noise_e: 8.0,
                 dark_e,
@@ -150,6 +150,7 @@ mod tests {
                 prnu: 0.01,
                 full_well_e,
                 bits,
+                grain,
                 ..Sensor::ideal(Mosaic::Monochrome)
             };
             for fill in [0.002, 0.05, 0.5] {
