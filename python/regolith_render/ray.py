@@ -6,6 +6,7 @@ Ray is imported here and nowhere else in the package.
 from __future__ import annotations
 
 import json
+import pickle
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
@@ -17,22 +18,21 @@ from ray.data.block import BlockAccessor, BlockMetadata
 from ._renderer import Renderer
 from ._settings import MAX_FRAMES, MAX_SEED, Knobs, document, names_of, whole
 
-_RENDERERS: dict[str, Renderer] = {}
-"""The renderers of this worker process by their settings: a device is opened once, not for each block."""
+_RENDERERS: dict[bytes, Renderer] = {}
+"""The renderers of this worker process as they were pickled: a device is opened once, not for each block."""
 
 
-def _renderer(settings: dict[str, Any]) -> Renderer:
-    key = repr(sorted(settings.items()))
-    if key not in _RENDERERS:
+def _renderer(pickled: bytes) -> Renderer:
+    if pickled not in _RENDERERS:
         _RENDERERS.clear()
-        _RENDERERS[key] = Renderer(**settings)
-    return _RENDERERS[key]
+        _RENDERERS[pickled] = pickle.loads(pickled)
+    return _RENDERERS[pickled]
 
 
-def _blocks(settings: dict[str, Any], seed: int, first: int, end: int) -> Iterator[Any]:
+def _blocks(renderer: bytes, seed: int, first: int, end: int) -> Iterator[Any]:
     """A block of the frames `first` to `end - 1`."""
     columns: dict[str, list[Any]] = {}
-    for frame in _renderer(settings).dataset_frames(seed, first, end=end):
+    for frame in _renderer(renderer).dataset_frames(seed, first, end=end):
         record = frame.meta
         row = {"index": record["index"], "seed": record["seed"], **frame, "record": json.dumps(record)}
         for name, value in row.items():
@@ -47,10 +47,11 @@ class MoonDatasource(Datasource):  # type: ignore[misc,unused-ignore]
 
     def __init__(self, settings: dict[str, Any], seed: int, first: int, count: int, frames_per_block: int) -> None:
         super().__init__()
-        renderer = Renderer(**settings)  # wrong settings are errors here, not on the cluster
+        # Wrong settings are errors here, not on the cluster, which gets the text of a file of knobs as it is now.
+        renderer = Renderer(**settings)
         arrays = renderer.arrays().values()
         self._frame_bytes = sum(int(np.prod(shape)) * dtype.itemsize for shape, dtype in arrays)
-        self._settings, self._seed, self._first, self._count = settings, seed, first, count
+        self._renderer, self._seed, self._first, self._count = pickle.dumps(renderer), seed, first, count
         self._frames_per_block = frames_per_block
 
     def estimate_inmemory_data_size(self) -> int | None:
@@ -65,12 +66,12 @@ class MoonDatasource(Datasource):  # type: ignore[misc,unused-ignore]
             metadata = BlockMetadata(
                 num_rows=last - first, size_bytes=(last - first) * self._frame_bytes, input_files=None, exec_stats=None
             )
-            tasks.append(ReadTask(_reader(self._settings, self._seed, first, last), metadata, per_task_row_limit=per_task_row_limit))
+            tasks.append(ReadTask(_reader(self._renderer, self._seed, first, last), metadata, per_task_row_limit=per_task_row_limit))
         return tasks
 
 
-def _reader(settings: dict[str, Any], seed: int, first: int, end: int) -> Callable[[], Iterable[Any]]:
-    return lambda: _blocks(settings, seed, first, end)
+def _reader(renderer: bytes, seed: int, first: int, end: int) -> Callable[[], Iterable[Any]]:
+    return lambda: _blocks(renderer, seed, first, end)
 
 
 def read_moon(

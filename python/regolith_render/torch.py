@@ -91,9 +91,13 @@ class MoonDataset(IterableDataset[Any]):
         # may live longer than an epoch.
         self._start = torch.zeros(4, dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call,unused-ignore]
         self._starts_used = -1
+        # The start that workers used last, and in which iteration: those that a loader starts anew know nothing of the iterations before.
+        self._used_by = torch.full((2,), -1, dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call,unused-ignore]
         # The same of a worker that was given a state of its own, as `torchdata`'s StatefulDataLoader does.
         self._own_start: tuple[int, int, int] | None = None
         self._position = (0, 0, 0)
+        # The rank, and how many there are, where `torch.distributed` is not initialised: in workers that are not forked.
+        self._rank = (0, 1)
         # The epoch of a state that was loaded and not used since, as far as this process knows.
         self._loaded_epoch: int | None = None
 
@@ -116,7 +120,9 @@ class MoonDataset(IterableDataset[Any]):
         epoch, taken, within = self._position
         if batches is not None:
             epoch, taken, within = (int(number) for number in self._start[:3])
-            taken += whole("batches", batches, 0, MAX_FRAMES) * self.batch_size * _rank_of()[1]
+            if within:
+                raise refused("batches", batches, "None is expected after a state within a batch: only the iteration knows")
+            taken += whole("batches", batches, 0, MAX_FRAMES) * self.batch_size * self._rank_of()[1]
         return {"epoch": epoch, "taken": taken, "within_batch": within}
 
     def load_state_dict(self, state: dict[str, int]) -> None:
@@ -146,22 +152,41 @@ class MoonDataset(IterableDataset[Any]):
         epoch, taken, within, set_times = (int(number) for number in self._start)
         if self._own_start is not None:
             epoch, taken, within = self._own_start
-        elif set_times == self._starts_used:
+        elif set_times == self._starts_used or self._is_used(set_times):
             taken = within = 0
         self._own_start, self._starts_used = None, set_times
         return epoch, taken, within
 
+    def _is_used(self, set_times: int) -> bool:
+        """Whether workers of an earlier iteration of a loader began at this start. All workers of an iteration have its seed in common."""
+        worker = get_worker_info()  # type: ignore[no-untyped-call,unused-ignore]
+        if worker is None:
+            return False
+        iteration = (worker.seed - worker.id) % 2**62
+        used = [int(number) for number in self._used_by]
+        if used[0] == set_times:
+            return used[1] != iteration
+        self._used_by.copy_(torch.tensor([set_times, iteration]))
+        return False
+
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__
+        # In the process that starts a worker, which knows the rank.
+        return {**self.__dict__, "_rank": self._rank_of()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._start.share_memory_()  # type: ignore[no-untyped-call,unused-ignore]
+        self._used_by.share_memory_()  # type: ignore[no-untyped-call,unused-ignore]
 
     def __iter__(self) -> Iterator[Any]:
         self._loaded_epoch = None
-        self._position = epoch, taken, within = self._next_start()
-        (rank, ranks), (worker, workers) = _rank_of(), _worker_of()
+        is_own = self._own_start is not None
+        epoch, taken, within = self._next_start()
+        if not is_own and _worker_of()[0] > 0:
+            # The batch that was begun is the first worker's.
+            within = 0
+        self._position = epoch, taken, within
+        (rank, ranks), (worker, workers) = self._rank_of(), _worker_of()
         # Batches of a loader alternate between its workers; batches of a rank are every `ranks`-th one.
         number, of, run = rank + ranks * worker, ranks * workers, self.batch_size
         # Epochs are apart by more frames than one has, and base seeds by more than all epochs.
@@ -176,17 +201,16 @@ class MoonDataset(IterableDataset[Any]):
             yield made if self.transform is None else self.transform(made)
         self._position = (epoch, 0, 0)
 
+    def _rank_of(self) -> tuple[int, int]:
+        """The rank of this process in a distributed run, or of the one that started it, and how many there are."""
+        if torch.distributed.is_available() and torch.distributed.is_initialized():
+            return torch.distributed.get_rank(), torch.distributed.get_world_size()
+        return self._rank
+
     def __len__(self) -> int:
         if self.length is None:
             raise TypeError("this dataset has no end; give it a length")
         return self.length
-
-
-def _rank_of() -> tuple[int, int]:
-    """The rank of this process in a distributed run, and how many there are."""
-    if torch.distributed.is_available() and torch.distributed.is_initialized():
-        return torch.distributed.get_rank(), torch.distributed.get_world_size()
-    return 0, 1
 
 
 def _worker_of() -> tuple[int, int]:

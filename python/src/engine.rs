@@ -23,6 +23,8 @@ use crate::scene::Scene;
 
 /// Where a setting of a call comes from, in messages.
 const SET: &str = "set";
+/// The same of a call that follows: it wins over the first.
+const SET_OF_CALL: &str = "set of this call";
 /// How long a wait for a frame goes on before Python may handle signals: Ctrl-C ends it.
 const SIGNALS_EVERY: Duration = Duration::from_millis(50);
 
@@ -93,7 +95,7 @@ impl Settings {
     fn with(&self, py: Python<'_>, set: &str) -> PyResult<Plan> {
         let mut plan = self.plan.clone();
         if !set.is_empty() {
-            raised(py, plan.config.apply_toml(set, SET).and_then(|()| plan.config.check()))?;
+            raised(py, plan.config.apply_toml(set, SET_OF_CALL).and_then(|()| plan.config.check()))?;
         }
         Ok(plan)
     }

@@ -128,6 +128,13 @@ def test_wrong_arguments_are_named(number: int, renderer: rr.Renderer) -> None:
         call(renderer)
 
 
+def test_a_call_wins_over_the_renderer() -> None:
+    with rr.Renderer(set={"sun.azimuth_deg": 10}, size=16, adapter=ADAPTER) as fixed:
+        record = fixed.render(7, set={"sun.relative_azimuth_deg": 90}).meta
+    assert record["knobs"]["sun.relative_azimuth_deg"] == 90
+    assert rr.Knob._fields[:6] == ("name", "unit", "low", "high", "default", "help")
+
+
 def test_a_knob_is_named_with_value_range_and_nearest_name(tmp_path: Path) -> None:
     with pytest.raises(rr.ConfigError, match=r"sun\.elevation_deg.*95") as caught:
         rr.Renderer(set={"sun.elevation_deg": 95})

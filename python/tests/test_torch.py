@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -116,6 +117,18 @@ if __name__ == "__main__":
     again = loader(resumed, persistent_workers=True)
     assert digests(again) == epochs[2][1:]
     assert digests(again) == epochs[2], "the next iteration is a whole one"
+    # The same with workers that are started anew for each iteration.
+    resumed.load_state_dict(state)
+    anew = loader(resumed)
+    assert digests(anew) == epochs[2][1:]
+    assert digests(anew) == epochs[2], "a state was used twice"
+    # Within a batch: that of the first worker.
+    samples = dataset()
+    samples.set_epoch(2)
+    whole = digests(samples)
+    samples.load_state_dict({{"epoch": 2, "taken": 2, "within_batch": 1}})
+    alone = torch.utils.data.DataLoader(samples, batch_size=None, num_workers=2, multiprocessing_context="spawn")
+    assert sorted(digests(alone)) == sorted(whole[3:])
     # Stopped and resumed twice, by a loop that sets the epoch at its head.
     twice = dataset()
     twice.load_state_dict(state)
@@ -167,6 +180,10 @@ def test_wrong_arguments_are_named() -> None:
         dataset().load_state_dict({})
     with pytest.raises(rr.ConfigError, match="taken = 3: a multiple of batch_size = 2"):
         MoonDataset(batch_size=2).load_state_dict({"epoch": 0, "taken": 3, "within_batch": 0})
+    begun = MoonDataset(batch_size=2)
+    begun.load_state_dict({"epoch": 0, "taken": 2, "within_batch": 1})
+    with pytest.raises(rr.ConfigError, match="batches = 3"):
+        begun.state_dict(batches=3)
     with pytest.raises(TypeError, match="length"):
         len(dataset(None))
     # An error in a worker arrives as itself.
@@ -195,6 +212,10 @@ def test_ranks_share_the_frames_out(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(torch.distributed, "get_rank", lambda rank=rank: rank)
         monkeypatch.setattr(torch.distributed, "get_world_size", lambda: 2)
         shares.append(images(dataset()))
+    # Workers that are not forked get the dataset pickled, and know of no other rank.
+    pickled = pickle.dumps(dataset())
+    monkeypatch.setattr(torch.distributed, "is_initialized", lambda: False)
+    assert all(map(np.array_equal, images(pickle.loads(pickled)), shares[1]))
     assert [len(share) for share in shares] == [4, 3]
     assert all(map(np.array_equal, shares[0], whole[0::2])) and all(map(np.array_equal, shares[1], whole[1::2]))
 
