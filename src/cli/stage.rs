@@ -45,6 +45,9 @@ pub(super) fn export_stage(args: &ExportArgs, messages: Messages) -> Result<()> 
     if args.file.exists() && !args.force {
         return Err(Error::Usage(format!("{} exists; add --force to replace it", args.file.display())));
     }
+    let name = args.file.file_name().and_then(|name| name.to_str()).map(str::to_owned).ok_or_else(|| {
+        Error::Usage(format!("{}: the name of the file should be text in UTF-8", args.file.display()))
+    })?;
     let (config, origin) = (args.config.build()?, args.config.origin()?);
     let seed = args.seed.or(origin.seed).unwrap_or(DEFAULT_SEED);
     let params = config.draw(seed)?;
@@ -54,7 +57,6 @@ pub(super) fn export_stage(args: &ExportArgs, messages: Messages) -> Result<()> 
     let knobs = params.to_json();
     let stage = Stage { scene: &scene, seed, knobs: &knobs, settings: &settings, detail };
     let bytes = export::export(&stage, format)?;
-    let name = args.file.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let folder = args.file.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let written = bytes.len();
     disk::write_all(folder, &[Artifact { name, bytes }])?;

@@ -13,7 +13,7 @@ use super::interface::{
 };
 use super::outline::polygon;
 use super::regions::{CROWD, annotated_rocks, regions};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::frame::Frame;
 use crate::output::artifact::{Artifact, FileKind};
 
@@ -100,6 +100,17 @@ fn data_file(splits: &[String]) -> String {
 }
 
 impl Layout for Yolo {
+    fn check_splits(&self, names: &[&str]) -> Result<()> {
+        if names.contains(&"images") {
+            return Err(Error::Usage(
+                "a split called `images` does not go with the YOLO formats: Ultralytics looks for labels where the last `images` of a path \
+                 is `labels`; use another name"
+                    .to_owned(),
+            ));
+        }
+        Ok(())
+    }
+
     fn required_outputs(&self) -> &'static [&'static str] {
         &["rgb", "mask", "instances"]
     }
