@@ -517,7 +517,8 @@ fn hazard_planes_agree_with_the_scene() {
     let relief = scene.relief.as_ref().expect("a relief");
     relief.craters.around(
         &Region::circle(Vec2::ZERO, 100.0),
-        scene.label_rule.crater_min_diameter_m,
+        // Those of the least diameter too.
+        scene.label_rule.crater_min_diameter_m.next_down(),
         |pit| {
             if pit.depth >= scene.label_rule.crater_min_depth {
                 craters.push((scene.terrain.centre + pit.offset, 0.5 * pit.diameter_m));

@@ -182,7 +182,8 @@ impl ShadowBand {
                     if setup8.is_small(lane) {
                         let [depth] = setup8.interpolants(lane);
                         let layer = &mut layers[setup8.winding(lane) as usize];
-                        let mut writer = DepthWriter { layer, depth };
+                        let corners = triangles[usize::from(index)].map(|vertex| vertices[vertex as usize]);
+                        let mut writer = DepthWriter { layer, depth, range: depth_range(corners) };
                         setup8.fill(simd, lane, rows.start, stride, &mut writer);
                     } else {
                         let corners = triangles[usize::from(index)].map(|vertex| vertices[vertex as usize]);
@@ -275,20 +276,30 @@ fn rasterise_large<S: Simd>(
     let Some(setup) = TriangleSetup::new(corners.map(|corner| corner.position), size, rows) else { return };
     let [depth] =
         setup.interpolants(corners.map(|corner| corner.position_px), corners.map(|corner| [corner.depth]));
-    let mut writer = DepthWriter { layer: &mut layers[winding as usize], depth };
+    let mut writer = DepthWriter { layer: &mut layers[winding as usize], depth, range: depth_range(corners) };
     setup.fill(simd, rows.start, size + BLOCK_WIDTH, &mut writer);
+}
+
+/// The smallest and the largest depth of a triangle's corners.
+#[inline(always)]
+fn depth_range([a, b, c]: [ShadowVertex; 3]) -> [f32; 2] {
+    [a.depth.min(b.depth).min(c.depth), a.depth.max(b.depth).max(c.depth)]
 }
 
 /// Raises a layer to the depth of a triangle.
 struct DepthWriter<'a> {
     layer: &'a mut [f32],
     depth: Interpolant,
+    /// See [`depth_range`]. A texel that is inside only after corners were rounded is extrapolated to, far off if the triangle is a sliver.
+    range: [f32; 2],
 }
 
 impl<S: Simd> FragmentSink<S> for DepthWriter<'_> {
     #[inline(always)]
     fn write(&mut self, simd: S, offsets: [usize; 2], covered: mask32x8<S>, x: f32x8<S>, y: f32x8<S>) {
-        let depth = covered.select(self.depth.at(x, y), f32x8::splat(simd, 0.0));
+        let [lowest, highest] = self.range.map(|depth| f32x8::splat(simd, depth));
+        let depth = self.depth.at(x, y).max(lowest).min(highest);
+        let depth = covered.select(depth, f32x8::splat(simd, 0.0));
         let previous = load_block(simd, self.layer, offsets);
         store_block(self.layer, offsets, depth.max(previous));
     }

@@ -262,7 +262,8 @@ impl GBufferBand {
         for (lane, &index) in indices.iter().enumerate() {
             let triangle = &mesh.triangles[index];
             if setup8.is_small(lane) && triangle.clipped().is_none() {
-                let mut writer = self.writer(mesh, triangle, bins, setup8.interpolants(lane));
+                let range = range_of(mesh.vertices_of(triangle).map(|vertex| vertex.inverse_w));
+                let mut writer = self.writer(mesh, triangle, bins, (setup8.interpolants(lane), range));
                 setup8.fill(simd, lane, first_row, stride, &mut writer);
                 continue;
             }
@@ -270,7 +271,16 @@ impl GBufferBand {
             let positions = vertices.map(|vertex| vertex.position);
             let Some(setup) = TriangleSetup::new(positions, width, rows) else { continue };
             let interpolants = mesh.interpolants(triangle, vertices, &setup);
-            setup.fill(simd, first_row, stride, &mut self.writer(mesh, triangle, bins, interpolants));
+            // What was clipped has corners of its own.
+            let is_whole = triangle.clipped().is_none();
+            let range =
+                if is_whole { range_of(vertices.map(|vertex| vertex.inverse_w)) } else { [0.0, f32::MAX] };
+            setup.fill(
+                simd,
+                first_row,
+                stride,
+                &mut self.writer(mesh, triangle, bins, (interpolants, range)),
+            );
         }
     }
 
@@ -281,14 +291,21 @@ impl GBufferBand {
         mesh: &ScreenMesh,
         triangle: &ScreenTriangle,
         bins: ShadingBins,
-        interpolants: [Interpolant; 4],
+        (interpolants, range): ([Interpolant; 4], [f32; 2]),
     ) -> GBufferWriter<'_> {
         let bin = mesh.bins[triangle.shadow_sources()];
         let bin_and_slot = (u32::from(bin) + 1) | (mesh.slot << SLOT_SHIFT);
         let [inverse_w, x, y, z] = interpolants;
         // The sky has no normal.
         let normal = (bin < bins.stars()).then_some([x, y, z]);
-        GBufferWriter { band: self, inverse_w, normal, face_normal: triangle.face_normal, bin_and_slot }
+        GBufferWriter {
+            band: self,
+            inverse_w,
+            range,
+            normal,
+            face_normal: triangle.face_normal,
+            bin_and_slot,
+        }
     }
 
     /// These columns of a row.
@@ -348,6 +365,9 @@ impl Row<'_> {
 struct GBufferWriter<'a> {
     band: &'a mut GBufferBand,
     inverse_w: Interpolant,
+    /// Smallest and largest 1/w of the corners. A sample that is inside only after corners were rounded is extrapolated to, far off if the
+    /// triangle is a sliver.
+    range: [f32; 2],
     /// Vertex normal over depth; its length does not matter.
     normal: Option<[Interpolant; 3]>,
     face_normal: u32,
@@ -357,7 +377,8 @@ struct GBufferWriter<'a> {
 impl<S: Simd> FragmentSink<S> for GBufferWriter<'_> {
     #[inline(always)]
     fn write(&mut self, simd: S, offsets: [usize; 2], covered: mask32x8<S>, x: f32x8<S>, y: f32x8<S>) {
-        let inverse_w = self.inverse_w.at(x, y);
+        let [farthest, nearest] = self.range.map(|inverse_w| f32x8::splat(simd, inverse_w));
+        let inverse_w = self.inverse_w.at(x, y).max(farthest).min(nearest);
         let previous = load_block(simd, &self.band.inverse_w, offsets);
         let nearer = covered & inverse_w.simd_gt(previous);
         if !nearer.any_true() {
@@ -380,6 +401,12 @@ impl<S: Simd> FragmentSink<S> for GBufferWriter<'_> {
         let face_normal = u32x8::splat(simd, self.face_normal);
         store_masked(simd, &mut self.band.face_normal, offsets, nearer, face_normal);
     }
+}
+
+/// The smallest and the largest of three values.
+#[inline(always)]
+fn range_of([a, b, c]: [f32; 3]) -> [f32; 2] {
+    [a.min(b).min(c), a.max(b).max(c)]
 }
 
 /// From [-1, 1] to 24 bits, as `visibility.wgsl` packs it.
