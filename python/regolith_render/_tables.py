@@ -57,7 +57,7 @@ def knobs(stage: str = "nominal") -> list[Knob]:
     Raises ConfigError for another stage.
     """
     return [
-        Knob(name, unit, *(bounds or (None, None)), default, text, tuple(allowed))
+        Knob(name, unit, bounds[0] if bounds else None, bounds[1] if bounds else None, default, text, tuple(allowed))
         for name, unit, bounds, default, text, allowed in _native.knobs(stage)
     ]
 

@@ -162,7 +162,7 @@ class MoonDataset(IterableDataset[Any]):
         worker = get_worker_info()  # type: ignore[no-untyped-call,unused-ignore]
         if worker is None:
             return False
-        iteration = (worker.seed - worker.id) % 2**62
+        iteration = int(worker.seed - worker.id) % 2**62
         used = [int(number) for number in self._used_by]
         if used[0] == set_times:
             return used[1] != iteration
