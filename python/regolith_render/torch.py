@@ -91,7 +91,7 @@ class MoonDataset(IterableDataset[Any]):
         # may live longer than an epoch.
         self._start = torch.zeros(4, dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call,unused-ignore]
         self._starts_used = -1
-        # The start that workers used last, and in which iteration: those that a loader starts anew know nothing of the iterations before.
+        # The start that workers used last, and in which iteration: those that a loader starts for each know nothing of the iterations before.
         self._used_by = torch.full((2,), -1, dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call,unused-ignore]
         # The same of a worker that was given a state of its own, as `torchdata`'s StatefulDataLoader does.
         self._own_start: tuple[int, int, int] | None = None

@@ -117,11 +117,11 @@ if __name__ == "__main__":
     again = loader(resumed, persistent_workers=True)
     assert digests(again) == epochs[2][1:]
     assert digests(again) == epochs[2], "the next iteration is a whole one"
-    # The same with workers that are started anew for each iteration.
+    # The same with workers that are started for each iteration.
     resumed.load_state_dict(state)
-    anew = loader(resumed)
-    assert digests(anew) == epochs[2][1:]
-    assert digests(anew) == epochs[2], "a state was used twice"
+    restarted = loader(resumed)
+    assert digests(restarted) == epochs[2][1:]
+    assert digests(restarted) == epochs[2], "a state was used twice"
     # Within a batch: that of the first worker.
     samples = dataset()
     samples.set_epoch(2)
