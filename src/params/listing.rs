@@ -19,6 +19,11 @@ impl Config {
         self.stages().len() > 1 && info.surface_default.is_some() && self.setting(info.knob()).is_none()
     }
 
+    /// Whether a knob has no value for all frames: each stage has its own default for it, or it is the azimuth that follows from the other.
+    fn is_unset(&self, info: &KnobInfo) -> bool {
+        self.depends_on_stage(info) || Some(info.knob()) == self.computed_azimuth()
+    }
+
     /// The knobs of the stages with their distributions, on the first stage that has each.
     fn rows(&self) -> impl Iterator<Item = (&'static KnobInfo, &Distribution)> {
         let stages = self.stages();
@@ -56,11 +61,8 @@ impl Config {
                 }
                 let _ = writeln!(text, "[{section}]");
             }
-            // Not set: what each stage has its own default for, and of the two azimuths the one that follows from the other.
-            let depends_on_stage = self.depends_on_stage(info);
-            let is_unset = depends_on_stage || Some(info.knob()) == self.computed_azimuth();
-            let unset = if is_unset { "# " } else { "" };
-            let by_stage = if depends_on_stage {
+            let unset = if self.is_unset(info) { "# " } else { "" };
+            let by_stage = if self.depends_on_stage(info) {
                 let default = |stage: &Stage| format!("{} {}", stage.name(), info.default_on(*stage));
                 let defaults: Vec<String> = self.stages().iter().map(default).collect();
                 format!(" Defaults by stage: {}.", defaults.join(", "))
@@ -108,8 +110,7 @@ impl Config {
     pub fn distributions_json(&self) -> serde_json::Map<String, serde_json::Value> {
         let variants = (!self.variants.is_empty()).then(|| ("variant".to_owned(), self.variants_json()));
         self.rows()
-            .filter(|(info, _)| Some(info.knob()) != self.computed_azimuth())
-            .filter(|(info, _)| !self.depends_on_stage(info))
+            .filter(|(info, _)| !self.is_unset(info))
             .map(|(info, from)| (info.name.to_owned(), from.to_json(info.kind == Kind::Integer)))
             .chain(variants)
             .collect()
@@ -122,12 +123,10 @@ impl Config {
         let stage = self.stages()[0];
         let rows = self.rows().map(|(info, distribution)| {
             let json_of = |from: &Distribution| from.to_json(info.kind == Kind::Integer);
-            let depends_on_stage = self.depends_on_stage(info);
-            let is_unset = depends_on_stage || Some(info.knob()) == self.computed_azimuth();
             let mut row = json!({
                 "name": info.name,
                 "group": GROUPS.get(group_of(info.section())).map(|(title, ..)| title),
-                "value": if is_unset { serde_json::Value::Null } else { json_of(distribution) },
+                "value": if self.is_unset(info) { serde_json::Value::Null } else { json_of(distribution) },
                 "default": json_of(info.default_on(stage)),
                 "unit": info.unit,
                 "drawn_per": match info.scope { Scope::Frame => "frame", Scope::Element(element) => element },
@@ -137,7 +136,7 @@ impl Config {
                 Kind::Text(words) => json!(words),
                 _ => json!(info.range),
             };
-            if depends_on_stage {
+            if self.depends_on_stage(info) {
                 let default = |stage: Stage| (stage.name().to_owned(), json_of(info.default_on(stage)));
                 row["value_by_stage"] = self.stages().into_iter().map(default).collect();
             }

@@ -72,11 +72,11 @@ pub(crate) fn apply(scene: &Scene, drawn: &RenderSettings, frame: &mut Frame, ex
 fn relabel(frame: &mut Frame, rule: &LabelRule, reason_of: &[LabelReason]) {
     let becomes_ground =
         |reason: LabelReason| reason == LabelReason::Unseen && rule.unseen == LabelPolicy::Regolith;
-    let of_outlines =
-        outline_pixels(frame, |instance| instance > 0 && becomes_ground(reason_of[usize::from(instance)]));
-    for pixel in of_outlines {
-        let [ground, rock, _] = &mut frame.sample_counts[pixel];
-        *ground += std::mem::take(rock);
+    if rule.unseen == LabelPolicy::Regolith {
+        for pixel in outline_pixels(frame, |instance| becomes_ground(reason_of[usize::from(instance)])) {
+            let [ground, rock, _] = &mut frame.sample_counts[pixel];
+            *ground += std::mem::take(rock);
+        }
     }
     for (pixel, (class, instance)) in frame.class.iter_mut().zip(&mut frame.instances).enumerate() {
         let reason = reason_of[usize::from(*instance)];
