@@ -61,21 +61,12 @@ impl Settings {
             .parse()
             .map_err(|message| ConfigError::new_err(format!("raster = {raster}: {message}")))?;
         let plan = || -> regolith::Result<Plan> {
-            let mut knobs = Config::new();
-            if let Some(stage) = stage {
-                knobs.set_stage(stage)?;
-            }
-            for preset in &presets {
-                knobs.apply_preset(preset)?;
-            }
-            if let Some((text, path)) = &config {
-                knobs.apply_toml(text, path)?;
-            }
-            knobs.apply_toml(set, SET)?;
-            if let Some(stage) = stage {
-                knobs.check_stage(stage)?;
-            }
-            knobs.check()?;
+            let knobs = Config::layered(stage, presets.iter().map(String::as_str), |knobs| {
+                if let Some((text, path)) = &config {
+                    knobs.apply_toml(text, path)?;
+                }
+                knobs.apply_toml(set, SET)
+            })?;
             let rules = Rules::from_config(&knobs)?;
             let image = RenderSettings::new(size, samples)?;
             let outputs = output::parse_outputs(outputs)?;

@@ -42,25 +42,15 @@ impl ConfigArgs {
 
     /// The configuration, checked as a whole.
     pub(super) fn build(&self) -> Result<Config> {
-        let mut config = Config::new();
-        if let Some(stage) = &self.stage {
-            config.set_stage(stage)?;
-        }
-        for preset in self.preset.iter().flat_map(|names| names.split(',')) {
-            config.apply_preset(preset.trim())?;
-        }
-        match &self.config {
-            Some(path) if is_record(path) => config.apply_record(path)?,
-            Some(path) => config.apply_file(path)?,
-            None => {}
-        }
-        for assignment in &self.set {
-            config.apply_set(assignment)?;
-        }
-        if let Some(stage) = &self.stage {
-            config.check_stage(stage)?;
-        }
-        config.check()?;
+        let presets = self.preset.iter().flat_map(|names| names.split(',')).map(str::trim);
+        let config = Config::layered(self.stage.as_deref(), presets, |config| {
+            match &self.config {
+                Some(path) if is_record(path) => config.apply_record(path)?,
+                Some(path) => config.apply_file(path)?,
+                None => {}
+            }
+            self.set.iter().try_for_each(|assignment| config.apply_set(assignment))
+        })?;
         // A single frame is not held to the rules, but a malformed rule is an error for every command.
         Rules::from_config(&config)?;
         Ok(config)

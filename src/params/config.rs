@@ -122,6 +122,24 @@ impl Config {
         self.set(Knob::StageName.info(), Distribution::Fixed(Value::Text(name.to_owned().into())), "--stage")
     }
 
+    /// A configuration, checked as a whole: a stage, then presets, then what `apply` sets.
+    ///
+    /// # Errors
+    /// Those of the parts; [`Error::Contradiction`].
+    pub fn layered<'a>(
+        stage: Option<&str>,
+        presets: impl IntoIterator<Item = &'a str>,
+        apply: impl FnOnce(&mut Self) -> Result<()>,
+    ) -> Result<Self> {
+        let mut config = Self::new();
+        stage.map_or(Ok(()), |stage| config.set_stage(stage))?;
+        presets.into_iter().try_for_each(|preset| config.apply_preset(preset))?;
+        apply(&mut config)?;
+        stage.map_or(Ok(()), |stage| config.check_stage(stage))?;
+        config.check()?;
+        Ok(config)
+    }
+
     /// Checks that nothing has changed the stage since [`Self::set_stage`].
     ///
     /// # Errors

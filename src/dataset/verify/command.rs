@@ -27,37 +27,47 @@ pub(super) fn options_problem(context: &Context<'_>, options: &str) -> Option<St
     if let Some(mode) = values("--raster").next().filter(|mode| mode.parse::<RasterMode>().is_err()) {
         return Some(format!("--raster {mode} is no rasteriser"));
     }
-    let built = config_of(&pairs).and_then(|config| {
-        let rules = Rules::from_config(&config)?;
-        Ok((config, rules))
-    });
-    let (config, rules) = match built {
-        Ok(built) => built,
-        Err(error) => return Some(error.to_string()),
+    let found = if values("--config").next().is_some() {
+        difference_beside_file(context, &pairs)
+    } else {
+        difference(context, &pairs)
     };
-    let recorded = context.plan.config.distributions_json();
-    if values("--config").next().is_some() {
-        // These win over the file: applied once more they change nothing.
-        let mut again = context.plan.config.clone();
-        let applied = values(SET).try_for_each(|assignment| again.apply_set(assignment));
-        return match applied {
-            Ok(()) => first_difference(&again.distributions_json(), &recorded).map(another),
-            Err(error) => Some(error.to_string()),
-        };
-    }
-    // In the form in which the recorded ones were read.
-    let mut read = Config::new();
-    if let Err(error) = read.apply_json(&config.distributions_json(), "command") {
-        return Some(error.to_string());
-    }
-    first_difference(&read.distributions_json(), &recorded).map(another).or_else(|| {
-        (rules.to_json() != context.plan.rules.to_json())
-            .then(|| "its options give other rules than rules has".to_owned())
-    })
+    found.unwrap_or_else(|error| Some(error.to_string()))
 }
 
-fn another(knob: &str) -> String {
-    format!("its options give another {knob} than config has")
+/// Where the dataset differs from what options without a file give; none if nowhere.
+fn difference(context: &Context<'_>, pairs: &[(&'static str, String)]) -> Result<Option<String>> {
+    let presets = values_of(pairs, "--preset").flat_map(|names| names.split(','));
+    let config = Config::layered(values_of(pairs, "--stage").next(), presets, |config| {
+        values_of(pairs, SET).try_for_each(|assignment| config.apply_set(assignment))
+    })?;
+    let rules = Rules::from_config(&config)?;
+    // In the form in which the recorded ones were read.
+    let mut read = Config::new();
+    read.apply_json(&config.distributions_json(), "command")?;
+    let other_rules = || {
+        let is_other = rules.to_json() != context.plan.rules.to_json();
+        is_other.then(|| "its options give other rules than rules has".to_owned())
+    };
+    Ok(other_knob(&read, &context.plan.config).or_else(other_rules))
+}
+
+/// The same of options beside a file, which is not there: names must exist, and the knobs of `--set` win over the file, so that they change
+/// nothing where they are set once more.
+fn difference_beside_file(context: &Context<'_>, pairs: &[(&'static str, String)]) -> Result<Option<String>> {
+    values_of(pairs, "--stage").try_for_each(|stage| Config::new().set_stage(stage))?;
+    let mut presets = values_of(pairs, "--preset").flat_map(|names| names.split(','));
+    presets.try_for_each(|preset| Config::new().apply_preset(preset))?;
+    let mut again = context.plan.config.clone();
+    values_of(pairs, SET).try_for_each(|assignment| again.apply_set(assignment))?;
+    Rules::from_config(&again)?;
+    Ok(other_knob(&again, &context.plan.config))
+}
+
+/// The first knob that is drawn from something else than recorded, in words.
+fn other_knob(given: &Config, recorded: &Config) -> Option<String> {
+    let [given, recorded] = [given, recorded].map(Config::distributions_json);
+    first_difference(&given, &recorded).map(|knob| format!("its options give another {knob} than config has"))
 }
 
 /// The options with their values. Words that are no option, are not in the order of the command or are written in another way than
@@ -91,24 +101,6 @@ fn pairs_of(options: &str) -> std::result::Result<Vec<(&'static str, String)>, S
 
 fn values_of<'a>(pairs: &'a [(&'static str, String)], option: &'static str) -> impl Iterator<Item = &'a str> {
     pairs.iter().filter(move |(name, _)| *name == option).map(|(_, value)| value.as_str())
-}
-
-/// The configuration that the options give without the file of `--config`, in the order of the command line.
-fn config_of(pairs: &[(&'static str, String)]) -> Result<Config> {
-    let has_file = values_of(pairs, "--config").next().is_some();
-    let stage = values_of(pairs, "--stage").next();
-    let mut config = Config::new();
-    stage.map_or(Ok(()), |stage| config.set_stage(stage))?;
-    for preset in values_of(pairs, "--preset").flat_map(|names| names.split(',')) {
-        config.apply_preset(preset)?;
-    }
-    values_of(pairs, SET).try_for_each(|assignment| config.apply_set(assignment))?;
-    // Only the file may make the rest consistent.
-    if !has_file {
-        stage.map_or(Ok(()), |stage| config.check_stage(stage))?;
-        config.check()?;
-    }
-    Ok(config)
 }
 
 /// The name of the first knob that differs.
