@@ -19,10 +19,38 @@ pub struct Lens {
     pub p2: f64,
 }
 
+/// Steps by which devices invert the distortion (`common/lens.wgsl`), from the distorted point on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct InverseSteps {
+    /// Of the fixed-point iteration, first. They lead to the root that [`Lens::undistort`] finds where Newton's method alone would not.
+    pub fixed_point: u32,
+    /// Of Newton's method.
+    pub newton: u32,
+}
+
+impl InverseSteps {
+    /// Both numbers in one word, as uniforms have them.
+    #[must_use]
+    pub const fn packed(self) -> u32 {
+        self.fixed_point << 16 | self.newton
+    }
+}
+
 /// Fixed-point iterations of the inverse.
 const STEPS: u32 = 24;
+/// Numbers of them before Newton's method, of which the first that serves is taken: 0 for most lenses.
+const FIRST_STEPS: [u32; 4] = [0, 4, 12, STEPS];
 /// Largest residual of the inverse by Newton's method, in units of the focal length: below 1e-5 samples of a wide image.
 const MAX_RESIDUAL: f64 = 3e-9;
+/// Largest residual of the fixed-point iteration, likewise.
+const MAX_FIXED_POINT_RESIDUAL: f64 = 1e-6;
+/// Minimum determinant of the derivatives where Newton's method begins: near 0 its step leads to another root.
+const MIN_DETERMINANT: f64 = 0.1;
+/// Largest factor by which a step of the fixed-point iteration shrinks its error: it converges anywhere only where it does at the root.
+const MAX_RATE: f64 = 0.75;
+/// Minimum radial factor of its first iterates, and how many are looked at. Where the factor nears 0 the next iterate is anywhere.
+const MIN_RADIAL: f64 = 0.25;
+const FIRST_ITERATES: u32 = 6;
 
 impl Lens {
     /// Whether it distorts at all.
@@ -41,51 +69,93 @@ impl Lens {
     /// Maps a point of the distorted image to the undistorted one, by fixed-point iteration.
     #[must_use]
     pub fn undistort(&self, distorted: [f64; 2]) -> [f64; 2] {
+        self.iterated(distorted, STEPS)
+    }
+
+    /// A distorted point after some steps of the fixed-point iteration.
+    fn iterated(&self, distorted: [f64; 2], steps: u32) -> [f64; 2] {
         let mut point = distorted;
-        for _ in 0..STEPS {
+        for _ in 0..steps {
             let (radial, [dx, dy]) = self.terms(point);
             point = [(distorted[0] - dx) / radial, (distorted[1] - dy) / radial];
         }
         point
     }
 
-    /// Steps of Newton's method that map every point of a distorted image with half extents `half` to the undistorted one, from the
-    /// distorted point on (`common/lens.wgsl` takes them). They are counted on a grid over the image: 2 or 3 for most lenses, and no
-    /// more than the fixed-point iteration takes where they do not converge.
+    /// Steps that map every point of a distorted image with half extents `half` to the undistorted one, the same as [`Self::undistort`].
+    /// They are counted on a grid over the image and on its diagonals: 2 or 3 of Newton's method for most lenses. `None` if the mapping
+    /// folds within the image or is too strong for the inverse to converge.
     #[must_use]
-    pub fn newton_steps(&self, half: [f64; 2]) -> u32 {
-        let along = |step: i32| f64::from(step) / 8.0;
-        let grid = (-8..=8).flat_map(|row| (-8..=8).map(move |column| [along(column), along(row)]));
-        let points = grid.map(|at| [at[0] * half[0], at[1] * half[1]]);
-        points.map(|distorted| self.newton_steps_of(distorted)).max().unwrap_or(0)
+    pub fn inverse_steps(&self, half: [f64; 2]) -> Option<InverseSteps> {
+        if self.is_pinhole() {
+            return Some(InverseSteps { fixed_point: 0, newton: 0 });
+        }
+        let along = |step: i32, of: i32| f64::from(step) / f64::from(of);
+        let grid = (-8..=8).flat_map(|row| (-8..=8).map(move |column| [along(column, 8), along(row, 8)]));
+        let diagonals =
+            (-64..=64).flat_map(|step| [1.0, -1.0].map(|side| [along(step, 64), side * along(step, 64)]));
+        let points = grid.chain(diagonals).map(|at| [at[0] * half[0], at[1] * half[1]]);
+        let pairs: Vec<_> = points
+            .map(|distorted| Some((distorted, self.checked_inverse(distorted)?)))
+            .collect::<Option<_>>()?;
+        FIRST_STEPS.into_iter().find_map(|fixed_point| {
+            let steps = pairs.iter().map(|pair| self.newton_steps(*pair, fixed_point));
+            let newton = steps.reduce(|most, steps| Some(most?.max(steps?))).flatten()?;
+            Some(InverseSteps { fixed_point, newton })
+        })
     }
 
-    fn newton_steps_of(&self, distorted: [f64; 2]) -> u32 {
-        let mut point = distorted;
+    /// As [`Self::undistort`]; `None` if the iteration does not converge, or runs astray on its way, so that neighbours of the point may
+    /// lead elsewhere.
+    fn checked_inverse(&self, distorted: [f64; 2]) -> Option<[f64; 2]> {
+        let is_regular = |steps: u32| self.terms(self.iterated(distorted, steps)).0 >= MIN_RADIAL;
+        let point = self.undistort(distorted);
+        let back = self.distort(point);
+        let residual = (back[0] - distorted[0]).abs().max((back[1] - distorted[1]).abs());
+        let square = point[0] * point[0] + point[1] * point[1];
+        let (radial, _) = self.terms(point);
+        let converges =
+            residual <= MAX_FIXED_POINT_RESIDUAL && (square * self.slope(square)).abs() <= MAX_RATE * radial;
+        (converges && (0..FIRST_ITERATES).all(is_regular)).then_some(point)
+    }
+
+    /// Steps of Newton's method after some of the fixed-point iteration; `None` if they do not lead from a distorted point to its
+    /// undistorted one.
+    fn newton_steps(&self, (distorted, undistorted): ([f64; 2], [f64; 2]), fixed_point: u32) -> Option<u32> {
+        let mut point = self.iterated(distorted, fixed_point);
         for steps in 0..STEPS {
             let back = self.distort(point);
             let residual = [back[0] - distorted[0], back[1] - distorted[1]];
             if residual[0].abs().max(residual[1].abs()) <= MAX_RESIDUAL {
-                return steps;
+                let off = (point[0] - undistorted[0]).abs().max((point[1] - undistorted[1]).abs());
+                return (off <= 10.0 * MAX_FIXED_POINT_RESIDUAL).then_some(steps);
             }
             let [a, b, c] = self.jacobian(point);
             let determinant = a * c - b * b;
+            if steps == 0 && fixed_point < STEPS && (determinant < MIN_DETERMINANT || a + c <= 0.0) {
+                return None;
+            }
             point[0] -= (c * residual[0] - b * residual[1]) / determinant;
             point[1] -= (a * residual[1] - b * residual[0]) / determinant;
         }
-        STEPS
+        None
     }
 
     /// Derivatives of the distorted point: of x by x, of x by y (and y by x, which is equal), of y by y.
     fn jacobian(&self, [x, y]: [f64; 2]) -> [f64; 3] {
         let square = x * x + y * y;
         let radial = 1.0 + square * (self.k1 + square * (self.k2 + square * self.k3));
-        let slope = 2.0 * (self.k1 + square * (2.0 * self.k2 + square * 3.0 * self.k3));
+        let slope = self.slope(square);
         [
             radial + slope * x * x + 2.0 * self.p1 * y + 6.0 * self.p2 * x,
             slope * x * y + 2.0 * self.p1 * x + 2.0 * self.p2 * y,
             radial + slope * y * y + 6.0 * self.p1 * y + 2.0 * self.p2 * x,
         ]
+    }
+
+    /// Derivative of the radial factor, over the radius, at a squared radius.
+    fn slope(&self, square: f64) -> f64 {
+        2.0 * (self.k1 + square * (2.0 * self.k2 + square * 3.0 * self.k3))
     }
 
     /// Radial factor and tangential shift.
@@ -103,17 +173,13 @@ impl Lens {
     /// `None` if the mapping folds within it or is too strong for the inverse to converge.
     #[must_use]
     pub fn reach(&self, half: [f64; 2]) -> Option<[f64; 2]> {
+        self.inverse_steps(half)?;
         let mut reach = [1.0_f64; 2];
         for step in -16..=16 {
             let along = f64::from(step) / 16.0;
             for at in [[along, -1.0], [along, 1.0], [-1.0, along], [1.0, along]] {
                 let at = [at[0] * half[0], at[1] * half[1]];
-                let point = self.undistort(at);
-                let back = self.distort(point);
-                let error = (back[0] - at[0]).abs().max((back[1] - at[1]).abs());
-                if error.is_nan() || error > 1e-6 {
-                    return None;
-                }
+                let point = self.checked_inverse(at)?;
                 reach = [0, 1].map(|axis| reach[axis].max(point[axis].abs() / half[axis]));
             }
         }
@@ -139,10 +205,30 @@ mod tests {
 
     #[test]
     fn newtons_method_takes_few_steps() {
-        let wide = Lens { k1: -0.08, ..Lens::default() };
-        assert!((2..=3).contains(&wide.newton_steps([0.77, 0.77])), "{}", wide.newton_steps([0.77, 0.77]));
-        assert!(LENS.newton_steps([0.6, 0.5]) <= 4, "{}", LENS.newton_steps([0.6, 0.5]));
-        assert_eq!(Lens::default().newton_steps([0.6, 0.5]), 0);
+        let newton = |lens: Lens, half| {
+            let InverseSteps { fixed_point, newton } = lens.inverse_steps(half).expect("a lens");
+            assert_eq!(fixed_point, 0, "{lens:?}");
+            newton
+        };
+        assert!((2..=3).contains(&newton(Lens { k1: -0.08, ..Lens::default() }, [0.77, 0.77])));
+        assert!(newton(LENS, [0.6, 0.5]) <= 4);
+        assert_eq!(newton(Lens::default(), [0.6, 0.5]), 0);
+    }
+
+    /// From the distorted point alone Newton's method leads to another root in the corners.
+    #[test]
+    fn lenses_that_turn_beyond_the_corner_take_other_steps_first() {
+        let lens = Lens { k1: 0.232, k2: 0.267, k3: -0.214, ..Lens::default() };
+        let half = libm::tan(0.5 * 82.7_f64.to_radians());
+        assert!(lens.inverse_steps([half; 2]).expect("a lens").fixed_point > 0);
+        // Near the corner the fixed-point iteration runs astray.
+        let lens = Lens { k1: 0.011, k2: 0.33, k3: -0.142, ..Lens::default() };
+        let half = libm::tan(0.5 * 97.1_f64.to_radians());
+        assert_eq!(lens.reach([half; 2]), None);
+        // It finds the corner only after its radial factor was negative.
+        let lens = Lens { k1: 0.589, k2: -0.153, k3: -0.197, ..Lens::default() };
+        let half = libm::tan(0.5 * 80.5_f64.to_radians());
+        assert_eq!(lens.reach([half; 2]), None);
     }
 
     #[test]

@@ -78,7 +78,7 @@ struct FrameUniforms {
     samples_per_side: u32,
     // Column and row of the G-buffer's first sample among all rendered samples.
     first_sample: vec2<f32>,
-    // Steps of the inverse of the lens (common/lens.wgsl).
+    // Steps of the inverse of the lens (common/lens.wgsl): of Newton's method in the lower 16 bits, of the fixed-point iteration above.
     lens_steps: u32,
     // 0, which compilers do not know: loops whose length it is part of are not unrolled.
     zero: u32,

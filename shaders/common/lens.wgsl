@@ -1,5 +1,5 @@
 // Inverse of the Brown-Conrady distortion (Brown 1966, "Decentering Distortion of Lenses") in units of the focal length, by
-// Newton's method. CPU counterpart: `Lens::undistort` in src/lens.rs.
+// Newton's method, for some lenses after steps of the fixed-point iteration. CPU counterpart: `Lens::undistort` in src/lens.rs.
 //
 // All is computed as displacements, which are small: a position of some thousand samples plus a displacement is exact to 1e-4 of
 // a sample, the same from a position in units of the focal length is not. And all is rounded alike on every device (exact.wgsl): it decides
@@ -7,6 +7,8 @@
 
 // How a lens displaces a point of the undistorted image.
 struct Distortion {
+    // Radial factor less 1.
+    radial: f32,
     // Distorted less undistorted.
     shift: vec2<f32>,
     // Derivatives of the distorted point: of x by x, of x by y (and y by x, which is equal), of y by y.
@@ -34,7 +36,7 @@ fn distortion_at(point: vec2<f32>) -> Distortion {
     );
     let squares = exact2(square + exact2(2.0 * exact2(point * point)));
     let shift = exact2(exact2(exact2(radial * point) + exact2(2.0 * exact2(product * p))) + exact2(p.yx * squares));
-    return Distortion(shift, jacobian);
+    return Distortion(radial, shift, jacobian);
 }
 
 // The offset that a Jacobian maps to `mapped`.
@@ -50,10 +52,21 @@ fn newton_step(distorted: vec2<f32>, displacement: vec2<f32>) -> vec2<f32> {
     return exact2(displacement - inverse_of(lens.jacobian, exact2(displacement + lens.shift)));
 }
 
-// The displacement from a distorted to the undistorted point. The host counts the steps (`Lens::newton_steps`).
+// The same by the fixed-point iteration: the distorted point less the tangential shift, over the radial factor.
+fn fixed_point_step(distorted: vec2<f32>, displacement: vec2<f32>) -> vec2<f32> {
+    let lens = distortion_at(exact2(distorted + displacement));
+    let back = exact2(exact2(lens.radial * displacement) - lens.shift);
+    let factor = exact(1.0 + lens.radial);
+    return vec2(quotient(back.x, factor), quotient(back.y, factor));
+}
+
+// The displacement from a distorted to the undistorted point. The host counts the steps (`Lens::inverse_steps`).
 fn undistortion(distorted: vec2<f32>) -> vec2<f32> {
     var displacement = vec2(0.0);
-    for (var step = 0u; step < frame.lens_steps; step++) {
+    for (var step = 0u; step < (frame.lens_steps >> 16u); step++) {
+        displacement = fixed_point_step(distorted, displacement);
+    }
+    for (var step = 0u; step < (frame.lens_steps & 0xffffu); step++) {
         displacement = newton_step(distorted, displacement);
     }
     return displacement;

@@ -3,6 +3,7 @@
 
 use glam::UVec2;
 
+use crate::lens::InverseSteps;
 use crate::render::device::packing::Packing;
 use crate::render::device::shader_structs::{FrameUniforms, HorizonLevel};
 use crate::render::raster::fixed_point::GUARD_BAND_PX;
@@ -67,7 +68,7 @@ pub(super) fn frame_uniforms(
         lens_k: [lens.k1 as f32, lens.k2 as f32, lens.k3 as f32],
         focal_samples: settings.focal_samples(camera),
         lens_p: glam::Vec2::new(lens.p1 as f32, lens.p2 as f32),
-        lens_steps: lens.newton_steps(half_extents),
+        lens_steps: lens.inverse_steps(half_extents).map_or(0, InverseSteps::packed),
         guard_band: GUARD_BAND_PX / (0.5 * UVec2::from(settings.sample_size()).as_vec2()),
         near_m: camera.near_m,
         samples_per_side: settings.samples_per_side,
