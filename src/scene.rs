@@ -45,6 +45,7 @@ use crate::error::Result;
 use crate::params::{Knob, Params, Stage};
 use crate::random::Streams;
 use camera::Camera;
+use crater_wall::CraterWall;
 use flare::Flare;
 use label_rule::LabelRule;
 use photometry::{Photometry, tinted};
@@ -91,7 +92,7 @@ impl Scene {
     /// The scene of a seed and its parameters: the same bits on every machine and for every number of threads.
     ///
     /// # Errors
-    /// [`crate::Error::Scene`] if the camera is too low or outside the sky dome.
+    /// [`crate::Error::Scene`] if the camera is too low or outside the sky dome, or a crater has no room for its wall.
     pub fn build(seed: u64, params: &Params) -> Result<Self> {
         Self::build_for_pose(seed, params, params)
     }
@@ -121,10 +122,12 @@ impl Scene {
         let view = camera::ground_view(params);
         let to_first = camera::position(first) - centre;
         let mut relief = Relief::new(streams, first, centre);
+        relief.wall.as_ref().map_or(Ok(()), CraterWall::check)?;
         relief.wall = relief.wall.map(|wall| wall.moved(to_first));
         let tracks = rover_tracks::tracks(streams, first).into_iter();
         relief.tracks = tracks.map(|track| Track { offset: track.offset + to_first, ..track }).collect();
-        let placements = lunar::placements(streams, params, &relief, &view, centre);
+        let mut placements = lunar::placements(streams, params, &relief, &view, centre);
+        rover::clear_of_rocks(params, centre, &mut placements);
         let number = |knob| params.number(knob);
         let regolith = Material {
             albedo: tinted(

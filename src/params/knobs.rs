@@ -169,7 +169,7 @@ knobs! {
     RocksCoverage "rocks.coverage" "" in Surface Number, Frame, number(0.008), [0.0, 0.1],
         "Fraction k of the ground covered by rocks, F(>D) = k exp(-(0.5648 + 0.01285 / k) D) (Li and Wu 2018).";
     RocksExposed "rocks.exposed" "" in Surface Number, Element("rock"), uniform(0.35, 0.95), [0.05, 1.0],
-        "Fraction of a rock's height above the ground.";
+        "Height of a rock above the ground over its own, to 0.75 diameters; it is flattened, at most by half, or stretched.";
     RocksAlbedoRatio "rocks.albedo_ratio" "" in Surface Number, Frame, number(1.35), [0.3, 4.0],
         "Median ratio of rock albedo to soil albedo; drawn per rock, log-normal, clipped to 0.7 to 2.5.";
     RocksAlbedoSpread "rocks.albedo_spread" "" in Surface Number, Frame, number(0.3), [0.0, 1.0],

@@ -12,6 +12,7 @@ use glam::Vec2;
 use super::azimuth;
 use super::lattice::Lattice;
 use super::noise::{GRADIENT_NOISE_SIGMA, gradient_noise_2d};
+use crate::error::{Error, Result};
 use crate::params::{Knob, Params};
 use crate::random::Streams;
 
@@ -31,6 +32,8 @@ const SHIFT_OCTAVES: u32 = 5;
 const SHIFT: f32 = 0.17;
 /// Wavelengths of the noise that scales its height, radii of the crater, with its standard deviations.
 const SCALES: [(f64, f32); 2] = [(0.9, 0.14), (0.25, 0.05)];
+/// Maximum width of the wall, radii of the crater.
+const MAX_WIDTH: f32 = 0.9;
 /// Wavelength of patches of rocks, metres.
 const PATCH_M: f64 = 70.0;
 
@@ -81,6 +84,19 @@ impl CraterWall {
             scales: (0..).zip(SCALES).map(scale).collect(),
             patches: lattice("wall.patches", 0, PATCH_M),
         })
+    }
+
+    /// # Errors
+    /// [`Error::Scene`] if the wall takes more than [`MAX_WIDTH`] of the crater's radius: it would have no floor, and less height.
+    pub(super) fn check(&self) -> Result<()> {
+        let Self { radius_m, height_m, width_m, .. } = self;
+        if *width_m <= MAX_WIDTH * radius_m {
+            return Ok(());
+        }
+        Err(Error::Scene(format!(
+            "wall.height_m = {height_m} takes a wall {width_m:.0} m wide, which leaves no floor in a crater with wall.radius_m = \
+             {radius_m}; lower the wall, raise wall.slope_deg, or enlarge the crater"
+        )))
     }
 
     /// The wall with its crater elsewhere, by this many metres.
@@ -173,4 +189,24 @@ impl CraterWall {
 fn noise(lattice: &Lattice, point: Vec2) -> f32 {
     let (cell, at) = lattice.cell(lattice.local(point));
     gradient_noise_2d(cell, at, lattice.seed)
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::params::config::Config;
+    use crate::scene::Scene;
+
+    #[test]
+    fn a_wall_without_room_for_a_floor_is_refused() {
+        let built = |height: &str| {
+            let mut config = Config::new();
+            for set in ["stage.name=surface", "rocks.coverage=0", height] {
+                config.apply_set(set).expect(set);
+            }
+            Scene::build(3, &config.draw(3).expect("parameters"))
+        };
+        built("wall.height_m=150").expect("a wall");
+        let error = built("wall.height_m=400").expect_err("no room").to_string();
+        assert!(error.contains("wall.height_m = 400") && error.contains("wall.radius_m"), "{error}");
+    }
 }

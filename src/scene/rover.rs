@@ -8,6 +8,7 @@ use glam::{Vec2, Vec3};
 
 use super::azimuth;
 use super::mesh::{Icosphere, Vertex};
+use super::rocks::lunar::{PRESSED_M, Placement};
 use super::rocks::{Body, Material, Rock};
 use super::terrain::Terrain;
 use crate::params::{Knob, Params};
@@ -134,6 +135,14 @@ impl Part {
     }
 }
 
+/// Leaves out the rocks that are in the way of the rover of these parameters, which stands around `centre` (metres, world), if there is
+/// one: all but those that its wheels press into the soil.
+pub fn clear_of_rocks(params: &Params, centre: Vec2, placements: &mut Vec<Placement>) {
+    let Some(rover) = Rover::build(params) else { return };
+    let middle = centre + rover.middle_below(params);
+    placements.retain(|rock| rock.diameter_m < PRESSED_M || !rover.meets(rock.position - middle, rock));
+}
+
 /// Distance of the middles of the wheels on both sides, metres, for a body and wheels of this width and diameter, metres.
 #[must_use]
 pub fn gauge_m(width_m: f32, wheel_m: f32) -> f32 {
@@ -167,6 +176,32 @@ impl Rover {
         let mast = if has_mast { -MAST_BEHIND_M * view } else { Vec2::ZERO };
         let from_front_m = if has_mast { -MAST_FROM_FRONT_M } else { BODY_BEHIND_M };
         mast - (0.5 * self.size_m[0] + from_front_m) * self.heading
+    }
+
+    /// The same for the camera of these parameters on level ground.
+    #[must_use]
+    pub fn middle_below(&self, params: &Params) -> Vec2 {
+        let view = azimuth::direction(params.number(Knob::CameraYawDeg).to_radians());
+        self.middle(view, params.number(Knob::CameraHeightM) as f32 - self.deck_m)
+    }
+
+    /// Whether a rock at an offset from the middle seen from above, metres, is below or between the wheels of a side, or reaches the body
+    /// or a solar panel.
+    fn meets(&self, offset: Vec2, rock: &Placement) -> bool {
+        let (along_m, across_m) = (offset.dot(self.heading).abs(), offset.perp_dot(self.heading).abs());
+        let [length_m, width_m] = self.size_m;
+        let radius_m = 0.5 * rock.diameter_m as f32;
+        let is_below = |half_width_m: f32, clearance_m: f32| {
+            rock.max_height_m() > clearance_m
+                && along_m <= 0.5 * length_m + radius_m
+                && across_m <= half_width_m + radius_m
+        };
+        let from_wheels_m = (across_m - 0.5 * gauge_m(width_m, self.wheel_m)).abs();
+        let is_at_wheels = along_m <= self.front_axle_m() + 0.5 * self.wheel_m + radius_m
+            && from_wheels_m <= 0.5 * WHEEL_WIDTH * self.wheel_m + radius_m;
+        is_at_wheels
+            || is_below(0.5 * width_m, self.deck_m - self.body_m())
+            || is_below(0.5 * width_m + self.panel_m, self.deck_m)
     }
 
     /// Distance of the front wheels from the middle, metres.
@@ -371,5 +406,44 @@ mod tests {
             assert!((found / expected - 1.0).abs() < 0.02, "{shape:?}: {found} of {expected}");
             assert!(body.vertices.iter().all(|vertex| (vertex.normal.length() - 1.0).abs() < 1e-5));
         }
+    }
+
+    /// Whether a part, which is convex, has a point in it.
+    fn contains(part: &Rock, point: Vec3) -> bool {
+        part.triangles(part.level).iter().all(|triangle| {
+            let [a, b, c] = triangle.map(|vertex| part.centre + part.vertices[vertex as usize].position);
+            (b - a).cross(c - a).dot(point - a) <= 0.0
+        })
+    }
+
+    /// With a track of its own, which ends at its front wheels, and without.
+    #[test]
+    fn no_rock_lies_in_the_rover_or_is_moved_from_the_camera() {
+        let (mut near, mut moved) = (0, Vec::new());
+        for seed in 0..10 {
+            let mut config = Config::new();
+            let own = if seed % 2 == 0 { "tracks.own=yes" } else { "tracks.own=no" };
+            let height = if seed % 3 == 0 { "camera.height_m=0.5" } else { "camera.height_m=1.5" };
+            for set in ["stage.name=surface", "rover.kind=rover", "rocks.coverage=0.08", own, height] {
+                config.apply_set(set).expect(set);
+            }
+            let scene = Scene::build(seed, &config.draw(seed).expect("parameters")).expect("scene");
+            moved.extend(scene.moved_rocks());
+            let bodies = || scene.rocks.built();
+            let parts: Vec<&Rock> =
+                bodies().filter(|rock| matches!(rock.body, Body::Hardware { .. })).collect();
+            assert!(parts.iter().all(|part| contains(part, part.centre)));
+            let rocks = bodies().filter(|rock| matches!(rock.body, Body::Rock) && rock.diameter_m() > 0.1);
+            for rock in rocks.filter(|rock| rock.centre.distance(scene.camera.eye) < rock.radius_m + 4.0) {
+                near += 1;
+                let inside = rock.vertices.iter().filter(|vertex| {
+                    let point = rock.centre + vertex.position;
+                    parts.iter().any(|part| contains(part, point))
+                });
+                assert_eq!(inside.count(), 0, "seed {seed}: rock {} of {} m", rock.index, rock.diameter_m());
+            }
+        }
+        assert!(near > 20, "{near} rocks near the rover");
+        assert!(moved.is_empty(), "{moved:?}");
     }
 }

@@ -31,10 +31,7 @@ pub fn tracks(streams: &Streams, params: &Params) -> Vec<Track> {
 
 /// The track that the rover of the camera left as it came.
 fn own(streams: &Streams, params: &Params, rover: &Rover) -> Track {
-    let height_m = params.number(Knob::CameraHeightM) as f32;
-    let view = azimuth::direction(params.number(Knob::CameraYawDeg).to_radians());
-    let middle = rover.middle(view, height_m - rover.deck_m);
-    let track = passing(streams, params, (middle, rover.heading), OWN);
+    let track = passing(streams, params, (rover.middle_below(params), rover.heading), OWN);
     // It ends below the front wheels.
     Track { span_m: [track.span_m[0], rover.front_axle_m()], ..track }
 }

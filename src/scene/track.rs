@@ -86,7 +86,8 @@ impl Track {
     #[must_use]
     pub fn runs_over(&self, centre: Vec2, radius_m: f32) -> bool {
         let [along_m, across_m] = self.along_and_across(centre);
-        let is_along = along_m >= self.span_m[0] && along_m <= self.span_m[1];
+        let beyond_m = radius_m + 0.5 * self.wheel_m;
+        let is_along = along_m >= self.span_m[0] - beyond_m && along_m <= self.span_m[1] + beyond_m;
         is_along && (across_m.abs() - 0.5 * self.gauge_m).abs() <= 0.5 * self.width_m + radius_m
     }
 

@@ -35,8 +35,6 @@ const STRETCH: [f32; 2] = [0.5, 2.1];
 /// What of a rock's height is above the ground is this many times the drawn fraction: to a median height of 0.49 diameters
 /// (136 scanned rocks, POLAR-digital).
 const EXPOSURE: f32 = 1.12;
-/// Largest height above the ground, diameters: higher, rounded rocks look like eggs that stand on end.
-const MAX_HEIGHT: f32 = 0.75;
 /// How far down the underside of a fresh rock, from the widest section to the lowest point, the ground is.
 const FRESH_UNDERSIDE: f32 = 0.45;
 /// Depth below the ground of the widest section of an aged rock, diameters.
@@ -48,7 +46,7 @@ const MAX_SLOPE: f32 = 0.7;
 pub(super) fn exposed_m(streams: &Streams, params: &Params, placement: &Placement, rock: &Rock) -> f32 {
     let exposed = params.sample(Knob::RocksExposed, &mut streams.stream("rocks.exposed", placement.key));
     let height_m = EXPOSURE * exposed as f32 * (rock.z_range_m[1] - rock.z_range_m[0]);
-    height_m.min(MAX_HEIGHT * placement.diameter_m as f32)
+    height_m.min(placement.max_height_m())
 }
 
 /// Puts rocks into the ground at their positions.

@@ -7,6 +7,7 @@
 
 use glam::Vec2;
 
+use super::rock::EYE_CLEARANCE_M;
 use crate::params::{Knob, Params};
 use crate::random::Streams;
 use crate::scene::azimuth;
@@ -75,7 +76,14 @@ const WALL_OCTAVES: u32 = 8;
 const WALL_MAX_COVERAGE: f64 = 0.12;
 const MAX_WALL_ROCKS: usize = 6000;
 /// Diameter from which no rock lies in a track, metres.
-const PRESSED_M: f64 = 0.06;
+pub const PRESSED_M: f64 = 0.06;
+
+/// Largest height above the ground, diameters: higher, rounded rocks look like eggs that stand on end.
+const MAX_HEIGHT: f32 = 0.75;
+/// Longest horizontal extent of a rock from its centre, mean diameters.
+const LONGEST_RADIUS: f32 = 0.7;
+/// How much further from the eye than [`EYE_CLEARANCE_M`] rocks are on level ground, metres: other ground may rise.
+const EYE_MARGIN_M: f32 = 0.1;
 
 /// Position and size of a rock before it is shaped.
 #[derive(Clone, Copy, Debug)]
@@ -144,6 +152,12 @@ impl Placement {
     const fn new(position: Vec2, diameter_m: f64, key: u64) -> Self {
         Self { position, diameter_m, age: age_of(key), key }
     }
+
+    /// Largest height above the ground, metres.
+    #[must_use]
+    pub const fn max_height_m(&self) -> f32 {
+        MAX_HEIGHT * self.diameter_m as f32
+    }
 }
 
 /// Positions and sizes of all rocks, the largest octave or band first.
@@ -166,6 +180,13 @@ pub fn placements(
         let radius_m = 0.5 * rock.diameter_m as f32;
         let runs_over = |track: &Track| track.runs_over(rock.position - centre, radius_m);
         rock.diameter_m < PRESSED_M || !relief.tracks.iter().any(runs_over)
+    });
+    // None where the camera is. A rock that is moved away from it later leaves its fillet behind.
+    let eye_m = params.number(Knob::CameraHeightM) as f32;
+    placements.retain(|rock| {
+        let beside_m = rock.position.distance(centre) - LONGEST_RADIUS * rock.diameter_m as f32;
+        Vec2::new(beside_m, eye_m - rock.max_height_m()).max(Vec2::ZERO).length()
+            > EYE_CLEARANCE_M + EYE_MARGIN_M
     });
     placements
 }
