@@ -1,6 +1,9 @@
 // Bind group 1, the scene: instances, shadow tiles, relief. The structs have Rust counterparts of the same name in
 // src/render/device/shader_structs.rs (`Lattice`: `LatticeUniforms`).
 
+// Largest radiance that half floats hold: what is brighter is stored as this (src/scene/sky.rs has the same).
+const MAX_STORED_RADIANCE: f32 = 65504.0;
+
 // One drawn object. Class and instance ids are data: no shader knows what a rock is.
 struct Instance {
     // Origin of the mesh, metres, world.

@@ -82,7 +82,7 @@ fn shade(surface: Surface, instance: Instance, detail: u32, position: vec2<f32>)
     let radiance = shading.albedo
         * (direct * light.sun_irradiance + (PER_PI * light.diffuse_reflectance) * indirect);
     return lighting_output(
-        vec4(radiance, 1.0),
+        vec4(min(radiance, vec3(MAX_STORED_RADIANCE)), 1.0),
         instance.class_id,
         vec4(normal, 1.0),
         instance.instance_id,

@@ -1,6 +1,5 @@
 // What the sky emits: dome and stars their colour, the sun's disc less towards its limb (src/scene/sky.rs, which has the same numbers).
 
-const MAX_STORED_RADIANCE: f32 = 65504.0;
 const LIMB_EXPONENTS: vec3<f32> = vec3(0.45568853, 0.5079091, 0.60495698);
 const MIN_LIMB_COSINE: f32 = 0.05;
 
