@@ -5,12 +5,12 @@ use std::path::PathBuf;
 
 use crate::dataset::manifest::shell_word;
 use crate::dataset::rules::Rules;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::gpu::Gpu;
 use crate::output::edges::EdgePolicy;
 use crate::output::{LabelIds, OUTPUTS};
 use crate::params::config::Config;
-use crate::params::record::{FrameOrigin, is_record};
+use crate::params::record::FrameOrigin;
 use crate::render::{RasterMode, RenderSettings, Renderer};
 use clap::Args;
 
@@ -26,7 +26,7 @@ pub(super) struct ConfigArgs {
     /// Named set of knobs, or several separated by commas, of which later ones win; `regolith-render --help` lists them
     #[arg(long, value_name = "NAME")]
     preset: Option<String>,
-    /// TOML file with knobs, or the record of a frame (frame_0000.json), to repeat it; `-` reads TOML from standard input
+    /// TOML file with knobs, or the record of a frame (frame_0000.json), to repeat it; `-` reads either from standard input
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// One knob, for example sun.elevation_deg=12 or 'rocks.scale_m={uniform=[0.2,2]}'; repeatable, wins over all other sources
@@ -40,20 +40,25 @@ impl ConfigArgs {
         self.preset.is_some() || self.config.is_some()
     }
 
-    /// The configuration, checked as a whole.
-    pub(super) fn build(&self) -> Result<Config> {
+    /// The configuration, checked as a whole, and what the frame was made from whose record the file is; nothing if it is no record.
+    pub(super) fn build(&self) -> Result<(Config, FrameOrigin)> {
+        let mut origin = FrameOrigin::default();
         let presets = self.preset.iter().flat_map(|names| names.split(',')).map(str::trim);
+        if presets.clone().any(str::is_empty) {
+            return Err(Error::Usage(format!(
+                "--preset '{}': a name in the list is empty; leave out its comma",
+                self.preset.as_deref().unwrap_or_default()
+            )));
+        }
         let config = Config::layered(self.stage.as_deref(), presets, |config| {
-            match &self.config {
-                Some(path) if is_record(path) => config.apply_record(path)?,
-                Some(path) => config.apply_file(path)?,
-                None => {}
+            if let Some(path) = &self.config {
+                origin = config.apply_named_file(path)?;
             }
             self.set.iter().try_for_each(|assignment| config.apply_set(assignment))
         })?;
         // A single frame is not held to the rules, but a malformed rule is an error for every command.
         Rules::from_config(&config)?;
-        Ok(config)
+        Ok((config, origin))
     }
 
     /// These options as a command line has them, in this order.
@@ -69,14 +74,6 @@ impl ConfigArgs {
             .map(|(option, value)| format!("{option} {}", shell_word(&value)))
             .collect::<Vec<_>>()
             .join(" ")
-    }
-
-    /// What the frame was made from whose record is the file; nothing if it is no record.
-    pub(super) fn origin(&self) -> Result<FrameOrigin> {
-        match &self.config {
-            Some(path) if is_record(path) => FrameOrigin::read(path),
-            _ => Ok(FrameOrigin::default()),
-        }
     }
 }
 

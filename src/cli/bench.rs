@@ -101,12 +101,11 @@ fn parse_cases(list: &str) -> Result<Vec<Case>> {
 }
 
 fn setup(args: &BenchArgs, messages: Messages) -> Result<Setup> {
-    let config = args.config.build()?;
+    let (config, origin) = args.config.build()?;
     let outputs = output::parse_outputs(&args.outputs)?;
     // What is measured of a preset or of a file is the dataset that it makes, redraws included.
     let rules =
         if args.config.is_named() { Rules::from_config(&config)? } else { Rules::accepting_any_image() };
-    let origin = args.config.origin()?;
     let image = args.image.or(&origin);
     let seed = args.seed.or(origin.seed).unwrap_or(DEFAULT_SEED);
     let plan = Plan {

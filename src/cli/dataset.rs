@@ -147,10 +147,10 @@ pub(super) fn run(args: &DatasetArgs, messages: Messages) -> Result<()> {
 }
 
 fn plan(args: &DatasetArgs) -> Result<Plan> {
-    let config = args.config.build()?;
+    let (config, origin) = args.config.build()?;
     let (format, layout) = layout::find(&args.format)?;
     let outputs = Plan::outputs(args.outputs.as_deref(), format, layout)?;
-    let image = args.image.or(&args.config.origin()?);
+    let image = args.image.or(&origin);
     let mut settings = image.settings()?;
     Plan::check_size(settings.size)?;
     settings.annotations = output::annotations(&outputs);
@@ -207,24 +207,32 @@ fn stream(
     let mut renderer = args.device.renderer(gpu)?;
     device::inject_fault(&renderer);
     let mut meter = Meter::new(messages, "frames");
-    let (start, closed) = (Instant::now(), AtomicBool::new(false));
-    let write = |bytes: &[u8]| match std::io::stdout().lock().write_all(bytes) {
-        Err(cause) if cause.kind() == std::io::ErrorKind::BrokenPipe => {
-            // The reader closed the pipe: stop without an error.
-            closed.store(true, Ordering::Relaxed);
-            stop.store(true, Ordering::Relaxed);
-            Ok(())
+    let (start, closed, mut streamed) = (Instant::now(), AtomicBool::new(false), 0);
+    let write = |bytes: &[u8]| {
+        let mut stdout = std::io::stdout().lock();
+        match stdout.write_all(bytes).and_then(|()| stdout.flush()) {
+            Err(cause) if cause.kind() == std::io::ErrorKind::BrokenPipe => {
+                // The reader closed the pipe: no further frame is of use.
+                closed.store(true, Ordering::Relaxed);
+                stop.store(true, Ordering::Relaxed);
+                Ok(())
+            }
+            result => result.map_err(Error::Stdout),
         }
-        result => result.map_err(Error::Stdout),
     };
     let result = dataset::stream(plan, &mut renderer, concurrency, stop, |frame, progress| {
         show(&mut meter, progress);
-        frame.artifacts.iter().try_for_each(|file| write(&file.bytes))
+        frame.artifacts.iter().try_for_each(|file| write(&file.bytes))?;
+        streamed += u64::from(!closed.load(Ordering::Relaxed));
+        Ok(())
     });
     meter.finish();
     if closed.load(Ordering::Relaxed) {
-        messages.note("stopped: whoever read the archive has closed it");
-        return Ok(());
+        return Err(Error::CheckFailed(format!(
+            "stopped: whoever read the archive has closed it after {streamed} of {} frames; it is not complete. A stream cannot be \
+             resumed; --start makes the remaining frames in another",
+            plan.own_count()
+        )));
     }
     let progress = result?;
     write(&archive_end())?;

@@ -61,8 +61,7 @@ struct Rendered {
 pub(super) fn run(args: &FrameArgs, messages: Messages) -> Result<()> {
     end_on_signals()?;
     let start = Instant::now();
-    let config = args.config.build()?;
-    let origin = args.config.origin()?;
+    let (config, origin) = args.config.build()?;
     let seed = args.seed.or(origin.seed).unwrap_or(DEFAULT_SEED);
     let params = config.draw(seed)?;
     let outputs = output::parse_outputs(&args.outputs)?;
@@ -89,7 +88,7 @@ pub(super) fn run(args: &FrameArgs, messages: Messages) -> Result<()> {
     }
     let older = older_files(&args.out, &paths);
     if !older.is_empty() {
-        messages.note(format_args!("older files of another frame in this folder: {}", older.join(", ")));
+        messages.note(format_args!("files of an earlier run in this folder: {}", older.join(", ")));
     }
     device::store_pipelines(rendered.renderer.gpu());
     Ok(())
@@ -177,7 +176,7 @@ fn timed<T>(stage: &'static str, work: impl FnOnce() -> Result<T>) -> Result<(T,
     Ok((result, (stage, start.elapsed().as_secs_f64() * 1e3)))
 }
 
-/// Names of files in the folder that an earlier frame wrote and this one did not replace.
+/// Names of files in the folder that an earlier run wrote and this one did not replace.
 fn older_files(folder: &Path, written: &[PathBuf]) -> Vec<String> {
     let names = OUTPUTS.iter().flat_map(|output| output.file_names(INDEX));
     names.filter(|name| folder.join(name).is_file() && !written.contains(&folder.join(name))).collect()

@@ -40,7 +40,7 @@ pub(super) struct PresetsArgs {
 
 /// Lists the knobs, those of a section, or one.
 pub(super) fn list_params(args: &ParamsArgs) -> Result<()> {
-    let config = args.config.build()?;
+    let (config, _) = args.config.build()?;
     let rules = Rules::from_config(&config)?;
     let Some(name) = &args.knob else {
         if args.json {

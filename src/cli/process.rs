@@ -42,13 +42,12 @@ fn not_listening(error: std::io::Error) -> Error {
     Error::Usage(format!("cannot listen for Ctrl-C: {error}"))
 }
 
-/// Calls `stop` in a thread on the first signal, and exits on the second.
+/// Calls `stop` in a thread on the first signal, and exits on the second. A signal that whoever started the process lets it ignore
+/// stays ignored.
 #[cfg(unix)]
 fn listen(stop: impl Fn() + Send + 'static) -> std::io::Result<()> {
-    let mut wanted = vec![SIGINT, SIGTERM];
-    if !ignores_hangup() {
-        wanted.push(SIGHUP);
-    }
+    let ignored = ignored_signals();
+    let wanted = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|signal| ignored >> (signal - 1) & 1 == 0);
     let mut signals = signal_hook::iterator::Signals::new(wanted)?;
     let listen = move || {
         for signal in signals.forever() {
@@ -80,13 +79,13 @@ fn listen(stop: impl Fn() + Send + 'static) -> std::io::Result<()> {
     std::thread::Builder::new().name("signals".to_owned()).spawn(listen).map(drop)
 }
 
-/// Whether the process was started by `nohup`, to go on without its terminal.
+/// The signals that the process was started to ignore, a bit for each, from signal 1 on: `nohup` sets that of HUP, a shell without job
+/// control that of INT for what runs in the background. None where the system does not tell.
 #[cfg(unix)]
-fn ignores_hangup() -> bool {
+fn ignored_signals() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
-    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
-    mask.is_some_and(|mask| mask >> (SIGHUP - 1) & 1 == 1)
+    mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or_default()
 }
 
 /// Exit status of a command that has stopped: 130 after Ctrl-C, 143 and 129 after the signals TERM and HUP; `None` without a signal.

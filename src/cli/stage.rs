@@ -48,7 +48,7 @@ pub(super) fn export_stage(args: &ExportArgs, messages: Messages) -> Result<()> 
     let name = args.file.file_name().and_then(|name| name.to_str()).map(str::to_owned).ok_or_else(|| {
         Error::Usage(format!("{}: the name of the file should be text in UTF-8", args.file.display()))
     })?;
-    let (config, origin) = (args.config.build()?, args.config.origin()?);
+    let (config, origin) = args.config.build()?;
     let seed = args.seed.or(origin.seed).unwrap_or(DEFAULT_SEED);
     let params = config.draw(seed)?;
     let settings = RenderSettings::new(args.size.or(origin.size).unwrap_or(DEFAULT_SIZE), 1)?;

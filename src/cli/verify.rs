@@ -60,9 +60,14 @@ pub(super) fn run(args: &VerifyArgs, messages: Messages) -> Result<()> {
         ))),
         (_, Err(error)) => Err(error),
         (count, Ok(())) => Err(Error::CheckFailed(format!(
-            "{}: {count} {}; delete a damaged file of a frame, and the command that made the dataset makes it again",
+            "{}: {count} {}{}",
             args.folder.display(),
-            if count == 1 { "problem" } else { "problems" }
+            if count == 1 { "problem" } else { "problems" },
+            if report.is_frame_file_damaged() {
+                "; delete a damaged file of a frame, and the command that made the dataset makes it again"
+            } else {
+                ""
+            }
         ))),
     }
 }

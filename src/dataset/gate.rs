@@ -95,17 +95,25 @@ impl Gate {
         paths.map(|path| path.rsplit_once('/').map_or("", |(folder, _)| folder).to_owned()).collect()
     }
 
-    /// Whether a path is that of the file of a frame. The frame's index is a number in the file name, or two that follow each other.
+    /// Whether a path is that of the file of a frame.
     #[must_use]
     pub fn is_frame_file(&self, path: &str) -> bool {
+        self.frame_of(path).is_some()
+    }
+
+    /// The index of the frame whose file a path is. It is a number in the file name, or two that follow each other.
+    #[must_use]
+    pub fn frame_of(&self, path: &str) -> Option<u64> {
         let name = path.rsplit_once('/').map_or(path, |(_, name)| name);
         let numbers: Vec<&str> =
             name.split(|c: char| !c.is_ascii_digit()).filter(|number| !number.is_empty()).collect();
         let candidates = numbers.windows(1).chain(numbers.windows(2)).map(<[&str]>::concat);
         let indices = candidates.filter_map(|number| number.parse().ok());
-        let indices = indices.filter(|index| *index < MAX_FRAMES);
-        indices.filter_map(|index| Some((index, self.split_of(index)?))).any(|(index, split)| {
-            self.layout.frame_names(&self.kinds, split, index).files.iter().any(|file| file == path)
+        let mut indices = indices.filter(|index| *index < MAX_FRAMES);
+        indices.find(|index| {
+            self.split_of(*index).is_some_and(|split| {
+                self.layout.frame_names(&self.kinds, split, *index).files.iter().any(|file| file == path)
+            })
         })
     }
 

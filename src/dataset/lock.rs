@@ -86,8 +86,9 @@ fn read_if_there(path: &Path) -> Result<Option<Map<String, Value>>> {
 
 /// The range of frames that covers the planned ones and those of the dataset in the folder, if that is the same dataset.
 pub(super) fn merged_range(folder: &Path, spec: &DatasetSpec, force: bool) -> Result<Range> {
-    if folder.is_file() {
-        return Err(Error::OutIsFile(folder.to_owned()));
+    // Below a file there is no folder either.
+    if let Some(file) = folder.ancestors().find(|path| path.is_file()) {
+        return Err(Error::OutIsFile(file.to_owned()));
     }
     let mut range = spec.range;
     let manifests = if folder.exists() { shard_files(folder, MANIFEST)? } else { Vec::new() };

@@ -235,9 +235,14 @@ impl FrameLog {
     /// Calls `visit` with each line, or with the reason why it cannot be read or is refused.
     ///
     /// # Errors
-    /// [`Error::Read`], and those of `visit`.
+    /// [`Error::CheckFailed`] without a log, [`Error::Read`], and those of `visit`.
     pub fn for_each_result(&self, visit: &mut dyn FnMut(Result<FrameLine>) -> Result<()>) -> Result<()> {
-        let mut lines = open_log(&self.path)?;
+        let mut lines = open_log(&self.path).map_err(|error| match error {
+            Error::Read { cause, .. } if cause.kind() == std::io::ErrorKind::NotFound => Error::CheckFailed(
+                format!("{} is missing; run the dataset command again", self.path.display()),
+            ),
+            other => other,
+        })?;
         let mut text = Vec::new();
         while let Some(number) = lines.next_into(&mut text)? {
             visit(self.parse(number, &text))?;
@@ -260,7 +265,10 @@ impl FrameLog {
 
     fn parse(&self, number: u64, text: &[u8]) -> Result<FrameLine> {
         let line = FrameLine::parse(text).map_err(|error| {
-            Error::CheckFailed(format!("{}: line {number} cannot be read: {error}", self.path.display()))
+            Error::CheckFailed(format!(
+                "{}: line {number} cannot be read: {error}; run the dataset command again, which makes its frame again",
+                self.path.display()
+            ))
         })?;
         self.gate.check(&line).map_err(|message| refused(&self.path, number, &message))?;
         Ok(line)

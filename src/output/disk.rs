@@ -50,6 +50,9 @@ pub fn check_content(folder: &Path, force: bool, is_ours: impl Fn(&str) -> bool)
     if folder.symlink_metadata().is_ok() && !folder.is_dir() {
         return Err(Error::OutIsFile(folder.to_owned()));
     }
+    if let Some(file) = folder.ancestors().find(|path| path.is_file()) {
+        return Err(Error::OutIsFile(file.to_owned()));
+    }
     if folder.as_os_str() == "-" {
         return Err(Error::Usage(
             "--out -: only `dataset --format webdataset` streams to standard output; give a folder (./- for a folder \

@@ -170,15 +170,7 @@ impl Config {
         }
     }
 
-    /// Applies a TOML file, or standard input if the path is `-`. A pipe is read too, a device is not.
-    ///
-    /// # Errors
-    /// [`Error::Config`], or those of [`Self::apply_toml`].
-    pub fn apply_file(&mut self, path: &Path) -> Result<()> {
-        self.apply_toml(&Self::read_file(path)?, &path.display().to_string())
-    }
-
-    /// The text of a file for [`Self::apply_toml`].
+    /// The text of a file for [`Self::apply_toml`], or of standard input if the path is `-`. A pipe is read too, a device is not.
     ///
     /// # Errors
     /// [`Error::Config`].

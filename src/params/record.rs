@@ -1,4 +1,4 @@
-//! The record of a frame as a configuration: `--config frame_0000.json`.
+//! A file with a configuration: TOML, or the record of a frame (`--config frame_0000.json`).
 //!
 //! Must not know: the command line.
 
@@ -6,7 +6,7 @@ use std::path::Path;
 
 use serde_json::{Map, Value};
 
-use super::config::{Config, MAX_FILE_BYTES};
+use super::config::Config;
 use crate::error::{Error, Result};
 use crate::input;
 
@@ -27,19 +27,18 @@ pub struct FrameOrigin {
     pub version: Option<String>,
 }
 
-/// Whether a path is that of a record, by its extension.
-#[must_use]
-pub fn is_record(path: &Path) -> bool {
-    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"))
+/// Whether a text is JSON, by its first character, with which no TOML begins, or by the extension of its path, which a pipe lacks.
+fn is_json(text: &str, path: &Path) -> bool {
+    text.trim_start().starts_with('{')
+        || path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"))
 }
 
-/// Reads a record.
+/// The record that a text is.
 ///
 /// # Errors
-/// [`Error::Config`] if it cannot be read, or is none.
-pub fn read(path: &Path) -> Result<Map<String, Value>> {
+/// [`Error::Config`] if it is none.
+fn parse(text: &str, path: &Path) -> Result<Map<String, Value>> {
     let refused = |cause| Error::Config { path: path.to_owned(), cause };
-    let text = input::read_named_text(path, MAX_FILE_BYTES).map_err(refused)?;
     let record: Map<String, Value> =
         input::json::parse(text.as_bytes()).map_err(|error| refused(std::io::Error::other(error)))?;
     if record.get("knobs").is_some_and(Value::is_object) {
@@ -51,12 +50,11 @@ pub fn read(path: &Path) -> Result<Map<String, Value>> {
 }
 
 impl FrameOrigin {
-    /// The origin of the record in a file.
+    /// The origin of the frame of a record.
     ///
     /// # Errors
-    /// Those of [`read`]; [`Error::Config`] if a value has a wrong type or is out of range.
-    pub fn read(path: &Path) -> Result<Self> {
-        let record = read(path)?;
+    /// [`Error::Config`] if a value has a wrong type or is out of range.
+    fn of_record(record: &Map<String, Value>, path: &Path) -> Result<Self> {
         let number = |value: &Value| value.as_u64().and_then(|number| u32::try_from(number).ok());
         let text = |value: &Value| value.as_str().map(str::to_owned);
         let label_ids =
@@ -66,12 +64,12 @@ impl FrameOrigin {
             _ => None,
         };
         Ok(Self {
-            seed: value(&record, path, ("seed", "a whole number from 0 to 2^64 - 1"), Value::as_u64)?,
-            size: value(&record, path, ("size", "two whole numbers, width and height in pixels"), size)?,
-            samples: value(&record, path, ("samples", "a whole number"), number)?,
-            edges: value(&record, path, ("edges", "a text"), text)?,
-            label_ids: value(&record, path, ("label_ids", "canonical or replicator"), label_ids)?,
-            version: value(&record, path, ("version", "a text"), text)?,
+            seed: value(record, path, ("seed", "a whole number from 0 to 2^64 - 1"), Value::as_u64)?,
+            size: value(record, path, ("size", "two whole numbers, width and height in pixels"), size)?,
+            samples: value(record, path, ("samples", "a whole number"), number)?,
+            edges: value(record, path, ("edges", "a text"), text)?,
+            label_ids: value(record, path, ("label_ids", "canonical or replicator"), label_ids)?,
+            version: value(record, path, ("version", "a text"), text)?,
         })
     }
 }
@@ -91,15 +89,43 @@ fn value<T>(
 }
 
 impl Config {
-    /// Applies the knobs of a record.
+    /// Applies a file, TOML or the record of a frame, and returns what that frame was made from; nothing for TOML. The path `-` is
+    /// standard input. The file is read once, as a pipe can be.
     ///
     /// # Errors
-    /// Those of [`read`] and [`Config::apply_json`].
-    pub fn apply_record(&mut self, path: &Path) -> Result<()> {
-        let record = read(path)?;
-        match &record["knobs"] {
-            Value::Object(knobs) => self.apply_json(knobs, &path.display().to_string()),
-            _ => Ok(()),
+    /// [`Error::Config`] if it cannot be read, or is JSON but no record; those of [`Config::apply_toml`] and [`Config::apply_json`].
+    pub fn apply_named_file(&mut self, path: &Path) -> Result<FrameOrigin> {
+        let (text, origin) = (Self::read_file(path)?, path.display().to_string());
+        if !is_json(&text, path) {
+            return self.apply_toml(&text, &origin).map(|()| FrameOrigin::default());
         }
+        let record = parse(&text, path)?;
+        if let Some(knobs) = record["knobs"].as_object() {
+            self.apply_json(knobs, &origin)?;
+        }
+        FrameOrigin::of_record(&record, path)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_record_is_known_by_its_content_or_its_extension() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let applied = |name: &str, text: &str| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, text).expect("written");
+            Config::new().apply_named_file(&path).map(|origin| origin.seed)
+        };
+        let record = "\u{feff}\n {\"knobs\": {\"rocks.count\": 3}, \"seed\": 7}";
+        for name in ["frame.json", "frame.JSON", "frame", "frame.toml"] {
+            assert_eq!(applied(name, record).expect(name), Some(7), "{name}");
+        }
+        assert_eq!(applied("knobs", "[rocks]\ncount = 3\n").expect("TOML"), None);
+        assert!(matches!(applied("frame", "{}"), Err(Error::Config { .. })));
+        assert!(matches!(applied("knobs.json", "rocks.count = 3"), Err(Error::Config { .. })));
+        assert!(matches!(applied("knobs", "= 3"), Err(Error::Toml { .. })));
     }
 }

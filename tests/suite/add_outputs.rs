@@ -236,7 +236,7 @@ fn what_cannot_be_added_to_is_refused_with_the_remedy() {
         ("yolo", "depth", "has no place for depth"),
         ("half", "depth", "not finished"),
         ("other", "depth", "made by version 0.0.1"),
-        ("plain", "deph", "did you mean `depth`"),
+        ("plain", "deph", "--add-outputs: unknown output `deph` (did you mean `depth`?)"),
         ("nowhere", "depth", "no manifest.json"),
     ] {
         let before = path.join(data).is_dir().then(|| content(&path.join(data)));

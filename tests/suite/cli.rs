@@ -2,6 +2,7 @@
 
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
+use std::process::{Command, Stdio};
 
 use crate::support::{
     adapter_below_file_limit, adapter_name, folder, json, missing_gl, npy, program, run, run_ok,
@@ -94,12 +95,14 @@ fn a_wrong_setting_is_refused_with_name_value_and_remedy() {
         (&["--size", "100000"], &["100000x100000", "200000 samples along a side", "smaller --size"]),
         (&["--samples", "3"], &["--samples 3", "1, 4 (2 x 2) and 16"]),
         (&["--preset", "referense"], &["unknown preset `referense`", "did you mean `reference`", "train_dr"]),
+        (&["--preset", "train_dr, "], &["--preset 'train_dr, '", "a name in the list is empty"]),
         (&["--stage", "mars"], &["stage.name = \"mars\"", "nominal"]),
         (&["--config", "broken.toml"], &["broken.toml, line 2, column 17"]),
         (&["--config", "typo.toml"], &["sun.elevation_dg", "typo.toml", "did you mean `sun.elevation_deg`"]),
         (&["--config", "missing.toml"], &["cannot read missing.toml"]),
         (&["--outputs", "rgb,masks"], &["unknown output `masks`", "did you mean `mask`"]),
         (&["--out", "a_file"], &["--out a_file is a file"]),
+        (&["dataset", "--count=1", "--out=a_file/data"], &["--out a_file is a file", "name a folder"]),
         (&["--out", "/dev/null"], &["--out /dev/null is a file"]),
         (&["--out", "."], &["already holds a_file", "--force"]),
         (&["--adapter", "voodoo"], &["no adapter matches `voodoo`", &adapter_name()]),
@@ -159,7 +162,7 @@ fn messages_that_cannot_be_written_do_not_stop_a_run() {
 }
 
 #[test]
-fn a_frame_reports_older_files_and_broken_rules() {
+fn a_frame_reports_files_of_an_earlier_run_and_broken_rules() {
     let folder = folder();
     let rule = "--set=require={rock=[0.9,1]}";
     let messages = |words: &[&str]| {
@@ -168,9 +171,12 @@ fn a_frame_reports_older_files_and_broken_rules() {
         String::from_utf8_lossy(&output.stderr).into_owned()
     };
     let first = messages(&["--size", "32", "--outputs", "rgb,depth"]);
-    assert!(!first.contains("older files") && !first.contains("again"), "{first}");
+    assert!(!first.contains("earlier run") && !first.contains("again"), "{first}");
     let second = messages(&["--size", "48", "--outputs", "rgb", rule]);
-    assert!(second.contains("older files") && second.contains("distance_to_camera_0000.npy"), "{second}");
+    assert!(
+        second.contains("files of an earlier run") && second.contains("distance_to_camera_0000.npy"),
+        "{second}"
+    );
     assert!(second.contains("a dataset would redraw this frame: rock covers"), "{second}");
 }
 
@@ -773,6 +779,29 @@ fn a_record_repeats_its_frame() {
         let output = run(folder.path(), &["--config=wrong.json"]);
         let message = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.code() == Some(2) && message.contains(says), "{message}");
+    }
+}
+
+/// A pipe has no extension that would tell a record from TOML, and can be read only once.
+#[test]
+fn a_record_can_come_from_standard_input_and_have_any_name() {
+    let folder = folder();
+    let path = folder.path();
+    run_ok(path, &["--seed=7", "--size=40x24", "--samples=1", "--outputs=rgb,meta", "-q", "--out=first"]);
+    let first = std::fs::read(path.join("first/rgb_0000.png")).expect("an image");
+    let record = path.join("first/frame_0000.json");
+    std::fs::copy(&record, path.join("record")).expect("copied");
+    for config in ["record", "-", "/dev/stdin"] {
+        let words = ["--config", config, "--outputs=rgb", "-q", "--force", "--out=again"];
+        let mut again = program(path);
+        let piped = Command::new("cat").arg(&record).stdout(Stdio::piped()).spawn();
+        let mut cat = piped.expect("started");
+        let output = again.args(words).stdin(cat.stdout.take().expect("a pipe")).output().expect("run");
+        cat.wait().expect("ended");
+        assert!(output.status.success(), "{config}: {}", String::from_utf8_lossy(&output.stderr));
+        let again = std::fs::read(path.join("again/rgb_0000.png")).expect("an image");
+        assert!(again == first, "--config {config} repeats the frame");
+        std::fs::remove_dir_all(path.join("again")).expect("removed");
     }
 }
 

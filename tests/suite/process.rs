@@ -1,5 +1,6 @@
 //! The command as a process: signals, limits, and what it prints with `-q`.
 
+use std::io::Read as _;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -123,12 +124,36 @@ fn a_second_signal_ends_a_run_at_once() {
     assert!(!message.contains("are finished"), "{message}");
 }
 
+/// A pipeline such as `regolith-render ... | head -c 20000` must not look as if the archive were whole.
 #[test]
-fn nohup_protects_a_run_from_the_end_of_its_terminal() {
+fn a_stream_whose_reader_closes_it_fails() {
+    let folder = folder();
+    let words = ["dataset", "--count", "200", "--format", "webdataset", "--out", "-", "-q"];
+    let mut child = start(folder.path(), &[words.as_slice(), SMALL.as_slice()].concat());
+    let mut reader = child.stdout.take().expect("a pipe");
+    reader.read_exact(&mut [0; 512]).expect("the first header");
+    drop(reader);
+    let output = child.wait_with_output().expect("ended");
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(message.contains("closed it after") && message.contains("of 200 frames"), "{message}");
+}
+
+/// As `nohup` ignores HUP, and a shell without job control INT for what runs in the background.
+#[test]
+fn a_signal_that_was_ignored_at_the_start_stays_ignored() {
+    for signal in ["HUP", "INT", "TERM"] {
+        let output = signalled_while_ignored(signal);
+        assert!(output.status.success(), "{signal}: {}", String::from_utf8_lossy(&output.stderr));
+    }
+}
+
+/// Runs a command that is started with a signal ignored, and sends it the signal.
+fn signalled_while_ignored(signal: &str) -> Output {
     let folder = folder();
     let words = [&["dataset", "--out", "data", "--count", "40", "-q"], SMALL.as_slice()].concat();
     let words = words.iter().map(|word| format!("'{word}'")).collect::<Vec<_>>().join(" ");
-    let script = format!("trap '' HUP; exec '{}' {words}", env!("CARGO_BIN_EXE_regolith-render"));
+    let script = format!("trap '' {signal}; exec '{}' {words}", env!("CARGO_BIN_EXE_regolith-render"));
     let child = Command::new("sh")
         .args(["-c", &script])
         .current_dir(folder.path())
@@ -137,9 +162,8 @@ fn nohup_protects_a_run_from_the_end_of_its_terminal() {
         .spawn()
         .expect("started");
     wait_until(|| folder.path().join("data/rgb/rgb_00002.png").exists());
-    send_signal(&child, "-HUP");
-    let output = child.wait_with_output().expect("ended");
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    send_signal(&child, &format!("-{signal}"));
+    child.wait_with_output().expect("ended")
 }
 
 /// Without a handler the signal XFSZ would end the process, without a word and with its temporary files left behind.

@@ -203,6 +203,44 @@ fn wrong_books_and_a_wrong_camera_are_found() {
     assert!(checks.contains(&"books".to_owned()) && report.contains("line 6 cannot be read"), "{report}");
 }
 
+/// Nobody is told to remove frames of which only the lines are lost, and the dataset's command brings the lines back.
+#[test]
+fn files_of_frames_without_a_line_are_no_strangers() {
+    let folder = folder();
+    make(folder.path());
+    let path = folder.path().join("data/frames.jsonl");
+    let text = fs::read_to_string(&path).expect("read");
+    fs::write(folder.path().join("data/rgb/rgb_00099.png"), "of another dataset").expect("written");
+    let verify = || {
+        let output = run(folder.path(), &["verify", "data", "--json", "--rerender", "0"]);
+        assert_eq!(output.status.code(), Some(1));
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert!(!message.contains("delete a damaged file"), "{message}");
+        String::from_utf8_lossy(&output.stdout).into_owned()
+    };
+    fs::write(&path, &text[..text.len() - 40]).expect("written");
+    let report = verify();
+    assert!(
+        report.contains("line 6 cannot be read") && report.contains("run the dataset command again"),
+        "{report}"
+    );
+    for file in ["rgb/rgb_00005.png", "mask/mask_00005.png", "depth/distance_to_camera_00005.npy"] {
+        assert!(report.contains(&format!("{file}: its line is missing from frames.jsonl")), "{report}");
+    }
+    assert!(report.contains("rgb/rgb_00099.png: it is no part of the dataset"), "{report}");
+    fs::remove_file(&path).expect("removed");
+    let report = verify();
+    assert!(report.contains("frames.jsonl is missing; run the dataset command again"), "{report}");
+    for output in ["rgb", "mask", "depth"] {
+        let found = format!("{output}: the lines of the frames in this folder are missing");
+        assert!(report.contains(&found), "{report}");
+    }
+    assert!(!report.contains("no part of the dataset"), "{report}");
+    fs::remove_file(folder.path().join("data/rgb/rgb_00099.png")).expect("removed");
+    make(folder.path());
+    run_ok(folder.path(), &["verify", "data", "--rerender", "0"]);
+}
+
 #[test]
 fn without_an_adapter_all_other_checks_run() {
     let folder = folder();

@@ -3,6 +3,7 @@
 //! Must not know: what files contain.
 
 use std::collections::{BTreeSet, HashSet};
+use std::path::Path;
 
 use twox_hash::XxHash3_128;
 
@@ -57,19 +58,26 @@ impl Inventory {
         let mut files = 0;
         let mut foreign_folders = Vec::new();
         self.walk(context, &mut |_| files += 1, &mut |folder| foreign_folders.push(folder))?;
+        // Of frames whose lines are lost the manifest still tells the folders and files.
+        let range = context.plan.range;
+        let lacks_lines = frames < range.count;
+        let frame_folders = context.gate.frame_folders();
         for path in foreign_folders {
-            report.problem(
-                name::FILES,
-                None,
-                format!("{path}: this folder is no part of the dataset; move it elsewhere, or remove it"),
-            );
+            let is_implied =
+                lacks_lines && frame_folders.iter().any(|folder| Path::new(folder).starts_with(&path));
+            let found = if is_implied {
+                "the lines of the frames in this folder are missing from frames.jsonl; run the dataset command again"
+            } else {
+                "this folder is no part of the dataset; move it elsewhere, or remove it"
+            };
+            report.problem(name::FILES, None, format!("{path}: {found}"));
         }
         if files == self.files {
             return Ok(());
         }
         let hash = |path: &str| XxHash3_128::oneshot(path.as_bytes());
         let mut known: HashSet<u128> = others.iter().map(|path| hash(path)).collect();
-        for index in (context.plan.range.start..).take(frames as usize) {
+        for index in (range.start..).take(frames as usize) {
             let line = FrameLine { index, ..FrameLine::default() };
             let frame = ExpectedFrame::new(&context.plan, &context.templates, &line)?;
             if frame.bundle.is_none() {
@@ -84,11 +92,13 @@ impl Inventory {
         };
         self.walk(context, &mut add, &mut |_| {})?;
         for path in foreign {
-            report.problem(
-                name::FILES,
-                None,
-                format!("{path}: it is no part of the dataset; move it elsewhere, or remove it"),
-            );
+            let frame = context.gate.frame_of(&path).filter(|_| lacks_lines);
+            let found = if frame.is_some_and(|index| (range.start..range.end()).contains(&index)) {
+                "its line is missing from frames.jsonl; run the dataset command again"
+            } else {
+                "it is no part of the dataset; move it elsewhere, or remove it"
+            };
+            report.problem(name::FILES, None, format!("{path}: {found}"));
         }
         Ok(())
     }

@@ -99,6 +99,14 @@ impl Report {
         self.wrong.values().sum()
     }
 
+    /// Whether a problem is about a file of a frame: not about its line, nor about the dataset as a whole.
+    #[must_use]
+    pub fn is_frame_file_damaged(&self) -> bool {
+        let is_of_log =
+            |found: &str| ["frames.jsonl", "manifest.json"].iter().any(|name| found.starts_with(name));
+        self.problems.iter().any(|problem| problem.index.is_some() && !is_of_log(&problem.found))
+    }
+
     /// Counts an item, and adds a problem if it is not good.
     pub(super) fn expect(
         &mut self,

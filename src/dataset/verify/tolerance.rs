@@ -116,6 +116,15 @@ pub(super) fn forgive_rocks(found: &mut Value, expected: &mut Value) {
     }
 }
 
+/// What a comparison of a stored file found: `Err` is a difference that is not allowed; `None` if the file cannot be decoded, which is in
+/// the report already.
+type Comparison = Option<Result<(), String>>;
+
+/// The comparison that finds this difference if it is not allowed.
+fn compared(is_allowed: bool, difference: impl FnOnce() -> String) -> Comparison {
+    Some(if is_allowed { Ok(()) } else { Err(difference()) })
+}
+
 /// What differs between a stored file and the same file made again, if it is more than allowed.
 pub(super) fn difference(
     file: &ExpectedFile,
@@ -123,24 +132,28 @@ pub(super) fn difference(
     made: &[u8],
     agreement: Agreement,
 ) -> Option<String> {
-    let found = match file.path.rsplit_once('.').map(|(_, extension)| extension) {
-        Some("png") => image_difference(file, stored, made, agreement),
-        Some("npy") => array_difference(stored, made, agreement),
-        Some("exr") => radiance_difference(stored, made, agreement),
-        Some("txt") => rows_difference(stored, made, agreement),
-        _ => Some("it differs".to_owned()),
+    let compared = match file.path.rsplit_once('.').map(|(_, extension)| extension) {
+        Some("png") => compare_images(file, stored, made, agreement),
+        Some("npy") => compare_arrays(stored, made, agreement),
+        Some("exr") => compare_radiance(stored, made, agreement),
+        Some("txt") => compare_rows(stored, made, agreement),
+        // Two that can be decoded are compared as records.
+        Some("json") => None,
+        _ => Some(Err("it differs".to_owned())),
     };
-    let is_other_form = agreement == Agreement::Bytes && found.is_none();
-    if is_other_form { Some("its bytes differ, though its values are the same".to_owned()) } else { found }
+    match compared? {
+        Ok(()) if agreement == Agreement::Bytes => {
+            Some("its bytes differ, though its values are the same".to_owned())
+        }
+        compared => compared.err(),
+    }
 }
 
-/// What differs between two label files of rocks, of either task of YOLO.
-fn rows_difference(stored: &[u8], made: &[u8], agreement: Agreement) -> Option<String> {
-    let (Some(found), Some(expected)) = (row_boxes(stored), row_boxes(made)) else {
-        return Some("it is not a label file".to_owned());
-    };
+/// Compares two label files of rocks, of either task of YOLO.
+fn compare_rows(stored: &[u8], made: &[u8], agreement: Agreement) -> Comparison {
+    let (found, expected) = row_boxes(stored).zip(row_boxes(made))?;
     if agreement != Agreement::Near {
-        return Some("its rows differ".to_owned());
+        return Some(Err("its rows differ".to_owned()));
     }
     // Rocks of a few pixels may be missing, be added, or have another box.
     let is_near = |a: &[f64; 4], b: &[f64; 4]| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= ROW_BOX);
@@ -149,23 +162,23 @@ fn rows_difference(stored: &[u8], made: &[u8], agreement: Agreement) -> Option<S
     };
     let wrong = others(&found, &expected) + others(&expected, &found);
     let allowed = 2 + (ROCK_FRACTION * (found.len() + expected.len()) as f64) as usize;
-    (wrong > allowed).then(|| format!("{wrong} of its rows have no counterpart; at most {allowed} may"))
+    compared(wrong <= allowed, || format!("{wrong} of its rows have no counterpart; at most {allowed} may"))
 }
 
-fn image_difference(file: &ExpectedFile, stored: &[u8], made: &[u8], agreement: Agreement) -> Option<String> {
+fn compare_images(file: &ExpectedFile, stored: &[u8], made: &[u8], agreement: Agreement) -> Comparison {
     let decode = |bytes: &[u8]| decode_png(bytes).ok();
-    // A file that cannot be decoded is already in the report.
     let (stored, made) = decode(stored).zip(decode(made))?;
     if (stored.width(), stored.height(), stored.color()) != (made.width(), made.height(), made.color()) {
-        return Some("it has another size or type".to_owned());
+        return Some(Err("it has another size or type".to_owned()));
     }
     let stem = file.kind.map_or("labels", |kind| kind.stem);
     if matches!(stem, "rgb" | "shadow") {
         let (a, b) = (stored.as_bytes(), made.as_bytes());
         let mean = a.iter().zip(b).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / a.len() as f64;
         let allowed = if agreement == Agreement::Bytes { 0.0 } else { MEAN_U8 };
-        return (mean > allowed)
-            .then(|| format!("its values differ by {mean:.3} on average; allowed is {allowed}"));
+        return compared(mean <= allowed, || {
+            format!("its values differ by {mean:.3} on average; allowed is {allowed}")
+        });
     }
     let pixel = usize::from(stored.color().bytes_per_pixel());
     let pixels = stored.as_bytes().chunks_exact(pixel).zip(made.as_bytes().chunks_exact(pixel));
@@ -175,11 +188,12 @@ fn image_difference(file: &ExpectedFile, stored: &[u8], made: &[u8], agreement: 
         _ => INSTANCE_FRACTION,
     };
     let allowed = if agreement == Agreement::Near { fraction * count as f64 } else { 0.0 };
-    (differing as f64 > allowed)
-        .then(|| format!("{differing} pixels come out as another class; allowed are {allowed:.0}"))
+    compared(differing as f64 <= allowed, || {
+        format!("{differing} pixels come out as another class; allowed are {allowed:.0}")
+    })
 }
 
-fn array_difference(stored: &[u8], made: &[u8], agreement: Agreement) -> Option<String> {
+fn compare_arrays(stored: &[u8], made: &[u8], agreement: Agreement) -> Comparison {
     let values = |npy: &[u8]| {
         let (shape, start) = array_header(npy)?;
         let floats =
@@ -188,7 +202,7 @@ fn array_difference(stored: &[u8], made: &[u8], agreement: Agreement) -> Option<
     };
     let ((shape, a), (expected_shape, b)) = values(stored).zip(values(made))?;
     if shape != expected_shape || a.len() != b.len() {
-        return Some("it has another shape".to_owned());
+        return Some(Err("it has another shape".to_owned()));
     }
     let is_equal = |(a, b): (&f64, &f64)| {
         let is_near = agreement != Agreement::Bytes && (a - b).abs() <= EQUAL + EQUAL * b.abs();
@@ -196,11 +210,12 @@ fn array_difference(stored: &[u8], made: &[u8], agreement: Agreement) -> Option<
     };
     let differing = a.iter().zip(&b).filter(|pair| !is_equal(*pair)).count();
     let allowed = if agreement == Agreement::Bytes { 0.0 } else { ARRAY_FRACTION * a.len() as f64 };
-    (differing as f64 > allowed)
-        .then(|| format!("{differing} of {} values differ; allowed are {allowed:.0}", a.len()))
+    compared(differing as f64 <= allowed, || {
+        format!("{differing} of {} values differ; allowed are {allowed:.0}", a.len())
+    })
 }
 
-fn radiance_difference(stored: &[u8], made: &[u8], agreement: Agreement) -> Option<String> {
+fn compare_radiance(stored: &[u8], made: &[u8], agreement: Agreement) -> Comparison {
     // A file of another size is already in the report.
     let size = size_of_exr(made)?;
     let (a, b) = decode_exr(stored, size).zip(decode_exr(made, size))?;
@@ -208,33 +223,55 @@ fn radiance_difference(stored: &[u8], made: &[u8], agreement: Agreement) -> Opti
     let difference = sum(&mut a.iter().zip(&b).map(|(a, b)| f64::from((a - b).abs())));
     let fraction = difference / sum(&mut b.iter().map(|value| f64::from(value.abs()))).max(f64::MIN_POSITIVE);
     let allowed = if agreement == Agreement::Bytes { 0.0 } else { RADIANCE_FRACTION };
-    (fraction > allowed || fraction.is_nan())
-        .then(|| format!("its values differ by {fraction:.5} of their mean; allowed is {allowed}"))
+    compared(fraction <= allowed, || {
+        format!("its values differ by {fraction:.5} of their mean; allowed is {allowed}")
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn file(path: &str) -> ExpectedFile {
+        ExpectedFile { path: path.to_owned(), kind: None, template: Vec::new(), is_constant: false }
+    }
+
+    fn png(class: u8) -> Vec<u8> {
+        let mut labels = image::GrayImage::new(64, 64);
+        labels.put_pixel(3, 5, image::Luma([class]));
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        labels.write_to(&mut bytes, image::ImageFormat::Png).expect("encoded");
+        bytes.into_inner()
+    }
+
     #[test]
     fn one_label_may_differ_only_where_not_every_label_must_agree() {
-        let png = |class: u8| {
-            let mut labels = image::GrayImage::new(64, 64);
-            labels.put_pixel(3, 5, image::Luma([class]));
-            let mut bytes = std::io::Cursor::new(Vec::new());
-            labels.write_to(&mut bytes, image::ImageFormat::Png).expect("encoded");
-            bytes.into_inner()
-        };
-        let file = ExpectedFile {
-            path: "labels.png".to_owned(),
-            kind: None,
-            template: Vec::new(),
-            is_constant: false,
-        };
-        let found = |agreement| difference(&file, &png(0), &png(1), agreement);
+        let found = |agreement| difference(&file("labels.png"), &png(0), &png(1), agreement);
         assert_eq!(found(Agreement::Near), None);
         for agreement in [Agreement::Labels, Agreement::Bytes] {
             assert!(found(agreement).is_some_and(|text| text.starts_with("1 pixels")), "{agreement:?}");
         }
+    }
+
+    /// The check of the file's form has reported it: its values are not the same, they are unknown.
+    #[test]
+    fn nothing_is_said_of_a_file_that_cannot_be_decoded() {
+        let png = png(1);
+        for (path, made) in [
+            ("labels.png", &png[..]),
+            ("depth.npy", b"\x93NUMPY"),
+            ("radiance.exr", b"\x76\x2f\x31\x01"),
+            ("rocks.txt", b"0 0.5 0.5 0.1 0.1\n"),
+            ("mapping.json", b"{}"),
+        ] {
+            for agreement in [Agreement::Bytes, Agreement::Labels, Agreement::Near] {
+                assert_eq!(difference(&file(path), b"damaged", made, agreement), None, "{path}");
+            }
+        }
+        // The same values in another form: with bytes behind the end of the image, which decoders skip.
+        let longer = [&png[..], b"more"].concat();
+        let found = difference(&file("labels.png"), &longer, &png, Agreement::Bytes);
+        assert!(found.is_some_and(|text| text.starts_with("its bytes differ")));
+        assert_eq!(difference(&file("labels.png"), &longer, &png, Agreement::Labels), None);
     }
 }
