@@ -46,11 +46,10 @@ const MAX_RESIDUAL: f64 = 3e-9;
 const MAX_FIXED_POINT_RESIDUAL: f64 = 1e-6;
 /// Minimum determinant of the derivatives where Newton's method begins: near 0 its step leads to another root.
 const MIN_DETERMINANT: f64 = 0.1;
-/// Largest factor by which a step of the fixed-point iteration shrinks its error: it converges anywhere only where it does at the root.
+/// Largest part of its error that a step of the fixed-point iteration leaves: from anywhere it converges only where it does at the root.
 const MAX_RATE: f64 = 0.75;
-/// Minimum radial factor of its first iterates, and how many are looked at. Where the factor nears 0 the next iterate is anywhere.
+/// Minimum radial factor of its iterates: where the factor nears 0 the next one is anywhere.
 const MIN_RADIAL: f64 = 0.25;
-const FIRST_ITERATES: u32 = 6;
 
 impl Lens {
     /// Whether it distorts at all.
@@ -69,17 +68,18 @@ impl Lens {
     /// Maps a point of the distorted image to the undistorted one, by fixed-point iteration.
     #[must_use]
     pub fn undistort(&self, distorted: [f64; 2]) -> [f64; 2] {
-        self.iterated(distorted, STEPS)
+        self.iterated(distorted, STEPS).0
     }
 
-    /// A distorted point after some steps of the fixed-point iteration.
-    fn iterated(&self, distorted: [f64; 2], steps: u32) -> [f64; 2] {
-        let mut point = distorted;
+    /// A distorted point after some steps of the fixed-point iteration, and the smallest radial factor on its way.
+    fn iterated(&self, distorted: [f64; 2], steps: u32) -> ([f64; 2], f64) {
+        let (mut point, mut min_radial) = (distorted, f64::INFINITY);
         for _ in 0..steps {
             let (radial, [dx, dy]) = self.terms(point);
             point = [(distorted[0] - dx) / radial, (distorted[1] - dy) / radial];
+            min_radial = min_radial.min(radial);
         }
-        point
+        (point, min_radial)
     }
 
     /// Steps that map every point of a distorted image with half extents `half` to the undistorted one, the same as [`Self::undistort`].
@@ -108,21 +108,19 @@ impl Lens {
     /// As [`Self::undistort`]; `None` if the iteration does not converge, or runs astray on its way, so that neighbours of the point may
     /// lead elsewhere.
     fn checked_inverse(&self, distorted: [f64; 2]) -> Option<[f64; 2]> {
-        let is_regular = |steps: u32| self.terms(self.iterated(distorted, steps)).0 >= MIN_RADIAL;
-        let point = self.undistort(distorted);
+        let (point, min_radial) = self.iterated(distorted, STEPS);
         let back = self.distort(point);
         let residual = (back[0] - distorted[0]).abs().max((back[1] - distorted[1]).abs());
         let square = point[0] * point[0] + point[1] * point[1];
-        let (radial, _) = self.terms(point);
-        let converges =
-            residual <= MAX_FIXED_POINT_RESIDUAL && (square * self.slope(square)).abs() <= MAX_RATE * radial;
-        (converges && (0..FIRST_ITERATES).all(is_regular)).then_some(point)
+        let rate = (square * self.slope(square)).abs() / self.terms(point).0;
+        let is_found = residual <= MAX_FIXED_POINT_RESIDUAL && rate <= MAX_RATE && min_radial >= MIN_RADIAL;
+        is_found.then_some(point)
     }
 
     /// Steps of Newton's method after some of the fixed-point iteration; `None` if they do not lead from a distorted point to its
     /// undistorted one.
     fn newton_steps(&self, (distorted, undistorted): ([f64; 2], [f64; 2]), fixed_point: u32) -> Option<u32> {
-        let mut point = self.iterated(distorted, fixed_point);
+        let (mut point, _) = self.iterated(distorted, fixed_point);
         for steps in 0..STEPS {
             let back = self.distort(point);
             let residual = [back[0] - distorted[0], back[1] - distorted[1]];
