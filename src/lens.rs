@@ -39,7 +39,7 @@ impl InverseSteps {
 /// Fixed-point iterations of the inverse.
 const STEPS: u32 = 24;
 /// Numbers of them before Newton's method, of which the first that serves is taken: 0 for most lenses.
-const FIRST_STEPS: [u32; 4] = [0, 4, 12, STEPS];
+const FIXED_POINT_STEPS: [u32; 4] = [0, 4, 12, STEPS];
 /// Largest residual of the inverse by Newton's method, in units of the focal length: below 1e-5 samples of a wide image.
 const MAX_RESIDUAL: f64 = 3e-9;
 /// Largest residual of the fixed-point iteration, likewise.
@@ -98,7 +98,7 @@ impl Lens {
         let pairs: Vec<_> = points
             .map(|distorted| Some((distorted, self.checked_inverse(distorted)?)))
             .collect::<Option<_>>()?;
-        FIRST_STEPS.into_iter().find_map(|fixed_point| {
+        FIXED_POINT_STEPS.into_iter().find_map(|fixed_point| {
             let steps = pairs.iter().map(|pair| self.newton_steps(*pair, fixed_point));
             let newton = steps.reduce(|most, steps| Some(most?.max(steps?))).flatten()?;
             Some(InverseSteps { fixed_point, newton })

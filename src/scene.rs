@@ -127,7 +127,7 @@ impl Scene {
         let tracks = rover_tracks::tracks(streams, first).into_iter();
         relief.tracks = tracks.map(|track| Track { offset: track.offset + to_first, ..track }).collect();
         let mut placements = lunar::placements(streams, params, &relief, &view, centre);
-        rover::clear_of_rocks(params, centre, &mut placements);
+        rover::remove_overlapping_rocks(params, centre, &mut placements);
         let number = |knob| params.number(knob);
         let regolith = Material {
             albedo: tinted(

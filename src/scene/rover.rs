@@ -137,10 +137,10 @@ impl Part {
 
 /// Leaves out the rocks that are in the way of the rover of these parameters, which stands around `centre` (metres, world), if there is
 /// one: all but those that its wheels press into the soil.
-pub fn clear_of_rocks(params: &Params, centre: Vec2, placements: &mut Vec<Placement>) {
+pub fn remove_overlapping_rocks(params: &Params, centre: Vec2, placements: &mut Vec<Placement>) {
     let Some(rover) = Rover::build(params) else { return };
     let middle = centre + rover.middle_below(params);
-    placements.retain(|rock| rock.diameter_m < PRESSED_M || !rover.meets(rock.position - middle, rock));
+    placements.retain(|rock| rock.diameter_m < PRESSED_M || !rover.overlaps(rock.position - middle, rock));
 }
 
 /// Distance of the middles of the wheels on both sides, metres, for a body and wheels of this width and diameter, metres.
@@ -187,7 +187,7 @@ impl Rover {
 
     /// Whether a rock at an offset from the middle seen from above, metres, is below or between the wheels of a side, or reaches the body
     /// or a solar panel.
-    fn meets(&self, offset: Vec2, rock: &Placement) -> bool {
+    fn overlaps(&self, offset: Vec2, rock: &Placement) -> bool {
         let (along_m, across_m) = (offset.dot(self.heading).abs(), offset.perp_dot(self.heading).abs());
         let [length_m, width_m] = self.size_m;
         let radius_m = 0.5 * rock.diameter_m as f32;

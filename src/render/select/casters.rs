@@ -22,6 +22,8 @@ const TEXELS_PER_PIXEL_IN_VIEW: f32 = 6.0;
 /// Side up to which tiles have these: the larger a rock is in an image, the fewer of its pixels are at edges of shadows. Without this limit,
 /// as many pixels are wrong in images of 256 and 512 pixels, and a fifth fewer of those of 1024.
 const MAX_FINER_TILE_PX: f32 = 512.0;
+/// Minimum distance from the eye for which tiles are resolved, metres.
+const MIN_DISTANCE_M: f32 = 0.5;
 /// Rocks of the surface stage cast no shadow if they, and their shadows on level ground, span fewer pixels, from where the shadow comes
 /// nearest to the eye: many rocks of a dense field under a high sun.
 const MIN_SHADOW_PX: f32 = 1.0;
@@ -88,7 +90,7 @@ pub(crate) fn select_casters(
             let nearest_m = |reach_m: f32| {
                 let end = rock.centre - reach_m * sun;
                 let to_shadow_m = distance_to_segment(scene.camera.eye, rock.centre, end) - width_m;
-                to_shadow_m.max(nearest_visible_m).max(0.5)
+                to_shadow_m.max(nearest_visible_m).max(MIN_DISTANCE_M)
             };
             let is_speck = |nearest_m: f32| {
                 2.0 * rock.radius_m * shadow_lengths < min_shadow_px * pixel_angle * nearest_m
@@ -115,7 +117,7 @@ pub(crate) fn select_casters(
             let plain_px = size_px(TEXELS_PER_PIXEL, nearest_m);
             let size_px = if frustum.intersects_sphere(rock.centre, rock.radius_m) {
                 let to_rock_m = rock.centre.distance(scene.camera.eye) - rock.radius_m;
-                let finer_px = size_px(TEXELS_PER_PIXEL_IN_VIEW, to_rock_m.max(0.5));
+                let finer_px = size_px(TEXELS_PER_PIXEL_IN_VIEW, to_rock_m.max(MIN_DISTANCE_M));
                 plain_px.max(finer_px.min(MAX_FINER_TILE_PX))
             } else {
                 plain_px
