@@ -3,7 +3,8 @@
 // Colour: mean of the samples in linear light; then exposure, tone curve, sRGB, 8 bits rounded to nearest.
 // Labels: the class of most samples; among classes with as many samples, that of the nearest sample. Among the samples of
 // that class, the instance likewise. Ids are never averaged. A pixel with a sample that no draw wrote is UNWRITTEN.
-// Depth, normal, sun occlusion: means over the samples of that class and instance, so that nothing bleeds across an outline.
+// Depth, normal, sun occlusion: means over the samples of that class and instance that lie on one surface (`surface_of_most`), so that
+// nothing bleeds across an outline or a crest.
 // Depth is averaged as inverse depth, which is linear in the image: the mean is the depth of a plane at the pixel's centre.
 //
 // An invocation packs a quad of four pixels in reading order: three words of RGB bytes and one word of class bytes. Behind
@@ -196,11 +197,71 @@ fn find_instances(first: vec2<u32>) {
     }
 }
 
-// Inverse depth at sample `i` of a pixel, which shows this class and instance. Under distortion its position is up to half a sample
-// off the rendered `sample`: extrapolated along the plane through the neighbours of the same object. At an edge the flatter side
-// counts.
-fn inverse_depth_of(i: u32, sample: vec2<i32>, class_id: u32, instance_id: u32) -> f32 {
-    let inverse_depth = inverse_depth_at(sample);
+// A sample is on the surface of another if its inverse depth is this fraction of what a level plane through the other has there, or more.
+const SAME_SURFACE: f32 = 0.8;
+
+// Which samples of an object means are over. Where it hides a part of itself that is further away, as a crest of the ground does, it has
+// two surfaces in the pixel: the one with more samples counts, the nearer one if both have as many.
+struct Members {
+    class_id: u32,
+    instance_id: u32,
+    // Of the nearest sample: its inverse depth, and how far its ray falls in a metre along the optical axis.
+    inverse_depth: f32,
+    fall: f32,
+    // Whether the nearer surface counts.
+    is_front: bool,
+}
+
+fn members_of(first: vec2<u32>, class_id: u32, instance_id: u32) -> Members {
+    var members = Members(class_id, instance_id, 0.0, 0.0, true);
+    if SAMPLES_PER_SIDE == 1u { return members; }
+    for (var i = 0u; i < SAMPLES_PER_SIDE * SAMPLES_PER_SIDE; i++) {
+        let sample = rendered_sample(first, i);
+        let inverse_depth = inverse_depth_at(sample);
+        if is_of_object(i, members) && inverse_depth > members.inverse_depth {
+            members.inverse_depth = inverse_depth;
+            members.fall = fall_of(sample);
+        }
+    }
+    // Samples in front less those behind.
+    var balance = 0;
+    for (var i = 0u; i < SAMPLES_PER_SIDE * SAMPLES_PER_SIDE; i++) {
+        let sample = rendered_sample(first, i);
+        let side = select(-1, 1, is_in_front(sample, inverse_depth_at(sample), members));
+        balance += select(0, side, is_of_object(i, members));
+    }
+    members.is_front = balance >= 0;
+    return members;
+}
+
+fn is_of_object(i: u32, members: Members) -> bool {
+    return sample_classes[i] == members.class_id && sample_instances[i] == members.instance_id;
+}
+
+// Whether means are over sample `i`, which is this rendered sample.
+fn is_member(i: u32, sample: vec2<i32>, inverse_depth: f32, members: Members) -> bool {
+    if SAMPLES_PER_SIDE == 1u { return true; }
+    return is_of_object(i, members) && is_in_front(sample, inverse_depth, members) == members.is_front;
+}
+
+// Whether a sample is on the surface of the nearest one. Inverse depths on a level plane are as the falls of the rays: towards the horizon
+// the next row of samples is any distance further away.
+fn is_in_front(sample: vec2<i32>, inverse_depth: f32, members: Members) -> bool {
+    let own = abs(members.fall);
+    let least = select(own, clamp(fall_of(sample), 0.0, own), members.fall > 0.0);
+    return exact(inverse_depth * own) >= exact(exact(SAME_SURFACE * members.inverse_depth) * least);
+}
+
+fn fall_of(sample: vec2<i32>) -> f32 {
+    let centre = vec2<f32>(sample + first_rendered()) + 0.5;
+    let steps = exact2(centre * vec2(frame.ray_from_sample[1].z, frame.ray_from_sample[2].z));
+    return -exact(exact(frame.ray_from_sample[0].z + steps.x) + steps.y);
+}
+
+// Inverse depth at sample `i` of a pixel, which shows this class and instance, by that of the rendered `sample`. Under distortion its
+// position is up to half a sample off that: extrapolated along the plane through the neighbours of the same object. At an edge the
+// flatter side counts.
+fn inverse_depth_of(i: u32, sample: vec2<i32>, inverse_depth: f32, class_id: u32, instance_id: u32) -> f32 {
     if !HAS_LENS_DISTORTION { return inverse_depth; }
     let offset = exact2(source_positions[i] - exact2(vec2<f32>(sample + first_rendered()) + 0.5));
     let slope = vec2(

@@ -86,7 +86,8 @@ fn shade(surface: Surface, instance: Instance, detail: u32, position: vec2<f32>)
         instance.class_id,
         vec4(normal, 1.0),
         instance.instance_id,
-        1.0 - sun.total,
+        // What faces away from the sun is in its own shadow.
+        select(1.0, 1.0 - sun.total, cos_light > 0.0),
     );
 }
 

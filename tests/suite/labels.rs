@@ -3,9 +3,9 @@
 use glam::Vec3;
 use regolith::class::ClassId;
 use regolith::frame::{Annotation, Frame};
-use regolith::render::RenderSettings;
+use regolith::render::{RasterMode, RenderSettings};
 
-use crate::support::{folder, render, renderer, run, run_ok, scene};
+use crate::support::{BACKENDS, folder, render, render_by, renderer, run, run_ok, scene};
 
 fn assert_labelled(seed: u64, set: &[&str], samples: u32) {
     let frame = render(&scene(seed, set), 96, samples);
@@ -138,4 +138,73 @@ fn remap_turns_replicator_ids_into_canonical_masks() {
     let message = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.code() == Some(2) && message.contains("it is empty"), "{message}");
     assert!(!folder.path().join("again").exists());
+}
+
+/// Depth that lies between a crest of the ground and what it hides part of would be a point in mid-air. The samples of a pixel lie where
+/// an image twice as large has the centres of its pixels.
+#[test]
+fn depth_at_a_crest_is_that_of_the_surface_with_most_samples() {
+    const SIDE: usize = 256;
+    for (stage, backend) in ["nominal", "surface"].into_iter().zip([RasterMode::Compute, RasterMode::Host]) {
+        let scene = scene(36, &[&format!("stage.name={stage}")]);
+        let take = |side: usize, samples| {
+            let mut settings = RenderSettings::new([side as u32; 2], samples).expect("settings");
+            settings.annotations = [Annotation::Depth].into_iter().collect();
+            render_by(backend, &scene, &settings)
+        };
+        let (frame, samples) = (take(SIDE, 4), take(2 * SIDE, 1));
+        let camera = scene.camera;
+        let fall_at = |sample: usize| {
+            let [x, y] = [sample % (2 * SIDE), sample / (2 * SIDE)]
+                .map(|at| (at as f64 + 0.5 - SIDE as f64) / samples.focal_px);
+            y * f64::from(camera.up.z) - x * f64::from(camera.right.z) - f64::from(camera.forward.z)
+        };
+        let (mut equal, mut compared, mut crests) = (0, 0, [0, 0]);
+        for pixel in 0..SIDE * SIDE {
+            let first = 4 * SIDE * (pixel / SIDE) + 2 * (pixel % SIDE);
+            let all = [0, 1, 2 * SIDE, 2 * SIDE + 1].map(|step| first + step);
+            if all.iter().any(|sample| samples.class[*sample] != ClassId::REGOLITH.0) {
+                continue;
+            }
+            let depths_m = all.map(|sample| f64::from(samples.depth_m[sample]));
+            let nearest = (0..4).min_by(|a, b| depths_m[*a].total_cmp(&depths_m[*b])).expect("four samples");
+            // On a level plane inverse depths are as the falls of the rays.
+            let falls = all.map(|sample| fall_at(sample));
+            let is_in_front = |i: &usize| {
+                let of_level =
+                    if falls[nearest] > 0.0 { (falls[*i] / falls[nearest]).clamp(0.0, 1.0) } else { 1.0 };
+                depths_m[nearest] >= 0.8 * of_level * depths_m[*i]
+            };
+            let (front, behind): (Vec<usize>, Vec<usize>) = (0..4).partition(is_in_front);
+            let most = if front.len() >= behind.len() { &front } else { &behind };
+            let expected_m = most.len() as f64 / most.iter().map(|i| 1.0 / depths_m[*i]).sum::<f64>();
+            let found_m = f64::from(frame.depth_m[pixel]);
+            let is_equal = (found_m / expected_m - 1.0).abs() < 1e-4;
+            equal += usize::from(is_equal);
+            compared += 1;
+            let is_crest = !behind.is_empty();
+            crests[usize::from(is_equal)] += usize::from(is_crest);
+        }
+        // The larger image rounds vertices to other subpixel positions, which moves a few crests past a sample.
+        let [wrong, right] = crests;
+        assert!(right > 20 && 10 * wrong <= right, "{stage}: {right} crests, {wrong} other ones");
+        assert!(1000 * equal > 999 * compared, "{stage}: {equal} of {compared} pixels");
+    }
+}
+
+/// Ground that faces away from the sun is in shadow, also where only relief below the mesh faces away.
+#[test]
+fn what_faces_away_from_the_sun_is_in_shadow() {
+    for backend in BACKENDS {
+        let scene = scene(36, &["stage.name=surface"]);
+        let mut settings = RenderSettings::new([128, 128], 1).expect("settings");
+        settings.annotations = [Annotation::Angles, Annotation::Shadow].into_iter().collect();
+        let frame = render_by(backend, &scene, &settings);
+        let is_ground = |pixel: &usize| frame.class[*pixel] == ClassId::REGOLITH.0;
+        // Incidence is that of the stored normal, which is rounded.
+        let turned: Vec<usize> =
+            (0..128 * 128).filter(is_ground).filter(|pixel| frame.incidence_deg[*pixel] > 90.2).collect();
+        let lit = turned.iter().filter(|pixel| frame.sun_occlusion[**pixel] != 255).count();
+        assert!(turned.len() > 300 && lit == 0, "{backend}: {lit} of {} are lit", turned.len());
+    }
 }

@@ -207,7 +207,7 @@ pub(crate) enum ResolveRule {
         /// WGSL of each packed word.
         words: &'static [&'static str],
     },
-    /// A function of `$sum` over the samples of the pixel's class and instance, and of `samples`, their number.
+    /// A function of `$sum` over the samples of the pixel's class and instance on one surface, and of `samples`, their number.
     InstanceMean {
         /// What is added up.
         sum: Sum,
@@ -238,7 +238,7 @@ pub(crate) const fn resolve_rule(plane: Plane) -> ResolveRule {
         Plane::Class => Quads(&[SamplePlane::Class]),
         // The mean of the inverse depth, which is linear in the image: the depth of a plane at the pixel's centre.
         Plane::Depth => InstanceMean {
-            sum: Sum::Expression("inverse_depth_of(i, sample, class_id, instance_id)"),
+            sum: Sum::Expression("inverse_depth_of(i, sample, inverse_depth, class_id, instance_id)"),
             words: &["bitcast<u32>(mean_depth(samples, $sum))"],
         },
         Plane::Normals => InstanceMean {
@@ -352,19 +352,20 @@ pub(in crate::render) fn resolve_planes_wgsl() -> String {
     text.push_str("    find_instances(first);\n    let instance_id = majority_instance(first, class_id);\n");
     text.push_str(&instance);
     push(&mut text, format_args!("    if !({}) {{ return; }}\n", of_means.join(" || ")));
-    text.push_str("    var samples = 0.0;\n");
-    text.push_str(&sums);
-    text.push_str("    for (var i = 0u; i < SAMPLES_PER_SIDE * SAMPLES_PER_SIDE; i++) {\n");
-    text.push_str(
-        "        if sample_classes[i] != class_id || sample_instances[i] != instance_id { continue; }\n",
-    );
-    text.push_str("        let sample = rendered_sample(first, i);\n        samples += 1.0;\n");
-    text.push_str(&additions);
-    text.push_str("    }\n");
-    text.push_str(&means);
-    text.push_str("}\n");
+    for part in ["    var samples = 0.0;\n", &sums, MEMBERS, &additions, "    }\n", &means, "}\n"] {
+        text.push_str(part);
+    }
     text
 }
+
+/// The loop over the samples that a mean is over, up to what it adds.
+const MEMBERS: &str = "    let members = members_of(first, class_id, instance_id);
+    for (var i = 0u; i < SAMPLES_PER_SIDE * SAMPLES_PER_SIDE; i++) {
+        let sample = rendered_sample(first, i);
+        let inverse_depth = inverse_depth_at(sample);
+        if !is_member(i, sample, inverse_depth, members) { continue; }
+        samples += 1.0;
+";
 
 /// The constant of `generated/resolve_planes.wgsl` that says whether a packed plane is requested.
 #[must_use]
