@@ -12,9 +12,9 @@ fn bounce_uniform(ground: vec3<f32>, normal: vec3<f32>, sun_horizontal: vec2<f32
 
 // Distance from sunlit ground up to which a point receives all the light that higher ground gives in the open, metres.
 const NEAR_SUNLIT_M: f32 = 0.1;
-// Light on a rock over that of the first bounce from the ground: what its own facets and further bounces add (1.15 in path-traced
-// scenes), and what the law of reflection gives for a mean direction in place of many (0.9).
-const BEYOND_FIRST_BOUNCE: f32 = 1.28;
+// Light on a rock over that of the first bounce from the ground by the fit: what its own facets and further bounces add, and what the law of
+// reflection gives for a mean direction in place of many, in path-traced scenes.
+const BEYOND_FIRST_BOUNCE: f32 = 1.15;
 // Rise of the light that ground receives from higher ground.
 const RISE_OF_BOUNCE: f32 = 0.15;
 

@@ -66,30 +66,31 @@ def fill_case(seed: int, elevation_deg: float, azimuth_deg: float) -> Case:
     return Case(f"seed {seed}, sun {elevation_deg} deg at {azimuth_deg}", seed, (128, 128), knobs)
 
 
-# Suns from 3 to 40 degrees high, their azimuths by the golden angle. Each seed is the first of ten with enough pixels of each
-# kind (see path_tracer.py); how bright they are played no part.
-FILL_CASES = [
-    fill_case(200, 3, 20),
-    fill_case(216, 4, 158),
-    fill_case(221, 5, 295),
-    fill_case(230, 6, 73),
-    fill_case(244, 7, 210),
-    fill_case(251, 8.5, 348),
-    fill_case(265, 10, 125),
-    fill_case(270, 11.5, 263),
-    fill_case(281, 13, 40),
-    fill_case(291, 15, 178),
-    fill_case(300, 17, 315),
-    fill_case(311, 19, 93),
-    fill_case(320, 21, 230),
-    fill_case(330, 23, 8),
-    fill_case(340, 25, 145),
-    fill_case(350, 28, 283),
-    fill_case(363, 31, 60),
-    fill_case(372, 34, 198),
-    fill_case(386, 37, 335),
-    fill_case(397, 40, 113),
+# Elevations and azimuths of the suns of `fill_case`, degrees. Azimuths go by the golden angle.
+FILL_SUNS = [
+    (3, 20),
+    (4, 158),
+    (5, 295),
+    (6, 73),
+    (7, 210),
+    (8.5, 348),
+    (10, 125),
+    (11.5, 263),
+    (13, 40),
+    (15, 178),
+    (17, 315),
+    (19, 93),
+    (21, 230),
+    (23, 8),
+    (25, 145),
+    (28, 283),
+    (31, 60),
+    (34, 198),
+    (37, 335),
+    (40, 113),
 ]
+# The first seed for the first sun, and how many seeds each sun has (see path_tracer.py).
+FIRST_FILL_SEED, FILL_SEEDS = 4000, 40
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import blender
 import gltf_stage
 import pixels
 import usd_stage
-from cases import CASES, FILL_CASES, Case, export, formats, render, soup
+from cases import CASES, FILL_SUNS, Case, export, formats, render, soup
 from report import Report
 
 USD_FORMATS = ("usda", "usdc")
@@ -33,11 +33,11 @@ def check_case(report: Report, number: int, case: Case) -> None:
         blender.check(export(case, usd[number % len(usd)], drawn=True), frame, report)
 
 
-def check_fill(report: Report, case: Case) -> None:
-    """Checks the light within the shadows of one scene."""
+def check_fill(report: Report, number: int, elevation_deg: float, azimuth_deg: float) -> None:
+    """Checks the light within the shadows of the scene of one sun."""
     import path_tracer
 
-    path_tracer.check(case, report)
+    path_tracer.check(number, elevation_deg, azimuth_deg, report)
 
 
 def check_fill_of_all(report: Report) -> None:
@@ -66,9 +66,10 @@ def main() -> int:
     for number, case in enumerate(CASES):
         guarded(report, case.name, partial(check_case, report, number, case))
     if importlib.util.find_spec("mitsuba"):
-        for case in FILL_CASES:
-            guarded(report, case.name, partial(check_fill, report, case))
-        guarded(report, f"{len(FILL_CASES)} scenes", partial(check_fill_of_all, report))
+        for number, (elevation_deg, azimuth_deg) in enumerate(FILL_SUNS):
+            name = f"sun {elevation_deg} deg at {azimuth_deg}"
+            guarded(report, name, partial(check_fill, report, number, elevation_deg, azimuth_deg))
+        guarded(report, f"{len(FILL_SUNS)} scenes", partial(check_fill_of_all, report))
     else:
         print("!!! MITSUBA DID NOT RUN: PyPI has no wheel of it for this machine !!!", file=sys.stderr)
     report.print()

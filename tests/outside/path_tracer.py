@@ -9,13 +9,13 @@ The tracer lacks two parts of the frame's shading: the fine texture of rocks, wh
 left between the mesh and the pixels (`fill_case` in cases.py).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from cases import REGOLITH, ROCK, WORK, Case, Frame, Soup, export, render, soup
+from cases import FILL_SEEDS, FIRST_FILL_SEED, REGOLITH, ROCK, WORK, Case, Frame, Soup, export, fill_case, render, soup
 from report import Report
 
 mi.set_variant("llvm_ad_rgb")
@@ -23,14 +23,14 @@ mi.set_variant("llvm_ad_rgb")
 # Irradiance per unit of the intensity knob: see src/scene/sky.rs.
 IRRADIANCE_PER_INTENSITY = 1.66e-3
 GREEN = 1
-# From the sun over at most two intermediate surfaces to the camera.
-MAX_PATH_DEPTH = 4
+# From the sun over at most two intermediate surfaces to the camera, and over none.
+MAX_PATH_DEPTH, DIRECT_DEPTH = 4, 2
 # Paths a pixel, and the largest number of pixels of a kind, drawn at random. Sunlit pixels converge quickly; with fewer paths in the
 # dark, most pixels miss what is small and bright, and the median is too low. In one scene half of the soil in shadow has hardly any
 # light, and the median lies between: with 96 pixels its ratio was from 2.3 to 4.9, depending on which pixels were taken.
 PATHS = {"lit": 32, "dark": 2048}
 MAX_PIXELS = 256
-# With fewer pixels than this a kind is not judged, which is a failure.
+# With fewer pixels than this a kind cannot be judged.
 ENOUGH_PIXELS = 40
 # The ratio of the two medians, either way, of each kind over sunlit soil and of the first kind over the second: what is aimed at, and
 # by quantity what is held: how many scenes reach the aim (one fewer than do: some ratios are so close to it that rounding
@@ -48,9 +48,9 @@ class Bounds:
 
 
 BOUNDS = {
-    "unlit faces of rocks over sunlit soil": Bounds(17, 2.0, 0.28),
-    "soil in shadow over sunlit soil": Bounds(14, 4.0, 0.45),
-    "unlit faces over soil in shadow": Bounds(11, 2.6, 0.48),
+    "unlit faces of rocks over sunlit soil": Bounds(15, 2.6, 0.40),
+    "soil in shadow over sunlit soil": Bounds(10, 4.6, 0.52),
+    "unlit faces over soil in shadow": Bounds(9, 2.9, 0.52),
 }
 # Largest relative difference of sunlit soil, below a sun of LOW_SUN_DEG, where penumbrae are wide, and above.
 LOW_SUN_DEG = 9.0
@@ -154,15 +154,14 @@ def stage_of(case: Case, frame: Frame) -> mi.Scene:
     )
 
 
-def traced(stage: mi.Scene, frame: Frame, pixels: np.ndarray, paths: int) -> np.ndarray:
-    """Radiance (green) of pixels (rows of v, u), averaged over each pixel."""
+def traced(stage: mi.Scene, frame: Frame, pixels: np.ndarray, paths: int, max_depth: int = MAX_PATH_DEPTH) -> np.ndarray:
+    """Radiance (green) at the middle of pixels (rows of v, u), which is where the frame's one sample of a pixel lies."""
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(1, len(pixels) * paths)
-    within = sampler.next_2d()
-    v, u = (mi.Float(np.repeat(pixels[:, axis], paths).astype(np.float32)) for axis in (0, 1))
+    v, u = (mi.Float(np.repeat(pixels[:, axis], paths).astype(np.float32) + 0.5) for axis in (0, 1))
     world = mi.Matrix3f((frame.pose[:3, :3] @ np.linalg.inv(frame.k)).tolist())
-    ray = mi.RayDifferential3f(mi.Point3f(0), dr.normalize(world @ mi.Vector3f(u + within.x, v + within.y, 1)))
-    integrator = mi.load_dict({"type": "path", "max_depth": MAX_PATH_DEPTH, "rr_depth": MAX_PATH_DEPTH + 1})
+    ray = mi.RayDifferential3f(mi.Point3f(0), dr.normalize(world @ mi.Vector3f(u, v, 1)))
+    integrator = mi.load_dict({"type": "path", "max_depth": max_depth, "rr_depth": max_depth + 1})
     radiance, _, _ = integrator.sample(stage, sampler, ray)
     return np.array(radiance[GREEN]).reshape(-1, paths).mean(1)
 
@@ -190,17 +189,45 @@ def kinds(frame: Frame) -> list[Kind]:
     ]
 
 
-def check(case: Case, report: Report) -> None:
-    """Checks one scene."""
-    frame = render(case, samples=1)
-    radiance = np.array(mi.Bitmap(str(WORK / f"frame_{case.seed}_1" / "hdr_0000.exr")))[..., GREEN].astype(float)
-    stage = stage_of(case, frame)
-    sunlit, dark = None, []
-    for kind in kinds(frame):
-        pixels = np.argwhere(kind.where)
-        report.at_least(f"tracer: {kind.name}, pixels", len(pixels), ENOUGH_PIXELS)
-        if len(pixels) < ENOUGH_PIXELS:
+def in_the_dark(kind: Kind, stage: mi.Scene, frame: Frame) -> Kind:
+    """The kind's pixels whose middle is in the dark for the tracer too. Where shadows end is compared by `pixels.py`."""
+    pixels = np.argwhere(kind.where)
+    where = np.zeros_like(kind.where)
+    where[kind.where] = traced(stage, frame, pixels, 1, DIRECT_DEPTH) == 0
+    return replace(kind, where=where)
+
+
+def first_with_enough_pixels(
+    number: int, elevation_deg: float, azimuth_deg: float
+) -> tuple[Case, Frame, mi.Scene, list[Kind]]:
+    """The first seed of the sun with this number whose frame has enough pixels of each kind. How bright they are plays no part."""
+    first = FIRST_FILL_SEED + FILL_SEEDS * number
+    for seed in range(first, first + FILL_SEEDS):
+        case = fill_case(seed, elevation_deg, azimuth_deg)
+        frame = render(case, samples=1)
+        lit, *dark = kinds(frame)
+        if not are_enough([lit, *dark]):
             continue
+        stage = stage_of(case, frame)
+        found = [lit, *(in_the_dark(kind, stage, frame) for kind in dark)]
+        if are_enough(found):
+            return case, frame, stage, found
+    raise RuntimeError(f"none of the seeds from {first} to {seed} has {ENOUGH_PIXELS} pixels of each kind")
+
+
+def are_enough(found: list[Kind]) -> bool:
+    """Whether each kind has pixels enough to be judged."""
+    return all(np.count_nonzero(kind.where) >= ENOUGH_PIXELS for kind in found)
+
+
+def check(number: int, elevation_deg: float, azimuth_deg: float, report: Report) -> None:
+    """Checks the scene of one sun."""
+    case, frame, stage, found = first_with_enough_pixels(number, elevation_deg, azimuth_deg)
+    report.case = case.name
+    radiance = np.array(mi.Bitmap(str(WORK / f"frame_{case.seed}_1" / "hdr_0000.exr")))[..., GREEN].astype(float)
+    sunlit, dark = None, []
+    for kind in found:
+        pixels = np.argwhere(kind.where)
         # By numbers of their own, so that one pixel more does not exchange all others.
         order = np.argsort(np.random.default_rng(0).random(kind.where.shape)[kind.where])
         pixels = pixels[order[:MAX_PIXELS]]
@@ -218,8 +245,7 @@ def check(case: Case, report: Report) -> None:
         else:
             dark.append(medians / sunlit)
             compare(f"{kind.name} over sunlit soil", dark[-1], report)
-    if len(dark) == 2:
-        compare("unlit faces over soil in shadow", dark[0] / dark[1], report)
+    compare("unlit faces over soil in shadow", dark[0] / dark[1], report)
 
 
 RATIOS: dict[str, list[float]] = {what: [] for what in BOUNDS}
