@@ -7,7 +7,7 @@ use serde_json::{Map, Value, json};
 use crate::class::ClassId;
 use crate::frame::Frame;
 use crate::output::LabelIds;
-use crate::output::edges::EdgePolicy;
+use crate::output::edges::{EdgePolicy, MaskCoverage};
 use crate::params::{Knob, Params};
 use crate::render::{RasterOptions, RenderSettings, StageTimes};
 use crate::scene::Scene;
@@ -62,7 +62,7 @@ impl FrameRecord<'_> {
             .iter()
             .map(|&(stage, ms)| (stage.to_owned(), json!((ms * 1e3).round() / 1e3)))
             .collect();
-        json!({
+        let mut record = json!({
             "seed": self.seed,
             "stage": self.params.text(Knob::StageName),
             "size": self.settings.size,
@@ -84,8 +84,19 @@ impl FrameRecord<'_> {
             "rgb": self.frame.rgb_statistics(),
             "moved_rocks": self.scene.moved_rocks(),
             "ms": ms,
-        })
+        });
+        if let (true, Value::Object(record)) = (self.edges != EdgePolicy::Hard, &mut record) {
+            record.insert("mask_coverage".to_owned(), mask_coverage(&self.edges.coverage(self.frame)));
+        }
+        record
     }
+}
+
+/// The `mask_coverage` of a frame's metadata.
+fn mask_coverage(mask: &MaskCoverage) -> Value {
+    let classes = ClassId::ALL.iter().zip(mask.classes).map(|(class, share)| (class.name, share));
+    let fractions = classes.chain([("ignored", mask.ignored)]);
+    fractions.map(|(name, share)| (name.to_owned(), share.into())).collect::<Map<_, _>>().into()
 }
 
 /// The `sun` of a frame's metadata.

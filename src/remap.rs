@@ -27,6 +27,8 @@ const LABELS_STEM: &str = "semantic_segmentation_labels_";
 const MAX_LABELS_BYTES: u64 = 16 * MIB;
 /// Largest size of a mask.
 const MAX_MASK_BYTES: u64 = 4096 * MIB;
+/// Ids and colours without a name that are kept; further ones are left out.
+pub const MAX_UNNAMED: usize = 1 << 16;
 /// Names that a Replicator pipeline uses for unlabelled pixels.
 const NO_LABEL: [&str; 2] = ["background", "unlabelled"];
 
@@ -55,6 +57,10 @@ pub struct Remapped {
     pub pixels: BTreeMap<&'static str, u64>,
     /// Names that are not a known class; their pixels became 255.
     pub unknown_names: BTreeSet<String>,
+    /// Ids that occur in a mask and not in its label file; their pixels became 255. Up to [`MAX_UNNAMED`].
+    pub unnamed_ids: BTreeSet<u32>,
+    /// The same of RGBA colours.
+    pub unnamed_colours: BTreeSet<[u8; 4]>,
     /// Masks whose pixels all became 255.
     pub empty_masks: Vec<PathBuf>,
 }
@@ -67,8 +73,14 @@ impl Remapped {
             *self.pixels.entry(class).or_default() += pixels;
         }
         self.unknown_names.extend(other.unknown_names);
+        add_up_to_max(&mut self.unnamed_ids, other.unnamed_ids);
+        add_up_to_max(&mut self.unnamed_colours, other.unnamed_colours);
         self.empty_masks.extend(other.empty_masks);
     }
+}
+
+fn add_up_to_max<T: Ord>(all: &mut BTreeSet<T>, others: impl IntoIterator<Item = T>) {
+    all.extend(others.into_iter().take(MAX_UNNAMED - all.len()));
 }
 
 fn wrong(path: &Path, message: impl Into<String>) -> Error {
@@ -245,9 +257,14 @@ impl PixelFormat {
     }
 }
 
-/// The canonical id of each pixel.
-fn remap_pixels(path: &Path, mask: &DynamicImage, format: PixelFormat, labels: &Labels) -> Result<Vec<u8>> {
-    let unlabelled = ClassId::UNLABELLED.0;
+/// The canonical id of each pixel. Ids and colours without a name are added to `result`.
+fn remap_pixels(
+    path: &Path,
+    mask: &DynamicImage,
+    format: PixelFormat,
+    labels: &Labels,
+    result: &mut Remapped,
+) -> Result<Vec<u8>> {
     match labels {
         Labels::Ids(_) if format.has_palette => Err(wrong(
             path,
@@ -257,13 +274,25 @@ fn remap_pixels(path: &Path, mask: &DynamicImage, format: PixelFormat, labels: &
             let raw = raw_ids(mask, format.grey_scale()).ok_or_else(|| {
                 wrong(path, "it is a colour image, but its label file has ids, not colours; use a mask of raw ids, or the labels of the colours")
             })?;
-            Ok(raw.iter().map(|id| ids.get(id).copied().unwrap_or(unlabelled)).collect())
+            Ok(canonical(raw.into_iter(), ids, &mut result.unnamed_ids))
         }
         Labels::Colours(colours) => {
-            let pixels = mask.to_rgba8();
-            Ok(pixels.pixels().map(|pixel| colours.get(&pixel.0).copied().unwrap_or(unlabelled)).collect())
+            let raw = mask.to_rgba8();
+            Ok(canonical(raw.pixels().map(|pixel| pixel.0), colours, &mut result.unnamed_colours))
         }
     }
+}
+
+fn canonical<T: Ord + Copy>(
+    raw: impl Iterator<Item = T>,
+    named: &BTreeMap<T, u8>,
+    unnamed: &mut BTreeSet<T>,
+) -> Vec<u8> {
+    let mut without_name = |raw: T| {
+        add_up_to_max(unnamed, [raw]);
+        ClassId::UNLABELLED.0
+    };
+    raw.map(|raw| named.get(&raw).copied().unwrap_or_else(|| without_name(raw))).collect()
 }
 
 /// The raw ids of a mask: one channel of up to 16 bits, several equal channels, or 32-bit ids spread over R, G, B and A of 8 bits.
@@ -308,12 +337,10 @@ pub fn remap(folder: &Path, pair: &Pair, out: &Path) -> Result<Remapped> {
     let bytes = input::read(&path, MAX_MASK_BYTES)?;
     let mask = image::load_from_memory_with_format(&bytes, image::ImageFormat::Png)
         .map_err(|error| wrong(&path, format!("it cannot be decoded: {error}")))?;
-    let ids = remap_pixels(&path, &mask, PixelFormat::of(&bytes), &labels)?;
-    for class in ClassId::ALL {
-        let count = ids.iter().filter(|id| **id == class.id.0).count() as u64;
-        result.pixels.insert(class.name, count);
-    }
-    let unlabelled = ids.iter().filter(|id| **id == ClassId::UNLABELLED.0).count();
+    let ids = remap_pixels(&path, &mask, PixelFormat::of(&bytes), &labels, &mut result)?;
+    let count = |class: ClassId| ids.iter().filter(|id| **id == class.0).count();
+    result.pixels = ClassId::ALL.map(|class| (class.name, count(class.id) as u64)).into();
+    let unlabelled = count(ClassId::UNLABELLED);
     result.pixels.insert("unlabelled", unlabelled as u64);
     if unlabelled == ids.len() {
         result.empty_masks.push(pair.mask.clone());

@@ -97,8 +97,8 @@ pub(super) struct ImageArgs {
     /// the record]
     #[arg(long, value_name = "KIND", value_parser = ["canonical", "replicator"])]
     label_ids: Option<String>,
-    /// Mask at class boundaries: hard, or ignore:N to write 255 within N pixels of another class [default: hard, or that of the
-    /// record]
+    /// Mask at class boundaries: hard, or ignore:N to write 255 (1 with --label-ids replicator) within N pixels of another class
+    /// [default: hard, or that of the record]
     #[arg(long, value_name = "RULE")]
     edges: Option<String>,
 }

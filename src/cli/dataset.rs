@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
+use crate::bench::peak_rss_bytes;
 use crate::class::ClassId;
 use crate::dataset::lock;
 use crate::dataset::log_writer::FrameLogWriter;
@@ -16,8 +17,8 @@ use crate::dataset::{self, Concurrency, Progress};
 use crate::error::{Error, Result};
 use crate::output;
 use crate::output::layout::{self, LAYOUTS, webdataset::archive_end};
-use clap::Args;
-use serde_json::{Value, json};
+use clap::{ArgGroup, Args};
+use serde_json::{Map, Value, json};
 
 use super::add_outputs;
 use super::args::{ConfigArgs, DeviceArgs, ImageArgs, output_names, whole_number};
@@ -32,9 +33,10 @@ const DRY_FRAMES: u64 = 5;
 const MAX_LISTED: usize = 1000;
 
 #[derive(Args, Debug)]
+#[command(group(ArgGroup::new("frames").required(true).multiple(true).args(["count", "split", "merge", "add_outputs"])))]
 pub(super) struct DatasetArgs {
     /// Number of frames
-    #[arg(long, value_name = "N", required_unless_present_any = ["split", "merge", "add_outputs"], conflicts_with = "split", value_parser = whole_number::<u64>(1, MAX_FRAMES))]
+    #[arg(long, value_name = "N", conflicts_with = "split", value_parser = whole_number::<u64>(1, MAX_FRAMES))]
     count: Option<u64>,
     /// Splits with their numbers of frames, for example train=1500,val=200: one folder each, no scene in two of them
     #[arg(long, value_name = "LIST", conflicts_with = "start")]
@@ -331,7 +333,7 @@ fn report(
     seconds: f64,
 ) -> Result<()> {
     let manifest = &finalized.manifest;
-    let ms: serde_json::Map<String, Value> = run
+    let ms: Map<String, Value> = run
         .map(|run| {
             run.times
                 .iter()
@@ -349,6 +351,7 @@ fn report(
             "missing": finalized.missing.indices().take(MAX_LISTED).collect::<Vec<_>>(),
             "seconds": seconds,
             "ms_per_frame": ms,
+            "peak_rss_bytes": peak_rss_bytes(),
             "status": manifest["status"],
             "totals": manifest["totals"],
         });
@@ -367,12 +370,11 @@ fn report(
         )),
         None => messages.note(format_args!("no frame was rendered; {} exist", manifest["n_completed"])),
     }
-    let share = |class: &str| 100.0 * manifest["totals"]["coverage_mean"][class].as_f64().unwrap_or_default();
-    let shares: Vec<String> =
-        ClassId::ALL.iter().map(|class| format!("{} {:.1} %", class.name, share(class.name))).collect();
     let brightness = manifest["totals"]["rgb_mean"].as_f64().unwrap_or_default();
-    messages
-        .note(format_args!("mean coverage: {}; mean brightness {brightness:.1} of 255", shares.join(", ")));
+    messages.note(format_args!(
+        "mean coverage: {}; mean brightness {brightness:.1} of 255",
+        mask_shares(manifest).join(", ")
+    ));
     let stages: Vec<String> =
         ms.iter().map(|(name, ms)| format!("{name} {:.1}", ms.as_f64().unwrap_or(0.0))).collect();
     messages.detail(format_args!("milliseconds of work per frame: {}", stages.join(", ")));
@@ -392,7 +394,22 @@ fn report(
             args.out.display()
         ));
     }
+    if let Some(bytes) = peak_rss_bytes() {
+        messages.detail(format_args!("peak memory {:.0} MB", bytes as f64 / 1e6));
+    }
     Ok(())
+}
+
+/// What each class takes of the masks as they are written, and what is ignored in them, if anything is.
+fn mask_shares(manifest: &Map<String, Value>) -> Vec<String> {
+    let number = |value: &Value| value.as_f64().unwrap_or_default();
+    let all = number(&manifest["n_completed"]) * number(&manifest["size"][0]) * number(&manifest["size"][1]);
+    let pixels =
+        ClassId::ALL.map(|class| (class.name, number(&manifest["totals"]["class_pixels"][class.name])));
+    let ignored = all - pixels.iter().map(|(_, pixels)| pixels).sum::<f64>();
+    let ignored = Some(("ignored", ignored)).filter(|(_, pixels)| *pixels > 0.0);
+    let share = |(name, pixels): (&str, f64)| format!("{name} {:.1} %", 100.0 * pixels / all.max(1.0));
+    pixels.into_iter().chain(ignored).map(share).collect()
 }
 
 /// Shows the progress of a run.

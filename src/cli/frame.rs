@@ -80,7 +80,7 @@ pub(super) fn run(args: &FrameArgs, messages: Messages) -> Result<()> {
     let (meta, paths) = write(args, messages, &image, &mut rendered, outputs)?;
     summarise(messages, &rendered, &meta, start);
     let rules = Rules::from_config(&config)?;
-    if let Some(violation) = rules.violation(&rendered.scene, &rendered.frame) {
+    if let Some(violation) = rules.violation(&rendered.scene, &rendered.frame, image.edges()?) {
         messages.note(format_args!(
             "a dataset would redraw this frame: {} ({})",
             violation.found, violation.rule

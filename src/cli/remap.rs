@@ -7,13 +7,16 @@ use std::sync::atomic::Ordering;
 
 use crate::error::{Error, Result};
 use crate::output::{dataset_path, disk};
-use crate::remap::{self, Pair, Remapped};
+use crate::remap::{self, MAX_UNNAMED, Pair, Remapped};
 use clap::Args;
 use serde_json::json;
 
 use super::messages::{Messages, print};
 use super::process::stop_on_signals;
 use super::progress::Meter;
+
+/// Ids or colours without a name that are printed; `--json` lists more.
+const MAX_PRINTED: usize = 20;
 
 #[derive(Args, Debug)]
 pub(super) struct RemapArgs {
@@ -72,10 +75,28 @@ fn summarise(args: &RemapArgs, messages: Messages, remapped: &Remapped) {
         let names: Vec<&str> = remapped.unknown_names.iter().map(String::as_str).collect();
         messages.note(format_args!("names of no class, written as 255: {}", names.join(", ")));
     }
+    let colour = |[r, g, b, a]: &[u8; 4]| format!("({r}, {g}, {b}, {a})");
+    for (what, raw) in [
+        ("ids", remapped.unnamed_ids.iter().map(u32::to_string).collect::<Vec<_>>()),
+        ("colours", remapped.unnamed_colours.iter().map(colour).collect()),
+    ] {
+        if !raw.is_empty() {
+            messages.note(format_args!("{what} without a name, written as 255: {}", abbreviated(&raw)));
+        }
+    }
     for mask in &remapped.empty_masks {
         messages.note(format_args!(
             "warning: {} is entirely 255 now: none of its ids has the name of a class",
             mask.display()
         ));
     }
+}
+
+/// The first of a list, and how many there are besides.
+fn abbreviated(list: &[String]) -> String {
+    let (first, others) = list.split_at(list.len().min(MAX_PRINTED));
+    let at_least = if list.len() < MAX_UNNAMED { "" } else { "at least " };
+    let more =
+        if others.is_empty() { String::new() } else { format!(" and {at_least}{} more", others.len()) };
+    first.join(", ") + &more
 }

@@ -17,7 +17,7 @@ use std::sync::atomic::AtomicBool;
 
 use serde_json::{Map, Value, json};
 
-use super::gate::{Gate, MAX_LINE_BYTES, read_manifest};
+use super::gate::{Gate, MAX_LINE_BYTES, no_dataset, read_manifest};
 use super::lock::RunLock;
 use super::log::{FoundLines, LinePosition, find_lines, has_files, line_at};
 use super::manifest;
@@ -68,7 +68,7 @@ impl Addition {
         let refused = |message: String| Error::Dataset { path: folder.to_owned(), message };
         let path = folder.join("manifest.json");
         if !path.is_file() {
-            return Err(refused("not a dataset: it has no manifest.json".to_owned()));
+            return Err(no_dataset(folder));
         }
         let manifest = read_manifest(&path)?;
         let text = |key: &str| manifest.get(key).and_then(Value::as_str).unwrap_or_default();

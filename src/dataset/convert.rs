@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use serde_json::{Map, Value};
 
 use super::frame_image::decode;
-use super::gate::{Gate, read_manifest};
+use super::gate::{Gate, no_dataset, read_manifest};
 use super::log::{FrameLog, finished_frames};
 use super::log_writer::{FrameLogWriter, record_files};
 use super::manifest::DatasetSpec;
@@ -53,7 +53,7 @@ impl Conversion {
         let refused = |message: String| Error::Dataset { path: source.to_owned(), message };
         let path = source.join("manifest.json");
         if !path.is_file() {
-            return Err(refused("not a dataset: it has no manifest.json".to_owned()));
+            return Err(no_dataset(source));
         }
         let manifest = read_manifest(&path)?;
         let text = |key: &str| manifest.get(key).and_then(Value::as_str).unwrap_or_default();

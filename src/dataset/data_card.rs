@@ -10,6 +10,9 @@ use super::totals::Totals;
 use crate::class::ClassId;
 use crate::output::LabelIds;
 
+/// Smallest fraction that is not 0 in percent with two decimals.
+const MIN_SHOWN: f64 = 5e-5;
+
 fn text<'a>(manifest: &'a Map<String, Value>, key: &str) -> &'a str {
     manifest.get(key).and_then(Value::as_str).unwrap_or_default()
 }
@@ -47,8 +50,7 @@ pub(super) fn markdown(manifest: &Map<String, Value>, totals: &Totals) -> String
         // Writing into a string cannot fail.
         let _ = writeln!(card, "| `{knob}` | `{distribution}` |");
     }
-    card += "\n## Licence\n\n[CC0 1.0](https://creativecommons.org/publicdomain/zero/1.0/): the images and labels are in the \
-             public domain, to the extent that the law allows.\n";
+    card += "\n## Licence\n\nregolith-render claims no rights in the images and labels. Whoever publishes them chooses their licence.\n";
     card
 }
 
@@ -59,7 +61,7 @@ fn classes(manifest: &Map<String, Value>, totals: &Totals) -> String {
         "\n## Classes\n\n| id | class | mean share of pixels | weight in a loss |\n|---|---|---|---|\n"
             .to_owned();
     for (i, class) in ClassId::ALL.iter().enumerate() {
-        let (id, percent) = (label_ids.mask_id(class.id.0), 100.0 * totals.coverage(i));
+        let (id, percent) = (label_ids.mask_id(class.id.0), 100.0 * totals.mask_coverage(i));
         let _ = writeln!(section, "| {id} | {} | {percent:.2} % | {:.3} |", class.name, weights[i]);
     }
     let ignore_index = label_ids.mask_id(ClassId::UNLABELLED.0);
@@ -71,12 +73,23 @@ fn classes(manifest: &Map<String, Value>, totals: &Totals) -> String {
             "The ids are those of a Replicator pipeline; its id 0, BACKGROUND, occurs in no mask."
         }
     };
-    let _ = writeln!(
-        section,
-        "\n{ignore_index} is the ignore index. {note} Rocks that are too small or cannot be seen carry the ignore index where \
-         `label.too_small` or `label.unseen` say so: {:.2} % of the pixels on average.",
-        100.0 * totals.ignored()
-    );
+    let (by_rule, band) = (totals.ignored(), totals.mask_ignored() - totals.ignored());
+    let parts = [
+        (
+            by_rule,
+            "rocks that are too small or cannot be seen (`label.too_small`, `label.unseen`) and a visible rover",
+        ),
+        (band, "the band along the boundaries of classes (`--edges`)"),
+    ];
+    let parts = parts.iter().filter(|(share, _)| *share >= MIN_SHOWN);
+    let parts: Vec<String> =
+        parts.map(|(share, what)| format!("{what}, {:.2} % of the pixels", 100.0 * share)).collect();
+    let ignored = if parts.is_empty() {
+        format!("No pixel carries {ignore_index}.")
+    } else {
+        format!("{ignore_index} stands for {}.", parts.join(", and for "))
+    };
+    let _ = writeln!(section, "\n{ignore_index} is the ignore index. {note} {ignored}");
     section
 }
 

@@ -227,6 +227,17 @@ pub fn read_manifest(path: &Path) -> Result<Map<String, Value>> {
     Ok(manifest)
 }
 
+/// The error for a folder that has no manifest.
+#[must_use]
+pub fn no_dataset(folder: &Path) -> Error {
+    let message = if folder.is_dir() {
+        "not a dataset: it has no manifest.json"
+    } else {
+        "there is no such folder; name the folder of the dataset"
+    };
+    Error::Dataset { path: folder.to_owned(), message: message.to_owned() }
+}
+
 fn parse_manifest(path: &Path, text: &[u8]) -> Result<Map<String, Value>> {
     input::json::parse(text).map_err(|error| {
         Error::CheckFailed(format!(

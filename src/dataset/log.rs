@@ -169,7 +169,7 @@ pub(super) fn has_files(folder: &Path, line: &FrameLine) -> Result<bool> {
 }
 
 /// Whether a file exists. A file of a frame is never empty; an empty one is the result of a crash.
-fn is_filled(path: &Path) -> bool {
+pub(super) fn is_filled(path: &Path) -> bool {
     path.symlink_metadata().is_ok_and(|file| file.is_file() && file.len() > 0)
 }
 

@@ -10,9 +10,9 @@ use std::path::{Path, PathBuf};
 use serde_json::{Map, Value, json};
 
 use super::digest::{self, Digest};
-use super::gate::{Gate, read_manifest};
+use super::gate::{Gate, no_dataset, read_manifest};
 use super::lock::{MERGE_TAG, MergeLock, RunLock};
-use super::log::{FoundLines, FrameLog, LinePosition, MANIFEST, find_lines, shard_files};
+use super::log::{FoundLines, FrameLog, LinePosition, MANIFEST, find_lines, is_filled, shard_files};
 use super::plan::{Range, Shard, differences, frame_seed};
 use super::totals::Totals;
 use super::{contact_sheet, data_card, histograms, manifest};
@@ -20,7 +20,7 @@ use crate::error::{Error, Result};
 use crate::input;
 use crate::output::Artifact;
 use crate::output::disk::{self, FileWriter};
-use crate::output::layout::{self, DatasetIndex, Layout};
+use crate::output::layout::{self, DatasetIndex, Layout, interface::CARD_FILE};
 
 /// A folder with one log and one manifest.
 #[derive(Clone, Debug)]
@@ -70,7 +70,7 @@ impl MissingFrames {
 
 /// Makes one `frames.jsonl` in ascending order of index and one `manifest.json` out of those of all runs. Once every
 /// frame exists, also writes the index files, the data card, the histograms and the contact sheet, and removes the
-/// files of the shards. Can be repeated.
+/// files of the shards. Can be repeated; a data card that was edited stays where nothing else has changed.
 ///
 /// # Errors
 /// [`Error::Dataset`] if the folder has no manifest, [`Error::OtherDataset`] if its shards are of different
@@ -108,10 +108,6 @@ fn check_frames(folder: &Path, finalized: Finalized, range: Range, shard: Shard)
         return Err(Error::FramesLost { path: folder.to_owned(), missing: wanted - found, wanted });
     }
     Ok(finalized)
-}
-
-fn no_dataset(folder: &Path) -> Error {
-    Error::Dataset { path: folder.to_owned(), message: "not a dataset: it has no manifest.json".to_owned() }
 }
 
 fn finalize_locked(folder: &Path, lock: MergeLock) -> Result<Finalized> {
@@ -238,9 +234,16 @@ fn write_index_files(
     let (_, layout) = layout_of(manifest)?;
     let folder = files.folder().to_owned();
     let lines = FrameLog::new(&folder, Gate::of_manifest(manifest)?);
+    // A card that was edited is not replaced by the one that was there before.
+    let old_card = hash_of_card(&folder);
     let mut hashes = Map::new();
     let mut write = |file: Artifact| {
-        hashes.insert(file.name.clone(), disk::content_hash(&file.bytes).into());
+        let hash = disk::content_hash(&file.bytes);
+        let is_kept = file.name == CARD_FILE && old_card.as_ref() == Some(&hash);
+        hashes.insert(file.name.clone(), hash.into());
+        if is_kept {
+            return Ok(());
+        }
         files.write_all(&[file])?;
         // What a bundle contains is removed once the bundle is on the disk.
         files.sync_folders()
@@ -248,6 +251,13 @@ fn write_index_files(
     layout.write_bundles(&DatasetIndex { folder: &folder, lines: &lines, manifest, card: "" }, &mut write)?;
     index_files(&folder, manifest, totals, &mut write)?;
     Ok(hashes)
+}
+
+/// The hash of the data card that was written into a complete dataset, whatever it says now; `None` if there is no card.
+fn hash_of_card(folder: &Path) -> Option<String> {
+    let manifest =
+        is_filled(&folder.join(CARD_FILE)).then(|| read_manifest(&folder.join("manifest.json")))?.ok()?;
+    manifest.get("index_files")?.get(CARD_FILE)?.as_str().map(str::to_owned)
 }
 
 /// Passes the files that a complete dataset has besides its frames and their bundles to `write`, one by one. They follow

@@ -182,7 +182,7 @@ impl Plan {
     #[must_use]
     pub fn violation(&self, scene: &Scene, frame: &Frame) -> Option<Violation> {
         match self.seeds {
-            Seeds::OfBase => self.rules.violation(scene, frame),
+            Seeds::OfBase => self.rules.violation(scene, frame, self.edges),
             Seeds::Given => None,
         }
     }

@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 use crate::class::ClassId;
 use crate::error::{Error, Result, nearest};
 use crate::frame::Frame;
+use crate::output::edges::EdgePolicy;
 use crate::params::config::{Config, RuleSetting};
 use crate::scene::Scene;
 
@@ -17,9 +18,19 @@ const WHITE: u8 = 249;
 const BLACK: u8 = 2;
 /// A pixel is lit if a channel has at least this value: above shadows, which light from sunlit ground fills.
 const LIT: u8 = 32;
+/// What leaves more of a mask to its classes.
+const SMALLER_BAND: &str = "a smaller N or a larger --size ignores less";
 /// Names of the settings.
-pub const SETTINGS: [&str; 7] =
-    ["black_max", "clipped_max", "saturated_max", "lit_min", "sky_max", "attempts_max", "require"];
+pub const SETTINGS: [&str; 8] = [
+    "black_max",
+    "clipped_max",
+    "saturated_max",
+    "lit_min",
+    "sky_max",
+    "ignored_max",
+    "attempts_max",
+    "require",
+];
 
 /// The rules and their settings.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,9 +45,11 @@ pub struct Rules {
     pub lit_min: f64,
     /// Largest value, of 255, that half of the sky's pixels may exceed.
     pub sky_max: f64,
+    /// Largest fraction of the pixels of the mask as it is written that may carry the ignore index.
+    pub ignored_max: f64,
     /// Attempts at a frame before the run gives up.
     pub attempts_max: u32,
-    /// Smallest and largest fraction of the image, for each class in the order of [`ClassId::ALL`].
+    /// Smallest and largest fraction of the mask as it is written, for each class in the order of [`ClassId::ALL`].
     pub require: [Option<[f64; 2]>; ClassId::ALL.len()],
 }
 
@@ -48,6 +61,7 @@ impl Default for Rules {
             saturated_max: 0.2,
             lit_min: 0.02,
             sky_max: 64.0,
+            ignored_max: 0.9,
             attempts_max: 20,
             require: [None; ClassId::ALL.len()],
         }
@@ -75,8 +89,9 @@ impl Rules {
     /// Rules that every frame with labels keeps whose camera stands on the ground.
     #[must_use]
     pub fn accepting_any_image() -> Self {
-        let [saturated_max, clipped_max, black_max] = [1.0; 3];
-        Self { black_max, clipped_max, saturated_max, lit_min: 0.0, sky_max: 255.0, ..Self::default() }
+        let [saturated_max, clipped_max, black_max, ignored_max] = [1.0; 4];
+        let [lit_min, sky_max] = [0.0, 255.0];
+        Self { black_max, clipped_max, saturated_max, lit_min, sky_max, ignored_max, ..Self::default() }
     }
 
     fn from_settings(settings: &[RuleSetting]) -> Result<Self> {
@@ -87,6 +102,7 @@ impl Rules {
                 "clipped_max" => rules.clipped_max = fraction(setting)?,
                 "saturated_max" => rules.saturated_max = fraction(setting)?,
                 "lit_min" => rules.lit_min = fraction(setting)?,
+                "ignored_max" => rules.ignored_max = fraction(setting)?,
                 "sky_max" => {
                     let value = number(&setting.value).filter(|value| (0.0..=255.0).contains(value));
                     rules.sky_max = value.ok_or_else(|| refused(setting, "a number, 0 to 255"))?;
@@ -147,6 +163,7 @@ impl Rules {
             "saturated_max": self.saturated_max,
             "lit_min": self.lit_min,
             "sky_max": self.sky_max,
+            "ignored_max": self.ignored_max,
             "attempts_max": self.attempts_max,
             "require": require,
         })
@@ -180,6 +197,7 @@ impl Rules {
                 | "saturated"
                 | "lit"
                 | "sky"
+                | "ignored"
         ) || require.into_iter().any(|(class, _)| rule == format!("require.{}", class.name))
     }
 
@@ -200,22 +218,24 @@ impl Rules {
              clipped_max = {}\n# Largest fraction of the whole image that may be clipped. Allowed: 0 to 1.\nsaturated_max = {}\n\
              # Smallest fraction of the ground and rock pixels that must be lit (32 of 255 or more). Allowed: 0 to 1.\nlit_min = {}\n\
              # Largest value that the median of the sky may have. Allowed: 0 to 255.\nsky_max = {}\n\
+             # Largest fraction of the mask that may be ignored (255), the band of --edges included. Allowed: 0 to 1.\nignored_max = {}\n\
              # Attempts at a frame before the run gives up. Allowed: whole numbers, 1 to 1000.\n\
-             attempts_max = {}\n# Smallest and largest fraction of the image by class, as in {{ rock = [0.005, 0.6] }}.\n\
+             attempts_max = {}\n# Smallest and largest fraction of the mask by class, as in {{ rock = [0.005, 0.6] }}.\n\
              require = {{{} }}\n",
             self.black_max,
             self.clipped_max,
             self.saturated_max,
             self.lit_min,
             self.sky_max,
+            self.ignored_max,
             self.attempts_max,
             require.join(",")
         )
     }
 
-    /// The first rule that a frame breaks.
+    /// The first rule that a frame breaks whose mask is written under this edge policy.
     #[must_use]
-    pub fn violation(&self, scene: &Scene, frame: &Frame) -> Option<Violation> {
+    pub fn violation(&self, scene: &Scene, frame: &Frame, edges: EdgePolicy) -> Option<Violation> {
         let violation = |rule: &str, found: String| Some(Violation { rule: rule.to_owned(), found });
         let unlabelled = frame.unlabelled_px();
         if unlabelled > 0 {
@@ -227,16 +247,35 @@ impl Rules {
         if let Some(violation) = self.violation_of_brightness(&Brightness::of(frame)) {
             return Some(violation);
         }
-        for (class, range) in ClassId::ALL.iter().zip(self.require) {
-            let Some([low, high]) = range else { continue };
-            let share = frame.coverage(class.id);
-            if !(low..=high).contains(&share) {
-                let found =
-                    format!("{} covers {share:.4} of the image; allowed is {low} to {high}", class.name);
-                return violation(&format!("require.{}", class.name), found);
+        self.violation_of_mask(frame, edges)
+    }
+
+    /// The first rule that the mask breaks as it is written.
+    fn violation_of_mask(&self, frame: &Frame, edges: EdgePolicy) -> Option<Violation> {
+        let mask = edges.coverage(frame);
+        for ((class, range), share) in ClassId::ALL.iter().zip(self.require).zip(mask.classes) {
+            let Some([low, high]) = range.filter(|[low, high]| !(low..=high).contains(&&share)) else {
+                continue;
+            };
+            let mut found =
+                format!("{} covers {share:.4} of the mask; allowed is {low} to {high}", class.name);
+            let before = frame.coverage(class.id);
+            if share < low && share < before {
+                found += &format!(" (before --edges {edges} it covered {before:.4}; {SMALLER_BAND})");
             }
+            return Some(Violation { rule: format!("require.{}", class.name), found });
         }
-        None
+        if mask.ignored <= self.ignored_max {
+            return None;
+        }
+        let remedy = match edges {
+            EdgePolicy::Hard => "rover.* and label.* say what is ignored".to_owned(),
+            EdgePolicy::Ignore(_) => format!("--edges is {edges}: {SMALLER_BAND}"),
+        };
+        let (share, limit) = (mask.ignored, self.ignored_max);
+        let found =
+            format!("{share:.3} of the mask is ignored; the limit is rules.ignored_max = {limit}; {remedy}");
+        Some(Violation { rule: "ignored".to_owned(), found })
     }
 
     /// The first rule that a scene breaks, whatever its frame shows.
@@ -376,6 +415,7 @@ mod tests {
             ("[rules]\nclipped_max = 2", "0 to 1"),
             ("[rules]\nsky_max = 256", "0 to 255"),
             ("[rules]\nlit_min = -1", "0 to 1"),
+            ("[rules]\nignored_max = 1.5", "0 to 1"),
             ("[rules]\nattempts_max = 0", "1 to 1000"),
             ("require = { rocks = [0, 1] }", "no class `rocks`"),
             ("require = { rock = [0.6, 0.1] }", "smallest <= largest"),
@@ -399,7 +439,7 @@ mod tests {
         let rule = |rules: &Rules, change: &dyn Fn(&mut Frame)| {
             let mut frame = good.clone();
             change(&mut frame);
-            rules.violation(&scene, &frame).map(|violation| violation.rule)
+            rules.violation(&scene, &frame, EdgePolicy::Hard).map(|violation| violation.rule)
         };
         let defaults = Rules::default();
         assert_eq!(rule(&defaults, &|_| {}), None);
@@ -421,8 +461,40 @@ mod tests {
         let mut buried = scene.clone();
         buried.camera.eye.z -= 100.0;
         assert_eq!(
-            defaults.violation(&buried, &good).map(|violation| violation.rule).as_deref(),
+            defaults.violation(&buried, &good, EdgePolicy::Hard).map(|violation| violation.rule).as_deref(),
             Some("eye_above_ground")
         );
+    }
+
+    #[test]
+    fn rules_of_the_mask_are_held_against_what_is_written() {
+        let scene = Scene::build(1, &Params::draw_default(1)).expect("a scene");
+        let (rgb, class) =
+            ([[120; 48].as_slice(), &[0; 12]].concat(), [[0; 8].as_slice(), &[1; 8], &[2; 4]].concat());
+        let frame = Frame { width: 20, height: 1, rgb, class, ..Frame::default() };
+        let found = |rules: &Rules, edges: EdgePolicy| {
+            rules.violation(&scene, &frame, edges).map(|violation| (violation.rule, violation.found))
+        };
+        let defaults = Rules::default();
+        let demand = Rules { require: [None, Some([0.2, 0.5]), None], ..Rules::default() };
+        assert!(defaults.has("ignored") && !defaults.has("require.rock") && demand.has("require.rock"));
+        // The band takes N pixels on both sides of the two boundaries.
+        for (edges, of_defaults, of_demand) in [
+            (EdgePolicy::Hard, None, None),
+            (EdgePolicy::Ignore(2), None, None),
+            (EdgePolicy::Ignore(3), None, Some("require.rock")),
+            (EdgePolicy::Ignore(7), Some("ignored"), Some("require.rock")),
+        ] {
+            for (rules, expected) in [(&defaults, of_defaults), (&demand, of_demand)] {
+                assert_eq!(found(rules, edges).map(|(rule, _)| rule).as_deref(), expected, "{edges}");
+            }
+        }
+        let (_, message) = found(&defaults, EdgePolicy::Ignore(7)).expect("refused");
+        let expected = "0.950 of the mask is ignored; the limit is rules.ignored_max = 0.9; --edges is ignore:7: a smaller N";
+        assert!(message.starts_with(expected), "{message}");
+        let (_, message) = found(&demand, EdgePolicy::Ignore(3)).expect("refused");
+        let expected = "rock covers 0.1000 of the mask; allowed is 0.2 to 0.5 (before --edges ignore:3 it covered 0.4000;";
+        assert!(message.starts_with(expected), "{message}");
+        assert_eq!(found(&Rules::accepting_any_image(), EdgePolicy::Ignore(64)), None);
     }
 }

@@ -19,7 +19,7 @@ pub struct Totals {
     frame_px: u64,
     /// Sum of each class's coverage, in the order of [`ClassId::ALL`].
     coverage_sum: [f64; ClassId::ALL.len()],
-    /// Number of pixels of each class, and of frames that have any.
+    /// Number of pixels of each class in the masks as they are written, and of frames that have any.
     class_px: [u64; ClassId::ALL.len()],
     class_frames: [u64; ClassId::ALL.len()],
     /// Sums of the values of each channel and of their squares: whole numbers, so that no order of the frames matters.
@@ -62,10 +62,10 @@ impl Totals {
         self.frames += 1;
         self.rgb_mean_sum += line.rgb.mean;
         for (i, class) in ClassId::ALL.iter().enumerate() {
-            let coverage = line.coverage_of(class.name).unwrap_or_default();
-            self.coverage_sum[i] += coverage;
+            self.coverage_sum[i] += line.coverage_of(class.name).unwrap_or_default();
+            let of_mask = line.mask_coverage_of(class.name).unwrap_or_default();
             // A fraction of fewer than 2^52 pixels gives their number back.
-            let pixels = (coverage * self.frame_px as f64).round() as u64;
+            let pixels = (of_mask * self.frame_px as f64).round() as u64;
             self.class_px[i] = self.class_px[i].saturating_add(pixels);
             self.class_frames[i] += u64::from(pixels > 0);
         }
@@ -93,6 +93,24 @@ impl Totals {
         self.ignored_sum / self.frames.max(1) as f64
     }
 
+    /// Fraction of the pixels of all masks as they are written that a class covers, by its index in [`ClassId::ALL`].
+    #[must_use]
+    pub fn mask_coverage(&self, class: usize) -> f64 {
+        self.class_px[class] as f64 / self.all_px().max(1) as f64
+    }
+
+    /// Fraction of the pixels of all masks as they are written that carry the ignore index.
+    #[must_use]
+    pub fn mask_ignored(&self) -> f64 {
+        let labelled = self.class_px.iter().map(|pixels| u128::from(*pixels)).sum();
+        self.all_px().saturating_sub(labelled) as f64 / self.all_px().max(1) as f64
+    }
+
+    /// Number of pixels of all frames.
+    fn all_px(&self) -> u128 {
+        u128::from(self.frames) * u128::from(self.frame_px)
+    }
+
     /// Mean of the images' mean values, 0 to 255.
     #[must_use]
     pub fn rgb_mean(&self) -> f64 {
@@ -116,7 +134,7 @@ impl Totals {
     /// Mean and standard deviation of each channel over all pixels of all frames, 0 to 1; `None` if a frame lacks the sums.
     #[must_use]
     pub fn channels(&self) -> Option<[[f64; 3]; 2]> {
-        let pixels = u128::from(self.frames) * u128::from(self.frame_px);
+        let pixels = self.all_px();
         if self.lacks_channels || pixels == 0 {
             return None;
         }
@@ -199,6 +217,25 @@ mod tests {
             assert!((mean[channel] - expected).abs() < 1e-12, "{mean:?}");
             assert!((deviation[channel] - variance.sqrt()).abs() < 1e-12, "{deviation:?}");
         }
+    }
+
+    #[test]
+    fn pixels_and_weights_are_those_of_the_masks_as_they_are_written() {
+        let mut with_band = line(&[1; 24], [0.5, 0.25, 0.25]);
+        for (name, pixels) in [("regolith", 3.0), ("rock", 0.0), ("sky", 1.0), ("ignored", 4.0)] {
+            with_band.mask_coverage.insert(name.to_owned(), (pixels / 8.0).into());
+        }
+        let mut totals = Totals::new([8, 1]);
+        totals.add(&with_band);
+        totals.add(&line(&[1; 24], [0.5, 0.25, 0.25]));
+        assert_eq!(totals.class_px, [7, 2, 3]);
+        assert_eq!(
+            ([0, 1, 2].map(|i| totals.mask_coverage(i)), totals.mask_ignored()),
+            ([7.0, 2.0, 3.0].map(|px| px / 16.0), 0.25)
+        );
+        // Frequencies: 7 of 16 pixels, 2 of 8, 3 of 16.
+        assert_eq!(totals.class_weights(), [0.25 / (7.0 / 16.0), 1.0, 0.25 / (3.0 / 16.0)]);
+        assert_eq!([0, 1, 2].map(|i| totals.coverage(i)), [0.5, 0.25, 0.25], "before the band");
     }
 
     #[test]

@@ -20,6 +20,15 @@ pub enum EdgePolicy {
     Ignore(u32),
 }
 
+/// Fractions of the pixels of a mask as it is written.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MaskCoverage {
+    /// Of each class, in the order of [`ClassId::ALL`].
+    pub classes: [f64; ClassId::ALL.len()],
+    /// Of the ignore index: rocks that a label rule ignores, and the band at the boundaries of classes.
+    pub ignored: f64,
+}
+
 impl EdgePolicy {
     /// Largest width of the band, pixels.
     pub const MAX_BAND_PX: u32 = 64;
@@ -29,27 +38,68 @@ impl EdgePolicy {
     pub fn apply(self, frame: &Frame) -> Vec<u8> {
         let Self::Ignore(band_px) = self else { return frame.class.clone() };
         let (width, height, band) = (frame.width as usize, frame.height as usize, band_px as usize);
-        // The filter is separable: smallest and largest id within the band along rows, then along columns.
-        let min_max_along =
-            |lines: &[[u8; 2]], count: usize, step: usize, starts: &dyn Fn(usize) -> usize| {
-                let mut result = lines.to_vec();
-                for line in 0..lines.len() / count {
-                    let at = |i: usize| starts(line) + i * step;
-                    for i in 0..count {
-                        let near = i.saturating_sub(band)..(i + band + 1).min(count);
-                        result[at(i)] = near
-                            .map(|j| lines[at(j)])
-                            .fold([u8::MAX, 0], |[low, high], [a, b]| [low.min(a), high.max(b)]);
-                    }
+        let changes = Changes::of(&frame.class, width, height);
+        let mut ids = frame.class.clone();
+        for (y, row) in ids.chunks_exact_mut(width).enumerate() {
+            let (top, bottom) = (y.saturating_sub(band), (y + band + 1).min(height));
+            for (x, id) in row.iter_mut().enumerate() {
+                let (left, right) = (x.saturating_sub(band), (x + band + 1).min(width));
+                if changes.occur_in([left, top, right, bottom]) {
+                    *id = ClassId::UNLABELLED.0;
                 }
-                result
-            };
-        let ids: Vec<[u8; 2]> = frame.class.iter().map(|&id| [id, id]).collect();
-        let rows = min_max_along(&ids, width, 1, &|line| line * width);
-        let both = min_max_along(&rows, height, width, &|line| line);
-        let final_id =
-            |(id, [low, high]): (&u8, [u8; 2])| if low == high { *id } else { ClassId::UNLABELLED.0 };
-        frame.class.iter().zip(both).map(final_id).collect()
+            }
+        }
+        ids
+    }
+
+    /// Fractions of the pixels of a frame's mask under this rule.
+    #[must_use]
+    pub fn coverage(self, frame: &Frame) -> MaskCoverage {
+        let with_band = (self != Self::Hard).then(|| self.apply(frame));
+        let ids = with_band.as_ref().unwrap_or(&frame.class);
+        let fraction =
+            |class: ClassId| ids.iter().filter(|id| **id == class.0).count() as f64 / ids.len() as f64;
+        MaskCoverage {
+            classes: ClassId::ALL.map(|class| fraction(class.id)),
+            ignored: fraction(ClassId::UNLABELLED),
+        }
+    }
+}
+
+/// Where neighbours in a row or a column of an image differ, as summed-area tables (Crow 1984): a rectangle is looked at in one step,
+/// whatever its size.
+struct Changes {
+    /// Columns of the table: one more than the image has.
+    stride: usize,
+    /// Number of pixels above and to the left of a corner that differ from their left and from their upper neighbour.
+    sums: Vec<[u32; 2]>,
+}
+
+impl Changes {
+    fn of(ids: &[u8], width: usize, height: usize) -> Self {
+        let stride = width + 1;
+        let mut sums = vec![[0; 2]; stride * (height + 1)];
+        for y in 0..height {
+            let mut of_row = [0; 2];
+            for x in 0..width {
+                let pixel = y * width + x;
+                of_row[0] += u32::from(x > 0 && ids[pixel] != ids[pixel - 1]);
+                of_row[1] += u32::from(y > 0 && ids[pixel] != ids[pixel - width]);
+                let above = sums[y * stride + x + 1];
+                sums[(y + 1) * stride + x + 1] = [above[0] + of_row[0], above[1] + of_row[1]];
+            }
+        }
+        Self { stride, sums }
+    }
+
+    /// Whether two pixels of a rectangle (left, top, right, bottom, the last two excluded) differ.
+    fn occur_in(&self, [left, top, right, bottom]: [usize; 4]) -> bool {
+        let count = |axis: usize, left: usize, top: usize| {
+            let sum = |x: usize, y: usize| self.sums[y * self.stride + x][axis];
+            sum(right, bottom) + sum(left, top) - sum(left, bottom) - sum(right, top)
+        };
+        // The first column's left neighbours and the first row's upper ones are outside.
+        count(0, left + 1, top) + count(1, left, top + 1) > 0
     }
 }
 
@@ -96,6 +146,28 @@ mod tests {
     }
 
     #[test]
+    fn a_band_is_where_the_square_around_a_pixel_has_two_classes() {
+        let (width, height) = (23_usize, 17);
+        for seed in 0..20_usize {
+            // Patches of three classes and of what is ignored already.
+            let class_at = |x: usize, y: usize| [0, 1, 2, 255][(x / (3 + seed % 5) + y / 7 * seed) % 4];
+            let class: Vec<u8> = (0..width * height).map(|i| class_at(i % width, i / width)).collect();
+            let frame = Frame { width: 23, height: 17, class: class.clone(), ..Frame::default() };
+            for band in [1, 2, 5, 64] {
+                let expected = |i: usize| {
+                    let near = |j: &usize| {
+                        (i % width).abs_diff(j % width).max((i / width).abs_diff(j / width)) <= band
+                    };
+                    let is_uniform = (0..class.len()).filter(near).all(|j| class[j] == class[i]);
+                    if is_uniform { class[i] } else { 255 }
+                };
+                let expected: Vec<u8> = (0..class.len()).map(expected).collect();
+                assert_eq!(EdgePolicy::Ignore(band as u32).apply(&frame), expected, "{seed}, {band}");
+            }
+        }
+    }
+
+    #[test]
     fn a_single_pixel_clears_the_square_around_it() {
         let mut class = vec![2; 49];
         class[3 * 7 + 3] = 1;
@@ -104,6 +176,12 @@ mod tests {
         let ignored = ids.iter().filter(|id| **id == 255).count();
         assert_eq!(ignored, 25);
         assert_eq!(ids[0], 2);
+        let of_pixels = |classes: [f64; 3], ignored: f64| MaskCoverage {
+            classes: classes.map(|pixels| pixels / 49.0),
+            ignored: ignored / 49.0,
+        };
+        assert_eq!(EdgePolicy::Hard.coverage(&frame), of_pixels([0.0, 1.0, 48.0], 0.0));
+        assert_eq!(EdgePolicy::Ignore(2).coverage(&frame), of_pixels([0.0, 0.0, 24.0], 25.0));
     }
 
     #[test]

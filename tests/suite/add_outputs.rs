@@ -237,7 +237,8 @@ fn what_cannot_be_added_to_is_refused_with_the_remedy() {
         ("half", "depth", "not finished"),
         ("other", "depth", "made by version 0.0.1"),
         ("plain", "deph", "--add-outputs: unknown output `deph` (did you mean `depth`?)"),
-        ("nowhere", "depth", "no manifest.json"),
+        ("nowhere", "depth", "there is no such folder"),
+        (".", "depth", "no manifest.json"),
     ] {
         let before = path.join(data).is_dir().then(|| content(&path.join(data)));
         let refused = run(path, &["dataset", "--add-outputs", list, data]);

@@ -414,6 +414,39 @@ fn a_frame_that_breaks_a_rule_is_redrawn_and_counted() {
 }
 
 #[test]
+fn an_edited_card_stays_until_frames_are_made() {
+    let folder = folder();
+    let command = dataset("data", &["--count", "2", "--json", "-q"]);
+    let summary: Value = serde_json::from_str(&run_ok(folder.path(), &command)).expect("JSON");
+    assert!(summary["peak_rss_bytes"].as_u64() > Some(10_000_000) || !cfg!(target_os = "linux"));
+    let data = folder.path().join("data");
+    let before = content(&data);
+    let card = String::from_utf8_lossy(&before["README.md"]).into_owned();
+    assert!(card.contains("regolith-render claims no rights in the images and labels."), "{card}");
+    let edited = format!("{card}My licence: CC BY 4.0.\n");
+    std::fs::write(data.join("README.md"), &edited).expect("written");
+    std::fs::write(data.join("histograms.svg"), "damaged").expect("written");
+    for command in [&command[..], &["dataset", "--merge", "--out=data", "-q"]] {
+        run_ok(folder.path(), command);
+        let mut now = content(&data);
+        assert_eq!(
+            now.insert("README.md".to_owned(), card.clone().into_bytes()),
+            Some(edited.clone().into_bytes())
+        );
+        assert!(now == before, "the other files are written again");
+    }
+    let report = run(folder.path(), &["verify", "data", "--rerender=0"]);
+    assert!(String::from_utf8_lossy(&report.stdout).contains("README.md: its content has changed"));
+    std::fs::remove_file(data.join("README.md")).expect("removed");
+    run_ok(folder.path(), &command);
+    assert!(content(&data) == before);
+    std::fs::write(data.join("README.md"), &edited).expect("written");
+    run_ok(folder.path(), &dataset("data", &["--count", "3", "-q"]));
+    let grown = std::fs::read_to_string(data.join("README.md")).expect("a card");
+    assert!(grown.contains("\n3 synthetic frames") && !grown.contains("My licence"), "{grown}");
+}
+
+#[test]
 fn lost_and_damaged_files_are_made_again() {
     let folder = folder();
     let command = dataset("data", &["--count", "3", "-q"]);

@@ -184,6 +184,8 @@ fn every_format_has_the_labels_of_the_folder() {
         }
     }
     check_yolo(&plain, &of("yolo"), &of("yolo-seg"));
+    assert_eq!(instances_json["licenses"], serde_json::json!([]));
+    assert_eq!(instances_json["images"][0].get("license"), None);
     let lines = String::from_utf8_lossy(&hf["train/metadata.jsonl"]).into_owned();
     for line in lines.lines() {
         let row: Value = serde_json::from_str(line).expect("JSON");
@@ -192,7 +194,7 @@ fn every_format_has_the_labels_of_the_folder() {
             assert!(hf.contains_key(&name), "{name}");
         }
     }
-    assert!(hf["README.md"].starts_with(b"---\nlicense: cc0-1.0\n"));
+    assert!(hf["README.md"].starts_with(b"---\nlicense: unknown\n"), "whoever publishes it chooses");
 }
 
 /// YOLO's rows are the rocks of the masks: boxes around their pixels, and polygons that enclose them, the holes and nothing else.
@@ -426,7 +428,8 @@ fn an_impossible_conversion_is_refused_with_the_remedy() {
         (["plain", "yolo"], "dataset --add-outputs instances plain"),
         (["half", "hf"], "not finished"),
         (["plain", "cocoo"], "unknown format"),
-        (["nowhere", "hf"], "no manifest.json"),
+        (["nowhere", "hf"], "there is no such folder"),
+        ([".", "hf"], "no manifest.json"),
     ] {
         let output = run(folder.path(), &["convert", words[0], "--format", words[1], "--out", "new"]);
         let message = String::from_utf8_lossy(&output.stderr);

@@ -169,7 +169,7 @@ fn depth_at_a_crest_is_that_of_the_surface_with_most_samples() {
             let depths_m = all.map(|sample| f64::from(samples.depth_m[sample]));
             let nearest = (0..4).min_by(|a, b| depths_m[*a].total_cmp(&depths_m[*b])).expect("four samples");
             // On a level plane inverse depths are as the falls of the rays.
-            let falls = all.map(|sample| fall_at(sample));
+            let falls = all.map(fall_at);
             let is_in_front = |i: &usize| {
                 let of_level =
                     if falls[nearest] > 0.0 { (falls[*i] / falls[nearest]).clamp(0.0, 1.0) } else { 1.0 };
@@ -207,4 +207,34 @@ fn what_faces_away_from_the_sun_is_in_shadow() {
         let lit = turned.iter().filter(|pixel| frame.sun_occlusion[**pixel] != 255).count();
         assert!(turned.len() > 300 && lit == 0, "{backend}: {lit} of {} are lit", turned.len());
     }
+}
+
+#[test]
+fn remap_says_which_ids_and_colours_have_no_name() {
+    let folder = folder();
+    let raw = folder.path().join("raw");
+    std::fs::create_dir(&raw).expect("made");
+    let mask = |number: u32, labels: &str, image: image::DynamicImage| {
+        image.save(raw.join(format!("semantic_segmentation_{number:04}.png"))).expect("saved");
+        std::fs::write(raw.join(format!("semantic_segmentation_labels_{number:04}.json")), labels)
+            .expect("written");
+    };
+    let ids = r#"{"0": {"class": "BACKGROUND"}, "2": {"class": "sky"}}"#;
+    mask(0, ids, image::GrayImage::from_raw(4, 1, vec![0, 2, 3, 1]).expect("a mask").into());
+    let ramp: Vec<u16> = (0..40).map(|i| if i < 5 { 2 } else { 1000 - i }).collect();
+    let ramp: image::ImageBuffer<image::Luma<u16>, _> =
+        image::ImageBuffer::from_raw(40, 1, ramp).expect("a mask");
+    mask(1, ids, ramp.into());
+    let colours = image::RgbaImage::from_raw(2, 1, vec![9, 9, 9, 255, 1, 2, 3, 4]).expect("a mask");
+    mask(2, r#"{"(9, 9, 9, 255)": {"class": "rock"}}"#, colours.into());
+    let summary = run_ok(folder.path(), &["remap", "raw", "--out", "remapped", "--json"]);
+    let summary: serde_json::Value = serde_json::from_str(&summary).expect("JSON");
+    let unnamed = summary["unnamed_ids"].as_array().expect("ids");
+    assert_eq!((unnamed.len(), &unnamed[0], &unnamed[36]), (37, &1.into(), &995.into()));
+    assert_eq!(summary["unnamed_colours"], serde_json::json!([[1, 2, 3, 4]]));
+    let output = run(folder.path(), &["remap", "raw", "--out", "remapped"]);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(message.contains("ids without a name, written as 255: 1, 3, 961, 962,"), "{message}");
+    assert!(message.contains("978 and 17 more\n"), "{message}");
+    assert!(message.contains("colours without a name, written as 255: (1, 2, 3, 4)\n"), "{message}");
 }

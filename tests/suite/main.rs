@@ -9,6 +9,7 @@ mod cli;
 mod closed_form;
 mod dataset;
 mod dataset_locks;
+mod dataset_masks;
 mod dataset_paths;
 mod determinism;
 mod docs;

@@ -79,7 +79,9 @@ fn an_intact_dataset_passes_and_the_table_counts_what_was_checked() {
     }
     let none = run(folder.path(), &["verify", "nowhere"]);
     assert_eq!(none.status.code(), Some(2));
-    assert!(String::from_utf8_lossy(&none.stderr).contains("no manifest.json"));
+    assert!(String::from_utf8_lossy(&none.stderr).contains("nowhere: there is no such folder"));
+    let empty = run(folder.path(), &["verify", "."]);
+    assert!(String::from_utf8_lossy(&empty.stderr).contains("no manifest.json"));
 }
 
 #[test]

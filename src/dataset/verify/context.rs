@@ -7,7 +7,7 @@ use std::path::Path;
 use serde_json::{Map, Value};
 
 use super::templates::{self, Template};
-use crate::dataset::gate::{Gate, read_manifest};
+use crate::dataset::gate::{Gate, no_dataset, read_manifest};
 use crate::dataset::plan::Plan;
 use crate::error::{Error, Result};
 use crate::output::disk;
@@ -92,11 +92,11 @@ pub(super) fn open(folder: &Path) -> Result<Map<String, Value>> {
     if !path.is_file() {
         let has_shards =
             folder.is_dir() && disk::names(folder)?.iter().any(|name| name.starts_with("manifest-"));
-        let message = if has_shards {
-            "its shards are not merged yet; run `regolith-render dataset --merge --out` with this folder"
-        } else {
-            "not a dataset: it has no manifest.json"
-        };
+        if !has_shards {
+            return Err(no_dataset(folder));
+        }
+        let message =
+            "its shards are not merged yet; run `regolith-render dataset --merge --out` with this folder";
         return Err(Error::Dataset { path: folder.to_owned(), message: message.to_owned() });
     }
     read_manifest(&path)

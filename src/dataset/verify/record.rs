@@ -14,6 +14,7 @@ use super::templates::ExpectedFrame;
 use crate::class::ClassId;
 use crate::dataset::plan::frame_seed;
 use crate::meta;
+use crate::output::edges::EdgePolicy;
 use crate::output::layout::FrameLine;
 use crate::params::{Knob, Params};
 use crate::render::RasterOptions;
@@ -74,6 +75,12 @@ fn expected_line(
         ClassId::ALL.iter().map(|class| (class.name.to_owned(), fraction(class.name))).collect();
     coverage.insert("unlabelled".to_owned(), 0.0.into());
     coverage.extend(["ignored", "too_small", "unseen"].map(|name| (name.to_owned(), fraction(name))));
+    let mut mask_coverage = Map::new();
+    if !line.mask_coverage.is_empty() {
+        let names = ClassId::ALL.iter().map(|class| class.name).chain(["ignored"]);
+        let fraction = |name: &str| Value::from(line.mask_coverage_of(name).unwrap_or_default());
+        mask_coverage.extend(names.map(|name| (name.to_owned(), fraction(name))));
+    }
     let hash = |path: &String| {
         let recorded = line.hashes.get(path).cloned().unwrap_or_default();
         (path.clone(), recorded)
@@ -92,6 +99,7 @@ fn expected_line(
         camera: meta::camera(&Camera::above(params, eye_m as f32), size),
         sun: meta::sun(&Sun::build(params)),
         coverage,
+        mask_coverage,
         rgb: line.rgb,
         moved_rocks: line.moved_rocks.clone(),
         other: Map::new(),
@@ -129,6 +137,11 @@ fn list_problems(context: &Context<'_>, line: &FrameLine) -> Vec<Difference> {
     expect("adapter", !line.adapter.is_empty(), line.adapter.as_str().into(), "the name of an adapter");
     let is_raster = line.raster.as_deref().is_some_and(|raster| RasterOptions::NAMES.contains(&raster));
     expect("raster", is_raster, json!(line.raster), &format!("one of {}", RasterOptions::NAMES.join(", ")));
+    let has_band = context.plan.edges != EdgePolicy::Hard;
+    let wanted =
+        if has_band { "the fractions of the mask under --edges" } else { "absent: the mask has no band" };
+    let is_as_wanted = has_band != line.mask_coverage.is_empty();
+    expect("mask_coverage", is_as_wanted, json!(line.mask_coverage), wanted);
     let hash = line.geometry_hash.as_str();
     expect("geometry_hash", is_hash(hash), hash.into(), "32 hexadecimal digits");
     let is_ascending = line.moved_rocks.is_sorted_by(|a, b| a < b);

@@ -64,7 +64,9 @@ pub(super) fn forgive_record(found: &mut Value, expected: &mut Value) {
         }
     }
     for class in ["regolith", "rock", "sky", "unlabelled", "ignored", "too_small", "unseen"] {
-        forgive(found, expected, &["coverage", class], |a, b| (a - b).abs() <= LABEL_FRACTION);
+        for key in ["coverage", "mask_coverage"] {
+            forgive(found, expected, &[key, class], |a, b| (a - b).abs() <= LABEL_FRACTION);
+        }
     }
     forgive(found, expected, &["rgb", "mean"], |a, b| (a - b).abs() <= MEAN_U8);
     for key in ["p99", "max"] {

@@ -119,8 +119,6 @@ fn write_annotations(
         "description": "Labelled images of the Moon, rendered by regolith-render",
         "version": index.manifest.get("version"),
     });
-    let licenses =
-        json!([{ "id": 1, "name": "CC0 1.0", "url": "https://creativecommons.org/publicdomain/zero/1.0/" }]);
     let size = index.manifest.get("size").cloned().unwrap_or_default();
     let (mut images, mut instances, mut panoptic) = (Vec::new(), Vec::new(), Vec::new());
     index.lines.for_each(&mut |mut line| {
@@ -129,7 +127,7 @@ fn write_annotations(
         }
         let (image_id, name) = (line.index, file_name(line.index));
         images.push(json!({
-            "id": image_id, "file_name": name, "width": size[0], "height": size[1], "license": 1,
+            "id": image_id, "file_name": name, "width": size[0], "height": size[1],
         }));
         let mut take = |key: &str| line.entry.get_mut(key).map(Value::take).unwrap_or_default();
         let segments = take("segments");
@@ -142,7 +140,7 @@ fn write_annotations(
     let contents = [(instances, instance_categories()), (panoptic, panoptic_categories())];
     for (kind, (annotations, categories)) in ANNOTATION_KINDS.into_iter().zip(contents) {
         let content = json!({
-            "info": info, "licenses": licenses, "images": images, "annotations": annotations,
+            "info": info, "licenses": [], "images": images, "annotations": annotations,
             "categories": categories,
         });
         let mut bytes = content.to_string().into_bytes();

@@ -41,6 +41,10 @@ pub struct FrameLine {
     pub sun: Value,
     /// Fraction of the pixels by class name, and under `unlabelled`.
     pub coverage: Map<String, Value>,
+    /// Fraction of the pixels of the mask as it is written, by class name and under `ignored`; not written if it has no band of ignored
+    /// pixels at the boundaries of classes, since `coverage` has the same then.
+    #[serde(default, skip_serializing_if = "Map::is_empty")]
+    pub mask_coverage: Map<String, Value>,
     /// Statistics of the RGB image.
     pub rgb: RgbStatistics,
     /// Rocks that were moved out of the camera's way.
@@ -74,6 +78,13 @@ impl FrameLine {
         self.coverage.get(class).and_then(Value::as_f64)
     }
 
+    /// Fraction of the pixels of the mask as it is written: of a class, or `ignored`; `None` if the line does not say.
+    #[must_use]
+    pub fn mask_coverage_of(&self, name: &str) -> Option<f64> {
+        let fractions = if self.mask_coverage.is_empty() { &self.coverage } else { &self.mask_coverage };
+        fractions.get(name).and_then(Value::as_f64)
+    }
+
     /// Path and content hash of each of the frame's files.
     pub fn hashes(&self) -> impl Iterator<Item = (&str, &str)> {
         self.hashes.iter().filter_map(|(path, hash)| Some((path.as_str(), hash.as_str()?)))
@@ -102,6 +113,12 @@ mod tests {
             .replace(r#","entry":{"bundle":"x.tar"}"#, "");
         let line: FrameLine = serde_json::from_str(&plain).expect("a line");
         assert_eq!(serde_json::to_string(&line).expect("JSON"), plain);
+        let with_band =
+            plain.replace(r#""rgb":"#, r#""mask_coverage":{"regolith":0.25,"ignored":0.75},"rgb":"#);
+        let with_band: FrameLine = serde_json::from_str(&with_band).expect("a line");
+        let of = |line: &FrameLine| ["regolith", "ignored"].map(|name| line.mask_coverage_of(name));
+        assert_eq!((of(&line), of(&with_band)), ([Some(0.1 + 0.2), None], [Some(0.25), Some(0.75)]));
+        assert_eq!(with_band.coverage_of("regolith"), line.coverage_of("regolith"));
     }
 
     #[test]

@@ -69,7 +69,8 @@ fn card_name(split: &str) -> String {
     split.replace('-', "_")
 }
 
-/// The YAML header of the data card, by which the Hub lists the dataset and the loader finds its splits.
+/// The YAML header of the data card, by which the Hub lists the dataset and the loader finds its splits. Whoever
+/// publishes the dataset chooses its licence: until then it is unknown, in the Hub's words.
 fn yaml_header(frames: u64, splits: &[String]) -> String {
     let size = match frames {
         0..1_000 => "n<1K",
@@ -82,7 +83,7 @@ fn yaml_header(frames: u64, splits: &[String]) -> String {
         _ => "1B<n<10B",
     };
     let mut header = format!(
-        "---\nlicense: cc0-1.0\ntask_categories:\n- image-segmentation\nsize_categories:\n- {size}\nconfigs:\n\
+        "---\nlicense: unknown\ntask_categories:\n- image-segmentation\nsize_categories:\n- {size}\nconfigs:\n\
          - config_name: default\n  data_files:\n"
     );
     for split in splits {
