@@ -155,7 +155,7 @@ pub fn main(words: impl IntoIterator<Item = OsString>, itself: &dyn Fn() -> std:
         Ok(Ok(())) => 0,
         Ok(Err(Ending::Status(status))) => status,
         Ok(Err(Ending::Error(error))) => {
-            note(format_args!("error: {error}"));
+            note(format_args!("error: {error}{}", error.advice()));
             let stopped = matches!(error, Error::Stopped { .. }).then(stopped_status).flatten();
             stopped.unwrap_or_else(|| error.exit_status())
         }

@@ -1,7 +1,8 @@
 //! Every error that a user can meet, on one page, so that all messages have the same form.
 //!
-//! A message says what is wrong, which value caused it, what is allowed, and what to do. `exit_status` is 2 for wrong
-//! usage or configuration, 130 for an interrupted run, and 1 for everything else.
+//! A message says what is wrong, which value caused it, what is allowed, and what to do. What only a user of the command line can do
+//! about an error that others meet, too, is in `advice`. `exit_status` is 2 for wrong usage or configuration, 130 for an interrupted
+//! run, and 1 for everything else.
 //! Must not know: any other module of this crate.
 //! To add one: a variant with its message, and an arm in [`Error::exit_status`].
 
@@ -113,7 +114,7 @@ pub enum Error {
         found: String,
     },
     /// A file that could not be written; no partial file is left.
-    #[error("cannot write {}: {cause}{}", .path.display(), write_remedy(.cause))]
+    #[error("cannot write {}: {cause}", .path.display())]
     Write {
         /// The file.
         path: PathBuf,
@@ -188,14 +189,10 @@ pub enum Error {
         adapter: String,
     },
     /// The device ran out of memory.
-    #[error(
-        "the graphics device does not have enough memory for this frame; nothing was written. Use a smaller --size or fewer --samples"
-    )]
+    #[error("the graphics device does not have enough memory for this frame")]
     OutOfMemory,
     /// The device was removed, reset, or stopped answering.
-    #[error(
-        "the graphics device was lost while rendering ({0}); nothing was written. Run the same command again; if it happens again, try a smaller --size or another --adapter"
-    )]
+    #[error("the graphics device was lost while rendering ({0})")]
     DeviceLost(String),
     /// The device rejected a command: a bug in this crate or in the driver.
     #[error(
@@ -204,7 +201,7 @@ pub enum Error {
     Device(String),
     /// A frame with samples that no draw wrote.
     #[error(
-        "{frame}: no draw of the graphics device wrote {pixels} pixels, the first at column {column}, row {row}; the frame is not written. Run the same command again; if it happens again, add `--raster host` or choose another --adapter, and please report the settings: it is a bug in the driver or in regolith-render"
+        "{frame}: no draw of the graphics device wrote {pixels} pixels, the first at column {column}, row {row}"
     )]
     Unlabelled {
         /// Number of pixels with such samples.
@@ -221,7 +218,7 @@ pub enum Error {
     Scene(String),
     /// A dataset frame that broke a rule in every attempt.
     #[error(
-        "frame {index} was drawn {attempts} times and broke a rule each time, the last time `{rule}`: {found}. Loosen the rule or change the knobs; the frames already finished in this folder stay, so choose another --out with the new settings"
+        "frame {index} was drawn {attempts} times and broke a rule each time, the last time `{rule}`: {found}"
     )]
     RuleBroken {
         /// Index of the frame.
@@ -349,6 +346,29 @@ impl Error {
                 Self::Unlabelled { pixels, column, row, frame: format!("seed {seed}") }
             }
             other => other,
+        }
+    }
+}
+
+impl Error {
+    /// What follows the message on the command line: what became of the files of the command, and a remedy in words of its options.
+    #[must_use]
+    pub fn advice(&self) -> &'static str {
+        match self {
+            Self::Write { cause, .. } => write_remedy(cause),
+            Self::OutOfMemory => "; nothing was written. Use a smaller --size or fewer --samples",
+            Self::DeviceLost(_) => {
+                "; nothing was written. Run the same command again; if it happens again, try a smaller --size or another --adapter"
+            }
+            Self::Unlabelled { .. } => {
+                "; the frame is not written. Run the same command again; if it happens again, add `--raster host` or choose another \
+                 --adapter, and please report the settings: it is a bug in the driver or in regolith-render"
+            }
+            Self::RuleBroken { .. } => {
+                ". Loosen the rule or change the knobs; the frames already finished in this folder stay, so choose another --out \
+                 with the new settings"
+            }
+            _ => "",
         }
     }
 }

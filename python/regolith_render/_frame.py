@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ._settings import number
+
 CLASSES: dict[str, int] = {"regolith": 0, "rock": 1, "sky": 2}
 """The ids of the classes in a mask."""
 
@@ -104,24 +106,28 @@ class Frame(Mapping[str, NDArray[Any]]):
         """Image, mask over image, and a legend, for notebooks."""
         if "rgb" not in self:
             return f"<pre>{self!r}</pre>"
-        pictures = [self["rgb"]]
+        shown = [self["rgb"]]
         legend = ""
         if "mask" in self:
-            pictures.append(self.overlay())
+            shown.append(self.overlay())
             rows = [(name, _COLOURS[name], float((self["mask"] == class_id).mean())) for name, class_id in CLASSES.items()]
             legend = " ".join(
                 f'<span style="background:rgb{colour};padding:0 0.6em">&nbsp;</span> {name} {100 * share:.1f} %'
                 for name, colour, share in rows
             )
         images = "".join(
-            f'<img src="data:image/png;base64,{base64.b64encode(_png(picture)).decode()}" style="margin:2px">'
-            for picture in pictures
+            f'<img src="data:image/png;base64,{base64.b64encode(_png(rgb)).decode()}" style="margin:2px">'
+            for rgb in shown
         )
         return f"<div>{images}<br>{legend} (seed {self.meta.get('seed')})</div>"
 
     def overlay(self, opacity: float = 0.45) -> NDArray[np.uint8]:
         """The image with the classes over it in their preview colours: (H, W, 3) uint8. What is ignored is black. opacity: that of the
-        classes, 0 to 1. Needs the outputs `rgb` and `mask`."""
+        classes, 0 to 1. Needs the outputs `rgb` and `mask`.
+
+        Raises ConfigError for another opacity.
+        """
+        opacity = number("opacity", opacity, 0, 1)
         colours = np.zeros((256, 3), np.float32)
         for name, class_id in CLASSES.items():
             colours[class_id] = _COLOURS[name]

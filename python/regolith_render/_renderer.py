@@ -14,11 +14,14 @@ from . import _native
 from ._frame import Frame
 from ._scene import Scene
 from ._settings import MAX_FRAMES, MAX_PREFETCH, MAX_SEED, MAX_THREADS
-from ._settings import Knobs, document, names_of, opening, refused, release_memory, seed_of, size_of, whole
+from ._settings import Knobs, document, names_of, opening, outputs_of, path_of, plain, refused, release_memory, samples_of, seed_of, size_of
+from ._settings import text, whole
 from ._stream import streamed, streamed_in_parts
 
 SEEDS_AHEAD = 1024
 """How many seeds `frames` reads ahead."""
+DEFAULTS: dict[str, Any] = {"stage": None, "set": {}, "adapter": None, "raster": "auto", "edges": "hard", "threads": None}
+"""Settings that a renderer does not show where they are as here."""
 
 
 class Renderer:
@@ -59,26 +62,23 @@ class Renderer:
         edges: str = "hard",
         threads: int | None = None,
     ) -> None:
-        texts = {"stage": stage, "adapter": adapter, "raster": raster, "edges": edges}
-        for name, text in texts.items():
-            if text is not None and not isinstance(text, str):
-                raise refused(name, text, "a text is expected")
-        if config is not None and not isinstance(config, (str, os.PathLike)):
-            raise refused("config", config, "the path of a file is expected")
         self._settings_of: dict[str, Any] = {
-            "stage": stage,
+            "stage": None if stage is None else text("stage", stage),
             "presets": names_of("preset", preset),
             # As it is now: a copy in another process has neither this folder nor this version of the file.
-            "config": None if config is None else (_native.config_text(config), os.fsdecode(config)),
+            "config": None if config is None else _file_of_knobs(config),
             "set": document(set),
             "size": size_of(size),
-            "outputs": ",".join(names_of("outputs", outputs)),
-            "samples": whole("samples", samples, 1, 16),
-            "edges": edges,
-            "raster": raster,
+            "outputs": ",".join(outputs_of(outputs)),
+            "samples": samples_of(samples),
+            "edges": text("edges", edges),
+            "raster": text("raster", raster),
         }
-        threads = None if threads is None else whole("threads", threads, 1, MAX_THREADS)
-        self._device_of: dict[str, Any] = {"adapter": adapter, "threads": threads}
+        self._knobs = plain(set)
+        self._device_of: dict[str, Any] = {
+            "adapter": None if adapter is None else text("adapter", adapter),
+            "threads": None if threads is None else whole("threads", threads, 1, MAX_THREADS),
+        }
         self._open()
 
     def _open(self) -> None:
@@ -101,17 +101,19 @@ class Renderer:
         return opened[1]
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"settings": self._settings_of, "device": self._device_of}
+        return {"settings": self._settings_of, "knobs": self._knobs, "device": self._device_of}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self._settings_of, self._device_of = state["settings"], state["device"]
+        self._settings_of, self._knobs, self._device_of = state["settings"], state["knobs"], state["device"]
         self._open()
 
     def __repr__(self) -> str:
-        settings = self._settings_of
-        width, height = settings["size"]
-        preset = ",".join(settings["presets"])
-        return f"Renderer(preset={preset!r}, size=({width}, {height}), outputs={settings['outputs']!r}, samples={settings['samples']})"
+        settings = {**self._settings_of, **self._device_of, "set": self._knobs}
+        shown = {"preset": ",".join(settings["presets"]) or None, **{name: settings[name] for name in ("size", "outputs", "samples")}}
+        if settings["config"] is not None:
+            shown["config"] = settings["config"][1]
+        shown |= {name: settings[name] for name, default in DEFAULTS.items() if settings[name] != default}
+        return f"Renderer({', '.join(f'{name}={value!r}' for name, value in shown.items())})"
 
     def __enter__(self) -> Renderer:
         return self
@@ -217,6 +219,14 @@ class Renderer:
         Raises ConfigError for a wrong seed or knob.
         """
         return Scene(self, seed_of(seed), set)
+
+
+def _file_of_knobs(config: str | os.PathLike[str]) -> tuple[str, str]:
+    """The text of a file of knobs, and its path for messages."""
+    if not isinstance(config, (str, os.PathLike)):
+        raise refused("config", config, "the path of a file is expected")
+    path = path_of("config", config)
+    return _native.config_text(path), os.fsencode(path).decode("utf-8", "replace")
 
 
 def _iterator(seeds: Iterable[int]) -> Iterator[object]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from . import _native
 from ._frame import Frame
-from ._settings import MAX_PREFETCH, Knobs, document, refused, whole
+from ._settings import MAX_PREFETCH, Knobs, document, number, path_of, refused, whole
 from ._stream import streamed_in_parts
 
 if TYPE_CHECKING:
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 POSES_AHEAD = 256
 """How many poses `frames` reads ahead."""
+MAX_COORDINATE_M = 1e6
+"""Furthest from the origin that `ground_height` is asked for, metres along each axis."""
 
 
 @dataclass(frozen=True)
@@ -48,16 +50,6 @@ class Sun:
     azimuth_deg: float | None = None
 
 
-def _number(name: str, value: object) -> float:
-    try:
-        number = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        number = float("nan")
-    if not np.isfinite(number):
-        raise refused(name, value, "a number is expected")
-    return number
-
-
 def _position(camera: Camera) -> tuple[float, float, float] | None:
     if camera.position is None:
         return None
@@ -65,7 +57,7 @@ def _position(camera: Camera) -> tuple[float, float, float] | None:
         x, y, z = camera.position
     except (TypeError, ValueError):
         raise refused("position", camera.position, "(x, y, z) in metres is expected") from None
-    return _number("position", x), _number("position", y), _number("position", z)
+    return number("position", x), number("position", y), number("position", z)
 
 
 def _pose(camera: Camera | None, sun: Sun | None, scene: _native.Scene) -> tuple[str, float | None]:
@@ -83,7 +75,7 @@ def _pose(camera: Camera | None, sun: Sun | None, scene: _native.Scene) -> tuple
         if not isinstance(sun, Sun):
             raise refused("sun", sun, "a regolith_render.Sun is expected")
         values |= {"sun.elevation_deg": sun.elevation_deg, "sun.azimuth_deg": sun.azimuth_deg}
-    return document({name: _number(name, value) for name, value in values.items() if value is not None}), eye_z_m
+    return document({name: number(name, value) for name, value in values.items() if value is not None}), eye_z_m
 
 
 def _camera_and_sun(pose: Any) -> tuple[Camera | None, Sun | None]:
@@ -163,7 +155,11 @@ class Scene:
         return streamed_in_parts(checked, POSES_AHEAD, start)
 
     def ground_height(self, x_m: float, y_m: float) -> float:
-        """Height of the ground at a point, metres, world."""
+        """Height of the ground at a point, metres, world; beyond the border of the ground, that of its border.
+
+        Raises ConfigError for what is no number, or lies more than 1000 km from the origin along an axis.
+        """
+        x_m, y_m = (number(name, at, -MAX_COORDINATE_M, MAX_COORDINATE_M) for name, at in (("x_m", x_m), ("y_m", y_m)))
         return self._native().ground_height(x_m, y_m)
 
     def mesh(self, drawn: bool = False) -> dict[str, NDArray[Any]]:
@@ -175,15 +171,13 @@ class Scene:
 
         drawn: only what a frame draws or lets cast shadows, in the detail that it uses.
         """
-        with np.load(io.BytesIO(self._native().export("npz", drawn))) as arrays:
+        with np.load(io.BytesIO(self._native().npz(drawn))) as arrays:
             return dict(arrays)
 
-    def export(self, path: str | os.PathLike[str], drawn: bool = False) -> None:
-        """Writes the scene for other software; the extension selects the format: .npz, .glb, .usda or .usdc.
+    def export(self, path: str | bytes | os.PathLike[str], drawn: bool = False) -> None:
+        """Writes the scene for other software; the extension selects the format: .npz, .glb, .usda or .usdc. A file of that name is
+        replaced when the new one is complete, and stays if that fails; a missing folder is created. drawn: as in `mesh`.
 
-        Raises ConfigError for another extension, OSError if the file cannot be written.
+        Raises ConfigError for another extension or a name that is no text, OSError if the file cannot be written.
         """
-        extension = os.path.splitext(path)[1].removeprefix(".")
-        data = self._native().export(extension, drawn)
-        with open(path, "wb") as file:
-            file.write(data)
+        self._native().export(path_of("path", path), drawn)

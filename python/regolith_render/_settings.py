@@ -30,8 +30,12 @@ MAX_SIDE = 2**16
 
 def refused(name: str, value: object, allowed: str, *, knob: str | None = None) -> _native.ConfigError:
     """The error for an argument."""
-    error = _native.ConfigError(f"{name} = {value!r}: {allowed}")
-    error.knob, error.value, error.allowed = knob, repr(value), allowed
+    try:
+        shown = repr(value)
+    except ValueError:  # Python writes no integers of thousands of digits.
+        shown = "an integer of too many digits"
+    error = _native.ConfigError(f"{name} = {shown}: {allowed}")
+    error.knob, error.value, error.allowed = knob, shown, allowed
     return error
 
 
@@ -45,6 +49,39 @@ def whole(name: str, value: object, low: int, high: int) -> int:
     if isinstance(value, (bool, np.bool_)) or not low <= number <= high:
         raise refused(name, value, allowed)
     return number
+
+
+def number(name: str, value: object, low: float = -np.inf, high: float = np.inf) -> float:
+    """A finite number from `low` to `high`; NumPy's numbers and tensors of one are such as well, texts and truth values are not."""
+    try:
+        found = float("nan") if isinstance(value, (str, bytes, bytearray, bool, np.bool_)) else float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        found = float("nan")
+    if not (np.isfinite(found) and low <= found <= high):
+        bounds = f" from {low:g} to {high:g}" if np.isfinite(low) else ""
+        raise refused(name, value, f"a number{bounds} is expected")
+    return found
+
+
+def text(name: str, value: object) -> str:
+    """A text that UTF-8 has."""
+    if not isinstance(value, str):
+        raise refused(name, value, "a text is expected")
+    try:
+        value.encode()
+    except UnicodeEncodeError:
+        raise refused(name, value, "a text without lone surrogates is expected") from None
+    return value
+
+
+def path_of(name: str, value: str | bytes | os.PathLike[str]) -> str:
+    """The path of a file; bytes of it that are no text are lone surrogates, as in `os.fsdecode`."""
+    try:
+        path = os.fsdecode(value)
+        os.fsencode(path)
+    except (TypeError, UnicodeError):
+        raise refused(name, value, "the path of a file is expected") from None
+    return path
 
 
 def seed_of(value: object) -> int:
@@ -81,52 +118,92 @@ def names_of(name: str, value: object) -> list[str]:
         names = list(listed)  # type: ignore[call-overload]
     except TypeError:
         names = [None]
-    if not all(isinstance(text, str) for text in names):
+    if not all(isinstance(item, str) for item in names):
         raise refused(name, value, "a name is expected, or several with commas between them, or a list of names")
-    return [text.strip() for text in names]
+    return [text(name, item).strip() for item in names]
 
 
-def document(set: Knobs | None) -> str:
-    """Values of knobs as TOML."""
+def outputs_of(value: object) -> list[str]:
+    """Names of outputs, one at least."""
+    names = names_of("outputs", value)
+    if not any(names):
+        raise refused("outputs", value, f"at least one name is expected, of {', '.join(_native.outputs())} and all")
+    return names
+
+
+def samples_of(value: object) -> int:
+    """Samples of a pixel."""
+    samples = whole("samples", value, 1, 16)
+    if samples not in (1, 4, 16):
+        raise refused("samples", value, "1, 4 or 16 is expected")
+    return samples
+
+
+def plain(set: Knobs | None) -> dict[str, Any]:
+    """Values of knobs in Python's own types."""
     if set is not None and not isinstance(set, Mapping):
         raise refused("set", set, 'a mapping of knobs is expected, as in {"sun.elevation_deg": 12}')
     try:
-        return "".join(f"{_key(name)} = {_toml(str(name), value)}\n" for name, value in (set or {}).items())
+        return {str(name): _plain(str(name), value) for name, value in (set or {}).items()}
     except RecursionError:
         raise refused("set", set, "values of finite depth are expected") from None
 
 
-def _key(name: object) -> str:
+def document(set: Knobs | None) -> str:
+    """Values of knobs as TOML."""
+    knobs = plain(set)
+    try:
+        return "".join(f"{_key(name)} = {_toml(value)}\n" for name, value in knobs.items())
+    except RecursionError:
+        raise refused("set", set, "values of finite depth are expected") from None
+
+
+def _key(name: str) -> str:
     """A dotted name; what is no name becomes one that no knob has."""
-    parts = str(name).split(".")
+    parts = name.split(".")
     return ".".join(part if re.fullmatch(r"[A-Za-z0-9_-]+", part) else _text(part) for part in parts)
 
 
-def _text(text: str) -> str:
+def _text(value: str) -> str:
     """A text as TOML, which knows no surrogates; its delete character is escaped."""
-    try:
-        text.encode()
-    except UnicodeEncodeError:
-        raise refused("set", text, "a text without lone surrogates is expected") from None
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return json.dumps(text("set", value), ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _toml(knob: str, value: object) -> str:
-    """A value of a knob as TOML."""
+def _plain(knob: str, value: object) -> Any:
+    """A value of a knob in Python's own types."""
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_key(key)} = {_toml(knob, item)}" for key, item in value.items()) + "}"
+        return {str(key): _plain(knob, item) for key, item in value.items()}
     if isinstance(value, str):
-        return _text(value)
+        return str.__str__(value)
     if isinstance(value, (bool, np.bool_)):
-        return "true" if value else "false"
-    if isinstance(value, (int, np.integer)) and -(2**63) <= int(value) < 2**63:
-        return str(int(value))
+        return bool(value)
+    if isinstance(value, (int, np.integer)):
+        return _whole_or_float(knob, int(value))
     if isinstance(value, (float, np.floating)):
-        return repr(float(value))
+        return float(value)
     if _is_list(value) and isinstance(value, (Sequence, np.ndarray)):
-        return "[" + ", ".join(_toml(knob, item) for item in value) + "]"
+        return [_plain(knob, item) for item in value]
     expected = "a number, a text, a list or a distribution is expected; this is no value of a knob"
     raise refused(knob, value, expected, knob=knob)
+
+
+def _whole_or_float(knob: str, value: int) -> int | float:
+    """Whole numbers of TOML have 64 bits; larger ones are out of the range of every knob, which is the error that names it."""
+    try:
+        return value if -(2**63) <= value < 2**63 else float(value)
+    except OverflowError:
+        raise refused(knob, value, "a number within the range of the knob is expected", knob=knob) from None
+
+
+def _toml(value: Any) -> str:
+    """A plain value as TOML."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{_key(key)} = {_toml(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(_toml(item) for item in value) + "]"
+    if isinstance(value, str):
+        return _text(value)
+    return str(value).lower() if isinstance(value, bool) else repr(value)
 
 
 _opening = threading.Lock()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from . import _native
-from ._settings import opening
+from ._settings import opening, text
 
 
 class Adapter(NamedTuple):
@@ -57,8 +57,8 @@ def knobs(stage: str = "nominal") -> list[Knob]:
     Raises ConfigError for another stage.
     """
     return [
-        Knob(name, unit, bounds[0] if bounds else None, bounds[1] if bounds else None, default, text, tuple(allowed))
-        for name, unit, bounds, default, text, allowed in _native.knobs(stage)
+        Knob(name, unit, bounds[0] if bounds else None, bounds[1] if bounds else None, default, help, tuple(allowed))
+        for name, unit, bounds, default, help, allowed in _native.knobs(text("stage", stage))
     ]
 
 

@@ -6,6 +6,7 @@ PyTorch is imported here and nowhere else in the package.
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -23,6 +24,9 @@ Sample = dict[str, Any]
 """Tensors by name of the output, and what a transform makes of them."""
 
 Transform = Callable[[Sample], Any]
+
+MAX_WORKERS = 1024
+"""Workers of a loader that are distinguished by their number."""
 
 
 def _tensor(name: str, array: np.ndarray[Any, Any], as_uint8: bool) -> torch.Tensor:
@@ -89,11 +93,13 @@ class MoonDataset(IterableDataset[Any]):
         self.transform, self.as_uint8 = transform, as_uint8
         # Epoch, `taken` and `within_batch` of the next iteration, and how often these were set: in memory that workers share, as they
         # may live longer than an epoch.
-        self._start = torch.zeros(4, dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call,unused-ignore]
+        self._start = _shared([0] * 4)
         self._starts_used = -1
-        # The start that workers used last, and in which iteration: those that a loader starts for each know nothing of the iterations before.
-        self._used_by = torch.full((2,), -1, dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call,unused-ignore]
-        # The same of a worker that was given a state of its own, as `torchdata`'s StatefulDataLoader does.
+        # The start that was used last, in which iteration, by how many workers, and of which process; the start that each worker used, by
+        # its number; and the start that an iteration found used, so that it began at the first frame. Workers that a loader starts for
+        # each iteration know nothing else of those before.
+        self._used_by, self._used_by_worker, self._used_up = _shared([-1] * 4), _shared([-1] * MAX_WORKERS), _shared([-1])
+        # The start of a worker that was given a state of its own, as `torchdata`'s StatefulDataLoader does.
         self._own_start: tuple[int, int, int] | None = None
         self._position = (0, 0, 0)
         # The rank, and how many there are, where `torch.distributed` is not initialised: in workers that are not forked.
@@ -107,34 +113,50 @@ class MoonDataset(IterableDataset[Any]):
         (`persistent_workers`) follow."""
         epoch = whole("epoch", epoch, 0, MAX_FRAMES)
         loaded, self._loaded_epoch = self._loaded_epoch, None
-        if epoch != loaded:
+        if epoch != loaded or self._is_begun():
             self._set_start((epoch, 0, 0))
 
     def state_dict(self, batches: int | None = None) -> dict[str, int]:
         """Where an epoch is: `epoch`, `taken`, the frames of all ranks and workers in batches that are complete, and `within_batch`, those
         of the batch that was begun.
 
-        batches: how many of `batch_size` frames the loader of this rank has given since the epoch was set, or the state loaded. With worker
-        processes it is needed, as only the loader knows; without it, the state is that of the iteration in this process.
+        batches: how many of `batch_size` frames the loader of this rank has given in this iteration, as `enumerate(loader, 1)` counts. With
+        worker processes it is needed, as only the loader knows; without it, the state is that of the iteration in this process.
+
+        Loaded after the last frame of an epoch, it gives an iteration without frames; the one after that is whole, or that of the next
+        `set_epoch`.
+
+        Raises ConfigError for more batches than there are.
         """
         epoch, taken, within = self._position
         if batches is not None:
-            epoch, taken, within = (int(number) for number in self._start[:3])
+            epoch, taken, within, set_times = (int(number) for number in self._start)
+            if int(self._used_up[0]) == set_times:
+                taken = within = 0
             if within:
                 raise refused("batches", batches, "None is expected after a state within a batch: only the iteration knows")
-            taken += whole("batches", batches, 0, MAX_FRAMES) * self.batch_size * self._rank_of()[1]
+            run = self.batch_size * self._rank_of()[1]
+            most = MAX_FRAMES if self.length is None else max(0, -((taken - self.length) // run))
+            taken += whole("batches", batches, 0, most) * run
+        if self.length is not None:
+            # The last batches of other ranks and workers may lie beyond it.
+            taken = min(taken, self._end())
         return {"epoch": epoch, "taken": taken, "within_batch": within}
+
+    def _end(self) -> int:
+        """Most frames in complete batches: the length, rounded up to a batch; without a length as many as there may be."""
+        return MAX_FRAMES if self.length is None else -(-self.length // self.batch_size) * self.batch_size
 
     def load_state_dict(self, state: dict[str, int]) -> None:
         """The next iteration goes on from there, with any number of workers; those after it start at the first frame of the epoch.
 
-        Raises ConfigError if it is no state, or one of another `batch_size` in whose batches it does not fit.
+        Raises ConfigError if it is no state, one of another `batch_size` in whose batches it does not fit, or one beyond the length.
         """
         try:
             epoch, taken, within = state["epoch"], state["taken"], state["within_batch"]
         except (TypeError, KeyError):
             raise refused("state", state, "what state_dict returned is expected") from None
-        taken, within = whole("taken", taken, 0, MAX_FRAMES), whole("within_batch", within, 0, self.batch_size - 1)
+        taken, within = whole("taken", taken, 0, self._end()), whole("within_batch", within, 0, self.batch_size - 1)
         if taken % self.batch_size:
             raise refused("taken", taken, f"a multiple of batch_size = {self.batch_size} is expected")
         self._set_start((whole("epoch", epoch, 0, MAX_FRAMES), taken, within))
@@ -152,21 +174,31 @@ class MoonDataset(IterableDataset[Any]):
         epoch, taken, within, set_times = (int(number) for number in self._start)
         if self._own_start is not None:
             epoch, taken, within = self._own_start
-        elif set_times == self._starts_used or self._is_used(set_times):
+        elif self._is_used(set_times):
             taken = within = 0
+            self._used_up.fill_(set_times)
         self._own_start, self._starts_used = None, set_times
         return epoch, taken, within
 
+    def _is_begun(self) -> bool:
+        """Whether an iteration of this process, or of its workers, began at the present start."""
+        set_times, _, _, process = self._used_by.tolist()
+        return bool(set_times == int(self._start[3]) and process == os.getpid())
+
     def _is_used(self, set_times: int) -> bool:
-        """Whether workers of an earlier iteration of a loader began at this start. All workers of an iteration have its seed in common."""
+        """Whether an earlier iteration began at this start, in this process or in workers. All workers of an iteration have its seed in
+        common, but so have iterations before each of which PyTorch was seeded with the same number: those have workers of equal numbers."""
+        if set_times == self._starts_used:
+            return True
         worker = get_worker_info()  # type: ignore[no-untyped-call,unused-ignore]
-        if worker is None:
-            return False
-        iteration = int(worker.seed - worker.id) % 2**62
-        used = [int(number) for number in self._used_by]
-        if used[0] == set_times:
-            return used[1] != iteration
-        self._used_by.copy_(torch.tensor([set_times, iteration]))
+        number, workers, seed = (MAX_WORKERS, 0, 0) if worker is None else (worker.id, worker.num_workers, worker.seed)
+        iteration, used = [set_times, int(seed - number) % 2**62, workers], self._used_by.tolist()
+        of_worker = self._used_by_worker[number : number + 1]
+        if used[0] == set_times and (used[:3] != iteration or set_times in of_worker.tolist()):
+            return True
+        parent = None if worker is None else multiprocessing.parent_process()
+        self._used_by.copy_(torch.tensor([*iteration, (parent.pid or 0) if parent else os.getpid()]))
+        of_worker.fill_(set_times)
         return False
 
     def __getstate__(self) -> dict[str, Any]:
@@ -175,8 +207,8 @@ class MoonDataset(IterableDataset[Any]):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._start.share_memory_()  # type: ignore[no-untyped-call,unused-ignore]
-        self._used_by.share_memory_()  # type: ignore[no-untyped-call,unused-ignore]
+        for shared in (self._start, self._used_by, self._used_up, self._used_by_worker):
+            shared.share_memory_()  # type: ignore[no-untyped-call,unused-ignore]
 
     def __iter__(self) -> Iterator[Any]:
         self._loaded_epoch = None
@@ -199,7 +231,6 @@ class MoonDataset(IterableDataset[Any]):
             self._position = (epoch, taken, within)
             made = sample(frame, self.as_uint8)
             yield made if self.transform is None else self.transform(made)
-        self._position = (epoch, 0, 0)
 
     def _rank_of(self) -> tuple[int, int]:
         """The rank of this process in a distributed run, or of the one that started it, and how many there are."""
@@ -213,10 +244,55 @@ class MoonDataset(IterableDataset[Any]):
         return self.length
 
 
+def _shared(numbers: list[int]) -> torch.Tensor:
+    """Whole numbers in memory that processes share."""
+    tensor = torch.tensor(numbers, dtype=torch.int64)
+    tensor.share_memory_()  # type: ignore[no-untyped-call,unused-ignore]
+    return tensor
+
+
 def _worker_of() -> tuple[int, int]:
     """The number of this worker of a loader, and how many it has."""
     worker = get_worker_info()  # type: ignore[no-untyped-call,unused-ignore]
     return (0, 1) if worker is None else (worker.id, worker.num_workers)
+
+
+def _object(text: bytes) -> dict[str, Any]:
+    """An object of JSON; ValueError for anything else."""
+    found = json.loads(text)
+    if not isinstance(found, dict):
+        raise ValueError("an object is expected")
+    return found
+
+
+def _manifest_of(folder: Path) -> dict[str, Any]:
+    """The manifest of a dataset."""
+    path = folder / "manifest.json"
+    try:
+        return _object(path.read_bytes())
+    except ValueError as error:
+        remedy = "delete it and run the command of the dataset again with --force, which writes it again"
+        raise ValueError(f"{path} is no manifest ({error}); {remedy}") from None
+
+
+def _records_of(folder: Path, manifest: dict[str, Any]) -> list[dict[str, Any]]:
+    """The records of the frames of a dataset: as many as its manifest counts."""
+    path, records = folder / "frames.jsonl", []
+    remedy = f"run the command of the dataset again, or `regolith-render verify {folder}`, which lists what is wrong"
+    lines = path.read_bytes().removesuffix(b"\n").split(b"\n")
+    for number, line in enumerate(lines, 1):
+        try:
+            record = _object(line)
+            missing = [key for key in ("index", "hashes") if key not in record]
+            if missing:
+                raise ValueError(f"it has no {missing[0]}")
+        except ValueError as error:
+            reason = getattr(error, "msg", error)
+            raise ValueError(f"{path}, line {number} is no record of a frame ({reason}); {remedy}") from None
+        records.append(record)
+    if (completed := manifest.get("n_completed")) != len(records):
+        raise ValueError(f"{folder} has the records of {len(records)} frames, and its manifest counts {completed}; {remedy}")
+    return records
 
 
 class MoonFolder(Dataset[Any]):
@@ -230,7 +306,7 @@ class MoonFolder(Dataset[Any]):
     `class_pixels` by name of the class; `channel_mean` and `channel_std`, three numbers of 0 to 1. `manifest` and `records` are the
     dataset's own.
 
-    Raises FileNotFoundError if there is no dataset, ValueError if it is unfinished, of another layout, or has no such split.
+    Raises FileNotFoundError if there is no dataset, ValueError if it is unfinished, damaged, of another layout, or has no such split.
     """
 
     manifest: dict[str, Any]
@@ -250,11 +326,11 @@ class MoonFolder(Dataset[Any]):
     ) -> None:
         super().__init__()
         self.folder, self.transform, self.as_uint8 = Path(folder), transform, as_uint8
-        self.manifest = json.loads((self.folder / "manifest.json").read_text(encoding="utf-8"))
+        self.manifest = _manifest_of(self.folder)
         for key, value in (("format", "folder"), ("label_ids", "canonical")):
             if (found := self.manifest.get(key, value)) != value:
                 raise ValueError(f"{self.folder} has {key} = {found!r}; {value!r} is expected")
-        totals = self.manifest.get("totals", {})
+        totals = self.manifest.get("totals") or {}
         missing = [name for name in ("class_weights", "channel_mean") if name not in totals]
         if missing:
             raise ValueError(
@@ -265,10 +341,8 @@ class MoonFolder(Dataset[Any]):
         splits = self.manifest.get("splits") or {}
         if split is not None and split not in splits:
             raise ValueError(f"split = {split!r}: {self.folder} has {', '.join(splits) or 'no splits'}")
-        lines = (self.folder / "frames.jsonl").read_text(encoding="utf-8").splitlines()
-        records = (json.loads(line) for line in lines)
         self.records = sorted(
-            (record for record in records if split is None or record.get("split", "") == split),
+            (record for record in _records_of(self.folder, self.manifest) if split is None or record.get("split", "") == split),
             key=lambda record: int(record["index"]),
         )
 

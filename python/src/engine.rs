@@ -11,14 +11,16 @@ use regolith::dataset::frame_stream::render_scene;
 use regolith::dataset::plan::{MAX_FRAMES, Plan, Seeds};
 use regolith::dataset::rules::Rules;
 use regolith::dataset::{Concurrency, FrameStream, cores};
+use regolith::error::nearest;
 use regolith::gpu::Gpu;
 use regolith::gpu::adapter;
 use regolith::output;
+use regolith::output::edges::EdgePolicy;
 use regolith::params::config::Config;
 use regolith::render::{RasterMode, RenderSettings, Renderer};
 
 use crate::convert::{self, PyFrame};
-use crate::errors::{ConfigError, DeviceError, raised};
+use crate::errors::{DeviceError, raised, refused};
 use crate::scene::Scene;
 
 /// Where a setting of a call comes from, in messages.
@@ -57,9 +59,14 @@ impl Settings {
         edges: &str,
         raster: &str,
     ) -> PyResult<Self> {
-        let raster = raster
-            .parse()
-            .map_err(|message| ConfigError::new_err(format!("raster = {raster}: {message}")))?;
+        let raster = raster.parse().map_err(|_: String| {
+            let names = RasterMode::names();
+            refused(py, "raster", raster, &names.join(", "), nearest(raster, names))
+        })?;
+        let edges = edges.parse().map_err(|_: regolith::Error| {
+            let allowed = format!("hard, and ignore:N with N from 1 to {} pixels", EdgePolicy::MAX_BAND_PX);
+            refused(py, "edges", edges, &allowed, nearest(edges, ["hard"]))
+        })?;
         let plan = || -> regolith::Result<Plan> {
             let knobs = Config::layered(stage, presets.iter().map(String::as_str), |knobs| {
                 if let Some((text, path)) = &config {
@@ -70,7 +77,7 @@ impl Settings {
             let rules = Rules::from_config(&knobs)?;
             let image = RenderSettings::new(size, samples)?;
             let outputs = output::parse_outputs(outputs)?;
-            Ok(Plan { edges: edges.parse()?, ..Plan::in_memory(knobs, rules, 0, image, outputs) })
+            Ok(Plan { edges, ..Plan::in_memory(knobs, rules, 0, image, outputs) })
         };
         Ok(Self { plan: raised(py, plan())?, raster })
     }

@@ -43,13 +43,65 @@ fn details(error: &Error) -> Details {
         | Error::UnknownOutput { name, suggestion, available } => {
             [None, some(name), Some(available.join(", ")), suggestion.clone()]
         }
+        Error::RuleBroken { rule, .. } => [knob_of_rule(rule), None, None, None],
         _ => [None, None, None, None],
     }
 }
 
+/// The knob of a rule of datasets; `None` for a rule that has none.
+fn knob_of_rule(rule: &str) -> Option<String> {
+    match rule {
+        "black" | "clipped" | "saturated" | "sky" => Some(format!("rules.{rule}_max")),
+        "lit" => Some("rules.lit_min".to_owned()),
+        _ => rule.starts_with("require.").then(|| "rules.require".to_owned()),
+    }
+}
+
+/// What to do about an error, in words of the package; the command line has [`Error::advice`].
+fn advice(error: &Error) -> &'static str {
+    match error {
+        Error::OutOfMemory => "; use a smaller size or fewer samples",
+        Error::DeviceLost(_) => {
+            "; call `close()` of the renderer, whose next use opens the device again; if it is lost again, use a smaller size or another \
+             adapter"
+        }
+        Error::Unlabelled { .. } => {
+            "; render the frame again; if it happens again, use raster=\"host\" or another adapter, and please report the settings: it is \
+             a bug in the driver or in regolith-render"
+        }
+        Error::RuleBroken { .. } => "; loosen the rule or change the knobs",
+        _ => "",
+    }
+}
+
+/// The exception for a value of an argument that is none of those allowed.
+pub(crate) fn refused(
+    py: Python<'_>,
+    argument: &str,
+    value: &str,
+    allowed: &str,
+    nearest: Option<String>,
+) -> PyErr {
+    let suggestion =
+        nearest.as_ref().map_or_else(String::new, |nearest| format!(" (did you mean `{nearest}`?)"));
+    let message = format!("{argument} = {value}: allowed are {allowed}{suggestion}");
+    config_error(py, message, [None, Some(value.to_owned()), Some(allowed.to_owned()), nearest])
+}
+
+fn config_error(py: Python<'_>, message: String, details: Details) -> PyErr {
+    let exception = ConfigError::new_err(message);
+    let value = exception.value(py);
+    for (name, detail) in DETAILS.into_iter().zip(details) {
+        if let Err(failure) = value.setattr(name, detail) {
+            return failure;
+        }
+    }
+    exception
+}
+
 /// The exception for an error of the library.
 pub(crate) fn exception(py: Python<'_>, error: &Error) -> PyErr {
-    let message = error.to_string();
+    let message = format!("{error}{}", advice(error));
     match error {
         Error::NoAdapter { .. } | Error::AdapterNotFound { .. } | Error::AdapterUnfit { .. } => {
             NoAdapterError::new_err(message)
@@ -62,17 +114,11 @@ pub(crate) fn exception(py: Python<'_>, error: &Error) -> PyErr {
             std::io::Error::new(cause.kind(), message).into()
         }
         Error::Thread(_) => PyOSError::new_err(message),
-        _ if error.exit_status() == 2 || matches!(error, Error::RuleBroken { .. }) => {
+        Error::RuleBroken { .. } => config_error(py, message, details(error)),
+        _ if error.exit_status() == 2 => {
             // What is an option of the command line is an argument here.
             let message = message.trim_start_matches("--").replace(" --", " ");
-            let exception = ConfigError::new_err(message);
-            let value = exception.value(py);
-            for (name, detail) in DETAILS.into_iter().zip(details(error)) {
-                if let Err(failure) = value.setattr(name, detail) {
-                    return failure;
-                }
-            }
-            exception
+            config_error(py, message, details(error))
         }
         _ => DeviceError::new_err(message),
     }

@@ -1,5 +1,8 @@
 //! A scene that is built once and rendered from many poses.
 
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use regolith::dataset::attempt::BuiltScene;
@@ -8,10 +11,11 @@ use regolith::dataset::plan::Plan;
 use regolith::dataset::pose::Pose;
 use regolith::dataset::{FrameStream, cores};
 use regolith::export::{self, Detail, Format, Stage};
+use regolith::output::{Artifact, disk};
 
 use crate::convert::{self, PyFrame};
 use crate::engine::{Engine, Frames};
-use crate::errors::raised;
+use crate::errors::{raised, refused};
 
 /// A scene with the values of its knobs.
 #[pyclass(frozen)]
@@ -23,6 +27,18 @@ pub(crate) struct Scene {
 impl Scene {
     pub(crate) fn new(plan: Plan, built: BuiltScene) -> Self {
         Self { plan, built }
+    }
+
+    /// The bytes of a file of this format.
+    fn encoded(&self, format: Format, drawn: bool) -> regolith::Result<Vec<u8>> {
+        let BuiltScene { seed, scene, params } = &self.built;
+        let knobs = params.to_json();
+        let detail = if drawn { Detail::Drawn } else { Detail::Authored };
+        let stage = Stage { scene, seed: *seed, knobs: &knobs, settings: &self.plan.settings, detail };
+        // A pool of its own: the threads of the common pool do not exist in a process that was forked.
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(cores()).build();
+        let pool = pool.map_err(|error| regolith::Error::Thread(std::io::Error::other(error)))?;
+        pool.install(|| export::export(&stage, format))
     }
 }
 
@@ -64,20 +80,26 @@ impl Scene {
         self.built.scene.terrain.height_at([x_m, y_m].into())
     }
 
-    /// The scene as a file: npz, glb, usda or usdc.
-    fn export<'py>(&self, py: Python<'py>, format: &str, drawn: bool) -> PyResult<Bound<'py, PyBytes>> {
-        let bytes = || -> regolith::Result<Vec<u8>> {
-            let format = Format::from_path(std::path::Path::new(&format!("scene.{format}")))?;
-            let BuiltScene { seed, scene, params } = &self.built;
-            let knobs = params.to_json();
-            let detail = if drawn { Detail::Drawn } else { Detail::Authored };
-            let settings = &self.plan.settings;
-            let stage = Stage { scene, seed: *seed, knobs: &knobs, settings, detail };
-            // A pool of its own: the threads of the common pool do not exist in a process that was forked.
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(cores()).build();
-            let pool = pool.map_err(|error| regolith::Error::Thread(std::io::Error::other(error)))?;
-            pool.install(|| export::export(&stage, format))
-        };
-        Ok(PyBytes::new(py, &raised(py, py.detach(bytes))?))
+    /// The scene as an npz file.
+    fn npz<'py>(&self, py: Python<'py>, drawn: bool) -> PyResult<Bound<'py, PyBytes>> {
+        let bytes = py.detach(|| self.encoded(Format::Npz, drawn));
+        Ok(PyBytes::new(py, &raised(py, bytes)?))
+    }
+
+    /// Writes the scene to a file, completely or not at all; the extension selects the format.
+    fn export(&self, py: Python<'_>, path: PathBuf, drawn: bool) -> PyResult<()> {
+        let refused = |allowed: &str| refused(py, "path", &path.display().to_string(), allowed, None);
+        let format = Format::from_path(&path).map_err(|_| {
+            let extensions = Format::ALL.map(|(_, extension)| format!(".{extension}"));
+            refused(&format!("names that end in {}", extensions.join(", ")))
+        })?;
+        let name = path.file_name().and_then(OsStr::to_str);
+        let name = name.ok_or_else(|| refused("names of files that are text in UTF-8"))?.to_owned();
+        let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let written = py.detach(|| {
+            let bytes = self.encoded(format, drawn)?;
+            disk::write_all(folder, &[Artifact { name, bytes }])
+        });
+        raised(py, written).map(drop)
     }
 }

@@ -1,11 +1,12 @@
 //! Adapters, knobs, presets and outputs as plain tuples.
 
 use pyo3::prelude::*;
+use regolith::error::nearest;
 use regolith::gpu::adapter;
 use regolith::output::OUTPUTS;
 use regolith::params::{KNOBS, Kind, Stage, presets as shipped};
 
-use crate::errors::{ConfigError, raised};
+use crate::errors::{raised, refused};
 
 /// Name, kind, backend and driver of each adapter, best first.
 #[pyfunction]
@@ -25,10 +26,10 @@ type KnobRow = (&'static str, &'static str, Option<[f64; 2]>, String, &'static s
 
 /// The knobs of a stage.
 #[pyfunction]
-pub(crate) fn knobs(stage: &str) -> PyResult<Vec<KnobRow>> {
+pub(crate) fn knobs(py: Python<'_>, stage: &str) -> PyResult<Vec<KnobRow>> {
     let stage = Stage::from_name(stage).ok_or_else(|| {
-        let names: Vec<&str> = Stage::ALL.iter().map(|row| row.1).collect();
-        ConfigError::new_err(format!("stage `{stage}`: unknown; there are {}", names.join(", ")))
+        let names = Stage::ALL.map(|(_, name)| name);
+        refused(py, "stage", stage, &names.join(", "), nearest(stage, names))
     })?;
     let rows = KNOBS.iter().filter(|info| info.is_of(stage)).map(|info| {
         let (range, texts) = match info.kind {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 import regolith_render as rr
-from conftest import ADAPTER, python
+from conftest import ADAPTER, program, python
 
 ENDLESS: list[Any] = []
 ENDLESS.append(ENDLESS)
@@ -21,8 +22,9 @@ SETTINGS: list[tuple[dict[str, Any], str]] = [
     ({"stage": "mars"}, "mars.*nominal, surface"),
     ({"stage": 3}, "stage = 3"),
     ({"outputs": ["rgbd"]}, r"outputs: unknown output `rgbd` \(did you mean `rgb`\?\)"),
-    ({"outputs": []}, "outputs is empty"),
-    ({"outputs": None}, "outputs is empty"),
+    ({"outputs": []}, r"outputs = \[\]: at least one name is expected, of rgb, mask"),
+    ({"outputs": " , "}, "outputs = ' , '"),
+    ({"outputs": None}, "outputs = None"),
     ({"outputs": [3]}, r"outputs = \[3\]"),
     ({"size": 0}, "size = 0"),
     ({"size": (64, -1)}, "size = -1"),
@@ -30,11 +32,12 @@ SETTINGS: list[tuple[dict[str, Any], str]] = [
     ({"size": "64x64"}, "size = '64x64'"),
     ({"size": (1, 2, 3)}, "width, height"),
     ({"size": 2**40}, "size"),
-    ({"samples": 3}, "samples 3: allowed are 1, 4"),
+    ({"samples": 3}, "samples = 3: 1, 4 or 16 is expected"),
     ({"samples": -4}, "samples = -4"),
     ({"samples": None}, "samples = None"),
-    ({"edges": "soft"}, "edges soft: allowed are hard"),
-    ({"raster": "gpu"}, "raster = gpu: allowed are auto, device, compute and host"),
+    ({"edges": "soft"}, "edges = soft: allowed are hard, and ignore:N with N from 1 to 64"),
+    ({"edges": None}, "edges = None: a text is expected"),
+    ({"raster": "gpu"}, "raster = gpu: allowed are auto, device, compute, host"),
     ({"threads": 0}, "threads = 0"),
     ({"threads": 10**6}, "threads = 1000000"),
     ({"adapter": 0}, "adapter = 0"),
@@ -43,12 +46,21 @@ SETTINGS: list[tuple[dict[str, Any], str]] = [
     ({"set": {"sun.elevation_deg": float("nan")}}, "sun.elevation_deg"),
     ({"set": {"sun.elevation_deg": "high"}}, "sun.elevation_deg"),
     ({"set": {"sun.elevation_deg": {"unifrom": [5, 40]}}}, "sun.elevation_deg"),
-    ({"set": {"rocks.count": 10**30}}, "rocks.count"),
+    ({"set": {"rocks.count": 2**63}}, "rocks.count = 9.22.* is out of range|rocks.count = 9.22.* whole number"),
+    ({"set": {"rocks.count": -(10**30)}}, "rocks.count = -1e30"),
+    ({"set": {"rocks.count": 10**400}}, "rocks.count = 10000.*: a number within the range of the knob"),
     ({"set": {"a b\nc": 1}}, "unknown knob"),
     ({"set": ["sun.elevation_deg"]}, "mapping of knobs"),
     ({"set": {"photometry.law": "\U0001f600"}}, "photometry.law.*\U0001f600.*lambert"),
     ({"set": {"photometry.law": "hap\x7fke"}}, "photometry.law"),
     ({"set": {"photometry.law": "\ud800"}}, "lone surrogates"),
+    ({"preset": "\ud800"}, "preset = .* lone surrogates"),
+    ({"stage": "\ud800"}, "stage = .* lone surrogates"),
+    ({"outputs": ["rgb", "\ud800"]}, "outputs = .* lone surrogates"),
+    ({"edges": "\ud800"}, "edges = .* lone surrogates"),
+    ({"raster": "\ud800"}, "raster = .* lone surrogates"),
+    ({"adapter": "\ud800"}, "adapter = .* lone surrogates"),
+    ({"config": "\ud800"}, "config = "),
     ({"set": {"rocks.scale_m": [[1], [2, 3]]}}, "rocks.scale_m"),
     ({"set": {"rocks.scale_m": ENDLESS}}, "finite depth"),
     ({"size": [[1], [2, 3]]}, r"size = \[1\]"),
@@ -72,11 +84,53 @@ def test_an_error_names_the_nearest_word() -> None:
         ({"set": {"photometry.law": "hapk"}}, "photometry.law", "hapke"),
         ({"stage": "surfac"}, "stage.name", "surface"),
         ({"set": {"snu": 3}}, "snu", "sun"),
+        ({"edges": "hrad"}, None, "hard"),
+        ({"raster": "comput"}, None, "compute"),
     ]:
         with pytest.raises(rr.ConfigError, match=f"did you mean `{nearest}`") as caught:
             rr.Renderer(**settings)  # type: ignore[arg-type]
         assert (caught.value.knob, caught.value.nearest) == (knob, nearest)
         assert "mean" not in str(caught.value.allowed)
+    with pytest.raises(rr.ConfigError, match="stage = surfac: allowed are nominal, surface .did you mean `surface`") as caught:
+        rr.knobs("surfac")
+    assert (caught.value.value, caught.value.nearest) == ("surfac", "surface")
+    with pytest.raises(rr.ConfigError, match="lone surrogates"):
+        rr.knobs("\ud800")
+
+
+def test_an_argument_is_named_with_what_is_allowed() -> None:
+    for settings, value, allowed in [
+        ({"samples": 3}, "3", "1, 4 or 16"),
+        ({"outputs": []}, "[]", "rgb, mask"),
+        ({"edges": "hrad"}, "hrad", "ignore:N"),
+        ({"raster": "comput"}, "comput", "auto, device, compute, host"),
+    ]:
+        with pytest.raises(rr.ConfigError) as caught:
+            rr.Renderer(**settings)  # type: ignore[arg-type]
+        assert caught.value.value == value and allowed in str(caught.value.allowed)
+    with pytest.raises(rr.ConfigError, match="size = an integer of too many digits: a whole number"):
+        rr.Renderer(size=10**5000)
+
+
+def test_a_broken_rule_is_named_with_its_knob(tmp_path: Path) -> None:
+    """The command line speaks of its folder, the package has none."""
+    for rule, knob in [({"rules.lit_min": 1}, "rules.lit_min"), ({"require.rock": [0.99, 1]}, "rules.require")]:
+        renderer = rr.Renderer("train_dr", size=16, samples=1, set={"rules.attempts_max": 2, **rule}, adapter=ADAPTER)
+        with pytest.raises(rr.ConfigError, match="drawn 2 times .*; loosen the rule or change the knobs$") as caught:
+            list(renderer.dataset_frames(1, end=1))
+        assert caught.value.knob == knob and "folder" not in str(caught.value)
+    knobs = ["--set=rules.lit_min=1", "--set=rules.attempts_max=2"]
+    ran = program("dataset", "--size=16", "--samples=1", "--count=1", *knobs, "--out", str(tmp_path / "d"))
+    assert ran.returncode == 1 and "so choose another --out with the new settings" in ran.stderr, ran.stderr
+
+
+def test_a_file_of_knobs_may_have_a_name_that_is_no_text(tmp_path: Path) -> None:
+    file = tmp_path / os.fsdecode(b"knobs\xff.toml")
+    file.write_text("sun.elevation_deg = 11")
+    assert "knobs\ufffd.toml" in repr(rr.Renderer(config=file))
+    file.write_text("sun.elevation_deg = 95")
+    with pytest.raises(rr.ConfigError, match="knobs\ufffd.toml"):
+        rr.Renderer(config=file)
 
 
 def test_a_file_that_is_no_text_is_named(tmp_path: Path) -> None:
@@ -117,7 +171,19 @@ CALLS: list[tuple[Callable[[rr.Renderer], object], str]] = [
     (lambda renderer: renderer.scene(5).render(camera=rr.Camera((1, 2))), "position"),  # type: ignore[arg-type]
     (lambda renderer: renderer.scene(5).render(camera=rr.Camera(pitch_deg=400)), "camera.pitch_deg = 400"),
     (lambda renderer: renderer.scene(5).render(sun=rr.Sun(elevation_deg=-100)), "sun.elevation_deg = -100"),
-    (lambda renderer: renderer.scene(5).export("moon.obj"), "obj"),
+    (lambda renderer: renderer.scene(5).render(rr.Camera(fov_deg="50")), "camera.fov_deg = '50'"),  # type: ignore[arg-type]
+    (lambda renderer: renderer.scene(5).render(rr.Camera(fov_deg=True)), "camera.fov_deg = True"),
+    (lambda renderer: renderer.scene(5).render(rr.Camera(position=(1, 2, b"3"))), "position = b'3'"),  # type: ignore[arg-type]
+    (lambda renderer: renderer.scene(5).render(sun=rr.Sun(azimuth_deg=10**400)), "sun.azimuth_deg = 1000"),
+    (lambda renderer: renderer.scene(5).ground_height(float("nan"), 0), "x_m = nan: a number from -1e\\+06 to 1e\\+06 is expected"),
+    (lambda renderer: renderer.scene(5).ground_height(0, float("inf")), "y_m = inf"),
+    (lambda renderer: renderer.scene(5).ground_height(1e300, 0), "x_m = 1e\\+300"),
+    (lambda renderer: renderer.scene(5).ground_height("1", 0), "x_m = '1'"),  # type: ignore[arg-type]
+    (lambda renderer: renderer.scene(5).export("out/moon.obj"), r"path = out/moon.obj: allowed are names that end in .npz, .glb"),
+    (lambda renderer: renderer.scene(5).export(b"out/moon"), "path = out/moon:"),
+    (lambda renderer: renderer.scene(5).export(3), "path = 3"),  # type: ignore[arg-type]
+    (lambda renderer: renderer.render(5).overlay(45), "opacity = 45: a number from 0 to 1 is expected"),
+    (lambda renderer: renderer.render(5).overlay(float("nan")), "opacity = nan"),
 ]
 
 

@@ -194,6 +194,45 @@ def test_frames_are_values(renderer: rr.Renderer) -> None:
     assert repr(renderer).startswith("Renderer(preset='train_dr', size=(64, 64)")
 
 
+def test_a_renderer_shows_its_settings(tmp_path: Path) -> None:
+    """As the call that makes it again."""
+    assert repr(rr.Renderer()) == "Renderer(preset=None, size=(512, 512), outputs='rgb,mask', samples=4)"
+    file = tmp_path / "knobs.toml"
+    file.write_text("rocks.count = 3")
+    knobs = {"sun.elevation_deg": {"uniform": (np.float32(5), 40)}, "camera.k1": np.int64(0), "sensor.kind": "mono"}
+    made = rr.Renderer(["train_full", "sun_polar"], config=file, set=knobs, size=(4, 3), edges="ignore:1", raster="host", threads=2)
+    shown = repr(made)
+    assert "set={'sun.elevation_deg': {'uniform': [5.0, 40]}, 'camera.k1': 0, 'sensor.kind': 'mono'}" in shown
+    assert repr(eval(shown, {"Renderer": rr.Renderer})) == shown == repr(pickle.loads(pickle.dumps(made)))
+    for setting in ("preset='train_full,sun_polar'", f"config={str(file)!r}", "edges='ignore:1'", "raster='host'", "threads=2"):
+        assert setting in shown
+    assert repr(rr.Renderer(stage="surface", adapter="cpu")).endswith("stage='surface', adapter='cpu')")
+
+
+def test_an_export_is_a_whole_file_or_leaves_the_one_before(tmp_path: Path) -> None:
+    ran = python(
+        f"""
+        import os, resource, sys, regolith_render as rr
+        os.chdir(sys.argv[1])
+        scene = rr.Renderer(size=16, adapter={ADAPTER!r}).scene(3)
+        scene.export(b"new/moon.npz")
+        before = open("new/moon.npz", "rb").read()
+        resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, resource.RLIM_INFINITY))
+        try:
+            scene.export("new/moon.npz", drawn=True)
+        except OSError as error:
+            assert "new/moon.npz" in str(error) and "--" not in str(error), error
+        else:
+            raise AssertionError("it was written")
+        assert open("new/moon.npz", "rb").read() == before and os.listdir("new") == ["moon.npz"]
+        """,
+        str(tmp_path),
+    )
+    assert ran.returncode == 0, ran.stderr
+    with np.load(tmp_path / "new" / "moon.npz") as arrays:
+        assert "vertices" in arrays
+
+
 def test_frames_of_a_dataset_are_its_frames(tmp_path: Path) -> None:
     out = tmp_path / "d"
     made = program("dataset", "--preset", "train_full", "--size", "48", "--count", "5", "--seed", "8", "--out", str(out))
@@ -226,6 +265,7 @@ def test_a_scene_is_rendered_from_poses() -> None:
         camera = posed.meta["camera"]
         assert np.allclose(np.array(camera["world_from_camera"])[:3, 3], position, atol=1e-4)
         assert abs(camera["fov_deg"] - 50) < 1e-4 and posed.meta["sun"]["azimuth_deg"] == 200
+        assert abs(scene.ground_height(5e5, 0.0) - scene.ground_height(9e5, 0.0)) < 0.01  # of the border
         mesh = scene.mesh()
         assert mesh["triangles"].max() < len(mesh["vertices"]) and mesh["vertices"].dtype == np.float32
 

@@ -8,6 +8,7 @@ import pickle
 import signal
 import subprocess
 import sys
+import sysconfig
 import textwrap
 import threading
 import time
@@ -227,6 +228,32 @@ def test_a_wait_for_a_slow_frame_ends_by_ctrl_c() -> None:
         """
     )
     assert ran.returncode == 7, ran.stderr
+
+
+def test_ctrl_c_ends_a_first_frame() -> None:
+    """The signal waits when the first array of the process is made."""
+    ran = python(
+        f"""
+        import os, signal, threading, regolith_render as rr
+        renderer = rr.Renderer(stage="surface", size=700, samples=16, adapter={ADAPTER!r})
+        renderer.adapter
+        threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
+        try:
+            renderer.render(1)
+        except KeyboardInterrupt:
+            os._exit(7)
+        """
+    )
+    assert ran.returncode == 7 and "panic" not in ran.stderr.lower(), ran.stderr
+
+
+def test_processes_of_a_command_import_nothing_from_the_folder_where_it_runs(tmp_path: Path) -> None:
+    """`doctor` asks one for the adapters, whose names it then knows."""
+    (tmp_path / "random.py").write_text("raise SystemExit(0)\n")
+    script = Path(sysconfig.get_path("scripts")) / "regolith-render"
+    command = [sys.executable, str(script), "doctor", "--adapter", "Voodoo"]
+    ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert ran.returncode == 2 and "no adapter matches `Voodoo`" in ran.stderr, ran.stdout + ran.stderr
 
 
 USAGE = """

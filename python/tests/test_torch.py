@@ -152,6 +152,70 @@ def test_workers_follow_epochs_and_states(method: str, tmp_path: Path) -> None:
     assert (ran.returncode, ran.stdout) == (0, "same\n"), ran.stderr
 
 
+STATES = """
+import hashlib, sys, numpy, torch
+from regolith_render.torch import MoonDataset
+
+def data_and_loader(workers):
+    data = MoonDataset("train_dr", seed=5, length=7, size=16, adapter={adapter!r}, batch_size=2)
+    context = sys.argv[1] if workers else None
+    return data, torch.utils.data.DataLoader(data, batch_size=2, num_workers=workers, multiprocessing_context=context)
+
+if __name__ == "__main__":
+    for workers in (2, 1, 0):
+        data, loader = data_and_loader(workers)
+        state = {{"epoch": 1, "taken": 4, "within_batch": 0}}
+        data.load_state_dict(state)
+        passes = []
+        for first in (4, 0, 0):
+            torch.manual_seed(3)
+            digests = []
+            for number, batch in enumerate(loader, 1):
+                # The last batch has one frame, and counts as whole.
+                expected = {{"epoch": 1, "taken": first + 2 * number, "within_batch": 0}}
+                assert data.state_dict(batches=number) == expected, (workers, number, data.state_dict(batches=number))
+                digests.append(hashlib.sha256(numpy.asarray(batch["image"]).tobytes()).hexdigest())
+            passes.append(digests)
+        assert len(set(passes[1])) == 4 and passes[0] == passes[1][2:] and passes[2] == passes[1], (workers, passes)
+        # A state of which workers know that it was used: the epoch begins again.
+        data.load_state_dict(state)
+        assert len(list(loader)) == 2
+        data.set_epoch(1)
+        assert data.state_dict(batches=0)["taken"] == 0
+        assert len(list(loader)) == 4
+    print("same")
+"""
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_a_state_counts_in_the_iteration_and_is_used_once(method: str, tmp_path: Path) -> None:
+    """Also if PyTorch is seeded with the same number before each."""
+    script = tmp_path / "states.py"
+    script.write_text(STATES.format(adapter=ADAPTER))
+    ran = subprocess.run([sys.executable, str(script), method], capture_output=True, text=True, timeout=300)
+    assert (ran.returncode, ran.stdout) == (0, "same\n"), ran.stderr
+
+
+def test_a_state_after_an_epoch_is_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    data, again = dataset(), dataset()
+    assert len(images(data)) == 7
+    state = data.state_dict()
+    assert state == {"epoch": 0, "taken": 7, "within_batch": 0}
+    again.load_state_dict(state)
+    assert images(again) == [] and len(images(again)) == 7
+    again.set_epoch(1)
+    assert again.state_dict()["taken"] == 0
+    # Of another rank's share too, which ends later.
+    monkeypatch.setattr(torch.distributed, "is_available", lambda: True)
+    monkeypatch.setattr(torch.distributed, "is_initialized", lambda: True)
+    monkeypatch.setattr(torch.distributed, "get_rank", lambda: 0)
+    monkeypatch.setattr(torch.distributed, "get_world_size", lambda: 2)
+    first = dataset()
+    assert len(images(first)) == 4 and first.state_dict() == first.state_dict(batches=4) == state
+    with pytest.raises(rr.ConfigError, match="batches = 5: a whole number from 0 to 4"):
+        first.state_dict(batches=5)
+
+
 def test_a_state_in_the_middle_of_a_batch_is_resumed() -> None:
     data = MoonDataset("train_dr", seed=5, length=7, size=SIZE, adapter=ADAPTER, batch_size=3)
     whole = images(data)
@@ -180,6 +244,8 @@ def test_wrong_arguments_are_named() -> None:
         dataset().load_state_dict({})
     with pytest.raises(rr.ConfigError, match="taken = 3: a multiple of batch_size = 2"):
         MoonDataset(batch_size=2).load_state_dict({"epoch": 0, "taken": 3, "within_batch": 0})
+    with pytest.raises(rr.ConfigError, match="taken = 8: a whole number from 0 to 7"):
+        dataset().load_state_dict({"epoch": 0, "taken": 8, "within_batch": 0})
     begun = MoonDataset(batch_size=2)
     begun.load_state_dict({"epoch": 0, "taken": 2, "within_batch": 1})
     with pytest.raises(rr.ConfigError, match="batches = 3"):
@@ -218,6 +284,29 @@ def test_ranks_share_the_frames_out(monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(map(np.array_equal, images(pickle.loads(pickled)), shares[1]))
     assert [len(share) for share in shares] == [4, 3]
     assert all(map(np.array_equal, shares[0], whole[0::2])) and all(map(np.array_equal, shares[1], whole[1::2]))
+
+
+def test_a_damaged_folder_is_an_error_that_names_what_is_wrong(tmp_path: Path) -> None:
+    out = tmp_path / "d"
+    made = program("dataset", "--count", "3", "--size", "16", "--samples", "1", "--out", str(out), "-q")
+    assert made.returncode == 0, made.stderr
+    manifest, records = (out / "manifest.json").read_text(), (out / "frames.jsonl").read_text()
+    two = records[: records[:-1].rindex("\n") + 1]
+    for name, text, says in (
+        ("frames.jsonl", two, "d has the records of 2 frames, .* counts 3; run the command .* verify"),
+        ("frames.jsonl", records[:-30], "frames.jsonl, line 3 is no record .*; run the command .* verify"),
+        ("frames.jsonl", records + "{}\n", "frames.jsonl, line 4 is no record of a frame .it has no index"),
+        ("frames.jsonl", "7\n" + records, "frames.jsonl, line 1 is no record of a frame .an object is expected"),
+        ("manifest.json", "{", "manifest.json is no manifest .*; delete it"),
+        ("manifest.json", "[]", "manifest.json is no manifest .an object is expected"),
+        ("manifest.json", "{}", "manifest.json has no totals.class_weights"),
+    ):
+        (out / name).write_text(text)
+        with pytest.raises(ValueError, match=says):
+            MoonFolder(out)
+        (out / "manifest.json").write_text(manifest)
+        (out / "frames.jsonl").write_text(records)
+    assert len(MoonFolder(out)) == 3
 
 
 def test_a_folder_gives_the_same_samples(tmp_path: Path) -> None:
