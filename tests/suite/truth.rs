@@ -325,10 +325,9 @@ fn check_frame(name: &str, scene: &Scene, frame: &Frame, (truth, hits): (&Truth,
         if is_inside(pixel, |p| (classes[p], instance(p))) {
             let depth_m = (*point - scene.camera.eye).dot(scene.camera.forward);
             depths.push((frame.depth_m[pixel] / depth_m - 1.0).abs());
-            let n = &frame.normals[3 * pixel..3 * pixel + 3];
-            angles.push(hit.normal.dot(Vec3::new(n[0], n[1], n[2])).clamp(-1.0, 1.0).acos().to_degrees());
+            angles.push(hit.normal.dot(normal_at(frame, pixel)).clamp(-1.0, 1.0).acos().to_degrees());
         }
-        if pixel % SHADOW_STRIDE == 0 && hit.faces(scene.sun.direction) {
+        if pixel % SHADOW_STRIDE == 0 && faces_sun(scene, frame, pixel, hit) {
             shadows.push((pixel, shadow_ray_origin(scene, hit, *point)));
         }
     }
@@ -352,6 +351,17 @@ fn check_frame(name: &str, scene: &Scene, frame: &Frame, (truth, hits): (&Truth,
     assert!(mean < 0.01, "{name}: mean shadow error {mean}");
     assert!(signed.abs() < 0.005, "{name}: signed shadow error {signed}");
     assert!(far_off < 0.01, "{name}: {far_off} of the pixels are off by over 0.25");
+}
+
+fn normal_at(frame: &Frame, pixel: usize) -> Vec3 {
+    Vec3::from_slice(&frame.normals[3 * pixel..3 * pixel + 3])
+}
+
+/// Whether a pixel faces the sun, its mesh and the relief below that: in a frame what faces away is in its own shadow, and the ray caster has
+/// no such relief.
+fn faces_sun(scene: &Scene, frame: &Frame, pixel: usize, hit: &Hit) -> bool {
+    let sun = scene.sun.direction;
+    hit.faces(sun) && normal_at(frame, pixel).dot(sun) > 0.0
 }
 
 /// Errors of the sun's occlusion in some pixels of a frame, each with the origin of its shadow rays.
@@ -503,7 +513,8 @@ fn contact_errors(backend: RasterMode, case: usize) -> [Vec<f32>; 2] {
     let (seed, set) = CASES[case];
     let scene = scene(seed, set);
     let mut settings = RenderSettings::new([SIDE; 2], 1).expect("settings");
-    settings.annotations = [Annotation::Instances, Annotation::Shadow].into_iter().collect();
+    settings.annotations =
+        [Annotation::Normals, Annotation::Instances, Annotation::Shadow].into_iter().collect();
     let frame = render_by(backend, &scene, &settings);
     let truth = Truth::new(&scene, Some(&settings));
     let hits = cast_image(&scene, &truth);
@@ -516,7 +527,7 @@ fn contact_errors(backend: RasterMode, case: usize) -> [Vec<f32>; 2] {
         .filter_map(|(pixel, found)| {
             let (hit, point) = found.as_ref()?;
             let on_rock = hit.instance > 0;
-            if !hit.faces(scene.sun.direction)
+            if !faces_sun(&scene, &frame, pixel, hit)
                 || frame.instances[pixel] != hit.instance
                 || (on_rock && pixel % SHADOW_STRIDE > 0)
             {
