@@ -3,7 +3,7 @@
 // Colour: mean of the samples in linear light; then exposure, tone curve, sRGB, 8 bits rounded to nearest.
 // Labels: the class of most samples; among classes with as many samples, that of the nearest sample. Among the samples of
 // that class, the instance likewise. Ids are never averaged. A pixel with a sample that no draw wrote is UNWRITTEN.
-// Depth, normal, sun occlusion: means over the samples of that class and instance that lie on one surface (`surface_of_most`), so that
+// Depth, normal, sun occlusion: means over the samples of that class and instance that lie on one surface (`Members`), so that
 // nothing bleeds across an outline or a crest.
 // Depth is averaged as inverse depth, which is linear in the image: the mean is the depth of a plane at the pixel's centre.
 //
