@@ -1,7 +1,7 @@
 //! Settings, the renderer on its device, and streams of frames.
 
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::task::Poll;
 use std::time::Duration;
 
@@ -20,6 +20,7 @@ use regolith::params::config::Config;
 use regolith::render::{RasterMode, RenderSettings, Renderer};
 
 use crate::convert::{self, PyFrame};
+use crate::ending::{self, Stream};
 use crate::errors::{DeviceError, raised, refused};
 use crate::scene::Scene;
 
@@ -126,6 +127,7 @@ impl Engine {
         threads: Option<usize>,
     ) -> PyResult<Self> {
         let raster = settings.raster;
+        let _working = ending::working(py);
         let open = py.detach(|| -> regolith::Result<(Open, String)> {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or_else(cores)).build();
             let pool = pool.map_err(|error| regolith::Error::Thread(std::io::Error::other(error)))?;
@@ -219,6 +221,7 @@ impl Engine {
         work: impl FnOnce(&Mutex<Renderer>) -> regolith::Result<T> + Send,
     ) -> PyResult<T> {
         let open = self.open()?;
+        let _working = ending::working(py);
         let pool = || open.pool.lock().unwrap_or_else(PoisonError::into_inner);
         raised(py, py.detach(|| pool().install(|| work(&open.renderer))))
     }
@@ -231,8 +234,9 @@ impl Engine {
     ) -> PyResult<Frames> {
         let renderer = Arc::clone(&self.open()?.renderer);
         let concurrency = Concurrency { threads: self.threads, frames_in_flight: None };
+        let _working = ending::working(py);
         let stream = raised(py, start(renderer, concurrency))?;
-        Ok(Frames { stream: Mutex::new(Some(stream)), process: std::process::id() })
+        Ok(Frames { stream: Some(ending::shared(py, stream)), process: std::process::id() })
     }
 }
 
@@ -248,7 +252,8 @@ impl Drop for Engine {
 /// Frames in order, rendered ahead.
 #[pyclass(frozen)]
 pub(crate) struct Frames {
-    stream: Mutex<Option<FrameStream>>,
+    /// There until it is dropped.
+    stream: Option<Arc<Stream>>,
     process: u32,
 }
 
@@ -263,7 +268,9 @@ impl Frames {
         }
         loop {
             let next = py.detach(|| {
-                self.stream().as_mut().map_or(Poll::Ready(None), |stream| stream.next_within(SIGNALS_EVERY))
+                let mut stream = self.stream.as_deref().map(ending::open);
+                let stream = stream.as_mut().and_then(|stream| stream.as_mut());
+                stream.map_or(Poll::Ready(None), |stream| stream.next_within(SIGNALS_EVERY))
             });
             match next {
                 Poll::Ready(next) => {
@@ -277,26 +284,20 @@ impl Frames {
     /// Stops rendering.
     fn close(&self, py: Python<'_>) {
         if self.process == std::process::id() {
-            py.detach(|| drop(self.stream().take()));
+            py.detach(|| drop(self.stream.as_deref().and_then(|stream| ending::open(stream).take())));
         }
-    }
-}
-
-impl Frames {
-    fn stream(&self) -> MutexGuard<'_, Option<FrameStream>> {
-        self.stream.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Drop for Frames {
     fn drop(&mut self) {
-        // Without locking: a thread of the process that this one was forked from may have had the lock.
-        let stream = self.stream.get_mut().unwrap_or_else(PoisonError::into_inner).take();
+        let stream = self.stream.take();
         if self.process != std::process::id() {
+            // Not touched: a thread of the process that this one was forked from may have locked it.
             std::mem::forget(stream);
         } else if let Some(stream) = stream {
             // Its threads need no lock of Python's, but it may take the rest of a frame until they end.
-            Python::attach(|py| py.detach(|| drop(stream)));
+            Python::attach(|py| py.detach(|| drop(ending::open(&stream).take())));
         }
     }
 }

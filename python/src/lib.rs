@@ -2,6 +2,7 @@
 //! `python/regolith_render`.
 
 mod convert;
+mod ending;
 mod engine;
 mod errors;
 mod scene;
@@ -34,6 +35,7 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     drop(numpy::PyArray1::<u8>::from_vec(module.py(), Vec::new()));
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     errors::add_to(module)?;
+    ending::register(module)?;
     module.add_function(wrap_pyfunction!(main, module)?)?;
     module.add_function(wrap_pyfunction!(engine::config_text, module)?)?;
     module.add_function(wrap_pyfunction!(tables::adapters, module)?)?;

@@ -6,11 +6,13 @@ use regolith::gpu::adapter;
 use regolith::output::OUTPUTS;
 use regolith::params::{KNOBS, Kind, Stage, presets as shipped};
 
+use crate::ending;
 use crate::errors::{raised, refused};
 
 /// Name, kind, backend and driver of each adapter, best first.
 #[pyfunction]
 pub(crate) fn adapters(py: Python<'_>) -> PyResult<Vec<(String, &'static str, String, String)>> {
+    let _working = ending::working(py);
     let infos = raised(py, py.detach(adapter::list))?;
     Ok(infos
         .into_iter()

@@ -163,20 +163,43 @@ def test_a_forked_child_opens_its_own_device_or_says_why_not(tmp_path: Path) -> 
 
 
 def test_a_program_may_end_while_frames_are_rendered() -> None:
-    """With a generator that was begun, one that was not, and a thread that waits for a frame."""
+    """With a generator that was begun, one that was not, and threads that wait for a frame, render and open devices: when the graphics
+    driver ends after the interpreter, none of them works with it any more."""
     ran = python(
         f"""
-        import threading, regolith_render as rr
+        import atexit, threading, time
+        from pathlib import Path
+        done = [0, 0]
+        @atexit.register
+        def is_still():
+            # Called after what was registered later, by the import below. What was done before may still be counted.
+            time.sleep(0.2)
+            before = list(done)
+            time.sleep(1)
+            names = [(thread / "comm").read_text().strip() for thread in Path("/proc/self/task").iterdir()]
+            print(done == before, names.count("frames"))
+
+        import regolith_render as rr
         renderer = rr.Renderer(size=32, adapter={ADAPTER!r})
         begun, unused, other = renderer.frames(range(10**6)), renderer.frames(range(100)), renderer.frames(range(10**6))
         next(begun)
         def take():
             for frame in other: pass
-        threading.Thread(target=take, daemon=True).start()
+        def render():
+            while True:
+                renderer.render(5)
+                done[0] += 1
+        def open():
+            while True:
+                rr.Renderer(size=32, adapter={ADAPTER!r}).render(5)
+                done[1] += 1
+        for work in (take, render, open):
+            threading.Thread(target=work, daemon=True).start()
+        time.sleep(1)
         print("end")
         """
     )
-    assert (ran.returncode, ran.stdout, ran.stderr) == (0, "end\n", "")
+    assert (ran.returncode, ran.stdout, ran.stderr) == (0, "end\nTrue 0\n", "")
 
 
 @pytest.mark.parametrize("what", ["stream", "renders", "batch", "command"])
