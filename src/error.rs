@@ -113,6 +113,9 @@ pub enum Error {
         /// Name of one file or folder in it.
         found: String,
     },
+    /// A file below `--out` that would be replaced by another.
+    #[error("{} already exists and differs from what this run writes there; choose another --out, or add --force to replace it", .0.display())]
+    OutFileExists(PathBuf),
     /// A file that could not be written; no partial file is left.
     #[error("cannot write {}: {cause}", .path.display())]
     Write {
@@ -311,6 +314,7 @@ impl Error {
             | Self::Usage(_)
             | Self::OutIsFile(_)
             | Self::OutNotEmpty { .. }
+            | Self::OutFileExists(_)
             | Self::SizeBeyondDevice { .. }
             | Self::AdapterNotFound { .. }
             | Self::OtherDataset { .. }

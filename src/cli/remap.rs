@@ -51,7 +51,7 @@ pub(super) fn run(args: &RemapArgs, messages: Messages) -> Result<()> {
                 remedy: "Run the same command again; it starts over",
             });
         }
-        total.add(remap::remap(&args.folder, pair, &args.out)?);
+        total.add(remap::remap(&args.folder, pair, &args.out, args.force)?);
         meter.show([0, done + 1, wanted], "");
     }
     meter.finish();

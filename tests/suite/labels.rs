@@ -132,6 +132,19 @@ fn remap_turns_replicator_ids_into_canonical_masks() {
         assert!(read("remapped/camera") == read("canonical"), "{name}");
     }
     run_ok(folder.path(), &["remap", "raw", "--out", "remapped", "-q"]);
+    // Work of the user under the name of a mask or a label file.
+    for name in ["semantic_segmentation_0000.png", "semantic_segmentation_labels_0000.json"] {
+        let path = folder.path().join("remapped/camera").join(name);
+        let whole = std::fs::read(&path).expect(name);
+        std::fs::write(&path, "drawn by hand").expect("written");
+        let output = run(folder.path(), &["remap", "raw", "--out", "remapped"]);
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{message}");
+        assert!(message.contains(name) && message.contains("--force to replace it"), "{message}");
+        assert_eq!(std::fs::read(&path).expect(name), b"drawn by hand");
+        run_ok(folder.path(), &["remap", "raw", "--out", "remapped", "--force", "-q"]);
+        assert!(std::fs::read(&path).expect(name) == whole, "{name}");
+    }
     std::fs::write(folder.path().join("raw/camera/semantic_segmentation_labels_0000.json"), "{}")
         .expect("written");
     let output = run(folder.path(), &["remap", "raw", "--out", "again"]);
