@@ -21,7 +21,7 @@ use super::gate::{Gate, MAX_LINE_BYTES, no_dataset, read_manifest};
 use super::lock::RunLock;
 use super::log::{FoundLines, LinePosition, find_lines, has_files, line_at};
 use super::manifest;
-use super::merge::{Finalized, finalize_run};
+use super::merge::{Finalized, finalize_run, find_complete};
 use super::pipeline::{Concurrency, FinishedFrame, render_frames};
 use super::plan::{Plan, Range, Shard};
 use crate::error::{Error, RUN_AGAIN, Result};
@@ -131,6 +131,11 @@ impl Addition {
     /// [`Error::Dataset`] if frames are missing, or the addition of other outputs is not finished; [`Error::Busy`]; those of reading and
     /// writing.
     pub fn complete(&self) -> Result<Added> {
+        if !self.folder.join(ADDED_FILE).exists()
+            && let Some(finalized) = find_complete(&self.folder)?
+        {
+            return Ok(Added { made: 0, finalized });
+        }
         let lock = RunLock::acquire(&self.folder, Shard::WHOLE)?;
         let of_log = self.outputs_of_log()?;
         let has = |name: &&str| self.plan.outputs.iter().any(|output| output.name == *name);

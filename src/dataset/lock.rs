@@ -246,9 +246,9 @@ impl Drop for RunLock {
 #[derive(Debug)]
 pub(super) struct MergeLock {
     folder: PathBuf,
-    // Released before `merge`, in this order: the next merge must not find it shared by one that has ended.
-    folder_lock: Lock,
-    merge: Lock,
+    /// `None` once it is released: before `merge`, as the next merge must not find it shared by one that has ended.
+    folder_lock: Option<Lock>,
+    merge: Option<Lock>,
     is_alone: bool,
 }
 
@@ -271,7 +271,7 @@ impl MergeLock {
         if run.shard == Shard::WHOLE
             && let Some(folder_lock) = run.folder_lock.take()
         {
-            return Ok(Self { folder, merge, folder_lock, is_alone: true });
+            return Ok(Self { folder, merge: Some(merge), folder_lock: Some(folder_lock), is_alone: true });
         }
         drop(run);
         Self::with(&folder, merge)
@@ -279,12 +279,17 @@ impl MergeLock {
 
     fn with(folder: &Path, merge: Lock) -> Result<Self> {
         let path = lock_path(folder, FOLDER);
-        let of = |folder_lock, is_alone| Self { folder: folder.to_owned(), merge, folder_lock, is_alone };
-        if let Some(lock) = Lock::try_exclusive(&path)? {
-            return Ok(of(lock, true));
+        // Before the folder's lock is asked for: if it cannot be had, the file of `merge` goes.
+        let mut lock =
+            Self { folder: folder.to_owned(), merge: Some(merge), folder_lock: None, is_alone: false };
+        lock.folder_lock = Lock::try_exclusive(&path)?;
+        lock.is_alone = lock.folder_lock.is_some();
+        if !lock.is_alone {
+            let shared = Lock::try_shared(&path)?;
+            lock.folder_lock =
+                Some(shared.ok_or_else(|| busy(folder, "a run of all frames, without --shard"))?);
         }
-        let lock = Lock::try_shared(&path)?;
-        Ok(of(lock.ok_or_else(|| busy(folder, "a run of all frames, without --shard"))?, false))
+        Ok(lock)
     }
 
     /// Whether no run is writing to the folder.
@@ -298,11 +303,16 @@ impl MergeLock {
     /// # Errors
     /// [`Error::Read`], [`Error::Write`].
     pub(super) fn remove_leftovers(&self, below: &BTreeSet<String>) -> Result<()> {
-        let no_runs = self.is_alone && self.folder_lock.is_held();
-        let no_merges = self.merge.is_held();
+        let no_runs = self.has_no_runs();
+        let no_merges = self.merge.as_ref().is_some_and(Lock::is_held);
         remove_temporary(&self.folder, below, |tag| {
             if tag == MERGE_TAG { no_merges } else { no_runs && Shard::has_tag(tag) }
         })
+    }
+
+    /// Whether it is certain that no run is writing to the folder.
+    fn has_no_runs(&self) -> bool {
+        self.is_alone && self.folder_lock.as_ref().is_some_and(Lock::is_held)
     }
 
     /// Releases the locks. Removes all lock files if no run is writing to the folder.
@@ -310,16 +320,26 @@ impl MergeLock {
     /// # Errors
     /// [`Error::Read`], [`Error::Write`].
     pub(super) fn release(self) -> Result<()> {
-        if self.is_alone && self.folder_lock.is_held() {
+        if self.has_no_runs() {
             let names = disk::names(&self.folder)?;
             let of_shards = names.iter().filter(|name| lock_name(name).is_some_and(is_shard_lock));
             of_shards.map(|name| self.folder.join(name)).try_for_each(|path| disk::remove(&path))?;
-            self.folder_lock.remove();
-        } else {
-            drop(self.folder_lock);
         }
-        self.merge.remove();
         Ok(())
+    }
+}
+
+impl Drop for MergeLock {
+    /// Also after an error, so that it leaves no files of locks.
+    fn drop(&mut self) {
+        let is_alone = self.is_alone;
+        match self.folder_lock.take() {
+            Some(lock) if is_alone => lock.remove(),
+            lock => drop(lock),
+        }
+        if let Some(merge) = self.merge.take() {
+            merge.remove();
+        }
     }
 }
 

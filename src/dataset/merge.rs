@@ -6,21 +6,25 @@
 use std::collections::BTreeMap;
 use std::io::{Read as _, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
+use std::slice;
 
 use serde_json::{Map, Value, json};
 
 use super::digest::{self, Digest};
 use super::gate::{Gate, no_dataset, read_manifest};
 use super::lock::{MERGE_TAG, MergeLock, RunLock};
-use super::log::{FoundLines, FrameLog, LinePosition, MANIFEST, find_lines, is_filled, shard_files};
+use super::log::{
+    FoundLines, FrameLog, LinePosition, MANIFEST, find_lines, has_files, is_filled, shard_files,
+};
 use super::plan::{Range, Shard, differences, frame_seed};
 use super::totals::Totals;
 use super::{contact_sheet, data_card, histograms, manifest};
 use crate::error::{Error, Result};
 use crate::input;
-use crate::output::Artifact;
+use crate::output::disk::own_name::is_own_name;
 use crate::output::disk::{self, FileWriter};
-use crate::output::layout::{self, DatasetIndex, Layout, interface::CARD_FILE};
+use crate::output::layout::{self, DatasetIndex, FrameLines as _, Layout, interface::CARD_FILE};
+use crate::output::{Artifact, dataset_path};
 
 /// A folder with one log and one manifest.
 #[derive(Clone, Debug)]
@@ -70,7 +74,8 @@ impl MissingFrames {
 
 /// Makes one `frames.jsonl` in ascending order of index and one `manifest.json` out of those of all runs. Once every
 /// frame exists, also writes the index files, the data card, the histograms and the contact sheet, and removes the
-/// files of the shards. Can be repeated; a data card that was edited stays where nothing else has changed.
+/// files of the shards. Can be repeated: in a complete folder, which may be read-only, nothing is written. A data card that was edited
+/// stays where nothing else has changed.
 ///
 /// # Errors
 /// [`Error::Dataset`] if the folder has no manifest, [`Error::OtherDataset`] if its shards are of different
@@ -79,7 +84,92 @@ pub fn finalize(folder: &Path) -> Result<Finalized> {
     if !folder.is_dir() || shard_files(folder, MANIFEST)?.is_empty() {
         return Err(no_dataset(folder));
     }
+    if let Some(complete) = find_complete(folder)? {
+        return Ok(complete);
+    }
     finalize_locked(folder, MergeLock::acquire(folder)?)
+}
+
+/// The folder as it is, if it has what [`finalize_locked`] would write and nothing that it would remove. Only reads.
+///
+/// # Errors
+/// Those of reading.
+pub(super) fn find_complete(folder: &Path) -> Result<Option<Finalized>> {
+    let log = folder.join("frames.jsonl");
+    let path = folder.join("manifest.json");
+    let manifests = shard_files(folder, MANIFEST)?;
+    if manifests != slice::from_ref(&path) || disk::names(folder)?.iter().any(|name| is_own_name(name)) {
+        return Ok(None);
+    }
+    let Some((identity, options, range)) = merged_identity(&manifests)? else { return Ok(None) };
+    let gate = Gate::of_identity(&identity, range)?;
+    let FoundLines { logs, positions, folders } = find_lines(folder, &gate)?;
+    let missing = MissingFrames::between(range, positions.keys().copied());
+    let is_whole = missing.is_empty() && with_found(range, &positions) == range;
+    if !is_whole || logs != slice::from_ref(&log) || !is_in_order(&log, &positions) {
+        return Ok(None);
+    }
+    // Those of a bundled frame are gone.
+    for below in folders.iter().map(|below| folder.join(below)).filter(|below| below.is_dir()) {
+        if disk::names(&below)?.iter().any(|name| is_own_name(name)) {
+            return Ok(None);
+        }
+    }
+    let lines = FrameLog::new(folder, gate.clone());
+    let totals = Totals::of(&lines, gate.size())?;
+    let mut manifest =
+        merged_manifest(identity.clone(), &options, range, positions.len() as u64, true, &totals);
+    let Some(hashes) = hashes_on_disk(folder, &manifest, &totals)? else { return Ok(None) };
+    manifest.insert("index_files".to_owned(), hashes.into());
+    manifest.insert(digest::KEY.to_owned(), Digest::of(&identity, &lines)?.into());
+    let written = manifest::to_file("manifest.json".to_owned(), manifest.clone())?;
+    let is_same = input::read(&path, written.bytes.len() as u64).is_ok_and(|bytes| bytes == written.bytes);
+    Ok(is_same.then_some(Finalized { manifest, missing }))
+}
+
+/// Whether a log consists of these lines, ascending by frame, and nothing else.
+fn is_in_order(log: &Path, positions: &BTreeMap<u64, LinePosition>) -> bool {
+    let end =
+        positions.values().try_fold(0, |end, line| (line.offset == end).then_some(end + line.length as u64));
+    end.is_some_and(|end| log.metadata().is_ok_and(|file| file.len() == end))
+}
+
+/// The content hashes by name that [`write_index_files`] would return, if it would change no file.
+fn hashes_on_disk(
+    folder: &Path,
+    manifest: &Map<String, Value>,
+    totals: &Totals,
+) -> Result<Option<Map<String, Value>>> {
+    let old = read_manifest(&folder.join("manifest.json"))?;
+    let old_hash = |name: &str| old.get("index_files")?.get(name)?.as_str().map(str::to_owned);
+    let hash_of = |name: &str| dataset_path::hash(folder, name).ok().map(|(_, hash)| hash);
+    let mut hashes = Map::new();
+    let mut is_same = true;
+    FrameLog::new(folder, Gate::of_manifest(manifest)?).for_each(&mut |line| {
+        let Some(bundle) = line.bundle() else { return Ok(()) };
+        if !hashes.contains_key(bundle) {
+            let hash = hash_of(bundle);
+            is_same &= hash.is_some() && hash == old_hash(bundle);
+            hashes.insert(bundle.to_owned(), hash.into());
+        }
+        // What a bundle contains is removed.
+        is_same = is_same && !has_files(folder, &line)?;
+        Ok(())
+    })?;
+    let mut compare = |file: Artifact| {
+        let hash = disk::content_hash(&file.bytes);
+        let is_kept = file.name == CARD_FILE && old_hash(CARD_FILE).as_ref() == Some(&hash);
+        is_same = is_same
+            && if is_kept {
+                is_filled(&folder.join(CARD_FILE))
+            } else {
+                hash_of(&file.name).as_ref() == Some(&hash)
+            };
+        hashes.insert(file.name, hash.into());
+        Ok(())
+    };
+    index_files(folder, manifest, totals, &mut compare)?;
+    Ok(is_same.then_some(hashes))
 }
 
 /// Like [`finalize`], at the end of a run of the frames of a range that belong to a shard. Counts what is on the disk.

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::support::{folder, json, program, run, run_ok, send_signal};
+use crate::support::{folder, json, program, run, run_ok, run_with_file_limit, send_signal};
 
 /// Small frames of a small scene.
 const SMALL: [&str; 6] = [
@@ -63,9 +63,14 @@ fn assert_fails(output: &Output, expected: &str) {
 }
 
 #[track_caller]
-fn assert_complete(data: &Path, count: u64) {
+fn assert_complete_log(data: &Path, count: u64) {
     assert_eq!(frames(&data.join("frames.jsonl")), (0..count).collect());
     assert_eq!(json(&data.join("manifest.json"))["status"], "done");
+}
+
+#[track_caller]
+fn assert_complete(data: &Path, count: u64) {
+    assert_complete_log(data, count);
     let names = std::fs::read_dir(data).expect("a folder").map(|entry| entry.expect("an entry").file_name());
     let left: Vec<_> = names.filter(|name| name.to_string_lossy().starts_with('.')).collect();
     assert!(left.is_empty(), "{left:?}");
@@ -257,4 +262,40 @@ fn a_range_that_grows_by_frames_of_another_shard_is_recorded() {
     assert_fails(&merge, "1 frame is missing from other: 3");
     make("other", &["--count=4", "--shard=1/2"]);
     assert_complete(&folder.path().join("other"), 4);
+}
+
+#[test]
+fn a_complete_dataset_needs_no_room_and_an_error_leaves_no_lock() {
+    for format in ["folder", "webdataset", "coco"] {
+        let folder = folder();
+        let data = folder.path().join("data");
+        let words = dataset("3", &["--format", format]);
+        run_ok(folder.path(), &words);
+        let files = || -> BTreeSet<_> {
+            let entries = std::fs::read_dir(&data).expect("a folder").map(|entry| entry.expect("an entry"));
+            entries
+                .map(|entry| {
+                    (entry.file_name(), entry.metadata().and_then(|of| of.modified()).expect("a time"))
+                })
+                .collect()
+        };
+        let before = files();
+        // No file may have a byte, as on a full disk.
+        let added = ["dataset", "--add-outputs", "rgb,mask", "data"];
+        let commands = [&words[..], &["dataset", "--merge", "--out", "data"], &added];
+        let can_add = format == "folder";
+        for words in &commands[..if can_add { 3 } else { 2 }] {
+            let output = run_with_file_limit(folder.path(), (0, "trap '' XFSZ;"), words);
+            assert!(output.status.success(), "{format}: {}", String::from_utf8_lossy(&output.stderr));
+            assert_eq!(files(), before, "{format}: nothing is written");
+        }
+        std::fs::remove_file(data.join("histograms.svg")).expect("removed");
+        assert_fails(&run_with_file_limit(folder.path(), (0, "trap '' XFSZ;"), &words), "cannot write data/");
+        let left: Vec<_> =
+            files().into_iter().filter(|(name, _)| name.to_string_lossy().starts_with('.')).collect();
+        assert!(left.is_empty(), "{format}: {left:?}");
+        run_ok(folder.path(), &words);
+        assert!(data.join("histograms.svg").is_file(), "{format}");
+        assert_complete_log(&data, 3);
+    }
 }
