@@ -145,13 +145,18 @@ impl Config {
     /// # Errors
     /// [`Error::Contradiction`].
     pub fn check_stage(&self, name: &str) -> Result<()> {
-        let drawn = self.distribution(Knob::StageName);
-        if *drawn == Distribution::Fixed(Value::Text(name.to_owned().into())) {
+        if self.has_stage(name) {
             return Ok(());
         }
+        let drawn = self.distribution(Knob::StageName);
         Err(Error::Contradiction(format!(
             "--stage {name}, while the preset, the file or --set has stage.name = {drawn}; leave out one of them"
         )))
+    }
+
+    /// Whether every frame has this stage.
+    pub(super) fn has_stage(&self, name: &str) -> bool {
+        *self.distribution(Knob::StageName) == Distribution::Fixed(Value::Text(name.to_owned().into()))
     }
 
     /// Applies a preset.

@@ -7,6 +7,7 @@ use std::path::Path;
 use serde_json::{Map, Value};
 
 use super::config::Config;
+use super::knobs::Knob;
 use crate::error::{Error, Result};
 use crate::input;
 
@@ -93,7 +94,8 @@ impl Config {
     /// standard input. The file is read once, as a pipe can be.
     ///
     /// # Errors
-    /// [`Error::Config`] if it cannot be read, or is JSON but no record; those of [`Config::apply_toml`] and [`Config::apply_json`].
+    /// [`Error::Config`] if it cannot be read, or is JSON but no record; [`Error::Contradiction`] if the record's stage is not that of its
+    /// knobs; those of [`Config::apply_toml`] and [`Config::apply_json`].
     pub fn apply_named_file(&mut self, path: &Path) -> Result<FrameOrigin> {
         let (text, origin) = (Self::read_file(path)?, path.display().to_string());
         if !is_json(&text, path) {
@@ -103,13 +105,54 @@ impl Config {
         if let Some(knobs) = record["knobs"].as_object() {
             self.apply_json(knobs, &origin)?;
         }
+        let stage = |value: &Value| value.as_str().map(str::to_owned);
+        if let Some(stage) = value(&record, path, ("stage", "a text"), stage)? {
+            self.check_recorded_stage(&stage, &origin)?;
+        }
         FrameOrigin::of_record(&record, path)
+    }
+
+    /// Checks that the knobs of a record gave its stage.
+    fn check_recorded_stage(&self, name: &str, origin: &str) -> Result<()> {
+        let drawn = self.distribution(Knob::StageName);
+        if self.has_stage(name) {
+            return Ok(());
+        }
+        Err(Error::Contradiction(format!(
+            "{origin} has `stage` {name}, while its `knobs` give stage.name = {drawn}; correct one of them"
+        )))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_stage_of_a_record_is_that_of_its_knobs() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("frame.json");
+        let applied = |text: &str| {
+            std::fs::write(&path, text).expect("written");
+            Config::new().apply_named_file(&path)
+        };
+        for good in [
+            r#"{"stage": "surface", "knobs": {"stage.name": "surface"}}"#,
+            r#"{"stage": "nominal", "knobs": {"rocks.count": 3}}"#,
+            r#"{"knobs": {"stage.name": "surface"}}"#,
+        ] {
+            applied(good).expect(good);
+        }
+        for (wrong, said) in [
+            (r#"{"stage": "nominal", "knobs": {"stage.name": "surface"}}"#, "`stage` nominal, while"),
+            (r#"{"stage": "surface", "knobs": {"rocks.count": 3}}"#, "stage.name = \"nominal\"; correct"),
+        ] {
+            let error = applied(wrong).expect_err(wrong);
+            assert!(matches!(error, Error::Contradiction(_)) && error.to_string().contains(said), "{error}");
+        }
+        let error = applied(r#"{"stage": 3, "knobs": {}}"#).expect_err("a number");
+        assert!(error.to_string().contains("`stage` is 3; it has to be a text"), "{error}");
+    }
 
     #[test]
     fn a_record_is_known_by_its_content_or_its_extension() {
