@@ -12,6 +12,7 @@ use super::report::{Report, name};
 use super::templates::ExpectedFrame;
 use crate::error::Result;
 use crate::output::disk;
+use crate::output::disk::own_name::{lock_name, temporary_tag};
 use crate::output::layout::FrameLine;
 
 /// The expected folders, and the number of expected files that exist: paths of all files may be too many for memory.
@@ -93,7 +94,9 @@ impl Inventory {
         self.walk(context, &mut add, &mut |_| {})?;
         for path in foreign {
             let frame = context.gate.frame_of(&path).filter(|_| lacks_lines);
-            let found = if frame.is_some_and(|index| (range.start..range.end()).contains(&index)) {
+            let found = if let Some(leftover) = leftover_problem(&path) {
+                leftover
+            } else if frame.is_some_and(|index| (range.start..range.end()).contains(&index)) {
                 "its line is missing from frames.jsonl; run the dataset command again"
             } else {
                 "it is no part of the dataset; move it elsewhere, or remove it"
@@ -130,5 +133,44 @@ impl Inventory {
             }
         }
         Ok(())
+    }
+}
+
+/// What a file is that a killed run leaves, and what to do; `None` for any other path. A live run has the same files.
+fn leftover_problem(path: &str) -> Option<&'static str> {
+    let name = path.rsplit_once('/').map_or(path, |(_, name)| name);
+    // Locks are in the dataset's own folder only.
+    if lock_name(path).is_some() {
+        return Some(
+            "it is the lock file of a run that was killed, or that is writing now; wait for it to end, or run the dataset command \
+             again, which removes what a killed one left",
+        );
+    }
+    temporary_tag(name).map(|_| {
+        "it is the unfinished file of a run that was killed, or that is writing now; wait for it to end, or remove the file"
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_killed_runs_leave_is_told_from_strangers() {
+        for lock in [".regolith-render-folder.lock", ".regolith-render-0-of-2.lock"] {
+            assert!(
+                leftover_problem(lock).is_some_and(|found| found.contains("the lock file of a run")),
+                "{lock}"
+            );
+        }
+        for file in [".regolith-render-0of1-Ab3dE6gH.tmp", "rgb/.regolith-render-merge-Ab3dE6gH.tmp"] {
+            assert!(
+                leftover_problem(file).is_some_and(|found| found.contains("the unfinished file")),
+                "{file}"
+            );
+        }
+        for stranger in ["notes.txt", ".lock", "rgb/.regolith-render-folder.lock", "rgb/.writing-0of1-abc"] {
+            assert_eq!(leftover_problem(stranger), None, "{stranger}");
+        }
     }
 }
