@@ -92,7 +92,7 @@ fn table(report: &Report, quiet: bool) -> String {
         text.push_str(&format!("{} frames\n", report.frames));
     }
     for problem in report.problems.iter().take(MAX_PRINTED) {
-        let frame = problem.index.map_or(String::new(), |index| format!("frame {index}: "));
+        let frame = problem.subject.index().map_or(String::new(), |index| format!("frame {index}: "));
         text.push_str(&format!("{}: {frame}{}\n", problem.check, problem.found));
     }
     let more = report.count().saturating_sub(MAX_PRINTED as u64);

@@ -37,7 +37,7 @@ use index::{LogSummary, check_index};
 use inventory::Inventory;
 pub use rendering::check_rendering;
 use report::name;
-pub use report::{CHECKS, Problem, Report};
+pub use report::{CHECKS, Problem, Report, Subject};
 use store::Archives;
 use templates::ExpectedFrame;
 
@@ -78,7 +78,7 @@ pub fn check(folder: &Path, mut watch: impl FnMut(u64, u64)) -> Result<Report> {
             }
             Err(error) => {
                 summary.is_readable = false;
-                report.problem(name::LOG, None, error.to_string());
+                report.problem(name::LOG, Subject::Dataset, error.to_string());
             }
         }
         if chunk.len() == CHUNK { check_chunk(&mut chunk, &mut report) } else { Ok(()) }
@@ -86,7 +86,7 @@ pub fn check(folder: &Path, mut watch: impl FnMut(u64, u64)) -> Result<Report> {
     check_chunk(&mut chunk, &mut report)?;
     if let Err(error) = read {
         summary.is_readable = false;
-        report.problem(name::LOG, None, error.to_string());
+        report.problem(name::LOG, Subject::Dataset, error.to_string());
     }
     if is_finished(&context, &mut report) && context.version != Version::Other {
         let mut paths = check_index(&context, &summary, &mut report)?;
@@ -122,7 +122,7 @@ fn check_frames(context: &Context<'_>, chunk: &[(u64, FrameLine)]) -> Result<Vec
 /// Whether the scenes of the dataset's version can be made here.
 fn check_version(context: &Context<'_>, report: &mut Report) {
     let own = env!("CARGO_PKG_VERSION");
-    report.expect(name::LOG, None, context.version != Version::Other, || {
+    report.expect(name::LOG, Subject::Dataset, context.version != Version::Other, || {
         let recorded = context.manifest.get("version").cloned().unwrap_or_default();
         format!(
             "manifest.json: version is {recorded}; this is version {own}, which makes other scenes from the same seeds. Files \
@@ -135,7 +135,7 @@ fn check_version(context: &Context<'_>, report: &mut Report) {
 fn is_finished(context: &Context<'_>, report: &mut Report) -> bool {
     let status = context.manifest.get("status").cloned().unwrap_or_default();
     let is_finished = status == "done";
-    report.expect(name::LOG, None, is_finished, || {
+    report.expect(name::LOG, Subject::Dataset, is_finished, || {
         format!("manifest.json: status is {status}; run the dataset command again, or `dataset --merge` for shards")
     });
     is_finished
@@ -155,7 +155,7 @@ fn check_form(context: &Context<'_>, report: &mut Report) -> Result<()> {
     })?;
     let expected = format!("{:032x}", hasher.finish_128());
     let (_, actual) = dataset_path::hash(context.folder, "frames.jsonl")?;
-    report.expect(name::LOG, None, actual == expected, || {
+    report.expect(name::LOG, Subject::Dataset, actual == expected, || {
         let line = log.first_other_line().map_or(String::new(), |line| format!(", line {line}"));
         format!(
             "frames.jsonl{line}: it has keys that do not belong there, another order of keys, or spaces; its text should have \

@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3, Vec3};
 use serde_json::Value;
 
 use super::context::Context;
-use super::report::{Report, name};
+use super::report::{Report, Subject, name};
 use super::store::StoredFile;
 use crate::class::ClassId;
 use crate::error::Result;
@@ -159,7 +159,7 @@ pub(super) fn check_depth(
     let camera = RecordedCamera::new(&line.camera, width);
     let counts = count_points(&depths_m, &camera, &reference, scene);
     let is_good = counts.off as f64 <= (1.0 - MIN_GOOD_FRACTION) * counts.tested as f64;
-    report.expect(name::DEPTH, Some(line.index), is_good, || {
+    report.expect(name::DEPTH, Subject::File(line.index), is_good, || {
         format!(
             "{path}: {} of {} points are off the surface, {:.3} m at worst",
             counts.off, counts.tested, counts.worst_m

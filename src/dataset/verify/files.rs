@@ -7,7 +7,7 @@ use serde_json::Value;
 use super::context::Context;
 use super::differences::differences;
 use super::images;
-use super::report::{Report, name};
+use super::report::{Report, Subject, name};
 use super::store::{Archives, StoredFile, files_in, read_hashed};
 use super::templates::{ExpectedFile, ExpectedFrame};
 use crate::dataset::plan::Plan;
@@ -24,19 +24,19 @@ pub(super) fn check_frame_files(
     frame: &ExpectedFrame,
     report: &mut Report,
 ) {
-    let index = Some(line.index);
+    let subject = Subject::File(line.index);
     for path in &frame.paths {
         report.look(name::FILES);
         let stored = match read_hashed(context, archives, frame, line.index, path) {
             Ok(stored) => stored,
             Err(error) => {
-                report.problem(name::FILES, index, named(path, &error));
+                report.problem(name::FILES, subject, named(path, &error));
                 continue;
             }
         };
         let recorded = line.hashes.get(path).and_then(Value::as_str).unwrap_or("nothing");
         let actual = disk::content_hash(&stored.bytes);
-        report.expect(name::HASHES, index, recorded == actual, || {
+        report.expect(name::HASHES, subject, recorded == actual, || {
             let length = stored.bytes.len();
             format!(
                 "{}: its content has changed ({length} bytes, hash {actual}; recorded is {recorded})",
@@ -45,7 +45,7 @@ pub(super) fn check_frame_files(
         });
         match files_in(frame, stored) {
             Ok(files) => check_files(context, line, frame, path, files, report),
-            Err(error) => report.problem(name::IMAGES, index, error.to_string()),
+            Err(error) => report.problem(name::IMAGES, subject, error.to_string()),
         }
     }
 }
@@ -64,11 +64,11 @@ fn check_files(
     files: Vec<(String, StoredFile)>,
     report: &mut Report,
 ) {
-    let index = Some(line.index);
+    let subject = Subject::File(line.index);
     if let Some(bundle) = &frame.bundle {
         let names: Vec<&str> = files.iter().map(|(name, _)| name.as_str()).collect();
         let expected: Vec<&str> = frame.files.iter().map(|file| file.path.as_str()).collect();
-        report.expect(name::FILES, index, names == expected, || {
+        report.expect(name::FILES, subject, names == expected, || {
             format!("{bundle}: the members of the frame are {names:?}, expected are {expected:?}")
         });
     }
@@ -88,20 +88,20 @@ fn check_content(
     stored: &StoredFile,
     report: &mut Report,
 ) {
-    let (index, path) = (Some(line.index), &stored.path);
+    let (subject, path) = (Subject::File(line.index), &stored.path);
     match expected.path.rsplit_once('.').map(|(_, extension)| extension) {
         Some("png") => images::check_image(context, line, expected, stored, report),
         Some("json") => check_json(context, line, expected, stored, report),
         Some("npy") => {
             let problem = array_problem(&stored.bytes, &expected.template, context.plan.settings.size);
-            report.expect(name::IMAGES, index, problem.is_none(), || {
+            report.expect(name::IMAGES, subject, problem.is_none(), || {
                 format!("{path}: {}", problem.unwrap_or_default())
             });
         }
         Some("exr") => {
             let size = context.plan.settings.size;
             let is_decoded = images::decode_exr(&stored.bytes, size).is_some();
-            report.expect(name::IMAGES, index, is_decoded, || {
+            report.expect(name::IMAGES, subject, is_decoded, || {
                 let found = images::size_of_exr(&stored.bytes);
                 let found = found.map_or("none that can be read".to_owned(), |found| format!("{found:?}"));
                 format!("{path}: expected is an OpenEXR file of {size:?} pixels, it is {found}")
@@ -109,7 +109,7 @@ fn check_content(
         }
         Some("txt") => {
             let is_good = row_boxes(&stored.bytes).is_some();
-            report.expect(name::IMAGES, index, is_good, || {
+            report.expect(name::IMAGES, subject, is_good, || {
                 format!("{path}: it is not a label file of rows `0 x y ...` with numbers from 0 to 1")
             });
         }
@@ -147,10 +147,10 @@ fn check_json(
     stored: &StoredFile,
     report: &mut Report,
 ) {
-    let (index, path) = (Some(line.index), &stored.path);
+    let (subject, path) = (Subject::File(line.index), &stored.path);
     let Ok(found) = serde_json::from_slice::<Value>(&stored.bytes) else {
         report.look(name::IMAGES);
-        return report.problem(name::IMAGES, index, format!("{path}: it is not JSON"));
+        return report.problem(name::IMAGES, subject, format!("{path}: it is not JSON"));
     };
     report.look(name::IMAGES);
     let is_meta = expected.kind.is_some_and(|kind| kind.output == "meta");
@@ -164,7 +164,7 @@ fn check_json(
     };
     report.look(check);
     for difference in differences(&found, &wanted) {
-        report.problem(check, index, format!("{path}: {}", difference.text));
+        report.problem(check, subject, format!("{path}: {}", difference.text));
     }
 }
 

@@ -5,7 +5,7 @@
 use serde_json::json;
 
 use super::context::Context;
-use super::report::{Report, name};
+use super::report::{Report, Subject, name};
 use super::store::StoredFile;
 use super::templates::ExpectedFile;
 use crate::class::ClassId;
@@ -77,12 +77,12 @@ pub(super) fn check_image(
     stored: &StoredFile,
     report: &mut Report,
 ) {
-    let (index, path) = (Some(line.index), &stored.path);
+    let (subject, path) = (Subject::File(line.index), &stored.path);
     report.look(name::IMAGES);
     let decoded = match decode_png(&stored.bytes) {
         Ok(decoded) => decoded,
         Err(error) => {
-            return report.problem(name::IMAGES, index, format!("{path}: it cannot be decoded ({error})"));
+            return report.problem(name::IMAGES, subject, format!("{path}: it cannot be decoded ({error})"));
         }
     };
     let template = decode_png(&expected.template).map(|image| image.color()).ok();
@@ -93,12 +93,12 @@ pub(super) fn check_image(
         let found = format!(
             "{path}: it is {width} x {height} pixels of {colour_type:?}, expected are {expected_size:?} of {template:?}"
         );
-        return report.problem(name::IMAGES, index, found);
+        return report.problem(name::IMAGES, subject, found);
     }
     match role(context, line, expected) {
         Role::Rgb => {
             let statistics = RgbStatistics::of(decoded.as_bytes());
-            report.expect(name::STATISTICS, index, line.rgb == statistics, || {
+            report.expect(name::STATISTICS, subject, line.rgb == statistics, || {
                 format!("{path}: its brightness is {}, recorded is {}", json!(statistics), json!(line.rgb))
             });
         }
@@ -119,7 +119,7 @@ fn check_entry(context: &Context<'_>, line: &FrameLine, path: &str, frame: &Fram
         EdgePolicy::Hard => files.entry == line.entry,
         EdgePolicy::Ignore(_) => coco::contains_segments(&line.entry, &files.entry),
     });
-    report.expect(name::RECORDS, Some(line.index), is_good, || {
+    report.expect(name::RECORDS, Subject::Line(line.index), is_good, || {
         format!("frames.jsonl: entry is not that of the labels in {path}")
     });
 }
@@ -133,7 +133,7 @@ fn check_mask(
     ids: &[u8],
     report: &mut Report,
 ) {
-    let index = Some(line.index);
+    let subject = Subject::File(line.index);
     let mut counts = [0_u64; 256];
     for id in ids {
         counts[usize::from(*id)] += 1;
@@ -147,7 +147,7 @@ fn check_mask(
     let unknown: Vec<u8> = (0..=u8::MAX)
         .filter(|&id| counts[usize::from(id)] > 0 && !is_class(id) && !(may_ignore && id == ignored))
         .collect();
-    report.expect(name::MASKS, index, unknown.is_empty(), || {
+    report.expect(name::MASKS, subject, unknown.is_empty(), || {
         format!("{path}: it has pixels of ids {unknown:?}")
     });
     let actual = counts[usize::from(ignored)] as f64 / ids.len() as f64;
@@ -155,7 +155,7 @@ fn check_mask(
     let is_exact = is_hard || !line.mask_coverage.is_empty();
     let recorded = line.mask_coverage_of("ignored").unwrap_or_default();
     let is_good = actual >= by_rule && (!is_exact || actual == recorded);
-    report.expect(name::MASKS, index, is_good, || {
+    report.expect(name::MASKS, subject, is_good, || {
         format!("{path}: {actual:.6} of it is ignored, recorded is {recorded:.6}")
     });
     for class in ClassId::ALL {
@@ -165,7 +165,7 @@ fn check_mask(
         let before = line.coverage_of(class.name);
         let is_good =
             before.is_some_and(|before| actual <= before) && (!is_exact || recorded == Some(actual));
-        report.expect(name::MASKS, index, is_good, || {
+        report.expect(name::MASKS, subject, is_good, || {
             let recorded =
                 recorded.map_or_else(|| "no value".to_owned(), |fraction| format!("{fraction:.6}"));
             format!("{path}: {} covers {actual:.6} of it, recorded is {recorded}", class.name)

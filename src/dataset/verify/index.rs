@@ -7,7 +7,7 @@ use serde_json::{Map, Value};
 use super::command::options_problem;
 use super::context::{Context, Version};
 use super::differences::{Difference, differences};
-use super::report::{Report, name};
+use super::report::{Report, Subject, name};
 use super::store::archive_problem;
 use crate::dataset::plan::Range;
 use crate::dataset::totals::Totals;
@@ -57,7 +57,7 @@ impl LogSummary {
         let _ = self.digest.add(line);
         let range = context.plan.range;
         let is_frame = (range.start..range.end()).contains(&line.index);
-        report.expect(name::LOG, Some(line.index), line.index == self.next, || {
+        report.expect(name::LOG, Subject::Line(line.index), line.index == self.next, || {
             format!("frames.jsonl, line {number}: index is {}; it should be {}", line.index, self.next)
         });
         if is_frame {
@@ -93,12 +93,12 @@ pub(super) fn check_index(
             range.start,
             range.end() - 1
         );
-        report.problem(name::LOG, None, found);
+        report.problem(name::LOG, Subject::Dataset, found);
     }
     let identity = context.identity();
     let options = manifest::options_of(context.manifest);
     if let Some(problem) = options_problem(context, &options) {
-        report.problem(name::LOG, None, format!("manifest.json: command: {problem}"));
+        report.problem(name::LOG, Subject::Dataset, format!("manifest.json: command: {problem}"));
     }
     let mut expected = merge::merged_manifest(identity, &options, range, range.count, true, &summary.totals);
     // A number of frames that the manifest does not have the files for is in the report already.
@@ -112,7 +112,11 @@ pub(super) fn check_index(
         expected.insert(digest::KEY.to_owned(), summary.digest.to_hex().into());
     } else {
         let remedy = "the dataset's command adds it, if it is run again";
-        report.problem(name::DIGEST, None, format!("manifest.json: {} is missing; {remedy}", digest::KEY));
+        report.problem(
+            name::DIGEST,
+            Subject::Dataset,
+            format!("manifest.json: {} is missing; {remedy}", digest::KEY),
+        );
     }
     for check in [name::LOG, name::LABELS, name::DIGEST] {
         report.look(check);
@@ -125,7 +129,7 @@ pub(super) fn check_index(
             top if ID_KEYS.contains(&top) => name::LABELS,
             _ => name::LOG,
         };
-        report.problem(check, None, format!("manifest.json: {text}"));
+        report.problem(check, Subject::Dataset, format!("manifest.json: {text}"));
     }
     Ok(paths)
 }
@@ -145,11 +149,11 @@ fn check_index_files(
         match dataset_path::hash(context.folder, path) {
             Ok((_, actual)) => {
                 let recorded = recorded(path).unwrap_or("nothing");
-                report.expect(name::HASHES, None, recorded == actual, || {
+                report.expect(name::HASHES, Subject::Dataset, recorded == actual, || {
                     format!("{path}: its content has changed (hash {actual}; recorded is {recorded})")
                 });
             }
-            Err(error) => report.problem(name::FILES, None, format!("{path}: {error}")),
+            Err(error) => report.problem(name::FILES, Subject::Dataset, format!("{path}: {error}")),
         }
         // The value has been compared; the key, and that it is a text, are compared with the manifest's other keys.
         hashes.insert(path.clone(), recorded(path).unwrap_or_default().into());
@@ -168,7 +172,11 @@ fn check_index_files(
         Ok(())
     });
     if let Err(error) = derived {
-        report.problem(name::FILES, None, format!("the index files cannot be derived again: {error}"));
+        report.problem(
+            name::FILES,
+            Subject::Dataset,
+            format!("the index files cannot be derived again: {error}"),
+        );
     }
     hashes
 }
@@ -180,7 +188,7 @@ fn check_derived(file: &Artifact, actual: &[u8], report: &mut Report) {
         Some("json") => name::LABELS,
         _ => name::LOG,
     };
-    report.expect(check, None, file.bytes == actual, || {
+    report.expect(check, Subject::Dataset, file.bytes == actual, || {
         let lines = [&file.bytes[..], actual].map(|bytes| bytes.split(|byte| *byte == b'\n'));
         let [expected, found] = lines;
         let line = expected.zip(found).position(|(expected, found)| expected != found);
@@ -206,7 +214,7 @@ fn check_archives(context: &Context<'_>, report: &mut Report) {
         let problem = archive_problem(context.folder, &bundle, frames);
         report.look(name::FILES);
         if let Some(found) = problem {
-            report.problem(name::FILES, None, found);
+            report.problem(name::FILES, Subject::Dataset, found);
         }
     }
 }

@@ -8,7 +8,7 @@ use std::path::Path;
 use twox_hash::XxHash3_128;
 
 use super::context::Context;
-use super::report::{Report, name};
+use super::report::{Report, Subject, name};
 use super::templates::ExpectedFrame;
 use crate::error::Result;
 use crate::output::disk;
@@ -71,7 +71,7 @@ impl Inventory {
             } else {
                 "this folder is no part of the dataset; move it elsewhere, or remove it"
             };
-            report.problem(name::FILES, None, format!("{path}: {found}"));
+            report.problem(name::FILES, Subject::Dataset, format!("{path}: {found}"));
         }
         if files == self.files {
             return Ok(());
@@ -101,7 +101,7 @@ impl Inventory {
             } else {
                 "it is no part of the dataset; move it elsewhere, or remove it"
             };
-            report.problem(name::FILES, None, format!("{path}: {found}"));
+            report.problem(name::FILES, Subject::Dataset, format!("{path}: {found}"));
         }
         Ok(())
     }

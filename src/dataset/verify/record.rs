@@ -9,7 +9,7 @@ use serde_json::{Map, Value, json};
 
 use super::context::{Context, Version};
 use super::differences::{Difference, differences};
-use super::report::{Report, name};
+use super::report::{Report, Subject, name};
 use super::templates::ExpectedFrame;
 use crate::class::ClassId;
 use crate::dataset::plan::frame_seed;
@@ -36,7 +36,7 @@ pub(super) fn check_record(
 ) {
     report.look(name::LOG);
     report.look(name::RECORDS);
-    let index = Some(line.index);
+    let subject = Subject::Line(line.index);
     if context.version == Version::Other {
         return;
     }
@@ -49,13 +49,13 @@ pub(super) fn check_record(
                 let expected = expected_line(context, line, seed, &params, frame);
                 found.extend(differences(&json!(line), &json!(expected)));
             }
-            Err(error) => return report.problem(name::RECORDS, index, format!("manifest.json: {error}")),
+            Err(error) => return report.problem(name::RECORDS, subject, format!("manifest.json: {error}")),
         }
     }
     for Difference { key, text } in found {
         let top = key.split(['.', '[']).next().unwrap_or_default();
         let check = if POSITION_KEYS.contains(&top) { name::LOG } else { name::RECORDS };
-        report.problem(check, index, format!("frames.jsonl, line {number}: {text}"));
+        report.problem(check, subject, format!("frames.jsonl, line {number}: {text}"));
     }
 }
 

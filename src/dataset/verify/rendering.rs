@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use super::context::{self, Context, Version};
 use super::depth;
 use super::differences::differences;
-use super::report::{Report, name};
+use super::report::{Report, Subject, name};
 use super::store::{Archives, StoredFile, files_in, read_hashed};
 use super::templates::{ExpectedFile, ExpectedFrame};
 use super::tolerance::{self, Agreement};
@@ -54,7 +54,7 @@ pub fn check_rendering(
         match check.run(renderer) {
             Err(error @ (Error::DeviceLost(_) | Error::Device(_) | Error::OutOfMemory)) => Err(error),
             Err(other) => {
-                report.problem(name::RENDERING, Some(line.index), other.to_string());
+                report.problem(name::RENDERING, Subject::Line(line.index), other.to_string());
                 Ok(())
             }
             Ok(()) => Ok(()),
@@ -72,10 +72,6 @@ struct FrameCheck<'a> {
 }
 
 impl FrameCheck<'_> {
-    fn problem(&mut self, found: String) {
-        self.report.problem(name::RENDERING, Some(self.line.index), found);
-    }
-
     /// In what the frame must agree with what a renderer makes of it.
     fn agreement(&self, renderer: &Renderer) -> Agreement {
         let raster = renderer.raster().name();
@@ -115,7 +111,8 @@ impl FrameCheck<'_> {
             tolerance::forgive_record(&mut found, &mut expected);
         }
         for difference in differences(&found, &expected) {
-            self.problem(format!("frames.jsonl, line {}: {}", self.number, difference.text));
+            let found = format!("frames.jsonl, line {}: {}", self.number, difference.text);
+            self.report.problem(name::RENDERING, Subject::Line(self.line.index), found);
         }
     }
 
@@ -161,7 +158,7 @@ impl FrameCheck<'_> {
         if stored.bytes == made {
             return;
         }
-        let path = &stored.path;
+        let (path, subject) = (&stored.path, Subject::File(self.line.index));
         let records = [&stored.bytes[..], made].map(serde_json::from_slice::<Value>);
         if let [Ok(mut found), Ok(mut expected)] = records {
             if file.kind.is_some_and(|kind| kind.output == "meta") {
@@ -173,12 +170,12 @@ impl FrameCheck<'_> {
                 tolerance::forgive_rocks(&mut found, &mut expected);
             }
             for difference in differences(&found, &expected) {
-                self.problem(format!("{path}: {}", difference.text));
+                self.report.problem(name::RENDERING, subject, format!("{path}: {}", difference.text));
             }
             return;
         }
         if let Some(found) = tolerance::difference(file, &stored.bytes, made, agreement) {
-            self.problem(format!("{path}: {found}"));
+            self.report.problem(name::RENDERING, subject, format!("{path}: {found}"));
         }
     }
 }

@@ -40,13 +40,43 @@ pub const CHECKS: [(&str, &str); 11] = [
 /// memory than another.
 const MAX_LISTED: u64 = 10_000;
 
+/// What a problem is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Subject {
+    /// The dataset as a whole, not one frame.
+    Dataset,
+    /// The line of the frame of this index, or what it says.
+    Line(u64),
+    /// A file of the frame of this index.
+    File(u64),
+}
+
+impl Subject {
+    /// The frame; `None` if it is not about one.
+    #[must_use]
+    pub const fn index(self) -> Option<u64> {
+        match self {
+            Self::Dataset => None,
+            Self::Line(index) | Self::File(index) => Some(index),
+        }
+    }
+}
+
+/// As the index of the frame, or null.
+impl serde::Serialize for Subject {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.index().serialize(serializer)
+    }
+}
+
 /// Something that is wrong.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Problem {
     /// Name of the check.
     pub check: &'static str,
-    /// The frame; `None` if the problem is not one frame's.
-    pub index: Option<u64>,
+    /// What it is about.
+    #[serde(rename = "index")]
+    pub subject: Subject,
     /// The file, the value found and the value expected.
     pub found: String,
 }
@@ -75,8 +105,8 @@ impl Report {
         *self.looked_at.entry(check).or_default() += 1;
     }
 
-    pub(super) fn problem(&mut self, check: &'static str, index: Option<u64>, found: String) {
-        self.list(Problem { check, index, found });
+    pub(super) fn problem(&mut self, check: &'static str, subject: Subject, found: String) {
+        self.list(Problem { check, subject, found });
         *self.wrong.entry(check).or_default() += 1;
     }
 
@@ -102,22 +132,20 @@ impl Report {
     /// Whether a problem is about a file of a frame: not about its line, nor about the dataset as a whole.
     #[must_use]
     pub fn is_frame_file_damaged(&self) -> bool {
-        let is_of_log =
-            |found: &str| ["frames.jsonl", "manifest.json"].iter().any(|name| found.starts_with(name));
-        self.problems.iter().any(|problem| problem.index.is_some() && !is_of_log(&problem.found))
+        self.problems.iter().any(|problem| matches!(problem.subject, Subject::File(_)))
     }
 
     /// Counts an item, and adds a problem if it is not good.
     pub(super) fn expect(
         &mut self,
         check: &'static str,
-        index: Option<u64>,
+        subject: Subject,
         is_good: bool,
         found: impl FnOnce() -> String,
     ) {
         self.look(check);
         if !is_good {
-            self.problem(check, index, found());
+            self.problem(check, subject, found());
         }
     }
 
@@ -157,15 +185,28 @@ mod tests {
         let mut report = Report::default();
         for frame in 0..3 * MAX_LISTED {
             let mut part = Report::of_frame();
-            part.expect(name::HASHES, Some(frame), false, || "changed".to_owned());
+            part.expect(name::HASHES, Subject::File(frame), false, || "changed".to_owned());
             report.add(part);
         }
-        report.problem(name::LOG, None, "status".to_owned());
+        report.problem(name::LOG, Subject::Dataset, "status".to_owned());
         assert_eq!(report.count(), 3 * MAX_LISTED + 1);
         assert!(report.problems.len() as u64 <= MAX_LISTED + 1);
         assert_eq!(report.problems.last().map(|problem| problem.check), Some(name::LOG));
         let json = report.to_json();
         assert_eq!(json["checks"][name::HASHES]["wrong"], 3 * MAX_LISTED);
         assert_eq!((&json["good"], &json["frames"]), (&false.into(), &(3 * MAX_LISTED).into()));
+    }
+
+    #[test]
+    fn only_a_problem_of_a_frames_file_is_one() {
+        let report = |subject| {
+            let mut report = Report::of_frame();
+            report.problem(name::RECORDS, subject, "frames.jsonl.png: wrong".to_owned());
+            report
+        };
+        let damaged = [Subject::Dataset, Subject::Line(3), Subject::File(3)].map(report);
+        assert_eq!(damaged.each_ref().map(Report::is_frame_file_damaged), [false, false, true]);
+        let indices = damaged.each_ref().map(|report| report.to_json()["problems"][0]["index"].clone());
+        assert_eq!(indices, [Value::Null, 3.into(), 3.into()]);
     }
 }
