@@ -8,7 +8,7 @@ use std::sync::Arc;
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use regolith::frame::Frame;
 use regolith::gpu::staging::{PAGE_BYTES, Page};
-use regolith::output::edges::EdgePolicy;
+use regolith::output::edges::MaskIds;
 use regolith::output::{self, EncodeInput, LabelIds};
 use regolith::params::Params;
 use regolith::random::Streams;
@@ -164,7 +164,7 @@ fn encode(c: &mut Criterion) {
         frame: &frame,
         meta: &Value::Null,
         label_ids: LabelIds::Canonical,
-        edges: EdgePolicy::Hard,
+        mask: &MaskIds::default(),
     };
     let mut group = c.benchmark_group("encode");
     for (name, bytes) in [("rgb", frame.rgb.len()), ("mask", frame.class.len())] {

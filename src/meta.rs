@@ -7,7 +7,7 @@ use serde_json::{Map, Value, json};
 use crate::class::ClassId;
 use crate::frame::Frame;
 use crate::output::LabelIds;
-use crate::output::edges::{EdgePolicy, MaskCoverage};
+use crate::output::edges::{EdgePolicy, MaskCoverage, MaskIds};
 use crate::params::{Knob, Params};
 use crate::render::{RasterOptions, RenderSettings, StageTimes};
 use crate::scene::Scene;
@@ -31,8 +31,8 @@ pub struct FrameRecord<'a> {
     pub raster: RasterOptions,
     /// The rendered frame.
     pub frame: &'a Frame,
-    /// What the mask holds where classes meet.
-    pub edges: EdgePolicy,
+    /// The mask of the frame as it is written.
+    pub mask: &'a MaskIds,
     /// The numbering of the classes in the mask.
     pub label_ids: LabelIds,
     /// Milliseconds of work by stage.
@@ -67,7 +67,7 @@ impl FrameRecord<'_> {
             "stage": self.params.text(Knob::StageName),
             "size": self.settings.size,
             "samples": self.settings.samples_per_side.pow(2),
-            "edges": self.edges.to_string(),
+            "edges": self.mask.edges().to_string(),
             "label_ids": self.label_ids.name(),
             "version": env!("CARGO_PKG_VERSION"),
             "adapter": {
@@ -85,8 +85,8 @@ impl FrameRecord<'_> {
             "moved_rocks": self.scene.moved_rocks(),
             "ms": ms,
         });
-        if let (true, Value::Object(record)) = (self.edges != EdgePolicy::Hard, &mut record) {
-            record.insert("mask_coverage".to_owned(), mask_coverage(&self.edges.coverage(self.frame)));
+        if let (true, Value::Object(record)) = (self.mask.edges() != EdgePolicy::Hard, &mut record) {
+            record.insert("mask_coverage".to_owned(), mask_coverage(&self.mask.coverage(self.frame)));
         }
         record
     }

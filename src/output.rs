@@ -212,7 +212,7 @@ mod tests {
     use super::*;
     use crate::class::ClassId;
     use crate::frame::{Frame, LabelPixels, LabelReason, RockLabel};
-    use edges::EdgePolicy;
+    use edges::{EdgePolicy, MaskIds};
 
     fn frame() -> Frame {
         Frame {
@@ -296,7 +296,8 @@ mod tests {
 
     fn encoded(name: &str, label_ids: LabelIds) -> Vec<u8> {
         let (frame, meta) = (frame(), json!({}));
-        let input = EncodeInput { frame: &frame, meta: &meta, label_ids, edges: EdgePolicy::Hard };
+        let mask = MaskIds::default();
+        let input = EncodeInput { frame: &frame, meta: &meta, label_ids, mask: &mask };
         let outputs = parse_outputs("all").expect("all");
         let encoded = encode(&input, &outputs).expect("encoded");
         let mut artifacts = encoded.into_iter().map(|file| file.into_artifact(7));
@@ -311,14 +312,10 @@ mod tests {
     fn arrays_hold_the_values_of_the_files() {
         use crate::frame::plane::OwnedValues;
         let (outputs, [width, height]) = (parse_outputs("all").expect("all"), [3_u32, 2]);
-        let arrays = arrays::arrays(frame(), &outputs, EdgePolicy::Ignore(1));
+        let mask = MaskIds::new(EdgePolicy::Ignore(1));
+        let arrays = arrays::arrays(frame(), &outputs, &mask);
         let meta = json!({});
-        let input = EncodeInput {
-            frame: &frame(),
-            meta: &meta,
-            label_ids: LabelIds::Canonical,
-            edges: EdgePolicy::Ignore(1),
-        };
+        let input = EncodeInput { frame: &frame(), meta: &meta, label_ids: LabelIds::Canonical, mask: &mask };
         let mut files = encode(&input, &outputs).expect("encoded");
         files.retain(|file| file.extension != "json");
         assert_eq!(arrays.len(), files.len(), "every file that is no text is an array");
@@ -341,8 +338,8 @@ mod tests {
 
     #[test]
     fn an_edge_policy_holds_for_every_form_of_the_mask() {
-        let (frame, meta, edges) = (frame(), json!({}), EdgePolicy::Ignore(1));
-        let input = EncodeInput { frame: &frame, meta: &meta, label_ids: LabelIds::Canonical, edges };
+        let (frame, meta, mask) = (frame(), json!({}), MaskIds::new(EdgePolicy::Ignore(1)));
+        let input = EncodeInput { frame: &frame, meta: &meta, label_ids: LabelIds::Canonical, mask: &mask };
         let files = encode(&input, &parse_outputs("mask,five_classes,rock_sizes").expect("outputs"))
             .expect("encoded");
         let pixels = |stem: &str| {

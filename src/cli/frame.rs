@@ -8,7 +8,8 @@ use crate::error::Result;
 use crate::frame::Frame;
 use crate::gpu;
 use crate::meta::FrameRecord;
-use crate::output::{self, EncodeInput, OUTPUTS, Output, disk};
+use crate::output::edges::MaskIds;
+use crate::output::{self, EncodeInput, LabelIds, OUTPUTS, Output, disk};
 use crate::params::Params;
 use crate::render::{RenderSettings, Renderer, StageTimes, select::selection};
 use crate::scene::Scene;
@@ -68,7 +69,7 @@ pub(super) fn run(args: &FrameArgs, messages: Messages) -> Result<()> {
     let image = args.image.or(&origin);
     let mut settings = image.settings()?;
     settings.annotations = output::annotations(&outputs);
-    image.edges()?;
+    let mask = MaskIds::new(image.edges()?);
     output::check_folder(&args.out, INDEX, args.force)?;
     if let Some(version) = origin.version.filter(|version| version != env!("CARGO_PKG_VERSION")) {
         messages.note(format_args!(
@@ -77,10 +78,10 @@ pub(super) fn run(args: &FrameArgs, messages: Messages) -> Result<()> {
     }
 
     let mut rendered = render(args, messages, seed, params, settings)?;
-    let (meta, paths) = write(args, messages, &image, &mut rendered, outputs)?;
+    let (meta, paths) = write(args, messages, (image.label_ids(), &mask), &mut rendered, outputs)?;
     summarise(messages, &rendered, &meta, start);
     let rules = Rules::from_config(&config)?;
-    if let Some(violation) = rules.violation(&rendered.scene, &rendered.frame, image.edges()?) {
+    if let Some(violation) = rules.violation(&rendered.scene, &rendered.frame, &mask) {
         messages.note(format_args!(
             "a dataset would redraw this frame: {} ({})",
             violation.found, violation.rule
@@ -132,15 +133,14 @@ fn render(
 fn write(
     args: &FrameArgs,
     messages: Messages,
-    image: &ImageArgs,
+    (label_ids, mask): (LabelIds, &MaskIds),
     rendered: &mut Rendered,
     outputs: Vec<&'static Output>,
 ) -> Result<(Value, Vec<PathBuf>)> {
-    let (label_ids, edges) = (image.label_ids(), image.edges()?);
     // The record is encoded last, as it contains the time that encoding the others took.
     let (images, records): (Vec<_>, Vec<_>) = outputs.into_iter().partition(|output| output.name != "meta");
     let Rendered { seed, params, scene, settings, renderer, frame, times } = rendered;
-    let input = EncodeInput { frame, meta: &Value::Null, label_ids, edges };
+    let input = EncodeInput { frame, meta: &Value::Null, label_ids, mask };
     let (mut files, encoded) = timed("encode", || output::encode(&input, &images))?;
     times.push(encoded);
     let record = FrameRecord {
@@ -151,12 +151,12 @@ fn write(
         adapter: &renderer.gpu().info,
         raster: renderer.raster(),
         frame,
-        edges,
+        mask,
         label_ids,
         times,
     };
     let meta = record.to_json();
-    files.extend(output::encode(&EncodeInput { frame, meta: &meta, label_ids, edges }, &records)?);
+    files.extend(output::encode(&EncodeInput { frame, meta: &meta, label_ids, mask }, &records)?);
     let artifacts: Vec<_> = files.into_iter().map(|file| file.into_artifact(INDEX)).collect();
     let paths = disk::write_all(&args.out, &artifacts)?;
 

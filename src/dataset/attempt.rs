@@ -10,6 +10,7 @@ use super::plan::{Plan, Seeds};
 use super::rules::Violation;
 use crate::error::{Error, Result};
 use crate::frame::Frame;
+use crate::output::edges::MaskIds;
 use crate::params::Params;
 use crate::render::{
     FrameCost, FramePacket, FramePlanner, RasterOptions, RawFrame, RenderSettings, Renderer, StageTimes,
@@ -80,6 +81,8 @@ pub fn scene_of_seed(plan: &Plan, index: u64, attempt: u32) -> Result<(BuiltScen
 pub struct RenderedFrame {
     pub(super) source: FrameScene,
     pub(super) frame: Frame,
+    /// The frame's mask as it is written.
+    pub(super) mask: MaskIds,
     pub(super) adapter: wgpu::AdapterInfo,
     pub(super) raster: RasterOptions,
     pub(super) cost: RenderCost,
@@ -220,7 +223,7 @@ pub(super) struct RawAttempt {
 
 impl RawAttempt {
     /// Post-processes the frame.
-    fn post_process(self, renderer: &RendererInfo) -> RenderedFrame {
+    fn post_process(self, plan: &Plan, renderer: &RendererInfo) -> RenderedFrame {
         let Self { mut source, raw, cost } = self;
         let (frame, times) = raw.post_process(&source.scene);
         source.times.extend(times);
@@ -230,7 +233,8 @@ impl RawAttempt {
             readback_bytes: frame.bytes(),
         };
         let RendererInfo { adapter, raster } = renderer;
-        RenderedFrame { source, frame, adapter: adapter.clone(), raster: *raster, cost }
+        let mask = MaskIds::new(plan.edges);
+        RenderedFrame { source, frame, mask, adapter: adapter.clone(), raster: *raster, cost }
     }
 
     /// Post-processes the frame, and returns the next attempt instead of it if it breaks a rule.
@@ -242,9 +246,9 @@ impl RawAttempt {
         plan: &Plan,
         renderer: &RendererInfo,
     ) -> Result<std::result::Result<RenderedFrame, Attempt>> {
-        let rendered = self.post_process(renderer);
+        let rendered = self.post_process(plan, renderer);
         let source = &rendered.source;
-        match plan.violation(&source.scene, &rendered.frame) {
+        match plan.violation(&source.scene, &rendered.frame, &rendered.mask) {
             None => Ok(Ok(rendered)),
             Some(violation) => {
                 let FrameScene { index, attempt, redrawn, .. } = rendered.source;
@@ -288,7 +292,7 @@ pub(super) fn render_scene(
     let (planner, info) = planner_and_info(renderer);
     let packet = planner.plan(&source.scene, &plan.settings)?;
     let raw = render((*lock(renderer)).borrow_mut(), PreparedAttempt { source, packet })?;
-    Ok(raw.post_process(&info))
+    Ok(raw.post_process(plan, &info))
 }
 
 /// Renders one attempt at a frame and waits for it.
@@ -307,7 +311,7 @@ pub(super) fn render_attempt(
     attempt: &Attempt,
 ) -> Result<RenderedFrame> {
     let prepared = prepare(plan, &renderer.planner(), &scene_of_seed, attempt)?;
-    Ok(render(renderer, prepared)?.post_process(&RendererInfo::new(renderer)))
+    Ok(render(renderer, prepared)?.post_process(plan, &RendererInfo::new(renderer)))
 }
 
 /// Renders a frame as a dataset has it: the first attempt that keeps the rules.

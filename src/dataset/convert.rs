@@ -22,7 +22,7 @@ use crate::class::ClassId;
 use crate::error::{Error, RUN_AGAIN, Result};
 use crate::frame::{Frame, LabelReason, RockLabel};
 use crate::input;
-use crate::output::edges::EdgePolicy;
+use crate::output::edges::MaskIds;
 use crate::output::layout::{self, FrameFiles, FrameLine, FrameLines as _, Layout, Sample, folder};
 use crate::output::{
     self, EncodeInput, EncodedFile, FileKind, LabelIds, OUTPUTS, Output, dataset_path, disk,
@@ -189,7 +189,7 @@ impl Conversion {
     /// An output's file with this extension, encoded from the mask.
     fn encode_again(&self, output: &'static Output, extension: &str, frame: &Frame) -> Result<Vec<u8>> {
         let input =
-            EncodeInput { frame, meta: &Value::Null, label_ids: self.label_ids, edges: EdgePolicy::Hard };
+            EncodeInput { frame, meta: &Value::Null, label_ids: self.label_ids, mask: &MaskIds::default() };
         let files = output::encode(&input, &[output])?;
         let file = files.into_iter().find(|file| file.extension == extension);
         Ok(file.map(|file| file.bytes).unwrap_or_default())

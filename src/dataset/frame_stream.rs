@@ -47,12 +47,12 @@ impl FrameInMemory {
     /// The frame that was rendered by a plan.
     fn of_rendered(plan: &Plan, rendered: RenderedFrame) -> Self {
         let mut record = record(plan, &rendered);
-        let RenderedFrame { source, frame, cost, .. } = rendered;
+        let RenderedFrame { source, frame, mask, cost, .. } = rendered;
         let FrameScene { index, attempt: redraws, times, .. } = source;
         record.insert("ms".to_owned(), milliseconds_json(&times).into());
         let size = [frame.width, frame.height];
         let rocks = rocks_json(&frame);
-        let arrays = arrays(frame, &plan.outputs, plan.edges);
+        let arrays = arrays(frame, &plan.outputs, &mask);
         Self { index, size, arrays, record, rocks, times, redraws, cost }
     }
 }

@@ -326,10 +326,11 @@ pub(super) fn encode_frame(plan: &Plan, rendered: &mut RenderedFrame) -> Result<
     let meta = record(plan, rendered);
     let mut line = frame_line(meta.clone(), &rendered.adapter)?;
     let meta = Value::Object(meta);
+    let mask = std::mem::take(&mut rendered.mask);
     let frame = &mut rendered.frame;
-    let input = EncodeInput { frame, meta: &meta, label_ids: plan.label_ids, edges: plan.edges };
+    let input = EncodeInput { frame, meta: &meta, label_ids: plan.label_ids, mask: &mask };
     let encoded = output::encode(&input, &plan.outputs)?;
-    frame.class = plan.edges.apply(frame);
+    mask.write_to(frame);
     let sample = Sample { frame, files: &encoded, record: &line };
     let files = plan.layout.frame_files(&sample)?;
     record_files(&mut line, &files);
@@ -347,7 +348,7 @@ pub(super) fn record(plan: &Plan, rendered: &RenderedFrame) -> Map<String, Value
         adapter: &rendered.adapter,
         raster: rendered.raster,
         frame: &rendered.frame,
-        edges: plan.edges,
+        mask: &rendered.mask,
         label_ids: plan.label_ids,
         times: &Vec::new(),
     };

@@ -16,7 +16,7 @@ use super::rules::{Rules, Violation};
 use crate::class::ClassId;
 use crate::error::{Error, Result};
 use crate::frame::Frame;
-use crate::output::edges::EdgePolicy;
+use crate::output::edges::{EdgePolicy, MaskIds};
 use crate::output::layout::{self, Layout};
 use crate::output::{self, LabelIds, Output};
 use crate::params::config::Config;
@@ -180,9 +180,9 @@ impl Plan {
 
     /// The rule that a frame breaks, if any. A frame that was asked for by its seed is not held to rules.
     #[must_use]
-    pub fn violation(&self, scene: &Scene, frame: &Frame) -> Option<Violation> {
+    pub fn violation(&self, scene: &Scene, frame: &Frame, mask: &MaskIds) -> Option<Violation> {
         match self.seeds {
-            Seeds::OfBase => self.rules.violation(scene, frame, self.edges),
+            Seeds::OfBase => self.rules.violation(scene, frame, mask),
             Seeds::Given => None,
         }
     }

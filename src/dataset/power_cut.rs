@@ -23,7 +23,7 @@ use super::plan::{Plan, Range, Seeds, Shard, frame_seed};
 use super::rules::Rules;
 use crate::frame::Frame;
 use crate::output::disk::{self, Operation, recorder};
-use crate::output::edges::EdgePolicy;
+use crate::output::edges::{EdgePolicy, MaskIds};
 use crate::output::layout::{self, FrameFiles, FrameLine, FrameLines as _, Sample};
 use crate::output::{self, Artifact, EncodeInput, LabelIds};
 use crate::params::config::Config;
@@ -77,7 +77,8 @@ fn frame(plan: &Plan, index: u64) -> (FrameLine, FrameFiles) {
         "rgb": { "mean": 95.5, "p99": 200, "max": 201 }, "moved_rocks": [],
     });
     let mut line: FrameLine = serde_json::from_value(line).expect("a line");
-    let input = EncodeInput { frame: &frame, meta: &json!({}), label_ids: plan.label_ids, edges: plan.edges };
+    let mask = MaskIds::new(plan.edges);
+    let input = EncodeInput { frame: &frame, meta: &json!({}), label_ids: plan.label_ids, mask: &mask };
     let encoded = output::encode(&input, &plan.outputs).expect("encoded");
     let files = plan.layout.frame_files(&Sample { frame: &frame, files: &encoded, record: &line });
     let files = files.expect("files");

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use crate::class::ClassId;
 use crate::error::{Error, Result, nearest};
 use crate::frame::Frame;
-use crate::output::edges::EdgePolicy;
+use crate::output::edges::{EdgePolicy, MaskIds};
 use crate::params::config::{Config, RuleSetting};
 use crate::scene::Scene;
 
@@ -233,9 +233,9 @@ impl Rules {
         )
     }
 
-    /// The first rule that a frame breaks whose mask is written under this edge policy.
+    /// The first rule that a frame breaks whose mask is written like this.
     #[must_use]
-    pub fn violation(&self, scene: &Scene, frame: &Frame, edges: EdgePolicy) -> Option<Violation> {
+    pub fn violation(&self, scene: &Scene, frame: &Frame, mask: &MaskIds) -> Option<Violation> {
         let violation = |rule: &str, found: String| Some(Violation { rule: rule.to_owned(), found });
         let unlabelled = frame.unlabelled_px();
         if unlabelled > 0 {
@@ -247,12 +247,12 @@ impl Rules {
         if let Some(violation) = self.violation_of_brightness(&Brightness::of(frame)) {
             return Some(violation);
         }
-        self.violation_of_mask(frame, edges)
+        self.violation_of_mask(frame, mask)
     }
 
     /// The first rule that the mask breaks as it is written.
-    fn violation_of_mask(&self, frame: &Frame, edges: EdgePolicy) -> Option<Violation> {
-        let mask = edges.coverage(frame);
+    fn violation_of_mask(&self, frame: &Frame, mask: &MaskIds) -> Option<Violation> {
+        let (edges, mask) = (mask.edges(), mask.coverage(frame));
         for ((class, range), share) in ClassId::ALL.iter().zip(self.require).zip(mask.classes) {
             let Some([low, high]) = range.filter(|[low, high]| !(low..=high).contains(&&share)) else {
                 continue;
@@ -439,7 +439,7 @@ mod tests {
         let rule = |rules: &Rules, change: &dyn Fn(&mut Frame)| {
             let mut frame = good.clone();
             change(&mut frame);
-            rules.violation(&scene, &frame, EdgePolicy::Hard).map(|violation| violation.rule)
+            rules.violation(&scene, &frame, &MaskIds::default()).map(|violation| violation.rule)
         };
         let defaults = Rules::default();
         assert_eq!(rule(&defaults, &|_| {}), None);
@@ -461,7 +461,10 @@ mod tests {
         let mut buried = scene.clone();
         buried.camera.eye.z -= 100.0;
         assert_eq!(
-            defaults.violation(&buried, &good, EdgePolicy::Hard).map(|violation| violation.rule).as_deref(),
+            defaults
+                .violation(&buried, &good, &MaskIds::default())
+                .map(|violation| violation.rule)
+                .as_deref(),
             Some("eye_above_ground")
         );
     }
@@ -473,7 +476,9 @@ mod tests {
             ([[120; 48].as_slice(), &[0; 12]].concat(), [[0; 8].as_slice(), &[1; 8], &[2; 4]].concat());
         let frame = Frame { width: 20, height: 1, rgb, class, ..Frame::default() };
         let found = |rules: &Rules, edges: EdgePolicy| {
-            rules.violation(&scene, &frame, edges).map(|violation| (violation.rule, violation.found))
+            rules
+                .violation(&scene, &frame, &MaskIds::new(edges))
+                .map(|violation| (violation.rule, violation.found))
         };
         let defaults = Rules::default();
         let demand = Rules { require: [None, Some([0.2, 0.5]), None], ..Rules::default() };

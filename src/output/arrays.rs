@@ -6,7 +6,7 @@ use super::encode::{EncodeInput, values};
 use super::{LabelIds, Output};
 use crate::frame::Frame;
 use crate::frame::plane::{OwnedValues, Plane};
-use crate::output::edges::EdgePolicy;
+use crate::output::edges::{EdgePolicy, MaskIds};
 
 /// An array over the pixels of a frame, rows from top to bottom.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,17 +58,17 @@ fn source(stem: &'static str) -> Option<(&'static str, Source)> {
 
 /// The arrays of these outputs, in their order. Planes of the frame are moved out of it, not copied.
 #[must_use]
-pub fn arrays(mut frame: Frame, outputs: &[&'static Output], edges: EdgePolicy) -> Vec<Array> {
+pub fn arrays(mut frame: Frame, outputs: &[&'static Output], mask: &MaskIds) -> Vec<Array> {
     let stems = outputs.iter().flat_map(|output| output.file_kinds().map(|kind| kind.stem));
     let sources: Vec<_> = stems.filter_map(source).collect();
     let input =
-        EncodeInput { frame: &frame, meta: &serde_json::Value::Null, label_ids: LabelIds::Canonical, edges };
+        EncodeInput { frame: &frame, meta: &serde_json::Value::Null, label_ids: LabelIds::Canonical, mask };
     // Planes are moved last, as others are computed from them.
     let mut computed: Vec<Option<OwnedValues>> = sources
         .iter()
         .map(|(_, source)| match source {
             Source::Computed(_, values) => Some(values(&input)),
-            Source::Mask if edges != EdgePolicy::Hard => Some(OwnedValues::U8(values::mask(&input))),
+            Source::Mask if mask.edges() != EdgePolicy::Hard => Some(OwnedValues::U8(values::mask(&input))),
             Source::Mask | Source::Plane(_) => None,
         })
         .collect();
@@ -94,6 +94,6 @@ pub fn described(outputs: &[&'static Output]) -> Vec<(&'static str, usize, &'sta
         OwnedValues::F16(_) => "float16",
         OwnedValues::F32(_) => "float32",
     };
-    let arrays = arrays(one_pixel, outputs, EdgePolicy::Hard);
+    let arrays = arrays(one_pixel, outputs, &MaskIds::default());
     arrays.iter().map(|array| (array.name, array.channels, type_of(&array.values))).collect()
 }

@@ -4,6 +4,7 @@
 
 use std::fmt;
 use std::str::FromStr;
+use std::sync::OnceLock;
 
 use crate::class::ClassId;
 use crate::error::{Error, Result};
@@ -34,8 +35,7 @@ impl EdgePolicy {
     pub const MAX_BAND_PX: u32 = 64;
 
     /// The class ids of a frame under this rule.
-    #[must_use]
-    pub fn apply(self, frame: &Frame) -> Vec<u8> {
+    fn apply(self, frame: &Frame) -> Vec<u8> {
         let Self::Ignore(band_px) = self else { return frame.class.clone() };
         let (width, height, band) = (frame.width as usize, frame.height as usize, band_px as usize);
         let changes = Changes::of(&frame.class, width, height);
@@ -51,12 +51,49 @@ impl EdgePolicy {
         }
         ids
     }
+}
 
-    /// Fractions of the pixels of a frame's mask under this rule.
+/// The class ids of one frame's mask under an edge policy. They are computed when first asked for, and once: rules, record and files of
+/// the frame share them.
+#[derive(Debug, Default)]
+pub struct MaskIds {
+    edges: EdgePolicy,
+    with_band: OnceLock<Vec<u8>>,
+}
+
+impl MaskIds {
+    /// Those of a frame that is named later.
     #[must_use]
-    pub fn coverage(self, frame: &Frame) -> MaskCoverage {
-        let with_band = (self != Self::Hard).then(|| self.apply(frame));
-        let ids = with_band.as_ref().unwrap_or(&frame.class);
+    pub const fn new(edges: EdgePolicy) -> Self {
+        Self { edges, with_band: OnceLock::new() }
+    }
+
+    /// The edge policy.
+    #[must_use]
+    pub const fn edges(&self) -> EdgePolicy {
+        self.edges
+    }
+
+    /// The ids of the frame, which is the same in every call.
+    #[must_use]
+    pub fn of<'a>(&'a self, frame: &'a Frame) -> &'a [u8] {
+        match self.edges {
+            EdgePolicy::Hard => &frame.class,
+            EdgePolicy::Ignore(_) => self.with_band.get_or_init(|| self.edges.apply(frame)),
+        }
+    }
+
+    /// Makes the ids the classes of the frame.
+    pub fn write_to(self, frame: &mut Frame) {
+        if self.edges != EdgePolicy::Hard {
+            frame.class = self.with_band.into_inner().unwrap_or_else(|| self.edges.apply(frame));
+        }
+    }
+
+    /// Fractions of the pixels of the frame's mask.
+    #[must_use]
+    pub fn coverage(&self, frame: &Frame) -> MaskCoverage {
+        let ids = self.of(frame);
         let fraction =
             |class: ClassId| ids.iter().filter(|id| **id == class.0).count() as f64 / ids.len() as f64;
         MaskCoverage {
@@ -180,8 +217,27 @@ mod tests {
             classes: classes.map(|pixels| pixels / 49.0),
             ignored: ignored / 49.0,
         };
-        assert_eq!(EdgePolicy::Hard.coverage(&frame), of_pixels([0.0, 1.0, 48.0], 0.0));
-        assert_eq!(EdgePolicy::Ignore(2).coverage(&frame), of_pixels([0.0, 0.0, 24.0], 25.0));
+        let coverage = |edges| MaskIds::new(edges).coverage(&frame);
+        assert_eq!(coverage(EdgePolicy::Hard), of_pixels([0.0, 1.0, 48.0], 0.0));
+        assert_eq!(coverage(EdgePolicy::Ignore(2)), of_pixels([0.0, 0.0, 24.0], 25.0));
+    }
+
+    #[test]
+    fn a_band_is_computed_once() {
+        let class: Vec<u8> = (0..64).map(|i| u8::from(i % 8 > 3)).collect();
+        let mut frame = Frame { width: 8, height: 8, class: class.clone(), ..Frame::default() };
+        for edges in [EdgePolicy::Hard, EdgePolicy::Ignore(1)] {
+            let mask = MaskIds::new(edges);
+            let first = mask.of(&frame);
+            assert!(std::ptr::eq(first, mask.of(&frame)) && first == edges.apply(&frame), "{edges}");
+            let expected = first.to_vec();
+            mask.write_to(&mut frame);
+            assert_eq!(frame.class, expected, "{edges}");
+        }
+        frame.class = class;
+        let expected = EdgePolicy::Ignore(1).apply(&frame);
+        MaskIds::new(EdgePolicy::Ignore(1)).write_to(&mut frame);
+        assert_eq!(frame.class, expected, "also if it was not asked for before");
     }
 
     #[test]

@@ -13,7 +13,7 @@ pub(super) mod values;
 
 use serde_json::Value;
 
-use super::edges::EdgePolicy;
+use super::edges::MaskIds;
 use super::label_ids::LabelIds;
 use crate::frame::Frame;
 
@@ -26,13 +26,13 @@ pub struct EncodeInput<'a> {
     pub meta: &'a Value,
     /// The numbering of the classes in the mask.
     pub label_ids: LabelIds,
-    /// What the mask holds where classes meet.
-    pub edges: EdgePolicy,
+    /// The mask of the frame as it is written.
+    pub mask: &'a MaskIds,
 }
 
 impl EncodeInput<'_> {
     /// The class ids under the edge policy.
-    fn classes(&self) -> Vec<u8> {
-        self.edges.apply(self.frame)
+    fn classes(&self) -> &[u8] {
+        self.mask.of(self.frame)
     }
 }

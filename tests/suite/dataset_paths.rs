@@ -3,7 +3,7 @@
 use regolith::Result;
 use regolith::dataset::manifest;
 use regolith::frame::Frame;
-use regolith::output::edges::EdgePolicy;
+use regolith::output::edges::MaskIds;
 use regolith::output::layout::{DatasetIndex, FrameLine, FrameLines, LAYOUTS, Layout, Sample};
 use regolith::output::{self, EncodeInput, FileKind, LabelIds, OUTPUTS, Output};
 use serde_json::{Map, Value, json};
@@ -55,9 +55,8 @@ fn output_lists(layout: &dyn Layout) -> Vec<Vec<&'static Output>> {
 
 #[test]
 fn the_paths_of_a_frame_are_those_that_its_files_get() {
-    let (frame, meta) = (frame(), json!({}));
-    let input =
-        EncodeInput { frame: &frame, meta: &meta, label_ids: LabelIds::Canonical, edges: EdgePolicy::Hard };
+    let (frame, meta, mask) = (frame(), json!({}), MaskIds::default());
+    let input = EncodeInput { frame: &frame, meta: &meta, label_ids: LabelIds::Canonical, mask: &mask };
     for row in &LAYOUTS {
         for outputs in output_lists(row.layout) {
             let files = output::encode(&input, &outputs).expect("encoded");

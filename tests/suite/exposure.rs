@@ -3,7 +3,7 @@
 use regolith::class::ClassId;
 use regolith::dataset::plan::frame_seed;
 use regolith::dataset::rules::Rules;
-use regolith::output::edges::EdgePolicy;
+use regolith::output::edges::MaskIds;
 use regolith::params::config::Config;
 use regolith::scene::Scene;
 
@@ -48,7 +48,7 @@ fn measured(config: &Config, seed: u64) -> Option<(f64, f64, Option<String>)> {
         }
     }
     let rules = Rules::from_config(config).expect("rules");
-    let broken = rules.violation(&scene, &frame, EdgePolicy::Hard).map(|violation| violation.rule);
+    let broken = rules.violation(&scene, &frame, &MaskIds::default()).map(|violation| violation.rule);
     Some((sum / f64::max(sky, 1.0), clipped / frame.class.len() as f64, broken))
 }
 

@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 use crate::dataset::plan::Plan;
 use crate::error::Result;
 use crate::frame::{Frame, LabelPixels, LabelReason, RockLabel};
+use crate::output::edges::MaskIds;
 use crate::output::layout::{FrameLine, Sample};
 use crate::output::{self, EncodeInput, EncodedFile, FileKind};
 
@@ -24,7 +25,8 @@ pub(super) struct Template {
 /// The templates of all files of a plan's outputs, in their order.
 pub(super) fn of(plan: &Plan) -> Result<Vec<Template>> {
     let encode = |frame: &Frame, meta: &Value| {
-        let input = EncodeInput { frame, meta, label_ids: plan.label_ids, edges: plan.edges };
+        let mask = MaskIds::new(plan.edges);
+        let input = EncodeInput { frame, meta, label_ids: plan.label_ids, mask: &mask };
         output::encode(&input, &plan.outputs)
     };
     let first = encode(&pixel(0), &json!({}))?;

@@ -9,11 +9,7 @@ use crate::frame::Frame;
 
 /// The semantic mask in the numbering and under the edge policy of the input.
 pub(in crate::output) fn mask(input: &EncodeInput<'_>) -> Vec<u8> {
-    let mut ids = input.classes();
-    for id in &mut ids {
-        *id = input.label_ids.mask_id(*id);
-    }
-    ids
+    input.classes().iter().map(|id| input.label_ids.mask_id(*id)).collect()
 }
 
 /// The mask in the preview colours of its classes; unlabelled pixels are black.
@@ -42,8 +38,8 @@ pub(in crate::output) fn coverage(frame: &Frame) -> Vec<f32> {
 /// The five classes, unlabelled where the mask is under the edge policy.
 pub(in crate::output) fn five_classes(input: &EncodeInput<'_>) -> Vec<u8> {
     let unlabelled = ClassId::UNLABELLED.0;
-    let id = |(class, id): (u8, &u8)| if class == unlabelled { unlabelled } else { *id };
-    input.classes().into_iter().zip(&input.frame.five_classes).map(id).collect()
+    let id = |(class, id): (&u8, &u8)| if *class == unlabelled { unlabelled } else { *id };
+    input.classes().iter().zip(&input.frame.five_classes).map(id).collect()
 }
 
 /// The same in colours; unlabelled pixels are black.
