@@ -49,7 +49,10 @@ if TYPE_CHECKING:
 else:
 
     def __getattr__(name: str) -> ModuleType:
-        """`rr.torch` and `rr.ray`, imported at first use."""
+        """`rr.torch` and `rr.ray`, imported at first use. Without the package that one needs it is no attribute, as `hasattr` says."""
         if name in ("torch", "ray"):
-            return import_module(f".{name}", __name__)
+            try:
+                return import_module(f".{name}", __name__)
+            except ModuleNotFoundError as error:
+                raise AttributeError(f"{__name__}.{name} cannot be imported: {error}") from error
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

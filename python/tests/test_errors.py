@@ -261,3 +261,27 @@ def test_a_lost_display_is_no_concern(tmp_path: Path) -> None:
         XDG_RUNTIME_DIR="",
     )
     assert ran.stdout == ":77 None\n" and ran.stderr == ""
+
+
+def test_a_module_whose_package_is_missing_is_no_attribute() -> None:
+    ran = python("""
+        import sys
+        for package in ("torch", "ray"):
+            sys.modules[package] = None
+        import regolith_render as rr
+        for package in ("torch", "ray"):
+            assert not hasattr(rr, package)
+            try:
+                getattr(rr, package)
+            except AttributeError as error:
+                assert str(error).startswith(f"regolith_render.{package} cannot be imported: "), error
+                assert isinstance(error.__cause__, ModuleNotFoundError)
+            for statement in (f"import regolith_render.{package}", f"from regolith_render import {package}"):
+                try:
+                    exec(statement)
+                except ModuleNotFoundError as error:
+                    assert error.name is not None and error.name.split(".")[0] == package, error
+                else:
+                    raise AssertionError(statement)
+    """)
+    assert ran.returncode == 0, ran.stderr
