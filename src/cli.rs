@@ -20,6 +20,7 @@ mod stage;
 mod verify;
 
 use std::ffi::OsString;
+use std::io::Write as _;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use crate::error::{Error, Result};
@@ -192,12 +193,19 @@ fn run(
     process::survive_file_size_limit();
     process::fail_on_abort();
     let parsed = command().try_get_matches_from(words).and_then(|matches| Cli::from_arg_matches(&matches));
-    let cli = parsed.map_err(|error| {
-        // A closed pipe is no error.
-        let _ = error.print();
-        Ending::Status(error.exit_code() as u8)
-    })?;
+    let cli = parsed.map_err(|error| print_parsed(&error))?;
     Ok(run_command(cli, itself)?)
+}
+
+/// Prints help or the version, which are results on stdout, or what is wrong with a command line, on stderr.
+fn print_parsed(error: &clap::Error) -> Ending {
+    match error.print().and_then(|()| std::io::stdout().flush()) {
+        // A closed pipe is no error.
+        Err(cause) if !error.use_stderr() && cause.kind() != std::io::ErrorKind::BrokenPipe => {
+            Ending::Error(Error::Stdout(cause))
+        }
+        _ => Ending::Status(error.exit_code() as u8),
+    }
 }
 
 fn run_command(cli: Cli, itself: &dyn Fn() -> std::process::Command) -> Result<()> {

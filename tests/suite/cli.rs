@@ -167,6 +167,19 @@ fn messages_that_cannot_be_written_do_not_stop_a_run() {
 }
 
 #[test]
+fn help_that_cannot_be_written_is_an_error() {
+    let folder = folder();
+    for words in [&["--help"][..], &["--version"], &["help", "dataset"], &["bench", "-h"], &["presets"]] {
+        let full = std::fs::OpenOptions::new().write(true).open("/dev/full").expect("a device that is full");
+        let output = program(folder.path()).args(words).stdout(full).output().expect("the program starts");
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{words:?}: {message}");
+        assert!(message.starts_with("error: cannot write to standard output: "), "{words:?}: {message}");
+        run_ok(folder.path(), words);
+    }
+}
+
+#[test]
 fn a_frame_reports_files_of_an_earlier_run_and_broken_rules() {
     let folder = folder();
     let rule = "--set=require={rock=[0.9,1]}";
