@@ -11,8 +11,9 @@ use std::io::{Read, Seek, SeekFrom};
 use std::ops::Range;
 use std::path::Path;
 
-use serde_json::Map;
+use serde_json::{Map, Value};
 
+use super::frame_line::FrameLine;
 use super::interface::{CARD_FILE, DatasetIndex, FrameFiles, FrameNames, Layout, Sample, SplitRange};
 use crate::error::{Error, Result};
 use crate::output::artifact::{Artifact, FileKind};
@@ -63,6 +64,26 @@ fn field(output: &str, stem: &str) -> String {
     }
 }
 
+/// The record of a frame with fields whose types are the same in every sample, as the loader of Hugging Face demands. It learns them from
+/// the first samples, where an empty list has no type. Knobs that are drawn per rock or crater are a number in some frames and a
+/// distribution in others: distributions have a field of their own.
+fn sample_record(line: &FrameLine) -> Result<Map<String, Value>> {
+    let failed = |error: serde_json::Error| Error::Encode {
+        name: "the record of a sample".to_owned(),
+        message: error.to_string(),
+    };
+    let mut record: Map<String, Value> =
+        serde_json::to_value(line).and_then(serde_json::from_value).map_err(failed)?;
+    let (distributions, values): (Map<_, _>, Map<_, _>) =
+        line.knobs.clone().into_iter().partition(|(_, value)| value.is_object());
+    record.insert("knobs".to_owned(), values.into());
+    record.insert("knob_distributions".to_owned(), distributions.into());
+    let moved_rocks: Vec<String> = line.moved_rocks.iter().map(u32::to_string).collect();
+    record.insert("moved_rocks".to_owned(), moved_rocks.join(",").into());
+    record.insert("redrawn".to_owned(), line.redrawn.join(",").into());
+    Ok(record)
+}
+
 impl Layout for WebDataset {
     fn supports(&self, output: &str) -> bool {
         // The metadata are always there, as the sample's JSON; previews are not stored.
@@ -80,7 +101,11 @@ impl Layout for WebDataset {
                 append_member(&mut fragment, &name, &file.bytes)?;
             }
         }
-        append_member(&mut fragment, &format!("{key}.json"), &json::to_bytes(sample.record)?)?;
+        append_member(
+            &mut fragment,
+            &format!("{key}.json"),
+            &json::to_bytes(&sample_record(sample.record)?)?,
+        )?;
         let names = self.frame_names(&[], &sample.record.split, sample.record.index);
         let files =
             names.files.into_iter().map(|name| Artifact { name, bytes: std::mem::take(&mut fragment) });
@@ -255,6 +280,33 @@ fn append_member(archive: &mut Vec<u8>, name: &str, bytes: &[u8]) -> Result<()> 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn fields_of_samples_have_one_type() {
+        let record = |line: Value| {
+            let line: FrameLine = serde_json::from_value(line).expect("a line");
+            Value::from(sample_record(&line).expect("a record"))
+        };
+        let mut line = serde_json::json!({
+            "index": 7, "attempt": 0, "seed": 9, "stage": "surface", "adapter": "cpu",
+            "knobs": { "rocks.roughness": 0.8, "rocks.count": 3 }, "geometry_hash": "ab", "camera": {}, "sun": {},
+            "coverage": {}, "rgb": { "mean": 1.0, "p99": 2, "max": 3 }, "moved_rocks": [],
+        });
+        let plain = record(line.clone());
+        line["knobs"]["rocks.roughness"] = serde_json::json!({ "uniform": [0.3, 0.9] });
+        line["moved_rocks"] = serde_json::json!([4, 17]);
+        line["redrawn"] = serde_json::json!(["black", "lit"]);
+        let other = record(line);
+        assert_eq!(plain["knobs"], serde_json::json!({ "rocks.roughness": 0.8, "rocks.count": 3 }));
+        assert_eq!(other["knobs"], serde_json::json!({ "rocks.count": 3 }));
+        assert_eq!(plain["knob_distributions"], serde_json::json!({}));
+        assert_eq!(other["knob_distributions"]["rocks.roughness"]["uniform"][1], 0.9);
+        assert_eq!([&plain["moved_rocks"], &other["moved_rocks"]], ["", "4,17"]);
+        assert_eq!([&plain["redrawn"], &other["redrawn"]], ["", "black,lit"]);
+        let keys =
+            |record: &Value| record.as_object().expect("an object").keys().cloned().collect::<Vec<_>>();
+        assert_eq!(keys(&plain).len(), keys(&other).len());
+    }
 
     #[test]
     fn an_archive_is_divided_into_its_samples() {
