@@ -309,7 +309,7 @@ knobs! {
     SkyEarthshine "sky.earthshine" "" Number, Frame, number(0.0), [0.0, 0.1],
         "Irradiance of earthshine on level ground relative to the sun's at normal incidence, taken as uniform over the sky; 1.1e-4 for a full Earth.";
     SkyDomeRadiusM "sky.dome_radius_m" "m" Number, Frame, number(600.0) => number(2000.0), [60.0, 5000.0],
-        "Radius of the sky dome around the camera.";
+        "Radius of the sky dome around the camera; ground that is farther away is drawn as sky.";
 }
 
 impl KnobInfo {
