@@ -62,8 +62,10 @@ pub enum Error {
         available: Vec<String>,
     },
     /// An output that does not exist.
-    #[error("--outputs: unknown output `{name}`{}; there are {} and all", did_you_mean(.suggestion.as_deref()), .available.join(", "))]
+    #[error("{option}: unknown output `{name}`{}; there are {} and all", did_you_mean(.suggestion.as_deref()), .available.join(", "))]
     UnknownOutput {
+        /// The option with the name.
+        option: &'static str,
         /// The name as written.
         name: String,
         /// The most similar known name.

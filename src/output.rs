@@ -157,20 +157,29 @@ pub fn default_list() -> String {
     names.join(",")
 }
 
-/// The outputs that a comma-separated list names; `all` stands for every output.
+/// The outputs that the comma-separated list of `--outputs` names; `all` stands for every output.
 ///
 /// # Errors
-/// [`Error::Usage`] for an empty list or an unknown name.
+/// [`Error::Usage`] for an empty list, [`Error::UnknownOutput`].
 pub fn parse_outputs(list: &str) -> Result<Vec<&'static Output>> {
+    parse_outputs_of("--outputs", list)
+}
+
+/// The same of the list of another option.
+///
+/// # Errors
+/// As [`parse_outputs`].
+pub fn parse_outputs_of(option: &'static str, list: &str) -> Result<Vec<&'static Output>> {
     let words: Vec<&str> = list.split(',').map(str::trim).filter(|word| !word.is_empty()).collect();
     if words.is_empty() {
-        return Err(Error::Usage(
-            "the list of outputs is empty; name at least one, or leave it out".to_owned(),
-        ));
+        return Err(Error::Usage(format!(
+            "{option}: the list of outputs is empty; name at least one, or leave it out"
+        )));
     }
     let known = || OUTPUTS.iter().map(|output| output.name);
     if let Some(unknown) = words.iter().find(|word| **word != "all" && !known().any(|name| name == **word)) {
         return Err(Error::UnknownOutput {
+            option,
             name: (*unknown).to_owned(),
             suggestion: nearest(unknown, known()),
             available: known().map(str::to_owned).collect(),

@@ -40,7 +40,7 @@ fn details(error: &Error) -> Details {
         }
         Error::KnobType { name, value, expected, .. } => [some(name), some(value), some(expected), None],
         Error::UnknownPreset { name, suggestion, available }
-        | Error::UnknownOutput { name, suggestion, available } => {
+        | Error::UnknownOutput { name, suggestion, available, .. } => {
             [None, some(name), Some(available.join(", ")), suggestion.clone()]
         }
         Error::RuleBroken { rule, .. } => [knob_of_rule(rule), None, None, None],

@@ -80,9 +80,7 @@ impl Addition {
             )));
         }
         let mut plan = Plan::of_manifest(&manifest)?;
-        let of_option =
-            |error: Error| Error::Usage(error.to_string().replacen("--outputs", "--add-outputs", 1));
-        let requested = output::parse_outputs(list).map_err(of_option)?;
+        let requested = output::parse_outputs_of("--add-outputs", list)?;
         let all = list.split(',').any(|word| word.trim() == "all");
         let unsupported = requested.iter().find(|output| !all && !plan.layout.supports(output.name));
         if is_bundled(&plan) || unsupported.is_some() {
