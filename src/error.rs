@@ -232,6 +232,8 @@ pub enum Error {
         attempts: u32,
         /// Name of the rule.
         rule: String,
+        /// The value that broke it in the last attempt, if it is one number.
+        value: Option<String>,
         /// The value found and the values allowed.
         found: String,
     },

@@ -43,7 +43,7 @@ fn details(error: &Error) -> Details {
         | Error::UnknownOutput { name, suggestion, available, .. } => {
             [None, some(name), Some(available.join(", ")), suggestion.clone()]
         }
-        Error::RuleBroken { rule, .. } => [knob_of_rule(rule), None, None, None],
+        Error::RuleBroken { rule, value, .. } => [knob_of_rule(rule), value.clone(), None, None],
         _ => [None, None, None, None],
     }
 }
@@ -51,7 +51,7 @@ fn details(error: &Error) -> Details {
 /// The knob of a rule of datasets; `None` for a rule that has none.
 fn knob_of_rule(rule: &str) -> Option<String> {
     match rule {
-        "black" | "clipped" | "saturated" | "sky" => Some(format!("rules.{rule}_max")),
+        "black" | "clipped" | "saturated" | "sky" | "ignored" => Some(format!("rules.{rule}_max")),
         "lit" => Some("rules.lit_min".to_owned()),
         _ => rule.starts_with("require.").then(|| "rules.require".to_owned()),
     }

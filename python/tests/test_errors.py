@@ -119,6 +119,7 @@ def test_a_broken_rule_is_named_with_its_knob(tmp_path: Path) -> None:
         with pytest.raises(rr.ConfigError, match="drawn 2 times .*; loosen the rule or change the knobs$") as caught:
             list(renderer.dataset_frames(1, end=1))
         assert caught.value.knob == knob and "folder" not in str(caught.value)
+        assert 0 <= float(caught.value.value or "none") < 0.99 and f"{caught.value.value} " in str(caught.value)
     knobs = ["--set=rules.lit_min=1", "--set=rules.attempts_max=2"]
     ran = program("dataset", "--size=16", "--samples=1", "--count=1", *knobs, "--out", str(tmp_path / "d"))
     assert ran.returncode == 1 and "so choose another --out with the new settings" in ran.stderr, ran.stderr

@@ -172,8 +172,8 @@ impl Attempt {
     ) -> Result<Self> {
         let attempts = number + 1;
         if attempts == plan.rules.attempts_max {
-            let Violation { rule, found } = violation;
-            return Err(Error::RuleBroken { index, attempts, rule, found });
+            let Violation { rule, value, found } = violation;
+            return Err(Error::RuleBroken { index, attempts, rule, value, found });
         }
         redrawn.push(violation.rule);
         Ok(Self { index, number: attempts, redrawn })
@@ -195,7 +195,7 @@ impl Attempt {
             let Self { index, number, redrawn } = self;
             let violation = match prepared {
                 Err(Error::Scene(found)) if plan.seeds == Seeds::OfBase => {
-                    Violation { rule: "scene".to_owned(), found }
+                    Violation { rule: "scene".to_owned(), value: None, found }
                 }
                 Err(error) => return Err(error),
                 Ok(prepared) => match plan.violation_of_scene(&prepared.source.scene) {
