@@ -74,13 +74,20 @@ impl DetailSums {
         self.sun_clearance_m[i] += ground.sun_lift[i] * rise_m;
     }
 
-    /// Takes ground at a horizontal distance from the point towards the sun for its occluder, if the ray to the sun clears no other by less.
+    /// Takes ground at a horizontal distance from the point of each sample towards the sun for its occluder, if the ray to the sun clears no
+    /// other by less.
     #[inline(always)]
-    pub(super) fn add_occluder(&mut self, i: usize, clearance_m: f32, way_m: f32) {
-        let is_nearest = clearance_m < self.sun_clearance_m[i];
-        self.sun_clearance_m[i] = if is_nearest { clearance_m } else { self.sun_clearance_m[i] };
-        self.occluder_way_m[i] = if is_nearest { way_m } else { self.occluder_way_m[i] };
-        self.occluder_height_m[i] = if is_nearest { self.height_m[i] } else { self.occluder_height_m[i] };
+    pub(super) fn add_occluders(&mut self, clearances_m: &[f32; BATCH], ways_m: &[f32; BATCH]) {
+        for i in 0..BATCH {
+            let is_nearest = if clearances_m[i] < self.sun_clearance_m[i] { u32::MAX } else { 0 };
+            // Selections of bits: in any other form this does not vectorise.
+            let nearest = |new: f32, old: f32| {
+                f32::from_bits((new.to_bits() & is_nearest) | (old.to_bits() & !is_nearest))
+            };
+            self.sun_clearance_m[i] = nearest(clearances_m[i], self.sun_clearance_m[i]);
+            self.occluder_way_m[i] = nearest(ways_m[i], self.occluder_way_m[i]);
+            self.occluder_height_m[i] = nearest(self.height_m[i], self.occluder_height_m[i]);
+        }
     }
 
     /// Share of the sun that relief hides, its penumbra `blur_m` high on the occluder.
@@ -134,8 +141,8 @@ mod tests {
             ground.sun_lift = [1.0 - towards_sun; BATCH];
             let mut sums = DetailSums::new();
             // So far below the edge of its shadow that no penumbra counts; ground that the ray clears by more does not count either.
-            sums.add_occluder(0, -1.0, 0.04);
-            sums.add_occluder(0, 0.02, 0.01);
+            sums.add_occluders(&[-1.0; BATCH], &[0.04; BATCH]);
+            sums.add_occluders(&[0.02; BATCH], &[0.01; BATCH]);
             sums.move_up(&ground, 0, rise_m);
             let got = sums.sun_hidden(&ground, 0, BLUR_M);
             assert!((got - hidden).abs() < 1e-5, "{rise_m} m up, {towards_sun} towards the sun: {got}");

@@ -88,22 +88,26 @@ pub(super) fn add_pits(
         let exists = has_pit(pits, firsts[i]);
         let share = sums.share(ground, i, diameter_m);
         let reach = 0.5 * PIT_REACH * diameter_m / pits.cell_m;
-        let is_reached = exists & (along * along + across * across < reach * reach) & (share > 0.0);
-        reached |= if is_reached { 1 } else { 0 };
+        let is_reached = exists & (along * along + across * across < reach * reach);
         shares[i] = if is_reached { share } else { 0.0 };
+        // The bits of 0 alone are 0.
+        reached |= shares[i].to_bits();
         (diameters_m[i], ages_of[i]) = (diameter_m, age);
     }
     if reached == 0 {
         return;
     }
+    let (mut clearances_m, mut ways_m) = (zeros, zeros);
     for i in 0..BATCH {
         let pit = CellPit::new(diameters_m[i], ages_of[i], shares[i], &ages);
-        add_pit(pits, ground, (i, &pit), Vec2::new(offsets.x[i], offsets.y[i]), sums);
+        let offset = Vec2::new(offsets.x[i], offsets.y[i]);
+        (clearances_m[i], ways_m[i]) = add_pit(pits, ground, (i, &pit), offset, sums);
     }
+    sums.add_occluders(&clearances_m, &ways_m);
 }
 
-/// Adds a pit of a lattice where the ray to the eye of sample `i` meets it, and its shadow there. `offset`: the sample's position before, cells
-/// from the pit's centre.
+/// Adds a pit of a lattice where the ray to the eye of sample `i` meets it. `offset`: the sample's position before, cells from the pit's
+/// centre. Returns by how much the ray to the sun from there clears the pit, and the horizontal way to where it does, metres.
 #[inline(always)]
 fn add_pit(
     pits: &LatticeUniforms,
@@ -111,7 +115,7 @@ fn add_pit(
     (i, pit): (usize, &CellPit),
     offset: Vec2,
     sums: &mut DetailSums,
-) {
+) -> (f32, f32) {
     let per_radius = 2.0 * pits.cell_m / pit.diameter_m;
     let turned = |x: f32, y: f32| {
         Vec2::new(
@@ -176,7 +180,7 @@ fn add_pit(
     let clearance_m = rise_m * (1.0 - larger) / fade - (pit.share * pit.diameter_m * top - height_m);
     let is_tested =
         (pit.share > 0.0) & (fade > 0.0) & (pit.is_clod | (r < 1.0)) & (way_m > ground.across_m[i]);
-    sums.add_occluder(i, if is_tested { clearance_m } else { f32::INFINITY }, way_m);
+    (if is_tested { clearance_m } else { f32::INFINITY }, way_m)
 }
 
 /// The centre of the pit of a cell with this second hash, cells from the corner of the cell. As `PitLattice::pit` in

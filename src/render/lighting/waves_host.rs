@@ -36,14 +36,11 @@ pub(super) fn noise_slope(
         *resolved = sums.share(ground, i, wave.cell_m);
     }
     if is_tested && is_sun_low {
-        // Two loops: the noise is not vectorised in one that also chooses occluders, and a frame took a fifth longer.
         let mut clearances_m = [0.0; BATCH];
         for (i, clearance_m) in clearances_m.iter_mut().enumerate() {
             *clearance_m = sun_clearance(wave, ground, sums, (i, resolved[i]));
         }
-        for (i, clearance_m) in clearances_m.into_iter().enumerate() {
-            sums.add_occluder(i, clearance_m, TESTED_CELLS * wave.cell_m);
-        }
+        sums.add_occluders(&clearances_m, &[TESTED_CELLS * wave.cell_m; BATCH]);
     }
     let rises_m = if is_tested { first_step(wave, ground, &resolved, sums) } else { [0.0; BATCH] };
     if wave.factor > 0.0 {
