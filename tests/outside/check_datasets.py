@@ -1,8 +1,8 @@
 """Reads datasets with the programs that they are made for.
 
 Every Python block of README.md and docs/formats.md that reads a dataset runs here, word for word, on 24 frames of its
-format; what it gives is compared with the files of the format `folder`. COCO, BasicWriter, Cityscapes and YOLO have checks
-of their own below, and so does the camera code of docs/outputs.md.
+format; what it gives is compared with the files of the format `folder`. COCO, BasicWriter, Cityscapes, YOLO and the types of fields in
+WebDataset have checks of their own below, and so does the camera code of docs/outputs.md.
 """
 
 import ast
@@ -208,6 +208,24 @@ def check_camera(folder: Path) -> None:
     print(f"{'camera':<12} pixels lifted into the world and projected back, with and without a lens")
 
 
+def check_types(folder: Path) -> None:
+    """Hugging Face's own loader of WebDataset learns the fields of the JSON from the first samples, and refuses others of another type."""
+    from datasets import load_dataset
+
+    out = folder / "data/both"
+    both = 'stage.name={choice=["nominal","surface"]}'
+    options = "--preset surface_train_full --format webdataset --size 32 --samples 1 --quiet".split()
+    environment = {**os.environ, "WGPU_ADAPTER_NAME": "cpu"}
+    command = [PROGRAM, "dataset", "--count", str(FRAMES), "--set", both, "--out", out, *options]
+    subprocess.run(command, env=environment, check=True, stdout=subprocess.DEVNULL)
+    loaded = load_dataset("webdataset", data_files={"train": [str(path) for path in sorted(out.glob("*.tar"))]}, split="train")
+    found = [(row["json"]["index"], row["json"]["stage"], np.asarray(row["mask.png"]).shape) for row in loaded]
+    lines = [json.loads(line) for line in (out / "frames.jsonl").read_text().splitlines()]
+    if found != [(line["index"], line["stage"], (32, 32)) for line in lines] or len({stage for _, stage, _ in found}) < 2:
+        fail(f"datasets.load_dataset('webdataset') of both stages gives {found}")
+    print(f"{'types':<12} {len(found)} samples of both stages by Hugging Face's loader of WebDataset")
+
+
 def main() -> None:
     os.environ.setdefault("HF_HUB_OFFLINE", "1")
     with tempfile.TemporaryDirectory() as temporary:
@@ -225,6 +243,7 @@ def main() -> None:
         check_flat(folder / "data", truth)
         check_yolo(folder / "data", truth)
         check_camera(folder)
+        check_types(folder)
         os.chdir("/")
 
 
