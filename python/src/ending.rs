@@ -1,8 +1,8 @@
 //! The end of the program. What a thread of the graphics driver does while the driver's own end runs is undefined: it may crash the
 //! program. So before the interpreter ends, other work is waited for and none starts any more, and streams are stopped.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, TryLockError, Weak};
-use std::thread;
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock, RwLockReadGuard, TryLockError, Weak};
+use std::thread::{self, ThreadId};
 use std::time::Duration;
 
 use pyo3::prelude::*;
@@ -17,6 +17,8 @@ pub(crate) type Stream = Mutex<Option<FrameStream>>;
 
 /// Read by whoever works with a device. Written once, at the end.
 static WORK: RwLock<()> = RwLock::new(());
+/// The thread that ends the interpreter.
+static ENDED_BY: OnceLock<ThreadId> = OnceLock::new();
 /// Locked by threads with Python's lock alone, which none but the one that forks has then: no child finds it locked.
 static STREAMS: Mutex<Vec<Weak<Stream>>> = Mutex::new(Vec::new());
 
@@ -35,17 +37,20 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 
 /// Waits for other work, of which none starts afterwards, and stops the streams.
 fn end(py: Python<'_>) {
+    let _ = ENDED_BY.set(thread::current().id());
     py.detach(|| std::mem::forget(WORK.write()));
     let streams: Vec<Weak<Stream>> = std::mem::take(&mut *streams(py));
     py.detach(|| streams.iter().filter_map(Weak::upgrade).for_each(|stream| drop(open(&stream).take())));
 }
 
-/// What to hold during work with a device.
-pub(crate) fn working(py: Python<'_>) -> RwLockReadGuard<'static, ()> {
+/// What to hold during work with a device. `None` in the thread that ends the interpreter, once the others have stopped: what functions that
+/// are called at exit render is done before the driver's end.
+pub(crate) fn working(py: Python<'_>) -> Option<RwLockReadGuard<'static, ()>> {
     loop {
         match WORK.try_read() {
-            Ok(working) => return working,
-            Err(TryLockError::Poisoned(error)) => return error.into_inner(),
+            Ok(working) => return Some(working),
+            Err(TryLockError::Poisoned(error)) => return Some(error.into_inner()),
+            Err(TryLockError::WouldBlock) if ENDED_BY.get() == Some(&thread::current().id()) => return None,
             Err(TryLockError::WouldBlock) => py.detach(|| thread::sleep(ASK_EVERY)),
         }
     }

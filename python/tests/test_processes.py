@@ -164,7 +164,7 @@ def test_a_forked_child_opens_its_own_device_or_says_why_not(tmp_path: Path) -> 
 
 def test_a_program_may_end_while_frames_are_rendered() -> None:
     """With a generator that was begun, one that was not, and threads that wait for a frame, render and open devices: when the graphics
-    driver ends after the interpreter, none of them works with it any more."""
+    driver ends after the interpreter, none of them works with it any more. What is called at exit may render."""
     ran = python(
         f"""
         import atexit, threading, time
@@ -178,6 +178,7 @@ def test_a_program_may_end_while_frames_are_rendered() -> None:
             time.sleep(1)
             names = [(thread / "comm").read_text().strip() for thread in Path("/proc/self/task").iterdir()]
             print(done == before, names.count("frames"))
+            print(renderer.render(5)["mask"].shape, renderer.batch([5])["mask"].shape)
 
         import regolith_render as rr
         renderer = rr.Renderer(size=32, adapter={ADAPTER!r})
@@ -199,7 +200,7 @@ def test_a_program_may_end_while_frames_are_rendered() -> None:
         print("end")
         """
     )
-    assert (ran.returncode, ran.stdout, ran.stderr) == (0, "end\nTrue 0\n", "")
+    assert (ran.returncode, ran.stdout, ran.stderr) == (0, "end\nTrue 0\n(32, 32) (1, 32, 32)\n", "")
 
 
 @pytest.mark.parametrize("what", ["stream", "renders", "batch", "command"])
