@@ -40,7 +40,7 @@ fn end(py: Python<'_>) {
     let _ = ENDED_BY.set(thread::current().id());
     py.detach(|| std::mem::forget(WORK.write()));
     let streams: Vec<Weak<Stream>> = std::mem::take(&mut *streams(py));
-    py.detach(|| streams.iter().filter_map(Weak::upgrade).for_each(|stream| drop(open(&stream).take())));
+    py.detach(|| streams.iter().filter_map(Weak::upgrade).for_each(|stream| close(&stream)));
 }
 
 /// What to hold during work with a device. `None` in the thread that ends the interpreter, once the others have stopped: what functions that
@@ -68,6 +68,11 @@ pub(crate) fn shared(py: Python<'_>, stream: FrameStream) -> Arc<Stream> {
 /// What is left of a stream. To be called without Python's lock: another thread may wait for a frame.
 pub(crate) fn open(stream: &Stream) -> MutexGuard<'_, Option<FrameStream>> {
     stream.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Stops a stream, which may take the rest of a frame. To be called as [`open`] is.
+pub(crate) fn close(stream: &Stream) {
+    drop(open(stream).take());
 }
 
 fn streams(_: Python<'_>) -> MutexGuard<'static, Vec<Weak<Stream>>> {

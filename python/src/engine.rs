@@ -236,7 +236,7 @@ impl Engine {
         let concurrency = Concurrency { threads: self.threads, frames_in_flight: None };
         let _working = ending::working(py);
         let stream = raised(py, start(renderer, concurrency))?;
-        Ok(Frames { stream: Some(ending::shared(py, stream)), process: std::process::id() })
+        Ok(Frames { stream: ending::shared(py, stream), process: std::process::id() })
     }
 }
 
@@ -252,8 +252,7 @@ impl Drop for Engine {
 /// Frames in order, rendered ahead.
 #[pyclass(frozen)]
 pub(crate) struct Frames {
-    /// There until it is dropped.
-    stream: Option<Arc<Stream>>,
+    stream: Arc<Stream>,
     process: u32,
 }
 
@@ -268,9 +267,8 @@ impl Frames {
         }
         loop {
             let next = py.detach(|| {
-                let mut stream = self.stream.as_deref().map(ending::open);
-                let stream = stream.as_mut().and_then(|stream| stream.as_mut());
-                stream.map_or(Poll::Ready(None), |stream| stream.next_within(SIGNALS_EVERY))
+                let mut stream = ending::open(&self.stream);
+                stream.as_mut().map_or(Poll::Ready(None), |stream| stream.next_within(SIGNALS_EVERY))
             });
             match next {
                 Poll::Ready(next) => {
@@ -284,20 +282,19 @@ impl Frames {
     /// Stops rendering.
     fn close(&self, py: Python<'_>) {
         if self.process == std::process::id() {
-            py.detach(|| drop(self.stream.as_deref().and_then(|stream| ending::open(stream).take())));
+            py.detach(|| ending::close(&self.stream));
         }
     }
 }
 
 impl Drop for Frames {
     fn drop(&mut self) {
-        let stream = self.stream.take();
-        if self.process != std::process::id() {
-            // Not touched: a thread of the process that this one was forked from may have locked it.
-            std::mem::forget(stream);
-        } else if let Some(stream) = stream {
-            // Its threads need no lock of Python's, but it may take the rest of a frame until they end.
-            Python::attach(|py| py.detach(|| drop(ending::open(&stream).take())));
+        if self.process == std::process::id() {
+            // Its threads need no lock of Python's.
+            Python::attach(|py| py.detach(|| ending::close(&self.stream)));
+        } else {
+            // Never dropped: its threads are those of another process, which may have locked it.
+            std::mem::forget(Arc::clone(&self.stream));
         }
     }
 }
