@@ -4,6 +4,7 @@ use pyo3::create_exception;
 use pyo3::exceptions::{PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use regolith::Error;
+use regolith::dataset::rules::Rules;
 
 create_exception!(
     regolith_render,
@@ -43,17 +44,8 @@ fn details(error: &Error) -> Details {
         | Error::UnknownOutput { name, suggestion, available, .. } => {
             [None, some(name), Some(available.join(", ")), suggestion.clone()]
         }
-        Error::RuleBroken { rule, value, .. } => [knob_of_rule(rule), value.clone(), None, None],
+        Error::RuleBroken { rule, value, .. } => [Rules::setting_of(rule), value.clone(), None, None],
         _ => [None, None, None, None],
-    }
-}
-
-/// The knob of a rule of datasets; `None` for a rule that has none.
-fn knob_of_rule(rule: &str) -> Option<String> {
-    match rule {
-        "black" | "clipped" | "saturated" | "sky" | "ignored" => Some(format!("rules.{rule}_max")),
-        "lit" => Some("rules.lit_min".to_owned()),
-        _ => rule.starts_with("require.").then(|| "rules.require".to_owned()),
     }
 }
 

@@ -209,6 +209,15 @@ impl Rules {
         ) || require.into_iter().any(|(class, _)| rule == format!("require.{}", class.name))
     }
 
+    /// The name of the setting of a rule, as in `rules.sky_max` for `sky`; `None` for a rule that has none.
+    #[must_use]
+    pub fn setting_of(rule: &str) -> Option<String> {
+        let name = rule.split('.').next();
+        let is_of_rule =
+            |setting: &str| name == Some(setting.trim_end_matches("_max").trim_end_matches("_min"));
+        SETTINGS.into_iter().find(|setting| is_of_rule(setting)).map(|setting| format!("rules.{setting}"))
+    }
+
     /// The rules as TOML, in the form that a configuration reads.
     #[must_use]
     pub fn to_toml(&self) -> String {

@@ -114,3 +114,16 @@ fn rules_of_the_mask_are_held_against_what_is_written() {
     assert!(message.starts_with(expected), "{message}");
     assert_eq!(found(&Rules::accepting_any_image(), EdgePolicy::Ignore(64)), None);
 }
+
+#[test]
+fn every_rule_of_a_setting_names_it() {
+    let demand = Rules { require: [None, Some([0.2, 0.5]), None], ..Rules::default() };
+    let rules = ["black", "clipped", "saturated", "lit", "sky", "ignored", "require.rock"];
+    for (rule, setting) in rules.iter().zip(SETTINGS.iter().filter(|name| **name != "attempts_max")) {
+        assert!(demand.has(rule), "{rule}");
+        assert_eq!(Rules::setting_of(rule), Some(format!("rules.{setting}")));
+    }
+    for rule in ["scene", "unlabelled", "eye_above_ground", "eye_outside_rocks"] {
+        assert!(demand.has(rule) && Rules::setting_of(rule).is_none(), "{rule}");
+    }
+}
