@@ -143,6 +143,7 @@ fn hashes_on_disk(
     let old = read_manifest(&folder.join("manifest.json"))?;
     let old_hash = |name: &str| old.get("index_files")?.get(name)?.as_str().map(str::to_owned);
     let hash_of = |name: &str| dataset_path::hash(folder, name).ok().map(|(_, hash)| hash);
+    let old_card = hash_of_card(folder);
     let mut hashes = Map::new();
     let mut is_same = true;
     FrameLog::new(folder, Gate::of_manifest(manifest)?).for_each(&mut |line| {
@@ -158,13 +159,8 @@ fn hashes_on_disk(
     })?;
     let mut compare = |file: Artifact| {
         let hash = disk::content_hash(&file.bytes);
-        let is_kept = file.name == CARD_FILE && old_hash(CARD_FILE).as_ref() == Some(&hash);
-        is_same = is_same
-            && if is_kept {
-                is_filled(&folder.join(CARD_FILE))
-            } else {
-                hash_of(&file.name).as_ref() == Some(&hash)
-            };
+        let is_kept = file.name == CARD_FILE && old_card.as_ref() == Some(&hash);
+        is_same = is_same && (is_kept || hash_of(&file.name).as_ref() == Some(&hash));
         hashes.insert(file.name, hash.into());
         Ok(())
     };
