@@ -193,12 +193,12 @@ fn run(
     process::survive_file_size_limit();
     process::fail_on_abort();
     let parsed = command().try_get_matches_from(words).and_then(|matches| Cli::from_arg_matches(&matches));
-    let cli = parsed.map_err(|error| print_parsed(&error))?;
+    let cli = parsed.map_err(|error| print_usage(&error))?;
     Ok(run_command(cli, itself)?)
 }
 
 /// Prints help or the version, which are results on stdout, or what is wrong with a command line, on stderr.
-fn print_parsed(error: &clap::Error) -> Ending {
+fn print_usage(error: &clap::Error) -> Ending {
     match error.print().and_then(|()| std::io::stdout().flush()) {
         // A closed pipe is no error.
         Err(cause) if !error.use_stderr() && cause.kind() != std::io::ErrorKind::BrokenPipe => {
