@@ -282,7 +282,7 @@ def test_frames_of_poses_equal_single_ones(stage: str, raster: str, monkeypatch:
     poses += [rr.Camera(pitch_deg=-15), (None, rr.Sun(azimuth_deg=300)), (None, None), (rr.Camera(eyes[1]), rr.Sun(elevation_deg=9))]
     frames = list(scene.frames(iter(poses), prefetch=3))
     assert len(frames) == len(poses)
-    for pose, frame in zip(poses, frames):
+    for pose, frame in zip(poses, frames, strict=True):
         alone = scene.render(pose) if isinstance(pose, rr.Camera) else scene.render(*pose)
         for name in alone:
             assert_same(frame[name], alone[name], f"{name} of {pose}")

@@ -47,7 +47,7 @@ def test_two_renderers_and_their_streams_take_turns() -> None:
     renderers = [rr.Renderer(preset, size=32, adapter=ADAPTER) for preset in ("train_dr", "surface_train_full")]
     alone = [[renderer.render(seed) for seed in range(4)] for renderer in renderers]
     streams = [renderer.frames(range(4)) for renderer in renderers for _ in range(2)]
-    for seed, frames in enumerate(zip(*streams)):
+    for seed, frames in enumerate(zip(*streams, strict=True)):
         assert all(frame == alone[number // 2][seed] for number, frame in enumerate(frames))
 
 

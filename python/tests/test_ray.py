@@ -36,7 +36,7 @@ def test_workers_render_the_frames_of_the_dataset_in_order(cluster: None) -> Non
     rows = data.map(lambda row: {**row, "process": os.getpid()}).take_all()
     assert [row["index"] for row in rows] == list(range(3, 10))
     with rr.Renderer("train_dr", **options) as renderer:
-        for row, frame in zip(rows, renderer.dataset_frames(5, 3, end=10)):
+        for row, frame in zip(rows, renderer.dataset_frames(5, 3, end=10), strict=True):
             assert row["seed"] == frame.meta["seed"]
             assert json.loads(row["record"])["knobs"] == frame.meta["knobs"]
             for name, array in frame.items():

@@ -4,9 +4,11 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
+use regolith::scene::rocks::Rock;
+
 use crate::support::{
     adapter_below_file_limit, adapter_name, folder, json, missing_gl, npy, program, run, run_ok,
-    run_with_file_limit,
+    run_with_file_limit, scene,
 };
 
 /// Runs a command that must fail with this status, name all of `expected` in its message, and leave the folder unchanged.
@@ -274,8 +276,46 @@ fn one_frame_is_five_files_with_the_documented_names_and_keys() {
         assert!(!meta["camera"][key].is_null(), "camera.{key}");
     }
     assert_eq!(meta["camera"]["cx"], 100.0);
+    assert!((meta["camera"]["near_m"].as_f64().expect("metres") - 0.05).abs() < 1e-6);
+    assert!(meta["camera"]["far_m"].as_f64() > meta["knobs"]["sky.dome_radius_m"].as_f64());
+    assert_eq!(meta["moved_rocks"], serde_json::json!([]));
     assert_eq!(meta["geometry_hash"].as_str().map(str::len), Some(32));
     assert_eq!(meta["adapter"]["name"], adapter_name());
+}
+
+/// A rock that would stand nearer than half a metre from the eye is moved, and the record says so.
+#[test]
+fn a_rock_too_near_to_the_eye_is_moved_and_recorded() {
+    let folder = folder();
+    let among_rocks = "camera.y_m=-60";
+    run_ok(folder.path(), &["--seed", "5", "--size", "32", "--outputs", "meta", "--set", among_rocks]);
+    let meta = json(&folder.path().join("out/frame_0000.json"));
+    assert_eq!(meta["moved_rocks"], serde_json::json!([1]));
+    let on_surface =
+        ["stage.name=surface", "rocks.coverage=0.1", "camera.pitch_deg=-80", "camera.height_m=0.6"];
+    for (seed, set) in [(5, &[among_rocks][..]), (5, &on_surface), (6, &on_surface), (7, &on_surface)] {
+        let scene = scene(seed, set);
+        let of_rock = |rock: &Rock| {
+            let vertices = rock.vertices.iter().map(|vertex| vertex.position + rock.centre);
+            vertices.map(|at| at.distance(scene.camera.eye)).fold(f32::INFINITY, f32::min)
+        };
+        let nearest_m = scene.rocks.iter().map(of_rock).fold(f32::INFINITY, f32::min);
+        assert!((0.5..1.5).contains(&nearest_m), "seed {seed}, {set:?}: a rock is {nearest_m} m away");
+    }
+}
+
+/// Scripts rely on these names.
+#[test]
+fn knobs_of_scripts_have_their_names() {
+    let names = "sun.elevation_deg sun.azimuth_deg sun.intensity sun.angular_diameter_deg sun.color \
+        terrain.amplitude_m terrain.size_m terrain.cells regolith.albedo regolith.roughness craters.count craters.radius_m \
+        craters.depth_m craters.rim_ratio rocks.count rocks.near_count rocks.scale_m rocks.near_scale_m rocks.near_y_m \
+        rocks.embedding rocks.albedo rocks.roughness rocks.displacement camera.x_m camera.y_m camera.height_m \
+        camera.pitch_deg camera.yaw_deg camera.roll_deg camera.fov_deg camera.exposure_ev sky.star_count sky.dome_radius_m";
+    for name in names.split_whitespace() {
+        let is_known = regolith::params::KNOBS.iter().any(|info| info.name == name);
+        assert!(is_known, "no knob {name}");
+    }
 }
 
 /// A world point, projected with the recorded K and pose, falls on the pixel where it is drawn.

@@ -16,10 +16,13 @@ use regolith::scene::label_rule::LabelRule;
 use regolith::scene::mesh::{Icosphere, Vertex};
 use regolith::scene::photometry::{Law, Photometry};
 use regolith::scene::rocks::{Body, Material, NO_DUST, Rock};
-use regolith::scene::sky::{DOME_RADIANCE, Sky, Sun};
+use regolith::scene::sky::{Sky, Sun};
 use regolith::scene::terrain::Terrain;
 
 use crate::support::{render, renderer, scene};
+
+/// Radiance of the nominal stage's sky.
+const DOME_RADIANCE: Vec3 = Vec3::new(0.010, 0.010, 0.016);
 
 const PI: f32 = std::f32::consts::PI;
 
@@ -104,6 +107,8 @@ fn a_view_of_the_sky_is_labelled_sky_and_has_its_radiance() {
 
 #[test]
 fn stars_are_labelled_sky() {
+    let sky = scene(4, &[]).sky;
+    assert_eq!([sky.radiance, sky.star_radiance], [DOME_RADIANCE, Vec3::new(4.0, 4.0, 4.2)]);
     let frame = render(&scene(4, &["camera.pitch_deg=40", "sky.star_count=4000"]), 128, 4);
     assert_eq!(frame.count(ClassId::SKY), 128 * 128);
     assert!(frame.rgb.iter().filter(|value| **value > 200).count() > 100, "stars shine");

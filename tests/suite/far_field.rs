@@ -195,13 +195,14 @@ fn backends_agree_on_rays() {
     let set = ["stage.name=surface", "craters.fresh_share=0.4", "camera.pitch_deg=-20", "sensor.kind=off"];
     let frame = |backend, rays: &str| {
         let mut settings = RenderSettings::new([128, 128], 1).expect("settings");
-        settings.annotations = settings.annotations.with(Annotation::Hdr);
+        settings.annotations = [Annotation::Hdr, Annotation::Depth].into_iter().collect();
         render_by(backend, &scene(7, &[&set[..], &[rays]].concat()), &settings)
     };
     // Of each pixel the factor that rays make, in half-precision numbers.
     let [host, others @ ..] = BACKENDS.map(|backend| {
         let [without, with] = ["regolith.rays=0", "regolith.rays=0.4"].map(|rays| frame(backend, rays));
         assert_eq!(without.class, with.class);
+        assert_eq!(with.depth_m.len(), 128 * 128);
         assert_eq!(without.depth_m, with.depth_m);
         let green =
             |frame: &Frame| frame.radiance.iter().skip(1).step_by(3).map(|v| v.to_f64()).collect::<Vec<_>>();

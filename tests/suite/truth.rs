@@ -318,6 +318,13 @@ fn check_frame(name: &str, scene: &Scene, frame: &Frame, (truth, hits): (&Truth,
 
     let (mut depths, mut angles, mut shadows) = (Vec::new(), Vec::new(), Vec::new());
     for (pixel, found) in hits.iter().enumerate() {
+        if frame.class[pixel] == ClassId::SKY.0 {
+            assert_eq!(normal_at(frame, pixel), Vec3::ZERO, "{name}: the sky has no normal");
+            assert_eq!(frame.sun_occlusion[pixel], 0, "{name}: nothing shadows the sky");
+        } else {
+            let length = normal_at(frame, pixel).length();
+            assert!((length - 1.0).abs() < 1e-5, "{name}: a normal of length {length}");
+        }
         let Some((hit, point)) = found else { continue };
         if frame.instances[pixel] != hit.instance || frame.class[pixel] != class(found) {
             continue;
@@ -496,10 +503,7 @@ fn check_radiance_of(
             is_sunlit.then(|| (measured / direct - 1.0).abs().max_element())
         })
         .collect();
-    if errors.len() < 100 {
-        println!("{name}: radiance not checked, {} sunlit pixels", errors.len());
-        return;
-    }
+    assert!(errors.len() > 100, "{name}: {} sunlit pixels", errors.len());
     let (median, tail) = (quantile(errors.clone(), 0.5), quantile(errors.clone(), 0.99));
     println!("{name}: direct radiance error median {median:.1e}, 99 % {tail:.1e} ({} pixels)", errors.len());
     assert!(median < 0.01 && tail < 0.05, "{name}: direct radiance error median {median}, 99 % {tail}");

@@ -1,5 +1,7 @@
 //! Tests of the rules.
 
+use glam::Vec3;
+
 use super::*;
 use crate::params::Params;
 
@@ -74,6 +76,15 @@ fn each_rule_detects_its_violation() {
         defaults.violation(&buried, &good, &MaskIds::default()).map(|violation| violation.rule).as_deref(),
         Some("eye_above_ground")
     );
+    let mut inside = scene.clone();
+    let rock = scene.rocks.iter().find(|rock| {
+        let top = rock.centre + 0.5 * rock.z_range_m[1] * Vec3::Z;
+        top.z > scene.terrain.surface_height_at(top.truncate())
+    });
+    let rock = rock.expect("a rock whose upper half is above the ground");
+    inside.camera.eye = rock.centre + 0.5 * rock.z_range_m[1] * Vec3::Z;
+    let violation = Rules::violation_of_scene(&inside);
+    assert_eq!(violation.map(|violation| violation.rule).as_deref(), Some("eye_outside_rocks"));
 }
 
 #[test]
