@@ -2,7 +2,8 @@
 //!
 //! Archives of missions show most images so (a linear stretch between percentiles of the histogram: Gonzalez and Woods, "Digital Image
 //! Processing", 4th ed., section 3.2). All channels have the same two levels, so that hues stay: a pixel is black where
-//! its darkest channel is, and white where its brightest is. A sky that the sun veils gets no brighter.
+//! its darkest channel is, and white where its brightest is. A sky that the sun veils gets no brighter: black is raised as far as no
+//! more of the ground becomes black than is asked for, and beyond that white is raised too.
 //! Must not know: a sensor.
 
 use super::histogram::Histogram;
@@ -16,6 +17,9 @@ const LEVELS: usize = 1 << 16;
 const WHITE: f32 = 255.0 * FINE;
 /// Least distance of the two levels: a quarter of the range, so that noise in a dark image is raised four times at most.
 const MIN_SPAN: f32 = 64.0 * FINE;
+
+/// Level that black may always be raised to for the sky's sake: noise of a sky that nothing veils, and of shadows.
+const MAX_NOISE: f32 = 4.0 * FINE;
 
 /// The fine level of an encoded value, 0 to 255.
 pub(super) fn fine_level(value: f32) -> u16 {
@@ -40,18 +44,23 @@ fn limits(levels: &[u16], classes: &[u8], share: f64) -> [f32; 2] {
     let pixels = || levels.as_chunks::<3>().0.iter().zip(classes);
     let darkest = |&[red, green, blue]: &[u16; 3]| usize::from(red.min(green).min(blue));
     let brightest = |&[red, green, blue]: &[u16; 3]| usize::from(red.max(green).max(blue));
-    let of_sky = pixels().filter(|(_, class)| **class == ClassId::SKY.0);
+    let is_sky = |(_, class): &(&[u16; 3], &u8)| **class == ClassId::SKY.0;
     let quantile = |levels: &mut dyn Iterator<Item = usize>, part: f64| {
         let histogram = Histogram::new(LEVELS, levels);
         let rank = part * histogram.count(0).saturating_sub(1) as f64;
         histogram.bin_of_rank(rank.round() as u64, 0).unwrap_or(0) as f32
     };
     let high = quantile(&mut pixels().map(|(pixel, _)| brightest(pixel)), 1.0 - share);
-    let veil = quantile(&mut of_sky.map(|(pixel, _)| brightest(pixel)), 0.5);
-    // The level of black that leaves half of the sky where it is.
+    let veil = quantile(&mut pixels().filter(is_sky).map(|(pixel, _)| brightest(pixel)), 0.5);
+    // The level of black that leaves half of the sky where it is, and the one that leaves the ground its light.
     let of_veil = veil * (WHITE - high) / (WHITE - veil).max(FINE);
-    let low = quantile(&mut pixels().map(|(pixel, _)| darkest(pixel)), share).max(of_veil);
-    [low, high.max(low + MIN_SPAN)]
+    let ground = pixels().filter(|pixel| !is_sky(pixel));
+    let of_ground = quantile(&mut ground.map(|(pixel, _)| darkest(pixel)), share);
+    let low = quantile(&mut pixels().map(|(pixel, _)| darkest(pixel)), share);
+    let low = low.max(of_veil.min(of_ground.max(MAX_NOISE)));
+    // The level of white, at most its own, that leaves half of the sky where it is above this black.
+    let of_white = if veil > low { low + (veil - low) * WHITE / veil } else { 0.0 };
+    [low, high.max(low + MIN_SPAN).max(of_white)]
 }
 
 #[cfg(test)]
@@ -125,5 +134,24 @@ mod tests {
         );
         assert!(values[300] > 75 && values[600] > 150, "{} of 50, {} of 80", values[300], values[600]);
         assert!(values[880] < 255 && values[891..].iter().all(|value| *value == 255));
+    }
+
+    /// The sky, at 40, is brighter than half of the ground, from 5 on: no more of the ground becomes black than is asked for.
+    #[test]
+    fn ground_that_is_darker_than_a_veiled_sky_keeps_its_light() {
+        for brightest in [75.0, 250.0] {
+            let ground = (0..600_u32).map(|k| 5.0 + (brightest - 5.0) * libm::powf(k as f32 / 600.0, 2.0));
+            let levels: Vec<u16> =
+                [40.0; 300].into_iter().chain(ground).flat_map(|value| [fine_level(value); 3]).collect();
+            let classes: Vec<u8> =
+                (0..900).map(|k| if k < 300 { ClassId::SKY.0 } else { ClassId::REGOLITH.0 }).collect();
+            let mut rgb = vec![0; levels.len()];
+            let [black, white] = stretch(&levels, &classes, 0.01, &mut rgb);
+            let values: Vec<u8> = rgb.chunks_exact(3).map(|pixel| pixel[0]).collect();
+            assert!((35..=41).contains(&values[0]), "{}: the sky gets no brighter than 40", values[0]);
+            let of_black = values[300..].iter().filter(|value| **value == 0).count();
+            assert!(of_black < 70, "{of_black} of 600 are black, between {black} and {white}");
+            assert!(white <= 1.0 && values[899] >= values[600] && values[899] >= 70, "{}", values[899]);
+        }
     }
 }
