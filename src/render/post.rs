@@ -4,6 +4,7 @@
 pub mod amodal;
 pub mod hardware;
 pub mod hazards;
+mod image_rays;
 pub mod label_policy;
 pub mod rock_labels;
 pub mod sensor;

@@ -19,7 +19,7 @@ use rayon::prelude::*;
 
 use crate::class::ClassId;
 use crate::frame::{Frame, LabelReason};
-use crate::render::post::sensor::{CodeRange, Exposure};
+use crate::render::post::sensor::{CodeRange, Exposure, behind_point_spread};
 use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
 use crate::scene::label_rule::{LabelPolicy, LabelRule};
@@ -256,7 +256,8 @@ impl<'a> Signal<'a> {
             (frame.rgb.chunks_exact(3).map(mean).collect(), Vec::new())
         };
         let psf_px = seen_by.map_or(0.0, |(sensor, _)| sensor.psf_px / sensor.pixels_per_side(frame.width));
-        let values = blurred(&sharp, frame.width as usize, psf_px);
+        let values =
+            behind_point_spread(&sharp, [frame.width, frame.height].map(|side| side as usize), psf_px);
         let darkest = sharp.iter().copied().fold(f32::INFINITY, f32::min);
         let mean = values.iter().map(|value| f64::from(*value)).sum::<f64>() / values.len() as f64;
         let sensor = seen_by.map(|(sensor, exposure)| (sensor, exposure.codes));
@@ -338,33 +339,6 @@ fn srgb_slope(linear: f64) -> f64 {
     if linear <= 0.003_130_8 { 1.0 / 12.92 } else { 2.4 / 1.055 * libm::pow(linear.min(1.0), 1.4 / 2.4) }
 }
 
-/// An image behind a narrow point spread function of this standard deviation: three taps along rows and columns with the same variance.
-fn blurred(values: &[f32], width: usize, sigma_px: f64) -> Vec<f32> {
-    let side = (0.5 * sigma_px * sigma_px).min(1.0 / 3.0) as f32;
-    let middle = 1.0 - 2.0 * side;
-    let mut along_rows = vec![0.0; values.len()];
-    for (row, out) in values.chunks_exact(width).zip(along_rows.chunks_exact_mut(width)) {
-        let last = width - 1;
-        out[0] = middle * row[0] + side * (row[0] + row[1.min(last)]);
-        for (out, near) in out[1..].iter_mut().zip(row.windows(3)) {
-            *out = middle * near[1] + side * (near[0] + near[2]);
-        }
-        if last > 0 {
-            out[last] = middle * row[last] + side * (row[last - 1] + row[last]);
-        }
-    }
-    let row = |y: usize| &along_rows[y * width..(y + 1) * width];
-    let height = values.len() / width;
-    let mut both = vec![0.0; values.len()];
-    for (y, out) in both.chunks_exact_mut(width).enumerate() {
-        let (above, here, below) = (row(y.saturating_sub(1)), row(y), row((y + 1).min(height - 1)));
-        for (((out, above), here), below) in out.iter_mut().zip(above).zip(here).zip(below) {
-            *out = middle * here + side * (above + below);
-        }
-    }
-    both
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -400,7 +374,7 @@ mod tests {
         light.iter_mut().zip(&stray).for_each(|(light, stray)| *light += stray);
         let sensor = Sensor { read_noise_e: 20.0, ..Sensor::ideal(Mosaic::Monochrome) };
         let codes = CodeRange { light: codes, step: 1.0 / 255.0 };
-        let exposure = Exposure { light: vec![light], stray: vec![stray], codes };
+        let exposure = Exposure { light: vec![light], stray: vec![stray], codes, gain: 1.0 };
         Signal::new(&frame, Some((&sensor, &exposure))).hides(&frame, &Region::all(&frame)[0], 3.0)
     }
 

@@ -20,14 +20,16 @@ mod recorder;
 mod resampling;
 mod stretch;
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use half::slice::HalfFloatSliceExt;
 use rayon::prelude::*;
 
 use crate::frame::Frame;
+use crate::render::post::image_rays::ImageRays;
 use crate::render::post::sun_glare::SunGlare;
 use crate::scene::sensor::{Mosaic, Sensor};
 use metering::exposure_gain;
+pub(super) use optics::behind_point_spread;
 use recorder::Recorder;
 
 /// Weights of the channels in the signal of a monochrome sensor: even, as of a panchromatic one.
@@ -46,6 +48,8 @@ pub struct Exposure {
     pub stray: Vec<Vec<f32>>,
     /// What the 8 bits of the image are of it.
     pub codes: CodeRange,
+    /// Factor from radiance to light, 1 at 0 EV.
+    pub gain: f32,
 }
 
 /// The light of the 8-bit codes of an image.
@@ -72,9 +76,15 @@ pub fn expose(frame: &mut Frame, sensor: &Sensor, exposure_ev: f32, sun: Option<
     for (channel, stray) in channels.iter_mut().zip(&stray) {
         channel.iter_mut().zip(stray).for_each(|(value, stray)| *value += stray);
     }
+    let falloff = vignetting(frame, sensor);
     // What the sun veils is metered, its disc is not.
-    let gain = exposure_gain(frame, sensor, (&channels[channels.len() / 2], sun.is_some()), exposure_ev);
-    let falloff = vignetting(width, height, frame.focal_px as f32, sensor);
+    let green = channels.len() / 2;
+    let metered: Vec<f32> = channels[green]
+        .iter()
+        .zip(&falloff)
+        .map(|(value, falloff)| falloff * (value + veils[green]))
+        .collect();
+    let gain = exposure_gain(frame, sensor, (&metered, sun.is_some()), exposure_ev);
     for (channel, veil) in channels.iter_mut().zip(veils) {
         add_veil_and_vignetting(channel, &falloff, veil, gain);
     }
@@ -94,7 +104,7 @@ pub fn expose(frame: &mut Frame, sensor: &Sensor, exposure_ev: f32, sun: Option<
     if sensor.jpeg_quality > 0 {
         jpeg::compress(&mut frame.rgb, size, sensor.jpeg_quality);
     }
-    Exposure { light: channels, stray, codes }
+    Exposure { light: channels, stray, codes, gain }
 }
 
 /// Writes the 8-bit image of `size` columns and rows that a sensor makes of the light of its channels. Returns what its codes are.
@@ -145,16 +155,20 @@ fn channel_of_rgb(mosaic: Mosaic, channel: usize, rgb: Vec3) -> f32 {
     }
 }
 
-/// The part of the light that the vignetting leaves at each pixel, a share of the natural cos^4 falloff.
-fn vignetting(width: usize, height: usize, focal_px: f32, sensor: &Sensor) -> Vec<f32> {
+/// The part of the light that the vignetting leaves at each pixel, a share of the natural cos^4 falloff with the angle of its ray.
+fn vignetting(frame: &Frame, sensor: &Sensor) -> Vec<f32> {
     let part = sensor.vignetting as f32;
-    let mut falloff = vec![1.0; width * height];
-    for (y, row) in falloff.chunks_exact_mut(width).enumerate() {
-        let dy = y as f32 + 0.5 - 0.5 * height as f32;
-        for (x, value) in row.iter_mut().enumerate() {
-            let dx = x as i32 as f32 + 0.5 - 0.5 * width as f32;
-            let cos2 = 1.0 / (1.0 + (dx * dx + dy * dy) / (focal_px * focal_px));
-            *value = 1.0 - part * (1.0 - cos2 * cos2);
+    let width = frame.width as usize;
+    let mut falloff = vec![1.0; width * frame.height as usize];
+    if part > 0.0 {
+        let rays = ImageRays::new(frame);
+        let mut of_row = vec![Vec2::ZERO; width];
+        for (y, row) in falloff.chunks_exact_mut(width).enumerate() {
+            rays.row(y, &mut of_row);
+            for (value, ray) in row.iter_mut().zip(&of_row) {
+                let cos2 = 1.0 / (1.0 + ray.length_squared());
+                *value = 1.0 - part * (1.0 - cos2 * cos2);
+            }
         }
     }
     falloff
@@ -433,9 +447,15 @@ mod tests {
         // 2 % of the mean of 0.25.
         assert_eq!(veiled.rgb[0], (255.0 * srgb_from_linear(0.005) + 0.5) as u8);
         let mut even = frame(101, 101, |_, _| [0.5; 3]);
-        expose(&mut even, &Sensor { psf_px: 0.0, vignetting: 1.0, ..sensor }, 0.0, None);
-        let cos2 = 1.0 / (1.0 + 2.0 * 50.0_f32.powi(2) / 100.0_f32.powi(2));
-        assert!(even.rgb[0].abs_diff((255.0 * srgb_from_linear(0.5 * cos2 * cos2) + 0.5) as u8) <= 1);
+        let vignetting = Sensor { psf_px: 0.0, vignetting: 1.0, ..sensor };
+        expose(&mut even, &vignetting, 0.0, None);
+        let code = |tan2: f32| (255.0 * srgb_from_linear(0.5 / (1.0 + tan2).powi(2)) + 0.5) as u8;
+        assert!(even.rgb[0].abs_diff(code(2.0 * 50.0_f32.powi(2) / 100.0_f32.powi(2))) <= 1);
+        // Through a lens that shows at 0.5 what stands at 0.6: 0.6 (1 + k1 0.36) = 0.5.
+        even.lens.k1 = (0.5 / 0.6 - 1.0) / 0.36;
+        expose(&mut even, &vignetting, 0.0, None);
+        let at_the_side = even.rgb[3 * 50 * 101];
+        assert!(at_the_side.abs_diff(code(0.36)) <= 1, "{at_the_side}, not {}", code(0.36));
     }
 
     #[test]
@@ -447,10 +467,12 @@ mod tests {
             ..Sensor::ideal(Mosaic::Monochrome)
         };
         let mut scene = frame(40, 40, |x, y| [0.001 + 0.0004 * (x * y % 40) as f32; 3]);
-        expose(&mut scene, &sensor, 0.0, None);
-        let mut values: Vec<u8> =
-            scene.rgb.chunks_exact(3).map(|rgb| rgb[0]).filter(|value| *value > 30).collect();
-        values.sort_unstable();
-        assert!(values[values.len() / 2].abs_diff(115) < 12, "{}", values[values.len() / 2]);
+        for sensor in [sensor, Sensor { vignetting: 1.0, glare: 0.05, ..sensor }] {
+            expose(&mut scene, &sensor, 0.0, None);
+            let mut values: Vec<u8> =
+                scene.rgb.chunks_exact(3).map(|rgb| rgb[0]).filter(|value| *value > 30).collect();
+            values.sort_unstable();
+            assert!(values[values.len() / 2].abs_diff(115) < 12, "{}", values[values.len() / 2]);
+        }
     }
 }

@@ -13,9 +13,9 @@
 use glam::{Vec2, Vec3};
 use half::f16;
 
+use super::image_rays::ImageRays;
 use super::sun_share::visible_share;
 use crate::frame::Frame;
-use crate::lens::Lens;
 use crate::scene::Scene;
 use crate::scene::flare::Ghost;
 use crate::scene::sky::{Sun, stored_radiance};
@@ -32,8 +32,8 @@ const MIN_COVERED: f32 = 0.02;
 const LIMB_STEPS: usize = 4;
 /// Variance of the pixel's own aperture as it is sampled, px^2.
 const APERTURE_VARIANCE: f64 = 0.0625;
-/// Pixels between the points at which rays through a distorting lens are computed.
-const LENS_STEP_PX: usize = 8;
+/// Points of the sun's limb that bound where its disc lies in the image.
+const LIMB_POINTS: u32 = 16;
 /// The soft edge of a ghost, in radii.
 const GHOST_EDGE: f32 = 0.2;
 
@@ -42,9 +42,8 @@ const GHOST_EDGE: f32 = 0.2;
 pub struct SunGlare {
     /// Columns and rows of the image.
     size: [usize; 2],
-    /// Focal length, pixels.
-    focal_px: f32,
-    lens: Lens,
+    /// Rays of the image's pixels.
+    rays: ImageRays,
     /// Unit vector towards the sun in axes of the camera: x right, y down, z forward.
     towards: Vec3,
     /// Irradiance at the lens of the part of the disc that is not hidden.
@@ -66,8 +65,7 @@ impl SunGlare {
         let share = visible_share(scene);
         let mut glare = Self {
             size,
-            focal_px: frame.focal_px as f32,
-            lens: frame.lens,
+            rays: ImageRays::new(frame),
             towards,
             irradiance: lit * share as f32 * sun.irradiance,
             disc: Vec::new(),
@@ -105,7 +103,7 @@ impl SunGlare {
         let sun = Sun { direction: self.towards, ..*sun };
         let (mut sum, mut points) = (Vec3::ZERO, 0.0);
         for step in steps {
-            let point = self.point([x as f64 + at(step % LIMB_STEPS), y as f64 + at(step / LIMB_STEPS)]);
+            let point = self.rays.point([x as f64 + at(step % LIMB_STEPS), y as f64 + at(step / LIMB_STEPS)]);
             let ray = point.extend(1.0) / point.extend(1.0).length();
             let cosine = sun.cosine_along(ray);
             if cosine > 0.0 {
@@ -125,15 +123,24 @@ impl SunGlare {
 
     /// Columns and rows of the image within which the disc lies.
     fn disc_bounds(&self, sun: &Sun) -> Option<[std::ops::Range<usize>; 2]> {
-        let point = self.towards.truncate() / self.towards.z;
-        let at = self.lens.distort([f64::from(point.x), f64::from(point.y)]);
-        // Away from the axis a pixel spans less of an angle, by the square of the cosine.
-        let radius_px = 1.3 * self.focal_px * sun.tan_half_angle() * (1.0 + point.length_squared()) + 2.0;
+        let (right, down) = self.towards.any_orthonormal_pair();
+        let tangent = sun.tan_half_angle();
+        let on_limb = (0..LIMB_POINTS).map(|k| {
+            let angle = std::f32::consts::TAU * k as f32 / LIMB_POINTS as f32;
+            self.towards + tangent * (libm::cosf(angle) * right + libm::sinf(angle) * down)
+        });
+        let positions = on_limb.chain([self.towards]).map(|ray| {
+            let point = ray.truncate() / ray.z.max(MIN_COSINE);
+            self.rays.position(point)
+        });
+        let whole = [Vec2::INFINITY, Vec2::NEG_INFINITY];
+        let [low, high] = positions.fold(whole, |[low, high], at| [low.min(at), high.max(at)]);
+        // Between two of the points the limb reaches 2 % of its radius further.
+        let margin = 0.03 * (high - low) + 2.0;
+        let (low, high) = (low - margin, high + margin);
         let bounds = [0, 1].map(|axis| {
-            let side = self.size[axis] as f32;
-            let centre = at[axis] as f32 * self.focal_px + 0.5 * side;
-            let [low, high] = [centre - radius_px, (centre + radius_px).ceil()].map(|px| px.clamp(0.0, side));
-            low as usize..high as usize
+            let clamped = |px: f32| px.clamp(0.0, self.size[axis] as f32);
+            clamped(low[axis]) as usize..clamped(high[axis].ceil()) as usize
         });
         bounds.iter().all(|range| !range.is_empty()).then_some(bounds)
     }
@@ -147,7 +154,6 @@ impl SunGlare {
         scattered: f64,
     ) {
         let width = self.size[0];
-        let rays = self.rays();
         let norm = std::f32::consts::PI * libm::logf(1.0 + 4.0 / SCATTER_CORE);
         let scatter = scattered as f32 / norm * self.irradiance;
         let ghosts = self.ghosts_in_image();
@@ -160,9 +166,10 @@ impl SunGlare {
         // Of each pixel of a row: the scattered part of the irradiance, and the lit part of each ghost.
         let parts = 1 + ghosts.len();
         let mut shares = vec![0.0; parts * width];
+        let mut points = vec![Vec2::ZERO; width];
         for y in 0..self.size[1] {
-            for (x, shares) in shares.chunks_exact_mut(parts).enumerate() {
-                let point = rays.at(x, y);
+            self.rays.row(y, &mut points);
+            for (point, shares) in points.iter().zip(shares.chunks_exact_mut(parts)) {
                 let ray = point.extend(1.0) / point.extend(1.0).length();
                 shares[0] = 1.0 / (SCATTER_CORE + ray.distance_squared(self.towards));
                 for (share, (centre, tan_radius, _)) in shares[1..].iter_mut().zip(&ghosts) {
@@ -250,41 +257,6 @@ impl SunGlare {
             (ghost.position * sun, ghost.tan_radius, ghost.share * self.irradiance / (area * fill))
         };
         self.ghosts.iter().map(ghost).collect()
-    }
-
-    /// The point at which the ray of a position in the image (column and row, pixels) crosses the plane at a distance of 1 from the eye.
-    fn point(&self, position: [f64; 2]) -> Vec2 {
-        let [width, height] = self.size.map(|side| 0.5 * side as f64);
-        let at = [position[0] - width, position[1] - height].map(|px| px / f64::from(self.focal_px));
-        Vec2::from(self.lens.undistort(at).map(|number| number as f32))
-    }
-
-    /// The points at which rays cross the plane at a distance of 1 from the eye, by pixel.
-    fn rays(&self) -> Rays {
-        let [width, height] = self.size;
-        let of_pixel = |x: usize, y: usize| self.point([x as f64 + 0.5, y as f64 + 0.5]);
-        let columns = width.div_ceil(LENS_STEP_PX) + 1;
-        let rows = height.div_ceil(LENS_STEP_PX) + 1;
-        let knots = (0..rows * columns)
-            .map(|knot| of_pixel(knot % columns * LENS_STEP_PX, knot / columns * LENS_STEP_PX))
-            .collect();
-        Rays { columns, knots }
-    }
-}
-
-/// Rays at every [`LENS_STEP_PX`]-th pixel, linear between them: exact without distortion, and to 0.02 mrad with it.
-struct Rays {
-    columns: usize,
-    knots: Vec<Vec2>,
-}
-
-impl Rays {
-    fn at(&self, x: usize, y: usize) -> Vec2 {
-        let (column, row) = (x / LENS_STEP_PX, y / LENS_STEP_PX);
-        let part = |px: usize| (px % LENS_STEP_PX) as f32 / LENS_STEP_PX as f32;
-        let first = row * self.columns + column;
-        let [a, b] = [first, first + self.columns].map(|at| self.knots[at].lerp(self.knots[at + 1], part(x)));
-        a.lerp(b, part(y))
     }
 }
 

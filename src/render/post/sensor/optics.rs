@@ -45,6 +45,24 @@ pub(super) fn gaussian_taps(sigma_px: f64) -> Vec<f32> {
     symmetric(&weights.iter().map(|weight| (weight / sum) as f32).collect::<Vec<f32>>())
 }
 
+/// Standard deviation, pixels, up to which three taps stand for a Gaussian: a sampled one has too small a variance.
+const MAX_THREE_TAPS_PX: f64 = 0.8;
+
+/// An image behind a point spread of this standard deviation, pixels: none of what a mosaic and the pixels' aperture add.
+pub(in crate::render::post) fn behind_point_spread(
+    values: &[f32],
+    [width, height]: [usize; 2],
+    sigma_px: f64,
+) -> Vec<f32> {
+    let side = (0.5 * sigma_px * sigma_px) as f32;
+    let taps = if sigma_px <= MAX_THREE_TAPS_PX {
+        vec![side, 1.0 - 2.0 * side, side]
+    } else {
+        gaussian_taps(sigma_px)
+    };
+    convolve(values, width, height, &taps)
+}
+
 fn symmetric(half: &[f32]) -> Vec<f32> {
     half[1..].iter().rev().chain(half).copied().collect()
 }
