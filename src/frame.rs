@@ -23,6 +23,8 @@ pub struct Frame {
     pub lens: Lens,
     /// Samples of each pixel.
     pub samples: u32,
+    /// How the radiance became the 8-bit image.
+    pub exposure: ImageExposure,
     /// 8-bit sRGB, three values per pixel.
     pub rgb: Vec<u8>,
     /// Class id.
@@ -122,6 +124,17 @@ impl RockLabel {
     pub fn occluded(&self) -> f64 {
         1.0 - f64::from(self.visible_px) / f64::from(self.exposed_px.max(self.visible_px))
     }
+}
+
+/// How the radiance of a frame became the 8-bit image.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct ImageExposure {
+    /// The exposure, stops: that of the camera, or what automatic exposure chose.
+    pub ev: f32,
+    /// The light that became black: exposed radiance, where 1 is the full well of a sensor, or white of the tone curve.
+    pub black: f32,
+    /// The light that became white, at most 1.
+    pub white: f32,
 }
 
 /// Statistics of the 8-bit image over all pixels and channels.

@@ -81,6 +81,7 @@ impl FrameRecord<'_> {
             "camera": camera(&self.scene.camera, self.settings.size),
             "sun": sun(&self.scene.sun),
             "coverage": coverage,
+            "exposure": self.frame.exposure,
             "rgb": self.frame.rgb_statistics(),
             "moved_rocks": self.scene.moved_rocks(),
             "ms": ms,

@@ -229,6 +229,7 @@ mod tests {
             height: 2,
             focal_px: 2.0,
             lens: crate::lens::Lens::default(),
+            exposure: crate::frame::ImageExposure::default(),
             samples: 4,
             rgb: (0..18).map(|i| i * 14).collect(),
             class: vec![0, 1, 2, 2, 1, 255],

@@ -3,7 +3,7 @@
 
 use std::time::Instant;
 
-use crate::frame::{Annotation, Frame};
+use crate::frame::{Annotation, Frame, ImageExposure};
 use crate::render::device::timing::{StageTimes, milliseconds};
 use crate::render::frame_packet::FrameRequest;
 use crate::render::post;
@@ -48,11 +48,15 @@ impl RawFrame {
                 frame.rocks = post::rock_labels::rocks(rendered_scene, rendered, request.image.size, frame);
             });
         }
+        frame.exposure = ImageExposure { ev: scene.camera.exposure_ev, black: 0.0, white: 1.0 };
         let (mut exposure, mut sun) = (None, None);
         if let Some(sensor) = &scene.sensor {
             timed(&mut frame, "sensor", &mut |frame| {
                 sun = SunGlare::take(frame, scene);
-                exposure = Some(post::sensor::expose(frame, sensor, scene.camera.exposure_ev, sun.as_ref()));
+                let made = post::sensor::expose(frame, sensor, scene.camera.exposure_ev, sun.as_ref());
+                let [black, white] = made.codes.light;
+                frame.exposure = ImageExposure { ev: libm::log2f(made.gain), black, white };
+                exposure = Some(made);
             });
         }
         if scene.label_rule.needs_instances() {

@@ -13,6 +13,7 @@ use super::report::{Report, Subject, name};
 use super::templates::ExpectedFrame;
 use crate::class::ClassId;
 use crate::dataset::plan::frame_seed;
+use crate::frame::ImageExposure;
 use crate::meta;
 use crate::output::edges::EdgePolicy;
 use crate::output::layout::FrameLine;
@@ -100,6 +101,7 @@ fn expected_line(
         sun: meta::sun(&Sun::build(params)),
         coverage,
         mask_coverage,
+        exposure: line.exposure,
         rgb: line.rgb,
         moved_rocks: line.moved_rocks.clone(),
         other: Map::new(),
@@ -142,6 +144,12 @@ fn list_problems(context: &Context<'_>, line: &FrameLine) -> Vec<Difference> {
         if has_band { "the fractions of the mask under --edges" } else { "absent: the mask has no band" };
     let is_as_wanted = has_band != line.mask_coverage.is_empty();
     expect("mask_coverage", is_as_wanted, json!(line.mask_coverage), wanted);
+    let is_exposure = |exposure: ImageExposure| {
+        let ImageExposure { ev, black, white } = exposure;
+        ev.is_finite() && (0.0..1.0).contains(&black) && black < white && white <= 1.0
+    };
+    let wanted = "stops, and the light of black and white, from 0 to 1";
+    expect("exposure", line.exposure.is_some_and(is_exposure), json!(line.exposure), wanted);
     let hash = line.geometry_hash.as_str();
     expect("geometry_hash", is_hash(hash), hash.into(), "32 hexadecimal digits");
     let is_ascending = line.moved_rocks.is_sorted_by(|a, b| a < b);

@@ -56,6 +56,7 @@ fn pixel(class: u8) -> Frame {
         height: 1,
         focal_px: 1.0,
         lens: crate::lens::Lens::default(),
+        exposure: crate::frame::ImageExposure::default(),
         rgb: vec![class; 3],
         class: vec![class],
         depth_m: vec![1.0],

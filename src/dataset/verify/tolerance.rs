@@ -24,6 +24,9 @@ const ARRAY_FRACTION: f64 = 2e-2;
 const RADIANCE_FRACTION: f64 = 1e-2;
 /// Largest difference of the 99th percentile and of the largest 8-bit value.
 const EXTREME_U8: f64 = 8.0;
+/// Largest difference of exposures, stops, and of the light that is black or white, parts of the full well.
+const EXPOSURE_EV: f64 = 0.05;
+const LIGHT: f64 = 0.02;
 /// Rocks of fewer pixels may be missing, or be added.
 const SMALL_ROCK_PX: f64 = 8.0;
 /// Largest difference of a rock's pixels, as a fraction of them, and of its box in pixels.
@@ -67,6 +70,10 @@ pub(super) fn forgive_record(found: &mut Value, expected: &mut Value) {
         for key in ["coverage", "mask_coverage"] {
             forgive(found, expected, &[key, class], |a, b| (a - b).abs() <= LABEL_FRACTION);
         }
+    }
+    forgive(found, expected, &["exposure", "ev"], |a, b| (a - b).abs() <= EXPOSURE_EV);
+    for key in ["black", "white"] {
+        forgive(found, expected, &["exposure", key], |a, b| (a - b).abs() <= LIGHT);
     }
     forgive(found, expected, &["rgb", "mean"], |a, b| (a - b).abs() <= MEAN_U8);
     for key in ["p99", "max"] {

@@ -6,7 +6,7 @@
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use crate::frame::RgbStatistics;
+use crate::frame::{ImageExposure, RgbStatistics};
 use crate::input;
 
 /// A line of `frames.jsonl`. Fields are written in this order; absent and empty ones are left out where marked.
@@ -45,6 +45,9 @@ pub struct FrameLine {
     /// pixels at the boundaries of classes, since `coverage` has the same then.
     #[serde(default, skip_serializing_if = "Map::is_empty")]
     pub mask_coverage: Map<String, Value>,
+    /// How the radiance became the RGB image; datasets of version 0.1 do not record it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exposure: Option<ImageExposure>,
     /// Statistics of the RGB image.
     pub rgb: RgbStatistics,
     /// Rocks that were moved out of the camera's way.
