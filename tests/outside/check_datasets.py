@@ -60,8 +60,13 @@ def expected_frames(folder: Path) -> list[tuple[np.ndarray, np.ndarray]]:
     return [(read("rgb", i), read("mask", i)) for i in range(FRAMES)]
 
 
+def mappings_of(data: Path) -> list[dict]:
+    """The instance mapping of every frame of a dataset of the format `folder`."""
+    return [json.loads(path.read_text()) for path in sorted((data / "instances").glob("*.json"))]
+
+
 def check_block(name: str, block: str, truth: list[tuple[np.ndarray, np.ndarray]]) -> None:
-    """Runs a block and compares its `frames`; COCO's masks hold rocks only."""
+    """Runs a block and compares its `frames`, of WebDataset its `rocks` too; COCO's masks hold rocks only."""
     scope: dict = {}
     exec(compile(block, f"documented loader ({name})", "exec"), scope)
     frames = scope["frames"]
@@ -75,6 +80,8 @@ def check_block(name: str, block: str, truth: list[tuple[np.ndarray, np.ndarray]
             fail(f"{name}: mask {index} differs: ids {np.unique(mask)} for {np.unique(expected)}")
         if name != "coco" and not (mask == 0).any():
             fail(f"{name}: class 0 is missing from mask {index}")
+    if name == "webdataset" and scope["rocks"] != mappings_of(Path("data/moon")):
+        fail(f"{name}: its rocks differ")
     print(f"{name:<12} {FRAMES} frames: images and ids as in folder")
 
 
@@ -209,21 +216,36 @@ def check_camera(folder: Path) -> None:
 
 
 def check_types(folder: Path) -> None:
-    """Hugging Face's own loader of WebDataset learns the fields of the JSON from the first samples, and refuses others of another type."""
+    """Hugging Face's own loader of WebDataset learns the fields of JSON from the first samples: it refuses others of another type, and
+    drops keys that are new. Every sample must have the rocks that it has in the format `folder`."""
     from datasets import load_dataset
 
-    out = folder / "data/both"
     both = 'stage.name={choice=["nominal","surface"]}'
-    options = "--preset surface_train_full --format webdataset --size 32 --samples 1 --quiet".split()
+    options = "--preset surface_train_full --outputs rgb,mask,instances --size 32 --samples 1 --quiet".split()
     environment = {**os.environ, "WGPU_ADAPTER_NAME": "cpu"}
-    command = [PROGRAM, "dataset", "--count", str(FRAMES), "--set", both, "--out", out, *options]
-    subprocess.run(command, env=environment, check=True, stdout=subprocess.DEVNULL)
+    out, plain = folder / "data/both", folder / "data/both_plain"
+    for path, name in ((out, "webdataset"), (plain, "folder")):
+        command = [PROGRAM, "dataset", "--count", str(FRAMES), "--set", both, "--format", name, "--out", path, *options]
+        subprocess.run(command, env=environment, check=True, stdout=subprocess.DEVNULL)
     loaded = load_dataset("webdataset", data_files={"train": [str(path) for path in sorted(out.glob("*.tar"))]}, split="train")
     found = [(row["json"]["index"], row["json"]["stage"], np.asarray(row["mask.png"]).shape) for row in loaded]
     lines = [json.loads(line) for line in (out / "frames.jsonl").read_text().splitlines()]
     if found != [(line["index"], line["stage"], (32, 32)) for line in lines] or len({stage for _, stage, _ in found}) < 2:
         fail(f"datasets.load_dataset('webdataset') of both stages gives {found}")
-    print(f"{'types':<12} {len(found)} samples of both stages by Hugging Face's loader of WebDataset")
+    mappings = mappings_of(plain)
+    learnt, others = ({rock for mapping in part for rock in mapping} for part in (mappings[:5], mappings[5:]))
+    if not others - learnt:
+        fail("types: the first samples have the ids of all rocks: the check shows nothing")
+    [field] = [name for name in loaded.column_names if name.startswith("instance_segmentation_mapping")]
+    for index, (value, expected) in enumerate(zip(loaded[field], mappings, strict=True)):
+        # A field of JSON, as the loader gives it: without keys that it added.
+        rocks = json.loads(value) if isinstance(value, str) else {key: rock for key, rock in value.items() if rock is not None}
+        if rocks.keys() != expected.keys():
+            fail(f"datasets.load_dataset('webdataset'), {field}: sample {index} lacks the rocks {sorted(expected.keys() - rocks.keys())}")
+        if rocks != expected:
+            fail(f"datasets.load_dataset('webdataset'), {field}: rocks of sample {index} differ")
+    count = sum(map(len, mappings))
+    print(f"{'types':<12} {len(found)} samples of both stages, {count} rocks, by Hugging Face's loader of WebDataset")
 
 
 def main() -> None:

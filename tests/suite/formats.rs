@@ -342,13 +342,15 @@ fn shards_hold_complete_samples_in_order_and_a_stream_has_the_same_members() {
     let all = [members(&shards["000000.tar"]), members(&shards["000001.tar"])].concat();
     let names: Vec<&str> = all.iter().map(|(name, _)| name.as_str()).collect();
     let fields =
-        ["rgb.png", "mask.png", "instance_segmentation.png", "instance_segmentation_mapping.json", "json"];
+        ["rgb.png", "mask.png", "instance_segmentation.png", "instance_segmentation_mapping.txt", "json"];
     let expected: Vec<String> =
         (999..1002).flat_map(|index| fields.map(|field| format!("{index:09}.{field}"))).collect();
     assert_eq!(names, expected);
     for (sample, index) in (999..1002).enumerate() {
         assert!(all[5 * sample].1 == plain[&format!("rgb/rgb_{index:05}.png")]);
         assert!(all[5 * sample + 1].1 == plain[&format!("mask/mask_{index:05}.png")]);
+        let mapping = format!("instances/instance_segmentation_mapping_{index:05}.json");
+        assert!(all[5 * sample + 3].1 == plain[&mapping], "{mapping}");
         let record: Value = serde_json::from_slice(&all[5 * sample + 4].1).expect("JSON");
         assert_eq!(record["index"], index);
     }

@@ -89,7 +89,7 @@ fn check_content(
     report: &mut Report,
 ) {
     let (subject, path) = (Subject::File(line.index), &stored.path);
-    match expected.path.rsplit_once('.').map(|(_, extension)| extension) {
+    match expected.extension() {
         Some("png") => images::check_image(context, line, expected, stored, report),
         Some("json") => check_json(context, line, expected, stored, report),
         Some("npy") => {

@@ -89,6 +89,14 @@ pub(super) struct ExpectedFile {
     pub(super) is_constant: bool,
 }
 
+impl ExpectedFile {
+    /// The extension that says what its bytes are: that of its output, whose copy may have another in an archive.
+    pub(super) fn extension(&self) -> Option<&str> {
+        let of_path = || self.path.rsplit_once('.').map(|(_, extension)| extension);
+        self.kind.map(|kind| kind.extension).or_else(of_path)
+    }
+}
+
 /// The files that a frame must have in its layout.
 #[derive(Clone, Debug)]
 pub(super) struct ExpectedFrame {

@@ -141,7 +141,7 @@ pub(super) fn difference(
     made: &[u8],
     agreement: Agreement,
 ) -> Option<String> {
-    let compared = match file.path.rsplit_once('.').map(|(_, extension)| extension) {
+    let compared = match file.extension() {
         Some("png") => compare_images(file, stored, made, agreement),
         Some("npy") => compare_arrays(stored, made, agreement),
         Some("exr") => compare_radiance(stored, made, agreement),
@@ -240,6 +240,7 @@ fn compare_radiance(stored: &[u8], made: &[u8], agreement: Agreement) -> Compari
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::output::FileKind;
 
     fn file(path: &str) -> ExpectedFile {
         ExpectedFile { path: path.to_owned(), kind: None, template: Vec::new(), is_constant: false }
@@ -260,6 +261,17 @@ mod tests {
         for agreement in [Agreement::Labels, Agreement::Bytes] {
             assert!(found(agreement).is_some_and(|text| text.starts_with("1 pixels")), "{agreement:?}");
         }
+    }
+
+    /// In an archive the copy of a mapping has the extension that rows of rocks have elsewhere.
+    #[test]
+    fn what_a_file_is_follows_from_its_output() {
+        let kind = FileKind { output: "instances", stem: "instance_segmentation_mapping", extension: "json" };
+        let mapping = ExpectedFile { kind: Some(kind), ..file("000000007.mapping.txt") };
+        assert_eq!([mapping.extension(), file("labels/000007.txt").extension()], [Some("json"), Some("txt")]);
+        // Both are label files without rows, and neither is JSON.
+        let found = |file: &ExpectedFile| difference(file, b"\n", b"\n\n", Agreement::Bytes);
+        assert_eq!((found(&mapping), found(&file("rows.txt"))), (None, Some("its rows differ".to_owned())));
     }
 
     /// The check of the file's form has reported it: its values are not the same, they are unknown.

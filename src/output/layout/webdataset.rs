@@ -16,7 +16,7 @@ use serde_json::{Map, Value};
 use super::frame_line::FrameLine;
 use super::interface::{CARD_FILE, DatasetIndex, FrameFiles, FrameNames, Layout, Sample, SplitRange};
 use crate::error::{Error, Result};
-use crate::output::artifact::{Artifact, FileKind};
+use crate::output::artifact::{Artifact, EncodedFile, FileKind};
 use crate::output::encode::json;
 use crate::output::{dataset_path, disk};
 
@@ -56,11 +56,13 @@ pub fn sample_key(index: u64) -> String {
     format!("{index:09}")
 }
 
-/// Name of an encoded output's field in its sample.
-fn field(output: &str, stem: &str) -> String {
-    match output {
-        "rgb" | "mask" => output.to_owned(),
-        _ => stem.to_owned(),
+/// Name of an encoded output's field in its sample. The instance mapping is a field of text, though it holds JSON: the loader of Hugging
+/// Face learns the keys of a JSON field from the first samples and drops all others, and the keys of the mapping are the ids of rocks.
+fn field(file: &EncodedFile) -> String {
+    match (file.output, file.extension) {
+        ("rgb" | "mask", extension) => format!("{}.{extension}", file.output),
+        ("instances", "json") => format!("{}.txt", file.stem),
+        (_, extension) => format!("{}.{extension}", file.stem),
     }
 }
 
@@ -97,8 +99,7 @@ impl Layout for WebDataset {
             let is_stored =
                 self.supports(file.output) && !(file.output == "mask" && file.extension == "json");
             if is_stored {
-                let name = format!("{key}.{}.{}", field(file.output, file.stem), file.extension);
-                append_member(&mut fragment, &name, &file.bytes)?;
+                append_member(&mut fragment, &format!("{key}.{}", field(file)), &file.bytes)?;
             }
         }
         append_member(
@@ -306,6 +307,18 @@ mod tests {
         let keys =
             |record: &Value| record.as_object().expect("an object").keys().cloned().collect::<Vec<_>>();
         assert_eq!(keys(&plain).len(), keys(&other).len());
+    }
+
+    /// JSON whose keys differ between samples would lose those that the first samples do not have.
+    #[test]
+    fn a_mapping_by_rock_is_a_text_and_labels_are_json() {
+        let field_of =
+            |output, stem, extension| field(&EncodedFile { output, stem, extension, bytes: Vec::new() });
+        let mapping = "instance_segmentation_mapping";
+        assert_eq!(field_of("instances", mapping, "json"), "instance_segmentation_mapping.txt");
+        assert_eq!(field_of("instances", "instance_segmentation", "png"), "instance_segmentation.png");
+        assert_eq!(field_of("rock_sizes", "rock_sizes_labels", "json"), "rock_sizes_labels.json");
+        assert_eq!(field_of("mask", "semantic_segmentation", "png"), "mask.png");
     }
 
     #[test]
