@@ -18,7 +18,7 @@ const WHITE: f32 = 255.0 * FINE;
 /// Least distance of the two levels: a quarter of the range, so that noise in a dark image is raised four times at most.
 const MIN_SPAN: f32 = 64.0 * FINE;
 
-/// Level that black may always be raised to for the sky's sake: noise of a sky that nothing veils, and of shadows.
+/// Level of a sky that nothing veils but noise: black may be raised for its sake whatever ground is as dark.
 const MAX_NOISE: f32 = 4.0 * FINE;
 
 /// The fine level of an encoded value, 0 to 255.
@@ -57,7 +57,7 @@ fn limits(levels: &[u16], classes: &[u8], share: f64) -> [f32; 2] {
     let ground = pixels().filter(|pixel| !is_sky(pixel));
     let of_ground = quantile(&mut ground.map(|(pixel, _)| darkest(pixel)), share);
     let low = quantile(&mut pixels().map(|(pixel, _)| darkest(pixel)), share);
-    let low = low.max(of_veil.min(of_ground.max(MAX_NOISE)));
+    let low = low.max(if veil <= MAX_NOISE { of_veil } else { of_veil.min(of_ground) });
     // The level of white, at most its own, that leaves half of the sky where it is above this black.
     let of_white = if veil > low { low + (veil - low) * WHITE / veil } else { 0.0 };
     [low, high.max(low + MIN_SPAN).max(of_white)]
@@ -150,7 +150,7 @@ mod tests {
             let values: Vec<u8> = rgb.chunks_exact(3).map(|pixel| pixel[0]).collect();
             assert!((35..=41).contains(&values[0]), "{}: the sky gets no brighter than 40", values[0]);
             let of_black = values[300..].iter().filter(|value| **value == 0).count();
-            assert!(of_black < 70, "{of_black} of 600 are black, between {black} and {white}");
+            assert!(of_black < 20, "{of_black} of 600 are black, between {black} and {white}");
             assert!(white <= 1.0 && values[899] >= values[600] && values[899] >= 70, "{}", values[899]);
         }
     }
