@@ -12,7 +12,6 @@ pub mod drivers;
 pub mod examination;
 pub mod findings;
 pub mod hardware;
-pub mod machine;
 pub mod markdown;
 pub mod planes;
 pub mod reference;

@@ -5,8 +5,10 @@
 //! Must not know: the Moon.
 
 pub mod adapter;
+pub mod device_files;
 pub mod growing_buffer;
 pub mod growing_texture;
+pub mod machine;
 mod memory_limits;
 pub mod pipeline_cache;
 mod platform;
@@ -74,7 +76,8 @@ pub struct Gpu {
 
 impl Gpu {
     /// Opens the adapter whose name contains `wanted` (any case; `cpu` means any software adapter), or the best one: a
-    /// discrete GPU before an integrated one before a software adapter, Vulkan before GL.
+    /// discrete GPU before an integrated one before a software adapter, then Vulkan before GL. GL is tried where Vulkan has no match, and
+    /// on machines with a GPU that Vulkan lacks.
     ///
     /// The environment variables `WGPU_BACKEND` (`vulkan`, `gl`; on macOS `metal`, on Windows `dx12` and `vulkan`) and, without `wanted`, `WGPU_ADAPTER_NAME` are
     /// honoured.
@@ -113,7 +116,7 @@ impl Gpu {
     ) -> Result<Self> {
         let info = adapter.get_info();
         let unfit = |reason: String| Error::AdapterUnfit { adapter: info.name.clone(), reason };
-        let missing = adapter::missing(&info, adapter.get_downlevel_capabilities().flags);
+        let missing = adapter::missing_of(adapter);
         if !missing.is_empty() {
             let remedy = if info.backend == Backend::Gl { "use Vulkan" } else { "update its driver" };
             return Err(unfit(format!("it lacks {}; {remedy}", missing.join(", "))));

@@ -2,8 +2,9 @@
 
 use std::path::PathBuf;
 
-use crate::doctor::hardware::{Machine, device_files};
 use crate::error::Result;
+use crate::gpu::device_files::device_files;
+use crate::gpu::machine::Machine;
 use crate::gpu::{Gpu, adapter};
 use crate::input;
 use crate::output::{Artifact, disk};

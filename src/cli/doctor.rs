@@ -145,8 +145,9 @@ impl Examiner<'_> {
 
     /// Refuses an adapter that nothing is called.
     fn check_wanted(&self) -> Result<()> {
-        let from_environment = std::env::var("WGPU_ADAPTER_NAME").ok().filter(|name| !name.is_empty());
-        let Some(wanted) = self.args.adapter.clone().or(from_environment) else { return Ok(()) };
+        let wanted =
+            self.args.adapter.clone().map_or_else(adapter::name_in_environment, |text| Ok(Some(text)))?;
+        let Some(wanted) = wanted else { return Ok(()) };
         let adapters = &self.examination.adapters;
         if adapters.is_empty() || adapters.iter().any(|adapter| adapter.matches(&wanted)) {
             return Ok(());

@@ -72,11 +72,11 @@ pub(super) fn export_stage(args: &ExportArgs, messages: Messages) -> Result<()> 
 }
 
 pub(super) fn list_adapters(as_json: bool) -> Result<()> {
-    let infos = gpu::adapter::list()?;
+    let adapters = gpu::adapter::list_with_missing()?;
     if as_json {
-        let rows: Vec<Value> = infos
+        let rows: Vec<Value> = adapters
             .iter()
-            .map(|info| {
+            .map(|(info, missing)| {
                 json!({
                     "name": info.name,
                     "kind": gpu::adapter::kind(info),
@@ -85,8 +85,14 @@ pub(super) fn list_adapters(as_json: bool) -> Result<()> {
                     "driver_info": info.driver_info,
                 })
             })
+                    "missing": missing,
             .collect();
         return print(&format!("{:#}\n", Value::from(rows)));
     }
-    print(&infos.iter().map(|info| format!("{}\n", gpu::adapter::describe(info))).collect::<String>())
+    let line = |(info, missing): &(_, Vec<String>)| {
+        let described = gpu::adapter::describe(info);
+        let lacks = format!(" (cannot be used: lacks {})", missing.join(", "));
+        format!("{described}{}\n", if missing.is_empty() { "" } else { &lacks })
+    };
+    print(&adapters.iter().map(line).collect::<String>())
 }

@@ -4,7 +4,7 @@
 
 use serde_json::Value;
 
-use super::machine::Machine;
+use crate::gpu::machine::Machine;
 use crate::gpu::vendor::Vendor;
 
 /// The Vulkan loader, which finds drivers by their manifests.

@@ -6,7 +6,8 @@
 use serde_json::{Value, json};
 
 use super::drivers::Manifest;
-use super::hardware::{Container, DeviceFile, Hardware};
+use super::hardware::{Container, Hardware};
+use crate::gpu::device_files::DeviceFile;
 use crate::gpu::survey::AdapterReport;
 use crate::gpu::vendor::Vendor;
 

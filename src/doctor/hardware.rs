@@ -9,7 +9,8 @@ use std::collections::BTreeMap;
 use serde_json::{Value, json};
 
 use super::drivers::{self, Manifest};
-pub use super::machine::Machine;
+use crate::gpu::device_files::{DeviceFile, device_files};
+pub use crate::gpu::machine::Machine;
 use crate::gpu::vendor::{Vendor, pci_id};
 
 /// Environment variables that concern drivers, GPUs and the batch system. A report has no others: some hold secrets.
@@ -44,17 +45,6 @@ pub struct PciGpu {
     pub kernel_driver: Option<String>,
 }
 
-/// A file through which drivers reach a GPU.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct DeviceFile {
-    /// Who made the GPU.
-    pub vendor: Vendor,
-    /// Absolute path, such as `/dev/nvidia0`.
-    pub path: String,
-    /// Why it cannot be opened; `None` if it can.
-    pub refusal: Option<String>,
-}
-
 /// What surrounds the process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Container {
@@ -82,32 +72,6 @@ impl Container {
             Self::Other => "of another kind",
         }
     }
-}
-
-/// The device files of GPUs; those of other display adapters (of virtual machines, of server management) are left out.
-#[must_use]
-pub fn device_files(machine: &Machine) -> Vec<DeviceFile> {
-    let mut found = Vec::new();
-    let mut add = |vendor, path: String| {
-        let refusal = machine.refusal(&path);
-        found.push(DeviceFile { vendor, path, refusal });
-    };
-    for name in machine.names("/dev") {
-        let number = name.strip_prefix("nvidia").unwrap_or_default();
-        if !number.is_empty() && number.bytes().all(|c| c.is_ascii_digit()) {
-            add(Vendor::Nvidia, format!("/dev/{name}"));
-        }
-    }
-    for name in machine.names("/dev/dri").into_iter().filter(|name| name.starts_with("renderD")) {
-        let id = machine.text(&format!("/sys/class/drm/{name}/device/vendor"));
-        if let Some(vendor) = pci_id(&id).and_then(Vendor::of_pci) {
-            add(vendor, format!("/dev/dri/{name}"));
-        }
-    }
-    if machine.exists("/dev/dxg") {
-        add(Vendor::Wsl, "/dev/dxg".to_owned());
-    }
-    found
 }
 
 fn pci_gpus(machine: &Machine) -> Vec<PciGpu> {

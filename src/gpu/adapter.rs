@@ -5,6 +5,8 @@
 use wgpu::{AdapterInfo, Backend, Backends, DeviceType, DownlevelFlags, InstanceDescriptor, InstanceFlags};
 
 use crate::error::{Error, Result};
+use crate::gpu::device_files::device_files;
+use crate::gpu::machine::Machine;
 use crate::gpu::memory_limits;
 use crate::gpu::platform::Platform;
 use crate::gpu::vendor::Vendor;
@@ -48,34 +50,72 @@ fn missing_gl(info: &AdapterInfo) -> Option<String> {
 /// The adapter whose description contains `wanted`, or the best one; see [`crate::gpu::Gpu::open`].
 pub(super) fn choose(wanted: Option<&str>) -> Result<wgpu::Adapter> {
     memory_limits::check()?;
-    let from_environment = std::env::var("WGPU_ADAPTER_NAME").ok().filter(|name| !name.is_empty());
-    let wanted = wanted.map(str::to_owned).or(from_environment);
+    let wanted = wanted.map_or_else(name_in_environment, |text| Ok(Some(text.to_owned())))?;
     let rounds = backends_allowed()?.map_or_else(|| Platform::HERE.rounds(), |allowed| vec![allowed]);
-    let mut available = Vec::new();
+    let (mut available, mut best) = (Vec::new(), None);
     for backends in rounds {
         let adapters = enumerate(backends);
         available.extend(adapters.iter().map(|adapter| describe(&adapter.get_info())));
-        let best = adapters
+        let matching = adapters
             .into_iter()
-            .filter(|adapter| wanted.as_deref().is_none_or(|text| matches(&adapter.get_info(), text)))
-            .min_by_key(|adapter| rank(&adapter.get_info()));
-        if let Some(adapter) = best {
-            return Ok(adapter);
+            .filter(|adapter| wanted.as_deref().is_none_or(|text| matches(&adapter.get_info(), text)));
+        best = best.into_iter().chain(matching).min_by_key(rank);
+        if best.as_ref().is_some_and(|best| is_final(best, wanted.is_some())) {
+            break;
         }
     }
-    Err(match wanted {
+    best.ok_or_else(|| match wanted {
         Some(wanted) if !available.is_empty() => Error::AdapterNotFound { wanted, available },
         _ => no_adapter(),
     })
 }
 
-/// Every usable adapter, best first; at least one.
+/// Whether no other backend can have a better adapter. One that rasterises on the CPU, chosen by nobody on a machine with a GPU, may be
+/// worse than that GPU is through GL: so it is in Windows' subsystem for Linux.
+fn is_final(best: &wgpu::Adapter, is_named: bool) -> bool {
+    let info = best.get_info();
+    let is_the_only_kind = || !is_software(&info) || device_files(&Machine::here()).is_empty();
+    missing_of(best).is_empty() && (is_named || is_the_only_kind())
+}
+
+/// What an adapter lacks, in words; empty if it can be used.
+pub(super) fn missing_of(adapter: &wgpu::Adapter) -> Vec<String> {
+    missing(&adapter.get_info(), adapter.get_downlevel_capabilities().flags)
+}
+
+/// The name or part of a name in `WGPU_ADAPTER_NAME`.
+///
+/// # Errors
+/// [`Error::Usage`] if it is not UTF-8.
+pub fn name_in_environment() -> Result<Option<String>> {
+    variable("WGPU_ADAPTER_NAME")
+}
+
+/// The value of a variable; `None` if it is not set or empty.
+fn variable(name: &str) -> Result<Option<String>> {
+    let Some(value) = std::env::var_os(name).filter(|value| !value.is_empty()) else { return Ok(None) };
+    let value = value.into_string().map_err(|value| {
+        Error::Usage(format!("{name}={}: the value should be text in UTF-8", value.display()))
+    })?;
+    Ok(Some(value))
+}
+
+/// Every adapter, best first, and what each lacks; at least one.
 ///
 /// # Errors
 /// [`Error::NoAdapter`]; [`Error::MemoryLimit`]; [`Error::Usage`] if `WGPU_BACKEND` names an unknown backend.
+pub fn list_with_missing() -> Result<Vec<(AdapterInfo, Vec<String>)>> {
+    let adapters = enumerate_allowed()?;
+    let rows = adapters.iter().map(|adapter| (adapter.get_info(), missing_of(adapter)));
+    if adapters.is_empty() { Err(no_adapter()) } else { Ok(rows.collect()) }
+}
+
+/// Every adapter, best first, at least one; those that cannot be used are the last.
+///
+/// # Errors
+/// Those of [`list_with_missing`].
 pub fn list() -> Result<Vec<AdapterInfo>> {
-    let infos: Vec<AdapterInfo> = enumerate_allowed()?.iter().map(wgpu::Adapter::get_info).collect();
-    if infos.is_empty() { Err(no_adapter()) } else { Ok(infos) }
+    Ok(list_with_missing()?.into_iter().map(|(info, _)| info).collect())
 }
 
 /// Checks what can be wrong before a driver is loaded: the limits of the process, and `WGPU_BACKEND`.
@@ -92,29 +132,39 @@ pub(super) fn enumerate_allowed() -> Result<Vec<wgpu::Adapter>> {
     memory_limits::check()?;
     let mut adapters =
         enumerate(backends_allowed()?.unwrap_or_else(|| Platform::HERE.rounds().into_iter().collect()));
-    adapters.sort_by_key(|adapter| rank(&adapter.get_info()));
+    adapters.sort_by_key(rank);
     Ok(adapters)
 }
 
 /// The backends that `WGPU_BACKEND` allows; `None` if it is not set.
 fn backends_allowed() -> Result<Option<Backends>> {
-    let named = std::env::var("WGPU_BACKEND").unwrap_or_default();
-    let words = named.split(',').map(|word| word.trim().to_lowercase()).filter(|word| !word.is_empty());
+    variable("WGPU_BACKEND")?.map_or(Ok(None), |names| backends_named(&names))
+}
+
+/// The backends in a list with commas; `None` if there is none.
+fn backends_named(names: &str) -> Result<Option<Backends>> {
+    let words = names.split(',').map(|word| word.trim().to_lowercase()).filter(|word| !word.is_empty());
     words
         .map(|word| {
             Platform::HERE.backend(&word).ok_or_else(|| {
-                let names = Platform::HERE.backend_names();
-                Error::Usage(format!("WGPU_BACKEND={named}: unknown backend `{word}`; {names}"))
+                let known = Platform::HERE.backend_names();
+                Error::Usage(format!("WGPU_BACKEND={names}: unknown backend `{word}`; {known}"))
             })
         })
         .try_fold(None, |allowed, backend| Ok(Some(allowed.unwrap_or(Backends::empty()) | backend?)))
 }
 
 fn no_adapter() -> Error {
-    let allowed = backends_allowed().ok().flatten();
+    let (tried, advice) = tried_and_advice(&std::env::var("WGPU_BACKEND").unwrap_or_default());
+    Error::NoAdapter { tried, advice }
+}
+
+/// Where no adapter is found and `WGPU_BACKEND` has this value: the backends that were tried, and what to do.
+pub(crate) fn tried_and_advice(backend_variable: &str) -> (String, String) {
+    let allowed = backends_named(backend_variable).ok().flatten();
     let names = Platform::HERE.names_of(allowed.unwrap_or(Backends::all())).join(", ");
     let tried = if allowed.is_some() { format!("{names} (WGPU_BACKEND allows no other)") } else { names };
-    Error::NoAdapter { tried, advice: Platform::HERE.advice(allowed) }
+    (tried, Platform::HERE.advice(allowed))
 }
 
 /// One line for people: name, kind, backend, driver.
@@ -154,10 +204,14 @@ pub(super) fn is_wanted(description: &str, is_software: bool, wanted: &str) -> b
     (wanted == "cpu" && is_software) || description.to_lowercase().contains(&wanted)
 }
 
+/// Words in the names of renderers on the CPU: Mesa's two, and SwiftShader.
+const SOFTWARE: [&str; 3] = ["llvmpipe", "softpipe", "swiftshader"];
+
 /// Whether an adapter rasterises on the CPU. GL reports llvmpipe as another kind of device, so the name counts too.
 #[must_use]
 pub fn is_software(info: &AdapterInfo) -> bool {
-    info.device_type == DeviceType::Cpu || info.name.contains("llvmpipe") || info.name.contains("softpipe")
+    let name = info.name.to_lowercase();
+    info.device_type == DeviceType::Cpu || SOFTWARE.iter().any(|word| name.contains(word))
 }
 
 /// Major version of Mesa, where it is the driver.
@@ -176,8 +230,12 @@ pub(crate) fn is_hopper(info: &AdapterInfo) -> bool {
         && info.name.split(|c: char| !c.is_alphanumeric()).any(|word| HOPPER.contains(&word))
 }
 
-/// Sort key: better adapters first.
-fn rank(info: &AdapterInfo) -> (u8, bool) {
+/// Sort key: better adapters first, those that cannot be used last.
+fn rank(adapter: &wgpu::Adapter) -> (bool, u8, bool) {
+    rank_of(&adapter.get_info(), missing_of(adapter).is_empty())
+}
+
+fn rank_of(info: &AdapterInfo, is_usable: bool) -> (bool, u8, bool) {
     let kind = match info.device_type {
         _ if is_software(info) => 4,
         DeviceType::DiscreteGpu => 0,
@@ -185,7 +243,7 @@ fn rank(info: &AdapterInfo) -> (u8, bool) {
         DeviceType::VirtualGpu => 2,
         DeviceType::Other | DeviceType::Cpu => 3,
     };
-    (kind, info.backend == Backend::Gl)
+    (!is_usable, kind, info.backend == Backend::Gl)
 }
 
 /// The adapter of unit tests: a part of its name, from `REGOLITH_TEST_ADAPTER`; else `cpu`.
@@ -217,6 +275,24 @@ mod tests {
             let info = AdapterInfo { driver_info: driver.to_owned(), ..blank };
             assert_eq!(missing(&info, all), lacks, "{driver}");
         }
+    }
+
+    /// Each row, from the best to the worst: kind, backend, name, whether it can be used.
+    #[test]
+    fn adapters_are_ranked_by_use_then_kind_then_backend() {
+        let rows = [
+            (DeviceType::DiscreteGpu, Backend::Vulkan, "a", true),
+            (DeviceType::DiscreteGpu, Backend::Gl, "a", true),
+            (DeviceType::IntegratedGpu, Backend::Vulkan, "b", true),
+            (DeviceType::Other, Backend::Gl, "D3D12 (some GPU)", true),
+            (DeviceType::Cpu, Backend::Vulkan, "llvmpipe", true),
+            (DeviceType::Other, Backend::Gl, "LLVMpipe", true),
+            (DeviceType::DiscreteGpu, Backend::Vulkan, "too old", false),
+        ];
+        let ranks = rows.map(|(kind, backend, name, is_usable)| {
+            rank_of(&AdapterInfo { name: name.to_owned(), ..AdapterInfo::new(kind, backend) }, is_usable)
+        });
+        assert!(ranks.windows(2).all(|pair| pair[0] < pair[1]), "{ranks:?}");
     }
 
     #[test]

@@ -59,7 +59,7 @@ impl AdapterReport {
 
     fn new(adapter: &wgpu::Adapter) -> Self {
         let info = adapter.get_info();
-        let missing = adapter::missing(&info, adapter.get_downlevel_capabilities().flags);
+        let missing = adapter::missing_of(adapter);
         Self {
             kind: adapter::kind(&info).to_owned(),
             backend: info.backend.to_string(),

@@ -130,7 +130,8 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
     (
         "gpu",
         &[
-            &["memory_limits", "platform", "processor", "vendor"],
+            &["machine", "memory_limits", "platform", "processor", "vendor"],
+            &["device_files"],
             &["adapter", "pipeline_cache"],
             &[SELF],
             &["growing_buffer", "readback", "staging", "survey"],
@@ -182,7 +183,7 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
     (
         "doctor",
         &[
-            &["cases", "machine", "planes"],
+            &["cases", "planes"],
             &["compare", "drivers", "reference", "worker"],
             &["hardware"],
             &["findings"],

@@ -17,7 +17,7 @@ use regolith::gpu::survey::AdapterReport;
 use serde_json::Value;
 
 use crate::support::compare::updating;
-use crate::support::{folder, json, program, render_by, renderer, run, run_ok};
+use crate::support::{folder, json, missing_gl, program, render_by, renderer, run, run_ok};
 
 /// The planes of a case on the adapter of the tests, and its hashes.
 fn rendered(case: &Case) -> (Planes, CaseHashes) {
@@ -385,10 +385,8 @@ fn a_report_has_no_secrets() {
 #[test]
 fn falling_back_to_the_cpu_is_said_once() {
     let folder = folder();
-    let adapters: Value =
-        serde_json::from_str(&run_ok(folder.path(), &["adapters", "--json"])).expect("JSON");
-    if adapters[0]["kind"] != "CPU driver" {
-        return; // With a GPU nothing falls back.
+    if has_gpu(folder.path()) {
+        return; // Nothing falls back.
     }
     let (with, without) = (folder.path().join("with"), folder.path().join("without"));
     create(&with, &[NVIDIA_FILE]);
@@ -415,3 +413,41 @@ fn falling_back_to_the_cpu_is_said_once() {
         assert_eq!(warnings(&with, &[&frame[..], &[option]].concat()), 0, "{option}");
     }
 }
+/// Whether the best adapter of this machine is a GPU.
+fn has_gpu(folder: &Path) -> bool {
+    let adapters: Value = serde_json::from_str(&run_ok(folder, &["adapters", "--json"])).expect("JSON");
+    adapters[0]["kind"] != "CPU driver"
+}
+
+/// On Windows' subsystem for Linux Vulkan renders on the CPU, and GL may reach the GPU. Mesa's CPU driver takes another name for it here.
+#[test]
+fn a_gpu_that_only_gl_reaches_is_used() {
+    let folder = folder();
+    if has_gpu(folder.path()) || !missing_gl().is_empty() {
+        return;
+    }
+    let (with, without) = (folder.path().join("with"), folder.path().join("without"));
+    create(&with, &[("dev/dxg", "")]);
+    create(&without, &[("dev/null", "")]);
+    let renderer = "D3D12 (NVIDIA GeForce RTX 3070)";
+    for (root, gl_renderer, expected) in
+        [(&with, Some(renderer), "gl"), (&without, Some(renderer), "vulkan"), (&with, None, "vulkan")]
+    {
+        let mut command = program(folder.path());
+        command.env_remove("WGPU_ADAPTER_NAME").env("REGOLITH_MACHINE", root);
+        if let Some(name) = gl_renderer {
+            command.env("force_gl_renderer", name).env("force_gl_vendor", "Microsoft Corporation");
+        }
+        let output = command.args(["--size=32", "--force", "--json"]).output().expect("the program starts");
+        let message = String::from_utf8_lossy(&output.stderr);
+        let result: Value =
+            serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{error}: {message}"));
+        assert_eq!(
+            result["frame"]["adapter"]["backend"],
+            expected,
+            "{}, {gl_renderer:?}: {message}",
+            root.display()
+        );
+    }
+}
+

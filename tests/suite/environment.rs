@@ -1,6 +1,8 @@
 //! What surrounds a run: sockets of others, limits of the process. None of it may hang or crash a run.
 
+use std::ffi::OsStr;
 use std::io::ErrorKind;
+use std::os::unix::ffi::OsStrExt as _;
 use std::os::unix::net::UnixListener;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
@@ -115,6 +117,20 @@ fn a_limit_of_memory_is_an_error_in_one_line() {
             "ulimit {option} {kibibytes}, {words:?}: {:?}: {message}",
             output.status
         );
+    }
+}
+
+#[test]
+fn variables_that_are_not_text_are_refused() {
+    let folder = folder();
+    for name in ["WGPU_BACKEND", "WGPU_ADAPTER_NAME"] {
+        for words in [&["--size=32"][..], &["doctor"]] {
+            let mut command = program_without_display(folder.path());
+            let output = output_within_limit(command.args(words).env(name, OsStr::from_bytes(b"\xffvulkan")));
+            let message = String::from_utf8_lossy(&output.stderr);
+            assert_eq!(output.status.code(), Some(2), "{name}, {words:?}: {message}");
+            assert!(message.contains(name) && message.contains("UTF-8"), "{message}");
+        }
     }
 }
 

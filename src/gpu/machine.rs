@@ -33,32 +33,32 @@ impl Machine {
     }
 
     /// Why a file cannot be opened; `None` if it can.
-    pub(super) fn refusal(&self, path: &str) -> Option<String> {
+    pub(crate) fn refusal(&self, path: &str) -> Option<String> {
         (self.open)(&self.path(path)).err().map(|error| error.to_string())
     }
 
     /// Every variable.
-    pub(super) const fn variables(&self) -> &BTreeMap<String, String> {
+    pub(crate) const fn variables(&self) -> &BTreeMap<String, String> {
         &self.variables
     }
 
-    pub(super) fn path(&self, path: &str) -> PathBuf {
+    pub(crate) fn path(&self, path: &str) -> PathBuf {
         self.root.join(path.trim_start_matches('/'))
     }
 
-    pub(super) fn exists(&self, path: &str) -> bool {
+    pub(crate) fn exists(&self, path: &str) -> bool {
         self.path(path).exists()
     }
 
     /// Text of a small file; empty if it cannot be read.
-    pub(super) fn text(&self, path: &str) -> String {
+    pub(crate) fn text(&self, path: &str) -> String {
         std::fs::read(self.path(path))
             .map(|bytes| String::from_utf8_lossy(&bytes).trim().to_owned())
             .unwrap_or_default()
     }
 
     /// Names in a folder, sorted; none if it cannot be listed.
-    pub(super) fn names(&self, folder: &str) -> Vec<String> {
+    pub(crate) fn names(&self, folder: &str) -> Vec<String> {
         let entries = std::fs::read_dir(self.path(folder)).into_iter().flatten().flatten();
         let mut names: Vec<String> =
             entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
@@ -67,12 +67,12 @@ impl Machine {
     }
 
     /// The last component of the target of a symbolic link.
-    pub(super) fn link(&self, path: &str) -> Option<String> {
+    pub(crate) fn link(&self, path: &str) -> Option<String> {
         let target = std::fs::read_link(self.path(path)).ok()?;
         Some(target.file_name()?.to_string_lossy().into_owned())
     }
 
-    pub(super) fn variable(&self, name: &str) -> Option<&str> {
+    pub(crate) fn variable(&self, name: &str) -> Option<&str> {
         self.variables.get(name).map(String::as_str).filter(|value| !value.is_empty())
     }
 }
