@@ -364,9 +364,12 @@ impl Error {
     pub fn advice(&self) -> &'static str {
         match self {
             Self::Write { cause, .. } => write_remedy(cause),
-            Self::OutOfMemory => "; nothing was written. Use a smaller --size or fewer --samples",
+            Self::OutOfMemory => {
+                "; nothing of this frame is written, and finished frames stay. Use a smaller --size or fewer --samples"
+            }
             Self::DeviceLost(_) => {
-                "; nothing was written. Run the same command again; if it happens again, try a smaller --size or another --adapter"
+                "; nothing of this frame is written, and finished frames stay. Run the same command again; if it happens again, try a \
+                 smaller --size or another --adapter"
             }
             Self::Unlabelled { .. } => {
                 "; the frame is not written. Run the same command again; if it happens again, add `--raster host` or choose another \

@@ -21,7 +21,7 @@ pub mod survey;
 pub mod upload;
 pub mod vendor;
 
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -146,7 +146,7 @@ impl Gpu {
             on_error.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
         }));
         device.set_device_lost_callback(move |reason, message| {
-            let message = if message.is_empty() { format!("{reason:?}") } else { message };
+            let message = if message.is_empty() { format!("{reason:?}") } else { one_line(&message) };
             // A loss explains the errors around it, so it replaces them.
             *on_loss.lock().unwrap_or_else(PoisonError::into_inner) = Some(Error::DeviceLost(message));
         });
@@ -210,7 +210,7 @@ impl Gpu {
         let poll = wgpu::PollType::Wait { submission_index, timeout: Some(FRAME_TIMEOUT) };
         let outcome = self.guard(|| self.device.poll(poll))?;
         self.check()?;
-        outcome.map(|_| ()).map_err(|e| Error::DeviceLost(e.to_string()))
+        outcome.map(|_| ()).map_err(|error| lost(&error.to_string()))
     }
 
     /// Number of calls of [`Self::wait`] so far: each polls the device once.
@@ -219,15 +219,30 @@ impl Gpu {
         self.waits.load(Ordering::Relaxed)
     }
 
-    /// Runs `work`, in which wgpu may panic if the device is lost, and returns such a panic as an error.
+    /// Runs `work`, in which wgpu may panic if the device is lost, and returns such a panic as an error. Any other panic goes on.
     ///
     /// # Errors
-    /// The error of [`Self::check`], or [`Error::DeviceLost`] with the panic's message.
+    /// Those of [`Self::check`], or [`Error::DeviceLost`] with the panic's message.
     pub fn guard<T>(&self, work: impl FnOnce() -> T) -> Result<T> {
         catch_unwind(AssertUnwindSafe(work)).map_err(|panic| {
-            let message = panic.downcast_ref::<String>().map_or("the driver gave up", String::as_str);
-            self.check().err().unwrap_or_else(|| Error::DeviceLost(message.to_owned()))
+            let message = panic.downcast_ref::<String>().cloned().unwrap_or_default();
+            match self.reported() {
+                Some(error) => error,
+                None if WGPU_PANICS.iter().any(|start| message.starts_with(start)) => lost(&message),
+                None => resume_unwind(panic),
+            }
         })
+    }
+
+    /// The error of a call that fails where the device is lost, with the device's own report instead if there is one.
+    pub(crate) fn failure(&self, error: &dyn std::error::Error) -> Error {
+        self.reported().unwrap_or_else(|| lost(&error.to_string()))
+    }
+
+    /// The first error that the device has reported or reports when it is polled.
+    fn reported(&self) -> Option<Error> {
+        let _ = catch_unwind(AssertUnwindSafe(|| self.device.poll(wgpu::PollType::Poll)));
+        self.check().err()
     }
 
     /// Creates a buffer of at least `size` bytes, zeroed.
@@ -317,6 +332,14 @@ fn memory_hints(info: &AdapterInfo) -> wgpu::MemoryHints {
     } else {
         wgpu::MemoryHints::Performance
     }
+}
+
+/// How the messages of wgpu's panics start.
+const WGPU_PANICS: [&str; 2] = ["Error in ", "wgpu error: "];
+
+/// The error of a lost device that has not reported why, with a message of wgpu.
+fn lost(message: &str) -> Error {
+    Error::DeviceLost(one_line(message))
 }
 
 /// A report of wgpu in one line: its causes, without the excerpts of shader text that naga adds in frames of box characters.

@@ -33,7 +33,8 @@ impl ReadbackBuffer {
     /// [`Error::DeviceLost`].
     pub fn read<T>(&self, read: impl FnOnce(&[u8]) -> T) -> Result<T> {
         let result = {
-            let view = self.buffer.get_mapped_range(..).map_err(|e| Error::DeviceLost(e.to_string()))?;
+            let failed = |_| Error::DeviceLost("its memory cannot be read".to_owned());
+            let view = self.buffer.get_mapped_range(..).map_err(failed)?;
             read(&view)
         };
         self.buffer.unmap();

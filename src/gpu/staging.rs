@@ -1,6 +1,6 @@
 //! Uploads to textures through a mapped staging buffer: texels are written where the device copies them from.
 
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::gpu::Gpu;
 
 /// Rows of texels start at multiples of this, bytes.
@@ -86,7 +86,7 @@ impl StagingBuffers {
     /// Writes the first `size` columns and rows of a texture; `texels` are in row-major order. While the device is idle, in parts.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`] or [`Error::Device`].
+    /// [`Error::DeviceLost`](crate::Error::DeviceLost) or [`Error::Device`](crate::Error::Device).
     pub fn write_texels<T: bytemuck::NoUninit>(
         &mut self,
         gpu: &Gpu,
@@ -142,7 +142,7 @@ impl StagingBuffer {
     /// The buffer in `slot` if it holds `bytes`, else a new one, which replaces it.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`] or [`Error::Device`], also when the device is out of memory.
+    /// [`Error::DeviceLost`](crate::Error::DeviceLost) or [`Error::Device`](crate::Error::Device), also when the device is out of memory.
     pub fn with_capacity<'a>(
         slot: &'a mut Option<Self>,
         gpu: &Gpu,
@@ -171,7 +171,7 @@ impl StagingBuffer {
     /// Each write must be followed by a [`Self::copy_to`], or the next write cannot map the buffer.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`] or [`Error::Device`].
+    /// [`Error::DeviceLost`](crate::Error::DeviceLost) or [`Error::Device`](crate::Error::Device).
     pub fn write<T>(
         &mut self,
         gpu: &Gpu,
@@ -182,8 +182,8 @@ impl StagingBuffer {
             gpu.wait(&last_copy)?;
         }
         let result = {
-            let mut view =
-                self.buffer.get_mapped_range_mut(..).map_err(|e| Error::DeviceLost(e.to_string()))?;
+            let view = self.buffer.get_mapped_range_mut(..);
+            let mut view = view.map_err(|error| gpu.failure(&error))?;
             write(&mut view.slice(..).into_chunks().0.into_iter())
         };
         self.buffer.unmap();
@@ -193,7 +193,7 @@ impl StagingBuffer {
     /// Submits the copy of regions to a texture.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`] or [`Error::Device`].
+    /// [`Error::DeviceLost`](crate::Error::DeviceLost) or [`Error::Device`](crate::Error::Device).
     pub fn copy_to(&mut self, gpu: &Gpu, texture: &wgpu::Texture, regions: &[TextureRegion]) -> Result<()> {
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         for region in regions {

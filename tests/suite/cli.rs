@@ -207,8 +207,9 @@ fn a_device_lost_during_a_frame_is_an_error_and_leaves_no_files() {
         program(folder.path()).env("REGOLITH_FAULT", "device-lost").output().expect("the program starts");
     let message = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{message}");
-    assert!(message.contains("device was lost") && message.contains("nothing was written"), "{message}");
+    assert!(message.contains("device was lost") && message.contains("nothing of this frame"), "{message}");
     assert!(!message.contains("panicked") && !message.contains("bug in"), "{message}");
+    assert_eq!(message.trim_end().lines().count(), 1, "{message}");
     assert!(!folder.path().join("out").exists());
 }
 
