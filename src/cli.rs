@@ -191,9 +191,12 @@ fn run(
     itself: &dyn Fn() -> std::process::Command,
 ) -> std::result::Result<(), Ending> {
     process::survive_file_size_limit();
-    process::fail_on_abort();
     let parsed = command().try_get_matches_from(words).and_then(|matches| Cli::from_arg_matches(&matches));
     let cli = parsed.map_err(|error| print_usage(&error))?;
+    // A process that `doctor` examines shows the signal.
+    if !matches!(&cli.command, Some(Command::Doctor(args)) if args.is_step()) {
+        process::fail_on_abort();
+    }
     Ok(run_command(cli, itself)?)
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::gpu::device_files::device_files;
 use crate::gpu::machine::Machine;
 use crate::gpu::{Gpu, adapter};
@@ -18,6 +18,8 @@ const MAX_CACHE_BYTES: u64 = 256 * input::MIB;
 /// Opens an adapter, with the pipelines that an earlier run compiled for it. Says so if it is a CPU driver that nobody asked for
 /// on a machine with a GPU.
 pub(super) fn open(wanted: Option<&str>, messages: Messages) -> Result<Gpu> {
+    adapter::check_environment()?;
+    start_threads()?;
     let gpu = Gpu::open_with_cache(wanted, |key| input::read(&folder()?.join(key), MAX_CACHE_BYTES).ok())?;
     let is_chosen =
         wanted.is_some() || std::env::var_os("WGPU_ADAPTER_NAME").is_some_and(|name| !name.is_empty());
@@ -34,6 +36,14 @@ pub(super) fn open(wanted: Option<&str>, messages: Messages) -> Result<Gpu> {
         ));
     }
     Ok(gpu)
+}
+
+/// Starts the threads of parallel loops. Without this the first loop does, which panics where the system has no threads to spare.
+pub(super) fn start_threads() -> Result<()> {
+    let started = rayon::ThreadPoolBuilder::new().build_global();
+    // There may be such threads already, as an earlier command in the same process started them.
+    let refusal = started.err().filter(|error| std::error::Error::source(error).is_some());
+    refusal.map_or(Ok(()), |error| Err(Error::Thread(std::io::Error::other(error))))
 }
 
 /// Stores the compiled pipelines for the next run. If that fails, the next run compiles them again.

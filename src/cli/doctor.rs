@@ -26,6 +26,7 @@ use signal_hook::consts::signal::SIGILL;
 use signal_hook::low_level;
 
 use super::child::{Ending, supervise};
+use super::device::start_threads;
 use super::messages::{Messages, print};
 use super::process::stop_on_signals;
 use super::progress::Meter;
@@ -59,6 +60,13 @@ pub(super) struct DoctorArgs {
     work_folder: Option<PathBuf>,
 }
 
+impl DoctorArgs {
+    /// Whether this is a process that another one examines.
+    pub(super) const fn is_step(&self) -> bool {
+        self.work.is_some()
+    }
+}
+
 /// Examines the machine, in processes that `itself` starts: regolith-render again.
 pub(super) fn run(args: &DoctorArgs, itself: &dyn Fn() -> Command, messages: Messages) -> Result<()> {
     if let (Some(job), Some(folder)) = (args.work, &args.work_folder) {
@@ -78,6 +86,7 @@ pub(super) fn run(args: &DoctorArgs, itself: &dyn Fn() -> Command, messages: Mes
         done: 0,
         wanted: Job::ALL.into_iter().filter(|job| *job != AUTO).map(Job::steps).sum(),
         examination: Examination::new(Hardware::probe(&Machine::here())),
+        no_threads: None,
     };
     examiner.examine()?;
     examiner.meter.finish();
@@ -122,6 +131,8 @@ struct Examiner<'a> {
     done: u64,
     wanted: u64,
     examination: Examination,
+    /// Why the last process could not start its threads.
+    no_threads: Option<String>,
 }
 
 impl Examiner<'_> {
@@ -163,7 +174,10 @@ impl Examiner<'_> {
         let expected = self.done + job.steps();
         let mut command = self.command(job);
         let stop = Arc::clone(&self.stop);
-        let (ending, messages) = supervise(&mut command, PATIENCE, &stop, |line| self.receive(line));
+        let (ending, messages) = supervise(&mut command, PATIENCE, &stop, |line| self.receive(line))?;
+        if let Some(cause) = self.no_threads.take() {
+            return Err(Error::Thread(std::io::Error::other(cause)));
+        }
         let run = self.current();
         run.messages = messages;
         let is_done = run.memory.is_some();
@@ -227,6 +241,7 @@ impl Examiner<'_> {
         self.examination.record(event, |frame, case| planes(folder, frame, case));
     }
 
+            Event::NoThreads { cause } => self.no_threads = Some(cause.clone()),
     fn show(&mut self, more: &str) {
         self.meter.show([0, self.done.min(self.wanted), self.wanted], more);
     }
@@ -249,20 +264,39 @@ fn work(args: &DoctorArgs, job: Job, folder: &Path) -> Result<()> {
         inject_faults(&faults, job, frames, renderer, frame);
     };
     let mut failure = None;
+    let crash_if = |fault: &str| {
+        if faults_of(&faults, job).any(|found| found == fault) {
+            drop(low_level::raise(SIGILL));
+        }
+    };
+    crash_if("crash-at-start");
+    if faults_of(&faults, job).any(|fault| fault == "noise") {
+        print("a driver's text without an end")?;
+    }
     let mut emit = |event: Event| {
         let line = serde_json::to_value(event).unwrap_or(Value::Null);
         failure = print(&format!("{line}\n")).err().or(failure.take());
     };
-    Worker { adapter: args.adapter.as_deref(), folder, emit: &mut emit, tamper: &mut tamper }.run(job);
+    match start_threads() {
+        Err(Error::Thread(cause)) => emit(Event::NoThreads { cause: cause.to_string() }),
+        _ => {
+            Worker { adapter: args.adapter.as_deref(), folder, emit: &mut emit, tamper: &mut tamper }.run(job)
+        }
+    }
+    crash_if("crash-at-exit");
     failure.map_or(Ok(()), Err)
 }
 
-/// Damages the second frame of a backend as `REGOLITH_FAULT` says (`FAULT:BACKEND`, or several separated by commas), so that
-/// tests can check that it is noticed.
-fn inject_faults(faults: &str, job: Job, frames: u32, renderer: &Renderer, frame: &mut Frame) {
+/// The faults of a job in `REGOLITH_FAULT` (`FAULT:JOB`, or several separated by commas), so that tests can check that they are noticed.
+fn faults_of(faults: &str, job: Job) -> impl Iterator<Item = &str> {
     let faults = faults.split(',').filter_map(|fault| fault.split_once(':'));
-    for (fault, _) in faults.filter(|(_, backend)| frames == 2 && *backend == job.name()) {
-        inject_fault(fault, renderer, frame);
+    faults.filter(move |(_, name)| *name == job.name()).map(|(fault, _)| fault)
+}
+
+/// Damages the second frame of a backend.
+fn inject_faults(faults: &str, job: Job, frames: u32, renderer: &Renderer, frame: &mut Frame) {
+    if frames == 2 {
+        faults_of(faults, job).for_each(|fault| inject_fault(fault, renderer, frame));
     }
 }
 

@@ -105,6 +105,7 @@ fn render(
 ) -> Result<Rendered> {
     // Before any thread is started.
     gpu::adapter::check_environment()?;
+    device::start_threads()?;
     let (scene, renderer) = rayon::join(
         || {
             timed("scene", || {

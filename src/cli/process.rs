@@ -1,5 +1,9 @@
 //! The process that runs a command: its cores and its signals.
 
+#[cfg(unix)]
+use std::io::Write as _;
+#[cfg(unix)]
+use std::os::fd::AsFd as _;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 
@@ -25,7 +29,7 @@ pub(super) fn stop_on_signals(messages: Messages) -> Result<Arc<AtomicBool>> {
         set.store(true, Ordering::Relaxed);
         messages.note(format_args!("\nstopping after the frames in flight (Ctrl-C again stops at once)"));
     };
-    listen(note).map_err(not_listening)?;
+    listen(note)?;
     Ok(stop)
 }
 
@@ -35,7 +39,7 @@ pub(super) fn end_on_signals() -> Result<()> {
         disk::remove_unfinished();
         signal_hook::low_level::exit(SIGNAL_STATUS + RECEIVED.load(Ordering::Relaxed));
     };
-    listen(end).map_err(not_listening)
+    listen(end)
 }
 
 fn not_listening(error: std::io::Error) -> Error {
@@ -45,10 +49,10 @@ fn not_listening(error: std::io::Error) -> Error {
 /// Calls `stop` in a thread on the first signal, and exits on the second. A signal that whoever started the process lets it ignore
 /// stays ignored.
 #[cfg(unix)]
-fn listen(stop: impl Fn() + Send + 'static) -> std::io::Result<()> {
+fn listen(stop: impl Fn() + Send + 'static) -> Result<()> {
     let ignored = ignored_signals();
     let wanted = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|signal| ignored >> (signal - 1) & 1 == 0);
-    let mut signals = signal_hook::iterator::Signals::new(wanted)?;
+    let mut signals = signal_hook::iterator::Signals::new(wanted).map_err(not_listening)?;
     let listen = move || {
         for signal in signals.forever() {
             if RECEIVED.swap(signal, Ordering::Relaxed) != 0 {
@@ -57,17 +61,18 @@ fn listen(stop: impl Fn() + Send + 'static) -> std::io::Result<()> {
             stop();
         }
     };
-    std::thread::Builder::new().name("signals".to_owned()).spawn(listen).map(drop)
+    std::thread::Builder::new().name("signals".to_owned()).spawn(listen).map(drop).map_err(Error::Thread)
 }
 
 /// Calls `stop` in a thread on the first signal, and exits on the second. Windows tells of signals by flags alone.
 #[cfg(windows)]
-fn listen(stop: impl Fn() + Send + 'static) -> std::io::Result<()> {
+fn listen(stop: impl Fn() + Send + 'static) -> Result<()> {
     let is_received = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM] {
         let status = SIGNAL_STATUS + signal;
-        signal_hook::flag::register_conditional_shutdown(signal, status, Arc::clone(&is_received))?;
-        signal_hook::flag::register(signal, Arc::clone(&is_received))?;
+        signal_hook::flag::register_conditional_shutdown(signal, status, Arc::clone(&is_received))
+            .map_err(not_listening)?;
+        signal_hook::flag::register(signal, Arc::clone(&is_received)).map_err(not_listening)?;
     }
     let listen = move || {
         while !is_received.load(Ordering::Relaxed) {
@@ -76,7 +81,7 @@ fn listen(stop: impl Fn() + Send + 'static) -> std::io::Result<()> {
         RECEIVED.store(SIGINT, Ordering::Relaxed);
         stop();
     };
-    std::thread::Builder::new().name("signals".to_owned()).spawn(listen).map(drop)
+    std::thread::Builder::new().name("signals".to_owned()).spawn(listen).map(drop).map_err(Error::Thread)
 }
 
 /// The signals that the process was started to ignore, a bit for each, from signal 1 on: `nohup` sets that of HUP, a shell without job
@@ -103,8 +108,30 @@ pub(super) fn survive_file_size_limit() {
     let _ = signal_hook::flag::register(SIGXFSZ, Arc::new(AtomicBool::new(false)));
 }
 
-/// Ends the process with status 1 where it is aborted, as by an allocation that fails: its message is printed by then, and the
-/// process must not look as if it had crashed.
+/// What is said where the process is aborted.
+#[cfg(unix)]
+const ABORTED: &[u8] =
+    b"error: regolith-render was aborted, by a driver or because memory ran out: what is printed above, if \
+anything, says why. `regolith-render doctor` finds drivers that fail\n";
+
+/// Ends the process with status 1 and a message where it is aborted, by a driver or by an allocation that fails: it must not look as if it
+/// had crashed.
+#[cfg(unix)]
+#[expect(unsafe_code, reason = "no handler that is safe to register writes a message; see SAFETY")]
+pub(super) fn fail_on_abort() {
+    // A file of its own: standard error of the library has a lock, which the aborted thread may hold.
+    let Ok(stderr) = std::io::stderr().as_fd().try_clone_to_owned().map(std::fs::File::from) else { return };
+    let end = move || {
+        let _ = (&stderr).write_all(ABORTED);
+        signal_hook::low_level::exit(1);
+    };
+    // SAFETY: the handler calls write and _exit, which are async-signal-safe (POSIX), and nothing else: it allocates nothing, takes no lock
+    // and does not panic. If it cannot be registered, the signal ends the process.
+    let _ = unsafe { signal_hook::low_level::register(SIGABRT, end) };
+}
+
+/// Ends the process with status 1 where it is aborted, by a driver or by an allocation that fails.
+#[cfg(windows)]
 pub(super) fn fail_on_abort() {
     let always = Arc::new(AtomicBool::new(true));
     // If it fails, the signal ends the process.

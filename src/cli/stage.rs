@@ -13,6 +13,7 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use super::args::{ConfigArgs, DEFAULT_SEED, DEFAULT_SIZE, parse_size, whole_number};
+use super::device::start_threads;
 use super::messages::{Messages, print};
 use super::process::end_on_signals;
 
@@ -41,6 +42,7 @@ pub(super) struct ExportArgs {
 
 pub(super) fn export_stage(args: &ExportArgs, messages: Messages) -> Result<()> {
     end_on_signals()?;
+    start_threads()?;
     let format = Format::from_path(&args.file)?;
     if args.file.exists() && !args.force {
         return Err(Error::Usage(format!("{} exists; add --force to replace it", args.file.display())));
@@ -83,9 +85,9 @@ pub(super) fn list_adapters(as_json: bool) -> Result<()> {
                     "backend": info.backend.to_string(),
                     "driver": info.driver,
                     "driver_info": info.driver_info,
+                    "missing": missing,
                 })
             })
-                    "missing": missing,
             .collect();
         return print(&format!("{:#}\n", Value::from(rows)));
     }

@@ -8,6 +8,7 @@ use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::sync::{Mutex, PoisonError};
+use std::thread::{self, Scope};
 use std::time::Instant;
 
 use serde_json::{Map, Value, json};
@@ -100,7 +101,7 @@ impl Concurrency {
 /// Number of cores that the process may use.
 #[must_use]
 pub fn cores() -> usize {
-    std::thread::available_parallelism().map_or(1, usize::from)
+    thread::available_parallelism().map_or(1, usize::from)
 }
 
 /// Which frames a pipeline makes, and how.
@@ -166,12 +167,12 @@ pub fn run_job<T: Send>(
     let queue = WorkQueue::new(indices, limits);
     let (finished_sender, finished) = sync_channel::<T>(threads);
     let (planner, info) = planner_and_info(renderer);
-    std::thread::scope(|scope| {
+    thread::scope(|scope| {
         let (queue, first_error, scenes, finish) = (&queue, &first_error, &scenes, &finish);
         let worker = Worker { plan, scenes, planner: &planner, renderer: &info, stop, first_error, finish };
         for _ in 0..threads {
             let finished = finished_sender.clone();
-            scope.spawn(move || {
+            let run = move || {
                 let _registration = host_time::register(Role::Worker);
                 let work = || worker.run(queue, &finished);
                 // A pool of its own: the parallel loops of its frames do not delay those of the device's thread.
@@ -181,26 +182,41 @@ pub fn run_job<T: Send>(
                         let _registration = host_time::register(Role::Worker);
                         thread.run();
                     };
-                    std::thread::Builder::new().spawn_scoped(scope, run).map(drop)
+                    thread::Builder::new().spawn_scoped(scope, run).map(drop)
                 });
                 match pool.build() {
                     Ok(pool) => pool.install(work),
                     Err(_) => work(),
                 }
-            });
+            };
+            start(scope, run, first_error, queue);
         }
         drop(finished_sender);
-        scope.spawn(move || {
+        let write = move || {
             let _registration = host_time::register(Role::Writer);
             for frame in finished {
                 if !first_error.occurred() && first_error.check(sink(frame)).is_none() {
                     queue.close();
                 }
             }
-        });
+        };
+        start(scope, write, first_error, queue);
         render_prepared(renderer, frames_in_flight, queue, first_error);
     });
     first_error.into_result()
+}
+
+/// Starts a thread of a job. If the system starts none, the job ends with that error.
+fn start<'scope>(
+    scope: &'scope Scope<'scope, '_>,
+    run: impl FnOnce() + Send + 'scope,
+    first_error: &FirstError,
+    queue: &FrameQueue<impl Iterator<Item = u64>>,
+) {
+    let started = thread::Builder::new().spawn_scoped(scope, run).map(drop).map_err(Error::Thread);
+    if first_error.check(started).is_none() {
+        queue.close();
+    }
 }
 
 /// What the workers share.

@@ -160,6 +160,8 @@ impl Examination {
         }
     }
 
+            // It says nothing about the machine's GPUs.
+            Event::NoThreads { .. } => {}
     /// Whether a job would render what another has rendered.
     #[must_use]
     pub fn is_redundant(&self, job: Job) -> bool {

@@ -167,6 +167,11 @@ pub enum Event {
         /// The figures.
         result: Value,
     },
+    /// The system starts no threads for it.
+    NoThreads {
+        /// The error of the operating system.
+        cause: String,
+    },
     /// All steps are done.
     Done(Memory),
 }

@@ -124,6 +124,18 @@ fn a_second_signal_ends_a_run_at_once() {
     assert!(!message.contains("are finished"), "{message}");
 }
 
+/// As a driver that gives up, or an allocation that fails, aborts it.
+#[test]
+fn an_aborted_run_says_so() {
+    let folder = folder();
+    let words = [&["dataset", "--out", "data", "--count", "400", "-q"], SMALL.as_slice()].concat();
+    let output = stopped(folder.path(), &words, "data/rgb/rgb_00002.png", &["-ABRT"]);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{:?}: {message}", output.status);
+    assert!(message.starts_with("error: ") && message.contains("was aborted"), "{message}");
+    assert_eq!(message.trim_end().lines().count(), 1, "{message}");
+}
+
 /// A pipeline such as `regolith-render ... | head -c 20000` must not look as if the archive were whole.
 #[test]
 fn a_stream_whose_reader_closes_it_fails() {
