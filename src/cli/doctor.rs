@@ -141,7 +141,8 @@ impl Examiner<'_> {
         self.check_wanted()?;
         let has_none = self.examination.adapters.is_empty() && self.examination.runs[0].failures.is_empty();
         for job in Job::ALL.into_iter().skip(1) {
-            let is_left_out = has_none || self.examination.is_redundant(job);
+            let is_left_out =
+                has_none || self.examination.is_hopeless() || self.examination.is_redundant(job);
             match (is_left_out, job == AUTO) {
                 (true, false) => self.wanted -= job.steps(),
                 (false, true) => self.wanted += job.steps(),
@@ -188,7 +189,10 @@ impl Examiner<'_> {
             }
             Ending::Success if is_done => None,
             Ending::Success => Some("the process ended before it was done".to_owned()),
-            Ending::Failure(_) if is_done => None,
+            Ending::Failure(how) if is_done => {
+                run.crash_at_exit = Some(how);
+                None
+            }
             Ending::Failure(how) => Some(format!("the driver ended the process ({how})")),
             Ending::Silent => Some(format!(
                 "no result for {} s: the driver hangs; the process was ended",
@@ -225,7 +229,9 @@ impl Examiner<'_> {
     fn receive(&mut self, line: &str) {
         // A driver may write to standard output too.
         let Ok(event) = serde_json::from_str::<Event>(line) else {
-            self.messages.detail(line);
+            if !line.is_empty() {
+                self.messages.detail(line);
+            }
             return;
         };
         let job = self.current().job.name();
@@ -235,13 +241,13 @@ impl Examiner<'_> {
                 self.show(&format!(", {step}"));
             }
             Event::Frame(_) | Event::Bench { .. } | Event::Failed { .. } => self.done += 1,
+            Event::NoThreads { cause } => self.no_threads = Some(cause.clone()),
             _ => (),
         }
         let folder = self.folder;
         self.examination.record(event, |frame, case| planes(folder, frame, case));
     }
 
-            Event::NoThreads { cause } => self.no_threads = Some(cause.clone()),
     fn show(&mut self, more: &str) {
         self.meter.show([0, self.done.min(self.wanted), self.wanted], more);
     }
@@ -258,12 +264,6 @@ fn planes(folder: &Path, frame: &FrameResult, case: &Case) -> Result<Planes> {
 /// Does a job in this process, and prints each result as a line of JSON.
 fn work(args: &DoctorArgs, job: Job, folder: &Path) -> Result<()> {
     let faults = std::env::var("REGOLITH_FAULT").unwrap_or_default();
-    let mut frames = 0;
-    let mut tamper = |renderer: &Renderer, frame: &mut Frame| {
-        frames += 1;
-        inject_faults(&faults, job, frames, renderer, frame);
-    };
-    let mut failure = None;
     let crash_if = |fault: &str| {
         if faults_of(&faults, job).any(|found| found == fault) {
             drop(low_level::raise(SIGILL));
@@ -273,9 +273,16 @@ fn work(args: &DoctorArgs, job: Job, folder: &Path) -> Result<()> {
     if faults_of(&faults, job).any(|fault| fault == "noise") {
         print("a driver's text without an end")?;
     }
+    let mut frames = 0;
+    let mut tamper = |renderer: &Renderer, frame: &mut Frame| {
+        frames += 1;
+        inject_faults(&faults, job, frames, renderer, frame);
+    };
+    let mut failure = None;
     let mut emit = |event: Event| {
         let line = serde_json::to_value(event).unwrap_or(Value::Null);
-        failure = print(&format!("{line}\n")).err().or(failure.take());
+        // A driver may have written a line without its end.
+        failure = print(&format!("\n{line}\n")).err().or(failure.take());
     };
     match start_threads() {
         Err(Error::Thread(cause)) => emit(Event::NoThreads { cause: cause.to_string() }),

@@ -26,6 +26,8 @@ pub struct Manifest {
     pub library: String,
     /// Whether the library exists.
     pub has_library: bool,
+    /// The variable by which the loader leaves it out.
+    pub left_out_by: Option<&'static str>,
 }
 
 impl Manifest {
@@ -34,6 +36,13 @@ impl Manifest {
     pub fn is_of(&self, vendor: Vendor) -> bool {
         let name = self.path.rsplit('/').next().unwrap_or_default();
         vendor.is_named_in(name) || vendor.is_named_in(&self.library)
+    }
+
+    /// Whether its driver is Mesa's for NVIDIA's GPUs, NVK, which needs the kernel driver nouveau in place of NVIDIA's.
+    #[must_use]
+    pub fn is_of_nouveau(&self) -> bool {
+        let text = format!("{} {}", self.path, self.library);
+        ["nouveau", "nvk"].iter().any(|word| text.contains(word))
     }
 }
 
@@ -76,21 +85,27 @@ pub(super) fn named_manifests(machine: &Machine) -> Option<(&'static str, Vec<St
     let (name, list) = ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"]
         .into_iter()
         .find_map(|name| machine.variable(name).map(|list| (name, list)))?;
-    Some((name, list.split(':').filter(|path| !path.is_empty()).map(str::to_owned).collect()))
+    Some((name, paths(list)))
+}
+
+/// The paths of a list with colons; relative ones start at the current folder.
+fn paths(list: &str) -> Vec<String> {
+    let folder = std::env::current_dir().unwrap_or_default();
+    let absolute = |path: &str| folder.join(path).to_string_lossy().into_owned();
+    list.split(':').filter(|path| !path.is_empty()).map(absolute).collect()
 }
 
 /// Every manifest that the Vulkan loader reads ("Vulkan Loader and Driver Interface", section "Driver Manifest File Usage").
 pub(super) fn manifests(machine: &Machine) -> Vec<Manifest> {
-    let mut paths = match named_manifests(machine) {
+    let mut files = match named_manifests(machine) {
         Some((_, named)) => named,
         None => {
             let folders = manifest_folders(machine).into_iter();
             folders.map(|folder| format!("{folder}/vulkan/icd.d")).collect()
         }
     };
-    let added = machine.variable("VK_ADD_DRIVER_FILES").unwrap_or_default();
-    paths.extend(added.split(':').filter(|path| !path.is_empty()).map(str::to_owned));
-    manifests_at(machine, paths)
+    files.extend(paths(machine.variable("VK_ADD_DRIVER_FILES").unwrap_or_default()));
+    manifests_at(machine, files)
 }
 
 /// Manifests where the loader does not look.
@@ -142,5 +157,30 @@ fn manifest(machine: &Machine, path: String) -> Manifest {
     let beside = format!("{}/{library}", path.rsplit_once('/').map_or("", |(folder, _)| folder));
     let has_library =
         if is_relative { machine.exists(&beside) } else { find_library(machine, &library).is_some() };
-    Manifest { has_library: has_library && !library.is_empty(), path, library }
+    let left_out_by = left_out_by(machine, path.rsplit('/').next().unwrap_or_default());
+    Manifest { has_library: has_library && !library.is_empty(), path, library, left_out_by }
+}
+
+/// The variable by which the loader leaves out a manifest of this name ("Vulkan Loader and Driver Interface", section "Driver
+/// Filtering").
+fn left_out_by(machine: &Machine, name: &str) -> Option<&'static str> {
+    let is_among = |list: &str| list.split(',').any(|pattern| matches(name, pattern));
+    let is_left_out = |(variable, leaves_out): (&'static str, bool)| {
+        machine.variable(variable).filter(|list| is_among(list) == leaves_out).map(|_| variable)
+    };
+    [("VK_LOADER_DRIVERS_SELECT", false), ("VK_LOADER_DRIVERS_DISABLE", true)]
+        .into_iter()
+        .find_map(is_left_out)
+}
+
+/// Whether a name is that of a pattern, in any case; stars at the ends of the pattern stand for anything.
+fn matches(name: &str, pattern: &str) -> bool {
+    let (name, pattern) = (name.to_lowercase(), pattern.trim().to_lowercase());
+    let text = pattern.trim_matches('*');
+    match (pattern.starts_with('*'), pattern.ends_with('*')) {
+        (true, true) => name.contains(text),
+        (true, false) => name.ends_with(text),
+        (false, true) => name.starts_with(text),
+        (false, false) => name == text,
+    }
 }

@@ -6,7 +6,7 @@ use serde_json::{Map, Value, json};
 
 use super::cases::{CASES, Case};
 use super::compare::{Difference, EQUAL_DEPTH, Rule, Verdict, compare};
-use super::findings::{Finding, findings};
+use super::findings::{Answers, Finding, findings};
 use super::hardware::Hardware;
 use super::planes::{Hashes, Planes};
 use super::reference::{DEPTH_PRECISION, Reference, reference};
@@ -46,6 +46,8 @@ pub struct Run {
     pub current: Option<String>,
     /// What it used; `None` if it did not get to its end.
     pub memory: Option<Memory>,
+    /// How the process ended, if it did with a crash after its last result.
+    pub crash_at_exit: Option<String>,
     /// What it and its driver wrote on standard error.
     pub messages: Vec<String>,
     /// Seconds from its start to its end.
@@ -65,6 +67,7 @@ impl Run {
             failures: Vec::new(),
             current: None,
             memory: None,
+            crash_at_exit: None,
             messages: Vec::new(),
             seconds: 0.0,
         }
@@ -157,11 +160,11 @@ impl Examination {
                 run.benches.insert(name, result);
             }
             Event::Done(memory) => run.memory = Some(memory),
+            // It says nothing about the machine's GPUs.
+            Event::NoThreads { .. } => {}
         }
     }
 
-            // It says nothing about the machine's GPUs.
-            Event::NoThreads { .. } => {}
     /// Whether a job would render what another has rendered.
     #[must_use]
     pub fn is_redundant(&self, job: Job) -> bool {
@@ -251,7 +254,18 @@ impl Examination {
     /// What the hardware and the adapters say together.
     #[must_use]
     pub fn findings(&self) -> Vec<Finding> {
-        findings(&self.hardware, &self.adapters)
+        let listing = self.runs.iter().find(|run| run.job == Job::Adapters);
+        let failure = listing.and_then(|run| run.failures.first()).map(|failure| failure.message.as_str());
+        let crash_at_exit = self.runs.iter().find_map(|run| run.crash_at_exit.as_deref());
+        findings(&self.hardware, &Answers { adapters: &self.adapters, failure, crash_at_exit })
+    }
+
+    /// Whether no driver gets far enough to open an adapter: the adapters could not be listed, and the render job after that failed too.
+    #[must_use]
+    pub fn is_hopeless(&self) -> bool {
+        self.adapters.is_empty()
+            && self.runs.len() > 1
+            && self.runs.iter().all(|run| run.opened.is_none() && !run.failures.is_empty())
     }
 
     /// Whether every backend that the adapter supports renders every case, with the labels, depth and colour that it should have.
@@ -330,7 +344,7 @@ fn run_json(run: &Run) -> Value {
     json!({
         "job": run.job.name(), "backend": run.backend(), "device": run.opened, "unsupported": run.unsupported,
         "seconds": run.seconds, "frames": frames, "bench": run.benches, "failures": failures,
-        "memory": run.memory, "messages": run.messages,
+        "memory": run.memory, "crash_at_exit": run.crash_at_exit, "messages": run.messages,
     })
 }
 

@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 
 use super::drivers::Manifest;
 use super::hardware::{Container, Hardware};
+use crate::gpu::adapter::tried_and_advice;
 use crate::gpu::device_files::DeviceFile;
 use crate::gpu::survey::AdapterReport;
 use crate::gpu::vendor::Vendor;
@@ -38,6 +39,17 @@ impl Finding {
     pub fn to_json(&self) -> Value {
         json!({ "seen": self.seen, "means": self.means, "remedy": self.remedy })
     }
+}
+
+/// What the drivers of a machine answered.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Answers<'a> {
+    /// Every adapter, best first.
+    pub adapters: &'a [AdapterReport],
+    /// Why the adapters could not be listed.
+    pub failure: Option<&'a str>,
+    /// How a process ended that had reported all of its results.
+    pub crash_at_exit: Option<&'a str>,
 }
 
 /// How to give a GPU to a container.
@@ -76,8 +88,8 @@ struct Unanswered<'a> {
 }
 
 impl Unanswered<'_> {
-    /// The first cause on the way from the device to the driver.
-    fn cause(&self) -> Finding {
+    /// The first cause on the way from the device to the driver; `None` if all of its driver is there.
+    fn cause(&self) -> Option<Finding> {
         None.or_else(|| self.no_device_file())
             .or_else(|| self.denied())
             .or_else(|| self.no_loader())
@@ -85,8 +97,26 @@ impl Unanswered<'_> {
             .or_else(|| self.manifests_replaced())
             .or_else(|| self.unread_manifest())
             .or_else(|| self.no_manifest())
+            .or_else(|| self.manifests_left_out())
             .or_else(|| self.no_library())
-            .unwrap_or_else(|| self.silent_driver())
+    }
+
+    /// Whether the kernel's driver for an NVIDIA GPU is nouveau.
+    fn is_on_nouveau(&self) -> bool {
+        self.hardware.nvidia_kernel_driver.is_none()
+            && !self.has_file_of_nvidia()
+            && self.kernel_drivers().all(|driver| driver != "nvidia")
+    }
+
+    /// Names of the kernel's drivers for GPUs of this vendor.
+    fn kernel_drivers(&self) -> impl Iterator<Item = &str> {
+        let gpus = self.hardware.pci.iter().filter(|gpu| gpu.vendor == self.vendor);
+        gpus.filter_map(|gpu| gpu.kernel_driver.as_deref())
+    }
+
+    /// Whether there is a device file of NVIDIA's own kernel driver.
+    fn has_file_of_nvidia(&self) -> bool {
+        self.files.iter().any(|file| file.path.starts_with("/dev/nvidia"))
     }
 
     /// The GPU, and where it is.
@@ -99,11 +129,20 @@ impl Unanswered<'_> {
     }
 
     fn no_device_file(&self) -> Option<Finding> {
-        if !self.files.is_empty() {
+        let hardware = self.hardware;
+        // Beside /dev/dri NVIDIA's driver needs device files of its own.
+        let is_half_passed = self.vendor == Vendor::Nvidia
+            && hardware.container.is_some()
+            && !self.has_file_of_nvidia()
+            && self.kernel_drivers().all(|driver| driver != "nouveau");
+        if !self.files.is_empty() && !is_half_passed {
             return None;
         }
-        let hardware = self.hardware;
-        let means = "this process has no device file for it".to_owned();
+        let means = if self.files.is_empty() {
+            "this process has no device file for it".to_owned()
+        } else {
+            "this process has no device file of NVIDIA's driver for it (/dev/nvidia0)".to_owned()
+        };
         let remedy = if let Some(container) = hardware.container {
             container_remedy(self.vendor, container)
         } else if hardware.variable("SLURM_JOB_ID").is_some() {
@@ -156,7 +195,12 @@ impl Unanswered<'_> {
     }
 
     fn manifests(&self) -> Vec<&Manifest> {
-        self.hardware.manifests.iter().filter(|manifest| manifest.is_of(self.vendor)).collect()
+        self.hardware.manifests.iter().filter(|manifest| self.is_for(manifest)).collect()
+    }
+
+    /// Whether the driver of a manifest is one for this GPU.
+    fn is_for(&self, manifest: &Manifest) -> bool {
+        manifest.is_of(self.vendor) && (self.is_on_nouveau() || !manifest.is_of_nouveau())
     }
 
     fn manifests_replaced(&self) -> Option<Finding> {
@@ -172,7 +216,7 @@ impl Unanswered<'_> {
     }
 
     fn unread_manifest(&self) -> Option<Finding> {
-        let unread = self.hardware.unread_manifests.iter().find(|manifest| manifest.is_of(self.vendor))?;
+        let unread = self.hardware.unread_manifests.iter().find(|manifest| self.is_for(manifest))?;
         self.manifests().is_empty().then(|| {
             let means =
                 format!("its driver's manifest is {}, where the Vulkan loader does not look", unread.path);
@@ -213,6 +257,11 @@ impl Unanswered<'_> {
                                           computing only: install NVIDIA's graphics libraries on the host (Ubuntu: \
                                           libnvidia-gl-VERSION, Debian: nvidia-vulkan-icd), then start the container again"
                 .to_owned(),
+            (Vendor::Nvidia, None) if self.is_on_nouveau() => {
+                "install NVIDIA's driver in place of the kernel's nouveau, or Mesa 24.1 or later: `sudo apt-get install \
+                 mesa-vulkan-drivers`"
+                    .to_owned()
+            }
             (Vendor::Nvidia, None) => {
                 let version = hardware.nvidia_kernel_driver.as_deref().and_then(version).unwrap_or("VERSION");
                 let major = version.split('.').next().unwrap_or(version);
@@ -232,6 +281,14 @@ impl Unanswered<'_> {
         Some(Finding::new(self.device(), means, remedy))
     }
 
+    fn manifests_left_out(&self) -> Option<Finding> {
+        let manifests = self.manifests();
+        let variable = left_out_by(self.hardware, &manifests)?;
+        let means =
+            format!("{variable} makes the Vulkan loader leave out its driver ({})", paths(&manifests));
+        Some(Finding::new(self.device(), means, format!("correct or unset {}", name_of(&variable))))
+    }
+
     fn no_library(&self) -> Option<Finding> {
         let manifests = self.manifests();
         let broken = manifests.first().filter(|_| manifests.iter().all(|manifest| !manifest.has_library))?;
@@ -248,10 +305,9 @@ impl Unanswered<'_> {
     }
 
     fn silent_driver(&self) -> Finding {
-        let manifests: Vec<&str> = self.manifests().iter().map(|manifest| manifest.path.as_str()).collect();
-        let means = format!("its driver is installed ({}) but reports no adapter", manifests.join(", "));
+        let means = format!("its driver is installed ({}) but reports no adapter", paths(&self.manifests()));
         let remedy = match self.vendor {
-            Vendor::Nvidia => {
+            Vendor::Nvidia if !self.is_on_nouveau() => {
                 "compare the driver's versions with `nvidia-smi` (kernel module and libraries must be the same), and install what \
                  the libraries need: `sudo apt-get install libegl1 libgl1 libglx0 libxext6`; `VK_LOADER_DEBUG=error,driver \
                  regolith-render adapters` prints the loader's reason"
@@ -265,6 +321,61 @@ impl Unanswered<'_> {
     }
 }
 
+/// Paths of manifests, for a message.
+fn paths(manifests: &[&Manifest]) -> String {
+    manifests.iter().map(|manifest| manifest.path.as_str()).collect::<Vec<_>>().join(", ")
+}
+
+/// The variable by which the Vulkan loader leaves out all of these manifests, with its value; `None` if it reads one.
+fn left_out_by(hardware: &Hardware, manifests: &[&Manifest]) -> Option<String> {
+    let variables: Option<Vec<&str>> = manifests.iter().map(|manifest| manifest.left_out_by).collect();
+    let name = *variables?.first()?;
+    Some(format!("{name}={}", hardware.variable(name).unwrap_or_default()))
+}
+
+/// The name in `NAME=VALUE`.
+fn name_of(variable: &str) -> &str {
+    variable.split('=').next().unwrap_or_default()
+}
+
+/// How to find the driver that fails.
+fn one_by_one(hardware: &Hardware) -> String {
+    let manifests: Vec<&Manifest> = hardware.manifests.iter().collect();
+    if manifests.is_empty() {
+        return "try one API alone, and keep to the one that works: `WGPU_BACKEND=vulkan regolith-render adapters`, then \
+                `WGPU_BACKEND=gl`"
+            .to_owned();
+    }
+    format!(
+        "try the drivers one by one, and leave out or update the one that fails: `VK_DRIVER_FILES=FILE WGPU_BACKEND=vulkan \
+         regolith-render adapters`, where FILE is each of {}",
+        paths(&manifests)
+    )
+}
+
+/// Why there is no adapter at all.
+fn no_adapter(hardware: &Hardware, failure: Option<&str>) -> Finding {
+    let seen = "no adapter";
+    if let Some(failure) = failure {
+        return Finding::new(
+            seen,
+            format!("the adapters could not be listed: {failure}"),
+            one_by_one(hardware),
+        );
+    }
+    let manifests: Vec<&Manifest> = hardware.manifests.iter().collect();
+    if let Some(variable) = left_out_by(hardware, &manifests) {
+        let means =
+            format!("{variable} makes the Vulkan loader leave out every driver ({})", paths(&manifests));
+        return Finding::new(seen, means, format!("correct or unset {}", name_of(&variable)));
+    }
+    let backends = hardware.variable("WGPU_BACKEND").unwrap_or_default();
+    let (tried, advice) = tried_and_advice(backends);
+    let means = format!("no driver answers, so that nothing can be rendered; tried: {tried}");
+    let unset = if backends.is_empty() { "" } else { "unset WGPU_BACKEND, or: " };
+    Finding::new(seen, means, format!("{unset}{}", advice.replace('\n', " ").trim_end_matches('.')))
+}
+
 /// The version in NVIDIA's line about its kernel driver: the first word of digits and points.
 fn version(line: &str) -> Option<&str> {
     let is_version =
@@ -273,14 +384,15 @@ fn version(line: &str) -> Option<&str> {
 }
 
 /// Whether an adapter is a GPU of this vendor.
-fn answers(adapter: &AdapterReport, vendor: Vendor) -> bool {
+fn is_of(adapter: &AdapterReport, vendor: Vendor) -> bool {
     let names_it = vendor.is_named_in(&adapter.name) || vendor.is_named_in(&adapter.driver);
     !adapter.is_software && (Vendor::of_pci(adapter.vendor) == Some(vendor) || names_it)
 }
 
 /// The findings of a machine, those with a remedy first.
 #[must_use]
-pub fn findings(hardware: &Hardware, adapters: &[AdapterReport]) -> Vec<Finding> {
+pub fn findings(hardware: &Hardware, answers: &Answers<'_>) -> Vec<Finding> {
+    let adapters = answers.adapters;
     let mut found = Vec::new();
     for vendor in Vendor::ALL {
         let files: Vec<&DeviceFile> =
@@ -289,8 +401,10 @@ pub fn findings(hardware: &Hardware, adapters: &[AdapterReport]) -> Vec<Finding>
             continue;
         }
         let gpu = Unanswered { hardware, vendor, files };
-        match adapters.iter().find(|adapter| answers(adapter, vendor)) {
-            None => found.push(gpu.cause()),
+        match adapters.iter().find(|adapter| is_of(adapter, vendor)) {
+            // Where no adapter could be listed, nobody knows whether this driver would answer.
+            None if answers.failure.is_some() => found.extend(gpu.cause()),
+            None => found.push(gpu.cause().unwrap_or_else(|| gpu.silent_driver())),
             Some(adapter) if adapter.missing.is_empty() => {
                 let means =
                     format!("its driver answers: {} ({}, {})", adapter.name, adapter.backend, adapter.driver);
@@ -306,18 +420,21 @@ pub fn findings(hardware: &Hardware, adapters: &[AdapterReport]) -> Vec<Finding>
             }
         }
     }
-    let has_gpu = !found.is_empty() || adapters.iter().any(|adapter| !adapter.is_software);
-    if !has_gpu {
-        let means = "the CPU renders";
+    let has_gpu = !hardware.device_files.is_empty() || !hardware.pci.is_empty();
+    if !has_gpu && adapters.iter().all(|adapter| adapter.is_software) {
+        let means = if adapters.is_empty() { "rendering takes a CPU driver" } else { "the CPU renders" };
         let seen = "no GPU: no device file, and none of NVIDIA, AMD or Intel on the PCI bus";
         found.push(Finding::new(seen, means, ""));
     }
     if adapters.is_empty() {
-        let remedy = "on a machine without a GPU: `sudo apt-get install libvulkan1 mesa-vulkan-drivers` (Debian, Ubuntu)";
+        found.push(no_adapter(hardware, answers.failure));
+    }
+    if let Some(how) = answers.crash_at_exit {
+        let means = "the results are complete, but a driver crashes when a process ends: commands end with the status of that signal";
         found.push(Finding::new(
-            "no adapter",
-            "no Vulkan or EGL driver answers, so that nothing can be rendered",
-            remedy,
+            format!("a process that was done crashed ({how})"),
+            means,
+            one_by_one(hardware),
         ));
     }
     found.extend(variables(hardware));

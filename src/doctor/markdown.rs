@@ -18,8 +18,19 @@ fn verdict(examination: &Examination) -> String {
     let right = examination.right_backends();
     let auto = format!("`--raster auto` uses {} here", opened.auto_raster);
     if examination.is_right() {
+        let failed: Vec<String> = examination
+            .runs
+            .iter()
+            .filter(|run| !run.failures.is_empty())
+            .map(|run| run.job.name())
+            .collect();
+        let besides = if failed.is_empty() {
+            String::new()
+        } else {
+            format!(" Steps that check no labels failed: {}.", failed.join(", "))
+        };
         return format!(
-            "Labels are right on {}, with every backend ({}); {auto}.",
+            "Labels are right on {}, with every backend ({}); {auto}.{besides}",
             opened.adapter,
             right.join(", ")
         );

@@ -7,7 +7,7 @@ use std::process::Output;
 
 use image::{ExtendedColorType, ImageBuffer, Luma};
 use regolith::doctor::cases::{CASES, Case};
-use regolith::doctor::findings::{Finding, findings};
+use regolith::doctor::findings::{Answers, Finding, findings};
 use regolith::doctor::hardware::{Hardware, Machine};
 use regolith::doctor::planes::Planes;
 use regolith::doctor::reference::{CaseHashes, encode_depth, reference};
@@ -172,6 +172,41 @@ fn wrong_depth_and_colour_and_a_lost_device_are_reported_and_the_rest_goes_on() 
     assert!(page.contains("NOT EVERYTHING") || page.contains("LABELS ARE NOT RIGHT"), "{page}");
 }
 
+/// Drivers that crash after the last result, that write to standard output, and that crash while frame times are measured: labels are
+/// right, and the report says the rest.
+#[test]
+fn a_driver_that_crashes_at_the_end_or_writes_text_has_right_labels() {
+    let folder = folder();
+    let (output, report) =
+        doctor(folder.path(), "crash-at-exit:host,noise:adapters,noise:device-bins,crash-at-start:bench");
+    assert!(output.status.success(), "{}{:#}", String::from_utf8_lossy(&output.stderr), report["runs"]);
+    let findings = report["findings"].as_array().expect("findings");
+    let crash = findings.iter().find(|finding| text(&finding["means"]).contains("when a process ends"));
+    let crash = crash.unwrap_or_else(|| panic!("{findings:?}"));
+    assert!(text(&crash["seen"]).contains("signal: 4"), "{crash}");
+    assert!(text(&crash["remedy"]).contains("VK_DRIVER_FILES="), "{crash}");
+    assert!(failures(&report, "host").is_empty() && failures(&report, "device-bins").is_empty());
+    assert_eq!(failures(&report, "bench").len(), 1);
+    let page = std::fs::read_to_string(folder.path().join("doctor/doctor.md")).expect("a page");
+    let headline = page.lines().nth(2).expect("a headline");
+    assert!(headline.contains("Labels are right") && headline.contains("failed: bench"), "{headline}");
+}
+
+/// A driver that crashes when it is loaded does so in every step: one more confirms it.
+#[test]
+fn a_driver_that_crashes_whenever_it_is_loaded_is_tried_twice() {
+    let folder = folder();
+    let (output, report) = doctor(folder.path(), "crash-at-start:adapters,crash-at-start:host");
+    assert_eq!(output.status.code(), Some(1));
+    assert_eq!(report["runs"].as_array().map(Vec::len), Some(2), "{:#}", report["runs"]);
+    let finding = &report["findings"][0];
+    assert!(
+        text(&finding["means"]).contains("could not be listed: the driver ended the process"),
+        "{finding}"
+    );
+    assert!(text(&finding["remedy"]).contains("one by one"), "{finding}");
+}
+
 #[test]
 fn without_a_driver_there_is_a_report() {
     let folder = folder();
@@ -206,6 +241,11 @@ fn create(root: &Path, files: &[(&str, &str)]) {
 
 /// What is said about a machine of these files and variables, on which these adapters answer.
 fn said(files: Files, variables: &[(&str, &str)], adapters: &[AdapterReport]) -> Vec<Finding> {
+    said_of(files, variables, &Answers { adapters, ..Answers::default() })
+}
+
+/// The same, whatever the drivers answer.
+fn said_of(files: &[(&str, &str)], variables: &[(&str, &str)], answers: &Answers<'_>) -> Vec<Finding> {
     let folder = folder();
     create(folder.path(), files);
     let variables = variables.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned())).collect();
@@ -214,7 +254,7 @@ fn said(files: Files, variables: &[(&str, &str)], adapters: &[AdapterReport]) ->
         Ok(text) if text == "denied" => Err(io::ErrorKind::PermissionDenied.into()),
         other => other.map(drop),
     };
-    findings(&Hardware::probe(&Machine::new(folder.path(), variables, open)), adapters)
+    findings(&Hardware::probe(&Machine::new(folder.path(), variables, open)), answers)
 }
 
 fn adapter_of(vendor: u32, name: &str) -> AdapterReport {
@@ -240,6 +280,18 @@ const NVIDIA_PCI: [(&str, &str); 3] = [
 ];
 const NVIDIA_MANIFEST: (&str, &str) =
     ("etc/vulkan/icd.d/nvidia_icd.json", r#"{"ICD": {"library_path": "libGLX_nvidia.so.0"}}"#);
+const NVIDIA_MODULE: (&str, &str) = ("proc/driver/nvidia/version", "NVRM version: 580.95.05");
+const NVIDIA_DRI: [(&str, &str); 2] =
+    [("dev/dri/renderD128", ""), ("sys/class/drm/renderD128/device/vendor", "0x10de\n")];
+/// As Debian's Mesa installs it on every machine.
+const NOUVEAU_MANIFEST: [(&str, &str); 2] = [
+    (
+        "usr/share/vulkan/icd.d/nouveau_icd.x86_64.json",
+        r#"{"ICD": {"library_path": "/usr/lib/libvulkan_nouveau.so"}}"#,
+    ),
+    ("usr/lib/libvulkan_nouveau.so", ""),
+];
+const LVP_MANIFEST: (&str, &str) = ("usr/share/vulkan/icd.d/lvp_icd.json", "{}");
 const AMD_FILE: (&str, &str) = ("dev/dri/renderD128", "");
 const AMD_VENDOR: (&str, &str) = ("sys/class/drm/renderD128/device/vendor", "0x1002\n");
 
@@ -335,6 +387,54 @@ fn the_remedy_fits_the_first_cause() {
             &[],
             "usermod -aG render,video",
         ),
+        (
+            "a container without the capability, with Mesa's drivers",
+            &[LOADER, NVIDIA_FILE, NOUVEAU_MANIFEST[0], NOUVEAU_MANIFEST[1], (".dockerenv", "")],
+            &[],
+            "-e NVIDIA_DRIVER_CAPABILITIES=graphics,utility",
+        ),
+        (
+            "a driver for computing only, with Mesa's drivers",
+            &[LOADER, NVIDIA_FILE, NVIDIA_MODULE, NOUVEAU_MANIFEST[0], NOUVEAU_MANIFEST[1]],
+            &[],
+            "libnvidia-gl-580",
+        ),
+        (
+            "nouveau, with Mesa's drivers",
+            &[LOADER, NVIDIA_DRI[0], NVIDIA_DRI[1], NOUVEAU_MANIFEST[0], NOUVEAU_MANIFEST[1]],
+            &[],
+            "update Mesa",
+        ),
+        (
+            "nouveau, without Mesa's drivers",
+            &[LOADER, NVIDIA_DRI[0], NVIDIA_DRI[1]],
+            &[],
+            "in place of the kernel's nouveau",
+        ),
+        (
+            "a container with /dev/dri of an NVIDIA GPU",
+            &[LOADER, NVIDIA_DRI[0], NVIDIA_DRI[1], NVIDIA_MODULE, (".dockerenv", "")],
+            &[],
+            "docker run --gpus all -e NVIDIA_DRIVER_CAPABILITIES=graphics",
+        ),
+        (
+            "a driver that is left out",
+            &[LOADER, NVIDIA_FILE, NVIDIA_MANIFEST],
+            &[("VK_LOADER_DRIVERS_DISABLE", "*lvp*, NVIDIA*")],
+            "correct or unset VK_LOADER_DRIVERS_DISABLE",
+        ),
+        (
+            "a driver that is not selected",
+            &[LOADER, NVIDIA_FILE, NVIDIA_MANIFEST],
+            &[("VK_LOADER_DRIVERS_SELECT", "lvp*")],
+            "correct or unset VK_LOADER_DRIVERS_SELECT",
+        ),
+        (
+            "a driver that is selected",
+            &[LOADER, NVIDIA_FILE, NVIDIA_MANIFEST, ("usr/lib/libGLX_nvidia.so.0", "")],
+            &[("VK_LOADER_DRIVERS_SELECT", "*nvidia_icd.json"), ("VK_LOADER_DRIVERS_DISABLE", "intel*")],
+            "nvidia-smi",
+        ),
         ("computing only", &[LOADER, ("dev/kfd", "")], &[], "/dev/dri as well as /dev/kfd"),
         ("WSL", &[LOADER, ("dev/dxg", "")], &[], "GALLIUM_DRIVER=d3d12"),
     ];
@@ -370,6 +470,51 @@ fn a_gpu_that_answers_and_a_machine_without_one_need_no_remedy() {
     assert!(found[0].remedy.contains("update"), "{found:?}");
 }
 
+/// Each row: variables, how listing the adapters failed, and what is said where nothing answers.
+#[test]
+fn the_remedy_fits_where_no_driver_answers() {
+    let rows: &[(Variables, Option<&str>, &[&str])] = &[
+        (&[], None, &["tried: vulkan, gl", "mesa-vulkan-drivers"]),
+        (&[("WGPU_BACKEND", "gl")], None, &["WGPU_BACKEND allows no other", "unset WGPU_BACKEND", "libegl1"]),
+        (
+            &[("VK_LOADER_DRIVERS_DISABLE", "*")],
+            None,
+            &["VK_LOADER_DRIVERS_DISABLE=*", "lvp_icd.json", "unset VK_LOADER_DRIVERS_DISABLE"],
+        ),
+        (
+            &[],
+            Some("signal: 11"),
+            &["could not be listed: signal: 11", "VK_DRIVER_FILES", "icd.d/lvp_icd.json"],
+        ),
+    ];
+    for (variables, failure, expected) in rows {
+        let answers = Answers { failure: *failure, ..Answers::default() };
+        let found = said_of(&[LOADER, LVP_MANIFEST], variables, &answers);
+        let no_adapter = found.iter().find(|finding| finding.seen == "no adapter").expect("a finding");
+        let said = format!("{}: {}", no_adapter.means, no_adapter.remedy);
+        assert!(expected.iter().all(|text| said.contains(text)), "{variables:?}: {said}");
+    }
+    // A driver that may answer is not blamed, and its GPU is not denied.
+    let files = [LOADER, NVIDIA_FILE, NVIDIA_MANIFEST, ("usr/lib/libGLX_nvidia.so.0", "")];
+    let found = said_of(&files, &[], &Answers { failure: Some("signal: 11"), ..Answers::default() });
+    assert!(found.len() == 1 && found[0].seen == "no adapter", "{found:?}");
+}
+
+#[test]
+fn a_relative_path_of_a_manifest_starts_at_the_current_folder() {
+    let folder = std::env::current_dir().expect("a folder");
+    let manifest = folder.join("drivers/lvp_icd.json");
+    let manifest = manifest.to_str().expect("text").trim_start_matches('/');
+    for (path, count) in [("drivers/lvp_icd.json", 0), ("drivers/other_icd.json", 1)] {
+        let variables = [("VK_DRIVER_FILES", path)];
+        let adapters = [adapter_of(0, "llvmpipe")];
+        let answers = Answers { adapters: &adapters, ..Answers::default() };
+        let found = said_of(&[LOADER, (manifest, "{}")], &variables, &answers);
+        let problems = found.iter().filter(|finding| finding.means.contains("not a driver manifest")).count();
+        assert_eq!(problems, count, "{path}: {found:?}");
+    }
+}
+
 /// Secrets in variables that start like those of drivers are not written down.
 #[test]
 fn a_report_has_no_secrets() {
@@ -381,38 +526,6 @@ fn a_report_has_no_secrets() {
     assert_eq!(report["environment"], serde_json::json!({ "WGPU_BACKEND": "secret" }));
 }
 
-/// A command that falls back to the CPU although there is a GPU says so once, and only where nobody chose the CPU.
-#[test]
-fn falling_back_to_the_cpu_is_said_once() {
-    let folder = folder();
-    if has_gpu(folder.path()) {
-        return; // Nothing falls back.
-    }
-    let (with, without) = (folder.path().join("with"), folder.path().join("without"));
-    create(&with, &[NVIDIA_FILE]);
-    create(&without, &[("dev/null", "")]);
-    let frame = ["--size=32", "--force"];
-    let dataset = ["dataset", "--count=1", "--size=32", "--out=data", "--force"];
-    let verify = ["verify", "data"];
-    let bench = ["bench", "--cases=camera", "--frames=1", "--size=32"];
-    let warnings = |root: &Path, words: &[&str]| {
-        let mut command = program(folder.path());
-        let output =
-            command.env_remove("WGPU_ADAPTER_NAME").env("REGOLITH_MACHINE", root).args(words).output();
-        let output = output.expect("the program starts");
-        let message = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(output.status.success(), "{words:?}: {message}");
-        assert!(!String::from_utf8_lossy(&output.stdout).contains("warning"), "{words:?}");
-        message.lines().filter(|line| line.contains("/dev/nvidia0") && line.contains("doctor")).count()
-    };
-    for words in [&frame[..], &dataset, &verify, &bench] {
-        assert_eq!(warnings(&with, words), 1, "{words:?}");
-    }
-    assert_eq!(warnings(&without, &frame), 0);
-    for option in ["-q", "--adapter=cpu"] {
-        assert_eq!(warnings(&with, &[&frame[..], &[option]].concat()), 0, "{option}");
-    }
-}
 /// Whether the best adapter of this machine is a GPU.
 fn has_gpu(folder: &Path) -> bool {
     let adapters: Value = serde_json::from_str(&run_ok(folder, &["adapters", "--json"])).expect("JSON");
@@ -451,3 +564,35 @@ fn a_gpu_that_only_gl_reaches_is_used() {
     }
 }
 
+/// A command that falls back to the CPU although there is a GPU says so once, and only where nobody chose the CPU.
+#[test]
+fn falling_back_to_the_cpu_is_said_once() {
+    let folder = folder();
+    if has_gpu(folder.path()) {
+        return; // Nothing falls back.
+    }
+    let (with, without) = (folder.path().join("with"), folder.path().join("without"));
+    create(&with, &[NVIDIA_FILE]);
+    create(&without, &[("dev/null", "")]);
+    let frame = ["--size=32", "--force"];
+    let dataset = ["dataset", "--count=1", "--size=32", "--out=data", "--force"];
+    let verify = ["verify", "data"];
+    let bench = ["bench", "--cases=camera", "--frames=1", "--size=32"];
+    let warnings = |root: &Path, words: &[&str]| {
+        let mut command = program(folder.path());
+        let output =
+            command.env_remove("WGPU_ADAPTER_NAME").env("REGOLITH_MACHINE", root).args(words).output();
+        let output = output.expect("the program starts");
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{words:?}: {message}");
+        assert!(!String::from_utf8_lossy(&output.stdout).contains("warning"), "{words:?}");
+        message.lines().filter(|line| line.contains("/dev/nvidia0") && line.contains("doctor")).count()
+    };
+    for words in [&frame[..], &dataset, &verify, &bench] {
+        assert_eq!(warnings(&with, words), 1, "{words:?}");
+    }
+    assert_eq!(warnings(&without, &frame), 0);
+    for option in ["-q", "--adapter=cpu"] {
+        assert_eq!(warnings(&with, &[&frame[..], &[option]].concat()), 0, "{option}");
+    }
+}
