@@ -2,7 +2,7 @@
 
 #![allow(clippy::print_stdout, reason = "measurements for runs with --nocapture")]
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
@@ -541,6 +541,35 @@ fn paired_presets_have_the_same_layout_frame_by_frame() {
             assert_eq!(a.vertices, b.vertices);
         }
         assert_ne!(varied.sun.direction, fixed.sun.direction);
+    }
+}
+
+/// Grounds that are as dense with craters and rocks, seen by the same camera, have them at the same places.
+#[test]
+fn paired_presets_of_the_surface_have_the_same_places_of_rocks() {
+    let same = [
+        "rocks.coverage=0.01",
+        "craters.density=1",
+        "craters.fresh_share=0.03",
+        "wall.height_m=0",
+        "camera.fov_deg=60",
+        "camera.yaw_deg=0",
+        "camera.pitch_deg=-7",
+        "camera.height_m=2.1",
+    ];
+    for index in 0..3 {
+        let seed = regolith::dataset::plan::frame_seed(42, index, 0);
+        let [varied, fixed] = ["surface_train_dr", "surface_train_nodr"].map(|preset| {
+            let mut config = Config::new();
+            config.apply_preset(preset).expect("a preset");
+            same.iter().for_each(|set| config.apply_set(set).expect("a setting"));
+            let scene = Scene::build(seed, &config.draw(seed).expect("drawn")).expect("a scene");
+            let places = scene.rocks.iter().map(|rock| rock.centre.truncate().to_array().map(f32::to_bits));
+            places.collect::<HashSet<[u32; 2]>>()
+        });
+        let shared = varied.intersection(&fixed).count();
+        println!("{shared} of {} and {} rocks are at the same places", varied.len(), fixed.len());
+        assert!(shared > 500 && 10 * shared > 9 * fixed.len(), "{shared} of {}", fixed.len());
     }
 }
 

@@ -45,21 +45,24 @@ fn two_runs_write_the_same_bytes() {
 #[test]
 fn the_number_of_threads_changes_nothing() {
     let folder = folder();
-    let run = |threads: &str| {
+    let run = |stage: &str, threads: &str| {
+        let out = format!("{stage}_{threads}");
         let status = program(folder.path())
-            .args(["--seed", "6", "--size", "96", "--quiet", "--out", threads])
+            .args(["--seed", "6", "--size", "96", "--stage", stage, "--quiet", "--out", &out])
             .env("RAYON_NUM_THREADS", threads)
             .output()
             .expect("the program starts")
             .status;
         assert!(status.success());
-        let out = folder.path().join(threads);
+        let out = folder.path().join(out);
         let hash = json(&out.join("frame_0000.json"))["geometry_hash"].clone();
         (hash, std::fs::read(out.join("rgb_0000.png")).expect("an image"))
     };
-    let one = run("1");
-    assert_eq!(one, run("2"));
-    assert_eq!(one, run("8"));
+    for stage in ["nominal", "surface"] {
+        let one = run(stage, "1");
+        assert_eq!(one, run(stage, "2"));
+        assert_eq!(one, run(stage, "8"));
+    }
 }
 
 /// Hashes of the geometry of three seeds: equal on every machine, and unchanged within a version.

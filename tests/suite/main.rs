@@ -28,6 +28,7 @@ mod label_policy;
 mod labels;
 mod language;
 mod mutation;
+mod presets;
 mod process;
 mod raster;
 mod rock_shapes;

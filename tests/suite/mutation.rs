@@ -485,7 +485,6 @@ fn every_section_of_a_line_of_a_frame_that_is_rendered_again_is_compared() {
             compared.push(key.as_str());
         }
     }
-    println!("compared: {compared:?}");
     assert!(compared.len() > 5, "only {compared:?} could be changed");
 }
 
