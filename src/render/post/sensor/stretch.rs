@@ -136,11 +136,11 @@ mod tests {
         assert!(values[880] < 255 && values[891..].iter().all(|value| *value == 255));
     }
 
-    /// The sky, at 40, is brighter than half of the ground, from 5 on: no more of the ground becomes black than is asked for.
+    /// The sky, at 40, is brighter than much of the ground, from 5 on: no more of the ground becomes black than is asked for.
     #[test]
     fn ground_that_is_darker_than_a_veiled_sky_keeps_its_light() {
         for brightest in [75.0, 250.0] {
-            let ground = (0..600_u32).map(|k| 5.0 + (brightest - 5.0) * libm::powf(k as f32 / 600.0, 2.0));
+            let ground = (0..600_u32).map(|k| 5.0 + (brightest - 5.0) * k as f32 / 600.0);
             let levels: Vec<u16> =
                 [40.0; 300].into_iter().chain(ground).flat_map(|value| [fine_level(value); 3]).collect();
             let classes: Vec<u8> =
@@ -148,7 +148,7 @@ mod tests {
             let mut rgb = vec![0; levels.len()];
             let [black, white] = stretch(&levels, &classes, 0.01, &mut rgb);
             let values: Vec<u8> = rgb.chunks_exact(3).map(|pixel| pixel[0]).collect();
-            assert!((35..=41).contains(&values[0]), "{}: the sky gets no brighter than 40", values[0]);
+            assert!((30..=41).contains(&values[0]), "{}: the sky gets no brighter than 40", values[0]);
             let of_black = values[300..].iter().filter(|value| **value == 0).count();
             assert!(of_black < 20, "{of_black} of 600 are black, between {black} and {white}");
             assert!(white <= 1.0 && values[899] >= values[600] && values[899] >= 70, "{}", values[899]);
