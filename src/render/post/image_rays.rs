@@ -16,12 +16,13 @@ const MIN_STEPS: usize = 64;
 #[derive(Clone, Debug)]
 pub(super) struct ImageRays {
     /// Columns and rows of the image.
-    size: [usize; 2],
+    pub(super) size: [usize; 2],
     focal_px: f64,
     lens: Lens,
     /// Pixels between the knots; the last of a row or column is at the last pixel.
     step_px: usize,
     columns: usize,
+    /// None for a lens that does not distort.
     knots: Vec<Vec2>,
 }
 
@@ -38,7 +39,9 @@ impl ImageRays {
             let y = (knot / columns * step_px).min(height - 1);
             rays.point([x as f64 + 0.5, y as f64 + 0.5])
         };
-        rays.knots = (0..rows * columns).map(of_knot).collect();
+        if !rays.lens.is_pinhole() {
+            rays.knots = (0..rows * columns).map(of_knot).collect();
+        }
         rays
     }
 

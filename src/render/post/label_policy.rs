@@ -19,7 +19,7 @@ use rayon::prelude::*;
 
 use crate::class::ClassId;
 use crate::frame::{Frame, LabelReason};
-use crate::render::post::sensor::{CodeRange, Exposure, behind_point_spread};
+use crate::render::post::sensor::{CodeRange, Exposure, gaussian_blur};
 use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
 use crate::scene::label_rule::{LabelPolicy, LabelRule};
@@ -256,8 +256,7 @@ impl<'a> Signal<'a> {
             (frame.rgb.chunks_exact(3).map(mean).collect(), Vec::new())
         };
         let psf_px = seen_by.map_or(0.0, |(sensor, _)| sensor.psf_px / sensor.pixels_per_side(frame.width));
-        let values =
-            behind_point_spread(&sharp, [frame.width, frame.height].map(|side| side as usize), psf_px);
+        let values = gaussian_blur(&sharp, [frame.width, frame.height].map(|side| side as usize), psf_px);
         let darkest = sharp.iter().copied().fold(f32::INFINITY, f32::min);
         let mean = values.iter().map(|value| f64::from(*value)).sum::<f64>() / values.len() as f64;
         let sensor = seen_by.map(|(sensor, exposure)| (sensor, exposure.codes));

@@ -20,6 +20,8 @@ mod recorder;
 mod resampling;
 mod stretch;
 
+use std::borrow::Cow;
+
 use glam::{Vec2, Vec3};
 use half::slice::HalfFloatSliceExt;
 use rayon::prelude::*;
@@ -29,7 +31,7 @@ use crate::render::post::image_rays::ImageRays;
 use crate::render::post::sun_glare::SunGlare;
 use crate::scene::sensor::{Mosaic, Sensor};
 use metering::exposure_gain;
-pub(super) use optics::behind_point_spread;
+pub(super) use optics::gaussian_blur;
 use recorder::Recorder;
 
 /// Weights of the channels in the signal of a monochrome sensor: even, as of a panchromatic one.
@@ -76,7 +78,7 @@ pub fn expose(frame: &mut Frame, sensor: &Sensor, exposure_ev: f32, sun: Option<
     for (channel, stray) in channels.iter_mut().zip(&stray) {
         channel.iter_mut().zip(stray).for_each(|(value, stray)| *value += stray);
     }
-    let falloff = vignetting(frame, sensor);
+    let falloff = vignetting(frame, sensor, sun);
     // What the sun veils is metered, its disc is not.
     let green = channels.len() / 2;
     let metered: Vec<f32> = channels[green]
@@ -156,12 +158,12 @@ fn channel_of_rgb(mosaic: Mosaic, channel: usize, rgb: Vec3) -> f32 {
 }
 
 /// The part of the light that the vignetting leaves at each pixel, a share of the natural cos^4 falloff with the angle of its ray.
-fn vignetting(frame: &Frame, sensor: &Sensor) -> Vec<f32> {
+fn vignetting(frame: &Frame, sensor: &Sensor, sun: Option<&SunGlare>) -> Vec<f32> {
     let part = sensor.vignetting as f32;
     let width = frame.width as usize;
     let mut falloff = vec![1.0; width * frame.height as usize];
     if part > 0.0 {
-        let rays = ImageRays::new(frame);
+        let rays = sun.map_or_else(|| Cow::Owned(ImageRays::new(frame)), |sun| Cow::Borrowed(&sun.rays));
         let mut of_row = vec![Vec2::ZERO; width];
         for (y, row) in falloff.chunks_exact_mut(width).enumerate() {
             rays.row(y, &mut of_row);

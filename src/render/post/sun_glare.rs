@@ -40,10 +40,8 @@ const GHOST_EDGE: f32 = 0.2;
 /// The sun as an image shows it.
 #[derive(Clone, Debug)]
 pub struct SunGlare {
-    /// Columns and rows of the image.
-    size: [usize; 2],
     /// Rays of the image's pixels.
-    rays: ImageRays,
+    pub(super) rays: ImageRays,
     /// Unit vector towards the sun in axes of the camera: x right, y down, z forward.
     towards: Vec3,
     /// Irradiance at the lens of the part of the disc that is not hidden.
@@ -60,11 +58,9 @@ impl SunGlare {
         let (camera, sun) = (&scene.camera, &scene.sun);
         let axes = [camera.right, -camera.up, camera.forward];
         let towards = Vec3::from(axes.map(|axis| axis.dot(sun.direction)));
-        let size = [frame.width, frame.height].map(|side| side as usize);
         let lit = lit_part(towards, frame).filter(|_| sun.irradiance.max_element() > 0.0)?;
         let share = visible_share(scene);
         let mut glare = Self {
-            size,
             rays: ImageRays::new(frame),
             towards,
             irradiance: lit * share as f32 * sun.irradiance,
@@ -83,7 +79,7 @@ impl SunGlare {
             (0..3).map(|c| (c, stored[c])).fold((0, 0.0), |a, b| if b.1 > a.1 { b } else { a });
         for y in rows {
             for x in columns.clone() {
-                let pixel = y * self.size[0] + x;
+                let pixel = y * self.rays.size[0] + x;
                 let radiance = &mut frame.radiance[3 * pixel..3 * pixel + 3];
                 let disc = self.radiance_in(sun, [x, y]);
                 let covered = radiance[channel].to_f32() / stored_radiance(disc)[channel];
@@ -123,11 +119,11 @@ impl SunGlare {
 
     /// Columns and rows of the image within which the disc lies.
     fn disc_bounds(&self, sun: &Sun) -> Option<[std::ops::Range<usize>; 2]> {
-        let (right, down) = self.towards.any_orthonormal_pair();
+        let (u, v) = self.towards.any_orthonormal_pair();
         let tangent = sun.tan_half_angle();
         let on_limb = (0..LIMB_POINTS).map(|k| {
             let angle = std::f32::consts::TAU * k as f32 / LIMB_POINTS as f32;
-            self.towards + tangent * (libm::cosf(angle) * right + libm::sinf(angle) * down)
+            self.towards + tangent * (libm::cosf(angle) * u + libm::sinf(angle) * v)
         });
         let positions = on_limb.chain([self.towards]).map(|ray| {
             let point = ray.truncate() / ray.z.max(MIN_COSINE);
@@ -139,7 +135,7 @@ impl SunGlare {
         let margin = 0.03 * (high - low) + 2.0;
         let (low, high) = (low - margin, high + margin);
         let bounds = [0, 1].map(|axis| {
-            let clamped = |px: f32| px.clamp(0.0, self.size[axis] as f32);
+            let clamped = |px: f32| px.clamp(0.0, self.rays.size[axis] as f32);
             clamped(low[axis]) as usize..clamped(high[axis].ceil()) as usize
         });
         bounds.iter().all(|range| !range.is_empty()).then_some(bounds)
@@ -153,7 +149,7 @@ impl SunGlare {
         channel_of: impl Fn(usize, Vec3) -> f32,
         scattered: f64,
     ) {
-        let width = self.size[0];
+        let width = self.rays.size[0];
         let norm = std::f32::consts::PI * libm::logf(1.0 + 4.0 / SCATTER_CORE);
         let scatter = scattered as f32 / norm * self.irradiance;
         let ghosts = self.ghosts_in_image();
@@ -167,7 +163,7 @@ impl SunGlare {
         let parts = 1 + ghosts.len();
         let mut shares = vec![0.0; parts * width];
         let mut points = vec![Vec2::ZERO; width];
-        for y in 0..self.size[1] {
+        for y in 0..self.rays.size[1] {
             self.rays.row(y, &mut points);
             for (point, shares) in points.iter().zip(shares.chunks_exact_mut(parts)) {
                 let ray = point.extend(1.0) / point.extend(1.0).length();
@@ -199,7 +195,7 @@ impl SunGlare {
         for (number, channel) in channels.iter_mut().enumerate() {
             for (y, lights) in rows.clone().zip(light.chunks_exact(columns.len().max(1))) {
                 for (x, light) in columns.clone().zip(lights) {
-                    let pixel = y * self.size[0] + x;
+                    let pixel = y * self.rays.size[0] + x;
                     let direct = (1.0 - scattered as f32) * channel_of(number, *light);
                     channel[pixel] += gain * falloff[pixel] * direct;
                 }
@@ -210,7 +206,7 @@ impl SunGlare {
     /// Radiance of the disc after the point spread function, and the columns and rows that it is for. The Gaussian has no negative
     /// lobes: those of a kernel that is sharper would be black rings around something so bright.
     fn spread_disc(&self, psf_px: f64) -> ([std::ops::Range<usize>; 2], Vec<Vec3>) {
-        let [width, _] = self.size;
+        let [width, _] = self.rays.size;
         let Some(((first_x, last_x), (first_y, last_y))) =
             self.disc.iter().fold(None, |bounds, (pixel, ..)| {
                 let (x, y) = (pixel % width, pixel / width);
@@ -232,11 +228,11 @@ impl SunGlare {
         let sum = 2.0 * (0..=reach).map(weight).sum::<f64>() - 1.0;
         let weights: Vec<f32> = (0..=reach).map(|offset| (weight(offset) / sum) as f32).collect();
         let columns = first_x.saturating_sub(reach)..(last_x + reach + 1).min(width);
-        let rows = first_y.saturating_sub(reach)..(last_y + reach + 1).min(self.size[1]);
+        let rows = first_y.saturating_sub(reach)..(last_y + reach + 1).min(self.rays.size[1]);
         let mut spread = vec![Vec3::ZERO; columns.len() * rows.len()];
         for (pixel, _, light) in &self.disc {
             let (x, y) = (pixel % width, pixel / width);
-            for to_y in y.saturating_sub(reach)..(y + reach + 1).min(self.size[1]) {
+            for to_y in y.saturating_sub(reach)..(y + reach + 1).min(self.rays.size[1]) {
                 for to_x in x.saturating_sub(reach)..(x + reach + 1).min(width) {
                     let at = (to_y - rows.start) * columns.len() + to_x - columns.start;
                     spread[at] += weights[to_x.abs_diff(x)] * weights[to_y.abs_diff(y)] * *light;

@@ -48,8 +48,8 @@ pub(super) fn gaussian_taps(sigma_px: f64) -> Vec<f32> {
 /// Standard deviation, pixels, up to which three taps stand for a Gaussian: a sampled one has too small a variance.
 const MAX_THREE_TAPS_PX: f64 = 0.8;
 
-/// An image behind a point spread of this standard deviation, pixels: none of what a mosaic and the pixels' aperture add.
-pub(in crate::render::post) fn behind_point_spread(
+/// An image blurred by a Gaussian of this standard deviation, pixels, without the pixels' aperture.
+pub(in crate::render::post) fn gaussian_blur(
     values: &[f32],
     [width, height]: [usize; 2],
     sigma_px: f64,
