@@ -82,7 +82,7 @@ fn add_pits(before: vec4<f32>, lattice: Lattice, rays: PitRays, occluder: ptr<fu
     let shade = select(0.0, fade * FRESH_SHADE * pit.share, is_fresh);
     let risen = vec4(before.xyz, before.w + first_m);
     let sum = add_detail(risen, vec4(slope, shade, seen.height_m - first_m * rise), rays.eye_way);
-    (*occluder).clearance_m += rays.sun_lift * (sum.w - before.w);
+    (*occluder).clearance_m += rays.sun_lift * (sum.w - before.w) * apart(*occluder, pit.diameter_m);
     // Its shadow: of a crater's crest into the crater, of a clod where the ray to the sun passes closest to its centre.
     let sun = along_lattice(lattice, rays.sun_way * rays.per_sun_way);
     let away = dot(seen.offset, sun);

@@ -101,7 +101,7 @@ fn ground_detail(
         var wave = vec4(share, share, shown, share) * noise.detail;
         wave.w -= above_m;
         sum = add_detail(sum, wave, eye_way);
-        occluder.clearance_m += sun_lift * (sum.w - start_m);
+        occluder.clearance_m += sun_lift * (sum.w - start_m) * apart(occluder, octave.cell_m);
         waves += wave.xy;
     }
     // Finer detail has moved the point on, perhaps up to its occluder.
@@ -131,6 +131,11 @@ fn has_larger_pits(pit: u32, k: u32) -> bool {
 fn nearer_occluder(one: Occluder, other: Occluder) -> Occluder {
     if other.clearance_m < one.clearance_m { return other; }
     return one;
+}
+
+// How much of the height of detail of this size is not shared by the occluder: src/render/lighting/detail_sums.rs explains it.
+fn apart(occluder: Occluder, size_m: f32) -> f32 {
+    return min(2.0 * occluder.way_m / size_m, 1.0);
 }
 
 // Adds detail at the point where the ray to the eye has the height that is summed so far. The height at which it leaves the ground

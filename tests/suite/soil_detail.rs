@@ -143,6 +143,40 @@ fn relief_below_the_mesh_looks_as_geometry_does() {
     }
 }
 
+/// Under a high sun only what is steep is dark. The crests of pits below the mesh, which finer relief lifts as it lifts the ground beside
+/// them, must not draw thin dark arcs there: with them the ground has 1.35 times the dark pixels of a mesh that has the pits.
+#[test]
+fn crests_below_the_mesh_draw_no_dark_arcs() {
+    const SIDE: usize = 512;
+    let dark_pixels = |seed: u64, cells: &str| {
+        let set = [
+            SURFACE,
+            "sun.elevation_deg=40",
+            "sun.azimuth_deg=60",
+            "camera.pitch_deg=-35",
+            "camera.height_m=2",
+            "rocks.coverage=0",
+            "grains.density=0",
+            "regolith.mottling=0",
+            cells,
+        ];
+        let frame = frame(&scene(seed, &set), SIDE as u32, &[Annotation::Hdr]);
+        let of_square = |values: Vec<f64>| {
+            let mut sorted = values.clone();
+            sorted.sort_by(f64::total_cmp);
+            values.iter().filter(|value| **value < 0.4 * sorted[sorted.len() / 2]).count()
+        };
+        squares(&frame, SIDE).map(of_square).sum::<usize>()
+    };
+    let ratios = [41, 42].map(|seed| {
+        let counts = ["terrain.cell_mrad=12", "terrain.cell_mrad=4"].map(|cells| dark_pixels(seed, cells));
+        println!("{counts:?} dark pixels");
+        assert!(counts[1] > 500, "{counts:?} dark pixels");
+        counts[0] as f64 / counts[1] as f64
+    });
+    assert!(mean(&ratios) < 1.22, "{ratios:.3?} times the dark pixels of a finer mesh");
+}
+
 /// A camera that drives on by two centimetres sees the rocks that it saw, as large as they were.
 #[test]
 fn rocks_do_not_pop_as_the_camera_drives() {

@@ -55,23 +55,33 @@ impl DetailSums {
         Vec2::new(ground.x[i] + height_m * ground.ways[0].x[i], ground.y[i] + height_m * ground.ways[0].y[i])
     }
 
-    /// Adds detail at that point: its slope, its height, and its shade. The height at which the ray leaves the ground is found by a step
-    /// of Newton's method, with what is summed so far.
+    /// Adds detail of a size at that point: its slope, its height, and its shade. The height at which the ray leaves the ground is found by
+    /// a step of Newton's method, with what is summed so far.
     #[inline(always)]
-    pub(super) fn add(&mut self, ground: &GroundBatch, i: usize, slope: Vec2, height_m: f32, shade: f32) {
+    pub(super) fn add(
+        &mut self,
+        ground: &GroundBatch,
+        (i, size_m): (usize, f32),
+        slope: Vec2,
+        height_m: f32,
+        shade: f32,
+    ) {
         let rise_m = height_m / self.clearance(ground, i, slope);
         self.x[i] += slope.x;
         self.y[i] += slope.y;
         self.shade[i] += shade;
-        self.move_up(ground, i, rise_m);
+        self.move_up(ground, (i, size_m), rise_m);
     }
 
-    /// Moves the point where the eye sees sample `i` up its ray, by a height in metres. A ray to the sun from there starts higher, but also
-    /// further on its way.
+    /// Moves the point where the eye sees sample `i` up its ray, by a height in metres, as detail of a size does. A ray to the sun from there
+    /// starts higher, but also further on its way. Detail that is more than twice as large as the way to the occluder lifts that in part too:
+    /// else a crest would shadow the ground just below it wherever the two lie a little lower.
     #[inline(always)]
-    pub(super) fn move_up(&mut self, ground: &GroundBatch, i: usize, rise_m: f32) {
+    pub(super) fn move_up(&mut self, ground: &GroundBatch, (i, size_m): (usize, f32), rise_m: f32) {
         self.height_m[i] += rise_m;
-        self.sun_clearance_m[i] += ground.sun_lift[i] * rise_m;
+        let apart = 2.0 * self.occluder_way_m[i] / size_m;
+        let apart = if apart < 1.0 { apart } else { 1.0 };
+        self.sun_clearance_m[i] += ground.sun_lift[i] * rise_m * apart;
     }
 
     /// Takes ground at a horizontal distance from the point of each sample towards the sun for its occluder, if the ray to the sun clears no
@@ -143,9 +153,23 @@ mod tests {
             // So far below the edge of its shadow that no penumbra counts; ground that the ray clears by more does not count either.
             sums.add_occluders(&[-1.0; BATCH], &[0.04; BATCH]);
             sums.add_occluders(&[0.02; BATCH], &[0.01; BATCH]);
-            sums.move_up(&ground, 0, rise_m);
+            sums.move_up(&ground, (0, 0.01), rise_m);
             let got = sums.sun_hidden(&ground, 0, BLUR_M);
             assert!((got - hidden).abs() < 1e-5, "{rise_m} m up, {towards_sun} towards the sun: {got}");
+        }
+    }
+
+    /// A point just below a crest, on ground that larger or smaller relief lowers by twice as much as the ray to the sun clears the crest.
+    #[test]
+    fn relief_that_a_crest_shares_does_not_let_it_shadow_the_ground_below_it() {
+        for (size_m, hidden) in [(0.5, 0.0), (0.1, 0.0), (0.02, 1.0), (0.005, 1.0)] {
+            let mut ground = GroundBatch::towards_eye(Vec2::ZERO, 3.0, 1e-3, 0.05);
+            ground.sun_lift = [1.0; BATCH];
+            let mut sums = DetailSums::new();
+            sums.add_occluders(&[0.008; BATCH], &[0.01; BATCH]);
+            sums.move_up(&ground, (0, size_m), -0.016);
+            let got = sums.sun_hidden(&ground, 0, 1e-4);
+            assert_eq!(got, hidden, "relief of {size_m} m");
         }
     }
 }

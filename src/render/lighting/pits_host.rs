@@ -161,8 +161,9 @@ fn add_pit(
     );
     let fade = ((EJECTA_FADE[0] - r) * EJECTA_FADE[1]).clamp(0.0, 1.0);
     let fresh = if pit.is_fresh { fade * FRESH_SHADE * pit.share } else { 0.0 };
-    sums.move_up(ground, i, first_m);
-    sums.add(ground, i, slope, height_m - first_m * rise, fresh);
+    let of_pit = (i, pit.diameter_m);
+    sums.move_up(ground, of_pit, first_m);
+    sums.add(ground, of_pit, slope, height_m - first_m * rise, fresh);
     // Its shadow: of a crater's crest into the crater, of a clod where the ray to the sun passes closest to its centre.
     let per_sun_way = ground.per_way[1][i];
     let sun = turned(sun_way.x * per_sun_way, sun_way.y * per_sun_way) * (0.5 * pit.diameter_m);

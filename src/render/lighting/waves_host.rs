@@ -94,7 +94,7 @@ fn add_slope(
     for i in 0..BATCH {
         // What the ray has risen, less what the larger relief has below it.
         let above_m = rises_m[i] * sums.rise(ground, i);
-        sums.move_up(ground, i, rises_m[i]);
+        sums.move_up(ground, (i, wave.cell_m), rises_m[i]);
         let ([column, row], t) = lattice.cell(lattice.local(sums.point(ground, i)));
         let [along, across, shade, value, strength] =
             gradient_noise_slope_2d([column, row], t, wave.seed, patchy);
@@ -105,7 +105,8 @@ fn add_slope(
         let slope = share * slope_from_lattice(wave, [along, across]);
         sums.waves.x[i] += slope.x;
         sums.waves.y[i] += slope.y;
-        sums.add(ground, i, slope, share * value - above_m, wave.share * resolved[i] * shade);
+        let height_m = share * value - above_m;
+        sums.add(ground, (i, wave.cell_m), slope, height_m, wave.share * resolved[i] * shade);
     }
 }
 
