@@ -204,12 +204,12 @@ fn grain_occlusion(grain: Grain, per_height: vec2<f32>, per_way: f32, blur_m: f3
     return select(0.0, clamp(0.5 + 0.5 * inside_m / half_m, 0.0, 1.0), height_m > 0.0);
 }
 
-// How a ray to the eye met the grains so far: the height of the nearest hit, how much of the sample they hide of the ground, and
-// that times the fraction of the sun's disc that is visible from them.
+// How a ray to the eye met the grains so far: how much of the sample they hide of the ground, that times the fraction of the sun's
+// disc that is visible from them, and the nearest, whose height is that of its point.
 struct GrainCover {
-    nearest_m: f32,
     share: f32,
     sun: f32,
+    nearest: GrainSurface,
 }
 
 // Adds the grains of a lattice to the ground at a point: the nearest that a ray to the eye meets, and the shadows of those
@@ -256,11 +256,13 @@ fn add_grains(
                         detail.sun *= 1.0 - share * grain_occlusion(grain, walk.per_height, per_way, 0.25 * across_m);
                     } else {
                         let hit = grain_hit(grain, walk.per_height);
-                        if hit.z > (*cover).nearest_m {
+                        if hit.z > (*cover).nearest.point.z {
+                            let place = lattice.cell_m * slope_from_lattice(lattice, from_centre + hit.z * walk.per_height);
+                            let mottling = MOTTLING * select(GRAIN_CLOD_SPREAD, 1.0, is_fragment(lattice, first));
                             *cover = GrainCover(
-                                hit.z,
                                 mix((*cover).share, 1.0, share),
                                 mix((*cover).sun, sun_on_grains, share),
+                                GrainSurface(vec3(place, hit.z), diameter_m, second, mottling),
                             );
                             let slope = lattice.cell_m * slope_from_lattice(lattice, hit.xy);
                             detail.slope = mix(detail.slope, slope + GRAIN_ROUGHNESS * detail.slope, share);

@@ -110,12 +110,13 @@ fn ground_detail(
     let sun = 1.0 - hidden * clamp(1.0 - moved_m / occluder.way_m, 0.0, 1.0);
     // The exponential function to second order.
     var detail = GroundDetail(sum.xy, 1.0 + sum.z * (1.0 + 0.5 * sum.z), sun);
-    var cover = GrainCover(0.0, 0.0, 0.0);
+    var cover = GrainCover(0.0, 0.0, GrainSurface(vec3(0.0), 0.0, 0u, 0.0));
     for (var k = 0u; k < light.relief_grain_lattices; k++) {
         let grains = relief_grains(k);
         if sample_share(1.001 * grains.max_diameter_m, across_m) == 0.0 { break; }
         detail = add_grains(detail, grains, point + sum.w * eye_way, across_m, eye_way, sun_way, &cover);
     }
+    detail = add_grain_texture(detail, cover.nearest, across_m);
     // What hides the ground hides its shadows.
     detail.sun = mix(detail.sun, 0.0, cover.share) + cover.sun;
     detail.albedo *= crater_rays_factor(point + sum.w * eye_way, sample_m);

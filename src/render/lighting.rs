@@ -6,6 +6,7 @@ pub(crate) mod crater_rays_host;
 pub(crate) mod detail_sums;
 pub(crate) mod frame_key;
 pub(crate) mod gbuffer;
+pub(crate) mod grain_texture_host;
 pub(crate) mod grains_host;
 pub(crate) mod ground_batch;
 pub(crate) mod pass;

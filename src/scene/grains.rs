@@ -53,7 +53,7 @@ pub const FACETS: u32 = 4;
 /// See [`FACETS`].
 pub const FACET_DISTANCES: [f32; 2] = [0.6, 0.95];
 /// What the second hash is combined with for the third.
-const THIRD_KEY: u32 = 0x9e37_79b9;
+pub const THIRD_KEY: u32 = 0x9e37_79b9;
 
 /// The grains of one octave of diameters.
 #[derive(Clone, Copy, Debug)]

@@ -299,6 +299,28 @@ fn backends_agree_whatever_the_knobs() {
     assert!(2 * compared > ANY_SCENES, "{compared} scenes could be built");
 }
 
+/// The scenes above are too far away to show it. What grains cover is a fiftieth of the values, most of which would differ without
+/// their texture.
+#[test]
+fn backends_agree_in_the_texture_of_grains() {
+    let (_, steps) = adapter_and_steps();
+    let close = [
+        "stage.name=surface",
+        "camera.fov_deg=5",
+        "camera.height_m=1",
+        "camera.pitch_deg=-50",
+        "grains.density=2.5",
+    ];
+    for (backend, steps) in [(RasterMode::Device, steps), (RasterMode::Compute, HOST_STEPS)] {
+        let mut all = Tally::default();
+        for seed in 0..6 {
+            all.add(&compare(&scene(seed, &close), 1, (backend, steps)));
+        }
+        all.print(&format!("{backend}, grains"));
+        assert!(all.pixels > 0 && all.counted(steps)[1] <= COLOUR.1, "{} values differ", all.colour);
+    }
+}
+
 /// A plane is the same whatever else a frame has: each set of planes is resolved by a pipeline of its own.
 #[test]
 fn a_plane_does_not_depend_on_those_beside_it() {

@@ -11,6 +11,7 @@ fn constants_that_rust_has_too_are_equal() {
     use crate::render::device::shading_bins::ShadowSources;
     use crate::render::lighting::compute::WORKGROUP_SIDE;
     use crate::render::lighting::detail_sums::{FAR_M, MIN_CLEARANCE};
+    use crate::render::lighting::grain_texture_host as grain_texture;
     use crate::render::lighting::grains_host::{MAX_CELLS, ROUGHNESS};
     use crate::render::lighting::ground_batch::{MAX_EYE_WAY, MAX_SUN_WAY, MIN_TESTED_SAMPLES, MIN_WAY};
     use crate::render::lighting::pits_host::{FRESH_SHADE, PIT_REACH};
@@ -35,6 +36,11 @@ fn constants_that_rust_has_too_are_equal() {
         (&LIGHTING_SURFACE, "GRAIN_MAX_EYE_WAY", f64::from(MAX_EYE_WAY)),
         (&LIGHTING_SURFACE, "GRAIN_MAX_SUN_WAY", f64::from(MAX_SUN_WAY)),
         (&LIGHTING_SURFACE, "GRAIN_ROUGHNESS", f64::from(ROUGHNESS)),
+        (&LIGHTING_SURFACE, "GRAIN_TEXTURE_OCTAVES", f64::from(grain_texture::OCTAVES)),
+        (&LIGHTING_SURFACE, "GRAIN_CELLS_PER_DIAMETER", f64::from(grain_texture::CELLS_PER_DIAMETER)),
+        (&LIGHTING_SURFACE, "GRAIN_MIN_SHADE", f64::from(grain_texture::MIN_SHADE)),
+        (&LIGHTING_SURFACE, "ROUGHNESS_SLOPE", f64::from(grain_texture::ROUGHNESS_SLOPE)),
+        (&LIGHTING_SURFACE, "MOTTLING", f64::from(grain_texture::MOTTLING)),
         (&RESOLVE, "WORKGROUP_SIZE", f64::from(WORKGROUP_SIZE)),
         (&RESOLVE, "NOT_REQUESTED", f64::from(NOT_REQUESTED)),
         (&LIGHTING_COMPUTE, "WORKGROUP_SIDE", f64::from(WORKGROUP_SIDE)),

@@ -111,6 +111,7 @@ macro_rules! surface_program {
                 "relief",
                 "pits",
                 "grains",
+                "grain_texture",
                 "crater_rays",
                 "sun_disc",
                 "rock_texture",

@@ -7,12 +7,15 @@
 
 use glam::Vec2;
 
+use super::grain_texture_host::{GrainSurface, MOTTLING};
 use super::ground_batch::{BATCH, Vectors};
 use super::relief_bands::sample_share;
 use crate::render::device::shader_structs::LatticeUniforms;
 
 use crate::scene::craters::second_hash;
-use crate::scene::grains::{Grain, GrainMaterial, JITTER_CELLS, MAX_HEIGHT, MAX_RADIUS, grain_diameter};
+use crate::scene::grains::{
+    CLOD_SPREAD, Grain, GrainMaterial, JITTER_CELLS, MAX_HEIGHT, MAX_RADIUS, grain_diameter,
+};
 use crate::scene::noise::lattice_hash;
 
 /// Cells of a lattice that a ray is followed through.
@@ -44,8 +47,8 @@ pub(super) struct GroundDetail {
     pub(super) albedo: [f32; BATCH],
     /// Fraction of the sun's disc that grains leave visible.
     pub(super) sun: [f32; BATCH],
-    /// Height at which the ray to the eye met the nearest grain so far, metres.
-    pub(super) nearest_m: [f32; BATCH],
+    /// The nearest grain so far that the ray to the eye met; its height is that of its point.
+    pub(super) nearest: [GrainSurface; BATCH],
     /// How much of the sample grains hide of the ground.
     pub(super) cover: [f32; BATCH],
     /// That times the fraction of the sun's disc that is visible from them.
@@ -255,16 +258,16 @@ pub(super) fn add_grains(uniforms: &LatticeUniforms, ground: &GrainGround, detai
         if walks.find_near(uniforms, &ground.across_m, 0.0) {
             for i in walks.near_below(ground.count) {
                 let (grain, point, way) = walks.grain(i, uniforms);
-                if let Some(hit) = grain.hit(point, way).filter(|hit| hit.height_m > detail.nearest_m[i]) {
+                if let Some(hit) =
+                    grain.hit(point, way).filter(|hit| hit.height_m > detail.nearest[i].point.z)
+                {
                     let share = sample_share(grain.diameter_m, ground.across_m[i]);
                     let (cos, sin) = (
                         uniforms.rotation_per_m.x * uniforms.cell_m,
                         uniforms.rotation_per_m.y * uniforms.cell_m,
                     );
-                    let slope = Vec2::new(
-                        cos * hit.slope.x - sin * hit.slope.y,
-                        sin * hit.slope.x + cos * hit.slope.y,
-                    );
+                    let turned = |v: Vec2| Vec2::new(cos * v.x - sin * v.y, sin * v.x + cos * v.y);
+                    let slope = turned(hit.slope);
                     let mix = |value: &mut f32, other: f32| *value += share * (other - *value);
                     let rough = ROUGHNESS * Vec2::new(detail.slope.x[i], detail.slope.y[i]);
                     mix(&mut detail.slope.x[i], slope.x + rough.x);
@@ -272,12 +275,29 @@ pub(super) fn add_grains(uniforms: &LatticeUniforms, ground: &GrainGround, detai
                     mix(&mut detail.albedo[i], grain.albedo(&ground.material));
                     mix(&mut detail.cover[i], 1.0);
                     mix(&mut detail.cover_sun[i], sun_on_grains[i]);
-                    detail.nearest_m[i] = hit.height_m;
+                    detail.nearest[i] = GrainSurface {
+                        point: turned(point + hit.height_m * way).extend(hit.height_m),
+                        diameter_m: grain.diameter_m,
+                        seed: walks.second[i],
+                        mottling: MOTTLING * if grain.is_fragment { 1.0 } else { CLOD_SPREAD },
+                    };
                 }
             }
         }
         if !walks.advance() {
             break;
+        }
+    }
+}
+
+/// Adds the texture of the nearest grains.
+#[inline(always)]
+pub(super) fn add_grain_texture(ground: &GrainGround, detail: &mut GroundDetail) {
+    for i in 0..ground.count {
+        let slope = Vec2::new(detail.slope.x[i], detail.slope.y[i]);
+        if let Some((slope, shade)) = detail.nearest[i].textured(slope, ground.across_m[i]) {
+            (detail.slope.x[i], detail.slope.y[i]) = (slope.x, slope.y);
+            detail.albedo[i] *= shade;
         }
     }
 }

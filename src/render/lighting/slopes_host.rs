@@ -15,7 +15,8 @@ use crate::render::device::shader_structs::{ReliefUniforms, ReliefView};
 use crate::render::device::shading_bins::{LightingVariant, ShadingBin, ShadingBins};
 use crate::render::lighting::crater_rays_host::add_crater_rays;
 use crate::render::lighting::detail_sums::DetailSums;
-use crate::render::lighting::grains_host::{GrainGround, GroundDetail, add_grains};
+use crate::render::lighting::grain_texture_host::GrainSurface;
+use crate::render::lighting::grains_host::{GrainGround, GroundDetail, add_grain_texture, add_grains};
 use crate::render::lighting::ground_batch::{BATCH, GroundBatch, MIN_TESTED_SAMPLES, SampleBatch, Vectors};
 use crate::render::lighting::pits_host::add_pits;
 use crate::render::lighting::relief_bands::{ReliefBands, sample_share};
@@ -150,7 +151,7 @@ fn ground_detail(
         // The exponential function to second order.
         albedo: sums.shade.map(|shade| 1.0 + shade * (1.0 + 0.5 * shade)),
         sun: sun_on_ground,
-        nearest_m: [0.0; BATCH],
+        nearest: [GrainSurface::NONE; BATCH],
         cover: [0.0; BATCH],
         cover_sun: [0.0; BATCH],
     };
@@ -168,6 +169,7 @@ fn ground_detail(
             add_grains(grains, &grain_ground, &mut detail);
         }
     }
+    add_grain_texture(&grain_ground, &mut detail);
     if view.ray_contrast > 0.0 {
         add_crater_rays(relief, Vectors { x, y }, &ground.sample_m, &mut detail.albedo);
     }
