@@ -63,7 +63,7 @@ knobs! {
     TerrainAmplitudeM "terrain.amplitude_m" "m" in Nominal Number, Frame, number(3.2), [0.0, 50.0],
         "Amplitude of the relief; its standard deviation is about a quarter of this.";
     TerrainSizeM "terrain.size_m" "m" Number, Frame, number(920.0) => number(2400.0), [100.0, 4000.0],
-        "Side of the square of ground, centred on the origin.";
+        "Side of the square of ground, centred on the origin; on the surface stage the diameter of the disc of ground around the camera.";
     TerrainCells "terrain.cells" "" in Nominal Integer, Frame, number(300.0), [10.0, 1000.0],
         "Cells along each side of the ground's heightfield, two triangles per cell.";
     TerrainCellMrad "terrain.cell_mrad" "mrad" in Surface Number, Frame, number(12.0), [2.0, 50.0],

@@ -86,6 +86,24 @@ fn errors_name_the_knob_the_value_and_what_is_allowed() {
     }
 }
 
+/// The ground of the surface stage lies around the camera, that of the nominal stage around the origin.
+#[test]
+fn a_camera_stands_anywhere_on_the_surface() {
+    let check = |assignments: &[&str]| {
+        let mut config = Config::new();
+        assignments.iter().for_each(|assignment| config.apply_set(assignment).expect(assignment));
+        config.check().map_err(|error| error.to_string())
+    };
+    for at in ["camera.x_m=1500", "terrain.size_m=150"] {
+        check(&["stage.name=surface", at]).expect(at);
+        let either = "stage.name={choice=[\"nominal\",\"surface\"]}";
+        for stage in ["stage.name=nominal", either] {
+            let error = check(&[stage, at]).expect_err(stage);
+            assert!(error.contains("puts the camera off the ground"), "{error}");
+        }
+    }
+}
+
 #[test]
 fn the_first_error_of_a_file_is_the_first_that_is_read() {
     for (text, expected) in [
