@@ -98,7 +98,7 @@ impl Scene {
     }
 
     /// The scene of the parameters `first` for another camera, that of `params`, which differ in nothing but camera and sun: what counts from
-    /// the camera, the wall of a crater and tracks, counts from the first one.
+    /// the camera, the wall of a crater, hills, rays and tracks, counts from the first one.
     ///
     /// # Errors
     /// Those of [`Self::build`].
@@ -121,9 +121,8 @@ impl Scene {
         let centre = camera::position(params);
         let view = camera::ground_view(params);
         let to_first = camera::position(first) - centre;
-        let mut relief = Relief::new(streams, first, centre);
+        let mut relief = Relief::new(streams, first, centre).counted_from(first, to_first);
         relief.wall.as_ref().map_or(Ok(()), CraterWall::check)?;
-        relief.wall = relief.wall.map(|wall| wall.moved(to_first));
         let tracks = rover_tracks::tracks(streams, first).into_iter();
         relief.tracks = tracks.map(|track| Track { offset: track.offset + to_first, ..track }).collect();
         let mut placements = lunar::placements(streams, params, &relief, &view, centre);

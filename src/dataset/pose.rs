@@ -175,4 +175,38 @@ mod tests {
         assert!(refused(-100.0).expect_err("below").contains("above the ground"));
         refused(rock.centre.z + 2.0 * rock.radius_m).expect("above the rock");
     }
+    /// Hills surround the camera of the scene, and it is near that one that craters have rays.
+    #[test]
+    fn hills_and_rays_stay_where_they_are() {
+        let plan =
+            plan(&["stage.name=surface", "relief.far_hills_m=300", "regolith.rays=0.5", "rocks.coverage=0"]);
+        let of = built(&plan);
+        let pose = Pose::new(&plan, &of, "camera.x_m = 170\ncamera.y_m = 60", None).expect("a pose");
+        let (seen, _) = pose.in_scene(&of, &plan.settings).expect("a scene");
+        let heights = |BuiltScene { scene, .. }: &BuiltScene| {
+            let relief = scene.relief.as_ref().expect("relief");
+            let around = (0..24).map(|k| {
+                let (sin, cos) = (f64::from(k) / 24.0 * std::f64::consts::TAU).sin_cos();
+                Vec2::new(800.0 * sin as f32, 800.0 * cos as f32)
+            });
+            around.map(|point| relief.height_at(point - scene.terrain.centre, 2.0)).collect::<Vec<f32>>()
+        };
+        let (before, after) = (heights(&of), heights(&seen));
+        assert!(before.iter().any(|height_m| *height_m > 60.0), "no hills: {before:?}");
+        for (a, b) in before.iter().zip(&after) {
+            assert!((a - b).abs() < 0.05, "{before:?} {after:?}");
+        }
+        let rays = |BuiltScene { scene, .. }: &BuiltScene| {
+            let craters = &scene.relief.as_ref().expect("relief").crater_rays.craters;
+            craters
+                .iter()
+                .map(|crater| (crater.seed, scene.terrain.centre + crater.offset))
+                .collect::<Vec<_>>()
+        };
+        let (before, after) = (rays(&of), rays(&seen));
+        assert!(before.len() == after.len() && before.len() > 2, "{before:?} {after:?}");
+        for (a, b) in before.iter().zip(&after) {
+            assert!(a.0 == b.0 && a.1.distance(b.1) < 1e-3, "{before:?} {after:?}");
+        }
+    }
 }

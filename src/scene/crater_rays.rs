@@ -50,17 +50,17 @@ pub struct CraterRays {
 }
 
 impl CraterRays {
-    /// The rays of these craters near the centre of the ground, where the camera stands.
+    /// The rays of these craters near a camera, metres from the centre of the ground.
     #[must_use]
-    pub fn new(params: &Params, craters: &CraterField) -> Self {
+    pub fn new(params: &Params, craters: &CraterField, camera: Vec2) -> Self {
         let contrast = params.number(Knob::RegolithRays) as f32;
         let radius_m = 0.5 * params.number(Knob::TerrainSizeM) as f32;
         if contrast <= 0.0 {
             return Self::default();
         }
         let mut fresh: Vec<Pit> = Vec::new();
-        craters.fresh_around(&Region::circle(Vec2::ZERO, radius_m), SMALLEST_M, |pit| fresh.push(pit));
-        let strength = |pit: &Pit| pit.diameter_m / pit.offset.length().max(pit.diameter_m);
+        craters.fresh_around(&Region::circle(camera, radius_m), SMALLEST_M, |pit| fresh.push(pit));
+        let strength = |pit: &Pit| pit.diameter_m / pit.offset.distance(camera).max(pit.diameter_m);
         fresh.sort_by(|a, b| strength(b).total_cmp(&strength(a)).then(a.key.cmp(&b.key)));
         let of_pit = |pit: &Pit| RayCrater {
             offset: pit.offset,

@@ -1,6 +1,6 @@
 //! Hills on the horizon of the surface stage: massifs that rise towards the border of the ground.
 //!
-//! Ground near the camera is as without them to the bit. Slopes are those of lunar massifs, up to some 25 degrees for the highest.
+//! Ground near the camera of the scene is as without them to the bit. Slopes are those of lunar massifs, up to some 25 degrees for the highest.
 //! Must not know: the rest of the relief.
 
 use glam::Vec2;
@@ -26,6 +26,8 @@ const DEVIATION: f32 = 0.35;
 pub struct FarHills {
     height_m: f32,
     radius_m: f32,
+    /// The point that they surround, metres from the centre of the ground.
+    middle: Vec2,
     /// By falling wavelength.
     octaves: Vec<Lattice>,
 }
@@ -41,7 +43,14 @@ impl FarHills {
             Lattice::new(wavelength_m, centre, &mut streams.stream("relief.far_hills", k.into()))
         };
         let octaves = || (0..OCTAVES).map(octave).collect();
-        (height_m > 0.0).then(|| Self { height_m, radius_m: radius_m as f32, octaves: octaves() })
+        let middle = Vec2::ZERO;
+        (height_m > 0.0).then(|| Self { height_m, radius_m: radius_m as f32, middle, octaves: octaves() })
+    }
+
+    /// The hills around a point elsewhere, by this many metres.
+    #[must_use]
+    pub(super) fn moved(self, by: Vec2) -> Self {
+        Self { middle: self.middle + by, ..self }
     }
 
     /// Adds their height at points (structure of arrays, metres from the centre of the ground). `in_mesh` is the fraction of a
@@ -50,7 +59,7 @@ impl FarHills {
     pub(super) fn add_heights(&self, [x, y]: [&[f32]; 2], in_mesh: impl Fn(f32) -> f32, heights: &mut [f32]) {
         for ((height, x), y) in heights.iter_mut().zip(x).zip(y) {
             let point = Vec2::new(*x, *y);
-            let t = ((point.length() / self.radius_m - BEGIN) / (FULL - BEGIN)).clamp(0.0, 1.0);
+            let t = ((point.distance(self.middle) / self.radius_m - BEGIN) / (FULL - BEGIN)).clamp(0.0, 1.0);
             if t == 0.0 {
                 continue;
             }

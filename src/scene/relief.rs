@@ -140,7 +140,7 @@ impl Relief {
         let grains = GrainField::new(streams, params, centre);
         let far_hills = FarHills::new(streams, params, centre);
         let wall = CraterWall::new(streams, params, centre);
-        let crater_rays = CraterRays::new(params, &craters);
+        let crater_rays = CraterRays::new(params, &craters, Vec2::ZERO);
         Self {
             octaves,
             craters,
@@ -151,6 +151,17 @@ impl Relief {
             wall,
             crater_rays,
         }
+    }
+
+    /// This relief with what counts from the camera of these parameters counted from a camera elsewhere, metres from the centre.
+    #[must_use]
+    pub(super) fn counted_from(mut self, params: &Params, camera: Vec2) -> Self {
+        if camera != Vec2::ZERO {
+            self.wall = self.wall.map(|wall| wall.moved(camera));
+            self.far_hills = self.far_hills.map(|far_hills| far_hills.moved(camera));
+            self.crater_rays = CraterRays::new(params, &self.craters, camera);
+        }
+        self
     }
 
     /// What can change the height within a region, at this cell size or a larger one.
