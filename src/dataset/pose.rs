@@ -45,7 +45,9 @@ impl Pose {
                 other.name()
             )));
         }
-        let moves_camera = Knob::ALL.iter().any(|knob| changed(knob) && is_of(knob, "camera."));
+        let is_at_other_z = eye_z_m.is_some_and(|z_m| z_m != of.scene.camera.eye.z);
+        let moves_camera =
+            is_at_other_z || Knob::ALL.iter().any(|knob| changed(knob) && is_of(knob, "camera."));
         Ok(Self { params, moves_camera, eye_z_m })
     }
 
@@ -53,31 +55,30 @@ impl Pose {
     /// camera, and is made again where the camera has moved. Returns what of it is to be staged as well.
     ///
     /// # Errors
-    /// Those of [`Scene::build`], and [`Error::Scene`] for a camera below the ground or inside a rock.
+    /// Those of [`Scene::build`], and [`Error::Scene`] for a camera below the ground, inside a rock or outside the sky dome.
     pub fn in_scene(&self, of: &BuiltScene, settings: &RenderSettings) -> Result<(BuiltScene, Staging)> {
-        let params = self.params.clone();
-        let (mut built, staging) = if self.moves_camera && params.stage() == Stage::Surface {
-            (of.for_pose(params, settings)?, Staging::Whole)
-        } else {
-            let mut scene = Scene { sun: Sun::build(&params), ..of.scene.clone() };
-            let mut staging = Staging::WithoutMeshes;
-            if self.moves_camera {
-                let mut camera = Camera::build(&params, &scene.terrain)?;
-                camera.eye.z = self.eye_z_m.unwrap_or(camera.eye.z);
-                scene = scene.seen_by(&params, camera);
-                // Of its rover the device has no meshes.
-                if scene.has_rover() {
-                    staging = Staging::Whole;
-                }
-            }
-            (BuiltScene { seed: of.seed, scene, params }, staging)
-        };
-        if let Some(z_m) = self.eye_z_m {
-            built.scene.camera.eye.z = z_m;
+        let (seed, params) = (of.seed, self.params.clone());
+        if !self.moves_camera {
+            let scene = Scene { sun: Sun::build(&params), ..of.scene.clone() };
+            return Ok((BuiltScene { seed, scene, params }, Staging::WithoutMeshes));
         }
-        match Rules::violation_of_scene(&built.scene).filter(|_| self.moves_camera) {
+        let is_made_again = params.stage() == Stage::Surface;
+        let BuiltScene { scene, params, .. } = if is_made_again {
+            of.for_pose(params, settings)?
+        } else {
+            let camera = Camera::build(&params, &of.scene.terrain)?;
+            BuiltScene { seed, scene: Scene { sun: Sun::build(&params), camera, ..of.scene.clone() }, params }
+        };
+        let mut camera = scene.camera;
+        camera.eye.z = self.eye_z_m.unwrap_or(camera.eye.z);
+        let scene = scene.seen_by(&params, camera);
+        scene.sky.check_around(camera.eye)?;
+        // Of its rover the device has no meshes.
+        let is_whole = is_made_again || scene.has_rover();
+        let staging = if is_whole { Staging::Whole } else { Staging::WithoutMeshes };
+        match Rules::violation_of_scene(&scene) {
             Some(Violation { found, .. }) => Err(Error::Scene(found)),
-            None => Ok((built, staging)),
+            None => Ok((BuiltScene { seed, scene, params }, staging)),
         }
     }
 }
@@ -208,5 +209,42 @@ mod tests {
         for (a, b) in before.iter().zip(&after) {
             assert!(a.0 == b.0 && a.1.distance(b.1) < 1e-3, "{before:?} {after:?}");
         }
+    }
+
+    /// On both stages, the head of the rover is where the camera is.
+    #[test]
+    fn a_rover_is_as_high_as_its_camera() {
+        for stage in ["stage.name=nominal", "stage.name=surface"] {
+            let plan = plan(&[stage, "rover.kind=rover"]);
+            let of = built(&plan);
+            let at = "camera.x_m = 3\ncamera.y_m = -85";
+            let head_m = |z_m: Option<f32>| {
+                let pose = Pose::new(&plan, &of, at, z_m).expect("a pose");
+                let scene = pose.in_scene(&of, &plan.settings).expect("a scene").0.scene;
+                let parts = (scene.rocks.count()..scene.rocks.len()).map(|index| &scene.rocks[index]);
+                let tops_m = parts.map(|part| part.centre.z + part.z_range_m[1]);
+                (scene.camera.eye.z, tops_m.fold(f32::MIN, f32::max))
+            };
+            let (eye_m, top_m) = head_m(None);
+            let (higher_m, higher_top_m) = head_m(Some(eye_m + 0.75));
+            assert_eq!(higher_m, eye_m + 0.75);
+            let rise_m = (higher_top_m - higher_m) - (top_m - eye_m);
+            assert!(rise_m.abs() < 1e-4, "{stage}: the head stays {rise_m} m behind");
+        }
+    }
+
+    #[test]
+    fn a_camera_that_only_sinks_or_leaves_the_dome_is_refused() {
+        let plan = plan(&["sky.dome_radius_m=300"]);
+        let of = built(&plan);
+        let refused = |set: &str, z_m| {
+            let pose = Pose::new(&plan, &of, set, z_m).expect("a pose");
+            pose.in_scene(&of, &plan.settings).map(|_| ()).map_err(|error| error.to_string())
+        };
+        assert!(refused("", Some(-100.0)).expect_err("below").contains("above the ground"));
+        let outside = refused("camera.y_m = 300", None).expect_err("outside");
+        assert!(outside.contains("390 m") && outside.contains("sky.dome_radius_m = 300"), "{outside}");
+        assert!(refused("", Some(310.0)).expect_err("above").contains("sky.dome_radius_m"));
+        refused("camera.y_m = 150", None).expect("inside");
     }
 }

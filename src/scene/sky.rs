@@ -5,6 +5,7 @@
 
 use glam::{DVec3, Vec3};
 
+use crate::error::{Error, Result};
 use crate::params::{Knob, Params};
 use crate::random::Streams;
 
@@ -212,6 +213,20 @@ impl Sky {
 }
 
 impl Sky {
+    /// # Errors
+    /// [`Error::Scene`] for an eye that the dome and its stars do not surround.
+    pub(crate) fn check_around(&self, eye: Vec3) -> Result<()> {
+        let distance_m = eye.distance(self.centre);
+        if f64::from(distance_m) < innermost_star_m(self.radius_m.into()) {
+            return Ok(());
+        }
+        Err(Error::Scene(format!(
+            "the camera is {distance_m:.0} m from the middle of the scene's sky dome, outside it or among its stars: \
+             sky.dome_radius_m = {}; a scene with a larger dome has room for it",
+            self.radius_m
+        )))
+    }
+
     /// The sun's disc as it is drawn for a camera at `eye`: a sphere in front of the dome that spans the sun's angle, behind
     /// everything else. `None` for a sun without extent or light.
     #[must_use]
