@@ -73,7 +73,7 @@ pub(crate) fn select_casters(
     max_texture_px: u32,
 ) -> Vec<Caster> {
     let pixel_angle = 1.0 / scene.camera.focal_px(size_px[0]) as f32;
-    let largest_px = (4 * size_px[0].max(size_px[1])).clamp(TILE_PX[0], TILE_PX[1]);
+    let largest_px = size_px[0].max(size_px[1]).saturating_mul(4).clamp(TILE_PX[0], TILE_PX[1]);
     let sun = scene.sun.direction;
     let min_shadow_px = if scene.relief.is_some() { MIN_SHADOW_PX } else { 0.0 };
     // Length of a shadow on level ground, in heights; at least 1, for the width.

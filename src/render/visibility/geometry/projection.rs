@@ -106,8 +106,9 @@ impl Projection {
                 (w >= self.near_m) & (x.abs() <= self.guard_band.x * w) & (y.abs() <= self.guard_band.y * w);
             let inverse_w = 1.0 / w;
             let (x, y) = (x * inverse_w * half_x + half_x, y * inverse_w * half_y + half_y);
-            let column = SubpixelPoint::steps(x - 0.5 - half_x) + half_x_steps;
-            let row = SubpixelPoint::steps(y - 0.5 - half_y) + half_y_steps;
+            // Beyond the guard band they may overflow, and are not used.
+            let column = SubpixelPoint::steps(x - 0.5 - half_x).wrapping_add(half_x_steps);
+            let row = SubpixelPoint::steps(y - 0.5 - half_y).wrapping_add(half_y_steps);
             positions[0][i] = if is_inside { column } else { 0 };
             positions[1][i] = if is_inside { row } else { 0 };
             values[0][i] = if is_inside { x - 0.5 } else { 0.0 };
