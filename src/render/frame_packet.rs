@@ -31,6 +31,7 @@ pub(crate) struct FrameRequest {
 
 impl FrameRequest {
     fn new(scene: &Scene, settings: &RenderSettings) -> Result<Self> {
+        settings.check(settings.samples())?;
         let annotations = settings.annotations;
         let mut image = *settings;
         image.annotations = hazards::with_inputs(annotations);
@@ -75,6 +76,7 @@ impl FramePlanner {
     /// Plans a frame of a scene, on this thread and those of its rayon pool.
     ///
     /// # Errors
+    /// [`Error::Usage`](crate::Error::Usage) for a size or a number of samples that [`RenderSettings::new`] refuses;
     /// [`Error::Scene`](crate::Error::Scene), see [`near_plane::checked`]; [`Error::Contradiction`](crate::Error::Contradiction) for more
     /// rocks, stars or shadows in view than a device holds.
     pub fn plan(&self, scene: &Scene, settings: &RenderSettings) -> Result<FramePacket> {

@@ -32,21 +32,30 @@ impl RenderSettings {
     /// # Errors
     /// [`Error::Usage`] unless `samples` is 1, 4 or 16 and both sides are at least a pixel.
     pub fn new(size: [u32; 2], samples: u32) -> Result<Self> {
-        let [width, height] = size;
+        let (samples_per_side, outline_error_px) = (samples.isqrt(), OUTLINE_ERROR_PX);
+        let settings = Self { size, samples_per_side, outline_error_px, annotations: Annotations::default() };
+        settings.check(samples).map(|()| settings)
+    }
+
+    /// Checks size and samples, of which there are this many in a pixel: the fields are public.
+    pub(super) fn check(&self, samples: u32) -> Result<()> {
+        let [width, height] = self.size;
         if width == 0 || height == 0 {
             return Err(Error::Usage(format!(
                 "--size {width}x{height}: an image has at least one pixel each way"
             )));
         }
-        match samples {
-            1 | 4 | 16 => Ok(Self {
-                size,
-                samples_per_side: samples.isqrt(),
-                outline_error_px: OUTLINE_ERROR_PX,
-                annotations: Annotations::default(),
-            }),
-            _ => Err(Error::Usage(format!("--samples {samples}: allowed are 1, 4 (2 x 2) and 16 (4 x 4)"))),
+        if !matches!((self.samples_per_side, samples), (1, 1) | (2, 4) | (4, 16)) {
+            return Err(Error::Usage(format!(
+                "--samples {samples}: allowed are 1, 4 (2 x 2) and 16 (4 x 4)"
+            )));
         }
+        Ok(())
+    }
+
+    /// Samples of a pixel.
+    pub(super) const fn samples(&self) -> u32 {
+        self.samples_per_side.saturating_pow(2)
     }
 
     /// Columns and rows of samples; at most [`u32::MAX`], which is beyond every device.
@@ -78,6 +87,19 @@ impl RenderSettings {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn sizes_and_samples_are_checked_in_whatever_way_they_are_set() {
+        let good = RenderSettings::new([8, 8], 4).expect("settings");
+        assert!(good.check(good.samples()).is_ok());
+        for (size, samples_per_side) in
+            [([0, 8], 2), ([8, 0], 2), ([8, 8], 0), ([8, 8], 3), ([8, 8], u32::MAX)]
+        {
+            let wrong = RenderSettings { size, samples_per_side, ..good };
+            assert!(matches!(wrong.check(wrong.samples()), Err(Error::Usage(_))), "{wrong:?}");
+        }
+        assert!(RenderSettings::new([8, 8], 5).is_err() && RenderSettings::new([8, 8], 17).is_err());
+    }
 
     #[test]
     fn the_samples_of_an_enormous_image_do_not_wrap() {
