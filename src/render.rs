@@ -33,7 +33,7 @@ pub mod visibility;
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::frame::Frame;
 use crate::gpu::Gpu;
 use crate::gpu::staging::StagingBuffers;
@@ -42,7 +42,7 @@ use crate::scene::Scene;
 pub use backend::{LightingMode, RasterBackend, RasterMode, RasterOptions};
 pub use device::timing::StageTimes;
 pub use frame_packet::{FramePacket, FramePlanner, Staging};
-pub use raw_frame::{FrameCost, RawFrame};
+pub use raw_frame::{FrameCost, InFlight, RawFrame};
 pub use settings::{DEFAULT_TEXTURE_PX, RenderSettings};
 
 use device::bind_groups::BindLayouts;
@@ -75,17 +75,6 @@ struct PreparedFrame {
     slot: Slot,
     pipelines: FrameKey,
     uploaded_bytes: u64,
-}
-
-/// A frame that the device works on: from [`Renderer::submit`] to [`Renderer::finish`].
-#[derive(Debug)]
-pub struct InFlight {
-    request: FrameRequest,
-    submission: Submission,
-    /// Times of the stages up to the submission.
-    times: StageTimes,
-    /// How much was drawn and uploaded for it.
-    pub cost: FrameCost,
 }
 
 /// Renders scenes on one device.
@@ -218,8 +207,8 @@ impl Renderer {
         })
     }
 
-    /// Submits a frame of `scene` that [`Self::planner`] planned, behind those that the device works on, and does not wait for it,
-    /// unless it is so large that it is drawn in tiles.
+    /// Submits a frame that [`Self::planner`] planned of `scene`, since the last [`Self::set_raster`], behind those that the device works
+    /// on, and does not wait for it, unless it is so large that it is drawn in tiles.
     ///
     /// # Errors
     /// [`Error::SizeBeyondDevice`], [`Error::DeviceLost`] or [`Error::Device`].
@@ -234,13 +223,25 @@ impl Renderer {
         } else {
             self.try_submit(scene, packet)
         };
-        submitted.inspect_err(|_| self.forget_uploads())
+        submitted.inspect_err(|error| self.start_over(error))
     }
 
-    /// After an error nobody knows what the device holds.
-    fn forget_uploads(&mut self) {
-        self.buffers.invalidate();
-        self.shadow.invalidate();
+    /// After an error nobody knows what the device holds, and what it had no memory for stays unusable: the next frame makes all of it
+    /// again.
+    fn start_over(&mut self, error: &Error) {
+        // Nothing was made for a frame that is too large.
+        if matches!(error, Error::SizeBeyondDevice { .. }) {
+            return;
+        }
+        self.buffers = SceneBuffers::default();
+        self.shadow = ShadowBackend::new(self.raster.shadow);
+        if !matches!(error, Error::Unlabelled { .. }) {
+            self.visibility = VisibilityBackend::new(&self.raster);
+            self.lighting = LightingPass::new(&self.gpu, &self.layouts);
+            self.resolve = ResolvePass::new(&self.gpu, &self.layouts);
+            (self.gbuffers, self.slots) = Default::default();
+            self.staging.clear();
+        }
     }
 
     fn try_submit(&mut self, scene: &Scene, packet: FramePacket) -> Result<InFlight> {
@@ -343,6 +344,8 @@ impl Renderer {
             frame.slot.map();
             index
         })?;
+        // Here an error is that of this frame; later, another in flight might be taken for the one that failed.
+        self.gpu.check()?;
         let (record_ms, passes) = (milliseconds(submitted.elapsed()), self.device_passes(is_first));
         Ok(TileSubmission { index, submitted, record_ms, passes })
     }
@@ -485,7 +488,7 @@ impl Renderer {
         let frame = match submission {
             Submission::InTiles(frame) => frame,
             Submission::Whole(slot, tile) => {
-                let read = slot.read(&self.gpu, &tile).inspect_err(|_| self.forget_uploads());
+                let read = slot.read(&self.gpu, &tile).inspect_err(|error| self.start_over(error));
                 let (frame, device_times) = read?;
                 times.extend(device_times);
                 self.slots.keep(slot);

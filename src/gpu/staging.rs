@@ -120,6 +120,11 @@ impl StagingBuffers {
         Ok(())
     }
 
+    /// Forgets the buffers, of which an error may have left one unusable.
+    pub fn clear(&mut self) {
+        (self.first, self.second) = (None, None);
+    }
+
     const fn part_bytes(&self, max_bytes: usize) -> usize {
         if self.device_is_idle && max_bytes > IDLE_PART_BYTES { IDLE_PART_BYTES } else { max_bytes }
     }

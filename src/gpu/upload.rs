@@ -23,8 +23,8 @@ impl UploadPool {
         Self { device: device.clone(), unused: Arc::default() }
     }
 
-    /// A mapped buffer of at least `bytes`, for any thread to fill; `None` if the device has failed, which
-    /// [`Gpu::check`](super::Gpu::check) reports.
+    /// A mapped buffer of at least `bytes`, for any thread to fill; `None` if the device has no memory for it, no buffers of that size, or
+    /// has failed.
     #[must_use]
     pub fn take(&self, bytes: usize) -> Option<MappedBuffer> {
         let bytes = bytes.next_multiple_of(PAGE_BYTES) as u64;
@@ -43,10 +43,21 @@ impl UploadPool {
                 usage: wgpu::BufferUsages::MAP_WRITE | wgpu::BufferUsages::COPY_SRC,
                 mapped_at_creation: true,
             };
-            catch_unwind(AssertUnwindSafe(|| self.device.create_buffer(&descriptor))).ok()
+            catch_unwind(AssertUnwindSafe(|| self.created(&descriptor))).ok().flatten()
         };
         let buffer = unused.or_else(create)?;
         Some(MappedBuffer { buffer, is_mapped: true, unused: Arc::clone(&self.unused) })
+    }
+
+    /// A new buffer; `None` if the device cannot create it. That is no error of the frame which another thread draws meanwhile: scopes of
+    /// errors belong to a thread.
+    fn created(&self, descriptor: &wgpu::BufferDescriptor<'_>) -> Option<wgpu::Buffer> {
+        let scopes = [wgpu::ErrorFilter::OutOfMemory, wgpu::ErrorFilter::Validation]
+            .map(|filter| self.device.push_error_scope(filter));
+        let buffer = self.device.create_buffer(descriptor);
+        // Each scope is popped, the last one first.
+        let errors = scopes.into_iter().rev().filter_map(|scope| pollster::block_on(scope.pop()));
+        (errors.count() == 0).then_some(buffer)
     }
 }
 
@@ -143,5 +154,16 @@ mod tests {
         drop(pool.take(4 * step));
         let sizes = unused_sizes(&pool);
         assert!(sizes.len() == 2 && sizes[1] == 4, "{sizes:?}");
+    }
+
+    /// Another thread may draw a frame meanwhile, whose error this would be.
+    #[test]
+    fn a_buffer_that_cannot_be_made_is_not_kept_and_no_error_of_a_frame() {
+        let gpu = Gpu::open(Some(&adapter_of_tests())).expect("an adapter");
+        let pool = UploadPool::new(&gpu.device);
+        let too_large = gpu.device.limits().max_buffer_size as usize + 1;
+        assert!(pool.take(too_large).is_none());
+        assert_eq!(unused_sizes(&pool), [0; 0]);
+        gpu.check().expect("no error");
     }
 }

@@ -1,4 +1,4 @@
-//! A frame as it was read back, before the stages that the host adds: rock labels, sensor, label rule, hazard maps.
+//! A frame in flight, and a frame as it was read back, before the stages that the host adds: rock labels, sensor, label rule, hazard maps.
 //! Must not know: a device.
 
 use std::time::Instant;
@@ -8,6 +8,7 @@ use crate::render::device::timing::{StageTimes, milliseconds};
 use crate::render::frame_packet::FrameRequest;
 use crate::render::post;
 use crate::render::post::sun_glare::SunGlare;
+use crate::render::slots::Submission;
 use crate::scene::Scene;
 
 /// How much was drawn and uploaded for a frame.
@@ -19,6 +20,18 @@ pub struct FrameCost {
     pub lighting_draws: usize,
     /// Bytes that were uploaded.
     pub uploaded_bytes: u64,
+}
+
+/// A frame that the device works on: from [`Renderer::submit`](super::Renderer::submit) to
+/// [`Renderer::finish`](super::Renderer::finish).
+#[derive(Debug)]
+pub struct InFlight {
+    pub(crate) request: FrameRequest,
+    pub(crate) submission: Submission,
+    /// Times of the stages up to the submission.
+    pub(crate) times: StageTimes,
+    /// How much was drawn and uploaded for it.
+    pub cost: FrameCost,
 }
 
 /// A frame that was read back and is still to be post-processed, on any thread.

@@ -190,12 +190,6 @@ impl SceneBuffers {
         ];
         bind_group(gpu, "light", &layouts.light, &resources)
     }
-
-    /// After an error, what was written may not have arrived: the next upload writes everything again.
-    pub(crate) fn invalidate(&mut self) {
-        self.horizon_source = Weak::new();
-        self.meshes = Meshes::default();
-    }
 }
 
 /// Writes uniforms, each to its slot; returns how many bytes that took.

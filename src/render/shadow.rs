@@ -150,15 +150,6 @@ impl ShadowBackend {
             Self::Host(raster) => Some(raster.elapsed_ms),
         }
     }
-
-    /// After an error, what was uploaded or recorded may not have arrived: all tiles are rasterised again.
-    pub(crate) fn invalidate(&mut self) {
-        match self {
-            Self::Device(pass) => pass.map.invalidate(),
-            Self::Compute(pass) => pass.map.invalidate(),
-            Self::Host(raster) => raster.tiles = ShadowMap::default(),
-        }
-    }
 }
 
 /// The host backend: tiles that the map has stay while the sun and their casters do.

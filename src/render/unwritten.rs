@@ -1,4 +1,5 @@
-//! Tests of the promise that no sample gets a value that no draw wrote: frames that lose a draw between preparation and recording.
+//! Tests of frames that fail. Those that lose a draw between preparation and recording: no sample gets a value that no draw wrote. And those
+//! for which the device lacks a resource: the frames before and after them are whole.
 
 use std::time::Instant;
 
@@ -141,4 +142,43 @@ fn a_pixel_with_one_unwritten_sample_is_unlabelled() {
         });
         assert_refused(&format!("{samples} samples"), cut, |pixels| pixels == u64::from(SIZE[1]));
     }
+}
+
+/// A texture that is destroyed is as unusable as one that there was no memory for.
+#[test]
+fn a_frame_after_an_error_of_the_device_is_whole() {
+    let scene = Scene::build(5, &Config::new().draw(5).expect("parameters")).expect("a scene");
+    let settings = RenderSettings::new(SIZE, 4).expect("settings");
+    for mode in [RasterMode::Host, RasterMode::Device, RasterMode::Compute] {
+        let gpu = Gpu::open(Some(&adapter_of_tests())).expect("an adapter");
+        let mut renderer = Renderer::with_raster(gpu, mode).expect("a renderer");
+        let (whole, _) = renderer.render(&scene, &settings).expect("a frame");
+        let without_samples = RenderSettings { samples_per_side: 0, ..settings };
+        assert!(matches!(renderer.render(&scene, &without_samples), Err(Error::Usage(_))), "{mode}");
+        renderer.shadow.map().texture().destroy();
+        let failed = renderer.render(&scene, &settings);
+        assert!(matches!(failed, Err(Error::Device(_))), "{mode}: {failed:?}");
+        for _ in 0..2 {
+            let (frame, _) = renderer.render(&scene, &settings).expect("a frame after an error");
+            assert!(frame == whole, "{mode}");
+        }
+    }
+}
+
+#[test]
+fn an_error_is_that_of_the_frame_that_failed_and_of_no_other_in_flight() {
+    let gpu = Gpu::open(Some(&adapter_of_tests())).expect("an adapter");
+    let mut renderer = Renderer::new(gpu).expect("a renderer");
+    let scene = Scene::build(5, &Config::new().draw(5).expect("parameters")).expect("a scene");
+    let settings = RenderSettings::new(SIZE, 4).expect("settings");
+    let (whole, _) = renderer.render(&scene, &settings).expect("a frame");
+    let in_flight = renderer.submit(&scene, &settings).expect("submitted");
+    let FramePacket { request, plan, plan_ms, .. } =
+        renderer.planner().plan(&scene, &settings).expect("a plan");
+    let frame = renderer.prepare(&scene, &request, (plan, None)).expect("prepared");
+    frame.slot.packed.buffer.destroy();
+    let failed = renderer.submit_prepared(&scene, request, frame, (Instant::now(), plan_ms));
+    assert!(matches!(failed, Err(Error::Device(_))), "{failed:?}");
+    let (frame, _) = renderer.finish(in_flight, &scene).expect("the frame before it");
+    assert!(frame == whole);
 }

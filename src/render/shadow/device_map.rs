@@ -44,11 +44,6 @@ impl DeviceMap {
         self.is_kept
     }
 
-    /// The next frame makes it, whatever it holds.
-    pub(super) fn invalidate(&mut self) {
-        self.source = None;
-    }
-
     /// The map.
     ///
     /// # Panics
