@@ -17,7 +17,8 @@ pub mod layout;
 use std::path::Path;
 
 use crate::error::{Error, Result, nearest};
-use crate::frame::{Annotation, Annotations};
+use crate::frame::plane::{PLANES, PlaneRow};
+use crate::frame::{Annotation, Annotations, Frame};
 use artifact::frame_file_name;
 pub use artifact::{Artifact, EncodedFile, FileKind};
 pub use encode::EncodeInput;
@@ -139,6 +140,22 @@ pub fn annotations(outputs: &[&'static Output]) -> Annotations {
 }
 
 impl Output {
+    /// Checks that a frame has a value for every pixel of the planes that it needs besides colour and class.
+    fn check_planes(&self, frame: &Frame) -> Result<()> {
+        let pixels = frame.width as usize * frame.height as usize;
+        let is_needed = |row: &&PlaneRow| row.annotation.is_some() && row.annotation == self.needs;
+        let is_incomplete = |row: &&PlaneRow| frame.plane(row.plane).len() != pixels * row.channels;
+        PLANES.iter().filter(is_needed).find(is_incomplete).map_or(Ok(()), |row| {
+            Err(Error::Encode {
+                name: self.files[0].0.to_owned(),
+                message: format!(
+                    "the frame has no `{}`, one for each pixel; render it with the annotations of the output {}",
+                    row.name, self.name
+                ),
+            })
+        })
+    }
+
     /// The kind of each of its files.
     pub fn file_kinds(&self) -> impl Iterator<Item = FileKind> {
         self.files.iter().map(|&(stem, extension, _)| FileKind { output: self.name, stem, extension })
@@ -188,11 +205,12 @@ pub fn parse_outputs_of(option: &'static str, list: &str) -> Result<Vec<&'static
     Ok(OUTPUTS.iter().filter(|output| words.contains(&"all") || words.contains(&output.name)).collect())
 }
 
-/// Encodes these outputs of a frame.
+/// Encodes these outputs of a frame, which must have been rendered with their [`annotations`].
 ///
 /// # Errors
-/// [`Error::Encode`] with the stem of the file that failed.
+/// [`Error::Encode`] with the stem of the file that failed, also where the frame lacks a plane of it.
 pub fn encode(input: &EncodeInput<'_>, outputs: &[&'static Output]) -> Result<Vec<EncodedFile>> {
+    outputs.iter().try_for_each(|output| output.check_planes(input.frame))?;
     let files = outputs.iter().flat_map(|output| output.files.iter().map(|file| (output.name, file)));
     files
         .map(|(output, &(stem, extension, encoder))| {
@@ -254,6 +272,23 @@ mod tests {
             phase_deg: vec![20.0; 6],
             five_classes: vec![0, 1, 2, 3, 4, 255],
             label_pixels: LabelPixels::default(),
+        }
+    }
+
+    #[test]
+    fn a_frame_without_a_plane_of_an_output_is_no_file() {
+        let (meta, mask) = (json!({}), MaskIds::default());
+        let encoded = |frame: &Frame| {
+            let input = EncodeInput { frame, meta: &meta, label_ids: LabelIds::Canonical, mask: &mask };
+            OUTPUTS.iter().map(|output| (output.name, encode(&input, &[output]))).collect::<Vec<_>>()
+        };
+        let plain = Frame { depth_m: Vec::new(), normals: Vec::new(), instances: Vec::new(), ..frame() };
+        for (name, result) in encoded(&plain) {
+            let lacks = matches!(name, "depth" | "normals" | "instances" | "rock_sizes");
+            match result {
+                Ok(files) => assert!(!lacks && !files.is_empty(), "{name}"),
+                Err(error) => assert!(lacks && error.to_string().contains(name), "{name}: {error}"),
+            }
         }
     }
 
