@@ -12,8 +12,8 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A knob name that is not in the table.
-    #[error("unknown knob `{name}` in {origin}{}; `regolith-render params` lists every knob", did_you_mean(.suggestion.as_deref()))]
+    /// A knob name that is not in the table, or a rule that there is not.
+    #[error("unknown {0} `{name}` in {origin}{1}; {2} lists every {0}", knob_or_rule(.name)[0], did_you_mean(.suggestion.as_deref()), knob_or_rule(.name)[1])]
     UnknownKnob {
         /// The name as written.
         name: String,
@@ -134,6 +134,12 @@ pub enum Error {
         "cannot start a thread: {0}; raise the limit of the number of processes (`ulimit -u`, or that of the container)"
     )]
     Thread(std::io::Error),
+    /// Signals, such as that of Ctrl-C, that the process cannot receive.
+    #[error("cannot listen for Ctrl-C: {0}")]
+    Signals(std::io::Error),
+    /// Fewer files can be opened than a driver needs: it would not be found.
+    #[error("cannot open the files of a graphics driver: {0}; raise the limit of open files (`ulimit -n`)")]
+    OpenFiles(std::io::Error),
     /// No adapter was found.
     #[error(
         "no graphics adapter was found; tried: {tried}.\n{advice} `regolith-render doctor` says what is missing."
@@ -160,10 +166,12 @@ pub enum Error {
         needed_bytes: u64,
     },
     /// No adapter has the requested name.
-    #[error("no adapter matches `{wanted}`; the adapters are:\n{}", .available.join("\n"))]
+    #[error("no adapter matches `{wanted}`{origin}; the adapters are:\n{}", .available.join("\n"))]
     AdapterNotFound {
         /// The text of `--adapter` or `WGPU_ADAPTER_NAME`.
         wanted: String,
+        /// The variables of the environment that leave no other, in words; empty if none is set.
+        origin: String,
         /// One line for each adapter.
         available: Vec<String>,
     },
@@ -328,6 +336,8 @@ impl Error {
             | Self::Write { .. }
             | Self::Stdout(_)
             | Self::Thread(_)
+            | Self::Signals(_)
+            | Self::OpenFiles(_)
             | Self::NoAdapter { .. }
             | Self::MemoryLimit { .. }
             | Self::AdapterUnfit { .. }
@@ -363,6 +373,11 @@ impl Error {
     #[must_use]
     pub fn advice(&self) -> &'static str {
         match self {
+            Self::Read { cause, .. } | Self::Config { cause, .. } | Self::Signals(cause)
+                if are_too_many_open(cause) =>
+            {
+                MORE_OPEN_FILES
+            }
             Self::Write { cause, .. } => write_remedy(cause),
             Self::OutOfMemory => {
                 "; nothing of this frame is written, and finished frames stay. Use a smaller --size or fewer --samples"
@@ -402,12 +417,30 @@ pub fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Opti
         .map(|(_, candidate)| candidate.to_owned())
 }
 
+/// What a name of the form of a knob stands for, and what lists all of its kind.
+fn knob_or_rule(name: &str) -> [&'static str; 2] {
+    if name.starts_with("rules.") {
+        ["rule", "`regolith-render params rules`"]
+    } else {
+        ["knob", "`regolith-render params`"]
+    }
+}
+
 fn did_you_mean(suggestion: Option<&str>) -> String {
     suggestion.map_or_else(String::new, |s| format!(" (did you mean `{s}`?)"))
 }
 
+/// The remedy where the process, or the system, has too many open files.
+const MORE_OPEN_FILES: &str = "; raise the limit of open files (`ulimit -n`)";
+
+/// Whether a file could not be opened because too many are open: the numbers of EMFILE and ENFILE on Linux and macOS.
+fn are_too_many_open(cause: &std::io::Error) -> bool {
+    cfg!(unix) && matches!(cause.raw_os_error(), Some(23 | 24))
+}
+
 fn write_remedy(cause: &std::io::Error) -> &'static str {
     match cause.kind() {
+        _ if are_too_many_open(cause) => MORE_OPEN_FILES,
         std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded => {
             "; free some space or choose another --out, then run the same command again"
         }
@@ -433,5 +466,19 @@ mod tests {
         assert_eq!(nearest("rock.count", known).as_deref(), Some("rocks.count"));
         assert_eq!(nearest("snu", ["sensor", "sun"]).as_deref(), Some("sun"));
         assert_eq!(nearest("zzz", known), None);
+    }
+
+    #[test]
+    fn too_many_open_files_are_named_with_their_remedy() {
+        let cause = || std::io::Error::from_raw_os_error(24);
+        for error in [
+            Error::Signals(cause()),
+            Error::OpenFiles(cause()),
+            Error::Read { path: "a".into(), cause: cause() },
+            Error::Write { path: "a".into(), cause: cause() },
+        ] {
+            let text = format!("{error}{}", error.advice());
+            assert!(text.contains("ulimit -n") && error.exit_status() == 1, "{text}");
+        }
     }
 }

@@ -157,15 +157,15 @@ impl Examiner<'_> {
 
     /// Refuses an adapter that nothing is called.
     fn check_wanted(&self) -> Result<()> {
-        let wanted =
-            self.args.adapter.clone().map_or_else(adapter::name_in_environment, |text| Ok(Some(text)))?;
+        let argument = &self.args.adapter;
+        let wanted = argument.clone().map_or_else(adapter::name_in_environment, |text| Ok(Some(text)))?;
         let Some(wanted) = wanted else { return Ok(()) };
         let adapters = &self.examination.adapters;
         if adapters.is_empty() || adapters.iter().any(|adapter| adapter.matches(&wanted)) {
             return Ok(());
         }
         let available = adapters.iter().map(|adapter| adapter.describe()).collect();
-        Err(Error::AdapterNotFound { wanted, available })
+        Err(adapter::not_found(wanted, argument.is_some(), available))
     }
 
     /// Does a job in another process.

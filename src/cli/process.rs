@@ -42,17 +42,13 @@ pub(super) fn end_on_signals() -> Result<()> {
     listen(end)
 }
 
-fn not_listening(error: std::io::Error) -> Error {
-    Error::Usage(format!("cannot listen for Ctrl-C: {error}"))
-}
-
 /// Calls `stop` in a thread on the first signal, and exits on the second. A signal that whoever started the process lets it ignore
 /// stays ignored.
 #[cfg(unix)]
 fn listen(stop: impl Fn() + Send + 'static) -> Result<()> {
     let ignored = ignored_signals();
     let wanted = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|signal| ignored >> (signal - 1) & 1 == 0);
-    let mut signals = signal_hook::iterator::Signals::new(wanted).map_err(not_listening)?;
+    let mut signals = signal_hook::iterator::Signals::new(wanted).map_err(Error::Signals)?;
     let listen = move || {
         for signal in signals.forever() {
             if RECEIVED.swap(signal, Ordering::Relaxed) != 0 {
@@ -71,8 +67,8 @@ fn listen(stop: impl Fn() + Send + 'static) -> Result<()> {
     for signal in [SIGINT, SIGTERM] {
         let status = SIGNAL_STATUS + signal;
         signal_hook::flag::register_conditional_shutdown(signal, status, Arc::clone(&is_received))
-            .map_err(not_listening)?;
-        signal_hook::flag::register(signal, Arc::clone(&is_received)).map_err(not_listening)?;
+            .map_err(Error::Signals)?;
+        signal_hook::flag::register(signal, Arc::clone(&is_received)).map_err(Error::Signals)?;
     }
     let listen = move || {
         while !is_received.load(Ordering::Relaxed) {

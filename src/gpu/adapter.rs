@@ -50,6 +50,7 @@ fn missing_gl(info: &AdapterInfo) -> Option<String> {
 /// The adapter whose description contains `wanted`, or the best one; see [`crate::gpu::Gpu::open`].
 pub(super) fn choose(wanted: Option<&str>) -> Result<wgpu::Adapter> {
     memory_limits::check()?;
+    let is_argument = wanted.is_some();
     let wanted = wanted.map_or_else(name_in_environment, |text| Ok(Some(text.to_owned())))?;
     let rounds = backends_allowed()?.map_or_else(|| Platform::HERE.rounds(), |allowed| vec![allowed]);
     let (mut available, mut best) = (Vec::new(), None);
@@ -65,7 +66,7 @@ pub(super) fn choose(wanted: Option<&str>) -> Result<wgpu::Adapter> {
         }
     }
     best.ok_or_else(|| match wanted {
-        Some(wanted) if !available.is_empty() => Error::AdapterNotFound { wanted, available },
+        Some(wanted) if !available.is_empty() => not_found(wanted, is_argument, available),
         _ => no_adapter(),
     })
 }
@@ -154,7 +155,21 @@ fn backends_named(names: &str) -> Result<Option<Backends>> {
         .try_fold(None, |allowed, backend| Ok(Some(allowed.unwrap_or(Backends::empty()) | backend?)))
 }
 
+/// The error of a name that none of these adapters has. It `is_argument`, or is that of the environment.
+pub(crate) fn not_found(wanted: String, is_argument: bool, available: Vec<String>) -> Error {
+    let variable = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
+    let backends = variable("WGPU_BACKEND").map(|value| format!("WGPU_BACKEND={value}"));
+    let name = (!is_argument).then(|| format!("WGPU_ADAPTER_NAME={wanted}"));
+    let set: Vec<String> = backends.into_iter().chain(name).collect();
+    let origin =
+        if set.is_empty() { String::new() } else { format!(" (the environment has {})", set.join(" and ")) };
+    Error::AdapterNotFound { wanted, origin, available }
+}
+
 fn no_adapter() -> Error {
+    if let Err(error) = memory_limits::check_open_files() {
+        return error;
+    }
     let (tried, advice) = tried_and_advice(&std::env::var("WGPU_BACKEND").unwrap_or_default());
     Error::NoAdapter { tried, advice }
 }

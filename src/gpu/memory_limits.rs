@@ -1,5 +1,5 @@
-//! Limits on the memory of the process (`ulimit`). Drivers crash where they reach one, so they are checked before a driver is
-//! loaded, or, where they matter to one driver alone, before it opens a device.
+//! Limits on the memory of the process and on its open files (`ulimit`). Drivers crash where they reach one of memory, so these are checked
+//! before a driver is loaded, or, where they matter to one driver alone, before it opens a device.
 //!
 //! Must not know: adapters.
 
@@ -64,6 +64,23 @@ pub(super) fn check_memory_file() -> Result<()> {
         return Ok(());
     }
     FILE_SIZE.check(&std::fs::read_to_string("/proc/self/limits").unwrap_or_default(), 0)
+}
+
+/// Files that a driver opens, with its libraries and devices; Mesa's CPU driver opens four.
+#[cfg(unix)]
+const DRIVER_FILES: usize = 16;
+
+/// Checks that this process can open as many files as a driver needs. One that cannot open its own is not found.
+///
+/// # Errors
+/// [`Error::OpenFiles`].
+pub(super) fn check_open_files() -> Result<()> {
+    #[cfg(unix)]
+    (0..DRIVER_FILES)
+        .map(|_| std::fs::File::open("/dev/null"))
+        .collect::<std::io::Result<Vec<_>>>()
+        .map_err(Error::OpenFiles)?;
+    Ok(())
 }
 
 fn is_memory_file_among(mut paths: impl Iterator<Item = PathBuf>) -> bool {

@@ -94,6 +94,10 @@ fn a_wrong_setting_is_refused_with_name_value_and_remedy() {
         (&["--size", "64x160", "--set", "camera.k1=-0.1"], &["camera.k1 = -0.1", "64 x 160 pixels"]),
         (&["--config", "seed.toml"], &["`seed` in seed.toml", "--seed"]),
         (&["--set", "sun=5"], &["`sun` in --set is a group and no knob"]),
+        (
+            &["--set", "rules.lit_mn=0"],
+            &["unknown rule `rules.lit_mn` in --set", "`rules.lit_min`", "params rules"],
+        ),
         (&["--size", "100000"], &["100000x100000", "200000 samples along a side", "smaller --size"]),
         (&["--samples", "3"], &["--samples 3", "1, 4 (2 x 2) and 16"]),
         (&["--preset", "referense"], &["unknown preset `referense`", "did you mean `reference`", "train_dr"]),

@@ -78,6 +78,40 @@ fn no_run_connects_to_a_display() {
     }
 }
 
+/// The command with a limit (`ulimit`).
+fn limited(folder: &Path, (option, limit): (&str, u32), words: &[&str]) -> Command {
+    let unlimited = program_without_display(folder);
+    let mut limited = Command::new("sh");
+    limited.arg("-c").arg(format!("ulimit {option} {limit}; exec \"$0\" \"$@\""));
+    limited.arg(unlimited.get_program()).args(words).current_dir(folder);
+    for (name, value) in unlimited.get_envs() {
+        match value {
+            Some(value) => limited.env(name, value),
+            None => limited.env_remove(name),
+        };
+    }
+    limited
+}
+
+/// A driver that cannot open its files is not found. It would be wrong advice to install one.
+#[test]
+fn too_few_open_files_are_an_error_with_its_remedy() {
+    let folder = folder();
+    for words in [&["--size=16", "--out=out"][..], &["adapters"], &["dataset", "--count=1", "--size=16"]] {
+        for files in [4, 5, 6] {
+            let output = output_within_limit(&mut limited(folder.path(), ("-n", files), words));
+            let message = String::from_utf8_lossy(&output.stderr);
+            let is_refused = output.status.code() == Some(1)
+                && message.trim_end().lines().count() == 1
+                && message.contains("raise the limit of open files (`ulimit -n`)")
+                && !message.contains(".tmp");
+            let may_run = words == ["adapters"] && output.status.success();
+            assert!(is_refused || may_run, "{files} files, {words:?}: {:?}: {message}", output.status);
+        }
+    }
+    assert!(!folder.path().join("out").exists());
+}
+
 /// Below a limit on the memory of a process, drivers crash: a run says so before it loads one.
 #[test]
 fn a_limit_of_memory_is_an_error_in_one_line() {
@@ -95,17 +129,7 @@ fn a_limit_of_memory_is_an_error_in_one_line() {
         ("-d", 50_000, &dataset),
         ("-d", 200_000, &dataset),
     ] {
-        let unlimited = program_without_display(folder.path());
-        let mut limited = Command::new("sh");
-        limited.arg("-c").arg(format!("ulimit {option} {kibibytes}; exec \"$0\" \"$@\""));
-        limited.arg(unlimited.get_program()).args(words).current_dir(folder.path());
-        for (name, value) in unlimited.get_envs() {
-            match value {
-                Some(value) => limited.env(name, value),
-                None => limited.env_remove(name),
-            };
-        }
-        let output = output_within_limit(&mut limited);
+        let output = output_within_limit(&mut limited(folder.path(), (option, kibibytes), words));
         let message = String::from_utf8_lossy(&output.stderr);
         let is_refused = output.status.code() == Some(1)
             && message.trim_end().lines().count() == 1
@@ -131,6 +155,20 @@ fn variables_that_are_not_text_are_refused() {
             assert_eq!(output.status.code(), Some(2), "{name}, {words:?}: {message}");
             assert!(message.contains(name) && message.contains("UTF-8"), "{message}");
         }
+    }
+}
+
+#[test]
+fn variables_that_leave_no_adapter_are_named() {
+    let folder = folder();
+    for words in [&["--size=32"][..], &["doctor"]] {
+        let mut command = program_without_display(folder.path());
+        command.args(words).env("WGPU_BACKEND", "vulkan").env("WGPU_ADAPTER_NAME", "voodoo");
+        let output = output_within_limit(&mut command);
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{words:?}: {message}");
+        let variables = "(the environment has WGPU_BACKEND=vulkan and WGPU_ADAPTER_NAME=voodoo)";
+        assert!(message.contains(variables), "{words:?}: {message}");
     }
 }
 

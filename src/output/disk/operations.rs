@@ -71,7 +71,13 @@ macro_rules! record {
 /// The error of a file that cannot be written.
 pub(super) fn failed(path: &Path) -> impl FnOnce(io::Error) -> Error {
     let path = path.to_owned();
-    move |cause| Error::Write { path, cause }
+    move |cause| Error::Write { path, cause: of_system(cause) }
+}
+
+/// The error of the operating system in one that names the temporary file, too.
+fn of_system(error: io::Error) -> io::Error {
+    let wrapped = error.get_ref().and_then(|inner| inner.source()?.downcast_ref::<io::Error>());
+    wrapped.and_then(io::Error::raw_os_error).map_or(error, io::Error::from_raw_os_error)
 }
 
 /// Creates a folder in an existing one. It is no error if it exists.
