@@ -70,7 +70,9 @@ fn summarise(args: &RemapArgs, messages: Messages, remapped: &Remapped) {
         .iter()
         .map(|(class, pixels)| format!("{class} {:.1} %", 100.0 * *pixels as f64 / total.max(1) as f64))
         .collect();
-    messages.note(format_args!("{} masks in {}: {}", remapped.masks, args.out.display(), shares.join(", ")));
+    let noun = if remapped.masks == 1 { "mask" } else { "masks" };
+    let (masks, out) = (remapped.masks, args.out.display());
+    messages.note(format_args!("{masks} {noun} in {out}: {}", shares.join(", ")));
     if !remapped.unknown_names.is_empty() {
         let names: Vec<&str> = remapped.unknown_names.iter().map(String::as_str).collect();
         messages.note(format_args!("names of no class, written as 255: {}", names.join(", ")));

@@ -202,7 +202,7 @@ pub fn index_paths<'a>(
 /// A manifest as a file of this name.
 ///
 /// # Errors
-/// [`Error::Encode`].
+/// [`Error::Encode`](crate::Error::Encode).
 pub fn to_file(name: String, manifest: Map<String, Value>) -> Result<Artifact> {
     Ok(Artifact { name, bytes: json::to_bytes(&manifest)? })
 }

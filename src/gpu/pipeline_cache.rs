@@ -14,7 +14,7 @@ const HASH_BYTES: usize = size_of::<u128>();
 /// The pipeline cache of a device, with what is needed to store it between runs.
 #[derive(Debug)]
 pub struct PipelineCache {
-    /// Name to store the data under: see [`key`].
+    /// Name to store the data under: that of a file, of letters, digits, `-` and `_`.
     pub key: String,
     cache: wgpu::PipelineCache,
     /// The stored data that the cache was created from, hash included.

@@ -71,7 +71,7 @@ impl VisibleTriangles {
         self.slopes.as_ref()
     }
 
-    /// Finds the triangles of a selection. `caster_grid` is that of [`crate::render::select::caster_grid::caster_grid`]. Unless
+    /// Finds the triangles of a selection. `caster_grid` is that of [`crate::render::select::caster_grid`]. Unless
     /// `by_shadow_sources`, everything is classified as shaded by ground and rocks.
     pub fn find(
         &mut self,

@@ -42,7 +42,7 @@ pub struct ScreenTriangle {
 const SOURCES_BITS: u32 = SHADOW_SOURCES.ilog2();
 
 impl ScreenTriangle {
-    /// What can shade it, by the index in [`ShadowSources::ALL`].
+    /// What can shade it, by the index in `ShadowSources::ALL`.
     #[must_use]
     #[inline(always)]
     pub const fn shadow_sources(&self) -> usize {
