@@ -117,7 +117,18 @@ impl Photometry {
     /// of the sun's elevation.
     #[must_use]
     pub fn exitance(&self, cos_light: f64) -> f64 {
-        let Law::Hapke = self.law else { return cos_light };
+        match self.law {
+            // The lobe of Oren and Nayar is taken for Lambert's.
+            Law::Lambert | Law::OrenNayar => return cos_light,
+            // The integral of 2 mu0 / (mu0 + mu) over the hemisphere, with the cosine of emission mu. It exceeds the light that falls on ground of
+            // unit albedo: the law holds for dark soil.
+            Law::LommelSeeliger => {
+                return 4.0
+                    * cos_light
+                    * (1.0 - cos_light * libm::log((1.0 + cos_light) / cos_light.max(1e-9)));
+            }
+            Law::Hapke => {}
+        }
         let (rings, spokes) = (12, 24);
         let mut sum = 0.0;
         let sin_light = (1.0 - cos_light * cos_light).max(0.0).sqrt();
@@ -292,10 +303,24 @@ mod tests {
     fn no_law_reflects_more_light_than_it_receives() {
         for (law, _) in Law::ALL {
             let photometry = Photometry { law, soil: WAC, rock_b_s0: 0.8 };
+            // Lommel and Seeliger's law is one of dark soil.
+            let albedo = if law == Law::LommelSeeliger { 0.3 } else { 1.0 };
             for sine in [0.1, 0.3, 0.8, 1.0] {
-                let exitance = photometry.exitance(sine);
+                let exitance = albedo * photometry.exitance(sine);
                 assert!(exitance > 0.0 && exitance <= 1.3 * sine, "{law:?} at {sine}: {exitance}");
             }
+        }
+    }
+
+    /// The radiance of `reflected` in `common/brdf.wgsl`, summed over directions of equal projected solid angle.
+    #[test]
+    fn lommel_and_seeligers_exitance_is_the_sum_of_its_radiance() {
+        let photometry = Photometry { law: Law::LommelSeeliger, soil: WAC, rock_b_s0: 0.8 };
+        for sine in [0.0, 0.05, 0.29, 0.7, 1.0] {
+            let radiance = |k: u32| 2.0 * sine / (sine + ((f64::from(k) + 0.5) / 1e5).sqrt());
+            let expected = (0..100_000).map(radiance).sum::<f64>() / 1e5;
+            let exitance = photometry.exitance(sine);
+            assert!((exitance - expected).abs() < 1e-4, "{exitance}, not {expected}, at {sine}");
         }
     }
 }
