@@ -28,8 +28,11 @@ use crate::output::{
     self, EncodeInput, EncodedFile, FileKind, LabelIds, OUTPUTS, Output, dataset_path, disk,
 };
 
-/// Frames that are converted at a time.
-const CHUNK: usize = 64;
+/// Files that are written at a time.
+const MAX_OPEN_FILES: usize = 64;
+/// Frames that are converted at a time: at most this many, fewer if their files are larger than this together, but one for each core.
+const MAX_CHUNK: usize = 64;
+const MAX_CHUNK_BYTES: usize = 128 << 20;
 
 /// A conversion of one dataset to one layout.
 #[derive(Debug)]
@@ -116,17 +119,25 @@ impl Conversion {
     ) -> Result<Finalized> {
         let mut log = FrameLogWriter::open(out, &self.spec, force)?;
         let found = log.finished().len() as u64;
-        let mut chunk = Vec::new();
-        let mut convert_chunk = |chunk: &mut Vec<FrameLine>| -> Result<()> {
+        let mut chunk = Chunk::new();
+        let mut convert_chunk = |chunk: &mut Chunk| -> Result<()> {
             let converted: Vec<Result<(FrameLine, FrameFiles)>> =
-                chunk.par_drain(..).map(|line| self.convert(source, line)).collect();
+                chunk.lines.par_drain(..).map(|line| self.convert(source, line)).collect();
+            // Of those before an error nothing is lost.
+            let (mut frames, mut result) = (Vec::new(), Ok(()));
             for frame in converted {
-                let (line, files) = frame?;
-                log.write_files(&files)?;
-                log.append(&line)?;
+                match frame {
+                    Ok(frame) => frames.push(frame),
+                    Err(error) => {
+                        result = Err(error);
+                        break;
+                    }
+                }
             }
-            log.flush()?;
+            write_frames(&mut log, &frames)?;
+            chunk.adapt(&frames);
             watch(found, log.finished().len() as u64 - found);
+            result?;
             if stop.load(Ordering::Relaxed) {
                 log.write_manifest("stopped")?;
                 let (done, wanted) = (log.finished().len() as u64, self.frames());
@@ -137,9 +148,9 @@ impl Conversion {
         let finished = finished_frames(out, &Gate::of_spec(&self.spec)?)?;
         FrameLog::new(source, self.gate.clone()).for_each(&mut |line| {
             if !finished.contains(&line.index) {
-                chunk.push(line);
+                chunk.lines.push(line);
             }
-            if chunk.len() == CHUNK { convert_chunk(&mut chunk) } else { Ok(()) }
+            if chunk.lines.len() >= chunk.size { convert_chunk(&mut chunk) } else { Ok(()) }
         })?;
         convert_chunk(&mut chunk)?;
         log.write_manifest("done")?;
@@ -206,6 +217,39 @@ impl Conversion {
     }
 }
 
+/// Frames that are converted at a time.
+struct Chunk {
+    lines: Vec<FrameLine>,
+    /// Number of frames of a full one.
+    size: usize,
+}
+
+impl Chunk {
+    fn new() -> Self {
+        Self { lines: Vec::new(), size: rayon::current_num_threads() }
+    }
+
+    /// Makes the next chunk as large as the size of these frames' files allows.
+    fn adapt(&mut self, frames: &[(FrameLine, FrameFiles)]) {
+        let size_of =
+            |(_, files): &(_, FrameFiles)| files.artifacts.iter().map(|file| file.bytes.len()).sum::<usize>();
+        if let Some(largest) = frames.iter().map(size_of).max() {
+            let of_bytes = (MAX_CHUNK_BYTES / largest.max(1)).min(MAX_CHUNK);
+            self.size = of_bytes.max(rayon::current_num_threads());
+        }
+    }
+}
+
+/// Writes the files of frames, those of several together, and adds their lines to the log.
+fn write_frames(log: &mut FrameLogWriter, frames: &[(FrameLine, FrameFiles)]) -> Result<()> {
+    let files_of_frame = frames.iter().map(|(_, files)| files.artifacts.len()).max().unwrap_or_default();
+    for group in frames.chunks((MAX_OPEN_FILES / files_of_frame.max(1)).max(1)) {
+        log.write_artifacts(group.iter().flat_map(|(_, files)| &files.artifacts))?;
+        group.iter().try_for_each(|(line, _)| log.append(line))?;
+    }
+    log.flush()
+}
+
 /// Checks that the log of a dataset has the line of each of its frames.
 fn check_log(source: &Path, gate: &Gate, range: Range) -> Result<()> {
     let lacks = |index: u64| {
@@ -266,4 +310,26 @@ fn read_rocks(path: &Path, bytes: &[u8]) -> Result<Vec<RockLabel>> {
         })
         .collect::<Option<Vec<_>>>()
         .ok_or_else(incomplete)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::output::Artifact;
+
+    #[test]
+    fn fewer_frames_are_converted_at_a_time_the_larger_their_files_are() {
+        let threads = rayon::current_num_threads();
+        let mut chunk = Chunk::new();
+        assert_eq!(chunk.size, threads);
+        for (length, expected) in [(1 << 10, MAX_CHUNK), (8 << 20, 16), (1 << 30, 0)] {
+            // Memory that is never touched.
+            let file = Artifact { name: String::new(), bytes: vec![0; length] };
+            let files = FrameFiles { artifacts: vec![file], entry: Value::Null };
+            chunk.adapt(&[(FrameLine::default(), files)]);
+            assert_eq!(chunk.size, expected.max(threads), "{length} bytes a frame");
+        }
+        chunk.adapt(&[]);
+        assert_eq!(chunk.size, threads);
+    }
 }

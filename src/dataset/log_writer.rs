@@ -83,7 +83,18 @@ impl FrameLogWriter {
     /// # Errors
     /// [`Error::Write`], [`Error::LogLost`].
     pub fn write_files(&mut self, files: &FrameFiles) -> Result<()> {
-        let written = self.files.write_all(&files.artifacts);
+        self.write_artifacts(&files.artifacts)
+    }
+
+    /// Writes the files of one or several frames, which are open at the same time.
+    ///
+    /// # Errors
+    /// Those of [`write_files`](Self::write_files).
+    pub(super) fn write_artifacts<'a>(
+        &mut self,
+        artifacts: impl IntoIterator<Item = &'a Artifact>,
+    ) -> Result<()> {
+        let written = self.files.write_all(artifacts);
         written.map(drop).map_err(|error| self.lost_or(error))
     }
 

@@ -173,7 +173,10 @@ impl FileWriter {
     ///
     /// # Errors
     /// [`Error::Write`].
-    pub fn write_all(&mut self, artifacts: &[Artifact]) -> Result<Vec<PathBuf>> {
+    pub fn write_all<'a>(
+        &mut self,
+        artifacts: impl IntoIterator<Item = &'a Artifact>,
+    ) -> Result<Vec<PathBuf>> {
         let folder = self.folder.clone();
         let mut written = Vec::new();
         for artifact in artifacts {
@@ -185,13 +188,15 @@ impl FileWriter {
                 self.create_folders(&parent(&path), &folder)?;
             }
             let mut file = self.temporary_for(&path)?;
-            file.write_all(&artifact.bytes).and_then(|()| file.sync()).map_err(failed(&path))?;
+            file.write_all(&artifact.bytes).map_err(failed(&path))?;
             written.push((file, path));
         }
+        let files: Vec<&TemporaryFile> = written.iter().map(|(file, _)| file).collect();
+        operations::sync_files(&files).map_err(|(index, cause)| failed(&written[index].1)(cause))?;
         written.into_iter().map(|(file, path)| self.rename(file, path)).collect()
     }
 
-    /// Writes one file from a stream, completely or not at all. Its folder must exist.
+    /// Writes one file from a stream, completely or not at all, and returns its content hash. Its folder must exist.
     ///
     /// # Errors
     /// [`Error::Write`].

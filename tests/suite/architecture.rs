@@ -52,7 +52,7 @@ pub(crate) const MAY_USE: [(&str, &[&str]); 21] = [
     ("scene", &["params", "random", "lens", "pool", "rounding", "class", "error"]),
     ("gpu", &["error"]),
     ("render", &["scene", "gpu", "frame", "lens", "pool", "rounding", "class", "error"]),
-    ("output", &["frame", "lens", "class", "input", "error"]),
+    ("output", &["host_time", "frame", "lens", "class", "input", "error"]),
     ("remap", &["output", "class", "input", "error"]),
     ("export", &["scene", "render", "output", "class", "error"]),
     ("meta", &["params", "scene", "render", "output", "frame", "class"]),

@@ -8,11 +8,20 @@ use std::collections::BTreeSet;
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read as _, Seek as _, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
 
 use tempfile::NamedTempFile;
 
 use crate::error::Error;
+use crate::host_time::{self, Role};
+
+/// Threads that wait for files at a time.
+const SYNC_THREADS: usize = 8;
+/// A file that is on the disk sooner is no reason to start threads for the others.
+const SLOW_SYNC: Duration = Duration::from_micros(300);
 
 /// One change of the disk.
 #[cfg(test)]
@@ -90,6 +99,56 @@ pub(super) fn create_folder(path: &Path) -> io::Result<()> {
             Ok(())
         }
     }
+}
+
+/// Waits until the content of these files is on the disk.
+///
+/// # Errors
+/// The first that occurs, with the index of its file.
+pub(super) fn sync_files(files: &[&TemporaryFile]) -> Result<(), (usize, io::Error)> {
+    share_out(files.len(), |index| files[index].file.as_file().sync_data())?;
+    #[cfg(test)]
+    for file in files {
+        record!(SyncFile(file.file.path().to_owned()));
+    }
+    Ok(())
+}
+
+/// Calls `sync` for each index below `count`. A file system writes together what several threads wait for, which takes a tenth of the time
+/// of one file after the other; so threads share the files out, if the first of them takes its time.
+fn share_out(count: usize, sync: impl Fn(usize) -> io::Result<()> + Sync) -> Result<(), (usize, io::Error)> {
+    let next = AtomicUsize::new(0);
+    let failed: Mutex<Option<(usize, io::Error)>> = Mutex::new(None);
+    let lock = || failed.lock().unwrap_or_else(PoisonError::into_inner);
+    let sync_next = || {
+        let index = next.fetch_add(1, Ordering::Relaxed);
+        if index >= count || lock().is_some() {
+            return false;
+        }
+        match sync(index) {
+            Ok(()) => true,
+            Err(cause) => {
+                lock().get_or_insert((index, cause));
+                false
+            }
+        }
+    };
+    let start = Instant::now();
+    let others = if sync_next() && start.elapsed() >= SLOW_SYNC { count - 1 } else { 0 };
+    thread::scope(|scope| {
+        for _ in 1..others.min(SYNC_THREADS) {
+            let work = || {
+                let _registration = host_time::register(Role::Writer);
+                while sync_next() {}
+            };
+            // Without a further thread the others take its files.
+            if thread::Builder::new().spawn_scoped(scope, work).is_err() {
+                break;
+            }
+        }
+        while sync_next() {}
+    });
+    failed.into_inner().unwrap_or_else(PoisonError::into_inner).map_or(Ok(()), Err)
 }
 
 /// Waits until the names in a folder are on the disk. Does nothing where folders cannot be synchronised.
@@ -287,5 +346,51 @@ pub(super) fn is_at(file: &File, path: &Path) -> bool {
     {
         let _ = file;
         path.exists()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::AtomicBool;
+
+    use super::*;
+
+    #[test]
+    fn files_that_take_their_time_are_waited_for_together() {
+        let (calls, are_together) = (Mutex::new(Vec::new()), AtomicBool::new(false));
+        let sync = |index| {
+            calls.lock().expect("a list").push(index);
+            let start = Instant::now();
+            if index == 0 {
+                thread::sleep(2 * SLOW_SYNC);
+            }
+            // Until another thread waits for a file as well.
+            while index == 1 && start.elapsed() < Duration::from_secs(20) {
+                if calls.lock().expect("a list").len() > 2 {
+                    are_together.store(true, Ordering::Relaxed);
+                    break;
+                }
+                thread::yield_now();
+            }
+            Ok(())
+        };
+        share_out(20, sync).expect("synchronised");
+        let mut calls = calls.into_inner().expect("a list");
+        calls.sort_unstable();
+        assert_eq!(calls, (0..20).collect::<Vec<_>>(), "each file once");
+        assert!(are_together.into_inner());
+    }
+
+    #[test]
+    fn the_file_that_cannot_be_synchronised_is_named() {
+        for slow in [Duration::ZERO, 2 * SLOW_SYNC] {
+            let (index, cause) = share_out(9, |index| {
+                thread::sleep(slow);
+                if index == 4 { Err(io::ErrorKind::StorageFull.into()) } else { Ok(()) }
+            })
+            .expect_err("the disk is full");
+            assert_eq!((index, cause.kind()), (4, io::ErrorKind::StorageFull));
+        }
+        share_out(0, |_| Ok(())).expect("nothing to do");
     }
 }
