@@ -11,6 +11,7 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use image::DynamicImage;
+use rayon::prelude::*;
 use serde_json::{Map, Value};
 
 use crate::class::ClassId;
@@ -326,11 +327,43 @@ fn equal_channels<T: Copy + PartialEq + Into<u32>>(pixels: impl Iterator<Item = 
     pixels.map(|[r, g, b]| (r == g && g == b).then(|| r.into())).collect()
 }
 
-/// Remaps one mask. Its files get the same paths below `out`. Files that are there stay as they are unless `force` is set.
+/// Remaps some masks at the same time. Their files get the same paths below `out`. Files that are there stay as they are unless `force` is
+/// set. After an error those of the masks before it are written.
 ///
 /// # Errors
 /// [`Error::Dataset`], [`Error::OutFileExists`] for a file with other content unless `force`, [`Error::Read`], [`Error::Write`].
-pub fn remap(folder: &Path, pair: &Pair, out: &Path, force: bool) -> Result<Remapped> {
+pub fn remap(folder: &Path, pairs: &[Pair], out: &Path, force: bool) -> Result<Remapped> {
+    let remapped: Vec<Result<(Remapped, [Artifact; 2])>> = pairs
+        .par_iter()
+        .map(|pair| {
+            let (result, files) = remap_one(folder, pair)?;
+            if !force {
+                files.iter().try_for_each(|file| check_replaces_nothing(out, file))?;
+            }
+            Ok((result, files))
+        })
+        .collect();
+    let (mut total, mut files, mut failed) = (Remapped::default(), Vec::new(), Ok(()));
+    for mask in remapped {
+        match mask {
+            Ok((result, of_mask)) => {
+                total.add(result);
+                files.extend(of_mask);
+            }
+            Err(error) => {
+                failed = Err(error);
+                break;
+            }
+        }
+    }
+    if !files.is_empty() {
+        disk::write_all(out, &files)?;
+    }
+    failed.map(|()| total)
+}
+
+/// The files of a mask, and what is in them.
+fn remap_one(folder: &Path, pair: &Pair) -> Result<(Remapped, [Artifact; 2])> {
     let path = folder.join(&pair.mask);
     let mut result = Remapped { masks: 1, ..Remapped::default() };
     let labels = read_labels(&folder.join(&pair.labels), &mut result.unknown_names)?;
@@ -350,11 +383,7 @@ pub fn remap(folder: &Path, pair: &Pair, out: &Path, force: bool) -> Result<Rema
         file(&pair.mask, png::ids_u8(mask.width(), mask.height(), &ids)?),
         file(&pair.labels, json::to_bytes(&LabelIds::Canonical.labels())?),
     ];
-    if !force {
-        files.iter().try_for_each(|file| check_replaces_nothing(out, file))?;
-    }
-    disk::write_all(out, &files)?;
-    Ok(result)
+    Ok((result, files))
 }
 
 /// Refuses to write a file where there is one already, unless that is the same, as an earlier run leaves it.

@@ -15,6 +15,8 @@ use super::messages::{Messages, print};
 use super::process::stop_on_signals;
 use super::progress::Meter;
 
+/// Masks that are remapped at a time.
+const CHUNK: usize = 16;
 /// Ids or colours without a name that are printed; `--json` lists more.
 const MAX_PRINTED: usize = 20;
 
@@ -42,7 +44,8 @@ pub(super) fn run(args: &RemapArgs, messages: Messages) -> Result<()> {
     let mut meter = Meter::new(messages, "masks");
     let mut total = Remapped::default();
     let wanted = pairs.len() as u64;
-    for (done, pair) in (0..).zip(&pairs) {
+    let mut done = 0;
+    for chunk in pairs.chunks(CHUNK) {
         if stop.load(Ordering::Relaxed) {
             meter.finish();
             return Err(Error::Stopped {
@@ -51,8 +54,9 @@ pub(super) fn run(args: &RemapArgs, messages: Messages) -> Result<()> {
                 remedy: "Run the same command again; it starts over",
             });
         }
-        total.add(remap::remap(&args.folder, pair, &args.out, args.force)?);
-        meter.show([0, done + 1, wanted], "");
+        total.add(remap::remap(&args.folder, chunk, &args.out, args.force)?);
+        done += chunk.len() as u64;
+        meter.show([0, done, wanted], "");
     }
     meter.finish();
     if args.json {

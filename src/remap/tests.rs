@@ -18,7 +18,7 @@ fn remapped_png(png: &[u8], labels: &str) -> Result<Vec<u8>> {
     let out = folder.path().join("out");
     let pairs = find(folder.path())?;
     assert_eq!(pairs.len(), 1);
-    remap(folder.path(), &pairs[0], &out, false)?;
+    remap(folder.path(), &pairs, &out, false)?;
     let made = image::open(out.join("semantic_segmentation_0003.png")).expect("a mask");
     assert_eq!(made.color(), image::ColorType::L8);
     let labels = std::fs::read_to_string(out.join("semantic_segmentation_labels_0003.json")).expect("labels");
@@ -135,4 +135,24 @@ fn invalid_label_files_are_errors() {
     GrayImage::new(4, 1).save(folder.path().join("semantic_segmentation_0000.png")).expect("saved");
     let message = find(folder.path()).expect_err("no labels").to_string();
     assert!(message.contains("semantic_segmentation_labels_0000.json is missing"), "{message}");
+}
+
+#[test]
+fn masks_before_a_wrong_one_are_written() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().join("out");
+    for (number, labels) in [LABELS, LABELS, "{}", LABELS].into_iter().enumerate() {
+        let path = |stem: &str, extension| folder.path().join(format!("{stem}{number:04}.{extension}"));
+        GrayImage::new(4, 1).save(path(MASK_STEM, "png")).expect("saved");
+        std::fs::write(path(LABELS_STEM, "json"), labels).expect("written");
+    }
+    let pairs = find(folder.path()).expect("found");
+    let message = remap(folder.path(), &pairs, &out, false).expect_err("no labels").to_string();
+    assert!(message.contains("labels_0002.json") && message.contains("it is empty"), "{message}");
+    let mut written = disk::names(&out).expect("read");
+    written.retain(|name| name.ends_with(".png"));
+    assert_eq!(written, ["semantic_segmentation_0000.png", "semantic_segmentation_0001.png"]);
+    let whole = [&pairs[..2], &pairs[3..]].concat();
+    let total = remap(folder.path(), &whole, &out, false).expect("the same files may be there");
+    assert_eq!((total.masks, total.pixels.values().sum::<u64>()), (3, 12));
 }
