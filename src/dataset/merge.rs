@@ -23,7 +23,7 @@ use crate::error::{Error, Result};
 use crate::input;
 use crate::output::disk::own_name::is_own_name;
 use crate::output::disk::{self, FileWriter};
-use crate::output::layout::{self, DatasetIndex, FrameLines as _, Layout, interface::CARD_FILE};
+use crate::output::layout::{self, Bundle, DatasetIndex, FrameLines as _, Layout, interface::CARD_FILE};
 use crate::output::{Artifact, dataset_path};
 
 /// A folder with one log and one manifest.
@@ -279,7 +279,8 @@ fn merge_logs(
             out.write_all(&line)?;
         }
         Ok(())
-    })
+    })?;
+    Ok(())
 }
 
 /// The manifest of a folder with this range and these totals, still without the hashes of a complete one.
@@ -323,19 +324,22 @@ fn write_index_files(
     // A card that was edited is not replaced by the one that was there before.
     let old_card = hash_of_card(&folder);
     let mut hashes = Map::new();
+    let mut write_bundle = |bundle: Bundle<'_>| {
+        let hash = files.write_streamed(bundle.name, bundle.content)?;
+        hashes.insert(bundle.name.to_owned(), hash.into());
+        // What a bundle contains is removed once the bundle is on the disk.
+        files.sync_folders()
+    };
+    let index = DatasetIndex { folder: &folder, lines: &lines, manifest, card: "" };
+    layout.write_bundles(&index, &mut write_bundle)?;
     let mut write = |file: Artifact| {
         let hash = disk::content_hash(&file.bytes);
         let is_kept = file.name == CARD_FILE && old_card.as_ref() == Some(&hash);
         hashes.insert(file.name.clone(), hash.into());
-        if is_kept {
-            return Ok(());
-        }
-        files.write_all(&[file])?;
-        // What a bundle contains is removed once the bundle is on the disk.
-        files.sync_folders()
+        if is_kept { Ok(()) } else { files.write_all(&[file]).map(drop) }
     };
-    layout.write_bundles(&DatasetIndex { folder: &folder, lines: &lines, manifest, card: "" }, &mut write)?;
     index_files(&folder, manifest, totals, &mut write)?;
+    files.sync_folders()?;
     Ok(hashes)
 }
 

@@ -204,13 +204,16 @@ impl FileWriter {
         &mut self,
         name: &str,
         content: impl FnOnce(&mut dyn std::io::Write) -> std::io::Result<()>,
-    ) -> Result<()> {
+    ) -> Result<String> {
         let path = dataset_path::for_writing(&self.folder, name)?;
-        let mut out = std::io::BufWriter::new(self.temporary_for(&path)?);
-        content(&mut out).map_err(failed(&path))?;
-        let file = out.into_inner().map_err(|error| failed(&path)(error.into_error()))?;
+        let mut out = Hashing { out: self.temporary_for(&path)?, hasher: XxHash3_128::new() };
+        let mut buffered = std::io::BufWriter::new(&mut out);
+        content(&mut buffered).and_then(|()| buffered.flush()).map_err(failed(&path))?;
+        drop(buffered);
+        let Hashing { out: file, hasher } = out;
         file.sync().map_err(failed(&path))?;
-        self.rename(file, path).map(drop)
+        self.rename(file, path)?;
+        Ok(format!("{:032x}", hasher.finish_128()))
     }
 
     /// An empty file beside `path`.
@@ -242,6 +245,24 @@ impl FileWriter {
         self.unsynced.clear();
         self.synced = Some(Instant::now());
         Ok(())
+    }
+}
+
+/// A writer that hashes what it passes on.
+struct Hashing<W> {
+    out: W,
+    hasher: XxHash3_128,
+}
+
+impl<W: std::io::Write> std::io::Write for Hashing<W> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let written = self.out.write(bytes)?;
+        self.hasher.write(&bytes[..written]);
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.out.flush()
     }
 }
 

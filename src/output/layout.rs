@@ -17,7 +17,7 @@ pub mod yolo;
 
 use crate::error::{Error, Result, nearest};
 pub use frame_line::FrameLine;
-pub use interface::{DatasetIndex, FrameFiles, FrameLines, FrameNames, Layout, Sample, SplitRange};
+pub use interface::{Bundle, DatasetIndex, FrameFiles, FrameLines, FrameNames, Layout, Sample, SplitRange};
 
 /// A row of the table of layouts.
 #[derive(Debug)]

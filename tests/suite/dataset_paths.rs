@@ -117,12 +117,16 @@ fn the_paths_of_the_index_files_are_those_that_are_written() {
             let lines = Lines(lines);
             let index = DatasetIndex { folder: folder.path(), lines: &lines, manifest, card: "" };
             let mut written = Vec::new();
-            let mut write = |file: output::Artifact| {
+            let bundles = row.layout.write_bundles(&index, &mut |bundle| {
+                written.push(bundle.name.to_owned());
+                Ok(())
+            });
+            bundles.expect("written");
+            let index_files = row.layout.index_files(&index, &mut |file| {
                 written.push(file.name);
                 Ok(())
-            };
-            row.layout.write_bundles(&index, &mut write).expect("written");
-            row.layout.index_files(&index, &mut write).expect("written");
+            });
+            index_files.expect("written");
             let paths: Vec<String> = row.layout.index_paths(&splits).collect();
             assert_eq!(paths, written, "{}", row.name);
         }

@@ -4,6 +4,7 @@
 //! never a scene, so that a finished dataset can be converted without rendering.
 //! Must not know: which layouts there are, scene, GPU, the disk.
 
+use std::io::Write;
 use std::path::Path;
 
 use serde_json::{Map, Value};
@@ -103,6 +104,21 @@ impl DatasetIndex<'_> {
     }
 }
 
+/// An archive of the files of many frames.
+#[derive(Clone, Copy)]
+pub struct Bundle<'a> {
+    /// Path below the dataset's folder.
+    pub name: &'a str,
+    /// Writes its bytes piece by piece: it may be larger than the memory.
+    pub content: &'a dyn Fn(&mut dyn Write) -> std::io::Result<()>,
+}
+
+impl std::fmt::Debug for Bundle<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Bundle").field("name", &self.name).finish_non_exhaustive()
+    }
+}
+
 /// A layout of a dataset.
 pub trait Layout: std::fmt::Debug + Sync {
     /// Outputs that the layout needs, whatever else the user asks for.
@@ -155,7 +171,7 @@ pub trait Layout: std::fmt::Debug + Sync {
     fn write_bundles(
         &self,
         _index: &DatasetIndex<'_>,
-        _write: &mut dyn FnMut(Artifact) -> Result<()>,
+        _write: &mut dyn FnMut(Bundle<'_>) -> Result<()>,
     ) -> Result<()> {
         Ok(())
     }

@@ -7,15 +7,17 @@
 //! Must not know: scene, GPU.
 
 use std::collections::BTreeMap;
-use std::io::{Read, Seek, SeekFrom};
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom, Write};
 use std::ops::Range;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value};
 
 use super::frame_line::FrameLine;
-use super::interface::{CARD_FILE, DatasetIndex, FrameFiles, FrameNames, Layout, Sample, SplitRange};
+use super::interface::{Bundle, CARD_FILE, DatasetIndex, FrameFiles, FrameNames, Layout, Sample, SplitRange};
 use crate::error::{Error, Result};
+use crate::input;
 use crate::output::artifact::{Artifact, EncodedFile, FileKind};
 use crate::output::encode::json;
 use crate::output::{dataset_path, disk};
@@ -26,8 +28,8 @@ pub struct WebDataset;
 
 /// Frames of a shard.
 pub const SHARD_FRAMES: u64 = 1000;
-/// Largest size of a shard, which is held in memory.
-const MAX_ARCHIVE_BYTES: u64 = 64 << 30;
+/// Bytes that are copied at a time.
+const PIECE: usize = 1 << 20;
 /// Bytes of a block of a tar archive.
 const BLOCK: usize = 512;
 
@@ -131,14 +133,15 @@ impl Layout for WebDataset {
     fn write_bundles(
         &self,
         index: &DatasetIndex<'_>,
-        write: &mut dyn FnMut(Artifact) -> Result<()>,
+        write: &mut dyn FnMut(Bundle<'_>) -> Result<()>,
     ) -> Result<()> {
         let mut shard = Shard::default();
         let mut finish = |shard: Shard| {
             if shard.frames.is_empty() {
                 return Ok(());
             }
-            write(Artifact { name: shard.name.clone(), bytes: shard.join(index.folder)? })?;
+            let parts = shard.parts(index.folder)?;
+            write(Bundle { name: &shard.name, content: &|out| join(&parts, out) })?;
             shard.frames.iter().try_for_each(|frame| disk::remove(&index.folder.join(fragment_name(*frame))))
         };
         index.lines.for_each(&mut |line| {
@@ -181,36 +184,79 @@ struct Shard {
     frames: Vec<u64>,
 }
 
+/// Bytes of a file that become a part of an archive.
+struct Part {
+    path: PathBuf,
+    /// `None` for the whole file.
+    range: Option<Range<u64>>,
+}
+
 impl Shard {
-    /// The archive, from the fragments of its frames. Frames without a fragment are taken from the existing archive: the
+    /// What the archive consists of: the fragments of its frames. Frames without a fragment are taken from the existing archive: the
     /// dataset has grown, or a run was interrupted between joining and removing.
-    fn join(&self, folder: &Path) -> Result<Vec<u8>> {
-        let path = folder.join(&self.name);
-        let existing = if path.is_file() {
-            dataset_path::read(folder, &self.name, MAX_ARCHIVE_BYTES)?
-        } else {
-            Vec::new()
-        };
+    fn parts(&self, folder: &Path) -> Result<Vec<Part>> {
+        let path = dataset_path::for_reading(folder, &self.name)?;
         // The frames of an archive that was damaged have been made again: each has a fragment.
-        let samples = whole_samples(std::io::Cursor::new(&existing)).unwrap_or_default();
-        let mut bytes = Vec::new();
-        for frame in &self.frames {
+        let samples = if path.is_file() {
+            whole_samples(input::open(&path)?).unwrap_or_default()
+        } else {
+            BTreeMap::new()
+        };
+        let part_of = |frame: &u64| {
             let (fragment, key) = (fragment_name(*frame), sample_key(*frame));
-            if folder.join(&fragment).is_file() {
-                bytes.extend(dataset_path::read(folder, &fragment, MAX_ARCHIVE_BYTES)?);
+            let fragment_path = dataset_path::for_reading(folder, &fragment)?;
+            if fragment_path.is_file() {
+                Ok(Part { path: fragment_path, range: None })
             } else if let Some(sample) = samples.get(&key) {
-                bytes.extend(&existing[sample.start as usize..sample.end as usize]);
+                Ok(Part { path: path.clone(), range: Some(sample.clone()) })
             } else {
-                return Err(Error::CheckFailed(format!(
+                Err(Error::CheckFailed(format!(
                     "{}: sample {key} is neither in it nor in {fragment}; run the dataset's command again, which makes the \
                      frame again",
                     path.display()
-                )));
+                )))
+            }
+        };
+        self.frames.iter().map(part_of).collect()
+    }
+}
+
+/// Writes an archive of these parts.
+fn join(parts: &[Part], out: &mut dyn Write) -> std::io::Result<()> {
+    let mut piece = vec![0; PIECE];
+    // The existing archive, from which many parts may come.
+    let mut archive: Option<File> = None;
+    let open = |path| input::open(path).map_err(std::io::Error::other);
+    for Part { path, range } in parts {
+        match range {
+            None => copy(&mut open(path)?, u64::MAX, &mut piece, out)?,
+            Some(range) => {
+                let mut file = archive.take().map_or_else(|| open(path), Ok)?;
+                file.seek(SeekFrom::Start(range.start))?;
+                copy(&mut file, range.end - range.start, &mut piece, out)?;
+                archive = Some(file);
             }
         }
-        bytes.extend(archive_end());
-        Ok(bytes)
     }
+    out.write_all(&archive_end())
+}
+
+/// Copies the next bytes of a file, up to its end or to this number.
+fn copy(file: &mut File, length: u64, piece: &mut [u8], out: &mut dyn Write) -> std::io::Result<()> {
+    let mut rest = length;
+    while rest > 0 {
+        let wanted = rest.min(piece.len() as u64) as usize;
+        match file.read(&mut piece[..wanted]) {
+            Ok(0) => break,
+            Ok(read) => {
+                out.write_all(&piece[..read])?;
+                rest -= read as u64;
+            }
+            Err(cause) if cause.kind() == std::io::ErrorKind::Interrupted => {}
+            Err(cause) => return Err(cause),
+        }
+    }
+    Ok(())
 }
 
 /// Where each sample of an archive is, by key: all its members with their headers, bytes. Reads headers only.
@@ -319,6 +365,52 @@ mod tests {
         assert_eq!(field_of("instances", "instance_segmentation", "png"), "instance_segmentation.png");
         assert_eq!(field_of("rock_sizes", "rock_sizes_labels", "json"), "rock_sizes_labels.json");
         assert_eq!(field_of("mask", "semantic_segmentation", "png"), "mask.png");
+    }
+
+    #[test]
+    fn an_archive_is_written_in_pieces_from_fragments_and_the_one_before() {
+        let folder = tempfile::tempdir().expect("a folder");
+        std::fs::create_dir(folder.path().join(".parts")).expect("made");
+        let mut expected = Vec::new();
+        for (index, length) in [(0, 700), (1, 3 * PIECE + 5), (2, 9)] {
+            append_member(&mut expected, &format!("{}.bin", sample_key(index)), &vec![index as u8; length])
+                .expect("added");
+        }
+        expected.extend(archive_end());
+        let shard = Shard { name: shard_name("", 0), frames: vec![0, 1, 2] };
+        let written = || {
+            let (mut bytes, mut largest) = (Vec::new(), 0);
+            let parts = shard.parts(folder.path())?;
+            join(&parts, &mut Pieces(&mut bytes, &mut largest)).expect("joined");
+            assert!(largest <= PIECE, "{largest} bytes at a time");
+            Ok::<_, Error>(bytes)
+        };
+        assert!(
+            written().expect_err("no frame is there").to_string().contains("sample 000000000 is neither")
+        );
+        std::fs::write(folder.path().join(&shard.name), &expected).expect("written");
+        assert!(written().expect("all from the archive") == expected);
+        // A frame that was made again.
+        let range = samples(std::io::Cursor::new(&expected)).expect("an archive")["000000001"].clone();
+        let mut again = expected.clone();
+        again[range.start as usize + BLOCK] ^= 1;
+        let fragment = &again[range.start as usize..range.end as usize];
+        std::fs::write(folder.path().join(fragment_name(1)), fragment).expect("written");
+        assert!(written().expect("one from its fragment") == again);
+    }
+
+    /// Bytes, and the largest number of them that was written at once.
+    struct Pieces<'a>(&'a mut Vec<u8>, &'a mut usize);
+
+    impl Write for Pieces<'_> {
+        fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+            *self.1 = bytes.len().max(*self.1);
+            self.0.write(bytes)
+        }
+
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
     }
 
     #[test]
