@@ -6,6 +6,8 @@
 //! every run gives the same ones.
 //! Must not know: scene, GPU, the disk.
 
+use std::fmt::Write as _;
+
 use serde_json::{Map, Value, json};
 
 use super::interface::{
@@ -120,34 +122,44 @@ fn write_annotations(
         "version": index.manifest.get("version"),
     });
     let size = index.manifest.get("size").cloned().unwrap_or_default();
-    let (mut images, mut instances, mut panoptic) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut images, mut instances, mut panoptic) = (Rows::default(), Rows::default(), Rows::default());
     index.lines.for_each(&mut |mut line| {
         if split_or_train(&line.split) != split {
             return Ok(());
         }
         let (image_id, name) = (line.index, file_name(line.index));
-        images.push(json!({
+        images.add(&json!({
             "id": image_id, "file_name": name, "width": size[0], "height": size[1],
         }));
         let mut take = |key: &str| line.entry.get_mut(key).map(Value::take).unwrap_or_default();
         let segments = take("segments");
         if let Value::Array(rows) = take("instances") {
-            instances.extend(rows);
+            rows.iter().for_each(|row| instances.add(row));
         }
-        panoptic.push(json!({ "image_id": image_id, "file_name": name, "segments_info": segments }));
+        panoptic.add(&json!({ "image_id": image_id, "file_name": name, "segments_info": segments }));
         Ok(())
     })?;
     let contents = [(instances, instance_categories()), (panoptic, panoptic_categories())];
     for (kind, (annotations, categories)) in ANNOTATION_KINDS.into_iter().zip(contents) {
-        let content = json!({
-            "info": info, "licenses": [], "images": images, "annotations": annotations,
-            "categories": categories,
-        });
-        let mut bytes = content.to_string().into_bytes();
-        bytes.push(b'\n');
-        write(Artifact { name: annotations_path(kind, split), bytes })?;
+        let bytes = format!(
+            "{{\"info\":{info},\"licenses\":[],\"images\":[{}],\"annotations\":[{}],\"categories\":{categories}}}\n",
+            images.0, annotations.0
+        );
+        write(Artifact { name: annotations_path(kind, split), bytes: bytes.into_bytes() })?;
     }
     Ok(())
+}
+
+/// Rows of a JSON array as text, which takes a tenth of the memory of values.
+#[derive(Default)]
+struct Rows(String);
+
+impl Rows {
+    fn add(&mut self, row: &Value) {
+        let separator = if self.0.is_empty() { "" } else { "," };
+        // Text can be written to a text.
+        let _ = write!(self.0, "{separator}{row}");
+    }
 }
 
 fn file_name(index: u64) -> String {
