@@ -1,6 +1,7 @@
 //! Frame throughput, case by case, with the time of each stage.
 //!
-//! A frame is timed from the end of the frame before it until it is read back, after a warm-up; the median is reported.
+//! A frame is timed from the end of the frame before it until it is read back; the median is reported. Before the first and after the last
+//! of them others are on the way, so that as much is begun as is finished in the time that is measured.
 //! Stages of several frames overlap, so their times need not add up to that of a frame. The time of the host is that of the program's
 //! own threads on a processor, without the threads of the driver; that of the process has them all. In the cases of a dataset the
 //! time of redrawn attempts is that of the frames that come of them.
@@ -8,30 +9,28 @@
 //! To add a case: a variant of [`Case`] with its arm in [`run`].
 
 mod curve;
+mod measured;
 mod moving;
+mod pipeline;
 
 use std::collections::VecDeque;
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-use serde_json::{Map, Value, json};
-
-use crate::dataset::attempt::{RenderCost, Scenes, build_scene, scene_of_seed};
+use crate::dataset;
+use crate::dataset::attempt::{build_scene, scene_of_seed};
 use crate::dataset::plan::{Plan, Seeds, frame_seed};
-use crate::dataset::{self, Concurrency};
 use crate::error::{Error, Result};
-use crate::host_time::{self, Role, RoleTimes};
-use crate::output::disk;
+use crate::host_time::{self, Role};
 use crate::params::Stage;
-use crate::render::{FRAMES_IN_FLIGHT, Renderer, StageTimes, Staging};
+use crate::render::{Renderer, StageTimes, Staging};
 use crate::scene::Scene;
 pub use curve::Curve;
+pub use measured::{Measured, Setup, peak_rss_bytes, quantile};
+use measured::{Start, WARM_UP, stopped};
 use moving::Moving;
-
-/// Number of frames before the measurement starts.
-const WARM_UP: u64 = 3;
 
 /// What changes from frame to frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,131 +67,6 @@ impl Case {
     }
 }
 
-/// The measurements of a case.
-#[derive(Clone, Debug, Default)]
-pub struct Measured {
-    /// Milliseconds from the end of one frame to that of the next.
-    pub frames_ms: Vec<f64>,
-    /// Milliseconds from the start of the first frame to the end of the last.
-    pub total_ms: f64,
-    /// Mean processor time of the program's own threads for a frame, by what they do; `None` where the system does not report it.
-    pub host: Option<RoleTimes>,
-    /// Processor time of the whole process for a frame, a driver's threads included, milliseconds; `None` where the system does not
-    /// report it.
-    pub process_ms: Option<f64>,
-    /// Attempts that broke a rule, in the cases on the threads of a dataset.
-    pub redraws: u64,
-    /// Frames that the device worked on at a time.
-    pub frames_in_flight: usize,
-    /// Peak resident memory of the process up to the end of the case, bytes.
-    pub peak_rss_bytes: Option<u64>,
-    /// Milliseconds of work by stage, of each frame.
-    pub stages: Vec<StageTimes>,
-    /// Triangles drawn for visibility, of each frame.
-    pub triangles: Vec<f64>,
-    /// Bytes uploaded to the device, of each frame.
-    pub upload_bytes: Vec<f64>,
-    /// Bytes read back for each frame.
-    pub readback_bytes: u64,
-}
-
-/// The quantile `q` of the values, without interpolation; 0 for an empty list.
-#[must_use]
-pub fn quantile(values: &[f64], q: f64) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted
-        .get(((sorted.len() as f64 * q) as usize).min(sorted.len().saturating_sub(1)))
-        .copied()
-        .unwrap_or_default()
-}
-
-impl Measured {
-    /// Frames per second over the whole case.
-    #[must_use]
-    pub fn frames_per_second(&self) -> f64 {
-        1e3 * self.frames_ms.len() as f64 / self.total_ms.max(1e-9)
-    }
-
-    /// Mean processor time of the program's own threads for a frame, milliseconds.
-    #[must_use]
-    pub fn host_ms(&self) -> Option<f64> {
-        self.host.map(|host| host.total())
-    }
-
-    /// A model of the throughput on a number of cores, frames per second, as far as the host limits it: no thread that exists once
-    /// does more than its share of every frame, and all cores together do all of the work.
-    #[must_use]
-    pub fn host_frames_per_second(&self, cores: usize) -> Option<f64> {
-        let host = self.host?;
-        let serial_ms = host.of(Role::Device).max(host.of(Role::Writer));
-        Some(1e3 / serial_ms.max(host.total() / cores as f64).max(1e-9))
-    }
-
-    /// Median milliseconds of each stage, in the order of execution.
-    #[must_use]
-    pub fn stage_ms(&self) -> StageTimes {
-        let names =
-            self.stages.first().map(|stages| stages.iter().map(|stage| stage.0)).into_iter().flatten();
-        names
-            .map(|name| {
-                let of =
-                    |stages: &StageTimes| stages.iter().find(|stage| stage.0 == name).map(|stage| stage.1);
-                let values: Vec<f64> = self.stages.iter().filter_map(of).collect();
-                (name, quantile(&values, 0.5))
-            })
-            .collect()
-    }
-
-    /// The entry of the case in `bench --json`.
-    #[must_use]
-    pub fn to_json(&self) -> Value {
-        let stages: Map<String, Value> =
-            self.stage_ms().into_iter().map(|(name, ms)| (name.to_owned(), ms.into())).collect();
-        json!({
-            "frames": self.frames_ms.len(),
-            "median_ms": quantile(&self.frames_ms, 0.5),
-            "p95_ms": quantile(&self.frames_ms, 0.95),
-            "frames_per_second": self.frames_per_second(),
-            "process_ms": self.process_ms,
-            "redraws": self.redraws,
-            "frames_in_flight": self.frames_in_flight,
-            "peak_rss_bytes": self.peak_rss_bytes,
-            "host_ms": self.host_ms(),
-            "host_thread_ms": self.host.map(|host| json!({
-                "device": host.of(Role::Device),
-                "writer": host.of(Role::Writer),
-                "workers": host.of(Role::Worker) + host.of(Role::Pool),
-            })),
-            "host_frames_per_second_16_cores": self.host_frames_per_second(16),
-            "stage_ms": stages,
-            "triangles": quantile(&self.triangles, 0.5) as u64,
-            "upload_bytes": quantile(&self.upload_bytes, 0.5) as u64,
-            "readback_bytes": self.readback_bytes,
-        })
-    }
-}
-
-/// What to measure.
-#[derive(Clone, Debug)]
-pub struct Setup {
-    /// Knobs, seed, size, samples and outputs; its range, splits and shard are not used.
-    pub plan: Plan,
-    /// Frames in flight, and the threads of the case `dataset`.
-    pub concurrency: Concurrency,
-    /// Number of frames after the warm-up.
-    pub frames: u64,
-    /// Once it is true, no further frame is measured.
-    pub stop: Arc<AtomicBool>,
-}
-
-impl Setup {
-    /// Frames that the device works on at a time in the cases whose scenes come from one thread.
-    fn frames_in_flight(&self) -> usize {
-        self.concurrency.frames_in_flight.unwrap_or(FRAMES_IN_FLIGHT)
-    }
-}
-
 /// Measures a case. The case `dataset` writes into `folder`, which must be empty.
 ///
 /// # Errors
@@ -209,40 +83,11 @@ pub fn run(case: Case, setup: &Setup, folder: &Path, renderer: &mut Renderer) ->
             let plan = Plan { seeds: Seeds::Given, ..setup.plan.clone() };
             let moving = Moving::new(&plan)?;
             let scenes = |_: &Plan, frame, _| Ok((moving.scene_of_frame(frame), Staging::WithoutMeshes));
-            in_memory(&Setup { plan, ..setup.clone() }, renderer, scenes)
+            pipeline::in_memory(&Setup { plan, ..setup.clone() }, renderer, scenes)
         }
         Case::Scene => scenes(setup, renderer),
-        Case::Frames => in_memory(setup, renderer, scene_of_seed),
-        Case::Dataset => dataset(setup, folder, renderer),
-    }
-}
-
-const fn stopped(done: u64, wanted: u64) -> Error {
-    Error::Stopped { done, wanted, remedy: "A measurement cannot be resumed; run it again" }
-}
-
-/// Starts the measurement of a case.
-#[derive(Clone, Copy)]
-struct Start {
-    at: Instant,
-    host: Option<RoleTimes>,
-    process_ms: Option<f64>,
-}
-
-impl Start {
-    fn now() -> Self {
-        Self { at: Instant::now(), host: host_time::by_role(), process_ms: host_time::of_process_ms() }
-    }
-
-    /// Sets the times from the start to now.
-    fn end(self, measured: &mut Measured) {
-        measured.total_ms = self.at.elapsed().as_secs_f64() * 1e3;
-        let frames = measured.frames_ms.len().max(1) as f64;
-        let process_ms = host_time::of_process_ms().zip(self.process_ms);
-        measured.process_ms = process_ms.map(|(end, start)| (end - start) / frames);
-        measured.peak_rss_bytes = peak_rss_bytes();
-        let host = host_time::by_role().zip(self.host);
-        measured.host = host.map(|(end, start)| end.since(&start, measured.frames_ms.len()));
+        Case::Frames => pipeline::in_memory(setup, renderer, scene_of_seed),
+        Case::Dataset => pipeline::dataset(setup, folder, renderer),
     }
 }
 
@@ -264,7 +109,7 @@ fn measure(
         if stop.load(Ordering::Relaxed) {
             return Err(stopped(finished, total));
         }
-        if submitted < total && queue.len() < frames_in_flight {
+        if queue.len() < frames_in_flight {
             let (scene, times) = next(submitted)?;
             let in_flight = renderer.submit(&scene, &plan.settings)?;
             queue.push_back((scene, times, in_flight));
@@ -287,6 +132,10 @@ fn measure(
     }
     start.end(&mut measured);
     measured.frames_in_flight = frames_in_flight;
+    // Those that were on the way at the end.
+    for (scene, _, in_flight) in queue {
+        renderer.finish(in_flight, &scene)?;
+    }
     Ok(measured)
 }
 
@@ -314,82 +163,6 @@ fn scenes(setup: &Setup, renderer: &mut Renderer) -> Result<Measured> {
         let scene = build_scene(plan, frame_seed(plan.base_seed, frame, 0))?.scene;
         Ok((Arc::new(scene), vec![("scene", start.elapsed().as_secs_f64() * 1e3)]))
     })
-}
-
-/// The measurement of a pipeline, whose frames come from several threads.
-struct Pipeline {
-    measured: Measured,
-    start: Start,
-    last: Instant,
-    done: u64,
-}
-
-impl Pipeline {
-    fn start(setup: &Setup, renderer: &Renderer) -> Self {
-        let frames_in_flight =
-            setup.concurrency.in_flight(renderer.gpu().capabilities.software_adapter, &setup.plan);
-        let measured = Measured { frames_in_flight, ..Measured::default() };
-        Self { measured, start: Start::now(), last: Instant::now(), done: 0 }
-    }
-
-    /// A frame is finished.
-    fn add(&mut self, times: StageTimes, redraws: u32, cost: &RenderCost) {
-        self.done += 1;
-        if self.done <= WARM_UP {
-            self.start = Start::now();
-        } else {
-            self.measured.frames_ms.push(self.last.elapsed().as_secs_f64() * 1e3);
-            self.measured.stages.push(times);
-            self.measured.redraws += u64::from(redraws);
-            self.measured.triangles.push(cost.triangles as f64);
-            self.measured.upload_bytes.push(cost.uploaded_bytes as f64);
-            self.measured.readback_bytes = cost.readback_bytes;
-        }
-        self.last = Instant::now();
-    }
-
-    fn end(mut self, setup: &Setup) -> Result<Measured> {
-        if setup.stop.load(Ordering::Relaxed) {
-            return Err(stopped(self.done, WARM_UP + setup.frames));
-        }
-        self.start.end(&mut self.measured);
-        Ok(self.measured)
-    }
-}
-
-/// Frames of these scenes, in memory, on the threads of a dataset.
-fn in_memory(setup: &Setup, renderer: &mut Renderer, scenes: impl Scenes) -> Result<Measured> {
-    let mut pipeline = Pipeline::start(setup, renderer);
-    let Setup { plan, concurrency, frames, stop } = setup;
-    let of_frames = (0..WARM_UP + frames, scenes);
-    dataset::render_in_memory(plan, &Mutex::new(renderer), of_frames, *concurrency, stop, |frame| {
-        pipeline.add(frame.times, frame.redraws, &frame.cost);
-        Ok(())
-    })?;
-    pipeline.end(setup)
-}
-
-fn dataset(setup: &Setup, folder: &Path, renderer: &mut Renderer) -> Result<Measured> {
-    let mut pipeline = Pipeline::start(setup, renderer);
-    let mut files = disk::FileWriter::new(folder, "bench");
-    let indices = 0..WARM_UP + setup.frames;
-    dataset::render_frames(&setup.plan, renderer, indices, setup.concurrency, &setup.stop, |frame| {
-        files.write_all(&frame.files.artifacts)?;
-        if files.is_sync_due() {
-            files.sync_folders()?;
-        }
-        pipeline.add(frame.times, frame.redraws, &frame.cost);
-        Ok(())
-    })?;
-    pipeline.end(setup)
-}
-
-/// Peak resident memory of this process, bytes; `None` where the system does not report it.
-#[must_use]
-pub fn peak_rss_bytes() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
-    Some(1024 * line.split_whitespace().nth(1)?.parse::<u64>().ok()?)
 }
 
 /// The settings that a sweep can vary, in the order of the help.
@@ -461,24 +234,4 @@ pub fn sweep(name: &str, setup: &Setup) -> Result<(&'static str, Vec<(f64, Setup
         }
     };
     Ok((axis, setups))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_model_of_the_host_is_limited_by_its_serial_threads_or_by_its_cores() {
-        assert_eq!(Measured::default().host_frames_per_second(16), None);
-        let measured = |device, worker, writer| Measured {
-            host: Some(RoleTimes::new(device, worker, writer)),
-            ..Measured::default()
-        };
-        for (times, cores, expected) in
-            [((1.0, 30.0, 0.5), 16, 508.0), ((1.0, 30.0, 0.5), 64, 1000.0), ((1.0, 30.0, 4.0), 64, 250.0)]
-        {
-            let found = measured(times.0, times.1, times.2).host_frames_per_second(cores).expect("a model");
-            assert!((found - expected).abs() < 1.0, "{found}, not {expected}");
-        }
-    }
 }

@@ -96,6 +96,13 @@ impl Concurrency {
         let is_one = is_busy && !plan.config.stages().contains(&Stage::Nominal);
         self.frames_in_flight.unwrap_or(if is_one { 1 } else { FRAMES_IN_FLIGHT })
     }
+
+    /// Frames of a plan that are in memory at a time: one for each worker and for each frame in flight, and one that the device finds when
+    /// it is done with another.
+    #[must_use]
+    pub fn in_memory(self, is_software_adapter: bool, plan: &Plan) -> usize {
+        self.workers(is_software_adapter) + self.in_flight(is_software_adapter, plan) + 1
+    }
 }
 
 /// Number of cores that the process may use.
@@ -161,8 +168,7 @@ pub fn run_job<T: Send>(
     let limits = QueueLimits {
         ready: threads.max(2),
         ahead: AHEAD_PER_WORKER * threads + frames_in_flight,
-        // One for each worker and for each frame in flight, and one that the device finds when it is done with another.
-        in_memory: threads + frames_in_flight + 1,
+        in_memory: concurrency.in_memory(is_software_adapter, plan),
     };
     let queue = WorkQueue::new(indices, limits);
     let (finished_sender, finished) = sync_channel::<T>(threads);
