@@ -25,7 +25,7 @@ use crate::dataset::plan::{Plan, Seeds, frame_seed};
 use crate::error::{Error, Result};
 use crate::host_time::{self, Role};
 use crate::params::Stage;
-use crate::render::{Renderer, StageTimes, Staging};
+use crate::render::{Renderer, StageTimes};
 use crate::scene::Scene;
 pub use curve::Curve;
 pub use measured::{Measured, Setup, peak_rss_bytes, quantile};
@@ -82,7 +82,7 @@ pub fn run(case: Case, setup: &Setup, folder: &Path, renderer: &mut Renderer) ->
             // No other attempt would be another scene.
             let plan = Plan { seeds: Seeds::Given, ..setup.plan.clone() };
             let moving = Moving::new(&plan)?;
-            let scenes = |_: &Plan, frame, _| Ok((moving.scene_of_frame(frame), Staging::WithoutMeshes));
+            let scenes = |_: &Plan, frame, _| Ok(moving.scene_of_frame(frame));
             pipeline::in_memory(&Setup { plan, ..setup.clone() }, renderer, scenes)
         }
         Case::Scene => scenes(setup, renderer),

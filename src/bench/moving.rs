@@ -6,6 +6,7 @@ use crate::dataset::attempt::{BuiltScene, build_scene};
 use crate::dataset::plan::Plan;
 use crate::error::Result;
 use crate::params::Knob;
+use crate::render::Staging;
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
 use crate::scene::sky::Sun;
@@ -41,7 +42,13 @@ impl Moving {
             number(Knob::CameraRollDeg),
         ];
         let (far_m, exposure_ev) = (scene.camera.far_m, scene.camera.exposure_ev);
-        scene.camera = Camera::new(moved_eye, angles, number(Knob::CameraFovDeg), far_m, exposure_ev);
+        let camera = Camera::new(moved_eye, angles, number(Knob::CameraFovDeg), far_m, exposure_ev);
+        let camera = Camera { lens: still.camera.lens, ..camera };
+        if still.has_rover() {
+            *scene = scene.clone().seen_by(params, camera);
+        } else {
+            scene.camera = camera;
+        }
         if sun_moves {
             let azimuth_deg = (sun.azimuth_deg + 30.0 * libm::sin(turn)).rem_euclid(360.0);
             scene.sun = Sun::new(sun.elevation_deg, azimuth_deg, sun.angular_diameter_deg, sun.irradiance);
@@ -49,9 +56,38 @@ impl Moving {
     }
 
     /// The scene with camera and sun moved, for any thread.
-    pub(super) fn scene_of_frame(&self, frame: u64) -> BuiltScene {
+    pub(super) fn scene_of_frame(&self, frame: u64) -> (BuiltScene, Staging) {
         let mut moved = self.still.clone();
         self.set_pose(&mut moved.scene, frame, true);
-        moved
+        // Of a rover that has moved the device has no meshes.
+        let staging = if moved.scene.has_rover() { Staging::Whole } else { Staging::WithoutMeshes };
+        (moved, staging)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::rules::Rules;
+    use crate::params::config::Config;
+    use crate::render::RenderSettings;
+
+    #[test]
+    fn a_moving_camera_keeps_its_lens_and_its_rover() {
+        let mut config = Config::new();
+        for assignment in ["camera.k1=-0.05", "rover.kind=rover"] {
+            config.apply_set(assignment).expect("a setting");
+        }
+        let settings = RenderSettings::new([64, 48], 1).expect("settings");
+        let plan = Plan::in_memory(config, Rules::accepting_any_image(), 7, settings, Vec::new());
+        let moving = Moving::new(&plan).expect("a scene");
+        let still = &moving.still.scene;
+        let (moved, staging) = moving.scene_of_frame(PERIOD / 4);
+        assert_eq!(moved.scene.camera.lens, still.camera.lens);
+        assert!(moved.scene.camera.lens.k1 < 0.0 && staging == Staging::Whole);
+        let part = |scene: &Scene| (scene.rocks[scene.rocks.count()].centre - scene.camera.eye).truncate();
+        // It tilts with the ground below it.
+        assert!(part(&moved.scene).distance(part(still)) < 0.5);
+        assert!(moved.scene.camera.eye.distance(still.camera.eye) > 1.0);
     }
 }
