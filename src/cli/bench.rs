@@ -1,6 +1,6 @@
 //! `bench`: frame throughput.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use crate::bench::{self, Case, Curve, Measured, SWEEPS, Setup};
 use crate::dataset::plan::Plan;
@@ -211,6 +211,10 @@ fn sweep(
     renderer: &mut Renderer,
 ) -> Result<()> {
     let case = if name == "threads" { Case::Dataset } else { case };
+    let path = args.plot.clone().unwrap_or_default();
+    let Some(plot) = path.file_name().filter(|_| !path.is_dir()) else {
+        return Err(Error::Usage(format!("--plot {}: it is a folder; name a file in it", path.display())));
+    };
     let (axis, setups) = bench::sweep(name, setup)?;
     let mut points = Vec::new();
     for (value, setup) in &setups {
@@ -219,23 +223,29 @@ fn sweep(
         messages.note(format_args!("{axis} {value}: {:.1} ms", points[points.len() - 1].1));
     }
     let curve = Curve { axis, points };
-    let path = args.plot.clone().unwrap_or_default();
-    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    print_curve(args, &curve, case, &path)?;
+    let name = plot.to_string_lossy().into_owned();
     let folder =
         path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(std::path::Path::new("."));
     disk::write_all(folder, &[Artifact { name, bytes: curve.to_svg().into_bytes() }])?;
+    if args.json { Ok(()) } else { messages.paths(&format!("{}\n", path.display())) }
+}
+
+/// Prints the points of a sweep, before the plot is written: they took their time.
+fn print_curve(args: &BenchArgs, curve: &Curve, case: Case, plot: &Path) -> Result<()> {
     if args.json {
         let points: Vec<Value> =
             curve.points.iter().map(|(value, ms)| json!({ "value": value, "median_ms": ms })).collect();
         return print(&format!(
             "{:#}\n",
-            json!({ "sweep": axis, "case": case.name(), "points": points, "plot": path.display().to_string() })
+            json!({
+                "sweep": curve.axis, "case": case.name(), "points": points, "plot": plot.display().to_string(),
+            })
         ));
     }
-    let mut text = format!("{axis:<20}{:>12}   case {}\n", "median ms", case.name());
+    let mut text = format!("{:<20}{:>12}   case {}\n", curve.axis, "median ms", case.name());
     for (value, ms) in &curve.points {
         text.push_str(&format!("{value:<20}{ms:>12.1}\n"));
     }
-    print(&text)?;
-    messages.paths(&format!("{}\n", path.display()))
+    print(&text)
 }
