@@ -9,6 +9,8 @@ const CLOD_HEIGHT: f32 = 0.22;
 const SECOND_HASH: u32 = 0x2c1b3c6du;
 // src/render/lighting/pits_host.rs has the same constants and explains them.
 const FRESH_SHADE: f32 = 0.2;
+const FRESH_FLOOR: f32 = 0.6;
+const FRESH_WAVES: f32 = 0.15;
 const PIT_REACH: f32 = 1.51;
 
 // A point of the mesh (metres from the centre of the ground), and the rays from there: as the arguments of `ground_detail`.
@@ -79,7 +81,7 @@ fn add_pits(before: vec4<f32>, lattice: Lattice, rays: PitRays, occluder: ptr<fu
     let slope = lattice.cell_m * slope_from_lattice(lattice, seen.slope_per_radius * seen.offset);
     let is_fresh = !pit.is_clod && age - lattice.share < light.relief_fresh_share * (1.0 - lattice.share);
     let fade = clamp((1.5 - seen.r) * 2.5, 0.0, 1.0);
-    let shade = select(0.0, fade * FRESH_SHADE * pit.share, is_fresh);
+    let shade = select(0.0, fade * FRESH_SHADE * freshness(first, seen.offset / seen.r, seen.r) * pit.share, is_fresh);
     let risen = vec4(before.xyz, before.w + first_m);
     let sum = add_detail(risen, vec4(slope, shade, seen.height_m - first_m * rise), rays.eye_way);
     (*occluder).clearance_m += rays.sun_lift * (sum.w - before.w) * apart(*occluder, pit.diameter_m);
@@ -96,6 +98,21 @@ fn add_pits(before: vec4<f32>, lattice: Lattice, rays: PitRays, occluder: ptr<fu
         *occluder = nearer_occluder(*occluder, Occluder(clearance_m, way_m, sum.w));
     }
     return sum;
+}
+
+// How fresh the soil of a fresh crater is in a direction from its centre, at a distance of `r` radii.
+fn freshness(first: u32, way: vec2<f32>, r: f32) -> f32 {
+    let square = way * way;
+    // Cosines and sines of two and three times the angle.
+    let waves = vec4(
+        2.0 * square.x - 1.0,
+        2.0 * way.x * way.y,
+        way.x * (4.0 * square.x - 3.0),
+        way.y * (3.0 - 4.0 * square.y),
+    );
+    let bits = vec4<f32>((vec4(first) >> vec4(16u, 18u, 20u, 22u)) & vec4(15u));
+    let reach = r * (1.0 + FRESH_WAVES * dot(bits * (2.0 / 15.0) - 1.0, waves));
+    return select(1.0 / (reach * reach * reach), mix(FRESH_FLOOR, 1.0, reach * reach), reach < 1.0);
 }
 
 fn pit_point(pit: Pit, offset: vec2<f32>) -> PitPoint {

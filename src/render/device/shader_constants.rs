@@ -14,7 +14,7 @@ fn constants_that_rust_has_too_are_equal() {
     use crate::render::lighting::grain_texture_host as grain_texture;
     use crate::render::lighting::grains_host::{MAX_CELLS, ROUGHNESS};
     use crate::render::lighting::ground_batch::{MAX_EYE_WAY, MAX_SUN_WAY, MIN_TESTED_SAMPLES, MIN_WAY};
-    use crate::render::lighting::pits_host::{FRESH_SHADE, PIT_REACH};
+    use crate::render::lighting::pits_host::{FRESH_FLOOR, FRESH_SHADE, FRESH_WAVES, PIT_REACH};
     use crate::render::lighting::slopes_host::SHADOW_BLUR;
     use crate::render::lighting::waves_host::{FIRST_STEP_CELLS, MIN_LOW_WAY, TESTED_CELLS};
     use crate::render::select::caster_grid::TEST_HORIZON;
@@ -55,6 +55,8 @@ fn constants_that_rust_has_too_are_equal() {
         (&LIGHTING_SURFACE, "MAX_STRENGTH", f64::from(MAX_STRENGTH)),
         (&LIGHTING_SURFACE, "MIN_CELLS", f64::from(MIN_CELLS)),
         (&LIGHTING_SURFACE, "FRESH_SHADE", f64::from(FRESH_SHADE)),
+        (&LIGHTING_SURFACE, "FRESH_FLOOR", f64::from(FRESH_FLOOR)),
+        (&LIGHTING_SURFACE, "FRESH_WAVES", f64::from(FRESH_WAVES)),
         (&LIGHTING_SURFACE, "PIT_REACH", f64::from(PIT_REACH)),
         (&LIGHTING_SURFACE, "MIN_CLEARANCE", f64::from(MIN_CLEARANCE)),
         (&LIGHTING_SURFACE, "FAR_M", f64::from(FAR_M)),

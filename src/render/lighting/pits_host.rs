@@ -41,8 +41,12 @@ pub(crate) const PIT_REACH: f32 = 1.51;
 const WORN_DEPTH_LOG2: f32 = -2.584_962_5;
 /// Depth of the youngest fresh crater less that of the oldest, diameters.
 const FRESH_DEPTH_SPAN: f32 = 0.04;
-/// What fresh craters add to the logarithm of the albedo: their soil is less mature. Stands in `pits.wgsl` too.
+/// What fresh craters add to the logarithm of the albedo at the crest: their soil is less mature. Stands in `pits.wgsl` too.
 pub(crate) const FRESH_SHADE: f32 = 0.2;
+/// How much of that their middle has, where soil has crept down.
+pub(crate) const FRESH_FLOOR: f32 = 0.6;
+/// How much further than the mean that soil reaches in some directions, and less far in others, for each of four waves around the centre.
+pub(crate) const FRESH_WAVES: f32 = 0.15;
 /// Maximum depth of a worn crater, diameters: a little less than that of a fresh one, as in `craters.rs`.
 const MAX_WORN_DEPTH: f32 = 0.1099;
 
@@ -99,7 +103,7 @@ pub(super) fn add_pits(
     }
     let (mut clearances_m, mut ways_m) = (zeros, zeros);
     for i in 0..BATCH {
-        let pit = CellPit::new(diameters_m[i], ages_of[i], shares[i], &ages);
+        let pit = CellPit::new(diameters_m[i], (firsts[i], ages_of[i]), shares[i], &ages);
         let offset = Vec2::new(offsets.x[i], offsets.y[i]);
         (clearances_m[i], ways_m[i]) = add_pit(pits, ground, (i, &pit), offset, sums);
     }
@@ -160,7 +164,7 @@ fn add_pit(
         sums.x[i] * ground.ways[1].x[i] + sums.y[i] * ground.ways[1].y[i],
     );
     let fade = ((EJECTA_FADE[0] - r) * EJECTA_FADE[1]).clamp(0.0, 1.0);
-    let fresh = if pit.is_fresh { fade * FRESH_SHADE * pit.share } else { 0.0 };
+    let fresh = if pit.is_fresh { fade * FRESH_SHADE * pit.freshness(point / r, r) * pit.share } else { 0.0 };
     let of_pit = (i, pit.diameter_m);
     sums.move_up(ground, of_pit, first_m);
     sums.add(ground, of_pit, slope, height_m - first_m * rise, fresh);
@@ -201,6 +205,7 @@ fn has_pit(pits: &LatticeUniforms, first: u32) -> bool {
 }
 
 /// What the hashes of a cell say of its pit. As `PitLattice::pit` in `src/scene/craters.rs`.
+#[derive(Debug)]
 struct CellPit {
     /// Metres.
     diameter_m: f32,
@@ -211,6 +216,8 @@ struct CellPit {
     is_fresh: bool,
     /// How much of it the mesh leaves out and samples can show, 0 to 1.
     share: f32,
+    /// The hash of its cell.
+    first: u32,
 }
 
 /// Diameter, metres, and age of the pit of a cell with these hashes: uniform in [0, 1), clods first, then craters from the youngest to the
@@ -230,10 +237,29 @@ fn shrink_square(second: u32) -> f32 {
 
 impl CellPit {
     #[inline(always)]
-    fn new(diameter_m: f32, age: f32, share: f32, ages: &CraterAges) -> Self {
+    fn new(diameter_m: f32, (first, age): (u32, f32), share: f32, ages: &CraterAges) -> Self {
         let is_clod = age < ages.clods;
         let is_fresh = !is_clod & (age - ages.clods < ages.fresh_share * (1.0 - ages.clods));
-        Self { diameter_m, depth: ages.depth(age), is_clod, is_fresh, share }
+        Self { diameter_m, depth: ages.depth(age), is_clod, is_fresh, share, first }
+    }
+
+    /// How fresh the soil of a fresh crater is in a direction from its centre, at a distance of `r` radii: 1 at the crest, less on the floor,
+    /// and outside as thick ejecta are, which fall with the third power of the distance (McGetchin et al. 1973). It is no disc: soil
+    /// reaches further in some directions than in others.
+    #[inline(always)]
+    fn freshness(&self, way: Vec2, r: f32) -> f32 {
+        let (c, s) = (way.x, way.y);
+        // Cosines and sines of two and three times the angle.
+        let waves = [2.0 * c * c - 1.0, 2.0 * c * s, c * (4.0 * c * c - 3.0), s * (3.0 - 4.0 * s * s)];
+        let mut sum = 0.0;
+        for (k, wave) in waves.into_iter().enumerate() {
+            let bits = self.first >> (16 + 2 * k) & 15;
+            sum += (bits as i32 as f32 * (2.0 / 15.0) - 1.0) * wave;
+        }
+        let reach = r * (1.0 + FRESH_WAVES * sum);
+        let inside = FRESH_FLOOR + (1.0 - FRESH_FLOOR) * reach * reach;
+        let outside = 1.0 / (reach * reach * reach);
+        if reach < 1.0 { inside } else { outside }
     }
 
     /// Rise per metre away from the centre, and height in diameters, at a distance of `r` radii.
@@ -348,5 +374,26 @@ mod tests {
         assert!((WORN_DEPTH_LOG2 - libm::log2f(WORN_DEPTHS[1] / WORN_DEPTHS[0])).abs() < 1e-6);
         assert!((MAX_WORN_DEPTH - (FRESH_DEPTHS[0] - 1e-4)).abs() < 1e-7);
         assert!((FRESH_DEPTH_SPAN - (FRESH_DEPTHS[1] - FRESH_DEPTHS[0])).abs() < 1e-7);
+    }
+
+    #[test]
+    fn fresh_soil_is_brightest_at_the_crest_and_reaches_further_in_some_directions() {
+        let ages = CraterAges::new(0.0, 0.03);
+        let mut uneven = 0;
+        for first in (0..200_u32).map(|k| k.wrapping_mul(0x9e37_79b1)) {
+            let pit = CellPit::new(0.1, (first, 0.01), 1.0, &ages);
+            assert_eq!(pit.freshness(Vec2::X, 0.0), FRESH_FLOOR);
+            let around = |r: f32| {
+                let ways = (0..64_u8).map(|k| Vec2::from_angle(std::f32::consts::TAU * f32::from(k) / 64.0));
+                ways.map(|way| pit.freshness(way, r)).collect::<Vec<f32>>()
+            };
+            let mean = |values: &[f32]| values.iter().sum::<f32>() / values.len() as f32;
+            let [crest, outside] = [1.0, 1.3].map(around);
+            assert!(crest.iter().chain(&outside).all(|value| (0.0..=1.0).contains(value)), "{pit:?}");
+            assert!(mean(&crest) > 0.75 && mean(&outside) < 0.75 * mean(&crest), "{crest:?} {outside:?}");
+            let (low, high) = outside.iter().fold((1.0_f32, 0.0_f32), |(a, b), v| (a.min(*v), b.max(*v)));
+            uneven += u32::from(high > 1.3 * low);
+        }
+        assert!(uneven > 180, "{uneven} of 200 pits");
     }
 }
