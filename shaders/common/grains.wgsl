@@ -70,6 +70,11 @@ fn along_lattice(lattice: Lattice, v: vec2<f32>) -> vec2<f32> {
     return vec2(rotation.x * v.x + rotation.y * v.y, rotation.x * v.y - rotation.y * v.x);
 }
 
+// The inverse: a vector of the lattice's axes in the ground's plane.
+fn along_ground(lattice: Lattice, v: vec2<f32>) -> vec2<f32> {
+    return lattice.cell_m * slope_from_lattice(lattice, v);
+}
+
 fn grain_walk(lattice: Lattice, point: vec2<f32>, per_height: vec2<f32>) -> GrainWalk {
     var walk: GrainWalk;
     let local = to_lattice(lattice, point);
@@ -257,14 +262,14 @@ fn add_grains(
                     } else {
                         let hit = grain_hit(grain, walk.per_height);
                         if hit.z > (*cover).nearest.point.z {
-                            let place = lattice.cell_m * slope_from_lattice(lattice, from_centre + hit.z * walk.per_height);
+                            let place = along_ground(lattice, from_centre + hit.z * walk.per_height);
                             let mottling = MOTTLING * select(GRAIN_CLOD_SPREAD, 1.0, is_fragment(lattice, first));
                             *cover = GrainCover(
                                 mix((*cover).share, 1.0, share),
                                 mix((*cover).sun, sun_on_grains, share),
                                 GrainSurface(vec3(place, hit.z), diameter_m, second, mottling),
                             );
-                            let slope = lattice.cell_m * slope_from_lattice(lattice, hit.xy);
+                            let slope = along_ground(lattice, hit.xy);
                             detail.slope = mix(detail.slope, slope + GRAIN_ROUGHNESS * detail.slope, share);
                             detail.albedo = mix(detail.albedo, grain_albedo(lattice, first, second), share);
                         }

@@ -78,7 +78,7 @@ fn add_pits(before: vec4<f32>, lattice: Lattice, rays: PitRays, occluder: ptr<fu
     let climb = start.slope_per_radius * dot(start.offset, way) * radius_m;
     let first_m = start_m + (start.height_m - start_m * rise) / max(rise - climb, MIN_CLEARANCE);
     let seen = pit_point(pit, offset + first_m * way);
-    let slope = lattice.cell_m * slope_from_lattice(lattice, seen.slope_per_radius * seen.offset);
+    let slope = along_ground(lattice, seen.slope_per_radius * seen.offset);
     let is_fresh = !pit.is_clod && age - lattice.share < light.relief_fresh_share * (1.0 - lattice.share);
     let fade = clamp((1.5 - seen.r) * 2.5, 0.0, 1.0);
     let shade = select(0.0, fade * FRESH_SHADE * freshness(first, seen.offset / seen.r, seen.r) * pit.share, is_fresh);

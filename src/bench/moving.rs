@@ -59,8 +59,7 @@ impl Moving {
     pub(super) fn scene_of_frame(&self, frame: u64) -> (BuiltScene, Staging) {
         let mut moved = self.still.clone();
         self.set_pose(&mut moved.scene, frame, true);
-        // Of a rover that has moved the device has no meshes.
-        let staging = if moved.scene.has_rover() { Staging::Whole } else { Staging::WithoutMeshes };
+        let staging = Staging::for_moved_camera(&moved.scene);
         (moved, staging)
     }
 }

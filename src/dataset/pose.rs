@@ -73,9 +73,7 @@ impl Pose {
         camera.eye.z = self.eye_z_m.unwrap_or(camera.eye.z);
         let scene = scene.seen_by(&params, camera);
         scene.sky.check_around(camera.eye)?;
-        // Of its rover the device has no meshes.
-        let is_whole = is_made_again || scene.has_rover();
-        let staging = if is_whole { Staging::Whole } else { Staging::WithoutMeshes };
+        let staging = if is_made_again { Staging::Whole } else { Staging::for_moved_camera(&scene) };
         match Rules::violation_of_scene(&scene) {
             Some(Violation { found, .. }) => Err(Error::Scene(found)),
             None => Ok((BuiltScene { seed, scene, params }, staging)),
@@ -176,6 +174,7 @@ mod tests {
         assert!(refused(-100.0).expect_err("below").contains("above the ground"));
         refused(rock.centre.z + 2.0 * rock.radius_m).expect("above the rock");
     }
+
     /// Hills surround the camera of the scene, and it is near that one that craters have rays.
     #[test]
     fn hills_and_rays_stay_where_they_are() {

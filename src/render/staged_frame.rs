@@ -23,6 +23,13 @@ pub enum Staging {
     WithoutMeshes,
 }
 
+impl Staging {
+    /// For a scene whose frames the device has drawn, once its camera has moved: of the rover that has come along the device has no meshes.
+    pub(crate) fn for_moved_camera(scene: &Scene) -> Self {
+        if scene.has_rover() { Self::Whole } else { Self::WithoutMeshes }
+    }
+}
+
 /// A buffer with all vertices of a frame and, behind them, its horizon map, its instances, and its caster grid with the cells that rocks
 /// light.
 #[derive(Debug)]

@@ -119,16 +119,20 @@ impl Photometry {
     pub fn exitance(&self, cos_light: f64) -> f64 {
         match self.law {
             // The lobe of Oren and Nayar is taken for Lambert's.
-            Law::Lambert | Law::OrenNayar => return cos_light,
+            Law::Lambert | Law::OrenNayar => cos_light,
             // The integral of 2 mu0 / (mu0 + mu) over the hemisphere, with the cosine of emission mu. It exceeds the light that falls on ground of
             // unit albedo: the law holds for dark soil.
             Law::LommelSeeliger => {
-                return 4.0
-                    * cos_light
-                    * (1.0 - cos_light * libm::log((1.0 + cos_light) / cos_light.max(1e-9)));
+                4.0 * cos_light * (1.0 - cos_light * libm::log((1.0 + cos_light) / cos_light.max(1e-9)))
             }
-            Law::Hapke => {}
+            Law::Hapke => self.soil.exitance(cos_light) / self.at_normal(self.soil.b_s0),
         }
+    }
+}
+
+impl Hapke {
+    /// Exitance of level ground, relative to the sun's irradiance at normal incidence.
+    fn exitance(&self, cos_light: f64) -> f64 {
         let (rings, spokes) = (12, 24);
         let mut sum = 0.0;
         let sin_light = (1.0 - cos_light * cos_light).max(0.0).sqrt();
@@ -139,14 +143,12 @@ impl Photometry {
             for spoke in 0..spokes {
                 let azimuth = std::f64::consts::TAU * (f64::from(spoke) + 0.5) / f64::from(spokes);
                 let cos_phase = cos_light * cos_eye + sin_light * sin_eye * libm::cos(azimuth);
-                sum += self.soil.radiance_factor(cos_light, cos_eye, cos_phase);
+                sum += self.radiance_factor(cos_light, cos_eye, cos_phase);
             }
         }
-        sum / f64::from(rings * spokes) / self.at_normal(self.soil.b_s0)
+        sum / f64::from(rings * spokes)
     }
-}
 
-impl Hapke {
     /// Radiance factor I/F (pi times the radiance over the irradiance at normal incidence) from the cosines of the incidence,
     /// emission and phase angles.
     #[must_use]
