@@ -3,9 +3,9 @@
 //! A rock is compared with its surroundings in the signal that the sensor would record without noise: electrons, between black level
 //! and full well. Without a sensor the signal is the 8-bit image. A rock is unseen if
 //!
-//! * the root of the sum of squares of the differences in mean and in standard deviation between its pixels and those around it, behind
-//!   the point spread function, is below a number of standard deviations of the noise of a pixel, by default 3, the limit of detection
-//!   (Currie 1968), or
+//! * the root of the sum of squares of the differences in mean and in standard deviation, noise included, between its pixels and those
+//!   around it, behind the point spread function, is below a number of standard deviations of the noise of a pixel, by default 3, the
+//!   limit of detection (Currie 1968), or
 //! * in more than nine tenths of its pixels its own signal above that of the darkest pixel of the image is below the same number of
 //!   standard deviations of the noise in the dark: a rock in shadow, whose outline cannot be distinguished from the shadow's.
 //!
@@ -220,8 +220,10 @@ impl Moments {
         self.0[1] / self.0[0].max(1.0)
     }
 
-    fn deviation(&self) -> f64 {
-        (self.0[2] / self.0[0].max(1.0) - self.mean() * self.mean()).max(0.0).sqrt()
+    /// Standard deviation of the values with independent noise of this standard deviation.
+    fn deviation(&self, noise: f64) -> f64 {
+        let variance = self.0[2] / self.0[0].max(1.0) - self.mean() * self.mean();
+        (variance.max(0.0) + noise * noise).sqrt()
     }
 }
 
@@ -290,8 +292,10 @@ impl<'a> Signal<'a> {
         if ground.count() < MIN_RING_PX {
             ground.0 = [0, 1, 2].map(|i| ground.0[i] + others.0[i]);
         }
-        let (level, texture) = (rock.mean() - ground.mean(), rock.deviation() - ground.deviation());
-        let least = contrast * self.noise(0.5 * (rock.mean() + ground.mean()) + stray_there.mean());
+        let noise = self.noise(0.5 * (rock.mean() + ground.mean()) + stray_there.mean());
+        let level = rock.mean() - ground.mean();
+        let texture = rock.deviation(noise) - ground.deviation(noise);
+        let least = contrast * noise;
         ground.count() > 0.0 && level * level + texture * texture < least * least
     }
 
