@@ -34,11 +34,13 @@ struct FrameUniforms {
     // Polynomials of the light that sunlit ground bounces under Hapke's law (src/scene/bounce.rs).
     bounce_on_rock: array<mat4x4<f32>, 3>,
     bounce_on_ground: mat3x4<f32>,
-    bounce_in_shadow: mat3x4<f32>,
     rock_phase: vec4<f32>,
     // Sunlit faces of rocks (common/lit_rocks.wgsl): word of the buffer of the caster grid where the lists of the cells begin; cells along a
     // side of each grid; 1 if there are any faces.
     lit_rocks: vec4<u32>,
+    // The map of the light of sunlit ground (common/ground_light.wgsl): centre of its grids, metres, world; half the side of the first,
+    // metres; its first row in the texture of faces.
+    ground_light: vec4<f32>,
     // Horizontal unit vector towards the sun, along which the horizon map's columns run.
     sun_horizontal: vec2<f32>,
     // Centres of the horizon map's grids and of the caster grids, metres, world.

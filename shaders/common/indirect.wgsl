@@ -10,7 +10,7 @@ fn bounce_uniform(ground: vec3<f32>, normal: vec3<f32>, sun_horizontal: vec2<f32
     return PI * ground * 0.5 * (1.0 - normal.z) * mix(0.4, 1.0, facing);
 }
 
-// Distance from sunlit ground up to which a point receives all the light that higher ground gives in the open, metres.
+// Distance from sunlit ground up to which a point receives all the light that ground near by gives in the open, metres.
 const NEAR_SUNLIT_M: f32 = 0.1;
 // Light on a rock over that of the first bounce from the ground by the fit: what its own facets and further bounces add, and what the law of
 // reflection gives for a mean direction in place of many, in path-traced scenes.
@@ -34,8 +34,8 @@ fn bounce_on_rock(ground: vec3<f32>, normal: vec3<f32>, height: f32, sun_horizon
     return BouncedLight(irradiance, irradiance.g * way);
 }
 
-// Fraction of the light from higher ground that is left this far inside a shadow, metres, under a sun with this sine of elevation. To
-// sunlit ground it is about as far across the sun, and further by one over the sine along it: the geometric mean counts. The
+// Fraction of the light from near ground that is left this far inside the shadow of a rock, metres, under a sun with this sine of
+// elevation. To sunlit ground it is about as far across the sun, and further by one over the sine along it: the geometric mean counts. The
 // part of the view that higher ground fills goes with the square of its slope, and slopes fall with about the fourth root of the
 // distance over which they are measured (Hurst exponent 0.77: Guo et al. 2021); nearer ground hides some of it. Rays traced from
 // soil in the shadow of rocks find a power of 3/4.
@@ -44,15 +44,26 @@ fn left_in_shadow(depth_m: f32, sine: f32) -> f32 {
     return root * sqrt(root);
 }
 
-// Light on the ground from such ground that stands higher. Of what lies around no higher than the point, the fraction `sunlit`
-// is lit.
-fn bounce_on_ground(ground: vec3<f32>, normal: vec3<f32>, sun_horizontal: vec2<f32>, sunlit: f32) -> BouncedLight {
+// Light on the ground from sunlit ground. That of ground near by goes by a law for all places, times what is left of it in a shadow;
+// in the shade that of all other ground goes by the map. The sun's light is visible to the fraction `sunlit`.
+fn bounce_on_ground(
+    ground: vec3<f32>,
+    position: vec3<f32>,
+    normal: vec3<f32>,
+    sun_horizontal: vec2<f32>,
+    sunlit: f32,
+    left: f32,
+) -> BouncedLight {
     let sine = sqrt(max(1.0 - normal.z * normal.z, 0.0));
-    let powers = azimuth_powers(normal, sun_horizontal);
-    let in_sun = dot(powers * frame.bounce_on_ground, vec3(1.0, sine, sine * sine));
-    let in_shadow = dot(powers * frame.bounce_in_shadow, vec3(1.0, sine, sine * sine));
-    let irradiance = PI * ground * mix(in_shadow * in_shadow, in_sun * in_sun, sunlit);
-    return BouncedLight(irradiance, irradiance.g * unit(vec3(-sun_horizontal, RISE_OF_BOUNCE)));
+    let root = dot(azimuth_powers(normal, sun_horizontal) * frame.bounce_on_ground, vec3(1.0, sine, sine * sine));
+    let near = root * root * vec4(unit(vec3(-sun_horizontal, RISE_OF_BOUNCE)), 1.0);
+    var relative = sunlit * near;
+    if sunlit < 1.0 {
+        let far = light_of_ground(position, normal, sun_horizontal);
+        relative += (1.0 - sunlit) * (far.light + left * far.near_sunlit * near);
+    }
+    let irradiance = (PI * relative.w) * ground;
+    return BouncedLight(irradiance, (PI * ground.g) * relative.xyz);
 }
 
 // Powers 0 to 3 of the cosine of the azimuth between a normal and the sun.

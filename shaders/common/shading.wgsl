@@ -152,7 +152,7 @@ fn sun_visibility(surface: Surface, sample: vec2<f32>) -> SunVisibility {
     );
 }
 
-// Light from sunlit ground and sunlit rocks. Where the ground shadows a point it shadows its surroundings too.
+// Light from sunlit ground and sunlit rocks.
 fn bounced_light(
     surface: Surface,
     instance: Instance,
@@ -174,8 +174,8 @@ fn bounced_light(
     }
     var of_ground: BouncedLight;
     if is_ground {
-        let ground = left_in_shadow(sun.depth_m, light.sun_direction.z) * light.ground_radiance;
-        of_ground = bounce_on_ground(ground, normal, light.sun_horizontal, sun.horizon);
+        let left = sun.horizon * left_in_shadow(sun.depth_m, light.sun_direction.z);
+        of_ground = bounce_on_ground(light.ground_radiance, position, normal, light.sun_horizontal, sun.total, left);
     } else {
         let height = (position.z - instance.ground_z) * instance.per_height;
         let ground = instance.sunlit_ground * light.ground_radiance;

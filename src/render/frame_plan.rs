@@ -6,7 +6,7 @@
 
 pub(super) mod uniforms;
 
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::class::ClassId;
 use crate::error::{Error, Result};
@@ -19,15 +19,15 @@ use crate::render::select::caster_grid::CasterCells;
 use crate::render::select::casters;
 use crate::render::select::draw_list::DrawList;
 use crate::render::select::footprint::Footprint;
+use crate::render::select::ground_light::GroundLight;
 use crate::render::select::lit_rocks::{Exposed, LitRocks};
 use crate::render::select::selection::{Selection, Slots};
 use crate::render::settings::RenderSettings;
 use crate::render::shadow::MapSource;
 use crate::render::shadow::horizon::{HorizonCache, HorizonMap};
 use crate::scene::Scene;
-use crate::scene::bounce::{Bounce, rms_slope};
+use crate::scene::bounce::Bounce;
 use crate::scene::photometry::{Law, Photometry};
-use crate::scene::terrain::Terrain;
 use uniforms::frame_uniforms;
 
 /// All that is needed to draw a frame.
@@ -64,28 +64,24 @@ pub(crate) struct PlanCache {
     bounce: Mutex<BounceCache>,
 }
 
-/// Light that sunlit ground bounces, and what it was computed from: ground, laws, sine of the sun's elevation.
+/// Light that sunlit ground bounces, and what it was computed from: laws, sine of the sun's elevation.
 #[derive(Debug, Default)]
 struct BounceCache {
-    key: Option<(Weak<Terrain>, Photometry, f32)>,
+    key: Option<(Photometry, f32)>,
     bounce: Bounce,
 }
 
 impl BounceCache {
     fn get(cache: &Mutex<Self>, scene: &Scene) -> Bounce {
         let lock = || cache.lock().unwrap_or_else(PoisonError::into_inner);
-        let (laws, sine) = (scene.photometry, scene.sun.direction.z);
+        let key = Some((scene.photometry, scene.sun.direction.z));
         let cached = lock();
-        let is_cached = cached.key.as_ref().is_some_and(|(terrain, cached_laws, cached_sine)| {
-            let is_same_ground = terrain.as_ptr() == Arc::as_ptr(&scene.terrain);
-            is_same_ground && *cached_laws == laws && *cached_sine == sine
-        });
-        if is_cached {
+        if cached.key == key {
             return cached.bounce;
         }
         drop(cached);
-        let bounce = Bounce::new(&laws, rms_slope(&scene.terrain), sine.into());
-        *lock() = Self { key: Some((Arc::downgrade(&scene.terrain), laws, sine)), bounce };
+        let bounce = Bounce::new(&scene.photometry, scene.sun.direction.z.into());
+        *lock() = Self { key, bounce };
         bounce
     }
 }
@@ -115,9 +111,10 @@ impl FramePlan {
         // While the horizon is swept, grid after grid, other threads have little to do.
         let of_selection = || {
             let cells = || CasterCells::new(scene, &selection.casters, &footprint);
-            rayon::join(cells, || ReliefBands::new(scene, &selection, settings))
+            let bands = || ReliefBands::new(scene, &selection, settings);
+            rayon::join(cells, || rayon::join(bands, || GroundLight::new(scene, &selection, &footprint)))
         };
-        let ((cells, bands), horizon) = beside(of_selection, || {
+        let ((cells, (bands, ground_light)), horizon) = beside(of_selection, || {
             cache.horizon.map(&scene.terrain, &scene.sun, &footprint, options.max_texture_px)
         });
         let caster_grid = cells?.grid(horizon.shadowed_ground());
@@ -126,9 +123,10 @@ impl FramePlan {
         let band_of_block = |block| bands.of_block(block);
         let draws = DrawList::new(scene, settings, slots, bins, band_of_block, options);
         let bounced = BounceCache::get(&cache.bounce, scene);
-        let lit_rocks = lit_rocks(scene, settings, &selection, &caster_grid, &horizon);
+        let mut lit_rocks = lit_rocks(scene, settings, &selection, &caster_grid, &horizon);
         let mut uniforms = frame_uniforms(scene, settings, image_size, &horizon, &bounced);
         uniforms.lit_rocks = lit_rocks.uniform(caster_grid.len());
+        uniforms.ground_light = ground_light.uniform(lit_rocks.append(&ground_light.texels));
         let mut instances = instances(scene, settings, slots, bands.bands.len(), options.lighting);
         set_surroundings(scene, &selection, &lit_rocks.sunlit_ground, &mut instances);
         let mut plan = Self {
@@ -295,10 +293,11 @@ fn set_surroundings(scene: &Scene, selection: &Selection, sunlit_ground: &[f32],
 
 #[cfg(test)]
 mod tests {
-    use glam::Vec3;
+    use glam::{Vec2, Vec3};
 
     use super::*;
     use crate::params::Params;
+    use crate::params::config::Config;
     use crate::render::device::bind_groups::slot_stride;
     use crate::render::select::screen_bounds::ScreenBounds;
     use crate::render::select::sunlight::Sunlight;
@@ -449,5 +448,40 @@ mod tests {
         }
         assert!(shaded > 200 && sunlit > 400, "{shaded} points in shadow, {sunlit} in sunlight");
         assert!(wrong < (shaded + sunlit) / 20, "{wrong} of {shaded} and {sunlit} points are wrong");
+    }
+
+    /// Rocks of less than five pixels too: lit as in the open they would glow.
+    #[test]
+    fn the_smallest_rocks_are_dark_in_the_shadow_of_the_ground() {
+        let mut config = Config::new();
+        for setting in ["stage.name=surface", "sun.elevation_deg=8"] {
+            config.apply_set(setting).expect(setting);
+        }
+        let (mut in_shadow, mut small) = (0, 0);
+        for seed in [51_280, 51_281, 51_282] {
+            let scene = Scene::build(seed, &config.draw(seed).expect("knobs")).expect("a scene");
+            let plan = plan(&PlanCache::default(), &scene, &options(RasterBackend::Host));
+            let limbs = |point| plan.horizon.limbs_at(point);
+            let sunlight = Sunlight::new(&scene, &plan.selection.casters, &plan.caster_grid, &limbs);
+            for (index, selected) in plan.selection.rocks.iter().enumerate() {
+                let rock = &scene.rocks[selected.rock];
+                let foot = Exposed::new(&scene, rock).foot;
+                // All around, further than the ground that a rock is lit by.
+                let is_in_shadow = (0..8).all(|k| {
+                    let (sin, cos) = libm::sincosf(0.785 * k as f32);
+                    let at = foot.truncate() + 6.5 * rock.base_scale_m * Vec2::new(cos, sin);
+                    sunlight.past_ground(at.extend(scene.terrain.surface_height_at(at))) == 0.0
+                });
+                if selected.visible_level.is_none() || !is_in_shadow {
+                    continue;
+                }
+                let relative = plan.instances[Slots::rock(index) as usize].sunlit_ground;
+                assert!((0.1..0.5).contains(&relative), "seed {seed}, rock {}: {relative}", selected.rock);
+                in_shadow += 1;
+                // The image has 96 pixels over some 70 degrees.
+                small += u32::from(2.0 * rock.base_scale_m < 0.012 * selected.nearest_m);
+            }
+        }
+        assert!(in_shadow > 20 && small > 10, "{in_shadow} rocks in shadow, {small} of them small");
     }
 }

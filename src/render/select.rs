@@ -8,6 +8,7 @@ pub(crate) mod draw_list;
 pub mod footprint;
 pub(crate) mod frustum;
 pub(crate) mod ground_blocks;
+pub mod ground_light;
 pub mod lit_rocks;
 pub mod near_plane;
 pub(crate) mod sampled_texels;

@@ -2,26 +2,24 @@
 //!
 //! Lunar soil is backscattering: level ground is brightest when viewed along the sun's rays. A rock face that points away
 //! from the sun sees the ground from that direction and receives several times as much from it as a face on the sunny side;
-//! the rock's own shadow takes part of it away, most of it near the ground. Ground receives light from ground that rises above
-//! it, and from the sunlit sides of rocks.
+//! the rock's own shadow takes part of it away, most of it near the ground. Ground that leans receives light from the ground beside
+//! it. What ground receives from higher ground depends on the place and is no part of this.
 //! Must not know: how surfaces are rendered.
 
-use std::f64::consts::{FRAC_PI_2, PI, SQRT_2, TAU};
+use std::f64::consts::{PI, TAU};
 
 use glam::{DVec2, DVec3};
 
 use super::photometry::{Hapke, Law, Photometry};
-use super::terrain::Terrain;
 
 /// Height of the upright cylinder that approximates a rock, in radii: the median ratio of exposed height to diameter is 0.49
 /// in the scans of POLAR-digital.
 const HEIGHT_RADII: f64 = 1.0;
 /// Nodes of the fit on rocks: height above the ground, as a fraction of the rock's.
 const SIDE_HEIGHTS: [f64; 3] = [0.1, 0.4, 0.9];
-/// Directions of the quadrature. Below the horizon the rings are uniform in the square root of the sine, denser near the
-/// horizon, where the ground beyond a shadow is; above it they are uniform in angle.
-const RINGS_BELOW: u32 = 24;
-const RINGS_ABOVE: u32 = 4;
+/// Directions of the quadrature, all below the horizon. The rings are uniform in the square root of the sine, denser near the horizon,
+/// where the ground beyond a shadow is.
+const RINGS: u32 = 24;
 const SPOKES: u32 = 48;
 /// Nodes of the fit: cosine of the normal's azimuth relative to the sun's.
 const COSINES: [f64; 4] = [-1.0, -1.0 / 3.0, 1.0 / 3.0, 1.0];
@@ -33,13 +31,6 @@ const NORMALS: [u32; 2] = [12, 48];
 const ROCK_HEIGHTS: [f64; 4] = [-0.6, 0.0, 0.6, 0.95];
 /// Nodes on the ground: sine of the normal's angle to the vertical.
 const GROUND_SINES: [f64; 3] = [0.0, 0.25, 0.6];
-/// Cosine of the azimuth from the sun's up to which a rock hides the ground from what lies in its shadow.
-const SIDEWAYS: f64 = 0.25;
-/// Radius around the ground's centre within which its slopes are averaged, metres: where cast shadows are visible.
-const SLOPES_WITHIN_M: f32 = 30.0;
-/// One vertex in this many is sampled.
-const SLOPES_EVERY: usize = 7;
-
 /// Coefficients of a bivariate polynomial: rows are ascending powers of the normal's z (rocks) or sine (ground), columns
 /// ascending powers of the cosine of its azimuth relative to the sun's.
 pub type Polynomial<const LINES: usize> = [[f32; COSINES.len()]; LINES];
@@ -53,40 +44,28 @@ pub struct Bounce {
     /// Radiance of a sunlit face of a rock of unit colour, relative to the sun's irradiance and to the law of Lommel and Seeliger
     /// (the cosine of incidence over the sum of those of incidence and emission), by the cosine of the phase angle. Ascending powers.
     pub rock_phase: [f32; PHASE_COSINES.len()],
-    /// On ground in the shadow of a rock, by the sine of its normal: relative to uniform light of that radiance from all directions.
+    /// On ground, by the sine of its normal, from level sunlit ground around it: relative to uniform light of that radiance from all
+    /// directions.
     pub on_ground: Polynomial<3>,
-    /// The same in shadow cast by the ground: only ground that rises above the horizon is sunlit there.
-    pub in_shadow: Polynomial<3>,
 }
 
 /// A direction that light comes from, and its radiance times solid angle.
 type Ray = (DVec3, f64);
 
 impl Bounce {
-    /// Fits the bounced light for ground of this RMS slope (along a line); `sine` is that of the sun's elevation. All zero for
+    /// Fits the bounced light of level ground; `sine` is that of the sun's elevation. All zero for
     /// laws other than Hapke's.
     #[must_use]
-    pub fn new(photometry: &Photometry, slope: f64, sine: f64) -> Self {
+    pub fn new(photometry: &Photometry, sine: f64) -> Self {
         let Law::Hapke = photometry.law else { return Self::default() };
         let sine = sine.clamp(1e-3, 1.0);
         let sun = DVec2::new((1.0 - sine * sine).sqrt(), sine);
-        let radiance_of = |way: DVec3, min_cosine: f64| {
-            let down = (-way.z).max(min_cosine);
-            photometry.soil.radiance_factor(sine, down, -way.x * sun.x + down * sine)
-        };
-        let horizon = libm::asin(horizon_view_factor(slope).sqrt());
-        let below: Vec<Ray> = spokes(RINGS_BELOW)
+        let radiance_of =
+            |way: DVec3| photometry.soil.radiance_factor(sine, -way.z, -way.x * sun.x - way.z * sine);
+        let below: Vec<Ray> = spokes(RINGS)
             .map(|(ring, azimuth)| {
                 let way = direction(-ring * ring, azimuth);
-                (way, radiance_of(way, 0.0) * 2.0 * ring * TAU / f64::from(RINGS_BELOW * SPOKES))
-            })
-            .collect();
-        // Ground that rises above the horizon faces the receiver.
-        let above: Vec<Ray> = spokes(RINGS_ABOVE)
-            .map(|(ring, azimuth)| {
-                let way = direction(libm::sin(ring * horizon), azimuth);
-                let solid_angle = libm::cos(ring * horizon) * horizon * TAU / f64::from(RINGS_ABOVE * SPOKES);
-                (way, radiance_of(way, libm::sin(libm::atan(slope))) * solid_angle)
+                (way, radiance_of(way) * 2.0 * ring * TAU / f64::from(RINGS * SPOKES))
             })
             .collect();
         let exitance = irradiance(&below, DVec3::NEG_Z);
@@ -102,26 +81,16 @@ impl Bounce {
             })
         };
         let on_rock = powers_of_height(SIDE_HEIGHTS.map(at_height));
-        // What shadows the ground stands towards the sun and hides the ground there: a rock less of it than a rise of the ground.
-        let away = |rays: &[Ray], limit: f64| {
-            rays.iter().copied().filter(|(way, _)| way.x < limit).collect::<Vec<_>>()
-        };
-        Self {
-            on_rock,
-            rock_phase: rock_phase(&rock.soil),
-            on_ground: on_ground(&[&away(&below, SIDEWAYS), &away(&above, SIDEWAYS)], exitance),
-            in_shadow: on_ground(&[&away(&above, 0.0)], exitance),
-        }
+        Self { on_rock, rock_phase: rock_phase(&rock.soil), on_ground: on_ground(&below, exitance) }
     }
 }
 
 /// Fits the polynomial for ground that receives these rays.
-fn on_ground(rays: &[&[Ray]], exitance: f64) -> Polynomial<3> {
+fn on_ground(rays: &[Ray], exitance: f64) -> Polynomial<3> {
     polynomial(GROUND_SINES, |out| {
         GROUND_SINES.map(|tilt| {
             let normal = (out * tilt).extend((1.0 - tilt * tilt).sqrt());
-            let sum: f64 = rays.iter().map(|rays| irradiance(rays, normal)).sum();
-            (sum / exitance).sqrt()
+            (irradiance(rays, normal) / exitance).sqrt()
         })
     })
 }
@@ -190,37 +159,6 @@ fn unshadowed(rays: &[Ray], start: DVec2, height: f64, sun: DVec2) -> Vec<Ray> {
         half_chord == 0.0 || far <= 0.0 || near.max(0.0) * sun.y >= HEIGHT_RADII * sun.x
     };
     rays.iter().copied().filter(is_sunlit).collect()
-}
-
-/// RMS slope of the ground's mesh along a line. Finer relief is left out: it is in the same shadow as what it would light.
-#[must_use]
-pub fn rms_slope(terrain: &Terrain) -> f64 {
-    let near = terrain.vertices.iter().step_by(SLOPES_EVERY).filter(|vertex| {
-        let offset = vertex.position.truncate() - terrain.centre;
-        offset.length_squared() < SLOPES_WITHIN_M * SLOPES_WITHIN_M
-    });
-    let (sum, count) = near.fold((0.0, 0_u32), |(sum, count), vertex| {
-        let normal = vertex.normal.as_dvec3();
-        (sum + normal.truncate().length_squared() / (normal.z * normal.z).max(0.01), count + 1)
-    });
-    (0.5 * sum / f64::from(count.max(1))).sqrt()
-}
-
-/// Cosine-weighted fraction of the hemisphere above a level point that is occluded by the ground around it: Smith's (1967)
-/// masking probability of a Gaussian surface of this slope, integrated over the directions.
-fn horizon_view_factor(rms_slope: f64) -> f64 {
-    let steps = 256;
-    let step = FRAC_PI_2 / f64::from(steps);
-    let sum: f64 = (0..steps)
-        .map(|index| {
-            let elevation = step * (f64::from(index) + 0.5);
-            let steepness = libm::tan(elevation) / rms_slope.max(1e-4);
-            let gaussian = (2.0 / PI).sqrt() / steepness * libm::exp(-0.5 * steepness * steepness);
-            let lambda = 0.5 * (gaussian - libm::erfc(steepness / SQRT_2));
-            lambda / (1.0 + lambda) * libm::sin(2.0 * elevation)
-        })
-        .sum();
-    sum * step
 }
 
 /// The polynomial that interpolates `values` at the nodes; it is called with a horizontal direction for each of [`COSINES`].
@@ -300,7 +238,7 @@ mod tests {
             (40.0, 0.0, 0.6, 0.644),
         ] {
             let sine = libm::sin(f64::to_radians(elevation_deg));
-            let bounce = Bounce::new(&soil_and_rock_alike(), 0.1, sine);
+            let bounce = Bounce::new(&soil_and_rock_alike(), sine);
             let cosine = libm::cos(f64::to_radians(azimuth_deg));
             let at_height = |side: f64| square(evaluate(&bounce.on_rock, cosine, height, side));
             let found = 0.5 * (at_height(0.25) + at_height(0.75));
@@ -311,17 +249,17 @@ mod tests {
         }
     }
 
+    /// Level ground lies in its own plane; what leans sees as much of it to all sides by the law of Lambert.
     #[test]
-    fn the_view_factor_of_level_ground_is_smiths_and_zero_on_flat_ground() {
-        for (slope, expected) in [(0.05, 0.000_739_4), (0.1, 0.002_924_9), (0.2, 0.011_227_8)] {
-            let found = horizon_view_factor(slope);
-            assert!((found / expected - 1.0).abs() < 0.01, "slope {slope}: {found}, not {expected}");
-        }
-        let flat = Bounce::new(&soil_and_rock_alike(), 0.0, 0.3);
-        assert!(at(&flat.on_ground, 0.0, 0.0) < 1e-6);
-        let rough = Bounce::new(&soil_and_rock_alike(), 0.1, 0.3);
-        let share = at(&rough.on_ground, 0.0, 0.0) / horizon_view_factor(0.1);
-        assert!((0.5..3.0).contains(&share), "{share} times even light from the part of the view");
+    fn ground_is_lit_by_level_ground_as_it_leans() {
+        let on_ground = Bounce::new(&soil_and_rock_alike(), 0.3).on_ground;
+        assert!(at(&on_ground, 0.0, 0.0) < 1e-6);
+        let sine = 0.25;
+        let mean = COSINES.map(|cosine| at(&on_ground, cosine, sine)).iter().sum::<f64>() / 4.0;
+        let even = 0.5 * (1.0 - (1.0 - sine * sine).sqrt());
+        assert!((0.5..2.5).contains(&(mean / even)), "{mean}, even light {even}");
+        let [away, towards] = [-1.0, 1.0].map(|cosine| at(&on_ground, cosine, sine));
+        assert!(away > 1.5 * towards, "soil is brightest seen along the sunlight: {away} {towards}");
     }
 
     /// The shadow at its foot takes away the light near the ground of a face away from the sun, not that of a sunny one.
@@ -329,7 +267,7 @@ mod tests {
     fn unlit_faces_are_darker_near_the_ground() {
         for elevation_deg in [5.0, 17.0, 35.0] {
             let sine = libm::sin(f64::to_radians(elevation_deg));
-            let on_rock = Bounce::new(&soil_and_rock_alike(), 0.1, sine).on_rock;
+            let on_rock = Bounce::new(&soil_and_rock_alike(), sine).on_rock;
             let at = |cosine: f64, height: f64| square(evaluate(&on_rock, cosine, 0.0, height));
             assert!(
                 at(-1.0, 0.1) < 0.6 * at(-1.0, 0.8),
@@ -345,7 +283,7 @@ mod tests {
     #[test]
     fn sunlit_faces_are_brightest_along_the_sunlight() {
         let photometry = Photometry { law: Law::Hapke, ..Photometry::default() };
-        let phase = Bounce::new(&photometry, 0.1, 0.3).rock_phase;
+        let phase = Bounce::new(&photometry, 0.3).rock_phase;
         for (cosine, expected) in
             [(-0.75, 0.0093), (-0.45, 0.0161), (0.15, 0.0257), (0.7, 0.0384), (0.9, 0.0483), (0.978, 0.0581)]
         {

@@ -49,8 +49,8 @@ class Bounds:
 
 BOUNDS = {
     "unlit faces of rocks over sunlit soil": Bounds(15, 2.6, 0.40),
-    "soil in shadow over sunlit soil": Bounds(10, 4.6, 0.52),
-    "unlit faces over soil in shadow": Bounds(9, 2.9, 0.52),
+    "soil in shadow over sunlit soil": Bounds(15, 2.3, 0.35),
+    "unlit faces over soil in shadow": Bounds(9, 3.5, 0.57),
 }
 # Largest relative difference of sunlit soil, below a sun of LOW_SUN_DEG, where penumbrae are wide, and above.
 LOW_SUN_DEG = 9.0

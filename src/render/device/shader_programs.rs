@@ -106,6 +106,7 @@ macro_rules! surface_program {
                 "brdf",
                 "hapke",
                 "lit_rocks",
+                "ground_light",
                 "indirect",
                 "hash",
                 "relief",

@@ -48,7 +48,6 @@ pub(super) fn frame_uniforms(
         horizon_base_m: horizon.base_m,
         bounce_on_rock: bounce.on_rock,
         bounce_on_ground: bounce.on_ground,
-        bounce_in_shadow: bounce.in_shadow,
         rock_phase: bounce.rock_phase,
         sky_radiance: scene.sky.radiance + scene.sky.earthshine,
         caster_grid_cells: grids.cells,

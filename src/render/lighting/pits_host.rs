@@ -243,9 +243,9 @@ impl CellPit {
         Self { diameter_m, depth: ages.depth(age), is_clod, is_fresh, share, first }
     }
 
-    /// How fresh the soil of a fresh crater is in a direction from its centre, at a distance of `r` radii: about 1 at the crest, less on the floor,
-    /// and outside as thick ejecta are, which fall with the third power of the distance (McGetchin et al. 1973). It is no disc: soil
-    /// reaches further in some directions than in others.
+    /// How fresh the soil of a fresh crater is in a direction from its centre, at a distance of `r` radii: about 1 at the crest, less
+    /// on the floor, and outside as thick ejecta are, which fall with the third power of the distance (McGetchin et al. 1973). It is
+    /// no disc: soil reaches further in some directions than in others.
     #[inline(always)]
     fn freshness(&self, way: Vec2, r: f32) -> f32 {
         let (c, s) = (way.x, way.y);

@@ -4,7 +4,8 @@
 //! The triangles of a rock's coarse mesh that the sun reaches, past the ground and the other rocks, are joined to a few faces. Which
 //! they are decides most (docs/realism.md): without the shadows of rocks on one another soil in shadow would have up to four times too
 //! much light of rocks. A face lights what is within some of its sizes. Grids like those of the casters, with fewer cells, list the faces
-//! that reach each cell. Rocks too small to be more than specks in the image are left out.
+//! that reach each cell. Rocks too small to be more than specks in the image give no light; how dark the ground around them is
+//! counts all the same.
 //! Must not know: how shadows are found.
 
 use bytemuck::{Pod, Zeroable};
@@ -32,6 +33,8 @@ const CASTER_CELLS: u32 = 8;
 const MIN_PX: f32 = 5.0;
 /// See [`MIN_PX`].
 const MIN_ANGLE: f32 = 0.012;
+/// Light of the ground on a rock in the ground's shadow, at least, relative to that in the open: higher ground is lit.
+const LEFT_IN_SHADOW: f32 = 0.2;
 /// Points around a rock at which the ground is sunlit or not: degrees from the direction away from the sun, and distance in
 /// radii. Those in the rock's own shadow are left out: the fit of the bounced light has it.
 const GROUND_AROUND: [(f64, f32); 6] =
@@ -41,6 +44,8 @@ const GROUND_AROUND: [(f64, f32); 6] =
 pub const FACE_TEXELS: usize = size_of::<LitFace>() / size_of::<[f32; 4]>();
 /// See [`FACE_TEXELS`].
 pub const FACES_PER_ROW: usize = 64;
+/// Texels in a row.
+pub const ROW_TEXELS: usize = FACE_TEXELS * FACES_PER_ROW;
 
 /// A sunlit face of a rock, as the shader reads it.
 #[repr(C)]
@@ -64,8 +69,9 @@ pub struct LitRocks {
     /// For each cell the start of its list (and after the last cell the end of the last list), then the lists of indices of
     /// faces.
     pub lists: Vec<u32>,
-    /// Whole rows of the texture.
-    faces: Vec<LitFace>,
+    /// Texels of the faces, and of the light of the ground below them: whole rows of the texture.
+    texels: Vec<[f32; 4]>,
+    has_faces: bool,
     /// Cells along a side of each grid.
     pub cells: u32,
     /// Of each rock of the selection, the light on the ground around it relative to that on all ground. Relief that shadows
@@ -97,15 +103,17 @@ impl LitRocks {
             };
             let light = colour * rock.material.albedo * scene.sun.irradiance;
             let lit = faces.map(|face| LitFace { light, slot: Slots::rock(index) as f32, ..face });
-            let is_judged = !is_speck && selected.visible_level.is_some();
-            (is_judged.then(|| around(scene, &sunlight, selected, &exposed)), lit)
+            let is_visible = selected.visible_level.is_some();
+            (is_visible.then(|| around(scene, &sunlight, selected, &exposed)), lit)
         };
         let (around, faces): (Vec<Option<[f32; 2]>>, Vec<[LitFace; FACES]>) =
             selection.rocks.par_iter().enumerate().map(of_rock).unzip();
         let judged = || around.iter().flatten();
         let past_ground =
             judged().map(|[past_ground, _]| past_ground).sum::<f32>() / judged().count().max(1) as f32;
-        let relative = |[_, past_all]: [f32; 2]| (past_all / past_ground.max(1e-3)).min(1.0);
+        let relative = |[own_past_ground, past_all]: [f32; 2]| {
+            (past_all / past_ground.max(1e-3)).clamp(LEFT_IN_SHADOW * (1.0 - own_past_ground), 1.0)
+        };
         let sunlit_ground = around.iter().map(|around| around.map_or(1.0, relative)).collect();
         let faces: Vec<LitFace> =
             faces.into_iter().flatten().filter(|face| face.area_vector != Vec3::ZERO).collect();
@@ -115,19 +123,26 @@ impl LitRocks {
     /// `FrameUniforms::lit_rocks`, where [`Self::lists`] follow this many other words.
     #[must_use]
     pub fn uniform(&self, before: usize) -> [u32; 4] {
-        [before as u32, self.cells, u32::from(!self.faces.is_empty()), 0]
+        [before as u32, self.cells, u32::from(self.has_faces), 0]
     }
 
     /// Columns and rows of the texture of faces: no row if there are none.
     #[must_use]
-    pub const fn texture_size(&self) -> [u32; 2] {
-        [(FACE_TEXELS * FACES_PER_ROW) as u32, (self.faces.len() / FACES_PER_ROW) as u32]
+    pub fn texture_size(&self) -> [u32; 2] {
+        [ROW_TEXELS as u32, (self.texels.len() / ROW_TEXELS) as u32]
     }
 
     /// Texels of the texture of faces, in row-major order.
     #[must_use]
     pub fn texels(&self) -> &[[f32; 4]] {
-        bytemuck::cast_slice(&self.faces)
+        &self.texels
+    }
+
+    /// Appends whole rows to the texture and returns the first of them.
+    pub fn append(&mut self, texels: &[[f32; 4]]) -> u32 {
+        let [_, first] = self.texture_size();
+        self.texels.extend_from_slice(texels);
+        first
     }
 
     /// Lists the faces by the cells that they reach: a counting sort.
@@ -157,7 +172,9 @@ impl LitRocks {
             *place += 1;
         }
         faces.resize(faces.len().next_multiple_of(FACES_PER_ROW), LitFace::default());
-        Self { lists, faces, cells: grids.cells, sunlit_ground: Vec::new() }
+        let has_faces = !faces.is_empty();
+        let texels = bytemuck::cast_slice(&faces).to_vec();
+        Self { lists, texels, has_faces, cells: grids.cells, sunlit_ground: Vec::new() }
     }
 }
 
