@@ -31,6 +31,7 @@ const NORMALS: [u32; 2] = [12, 48];
 const ROCK_HEIGHTS: [f64; 4] = [-0.6, 0.0, 0.6, 0.95];
 /// Nodes on the ground: sine of the normal's angle to the vertical.
 const GROUND_SINES: [f64; 3] = [0.0, 0.25, 0.6];
+
 /// Coefficients of a bivariate polynomial: rows are ascending powers of the normal's z (rocks) or sine (ground), columns
 /// ascending powers of the cosine of its azimuth relative to the sun's.
 pub type Polynomial<const LINES: usize> = [[f32; COSINES.len()]; LINES];
@@ -53,8 +54,7 @@ pub struct Bounce {
 type Ray = (DVec3, f64);
 
 impl Bounce {
-    /// Fits the bounced light of level ground; `sine` is that of the sun's elevation. All zero for
-    /// laws other than Hapke's.
+    /// Fits the bounced light of level ground; `sine` is that of the sun's elevation. All zero for laws other than Hapke's.
     #[must_use]
     pub fn new(photometry: &Photometry, sine: f64) -> Self {
         let Law::Hapke = photometry.law else { return Self::default() };
