@@ -140,9 +140,9 @@ struct Cell {
     rock_front: f32,
 }
 
-/// The sun, as seen from all cells.
+/// The direction to the sun, the same from all cells.
 #[derive(Clone, Copy, Debug)]
-struct SunPlace {
+struct SunDirection {
     /// Horizontal unit vector towards it.
     towards: Vec2,
     /// Sine and cosine of its elevation.
@@ -162,7 +162,7 @@ struct Way {
 
 impl Way {
     /// All azimuths.
-    fn all(photometry: &Photometry, sun: SunPlace) -> Vec<Self> {
+    fn all(photometry: &Photometry, sun: SunDirection) -> Vec<Self> {
         let cosine = |step: usize| (step * step) as f64 / (STEPS * STEPS) as f64;
         let way = |azimuth: usize| {
             let (to_left, to_sun) = libm::sincosf(TAU * azimuth as f32 / AZIMUTHS as f32);
@@ -301,7 +301,7 @@ impl Grids {
     fn of_sun(mut self, photometry: &Photometry, sun: Vec3, is_needed: &[bool]) -> GroundLight {
         let sine = sun.z.max(1e-3);
         let towards = sun.truncate().normalize_or(Vec2::X);
-        let sun = SunPlace { towards, sine, cosine: (1.0 - sine * sine).max(1e-6).sqrt() };
+        let sun = SunDirection { towards, sine, cosine: (1.0 - sine * sine).max(1e-6).sqrt() };
         let sunlit: Vec<f32> = (0..self.cells.len())
             .into_par_iter()
             .with_min_len(CELLS)
@@ -315,7 +315,8 @@ impl Grids {
             if !is_needed[index] {
                 return [[0.0; 4]; 2];
             }
-            let received = self.received(index, sun, &ways);
+            let mut received = Received::default();
+            ways.iter().for_each(|way| self.follow(index, sun, way, &mut received));
             let [own, sunward, from_sun, left, right] =
                 received.on_ground.map(|light| (per_exitance * light).sqrt());
             let gains = [sunward - from_sun, left - right].map(|gain| 0.5 / LEAN * gain);
@@ -339,7 +340,7 @@ impl Grids {
     }
 
     /// The sunlit part of a cell, by the slope of its horizon towards the sun.
-    fn sunlit(&self, index: usize, sun: SunPlace) -> f32 {
+    fn sunlit(&self, index: usize, sun: SunDirection) -> f32 {
         let (level, start) = (index / GRID_CELLS, self.extent.position(index));
         let slope = |cells: &f32| {
             let distance_m = cells * self.extent.cell_m(level);
@@ -350,17 +351,8 @@ impl Grids {
         (0.5 + 0.5 * (of_sun - horizon) / (SOFTNESS * of_sun)).clamp(0.0, 1.0)
     }
 
-    /// What a cell receives from all ways.
-    fn received(&self, index: usize, sun: SunPlace, ways: &[Way]) -> Received {
-        let mut received = Received::default();
-        for way in ways {
-            self.follow(index, sun, way, &mut received);
-        }
-        received
-    }
-
     /// Adds what a cell receives from one way.
-    fn follow(&self, index: usize, sun: SunPlace, way: &Way, received: &mut Received) {
+    fn follow(&self, index: usize, sun: SunDirection, way: &Way, received: &mut Received) {
         let (own, start, level) = (&self.cells[index], self.extent.position(index), index / GRID_CELLS);
         let own_lean = -own.slope.dot(way.direction);
         let leans = [0.0, LEAN * way.to_sun, -LEAN * way.to_sun, LEAN * way.to_left, -LEAN * way.to_left];
