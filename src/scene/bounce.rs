@@ -12,7 +12,7 @@ use glam::{DVec2, DVec3};
 
 use super::photometry::{Hapke, Law, Photometry};
 
-/// Height of the upright cylinder that approximates a rock, in radii: the median ratio of exposed height to diameter is 0.49
+/// Height of the dome, half of an ellipsoid, that approximates a rock, in radii: the median ratio of exposed height to diameter is 0.49
 /// in the scans of POLAR-digital.
 const HEIGHT_RADII: f64 = 1.0;
 /// Nodes of the fit on rocks: height above the ground, as a fraction of the rock's.
@@ -72,7 +72,7 @@ impl Bounce {
         let rock = Photometry { soil: photometry.with_surge(photometry.rock_b_s0), ..*photometry };
         let at_height = |height: f64| {
             polynomial(ROCK_HEIGHTS, |out| {
-                let rays = unshadowed(&below, out, height * HEIGHT_RADII, sun);
+                let rays = unshadowed(&below, out, height, sun);
                 ROCK_HEIGHTS.map(|z| {
                     let normal = (out * (1.0 - z * z).sqrt()).extend(z);
                     let even = exitance * 0.5 * (1.0 - z);
@@ -149,14 +149,16 @@ fn irradiance(rays: &[Ray], normal: DVec3) -> f64 {
     rays.iter().map(|(way, light)| light * normal.dot(*way).max(0.0)).sum()
 }
 
-/// Keeps the rays that hit level ground outside the shadow of a cylinder of radius 1, on whose side they start. The sun is
-/// above the X axis; `sun` holds the cosine and the sine of its elevation.
-fn unshadowed(rays: &[Ray], start: DVec2, height: f64, sun: DVec2) -> Vec<Ray> {
+/// Keeps the rays that hit level ground outside the shadow of a dome of radius 1. They start on its side towards `out`, at a fraction of its
+/// height. The sun is above the X axis; `sun` holds the cosine and the sine of its elevation.
+fn unshadowed(rays: &[Ray], out: DVec2, height: f64, sun: DVec2) -> Vec<Ray> {
+    let start = (1.0 - height * height).sqrt() * out;
+    let cotangents = HEIGHT_RADII * sun.x / sun.y;
+    let length = (1.0 + cotangents * cotangents).sqrt();
     let is_sunlit = |(way, _): &Ray| {
-        let end = start + height / -way.z * DVec2::new(way.x, way.y);
+        let end = start + HEIGHT_RADII * height / -way.z * DVec2::new(way.x, way.y);
         let half_chord = (1.0 - end.y * end.y).max(0.0).sqrt();
-        let (near, far) = (-end.x - half_chord, -end.x + half_chord);
-        half_chord == 0.0 || far <= 0.0 || near.max(0.0) * sun.y >= HEIGHT_RADII * sun.x
+        end.x >= half_chord || -end.x >= length * half_chord
     };
     rays.iter().copied().filter(is_sunlit).collect()
 }
@@ -221,20 +223,21 @@ mod tests {
         Photometry { law: Law::Hapke, soil, rock_b_s0: soil.b_s0 }
     }
 
-    /// Integrals over 800 x 480 directions by an independent program, for suns 10, 20 and 40 degrees high.
+    /// Integrals over 800 x 480 directions by the plugin `hapke` of eradiate-mitsuba 0.5.0, with the dome's shadow by its closest approach to
+    /// rays towards the sun, 10, 20 and 40 degrees high.
     #[test]
     fn rock_faces_agree_with_an_integral_over_the_ground() {
         for (elevation_deg, azimuth_deg, height, expected) in [
-            (10.0, 180.0, 0.0, 0.799),
-            (10.0, 135.0, 0.6, 1.701),
+            (10.0, 180.0, 0.0, 0.893),
+            (10.0, 135.0, 0.6, 1.731),
             (10.0, 60.0, 0.3, 0.720),
             (10.0, 0.0, 0.0, 0.536),
-            (20.0, 180.0, -0.3, 0.570),
-            (20.0, 180.0, 0.6, 1.189),
-            (20.0, 90.0, 0.0, 1.012),
+            (20.0, 180.0, -0.3, 0.705),
+            (20.0, 180.0, 0.6, 1.433),
+            (20.0, 90.0, 0.0, 0.987),
             (20.0, 30.0, 0.0, 0.615),
-            (40.0, 180.0, 0.0, 0.706),
-            (40.0, 112.0, 0.3, 1.102),
+            (40.0, 180.0, 0.0, 0.956),
+            (40.0, 112.0, 0.3, 1.123),
             (40.0, 0.0, 0.6, 0.644),
         ] {
             let sine = libm::sin(f64::to_radians(elevation_deg));
@@ -275,7 +278,8 @@ mod tests {
                 at(-1.0, 0.1),
                 at(-1.0, 0.8)
             );
-            assert!((at(1.0, 0.1) / at(1.0, 0.8) - 1.0).abs() < 0.05);
+            let sunny = at(1.0, 0.1) / at(1.0, 0.8);
+            assert!((0.95..1.15).contains(&sunny), "{elevation_deg}: {sunny}");
         }
     }
 
