@@ -14,24 +14,40 @@ fn bounce_uniform(ground: vec3<f32>, normal: vec3<f32>, sun_horizontal: vec2<f32
 const NEAR_SUNLIT_M: f32 = 0.1;
 // Light on a rock over that of the first bounce from the ground by the fit: what its own facets and further bounces add, and what the law of
 // reflection gives for a mean direction in place of many, in path-traced scenes.
-const BEYOND_FIRST_BOUNCE: f32 = 1.15;
+const BEYOND_FIRST_BOUNCE: f32 = 1.25;
 // Rise of the light that ground receives from higher ground.
 const RISE_OF_BOUNCE: f32 = 0.15;
 
-// Light on a rock's surface from ground that reflects by Hapke's law, brightest when viewed along the sunlight. `height` is that
-// of the point above the ground as a fraction of the rock's: the rock's own shadow is what its foot sees. The polynomials are
+// Light on a rock's surface from its surroundings. Level ground reflects by Hapke's law, brightest when viewed along the sunlight. `height`
+// is that of the point above the ground as a fraction of the rock's: the rock's own shadow is what its foot sees. The polynomials are
 // fitted by src/scene/bounce.rs.
-fn bounce_on_rock(ground: vec3<f32>, normal: vec3<f32>, height: f32, sun_horizontal: vec2<f32>) -> BouncedLight {
+fn bounce_on_rock(
+    instance: Instance,
+    ground: vec3<f32>,
+    normal: vec3<f32>,
+    height: f32,
+    sun_horizontal: vec2<f32>,
+) -> BouncedLight {
     let z = max(normal.z, -0.6);
     let powers = azimuth_powers(normal, sun_horizontal);
     let h = clamp(height, 0.0, 1.0);
     let line = powers * frame.bounce_on_rock[0] + h * (powers * frame.bounce_on_rock[1])
         + (h * h) * (powers * frame.bounce_on_rock[2]);
     let root = dot(line, vec4(1.0, z, z * z, z * z * z));
-    let irradiance = (BEYOND_FIRST_BOUNCE * PI) * ground * 0.5 * (1.0 - normal.z) * root * root;
-    // Of what the face sees, the ground on the far side from the sun is brightest.
-    let way = unit(vec3(0.6 * normal.xy - 0.3 * sun_horizontal, -0.3 + 0.2 * normal.z));
-    return BouncedLight(irradiance, irradiance.g * way);
+    // Between the sides that a normal lies between, by the squares of the cosines.
+    let across = vec2(dot(normal.xy, sun_horizontal), dot(normal.xy, vec2(-sun_horizontal.y, sun_horizontal.x)));
+    let square = dot(across, across);
+    let shares = across * across / max(square, 1.0e-6);
+    let is_positive = across > vec2(0.0);
+    let in_open = 0.5 * (1.0 - normal.z) * root * root;
+    let below = in_open * dot(shares, select(instance.lit_below.zw, instance.lit_below.xy, is_positive));
+    let on_side = dot(shares, select(instance.lit_beside.zw, instance.lit_beside.xy, is_positive));
+    let beside = max(sqrt(square) * on_side + normal.z * instance.lit_on_top, 0.0);
+    // Of what the face sees below, the ground on the far side from the sun is brightest.
+    let way_below = unit(vec3(0.6 * normal.xy - 0.3 * sun_horizontal, -0.3 + 0.2 * normal.z));
+    let way_beside = unit(vec3(normal.xy + 1.0e-9, 0.0));
+    let scale = (BEYOND_FIRST_BOUNCE * PI) * ground;
+    return BouncedLight((below + beside) * scale, scale.g * (below * way_below + beside * way_beside));
 }
 
 // Fraction of the light from near ground that is left this far inside the shadow of a rock, metres, under a sun with this sine of

@@ -17,10 +17,9 @@ const MIN_VISIBLE: f32 = 0.45;
 const HIDING_SLOPE: f32 = 0.1;
 // The fraction that is visible from the faces of other rocks.
 const VISIBLE_FROM_ROCKS: f32 = 0.9;
-// Light of all rocks over that of the listed faces: what smaller and more distant ones, rocks outside the view and further bounces add in
-// path-traced scenes, on the ground and on rocks.
-const BEYOND_FACES: f32 = 1.8;
-const BEYOND_FACES_ON_ROCKS: f32 = 3.3;
+// Light on the ground over that of the listed faces: what further bounces and parts of rocks that a face leaves out add in path-traced
+// scenes.
+const BEYOND_FACES: f32 = 1.4;
 
 // Light from around a point.
 struct BouncedLight {
@@ -64,7 +63,7 @@ fn light_of_rocks(
         let reach = square / (REACH * REACH * area);
         let slope = max(way.z, 0.0);
         let from_ground = mix(MIN_VISIBLE, 1.0, slope * slope / (slope * slope + HIDING_SLOPE * HIDING_SLOPE));
-        let visible = select(VISIBLE_FROM_ROCKS * BEYOND_FACES_ON_ROCKS, from_ground * BEYOND_FACES, is_ground);
+        let visible = select(VISIBLE_FROM_ROCKS, from_ground * BEYOND_FACES, is_ground);
         let fade = select(visible * max(1.0 - reach * reach, 0.0), 0.0, is_own);
         let cosine = max(dot(way, normal), 0.0);
         let irradiance = face_texel(face, 2u, texel_uv).rgb * (fade * reflectance * solid_angle * cosine);

@@ -35,8 +35,12 @@ struct Instance {
     // Of a rock: height of the ground around it, metres, world; one over its own height above that.
     ground_z: f32,
     per_height: f32,
-    // Fraction of the ground around it, beyond its own shadow, that is sunlit.
-    sunlit_ground: f32,
+    // Of a rock, light of its surroundings (src/render/select/rock_light.rs). On upright faces towards the sun, to its left, away from it, to
+    // its right: that of ground below the horizon, relative to a rock in the open; that of rocks and from above the horizon, relative to
+    // uniform light of the ground's radiance. The latter on a level face.
+    lit_below: vec4<f32>,
+    lit_beside: vec4<f32>,
+    lit_on_top: f32,
     // Of the sun's disc: the sine of half the angle that it spans; else 0.
     disc_sine: f32,
     reserved_pair: vec2<u32>,
@@ -59,7 +63,7 @@ struct CasterTile {
 // Dynamic offsets of uniforms are multiples of 256 bytes.
 struct InstanceSlot {
     instance: Instance,
-    unused: array<vec4<u32>, 9>,
+    unused: array<vec4<u32>, 7>,
 }
 
 // A square lattice over the plane, for points in metres from the centre of the ground.

@@ -178,8 +178,7 @@ fn bounced_light(
         of_ground = bounce_on_ground(light.ground_radiance, position, normal, light.sun_horizontal, sun.total, left);
     } else {
         let height = (position.z - instance.ground_z) * instance.per_height;
-        let ground = instance.sunlit_ground * light.ground_radiance;
-        of_ground = bounce_on_rock(ground, normal, height, light.sun_horizontal);
+        of_ground = bounce_on_rock(instance, light.ground_radiance, normal, height, light.sun_horizontal);
     }
     return BouncedLight(
         of_ground.irradiance + shade * of_rocks.irradiance,

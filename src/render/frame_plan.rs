@@ -4,6 +4,7 @@
 //! unmoved sun: bounced light, and from the second frame on the horizon map of all of the ground ([`PlanCache`]).
 //! Must not know: a device.
 
+mod shade;
 pub(super) mod uniforms;
 
 use std::sync::{Arc, Mutex, PoisonError};
@@ -19,15 +20,15 @@ use crate::render::select::caster_grid::CasterCells;
 use crate::render::select::casters;
 use crate::render::select::draw_list::DrawList;
 use crate::render::select::footprint::Footprint;
-use crate::render::select::ground_light::GroundLight;
-use crate::render::select::lit_rocks::{Exposed, LitRocks};
+use crate::render::select::lit_rocks::LitRocks;
 use crate::render::select::selection::{Selection, Slots};
 use crate::render::settings::RenderSettings;
 use crate::render::shadow::MapSource;
 use crate::render::shadow::horizon::{HorizonCache, HorizonMap};
 use crate::scene::Scene;
 use crate::scene::bounce::Bounce;
-use crate::scene::photometry::{Law, Photometry};
+use crate::scene::photometry::Photometry;
+use shade::{ground_light, lit_rocks, set_surroundings};
 use uniforms::frame_uniforms;
 
 /// All that is needed to draw a frame.
@@ -108,13 +109,16 @@ impl FramePlan {
             )));
         }
         let footprint = Footprint::new(scene, &selection);
+        let bounced = BounceCache::get(&cache.bounce, scene);
         // While the horizon is swept, grid after grid, other threads have little to do.
         let of_selection = || {
             let cells = || CasterCells::new(scene, &selection.casters, &footprint);
             let bands = || ReliefBands::new(scene, &selection, settings);
-            rayon::join(cells, || rayon::join(bands, || GroundLight::new(scene, &selection, &footprint)))
+            rayon::join(cells, || {
+                rayon::join(bands, || ground_light(scene, settings, &selection, &footprint, &bounced))
+            })
         };
-        let ((cells, (bands, ground_light)), horizon) = beside(of_selection, || {
+        let ((cells, (bands, (ground, ground_light))), horizon) = beside(of_selection, || {
             cache.horizon.map(&scene.terrain, &scene.sun, &footprint, options.max_texture_px)
         });
         let caster_grid = cells?.grid(horizon.shadowed_ground());
@@ -122,13 +126,14 @@ impl FramePlan {
         let slots = selection.slots();
         let band_of_block = |block| bands.of_block(block);
         let draws = DrawList::new(scene, settings, slots, bins, band_of_block, options);
-        let bounced = BounceCache::get(&cache.bounce, scene);
         let mut lit_rocks = lit_rocks(scene, settings, &selection, &caster_grid, &horizon);
         let mut uniforms = frame_uniforms(scene, settings, image_size, &horizon, &bounced);
         uniforms.lit_rocks = lit_rocks.uniform(caster_grid.len());
         uniforms.ground_light = ground_light.uniform(lit_rocks.append(&ground_light.texels));
         let mut instances = instances(scene, settings, slots, bands.bands.len(), options.lighting);
-        set_surroundings(scene, &selection, &lit_rocks.sunlit_ground, &mut instances);
+        if let Some(ground) = &ground {
+            set_surroundings(scene, settings, &selection, (ground, &horizon), &mut instances);
+        }
         let mut plan = Self {
             shadow_map_px: [0; 2],
             map_source: None,
@@ -264,33 +269,6 @@ fn hardware(rock: Instance) -> Instance {
     }
 }
 
-/// The sunlit rocks of a selection; none under laws other than Hapke's, which take light from level ground alone.
-fn lit_rocks(
-    scene: &Scene,
-    settings: &RenderSettings,
-    selection: &Selection,
-    caster_grid: &[u32],
-    horizon: &HorizonMap,
-) -> LitRocks {
-    if scene.photometry.law != Law::Hapke {
-        return LitRocks::default();
-    }
-    let colour = 1.0 / scene.photometry.at_normal(scene.photometry.rock_b_s0) as f32;
-    let pixel_angle = 1.0 / scene.camera.focal_px(settings.size[0]) as f32;
-    LitRocks::new(scene, selection, caster_grid, &|point| horizon.limbs_at(point), (colour, pixel_angle))
-}
-
-/// Sets what the light on rocks depends on: the ground around each.
-fn set_surroundings(scene: &Scene, selection: &Selection, sunlit_ground: &[f32], instances: &mut [Instance]) {
-    let rocks = instances[Slots::rock(0) as usize..].iter_mut();
-    for ((instance, selected), sunlit) in rocks.zip(&selection.rocks).zip(sunlit_ground) {
-        let exposed = Exposed::new(scene, &scene.rocks[selected.rock]);
-        instance.ground_z = exposed.foot.z;
-        instance.per_height = 1.0 / exposed.height_m;
-        instance.sunlit_ground = *sunlit;
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use glam::{Vec2, Vec3};
@@ -299,6 +277,7 @@ mod tests {
     use crate::params::Params;
     use crate::params::config::Config;
     use crate::render::device::bind_groups::slot_stride;
+    use crate::render::select::lit_rocks::Exposed;
     use crate::render::select::screen_bounds::ScreenBounds;
     use crate::render::select::sunlight::Sunlight;
     use crate::render::settings::DEFAULT_TEXTURE_PX;
@@ -457,7 +436,7 @@ mod tests {
         for setting in ["stage.name=surface", "sun.elevation_deg=8"] {
             config.apply_set(setting).expect(setting);
         }
-        let (mut in_shadow, mut small) = (0, 0);
+        let (mut in_shadow, mut small, mut sum) = (0_u32, 0, 0.0);
         for seed in [51_280, 51_281, 51_282] {
             let scene = Scene::build(seed, &config.draw(seed).expect("knobs")).expect("a scene");
             let plan = plan(&PlanCache::default(), &scene, &options(RasterBackend::Host));
@@ -475,13 +454,17 @@ mod tests {
                 if selected.visible_level.is_none() || !is_in_shadow {
                     continue;
                 }
-                let relative = plan.instances[Slots::rock(index) as usize].sunlit_ground;
-                assert!((0.1..0.5).contains(&relative), "seed {seed}, rock {}: {relative}", selected.rock);
+                let sides = plan.instances[Slots::rock(index) as usize].lit_below;
+                let relative = sides.iter().sum::<f32>() / 4.0;
+                sum += relative;
+                assert!(relative < 0.6, "seed {seed}, rock {}: {sides:?}", selected.rock);
                 in_shadow += 1;
                 // The image has 96 pixels over some 70 degrees.
                 small += u32::from(2.0 * rock.base_scale_m < 0.012 * selected.nearest_m);
             }
         }
         assert!(in_shadow > 20 && small > 10, "{in_shadow} rocks in shadow, {small} of them small");
+        let mean = sum / in_shadow as f32;
+        assert!((0.02..0.3).contains(&mean), "{mean} of the light in the open");
     }
 }

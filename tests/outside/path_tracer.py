@@ -48,9 +48,9 @@ class Bounds:
 
 
 BOUNDS = {
-    "unlit faces of rocks over sunlit soil": Bounds(15, 2.6, 0.40),
-    "soil in shadow over sunlit soil": Bounds(15, 2.3, 0.35),
-    "unlit faces over soil in shadow": Bounds(9, 3.5, 0.57),
+    "unlit faces of rocks over sunlit soil": Bounds(18, 1.9, 0.23),
+    "soil in shadow over sunlit soil": Bounds(16, 2.3, 0.35),
+    "unlit faces over soil in shadow": Bounds(17, 2.8, 0.32),
 }
 # Largest relative difference of sunlit soil, below a sun of LOW_SUN_DEG, where penumbrae are wide, and above.
 LOW_SUN_DEG = 9.0

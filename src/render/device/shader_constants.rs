@@ -18,8 +18,8 @@ fn constants_that_rust_has_too_are_equal() {
     use crate::render::lighting::slopes_host::SHADOW_BLUR;
     use crate::render::lighting::waves_host::{FIRST_STEP_CELLS, MIN_LOW_WAY, TESTED_CELLS};
     use crate::render::select::caster_grid::TEST_HORIZON;
-    use crate::render::select::ground_light;
     use crate::render::select::lit_rocks::{FACE_TEXELS, FACES_PER_ROW, REACH};
+    use crate::render::select::nested_grids;
     use crate::scene::craters::{CLOD_HEIGHT, JITTER_CELLS, PROFILE_DEPTH, RIM};
     use crate::scene::grains;
     use crate::scene::noise::{PATCHY_BASE, PATCHY_PEAK};
@@ -51,8 +51,8 @@ fn constants_that_rust_has_too_are_equal() {
         (&LIGHTING_SURFACE, "FACE_TEXELS", FACE_TEXELS as f64),
         (&LIGHTING_SURFACE, "FACES_PER_ROW", FACES_PER_ROW as f64),
         (&LIGHTING_SURFACE, "REACH", f64::from(REACH)),
-        (&LIGHTING_SURFACE, "GROUND_LIGHT_CELLS", ground_light::CELLS as f64),
-        (&LIGHTING_SURFACE, "GROUND_LIGHT_LEVELS", ground_light::LEVELS as f64),
+        (&LIGHTING_SURFACE, "GROUND_LIGHT_CELLS", nested_grids::CELLS as f64),
+        (&LIGHTING_SURFACE, "GROUND_LIGHT_LEVELS", nested_grids::LEVELS as f64),
         (&LIGHTING_SURFACE, "PATCHY_BASE", f64::from(PATCHY_BASE)),
         (&LIGHTING_SURFACE, "PATCHY_PEAK", f64::from(PATCHY_PEAK)),
         (&LIGHTING_SURFACE, "MAX_STRENGTH", f64::from(MAX_STRENGTH)),

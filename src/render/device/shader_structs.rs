@@ -165,7 +165,9 @@ shader_struct! {
         diameter_m: f32,
         ground_z: f32,
         per_height: f32,
-        sunlit_ground: f32,
+        lit_below: [f32; 4],
+        lit_beside: [f32; 4],
+        lit_on_top: f32,
         disc_sine: f32,
         reserved_pair: [u32; 2],
     }

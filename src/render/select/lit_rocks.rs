@@ -1,11 +1,10 @@
-//! Sunlit faces of rocks as sources of light, and which ground around each rock is sunlit: what lights shadows
-//! (`common/lit_rocks.wgsl`).
+//! Sunlit faces of rocks as sources of light: what lights shadows near by (`common/lit_rocks.wgsl`).
 //!
 //! The triangles of a rock's coarse mesh that the sun reaches, past the ground and the other rocks, are joined to a few faces. Which
 //! they are decides most (docs/realism.md): without the shadows of rocks on one another soil in shadow would have up to four times too
 //! much light of rocks. A face lights what is within some of its sizes. Grids like those of the casters, with fewer cells, list the faces
-//! that reach each cell. Rocks too small to be more than specks in the image give no light; how dark the ground around them is
-//! counts all the same.
+//! that reach each cell. Rocks too small to be more than specks in the image are no sources of their own, and those that are light no
+//! further; beyond that all rocks light as part of the ground (`rock_cover.rs`).
 //! Must not know: how shadows are found.
 
 use bytemuck::{Pod, Zeroable};
@@ -33,13 +32,6 @@ const CASTER_CELLS: u32 = 8;
 const MIN_PX: f32 = 5.0;
 /// See [`MIN_PX`].
 const MIN_ANGLE: f32 = 0.012;
-/// Light of the ground on a rock in the ground's shadow, at least, relative to that in the open: higher ground is lit.
-const LEFT_IN_SHADOW: f32 = 0.2;
-/// Points around a rock at which the ground is sunlit or not: degrees from the direction away from the sun, and distance in
-/// radii. Those in the rock's own shadow are left out: the fit of the bounced light has it.
-const GROUND_AROUND: [(f64, f32); 6] =
-    [(-45.0, 2.5), (45.0, 2.5), (-110.0, 2.5), (110.0, 2.5), (-35.0, 6.0), (35.0, 6.0)];
-
 /// Texels of a face, four numbers each, and faces in a row of the texture of faces. `common/lit_rocks.wgsl` has the same.
 pub const FACE_TEXELS: usize = size_of::<LitFace>() / size_of::<[f32; 4]>();
 /// See [`FACE_TEXELS`].
@@ -74,9 +66,6 @@ pub struct LitRocks {
     has_faces: bool,
     /// Cells along a side of each grid.
     pub cells: u32,
-    /// Of each rock of the selection, the light on the ground around it relative to that on all ground. Relief that shadows
-    /// itself takes none away: what is sunlit faces the sun all the more.
-    pub sunlit_ground: Vec<f32>,
 }
 
 impl LitRocks {
@@ -92,32 +81,16 @@ impl LitRocks {
         let sunlight = Sunlight::new(scene, &selection.casters, caster_grid, limbs);
         let of_rock = |(index, selected): (usize, &SelectedRock)| {
             let rock = &scene.rocks[selected.rock];
-            let exposed = Exposed::new(scene, rock);
-            let is_speck =
-                2.0 * rock.base_scale_m < (MIN_PX * pixel_angle).min(MIN_ANGLE) * selected.nearest_m;
-            let is_source = !is_speck && rock.body.is_rock();
-            let faces = if is_source {
-                faces(scene, &sunlight, selected, &exposed)
-            } else {
-                [LitFace::default(); FACES]
-            };
+            if is_speck(rock, selected, pixel_angle) || !rock.body.is_rock() {
+                return [LitFace::default(); FACES];
+            }
             let light = colour * rock.material.albedo * scene.sun.irradiance;
-            let lit = faces.map(|face| LitFace { light, slot: Slots::rock(index) as f32, ..face });
-            let is_visible = selected.visible_level.is_some();
-            (is_visible.then(|| around(scene, &sunlight, selected, &exposed)), lit)
+            let faces = faces(scene, &sunlight, selected, &Exposed::new(scene, rock));
+            faces.map(|face| LitFace { light, slot: Slots::rock(index) as f32, ..face })
         };
-        let (around, faces): (Vec<Option<[f32; 2]>>, Vec<[LitFace; FACES]>) =
-            selection.rocks.par_iter().enumerate().map(of_rock).unzip();
-        let judged = || around.iter().flatten();
-        let past_ground =
-            judged().map(|[past_ground, _]| past_ground).sum::<f32>() / judged().count().max(1) as f32;
-        let relative = |[own_past_ground, past_all]: [f32; 2]| {
-            (past_all / past_ground.max(1e-3)).clamp(LEFT_IN_SHADOW * (1.0 - own_past_ground), 1.0)
-        };
-        let sunlit_ground = around.iter().map(|around| around.map_or(1.0, relative)).collect();
-        let faces: Vec<LitFace> =
-            faces.into_iter().flatten().filter(|face| face.area_vector != Vec3::ZERO).collect();
-        Self { sunlit_ground, ..Self::listed(CasterGrids::new(&scene.terrain), faces) }
+        let faces: Vec<[LitFace; FACES]> = selection.rocks.par_iter().enumerate().map(of_rock).collect();
+        let faces = faces.into_iter().flatten().filter(|face| face.area_vector != Vec3::ZERO).collect();
+        Self::listed(CasterGrids::new(&scene.terrain), faces)
     }
 
     /// `FrameUniforms::lit_rocks`, where [`Self::lists`] follow this many other words.
@@ -174,8 +147,14 @@ impl LitRocks {
         faces.resize(faces.len().next_multiple_of(FACES_PER_ROW), LitFace::default());
         let has_faces = !faces.is_empty();
         let texels = bytemuck::cast_slice(&faces).to_vec();
-        Self { lists, texels, has_faces, cells: grids.cells, sunlit_ground: Vec::new() }
+        Self { lists, texels, has_faces, cells: grids.cells }
     }
+}
+
+/// Whether a rock is too small in the image to be a source of its own.
+#[must_use]
+pub fn is_speck(rock: &Rock, selected: &SelectedRock, pixel_angle: f32) -> bool {
+    2.0 * rock.base_scale_m < (MIN_PX * pixel_angle).min(MIN_ANGLE) * selected.nearest_m
 }
 
 /// Calls `visit` with the cells within a distance of a point, of each grid those that no finer one covers.
@@ -274,23 +253,6 @@ fn faces(
         };
     }
     faces
-}
-
-/// Sunlit fraction of the ground around a rock, past other ground and past everything.
-fn around(scene: &Scene, sunlight: &Sunlight<'_>, selected: &SelectedRock, exposed: &Exposed) -> [f32; 2] {
-    let radius_m = scene.rocks[selected.rock].base_scale_m;
-    let away = -scene.sun.direction.truncate().normalize_or(Vec2::X);
-    let mut sums = [0.0; 2];
-    for (turn_deg, radii) in GROUND_AROUND {
-        let (sin, cos) = (libm::sin(turn_deg.to_radians()), libm::cos(turn_deg.to_radians()));
-        let towards = away.rotate(Vec2::new(cos as f32, sin as f32));
-        let position = exposed.foot.truncate() + radii * radius_m * towards;
-        let point = position.extend(scene.terrain.surface_height_at(position));
-        let past_ground = sunlight.past_ground(point);
-        sums[0] += past_ground;
-        sums[1] += past_ground * sunlight.past_rocks(point, 0.25 * radius_m, selected.rock);
-    }
-    sums.map(|sum| sum / GROUND_AROUND.len() as f32)
 }
 
 #[cfg(test)]

@@ -1,11 +1,18 @@
 //! Tests of the light of sunlit ground, against rays.
 
+use std::f32::consts::TAU;
+
+use glam::Vec2;
+
 use super::*;
+use crate::scene::bounce::Bounce;
+use crate::scene::photometry::{Law, Photometry};
+use crate::scene::terrain::Terrain;
 
 /// Index of the cell at a point, of the finest grid that covers it.
-fn index(extent: Extent, point: Vec2) -> usize {
-    let (level, [column, row], _) = extent.locate(0, point);
-    (level * CELLS + row) * CELLS + column
+fn index(grids: NestedGrids, point: Vec2) -> usize {
+    let (level, [column, row], _) = grids.locate(0, point);
+    NestedGrids::index(level, column, row)
 }
 
 /// A crater of ten metres on a square of 64 m; its floor is in the shadow of its wall.
@@ -29,7 +36,9 @@ fn sun() -> Vec3 {
 }
 
 fn map(terrain: &Terrain, is_needed: &[bool]) -> GroundLight {
-    Grids::new(terrain).of_sun(&photometry(), sun(), is_needed)
+    let bounce = Bounce::new(&photometry(), sun().z.into());
+    let ground = GroundGrids::without_rocks(terrain, &photometry(), &bounce, sun());
+    GroundLight::of_cells(&ground, is_needed)
 }
 
 fn all() -> Vec<bool> {
@@ -38,7 +47,7 @@ fn all() -> Vec<bool> {
 
 /// Irradiance on a normal of the ground at a place, as the shader finds it.
 fn on_normal(map: &GroundLight, place: Vec2, normal: Vec3) -> f32 {
-    let [level, sunward, leftward, _] = map.texels[texel_of(index(map.extent, place))];
+    let [level, sunward, leftward, _] = map.texels[texel_of(index(map.grids, place))];
     let (towards, slope) = (sun().truncate().normalize(), normal.truncate() / normal.z);
     let root = level + sunward * slope.dot(towards) + leftward * slope.dot(towards.perp());
     normal.z * root.max(0.0) * root.max(0.0)
@@ -85,8 +94,8 @@ fn light_on_a_crater_s_floor_is_that_of_rays_to_its_wall() {
     let towards = sun().truncate().normalize();
     // On the floor and up the wall that casts the shadow, with normals of their own and leaning.
     for (from_centre_m, expected_at_least) in [(0.0, 0.005), (1.0, 0.01), (2.0, 0.05), (3.0, 0.1)] {
-        let index = index(map.extent, from_centre_m * towards);
-        let place = map.extent.position(index);
+        let index = index(map.grids, from_centre_m * towards);
+        let place = map.grids.position(index);
         let own = -slope(place);
         for lean in [Vec2::ZERO, 0.15 * towards, -0.15 * towards, 0.15 * towards.perp()] {
             let normal = (own + lean).extend(1.0).normalize();
@@ -111,8 +120,8 @@ fn flat_ground_lights_no_ground() {
 fn values_do_not_depend_on_what_else_is_in_view() {
     let terrain = crater();
     let corners = [(-3.0, -2.0), (4.0, -1.0), (2.0, 3.0)].map(|(x, y)| Vec2::new(x, y));
-    let grids = Grids::new(&terrain);
-    let is_needed = grids.needed(&Footprint::hull(corners.into_iter()));
+    let grids = NestedGrids::new(&terrain);
+    let is_needed = needed(grids, &Footprint::hull(corners.into_iter()));
     let (part, whole) = (map(&terrain, &is_needed), map(&terrain, &all()));
     let needed: Vec<usize> = (0..is_needed.len()).filter(|index| is_needed[*index]).collect();
     assert!((100..GRID_CELLS).contains(&needed.len()), "{}", needed.len());
@@ -123,18 +132,8 @@ fn values_do_not_depend_on_what_else_is_in_view() {
         }
     }
     // Those that the shader reads around a place in view.
-    let cell_m = grids.extent.cell_m(0);
+    let cell_m = grids.cell_m(0);
     for corner in [Vec2::new(-1.0, -1.0), Vec2::new(1.0, 1.0), Vec2::new(1.0, -1.0)] {
-        assert!(is_needed[index(grids.extent, Vec2::new(-3.0, -2.0) + 0.5 * cell_m * corner)]);
+        assert!(is_needed[index(grids, Vec2::new(-3.0, -2.0) + 0.5 * cell_m * corner)]);
     }
-}
-
-#[test]
-fn rocks_hide_what_lies_behind_them() {
-    let rocks = |width: f32| [[1.0, 0.0, width, 0.2], [3.0, 0.0, width, 0.2]];
-    assert_eq!(depth_of_rocks(&rocks(0.0), 0.1), 0.0);
-    let [low, high] = [0.02, 0.3].map(|slope| depth_of_rocks(&rocks(0.5), slope));
-    assert!(high < 0.6 * low && low < 1.0, "{low} {high}");
-    let above_a_hollow = [[1.0, -2.0, 0.5, 0.2], [3.0, -2.0, 0.5, 0.2]];
-    assert!(depth_of_rocks(&above_a_hollow, 0.02) < 0.2 * low);
 }
