@@ -218,4 +218,4 @@ fn level_border(texels: &mut [[f32; 4]], is_needed: &[bool]) {
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

@@ -19,6 +19,7 @@ use crate::render::select::rock_cover::{Passed, PassedRocks, RockCover, Spreads}
 use crate::render::select::selection::{SelectedRock, Selection};
 use crate::render::select::sunlight::LimbsAt;
 use crate::scene::Scene;
+use crate::scene::terrain::Terrain;
 
 /// Distances from the middle of a rock at which the ground is looked at, in its radii.
 const DISTANCES: [f32; 12] = [1.4, 2.0, 3.0, 4.5, 7.0, 11.0, 17.0, 27.0, 43.0, 70.0, 120.0, 200.0];
@@ -28,11 +29,11 @@ const NEAR_CELLS: f32 = 2.0;
 const EYE: f32 = 0.5;
 /// Steepest slope at which ground counts as seen: below it lies the foot of the rock.
 const STEEPEST: f32 = -3.0;
-/// Every how many azimuths and distances rocks are looked from that are specks in the image.
+/// Of rocks that are specks in the image, every second azimuth and distance is looked at.
 const STEP_OF_SPECKS: usize = 2;
-/// Heights over radii for which a rock in the open is found, and the quotient of two in turn.
+/// Heights over radii for which a rock in the open is found.
 const OPEN_ROCKS: usize = 24;
-/// See [`OPEN_ROCKS`].
+/// The quotient of two of them in turn.
 const OPEN_QUOTIENT: f32 = 1.18;
 /// The least of them. [`Exposed`] has it, too.
 const OPEN_LEAST: f32 = 0.1;
@@ -69,7 +70,7 @@ impl LightOnRock {
             let rock = covering_rock(scene, selected, pixel_angle);
             let body = &scene.rocks[selected.rock];
             let place = Place {
-                scene,
+                terrain: &scene.terrain,
                 ground,
                 limbs,
                 exposed: Exposed::new(scene, body),
@@ -84,7 +85,7 @@ impl LightOnRock {
 
 /// Azimuths and distances at which the ground is looked at, with rocks in the open.
 struct Views {
-    /// Every how many.
+    /// 1 for all of them, 2 for every second.
     step: usize,
     /// By height over radius: [`OPEN_LEAST`] times powers of [`OPEN_QUOTIENT`].
     open: Vec<OpenRock>,
@@ -92,7 +93,7 @@ struct Views {
 
 /// What a rock on level sunlit ground sees.
 struct OpenRock {
-    /// On its sides, without own colour: see [`Received`].
+    /// On its sides, in the units of [`Received`].
     sides: [f32; 4],
     /// The part of the ground outside its own shadow, by azimuth and distance.
     unshadowed: [[f32; DISTANCES.len()]; AZIMUTHS],
@@ -142,7 +143,7 @@ impl Views {
 
 /// Where a rock lies.
 struct Place<'a> {
-    scene: &'a Scene,
+    terrain: &'a Terrain,
     ground: &'a GroundGrids,
     limbs: LimbsAt<'a>,
     exposed: Exposed,
@@ -232,7 +233,7 @@ impl Place<'_> {
 
     /// Height of the ground near by, metres, and whether it is sunlit.
     fn near(&self, place: Vec2) -> (f32, f32) {
-        let height_m = self.scene.terrain.surface_height_at(place);
+        let height_m = self.terrain.surface_height_at(place);
         let [lower, upper] = (self.limbs)(place);
         (height_m, ((height_m - upper) / (lower - upper).max(1e-6)).clamp(0.0, 1.0))
     }
@@ -302,3 +303,6 @@ fn upright(slope: f32) -> f32 {
 fn lerp(low: f32, high: f32, t: f32) -> f32 {
     low + t * (high - low)
 }
+
+#[cfg(test)]
+mod tests;

@@ -16,22 +16,22 @@ fn index(grids: NestedGrids, point: Vec2) -> usize {
 }
 
 /// A crater of ten metres on a square of 64 m; its floor is in the shadow of its wall.
-fn height_m(point: Vec2) -> f32 {
+pub(in crate::render::select) fn height_m(point: Vec2) -> f32 {
     let part = (point.length() / 5.0).min(1.0);
     let depth = 1.0 - part * part;
     -2.0 * depth * depth
 }
 
-fn crater() -> Terrain {
+pub(in crate::render::select) fn crater() -> Terrain {
     Terrain::from_height(64.0, 512, Vec::new(), height_m)
 }
 
-fn photometry() -> Photometry {
+pub(in crate::render::select) fn photometry() -> Photometry {
     Photometry { law: Law::Hapke, ..Photometry::default() }
 }
 
 /// A sun 12 degrees high.
-fn sun() -> Vec3 {
+pub(in crate::render::select) fn sun() -> Vec3 {
     Vec3::new(0.6 * 0.978_147_6, 0.8 * 0.978_147_6, 0.207_911_7)
 }
 
@@ -65,10 +65,9 @@ fn hit(start: Vec3, way: Vec3) -> Option<Vec2> {
     below.next().map(Vec3::truncate)
 }
 
-/// The same irradiance by rays in all directions.
-fn by_rays(place: Vec2, normal: Vec3) -> f32 {
+/// The same irradiance on any point by rays in all directions.
+pub(in crate::render::select) fn by_rays(start: Vec3, normal: Vec3) -> f32 {
     let (rings, spokes) = (40, 60);
-    let start = place.extend(height_m(place) + 0.01);
     let (across, along) = normal.any_orthonormal_pair();
     let mut sum = 0.0;
     for (ring, spoke) in (0..rings).flat_map(|ring| (0..spokes).map(move |spoke| (ring, spoke))) {
@@ -99,7 +98,8 @@ fn light_on_a_crater_s_floor_is_that_of_rays_to_its_wall() {
         let own = -slope(place);
         for lean in [Vec2::ZERO, 0.15 * towards, -0.15 * towards, 0.15 * towards.perp()] {
             let normal = (own + lean).extend(1.0).normalize();
-            let (found, expected) = (on_normal(&map, place, normal), by_rays(place, normal));
+            let (found, expected) =
+                (on_normal(&map, place, normal), by_rays(place.extend(height_m(place) + 0.01), normal));
             assert!(expected > expected_at_least, "{from_centre_m} m, {lean}: {expected}");
             let ratio = found / expected;
             assert!((0.75..1.33).contains(&ratio), "{from_centre_m} m, {lean}: {found}, not {expected}");
