@@ -1,7 +1,7 @@
 // Light of sunlit ground on ground in shadow: a map of what each place sees (src/render/select/ground_light.rs). Its grids lie side by side
 // in rows of the texture of the faces of rocks: first the roots of the irradiance, below them from where it comes.
 
-// Cells along a side of each grid, and grids. src/render/select/ground_light.rs has the same.
+// Cells along a side of each grid, and grids. src/render/select/nested_grids.rs has the same.
 const GROUND_LIGHT_CELLS: f32 = 48.0;
 const GROUND_LIGHT_LEVELS: u32 = 4u;
 // Largest slope of a normal for which the map holds.

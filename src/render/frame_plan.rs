@@ -132,7 +132,7 @@ impl FramePlan {
         uniforms.ground_light = ground_light.uniform(lit_rocks.append(&ground_light.texels));
         let mut instances = instances(scene, settings, slots, bands.bands.len(), options.lighting);
         if let Some(ground) = &ground {
-            set_surroundings(scene, settings, &selection, (ground, &horizon), &mut instances);
+            set_surroundings(scene, &selection, ground, &horizon, &mut instances);
         }
         let mut plan = Self {
             shadow_map_px: [0; 2],

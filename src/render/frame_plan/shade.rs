@@ -5,7 +5,7 @@ use crate::render::device::shader_structs::Instance;
 use crate::render::select::footprint::Footprint;
 use crate::render::select::ground_grids::GroundGrids;
 use crate::render::select::ground_light::GroundLight;
-use crate::render::select::lit_rocks::{Exposed, LitRocks};
+use crate::render::select::lit_rocks::LitRocks;
 use crate::render::select::rock_light::LightOnRock;
 use crate::render::select::selection::{Selection, Slots};
 use crate::render::settings::RenderSettings;
@@ -55,16 +55,15 @@ fn pixel_angle(scene: &Scene, settings: &RenderSettings) -> f32 {
 /// Sets what the light on rocks depends on: the ground around each.
 pub(super) fn set_surroundings(
     scene: &Scene,
-    settings: &RenderSettings,
     selection: &Selection,
-    (ground, horizon): (&GroundGrids, &HorizonMap),
+    ground: &GroundGrids,
+    horizon: &HorizonMap,
     instances: &mut [Instance],
 ) {
     let limbs = |point| horizon.limbs_at(point);
-    let on_rocks = LightOnRock::on_selection(scene, selection, ground, &limbs, pixel_angle(scene, settings));
+    let on_rocks = LightOnRock::on_selection(scene, selection, ground, &limbs);
     let rocks = instances[Slots::rock(0) as usize..].iter_mut();
-    for ((instance, selected), light) in rocks.zip(&selection.rocks).zip(on_rocks) {
-        let exposed = Exposed::new(scene, &scene.rocks[selected.rock]);
+    for ((instance, exposed), light) in rocks.zip(&ground.exposed).zip(on_rocks) {
         instance.ground_z = exposed.foot.z;
         instance.per_height = 1.0 / exposed.height_m;
         instance.lit_below = light.below;

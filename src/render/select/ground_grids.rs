@@ -13,6 +13,7 @@ use crate::render::select::selection::{SelectedRock, Selection};
 use crate::scene::Scene;
 use crate::scene::bounce::Bounce;
 use crate::scene::photometry::Photometry;
+use crate::scene::rocks::Rock;
 use crate::scene::terrain::Terrain;
 
 /// Distances of the samples along an azimuth, cells.
@@ -51,6 +52,10 @@ pub struct GroundGrids {
     pub azimuths: Vec<Azimuth>,
     /// Exitance of level sunlit ground over pi, as a radiance factor.
     pub level_factor: f32,
+    /// Of each rock of the selection, the part above the ground.
+    pub exposed: Vec<Exposed>,
+    /// Of each rock of the selection, what its cover is found from; `None` of parts of a rover.
+    pub rocks: Vec<Option<CoveringRock>>,
 }
 
 impl GroundGrids {
@@ -58,10 +63,23 @@ impl GroundGrids {
     #[must_use]
     pub fn new(scene: &Scene, selection: &Selection, bounce: &Bounce, pixel_angle: f32) -> Self {
         let mut ground = Self::without_rocks(&scene.terrain, &scene.photometry, bounce, scene.sun.direction);
-        for selected in &selection.rocks {
-            if let Some(rock) = covering_rock(scene, selected, pixel_angle) {
-                ground.add(&rock);
-            }
+        let rocks = || selection.rocks.iter().map(|selected| &scene.rocks[selected.rock]);
+        ground.exposed = rocks().map(|rock| Exposed::new(scene, rock)).collect();
+        let at_normal = |surge: f64| scene.photometry.at_normal(surge) as f32;
+        let of_rock = at_normal(scene.photometry.rock_b_s0);
+        let of_soil = scene.regolith.albedo.y / at_normal(scene.photometry.soil.b_s0);
+        let covering = |((rock, selected), exposed): ((&Rock, &SelectedRock), &Exposed)| {
+            rock.body.is_rock().then(|| CoveringRock {
+                place: rock.centre.truncate(),
+                radius_m: rock.base_scale_m,
+                height_m: exposed.height_m,
+                colour: rock.material.albedo.y / of_rock / of_soil.max(1e-6),
+                is_listed: !is_speck(rock, selected, pixel_angle),
+            })
+        };
+        ground.rocks = rocks().zip(&selection.rocks).zip(&ground.exposed).map(covering).collect();
+        for rock in ground.rocks.iter().flatten() {
+            spread(rock, ground.grids, &mut ground.cells);
         }
         for cell in &mut ground.cells {
             cell.half_height_m = cell.rocks.half_height_m();
@@ -87,6 +105,8 @@ impl GroundGrids {
             sun,
             azimuths: Azimuth::all(photometry, bounce, sun),
             level_factor: exitance as f32,
+            exposed: Vec::new(),
+            rocks: Vec::new(),
         };
         let sunlit: Vec<f32> = (0..ground.cells.len())
             .into_par_iter()
@@ -111,19 +131,6 @@ impl GroundGrids {
         (index, cell, cell.height_m + self.grids.cell_m(level) * cell.slope.dot(offset))
     }
 
-    /// Spreads a rock over the cells below it.
-    fn add(&mut self, rock: &CoveringRock) {
-        for (level, spread) in rock.spreads(self.grids).into_iter().enumerate() {
-            let Some(spread) = spread else { continue };
-            for row in spread.rows {
-                let first = NestedGrids::index(level, 0, row);
-                for cell in &mut self.cells[first + spread.columns.start..first + spread.columns.end] {
-                    cell.rocks += spread.cover;
-                }
-            }
-        }
-    }
-
     /// The sunlit part of a cell, by the slope of its horizon towards the sun.
     fn sunlit(&self, index: usize) -> f32 {
         let (level, start) = (index / GRID_CELLS, self.grids.position(index));
@@ -138,19 +145,17 @@ impl GroundGrids {
     }
 }
 
-/// A rock of a selection as its cover is found from; `None` of parts of a rover.
-#[must_use]
-pub fn covering_rock(scene: &Scene, selected: &SelectedRock, pixel_angle: f32) -> Option<CoveringRock> {
-    let rock = &scene.rocks[selected.rock];
-    let colour = |albedo: f32, surge: f64| albedo / scene.photometry.at_normal(surge) as f32;
-    let of_soil = colour(scene.regolith.albedo.y, scene.photometry.soil.b_s0);
-    rock.body.is_rock().then(|| CoveringRock {
-        place: rock.centre.truncate(),
-        radius_m: rock.base_scale_m,
-        height_m: Exposed::new(scene, rock).height_m,
-        colour: colour(rock.material.albedo.y, scene.photometry.rock_b_s0) / of_soil.max(1e-6),
-        is_listed: !is_speck(rock, selected, pixel_angle),
-    })
+/// Spreads a rock over the cells below it.
+fn spread(rock: &CoveringRock, grids: NestedGrids, cells: &mut [Cell]) {
+    for (level, spread) in rock.spreads(grids).into_iter().enumerate() {
+        let Some(spread) = spread else { continue };
+        for row in spread.rows {
+            let first = NestedGrids::index(level, 0, row);
+            for cell in &mut cells[first + spread.columns.start..first + spread.columns.end] {
+                cell.rocks += spread.cover;
+            }
+        }
+    }
 }
 
 /// Heights of the centres of all cells, metres.

@@ -8,16 +8,16 @@
 
 use std::f32::consts::PI;
 
-use glam::Vec2;
+use glam::{FloatExt, Vec2};
 use rayon::prelude::*;
 
 use crate::render::select::azimuths::{AZIMUTHS, Azimuth, SeenRocks, SunDirection, WIDTH};
-use crate::render::select::ground_grids::{Cell, GroundGrids, covering_rock};
+use crate::render::select::ground_grids::{Cell, GroundGrids};
 use crate::render::select::lit_rocks::Exposed;
 use crate::render::select::nested_grids::{CELLS, GRID_CELLS};
 use crate::render::select::rock_cover::{Passed, PassedRocks, RockCover, Spreads};
 use crate::render::select::selection::{SelectedRock, Selection};
-use crate::render::select::sunlight::LimbsAt;
+use crate::render::select::sunlight::{LimbsAt, visible_above};
 use crate::scene::Scene;
 use crate::scene::terrain::Terrain;
 
@@ -60,26 +60,24 @@ impl LightOnRock {
         selection: &Selection,
         ground: &GroundGrids,
         limbs: LimbsAt<'_>,
-        pixel_angle: f32,
     ) -> Vec<Self> {
         let [all, some] = [1, STEP_OF_SPECKS].map(|step| Views::new(ground, step));
-        let on_rock = |selected: &SelectedRock| {
+        let on_rock = |(index, selected): (usize, &SelectedRock)| {
             if selected.visible_level.is_none() {
                 return Self::OPEN;
             }
-            let rock = covering_rock(scene, selected, pixel_angle);
-            let body = &scene.rocks[selected.rock];
+            let rock = ground.rocks[index];
             let place = Place {
                 terrain: &scene.terrain,
                 ground,
                 limbs,
-                exposed: Exposed::new(scene, body),
-                radius_m: body.base_scale_m,
+                exposed: ground.exposed[index],
+                radius_m: scene.rocks[selected.rock].base_scale_m,
                 own: rock.map_or_else(Spreads::default, |rock| rock.spreads(ground.grids)),
             };
             place.light(if rock.is_some_and(|rock| !rock.is_listed) { &some } else { &all })
         };
-        selection.rocks.par_iter().map(on_rock).collect()
+        selection.rocks.par_iter().enumerate().map(on_rock).collect()
     }
 }
 
@@ -101,13 +99,12 @@ struct OpenRock {
 
 impl Views {
     fn new(ground: &GroundGrids, step: usize) -> Self {
-        let views = Self { step, open: Vec::new() };
         let open_rock = |index: usize| {
             let height = OPEN_LEAST * libm::powf(OPEN_QUOTIENT, index as f32);
             let mut open = OpenRock { sides: [0.0; 4], unshadowed: [[1.0; DISTANCES.len()]; AZIMUTHS] };
             for (azimuth, unshadowed) in ground.azimuths.iter().zip(&mut open.unshadowed).step_by(step) {
                 let (mut before, mut lowest) = (1.0, f32::MIN);
-                for sample in views.distances() {
+                for sample in distances(step) {
                     let distance = DISTANCES[sample];
                     let slope = -EYE * height / (distance - 1.0);
                     let width = step as f32 * WIDTH;
@@ -124,13 +121,7 @@ impl Views {
             }
             open
         };
-        let open = (0..OPEN_ROCKS).map(open_rock).collect();
-        Self { open, ..views }
-    }
-
-    /// Indices of the distances.
-    fn distances(&self) -> impl Iterator<Item = usize> + use<> {
-        (self.step - 1..DISTANCES.len()).step_by(self.step)
+        Self { step, open: (0..OPEN_ROCKS).map(open_rock).collect() }
     }
 
     /// The rocks in the open on either side of a height over radius, and where between them it lies.
@@ -139,6 +130,11 @@ impl Views {
         let index = (along as usize).min(OPEN_ROCKS - 2);
         ([&self.open[index], &self.open[index + 1]], (along - index as f32).min(1.0))
     }
+}
+
+/// Indices of every so many of [`DISTANCES`], to the last.
+fn distances(step: usize) -> impl Iterator<Item = usize> {
+    (step - 1..DISTANCES.len()).step_by(step)
 }
 
 /// Where a rock lies.
@@ -166,11 +162,11 @@ impl Place<'_> {
         let ([low, high], t) = views.open(self.exposed.height_m / self.radius_m);
         for index in (0..AZIMUTHS).step_by(views.step) {
             let unshadowed = std::array::from_fn(|sample| {
-                lerp(low.unshadowed[index][sample], high.unshadowed[index][sample], t)
+                low.unshadowed[index][sample].lerp(high.unshadowed[index][sample], t)
             });
             self.follow(&self.ground.azimuths[index], views, &unshadowed, &mut received);
         }
-        let ratio = |side: usize| received.below[side] / lerp(low.sides[side], high.sides[side], t).max(1e-9);
+        let ratio = |side: usize| received.below[side] / low.sides[side].lerp(high.sides[side], t).max(1e-9);
         let relative = views.step as f32 * WIDTH / (PI * self.ground.level_factor);
         LightOnRock {
             below: std::array::from_fn(ratio),
@@ -194,7 +190,7 @@ impl Place<'_> {
         let (mut before_m, mut before_height_m, mut before_sunlit) =
             (self.radius_m, self.exposed.foot.z, None);
         let mut highest = f32::MIN;
-        for sample in views.distances() {
+        for sample in distances(views.step) {
             let distance_m = DISTANCES[sample] * self.radius_m;
             let place = start + distance_m * azimuth.direction;
             let (index, cell, plane_m) = self.ground.at(0, place);
@@ -234,8 +230,7 @@ impl Place<'_> {
     /// Height of the ground near by, metres, and whether it is sunlit.
     fn near(&self, place: Vec2) -> (f32, f32) {
         let height_m = self.terrain.surface_height_at(place);
-        let [lower, upper] = (self.limbs)(place);
-        (height_m, ((height_m - upper) / (lower - upper).max(1e-6)).clamp(0.0, 1.0))
+        (height_m, visible_above((self.limbs)(place), height_m))
     }
 
     /// The other rocks of a cell, and the height above which half of what they hide is left, metres.
@@ -298,10 +293,6 @@ fn middle(low: f32, high: f32) -> f32 {
 /// The integral of the square of the cosine of elevation from the horizon to a slope: what an upright face sees.
 fn upright(slope: f32) -> f32 {
     if slope == f32::MIN { -0.25 * PI } else { 0.5 * (libm::atanf(slope) + slope / (1.0 + slope * slope)) }
-}
-
-fn lerp(low: f32, high: f32, t: f32) -> f32 {
-    low + t * (high - low)
 }
 
 #[cfg(test)]

@@ -25,6 +25,12 @@ const OCTAGON: [Vec2; 4] = {
 /// Heights above a point from which the lower and the upper limb of the sun are visible past the ground, metres.
 pub type LimbsAt<'a> = &'a (dyn Fn(Vec2) -> [f32; 2] + Sync);
 
+/// Fraction of the sun's disc that is visible at a height (metres, world) where these are the heights of the limbs.
+#[must_use]
+pub fn visible_above([lower, upper]: [f32; 2], height_m: f32) -> f32 {
+    ((height_m - upper) / (lower - upper).max(1e-6)).clamp(0.0, 1.0)
+}
+
 /// What decides where the sun shines.
 pub struct Sunlight<'a> {
     scene: &'a Scene,
@@ -85,8 +91,7 @@ impl<'a> Sunlight<'a> {
     /// Fraction of the sun's disc that is visible past the ground.
     #[must_use]
     pub fn past_ground(&self, point: Vec3) -> f32 {
-        let [lower, upper] = (self.limbs)(point.truncate());
-        ((point.z - upper) / (lower - upper).max(1e-6)).clamp(0.0, 1.0)
+        visible_above((self.limbs)(point.truncate()), point.z)
     }
 
     /// Fraction of a disc of this radius that is sunlit past all rocks but one.
