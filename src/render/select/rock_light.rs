@@ -132,7 +132,7 @@ impl Views {
     }
 }
 
-/// Indices of every so many of [`DISTANCES`], to the last.
+/// Indices of [`DISTANCES`] in steps, up to the last.
 fn distances(step: usize) -> impl Iterator<Item = usize> {
     (step - 1..DISTANCES.len()).step_by(step)
 }
