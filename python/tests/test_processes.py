@@ -297,15 +297,15 @@ def test_memory_is_flat() -> None:
         + textwrap.dedent(
             f"""
             import regolith_render as rr
-            renderer = rr.Renderer(preset="train_dr", size=256, adapter={ADAPTER!r})
+            renderer = rr.Renderer(preset="train_dr", size=256, outputs="all", adapter={ADAPTER!r})
             after = []
             for number, frame in enumerate(renderer.frames([number % 50 for number in range(400)])):
                 kept_mib = sum(array.nbytes for array in frame.values()) / 2**20
                 if number % 90 == 89:  # the threads of the stream end with its last frames
                     after.append(usage())
             print(after, kept_mib)
-            # Each thread's allocator keeps the largest scenes it met, some 20 MiB in all. If a third of the frames stayed, it would be more.
-            assert after[3][0] - after[0][0] < 270 * kept_mib / 3, (after, kept_mib)
+            # Each thread's allocator keeps the largest scenes it met, up to 30 MiB in all. If a tenth of the frames stayed, it would be 115.
+            assert after[3][0] - after[0][0] < 270 * kept_mib / 10, (after, kept_mib)
             assert after[3][1:] == after[0][1:], after
             """
         )
