@@ -25,12 +25,10 @@ fn light_of_ground(position: vec3<f32>, normal: vec3<f32>, sun_horizontal: vec2<
     let clamped = clamp(cells, vec2(0.0), vec2(GROUND_LIGHT_CELLS - 1.001));
     let cell = floor(clamped);
     let t = clamped - cell;
-    // The corner that the four texels share.
-    let corner = vec2(level * GROUND_LIGHT_CELLS, map.w) + cell + 1.0;
     let texel_uv = 1.0 / vec2<f32>(textureDimensions(lit_faces));
-    let uv = corner * texel_uv;
-    let roots = interpolated_texels(uv, t);
-    let below = interpolated_texels((corner + vec2(0.0, GROUND_LIGHT_CELLS)) * texel_uv, t);
+    let first = vec2(level * GROUND_LIGHT_CELLS, map.w) + cell + 0.5;
+    let roots = interpolated_texel(first, t, texel_uv);
+    let below = interpolated_texel(first + vec2(0.0, GROUND_LIGHT_CELLS), t, texel_uv);
     let lean = normal.xy / max(normal.z, 0.3);
     let slope = lean * min(MAX_LIT_SLOPE * inverseSqrt(max(dot(lean, lean), 1.0e-9)), 1.0);
     let left = vec2(-sun_horizontal.y, sun_horizontal.x);
@@ -42,12 +40,13 @@ fn light_of_ground(position: vec3<f32>, normal: vec3<f32>, sun_horizontal: vec2<
     return GroundLight(max(normal.z, 0.0) * vec4(directions, on_normal), below.w);
 }
 
-// Four texels of the map, interpolated.
-fn interpolated_texels(uv: vec2<f32>, t: vec2<f32>) -> vec4<f32> {
-    return vec4(
-        bilinear(textureGather(0, lit_faces, nearest, uv), t),
-        bilinear(textureGather(1, lit_faces, nearest, uv), t),
-        bilinear(textureGather(2, lit_faces, nearest, uv), t),
-        bilinear(textureGather(3, lit_faces, nearest, uv), t),
-    );
+// Four texels of the map, the first at this position, interpolated. Sampled: gathering them channel by channel takes llvmpipe twice as long.
+fn interpolated_texel(first: vec2<f32>, t: vec2<f32>, texel_uv: vec2<f32>) -> vec4<f32> {
+    let low = first * texel_uv;
+    let high = (first + 1.0) * texel_uv;
+    let south_west = textureSampleLevel(lit_faces, nearest, low, 0.0);
+    let south_east = textureSampleLevel(lit_faces, nearest, vec2(high.x, low.y), 0.0);
+    let north_west = textureSampleLevel(lit_faces, nearest, vec2(low.x, high.y), 0.0);
+    let north_east = textureSampleLevel(lit_faces, nearest, high, 0.0);
+    return mix(mix(south_west, south_east, t.x), mix(north_west, north_east, t.x), t.y);
 }
