@@ -171,6 +171,8 @@ type Lanes = [[f32; 4]; MAX_STRETCHES / 4];
 #[derive(Clone, Debug)]
 pub struct PassedRocks {
     count: usize,
+    /// Whether there is a rock on any of them.
+    has_rocks: bool,
     /// Optical depth at the ground of the whole of the last stretch.
     last_depth: f32,
     distances_m: Lanes,
@@ -198,6 +200,7 @@ impl PassedRocks {
     /// None yet.
     pub const NONE: Self = Self {
         count: 0,
+        has_rocks: false,
         last_depth: 0.0,
         distances_m: [[0.0; 4]; MAX_STRETCHES / 4],
         above_m: [[0.0; 4]; MAX_STRETCHES / 4],
@@ -220,6 +223,7 @@ impl PassedRocks {
         self.depths[lane][index] = 0.5 * next.depth;
         self.half_heights_m[lane][index] = next.half_height_m.max(1e-6);
         self.last_depth = next.depth;
+        self.has_rocks |= next.depth > 0.0;
         self.count += 1;
     }
 
@@ -228,6 +232,9 @@ impl PassedRocks {
     #[inline]
     #[must_use]
     pub fn depth(&self, slope: f32) -> f32 {
+        if !self.has_rocks {
+            return 0.0;
+        }
         let mut sums = [0.0_f32; 4];
         for lane in 0..self.count.div_ceil(4) {
             for (index, sum) in sums.iter_mut().enumerate() {

@@ -29,11 +29,17 @@ fn place<'a>(
 fn rocks_on_level_sunlit_ground_lie_in_the_open() {
     let flat = Terrain::from_height(64.0, 64, Vec::new(), |_| 1.0);
     let ground = ground(&flat);
-    for (radius_m, step) in [(0.03, 1), (0.03, 2), (0.2, 1), (1.3, 1)] {
+    let [all, some] = [(1, &DISTANCES[..]), (STEP_OF_SPECKS, &DISTANCES_OF_SPECKS[..])]
+        .map(|(step, distances)| Views::new(&ground, step, distances));
+    for (radius_m, views) in [(0.03, &all), (0.03, &some), (0.2, &all), (1.3, &all)] {
         let place = place(&flat, &ground, &|_| SUNLIT, Vec2::new(3.0, -2.0), radius_m);
-        let light = place.light(&Views::new(&ground, step));
+        let light = place.light(views);
         for side in 0..4 {
-            assert!((light.below[side] - 1.0).abs() < 0.02, "radius {radius_m} m, step {step}: {light:?}");
+            assert!(
+                (light.below[side] - 1.0).abs() < 0.02,
+                "radius {radius_m} m, step {}: {light:?}",
+                views.step
+            );
         }
         assert_eq!((light.beside, light.beside_on_top), ([0.0; 4], 0.0));
     }
@@ -45,7 +51,7 @@ fn light_on_a_rock_in_a_crater_is_that_of_rays() {
     let terrain = crater();
     let ground = ground(&terrain);
     let towards = sun().truncate().normalize();
-    let views = Views::new(&ground, 1);
+    let views = Views::new(&ground, 1, &DISTANCES);
     let is_sunlit = |at: Vec2| {
         let start = at.extend(height_m(at) + 0.01);
         let blocked = (1..600).map(|step| start + 0.02 * step as f32 * sun());
