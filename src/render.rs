@@ -375,10 +375,8 @@ impl Renderer {
         // Compiling a pipeline takes longer than it saves in one frame: the first is lit by as few pipelines as possible, which are
         // compiled while it is prepared.
         let is_first = !self.lighting.has(pipelines, self.raster.lighting);
-        let raster = RasterOptions {
-            bin_by_shadow_sources: self.raster.bin_by_shadow_sources && !is_first,
-            ..self.raster
-        };
+        let mut raster = self.raster;
+        raster.bin_by_shadow_sources &= !is_first;
         let Self { gpu, layouts, buffers, shadow, visibility, lighting, resolve, staging, .. } = self;
         let prepare = || {
             plan.place_tiles(|selection| shadow.place_tiles(scene, selection, raster.max_texture_px));
@@ -386,6 +384,7 @@ impl Renderer {
             let multi_draw = raster.multi_draw;
             let to_upload = (&plan, staged.as_mut());
             let mut bytes = gpu.guard(|| buffers.upload(gpu, scene, to_upload, (multi_draw, staging)))??;
+            let full_sun = plan.horizon.full_sun().filter(|_| raster.bin_by_shadow_sources);
             // Nothing else needs these.
             (plan.horizon, plan.instances, plan.lit_rocks) = Default::default();
             let of_map = (scene, plan.map_source.take(), plan.shadow_map_px);
@@ -399,6 +398,7 @@ impl Renderer {
                 bands: &plan.bands,
                 draws: (&buffers.meshes, &plan.draws.batches),
                 bin_by_shadow_sources: raster.bin_by_shadow_sources,
+                full_sun: full_sun.as_ref(),
             };
             bytes += visibility.find(gpu, layouts, inputs);
             let samples = tile.rendered.samples(settings.samples_per_side);

@@ -61,7 +61,8 @@ fn left_in_shadow(depth_m: f32, sine: f32) -> f32 {
 }
 
 // Light on the ground from sunlit ground. That of ground near by goes by a law for all places, times what is left of it in a shadow;
-// in the shade that of all other ground goes by the map. The sun's light is visible to the fraction `sunlit`.
+// in the shade that of all other ground goes by the map. The sun's light is visible to the fraction `sunlit`. Where nothing casts a
+// shadow the map is left out: there it would cost llvmpipe as much as where something does.
 fn bounce_on_ground(
     ground: vec3<f32>,
     position: vec3<f32>,
@@ -73,10 +74,10 @@ fn bounce_on_ground(
     let sine = sqrt(max(1.0 - normal.z * normal.z, 0.0));
     let root = dot(azimuth_powers(normal, sun_horizontal) * frame.bounce_on_ground, vec3(1.0, sine, sine * sine));
     let near = root * root * vec4(unit(vec3(-sun_horizontal, RISE_OF_BOUNCE)), 1.0);
-    var relative = sunlit * near;
-    if sunlit < 1.0 {
+    var relative = near;
+    if SHADOW_SOURCES != 0u && sunlit < 1.0 {
         let far = light_of_ground(position, normal, sun_horizontal);
-        relative += (1.0 - sunlit) * (far.light + left * far.near_sunlit * near);
+        relative = sunlit * near + (1.0 - sunlit) * (far.light + left * far.near_sunlit * near);
     }
     let irradiance = (PI * relative.w) * ground;
     return BouncedLight(irradiance, (PI * ground.g) * relative.xyz);

@@ -8,6 +8,7 @@ pub(crate) mod casters;
 pub(crate) mod draw_list;
 pub mod footprint;
 pub(crate) mod frustum;
+pub mod full_sun;
 pub(crate) mod ground_blocks;
 pub mod ground_grids;
 pub mod ground_light;

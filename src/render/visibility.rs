@@ -28,6 +28,7 @@ use crate::render::device::timing::{Pass, Timer, milliseconds};
 use crate::render::lighting::gbuffer::{GBuffer, GBufferLayout, SLOPES_FORMAT, VISIBILITY_FORMAT};
 use crate::render::lighting::relief_bands::ReliefBands;
 use crate::render::select::draw_list::DrawBatch;
+use crate::render::select::full_sun::FullSun;
 use crate::render::select::screen_bounds::ScreenBounds;
 use crate::render::select::selection::Selection;
 use crate::render::select::tiles::PixelRect;
@@ -56,6 +57,8 @@ pub(crate) struct VisibilityInputs<'a> {
     pub(crate) draws: (&'a Meshes, &'a [DrawBatch]),
     /// Triangles are binned by what can shade them ([`crate::render::backend::RasterOptions`]).
     pub(crate) bin_by_shadow_sources: bool,
+    /// Where other ground shades none, for samples to be binned by that too.
+    pub(crate) full_sun: Option<&'a FullSun>,
 }
 
 /// Backend of the visibility stage.
@@ -208,6 +211,9 @@ impl VisibilityRaster {
         let start = Instant::now();
         let VisibilityInputs { scene, settings, selection, caster_grid, bands, .. } = inputs;
         self.triangles.find(scene, selection, settings, caster_grid, bands, inputs.bin_by_shadow_sources);
+        if let Some(full_sun) = inputs.full_sun {
+            self.triangles.bin_by_full_sun(full_sun, scene.camera.eye);
+        }
         self.sample_size = settings.sample_size();
         self.elapsed_ms = milliseconds(start.elapsed());
     }
@@ -222,8 +228,8 @@ impl VisibilityRaster {
         let start = Instant::now();
         let bins = self.triangles.bins();
         for mesh in self.triangles.meshes() {
-            for (bin, bounds) in mesh.bins.iter().zip(mesh.bounds) {
-                let batch = &mut gbuffer.batches[usize::from(bins.merge_bands(*bin))];
+            for (bin, bounds) in self.triangles.bins_and_bounds(mesh) {
+                let batch = &mut gbuffer.batches[usize::from(bins.merge_bands(bin))];
                 batch.bounds = batch.bounds.union(bounds);
             }
         }
@@ -339,5 +345,33 @@ mod tests {
             let uploads = parts(0..height, rows_at_once).flat_map(|part| parts(part, rows));
             assert_eq!(uploads.flat_map(bands).collect::<Vec<_>>(), of_image, "{max_rows} rows at once");
         }
+    }
+
+    #[test]
+    fn blocks_whose_ground_is_all_in_full_sun_leave_it_out() {
+        use crate::render::device::shading_bins::{ShadingBin, ShadingBins, ShadowSources};
+        let value = |sources| ShadingBins::ground(0, sources) + 1;
+        let (both, ground) = (value(ShadowSources::GroundAndRocks), value(ShadowSources::Ground));
+        let (rocks, none): (ShadingBin, ShadingBin) =
+            (value(ShadowSources::Rocks), value(ShadowSources::None));
+        let of_rock = ShadingBins::rocks(ShadowSources::GroundAndRocks) + 1;
+        // Two blocks side by side, two samples beside them, and a row below.
+        let mut mask = [
+            [ground, both, ground, of_rock, ground, ground, ground, ground, ground, ground],
+            [0, ground, ground, ground, ground, ground, both, ground, ground, ground],
+            [ground, ground, ground, ground, both, both, both, none, ground, ground],
+        ];
+        let mut in_full_sun = [[1; 10]; 3];
+        (in_full_sun[0][3], in_full_sun[1][0]) = (0, 0);
+        in_full_sun[1][6] = 0;
+        host::bin_by_full_sun(mask.as_flattened_mut(), in_full_sun.as_flattened_mut(), 10);
+        assert_eq!(
+            mask,
+            [
+                [none, rocks, none, of_rock, ground, ground, ground, ground, ground, ground],
+                [0, none, none, none, ground, ground, both, ground, ground, ground],
+                [none, none, none, none, rocks, rocks, rocks, none, ground, ground],
+            ]
+        );
     }
 }

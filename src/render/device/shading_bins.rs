@@ -136,6 +136,14 @@ impl ShadingBins {
         }
     }
 
+    /// 1 if a bin is of ground of the first relief band that other ground can shade, else 0. The same ground without has the bin before.
+    #[must_use]
+    #[inline(always)]
+    pub const fn is_shaded_by_ground(bin: ShadingBin) -> u8 {
+        let sources = bin.wrapping_sub(Self::ground(0, ShadowSources::None));
+        if sources < 4 { sources & ShadowSources::Ground as ShadingBin } else { 0 }
+    }
+
     /// Bin of the stars.
     #[must_use]
     pub const fn stars(self) -> ShadingBin {
@@ -189,6 +197,18 @@ mod tests {
             let merged = bins.merge_bands(bin);
             assert_eq!(all[usize::from(merged)], (*variant, 0), "{variant:?} of band {band}");
             assert!(merged == bin || matches!(variant, LightingVariant::Ground { .. }) && *band > 0);
+        }
+        for (bin, (variant, _)) in (0..ShadingBins::ground(1, ShadowSources::None)).zip(&all) {
+            let is_shaded = ShadingBins::is_shaded_by_ground(bin) == 1;
+            let LightingVariant::Ground { sources } = *variant else {
+                assert!(!is_shaded, "{variant:?}");
+                continue;
+            };
+            assert_eq!(is_shaded, matches!(sources, ShadowSources::Ground | ShadowSources::GroundAndRocks));
+            if is_shaded {
+                let without = if sources.has_rocks() { ShadowSources::Rocks } else { ShadowSources::None };
+                assert_eq!(bin - 1, ShadingBins::ground(0, without));
+            }
         }
         for bin in [bins.stars(), bins.sun()] {
             assert_eq!(all[usize::from(bin)], (LightingVariant::Sky, 0));

@@ -194,7 +194,7 @@ fn per_rise(rise: f32, way: f32, max_way: f32) -> f32 {
 /// A vector along the normal with these octahedral coordinates. CPU counterpart of the function in `common/octahedral.wgsl`, which
 /// also normalises it.
 #[inline(always)]
-fn octahedral_decode(code_x: u32, code_y: u32) -> [f32; 3] {
+pub(super) fn octahedral_decode(code_x: u32, code_y: u32) -> [f32; 3] {
     const PER_CODE: f32 = 2.0 / MAX_NORMAL_CODE as f32;
     let p = (code_x & MAX_NORMAL_CODE) as i32 as f32 * PER_CODE - 1.0;
     let q = (code_y & MAX_NORMAL_CODE) as i32 as f32 * PER_CODE - 1.0;

@@ -17,10 +17,13 @@ use crate::render::lighting::crater_rays_host::add_crater_rays;
 use crate::render::lighting::detail_sums::DetailSums;
 use crate::render::lighting::grain_texture_host::GrainSurface;
 use crate::render::lighting::grains_host::{GrainGround, GroundDetail, add_grain_texture, add_grains};
-use crate::render::lighting::ground_batch::{BATCH, GroundBatch, MIN_TESTED_SAMPLES, SampleBatch, Vectors};
+use crate::render::lighting::ground_batch::{
+    BATCH, GroundBatch, MIN_TESTED_SAMPLES, SampleBatch, Vectors, octahedral_decode,
+};
 use crate::render::lighting::pits_host::add_pits;
 use crate::render::lighting::relief_bands::{ReliefBands, sample_share};
 use crate::render::lighting::waves_host::{MIN_LOW_WAY, noise_slope, set_strength};
+use crate::render::select::full_sun::{FullSun, LANES, Points};
 use crate::scene::grains::GrainMaterial;
 use crate::scene::relief::mesh_share;
 use crate::scene::sky::Sun;
@@ -29,6 +32,9 @@ use crate::scene::sky::Sun;
 const NO_BAND: u8 = u8::MAX;
 /// The detail where there is no relief below the mesh: no slope, the material's albedo, no grain between the ground and the sun.
 const NO_DETAIL: [f16; 4] = [f16::ZERO, f16::ZERO, f16::ONE, f16::ONE];
+const _: () = assert!(BATCH == LANES);
+/// Least component of a normal towards the sun at which the shader is sure to take it for facing the sun.
+const MIN_FACING_SUN: f32 = 1e-4;
 /// Half the width of the edges of these shadows, distances between samples.
 pub(crate) const SHADOW_BLUR: f32 = 0.5;
 
@@ -42,6 +48,8 @@ pub struct ReliefSlopes {
     rays: [Vec3; 3],
     /// Unit vector towards the sun, and the tangent of half the angle that its disc spans.
     sun: (Vec3, f32),
+    /// Where other ground shades none, and the eye.
+    full_sun: Option<(FullSun, Vec3)>,
 }
 
 /// What a row of the G-buffer holds, one value a sample.
@@ -69,13 +77,39 @@ impl ReliefSlopes {
                 *band_of_bin = band as u8;
             }
         }
-        Self { bands: bands.bands.clone(), band_of_bin, rays, sun: (sun.direction, sun.tan_half_angle()) }
+        let sun = (sun.direction, sun.tan_half_angle());
+        Self { bands: bands.bands.clone(), band_of_bin, rays, sun, full_sun: None }
+    }
+
+    /// The same that finds samples in full sun too, as seen from an eye (metres, world).
+    #[must_use]
+    pub fn with_full_sun(self, full_sun: FullSun, eye: Vec3) -> Self {
+        Self { full_sun: Some((full_sun, eye)), ..self }
+    }
+
+    /// Whether it finds samples in full sun.
+    #[must_use]
+    pub const fn finds_full_sun(&self) -> bool {
+        self.full_sun.is_some()
     }
 
     /// Writes the detail at a row of samples: slope, rise per metre along x and y; factor on the albedo; fraction of the sun's disc that
-    /// grains leave visible.
-    pub fn set_row(&self, row: usize, gbuffer: &GBufferRow<'_>, slopes: &mut [[f16; 4]]) {
+    /// grains leave visible. Sets to 1 the flags of samples that see all of the sun past other ground, where these are found.
+    pub fn set_row(
+        &self,
+        row: usize,
+        gbuffer: &GBufferRow<'_>,
+        (slopes, in_full_sun): (&mut [[f16; 4]], &mut [u8]),
+    ) {
         slopes.fill(NO_DETAIL);
+        in_full_sun.fill(0);
+        let mut flush = |band: u8, batch: &mut SampleBatch, count: usize| {
+            if count > 0 {
+                batch.pad(count);
+                self.set_batch(row, band, (&*batch, count), slopes);
+                self.set_in_full_sun(row, (&*batch, count), in_full_sun);
+            }
+        };
         let mut batch = SampleBatch::default();
         let (mut batch_band, mut count) = (NO_BAND, 0);
         for (column, visibility) in gbuffer.visibility.iter().enumerate() {
@@ -85,7 +119,7 @@ impl ReliefSlopes {
                 continue;
             }
             if count == BATCH || band != batch_band {
-                self.set_batch(row, batch_band, &mut batch, count, slopes);
+                flush(batch_band, &mut batch, count);
                 (batch_band, count) = (band, 0);
             }
             batch.columns[count] = column as u32;
@@ -94,7 +128,34 @@ impl ReliefSlopes {
             batch.normal_y[count] = gbuffer.normal_y[column];
             count += 1;
         }
-        self.set_batch(row, batch_band, &mut batch, count, slopes);
+        flush(batch_band, &mut batch, count);
+    }
+
+    /// Finds which of the first `count` samples of a batch are in full sun.
+    fn set_in_full_sun(&self, row: usize, (batch, count): (&SampleBatch, usize), in_full_sun: &mut [u8]) {
+        let Some((full_sun, eye)) = &self.full_sun else { return };
+        let ([corner, right, down], (sun, _)) = (self.rays, self.sun);
+        let row_start = corner + (row as f32 + 0.5) * down;
+        let mut flags = [0; BATCH];
+        dispatch!(Level::new(), _simd => {
+            let zeros = [0.0; BATCH];
+            let mut points = Points { x: zeros, y: zeros, z: zeros };
+            for i in 0..BATCH {
+                let (column, depth_m) = (batch.columns[i] as i32 as f32 + 0.5, 1.0 / batch.inverse_depth[i]);
+                points.x[i] = eye.x + (row_start.x + column * right.x) * depth_m;
+                points.y[i] = eye.y + (row_start.y + column * right.y) * depth_m;
+                points.z[i] = eye.z + (row_start.z + column * right.z) * depth_m;
+            }
+            full_sun.find(&points, &mut flags);
+            for ((flag, x), y) in flags.iter_mut().zip(&batch.normal_x).zip(&batch.normal_y) {
+                // What faces away from the sun shades itself.
+                let [x, y, z] = octahedral_decode(*x, *y);
+                *flag &= if x * sun.x + y * sun.y + z * sun.z > MIN_FACING_SUN { 1 } else { 0 };
+            }
+        });
+        for (column, flag) in batch.columns[..count].iter().zip(flags) {
+            in_full_sun[*column as usize] = flag;
+        }
     }
 
     /// Writes the detail at the first `count` samples of a batch.
@@ -102,14 +163,9 @@ impl ReliefSlopes {
         &self,
         row: usize,
         band: u8,
-        batch: &mut SampleBatch,
-        count: usize,
+        (batch, count): (&SampleBatch, usize),
         slopes: &mut [[f16; 4]],
     ) {
-        if count == 0 {
-            return;
-        }
-        batch.pad(count);
         let relief = &self.bands[usize::from(band)];
         let mut detail = [[0.0_f32; 4]; BATCH];
         dispatch!(Level::new(), _simd => {

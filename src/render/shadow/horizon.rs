@@ -28,6 +28,7 @@ use self::sweep::{HorizonGrid, SweepLattice, SweepRegion};
 use crate::render::device::shader_structs::HorizonLevel;
 use crate::render::select::caster_grid::ShadowedGround;
 use crate::render::select::footprint::Footprint;
+use crate::render::select::full_sun::{FullSun, HorizonTexels};
 use crate::scene::sky::Sun;
 use crate::scene::terrain::{Layout, Terrain};
 
@@ -307,6 +308,19 @@ impl HorizonMap {
         self.heights_m[((first_row + row) * self.width + first_column + column) as usize]
     }
 
+    /// The map over rings, to find where they see all of the sun. Of a square the caster grid tells that ([`Self::shadowed_ground`]).
+    #[must_use]
+    pub fn full_sun(self: &Arc<Self>) -> Option<FullSun> {
+        (self.levels.len() > 1).then(|| FullSun {
+            towards: self.towards,
+            centre: self.centre,
+            base_m: self.base_m,
+            levels: self.levels.clone(),
+            width: self.width as usize,
+            texels: Arc::clone(self) as Arc<dyn HorizonTexels>,
+        })
+    }
+
     /// Bytes of a texel.
     pub const TEXEL_BYTES: usize = size_of::<Limbs>();
 
@@ -314,6 +328,12 @@ impl HorizonMap {
     #[must_use]
     pub fn height(&self) -> u32 {
         (self.heights_m.len() / self.width as usize) as u32
+    }
+}
+
+impl HorizonTexels for HorizonMap {
+    fn limbs_m(&self) -> &[Limbs] {
+        &self.heights_m
     }
 }
 

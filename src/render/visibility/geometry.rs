@@ -16,15 +16,18 @@ mod surfaces;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
+use glam::Vec3;
 use rayon::prelude::*;
 
 pub use projection::ScreenVertex;
 pub use screen_mesh::{ScreenMesh, ScreenTriangle};
 
-use crate::render::device::shading_bins::{ShadingBins, ShadowSources};
+use crate::render::device::shading_bins::{ShadingBin, ShadingBins, ShadowSources};
 use crate::render::lighting::relief_bands::ReliefBands;
 use crate::render::lighting::slopes_host::ReliefSlopes;
+use crate::render::select::full_sun::FullSun;
 use crate::render::select::ground_blocks::ground_blocks;
+use crate::render::select::screen_bounds::ScreenBounds;
 use crate::render::select::selection::{Selection, Slots, front_to_back};
 use crate::render::settings::RenderSettings;
 use crate::scene::Scene;
@@ -131,6 +134,25 @@ impl VisibleTriangles {
             }
         });
         self.free_excess();
+    }
+
+    /// From now on samples of ground that see all of the sun past other ground are in the bins of ground that no other ground can shade.
+    pub fn bin_by_full_sun(&mut self, full_sun: &FullSun, eye: Vec3) {
+        self.slopes = self.slopes.take().map(|slopes| slopes.with_full_sun(full_sun.clone(), eye));
+    }
+
+    /// The bins that samples of a mesh may be in, and the bounds of these.
+    pub fn bins_and_bounds(&self, mesh: &ScreenMesh) -> impl Iterator<Item = (ShadingBin, ScreenBounds)> {
+        let by_full_sun = self.slopes.as_ref().is_some_and(ReliefSlopes::finds_full_sun);
+        let bounds = mesh.bounds;
+        let in_full_sun = (by_full_sun && mesh.slot == Slots::GROUND).then(|| {
+            let pairs = [
+                (ShadowSources::None, ShadowSources::Ground),
+                (ShadowSources::Rocks, ShadowSources::GroundAndRocks),
+            ];
+            pairs.map(|(without, with)| (mesh.bins[without as usize], bounds[with as usize]))
+        });
+        mesh.bins.into_iter().zip(bounds).chain(in_full_sun.into_iter().flatten())
     }
 
     /// Takes meshes with capacity for these numbers of vertices in place of those of the last frame.

@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use crate::gpu::staging::{PAGE_BYTES, Page, PageWriter};
 use crate::render::device::shading_bins::{ShadingBin, ShadingBins};
 use crate::render::lighting::gbuffer::MAX_NORMAL_CODE;
-use crate::render::lighting::slopes_host::GBufferRow;
+use crate::render::lighting::slopes_host::{GBufferRow, ReliefSlopes};
 use crate::render::raster::fill::FragmentSink;
 use crate::render::raster::lanes::{
     BLOCK_HEIGHT, BLOCK_WIDTH, LANES, load_block, load_block_u32, store_block, store_block_u32,
@@ -148,6 +148,9 @@ struct GBufferBand {
     /// A row as it is uploaded, and the slopes of its ground.
     packed_row: Vec<[u32; 4]>,
     slopes_row: Vec<[f16; 4]>,
+    /// Of each sample of a row, and of all that are kept, 1 if it is known to see all of the sun past other ground.
+    sun_row: Vec<u8>,
+    in_full_sun: Vec<u8>,
 }
 
 /// A row of a [`GBufferBand`].
@@ -170,14 +173,19 @@ impl GBufferBand {
         dispatch!(Level::new(), simd => {
             self.rasterise(simd, triangles.meshes(), bins, image_width, &raster_rows);
         });
-        for (number, mask) in kept.zip(mask.chunks_exact_mut(right - left)) {
+        for (number, mask) in kept.clone().zip(mask.chunks_exact_mut(right - left)) {
             let row = self.row(number - rows.start, left..right);
             dispatch!(Level::new(), _simd => row.write_mask(bins, mask));
         }
         let mut packed_row = std::mem::take(&mut self.packed_row);
         let mut slopes_row = std::mem::take(&mut self.slopes_row);
+        let mut sun_row = std::mem::take(&mut self.sun_row);
+        let mut in_full_sun = std::mem::take(&mut self.in_full_sun);
         packed_row.resize(right - left, [0; 4]);
         slopes_row.resize(image_width, [f16::ZERO; 4]);
+        sun_row.resize(image_width, 0);
+        in_full_sun.clear();
+        in_full_sun.resize((right - left) * kept.len(), 0);
         let mut writer = PageWriter::new(pages);
         for number in uploaded {
             let row = self.row(number - rows.start, left..right);
@@ -185,12 +193,18 @@ impl GBufferBand {
             writer.write_row(bytemuck::cast_slice(&packed_row), row_bytes[0]);
             if let Some(slopes) = triangles.slopes() {
                 let row = self.row(number - rows.start, 0..image_width);
-                slopes.set_row(number, &row.for_slopes(), &mut slopes_row);
+                slopes.set_row(number, &row.for_slopes(), (&mut slopes_row, &mut sun_row));
+                let first = (right - left) * (number - kept.start);
+                in_full_sun[first..first + right - left].copy_from_slice(&sun_row[left..right]);
                 let bits = slopes_row[left..right].as_flattened().reinterpret_cast();
                 writer.write_row(bytemuck::cast_slice(bits), row_bytes[1]);
             }
         }
+        if triangles.slopes().is_some_and(ReliefSlopes::finds_full_sun) {
+            dispatch!(Level::new(), _simd => bin_by_full_sun(mask, &mut in_full_sun, right - left));
+        }
         (self.packed_row, self.slopes_row) = (packed_row, slopes_row);
+        (self.sun_row, self.in_full_sun) = (sun_row, in_full_sun);
     }
 
     fn clear(&mut self, width: usize, rows: usize) {
@@ -317,6 +331,38 @@ impl GBufferBand {
             normal_y: &self.normal_y[range.clone()],
             face_normal: &self.face_normal[range.clone()],
             bins_and_slots: &self.bins_and_slots[range],
+        }
+    }
+}
+
+/// Moves samples in full sun to the bins of ground that no other ground can shade: blocks of two rows and four columns, which a CPU driver
+/// shades at once, whose ground is all in full sun. A block in two bins is shaded twice. `mask` has rows of this many columns, as
+/// `in_full_sun`.
+// `inline(always)` as `GBufferBand::rasterise`.
+#[inline(always)]
+pub(super) fn bin_by_full_sun(mask: &mut [u8], in_full_sun: &mut [u8], width: usize) {
+    for (mask, flags) in mask.chunks_mut(2 * width).zip(in_full_sun.chunks_mut(2 * width)) {
+        // From here on those of ground that other ground may shade.
+        for (flag, value) in flags.iter_mut().zip(&*mask) {
+            *flag = ShadingBins::is_shaded_by_ground(value.wrapping_sub(1)) & (1 - *flag);
+        }
+        let (upper, lower) = mask.split_at_mut(width);
+        let (of_upper, of_lower) = flags.split_at(width);
+        let of_lower = if of_lower.is_empty() { of_upper } else { of_lower };
+        leave_out_ground(upper, of_upper, of_lower);
+        leave_out_ground(lower, of_lower, of_upper);
+    }
+}
+
+/// Of four samples each of a row, all or none: those that none of these flags is set for.
+#[inline(always)]
+fn leave_out_ground(values: &mut [u8], flags: &[u8], other_flags: &[u8]) {
+    let blocks = values.as_chunks_mut::<4>().0.iter_mut();
+    for ((values, flags), others) in blocks.zip(flags.as_chunks().0).zip(other_flags.as_chunks().0) {
+        let is_in_full_sun = u32::from_ne_bytes(*flags) | u32::from_ne_bytes(*others) == 0;
+        for value in values {
+            // The bin of the same ground without this source of shadow is the one before.
+            *value -= u8::from(is_in_full_sun) & ShadingBins::is_shaded_by_ground(value.wrapping_sub(1));
         }
     }
 }
