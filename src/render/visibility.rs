@@ -333,6 +333,7 @@ fn rows_of_upload(rows_at_once: u32, max_rows: usize) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::render::device::shading_bins::{ShadingBins, ShadowSources};
 
     #[test]
     fn uploads_begin_where_bands_of_the_image_do() {
@@ -349,11 +350,9 @@ mod tests {
 
     #[test]
     fn blocks_whose_ground_is_all_in_full_sun_leave_it_out() {
-        use crate::render::device::shading_bins::{ShadingBin, ShadingBins, ShadowSources};
         let value = |sources| ShadingBins::ground(0, sources) + 1;
         let (both, ground) = (value(ShadowSources::GroundAndRocks), value(ShadowSources::Ground));
-        let (rocks, none): (ShadingBin, ShadingBin) =
-            (value(ShadowSources::Rocks), value(ShadowSources::None));
+        let (rocks, none) = (value(ShadowSources::Rocks), value(ShadowSources::None));
         let of_rock = ShadingBins::rocks(ShadowSources::GroundAndRocks) + 1;
         // Two blocks side by side, two samples beside them, and a row below.
         let mut mask = [

@@ -32,6 +32,7 @@ use crate::scene::sky::Sun;
 const NO_BAND: u8 = u8::MAX;
 /// The detail where there is no relief below the mesh: no slope, the material's albedo, no grain between the ground and the sun.
 const NO_DETAIL: [f16; 4] = [f16::ZERO, f16::ZERO, f16::ONE, f16::ONE];
+// What is looked up together in the horizon map is a batch.
 const _: () = assert!(BATCH == LANES);
 /// Least component of a normal towards the sun at which the shader is sure to take it for facing the sun.
 const MIN_FACING_SUN: f32 = 1e-4;

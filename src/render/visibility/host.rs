@@ -148,8 +148,9 @@ struct GBufferBand {
     /// A row as it is uploaded, and the slopes of its ground.
     packed_row: Vec<[u32; 4]>,
     slopes_row: Vec<[f16; 4]>,
-    /// Of each sample of a row, and of all that are kept, 1 if it is known to see all of the sun past other ground.
+    /// Of each sample of a row, 1 if it is known to see all of the sun past other ground.
     sun_row: Vec<u8>,
+    /// The same of all samples that are kept.
     in_full_sun: Vec<u8>,
 }
 
