@@ -67,6 +67,29 @@ pub(crate) struct CornersOfLanes {
 }
 
 impl Terrain {
+    /// [`Self::surface_height_at`] of eight points, of those in a mask; anything elsewhere. `known` has what the points before found, on
+    /// this ground.
+    #[inline(always)]
+    pub(crate) fn surface_heights_at<S: Simd>(
+        &self,
+        simd: S,
+        [x, y]: [f32x8<S>; 2],
+        mask: mask32x8<S>,
+        known: &mut CornersOfLanes,
+    ) -> f32x8<S> {
+        if let Layout::Rings(rings) = &self.layout {
+            return self.ring_heights(simd, rings, [x, y], mask, known);
+        }
+        let (mut points, mut heights_m) = ([[0.0; LANES]; 2], [0.0; LANES]);
+        x.store_slice(&mut points[0]);
+        y.store_slice(&mut points[1]);
+        let lanes = mask.to_bitmask();
+        for lane in (0..LANES).filter(|lane| lanes >> lane & 1 == 1) {
+            heights_m[lane] = self.surface_height_at(Vec2::new(points[0][lane], points[1][lane]));
+        }
+        f32x8::from_slice(simd, &heights_m)
+    }
+
     /// [`Self::surface_height_at`] of eight points of a ground with these rings, to the bit, of those in a mask; anything elsewhere. `known`
     /// has what the points before found, on this ground.
     // Inlined into `dispatch!`, so that it is compiled for each SIMD level.

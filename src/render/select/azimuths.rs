@@ -3,9 +3,12 @@
 
 use std::f32::consts::{PI, TAU};
 
+use fearless_simd::prelude::*;
+use fearless_simd::{f32x8, i32x8};
 use glam::{Vec2, Vec3};
 
-use crate::render::select::rock_cover::{PassedRocks, RockCover};
+use crate::render::select::lane_math::{LANES, exp, load, splat};
+use crate::render::select::rock_cover::{CoverOfLanes, PassedRocks};
 use crate::scene::bounce::Bounce;
 use crate::scene::photometry::Photometry;
 
@@ -51,28 +54,29 @@ pub struct Azimuth {
     pub to_left: f32,
     sun: SunDirection,
     /// Radiance factors of ground that is seen in it, by the roots of the cosines of incidence and of emission.
-    of_ground: [[f32; STEPS + 1]; STEPS + 1],
+    of_ground: [f32; (STEPS + 1) * (STEPS + 1)],
     /// That of a sunlit rock of the soil's colour, mean over its outline.
     of_rock: f32,
 }
 
-/// The rocks on a stretch of ground, as a place sees them.
+/// The rocks on a stretch of ground, as eight places see them.
 #[derive(Clone, Copy)]
-pub struct SeenRocks<'a> {
+pub struct SeenRocks<'a, S: Simd> {
     /// What they are.
-    pub cover: &'a RockCover,
+    pub cover: &'a CoverOfLanes<S>,
     /// All stretches up to this one.
-    pub passed: &'a PassedRocks,
+    pub passed: &'a PassedRocks<S>,
     /// The greatest slope up to ground before the stretch.
-    pub horizon: f32,
+    pub horizon: f32x8<S>,
     /// The slope up to its ground.
-    pub slope: f32,
+    pub slope: f32x8<S>,
     /// Its distance, metres.
-    pub from_m: f32,
+    pub from_m: f32x8<S>,
     /// Its length, metres.
-    pub stretch_m: f32,
+    pub stretch_m: f32x8<S>,
 }
 
+// What takes vectors is inlined into `dispatch!`, so that it is compiled for each SIMD level.
 impl Azimuth {
     /// All azimuths.
     #[must_use]
@@ -83,10 +87,9 @@ impl Azimuth {
             let direction = to_sun * sun.towards + to_left * sun.towards.perp();
             // Seen level.
             let cos_phase = -to_sun * sun.cosine;
-            let of_ground = std::array::from_fn(|i| {
-                std::array::from_fn(|j| {
-                    photometry.soil.radiance_factor(cosine(i), cosine(j), cos_phase.into()) as f32
-                })
+            let of_ground = std::array::from_fn(|index| {
+                let [incidence, emission] = [index / (STEPS + 1), index % (STEPS + 1)].map(cosine);
+                photometry.soil.radiance_factor(incidence, emission, cos_phase.into()) as f32
             });
             Self { direction, to_sun, to_left, sun, of_ground, of_rock: factor_of_rock(bounce, cos_phase) }
         };
@@ -94,53 +97,88 @@ impl Azimuth {
     }
 
     /// Radiance factor of ground for these cosines of incidence and emission.
-    fn factor(&self, incidence: f32, emission: f32) -> f32 {
-        let at = |cosine: f32| {
-            let along = STEPS as f32 * cosine.clamp(0.0, 1.0).sqrt();
-            let step = (along as usize).min(STEPS - 1);
-            (step, along - step as f32)
-        };
-        let ((i, u), (j, v)) = (at(incidence), at(emission));
-        let line = |i: usize| self.of_ground[i][j] + v * (self.of_ground[i][j + 1] - self.of_ground[i][j]);
-        line(i) + u * (line(i + 1) - line(i))
+    #[inline(always)]
+    fn factor<S: Simd>(&self, simd: S, incidence: f32x8<S>, emission: f32x8<S>) -> f32x8<S> {
+        let (i, u) = step_and_rest(incidence);
+        let (j, v) = step_and_rest(emission);
+        let mut first = [0; LANES];
+        (i * (STEPS + 1) as f32 + j).to_int::<i32x8<S>>().store_slice(&mut first);
+        let mut corners = [[0.0; LANES]; 4];
+        for (lane, first) in first.into_iter().enumerate() {
+            // The last step but one: what is compared here is never greater.
+            let first = (first as usize).min(STEPS * (STEPS + 1) - 2);
+            corners[0][lane] = self.of_ground[first];
+            corners[1][lane] = self.of_ground[first + 1];
+            corners[2][lane] = self.of_ground[first + STEPS + 1];
+            corners[3][lane] = self.of_ground[first + STEPS + 2];
+        }
+        let [low, low_next] = [load(simd, &corners[0]), load(simd, &corners[1])];
+        let [high, high_next] = [load(simd, &corners[2]), load(simd, &corners[3])];
+        let low = low + v * (low_next - low);
+        let high = high + v * (high_next - high);
+        low + u * (high - low)
     }
 
     /// Radiance factor of ground with these slopes along x and y that rises by so much in this azimuth and is seen at a slope.
-    #[inline]
+    #[inline(always)]
     #[must_use]
-    pub fn radiance_factor(&self, slopes: Vec2, rise: f32, seen_at: f32) -> f32 {
-        let slopes = slopes + (rise - slopes.dot(self.direction)) * self.direction;
-        let per_length = 1.0 / (1.0 + slopes.length_squared()).sqrt();
-        let emission = per_length * (rise - seen_at) / (1.0 + seen_at * seen_at).sqrt();
-        let incidence = per_length * (self.sun.sine - self.sun.cosine * slopes.dot(self.sun.towards));
-        self.factor(incidence.max(0.0), emission.max(MIN_EMISSION))
+    pub fn radiance_factor<S: Simd>(
+        &self,
+        simd: S,
+        [x, y]: [f32x8<S>; 2],
+        rise: f32x8<S>,
+        seen_at: f32x8<S>,
+    ) -> f32x8<S> {
+        let missing = rise - (x * self.direction.x + y * self.direction.y);
+        let (x, y) = (x + missing * self.direction.x, y + missing * self.direction.y);
+        let one = splat(simd, 1.0);
+        let per_length = one / (one + x * x + y * y).sqrt();
+        let emission = per_length * (rise - seen_at) / (one + seen_at * seen_at).sqrt();
+        let towards = self.sun.cosine * self.sun.towards;
+        let incidence = per_length * (splat(simd, self.sun.sine) - (x * towards.x + y * towards.y));
+        self.factor(simd, incidence, emission.max(MIN_EMISSION))
     }
 
     /// Optical depth of the shadows of rocks. Seen along the sunlight, rocks hide their own.
-    #[inline]
+    #[inline(always)]
     #[must_use]
-    pub fn depth_of_shadows(&self, cover: &RockCover) -> f32 {
-        cover.front * self.sun.cosine / self.sun.sine * (0.5 + 0.5 * self.to_sun)
+    pub fn depth_of_shadows<S: Simd>(&self, cover: &CoverOfLanes<S>) -> f32x8<S> {
+        cover.front * (self.sun.cosine / self.sun.sine * (0.5 + 0.5 * self.to_sun))
     }
 
     /// Light of rocks that are sunlit to this part, on a normal that faces the azimuth, per radian of it, as radiance factor times solid
-    /// angle; and the slope from which it comes.
-    #[inline]
+    /// angle; and the slope from which it comes. `None` if it is dark in all lanes.
+    #[inline(always)]
     #[must_use]
-    pub fn light_of_rocks(&self, seen: &SeenRocks<'_>, sunlit: f32) -> (f32, f32) {
-        let span = SPAN * seen.cover.mean_height_m() / seen.from_m;
-        let visible = ((seen.slope + span - seen.horizon) / span.max(1e-9)).clamp(0.0, 1.0);
-        let middle = seen.slope + 0.5 * span;
-        if span * visible * sunlit == 0.0 {
-            return (0.0, middle);
+    pub fn light_of_rocks<S: Simd>(
+        &self,
+        simd: S,
+        seen: &SeenRocks<'_, S>,
+        sunlit: f32x8<S>,
+    ) -> Option<[f32x8<S>; 2]> {
+        let span = seen.cover.mean_height_m() * SPAN / seen.from_m;
+        let visible = ((seen.slope + span - seen.horizon) / span.max(1e-9)).max(0.0).min(1.0);
+        let lit = visible * sunlit;
+        if !(span * lit).simd_gt(0.0).any_true() {
+            return None;
         }
+        let middle = seen.slope + span * 0.5;
         // Half of a rock's height is above the shadows.
-        let hidden = seen.passed.depth(middle) + 0.5 * self.depth_of_shadows(seen.cover);
-        let per_square = 1.0 / (1.0 + middle * middle);
+        let hidden = seen.passed.depth(simd, middle) + self.depth_of_shadows(seen.cover) * 0.5;
+        let one = splat(simd, 1.0);
+        let per_square = one / (one + middle * middle);
         let solid_angle = seen.cover.lighting(seen.from_m) * seen.stretch_m / seen.from_m;
         let light = solid_angle * per_square * per_square.sqrt() * self.of_rock;
-        (visible * sunlit * libm::expf(-hidden) * light, middle)
+        Some([lit * exp(simd, -hidden) * light, middle])
     }
+}
+
+/// The step of a table of radiance factors that a cosine lies in, and how far.
+#[inline(always)]
+fn step_and_rest<S: Simd>(cosine: f32x8<S>) -> (f32x8<S>, f32x8<S>) {
+    let along = cosine.max(0.0).min(1.0).sqrt() * STEPS as f32;
+    let step = along.floor().min((STEPS - 1) as f32);
+    (step, along - step)
 }
 
 /// Radiance factor of a sunlit sphere, mean over its disc, by the cosine of the phase angle. The mean of the law of Lommel and Seeliger, to

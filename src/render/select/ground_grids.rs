@@ -2,17 +2,21 @@
 //! sunlit, and rocks.
 //! Must not know: shadows of rocks.
 
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, dispatch, f32x8};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 use crate::render::select::azimuths::{Azimuth, SunDirection};
+use crate::render::select::lane_math::{LANES, load, splat, store};
 use crate::render::select::lit_rocks::{Exposed, is_speck};
-use crate::render::select::nested_grids::{CELLS, GRID_CELLS, LEVELS, NestedGrids};
-use crate::render::select::rock_cover::{CoveringRock, RockCover};
+use crate::render::select::nested_grids::{CELLS, GRID_CELLS, LEVELS, LocatedLanes, NestedGrids};
+use crate::render::select::rock_cover::{CoverOfLanes, CoveringRock, RockCover};
 use crate::render::select::selection::{SelectedRock, Selection};
 use crate::scene::Scene;
 use crate::scene::bounce::Bounce;
 use crate::scene::photometry::Photometry;
+use crate::scene::rings_mesh::CornersOfLanes;
 use crate::scene::rocks::Rock;
 use crate::scene::terrain::Terrain;
 
@@ -34,8 +38,50 @@ pub struct Cell {
     pub sunlit: f32,
     /// Its rocks.
     pub rocks: RockCover,
-    /// [`RockCover::half_height_m`] of these.
+    /// [`CoverOfLanes::half_height_m`] of these.
     pub half_height_m: f32,
+}
+
+/// The ground of eight cells.
+pub struct CellsOfLanes<S: Simd> {
+    /// See [`Cell`].
+    pub height_m: f32x8<S>,
+    /// Rise along x and y.
+    pub slope: [f32x8<S>; 2],
+    /// See [`Cell`].
+    pub sunlit: f32x8<S>,
+    /// See [`Cell`].
+    pub half_height_m: f32x8<S>,
+}
+
+// Inlined into `dispatch!`, so that it is compiled for each SIMD level.
+impl<S: Simd> CellsOfLanes<S> {
+    /// Of these cells.
+    #[inline(always)]
+    #[must_use]
+    pub fn new(simd: S, cells: [&Cell; LANES]) -> Self {
+        let mut fields = [[0.0; LANES]; 5];
+        for (lane, cell) in cells.into_iter().enumerate() {
+            (fields[0][lane], fields[3][lane]) = (cell.height_m, cell.sunlit);
+            (fields[1][lane], fields[2][lane]) = (cell.slope.x, cell.slope.y);
+            fields[4][lane] = cell.half_height_m;
+        }
+        let [height_m, x, y, sunlit, half_height_m] = &fields;
+        Self {
+            height_m: load(simd, height_m),
+            slope: [load(simd, x), load(simd, y)],
+            sunlit: load(simd, sunlit),
+            half_height_m: load(simd, half_height_m),
+        }
+    }
+
+    /// Heights of points in the planes of their cells, metres. Beyond the last grid the ground is level.
+    #[inline(always)]
+    #[must_use]
+    pub fn height_at(&self, located: &LocatedLanes<S>) -> f32x8<S> {
+        let [x, y] = located.from_centre;
+        self.height_m + located.cell_m * (self.slope[0] * x + self.slope[1] * y)
+    }
 }
 
 /// The cells, and the azimuths in which they are looked at.
@@ -81,8 +127,11 @@ impl GroundGrids {
         for rock in ground.rocks.iter().flatten() {
             spread(rock, ground.grids, &mut ground.cells);
         }
-        for cell in &mut ground.cells {
-            cell.half_height_m = cell.rocks.half_height_m();
+        for cells in ground.cells.as_chunks_mut::<LANES>().0 {
+            let half_heights_m = half_heights_m(cells.each_ref().map(|cell| &cell.rocks));
+            for (cell, half_height_m) in cells.iter_mut().zip(half_heights_m) {
+                cell.half_height_m = half_height_m;
+            }
         }
         ground
     }
@@ -108,41 +157,61 @@ impl GroundGrids {
             exposed: Vec::new(),
             rocks: Vec::new(),
         };
-        let sunlit: Vec<f32> = (0..ground.cells.len())
-            .into_par_iter()
-            .with_min_len(CELLS)
-            .map(|index| ground.sunlit(index))
-            .collect();
+        let mut sunlit = vec![0.0; ground.cells.len()];
+        sunlit.par_chunks_exact_mut(LANES).enumerate().with_min_len(CELLS / LANES).for_each(
+            |(chunk, sunlit)| {
+                dispatch!(Level::new(), simd => ground.sunlit(simd, chunk * LANES).store_slice(sunlit));
+            },
+        );
         ground.cells.iter_mut().zip(sunlit).for_each(|(cell, sunlit)| cell.sunlit = sunlit);
         ground
     }
 
-    /// The cell at a point, of the finest grid that covers it from a level on, with its index, and the height of the point in its plane,
-    /// metres.
-    #[inline]
-    #[must_use]
-    pub fn at(&self, level: usize, point: Vec2) -> (usize, &Cell, f32) {
-        let (level, [column, row], from_corner) = self.grids.locate(level, point);
-        let index = NestedGrids::index(level, column, row);
-        let cell = &self.cells[index];
-        let from_centre = from_corner - Vec2::new(column as f32, row as f32) - 0.5;
-        // Beyond the last grid the ground is level.
-        let offset = from_centre.clamp(Vec2::NEG_ONE, Vec2::ONE);
-        (index, cell, cell.height_m + self.grids.cell_m(level) * cell.slope.dot(offset))
+    /// The cells of these indices.
+    #[inline(always)]
+    pub(super) fn cells_at(&self, indices: &[usize; LANES]) -> [&Cell; LANES] {
+        let mut cells = [&self.cells[0]; LANES];
+        for (cell, index) in cells.iter_mut().zip(indices) {
+            *cell = &self.cells[*index];
+        }
+        cells
     }
 
-    /// The sunlit part of a cell, by the slope of its horizon towards the sun.
-    fn sunlit(&self, index: usize) -> f32 {
-        let (level, start) = (index / GRID_CELLS, self.grids.position(index));
-        let slope = |cells: &f32| {
+    /// The sunlit parts of eight cells from an index on, by the slopes of their horizons towards the sun.
+    // Inlined into `dispatch!`, so that it is compiled for each SIMD level.
+    #[inline(always)]
+    fn sunlit<S: Simd>(&self, simd: S, first: usize) -> f32x8<S> {
+        let level = first / GRID_CELLS;
+        let [x, y, height_m] = self.centres(simd, first);
+        let mut horizon = splat(simd, f32::MIN);
+        for cells in DISTANCES {
             let distance_m = cells * self.grids.cell_m(level);
-            let (_, _, height_m) = self.at(level, start + distance_m * self.sun.towards);
-            (height_m - self.cells[index].height_m) / distance_m
-        };
-        let horizon = DISTANCES.iter().map(slope).fold(f32::MIN, f32::max);
+            let step = distance_m * self.sun.towards;
+            let located = self.grids.locate_lanes(simd, level, [x + step.x, y + step.y]);
+            let seen = CellsOfLanes::new(simd, self.cells_at(&located.indices));
+            horizon = horizon.max((seen.height_at(&located) - height_m) / distance_m);
+        }
         let of_sun = self.sun.sine / self.sun.cosine;
-        (0.5 + 0.5 * (of_sun - horizon) / (SOFTNESS * of_sun)).clamp(0.0, 1.0)
+        let above = (splat(simd, of_sun) - horizon) * (0.5 / (SOFTNESS * of_sun));
+        (above + 0.5).max(0.0).min(1.0)
     }
+
+    /// Centres of eight cells of a row from an index on: x, y and height, metres, world.
+    #[inline(always)]
+    pub(super) fn centres<S: Simd>(&self, simd: S, first: usize) -> [f32x8<S>; 3] {
+        let mut centres = [[0.0; LANES]; 3];
+        for (lane, cell) in self.cells[first..first + LANES].iter().enumerate() {
+            let position = self.grids.position(first + lane);
+            (centres[0][lane], centres[1][lane], centres[2][lane]) = (position.x, position.y, cell.height_m);
+        }
+        let [x, y, height_m] = &centres;
+        [load(simd, x), load(simd, y), load(simd, height_m)]
+    }
+}
+
+/// [`CoverOfLanes::half_height_m`] of eight covers.
+fn half_heights_m(covers: [&RockCover; LANES]) -> [f32; LANES] {
+    dispatch!(Level::new(), simd => store(CoverOfLanes::new(simd, covers).half_height_m(simd)))
 }
 
 /// Spreads a rock over the cells below it.
@@ -160,11 +229,22 @@ fn spread(rock: &CoveringRock, grids: NestedGrids, cells: &mut [Cell]) {
 
 /// Heights of the centres of all cells, metres.
 fn heights_m(terrain: &Terrain, grids: NestedGrids) -> Vec<f32> {
-    (0..LEVELS * GRID_CELLS)
-        .into_par_iter()
-        .with_min_len(CELLS)
-        .map(|index| terrain.surface_height_at(grids.position(index)))
-        .collect()
+    let mut heights_m = vec![0.0; LEVELS * GRID_CELLS];
+    heights_m.par_chunks_exact_mut(CELLS).enumerate().for_each(|(row, heights_m)| {
+        let mut known = CornersOfLanes::default();
+        for (chunk, heights_m) in heights_m.chunks_exact_mut(LANES).enumerate() {
+            let first = row * CELLS + chunk * LANES;
+            let position = |lane: usize| grids.position(first + lane);
+            let (x, y) =
+                (std::array::from_fn(|lane| position(lane).x), std::array::from_fn(|lane| position(lane).y));
+            dispatch!(Level::new(), simd => {
+                let points = [load(simd, &x), load(simd, &y)];
+                let all = points[0].simd_eq(points[0]);
+                terrain.surface_heights_at(simd, points, all, &mut known).store_slice(heights_m);
+            });
+        }
+    });
+    heights_m
 }
 
 /// A cell's ground, by its neighbours.

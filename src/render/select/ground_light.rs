@@ -15,14 +15,17 @@
 
 use std::f32::consts::PI;
 
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, dispatch, f32x8};
 use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::render::select::azimuths::{Azimuth, SeenRocks, WIDTH};
 use crate::render::select::footprint::Footprint;
-use crate::render::select::ground_grids::{DISTANCES, GroundGrids};
+use crate::render::select::ground_grids::{CellsOfLanes, DISTANCES, GroundGrids};
+use crate::render::select::lane_math::{LANES, exp, splat, store};
 use crate::render::select::nested_grids::{CELLS, GRID_CELLS, LEVELS, NestedGrids};
-use crate::render::select::rock_cover::{Passed, PassedRocks};
+use crate::render::select::rock_cover::{CoverOfLanes, Passed, PassedRocks};
 
 /// Slope by which normals lean from that of a cell, to either side, to find how its light changes.
 const LEAN: f32 = 0.2;
@@ -46,27 +49,19 @@ impl GroundLight {
 
     /// The map for these cells.
     fn of_cells(ground: &GroundGrids, is_needed: &[bool]) -> Self {
-        let sun = ground.sun;
-        let per_exitance = 1.0 / (PI * ground.level_factor);
-        let of_cell = |index: usize| {
-            if !is_needed[index] {
-                return [[0.0; 4]; 2];
-            }
-            let mut received = Received::default();
-            ground.azimuths.iter().for_each(|azimuth| follow(ground, index, azimuth, &mut received));
-            let [own, sunward, from_sun, left, right] =
-                received.on_ground.map(|light| (per_exitance * light).sqrt());
-            let gains = [sunward - from_sun, left - right].map(|gain| 0.5 / LEAN * gain);
-            let lean = -ground.cells[index].slope;
-            let leans = [lean.dot(sun.towards), lean.dot(sun.towards.perp())];
-            let root = [own - gains[0] * leans[0] - gains[1] * leans[1], gains[0], gains[1], own];
-            let direction = received.directions / received.on_ground[0].max(1e-9);
-            [root, direction.extend(ground.cells[index].sunlit).to_array()]
-        };
-        let of_cells: Vec<[[f32; 4]; 2]> =
-            (0..ground.cells.len()).into_par_iter().with_min_len(CELLS).map(of_cell).collect();
+        let mut of_cells = vec![[[0.0; 4]; 2]; ground.cells.len()];
+        of_cells.par_chunks_exact_mut(LANES).enumerate().with_min_len(CELLS / LANES).for_each(
+            |(chunk, of_cells)| {
+                let first = chunk * LANES;
+                if is_needed[first..first + LANES].contains(&true) {
+                    set_light(ground, first, of_cells);
+                }
+            },
+        );
         let mut texels = vec![[0.0; 4]; 2 * LEVELS * GRID_CELLS];
-        for (index, [root, direction]) in of_cells.into_iter().enumerate() {
+        for (index, [root, direction]) in
+            of_cells.into_iter().enumerate().filter(|(index, _)| is_needed[*index])
+        {
             texels[texel_of(index)] = root;
             texels[LEVELS * GRID_CELLS + texel_of(index)] = direction;
         }
@@ -90,49 +85,106 @@ const fn texel_of(index: usize) -> usize {
     (row * LEVELS + level) * CELLS + column
 }
 
-/// Radiance times solid angle that a cell receives, per albedo and irradiance of the sun, times pi.
-#[derive(Default)]
-struct Received {
-    /// Irradiance by normals over their z: that of the cell, and leaning to the sun and from it, to its left and to its right.
-    on_ground: [f32; 5],
-    /// Directions of the light times the irradiance on the cell's own normal.
-    directions: Vec3,
+/// Sets what the texels hold of eight cells from an index on.
+fn set_light(ground: &GroundGrids, first: usize, of_cells: &mut [[[f32; 4]; 2]]) {
+    let (on_ground, directions) = dispatch!(Level::new(), simd => {
+        let mut received = Received::none(simd);
+        let cells = Cells::new(simd, ground, first);
+        for azimuth in &ground.azimuths {
+            cells.follow(simd, ground, azimuth, &mut received);
+        }
+        received.stored()
+    });
+    let sun = ground.sun;
+    let per_exitance = 1.0 / (PI * ground.level_factor);
+    for (lane, of_cell) in of_cells.iter_mut().enumerate() {
+        let cell = &ground.cells[first + lane];
+        let [own, sunward, from_sun, left, right] =
+            on_ground.map(|light| (per_exitance * light[lane]).sqrt());
+        let gains = [sunward - from_sun, left - right].map(|gain| 0.5 / LEAN * gain);
+        let leans = [-cell.slope.dot(sun.towards), -cell.slope.dot(sun.towards.perp())];
+        let root = [own - gains[0] * leans[0] - gains[1] * leans[1], gains[0], gains[1], own];
+        let direction = Vec3::from(directions.map(|sum| sum[lane])) / on_ground[0][lane].max(1e-9);
+        *of_cell = [root, direction.extend(cell.sunlit).to_array()];
+    }
 }
 
-impl Received {
+/// Radiance times solid angle that eight cells receive, per albedo and irradiance of the sun, times pi.
+struct Received<S: Simd> {
+    /// Irradiance by normals over their z: that of the cell, and leaning to the sun and from it, to its left and to its right.
+    on_ground: [f32x8<S>; 5],
+    /// Directions of the light times the irradiance on the cell's own normal.
+    directions: [f32x8<S>; 3],
+}
+
+// Its functions are inlined into `dispatch!`, so that they are compiled for each SIMD level.
+impl<S: Simd> Received<S> {
+    #[inline(always)]
+    fn none(simd: S) -> Self {
+        Self { on_ground: [splat(simd, 0.0); 5], directions: [splat(simd, 0.0); 3] }
+    }
+
+    #[inline(always)]
+    fn stored(&self) -> ([[f32; LANES]; 5], [[f32; LANES]; 3]) {
+        let (mut on_ground, mut directions) = ([[0.0; LANES]; 5], [[0.0; LANES]; 3]);
+        for (stored, sum) in on_ground.iter_mut().zip(self.on_ground) {
+            *stored = store(sum);
+        }
+        for (stored, sum) in directions.iter_mut().zip(self.directions) {
+            *stored = store(sum);
+        }
+        (on_ground, directions)
+    }
+
     /// Adds ground of this radiance between two slopes; `leans` are those of the normals towards the azimuth.
+    #[inline(always)]
     fn add_ground(
         &mut self,
+        simd: S,
         azimuth: &Azimuth,
-        radiance: f32,
-        slopes: [f32; 2],
-        middle: f32,
-        leans: [f32; 5],
+        radiance: f32x8<S>,
+        [low, high, middle]: [f32x8<S>; 3],
+        leans: &[f32x8<S>; 5],
     ) {
-        let square = 1.0 / (1.0 + middle * middle);
+        let one = splat(simd, 1.0);
+        let square = one / (one + middle * middle);
         // Of the integral over the slopes: to the power of 3/2 for the solid angle, 1/2 for the projection.
-        let per_slope = WIDTH * radiance * square * square;
-        self.add(
-            azimuth,
-            middle,
-            leans.map(|lean| {
-                let [low, high] = slopes.map(|slope| (slope + lean).max(0.0));
-                0.5 * per_slope * (high * high - low * low)
-            }),
-        );
+        let half_per_slope = radiance * square * square * (0.5 * WIDTH);
+        let mut light = *leans;
+        for light in &mut light {
+            let (low, high) = ((low + *light).max(0.0), (high + *light).max(0.0));
+            *light = half_per_slope * (high * high - low * low);
+        }
+        self.add(simd, azimuth, middle, &light);
     }
 
     /// Adds rocks, whose light on an upright normal comes from this slope.
-    fn add_rocks(&mut self, azimuth: &Azimuth, (light, slope): (f32, f32), leans: [f32; 5]) {
-        if light > 0.0 {
-            self.add(azimuth, slope, leans.map(|lean| WIDTH * light * (slope + lean).max(0.0)));
+    #[inline(always)]
+    fn add_rocks(
+        &mut self,
+        simd: S,
+        azimuth: &Azimuth,
+        [light, slope]: [f32x8<S>; 2],
+        leans: &[f32x8<S>; 5],
+    ) {
+        let light = light * WIDTH;
+        let mut on_ground = *leans;
+        for on_ground in &mut on_ground {
+            *on_ground = light * (slope + *on_ground).max(0.0);
         }
+        self.add(simd, azimuth, slope, &on_ground);
     }
 
-    fn add(&mut self, azimuth: &Azimuth, slope: f32, light: [f32; 5]) {
-        self.on_ground.iter_mut().zip(light).for_each(|(sum, light)| *sum += light);
-        let per_length = 1.0 / (1.0 + slope * slope).sqrt();
-        self.directions += light[0] * per_length * azimuth.direction.extend(slope);
+    #[inline(always)]
+    fn add(&mut self, simd: S, azimuth: &Azimuth, slope: f32x8<S>, light: &[f32x8<S>; 5]) {
+        for (sum, light) in self.on_ground.iter_mut().zip(light) {
+            *sum += *light;
+        }
+        let one = splat(simd, 1.0);
+        let weight = light[0] / (one + slope * slope).sqrt();
+        self.directions[0] += weight * azimuth.direction.x;
+        self.directions[1] += weight * azimuth.direction.y;
+        self.directions[2] += weight * slope;
     }
 }
 
@@ -154,51 +206,90 @@ fn needed(grids: NestedGrids, footprint: &Footprint) -> Vec<bool> {
     is_needed
 }
 
-/// Adds what a cell receives from one azimuth.
-fn follow(ground: &GroundGrids, index: usize, azimuth: &Azimuth, received: &mut Received) {
-    let (own, start, level) = (&ground.cells[index], ground.grids.position(index), index / GRID_CELLS);
-    let own_lean = -own.slope.dot(azimuth.direction);
-    let (to_sun, to_left) = (LEAN * azimuth.to_sun, LEAN * azimuth.to_left);
-    let leans = [0.0, to_sun, -to_sun, to_left, -to_left].map(|lean| own_lean + lean);
-    let mut passed = PassedRocks::NONE;
-    let (mut before_m, mut before_height_m, mut before_sunlit) = (0.0, own.height_m, own.sunlit);
-    let mut highest = -1.0_f32;
-    for (sample, distance) in DISTANCES.into_iter().enumerate() {
-        let distance_m = distance * ground.grids.cell_m(level);
-        if (ground.top_m - own.height_m).max(0.0) <= highest * distance_m {
-            break;
+/// Eight cells of a row that are looked from.
+struct Cells<S: Simd> {
+    level: usize,
+    /// Their centres, metres, world.
+    x: f32x8<S>,
+    y: f32x8<S>,
+    own: CellsOfLanes<S>,
+}
+
+// Its functions are inlined into `dispatch!`, so that they are compiled for each SIMD level.
+impl<S: Simd> Cells<S> {
+    #[inline(always)]
+    fn new(simd: S, ground: &GroundGrids, first: usize) -> Self {
+        let [x, y, _] = ground.centres(simd, first);
+        let mut indices = [first; LANES];
+        for (lane, index) in indices.iter_mut().enumerate() {
+            *index += lane;
         }
-        let (_, cell, height_m) = ground.at(level, start + distance_m * azimuth.direction);
-        let (stretch_m, above_m) = (distance_m - before_m, height_m - own.height_m);
-        let rise = (height_m - before_height_m) / stretch_m;
-        (before_m, before_height_m) = (distance_m, height_m);
-        let sunlit = 0.5 * (cell.sunlit + std::mem::replace(&mut before_sunlit, cell.sunlit));
-        let depth = stretch_m * cell.rocks.depth;
-        passed.push(&Passed { distance_m, above_m, depth, half_height_m: cell.half_height_m });
-        let slope = above_m / distance_m;
-        let seen = SeenRocks {
-            cover: &cell.rocks,
-            passed: &passed,
-            horizon: highest,
-            slope,
-            from_m: distance_m,
-            stretch_m,
-        };
-        received.add_rocks(azimuth, azimuth.light_of_rocks(&seen, sunlit), leans);
-        if slope <= highest {
-            continue;
+        Self { level: first / GRID_CELLS, x, y, own: CellsOfLanes::new(simd, ground.cells_at(&indices)) }
+    }
+
+    /// Adds what they receive from one azimuth.
+    #[inline(always)]
+    fn follow(&self, simd: S, ground: &GroundGrids, azimuth: &Azimuth, received: &mut Received<S>) {
+        let Self { own, .. } = self;
+        let zero = splat(simd, 0.0);
+        let own_lean = -(own.slope[0] * azimuth.direction.x + own.slope[1] * azimuth.direction.y);
+        let (to_sun, to_left) = (LEAN * azimuth.to_sun, LEAN * azimuth.to_left);
+        let leans = [own_lean, own_lean + to_sun, own_lean - to_sun, own_lean + to_left, own_lean - to_left];
+        let max_above_m = (splat(simd, ground.top_m) - own.height_m).max(0.0);
+        let mut passed = PassedRocks::none(simd);
+        let (mut before_m, mut before_height_m, mut before_sunlit) = (0.0, own.height_m, own.sunlit);
+        let mut highest = splat(simd, -1.0);
+        for (sample, distance) in DISTANCES.into_iter().enumerate() {
+            let distance_m = distance * ground.grids.cell_m(self.level);
+            // Ground that can rise above what is before it.
+            let is_open = max_above_m.simd_gt(highest * distance_m);
+            if !is_open.any_true() {
+                break;
+            }
+            let step = distance_m * azimuth.direction;
+            let points = [self.x + step.x, self.y + step.y];
+            let located = ground.grids.locate_lanes(simd, self.level, points);
+            let cells = ground.cells_at(&located.indices);
+            let seen = CellsOfLanes::new(simd, cells);
+            let rocks = CoverOfLanes::new(simd, cells.map(|cell| &cell.rocks));
+            let height_m = seen.height_at(&located);
+            let (stretch_m, above_m) = (distance_m - before_m, height_m - own.height_m);
+            let rise = (height_m - before_height_m) / stretch_m;
+            let sunlit = is_open.select((seen.sunlit + before_sunlit) * 0.5, zero);
+            (before_m, before_height_m, before_sunlit) = (distance_m, height_m, seen.sunlit);
+            passed.push(&Passed {
+                distance_m: splat(simd, distance_m),
+                above_m,
+                depth: rocks.depth * stretch_m,
+                half_height_m: seen.half_height_m,
+            });
+            let slope = above_m / distance_m;
+            let seen_rocks = SeenRocks {
+                cover: &rocks,
+                passed: &passed,
+                horizon: highest,
+                slope,
+                from_m: splat(simd, distance_m),
+                stretch_m: splat(simd, stretch_m),
+            };
+            if let Some(light) = azimuth.light_of_rocks(simd, &seen_rocks, sunlit) {
+                received.add_rocks(simd, azimuth, light, &leans);
+            }
+            let lowest = highest;
+            highest = highest.max(slope);
+            // Of sunlit ground the nearest stretch is left out.
+            let lit = if sample == 0 { sunlit * (splat(simd, 1.0) - own.sunlit) } else { sunlit };
+            let is_lit = slope.simd_gt(lowest) & lit.simd_gt(0.0) & (slope + own_lean + LEAN).simd_gt(0.0);
+            if !is_lit.any_true() {
+                continue;
+            }
+            // The middle of what the leaning normals see.
+            let middle = (slope + lowest.max((zero - own_lean - LEAN).min(slope))) * 0.5;
+            let hidden = azimuth.depth_of_shadows(&rocks) + passed.depth(simd, middle);
+            let factor = azimuth.radiance_factor(simd, seen.slope, rise, middle);
+            let radiance = is_lit.select(lit * exp(simd, -hidden) * factor, zero);
+            received.add_ground(simd, azimuth, radiance, [lowest, highest, middle], &leans);
         }
-        let lowest = std::mem::replace(&mut highest, slope);
-        // Of sunlit ground the nearest stretch is left out.
-        let sunlit = if sample == 0 { sunlit * (1.0 - own.sunlit) } else { sunlit };
-        if sunlit == 0.0 || slope + leans[0] + LEAN <= 0.0 {
-            continue;
-        }
-        // The middle of what the leaning normals see.
-        let middle = 0.5 * (slope + lowest.max((-LEAN - own_lean).min(slope)));
-        let hidden = azimuth.depth_of_shadows(&cell.rocks) + passed.depth(middle);
-        let radiance = sunlit * libm::expf(-hidden) * azimuth.radiance_factor(cell.slope, rise, middle);
-        received.add_ground(azimuth, radiance, [lowest, slope], middle, leans);
     }
 }
 

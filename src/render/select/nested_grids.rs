@@ -1,8 +1,11 @@
 //! Nested grids around the ground's centre, on which the light of sunlit ground is found: where their cells lie.
 //! Must not know: what the cells hold.
 
+use fearless_simd::prelude::*;
+use fearless_simd::{f32x8, i32x8};
 use glam::Vec2;
 
+use crate::render::select::lane_math::{LANES, splat};
 use crate::render::select::lit_rocks::ROW_TEXELS;
 use crate::scene::terrain::{Layout, Terrain};
 
@@ -24,6 +27,16 @@ pub struct NestedGrids {
     pub half_m: f32,
 }
 
+/// The cells of eight points.
+pub struct LocatedLanes<S: Simd> {
+    /// Their indices.
+    pub indices: [usize; LANES],
+    /// Their sides, metres.
+    pub cell_m: f32x8<S>,
+    /// The points from the centres of their cells along x and y, cells; from the border of the last grid no further than one.
+    pub from_centre: [f32x8<S>; 2],
+}
+
 impl NestedGrids {
     /// Those of a scene's ground.
     #[must_use]
@@ -36,20 +49,41 @@ impl NestedGrids {
         Self { centre: terrain.centre, half_m }
     }
 
-    /// The level of the finest grid that covers a point, from a level on, its cell at the point or nearest to it (column and row), and the
-    /// point from the corner of the grid, cells.
-    #[inline]
+    /// The cells of eight points, each of the finest grid that covers it from a level on.
+    // Inlined into `dispatch!`, so that it is compiled for each SIMD level.
+    #[inline(always)]
     #[must_use]
-    pub fn locate(self, mut level: usize, point: Vec2) -> (usize, [usize; 2], Vec2) {
-        let offset = point - self.centre;
-        let furthest_m = offset.abs().max_element();
-        let mut half_m = self.half_m * (1 << level) as f32;
-        while furthest_m >= half_m && level + 1 < LEVELS {
-            (level, half_m) = (level + 1, 2.0 * half_m);
+    pub fn locate_lanes<S: Simd>(
+        self,
+        simd: S,
+        first_level: usize,
+        [x, y]: [f32x8<S>; 2],
+    ) -> LocatedLanes<S> {
+        let (x, y) = (x - self.centre.x, y - self.centre.y);
+        let furthest_m = x.abs().max(y.abs());
+        let mut level = splat(simd, first_level as f32);
+        let mut half_m = splat(simd, self.half_side_m(first_level));
+        for _ in first_level + 1..LEVELS {
+            let is_beyond = furthest_m.simd_ge(half_m);
+            level = is_beyond.select(level + 1.0, level);
+            half_m = is_beyond.select(half_m * 2.0, half_m);
         }
-        let from_corner = (offset + half_m) * (0.5 * CELLS as f32 / half_m);
-        let cell = from_corner.to_array().map(|along| (along as usize).min(CELLS - 1));
-        (level, cell, from_corner)
+        let per_cell = splat(simd, 0.5 * CELLS as f32) / half_m;
+        let (x, y) = ((x + half_m) * per_cell, (y + half_m) * per_cell);
+        let last = (CELLS - 1) as f32;
+        let (column, row) = (x.max(0.0).min(last).floor(), y.max(0.0).min(last).floor());
+        let mut stored = [0; LANES];
+        let index = (level * CELLS as f32 + row) * CELLS as f32 + column;
+        index.to_int::<i32x8<S>>().store_slice(&mut stored);
+        let mut indices = [0; LANES];
+        for (index, stored) in indices.iter_mut().zip(stored) {
+            *index = stored as usize;
+        }
+        LocatedLanes {
+            indices,
+            cell_m: half_m * (2.0 / CELLS as f32),
+            from_centre: [(x - column - 0.5).max(-1.0).min(1.0), (y - row - 0.5).max(-1.0).min(1.0)],
+        }
     }
 
     /// Index of a cell.

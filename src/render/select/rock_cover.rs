@@ -6,8 +6,11 @@
 use std::f32::consts::PI;
 use std::ops::{AddAssign, Range, Sub};
 
+use fearless_simd::f32x8;
+use fearless_simd::prelude::*;
 use glam::Vec2;
 
+use crate::render::select::lane_math::{LANES, exp, load, splat};
 use crate::render::select::lit_rocks::REACH;
 use crate::render::select::nested_grids::{CELLS, LEVELS, NestedGrids};
 
@@ -70,27 +73,69 @@ impl Sub for RockCover {
     }
 }
 
-impl RockCover {
-    /// Height above which half of the optical depth is left, metres.
+/// [`RockCover`] of eight cells.
+#[derive(Clone, Copy, Debug)]
+pub struct CoverOfLanes<S: Simd> {
+    /// See [`RockCover`].
+    width: f32x8<S>,
+    /// See [`RockCover`].
+    pub depth: f32x8<S>,
+    log_heights: f32x8<S>,
+    /// See [`RockCover`].
+    pub front: f32x8<S>,
+    unlisted: f32x8<S>,
+    listed: f32x8<S>,
+    listed_reach_m: f32x8<S>,
+}
+
+// Its functions are inlined into `dispatch!`, so that they are compiled for each SIMD level.
+impl<S: Simd> CoverOfLanes<S> {
+    /// Of these cells.
+    #[inline(always)]
     #[must_use]
-    pub fn half_height_m(&self) -> f32 {
-        if self.width > 1e-6 {
-            HALF_HEIGHT * libm::expf((self.log_heights / self.width).min(3.0))
-        } else {
-            0.0
+    pub fn new(simd: S, covers: [&RockCover; LANES]) -> Self {
+        let mut fields = [[0.0; LANES]; 7];
+        for (lane, cover) in covers.into_iter().enumerate() {
+            fields[0][lane] = cover.width;
+            fields[1][lane] = cover.depth;
+            fields[2][lane] = cover.log_heights;
+            fields[3][lane] = cover.front;
+            fields[4][lane] = cover.unlisted;
+            fields[5][lane] = cover.listed;
+            fields[6][lane] = cover.listed_reach_m;
+        }
+        Self {
+            width: load(simd, &fields[0]),
+            depth: load(simd, &fields[1]),
+            log_heights: load(simd, &fields[2]),
+            front: load(simd, &fields[3]),
+            unlisted: load(simd, &fields[4]),
+            listed: load(simd, &fields[5]),
+            listed_reach_m: load(simd, &fields[6]),
         }
     }
 
-    /// Mean height of the rocks by their widths, metres.
+    /// Height above which half of the optical depth is left, metres.
+    #[inline(always)]
     #[must_use]
-    pub fn mean_height_m(&self) -> f32 {
-        self.front / (FRONTAL_AREA * self.width).max(1e-9)
+    pub fn half_height_m(&self, simd: S) -> f32x8<S> {
+        let has_rocks = self.width.simd_gt(1e-6);
+        let mean_log = (self.log_heights / self.width.max(1e-6)).min(3.0);
+        has_rocks.select(exp(simd, mean_log) * HALF_HEIGHT, splat(simd, 0.0))
+    }
+
+    /// Mean height of the rocks by their widths, metres.
+    #[inline(always)]
+    #[must_use]
+    pub fn mean_height_m(&self) -> f32x8<S> {
+        self.front / (self.width * FRONTAL_AREA).max(1e-9)
     }
 
     /// Frontal areas times colours of the rocks that light what lies at a distance: those that are sources of their own only beyond
     /// the distances that they light as such.
+    #[inline(always)]
     #[must_use]
-    pub fn lighting(&self, distance_m: f32) -> f32 {
+    pub fn lighting(&self, distance_m: f32x8<S>) -> f32x8<S> {
         let per_reach = distance_m * self.listed / self.listed_reach_m.max(1e-9);
         let square = per_reach * per_reach;
         self.unlisted + self.listed * (square * square).min(1.0)
@@ -164,108 +209,99 @@ impl CoveringRock {
     }
 }
 
-/// Values of stretches, four by four: so their sum is found in vectors.
-type Lanes = [[f32; 4]; MAX_STRETCHES / 4];
-
-/// The rocks on the stretches that a ray passes, from the nearest on; of the last, where it ends, the nearer half.
+/// The rocks on the stretches that eight rays pass, from the nearest on; of the last, where they end, the nearer half.
 #[derive(Clone, Debug)]
-pub struct PassedRocks {
+pub struct PassedRocks<S: Simd> {
     count: usize,
     /// Whether there is a rock on any of them.
     has_rocks: bool,
-    /// Optical depth at the ground of the whole of the last stretch.
-    last_depth: f32,
-    distances_m: Lanes,
-    /// Heights of the ground above the place, metres.
-    above_m: Lanes,
-    /// Optical depths at the ground.
-    depths: Lanes,
-    half_heights_m: Lanes,
+    stretches: [Passed<S>; MAX_STRETCHES],
 }
 
-/// A stretch of ground, as a place sees it.
+/// A stretch of ground, as eight places see it.
 #[derive(Clone, Copy, Debug)]
-pub struct Passed {
+pub struct Passed<S: Simd> {
     /// Distance of its far end, metres.
-    pub distance_m: f32,
+    pub distance_m: f32x8<S>,
     /// Height of that above the place, metres.
-    pub above_m: f32,
+    pub above_m: f32x8<S>,
     /// Optical depth of its rocks at the ground.
-    pub depth: f32,
+    pub depth: f32x8<S>,
     /// Height above which half of it is left, metres.
-    pub half_height_m: f32,
+    pub half_height_m: f32x8<S>,
 }
 
-impl PassedRocks {
+impl<S: Simd> PassedRocks<S> {
     /// None yet.
-    pub const NONE: Self = Self {
-        count: 0,
-        has_rocks: false,
-        last_depth: 0.0,
-        distances_m: [[0.0; 4]; MAX_STRETCHES / 4],
-        above_m: [[0.0; 4]; MAX_STRETCHES / 4],
-        depths: [[0.0; 4]; MAX_STRETCHES / 4],
-        half_heights_m: [[1.0; 4]; MAX_STRETCHES / 4],
-    };
+    #[inline(always)]
+    pub fn none(simd: S) -> Self {
+        let zero = splat(simd, 0.0);
+        let nothing = Passed { distance_m: zero, above_m: zero, depth: zero, half_height_m: zero };
+        Self { count: 0, has_rocks: false, stretches: [nothing; MAX_STRETCHES] }
+    }
 
     /// Goes on to the next stretch.
     ///
     /// # Panics
     /// Beyond [`MAX_STRETCHES`].
-    #[inline]
-    pub fn push(&mut self, next: &Passed) {
-        if let Some(last) = self.count.checked_sub(1) {
-            self.depths[last / 4][last % 4] = self.last_depth;
-        }
-        let (lane, index) = (self.count / 4, self.count % 4);
-        self.distances_m[lane][index] = next.distance_m;
-        self.above_m[lane][index] = next.above_m;
-        self.depths[lane][index] = 0.5 * next.depth;
-        self.half_heights_m[lane][index] = next.half_height_m.max(1e-6);
-        self.last_depth = next.depth;
-        self.has_rocks |= next.depth > 0.0;
+    #[inline(always)]
+    pub fn push(&mut self, next: &Passed<S>) {
+        let half_height_m = next.half_height_m.max(1e-6);
+        self.stretches[self.count] = Passed { half_height_m, ..*next };
+        self.has_rocks |= next.depth.simd_gt(0.0).any_true();
         self.count += 1;
     }
 
-    /// Optical depth of the rocks that a ray of this slope passes. By power laws of their sizes, what stands higher than some height falls
+    /// Optical depth of the rocks that rays of these slopes pass. By power laws of their sizes, what stands higher than some height falls
     /// with its first power.
-    #[inline]
+    #[inline(always)]
     #[must_use]
-    pub fn depth(&self, slope: f32) -> f32 {
+    pub fn depth(&self, simd: S, slope: f32x8<S>) -> f32x8<S> {
+        let mut sum = splat(simd, 0.0);
         if !self.has_rocks {
-            return 0.0;
+            return sum;
         }
-        let mut sums = [0.0_f32; 4];
-        for lane in 0..self.count.div_ceil(4) {
-            for (index, sum) in sums.iter_mut().enumerate() {
-                let ray_m = (slope * self.distances_m[lane][index] - self.above_m[lane][index]).max(0.0);
-                let half_m = self.half_heights_m[lane][index];
-                *sum += self.depths[lane][index] * half_m / (half_m + ray_m);
-            }
+        let mut last = sum;
+        for passed in &self.stretches[..self.count] {
+            let ray_m = (slope * passed.distance_m - passed.above_m).max(0.0);
+            last = passed.depth * passed.half_height_m / (passed.half_height_m + ray_m);
+            sum += last;
         }
-        (sums[0] + sums[1]) + (sums[2] + sums[3])
+        sum - last * 0.5
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use fearless_simd::{Level, dispatch};
 
-    fn passed(above_m: f32, depth: f32) -> PassedRocks {
-        let mut rocks = PassedRocks::NONE;
-        for distance_m in [1.0, 3.0] {
-            rocks.push(&Passed { distance_m, above_m, depth, half_height_m: 0.2 });
-        }
-        rocks
+    use super::*;
+    use crate::render::select::lane_math::store;
+
+    /// Optical depth of the rocks on two stretches, along a ray of this slope.
+    fn depth(above_m: f32, of_stretch: f32, slope: f32) -> f32 {
+        let depths = dispatch!(Level::new(), simd => {
+            let mut rocks = PassedRocks::none(simd);
+            for distance_m in [1.0, 3.0] {
+                rocks.push(&Passed {
+                    distance_m: splat(simd, distance_m),
+                    above_m: splat(simd, above_m),
+                    depth: splat(simd, of_stretch),
+                    half_height_m: splat(simd, 0.2),
+                });
+            }
+            store(rocks.depth(simd, splat(simd, slope)))
+        });
+        depths[0]
     }
 
     #[test]
     fn rocks_hide_what_lies_behind_them() {
-        assert_eq!(passed(0.0, 0.0).depth(0.1), 0.0);
-        assert!((passed(0.0, 0.5).depth(0.0) - 0.75).abs() < 1e-6, "one stretch and half of the last");
-        let [low, high] = [0.02, 0.3].map(|slope| passed(0.0, 0.5).depth(slope));
+        assert_eq!(depth(0.0, 0.0, 0.1), 0.0);
+        assert!((depth(0.0, 0.5, 0.0) - 0.75).abs() < 1e-6, "one stretch and half of the last");
+        let [low, high] = [0.02, 0.3].map(|slope| depth(0.0, 0.5, slope));
         assert!(high < 0.6 * low && low < 1.0, "{low} {high}");
-        assert!(passed(-2.0, 0.5).depth(0.02) < 0.2 * low);
+        assert!(depth(-2.0, 0.5, 0.02) < 0.2 * low);
     }
 
     /// Rays across the cells of a rock miss it as often as Poisson's law says.
@@ -302,11 +338,20 @@ mod tests {
         let mut both = small;
         both += large;
         let left = both - large;
-        assert!((left.half_height_m() / small.half_height_m() - 1.0).abs() < 1e-3);
-        assert!((left.mean_height_m() / 0.05 - 1.0).abs() < 1e-3);
-        assert!((left.lighting(1.0) / small.lighting(1.0) - 1.0).abs() < 1e-3);
+        // Half and mean heights; and how they light at one metre and at thirty.
+        let numbers = |cover: &RockCover| {
+            dispatch!(Level::new(), simd => {
+                let cover = CoverOfLanes::new(simd, [cover; LANES]);
+                let lighting = [1.0, 30.0].map(|distance_m| cover.lighting(splat(simd, distance_m)));
+                [cover.half_height_m(simd), cover.mean_height_m(), lighting[0], lighting[1]].map(|number| store(number)[0])
+            })
+        };
+        let [of_small, of_both, of_left] = [&small, &both, &left].map(numbers);
+        assert!((of_left[0] / of_small[0] - 1.0).abs() < 1e-3);
+        assert!((of_left[1] / 0.05 - 1.0).abs() < 1e-3);
+        assert!((of_left[2] / of_small[2] - 1.0).abs() < 1e-3);
         // A source of its own lights as one of many only beyond its own reach.
-        assert!(both.lighting(1.0) < 1.5 * small.lighting(1.0));
-        assert!(both.lighting(30.0) > 10.0 * small.lighting(30.0));
+        assert!(of_both[2] < 1.5 * of_small[2]);
+        assert!(of_both[3] > 10.0 * of_small[3]);
     }
 }

@@ -8,39 +8,26 @@
 
 use std::f32::consts::PI;
 
-use glam::{FloatExt, Vec2};
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, dispatch, f32x8, mask32x8};
+use glam::Vec2;
 use rayon::prelude::*;
 
-use crate::render::select::azimuths::{AZIMUTHS, Azimuth, SeenRocks, SunDirection, WIDTH};
-use crate::render::select::ground_grids::{Cell, GroundGrids};
+use crate::render::select::azimuths::{AZIMUTHS, Azimuth, SeenRocks, WIDTH};
+use crate::render::select::ground_grids::{CellsOfLanes, GroundGrids};
+use crate::render::select::lane_math::{LANES, exp, load, splat, store};
 use crate::render::select::lit_rocks::Exposed;
-use crate::render::select::nested_grids::{CELLS, GRID_CELLS};
-use crate::render::select::rock_cover::{Passed, PassedRocks, RockCover, Spreads};
-use crate::render::select::selection::{SelectedRock, Selection};
+use crate::render::select::nested_grids::{CELLS, GRID_CELLS, LocatedLanes};
+use crate::render::select::rock_cover::{CoverOfLanes, Passed, PassedRocks, RockCover, Spreads};
+use crate::render::select::rock_views::{EYE, Horizon, OPEN_ROCKS, OpenRocks, Views, add, middle};
+use crate::render::select::selection::Selection;
 use crate::render::select::sunlight::{LimbsAt, visible_above};
 use crate::scene::Scene;
+use crate::scene::rings_mesh::CornersOfLanes;
 use crate::scene::terrain::Terrain;
 
-/// Distances from the middle of a rock at which the ground is looked at, in its radii.
-const DISTANCES: [f32; 12] = [1.4, 2.0, 3.0, 4.5, 7.0, 11.0, 17.0, 27.0, 43.0, 70.0, 120.0, 200.0];
 /// Distance up to which the ground is looked at as it is, cells.
 const NEAR_CELLS: f32 = 2.0;
-/// Height from which it is looked at, as a fraction of the rock's.
-const EYE: f32 = 0.5;
-/// Steepest slope at which ground counts as seen: below it lies the foot of the rock.
-const STEEPEST: f32 = -3.0;
-/// The same for rocks that are specks in the image. With these and every second azimuth their light differs by some 7 % from that by all
-/// (root mean square of the logarithm, medians of five scenes).
-const DISTANCES_OF_SPECKS: [f32; 5] = [2.0, 4.5, 11.0, 43.0, 200.0];
-/// Of specks every second azimuth is looked at.
-const STEP_OF_SPECKS: usize = 2;
-/// Heights over radii for which a rock in the open is found.
-const OPEN_ROCKS: usize = 24;
-/// The quotient of two of them in turn.
-const OPEN_QUOTIENT: f32 = 1.18;
-/// The least of them. [`Exposed`] has it, too.
-const OPEN_LEAST: f32 = 0.1;
-
 /// Light on a rock. Faces to its sides are upright: towards the sun, to its left, away from it, to its right.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LightOnRock {
@@ -64,252 +51,302 @@ impl LightOnRock {
         ground: &GroundGrids,
         limbs: LimbsAt<'_>,
     ) -> Vec<Self> {
-        let all = Views::new(ground, 1, &DISTANCES);
-        let some = Views::new(ground, STEP_OF_SPECKS, &DISTANCES_OF_SPECKS);
-        let on_rock = |(index, selected): (usize, &SelectedRock)| {
-            if selected.visible_level.is_none() {
-                return Self::OPEN;
-            }
-            let rock = ground.rocks[index];
-            let place = Place {
-                terrain: &scene.terrain,
-                ground,
-                limbs,
-                exposed: ground.exposed[index],
-                radius_m: scene.rocks[selected.rock].base_scale_m,
-                own: rock.map_or_else(Spreads::default, |rock| rock.spreads(ground.grids)),
-            };
-            place.light(if rock.is_some_and(|rock| !rock.is_listed) { &some } else { &all })
+        let is_speck = |index: usize| ground.rocks[index].is_some_and(|rock| !rock.is_listed);
+        let in_view = selection.rocks.iter().enumerate().filter(|(_, rock)| rock.visible_level.is_some());
+        let (specks, others): (Vec<_>, Vec<_>) =
+            in_view.map(|(index, _)| index).partition(|index| is_speck(*index));
+        let (all, some) = (Views::all(ground), Views::of_specks(ground));
+        let chunks: Vec<(&[usize], &Views)> = others
+            .chunks(LANES)
+            .map(|rocks| (rocks, &all))
+            .chain(specks.chunks(LANES).map(|rocks| (rocks, &some)))
+            .collect();
+        let place = |index: usize| Place {
+            exposed: ground.exposed[index],
+            radius_m: scene.rocks[selection.rocks[index].rock].base_scale_m,
+            own: ground.rocks[index].map_or_else(Spreads::default, |rock| rock.spreads(ground.grids)),
         };
-        selection.rocks.par_iter().enumerate().map(on_rock).collect()
-    }
-}
-
-/// Azimuths and distances at which the ground is looked at, with rocks in the open.
-struct Views {
-    /// 1 for all azimuths, 2 for every second.
-    step: usize,
-    /// In radii of a rock.
-    distances: &'static [f32],
-    /// By height over radius: [`OPEN_LEAST`] times powers of [`OPEN_QUOTIENT`].
-    open: Vec<OpenRock>,
-}
-
-/// What a rock on level sunlit ground sees.
-struct OpenRock {
-    /// On its sides, in the units of [`Received`].
-    sides: [f32; 4],
-    /// The part of the ground outside its own shadow, by azimuth and distance.
-    unshadowed: [[f32; DISTANCES.len()]; AZIMUTHS],
-}
-
-impl Views {
-    fn new(ground: &GroundGrids, step: usize, distances: &'static [f32]) -> Self {
-        let open_rock = |index: usize| {
-            let height = OPEN_LEAST * libm::powf(OPEN_QUOTIENT, index as f32);
-            let mut open = OpenRock { sides: [0.0; 4], unshadowed: [[1.0; DISTANCES.len()]; AZIMUTHS] };
-            for (azimuth, unshadowed) in ground.azimuths.iter().zip(&mut open.unshadowed).step_by(step) {
-                let (mut before, mut lowest) = (1.0, f32::MIN);
-                for (&distance, unshadowed) in distances.iter().zip(unshadowed) {
-                    let slope = -EYE * height / (distance - 1.0);
-                    let width = step as f32 * WIDTH;
-                    *unshadowed =
-                        1.0 - own_shadow(ground.sun, azimuth, width, height, 0.5 * (before + distance));
-                    let light = azimuth.radiance_factor(Vec2::ZERO, 0.0, middle(lowest, slope));
-                    add(&mut open.sides, azimuth, *unshadowed * light * (upright(slope) - upright(lowest)));
-                    (before, lowest) = (distance, slope);
-                }
-            }
-            open
+        let surroundings = Surroundings { terrain: &scene.terrain, ground, limbs };
+        let light = |(rocks, views): (&[usize], &Views)| {
+            // Lanes past the last rock look as that does.
+            surroundings.light(&std::array::from_fn(|lane| place(rocks[lane.min(rocks.len() - 1)])), views)
         };
-        Self { step, distances, open: (0..OPEN_ROCKS).map(open_rock).collect() }
-    }
-
-    /// The rocks in the open on either side of a height over radius, and where between them it lies.
-    fn open(&self, height: f32) -> ([&OpenRock; 2], f32) {
-        let along = libm::logf((height / OPEN_LEAST).max(1.0)) / libm::logf(OPEN_QUOTIENT);
-        let index = (along as usize).min(OPEN_ROCKS - 2);
-        ([&self.open[index], &self.open[index + 1]], (along - index as f32).min(1.0))
+        let of_chunks: Vec<[Self; LANES]> = chunks.par_iter().map(|chunk| light(*chunk)).collect();
+        let mut on_rocks = vec![Self::OPEN; selection.rocks.len()];
+        for ((rocks, _), of_chunk) in chunks.iter().zip(of_chunks) {
+            for (rock, light) in rocks.iter().zip(of_chunk) {
+                on_rocks[*rock] = light;
+            }
+        }
+        on_rocks
     }
 }
 
-/// Where a rock lies.
-struct Place<'a> {
+/// What is looked at from rocks.
+struct Surroundings<'a> {
     terrain: &'a Terrain,
     ground: &'a GroundGrids,
     limbs: LimbsAt<'a>,
+}
+
+/// Where a rock lies.
+struct Place {
     exposed: Exposed,
     radius_m: f32,
     /// What it adds to the cells.
     own: Spreads,
 }
 
-/// The highest ground so far.
-#[derive(Clone, Copy)]
-struct Horizon {
-    slope: f32,
-    /// [`upright`] of it.
-    upright: f32,
-}
-
-impl Horizon {
-    const LOWEST: Self = Self { slope: f32::MIN, upright: -0.25 * PI };
-
-    fn at(slope: f32) -> Self {
-        Self { slope, upright: upright(slope) }
-    }
+/// Where eight rocks lie.
+struct Places<'a, S: Simd> {
+    rocks: &'a [Place; LANES],
+    /// Their feet, metres, world.
+    foot: [f32x8<S>; 3],
+    radius_m: f32x8<S>,
+    height_m: f32x8<S>,
+    /// Distances up to which the ground is looked at as it is, metres.
+    near_m: f32x8<S>,
+    /// Of each, the last of the [`OpenRocks`] that is not higher.
+    open: [usize; LANES],
+    /// How far it is to the next.
+    above_open: f32x8<S>,
 }
 
 /// Sums over what is seen. On the sides: irradiance per radian of azimuth, as radiance factor times solid angle.
-#[derive(Default)]
-struct Received {
-    below: [f32; 4],
-    beside: [f32; 4],
-    on_top: f32,
+struct Received<S: Simd> {
+    below: [f32x8<S>; 4],
+    beside: [f32x8<S>; 4],
+    on_top: f32x8<S>,
 }
 
-impl Place<'_> {
-    fn light(&self, views: &Views) -> LightOnRock {
-        let mut received = Received::default();
-        let ([low, high], t) = views.open(self.exposed.height_m / self.radius_m);
-        for index in (0..AZIMUTHS).step_by(views.step) {
-            let unshadowed = std::array::from_fn(|sample| {
-                low.unshadowed[index][sample].lerp(high.unshadowed[index][sample], t)
-            });
-            self.follow(&self.ground.azimuths[index], views, &unshadowed, &mut received);
-        }
-        let ratio = |side: usize| received.below[side] / low.sides[side].lerp(high.sides[side], t).max(1e-9);
+impl Surroundings<'_> {
+    fn light(&self, rocks: &[Place; LANES], views: &Views) -> [LightOnRock; LANES] {
+        let (sums, open) = dispatch!(Level::new(), simd => {
+            let places = Places::new(simd, self.ground, rocks);
+            let received = self.received(simd, &places, views);
+            let mut open = [[0.0; LANES]; 4];
+            for (open, sides) in open.iter_mut().zip(&views.open.sides) {
+                *open = store(places.of_open(simd, sides));
+            }
+            (received.stored(), open)
+        });
         let relative = views.step as f32 * WIDTH / (PI * self.ground.level_factor);
-        LightOnRock {
-            below: std::array::from_fn(ratio),
-            beside: received.beside.map(|light| relative * light),
-            beside_on_top: relative * received.on_top,
+        std::array::from_fn(|lane| LightOnRock {
+            below: std::array::from_fn(|side| sums[side][lane] / open[side][lane].max(1e-9)),
+            beside: std::array::from_fn(|side| relative * sums[4 + side][lane]),
+            beside_on_top: relative * sums[8][lane],
+        })
+    }
+
+    // What takes vectors is inlined into `dispatch!`, so that it is compiled for each SIMD level.
+    #[inline(always)]
+    fn received<S: Simd>(&self, simd: S, places: &Places<'_, S>, views: &Views) -> Received<S> {
+        let mut received = Received::none(simd);
+        let mut known = CornersOfLanes::default();
+        for index in (0..AZIMUTHS).step_by(views.step) {
+            self.follow(simd, places, views, index, &mut known, &mut received);
         }
+        received
     }
 
     /// Adds what comes from one azimuth.
-    fn follow(
+    #[inline(always)]
+    fn follow<S: Simd>(
         &self,
-        azimuth: &Azimuth,
+        simd: S,
+        places: &Places<'_, S>,
         views: &Views,
-        unshadowed: &[f32; DISTANCES.len()],
-        received: &mut Received,
+        index: usize,
+        known: &mut CornersOfLanes,
+        received: &mut Received<S>,
     ) {
-        let start = self.exposed.foot.truncate();
-        let eye_m = self.exposed.foot.z + EYE * self.exposed.height_m;
-        let near_m = NEAR_CELLS * self.ground.grids.cell_m(self.ground.grids.locate(0, start).0);
-        let mut passed = PassedRocks::NONE;
-        let (mut before_m, mut before_height_m, mut before_sunlit) =
-            (self.radius_m, self.exposed.foot.z, None);
-        let mut horizon = Horizon::LOWEST;
-        for (distance, unshadowed) in views.distances.iter().zip(unshadowed) {
-            let distance_m = distance * self.radius_m;
-            let place = start + distance_m * azimuth.direction;
-            let (index, cell, plane_m) = self.ground.at(0, place);
-            let (rocks, half_height_m) = self.others(index, cell);
-            let (height_m, sunlit) =
-                if distance_m < near_m { self.near(place) } else { (plane_m, cell.sunlit) };
-            let (stretch_m, from_m) = (distance_m - before_m, distance_m - self.radius_m);
+        let azimuth = &self.ground.azimuths[index];
+        let [foot_x, foot_y, foot_m] = places.foot;
+        let eye_m = foot_m + places.height_m * EYE;
+        let mut passed = PassedRocks::none(simd);
+        let (mut before_m, mut before_height_m, mut before_sunlit) = (places.radius_m, foot_m, None);
+        let mut horizon = Horizon::lowest(simd);
+        for (distance, unshadowed) in views.distances.iter().zip(&views.open.unshadowed[index]) {
+            let distance_m = places.radius_m * *distance;
+            let points =
+                [foot_x + distance_m * azimuth.direction.x, foot_y + distance_m * azimuth.direction.y];
+            let located = self.ground.grids.locate_lanes(simd, 0, points);
+            let mut cells = CellsOfLanes::new(simd, self.ground.cells_at(&located.indices));
+            let rocks = self.other_rocks(simd, places, &located, &mut cells);
+            let is_near = distance_m.simd_lt(places.near_m);
+            let (mut height_m, mut sunlit) = (cells.height_at(&located), cells.sunlit);
+            if is_near.any_true() {
+                let near = self.near(simd, points, is_near, known);
+                (height_m, sunlit) = (is_near.select(near[0], height_m), is_near.select(near[1], sunlit));
+            }
+            let (stretch_m, from_m) = (distance_m - before_m, distance_m - places.radius_m);
             let above_m = height_m - eye_m;
             passed.push(&Passed {
                 distance_m: from_m,
                 above_m,
-                depth: stretch_m * rocks.depth,
-                half_height_m,
+                depth: rocks.depth * stretch_m,
+                half_height_m: cells.half_height_m,
             });
-            let slope = above_m / from_m;
-            let seen = SeenRocks {
+            let seen = Horizon::at(simd, above_m / from_m).or_higher(horizon);
+            let seen_rocks = SeenRocks {
                 cover: &rocks,
                 passed: &passed,
                 horizon: horizon.slope,
-                slope,
+                slope: above_m / from_m,
                 from_m,
                 stretch_m,
             };
-            received.add_rocks(azimuth, azimuth.light_of_rocks(&seen, sunlit));
+            if let Some(light) = azimuth.light_of_rocks(simd, &seen_rocks, sunlit) {
+                received.add_rocks(azimuth, light);
+            }
             let rise = (height_m - before_height_m) / stretch_m;
-            let mean_sunlit = 0.5 * (sunlit + before_sunlit.unwrap_or(sunlit));
+            let mean_sunlit = (sunlit + before_sunlit.unwrap_or(sunlit)) * 0.5;
             (before_m, before_height_m, before_sunlit) = (distance_m, height_m, Some(sunlit));
-            if slope <= horizon.slope {
+            let lowest = std::mem::replace(&mut horizon, seen);
+            let lit = mean_sunlit * places.of_open(simd, unshadowed);
+            let is_lit = seen.slope.simd_gt(lowest.slope) & lit.simd_gt(0.0);
+            if !is_lit.any_true() {
                 continue;
             }
-            let lowest = std::mem::replace(&mut horizon, Horizon::at(slope));
-            let lit = mean_sunlit * unshadowed;
-            if lit == 0.0 {
-                continue;
-            }
-            let middle = middle(lowest.slope, slope);
-            let hidden = azimuth.depth_of_shadows(&rocks) + passed.depth(middle);
-            let radiance = lit * libm::expf(-hidden) * azimuth.radiance_factor(cell.slope, rise, middle);
-            received.add_ground(azimuth, radiance, [lowest, horizon]);
+            let middle = middle(lowest.slope, seen.slope);
+            let hidden = azimuth.depth_of_shadows(&rocks) + passed.depth(simd, middle);
+            let factor = azimuth.radiance_factor(simd, cells.slope, rise, middle);
+            let radiance = is_lit.select(lit * exp(simd, -hidden) * factor, splat(simd, 0.0));
+            received.add_ground(simd, azimuth, radiance, [lowest, seen]);
         }
     }
 
-    /// Height of the ground near by, metres, and whether it is sunlit.
-    fn near(&self, place: Vec2) -> (f32, f32) {
-        let height_m = self.terrain.surface_height_at(place);
-        (height_m, visible_above((self.limbs)(place), height_m))
+    /// Heights of the ground near by, metres, and whether it is sunlit; of points in a mask, anything elsewhere.
+    #[inline(always)]
+    fn near<S: Simd>(
+        &self,
+        simd: S,
+        points: [f32x8<S>; 2],
+        mask: mask32x8<S>,
+        known: &mut CornersOfLanes,
+    ) -> [f32x8<S>; 2] {
+        let heights = self.terrain.surface_heights_at(simd, points, mask, known);
+        let ([x, y], heights_m) = (points.map(store), store(heights));
+        let mut sunlit = [0.0; LANES];
+        let mut lanes = mask.to_bitmask();
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros() as usize;
+            lanes &= lanes - 1;
+            sunlit[lane] = visible_above((self.limbs)(Vec2::new(x[lane], y[lane])), heights_m[lane]);
+        }
+        [heights, load(simd, &sunlit)]
     }
 
-    /// The other rocks of a cell, and the height above which half of what they hide is left, metres.
-    fn others(&self, index: usize, cell: &Cell) -> (RockCover, f32) {
-        let (column, row) = (index % CELLS, index / CELLS % CELLS);
-        match &self.own[index / GRID_CELLS] {
-            Some(own) if own.columns.contains(&column) && own.rows.contains(&row) => {
-                let others = cell.rocks - own.cover;
-                (others, others.half_height_m())
+    /// The other rocks of cells, and sets the height above which half of what they hide is left.
+    #[inline(always)]
+    fn other_rocks<S: Simd>(
+        &self,
+        simd: S,
+        places: &Places<'_, S>,
+        located: &LocatedLanes<S>,
+        cells: &mut CellsOfLanes<S>,
+    ) -> CoverOfLanes<S> {
+        let mut rocks = [RockCover::default(); LANES];
+        let mut has_own = false;
+        for (lane, rocks) in rocks.iter_mut().enumerate() {
+            let index = located.indices[lane];
+            *rocks = self.ground.cells[index].rocks;
+            let (column, row) = (index % CELLS, index / CELLS % CELLS);
+            if let Some(own) = &places.rocks[lane].own[index / GRID_CELLS]
+                && own.columns.contains(&column)
+                && own.rows.contains(&row)
+            {
+                *rocks = *rocks - own.cover;
+                has_own = true;
             }
-            _ => (cell.rocks, cell.half_height_m),
         }
+        let rocks = CoverOfLanes::new(simd, rocks.each_ref());
+        if has_own {
+            cells.half_height_m = rocks.half_height_m(simd);
+        }
+        rocks
     }
 }
 
-impl Received {
+impl<'a, S: Simd> Places<'a, S> {
+    #[inline(always)]
+    fn new(simd: S, ground: &GroundGrids, rocks: &'a [Place; LANES]) -> Self {
+        let mut fields = [[0.0; LANES]; 5];
+        let (mut open, mut above_open) = ([0; LANES], [0.0; LANES]);
+        for (lane, Place { exposed, radius_m, .. }) in rocks.iter().enumerate() {
+            let numbers = [exposed.foot.x, exposed.foot.y, exposed.foot.z, *radius_m, exposed.height_m];
+            for (field, number) in fields.iter_mut().zip(numbers) {
+                field[lane] = number;
+            }
+            (open[lane], above_open[lane]) = OpenRocks::locate(exposed.height_m / radius_m);
+        }
+        let foot = [load(simd, &fields[0]), load(simd, &fields[1]), load(simd, &fields[2])];
+        Self {
+            rocks,
+            foot,
+            radius_m: load(simd, &fields[3]),
+            height_m: load(simd, &fields[4]),
+            near_m: ground.grids.locate_lanes(simd, 0, [foot[0], foot[1]]).cell_m * NEAR_CELLS,
+            open,
+            above_open: load(simd, &above_open),
+        }
+    }
+
+    /// What [`OpenRocks`] have, between those of the rocks' heights.
+    #[inline(always)]
+    fn of_open(&self, simd: S, of_rocks: &[f32; OPEN_ROCKS]) -> f32x8<S> {
+        let mut ends = [[0.0; LANES]; 2];
+        for (lane, open) in self.open.into_iter().enumerate() {
+            let open = open.min(OPEN_ROCKS - 2);
+            (ends[0][lane], ends[1][lane]) = (of_rocks[open], of_rocks[open + 1]);
+        }
+        let [low, high] = [load(simd, &ends[0]), load(simd, &ends[1])];
+        low + (high - low) * self.above_open
+    }
+}
+
+impl<S: Simd> Received<S> {
+    #[inline(always)]
+    fn none(simd: S) -> Self {
+        let zero = splat(simd, 0.0);
+        Self { below: [zero; 4], beside: [zero; 4], on_top: zero }
+    }
+
+    /// The sums below, beside and on top.
+    #[inline(always)]
+    fn stored(&self) -> [[f32; LANES]; 9] {
+        let mut sums = [[0.0; LANES]; 9];
+        for side in 0..4 {
+            (sums[side], sums[4 + side]) = (store(self.below[side]), store(self.beside[side]));
+        }
+        sums[8] = store(self.on_top);
+        sums
+    }
+
     /// Adds ground of this radiance between two slopes.
-    fn add_ground(&mut self, azimuth: &Azimuth, radiance: f32, [low, high]: [Horizon; 2]) {
+    #[inline(always)]
+    fn add_ground(&mut self, simd: S, azimuth: &Azimuth, radiance: f32x8<S>, [low, high]: [Horizon<S>; 2]) {
         add(&mut self.below, azimuth, radiance * (high.upright.min(0.0) - low.upright.min(0.0)));
-        if high.slope > 0.0 {
-            add(&mut self.beside, azimuth, radiance * (high.upright - low.upright.max(0.0)));
-            let square_of_sine = |slope: f32| slope * slope / (1.0 + slope * slope);
-            self.on_top += 0.5 * radiance * (square_of_sine(high.slope) - square_of_sine(low.slope.max(0.0)));
+        if high.slope.simd_gt(0.0).any_true() {
+            add(&mut self.beside, azimuth, radiance * (high.upright.max(0.0) - low.upright.max(0.0)));
+            let squares = [square_of_sine(simd, low.slope), square_of_sine(simd, high.slope)];
+            self.on_top += radiance * (squares[1] - squares[0]) * 0.5;
         }
     }
 
     /// Adds rocks, whose light on an upright face comes from this slope.
-    fn add_rocks(&mut self, azimuth: &Azimuth, (light, slope): (f32, f32)) {
-        if light > 0.0 {
-            add(&mut self.beside, azimuth, light);
-            self.on_top += light * slope;
-        }
+    #[inline(always)]
+    fn add_rocks(&mut self, azimuth: &Azimuth, [light, slope]: [f32x8<S>; 2]) {
+        add(&mut self.beside, azimuth, light);
+        self.on_top += light * slope;
     }
 }
 
-/// The part of the ground at a distance from the middle of a rock, in an azimuth of this width (radians), that is in its shadow: half of an
-/// ellipse, as behind a dome. Height and distance are in radii.
-fn own_shadow(sun: SunDirection, azimuth: &Azimuth, width: f32, height: f32, distance: f32) -> f32 {
-    let cotangents = height * sun.cosine / sun.sine;
-    let per_length = 1.0 / (1.0 + cotangents * cotangents);
-    let sine_square = (1.0 / (distance * distance) - per_length) / (1.0 - per_length).max(1e-9);
-    let half = libm::asinf(sine_square.clamp(0.0, 1.0).sqrt());
-    let from_away = libm::acosf((-azimuth.to_sun).clamp(-1.0, 1.0));
-    let across = half.min(from_away + 0.5 * width) - (-half).max(from_away - 0.5 * width);
-    (across / width).clamp(0.0, 1.0)
-}
-
-/// Adds what faces to the sides receive of light on a face towards an azimuth.
-fn add(sides: &mut [f32; 4], azimuth: &Azimuth, light: f32) {
-    let cosines = [azimuth.to_sun, azimuth.to_left, -azimuth.to_sun, -azimuth.to_left];
-    sides.iter_mut().zip(cosines).for_each(|(sum, cosine)| *sum += cosine.max(0.0) * light);
-}
-
-/// The slope at which what lies between two is seen.
-fn middle(low: f32, high: f32) -> f32 {
-    0.5 * (high + low.max(STEEPEST).min(high))
-}
-
-/// The integral of the square of the cosine of elevation from the horizon to a slope: what an upright face sees.
-fn upright(slope: f32) -> f32 {
-    if slope == f32::MIN { -0.25 * PI } else { 0.5 * (libm::atanf(slope) + slope / (1.0 + slope * slope)) }
+/// The square of the sine of the elevation of a slope; of what lies below the horizon zero.
+#[inline(always)]
+fn square_of_sine<S: Simd>(simd: S, slope: f32x8<S>) -> f32x8<S> {
+    let square = slope.max(0.0) * slope.max(0.0);
+    square / (splat(simd, 1.0) + square)
 }
 
 #[cfg(test)]

@@ -302,7 +302,8 @@ impl HorizonMap {
         let grid = &self.levels[level];
         let offset = (point - grid.origin) / grid.step_m;
         let sample = Vec2::new(offset.dot(self.towards), offset.dot(self.towards.perp())) - grid.first_sample;
-        let index = |at: f32, size: u32| (at.round().max(0.0) as u32).min(size - 1);
+        // Truncated: rounding is a call where the processor is not known.
+        let index = |at: f32, size: u32| ((at + 0.5).max(0.0) as u32).min(size - 1);
         let (column, row) = (index(sample.x, grid.size[0]), index(sample.y, grid.size[1]));
         let [first_column, first_row] = [grid.first_texel & 0xffff, grid.first_texel >> 16];
         self.heights_m[((first_row + row) * self.width + first_column + column) as usize]

@@ -11,8 +11,10 @@ use crate::scene::terrain::Terrain;
 
 /// Index of the cell at a point, of the finest grid that covers it.
 fn index(grids: NestedGrids, point: Vec2) -> usize {
-    let (level, [column, row], _) = grids.locate(0, point);
-    NestedGrids::index(level, column, row)
+    let indices = dispatch!(Level::new(), simd => {
+        grids.locate_lanes(simd, 0, [splat(simd, point.x), splat(simd, point.y)]).indices
+    });
+    indices[0]
 }
 
 /// A crater of ten metres on a square of 64 m; its floor is in the shadow of its wall.

@@ -13,35 +13,50 @@ fn ground(terrain: &Terrain) -> GroundGrids {
     GroundGrids::without_rocks(terrain, &photometry(), &Bounce::new(&photometry(), sun().z.into()), sun())
 }
 
-/// A rock of this radius and as high.
-fn place<'a>(
-    terrain: &'a Terrain,
-    ground: &'a GroundGrids,
-    limbs: LimbsAt<'a>,
-    at: Vec2,
-    radius_m: f32,
-) -> Place<'a> {
-    let exposed = Exposed { foot: at.extend(terrain.surface_height_at(at)), height_m: radius_m };
-    Place { terrain, ground, limbs, exposed, radius_m, own: Spreads::default() }
+/// Rocks at these places, of these radii and as high.
+fn places(terrain: &Terrain, rocks: [(Vec2, f32); LANES]) -> [Place; LANES] {
+    rocks.map(|(at, radius_m)| Place {
+        exposed: Exposed { foot: at.extend(terrain.surface_height_at(at)), height_m: radius_m },
+        radius_m,
+        own: Spreads::default(),
+    })
 }
 
 #[test]
 fn rocks_on_level_sunlit_ground_lie_in_the_open() {
     let flat = Terrain::from_height(64.0, 64, Vec::new(), |_| 1.0);
     let ground = ground(&flat);
-    let [all, some] = [(1, &DISTANCES[..]), (STEP_OF_SPECKS, &DISTANCES_OF_SPECKS[..])]
-        .map(|(step, distances)| Views::new(&ground, step, distances));
-    for (radius_m, views) in [(0.03, &all), (0.03, &some), (0.2, &all), (1.3, &all)] {
-        let place = place(&flat, &ground, &|_| SUNLIT, Vec2::new(3.0, -2.0), radius_m);
-        let light = place.light(views);
-        for side in 0..4 {
-            assert!(
-                (light.below[side] - 1.0).abs() < 0.02,
-                "radius {radius_m} m, step {}: {light:?}",
-                views.step
-            );
+    let radii_m = [0.03, 0.2, 1.3, 0.07, 0.5, 0.01, 2.0, 0.1];
+    let places = places(&flat, radii_m.map(|radius_m| (Vec2::new(3.0, -2.0 + radius_m), radius_m)));
+    let surroundings = Surroundings { terrain: &flat, ground: &ground, limbs: &|_| SUNLIT };
+    for views in [Views::all(&ground), Views::of_specks(&ground)] {
+        for (radius_m, light) in radii_m.into_iter().zip(surroundings.light(&places, &views)) {
+            for side in 0..4 {
+                assert!(
+                    (light.below[side] - 1.0).abs() < 0.02,
+                    "radius {radius_m} m, step {}: {light:?}",
+                    views.step
+                );
+            }
+            assert_eq!((light.beside, light.beside_on_top), ([0.0; 4], 0.0));
         }
-        assert_eq!((light.beside, light.beside_on_top), ([0.0; 4], 0.0));
+    }
+}
+
+/// A rock's light does not depend on the rocks that are looked from at once.
+#[test]
+fn lanes_do_not_depend_on_each_other() {
+    let terrain = crater();
+    let ground = ground(&terrain);
+    let surroundings = Surroundings { terrain: &terrain, ground: &ground, limbs: &|_| SUNLIT };
+    let rocks: [(Vec2, f32); LANES] =
+        std::array::from_fn(|lane| (Vec2::new(lane as f32 - 3.5, 0.3), 0.04 * (lane + 1) as f32));
+    for views in [Views::all(&ground), Views::of_specks(&ground)] {
+        let together = surroundings.light(&places(&terrain, rocks), &views);
+        for (rock, together) in rocks.into_iter().zip(together) {
+            let alone = surroundings.light(&places(&terrain, [rock; LANES]), &views);
+            assert_eq!(alone, [together; LANES], "{rock:?}");
+        }
     }
 }
 
@@ -51,25 +66,30 @@ fn light_on_a_rock_in_a_crater_is_that_of_rays() {
     let terrain = crater();
     let ground = ground(&terrain);
     let towards = sun().truncate().normalize();
-    let views = Views::new(&ground, 1, &DISTANCES);
+    let mut views = Views::all(&ground);
+    for unshadowed in views.open.unshadowed.as_flattened_mut() {
+        unshadowed.fill(1.0);
+    }
     let is_sunlit = |at: Vec2| {
         let start = at.extend(height_m(at) + 0.01);
         let blocked = (1..600).map(|step| start + 0.02 * step as f32 * sun());
         !blocked.into_iter().any(|point| point.z < height_m(point.truncate()))
     };
     let limbs = |at| if is_sunlit(at) { SUNLIT } else { [f32::MAX, f32::MAX] };
+    let rocks = [(1.5, 0.1), (2.5, 0.2), (3.0, 0.05), (-2.0, 0.15)]
+        .map(|(along_m, radius_m)| (along_m * towards, radius_m));
+    let places = places(&terrain, std::array::from_fn(|lane| rocks[lane % rocks.len()]));
+    let surroundings = Surroundings { terrain: &terrain, ground: &ground, limbs: &limbs };
+    let sums = dispatch!(Level::new(), simd => {
+        surroundings.received(simd, &Places::new(simd, &ground, &places), &views).stored()
+    });
     let (mut compared, mut largest) = (0, 1.0_f32);
-    for (along_m, radius_m) in [(1.5, 0.1), (2.5, 0.2), (3.0, 0.05), (-2.0, 0.15)] {
-        let place = place(&terrain, &ground, &limbs, along_m * towards, radius_m);
-        let mut received = Received::default();
-        for azimuth in &ground.azimuths {
-            place.follow(azimuth, &views, &[1.0; DISTANCES.len()], &mut received);
-        }
+    for (lane, (_, radius_m)) in rocks.into_iter().enumerate() {
+        let exposed = &places[lane].exposed;
         for (side, normal) in [towards, towards.perp(), -towards, -towards.perp()].into_iter().enumerate() {
-            let eye = place.exposed.foot + EYE * place.exposed.height_m * Vec3::Z;
+            let eye = exposed.foot + EYE * exposed.height_m * Vec3::Z;
             let expected = by_rays(eye + radius_m * normal.extend(0.0), normal.extend(0.0));
-            let sum = received.below[side] + received.beside[side];
-            let found = WIDTH / (PI * ground.level_factor) * sum;
+            let found = WIDTH / (PI * ground.level_factor) * (sums[side][lane] + sums[4 + side][lane]);
             if expected > 0.02 {
                 let ratio = found / expected;
                 (compared, largest) = (compared + 1, largest.max(ratio.max(1.0 / ratio)));
