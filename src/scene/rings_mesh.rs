@@ -30,7 +30,9 @@ impl Terrain {
         let (columns, rows) = (rings.columns(), rings.rows());
         let row_len = columns as usize + 1;
         let mut vertices: PooledVec<Vertex> = PooledVec::unspecified(row_len * (rows as usize + 1));
-        vertices.par_chunks_mut(TILE.0 * row_len).enumerate().for_each(|(chunk, vertices)| {
+        let mut heights_m: PooledVec<f32> = PooledVec::unspecified(vertices.len());
+        let tiles = vertices.par_chunks_mut(TILE.0 * row_len).zip(heights_m.par_chunks_mut(TILE.0 * row_len));
+        tiles.enumerate().for_each(|(chunk, (vertices, heights_m))| {
             for first in (0..row_len).step_by(TILE.1) {
                 let columns = first..(first + TILE.1).min(row_len);
                 set_tile_positions(relief, &rings, centre, chunk * TILE.0, columns, vertices);
@@ -39,16 +41,20 @@ impl Terrain {
             for row in vertices.chunks_mut(row_len) {
                 row[row_len - 1].position = row[0].position;
             }
+            for (height_m, vertex) in heights_m.iter_mut().zip(vertices) {
+                *height_m = vertex.position.z;
+            }
         });
         set_normals(&mut vertices, columns as usize, rows as usize);
         Self {
             layout: Layout::Rings(rings),
             centre,
             half_extent_m: view.radius_m as f32,
-            z_range_m: z_range_m(&vertices),
+            z_range_m: z_range_m(&heights_m),
             columns,
             rows,
             vertices,
+            heights_m,
             craters: Vec::new(),
             block_bounds: OnceLock::new(),
             range: OnceLock::new(),
@@ -109,12 +115,19 @@ impl Terrain {
         while lanes != 0 {
             let lane = lanes.trailing_zeros() as usize;
             lanes &= lanes - 1;
-            let sw = cells.rows[lane] as usize * row_len + cells.columns[lane] as usize;
-            for (corner, vertex) in corners.iter_mut().zip([sw, sw + 1, sw + row_len, sw + row_len + 1]) {
-                let Vec3 { x, y, z } = self.vertices[vertex].position;
-                (corner[0][lane], corner[1][lane], corner[2][lane]) = (x, y, z);
+            let (row, column) = (cells.rows[lane] as usize, cells.columns[lane] as usize);
+            let (radii_m, rays) = (&rings.radii_m[row..row + 2], &rings.rays[column..column + 2]);
+            let [south, north] =
+                [row, row + 1].map(|row| &self.heights_m[row * row_len + column..row * row_len + column + 2]);
+            for (end, heights_m) in [south, north].into_iter().enumerate() {
+                for side in 0..2 {
+                    let corner = &mut corners[2 * end + side];
+                    corner[0][lane] = self.centre.x + radii_m[end] * rays[side].x;
+                    corner[1][lane] = self.centre.y + radii_m[end] * rays[side].y;
+                    corner[2][lane] = heights_m[side];
+                }
             }
-            is_fan[lane] = if cells.rows[lane] == 0 { 1.0 } else { 0.0 };
+            is_fan[lane] = if row == 0 { 1.0 } else { 0.0 };
         }
         // Written out: a closure that returns a vector is not always inlined.
         let [sw, se, nw, ne] = &*corners;

@@ -43,6 +43,8 @@ pub struct Terrain {
     /// `(columns + 1) x (rows + 1)` vertices, row by row. In a square, y grows with the row and x along it; with rings, a
     /// row is a ring, from the innermost outwards.
     pub vertices: PooledVec<Vertex>,
+    /// Their heights alone, metres: who asks for heights at many points has more of them in the processor's cache.
+    pub heights_m: PooledVec<f32>,
     /// The craters of the nominal stage; empty on the surface stage.
     pub craters: Vec<Crater>,
     /// Lowest and highest corner of the bounding box of each block of cells that is culled as one, world, metres; set by the first
@@ -196,9 +198,9 @@ impl Terrain {
         let mut lowest = f32::INFINITY;
         for row in rows {
             let first = (row * (self.columns + 1)) as usize;
-            for vertex in &self.vertices[first + columns.start as usize..first + columns.end as usize] {
+            for &height_m in &self.heights_m[first + columns.start as usize..first + columns.end as usize] {
                 // `f32::min` is more than a comparison (NaN).
-                lowest = if vertex.position.z < lowest { vertex.position.z } else { lowest };
+                lowest = if height_m < lowest { height_m } else { lowest };
             }
         }
         lowest
@@ -212,23 +214,23 @@ impl Terrain {
         for row in rows {
             let first = (row * (self.columns + 1)) as usize;
             let [lowest, highest] =
-                z_range_m(&self.vertices[first + columns.start as usize..first + columns.end as usize]);
+                z_range_m(&self.heights_m[first + columns.start as usize..first + columns.end as usize]);
             range = [range[0].min(lowest), range[1].max(highest)];
         }
         range
     }
 }
 
-/// Lowest and highest vertex, metres.
-pub(super) fn z_range_m(vertices: &[Vertex]) -> [f32; 2] {
-    // `f32::min` is more than a comparison (NaN), and a single range would be one dependency chain over all vertices.
+/// The lowest and the highest of some heights, metres.
+pub(super) fn z_range_m(heights_m: &[f32]) -> [f32; 2] {
+    // `f32::min` is more than a comparison (NaN), and a single range would be one dependency chain over all heights.
     let wider = |[low, high]: [f32; 2], [from, to]: [f32; 2]| {
         [if from < low { from } else { low }, if to > high { to } else { high }]
     };
     let mut ranges = [[f32::MAX, f32::MIN]; 8];
-    for vertices in vertices.chunks(ranges.len()) {
-        for (range, vertex) in ranges.iter_mut().zip(vertices) {
-            *range = wider(*range, [vertex.position.z; 2]);
+    for heights_m in heights_m.chunks(ranges.len()) {
+        for (range, height_m) in ranges.iter_mut().zip(heights_m) {
+            *range = wider(*range, [*height_m; 2]);
         }
     }
     ranges.into_iter().fold([f32::MAX, f32::MIN], wider)

@@ -12,19 +12,16 @@ use crate::scene::terrain::Terrain;
 /// Points that are sampled at once: the lanes of a vector.
 pub(super) const LANES: usize = 8;
 
-/// The heightfield of a square ground, without the rest of its vertices: the map samples it half a million times. Kept from map to
-/// map.
+/// A square ground as a heightfield: the map samples it half a million times. Kept from map to map.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Heightfield {
-    /// The terrain it was copied from. A weak reference keeps the address from being used again, but not the ground.
+    /// The terrain. A weak reference keeps the address from being used again, but not the ground.
     source: Weak<Terrain>,
     /// Cells along a side.
     cells: usize,
     cell_m: f32,
     cells_per_m: f32,
     half_m: f32,
-    /// Heights of the vertices, row by row, metres.
-    heights_m: Vec<f32>,
     /// For the step of the current map.
     pub(super) chord_errors: ChordErrors,
 }
@@ -43,7 +40,7 @@ impl Heightfield {
         self.source.ptr_eq(&Arc::downgrade(terrain)) && self.chord_errors.step_m == step_m
     }
 
-    /// Copies the heights of a terrain, and bounds the chord errors for a step.
+    /// Takes the size of a terrain, and bounds the chord errors for a step.
     fn update(&mut self, terrain: &Arc<Terrain>, step_m: f32) {
         if !self.source.ptr_eq(&Arc::downgrade(terrain)) {
             self.source = Arc::downgrade(terrain);
@@ -51,23 +48,22 @@ impl Heightfield {
             self.cell_m = terrain.cell_m();
             self.cells_per_m = 1.0 / terrain.cell_m();
             self.half_m = terrain.half_extent_m;
-            let heights_m = terrain.vertices.par_iter().map(|vertex| vertex.position.z);
-            heights_m.collect_into_vec(&mut self.heights_m);
         }
         let mut chord_errors = std::mem::take(&mut self.chord_errors);
-        chord_errors.update(self, step_m);
+        chord_errors.update(self, &terrain.heights_m, step_m);
         self.chord_errors = chord_errors;
     }
 
-    /// Heights of a row of vertices.
-    fn row(&self, row: usize) -> &[f32] {
-        &self.heights_m[row * (self.cells + 1)..][..self.cells + 1]
-    }
-
     /// Heights of the ground at [`LANES`] points, `f32::MIN` outside of it, and the cells that hold them, each by the index of its
-    /// first vertex. The same values as [`Terrain::surface_height_at`]: linear over each of the two triangles of a cell.
+    /// first vertex. The same values as [`Terrain::surface_height_at`]: linear over each of the two triangles of a cell. `heights_m` are
+    /// those of the terrain.
     #[inline(always)]
-    pub(super) fn sample<S: Simd>(&self, simd: S, x: f32x8<S>, y: f32x8<S>) -> (f32x8<S>, i32x8<S>) {
+    pub(super) fn sample<S: Simd>(
+        &self,
+        simd: S,
+        heights_m: &[f32],
+        [x, y]: [f32x8<S>; 2],
+    ) -> (f32x8<S>, i32x8<S>) {
         let last = (self.cells - 1) as f32;
         let zero = f32x8::splat(simd, 0.0);
         let (cell_x, cell_y) = ((x + self.half_m) * self.cells_per_m, (y + self.half_m) * self.cells_per_m);
@@ -85,7 +81,7 @@ impl Heightfield {
         for (lane, vertex) in vertices.into_iter().enumerate() {
             for (row, corners_m) in corners_m.iter_mut().enumerate() {
                 let first = vertex as u32 as usize + row * (self.cells + 1);
-                let pair = &self.heights_m[first..first + 2];
+                let pair = &heights_m[first..first + 2];
                 corners_m[lane] = [pair[0], pair[1]];
             }
         }
@@ -118,14 +114,15 @@ pub(super) struct ChordErrors {
 }
 
 impl ChordErrors {
-    fn update(&mut self, heightfield: &Heightfield, step_m: f32) {
+    fn update(&mut self, heightfield: &Heightfield, heights_m: &[f32], step_m: f32) {
         let cells = heightfield.cells;
         let scale = 0.5 * step_m / heightfield.cell_m;
         // The maximum over two cells each way is separable: first along rows, then along columns.
         let row_maxima = &mut self.row_maxima;
         row_maxima.resize(cells * (cells + 1), 0.0);
         row_maxima.par_chunks_exact_mut(cells).enumerate().for_each(|(row, maxima)| {
-            let rows = [row.saturating_sub(1), row, (row + 1).min(cells)].map(|row| heightfield.row(row));
+            let rows = [row.saturating_sub(1), row, (row + 1).min(cells)]
+                .map(|row| &heights_m[row * (cells + 1)..][..cells + 1]);
             dispatch!(Level::new(), _simd => row_kinks(rows, scale, maxima));
         });
         // No cell begins with the last row or column.

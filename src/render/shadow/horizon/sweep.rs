@@ -306,7 +306,7 @@ impl<'a> SweepLattice<'a> {
         let along = column as f32 * self.step_m * self.towards;
         let (x, y) = (row_origins[0] + along.x, row_origins[1] + along.y);
         if let Some(heightfield) = self.heightfield {
-            return heightfield.sample(simd, x, y);
+            return heightfield.sample(simd, &self.terrain.heights_m, [x, y]);
         }
         let Layout::Rings(rings) = &self.terrain.layout else {
             return (f32x8::splat(simd, f32::MIN), i32x8::splat(simd, 0));
