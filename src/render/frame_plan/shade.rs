@@ -60,7 +60,7 @@ pub(super) fn set_surroundings(
     horizon: &HorizonMap,
     instances: &mut [Instance],
 ) {
-    let limbs = |point| horizon.limbs_at(point);
+    let limbs = |points: &_| horizon.limbs_at_many(points);
     let on_rocks = LightOnRock::on_selection(scene, selection, ground, &limbs);
     let rocks = instances[Slots::rock(0) as usize..].iter_mut();
     for ((instance, exposed), light) in rocks.zip(&ground.exposed).zip(on_rocks) {

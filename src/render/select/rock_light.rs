@@ -10,7 +10,6 @@ use std::f32::consts::PI;
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, dispatch, f32x8, mask32x8};
-use glam::Vec2;
 use rayon::prelude::*;
 
 use crate::render::select::azimuths::{AZIMUTHS, Azimuth, SeenRocks, WIDTH};
@@ -21,7 +20,7 @@ use crate::render::select::nested_grids::{CELLS, GRID_CELLS, LocatedLanes};
 use crate::render::select::rock_cover::{CoverOfLanes, Passed, PassedRocks, RockCover, Spreads};
 use crate::render::select::rock_views::{EYE, Horizon, OPEN_ROCKS, OpenRocks, Views, add, middle};
 use crate::render::select::selection::Selection;
-use crate::render::select::sunlight::{LimbsAt, visible_above};
+use crate::render::select::sunlight::LimbsAtLanes;
 use crate::scene::Scene;
 use crate::scene::rings_mesh::CornersOfLanes;
 use crate::scene::terrain::Terrain;
@@ -49,7 +48,7 @@ impl LightOnRock {
         scene: &Scene,
         selection: &Selection,
         ground: &GroundGrids,
-        limbs: LimbsAt<'_>,
+        limbs: LimbsAtLanes<'_>,
     ) -> Vec<Self> {
         let is_speck = |index: usize| ground.rocks[index].is_some_and(|rock| !rock.is_listed);
         let in_view = selection.rocks.iter().enumerate().filter(|(_, rock)| rock.visible_level.is_some());
@@ -86,7 +85,7 @@ impl LightOnRock {
 struct Surroundings<'a> {
     terrain: &'a Terrain,
     ground: &'a GroundGrids,
-    limbs: LimbsAt<'a>,
+    limbs: LimbsAtLanes<'a>,
 }
 
 /// Where a rock lies.
@@ -216,7 +215,7 @@ impl Surroundings<'_> {
         }
     }
 
-    /// Heights of the ground near by, metres, and whether it is sunlit; of points in a mask, anything elsewhere.
+    /// Heights of the ground near by, metres, and the part of the sun that is visible there; of points in a mask, anything elsewhere.
     #[inline(always)]
     fn near<S: Simd>(
         &self,
@@ -225,16 +224,11 @@ impl Surroundings<'_> {
         mask: mask32x8<S>,
         known: &mut CornersOfLanes,
     ) -> [f32x8<S>; 2] {
-        let heights = self.terrain.surface_heights_at(simd, points, mask, known);
-        let ([x, y], heights_m) = (points.map(store), store(heights));
-        let mut sunlit = [0.0; LANES];
-        let mut lanes = mask.to_bitmask();
-        while lanes != 0 {
-            let lane = lanes.trailing_zeros() as usize;
-            lanes &= lanes - 1;
-            sunlit[lane] = visible_above((self.limbs)(Vec2::new(x[lane], y[lane])), heights_m[lane]);
-        }
-        [heights, load(simd, &sunlit)]
+        let heights_m = self.terrain.surface_heights_at(simd, points, mask, known);
+        let [lower, upper] = (self.limbs)(&[store(points[0]), store(points[1])]);
+        let [lower, upper] = [load(simd, &lower), load(simd, &upper)];
+        let visible = (heights_m - upper) / (lower - upper).max(1e-6);
+        [heights_m, visible.max(0.0).min(1.0)]
     }
 
     /// The other rocks of cells, and sets the height above which half of what they hide is left.

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 
 use crate::render::select::caster_grid::{CasterGrids, TEST_HORIZON};
 use crate::render::select::casters::Caster;
+use crate::render::select::lane_math::LANES;
 use crate::scene::Scene;
 use crate::scene::mesh::Icosphere;
 use crate::scene::rocks::Rock;
@@ -25,9 +26,11 @@ const OCTAGON: [Vec2; 4] = {
 /// Heights above a point from which the lower and the upper limb of the sun are visible past the ground, metres.
 pub type LimbsAt<'a> = &'a (dyn Fn(Vec2) -> [f32; 2] + Sync);
 
+/// The same above eight points at once: from their coordinates the heights of the lower limb, then those of the upper.
+pub type LimbsAtLanes<'a> = &'a (dyn Fn(&[[f32; LANES]; 2]) -> [[f32; LANES]; 2] + Sync);
+
 /// Fraction of the sun's disc that is visible at a height (metres, world) where these are the heights of the limbs.
-#[must_use]
-pub fn visible_above([lower, upper]: [f32; 2], height_m: f32) -> f32 {
+fn visible_above([lower, upper]: [f32; 2], height_m: f32) -> f32 {
     ((height_m - upper) / (lower - upper).max(1e-6)).clamp(0.0, 1.0)
 }
 

@@ -294,19 +294,39 @@ impl HorizonMap {
     /// metres.
     #[must_use]
     pub fn limbs_at(&self, point: Vec2) -> Limbs {
-        let distance_m = point.distance(self.centre);
-        let mut level = 0;
-        while level + 1 < self.levels.len() && distance_m > self.base_m * (1_u32 << level) as f32 {
-            level += 1;
+        let [[lower], [upper]] = self.limbs_at_many(&[[point.x], [point.y]]);
+        [lower, upper]
+    }
+
+    /// The same above several points, which are given as two lists of coordinates: the lower limb, then the upper.
+    #[must_use]
+    pub fn limbs_at_many<const COUNT: usize>(&self, [x, y]: &[[f32; COUNT]; 2]) -> [[f32; COUNT]; 2] {
+        let mut levels = [0; COUNT];
+        for coarser in 1..self.levels.len() {
+            let reach_m = self.base_m * (1_u32 << (coarser - 1)) as f32;
+            for (level, (x, y)) in levels.iter_mut().zip(x.iter().zip(y)) {
+                let (x, y) = (x - self.centre.x, y - self.centre.y);
+                *level += usize::from(x * x + y * y > reach_m * reach_m);
+            }
         }
-        let grid = &self.levels[level];
+        let mut limbs = [[0.0; COUNT]; 2];
+        for (i, level) in levels.into_iter().enumerate() {
+            [limbs[0][i], limbs[1][i]] =
+                self.heights_m[self.texel(&self.levels[level], Vec2::new(x[i], y[i]))];
+        }
+        limbs
+    }
+
+    /// Index of the texel of the sample of a grid that is nearest to a point.
+    #[inline]
+    fn texel(&self, grid: &HorizonLevel, point: Vec2) -> usize {
         let offset = (point - grid.origin) / grid.step_m;
         let sample = Vec2::new(offset.dot(self.towards), offset.dot(self.towards.perp())) - grid.first_sample;
         // Truncated: rounding is a call where the processor is not known.
         let index = |at: f32, size: u32| ((at + 0.5).max(0.0) as u32).min(size - 1);
         let (column, row) = (index(sample.x, grid.size[0]), index(sample.y, grid.size[1]));
         let [first_column, first_row] = [grid.first_texel & 0xffff, grid.first_texel >> 16];
-        self.heights_m[((first_row + row) * self.width + first_column + column) as usize]
+        ((first_row + row) * self.width + first_column + column) as usize
     }
 
     /// The map over rings, to find where they see all of the sun. Of a square the caster grid tells that ([`Self::shadowed_ground`]).

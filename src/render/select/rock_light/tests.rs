@@ -1,13 +1,13 @@
 //! Tests of the light on rocks, against rays.
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 
 use super::*;
 use crate::render::select::ground_light::tests::{by_rays, crater, height_m, photometry, sun};
 use crate::scene::bounce::Bounce;
 
 /// Everything is sunlit past the ground within two cells.
-const SUNLIT: [f32; 2] = [f32::MIN, f32::MIN];
+const SUNLIT: [[f32; LANES]; 2] = [[f32::MIN; LANES]; 2];
 
 fn ground(terrain: &Terrain) -> GroundGrids {
     GroundGrids::without_rocks(terrain, &photometry(), &Bounce::new(&photometry(), sun().z.into()), sun())
@@ -75,7 +75,10 @@ fn light_on_a_rock_in_a_crater_is_that_of_rays() {
         let blocked = (1..600).map(|step| start + 0.02 * step as f32 * sun());
         !blocked.into_iter().any(|point| point.z < height_m(point.truncate()))
     };
-    let limbs = |at| if is_sunlit(at) { SUNLIT } else { [f32::MAX, f32::MAX] };
+    let limbs = |[x, y]: &[[f32; LANES]; 2]| {
+        let limb = |lane: usize| if is_sunlit(Vec2::new(x[lane], y[lane])) { f32::MIN } else { f32::MAX };
+        [std::array::from_fn(limb); 2]
+    };
     let rocks = [(1.5, 0.1), (2.5, 0.2), (3.0, 0.05), (-2.0, 0.15)]
         .map(|(along_m, radius_m)| (along_m * towards, radius_m));
     let places = places(&terrain, std::array::from_fn(|lane| rocks[lane % rocks.len()]));
