@@ -5,7 +5,7 @@
 //! imports go from `shadow/` to `select/` and not back.
 //! Must not know: how the horizon map is made, what is done with the light.
 
-use glam::{Vec2, Vec3};
+use glam::{Vec2, Vec3, Vec4};
 use rayon::prelude::*;
 
 use crate::render::select::caster_grid::{CasterGrids, TEST_HORIZON};
@@ -17,10 +17,10 @@ use crate::scene::rocks::Rock;
 
 /// Subdivision level of a rock's mesh that stands for the rock.
 pub const COARSE_LEVEL: usize = 1;
-/// Unit vectors of half of the sides of an octagon; the others are opposite.
-const OCTAGON: [Vec2; 4] = {
+/// Unit vectors of half of the sides of an octagon, their first coordinates and their second; the others are opposite.
+const OCTAGON: [Vec4; 2] = {
     const DIAGONAL: f32 = std::f32::consts::FRAC_1_SQRT_2;
-    [Vec2::X, Vec2::new(DIAGONAL, DIAGONAL), Vec2::Y, Vec2::new(-DIAGONAL, DIAGONAL)]
+    [Vec4::new(1.0, DIAGONAL, 0.0, -DIAGONAL), Vec4::new(0.0, DIAGONAL, 1.0, DIAGONAL)]
 };
 
 /// Heights above a point from which the lower and the upper limb of the sun are visible past the ground, metres.
@@ -46,11 +46,12 @@ pub struct Sunlight<'a> {
     across: [Vec3; 2],
 }
 
-/// How far a caster reaches from its centre across the sun's rays, metres: for each pair of sides of the octagon the least and the
-/// greatest.
+/// How far a caster reaches from its centre across the sun's rays, metres.
 #[derive(Clone, Copy, Debug)]
 struct Outline {
-    sides_m: [[f32; 2]; OCTAGON.len()],
+    /// For each pair of sides of the octagon.
+    least_m: Vec4,
+    greatest_m: Vec4,
     area_m2: f32,
 }
 
@@ -58,27 +59,25 @@ impl Outline {
     fn new(rock: &Rock, [right, up]: [Vec3; 2]) -> Self {
         let coarse = Icosphere::vertex_count(COARSE_LEVEL);
         let count = if rock.body.is_rock() { coarse.min(rock.vertices.len()) } else { rock.vertices.len() };
-        let mut sides_m = [[f32::MAX, f32::MIN]; OCTAGON.len()];
+        let (mut least_m, mut greatest_m) = (Vec4::MAX, Vec4::MIN);
         for vertex in &rock.vertices[..count] {
-            let at = Vec2::new(vertex.position.dot(right), vertex.position.dot(up));
-            for ([least, greatest], side) in sides_m.iter_mut().zip(OCTAGON) {
-                let reach_m = at.dot(side);
-                (*least, *greatest) = (least.min(reach_m), greatest.max(reach_m));
-            }
+            let reaches_m = reaches_m(Vec2::new(vertex.position.dot(right), vertex.position.dot(up)));
+            (least_m, greatest_m) = (least_m.min(reaches_m), greatest_m.max(reaches_m));
         }
-        let width_m =
-            sides_m.iter().map(|[least, greatest]| greatest - least).sum::<f32>() / OCTAGON.len() as f32;
-        Self { sides_m, area_m2: 0.25 * std::f32::consts::PI * width_m * width_m }
+        let width_m = (greatest_m - least_m).element_sum() / 4.0;
+        Self { least_m, greatest_m, area_m2: 0.25 * std::f32::consts::PI * width_m * width_m }
     }
 
     /// Distance of a point from the outline, metres; negative inside.
     fn distance_m(&self, at: Vec2) -> f32 {
-        let of_side = |([least, greatest], side): (&[f32; 2], Vec2)| {
-            let reach_m = at.dot(side);
-            (least - reach_m).max(reach_m - greatest)
-        };
-        self.sides_m.iter().zip(OCTAGON).map(of_side).fold(f32::MIN, f32::max)
+        let reaches_m = reaches_m(at);
+        (self.least_m - reaches_m).max(reaches_m - self.greatest_m).max_element()
     }
+}
+
+/// How far a point across the sun's rays lies towards half of the sides of an octagon, metres.
+fn reaches_m(at: Vec2) -> Vec4 {
+    at.x * OCTAGON[0] + at.y * OCTAGON[1]
 }
 
 impl<'a> Sunlight<'a> {
