@@ -186,12 +186,13 @@ impl Surroundings<'_> {
                 depth: rocks.depth * stretch_m,
                 half_height_m: cells.half_height_m,
             });
-            let seen = Horizon::at(simd, above_m / from_m).or_higher(horizon);
+            let slope = above_m / from_m;
+            let seen = Horizon::at(simd, slope).or_higher(horizon);
             let seen_rocks = SeenRocks {
                 cover: &rocks,
                 passed: &passed,
                 horizon: horizon.slope,
-                slope: above_m / from_m,
+                slope,
                 from_m,
                 stretch_m,
             };

@@ -50,8 +50,8 @@ pub struct Sunlight<'a> {
 #[derive(Clone, Copy, Debug)]
 struct Outline {
     /// For each pair of sides of the octagon.
-    least_m: Vec4,
-    greatest_m: Vec4,
+    min_m: Vec4,
+    max_m: Vec4,
     area_m2: f32,
 }
 
@@ -59,19 +59,19 @@ impl Outline {
     fn new(rock: &Rock, [right, up]: [Vec3; 2]) -> Self {
         let coarse = Icosphere::vertex_count(COARSE_LEVEL);
         let count = if rock.body.is_rock() { coarse.min(rock.vertices.len()) } else { rock.vertices.len() };
-        let (mut least_m, mut greatest_m) = (Vec4::MAX, Vec4::MIN);
+        let (mut min_m, mut max_m) = (Vec4::MAX, Vec4::MIN);
         for vertex in &rock.vertices[..count] {
             let reaches_m = reaches_m(Vec2::new(vertex.position.dot(right), vertex.position.dot(up)));
-            (least_m, greatest_m) = (least_m.min(reaches_m), greatest_m.max(reaches_m));
+            (min_m, max_m) = (min_m.min(reaches_m), max_m.max(reaches_m));
         }
-        let width_m = (greatest_m - least_m).element_sum() / 4.0;
-        Self { least_m, greatest_m, area_m2: 0.25 * std::f32::consts::PI * width_m * width_m }
+        let width_m = (max_m - min_m).element_sum() / 4.0;
+        Self { min_m, max_m, area_m2: 0.25 * std::f32::consts::PI * width_m * width_m }
     }
 
     /// Distance of a point from the outline, metres; negative inside.
     fn distance_m(&self, at: Vec2) -> f32 {
         let reaches_m = reaches_m(at);
-        (self.least_m - reaches_m).max(reaches_m - self.greatest_m).max_element()
+        (self.min_m - reaches_m).max(reaches_m - self.max_m).max_element()
     }
 }
 
