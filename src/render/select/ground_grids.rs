@@ -123,17 +123,23 @@ impl GroundGrids {
                 is_listed: !is_speck(rock, selected, pixel_angle),
             })
         };
-        ground.rocks = rocks().zip(&selection.rocks).zip(&ground.exposed).map(covering).collect();
-        for rock in ground.rocks.iter().flatten() {
-            spread(rock, ground.grids, &mut ground.cells);
+        let covering = rocks().zip(&selection.rocks).zip(&ground.exposed).map(covering).collect();
+        ground.set_rocks(covering);
+        ground
+    }
+
+    /// Spreads rocks over the cells below them; there are none before.
+    pub(super) fn set_rocks(&mut self, rocks: Vec<Option<CoveringRock>>) {
+        for rock in rocks.iter().flatten() {
+            spread(rock, self.grids, &mut self.cells);
         }
-        for cells in ground.cells.as_chunks_mut::<LANES>().0 {
+        for cells in self.cells.as_chunks_mut::<LANES>().0 {
             let half_heights_m = half_heights_m(cells.each_ref().map(|cell| &cell.rocks));
             for (cell, half_height_m) in cells.iter_mut().zip(half_heights_m) {
                 cell.half_height_m = half_height_m;
             }
         }
-        ground
+        self.rocks = rocks;
     }
 
     /// Around the centre of the ground, under a sun in this direction.

@@ -4,6 +4,7 @@ use glam::{Vec2, Vec3};
 
 use super::*;
 use crate::render::select::ground_light::tests::{by_rays, crater, height_m, photometry, sun};
+use crate::render::select::rock_cover::CoveringRock;
 use crate::scene::bounce::Bounce;
 
 /// Everything is sunlit past the ground within two cells.
@@ -43,19 +44,35 @@ fn rocks_on_level_sunlit_ground_lie_in_the_open() {
     }
 }
 
-/// A rock's light does not depend on the rocks that are looked from at once.
+/// A rock's light does not depend on the rocks that are looked from at once, nor on itself: some of these lie among others, some are no
+/// part of the cells' rocks.
 #[test]
 fn lanes_do_not_depend_on_each_other() {
     let terrain = crater();
-    let ground = ground(&terrain);
-    let surroundings = Surroundings { terrain: &terrain, ground: &ground, limbs: &|_| SUNLIT };
+    let mut ground = ground(&terrain);
     let rocks: [(Vec2, f32); LANES] =
-        std::array::from_fn(|lane| (Vec2::new(lane as f32 - 3.5, 0.3), 0.04 * (lane + 1) as f32));
+        std::array::from_fn(|lane| (Vec2::new(0.6 * lane as f32 - 2.0, 0.3), 0.04 * (lane + 1) as f32));
+    let covering = |(place, radius_m): (Vec2, f32)| CoveringRock {
+        place,
+        radius_m,
+        height_m: radius_m,
+        colour: 1.4,
+        is_listed: radius_m > 0.2,
+    };
+    ground.set_rocks(rocks.map(|rock| (rock.1 > 0.1).then(|| covering(rock))).to_vec());
+    let places = |rocks: [(Vec2, f32); LANES]| {
+        let mut places = places(&terrain, rocks);
+        for (place, rock) in places.iter_mut().zip(rocks).filter(|(_, rock)| rock.1 > 0.1) {
+            place.own = covering(rock).spreads(ground.grids);
+        }
+        places
+    };
+    let surroundings = Surroundings { terrain: &terrain, ground: &ground, limbs: &|_| SUNLIT };
     for views in [Views::all(&ground), Views::of_specks(&ground)] {
-        let together = surroundings.light(&places(&terrain, rocks), &views);
+        let together = surroundings.light(&places(rocks), &views);
         for (rock, together) in rocks.into_iter().zip(together) {
-            let alone = surroundings.light(&places(&terrain, [rock; LANES]), &views);
-            assert_eq!(alone, [together; LANES], "{rock:?}");
+            assert_eq!(surroundings.light(&places([rock; LANES]), &views), [together; LANES], "{rock:?}");
+            assert!(together.beside.iter().any(|light| *light > 0.0), "{rock:?}: {together:?}");
         }
     }
 }
