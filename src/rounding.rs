@@ -3,7 +3,7 @@
 //! Must not know: any other module of this crate.
 
 /// 1.5 * 2^23: adding it to a number of magnitude below 2^22 rounds that to an integer, in the low bits of the mantissa.
-const ROUND_TO_INTEGER: f32 = 12_582_912.0;
+pub(crate) const ROUND_TO_INTEGER: f32 = 12_582_912.0;
 
 /// Largest integer not above `x`, for |x| < 2^22; beyond that an f32 has at most one fraction bit.
 #[must_use]

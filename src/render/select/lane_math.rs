@@ -6,6 +6,8 @@ use std::f32::consts::{FRAC_PI_2, LOG2_E};
 use fearless_simd::prelude::*;
 use fearless_simd::{f32x8, u32x8};
 
+use crate::rounding::ROUND_TO_INTEGER;
+
 /// Numbers of a vector.
 pub(crate) const LANES: usize = 8;
 
@@ -27,8 +29,6 @@ const EXPONENTIAL: [f32; 7] = [1.0, 1.0, 0.5, 1.0 / 6.0, 1.0 / 24.0, 1.0 / 120.0
 const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
 /// Bounds of exponents whose powers are neither zero nor infinite.
 const EXPONENTS: [f32; 2] = [-87.0, 88.0];
-/// 1.5 * 2^23: adding it rounds to an integer, in the low bits of the mantissa.
-const ROUND_TO_INTEGER: f32 = 12_582_912.0;
 
 /// Numbers, one of each lane.
 #[inline(always)]

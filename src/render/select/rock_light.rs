@@ -27,6 +27,7 @@ use crate::scene::terrain::Terrain;
 
 /// Distance up to which the ground is looked at as it is, cells.
 const NEAR_CELLS: f32 = 2.0;
+
 /// Light on a rock. Faces to its sides are upright: towards the sun, to its left, away from it, to its right.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LightOnRock {
