@@ -1,6 +1,8 @@
 //! What lights the shadows of a frame, found on the host: sunlit ground as each place and each rock sees it, and sunlit rocks.
 //! Must not know: a device.
 
+use glam::{Vec2, Vec3};
+
 use crate::render::device::shader_structs::Instance;
 use crate::render::select::footprint::Footprint;
 use crate::render::select::ground_grids::GroundGrids;
@@ -31,19 +33,58 @@ pub(super) fn ground_light(
     (Some(ground), map)
 }
 
-/// The sunlit rocks of a selection; none under laws other than Hapke's, which take light from level ground alone.
+/// From where the sun is visible around what is in view. Over the footprint the horizon map has it. Beyond, the map holds ground that was
+/// swept for other frames, or none, so that there the cells of the grids tell, for all heights alike: a frame depends on no other.
+pub(super) struct Limbs<'a> {
+    horizon: &'a HorizonMap,
+    /// Of the footprint.
+    sides: Vec<Vec3>,
+    ground: &'a GroundGrids,
+}
+
+/// Height over which the sun comes up where cells tell how much of it the ground sees, metres.
+const RISE_OVER_CELL_M: f32 = 1e4;
+
+impl<'a> Limbs<'a> {
+    pub(super) fn new(horizon: &'a HorizonMap, footprint: &Footprint, ground: &'a GroundGrids) -> Self {
+        Self { horizon, sides: footprint.sides(), ground }
+    }
+
+    /// Heights above points from which the lower and the upper limb are visible, as [`HorizonMap::limbs_at_many`] has them.
+    fn at<const COUNT: usize>(&self, points: &[[f32; COUNT]; 2]) -> [[f32; COUNT]; 2] {
+        let mut limbs = self.horizon.limbs_at_many(points);
+        let mut inside = [if self.sides.is_empty() { f32::MIN } else { f32::MAX }; COUNT];
+        for side in &self.sides {
+            for (inside, (x, y)) in inside.iter_mut().zip(points[0].iter().zip(&points[1])) {
+                *inside = inside.min(side.x * x + side.y * y + side.z);
+            }
+        }
+        for (i, _) in inside.iter().enumerate().filter(|(_, inside)| **inside < 0.0) {
+            [limbs[0][i], limbs[1][i]] = self.of_cell(Vec2::new(points[0][i], points[1][i]));
+        }
+        limbs
+    }
+
+    fn of_cell(&self, point: Vec2) -> [f32; 2] {
+        let cell = &self.ground.cells[self.ground.grids.index_at(point)];
+        if cell.sunlit == 0.0 {
+            return [f32::MAX; 2];
+        }
+        let upper_m = cell.height_m - cell.sunlit * RISE_OVER_CELL_M;
+        [upper_m + RISE_OVER_CELL_M, upper_m]
+    }
+}
+
+/// The sunlit rocks of a selection.
 pub(super) fn lit_rocks(
     scene: &Scene,
     settings: &RenderSettings,
     selection: &Selection,
     caster_grid: &[u32],
-    horizon: &HorizonMap,
+    limbs: &Limbs<'_>,
 ) -> LitRocks {
-    if scene.photometry.law != Law::Hapke {
-        return LitRocks::default();
-    }
     let colour = 1.0 / scene.photometry.at_normal(scene.photometry.rock_b_s0) as f32;
-    let limbs = |point| horizon.limbs_at(point);
+    let limbs = |point: Vec2| limbs.at(&[[point.x], [point.y]]).map(|[limb]| limb);
     LitRocks::new(scene, selection, caster_grid, &limbs, (colour, pixel_angle(scene, settings)))
 }
 
@@ -56,11 +97,11 @@ fn pixel_angle(scene: &Scene, settings: &RenderSettings) -> f32 {
 pub(super) fn set_surroundings(
     scene: &Scene,
     selection: &Selection,
-    ground: &GroundGrids,
-    horizon: &HorizonMap,
+    limbs: &Limbs<'_>,
     instances: &mut [Instance],
 ) {
-    let limbs = |points: &_| horizon.limbs_at_many(points);
+    let ground = limbs.ground;
+    let limbs = |points: &_| limbs.at(points);
     let on_rocks = LightOnRock::on_selection(scene, selection, ground, &limbs);
     let rocks = instances[Slots::rock(0) as usize..].iter_mut();
     for ((instance, exposed), light) in rocks.zip(&ground.exposed).zip(on_rocks) {

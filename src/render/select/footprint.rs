@@ -3,7 +3,7 @@
 //! Horizon map and caster grid are computed for it alone.
 //! Must not know: buffers.
 
-use glam::{DMat3, DVec3, DVec4, Vec2};
+use glam::{DMat3, DVec3, DVec4, Vec2, Vec3};
 
 use crate::render::raster::clip::clip_polygon;
 use crate::render::select::selection::Selection;
@@ -73,6 +73,17 @@ impl Footprint {
             corners.extend(half_hull(&mut points.iter().rev().copied()));
         }
         Self { corners }
+    }
+
+    /// Its sides: a point is inside where `x` and `y` of each, times its coordinates, and `z` add up to no less than zero.
+    #[must_use]
+    pub fn sides(&self) -> Vec<Vec3> {
+        let next = self.corners.iter().cycle().skip(1);
+        let side = |(from, to): (&Vec2, &Vec2)| {
+            let inward = (*to - *from).perp();
+            inward.extend(-inward.dot(*from))
+        };
+        self.corners.iter().zip(next).map(side).collect()
     }
 
     /// The same polygon in other coordinates.
@@ -146,6 +157,10 @@ mod tests {
         assert_eq!(triangle.span(-1.0, 0.0), Some([0.0, 4.0]));
         assert_eq!(triangle.span(-1.0, 9.0), Some([0.0, 4.0]));
         assert_eq!(triangle.span(4.5, 9.0), None);
+        let is_inside =
+            |x: f32, y: f32| triangle.sides().iter().all(|side| side.dot(Vec3::new(x, y, 1.0)) >= 0.0);
+        assert!(is_inside(1.0, 1.0) && is_inside(0.0, 0.0) && is_inside(3.9, 0.05));
+        assert!(!is_inside(-0.1, 1.0) && !is_inside(2.1, 2.0) && !is_inside(1.0, -0.1));
     }
 
     #[test]

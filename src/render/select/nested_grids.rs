@@ -86,6 +86,17 @@ impl NestedGrids {
         }
     }
 
+    /// Index of the cell of a point, of the finest grid that covers it; beyond the last grid that of its border.
+    #[must_use]
+    pub fn index_at(self, point: Vec2) -> usize {
+        let from_centre = point - self.centre;
+        let furthest_m = from_centre.abs().max_element();
+        let level = (0..LEVELS - 1).find(|level| furthest_m < self.half_side_m(*level)).unwrap_or(LEVELS - 1);
+        let cells = (from_centre + self.half_side_m(level)) / self.cell_m(level);
+        let [column, row] = [cells.x, cells.y].map(|cells| (cells.max(0.0) as usize).min(CELLS - 1));
+        Self::index(level, column, row)
+    }
+
     /// Index of a cell.
     #[must_use]
     pub const fn index(level: usize, column: usize, row: usize) -> usize {
