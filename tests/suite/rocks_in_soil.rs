@@ -9,6 +9,7 @@ use regolith::render::RenderSettings;
 use regolith::scene::Scene;
 use regolith::scene::camera::ground_view;
 use regolith::scene::relief::Relief;
+use regolith::scene::rings::View;
 use regolith::scene::rocks::Rock;
 use regolith::scene::rocks::burial::FRESH_AGE;
 use regolith::scene::rocks::lunar::{self, Placement, rocks_larger_than};
@@ -78,6 +79,51 @@ fn placed_rocks(seed: u64, set: &[&str], min_angle: f32) -> (Scene, Vec<(usize, 
     };
     let near = placements.iter().copied().enumerate().filter(is_near).collect();
     (scene, near)
+}
+
+/// Under a sun near the horizon rocks far beside the view cast shadows into it.
+#[test]
+fn every_rock_whose_shadow_falls_into_the_view_is_made() {
+    for (seed, elevation_deg, azimuth_deg) in [(2, 0.7, 90), (8, 1.5, 250), (3, 3.0, 180), (5, 0.5, 300)] {
+        let sun = [
+            format!("sun.elevation_deg={elevation_deg}"),
+            format!("sun.azimuth_deg={azimuth_deg}"),
+            "rocks.coverage=0.004".to_owned(),
+        ];
+        let set: Vec<&str> = [SURFACE].into_iter().chain(sun.iter().map(String::as_str)).collect();
+        let (params, scene) = (params(seed, &set), scene(seed, &set));
+        let (relief, centre) = (scene.relief.as_ref().expect("a relief"), scene.terrain.centre);
+        let view = ground_view(&params);
+        let all_around = View { half_sector: std::f64::consts::PI, ..view };
+        let [made, all] = [&view, &all_around]
+            .map(|view| lunar::placements(&Streams::new(seed), &params, relief, view, centre));
+        let is_made = |rock: &Placement| {
+            made.iter().any(|made| made.position == rock.position && made.diameter_m == rock.diameter_m)
+        };
+        let away = -scene.sun.direction.truncate() / scene.sun.direction.z;
+        let ahead = Vec2::Y;
+        let is_in_view = |point: Vec2| {
+            let offset = point - centre;
+            f64::from(offset.perp_dot(ahead).abs().atan2(offset.dot(ahead))) < view.half_sector
+        };
+        let mut beside = 0;
+        for rock in &all {
+            // The last tenth is that of a tip.
+            let falls_into_view =
+                (0..=30).any(|k| is_in_view(rock.position + 0.03 * k as f32 * rock.max_height_m() * away));
+            if falls_into_view {
+                beside += usize::from(!is_in_view(rock.position));
+                assert!(
+                    is_made(rock),
+                    "seed {seed}: a rock of {:.2} m at {}",
+                    rock.diameter_m,
+                    rock.position
+                );
+            }
+        }
+        assert!(beside > 20, "seed {seed}: {beside} rocks beside the view");
+        assert!(made.len() < all.len() / 2, "{} of {} rocks", made.len(), all.len());
+    }
 }
 
 /// Share of the flank of a rock, between the ground and half its height, that overhangs by more than ten degrees.

@@ -30,8 +30,8 @@ const MAX_ROCKS: f64 = 15_000.0;
 /// Maximum number of all rocks, with those around fresh craters, on walls and of debris; of more, those that span the smallest angles are
 /// left out. Instance ids have 16 bits.
 const MAX_PLACEMENTS: usize = 60_000;
-/// Rocks outside the viewed sector are made within this many of their diameters of it, at most [`OUTSIDE_MAX_M`] metres:
-/// their shadows reach into it.
+/// Rocks outside the viewed sector are made within this many of their diameters of it, at most [`OUTSIDE_MAX_M`] metres, and further away if
+/// their shadows, which a low sun makes longer, come as near.
 const OUTSIDE_DIAMETERS: f32 = 20.0;
 /// See [`OUTSIDE_DIAMETERS`].
 const OUTSIDE_MAX_M: f32 = 40.0;
@@ -105,9 +105,41 @@ struct ViewCulling<'a> {
     centre: Vec2,
     ahead: Vec2,
     min_angle: f64,
+    /// From a rock to the end of its shadow on level ground, diameters.
+    shadow: Vec2,
 }
 
-impl ViewCulling<'_> {
+/// Distance from the viewed sector within which all rocks of a diameter are made, metres.
+fn outside_m(diameter_m: f64) -> f32 {
+    (OUTSIDE_DIAMETERS * diameter_m as f32).min(OUTSIDE_MAX_M)
+}
+
+impl<'a> ViewCulling<'a> {
+    fn new(params: &Params, view: &'a View, centre: Vec2, min_angle: f64) -> Self {
+        let [elevation, azimuth] =
+            [Knob::SunElevationDeg, Knob::SunAzimuthDeg].map(|knob| params.number(knob).to_radians());
+        let cotangent = libm::cos(elevation) / libm::sin(elevation);
+        let shadow = -(f64::from(MAX_HEIGHT) * cotangent) as f32 * azimuth::direction(azimuth);
+        Self { view, centre, ahead: azimuth::direction(view.azimuth), min_angle, shadow }
+    }
+
+    /// Distance from the viewed sector within which any rock of up to a diameter is made, metres.
+    fn max_outside_m(&self, diameter_m: f64) -> f32 {
+        outside_m(diameter_m).max(diameter_m as f32 * self.shadow.length())
+    }
+
+    /// Whether the shadow of a rock comes as near to the viewed sector as the rock itself may lie.
+    fn shadow_reaches(&self, position: Vec2, diameter_m: f64) -> bool {
+        let (near_m, shadow) = (outside_m(diameter_m), diameter_m as f32 * self.shadow);
+        let length_m = shadow.length();
+        // Circles along the shadow, each beginning where the one before ends.
+        let circles = ((0.5 * (length_m / near_m - 1.0)).ceil()).max(0.0) as u32;
+        (1..=circles).any(|k| {
+            let along = (2.0 * k as f32 * near_m / length_m).min(1.0);
+            self.reaches(position + along * shadow, near_m)
+        })
+    }
+
     /// Distance from the eye to a point of the ground, metres.
     fn distance_m(&self, point: Vec2) -> f32 {
         distance_m(self.view, self.centre, point)
@@ -129,9 +161,8 @@ impl ViewCulling<'_> {
 
     /// Whether a rock is needed for its own pixels or for its shadow.
     fn keeps(&self, position: Vec2, diameter_m: f64) -> bool {
-        let outside_m = (OUTSIDE_DIAMETERS * diameter_m as f32).min(OUTSIDE_MAX_M);
         diameter_m >= self.min_angle * f64::from(self.distance_m(position))
-            && self.reaches(position, outside_m)
+            && (self.reaches(position, outside_m(diameter_m)) || self.shadow_reaches(position, diameter_m))
     }
 }
 
@@ -212,8 +243,7 @@ fn draw_placements(
         })
         .collect();
     let min_angle = min_angle(view, &octaves);
-    let ahead = azimuth::direction(view.azimuth);
-    let culling = ViewCulling { view, centre, ahead, min_angle };
+    let culling = ViewCulling::new(params, view, centre, min_angle);
     let mut placements = Vec::new();
     for (octave, sizes) in (0..).zip(&octaves) {
         let high_m = LARGEST_M / f64::from(1_u32 << octave);
@@ -361,7 +391,7 @@ fn scatter(
             let corner = Vec2::new((f64::from(column) * cell_m) as f32, (f64::from(row) * cell_m) as f32);
             let middle = corner + 0.5 * cell_m as f32;
             let radius_m = 0.75 * cell_m as f32;
-            let outside_m = (OUTSIDE_DIAMETERS * high_m as f32).min(OUTSIDE_MAX_M);
+            let outside_m = culling.max_outside_m(high_m);
             if middle.distance(culling.centre) > reach_m as f32 + radius_m
                 || !culling.reaches(middle, radius_m + outside_m)
                 || !is_wanted(middle, radius_m)
@@ -392,7 +422,7 @@ fn cluster(
     let centre = culling.centre + pit.offset;
     let radius_m = 0.5 * f64::from(pit.diameter_m);
     let largest_m = CLUSTER_LARGEST * f64::from(pit.diameter_m);
-    let outside_m = (OUTSIDE_DIAMETERS * largest_m as f32).min(OUTSIDE_MAX_M);
+    let outside_m = culling.max_outside_m(largest_m);
     if !culling.reaches(centre, 3.0 * radius_m as f32 + outside_m) {
         return;
     }
