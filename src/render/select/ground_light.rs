@@ -10,7 +10,8 @@
 //! from where the light comes. That of sunlit ground within a cell is left out: it depends on how far inside a rock's shadow a point
 //! lies, and goes by a law for all places (`common/indirect.wgsl`).
 //!
-//! The map is found for cells in view alone, with the rocks that are in view or cast shadows into it.
+//! The map is found for cells in view alone, with the rocks that are in view or cast shadows into it; beyond the last grid, for the mean of
+//! some of its border.
 //! Must not know: shadows of rocks.
 
 use std::f32::consts::PI;
@@ -66,7 +67,7 @@ impl GroundLight {
             texels[LEVELS * GRID_CELLS + texel_of(index)] = direction;
         }
         for texels in texels.chunks_exact_mut(LEVELS * GRID_CELLS) {
-            level_border(texels, is_needed);
+            level_border(texels);
         }
         Self { texels, grids: ground.grids }
     }
@@ -203,7 +204,19 @@ fn needed(grids: NestedGrids, footprint: &Footprint) -> Vec<bool> {
             *is_needed = position.x > west - margin_m && position.x < east + margin_m && !is_covered;
         }
     }
+    for index in border_samples() {
+        is_needed[index] = true;
+    }
     is_needed
+}
+
+/// Cells along the border of the last grid whose mean stands for all ground beyond: the same ones, wherever the camera looks.
+fn border_samples() -> impl Iterator<Item = usize> {
+    let last = CELLS - 1;
+    let along = (LANES / 2..CELLS).step_by(LANES);
+    along
+        .flat_map(move |along| [(along, 0), (along, last), (0, along), (last, along)])
+        .map(|(column, row)| NestedGrids::index(LEVELS - 1, column, row))
 }
 
 /// Eight cells of a row that are looked from.
@@ -293,14 +306,14 @@ impl<S: Simd> Cells<S> {
     }
 }
 
-/// Gives the border of the last grid the mean of what is needed of it: it stands for all ground beyond.
-fn level_border(texels: &mut [[f32; 4]], is_needed: &[bool]) {
+/// Gives the border of the last grid the mean of some of its cells: it stands for all ground beyond.
+fn level_border(texels: &mut [[f32; 4]]) {
     let (mut mean, mut count) = ([0.0; 4], 0.0_f32);
-    for index in ((LEVELS - 1) * GRID_CELLS..LEVELS * GRID_CELLS).filter(|index| is_needed[*index]) {
+    for index in border_samples() {
         mean.iter_mut().zip(texels[texel_of(index)]).for_each(|(sum, value)| *sum += value);
         count += 1.0;
     }
-    let mean = mean.map(|sum| sum / count.max(1.0));
+    let mean = mean.map(|sum| sum / count);
     for along in 0..CELLS {
         for (column, row) in [(along, 0), (along, CELLS - 1), (0, along), (CELLS - 1, along)] {
             texels[texel_of((LEVELS - 1) * GRID_CELLS + row * CELLS + column)] = mean;
