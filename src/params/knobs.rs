@@ -301,7 +301,7 @@ knobs! {
     SensorJpegQuality "sensor.jpeg_quality" "" Integer, Frame, number(0.0), [0.0, 100.0],
         "Quality of a JPEG compression of the image, whose losses it then has; 0 for none.";
     SkyStarCount "sky.star_count" "" Integer, Frame, number(220.0), [0.0, 20_000.0],
-        "Number of stars.";
+        "Number of stars. They are on the side of the sky towards +Y.";
     SkyStarGain "sky.star_gain" "" Number, Frame, number(1.0) => number(1e-5), [0.0, 100.0],
         "Radiance of the stars relative to the nominal stage; 1e-5 is as faint as a bright star by daylight.";
     SkyGlow "sky.glow" "" Number, Frame, number(1.0) => number(0.0), [0.0, 100.0],

@@ -204,8 +204,8 @@ impl Camera {
 
 /// Minimum eye height for the cell sizes of the ground mesh, metres.
 const MIN_EYE_M: f32 = 0.5;
-/// Margin of the viewed sector on each side of a square image, radians: for lens distortion and taller images. (A scene does
-/// not know the image size.)
+/// Margin of the viewed sector on each side of a square image, radians: for lens distortion and images that are a little taller. (A scene
+/// does not know the image size: at the ends of a portrait image that is rolled to its side the ground is coarse.)
 const SECTOR_MARGIN: f64 = 0.12;
 
 /// Angle that the smallest rocks span, radians, from a field of view of 60 degrees on: three quarters of a pixel of an image

@@ -143,9 +143,7 @@ impl GroundRange {
         }
         let away = -sun.direction.truncate() / level;
         let start = centre.truncate() - self.centre;
-        // Of the rays from the lower limb, which fall least.
-        let penumbra = sun.tan_half_angle();
-        let steepness = (sun.direction.z - penumbra).max(1e-4) / level;
+        let (penumbra, steepness) = (sun.tan_half_angle(), sun.lower_limb_slope());
         let end_m = longest_m * level;
         // From the side of the rock that faces away from the sun.
         let (mut way_m, mut reach_m) = (radius_m, radius_m);

@@ -138,6 +138,15 @@ impl Sun {
     pub fn tan_half_angle(&self) -> f32 {
         libm::tan(0.5 * self.angular_diameter_deg.to_radians()) as f32
     }
+
+    /// Fall per horizontal metre of the rays from the lower limb, which fall least; above zero even where that limb has set.
+    #[must_use]
+    pub fn lower_limb_slope(&self) -> f32 {
+        let (level, tangent) = (self.direction.truncate().length(), self.tan_half_angle());
+        // The tangent of the difference of elevation and half the diameter.
+        let rise = (self.direction.z - tangent * level).max(1e-4);
+        rise / (level + tangent * self.direction.z)
+    }
 }
 
 /// A star: a small sphere inside the dome.
@@ -265,6 +274,21 @@ mod tests {
         }
         let penumbra_per_metre = 2.0 * Sun::new(17.0, 0.0, 0.53, Vec3::ONE).tan_half_angle();
         assert!((penumbra_per_metre - 0.00925).abs() < 1e-5);
+    }
+
+    #[test]
+    fn rays_from_the_lower_limb_fall_by_its_elevation() {
+        for (elevation_deg, diameter_deg) in
+            [(3.0_f64, 0.53), (17.0, 0.53), (45.0, 5.0), (85.0, 5.0), (87.5, 5.0)]
+        {
+            let slope = f64::from(Sun::new(elevation_deg, 40.0, diameter_deg, Vec3::ONE).lower_limb_slope());
+            let expected = libm::tan((elevation_deg - 0.5 * diameter_deg).to_radians());
+            assert!(
+                (slope / expected - 1.0).abs() < 1e-5,
+                "{elevation_deg}, {diameter_deg}: {slope}, not {expected}"
+            );
+        }
+        assert!(Sun::new(1.0, 40.0, 5.0, Vec3::ONE).lower_limb_slope() > 0.0);
     }
 
     /// The mean over the disc is the irradiance over the solid angle, in each channel; at 60 degrees the green is that of Neckel and

@@ -274,7 +274,8 @@ impl<'a> GridBand<'a> {
             cells,
             cell_m: 2.0 * half_m / grids.cells as f32,
             origin: grids.centre - half_m,
-            finer: if level == 0 { 0..0 } else { cells / 4..cells - cells / 4 },
+            // Without those along its border: there a device may round to the other side of it than the host.
+            finer: if level == 0 { 0..0 } else { cells / 4 + 1..cells - cells / 4 - 1 },
             min_ground_m: PooledVec::filled(rows.len() * cells, f32::NAN),
             block_range_m: vec![
                 [f32::NAN; 2];

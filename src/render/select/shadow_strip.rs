@@ -23,9 +23,8 @@ pub(super) struct Rays {
 impl Rays {
     pub(super) fn new(sun: &Sun) -> Self {
         let (away, penumbra) = (-sun.direction.truncate(), sun.tan_half_angle());
-        let lowest = (sun.direction.z - penumbra).max(1e-4);
         if away.length() > 1e-6 {
-            Self { away: away / away.length(), steepness: lowest / away.length(), penumbra }
+            Self { away: away / away.length(), steepness: sun.lower_limb_slope(), penumbra }
         } else {
             Self { away: Vec2::X, steepness: 1e6, penumbra }
         }
