@@ -13,7 +13,7 @@ use serde_json::{Map, Value};
 
 use super::frame_image::decode;
 use super::gate::{Gate, no_dataset, read_manifest};
-use super::log::{FrameLog, finished_frames};
+use super::log::{FrameLog, check_digest, finished_frames};
 use super::log_writer::{FrameLogWriter, record_files};
 use super::manifest::DatasetSpec;
 use super::merge::{Finalized, finalize_run};
@@ -95,6 +95,7 @@ impl Conversion {
         }
         let gate = Gate::of_manifest(&manifest)?;
         check_log(source, &gate, spec.range)?;
+        check_digest(source, &manifest, &gate)?;
         Ok(Self { spec, layout, outputs, label_ids, gate, manifest })
     }
 

@@ -31,7 +31,7 @@ use std::path::{Path, PathBuf};
 use serde_json::{Map, Value};
 
 use super::gate::{Gate, read_manifest};
-use super::log::{LOG, MANIFEST, finished_frames, is_shard_file, shard_file_name, shard_files};
+use super::log::{LOG, MANIFEST, check_digest, finished_frames, is_shard_file, shard_file_name, shard_files};
 use super::manifest::{self, DatasetSpec};
 use super::plan::{Range, Shard, differences};
 use crate::error::{Error, Result};
@@ -49,9 +49,15 @@ pub(super) const MERGE_TAG: &str = "merge";
 ///
 /// # Errors
 /// [`Error::OtherDataset`], [`Error::OutNotEmpty`], [`Error::OutIsFile`], [`Error::Usage`] for frames that would
-/// leave a gap.
+/// leave a gap; [`Error::CheckFailed`] if the lines of a finished dataset were changed.
 pub fn check_folder(folder: &Path, spec: &DatasetSpec, force: bool) -> Result<BTreeSet<u64>> {
     merged_range(folder, spec, force)?;
+    let merged = folder.join(shard_file_name(MANIFEST, Shard::WHOLE));
+    if merged.is_file()
+        && let Some(manifest) = read_if_there(&merged)?
+    {
+        check_digest(folder, &manifest, &Gate::of_manifest(&manifest)?)?;
+    }
     finished_frames(folder, &Gate::of_spec(spec)?)
 }
 

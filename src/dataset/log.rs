@@ -9,7 +9,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read as _, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
 
+use serde_json::{Map, Value};
+
+use super::digest::{self, Digest};
 use super::gate::{Gate, MAX_LINE_BYTES};
+use super::manifest;
 use super::plan::Shard;
 use crate::error::{Error, Result};
 use crate::input::{self, Lines};
@@ -155,7 +159,10 @@ fn open_log(path: &Path) -> Result<Lines> {
 
 /// The error for a line that the gate refuses.
 fn refused(log: &Path, number: u64, message: &str) -> Error {
-    Error::CheckFailed(format!("{}: line {number}: {message}", log.display()))
+    Error::CheckFailed(format!(
+        "{}: line {number}: {message}; if this line is damaged, delete it and run the dataset command again, which makes its frame again",
+        log.display()
+    ))
 }
 
 /// Whether each of a frame's files exists on its own, outside a bundle.
@@ -216,6 +223,33 @@ pub fn finished_frames(folder: &Path, gate: &Gate) -> Result<BTreeSet<u64>> {
     } else {
         BTreeSet::new()
     })
+}
+
+/// Checks that the lines of a finished dataset are those that its manifest has the digest of, where it has the line of every frame: a line
+/// that is lost, or cannot be read, is made again. Nothing that was changed since may get a digest of its own.
+///
+/// # Errors
+/// [`Error::CheckFailed`].
+pub(super) fn check_digest(folder: &Path, manifest: &Map<String, Value>, gate: &Gate) -> Result<()> {
+    let text = |key: &str| manifest.get(key).and_then(Value::as_str);
+    let (Some("done"), Some(recorded)) = (text("status"), text(digest::KEY)) else { return Ok(()) };
+    let mut digest = Digest::new(&manifest::identity_of(manifest.clone()));
+    let range = manifest::range_of(manifest);
+    let mut next = range.start;
+    let log = FrameLog::new(folder, gate.clone());
+    let is_whole = log.for_each(&mut |line| {
+        next += u64::from(line.index == next);
+        digest.add(&line)
+    });
+    if is_whole.is_err() || next < range.end() || digest.to_hex() == recorded {
+        return Ok(());
+    }
+    Err(Error::CheckFailed(format!(
+        "{}: its lines have another digest than manifest.json: one of them was changed or damaged since the dataset was finished. `verify \
+         --rerender all` finds wrong ones; delete such a line and run the dataset command again, which makes its frame again. If all lines \
+         are right, delete `digest` from manifest.json",
+        log.path.display()
+    )))
 }
 
 /// The merged log of a dataset: `frames.jsonl` in ascending order of index. Every line passes the gate.

@@ -14,7 +14,7 @@ use super::digest::{self, Digest};
 use super::gate::{Gate, no_dataset, read_manifest};
 use super::lock::{MERGE_TAG, MergeLock, RunLock};
 use super::log::{
-    FoundLines, FrameLog, LinePosition, MANIFEST, find_lines, has_files, is_filled, shard_files,
+    FoundLines, FrameLog, LinePosition, MANIFEST, check_digest, find_lines, has_files, is_filled, shard_files,
 };
 use super::plan::{Range, Shard, differences, frame_seed};
 use super::totals::Totals;
@@ -204,6 +204,9 @@ fn finalize_locked(folder: &Path, lock: MergeLock) -> Result<Finalized> {
     // Frames of a run whose manifest was lost belong to the dataset as those of other manifests do.
     let range = with_found(range, &positions);
     let gate = Gate::of_identity(&identity, range)?;
+    if let [manifest] = &manifests[..] {
+        check_digest(folder, &read_manifest(manifest)?, &gate)?;
+    }
     lock.remove_leftovers(&folders)?;
     let mut files = FileWriter::new(folder, MERGE_TAG);
     merge_logs(&mut files, &logs, &positions)?;

@@ -478,6 +478,52 @@ fn lost_and_damaged_files_are_made_again() {
     assert!(content(&data) == before);
 }
 
+/// A line that was changed gets no digest of its own, neither here nor in another format.
+#[test]
+fn a_changed_line_of_a_finished_dataset_is_refused_until_it_is_deleted() {
+    let folder = folder();
+    let command = dataset("data", &["--count", "3", "-q"]);
+    run_ok(folder.path(), &command);
+    let data = folder.path().join("data");
+    let (before, log) = (content(&data), data.join("frames.jsonl"));
+    let lines = std::fs::read_to_string(&log).expect("lines");
+    let changed = lines.replacen("\"geometry_hash\":\"", "\"geometry_hash\":\"0", 1);
+    assert_ne!(changed, lines);
+    std::fs::write(&log, &changed).expect("written");
+    let merge = ["dataset", "--merge", "--out", "data"];
+    for words in [&command[..], &merge, &["convert", "data", "--format", "basic", "--out", "converted"]] {
+        let output = run(folder.path(), words);
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{words:?}: {message}");
+        assert!(message.contains("another digest") && message.contains("delete such a line"), "{message}");
+    }
+    assert_eq!(std::fs::read_to_string(&log).expect("lines"), changed);
+    let kept: Vec<&str> = changed.lines().skip(1).collect();
+    std::fs::write(&log, kept.join("\n") + "\n").expect("written");
+    run_ok(folder.path(), &command);
+    assert!(content(&data) == before);
+}
+
+/// A run that is no shard ends well only if the folder has every frame that was ever begun there.
+#[test]
+fn frames_of_a_larger_run_that_are_missing_are_an_error() {
+    let folder = folder();
+    let command = dataset("data", &["--count", "5", "-q"]);
+    run_ok(folder.path(), &command);
+    let data = folder.path().join("data");
+    let (before, log) = (content(&data), data.join("frames.jsonl"));
+    let lines = std::fs::read_to_string(&log).expect("lines");
+    let kept: Vec<&str> = lines.lines().take(4).collect();
+    std::fs::write(&log, kept.join("\n") + "\n").expect("written");
+    let output = run(folder.path(), &dataset("data", &["--count", "3"]));
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(message.contains("begun with frames 0 to 4, of which 1 is missing: 4. "), "{message}");
+    assert!(message.contains("the larger --count") && !message.contains("shard"), "{message}");
+    run_ok(folder.path(), &command);
+    assert!(content(&data) == before);
+}
+
 #[test]
 fn the_record_of_a_frame_is_the_same_in_a_dataset_and_alone() {
     let folder = folder();
