@@ -9,9 +9,9 @@ use crate::bench::peak_rss_bytes;
 use crate::class::ClassId;
 use crate::dataset::lock;
 use crate::dataset::log_writer::FrameLogWriter;
-use crate::dataset::manifest::DatasetSpec;
+use crate::dataset::manifest::{self, DatasetSpec};
 use crate::dataset::merge::{Finalized, MissingFrames, finalize, finalize_frames};
-use crate::dataset::plan::{self, MAX_FRAMES, Plan, Range, Seeds, frame_seed};
+use crate::dataset::plan::{self, MAX_FRAMES, Plan, Range, Seeds, Shard, frame_seed};
 use crate::dataset::rules::Rules;
 use crate::dataset::{self, Concurrency, Progress};
 use crate::error::{Error, Result};
@@ -29,6 +29,8 @@ use super::progress::{Meter, duration};
 
 /// Number of frames of a dry run, if the range has as many.
 const DRY_FRAMES: u64 = 5;
+/// The shard of a run that is none.
+const DEFAULT_SHARD: &str = "0/1";
 /// Missing frames that the JSON summary lists.
 const MAX_LISTED: usize = 1000;
 
@@ -45,7 +47,7 @@ pub(super) struct DatasetArgs {
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = whole_number::<u64>(0, MAX_FRAMES - 1))]
     start: u64,
     /// Make only the frames i with i mod N = I, for example 0/4; shards may share a folder, or be copied into one
-    #[arg(long, value_name = "I/N", default_value = "0/1")]
+    #[arg(long, value_name = "I/N", default_value = DEFAULT_SHARD)]
     shard: String,
     /// Base seed; frame i depends only on it, on i and on the settings
     #[arg(long, value_name = "N", default_value_t = 42, value_parser = whole_number::<u64>(0, u64::MAX))]
@@ -66,7 +68,10 @@ pub(super) struct DatasetArgs {
     #[arg(long, value_name = "NAME", default_value = "folder")]
     format: String,
     /// Render nothing: merge the shards in --out into one frames.jsonl and one manifest
-    #[arg(long, conflicts_with_all = ["count", "split", "start", "shard", "dry_run"])]
+    #[arg(long, conflicts_with_all = [
+        "count", "split", "start", "shard", "seed", "stage", "preset", "config", "set", "size", "samples", "label_ids", "edges", "outputs",
+        "format", "adapter", "raster", "threads", "dry_run", "force",
+    ])]
     merge: bool,
     /// Add these outputs, separated by commas, to the finished dataset in DIR: its frames are rendered again, compared with what it has, and
     /// only the new files are written; the same command resumes an interrupted run
@@ -130,7 +135,9 @@ pub(super) fn run(args: &DatasetArgs, messages: Messages) -> Result<()> {
             // shards alone.
             FrameLogWriter::open(&args.out, &spec, args.force)?.write_manifest("done")?;
         }
-        return report(args, messages, None, &finalize_frames(&args.out, plan.range, plan.shard)?, 0.0);
+        let finalized = finalize_frames(&args.out, plan.range, plan.shard)?;
+        report(args, messages, None, &finalized, 0.0)?;
+        return check_complete(args, &plan, &finalized);
     }
     let start = Instant::now();
     // Before the folder is created, so that nothing is left behind on a machine without an adapter.
@@ -145,7 +152,27 @@ pub(super) fn run(args: &DatasetArgs, messages: Messages) -> Result<()> {
     meter.finish();
     let (progress, finalized) = result?;
     device::store_pipelines(renderer.gpu());
-    report(args, messages, Some(&progress), &finalized, start.elapsed().as_secs_f64())
+    report(args, messages, Some(&progress), &finalized, start.elapsed().as_secs_f64())?;
+    check_complete(args, &plan, &finalized)
+}
+
+/// Whether the folder has every frame, after a run that is no shard: it may lack frames of a larger run that was interrupted.
+fn check_complete(args: &DatasetArgs, plan: &Plan, finalized: &Finalized) -> Result<()> {
+    let missing = &finalized.missing;
+    if missing.is_empty() || plan.shard != Shard::WHOLE {
+        return Ok(());
+    }
+    let range = manifest::range_of(&finalized.manifest);
+    Err(Error::CheckFailed(format!(
+        "{} was begun with frames {} to {}, of which {} {} missing: {}. Those of this run are there; run the command with the larger --count \
+         again, which makes the others",
+        args.out.display(),
+        range.start,
+        range.end() - 1,
+        missing.count(),
+        if missing.count() == 1 { "is" } else { "are" },
+        abbreviated(missing)
+    )))
 }
 
 fn plan(args: &DatasetArgs) -> Result<Plan> {
@@ -385,7 +412,7 @@ fn report(
             manifest["n_completed"],
             args.out.display()
         ));
-    } else {
+    } else if args.shard != DEFAULT_SHARD {
         let count = finalized.missing.count();
         messages.note(format_args!(
             "{count} {} still missing: {}; once they are copied here, `regolith-render dataset --merge --out {}` completes the folder",
