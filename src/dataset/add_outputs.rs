@@ -405,8 +405,11 @@ impl AddedLog {
             dataset_path::check_own_file(&path)?;
             disk::remove(&path)?;
         }
+        let mut writer = FileWriter::new(&addition.folder, &Shard::WHOLE.tag());
+        // With splits no file lies in the folder but this log, whose name must be on the disk as theirs are.
+        writer.create_folder()?;
         let mut log = Self {
-            writer: FileWriter::new(&addition.folder, &Shard::WHOLE.tag()),
+            writer,
             lines: LineFile::open(&path)?,
             path,
             length: 0,

@@ -22,6 +22,8 @@ const FRAMES: usize = 12;
 const COLUMNS: u32 = 3;
 /// Width of an image or a mask on the sheet, pixels.
 const IMAGE_PX: u32 = 192;
+/// Maximum height of an image or a mask on the sheet, pixels: one more than four times as tall as wide is narrower than others.
+const MAX_HEIGHT_PX: u32 = 4 * IMAGE_PX;
 /// Gap between frames, pixels.
 const GAP_PX: u32 = 8;
 
@@ -56,12 +58,24 @@ pub(super) fn png(
 /// A frame's image and coloured mask, scaled.
 fn tile(folder: &Path, size: [u32; 2], [image, mask]: &[String; 2]) -> Result<[RgbImage; 2]> {
     let image = decode_image(folder, image, size)?.into_rgb8();
-    let height = (image.height() * IMAGE_PX / image.width()).max(1);
+    let [width, height] = tile_size(image.dimensions());
     let mask = mask_colours(&decode_image(folder, mask, size)?.into_luma8());
     Ok([
-        imageops::resize(&image, IMAGE_PX, height, FilterType::Triangle),
-        imageops::resize(&mask, IMAGE_PX, height, FilterType::Nearest),
+        imageops::resize(&image, width, height, FilterType::Triangle),
+        imageops::resize(&mask, width, height, FilterType::Nearest),
     ])
+}
+
+/// Width and height, pixels, of an image of this size on the sheet.
+fn tile_size((width, height): (u32, u32)) -> [u32; 2] {
+    let scaled =
+        |side: u32, by: u32, over: u32| (u64::from(side) * u64::from(by) / u64::from(over)).max(1) as u32;
+    let tile_height = scaled(height, IMAGE_PX, width);
+    if tile_height <= MAX_HEIGHT_PX {
+        [IMAGE_PX, tile_height]
+    } else {
+        [scaled(width, MAX_HEIGHT_PX, height), MAX_HEIGHT_PX]
+    }
 }
 
 /// Tiles in rows on white.
@@ -89,4 +103,19 @@ fn mask_colours(mask: &image::GrayImage) -> RgbImage {
         class.map_or([0; 3], |class| class.preview_rgb)
     };
     RgbImage::from_fn(mask.width(), mask.height(), |x, y| Rgb(colour(mask.get_pixel(x, y).0[0])))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tiles_keep_their_aspect_and_have_a_maximum_height() {
+        assert_eq!(tile_size((512, 512)), [192, 192]);
+        assert_eq!(tile_size((640, 480)), [192, 144]);
+        assert_eq!(tile_size((100, 400)), [192, 768]);
+        assert_eq!(tile_size((64, 512)), [96, 768]);
+        assert_eq!(tile_size((1, 8192)), [1, 768]);
+        assert_eq!(tile_size((8192, 1)), [192, 1]);
+    }
 }

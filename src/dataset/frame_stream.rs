@@ -192,9 +192,18 @@ impl FrameStream {
     }
 
     /// What was received. An error, like the end, is the last.
+    ///
+    /// # Panics
+    /// If the stream ended because its thread panicked, with the same payload: a panic must not look like the last frame.
     fn taken(&mut self, next: Option<Result<FrameInMemory>>) -> Option<Result<FrameInMemory>> {
         if !matches!(next, Some(Ok(_))) {
             self.frames = None;
+        }
+        if next.is_none()
+            && let Some(thread) = self.thread.take()
+            && let Err(panic) = thread.join()
+        {
+            std::panic::resume_unwind(panic);
         }
         next
     }
@@ -215,6 +224,30 @@ impl Drop for FrameStream {
         self.frames = None;
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::panic::{AssertUnwindSafe, catch_unwind};
+
+    use super::*;
+
+    #[test]
+    fn a_panic_is_no_end_of_the_frames() {
+        for waits in [false, true] {
+            let (sender, frames) = sync_channel(1);
+            let thread = std::thread::spawn(move || {
+                let _sender: std::sync::mpsc::SyncSender<Result<FrameInMemory>> = sender;
+                std::panic::resume_unwind(Box::new("a rock without a shape"));
+            });
+            let stop = Arc::default();
+            let mut stream = FrameStream { frames: Some(frames), stop, thread: Some(thread) };
+            let next =
+                || if waits { stream.next_within(Duration::MAX).is_ready() } else { stream.next().is_none() };
+            let panic = catch_unwind(AssertUnwindSafe(next)).expect_err("no end");
+            assert_eq!(panic.downcast_ref(), Some(&"a rock without a shape"));
         }
     }
 }

@@ -199,6 +199,7 @@ pub fn run_job<T: Send>(
         }
         drop(finished_sender);
         let write = move || {
+            let _guard = queue.close_on_panic();
             let _registration = host_time::register(Role::Writer);
             for frame in finished {
                 if !first_error.occurred() && first_error.check(sink(frame)).is_none() {
