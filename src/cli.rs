@@ -13,6 +13,7 @@ mod doctor;
 mod frame;
 mod knobs;
 mod messages;
+mod panics;
 mod process;
 mod progress;
 mod remap;
@@ -74,8 +75,8 @@ enum Command {
     ///
     /// The column "host ms" (host_ms in JSON) is the processor time of the program's own threads for a frame, where the system reports
     /// it (Linux does): without that of a driver's threads, with that of its calls. "CPU ms" (process_ms) is that of the whole process,
-    /// "peak MB" (peak_rss_bytes) its peak resident memory so far. With --preset or --config a dataset's rules apply, and what it
-    /// redraws is part of the time of its frames.
+    /// "peak MB" (peak_rss_bytes) its peak resident memory so far. With --preset or --config a dataset's rules apply in the cases frames
+    /// and dataset, and what it redraws is part of the time of their frames.
     Bench(Box<bench::BenchArgs>),
     /// Check a dataset: files, hashes, masks, statistics, some frames rendered again; exit status 1 if a check fails
     Verify(verify::VerifyArgs),
@@ -151,7 +152,7 @@ fn with_completions(command: clap::Command) -> clap::Command {
 /// A lost device is a panic inside wgpu; the library catches it and returns an error. Any other panic is a bug of regolith-render and is
 /// reported as one, without a backtrace.
 pub fn main(words: impl IntoIterator<Item = OsString>, itself: &dyn Fn() -> std::process::Command) -> u8 {
-    std::panic::set_hook(Box::new(|_| {}));
+    std::panic::set_hook(Box::new(panics::remember));
     match catch_unwind(AssertUnwindSafe(|| run(words, itself))) {
         Ok(Ok(())) => 0,
         Ok(Err(Ending::Status(status))) => status,
@@ -161,8 +162,7 @@ pub fn main(words: impl IntoIterator<Item = OsString>, itself: &dyn Fn() -> std:
             stopped.unwrap_or_else(|| error.exit_status())
         }
         Err(panic) => {
-            let text = panic.downcast_ref::<String>().map(String::as_str);
-            let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no message");
+            let text = panics::message(&*panic);
             note(format_args!(
                 "error: this is a bug in regolith-render; please report it together with the command you ran: {text}"
             ));

@@ -194,7 +194,7 @@ const LAYERS: [(&str, &[&[&str]]); 9] = [
     (
         "cli",
         &[
-            &["messages"],
+            &["messages", "panics"],
             &["device"],
             &["args", "child", "process", "progress"],
             &["add_outputs"],
