@@ -442,14 +442,14 @@ fn write_remedy(cause: &std::io::Error) -> &'static str {
     match cause.kind() {
         _ if are_too_many_open(cause) => MORE_OPEN_FILES,
         std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded => {
-            "; free some space or choose another --out, then run the same command again"
+            "; free some space, or write to another disk, then run the same command again"
         }
         std::io::ErrorKind::FileTooLarge => {
-            "; a limit of the file size forbids it: raise that of the process (`ulimit -f`) or choose an --out on another file \
+            "; a limit of the file size forbids it: raise that of the process (`ulimit -f`) or write to another file \
              system, then run the same command again"
         }
         std::io::ErrorKind::PermissionDenied | std::io::ErrorKind::ReadOnlyFilesystem => {
-            "; choose an --out where you have write permission"
+            "; write to a folder where you have permission"
         }
         _ => "",
     }

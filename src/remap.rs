@@ -152,6 +152,11 @@ enum Labels {
     Colours(BTreeMap<[u8; 4], u8>),
 }
 
+/// The name in an entry of a label file, of either form.
+fn name_of(entry: &Value) -> Option<&str> {
+    entry.get("class").and_then(Value::as_str).or_else(|| entry.as_str())
+}
+
 /// Reads a label file. Adds names that are not a known class to `unknown`.
 fn read_labels(path: &Path, unknown: &mut BTreeSet<String>) -> Result<Labels> {
     let bytes = input::read(path, MAX_LABELS_BYTES)?;
@@ -167,10 +172,9 @@ fn read_labels(path: &Path, unknown: &mut BTreeSet<String>) -> Result<Labels> {
     let (mut ids, mut colours) = (BTreeMap::new(), BTreeMap::new());
     let mut known = false;
     for (key, value) in &content {
-        let name =
-            value.get("class").and_then(Value::as_str).or_else(|| value.as_str()).ok_or_else(|| {
-                wrong(path, format!("`{key}` has no class; the form is {{\"class\": \"rock\"}}"))
-            })?;
+        let name = name_of(value).ok_or_else(|| {
+            wrong(path, format!("`{key}` has no class; the form is {{\"class\": \"rock\"}}"))
+        })?;
         let class = class_of(name);
         known |= class.is_some();
         if class.is_none() && !NO_LABEL.contains(&name.trim().to_lowercase().as_str()) {
@@ -190,7 +194,7 @@ fn read_labels(path: &Path, unknown: &mut BTreeSet<String>) -> Result<Labels> {
         }
     }
     if !known {
-        let names: Vec<String> = content.values().filter_map(|v| Some(v.get("class")?.to_string())).collect();
+        let names: Vec<&str> = content.values().filter_map(name_of).collect();
         let ours: Vec<&str> = ClassId::ALL.iter().map(|class| class.name).collect();
         return Err(wrong(
             path,

@@ -114,6 +114,11 @@ impl ImageArgs {
         }
     }
 
+    /// Whether a number of samples is set.
+    pub(super) const fn has_samples(&self) -> bool {
+        self.samples.is_some()
+    }
+
     pub(super) fn settings(&self) -> Result<RenderSettings> {
         RenderSettings::new(self.size.unwrap_or(DEFAULT_SIZE), self.samples.unwrap_or(DEFAULT_SAMPLES))
     }

@@ -1,5 +1,6 @@
 //! `bench`: frame throughput.
 
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use crate::bench::{self, Case, Curve, Measured, SWEEPS, Setup};
@@ -17,6 +18,9 @@ use super::args::{ConfigArgs, DEFAULT_SEED, DeviceArgs, ImageArgs, whole_number}
 use super::device;
 use super::messages::{Messages, print};
 use super::process::stop_on_signals;
+
+/// What a plot begins with.
+const SVG: [u8; 4] = *b"<svg";
 
 #[derive(Args, Debug)]
 pub(super) struct BenchArgs {
@@ -70,6 +74,7 @@ pub(super) struct BenchArgs {
 
 pub(super) fn run(args: &BenchArgs, messages: Messages) -> Result<()> {
     let cases = parse_cases(&args.cases)?;
+    check_sweep(args, messages)?;
     let setup = setup(args, messages)?;
     let mut renderer = args.device.renderer(args.device.open(messages)?)?;
     if let Some(lighting) = args.lighting {
@@ -83,21 +88,57 @@ pub(super) fn run(args: &BenchArgs, messages: Messages) -> Result<()> {
     Ok(())
 }
 
+/// Checks, before anything is measured, that the plot replaces nothing but a plot, and notes an option that sets what is swept.
+fn check_sweep(args: &BenchArgs, messages: Messages) -> Result<()> {
+    let Some(name) = args.sweep.as_deref() else { return Ok(()) };
+    let is_set = match name {
+        "samples" => args.image.has_samples(),
+        "threads" => args.threads.is_some(),
+        "frames-in-flight" => args.frames_in_flight.is_some(),
+        _ => false,
+    };
+    if is_set {
+        messages.note(format_args!("--{name} is not used: --sweep {name} measures several values of it"));
+    }
+    let plot = args.plot.clone().unwrap_or_default();
+    if plot.is_dir() || plot.file_name().is_none() {
+        return Err(Error::Usage(format!("--plot {}: it is a folder; name a file in it", plot.display())));
+    }
+    let has_content = plot.metadata().is_ok_and(|file| file.is_file() && file.len() > 0);
+    if has_content && !is_svg(&plot) {
+        return Err(Error::Usage(format!(
+            "--plot {}: this file exists and is no plot; name another",
+            plot.display()
+        )));
+    }
+    Ok(())
+}
+
+fn is_svg(path: &Path) -> bool {
+    let mut start = [0; SVG.len()];
+    let read = std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut start));
+    read.is_ok() && start == SVG
+}
+
 fn list_of_cases() -> String {
     let line = |(_, name, what): &(Case, &str, &str)| format!("\n  {name:<10}  {what}");
     "Cases to measure, separated by commas:".to_owned() + &Case::ALL.iter().map(line).collect::<String>()
 }
 
 fn parse_cases(list: &str) -> Result<Vec<Case>> {
-    let cases = list.split(',').map(|word| {
-        let word = word.trim();
+    let mut cases = Vec::new();
+    for word in list.split(',').map(str::trim) {
         let known = Case::ALL.iter().find(|row| row.1 == word);
-        known.map(|row| row.0).ok_or_else(|| {
+        let &(case, ..) = known.ok_or_else(|| {
             let names: Vec<&str> = Case::ALL.iter().map(|row| row.1).collect();
             Error::Usage(format!("--cases: unknown case `{word}`; the cases are {}", names.join(", ")))
-        })
-    });
-    cases.collect()
+        })?;
+        // One that is named twice is measured once.
+        if !cases.contains(&case) {
+            cases.push(case);
+        }
+    }
+    Ok(cases)
 }
 
 fn setup(args: &BenchArgs, messages: Messages) -> Result<Setup> {
@@ -212,9 +253,7 @@ fn sweep(
 ) -> Result<()> {
     let case = if name == "threads" { Case::Dataset } else { case };
     let path = args.plot.clone().unwrap_or_default();
-    let Some(plot) = path.file_name().filter(|_| !path.is_dir()) else {
-        return Err(Error::Usage(format!("--plot {}: it is a folder; name a file in it", path.display())));
-    };
+    let plot = path.file_name().unwrap_or_default();
     let (axis, setups) = bench::sweep(name, setup)?;
     let mut points = Vec::new();
     for (value, setup) in &setups {
@@ -248,4 +287,15 @@ fn print_curve(args: &BenchArgs, curve: &Curve, case: Case, plot: &Path) -> Resu
         text.push_str(&format!("{value:<20}{ms:>12.1}\n"));
     }
     print(&text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_case_that_is_named_twice_is_measured_once() {
+        assert_eq!(parse_cases("scene, camera,scene").expect("cases"), [Case::Scene, Case::Camera]);
+        assert!(parse_cases("scene,").is_err());
+    }
 }

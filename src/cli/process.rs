@@ -108,7 +108,7 @@ pub(super) fn survive_file_size_limit() {
 #[cfg(unix)]
 const ABORTED: &[u8] =
     b"error: regolith-render was aborted, by a driver or because memory ran out: what is printed above, if \
-anything, says why. `regolith-render doctor` finds drivers that fail\n";
+anything, says why. A smaller --size and fewer --threads take less memory; `regolith-render doctor` finds drivers that fail\n";
 
 /// Ends the process with status 1 and a message where it is aborted, by a driver or by an allocation that fails: it must not look as if it
 /// had crashed.

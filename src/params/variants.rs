@@ -48,7 +48,7 @@ impl Config {
             None => 1.0,
             Some(weight) => {
                 let number = weight.as_float().or(weight.as_integer().map(|whole| whole as f64));
-                number.filter(|n| n.is_finite() && *n >= 0.0).ok_or_else(|| refused(weight, origin))?
+                number.filter(|n| n.is_finite() && *n >= 0.0).ok_or_else(|| refused_weight(weight, origin))?
             }
         };
         let mut own = Self::new();
@@ -157,6 +157,12 @@ impl Config {
 fn has_finite_sum(variants: &[Variant]) -> bool {
     let sum: f64 = variants.iter().map(|variant| variant.weight).sum();
     (f64::MIN_POSITIVE..=f64::MAX).contains(&sum)
+}
+
+fn refused_weight(weight: &toml::Value, origin: &str) -> Error {
+    Error::Usage(format!(
+        "weight = {weight} in {origin}: the weight of a [[variant]] is a number of 0 or more"
+    ))
 }
 
 fn refused(value: &toml::Value, origin: &str) -> Error {

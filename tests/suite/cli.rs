@@ -644,6 +644,11 @@ fn the_bench_reports_every_case_and_a_sweep_plots_its_curve() {
     assert_eq!(sweep.lines().count(), 4, "{sweep}");
     let plot = std::fs::read_to_string(folder.path().join("samples.svg")).expect("a plot");
     assert!(plot.starts_with("<svg") && plot.matches("<circle").count() == 3);
+    std::fs::write(folder.path().join("mine.txt"), "precious").expect("written");
+    let output = run(folder.path(), &["bench", "--sweep", "samples", "--plot", "mine.txt"]);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(2) && message.contains("exists and is no plot"), "{message}");
+    assert_eq!(std::fs::read_to_string(folder.path().join("mine.txt")).expect("kept"), "precious");
     assert_refused(&["bench", "--cases", "camra"], 2, &["unknown case `camra`", "static-sun"]);
 }
 
