@@ -45,8 +45,7 @@ fn parse(text: &str, path: &Path) -> Result<Map<String, Value>> {
     if record.get("knobs").is_some_and(Value::is_object) {
         return Ok(record);
     }
-    let message =
-        "it is not the record of a frame: it has no `knobs`; a configuration that is not a record is TOML";
+    let message = "it is not the record of a frame: it has no table `knobs`; a configuration that is not a record is TOML";
     Err(refused(std::io::Error::other(message)))
 }
 
@@ -57,6 +56,7 @@ impl FrameOrigin {
     /// [`Error::Config`] if a value has a wrong type or is out of range.
     fn of_record(record: &Map<String, Value>, path: &Path) -> Result<Self> {
         let number = |value: &Value| value.as_u64().and_then(|number| u32::try_from(number).ok());
+        let samples = |value: &Value| number(value).filter(|number| matches!(number, 1 | 4 | 16));
         let text = |value: &Value| value.as_str().map(str::to_owned);
         let label_ids =
             |value: &Value| text(value).filter(|name| matches!(name.as_str(), "canonical" | "replicator"));
@@ -67,7 +67,7 @@ impl FrameOrigin {
         Ok(Self {
             seed: value(record, path, ("seed", "a whole number from 0 to 2^64 - 1"), Value::as_u64)?,
             size: value(record, path, ("size", "two whole numbers, width and height in pixels"), size)?,
-            samples: value(record, path, ("samples", "a whole number"), number)?,
+            samples: value(record, path, ("samples", "1, 4 or 16"), samples)?,
             edges: value(record, path, ("edges", "a text"), text)?,
             label_ids: value(record, path, ("label_ids", "canonical or replicator"), label_ids)?,
             version: value(record, path, ("version", "a text"), text)?,
@@ -152,6 +152,8 @@ mod tests {
         }
         let error = applied(r#"{"stage": 3, "knobs": {}}"#).expect_err("a number");
         assert!(error.to_string().contains("`stage` is 3; it has to be a text"), "{error}");
+        let error = applied(r#"{"samples": 3, "knobs": {}}"#).expect_err("no grid");
+        assert!(error.to_string().contains("`samples` is 3; it has to be 1, 4 or 16"), "{error}");
     }
 
     #[test]
