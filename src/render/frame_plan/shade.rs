@@ -34,16 +34,13 @@ pub(super) fn ground_light(
 }
 
 /// From where the sun is visible around what is in view. Over the footprint the horizon map has it. Beyond, the map holds ground that was
-/// swept for other frames, or none, so that there the cells of the grids tell, for all heights alike: a frame depends on no other.
+/// swept for other frames, or none, so that there the cells of the grids tell: a frame depends on no other.
 pub(super) struct Limbs<'a> {
     horizon: &'a HorizonMap,
     /// Of the footprint.
     sides: Vec<Vec3>,
     ground: &'a GroundGrids,
 }
-
-/// Height over which the sun comes up where cells tell how much of it the ground sees, metres.
-const RISE_OVER_CELL_M: f32 = 1e4;
 
 impl<'a> Limbs<'a> {
     pub(super) fn new(horizon: &'a HorizonMap, footprint: &Footprint, ground: &'a GroundGrids) -> Self {
@@ -60,18 +57,10 @@ impl<'a> Limbs<'a> {
             }
         }
         for (i, _) in inside.iter().enumerate().filter(|(_, inside)| **inside < 0.0) {
-            [limbs[0][i], limbs[1][i]] = self.of_cell(Vec2::new(points[0][i], points[1][i]));
+            let index = self.ground.grids.index_at(Vec2::new(points[0][i], points[1][i]));
+            [limbs[0][i], limbs[1][i]] = self.ground.cells[index].limbs_m;
         }
         limbs
-    }
-
-    fn of_cell(&self, point: Vec2) -> [f32; 2] {
-        let cell = &self.ground.cells[self.ground.grids.index_at(point)];
-        if cell.sunlit == 0.0 {
-            return [f32::MAX; 2];
-        }
-        let upper_m = cell.height_m - cell.sunlit * RISE_OVER_CELL_M;
-        [upper_m + RISE_OVER_CELL_M, upper_m]
     }
 }
 

@@ -36,6 +36,8 @@ pub struct Cell {
     pub slope: Vec2,
     /// The part that is sunlit, past other ground.
     pub sunlit: f32,
+    /// Heights above it, metres, world, from which all of it would be sunlit and from which any would.
+    pub limbs_m: [f32; 2],
     /// Its rocks.
     pub rocks: RockCover,
     /// [`CoverOfLanes::half_height_m`] of these.
@@ -163,13 +165,14 @@ impl GroundGrids {
             exposed: Vec::new(),
             rocks: Vec::new(),
         };
-        let mut sunlit = vec![0.0; ground.cells.len()];
-        sunlit.par_chunks_exact_mut(LANES).enumerate().with_min_len(CELLS / LANES).for_each(
-            |(chunk, sunlit)| {
-                dispatch!(Level::new(), simd => ground.sunlit(simd, chunk * LANES).store_slice(sunlit));
-            },
-        );
-        ground.cells.iter_mut().zip(sunlit).for_each(|(cell, sunlit)| cell.sunlit = sunlit);
+        let sunlit = |chunk| dispatch!(Level::new(), simd => ground.sunlit(simd, chunk * LANES).map(store));
+        let chunks = (0..ground.cells.len() / LANES).into_par_iter().with_min_len(CELLS / LANES);
+        let of_chunks: Vec<[[f32; LANES]; 3]> = chunks.map(sunlit).collect();
+        for (cells, [sunlit, lower_m, upper_m]) in ground.cells.chunks_exact_mut(LANES).zip(of_chunks) {
+            for (lane, cell) in cells.iter_mut().enumerate() {
+                (cell.sunlit, cell.limbs_m) = (sunlit[lane], [lower_m[lane], upper_m[lane]]);
+            }
+        }
         ground
     }
 
@@ -183,23 +186,29 @@ impl GroundGrids {
         cells
     }
 
-    /// The sunlit parts of eight cells from an index on, by the slopes of their horizons towards the sun.
+    /// The sunlit parts of eight cells from an index on, by the slopes of their horizons towards the sun, and [`Cell::limbs_m`].
     // Inlined into `dispatch!`, so that it is compiled for each SIMD level.
     #[inline(always)]
-    fn sunlit<S: Simd>(&self, simd: S, first: usize) -> f32x8<S> {
+    fn sunlit<S: Simd>(&self, simd: S, first: usize) -> [f32x8<S>; 3] {
         let level = first / GRID_CELLS;
         let [x, y, height_m] = self.centres(simd, first);
-        let mut horizon = splat(simd, f32::MIN);
+        let of_sun = self.sun.sine / self.sun.cosine;
+        let lowest = splat(simd, f32::MIN);
+        let (mut horizon, mut lower_m, mut upper_m) = (lowest, lowest, lowest);
         for cells in DISTANCES {
             let distance_m = cells * self.grids.cell_m(level);
             let step = distance_m * self.sun.towards;
             let located = self.grids.locate_lanes(simd, level, [x + step.x, y + step.y]);
-            let seen = CellsOfLanes::new(simd, self.cells_at(&located.indices));
-            horizon = horizon.max((seen.height_at(&located) - height_m) / distance_m);
+            let seen_m = CellsOfLanes::new(simd, self.cells_at(&located.indices)).height_at(&located);
+            let fall_m = distance_m * of_sun;
+            horizon = horizon.max((seen_m - height_m) / distance_m);
+            (lower_m, upper_m) = (
+                lower_m.max(seen_m - fall_m * (1.0 - SOFTNESS)),
+                upper_m.max(seen_m - fall_m * (1.0 + SOFTNESS)),
+            );
         }
-        let of_sun = self.sun.sine / self.sun.cosine;
         let above = (splat(simd, of_sun) - horizon) * (0.5 / (SOFTNESS * of_sun));
-        (above + 0.5).max(0.0).min(1.0)
+        [(above + 0.5).max(0.0).min(1.0), lower_m, upper_m]
     }
 
     /// Centres of eight cells of a row from an index on: x, y and height, metres, world.

@@ -109,6 +109,33 @@ fn light_on_a_crater_s_floor_is_that_of_rays_to_its_wall() {
     }
 }
 
+/// The ground of a cell is sunlit as its heights say; above the floor of the crater the middle of them is where a ray towards the sun clears
+/// the wall.
+#[test]
+fn the_sun_comes_up_above_a_cell_where_rays_clear_the_ground() {
+    let bounce = Bounce::new(&photometry(), sun().z.into());
+    let ground = GroundGrids::without_rocks(&crater(), &photometry(), &bounce, sun());
+    for (index, cell) in ground.cells.iter().enumerate() {
+        let [lower_m, upper_m] = cell.limbs_m;
+        let part = ((cell.height_m - upper_m) / (lower_m - upper_m)).clamp(0.0, 1.0);
+        // What is wholly in the dark or in the light is so by both, but for rounding.
+        let ends = [part, cell.sunlit].map(|part| (part - 0.5).abs() > 0.499);
+        assert!(lower_m > upper_m && ends[0] == ends[1], "cell {index}: {part}, {}", cell.sunlit);
+        assert!(!ends[0] || (part - cell.sunlit).abs() < 2e-3, "cell {index}: {part}, {}", cell.sunlit);
+        let place = ground.grids.position(index);
+        assert_eq!(ground.grids.index_at(place), self::index(ground.grids, place));
+    }
+    let towards = sun().truncate().normalize();
+    for from_centre_m in [-1.0, 0.0, 1.0, 2.0] {
+        let place = from_centre_m * towards;
+        let [lower_m, upper_m] = ground.cells[ground.grids.index_at(place)].limbs_m;
+        let is_lit = |height_m: &f32| hit(place.extend(*height_m), sun()).is_none();
+        let clear_m = (0..400).map(|k| height_m(place) + 0.01 * k as f32).find(is_lit).expect("a height");
+        let middle_m = 0.5 * (lower_m + upper_m);
+        assert!((middle_m - clear_m).abs() < 0.3, "{from_centre_m} m: {middle_m}, not {clear_m}");
+    }
+}
+
 #[test]
 fn flat_ground_lights_no_ground() {
     let flat = map(&Terrain::from_height(64.0, 64, Vec::new(), |_| 1.0), &all());
