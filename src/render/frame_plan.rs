@@ -28,7 +28,7 @@ use crate::render::shadow::horizon::{HorizonCache, HorizonMap};
 use crate::scene::Scene;
 use crate::scene::bounce::Bounce;
 use crate::scene::photometry::Photometry;
-use shade::{Limbs, ground_light, lit_rocks, set_surroundings};
+use shade::{LimbLookup, ground_light, lit_rocks, set_surroundings};
 use uniforms::frame_uniforms;
 
 /// All that is needed to draw a frame.
@@ -122,7 +122,7 @@ impl FramePlan {
         let slots = selection.slots();
         let band_of_block = |block| bands.of_block(block);
         let draws = DrawList::new(scene, settings, slots, bins, band_of_block, options);
-        let limbs = ground.as_ref().map(|ground| Limbs::new(&horizon, &footprint, ground));
+        let limbs = ground.as_ref().map(|ground| LimbLookup::new(&horizon, &footprint, ground));
         let mut lit_rocks = limbs.as_ref().map_or_else(LitRocks::default, |limbs| {
             lit_rocks(scene, settings, &selection, &caster_grid, limbs)
         });

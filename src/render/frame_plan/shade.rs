@@ -35,14 +35,14 @@ pub(super) fn ground_light(
 
 /// From where the sun is visible around what is in view. Over the footprint the horizon map has it. Beyond, the map holds ground that was
 /// swept for other frames, or none, so that there the cells of the grids tell: a frame depends on no other.
-pub(super) struct Limbs<'a> {
+pub(super) struct LimbLookup<'a> {
     horizon: &'a HorizonMap,
     /// Of the footprint.
     sides: Vec<Vec3>,
     ground: &'a GroundGrids,
 }
 
-impl<'a> Limbs<'a> {
+impl<'a> LimbLookup<'a> {
     pub(super) fn new(horizon: &'a HorizonMap, footprint: &Footprint, ground: &'a GroundGrids) -> Self {
         Self { horizon, sides: footprint.sides(), ground }
     }
@@ -70,7 +70,7 @@ pub(super) fn lit_rocks(
     settings: &RenderSettings,
     selection: &Selection,
     caster_grid: &[u32],
-    limbs: &Limbs<'_>,
+    limbs: &LimbLookup<'_>,
 ) -> LitRocks {
     let colour = 1.0 / scene.photometry.at_normal(scene.photometry.rock_b_s0) as f32;
     let limbs = |point: Vec2| limbs.at(&[[point.x], [point.y]]).map(|[limb]| limb);
@@ -86,7 +86,7 @@ fn pixel_angle(scene: &Scene, settings: &RenderSettings) -> f32 {
 pub(super) fn set_surroundings(
     scene: &Scene,
     selection: &Selection,
-    limbs: &Limbs<'_>,
+    limbs: &LimbLookup<'_>,
     instances: &mut [Instance],
 ) {
     let ground = limbs.ground;
