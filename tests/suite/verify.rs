@@ -274,6 +274,32 @@ fn depth_at_edges_between_ground_meshes_passes() {
     run_ok(folder.path(), &["verify", "data", "--rerender", "8"]);
 }
 
+/// Rocks that are labelled regolith are no part of the ground's surface.
+#[test]
+fn depth_of_rocks_that_became_regolith_passes() {
+    let folder = folder();
+    for (data, rule) in [
+        ("small", &["--stage=nominal", "--set", "label.min_pixels=1000"][..]),
+        (
+            "unseen",
+            &[
+                "--stage=surface",
+                "--set",
+                "label.unseen=regolith",
+                "--set",
+                "label.unseen_contrast=100",
+                "--set",
+                "rocks.coverage=0.05",
+            ],
+        ),
+    ] {
+        let words =
+            ["dataset", "--out", data, "--count=2", "--seed=5", "--size=128", "--outputs=depth", "-q"];
+        run_ok(folder.path(), &[&words[..], rule].concat());
+        run_ok(folder.path(), &["verify", data]);
+    }
+}
+
 #[test]
 fn datasets_of_other_versions_are_named_as_such() {
     let folder = folder();

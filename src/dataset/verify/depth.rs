@@ -15,6 +15,7 @@ use crate::lens::Lens;
 use crate::output::layout::FrameLine;
 use crate::render::{RenderSettings, Renderer};
 use crate::scene::Scene;
+use crate::scene::label_rule::{LabelPolicy, LabelRule};
 
 // How far an unprojected point may be from the surface: the sum of three parts.
 /// Metres.
@@ -32,10 +33,11 @@ const MIN_GOOD_FRACTION: f64 = 0.99;
 /// Distance between tested pixels, in pixels of row-major order.
 const STRIDE: usize = 31;
 
-/// A frame rendered twice: with the dataset's samples, and with one sample at each pixel's centre. The pixels to test are
-/// chosen by these, not by the stored depth, which is what is tested.
+/// A frame rendered twice. The pixels to test are chosen by these, not by the stored depth, which is what is tested.
 struct Reference {
+    /// With the dataset's samples.
     frame: Frame,
+    /// With one sample at each pixel's centre, and every rock with its instance id, also those that the dataset labels regolith.
     centres: Frame,
 }
 
@@ -44,7 +46,9 @@ impl Reference {
         let annotations = [Annotation::Instances, Annotation::Depth].into_iter().collect();
         let settings = RenderSettings { annotations, ..*settings };
         let (frame, _) = renderer.render(scene, &settings)?;
-        let (centres, _) = renderer.render(scene, &RenderSettings { samples_per_side: 1, ..settings })?;
+        let rule = LabelRule { too_small: LabelPolicy::Rock, unseen: LabelPolicy::Rock, ..scene.label_rule };
+        let scene = Scene { label_rule: rule, ..scene.clone() };
+        let (centres, _) = renderer.render(&scene, &RenderSettings { samples_per_side: 1, ..settings })?;
         Ok(Self { frame, centres })
     }
 
@@ -55,7 +59,9 @@ impl Reference {
 
     fn is_inside_object(&self, pixel: usize) -> bool {
         let (width, height) = (self.frame.width as usize, self.frame.height as usize);
-        let object = |pixel: usize| (self.frame.class[pixel], self.frame.instances[pixel]);
+        let object = |pixel: usize| {
+            [&self.frame, &self.centres].map(|frame| (frame.class[pixel], frame.instances[pixel]))
+        };
         let (x, y) = (pixel % width, pixel / width);
         let neighbours = |at: usize, side: usize| at.saturating_sub(1)..=(at + 1).min(side - 1);
         neighbours(y, height).all(|y| neighbours(x, width).all(|x| object(y * width + x) == object(pixel)))
@@ -70,14 +76,13 @@ impl Reference {
         self.frame.class[pixel] == ClassId::SKY.0
     }
 
-    /// Pixels of rocks that are ignored have an instance, those of the rover have none.
     fn shows_rover(&self, pixel: usize) -> bool {
-        self.frame.class[pixel] == ClassId::UNLABELLED.0
+        self.centres.class[pixel] == ClassId::UNLABELLED.0
     }
 
     /// Distance from a point to the surface that a pixel shows, metres.
     fn distance_to_surface(&self, scene: &Scene, pixel: usize, point: Vec3) -> f64 {
-        let rock = self.frame.instances[pixel].checked_sub(1).and_then(|i| scene.rocks.get(usize::from(i)));
+        let rock = self.centres.instances[pixel].checked_sub(1).and_then(|i| scene.rocks.get(usize::from(i)));
         f64::from(match rock {
             Some(rock) => rock.distance_to_surface(point),
             None if self.shows_rover(pixel) => {
