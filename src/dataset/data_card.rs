@@ -9,6 +9,7 @@ use serde_json::{Map, Value};
 use super::totals::Totals;
 use crate::class::ClassId;
 use crate::output::LabelIds;
+use crate::output::layout::interface::AnnotationIds;
 
 /// Smallest fraction that is not 0 in percent with two decimals.
 const MIN_SHOWN: f64 = 5e-5;
@@ -21,8 +22,12 @@ fn json(manifest: &Map<String, Value>, key: &str) -> String {
     manifest.get(key).map(ToString::to_string).unwrap_or_default()
 }
 
-/// The data card in Markdown.
-pub(super) fn markdown(manifest: &Map<String, Value>, totals: &Totals) -> String {
+/// The data card in Markdown, of a dataset with masks or with annotations that have these ids.
+pub(super) fn markdown(
+    manifest: &Map<String, Value>,
+    totals: &Totals,
+    annotated: Option<&AnnotationIds>,
+) -> String {
     let mut card = format!(
         "# Labelled images of the Moon\n\n\
          {} synthetic frames of the lunar surface as a rover sees it, with the exact class of every pixel. Rendered by \
@@ -31,7 +36,7 @@ pub(super) fn markdown(manifest: &Map<String, Value>, totals: &Totals) -> String
         text(manifest, "version"),
         json(manifest, "base_seed")
     );
-    card += &classes(manifest, totals);
+    card += &classes(manifest, totals, annotated);
     card += &format!(
         "\n## Frames\n\n* Size: {} pixels. Samples per pixel: {}. Mask edges: {}.\n* Format: `{}`. Outputs: {}.\n\
          * `frames.jsonl` has one line per frame with its camera, sun and the value of every knob. Pixel (u, v) has its \
@@ -55,13 +60,17 @@ pub(super) fn markdown(manifest: &Map<String, Value>, totals: &Totals) -> String
 }
 
 /// Ids, names and mean pixel fractions of the classes.
-fn classes(manifest: &Map<String, Value>, totals: &Totals) -> String {
+fn classes(manifest: &Map<String, Value>, totals: &Totals, annotated: Option<&AnnotationIds>) -> String {
     let (label_ids, weights) = (LabelIds::of_manifest(manifest), totals.class_weights());
     let mut section =
         "\n## Classes\n\n| id | class | mean share of pixels | weight in a loss |\n|---|---|---|---|\n"
             .to_owned();
     for (i, class) in ClassId::ALL.iter().enumerate() {
-        let (id, percent) = (label_ids.mask_id(class.id.0), 100.0 * totals.mask_coverage(i));
+        let id = match annotated.map(|ids| ids.of_class[i]) {
+            None => label_ids.mask_id(class.id.0).to_string(),
+            Some(id) => id.map_or_else(|| "not annotated".to_owned(), |id| id.to_string()),
+        };
+        let percent = 100.0 * totals.mask_coverage(i);
         let _ = writeln!(section, "| {id} | {} | {percent:.2} % | {:.3} |", class.name, weights[i]);
     }
     let ignore_index = label_ids.mask_id(ClassId::UNLABELLED.0);
@@ -84,12 +93,20 @@ fn classes(manifest: &Map<String, Value>, totals: &Totals) -> String {
     let parts = parts.iter().filter(|(share, _)| *share >= MIN_SHOWN);
     let parts: Vec<String> =
         parts.map(|(share, what)| format!("{what}, {:.2} % of the pixels", 100.0 * share)).collect();
-    let ignored = if parts.is_empty() {
-        format!("No pixel carries {ignore_index}.")
-    } else {
-        format!("{ignore_index} stands for {}.", parts.join(", and for "))
+    let _ = match (annotated, parts.as_slice()) {
+        (Some(ids), []) => writeln!(section, "\n{} No pixel is to be ignored.", ids.note),
+        (Some(ids), parts) => writeln!(section, "\n{} To be ignored are {}.", ids.note, parts.join(", and ")),
+        (None, []) => {
+            writeln!(section, "\n{ignore_index} is the ignore index. {note} No pixel carries {ignore_index}.")
+        }
+        (None, parts) => {
+            let what = parts.join(", and for ");
+            writeln!(
+                section,
+                "\n{ignore_index} is the ignore index. {note} {ignore_index} stands for {what}."
+            )
+        }
     };
-    let _ = writeln!(section, "\n{ignore_index} is the ignore index. {note} {ignored}");
     section
 }
 

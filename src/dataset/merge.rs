@@ -367,7 +367,7 @@ pub(super) fn index_files(
     let (_, layout) = layout_of(manifest)?;
     let gate = Gate::of_manifest(manifest)?;
     let lines = FrameLog::new(folder, gate.clone());
-    let card = data_card::markdown(manifest, totals);
+    let card = data_card::markdown(manifest, totals, layout.annotation_ids());
     let size = gate.size();
     layout.index_files(&DatasetIndex { folder, lines: &lines, manifest, card: &card }, write)?;
     write(histograms::svg(&lines)?)?;

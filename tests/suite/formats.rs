@@ -195,6 +195,14 @@ fn every_format_has_the_labels_of_the_folder() {
         }
     }
     assert!(hf["README.md"].starts_with(b"---\nlicense: unknown\n"), "whoever publishes it chooses");
+    for (files, rows) in [
+        (&plain, ["| 0 | regolith |", "| 1 | rock |", "255 is the ignore index"]),
+        (&coco, ["| 2 | regolith |", "| 1 | rock |", "| 3 | sky |"]),
+        (&of("yolo"), ["| not annotated | regolith |", "| 0 | rock |", "| not annotated | sky |"]),
+    ] {
+        let card = String::from_utf8_lossy(&files["README.md"]);
+        assert!(rows.iter().all(|row| card.contains(row)), "{rows:?}: {card}");
+    }
 }
 
 /// YOLO's rows are the rocks of the masks: boxes around their pixels, and polygons that enclose them, the holes and nothing else.

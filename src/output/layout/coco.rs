@@ -11,7 +11,8 @@ use std::fmt::Write as _;
 use serde_json::{Map, Value, json};
 
 use super::interface::{
-    CARD_FILE, DatasetIndex, FrameFiles, FrameNames, Layout, Sample, SplitRange, split_or_train,
+    AnnotationIds, CARD_FILE, DatasetIndex, FrameFiles, FrameNames, Layout, Sample, SplitRange,
+    split_or_train,
 };
 use super::regions::{CROWD, annotated_rocks, regions};
 use crate::class::ClassId;
@@ -28,6 +29,13 @@ pub struct Coco;
 const ROCK: u32 = 1;
 const REGOLITH: u32 = 2;
 const SKY: u32 = 3;
+
+/// What the data card says of them.
+static CATEGORIES: AnnotationIds = AnnotationIds {
+    of_class: [Some(REGOLITH), Some(ROCK), Some(SKY)],
+    note: "The ids are those of the categories; category 0 is not used. Regolith and sky are in the panoptic files only. Rocks to ignore are \
+           one crowd of a frame (`iscrowd` 1); other pixels to ignore are void, 0 in the panoptic images.",
+};
 
 // Panoptic segment ids; 0 is void. Rock instance k has `ROCK_SEGMENT_BASE` + k.
 const REGOLITH_SEGMENT: u32 = 1;
@@ -49,6 +57,10 @@ impl Layout for Coco {
 
     fn has_fixed_ids(&self) -> bool {
         true
+    }
+
+    fn annotation_ids(&self) -> Option<&'static AnnotationIds> {
+        Some(&CATEGORIES)
     }
 
     fn frame_files(&self, sample: &Sample<'_>) -> Result<FrameFiles> {

@@ -119,6 +119,15 @@ impl std::fmt::Debug for Bundle<'_> {
     }
 }
 
+/// Ids of the classes in the annotations of a layout that has no masks.
+#[derive(Debug)]
+pub struct AnnotationIds {
+    /// That of each class, in the order of [`ClassId::ALL`](crate::class::ClassId::ALL); `None` for one that is not annotated.
+    pub of_class: [Option<u32>; 3],
+    /// What they are ids of, and what stands for pixels to ignore.
+    pub note: &'static str,
+}
+
 /// A layout of a dataset.
 pub trait Layout: std::fmt::Debug + Sync {
     /// Outputs that the layout needs, whatever else the user asks for.
@@ -134,6 +143,11 @@ pub trait Layout: std::fmt::Debug + Sync {
     /// Whether the layout numbers the classes itself, so that `--label-ids` does not apply.
     fn has_fixed_ids(&self) -> bool {
         false
+    }
+
+    /// The ids of the classes in a layout with annotations in place of masks; `None` where those of the masks count.
+    fn annotation_ids(&self) -> Option<&'static AnnotationIds> {
+        None
     }
 
     /// Checks that the layout can hold splits of these names beside each other.

@@ -9,7 +9,8 @@ use std::fmt::Write as _;
 use serde_json::{Map, Value};
 
 use super::interface::{
-    CARD_FILE, DatasetIndex, FrameFiles, FrameNames, Layout, Sample, SplitRange, split_or_train,
+    AnnotationIds, CARD_FILE, DatasetIndex, FrameFiles, FrameNames, Layout, Sample, SplitRange,
+    split_or_train,
 };
 use super::outline::polygon;
 use super::regions::{CROWD, annotated_rocks, regions};
@@ -34,6 +35,12 @@ pub struct Yolo(Task);
 pub static DETECTION: Yolo = Yolo(Task::Detection);
 /// That of segmentation.
 pub static SEGMENTATION: Yolo = Yolo(Task::Segmentation);
+
+/// What the data card says of the classes.
+static CLASSES: AnnotationIds = AnnotationIds {
+    of_class: [None, Some(0), None],
+    note: "Rock is the only class of the label files. Rocks to ignore have no row.",
+};
 
 /// File name of the description of the dataset.
 const DATA_FILE: &str = "data.yaml";
@@ -117,6 +124,10 @@ impl Layout for Yolo {
 
     fn has_fixed_ids(&self) -> bool {
         true
+    }
+
+    fn annotation_ids(&self) -> Option<&'static AnnotationIds> {
+        Some(&CLASSES)
     }
 
     fn frame_files(&self, sample: &Sample<'_>) -> Result<FrameFiles> {
