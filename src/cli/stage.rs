@@ -58,18 +58,18 @@ pub(super) fn export_stage(args: &ExportArgs, messages: Messages) -> Result<()> 
     let detail = if args.drawn { Detail::Drawn } else { Detail::Authored };
     let knobs = params.to_json();
     let stage = Stage { scene: &scene, seed, knobs: &knobs, settings: &settings, detail };
-    let bytes = export::export(&stage, format)?;
+    let (bytes, rocks) = (export::export(&stage, format)?, stage.rock_count()?);
     let folder = args.file.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let written = bytes.len();
     disk::write_all(folder, &[Artifact { name, bytes }])?;
     if args.json {
         let result = json!({
             "file": args.file.display().to_string(), "bytes": written, "seed": seed, "stage": params.text(Knob::StageName), "drawn": args.drawn,
-            "rocks": scene.rocks.count(), "geometry_hash": scene.geometry_hash(),
+            "rocks": rocks, "geometry_hash": scene.geometry_hash(),
         });
         return print(&format!("{result:#}\n"));
     }
-    messages.detail(format_args!("{} rocks, {written} bytes", scene.rocks.count()));
+    messages.detail(format_args!("{rocks} rocks, {written} bytes"));
     messages.paths(&format!("{}\n", args.file.display()))
 }
 

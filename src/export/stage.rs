@@ -112,7 +112,16 @@ pub(super) fn materials(parts: &[Part<'_>]) -> (Vec<(String, Material)>, Vec<usi
 }
 
 impl Stage<'_> {
-    /// The ground, then the rocks in order of index, then the parts of the rover.
+    /// Number of the rocks that are exported.
+    ///
+    /// # Errors
+    /// Those of [`near_plane::drawn`].
+    pub fn rock_count(&self) -> Result<usize> {
+        Ok(self.parts()?.iter().filter(|part| matches!(part.kind, PartKind::Rock(_))).count())
+    }
+
+    /// The ground, then the rocks in order of index, then the parts of the rover. Of what is drawn, rocks that are too small to be labelled
+    /// as rocks are regolith, as in the frame.
     ///
     /// # Errors
     /// Those of [`near_plane::drawn`].
@@ -138,12 +147,18 @@ impl Stage<'_> {
                 .collect(),
         };
         let first_part = scene.rocks.count();
+        let focal_px = scene.camera.focal_px(self.settings.size[0]) as f32;
         parts.extend(levels.into_iter().map(|(index, level)| {
             let rock = &scene.rocks[index];
             let triangles = rock.triangles(level).to_vec();
             let used = triangles.as_flattened().iter().max().map_or(0, |last| *last as usize + 1);
             let (class, kind, instance) = if rock.body.is_rock() {
-                (ClassId::ROCK, PartKind::Rock(index), rock.index as u16 + 1)
+                match self.detail {
+                    Detail::Drawn if !scene.label_rule.draws_as_rock(rock, scene.camera.eye, focal_px) => {
+                        (ClassId::REGOLITH, PartKind::Rock(index), 0)
+                    }
+                    _ => (ClassId::ROCK, PartKind::Rock(index), rock.index as u16 + 1),
+                }
             } else {
                 (ClassId::UNLABELLED, PartKind::Rover(index - first_part), 0)
             };

@@ -202,6 +202,25 @@ fn drawn_geometry_is_a_subset_of_authored_geometry() {
     assert!(positions(Detail::Drawn).is_subset(&positions(Detail::Authored)));
 }
 
+/// As in the frame, rocks that are too small to be labelled as rocks are regolith in what is drawn.
+#[test]
+fn rocks_that_a_frame_labels_regolith_are_regolith_in_its_drawn_export() {
+    let subject = Subject::new(SEED, &["label.min_diameter_m=4"]);
+    let classes = |detail| {
+        let arrays = arrays(&subject.export(Format::Npz, detail));
+        let classes = &arrays["triangle_class"].2;
+        let instances = u16s(&arrays["triangle_instance"].2);
+        assert!(classes.iter().zip(&instances).all(|(class, instance)| (*class == 1) == (*instance > 0)));
+        instances.into_iter().filter(|instance| *instance > 0).collect::<BTreeSet<u16>>()
+    };
+    let (authored, drawn) = (classes(Detail::Authored), classes(Detail::Drawn));
+    let scene = &subject.scene;
+    let large = scene.rocks.iter().filter(|rock| rock.diameter_m() >= 4.0);
+    let large: BTreeSet<u16> = large.map(|rock| rock.index as u16 + 1).collect();
+    assert!(!drawn.is_empty() && drawn.is_subset(&large), "{drawn:?} of {large:?}");
+    assert_eq!(authored.len(), scene.rocks.count());
+}
+
 #[test]
 fn equal_scenes_give_equal_bytes_and_others_do_not() {
     let (once, again, other) = (Subject::new(SEED, &[]), Subject::new(SEED, &[]), Subject::new(12, &[]));
