@@ -400,7 +400,7 @@ impl Renderer {
                 bin_by_shadow_sources: raster.bin_by_shadow_sources,
                 full_sun: full_sun.as_ref(),
             };
-            bytes += visibility.find(gpu, layouts, inputs);
+            bytes += visibility.find(gpu, layouts, inputs)?;
             let samples = tile.rendered.samples(settings.samples_per_side);
             bytes += visibility.fill(gpu, &plan.draws.batches, samples, (&mut gbuffer, staging))?;
             Result::Ok((plan, staged, bytes))

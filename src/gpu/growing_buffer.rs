@@ -10,13 +10,14 @@ pub struct GrowingBuffer {
     label: &'static str,
     usage: BufferUsages,
     buffer: Option<wgpu::Buffer>,
+    used: u64,
 }
 
 impl GrowingBuffer {
     /// An empty buffer; the device allocates nothing before the first write.
     #[must_use]
     pub const fn new(label: &'static str, usage: BufferUsages) -> Self {
-        Self { label, usage, buffer: None }
+        Self { label, usage, buffer: None, used: 0 }
     }
 
     /// The current buffer; a write may replace it.
@@ -38,6 +39,21 @@ impl GrowingBuffer {
         wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: self.buffer(), offset: 0, size })
     }
 
+    /// Bytes that are in use: those of the last reservation or write, and of what was written behind them.
+    #[must_use]
+    pub const fn used(&self) -> u64 {
+        self.used
+    }
+
+    /// A binding of the bytes in use.
+    ///
+    /// # Panics
+    /// Before the first write.
+    #[must_use]
+    pub fn bind_used(&self) -> wgpu::BindingResource<'_> {
+        self.bind_first(self.used as usize)
+    }
+
     /// Replaces the content with `data`; returns the number of bytes written.
     pub fn write<T: bytemuck::NoUninit>(&mut self, gpu: &Gpu, data: &[T]) -> u64 {
         let data: &[u8] = bytemuck::cast_slice(data);
@@ -56,9 +72,10 @@ impl GrowingBuffer {
     /// Makes room for this many bytes, whatever they are; returns their number.
     pub fn reserve(&mut self, gpu: &Gpu, bytes: u64) -> u64 {
         if self.buffer.as_ref().is_none_or(|buffer| buffer.size() < bytes) {
-            let capacity = bytes.next_power_of_two();
+            let capacity = bytes.next_power_of_two().min(gpu.device.limits().max_buffer_size).max(bytes);
             self.buffer = Some(gpu.buffer(self.label, capacity, self.usage | BufferUsages::COPY_DST));
         }
+        self.used = bytes;
         bytes
     }
 
@@ -93,6 +110,7 @@ impl GrowingBuffer {
         if let Some(mut view) = view {
             write(view.slice(..));
         }
+        self.used = self.used.max((offset + bytes) as u64);
         true
     }
 }

@@ -108,7 +108,8 @@ impl SceneBuffers {
         if let Some(staged) = staged {
             let [vertices, _] = self.meshes.buffers();
             let (instances, grid) = (self.instances.buffer(), self.caster_grid.buffer());
-            let to = CopyTargets { vertices, horizon: self.horizon.texture(), instances, grid };
+            let to =
+                CopyTargets { vertices: vertices.buffer(), horizon: self.horizon.texture(), instances, grid };
             staged.record(encoder, &to);
         }
     }

@@ -87,7 +87,7 @@ impl ShadowBackend {
                 pass.prepare(gpu, layouts, of_device(source));
                 Ok(0)
             }
-            Self::Compute(pass) => Ok(pass.prepare(gpu, layouts, of_device(source), casters)),
+            Self::Compute(pass) => pass.prepare(gpu, layouts, of_device(source), casters),
             Self::Host(raster) => raster.prepare(gpu, scene, size_px, staging),
         }
     }

@@ -110,13 +110,21 @@ impl VisibilityBackend {
     }
 
     /// Finds what may be visible in the image, for [`Self::fill`]. Returns the bytes that were uploaded.
-    pub(crate) fn find(&mut self, gpu: &Gpu, layouts: &BindLayouts, inputs: VisibilityInputs<'_>) -> u64 {
+    ///
+    /// # Errors
+    /// [`crate::Error::Scene`] if its meshes are too large for a compute pass.
+    pub(crate) fn find(
+        &mut self,
+        gpu: &Gpu,
+        layouts: &BindLayouts,
+        inputs: VisibilityInputs<'_>,
+    ) -> Result<u64> {
         match self {
             Self::Device(pass) => pass.prepare(gpu, layouts),
             Self::Compute(pass) => return pass.prepare(gpu, layouts, inputs.draws),
             Self::Host(raster) => raster.find(inputs),
         }
-        0
+        Ok(0)
     }
 
     /// Prepares everything for [`Self::record`] of a rectangle of the image's samples, the G-buffer's, and sets the G-buffer's

@@ -6,6 +6,7 @@ use std::ops::Range;
 use wgpu::BufferUsages;
 
 use super::device_map::{DeviceMap, MapSource};
+use crate::error::Result;
 use crate::gpu::Gpu;
 use crate::gpu::growing_buffer::GrowingBuffer;
 use crate::render::device::bind_groups::{
@@ -59,19 +60,22 @@ impl Default for ComputeShadow {
 impl ComputeShadow {
     /// Compiles the pass, unless it is there, and readies the map; unless a frame before has made it, uploads the triangles of these
     /// draws. Returns the bytes that were uploaded.
+    ///
+    /// # Errors
+    /// Those of [`TriangleGroups::write`].
     pub(super) fn prepare(
         &mut self,
         gpu: &Gpu,
         layouts: &BindLayouts,
         source: MapSource,
         (meshes, casters): (&Meshes, &Range<usize>),
-    ) -> u64 {
+    ) -> Result<u64> {
         self.map.prepare(gpu, source);
         let pipelines = self.pipelines.get_or_insert_with(|| Pipelines::new(gpu, layouts));
         if self.map.is_kept() {
-            return 0;
+            return Ok(0);
         }
-        let bytes = self.groups.write(gpu, meshes, std::iter::once((casters, false)));
+        let bytes = self.groups.write(gpu, meshes, std::iter::once((casters, false)))?;
         for layer in &mut self.layers {
             layer.reserve(gpu, layer_bytes(self.map.size_px()));
         }
@@ -79,7 +83,7 @@ impl ComputeShadow {
         let out = wgpu::BindingResource::TextureView(self.map.view());
         let own: Vec<_> = self.groups.bindings(meshes).into_iter().chain([fronts, backs, out]).collect();
         self.own = Some(bind_group(gpu, SHADOW_COMPUTE.name, &pipelines.layout, &own));
-        bytes
+        Ok(bytes)
     }
 
     /// Records the pass.

@@ -4,6 +4,7 @@
 
 use wgpu::BufferUsages;
 
+use crate::error::Result;
 use crate::gpu::Gpu;
 use crate::gpu::growing_buffer::GrowingBuffer;
 use crate::render::backend::LightingMode;
@@ -63,12 +64,15 @@ impl ComputeVisibility {
 
     /// Compiles the pass, unless it is there, and uploads the triangles of a frame: of two at the same depth the first is visible.
     /// Returns the bytes that were uploaded.
+    ///
+    /// # Errors
+    /// Those of [`TriangleGroups::write`].
     pub(crate) fn prepare(
         &mut self,
         gpu: &Gpu,
         layouts: &BindLayouts,
         (meshes, batches): (&Meshes, &[DrawBatch]),
-    ) -> u64 {
+    ) -> Result<u64> {
         self.pipelines.get_or_insert_with(|| Pipelines::new(gpu, layouts));
         let draws = batches.iter().map(|batch| (&batch.draws, batch.variant == LightingVariant::Sky));
         self.groups.write(gpu, meshes, draws)

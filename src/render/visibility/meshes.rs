@@ -193,8 +193,8 @@ impl Meshes {
     }
 
     /// The buffers of vertices and of indices.
-    pub(crate) fn buffers(&self) -> [&wgpu::Buffer; 2] {
-        [self.vertices.buffer(), self.indices.buffer()]
+    pub(crate) const fn buffers(&self) -> [&GrowingBuffer; 2] {
+        [&self.vertices, &self.indices]
     }
 
     /// Whether an index has 16 bits, else 32.

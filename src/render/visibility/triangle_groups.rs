@@ -7,6 +7,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 use wgpu::{BindingType, BufferUsages, ShaderStages};
 
+use crate::error::{Error, Result};
 use crate::gpu::Gpu;
 use crate::gpu::growing_buffer::GrowingBuffer;
 use crate::render::device::bind_groups::{BindLayouts, bind_group_layout, storage_buffer};
@@ -55,12 +56,15 @@ impl TriangleGroups {
 
     /// Replaces them with those of ranges of the draws, in their order; each range is of the sky or not. Returns the bytes that were
     /// uploaded.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] if the device cannot bind as much as they are.
     pub(in crate::render) fn write<'a>(
         &mut self,
         gpu: &Gpu,
         meshes: &Meshes,
         draws: impl Iterator<Item = (&'a Range<usize>, bool)>,
-    ) -> u64 {
+    ) -> Result<u64> {
         // About as many as for the frame before.
         let mut groups = Vec::with_capacity((self.rows * GROUPS_PER_ROW) as usize);
         for (draws, is_sky) in draws {
@@ -70,13 +74,23 @@ impl TriangleGroups {
         self.rows = groups.len() as u32 / GROUPS_PER_ROW;
         let triangles = groups.len() as u64 * u64::from(GROUP_TRIANGLES);
         self.queues.reserve(gpu, (2 + triangles + u64::from(MAX_HUGE)) * size_of::<u32>() as u64);
-        self.buffer.write(gpu, &groups)
+        let bytes = self.buffer.write(gpu, &groups);
+        let (used, limit) = (self.buffers(meshes), gpu.device.limits().max_storage_buffer_binding_size);
+        match used.map(GrowingBuffer::used).into_iter().max() {
+            Some(most) if most > limit => Err(too_large(most, limit, &gpu.info.name)),
+            _ => Ok(bytes),
+        }
+    }
+
+    /// Groups, indices, vertices, queues.
+    const fn buffers<'a>(&'a self, meshes: &'a Meshes) -> [&'a GrowingBuffer; 4] {
+        let [vertices, indices] = meshes.buffers();
+        [&self.buffer, indices, vertices, &self.queues]
     }
 
     /// What the shader binds first in group 2: groups, indices, vertices, queues.
     pub(in crate::render) fn bindings<'a>(&'a self, meshes: &'a Meshes) -> [wgpu::BindingResource<'a>; 4] {
-        let [vertices, indices] = meshes.buffers();
-        [self.buffer.buffer(), indices, vertices, self.queues.buffer()].map(wgpu::Buffer::as_entire_binding)
+        self.buffers(meshes).map(GrowingBuffer::bind_used)
     }
 
     /// Empties the queues.
@@ -105,6 +119,16 @@ impl TriangleGroups {
         let slices = rows.div_ceil(ROWS_PER_SLICE).clamp(1, MAX_SLICES);
         pass.dispatch_workgroups(QUEUE_WORKGROUPS, 1 + slices, 1);
     }
+}
+
+/// The error of a scene of which a buffer of this many bytes would have to be bound.
+fn too_large(bytes: u64, limit: u64, adapter: &str) -> Error {
+    Error::Scene(format!(
+        "the meshes of the scene are too large for --raster compute on {adapter}: a buffer has {} MiB, the limit is {}; use --raster device, a \
+         larger terrain.cell_mrad or a larger camera.fov_deg",
+        bytes.div_ceil(1 << 20),
+        limit >> 20
+    ))
 }
 
 /// Layout of group 2 of a compute pass that rasterises: what [`TriangleGroups::bindings`] binds, then what is its own.
