@@ -34,7 +34,7 @@ pub struct Sensor {
     pub gain_max_ev: f64,
     /// Columns of pixels; its rows follow from the shape of the image. 0 for those of the image.
     pub width_px: u32,
-    /// Veiling glare: light spread uniformly over the image, as a fraction of its mean.
+    /// Veiling glare: the part of the light that the lens spreads uniformly over the image, before vignetting.
     pub glare: f64,
     /// Fraction of the natural vignetting (cos^4 of the angle to the optical axis), 0 to 1.
     pub vignetting: f64,

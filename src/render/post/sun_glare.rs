@@ -30,8 +30,6 @@ const MIN_COSINE: f32 = 0.05;
 const MIN_COVERED: f32 = 0.02;
 /// Points along each side of a pixel at which the darkening of the limb is asked for.
 const LIMB_STEPS: usize = 4;
-/// Variance of the pixel's own aperture as it is sampled, px^2.
-const APERTURE_VARIANCE: f64 = 0.0625;
 /// Points of the sun's limb that bound where its disc lies in the image.
 const LIMB_POINTS: u32 = 16;
 /// The soft edge of a ghost, in radii.
@@ -183,15 +181,16 @@ impl SunGlare {
     }
 
     /// Adds the disc to the channels of an image, linear radiance times `gain` and the share in `falloff` that the vignetting leaves,
-    /// through a point spread function of this standard deviation; `scattered` of its light is elsewhere.
+    /// blurred by a Gaussian of this standard deviation, pixels, which leaves out the pixel's own aperture; `scattered` of its light is
+    /// elsewhere.
     pub fn add_disc(
         &self,
         channels: &mut [Vec<f32>],
         channel_of: impl Fn(usize, Vec3) -> f32,
         (gain, falloff): (f32, &[f32]),
-        (psf_px, scattered): (f64, f64),
+        (sigma_px, scattered): (f64, f64),
     ) {
-        let ([columns, rows], light) = self.spread_disc(psf_px);
+        let ([columns, rows], light) = self.spread_disc(sigma_px);
         for (number, channel) in channels.iter_mut().enumerate() {
             for (y, lights) in rows.clone().zip(light.chunks_exact(columns.len().max(1))) {
                 for (x, light) in columns.clone().zip(lights) {
@@ -203,9 +202,9 @@ impl SunGlare {
         }
     }
 
-    /// Radiance of the disc after the point spread function, and the columns and rows that it is for. The Gaussian has no negative
+    /// Radiance of the disc after the blur, and the columns and rows that it is for. The Gaussian has no negative
     /// lobes: those of a kernel that is sharper would be black rings around something so bright.
-    fn spread_disc(&self, psf_px: f64) -> ([std::ops::Range<usize>; 2], Vec<Vec3>) {
+    fn spread_disc(&self, sigma_px: f64) -> ([std::ops::Range<usize>; 2], Vec<Vec3>) {
         let [width, _] = self.rays.size;
         let Some(((first_x, last_x), (first_y, last_y))) =
             self.disc.iter().fold(None, |bounds, (pixel, ..)| {
@@ -216,11 +215,10 @@ impl SunGlare {
         else {
             return ([0..0, 0..0], Vec::new());
         };
-        let sigma = (psf_px * psf_px - APERTURE_VARIANCE).max(0.0).sqrt();
-        let reach = (4.0 * sigma).ceil() as usize;
+        let reach = (4.0 * sigma_px).ceil() as usize;
         let weight = |offset: usize| {
-            if sigma > 0.0 {
-                libm::exp(-0.5 * offset as f64 * offset as f64 / (sigma * sigma))
+            if sigma_px > 0.0 {
+                libm::exp(-0.5 * offset as f64 * offset as f64 / (sigma_px * sigma_px))
             } else {
                 f64::from(offset == 0)
             }

@@ -9,16 +9,16 @@ const FREQUENCIES: u32 = 64;
 
 /// One half of the symmetric, separable kernel of the point spread function, the middle weight first; the weights sum to 1.
 ///
-/// It is designed in the frequency domain: with the aperture of the pixel (2 x 2 samples, whose transfer at f cycles a pixel is
-/// cos(pi f / 2)) the modulation transfer function is that of a Gaussian of this standard deviation, exp(-2 (pi sigma f)^2), up to
-/// Nyquist's frequency. A Gaussian sampled at the pixels would pass twice as much there. Side lobes stay below 2 %. The pixel alone has
-/// a standard deviation of 0.25: up to there the kernel is a single 1.
-fn psf_kernel(sigma_px: f64) -> Vec<f32> {
+/// It is designed in the frequency domain: with the [`aperture`] of the pixel the modulation transfer function is that of a Gaussian
+/// of this standard deviation, exp(-2 (pi sigma f)^2), up to Nyquist's frequency. A Gaussian sampled at the pixels would pass twice as
+/// much there. Side lobes stay below 2 %. A pixel of 2 x 2 samples has a standard deviation of 0.25 by itself: up to there the kernel is
+/// a single 1.
+fn psf_kernel(sigma_px: f64, samples_per_side: u32) -> Vec<f32> {
     let reach = (3.0 * sigma_px).ceil() as u32 + 2;
     let pi = std::f64::consts::PI;
     let transfer = |f: f64| {
         let phase = pi * sigma_px * f;
-        (libm::exp(-2.0 * phase * phase) / libm::cos(0.5 * pi * f)).min(1.0)
+        (libm::exp(-2.0 * phase * phase) / aperture(samples_per_side, f)).min(1.0)
     };
     let weight = |offset: u32| {
         let frequency = |step: u32| (f64::from(step) + 0.5) / f64::from(2 * FREQUENCIES);
@@ -31,9 +31,21 @@ fn psf_kernel(sigma_px: f64) -> Vec<f32> {
     weights.into_iter().map(|weight| (weight / sum) as f32).collect()
 }
 
-/// All taps of the point spread function, see [`psf_kernel`].
-pub(super) fn psf_taps(sigma_px: f64) -> Vec<f32> {
-    symmetric(&psf_kernel(sigma_px))
+/// Transfer at f cycles a pixel, above 0, of a pixel that is the mean of this many evenly spaced samples along its side.
+fn aperture(samples_per_side: u32, f: f64) -> f64 {
+    let (n, phase) = (f64::from(samples_per_side), std::f64::consts::PI * f);
+    libm::sin(phase) / (n * libm::sin(phase / n))
+}
+
+/// Variance of the aperture of such a pixel, px^2.
+pub(in crate::render::post) fn aperture_variance(samples_per_side: u32) -> f64 {
+    let n = f64::from(samples_per_side);
+    (1.0 - 1.0 / (n * n)) / 12.0
+}
+
+/// All taps of the point spread function of pixels with this many samples along a side, see [`psf_kernel`].
+pub(super) fn psf_taps(sigma_px: f64, samples_per_side: u32) -> Vec<f32> {
+    symmetric(&psf_kernel(sigma_px, samples_per_side))
 }
 
 /// All taps of a Gaussian of this standard deviation, pixels.
@@ -112,7 +124,7 @@ mod tests {
     fn sums_by_rows_have_the_bits_of_sums_by_pixels() {
         let (width, height, sigma_px) = (19, 6, 0.7);
         let channel: Vec<f32> = (0..width * height).map(|i| 0.5 + libm::sinf(i as f32 * 2.3)).collect();
-        let weights = psf_kernel(sigma_px);
+        let weights = psf_kernel(sigma_px, 2);
         let reach = weights.len() as isize - 1;
         let clamped =
             |at: usize, offset: isize, end: usize| (at as isize + offset).clamp(0, end as isize - 1) as usize;
@@ -124,6 +136,6 @@ mod tests {
         };
         let rows = of_pixels(&|x, y| sum(&|i| channel[y * width + clamped(x, i, width)]));
         let expected = of_pixels(&|x, y| sum(&|i| rows[clamped(y, i, height) * width + x]));
-        assert_eq!(convolve(&channel, width, height, &psf_taps(sigma_px)), expected);
+        assert_eq!(convolve(&channel, width, height, &psf_taps(sigma_px, 2)), expected);
     }
 }

@@ -47,14 +47,19 @@ impl WideRows {
 }
 
 impl<'a> Recorder<'a> {
-    /// For an image of this size.
-    pub(super) fn new(sensor: &'a Sensor, channels: &'a [Vec<f32>], image: [usize; 2]) -> Self {
+    /// For an image of this size, of whose pixels each is the mean of this many samples along its side.
+    pub(super) fn new(
+        sensor: &'a Sensor,
+        samples_per_side: u32,
+        channels: &'a [Vec<f32>],
+        image: [usize; 2],
+    ) -> Self {
         let [width, height] = image;
         let size = match sensor.width_px as usize {
             0 => image,
             columns => [columns, ((columns * height + width / 2) / width).max(1)],
         };
-        let (readout, taps) = (Readout::new(sensor), psf_taps(sensor.psf_px));
+        let (readout, taps) = (Readout::new(sensor), psf_taps(sensor.psf_px, samples_per_side));
         let table = |from, to| ResamplingTable::new(Resampling { from, to });
         let (enlargement, reduction) = (table(width, size[0]), table(size[0], width));
         let codes = SrgbCodes::shared();
