@@ -146,17 +146,12 @@ pub struct RgbStatistics {
     pub p99: u8,
     /// Largest value.
     pub max: u8,
-    /// Sum of the values of each channel: red, green, blue. Not written if all are 0; datasets of version 0.1 do not record it.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    /// Sum of the values of each channel: red, green, blue. Datasets of version 0.1 do not record it.
+    #[serde(default)]
     pub sum: [u64; 3],
     /// Sum of their squares.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default)]
     pub sum_of_squares: [u64; 3],
-}
-
-/// Whether all of these are 0.
-fn is_zero(sums: &[u64; 3]) -> bool {
-    *sums == [0; 3]
 }
 
 impl Frame {

@@ -9,8 +9,8 @@
 //! * in more than nine tenths of its pixels its own signal above that of the darkest pixel of the image is below the same number of
 //!   standard deviations of the noise in the dark: a rock in shadow, whose outline cannot be distinguished from the shadow's.
 //!
-//! A pixel at the outline shows what is beside the rock too, in at most half of its samples: half of the brightest pixel beside it is not
-//! the rock's own signal. Light of the sun that the lens scatters and reflects lies over the scene: no signal of a rock, but with a noise
+//! A pixel at the outline with more than one sample shows what is beside the rock too, in at most half of them: half of the brightest pixel
+//! beside it is not the rock's own signal. Light of the sun that the lens scatters and reflects lies over the scene: no signal of a rock, but with a noise
 //! of its own. What a contrast stretch makes black is dark, and what it makes white is equal, whatever the sensor got of it.
 //! Each rock is summed by itself in the order of its pixels, so that no number depends on threads.
 //! Must not know: how rocks were drawn.
@@ -286,6 +286,9 @@ impl<'a> Signal<'a> {
             },
             |pixel| (if frame.instances[pixel] == 0 { &mut ground } else { &mut others }).add(value(pixel)),
         );
+        if contrast <= 0.0 {
+            return false;
+        }
         if lit_px < MIN_LIT_SHARE * rock.count() {
             return true;
         }
@@ -308,7 +311,12 @@ impl<'a> Signal<'a> {
             .flat_map(|y| columns.clone().map(move |x| y * width + x));
         let beside = near.filter(|near| frame.instances[*near] != frame.instances[pixel]);
         let brightest = beside.map(|pixel| self.sharp[pixel]).fold(0.0, f32::max);
-        let share = if self.sensor.is_some() { MAX_SHARE_BESIDE } else { MAX_CODE_BESIDE };
+        let share = match self.sensor {
+            // A single sample shows nothing beside it.
+            _ if frame.samples == 1 => 0.0,
+            Some(_) => MAX_SHARE_BESIDE,
+            None => MAX_CODE_BESIDE,
+        };
         f64::from(self.sharp[pixel] - share * brightest)
     }
 
@@ -360,12 +368,23 @@ mod tests {
         ground: f32,
         codes: [f32; 2],
     ) -> bool {
+        is_hidden_from(stray, rock, ground, (codes, 4, 3.0))
+    }
+
+    /// The same with this many samples a pixel, and with this contrast as the limit.
+    fn is_hidden_from(
+        stray: impl Fn(usize) -> f32,
+        rock: impl Fn(usize, usize) -> f32,
+        ground: f32,
+        (codes, samples, contrast): ([f32; 2], u32, f64),
+    ) -> bool {
         const SIDE: usize = 30;
         let within = |at: usize| at.checked_sub(10).filter(|from_edge| *from_edge < 10);
         let pixels = || (0..SIDE * SIDE).map(|pixel| within(pixel % SIDE).zip(within(pixel / SIDE)));
         let frame = Frame {
             width: SIDE as u32,
             height: SIDE as u32,
+            samples,
             instances: pixels().map(|in_rock| u16::from(in_rock.is_some())).collect(),
             ..Frame::default()
         };
@@ -378,7 +397,7 @@ mod tests {
         let sensor = Sensor { read_noise_e: 20.0, ..Sensor::ideal(Mosaic::Monochrome) };
         let codes = CodeRange { light: codes, step: 1.0 / 255.0 };
         let exposure = Exposure { light: vec![light], stray: vec![stray], codes, gain: 1.0 };
-        Signal::new(&frame, Some((&sensor, &exposure))).hides(&frame, &Region::all(&frame)[0], 3.0)
+        Signal::new(&frame, Some((&sensor, &exposure))).hides(&frame, &Region::all(&frame)[0], contrast)
     }
 
     #[test]
@@ -400,6 +419,15 @@ mod tests {
         };
         assert_eq!([0.0, 0.1, 0.15].map(|outline| hidden(outline, 0.0)), [true, true, false]);
         assert!(!hidden(0.1, 0.01), "dim all over");
+    }
+
+    #[test]
+    fn a_single_sample_is_all_of_the_rock_and_without_a_contrast_nothing_is_hidden() {
+        let is_outline = |at: usize| at == 0 || at == 9;
+        let rock = |x, y| if is_outline(x) || is_outline(y) { 0.1 } else { 0.0 };
+        let hidden = |samples, contrast| is_hidden_from(|_| 0.0, rock, 0.2, ([0.0, 1.0], samples, contrast));
+        assert_eq!([hidden(4, 3.0), hidden(1, 3.0), hidden(4, 0.0)], [true, false, false]);
+        assert!(!is_hidden_from(|_| 0.0, |_, _| 0.2, 0.2, ([0.0, 1.0], 4, 0.0)), "a rock like the ground");
     }
 
     #[test]
