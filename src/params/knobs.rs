@@ -171,13 +171,13 @@ knobs! {
     RocksExposed "rocks.exposed" "" in Surface Number, Element("rock"), uniform(0.35, 0.95), [0.05, 1.0],
         "Height of a rock above the ground over its own, to 0.75 diameters; it is flattened, at most by half, or stretched.";
     RocksAlbedoRatio "rocks.albedo_ratio" "" in Surface Number, Frame, number(1.35), [0.3, 4.0],
-        "Median ratio of rock albedo to soil albedo; drawn per rock, log-normal, clipped to 0.7 to 2.5.";
+        "Median ratio of rock albedo to soil albedo; drawn per rock, log-normal, clipped to 0.7 to 2.5, where the median is outside at the median; no albedo is above 1.";
     RocksAlbedoSpread "rocks.albedo_spread" "" in Surface Number, Frame, number(0.3), [0.0, 1.0],
         "Standard deviation of the logarithm of that ratio.";
     RocksDust "rocks.dust" "" in Surface Number, Element("rock"), uniform(0.1, 0.6), [0.0, 1.0],
         "Fraction of a rock's upward-facing surface covered by soil.";
     PhotometryLaw "photometry.law" "" Text(&["lambert", "oren_nayar", "lommel_seeliger", "hapke"]), Frame, word("oren_nayar") => word("hapke"), [0.0, 0.0],
-        "Photometric function of ground and rocks; the albedo is its value at normal incidence and zero phase.";
+        "Photometric function of ground and rocks; the albedo is its value at normal incidence and zero phase (of Oren-Nayar's with roughness s 1 / (1 + 0.144 s) of it).";
     HapkeW "hapke.w" "" Number, Frame, number(0.32357), [0.05, 0.95],
         "Single-scattering albedo of the grains.";
     HapkeB "hapke.b" "" Number, Frame, number(0.23955), [0.0, 0.9],
@@ -201,7 +201,7 @@ knobs! {
     LabelUnseen "label.unseen" "" Text(&["ignore", "regolith", "rock"]), Frame, word("rock"), [0.0, 0.0],
         "What rocks become that nobody can see, because they lie in shadow or differ too little from what surrounds them: ignore (255 in the mask), regolith or rock.";
     LabelUnseenContrast "label.unseen_contrast" "" Number, Frame, number(3.0), [0.0, 100.0],
-        "Contrast below which a rock counts as unseen, in standard deviations of a pixel's noise; without a sensor, in steps of the 8-bit image.";
+        "Contrast below which a rock counts as unseen, in standard deviations of a pixel's noise; without a sensor, in steps of the 8-bit image; at 0 no rock does.";
     LabelCraterMinDiameterM "label.crater_min_diameter_m" "m" Number, Frame, number(0.5), [0.1, 100.0],
         "Craters with a smaller diameter are not labelled.";
     LabelCraterMinDepth "label.crater_min_depth" "" Number, Frame, number(0.04), [0.0, 0.5],
@@ -265,13 +265,13 @@ knobs! {
     SensorKind "sensor.kind" "" Text(&["off", "mono", "bayer"]), Frame, word("off"), [0.0, 0.0],
         "Sensor model applied to the image: off, monochrome, or with a Bayer mosaic.";
     SensorGroundLevel "sensor.ground_level" "" Number, Frame, number(0.0), [0.0, 0.95],
-        "Automatic exposure: encoded level of the median sunlit ground, less where that would saturate more than 1.5 % of the image; 0 uses camera.exposure_ev.";
+        "Automatic exposure: encoded level of the median sunlit ground, less where that would saturate green in more than 1.5 % of the image; 0 uses camera.exposure_ev.";
     SensorGainMaxEv "sensor.gain_max_ev" "EV" Number, Frame, number(4.0), [0.0, 12.0],
         "Longest automatic exposure, in stops above camera.exposure_ev: ground that stays too dark even so is shown dark.";
     SensorWidthPx "sensor.width_px" "px" Integer, Frame, number(0.0), [0.0, 8192.0],
         "Columns of the sensor, which mosaic, noise and point spread are those of; its image is then reduced to --size by area (or enlarged, if it has fewer). 0 for as many as the image has.";
     SensorGlare "sensor.glare" "" Number, Frame, number(0.01), [0.0, 0.3],
-        "Veiling glare: light that the lens scatters over the whole image, as a fraction of its mean (0.005 to 0.03 is typical); of a sun in or near the image it is the fraction that bloom and veil have.";
+        "Veiling glare: the part of the light that the lens scatters evenly over the whole image (0.005 to 0.03 is typical); of a sun in or near the image it is the fraction that bloom and veil have.";
     SensorFlare "sensor.flare" "" Number, Frame, number(0.0), [0.0, 0.1],
         "Reflectance of a surface of the lens, for ghosts of a sun in or near the image: each of six has its square as its share of the light (0.002 to 0.01 is typical of coated lenses, 0.04 of bare glass).";
     SensorVignetting "sensor.vignetting" "" Number, Frame, number(0.5), [0.0, 1.0],

@@ -224,10 +224,11 @@ impl Hapke {
     }
 }
 
-/// Linear RGB with this mean and these channel ratios.
+/// Linear RGB of an albedo with this mean and these channel ratios, darker if its largest channel would be above 1.
 #[must_use]
 pub fn tinted(mean: f64, red_over_green: f64, blue_over_green: f64) -> Vec3 {
-    let green = 3.0 * mean / (1.0 + red_over_green + blue_over_green);
+    let of_mean = 3.0 * mean / (1.0 + red_over_green + blue_over_green);
+    let green = of_mean.min(1.0 / red_over_green.max(blue_over_green).max(1.0));
     Vec3::new((green * red_over_green) as f32, green as f32, (green * blue_over_green) as f32)
 }
 
