@@ -147,11 +147,11 @@ pub struct RgbStatistics {
     /// Largest value.
     pub max: u8,
     /// Sum of the values of each channel: red, green, blue. Datasets of version 0.1 do not record it.
-    #[serde(default)]
-    pub sum: [u64; 3],
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sum: Option<[u64; 3]>,
     /// Sum of their squares.
-    #[serde(default)]
-    pub sum_of_squares: [u64; 3],
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sum_of_squares: Option<[u64; 3]>,
 }
 
 impl Frame {
@@ -262,8 +262,8 @@ impl RgbStatistics {
             mean: sum.iter().sum::<u64>() as f64 / total as f64,
             p99: quantile((total * 99).div_ceil(100)).unwrap_or(u8::MAX),
             max: quantile(total).unwrap_or(u8::MAX),
-            sum,
-            sum_of_squares,
+            sum: Some(sum),
+            sum_of_squares: Some(sum_of_squares),
         }
     }
 }
@@ -289,8 +289,8 @@ mod tests {
         let statistics = frame.rgb_statistics();
         assert!((statistics.mean - (296.0 * 10.0 + 850.0) / 300.0).abs() < 1e-12);
         assert_eq!((statistics.p99, statistics.max), (200, 250));
-        assert_eq!(statistics.sum, [250 + 200 + 980, 200 + 990, 200 + 990]);
-        assert_eq!(statistics.sum_of_squares[0], 62_500 + 40_000 + 9_800);
+        assert_eq!(statistics.sum, Some([250 + 200 + 980, 200 + 990, 200 + 990]));
+        assert_eq!(statistics.sum_of_squares.map(|[red, ..]| red), Some(62_500 + 40_000 + 9_800));
         assert_eq!(frame.count(ClassId::REGOLITH), 60);
         assert!((frame.coverage(ClassId::SKY) - 0.1).abs() < 1e-12);
     }

@@ -69,11 +69,14 @@ impl Totals {
             self.class_px[i] = self.class_px[i].saturating_add(pixels);
             self.class_frames[i] += u64::from(pixels > 0);
         }
-        for channel in 0..3 {
-            self.channel_sum[channel] += u128::from(line.rgb.sum[channel]);
-            self.channel_squares[channel] += u128::from(line.rgb.sum_of_squares[channel]);
+        if let (Some(sum), Some(squares)) = (line.rgb.sum, line.rgb.sum_of_squares) {
+            for channel in 0..3 {
+                self.channel_sum[channel] += u128::from(sum[channel]);
+                self.channel_squares[channel] += u128::from(squares[channel]);
+            }
+        } else {
+            self.lacks_channels = true;
         }
-        self.lacks_channels |= line.rgb.mean > 0.0 && line.rgb.sum == [0; 3];
         self.ignored_sum += line.coverage_of("ignored").unwrap_or_default();
         for rule in &line.redrawn {
             *self.redraws.entry(rule.clone()).or_default() += 1;
@@ -242,7 +245,7 @@ mod tests {
     fn what_is_unknown_is_left_out() {
         assert_eq!(Totals::new([3, 1]).class_weights(), [0.0; 3]);
         let mut old = line(&[1; 9], [1.0, 0.0, 0.0]);
-        old.rgb.sum = [0; 3];
+        old.rgb.sum = None;
         let mut totals = Totals::new([3, 1]);
         totals.add(&old);
         assert!(totals.channels().is_none() && totals.to_json().get("channel_mean").is_none());
