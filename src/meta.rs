@@ -84,6 +84,7 @@ impl FrameRecord<'_> {
             "exposure": self.frame.exposure,
             "rgb": self.frame.rgb_statistics(),
             "moved_rocks": self.scene.moved_rocks(),
+            "left_out_rocks": self.scene.left_out_rocks,
             "ms": ms,
         });
         if let (true, Value::Object(record)) = (self.mask.edges() != EdgePolicy::Hard, &mut record) {

@@ -76,6 +76,8 @@ pub struct Scene {
     pub label_rule: LabelRule,
     /// The rocks, by index, and behind them the parts of the rover.
     pub rocks: Rocks,
+    /// Number of rocks of the surface stage that are left out because they would stand in or beside the camera.
+    pub left_out_rocks: u32,
     /// Dome and stars.
     pub sky: Sky,
     /// The sun.
@@ -125,7 +127,7 @@ impl Scene {
         relief.wall.as_ref().map_or(Ok(()), CraterWall::check)?;
         let tracks = rover_tracks::tracks(streams, first).into_iter();
         relief.tracks = tracks.map(|track| Track { offset: track.offset + to_first, ..track }).collect();
-        let mut placements = lunar::placements(streams, params, &relief, &view, centre);
+        let (mut placements, left_out_rocks) = lunar::placements(streams, params, &relief, &view, centre);
         rover::remove_overlapping_rocks(params, centre, &mut placements);
         let number = |knob| params.number(knob);
         let regolith = Material {
@@ -142,7 +144,8 @@ impl Scene {
         let camera = Camera::build(params, &terrain)?;
         burial::bury(streams, params, (&terrain, camera.eye), &placements, &mut rocks);
         let ground = (Arc::new(terrain), Some(relief));
-        Ok(Self::assembled(streams, params, ground, rocks.into(), regolith, camera))
+        let scene = Self::assembled(streams, params, ground, rocks.into(), regolith, camera);
+        Ok(Self { left_out_rocks, ..scene })
     }
 
     fn assembled(
@@ -164,6 +167,7 @@ impl Scene {
             flare: Flare::build(streams, params),
             regolith,
             rocks,
+            left_out_rocks: 0,
             relief,
             terrain,
             camera,

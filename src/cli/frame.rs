@@ -199,6 +199,9 @@ fn summarise(messages: Messages, rendered: &Rendered, meta: &Value, start: Insta
     if !meta["moved_rocks"].as_array().is_none_or(Vec::is_empty) {
         messages.note(format_args!("rocks moved away from the camera: {}", meta["moved_rocks"]));
     }
+    if meta["left_out_rocks"] != 0 {
+        messages.note(format_args!("rocks left out where the camera stands: {}", meta["left_out_rocks"]));
+    }
     let Rendered { renderer, times, .. } = rendered;
     let cost = renderer.last_cost();
     messages.detail(format_args!("adapter: {}", gpu::adapter::describe(&renderer.gpu().info)));

@@ -37,6 +37,7 @@ fn flat_scene(sun: Sun, rocks: Vec<Rock>, eye: Vec3, fov_deg: f64) -> Scene {
         flare: Flare::default(),
         regolith: Material { albedo: Vec3::splat(0.2), roughness: 0.0 },
         rocks: rocks.into(),
+        left_out_rocks: 0,
         sky: Sky {
             centre: Vec3::ZERO,
             radius_m: 600.0,

@@ -70,7 +70,8 @@ fn placed_rocks(seed: u64, set: &[&str], min_angle: f32) -> (Scene, Vec<(usize, 
     let (params, scene) = (params(seed, &set), scene(seed, &set));
     let relief = scene.relief.as_ref().expect("a relief");
     let view = ground_view(&params);
-    let placements = lunar::placements(&Streams::new(seed), &params, relief, &view, scene.terrain.centre);
+    let (placements, _) =
+        lunar::placements(&Streams::new(seed), &params, relief, &view, scene.terrain.centre);
     assert_eq!(placements.len(), scene.rocks.len());
     let eye = scene.camera.eye.truncate();
     let is_near = |(index, placement): &(usize, Placement)| {
@@ -96,7 +97,7 @@ fn every_rock_whose_shadow_falls_into_the_view_is_made() {
         let view = ground_view(&params);
         let all_around = View { half_sector: std::f64::consts::PI, ..view };
         let [made, all] = [&view, &all_around]
-            .map(|view| lunar::placements(&Streams::new(seed), &params, relief, view, centre));
+            .map(|view| lunar::placements(&Streams::new(seed), &params, relief, view, centre).0);
         let is_made = |rock: &Placement| {
             made.iter().any(|made| made.position == rock.position && made.diameter_m == rock.diameter_m)
         };

@@ -104,6 +104,7 @@ fn expected_line(
         exposure: line.exposure,
         rgb: line.rgb,
         moved_rocks: line.moved_rocks.clone(),
+        left_out_rocks: line.left_out_rocks,
         other: Map::new(),
         hashes: frame.paths.iter().map(hash).collect(),
         entry: match &frame.entry {

@@ -52,6 +52,9 @@ pub struct FrameLine {
     pub rgb: RgbStatistics,
     /// Rocks that were moved out of the camera's way.
     pub moved_rocks: Vec<u32>,
+    /// Number of rocks that were left out because they would stand in or beside the camera; datasets of version 0.1 do not record it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub left_out_rocks: Option<u32>,
     /// Keys that this version does not know; they are kept.
     #[serde(flatten)]
     pub other: Map<String, Value>,

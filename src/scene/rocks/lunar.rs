@@ -199,7 +199,7 @@ pub fn placements(
     relief: &Relief,
     view: &View,
     centre: Vec2,
-) -> Vec<Placement> {
+) -> (Vec<Placement>, u32) {
     let mut placements = draw_placements(streams, params, relief, view, centre);
     keep_largest(&mut placements, MAX_PLACEMENTS, |rock| {
         rock.diameter_m / f64::from(distance_m(view, centre, rock.position))
@@ -214,12 +214,14 @@ pub fn placements(
     });
     // None where the camera is. A rock that is moved away from it later leaves its fillet behind.
     let eye_m = params.number(Knob::CameraHeightM) as f32;
+    let count = placements.len();
     placements.retain(|rock| {
         let beside_m = rock.position.distance(centre) - LONGEST_RADIUS * rock.diameter_m as f32;
         Vec2::new(beside_m, eye_m - rock.max_height_m()).max(Vec2::ZERO).length()
             > EYE_CLEARANCE_M + EYE_MARGIN_M
     });
-    placements
+    let left_out = (count - placements.len()) as u32;
+    (placements, left_out)
 }
 
 fn draw_placements(
