@@ -404,7 +404,9 @@ fn report(
     ));
     let stages: Vec<String> =
         ms.iter().map(|(name, ms)| format!("{name} {:.1}", ms.as_f64().unwrap_or(0.0))).collect();
-    messages.detail(format_args!("milliseconds of work per frame: {}", stages.join(", ")));
+    if !stages.is_empty() {
+        messages.detail(format_args!("milliseconds of work per frame: {}", stages.join(", ")));
+    }
     if finalized.missing.is_empty() {
         let sheet = if args.out.join("contact_sheet.png").is_file() { "contact_sheet.png, " } else { "" };
         messages.note(format_args!(
