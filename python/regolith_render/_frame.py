@@ -65,9 +65,11 @@ class Frame(Mapping[str, NDArray[Any]]):
 
     @cached_property
     def meta(self) -> dict[str, Any]:
-        """The record of the frame, as in `frame_0000.json` or a line of `frames.jsonl`: `seed`; `knobs` as drawn, by dotted name; `camera`
+        """The record of the frame, as in `frame_0000.json`: `seed`; `knobs` as drawn, by dotted name; `camera`
         with `K` (3 x 3, pixels), `world_from_camera` (4 x 4, axes of OpenCV, metres), `distortion`, ...; `sun`; `coverage`, the share of
-        each class, 0 to 1; `ms`, milliseconds by stage of work; and so on."""
+        each class, 0 to 1; `ms`, milliseconds by stage of work; and so on. A frame of a dataset has besides what a line of
+        `frames.jsonl` has; there `adapter` is its name alone, and what is the same for all frames (`size`, `samples`, ...) is in the
+        manifest."""
         record: dict[str, Any] = json.loads(self._meta_text)
         return record
 

@@ -15,7 +15,7 @@ from ._frame import Frame
 from ._scene import Scene
 from ._settings import MAX_FRAMES, MAX_PREFETCH, MAX_SEED, MAX_THREADS
 from ._settings import Knobs, document, names_of, opening, outputs_of, path_of, plain, refused, release_memory, samples_of, seed_of, size_of
-from ._settings import text, whole
+from ._settings import named, text, whole
 from ._stream import streamed, streamed_in_parts
 
 SEEDS_AHEAD = 1024
@@ -35,7 +35,8 @@ class Renderer:
     size: width and height, pixels, or one number for both.
     outputs: names; `rr.outputs()` lists them, and `Frame` says what they are.
     samples: 1, 4 or 16 for each pixel.
-    adapter: a part of an adapter's name (`rr.adapters()`), or `cpu`; the best one without it.
+    adapter: a part of an adapter's name, backend or driver (`rr.adapters()`), or `cpu`; the best one without it. Of several that it is a
+        part of, the first: a backend (`gl`) tells apart two of one name.
     raster: where triangles are rasterised: `auto`, `device`, `compute` or `host`.
     edges: `hard`, or `ignore:N` for 255 in the mask within N pixels of another class.
     threads: how many build scenes, 1 to 256; without it one for each core, or with a software adapter, which draws on the same cores,
@@ -76,7 +77,7 @@ class Renderer:
         }
         self._knobs = plain(set)
         self._device_of: dict[str, Any] = {
-            "adapter": None if adapter is None else text("adapter", adapter),
+            "adapter": None if adapter is None else named("adapter", adapter),
             "threads": None if threads is None else whole("threads", threads, 1, MAX_THREADS),
         }
         self._open()
@@ -153,7 +154,8 @@ class Renderer:
         """The frames of these seeds, each that of `render`, in order. Scenes are built on threads and frames rendered ahead from this call
         on; `prefetch` finished ones, 1 to 1000, wait at most to be taken. Closing the generator stops that.
 
-        seeds: any iterable, which may have no end; up to 1024 seeds are read ahead.
+        seeds: any iterable, which may have no end. They are read in groups, of 16 at first and up to 1024 later, and no frame of a group is
+        there before its last seed: one that depends on a frame is one for `render`.
 
         Raises ConfigError for a wrong seed.
         """

@@ -136,8 +136,8 @@ class Scene:
         """The frames from these poses, each that of `render`, in order. They are planned on threads, several at a time, and rendered ahead
         from this call on; `prefetch` finished ones, 1 to 1000, wait at most to be taken. Closing the generator stops that.
 
-        poses: cameras, or pairs of camera and sun; any iterable, which may have no end. Up to 256 poses are read ahead: a pose that depends
-        on a frame is one for `render`.
+        poses: cameras, or pairs of camera and sun; any iterable, which may have no end. They are read in groups, of 16 at first and up to
+        256 later, and no frame of a group is there before its last pose: a pose that depends on a frame is one for `render`.
 
         Raises ConfigError for a pose out of range, when it is read.
         """
@@ -166,7 +166,7 @@ class Scene:
         """The triangles as arrays by name:
 
         `vertices` (N, 3) float32, metres, world; `normals` (N, 3) float32, unit; `triangles` (M, 3) uint32, indices of vertices;
-        `triangle_class` (M,) uint8, as in `CLASSES`; `triangle_instance` (M,) uint16, 0 for what is no rock; `albedo`,
+        `triangle_class` (M,) uint8, as in `CLASSES`, 255 for a rover; `triangle_instance` (M,) uint16, 0 for what is no rock; `albedo`,
         `world_from_camera`, `K` and `sun_direction` as in a frame's record.
 
         drawn: only what a frame draws or lets cast shadows, in the detail that it uses.

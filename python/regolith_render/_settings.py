@@ -74,6 +74,20 @@ def text(name: str, value: object) -> str:
     return value
 
 
+def named(name: str, value: object) -> str:
+    """A text that is not empty."""
+    if not (found := text(name, value)).strip():
+        raise refused(name, value, "a part of a name is expected")
+    return found
+
+
+def truth(name: str, value: object) -> bool:
+    """A truth value."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise refused(name, value, "True or False is expected")
+    return bool(value)
+
+
 def path_of(name: str, value: str | bytes | os.PathLike[str]) -> str:
     """The path of a file; bytes of it that are no text are lone surrogates, as in `os.fsdecode`."""
     try:
@@ -106,7 +120,7 @@ def _is_list(value: object) -> bool:
         len(value)  # type: ignore[arg-type]
     except TypeError:
         return False
-    return not isinstance(value, (str, bytes, Mapping))
+    return hasattr(value, "__getitem__") and not isinstance(value, (str, bytes, Mapping))
 
 
 def names_of(name: str, value: object) -> list[str]:

@@ -13,16 +13,23 @@ from ._settings import release_memory
 FRAMES_BETWEEN_RELEASES = 100
 """Frames of a stream after which memory that is free goes back to the system."""
 
+FIRST_GROUP = 16
+"""Items that are read before the first frame."""
+
 Item = TypeVar("Item")
 
 
 def streamed_in_parts(
     items: Iterator[Item], ahead: int, start: Callable[[list[Item]], _native.Frames]
 ) -> Generator[Frame, None, None]:
-    """The frames of these items, of which up to `ahead` are read at once, from now on; `start` starts the stream of some."""
+    """The frames of these items, which are read in groups, from now on: few at first, so that a frame comes soon, then twice as many each
+    time, up to `ahead`; `start` starts the stream of a group."""
+    size = min(FIRST_GROUP, ahead)
 
     def part() -> _native.Frames | None:
-        some = list(islice(items, ahead))
+        nonlocal size
+        some = list(islice(items, size))
+        size = min(2 * size, ahead)
         return start(some) if some else None
 
     return streamed(part(), part)

@@ -9,7 +9,8 @@ from ._settings import opening, text
 
 
 class Adapter(NamedTuple):
-    """A GPU or a CPU driver that can be used. A part of its `name` is what `Renderer(adapter=...)` takes."""
+    """A GPU or a CPU driver that can be used. A part of its `name`, `backend` or `driver` is what
+    `Renderer(adapter=...)` takes."""
 
     name: str
     kind: str

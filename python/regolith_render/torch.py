@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import multiprocessing
+import multiprocessing.context
 import os
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -18,7 +19,7 @@ from torch.utils.data import Dataset, IterableDataset, get_worker_info
 
 from ._frame import Frame
 from ._renderer import Renderer
-from ._settings import MAX_FRAMES, MAX_PREFETCH, MAX_SEED, Knobs, refused, whole
+from ._settings import MAX_FRAMES, MAX_PREFETCH, MAX_SEED, Knobs, refused, truth, whole
 
 Sample = dict[str, Any]
 """Tensors by name of the output, and what a transform makes of them."""
@@ -57,8 +58,8 @@ class MoonDataset(IterableDataset[Any]):
     seed: the base seed, 0 to 2^64 - 1.
     length: number of frames of an epoch, of all ranks together; None for no end.
     transform: what becomes of each sample.
-    batch_size: that of the loader, if it has worker processes. Each worker then makes whole batches, so that batches are the same for any
-    number of workers; without it, worker w of n makes every n-th frame from the w-th on.
+    batch_size: that of the loader, if it has worker processes or `state_dict` is to count its batches. Each worker then makes whole
+    batches, so that batches are the same for any number of workers; without it, worker w of n makes every n-th frame from the w-th on.
     as_uint8: images as uint8, 0 to 255, without conversion.
     prefetch: finished frames that wait at most, 1 to 1000.
 
@@ -78,7 +79,7 @@ class MoonDataset(IterableDataset[Any]):
         length: int | None = None,
         transform: Transform | None = None,
         *,
-        batch_size: int = 1,
+        batch_size: int | None = None,
         as_uint8: bool = False,
         prefetch: int = 2,
         set: Knobs | None = None,
@@ -88,9 +89,11 @@ class MoonDataset(IterableDataset[Any]):
         self.renderer = Renderer(preset, outputs=outputs, set=set, **renderer)
         self.seed = whole("seed", seed, 0, MAX_SEED)
         self.length = None if length is None else whole("length", length, 1, MAX_FRAMES)
-        self.batch_size = whole("batch_size", batch_size, 1, MAX_FRAMES)
+        # Frames in a row that a rank or a worker makes; and whether a loader's batches are known to have as many.
+        self.batch_size = 1 if batch_size is None else whole("batch_size", batch_size, 1, MAX_FRAMES)
+        self._knows_batches = batch_size is not None
         self.prefetch = whole("prefetch", prefetch, 1, MAX_PREFETCH)
-        self.transform, self.as_uint8 = transform, as_uint8
+        self.transform, self.as_uint8 = _transform(transform), truth("as_uint8", as_uint8)
         # Epoch, `taken` and `within_batch` of the next iteration, and how often these were set: in memory that workers share, as they
         # may live longer than an epoch.
         self._start = _shared([0] * 4)
@@ -120,16 +123,19 @@ class MoonDataset(IterableDataset[Any]):
         """Where an epoch is: `epoch`, `taken`, the frames of all ranks and workers in batches that are complete, and `within_batch`, those
         of the batch that was begun.
 
-        batches: how many of `batch_size` frames the loader of this rank has given in this iteration, as `enumerate(loader, 1)` counts. With
-        worker processes it is needed, as only the loader knows; without it, the state is that of the iteration in this process.
+        batches: how many of `batch_size` frames, which this dataset must have been given, the loader of this rank has given in this
+        iteration, as `enumerate(loader, 1)` counts. With worker processes it is needed, as only the loader knows; without it, the state
+        is that of the iteration in this process.
 
         Loaded after the last frame of an epoch, it gives an iteration without frames; the one after that is whole, or that of the next
         `set_epoch`.
 
-        Raises ConfigError for more batches than there are.
+        Raises ConfigError for more batches than there are, and without `batch_size`.
         """
         epoch, taken, within = self._position
         if batches is not None:
+            if not self._knows_batches:
+                raise refused("batches", batches, "MoonDataset(batch_size=...) is expected, that of the loader: its batches are to be counted")
             epoch, taken, within, set_times = (int(number) for number in self._start)
             if int(self._used_up[0]) == set_times:
                 taken = within = 0
@@ -202,8 +208,12 @@ class MoonDataset(IterableDataset[Any]):
         return False
 
     def __getstate__(self) -> dict[str, Any]:
-        # In the process that starts a worker, which knows the rank.
-        return {**self.__dict__, "_rank": self._rank_of()}
+        if multiprocessing.context.get_spawning_popen() is not None:
+            # For a worker, in the process that starts it, which knows the rank.
+            return {**self.__dict__, "_rank": self._rank_of()}
+        # For a copy, which has a rank and goes on by itself.
+        shared = {name: value.clone() for name, value in self.__dict__.items() if isinstance(value, torch.Tensor)}
+        return {**self.__dict__, **shared, "_rank": (0, 1)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -275,10 +285,22 @@ def _manifest_of(folder: Path) -> dict[str, Any]:
         raise ValueError(f"{path} is no manifest ({error}); {remedy}") from None
 
 
+def _remedy(folder: Path) -> str:
+    """What to do about a damaged dataset."""
+    return f"run the command of the dataset again, or `regolith-render verify {folder}`, which lists what is wrong"
+
+
+def _transform(transform: object) -> Transform | None:
+    """A transform that can be called, or none."""
+    if transform is not None and not callable(transform):
+        raise refused("transform", transform, "a function of a sample is expected")
+    return transform
+
+
 def _records_of(folder: Path, manifest: dict[str, Any]) -> list[dict[str, Any]]:
     """The records of the frames of a dataset: as many as its manifest counts."""
     path, records = folder / "frames.jsonl", []
-    remedy = f"run the command of the dataset again, or `regolith-render verify {folder}`, which lists what is wrong"
+    remedy, indices = _remedy(folder), set()
     lines = path.read_bytes().removesuffix(b"\n").split(b"\n")
     for number, line in enumerate(lines, 1):
         try:
@@ -286,10 +308,13 @@ def _records_of(folder: Path, manifest: dict[str, Any]) -> list[dict[str, Any]]:
             missing = [key for key in ("index", "hashes") if key not in record]
             if missing:
                 raise ValueError(f"it has no {missing[0]}")
+            if record["index"] in indices:
+                raise ValueError(f"frame {record['index']} has one above")
         except ValueError as error:
             reason = getattr(error, "msg", error)
             raise ValueError(f"{path}, line {number} is no record of a frame ({reason}); {remedy}") from None
         records.append(record)
+        indices.add(record["index"])
     if (completed := manifest.get("n_completed")) != len(records):
         raise ValueError(f"{folder} has the records of {len(records)} frames, and its manifest counts {completed}; {remedy}")
     return records
@@ -306,7 +331,9 @@ class MoonFolder(Dataset[Any]):
     `class_pixels` by name of the class; `channel_mean` and `channel_std`, three numbers of 0 to 1. `manifest` and `records` are the
     dataset's own.
 
-    Raises FileNotFoundError if there is no dataset, ValueError if it is unfinished, damaged, of another layout, or has no such split.
+    Raises FileNotFoundError if there is no dataset, ValueError if it is unfinished, of another layout, or has no such split, or if its books
+    are damaged; so does a sample whose files are missing, unreadable or of another size. Their content is what `regolith-render verify`
+    checks.
     """
 
     manifest: dict[str, Any]
@@ -325,7 +352,7 @@ class MoonFolder(Dataset[Any]):
         as_uint8: bool = False,
     ) -> None:
         super().__init__()
-        self.folder, self.transform, self.as_uint8 = Path(folder), transform, as_uint8
+        self.folder, self.transform, self.as_uint8 = Path(folder), _transform(transform), truth("as_uint8", as_uint8)
         self.manifest = _manifest_of(self.folder)
         for key, value in (("format", "folder"), ("label_ids", "canonical")):
             if (found := self.manifest.get(key, value)) != value:
@@ -335,6 +362,12 @@ class MoonFolder(Dataset[Any]):
         if missing:
             raise ValueError(
                 f"{self.folder / 'manifest.json'} has no totals.{missing[0]}: finish the dataset by running its command again, which adds it"
+            )
+        status, completed, count = (self.manifest.get(key) for key in ("status", "n_completed", "count"))
+        if status != "done" or completed != count:
+            raise ValueError(
+                f"{self.folder} has {completed} of {count} frames, and its status is {status!r}: finish the dataset by running its command "
+                "again, with each `--shard` if it has shards"
             )
         self.class_weights, self.class_pixels = totals["class_weights"], totals["class_pixels"]
         self.channel_mean, self.channel_std = totals["channel_mean"], totals["channel_std"]
@@ -354,12 +387,18 @@ class MoonFolder(Dataset[Any]):
 
         record = self.records[index]
         arrays: dict[str, np.ndarray[Any, Any]] = {}
+        size = tuple(self.manifest["size"])
         for name in record["hashes"]:
             path = self.folder / name
             if path.suffix not in (".png", ".npy") or path.parent.name == "preview":
                 continue
             stem = path.stem.rsplit("_", 1)[0]
-            arrays[stem] = np.load(path) if path.suffix == ".npy" else np.array(Image.open(path))
+            try:
+                arrays[stem] = np.load(path) if path.suffix == ".npy" else np.array(Image.open(path))
+                if arrays[stem].shape[1::-1] != size:
+                    raise ValueError(f"it has {arrays[stem].shape[1::-1]} pixels, {size} are expected")
+            except (OSError, ValueError, EOFError, SyntaxError) as error:
+                raise ValueError(f"{path} cannot be read ({error}); {_remedy(self.folder)}") from None
         ordered = {name: arrays[name] for name in sorted(arrays, key=lambda name: (name != "rgb", name != "mask", name))}
         made = sample(Frame(ordered), self.as_uint8)
         return made if self.transform is None else self.transform(made)

@@ -65,6 +65,8 @@ SETTINGS: list[tuple[dict[str, Any], str]] = [
     ({"set": {"rocks.scale_m": ENDLESS}}, "finite depth"),
     ({"size": [[1], [2, 3]]}, r"size = \[1\]"),
     ({"size": True}, "size = True"),
+    ({"size": {128, 64}}, "size = {"),
+    ({"adapter": ""}, "adapter = '': a part of a name"),
     ({"samples": True}, "samples = True"),
     ({"config": 3}, "config = 3"),
     ({"config": b"/x"}, "config = b'/x'"),

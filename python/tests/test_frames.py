@@ -172,6 +172,14 @@ def test_seeds_may_have_no_end(renderer: rr.Renderer, monkeypatch: pytest.Monkey
     assert [frame.meta["seed"] for frame in renderer.frames(np.arange(4))] == [0, 1, 2, 3]
 
 
+def test_a_stream_reads_few_seeds_before_its_first_frame(renderer: rr.Renderer) -> None:
+    read: list[int] = []
+    endless = renderer.frames(read.append(seed) or seed for seed in count())
+    assert len(read) == 16 and next(endless).meta["seed"] == 0
+    assert [next(endless).meta["seed"] for _ in range(20)] == list(range(1, 21)) and len(read) == 48
+    endless.close()
+
+
 def test_a_stream_gives_free_memory_back(renderer: rr.Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every so many frames and at its end, also across the streams that follow one another beneath it."""
     taken, released = 0, []

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 
@@ -214,7 +215,7 @@ def test_a_state_after_an_epoch_is_its_end(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(torch.distributed, "is_initialized", lambda: True)
     monkeypatch.setattr(torch.distributed, "get_rank", lambda: 0)
     monkeypatch.setattr(torch.distributed, "get_world_size", lambda: 2)
-    first = dataset()
+    first = MoonDataset("train_dr", seed=5, length=7, size=SIZE, adapter=ADAPTER, batch_size=1)
     assert len(images(first)) == 4 and first.state_dict() == first.state_dict(batches=4) == state
     with pytest.raises(rr.ConfigError, match="batches = 5: a whole number from 0 to 4"):
         first.state_dict(batches=5)
@@ -238,6 +239,8 @@ def test_wrong_arguments_are_named() -> None:
         ({"seed": -1}, "seed = -1"),
         ({"batch_size": 0}, "batch_size = 0"),
         ({"prefetch": 0}, "prefetch = 0"),
+        ({"as_uint8": "no"}, "as_uint8 = 'no': True or False"),
+        ({"transform": 5}, "transform = 5: a function"),
         ({"outputs": "rgbd"}, "did you mean `rgb`"),
     ):
         with pytest.raises(rr.ConfigError, match=says):
@@ -250,6 +253,8 @@ def test_wrong_arguments_are_named() -> None:
         MoonDataset(batch_size=2).load_state_dict({"epoch": 0, "taken": 3, "within_batch": 0})
     with pytest.raises(rr.ConfigError, match="taken = 8: a whole number from 0 to 7"):
         dataset().load_state_dict({"epoch": 0, "taken": 8, "within_batch": 0})
+    with pytest.raises(rr.ConfigError, match=r"batches = 1: MoonDataset\(batch_size=...\) is expected"):
+        dataset().state_dict(batches=1)
     begun = MoonDataset(batch_size=2)
     begun.load_state_dict({"epoch": 0, "taken": 2, "within_batch": 1})
     with pytest.raises(rr.ConfigError, match="batches = 3"):
@@ -282,10 +287,13 @@ def test_ranks_share_the_frames_out(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(torch.distributed, "get_rank", lambda rank=rank: rank)
         monkeypatch.setattr(torch.distributed, "get_world_size", lambda: 2)
         shares.append(images(dataset()))
-    # Workers that are not forked get the dataset pickled, and know of no other rank.
+    # Workers that are not forked get the dataset pickled, and know of no other rank. Other copies have none.
+    copied = pickle.dumps(dataset())
+    monkeypatch.setattr("multiprocessing.context.get_spawning_popen", lambda: "a worker")
     pickled = pickle.dumps(dataset())
     monkeypatch.setattr(torch.distributed, "is_initialized", lambda: False)
     assert same(images(pickle.loads(pickled)), shares[1])
+    assert same(images(pickle.loads(copied)), whole)
     assert [len(share) for share in shares] == [4, 3]
     assert same(shares[0], whole[0::2]) and same(shares[1], whole[1::2])
 
@@ -300,6 +308,8 @@ def test_a_damaged_folder_is_an_error_that_names_what_is_wrong(tmp_path: Path) -
         ("frames.jsonl", two, "d has the records of 2 frames, .* counts 3; run the command .* verify"),
         ("frames.jsonl", records[:-30], "frames.jsonl, line 3 is no record .*; run the command .* verify"),
         ("frames.jsonl", records + "{}\n", "frames.jsonl, line 4 is no record of a frame .it has no index"),
+        ("frames.jsonl", two + two[: two.index("\n") + 1], "line 3 is no record of a frame .frame 0 has one above"),
+        ("manifest.json", manifest.replace('"done"', '"running"'), "d has 3 of 3 frames, and its status is 'running': finish"),
         ("frames.jsonl", "7\n" + records, "frames.jsonl, line 1 is no record of a frame .an object is expected"),
         ("manifest.json", "{", "manifest.json is no manifest .*; delete it"),
         ("manifest.json", "[]", "manifest.json is no manifest .an object is expected"),
@@ -311,6 +321,29 @@ def test_a_damaged_folder_is_an_error_that_names_what_is_wrong(tmp_path: Path) -
         (out / "manifest.json").write_text(manifest)
         (out / "frames.jsonl").write_text(records)
     assert len(MoonFolder(out)) == 3
+    mask = out / "mask" / "mask_00001.png"
+    image = mask.read_bytes()
+    Image.new("L", (8, 8)).save(out / "small.png")
+    for content, says in ((None, "No such file"), (b"", "cannot identify"), (image[:-30], "truncated"), ((out / "small.png").read_bytes(), r"\(8, 8\) pixels, \(16, 16\) are expected")):
+        if content is None:
+            mask.unlink()
+        else:
+            mask.write_bytes(content)
+        with pytest.raises(ValueError, match=f"mask_00001.png cannot be read .*{says}.*; run the command .* verify"):
+            MoonFolder(out)[1]
+        mask.write_bytes(image)
+    assert MoonFolder(out)[1]["mask"].shape == (16, 16)
+
+
+def test_a_part_of_a_dataset_is_unfinished(tmp_path: Path) -> None:
+    command = ("dataset", "--size", "16", "--samples", "1", "--split", "train=2,val=2", "--out", str(tmp_path), "-q")
+    for shard in ("0/2", "1/2"):
+        made = program(*command, "--shard", shard)
+        assert made.returncode == 0, made.stderr
+        if shard == "0/2":
+            with pytest.raises(ValueError, match="has 2 of 4 frames, .* with each `--shard`"):
+                MoonFolder(tmp_path, "train")
+    assert len(MoonFolder(tmp_path)) == 4
 
 
 def test_a_folder_gives_the_same_samples(tmp_path: Path) -> None:
