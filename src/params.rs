@@ -41,6 +41,11 @@ impl Params {
         &self.settings[knob as usize]
     }
 
+    /// Takes a knob over from other parameters.
+    pub(crate) fn take_over(&mut self, knob: Knob, from: &Self) {
+        self.settings[knob as usize] = from.settings[knob as usize].clone();
+    }
+
     fn value(&self, knob: Knob) -> &Value {
         match &self.settings[knob as usize] {
             Fixed(value) => value,

@@ -35,7 +35,12 @@ impl Pose {
         config.apply_toml(&format!("sun.azimuth_deg = {azimuth_deg:?}"), "the scene")?;
         config.apply_toml(set, "camera and sun")?;
         config.check()?;
-        let params = config.draw(of.seed)?;
+        let mut params = config.draw(of.seed)?;
+        let is_kept = |knob| params.number(knob) == of.params.number(knob);
+        if is_kept(Knob::SunAzimuthDeg) && is_kept(Knob::CameraYawDeg) {
+            // As it was drawn: computed, it may be a turn less.
+            params.take_over(Knob::SunRelativeAzimuthDeg, &of.params);
+        }
         let changed = |knob: &Knob| of.params.setting(*knob) != params.setting(*knob);
         let is_of = |knob: &Knob, section: &str| knob.name().starts_with(section);
         let is_pose = |knob: &Knob| is_of(knob, "camera.") || is_of(knob, "sun.");
@@ -157,6 +162,20 @@ mod tests {
         for (a, b) in before.iter().zip(&after) {
             // Cells of the mesh are wide where the camera does not look.
             assert!((a - b).abs() < 6.0, "{before:?} {after:?}");
+        }
+    }
+
+    #[test]
+    fn a_pose_that_moves_nothing_has_the_parameters_of_the_scene() {
+        for sun in ["sun.relative_azimuth_deg=270", "sun.azimuth_deg=300"] {
+            let plan = plan(&["stage.name=surface", sun, "camera.yaw_deg=15"]);
+            let of = built(&plan);
+            let pose = |set| Pose::new(&plan, &of, set, None).expect("a pose").params;
+            assert_eq!(pose(""), of.params);
+            assert_eq!(pose("camera.yaw_deg = 25").number(Knob::SunRelativeAzimuthDeg), {
+                let relative = of.params.number(Knob::SunRelativeAzimuthDeg) - 10.0;
+                if relative > 180.0 { relative - 360.0 } else { relative }
+            });
         }
     }
 
