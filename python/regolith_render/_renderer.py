@@ -228,7 +228,10 @@ def _file_of_knobs(config: str | os.PathLike[str]) -> tuple[str, str]:
     if not isinstance(config, (str, os.PathLike)):
         raise refused("config", config, "the path of a file is expected")
     path = path_of("config", config)
-    return _native.config_text(path), os.fsencode(path).decode("utf-8", "replace")
+    knobs = _native.config_text(path)
+    if knobs.lstrip().startswith("{"):
+        raise refused("config", path, 'a TOML file of knobs is expected; of a frame\'s record pass set=json.load(...)["knobs"]')
+    return knobs, os.fsencode(path).decode("utf-8", "replace")
 
 
 def _iterator(seeds: Iterable[int]) -> Iterator[object]:

@@ -158,9 +158,22 @@ def plain(set: Knobs | None) -> dict[str, Any]:
     if set is not None and not isinstance(set, Mapping):
         raise refused("set", set, 'a mapping of knobs is expected, as in {"sun.elevation_deg": 12}')
     try:
-        return {str(name): _plain(str(name), value) for name, value in (set or {}).items()}
+        return _with_one_azimuth({str(name): _plain(str(name), value) for name, value in (set or {}).items()})
     except RecursionError:
         raise refused("set", set, "values of finite depth are expected") from None
+
+
+def _with_one_azimuth(knobs: dict[str, Any]) -> dict[str, Any]:
+    """The same without one of the sun's two azimuths where they agree, as in the knobs of a record, which has the other one computed."""
+    names = azimuth, relative, yaw = "sun.azimuth_deg", "sun.relative_azimuth_deg", "camera.yaw_deg"
+    if not all(isinstance(knobs.get(name), float) for name in names):
+        return knobs
+    turned = (knobs[azimuth] - knobs[yaw]) % 360.0
+    if knobs[azimuth] == (knobs[yaw] + knobs[relative]) % 360.0:
+        return {name: value for name, value in knobs.items() if name != azimuth}
+    if knobs[relative] == (turned - 360.0 if turned > 180.0 else turned):
+        return {name: value for name, value in knobs.items() if name != relative}
+    return knobs
 
 
 def document(set: Knobs | None) -> str:

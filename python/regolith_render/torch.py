@@ -135,7 +135,8 @@ class MoonDataset(IterableDataset[Any]):
         epoch, taken, within = self._position
         if batches is not None:
             if not self._knows_batches:
-                raise refused("batches", batches, "MoonDataset(batch_size=...) is expected, that of the loader: its batches are to be counted")
+                allowed = "MoonDataset(batch_size=...) is expected, that of the loader: its batches are to be counted"
+                raise refused("batches", batches, allowed)
             epoch, taken, within, set_times = (int(number) for number in self._start)
             if int(self._used_up[0]) == set_times:
                 taken = within = 0

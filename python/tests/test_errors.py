@@ -65,6 +65,7 @@ SETTINGS: list[tuple[dict[str, Any], str]] = [
     ({"set": {"rocks.scale_m": ENDLESS}}, "finite depth"),
     ({"size": [[1], [2, 3]]}, r"size = \[1\]"),
     ({"size": True}, "size = True"),
+    ({"set": {"sun.azimuth_deg": 3.0, "sun.relative_azimuth_deg": 5.0, "camera.yaw_deg": 1.0}}, "contradict"),
     ({"size": {128, 64}}, "size = {"),
     ({"adapter": ""}, "adapter = '': a part of a name"),
     ({"samples": True}, "samples = True"),

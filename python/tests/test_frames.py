@@ -172,6 +172,15 @@ def test_seeds_may_have_no_end(renderer: rr.Renderer, monkeypatch: pytest.Monkey
     assert [frame.meta["seed"] for frame in renderer.frames(np.arange(4))] == [0, 1, 2, 3]
 
 
+@pytest.mark.parametrize("preset", ["train_dr", "surface_train_full", "pcam"])
+def test_a_record_repeats_its_frame(preset: str) -> None:
+    """With both azimuths of the sun, of which one is computed."""
+    for seed, sun in ((5, {}), (6, {"sun.azimuth_deg": 300.7}), (7, {"sun.relative_azimuth_deg": -100})):
+        frame = rr.Renderer(preset, size=32, adapter=ADAPTER, set=sun).render(seed)
+        again = rr.Renderer(size=32, adapter=ADAPTER, set=frame.meta["knobs"]).render(seed)
+        assert again == frame and again.meta["knobs"] == frame.meta["knobs"], seed
+
+
 def test_a_stream_reads_few_seeds_before_its_first_frame(renderer: rr.Renderer) -> None:
     read: list[int] = []
     endless = renderer.frames(read.append(seed) or seed for seed in count())

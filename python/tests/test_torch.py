@@ -324,7 +324,12 @@ def test_a_damaged_folder_is_an_error_that_names_what_is_wrong(tmp_path: Path) -
     mask = out / "mask" / "mask_00001.png"
     image = mask.read_bytes()
     Image.new("L", (8, 8)).save(out / "small.png")
-    for content, says in ((None, "No such file"), (b"", "cannot identify"), (image[:-30], "truncated"), ((out / "small.png").read_bytes(), r"\(8, 8\) pixels, \(16, 16\) are expected")):
+    for content, says in (
+        (None, "No such file"),
+        (b"", "cannot identify"),
+        (image[:-30], "truncated"),
+        ((out / "small.png").read_bytes(), r"\(8, 8\) pixels, \(16, 16\) are expected"),
+    ):
         if content is None:
             mask.unlink()
         else:
