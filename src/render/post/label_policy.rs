@@ -10,8 +10,8 @@
 //!   standard deviations of the noise in the dark: a rock in shadow, whose outline cannot be distinguished from the shadow's.
 //!
 //! A pixel at the outline with more than one sample shows what is beside the rock too, in at most half of them: half of the brightest pixel
-//! beside it is not the rock's own signal. Light of the sun that the lens scatters and reflects lies over the scene: no signal of a rock, but with a noise
-//! of its own. What a contrast stretch makes black is dark, and what it makes white is equal, whatever the sensor got of it.
+//! beside it is not the rock's own signal. Light of the sun that the lens scatters and reflects lies over the scene: no signal of a rock,
+//! but with a noise of its own. What a contrast stretch makes black is dark, and what it makes white is equal, whatever the sensor got of it.
 //! Each rock is summed by itself in the order of its pixels, so that no number depends on threads.
 //! Must not know: how rocks were drawn.
 
@@ -270,6 +270,9 @@ impl<'a> Signal<'a> {
 
     /// Whether nobody can see a rock: see the head of this file.
     fn hides(&self, frame: &Frame, region: &Region, contrast: f64) -> bool {
+        if contrast <= 0.0 {
+            return false;
+        }
         let value = |pixel: usize| f64::from(self.values[pixel]);
         let stray = |pixel: usize| self.stray.get(pixel).map_or(0.0, |stray| f64::from(*stray));
         let [mut rock, mut stray_there, mut ground, mut others] = [Moments::default(); 4];
@@ -286,9 +289,6 @@ impl<'a> Signal<'a> {
             },
             |pixel| (if frame.instances[pixel] == 0 { &mut ground } else { &mut others }).add(value(pixel)),
         );
-        if contrast <= 0.0 {
-            return false;
-        }
         if lit_px < MIN_LIT_SHARE * rock.count() {
             return true;
         }
