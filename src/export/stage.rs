@@ -11,7 +11,7 @@ use crate::render::select::near_plane;
 use crate::render::select::selection::Selection;
 use crate::scene::Scene;
 use crate::scene::mesh::Vertex;
-use crate::scene::rocks::Material;
+use crate::scene::rocks::{Material, Rock};
 
 /// How much of the scene's detail is exported.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -117,7 +117,22 @@ impl Stage<'_> {
     /// # Errors
     /// Those of [`near_plane::drawn`].
     pub fn rock_count(&self) -> Result<usize> {
-        Ok(self.parts()?.iter().filter(|part| matches!(part.kind, PartKind::Rock(_))).count())
+        Ok(self.levels()?.iter().filter(|(body, _)| self.scene.rocks[*body].body.is_rock()).count())
+    }
+
+    /// The index and the level of detail of each rock and part of the rover that is exported.
+    fn levels(&self) -> Result<Vec<(usize, usize)>> {
+        Ok(match self.detail {
+            Detail::Authored => {
+                self.scene.rocks.iter().enumerate().map(|(rock, r)| (rock, r.level)).collect()
+            }
+            Detail::Drawn => self
+                .drawn()?
+                .rocks
+                .iter()
+                .filter_map(|s| Some((s.rock, s.visible_level.or(s.caster.map(|(_, level)| level))?)))
+                .collect(),
+        })
     }
 
     /// The ground, then the rocks in order of index, then the parts of the rover. Of what is drawn, rocks that are too small to be labelled
@@ -137,30 +152,22 @@ impl Stage<'_> {
             triangles: scene.terrain.triangles().collect(),
             material: scene.regolith,
         }];
-        let levels: Vec<(usize, usize)> = match self.detail {
-            Detail::Authored => scene.rocks.iter().enumerate().map(|(rock, r)| (rock, r.level)).collect(),
-            Detail::Drawn => self
-                .drawn()?
-                .rocks
-                .iter()
-                .filter_map(|s| Some((s.rock, s.visible_level.or(s.caster.map(|(_, level)| level))?)))
-                .collect(),
-        };
         let first_part = scene.rocks.count();
         let focal_px = scene.camera.focal_px(self.settings.size[0]) as f32;
-        parts.extend(levels.into_iter().map(|(index, level)| {
+        let is_labelled_rock = |rock: &Rock| {
+            self.detail == Detail::Authored
+                || scene.label_rule.draws_as_rock(rock, scene.camera.eye, focal_px)
+        };
+        parts.extend(self.levels()?.into_iter().map(|(index, level)| {
             let rock = &scene.rocks[index];
             let triangles = rock.triangles(level).to_vec();
             let used = triangles.as_flattened().iter().max().map_or(0, |last| *last as usize + 1);
-            let (class, kind, instance) = if rock.body.is_rock() {
-                match self.detail {
-                    Detail::Drawn if !scene.label_rule.draws_as_rock(rock, scene.camera.eye, focal_px) => {
-                        (ClassId::REGOLITH, PartKind::Rock(index), 0)
-                    }
-                    _ => (ClassId::ROCK, PartKind::Rock(index), rock.index as u16 + 1),
-                }
-            } else {
+            let (class, kind, instance) = if !rock.body.is_rock() {
                 (ClassId::UNLABELLED, PartKind::Rover(index - first_part), 0)
+            } else if is_labelled_rock(rock) {
+                (ClassId::ROCK, PartKind::Rock(index), rock.index as u16 + 1)
+            } else {
+                (ClassId::REGOLITH, PartKind::Rock(index), 0)
             };
             Part {
                 class,

@@ -10,6 +10,7 @@ pub struct GrowingBuffer {
     label: &'static str,
     usage: BufferUsages,
     buffer: Option<wgpu::Buffer>,
+    /// See [`Self::used`].
     used: u64,
 }
 

@@ -171,13 +171,13 @@ knobs! {
     RocksExposed "rocks.exposed" "" in Surface Number, Element("rock"), uniform(0.35, 0.95), [0.05, 1.0],
         "Height of a rock above the ground over its own, to 0.75 diameters; it is flattened, at most by half, or stretched.";
     RocksAlbedoRatio "rocks.albedo_ratio" "" in Surface Number, Frame, number(1.35), [0.3, 4.0],
-        "Median ratio of rock albedo to soil albedo; drawn per rock, log-normal, clipped to 0.7 to 2.5, where the median is outside at the median; no albedo is above 1.";
+        "Median ratio of rock albedo to soil albedo; drawn per rock, log-normal, clipped to 0.7 to 2.5, or to the median where that lies outside; no albedo is above 1.";
     RocksAlbedoSpread "rocks.albedo_spread" "" in Surface Number, Frame, number(0.3), [0.0, 1.0],
         "Standard deviation of the logarithm of that ratio.";
     RocksDust "rocks.dust" "" in Surface Number, Element("rock"), uniform(0.1, 0.6), [0.0, 1.0],
         "Fraction of a rock's upward-facing surface covered by soil.";
     PhotometryLaw "photometry.law" "" Text(&["lambert", "oren_nayar", "lommel_seeliger", "hapke"]), Frame, word("oren_nayar") => word("hapke"), [0.0, 0.0],
-        "Photometric function of ground and rocks; the albedo is its value at normal incidence and zero phase (of Oren-Nayar's with roughness s 1 / (1 + 0.144 s) of it).";
+        "Photometric function of ground and rocks; the albedo is its value at normal incidence and zero phase; with oren_nayar and a roughness of s that value is 1 / (1 + 0.144 s) of it.";
     HapkeW "hapke.w" "" Number, Frame, number(0.32357), [0.05, 0.95],
         "Single-scattering albedo of the grains.";
     HapkeB "hapke.b" "" Number, Frame, number(0.23955), [0.0, 0.9],
