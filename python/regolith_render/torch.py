@@ -212,7 +212,7 @@ class MoonDataset(IterableDataset[Any]):
         if multiprocessing.context.get_spawning_popen() is not None:
             # For a worker, in the process that starts it, which knows the rank.
             return {**self.__dict__, "_rank": self._rank_of()}
-        # For a copy, which has a rank and goes on by itself.
+        # For a copy, which has no part in this process's distributed run, and a position of its own.
         shared = {name: value.clone() for name, value in self.__dict__.items() if isinstance(value, torch.Tensor)}
         return {**self.__dict__, **shared, "_rank": (0, 1)}
 
@@ -332,8 +332,8 @@ class MoonFolder(Dataset[Any]):
     `class_pixels` by name of the class; `channel_mean` and `channel_std`, three numbers of 0 to 1. `manifest` and `records` are the
     dataset's own.
 
-    Raises FileNotFoundError if there is no dataset, ValueError if it is unfinished, of another layout, or has no such split, or if its books
-    are damaged; so does a sample whose files are missing, unreadable or of another size. Their content is what `regolith-render verify`
+    Raises FileNotFoundError if there is no dataset, ValueError if it is unfinished, of another layout, or has no such split, or if its
+    manifest or its records are damaged; so does a sample whose files are missing, unreadable or of another size. Their content is what `regolith-render verify`
     checks.
     """
 
