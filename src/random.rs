@@ -61,6 +61,11 @@ impl Stream {
         radius * libm::cos(std::f64::consts::TAU * self.unit())
     }
 
+    /// Exponential with mean 1, by inverse transform sampling.
+    pub fn exponential(&mut self) -> f64 {
+        -libm::log(1.0 - self.unit())
+    }
+
     /// 32 random bits.
     pub fn bits(&mut self) -> u32 {
         self.0.next_u32()
@@ -97,6 +102,7 @@ mod tests {
         let mut stream = Streams::new(7).stream("test", 0);
         let n = 200_000;
         let (mut sum, mut square, mut normal_sum, mut normal_square) = (0.0, 0.0, 0.0, 0.0);
+        let (mut exponential_sum, mut exponential_square) = (0.0, 0.0);
         let mut ints = [0_u32; 6];
         for _ in 0..n {
             let u = stream.unit();
@@ -106,6 +112,10 @@ mod tests {
             let g = stream.normal();
             normal_sum += g;
             normal_square += g * g;
+            let e = stream.exponential();
+            assert!(e >= 0.0 && e.is_finite());
+            exponential_sum += e;
+            exponential_square += e * e;
             ints[(stream.uniform_int(-2, 3) + 2) as usize] += 1;
         }
         let n = f64::from(n);
@@ -113,6 +123,8 @@ mod tests {
         assert!((square / n - 1.0 / 3.0).abs() < 0.003);
         assert!((normal_sum / n).abs() < 0.01);
         assert!((normal_square / n - 1.0).abs() < 0.015);
+        assert!((exponential_sum / n - 1.0).abs() < 0.01);
+        assert!((exponential_square / n - 2.0).abs() < 0.05);
         for count in ints {
             assert!((f64::from(count) / n - 1.0 / 6.0).abs() < 0.005, "{ints:?}");
         }

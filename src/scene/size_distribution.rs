@@ -4,6 +4,8 @@
 
 use crate::random::Stream;
 
+/// The coverage whose rocks are drawn: none is larger. Of those, the ones that [`Abundance`] has are there.
+pub(super) const DENSEST_COVERAGE: f64 = 0.12;
 /// Diameter below which the exponential law misses rocks that the Surveyors counted and a power law takes over, metres.
 const TAIL_M: f64 = 0.10;
 /// Exponent of that power law (Shoemaker and Morris for Surveyor I: N proportional to D^-2.11).
@@ -20,7 +22,7 @@ pub fn rocks_larger_than(diameter_m: f64, coverage: f64) -> f64 {
     if diameter_m < TAIL_M {
         return in_tail(diameter_m, rocks_larger_than(TAIL_M, coverage));
     }
-    let q = 0.5648 + 0.01285 / coverage;
+    let q = decay_per_m(coverage);
     // Integral of k q exp(-q x) / (pi x^2 / 4) over the logarithm of x, by Simpson's rule.
     let at = |log: f64| {
         let x = libm::exp(log);
@@ -31,6 +33,11 @@ pub fn rocks_larger_than(diameter_m: f64, coverage: f64) -> f64 {
     let inner: f64 =
         (1..steps).map(|i| if i % 2 == 1 { 4.0 } else { 2.0 } * at(low + step * f64::from(i))).sum();
     step / 3.0 * (at(low) + inner + at(high))
+}
+
+/// The law's q at a coverage, 1/m.
+fn decay_per_m(coverage: f64) -> f64 {
+    0.5648 + 0.01285 / coverage
 }
 
 /// Rocks larger than a diameter (metres) in the tail, by those larger than all of it.
@@ -96,6 +103,41 @@ impl Sizes {
     }
 }
 
+/// How many rocks of a diameter there are at a coverage, as a fraction of those at [`DENSEST_COVERAGE`].
+///
+/// Each rock of the densest field has a level, uniform between 0 and 1, and is there where the level is below the abundance of its
+/// diameter (thinning of a Poisson process: Lewis and Shedler 1979). Abundances rise with the coverage, so that another coverage adds
+/// rocks or takes them away, and moves none.
+pub(super) struct Abundance {
+    /// Of the tail.
+    tail: f64,
+    /// Above it: a factor, and the decay over that of the densest field, 1/m.
+    factor: f64,
+    decay_per_m: f64,
+}
+
+impl Abundance {
+    /// The abundance at a coverage above 0.
+    pub(super) fn new(coverage: f64) -> Self {
+        let [q, densest_q] = [coverage, DENSEST_COVERAGE].map(decay_per_m);
+        Self {
+            tail: rocks_larger_than(TAIL_M, coverage) / rocks_larger_than(TAIL_M, DENSEST_COVERAGE),
+            factor: coverage * q / (DENSEST_COVERAGE * densest_q),
+            decay_per_m: q - densest_q,
+        }
+    }
+
+    /// Of rocks of a diameter, metres.
+    pub(super) fn at(&self, diameter_m: f64) -> f64 {
+        if diameter_m < TAIL_M { self.tail } else { self.factor * libm::exp(-self.decay_per_m * diameter_m) }
+    }
+
+    /// The largest of any diameter from `low_m`: it falls with the diameter, but for a step up at the end of the tail.
+    pub(super) fn largest_from(&self, low_m: f64) -> f64 {
+        self.at(low_m).max(self.at(low_m.max(TAIL_M)))
+    }
+}
+
 /// Draws from the Poisson distribution with this mean (Knuth's multiplication method; the means here are small).
 pub(super) fn poisson(mean: f64, stream: &mut Stream) -> u32 {
     let limit = libm::exp(-mean);
@@ -125,6 +167,42 @@ mod tests {
                 Sizes::density_between(low_m, high_m, coverage).to_bits(),
                 "from {low_m} m to {high_m} m"
             );
+        }
+    }
+
+    #[test]
+    fn an_abundance_is_the_ratio_of_the_laws_and_rises_with_the_coverage() {
+        let between = |middle_m: f64, coverage| {
+            let [low_m, high_m] = [0.999, 1.001].map(|factor| factor * middle_m);
+            rocks_larger_than(low_m, coverage) - rocks_larger_than(high_m, coverage)
+        };
+        for diameter_m in [0.03, 0.07, 0.12, 0.3, 1.1, 3.7] {
+            let mut before = 0.0;
+            for coverage in [0.002, 0.008, 0.0088, 0.03, 0.1, DENSEST_COVERAGE] {
+                let found = Abundance::new(coverage).at(diameter_m);
+                let expected = between(diameter_m, coverage) / between(diameter_m, DENSEST_COVERAGE);
+                assert!(
+                    // As exact as the integral of the law is for large rocks at a low coverage.
+                    (found / expected - 1.0).abs() < 5e-3,
+                    "{found} of the rocks of {diameter_m} m at {coverage}, {expected} by the law"
+                );
+                assert!(found > before && found <= 1.0 + 1e-12, "{found} after {before} at {coverage}");
+                before = found;
+            }
+        }
+    }
+
+    #[test]
+    fn no_abundance_of_a_range_is_above_its_largest() {
+        for coverage in [0.002, 0.03, DENSEST_COVERAGE] {
+            let abundance = Abundance::new(coverage);
+            for low_m in [0.03, 0.0625, 0.09, 0.1, 0.125, 2.0] {
+                let largest = abundance.largest_from(low_m);
+                for step in 0..=100 {
+                    let diameter_m = low_m * (1.0 + 0.01 * f64::from(step));
+                    assert!(abundance.at(diameter_m) <= largest, "of {diameter_m} m, from {low_m} m");
+                }
+            }
         }
     }
 }

@@ -28,10 +28,10 @@ SIXTEEN_SIZE = (320, 240)
 GAP_PX = 4
 # Of each frame of assets/surface_four.png: the seed, and knobs.
 FOUR = (
-    (901, {"sun.elevation_deg": 5, "sun.relative_azimuth_deg": 110, "camera.pitch_deg": -8, "camera.fov_deg": 50}),
-    (145, {"sun.elevation_deg": 15, "sun.relative_azimuth_deg": 75, "camera.pitch_deg": -9, "camera.fov_deg": 45}),
-    (67, {"sun.elevation_deg": 15, "sun.relative_azimuth_deg": 285, "camera.pitch_deg": -22, "camera.fov_deg": 35}),
-    (395, {"sun.elevation_deg": 30, "sun.relative_azimuth_deg": 120, "camera.pitch_deg": -28, "camera.fov_deg": 40}),
+    (1104, {"sun.elevation_deg": 5, "sun.relative_azimuth_deg": 110, "camera.pitch_deg": -8, "camera.fov_deg": 50}),
+    (1121, {"sun.elevation_deg": 15, "sun.relative_azimuth_deg": 75, "camera.pitch_deg": -9, "camera.fov_deg": 45}),
+    (1145, {"sun.elevation_deg": 15, "sun.relative_azimuth_deg": 285, "camera.pitch_deg": -22, "camera.fov_deg": 35}),
+    (1168, {"sun.elevation_deg": 30, "sun.relative_azimuth_deg": 120, "camera.pitch_deg": -28, "camera.fov_deg": 40}),
 )
 FOUR_SIZE = (400, 300)
 

@@ -11,6 +11,8 @@ use crate::support::{BACKENDS, folder, json, render_by, renderer, run_ok};
 const SIDE: u32 = 320;
 /// Values of the 8-bit image by which a rock's mean or texture must differ from its surroundings to be seen.
 const VISIBLE_U8: f64 = 2.0;
+/// Of the brightest hundredth, which of some ten pixels is the brightest one.
+const VISIBLE_EDGE_U8: f64 = 8.0;
 /// A high sun behind the camera, rocks as bright as the soil, and no contrast stretch.
 const OPPOSITION: [&str; 5] = [
     "sun.elevation_deg=40",
@@ -39,13 +41,19 @@ fn frame(preset: &str, seed: u64, set: &[&str]) -> Frame {
     renderer().render(&preset_scene(preset, seed, set), &settings(4)).expect("a frame").0
 }
 
-/// Mean and standard deviation of the 8-bit image over some pixels.
-fn brightness(frame: &Frame, pixels: &[usize]) -> [f64; 2] {
-    let values =
-        || pixels.iter().flat_map(|pixel| &frame.rgb[3 * pixel..3 * pixel + 3]).map(|v| f64::from(*v));
-    let count = (3 * pixels.len()) as f64;
-    let mean = values().sum::<f64>() / count;
-    [mean, (values().map(|value| (value - mean).powi(2)).sum::<f64>() / count).sqrt()]
+/// Mean and standard deviation of the 8-bit image over some pixels, and the value that a hundredth of them reach: a lit edge is seen however
+/// dark the rest is.
+fn brightness(frame: &Frame, pixels: &[usize]) -> [f64; 3] {
+    let mut values: Vec<f64> = pixels
+        .iter()
+        .flat_map(|pixel| &frame.rgb[3 * pixel..3 * pixel + 3])
+        .map(|value| f64::from(*value))
+        .collect();
+    values.sort_unstable_by(f64::total_cmp);
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let deviation = (values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / count).sqrt();
+    [mean, deviation, values.get((0.99 * count) as usize).copied().unwrap_or(f64::NAN)]
 }
 
 /// The connected regions of a class in the mask (four neighbours).
@@ -97,7 +105,9 @@ fn labelled_and_invisible_px(frame: &Frame) -> [usize; 2] {
         around.retain(|&pixel| frame.class[pixel] != ClassId::ROCK.0);
         let (rock, ground) = (brightness(frame, &region), brightness(frame, &around));
         let is_black = rock[0] < VISIBLE_U8;
-        let is_alike = !around.is_empty() && [0, 1].iter().all(|&i| (rock[i] - ground[i]).abs() < VISIBLE_U8);
+        let differs = |i: usize| (rock[i] - ground[i]).abs();
+        let is_alike =
+            !around.is_empty() && differs(0).max(differs(1)) < VISIBLE_U8 && differs(2) < VISIBLE_EDGE_U8;
         counts[0] += region.len();
         counts[1] += usize::from(is_black || is_alike) * region.len();
     }

@@ -164,7 +164,7 @@ fn texture_bands(frame: &Frame, side: usize) -> Option<[f64; 2]> {
 fn texture_of_rocks_is_the_same_at_four_times_the_resolution() {
     const SIDES: [usize; 2] = [192, 768];
     let mut frames = 0;
-    for seed in 1900..1904 {
+    for seed in 1900..1908 {
         let view = ["rocks.coverage=0.08", "camera.fov_deg=14", "camera.pitch_deg=-14"];
         let sun = ["sun.elevation_deg=30", "sun.azimuth_deg=160"];
         let scene = scene(seed, &[SURFACE, view[0], view[1], view[2], sun[0], sun[1]]);

@@ -82,6 +82,29 @@ fn placed_rocks(seed: u64, set: &[&str], min_angle: f32) -> (Scene, Vec<(usize, 
     (scene, near)
 }
 
+/// SCENE.md, section 9: changing one knob never moves what another one draws.
+#[test]
+fn another_coverage_adds_rocks_and_moves_none() {
+    for (seed, coverages) in [(2, ["0.004", "0.0044"]), (3, ["0.008", "0.03"]), (5, ["0.002", "0.1"])] {
+        let fields = coverages.map(|coverage| {
+            let set = [&format!("rocks.coverage={coverage}"), "wall.height_m=60", "craters.fresh_share=0.2"];
+            placed_rocks(seed, &set, 0.008)
+        });
+        let [sparse, dense] = &fields;
+        for (index, rock) in &sparse.1 {
+            let same = |(_, other): &&(usize, Placement)| other.position == rock.position;
+            let (of_dense, other) =
+                dense.1.iter().find(same).unwrap_or_else(|| panic!("no {rock:?} at the higher coverage"));
+            assert_eq!((rock.diameter_m, rock.age), (other.diameter_m, other.age), "{rock:?}");
+            let [one, two] = [&sparse.0.rocks[*index], &dense.0.rocks[*of_dense]];
+            assert_eq!(one.material.albedo, two.material.albedo, "{rock:?}");
+        }
+        let [few, many] = [sparse.1.len(), dense.1.len()];
+        println!("seed {seed}: {few} rocks at {}, {many} at {}", coverages[0], coverages[1]);
+        assert!(few > 60 && many > few, "{few}, {many}");
+    }
+}
+
 /// Under a sun near the horizon rocks far beside the view cast shadows into it.
 #[test]
 fn every_rock_whose_shadow_falls_into_the_view_is_made() {

@@ -8,6 +8,7 @@ use regolith::export::{Detail, Format, Stage, export};
 use regolith::frame::{Annotation, Frame};
 use regolith::render::{RasterMode, RenderSettings};
 use regolith::scene::Scene;
+use regolith::scene::rocks::lunar::PRESSED_M;
 
 use crate::support::{BACKENDS, folder, npy, params, render_by, run_ok, scene};
 use crate::truth::Truth;
@@ -240,7 +241,8 @@ fn wheels_press_ruts_into_the_ground_and_go_around_rocks() {
         let scene = scene_with(&[&["rocks.coverage=0.08"], more].concat());
         let standing = |rock: &&regolith::scene::rocks::Rock| {
             let offset = rock.centre.truncate() - scene.terrain.centre;
-            rock.radius_m > 0.06 && relief.tracks.iter().any(|track| track.runs_over(offset, 0.0))
+            2.0 * f64::from(rock.base_scale_m) >= PRESSED_M
+                && relief.tracks.iter().any(|track| track.runs_over(offset, 0.0))
         };
         scene.rocks.iter().filter(standing).count()
     };

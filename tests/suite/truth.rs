@@ -421,7 +421,9 @@ fn check_against_finest(name: &str, scene: &Scene, frame: &Frame, finest: &[Opti
         frame.instances[pixel].checked_sub(1).is_some_and(|rock| {
             let rock = &scene.rocks[usize::from(rock)];
             let distance_m = rock.centre.distance(scene.camera.eye);
-            2.0 * rock.radius_m / distance_m * (scene.camera.focal_px(SIDE) as f32) < 1.5
+            let length_px = 2.0 * rock.radius_m / distance_m * (scene.camera.focal_px(SIDE) as f32);
+            let has_one = frame.instances.iter().filter(|id| **id == frame.instances[pixel]).count() == 1;
+            length_px < 1.5 || length_px < 2.5 && has_one
         })
     };
     let is_stray = |p: usize| classes[p] != frame.class[p] && is_inside(p, |p| classes[p]) && !is_speck(p);

@@ -16,15 +16,15 @@ use crate::scene::craters::{Pit, Region};
 use crate::scene::relief::Relief;
 use crate::scene::rings::View;
 pub use crate::scene::size_distribution::rocks_larger_than;
-use crate::scene::size_distribution::{Sizes, poisson};
+use crate::scene::size_distribution::{Abundance, DENSEST_COVERAGE, Sizes, poisson};
 use crate::scene::track::Track;
 
 /// Largest diameter, metres.
 const LARGEST_M: f64 = 4.0;
 /// Octaves of diameters: from 4 m to 3 cm.
 const OCTAVES: u32 = 7;
-/// Mean number of rocks in a cell of an octave.
-const ROCKS_PER_CELL: f64 = 3.0;
+/// Width of the cells of an octave, in its largest diameter.
+const CELL_DIAMETERS: f64 = 24.0;
 /// Approximate limit on the number of rocks: the smallest of them are left out where there would be more.
 const MAX_ROCKS: f64 = 15_000.0;
 /// Maximum number of all rocks, with those around fresh craters, on walls and of debris; of more, those that span the smallest angles are
@@ -38,9 +38,11 @@ const OUTSIDE_MAX_M: f32 = 40.0;
 /// Minimum diameter of a fresh crater with rocks around it, metres.
 const CLUSTER_MIN_M: f32 = 2.0;
 /// Fraction of the ground that these rocks cover at the rim; it falls with the cube of the distance, to 3 radii.
-const CLUSTER_COVERAGE: f64 = 0.12;
+const CLUSTER_COVERAGE: f64 = DENSEST_COVERAGE;
 /// The largest of them, in diameters of the crater.
 const CLUSTER_LARGEST: f64 = 0.06;
+/// Maximum number of them in an octave.
+const MAX_CLUSTER_ROCKS: u32 = 4000;
 /// Age of the rocks around a fresh crater, at most.
 const CLUSTER_AGE: f32 = 0.3;
 /// Minimum diameter of a rock with debris around it, metres.
@@ -73,7 +75,7 @@ const BANDS_KEY: u64 = 0xb0a7_0000;
 const WALL_LARGEST_M: f64 = 8.0;
 const WALL_OCTAVES: u32 = 8;
 /// Most of a wall that they cover, and most of them.
-const WALL_MAX_COVERAGE: f64 = 0.12;
+const WALL_MAX_COVERAGE: f64 = DENSEST_COVERAGE;
 const MAX_WALL_ROCKS: usize = 6000;
 /// Diameter from which no rock lies in a track, metres.
 pub const PRESSED_M: f64 = 0.06;
@@ -247,10 +249,10 @@ fn draw_placements(
     let min_angle = min_angle(view, &octaves);
     let culling = ViewCulling::new(params, view, centre, min_angle);
     let mut placements = Vec::new();
-    for (octave, sizes) in (0..).zip(&octaves) {
+    for octave in 0..OCTAVES {
         let high_m = LARGEST_M / f64::from(1_u32 << octave);
         let purpose = format!("rocks.cell.{}", ["a", "b", "c", "d", "e", "f", "g"][octave as usize]);
-        scatter(streams, (&purpose, octave), (sizes, high_m), &culling, |_, _| true, &mut placements);
+        scatter(streams, (&purpose, octave), (high_m, coverage), &culling, |_, _| true, &mut placements);
     }
     if let Some(wall) = &relief.wall {
         let extra = (params.number(Knob::WallRocks) - 1.0) * coverage;
@@ -281,7 +283,7 @@ fn debris(streams: &Streams, culling: &ViewCulling<'_>, placements: &mut Vec<Pla
             let ratio = DEBRIS_M[0] / largest_m;
             let diameter_m = DEBRIS_M[0] / (1.0 - draw.unit() * (1.0 - ratio * ratio)).sqrt();
             // Most lie close to the rock.
-            let distance = 1.05 - 0.35 * libm::log(1.0 - draw.unit());
+            let distance = 1.05 + 0.35 * draw.exponential();
             let angle = draw.uniform(0.0, std::f64::consts::TAU);
             let direction = azimuth::direction(angle);
             let position = rock.position + (0.5 * rock.diameter_m * distance) as f32 * direction;
@@ -344,10 +346,9 @@ fn wall_rocks(
     let mut rocks = Vec::new();
     for octave in 0..WALL_OCTAVES {
         let high_m = WALL_LARGEST_M / f64::from(1_u32 << octave);
-        let sizes = Sizes::new(0.5 * high_m, high_m, coverage);
         let purpose = format!("wall.rocks.{octave}");
         let is_near = |middle: Vec2, radius_m: f32| wall.reaches(middle - centre, radius_m);
-        scatter(streams, (&purpose, 16 + octave), (&sizes, high_m), culling, is_near, &mut rocks);
+        scatter(streams, (&purpose, 16 + octave), (high_m, coverage), culling, is_near, &mut rocks);
     }
     // Of the key, as the age is, but of bits of their own.
     rocks.retain(|rock| wall.rock_share(rock.position - centre) > age_of(rock.key.rotate_left(24)));
@@ -371,21 +372,20 @@ fn keep_largest(rocks: &mut Vec<Placement>, max: usize, angle: impl Fn(&Placemen
     }
 }
 
-/// The scattered rocks of an octave, in the cells (their middle, and a radius around them, metres) that are wanted. `high_m` is the largest
-/// diameter of `sizes`.
+/// The rocks of an octave, up to `high_m` in diameter, that lie scattered at a coverage in the cells (their middle, and a radius around
+/// them, metres) that are wanted.
 fn scatter(
     streams: &Streams,
     (purpose, octave): (&str, u32),
-    (sizes, high_m): (&Sizes, f64),
+    (high_m, coverage): (f64, f64),
     culling: &ViewCulling<'_>,
     is_wanted: impl Fn(Vec2, f32) -> bool,
     placements: &mut Vec<Placement>,
 ) {
-    let density = sizes.density();
+    let (sizes, abundance) = (Sizes::new(0.5 * high_m, high_m, DENSEST_COVERAGE), Abundance::new(coverage));
     let reach_m = (high_m / culling.min_angle).min(culling.view.radius_m);
-    // A cell is at most as large as the ground, however rare the rocks of the octave are.
-    let cell_m = (ROCKS_PER_CELL / density.max(1e-9)).sqrt().min(culling.view.radius_m);
-    let mean = density * cell_m * cell_m;
+    let cell_m = CELL_DIAMETERS * high_m;
+    let (densest, max_level) = (sizes.density() * cell_m * cell_m, abundance.largest_from(0.5 * high_m));
     let cell_of = |metres: f64| (metres / cell_m).floor() as i32;
     let (x, y) = (f64::from(culling.centre.x), f64::from(culling.centre.y));
     for row in cell_of(y - reach_m)..=cell_of(y + reach_m) {
@@ -402,10 +402,16 @@ fn scatter(
             }
             let cell = u64::from(column as u32) << 32 | u64::from(row as u32);
             let mut draw = streams.stream(purpose, cell);
-            for k in 0..poisson(mean, &mut draw) {
+            // Rocks in the order of their levels, which are as far apart as the events of a Poisson process.
+            let mut level = 0.0;
+            for k in 0.. {
+                level += draw.exponential() / densest;
+                if level > max_level {
+                    break;
+                }
                 let within = Vec2::new((draw.unit() * cell_m) as f32, (draw.unit() * cell_m) as f32);
                 let (position, diameter_m) = (corner + within, sizes.draw(&mut draw));
-                if culling.keeps(position, diameter_m) {
+                if level <= abundance.at(diameter_m) && culling.keeps(position, diameter_m) {
                     placements.push(Placement::new(position, diameter_m, rock_key(cell, octave, k)));
                 }
             }
@@ -431,34 +437,35 @@ fn cluster(
     let nearest_m =
         f64::from((culling.distance_m(centre) - 3.0 * radius_m as f32).max(culling.view.eye_height_m));
     // Scales with the overall rock coverage.
-    let rim = CLUSTER_COVERAGE * (coverage / 0.008).min(1.0);
+    let abundance = Abundance::new(CLUSTER_COVERAGE * (coverage / 0.008).min(1.0));
+    // Integral of (r / R)^-3 over the ring from 1 to 3 radii.
+    let area_m2 = std::f64::consts::TAU * radius_m * radius_m * (1.0 - 1.0 / 3.0);
     for octave in 0..OCTAVES {
         let high_m = largest_m / f64::from(1_u32 << octave);
         if high_m < culling.min_angle * nearest_m || high_m < LARGEST_M / f64::from(1_u32 << OCTAVES) {
             break;
         }
-        // Integral of (r / R)^-3 over the ring from 1 to 3 radii.
-        let area_m2 = std::f64::consts::TAU * radius_m * radius_m * (1.0 - 1.0 / 3.0);
         let mut draw = streams.stream("rocks.cluster", pit.key ^ (u64::from(octave) << 20));
-        let mut left = Sizes::density_between(0.5 * high_m, high_m, rim) * area_m2;
-        let mut count = 0;
-        while left > 0.0 {
-            count += poisson(left.min(20.0), &mut draw);
-            left -= 20.0;
-        }
-        if count == 0 {
+        let densest = Sizes::density_between(0.5 * high_m, high_m, CLUSTER_COVERAGE) * area_m2;
+        let max_level = abundance.largest_from(0.5 * high_m);
+        let mut level = draw.exponential() / densest;
+        if level > max_level {
             continue;
         }
-        let sizes = Sizes::new(0.5 * high_m, high_m, rim);
-        for k in 0..count.min(4000) {
+        let sizes = Sizes::new(0.5 * high_m, high_m, CLUSTER_COVERAGE);
+        for k in 0..MAX_CLUSTER_ROCKS {
             let distance_m = radius_m / (1.0 - draw.unit() * (2.0 / 3.0));
             let angle = draw.uniform(0.0, std::f64::consts::TAU);
             let offset = azimuth::direction(angle) * distance_m as f32;
             let (position, diameter_m) = (centre + offset, sizes.draw(&mut draw));
-            if culling.keeps(position, diameter_m) {
+            if level <= abundance.at(diameter_m) && culling.keeps(position, diameter_m) {
                 let key = rock_key(pit.key, octave + 32, k);
                 let age = CLUSTER_AGE * age_of(key);
                 placements.push(Placement { age, ..Placement::new(position, diameter_m, key) });
+            }
+            level += draw.exponential() / densest;
+            if level > max_level {
+                break;
             }
         }
     }
