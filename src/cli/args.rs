@@ -132,11 +132,21 @@ impl ImageArgs {
     }
 }
 
+/// The value of `--adapter`; an empty one, as of a variable that is not set, would select any.
+pub(super) fn adapter_text(text: &str) -> std::result::Result<String, String> {
+    let is_blank = text.trim().is_empty();
+    if is_blank {
+        Err("name a part of its line in `regolith-render adapters`, or `cpu`".to_owned())
+    } else {
+        Ok(text.to_owned())
+    }
+}
+
 /// What renders: the adapter and the rasteriser.
 #[derive(Args, Debug)]
 pub(super) struct DeviceArgs {
-    /// Adapter to use: a part of its name, or `cpu`
-    #[arg(long, value_name = "TEXT")]
+    /// Adapter to use: a part of its line in `regolith-render adapters`, such as its name or PCI address, or `cpu`
+    #[arg(long, value_name = "TEXT", value_parser = adapter_text)]
     adapter: Option<String>,
     /// Where to rasterise: device (in render passes), compute (on the device too, in a compute pass: labels and depth have the same bits
     /// on every device), host, or auto (the host on a software adapter, compute on a GPU with Vulkan, else device)

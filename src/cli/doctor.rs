@@ -17,6 +17,7 @@ use crate::doctor::worker::{Backend, Event, FrameResult, Job, Worker};
 use crate::error::{Error, Result};
 use crate::frame::Frame;
 use crate::gpu::adapter;
+use crate::gpu::survey::AdapterReport;
 use crate::input;
 use crate::output::{Artifact, disk};
 use crate::render::Renderer;
@@ -25,6 +26,7 @@ use serde_json::Value;
 use signal_hook::consts::signal::SIGILL;
 use signal_hook::low_level;
 
+use super::args::adapter_text;
 use super::child::{Ending, supervise};
 use super::device::start_threads;
 use super::messages::{Messages, print};
@@ -40,8 +42,8 @@ const MAX_PLANES_BYTES: u64 = 16 * input::MIB;
 
 #[derive(Args, Debug)]
 pub(super) struct DoctorArgs {
-    /// Adapter to examine: a part of its name, or `cpu`
-    #[arg(long, value_name = "TEXT")]
+    /// Adapter to examine: a part of its line in `regolith-render adapters`, such as its name or PCI address, or `cpu`
+    #[arg(long, value_name = "TEXT", value_parser = adapter_text)]
     adapter: Option<String>,
     /// Folder for doctor.md and doctor.json, created if missing
     #[arg(long, value_name = "DIR", default_value = "doctor")]
@@ -164,7 +166,7 @@ impl Examiner<'_> {
         if adapters.is_empty() || adapters.iter().any(|adapter| adapter.matches(&wanted)) {
             return Ok(());
         }
-        let available = adapters.iter().map(|adapter| adapter.describe()).collect();
+        let available = adapters.iter().map(AdapterReport::identify).collect();
         Err(adapter::not_found(wanted, argument.is_some(), available))
     }
 
@@ -190,9 +192,17 @@ impl Examiner<'_> {
             Ending::Success if is_done => None,
             Ending::Success => Some("the process ended before it was done".to_owned()),
             Ending::Failure(how) if is_done => {
-                run.crash_at_exit = Some(how);
+                run.crash_at_exit = Some(format!("crashed: {how}"));
                 None
             }
+            Ending::Silent if is_done => {
+                run.crash_at_exit = Some(format!("did not end within {} s", PATIENCE.as_secs()));
+                None
+            }
+            // A driver that crashes has another signal.
+            Ending::Failure(how) if how.contains("SIGKILL") => Some(format!(
+                "the system ended the process ({how}), most likely for want of memory: raise the limit of the container or the job"
+            )),
             Ending::Failure(how) => Some(format!("the driver ended the process ({how})")),
             Ending::Silent => Some(format!(
                 "no result for {} s: the driver hangs; the process was ended",

@@ -85,6 +85,7 @@ pub(super) fn list_adapters(as_json: bool) -> Result<()> {
                     "backend": info.backend.to_string(),
                     "driver": info.driver,
                     "driver_info": info.driver_info,
+                    "pci_address": Some(&info.device_pci_bus_id).filter(|address| !address.is_empty()),
                     "missing": missing,
                 })
             })
@@ -92,7 +93,7 @@ pub(super) fn list_adapters(as_json: bool) -> Result<()> {
         return print(&format!("{:#}\n", Value::from(rows)));
     }
     let line = |(info, missing): &(_, Vec<String>)| {
-        let described = gpu::adapter::describe(info);
+        let described = gpu::adapter::identify(info);
         let lacks = format!(" (cannot be used: lacks {})", missing.join(", "));
         format!("{described}{}\n", if missing.is_empty() { "" } else { &lacks })
     };

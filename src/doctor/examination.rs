@@ -94,6 +94,9 @@ impl Run {
     }
 }
 
+/// Checks that say nothing of labels: of colour, of a second rendering, and whether there is a frame at all.
+const OF_NO_LABEL: [&str; 3] = ["colour", "repeat", "frame"];
+
 /// A check of a case on a backend.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Check {
@@ -278,6 +281,22 @@ impl Examination {
             && self.checks().iter().all(|check| check.difference.verdict != Verdict::Wrong)
     }
 
+    /// Whether labels and depth are `right` or `wrong`; `unchecked` if some were not rendered and the others are right.
+    #[must_use]
+    pub fn labels(&self) -> &'static str {
+        let checks = self.checks();
+        let is_wrong = |check: &Check| {
+            check.difference.verdict == Verdict::Wrong && !OF_NO_LABEL.contains(&check.difference.plane)
+        };
+        if checks.iter().any(is_wrong) {
+            "wrong"
+        } else if checks.is_empty() || self.render_runs().any(|run| !run.failures.is_empty()) {
+            "unchecked"
+        } else {
+            "right"
+        }
+    }
+
     /// The backends without a failure or a wrong check.
     #[must_use]
     pub fn right_backends(&self) -> Vec<String> {
@@ -309,7 +328,7 @@ impl Examination {
             "format": FORMAT,
             "version": env!("CARGO_PKG_VERSION"),
             "verdict": {
-                "labels": if self.is_right() { "right" } else { "wrong" },
+                "labels": self.labels(),
                 "right_backends": self.right_backends(),
                 "checks": checks.len(),
                 "wrong": count(Verdict::Wrong),

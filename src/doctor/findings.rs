@@ -52,6 +52,9 @@ pub struct Answers<'a> {
     pub crash_at_exit: Option<&'a str>,
 }
 
+/// How to get a GPU from a batch system.
+const BATCH_REMEDY: &str = "ask the batch system for a GPU: `--gres=gpu:1` (Slurm)";
+
 /// How to give a GPU to a container.
 fn container_remedy(vendor: Vendor, container: Container) -> String {
     match (vendor, container) {
@@ -146,7 +149,7 @@ impl Unanswered<'_> {
         let remedy = if let Some(container) = hardware.container {
             container_remedy(self.vendor, container)
         } else if hardware.variable("SLURM_JOB_ID").is_some() {
-            "ask the batch system for a GPU: `--gres=gpu:1` (Slurm)".to_owned()
+            BATCH_REMEDY.to_owned()
         } else if self.vendor == Vendor::Nvidia {
             "install NVIDIA's driver, load its kernel module (`sudo modprobe nvidia`) and let `nvidia-smi` create the device files"
                 .to_owned()
@@ -163,11 +166,18 @@ impl Unanswered<'_> {
             return None;
         }
         let refusal = self.files.first()?.refusal.as_deref().unwrap_or_default();
-        let remedy = if self.hardware.container.is_some() {
-            "let the container's user open it: `--group-add $(stat -c %g /dev/dri/renderD128)` (Docker), `--group-add \
-             keep-groups` (Podman)"
-        } else {
-            "join the groups that may: `sudo usermod -aG render,video $USER`, then log in again"
+        // A device cgroup refuses with EPERM, the file's owner and group with EACCES.
+        let is_withheld = refusal.ends_with("(os error 1)");
+        let remedy = match self.hardware.container {
+            Some(container) if is_withheld => container_remedy(self.vendor, container),
+            _ if self.hardware.variable("SLURM_JOB_ID").is_some() => BATCH_REMEDY.to_owned(),
+            Some(_) => {
+                "let the container's user open it: `--group-add $(stat -c %g /dev/dri/renderD128)` (Docker), \
+                        `--group-add keep-groups` (Podman)"
+                    .to_owned()
+            }
+            None => "join the groups that may: `sudo usermod -aG render,video $USER`, then log in again"
+                .to_owned(),
         };
         Some(Finding::new(
             self.device(),
@@ -220,7 +230,11 @@ impl Unanswered<'_> {
         self.manifests().is_empty().then(|| {
             let means =
                 format!("its driver's manifest is {}, where the Vulkan loader does not look", unread.path);
-            Finding::new(self.device(), means, format!("`export VK_DRIVER_FILES={}`", unread.path))
+            let remedy = format!(
+                "`export VK_DRIVER_FILES={0}` (loaders before 1.3.207, as Ubuntu 22.04 has: `VK_ICD_FILENAMES={0}`)",
+                unread.path
+            );
+            Finding::new(self.device(), means, remedy)
         })
     }
 
@@ -241,13 +255,20 @@ impl Unanswered<'_> {
                  /usr/share/vulkan/icd.d/nvidia_icd.json` (or where the host has it)"
                     .to_owned()
             }
+            // What a CDI specification passes does not depend on the variable.
+            (Vendor::Nvidia, Some(Container::Podman)) => {
+                "with `--device nvidia.com/gpu=all` Podman passes what the host's CDI specification lists: install NVIDIA's \
+                 graphics libraries on the host (Ubuntu: libnvidia-gl-VERSION, Debian: nvidia-vulkan-icd), then `sudo nvidia-ctk \
+                 cdi generate --output=/etc/cdi/nvidia.yaml` again"
+                    .to_owned()
+            }
             (Vendor::Nvidia, Some(container)) if !has_graphics => {
                 means = format!(
                     "the container has the GPU without its graphics driver: NVIDIA_DRIVER_CAPABILITIES {}, and `graphics` is \
                      not among the default",
                     capabilities.map_or("is not set".to_owned(), |list| format!("is `{list}`"))
                 );
-                let flag = "add `-e NVIDIA_DRIVER_CAPABILITIES=graphics,utility` (or `all`) to `docker run` or `podman run`";
+                let flag = "add `-e NVIDIA_DRIVER_CAPABILITIES=graphics,utility` (or `all`) to `docker run`";
                 match container {
                     Container::Kubernetes => container_remedy(Vendor::Nvidia, container),
                     _ => flag.to_owned(),
@@ -348,7 +369,7 @@ fn one_by_one(hardware: &Hardware) -> String {
     }
     format!(
         "try the drivers one by one, and leave out or update the one that fails: `VK_DRIVER_FILES=FILE WGPU_BACKEND=vulkan \
-         regolith-render adapters`, where FILE is each of {}",
+         regolith-render adapters`, where FILE is each of {} (loaders before 1.3.207: VK_ICD_FILENAMES)",
         paths(&manifests)
     )
 }
@@ -430,12 +451,8 @@ pub fn findings(hardware: &Hardware, answers: &Answers<'_>) -> Vec<Finding> {
         found.push(no_adapter(hardware, answers.failure));
     }
     if let Some(how) = answers.crash_at_exit {
-        let means = "the results are complete, but a driver crashes when a process ends: commands end with the status of that signal";
-        found.push(Finding::new(
-            format!("a process that was done crashed ({how})"),
-            means,
-            one_by_one(hardware),
-        ));
+        let means = "the results are complete, but a driver fails when a process ends: commands end with another status, or not at all";
+        found.push(Finding::new(format!("a process that was done {how}"), means, one_by_one(hardware)));
     }
     found.extend(variables(hardware));
     found.sort_by_key(|finding| !finding.is_problem());
@@ -446,7 +463,8 @@ pub fn findings(hardware: &Hardware, answers: &Answers<'_>) -> Vec<Finding> {
 fn variables(hardware: &Hardware) -> Vec<Finding> {
     let mut found = Vec::new();
     if let Some(list) = hardware.variable("CUDA_VISIBLE_DEVICES") {
-        let means = "it selects GPUs for CUDA only; Vulkan sees all. `--adapter TEXT` selects one";
+        let means = "it selects GPUs for CUDA only; Vulkan sees all. `--adapter TEXT` selects one, also by the PCI address that \
+                     `regolith-render adapters` prints";
         found.push(Finding::new(format!("CUDA_VISIBLE_DEVICES={list}"), means, ""));
     }
     if hardware.has_kfd && hardware.device_files.iter().all(|file| file.vendor != Vendor::Amd) {

@@ -38,13 +38,18 @@ fn verdict(examination: &Examination) -> String {
     match right.as_slice() {
         [] => format!("LABELS ARE NOT RIGHT on {}, with any backend; {auto}.", opened.adapter),
         names => {
-            let has_host = names.iter().any(|name| name == "host");
-            let way_out =
-                if has_host { "`--raster host` or another `--adapter`" } else { "another `--adapter`" };
+            let rasters = ["host", "compute", "device"].into_iter().filter(|raster| {
+                let of_raster = |backend: &String| backend.split('-').next() == Some(raster);
+                let rendered = examination.render_runs().map(Run::backend).filter(of_raster).count();
+                rendered > 0 && names.iter().filter(|name| of_raster(name)).count() == rendered
+            });
+            let mut ways_out: Vec<String> = rasters.map(|raster| format!("`--raster {raster}`")).collect();
+            ways_out.push("another `--adapter`".to_owned());
             format!(
-                "NOT EVERYTHING IS RIGHT on {}: of the backends only {} is right; {auto}. Until this is fixed, use {way_out}.",
+                "NOT EVERYTHING IS RIGHT on {}: of the backends only {} is right; {auto}. Until this is fixed, use {}.",
                 opened.adapter,
                 names.join(", "),
+                ways_out.join(" or "),
             )
         }
     }

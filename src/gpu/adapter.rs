@@ -56,7 +56,7 @@ pub(super) fn choose(wanted: Option<&str>) -> Result<wgpu::Adapter> {
     let (mut available, mut best) = (Vec::new(), None);
     for backends in rounds {
         let adapters = enumerate(backends);
-        available.extend(adapters.iter().map(|adapter| describe(&adapter.get_info())));
+        available.extend(adapters.iter().map(|adapter| identify(&adapter.get_info())));
         let matching = adapters
             .into_iter()
             .filter(|adapter| wanted.as_deref().is_none_or(|text| matches(&adapter.get_info(), text)));
@@ -189,6 +189,17 @@ pub fn describe(info: &AdapterInfo) -> String {
     format!("{} ({}, {}, {})", info.name, kind(info), info.backend, driver.trim())
 }
 
+/// The same, with its PCI address where the driver says it: GPUs of one model differ in nothing else.
+#[must_use]
+pub fn identify(info: &AdapterInfo) -> String {
+    with_pci_address(&describe(info), &info.device_pci_bus_id)
+}
+
+/// The description of an adapter with its PCI address, if there is one.
+pub(super) fn with_pci_address(description: &str, address: &str) -> String {
+    if address.is_empty() { description.to_owned() } else { format!("{description}, PCI {address}") }
+}
+
 /// The kind of hardware, in words.
 #[must_use]
 pub const fn kind(info: &AdapterInfo) -> &'static str {
@@ -210,7 +221,7 @@ fn enumerate(backends: Backends) -> Vec<wgpu::Adapter> {
 }
 
 fn matches(info: &AdapterInfo, wanted: &str) -> bool {
-    is_wanted(&describe(info), is_software(info), wanted)
+    is_wanted(&identify(info), is_software(info), wanted)
 }
 
 /// Whether a text of `--adapter` selects the adapter with this description.

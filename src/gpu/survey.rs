@@ -23,6 +23,8 @@ pub struct AdapterReport {
     pub vendor: u32,
     /// PCI id of its model; 0 if it does not say.
     pub device: u32,
+    /// Its PCI address, such as `0000:01:00.0`; empty if it does not say.
+    pub pci_address: String,
     /// Whether it rasterises on the CPU.
     pub is_software: bool,
     /// Required features that it lacks, in words; empty if it can be used.
@@ -51,10 +53,16 @@ impl AdapterReport {
         format!("{} ({}, {}, {})", self.name, self.kind, self.backend, self.driver)
     }
 
+    /// The same with its PCI address, as [`adapter::identify`] writes it.
+    #[must_use]
+    pub fn identify(&self) -> String {
+        adapter::with_pci_address(&self.describe(), &self.pci_address)
+    }
+
     /// Whether a text of `--adapter` selects it.
     #[must_use]
     pub fn matches(&self, wanted: &str) -> bool {
-        adapter::is_wanted(&self.describe(), self.is_software, wanted)
+        adapter::is_wanted(&self.identify(), self.is_software, wanted)
     }
 
     fn new(adapter: &wgpu::Adapter) -> Self {
@@ -66,6 +74,7 @@ impl AdapterReport {
             driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
             vendor: info.vendor,
             device: info.device,
+            pci_address: info.device_pci_bus_id.clone(),
             is_software: adapter::is_software(&info),
             missing,
             limits: limits(&info, &adapter.limits()),

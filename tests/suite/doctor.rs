@@ -221,7 +221,7 @@ fn without_a_driver_there_is_a_report() {
     assert_eq!(output.status.code(), Some(1));
     let summary = String::from_utf8_lossy(&output.stdout);
     assert!(summary.contains("mesa-vulkan-drivers") && summary.contains("VK_DRIVER_FILES"), "{summary}");
-    assert!(json(&folder.path().join("doctor/doctor.json"))["verdict"]["labels"] == "wrong");
+    assert!(json(&folder.path().join("doctor/doctor.json"))["verdict"]["labels"] == "unchecked");
     let unknown = run(folder.path(), &["doctor", "--adapter", "voodoo"]);
     assert_eq!(unknown.status.code(), Some(2), "{}", String::from_utf8_lossy(&unknown.stderr));
 }
@@ -252,6 +252,8 @@ fn said_of(files: &[(&str, &str)], variables: &[(&str, &str)], answers: &Answers
     // Tests may run as root, who can open everything: a file that says so cannot be opened.
     let open = |path: &Path| match std::fs::read_to_string(path) {
         Ok(text) if text == "denied" => Err(io::ErrorKind::PermissionDenied.into()),
+        // EPERM, by which a device cgroup withholds a device.
+        Ok(text) if text == "withheld" => Err(io::Error::from_raw_os_error(1)),
         other => other.map(drop),
     };
     findings(&Hardware::probe(&Machine::new(folder.path(), variables, open)), answers)
@@ -265,6 +267,7 @@ fn adapter_of(vendor: u32, name: &str) -> AdapterReport {
         driver: "a driver".to_owned(),
         vendor,
         device: 1,
+        pci_address: String::new(),
         is_software: vendor == 0,
         missing: Vec::new(),
         limits: Vec::new(),
@@ -388,6 +391,24 @@ fn the_remedy_fits_the_first_cause() {
             "usermod -aG render,video",
         ),
         (
+            "a job from which the GPUs are withheld",
+            &[LOADER, ("dev/nvidia0", "withheld")],
+            &[("SLURM_JOB_ID", "7")],
+            "--gres=gpu:1",
+        ),
+        (
+            "a container from which the GPU is withheld",
+            &[LOADER, ("dev/nvidia0", "withheld"), (".dockerenv", "")],
+            &[],
+            "docker run --gpus all",
+        ),
+        (
+            "Podman, on a host without graphics libraries",
+            &[LOADER, NVIDIA_FILE, ("run/.containerenv", "")],
+            &[],
+            "nvidia-ctk cdi generate",
+        ),
+        (
             "a container without the capability, with Mesa's drivers",
             &[LOADER, NVIDIA_FILE, NOUVEAU_MANIFEST[0], NOUVEAU_MANIFEST[1], (".dockerenv", "")],
             &[],
@@ -468,6 +489,20 @@ fn a_gpu_that_answers_and_a_machine_without_one_need_no_remedy() {
     let lacking = AdapterReport { missing: vec!["compute shaders".to_owned()], ..nvidia };
     let found = said(&[NVIDIA_FILE], &[], &[lacking]);
     assert!(found[0].remedy.contains("update"), "{found:?}");
+}
+
+/// GPUs of one model differ in their PCI address alone.
+#[test]
+fn a_pci_address_selects_an_adapter() {
+    let at = |address: &str| AdapterReport {
+        pci_address: address.to_owned(),
+        ..adapter_of(0x10de, "NVIDIA H200")
+    };
+    let [first, second] = [at("0000:1b:00.0"), at("0000:43:00.0")];
+    assert_eq!(first.describe(), second.describe());
+    assert!(first.identify().ends_with("PCI 0000:1b:00.0"), "{}", first.identify());
+    assert!([&first, &second].iter().all(|adapter| adapter.matches("h200")));
+    assert!(second.matches("43:00") && !first.matches("43:00"));
 }
 
 /// Each row: variables, how listing the adapters failed, and what is said where nothing answers.
