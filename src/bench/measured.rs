@@ -45,15 +45,14 @@ pub struct Measured {
     pub readback_bytes: u64,
 }
 
-/// The quantile `q` of the values, without interpolation; 0 for an empty list.
+/// The quantile `q` of the values by the nearest rank, without interpolation: the least value that this fraction of them does not exceed; 0 for
+/// an empty list.
 #[must_use]
 pub fn quantile(values: &[f64], q: f64) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
-    sorted
-        .get(((sorted.len() as f64 * q) as usize).min(sorted.len().saturating_sub(1)))
-        .copied()
-        .unwrap_or_default()
+    let rank = (sorted.len() as f64 * q).ceil() as usize;
+    sorted.get(rank.saturating_sub(1)).copied().unwrap_or_default()
 }
 
 impl Measured {
@@ -78,19 +77,26 @@ impl Measured {
         Some(1e3 / serial_ms.max(host.total() / cores as f64).max(1e-9))
     }
 
-    /// Median milliseconds of each stage, in the order of execution.
+    /// Median milliseconds of each stage, in the order of execution; a frame without a stage, such as that of a sensor, takes none for it.
     #[must_use]
     pub fn stage_ms(&self) -> StageTimes {
-        let names =
-            self.stages.first().map(|stages| stages.iter().map(|stage| stage.0)).into_iter().flatten();
-        names
-            .map(|name| {
-                let of =
-                    |stages: &StageTimes| stages.iter().find(|stage| stage.0 == name).map(|stage| stage.1);
-                let values: Vec<f64> = self.stages.iter().filter_map(of).collect();
-                (name, quantile(&values, 0.5))
-            })
-            .collect()
+        let mut names: Vec<&'static str> = Vec::new();
+        for stages in &self.stages {
+            let mut after = 0;
+            for (name, _) in stages {
+                after = names.iter().position(|known| known == name).unwrap_or_else(|| {
+                    names.insert(after, name);
+                    after
+                }) + 1;
+            }
+        }
+        let median = |name| {
+            let of = |stages: &StageTimes| {
+                stages.iter().find(|stage| stage.0 == name).map_or(0.0, |stage| stage.1)
+            };
+            quantile(&self.stages.iter().map(of).collect::<Vec<_>>(), 0.5)
+        };
+        names.into_iter().map(|name| (name, median(name))).collect()
     }
 
     /// The entry of the case in `bench --json`.
@@ -184,6 +190,29 @@ pub fn peak_rss_bytes() -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn quantiles_are_the_nearest_ranks() {
+        let to = |n: u32| (1..=n).rev().map(f64::from).collect::<Vec<_>>();
+        assert_eq!(
+            [quantile(&to(20), 0.95), quantile(&to(20), 0.5), quantile(&to(5), 0.5)],
+            [19.0, 10.0, 3.0]
+        );
+        assert_eq!([quantile(&to(1), 0.95), quantile(&to(3), 1.0), quantile(&[], 0.5)], [1.0, 3.0, 0.0]);
+    }
+
+    #[test]
+    fn a_stage_that_few_frames_have_is_named_and_takes_the_others_no_time() {
+        let with = vec![("scene", 1.0), ("sensor", 8.0), ("encode", 2.0)];
+        let without = vec![("scene", 3.0), ("encode", 4.0)];
+        for (stages, sensor_ms) in
+            [([without.clone(), with.clone(), without], 0.0), ([with.clone(), with.clone(), with], 8.0)]
+        {
+            let found = Measured { stages: stages.to_vec(), ..Measured::default() }.stage_ms();
+            assert_eq!(found.iter().map(|stage| stage.0).collect::<Vec<_>>(), ["scene", "sensor", "encode"]);
+            assert_eq!(found[1].1, sensor_ms);
+        }
+    }
 
     #[test]
     fn the_model_of_the_host_is_limited_by_its_serial_threads_or_by_its_cores() {

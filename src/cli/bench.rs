@@ -161,12 +161,16 @@ fn setup(args: &BenchArgs, messages: Messages) -> Result<Setup> {
     Ok(Setup { plan, concurrency, frames: args.frames, stop: stop_on_signals(messages)? })
 }
 
-/// Measures one case; what it writes goes into a temporary folder.
+/// Measures one case; what `dataset` writes goes into a temporary folder.
 fn measure_one(case: Case, setup: &Setup, renderer: &mut Renderer) -> Result<Measured> {
+    if case != Case::Dataset {
+        return bench::run(case, setup, Path::new(""), renderer);
+    }
     let folder = tempfile::tempdir().map_err(|cause| Error::Write { path: std::env::temp_dir(), cause })?;
     bench::run(case, setup, folder.path(), renderer)
 }
 
+/// Measures the cases. If one fails, those before it are printed, and then its error.
 fn measure(
     args: &BenchArgs,
     messages: Messages,
@@ -177,26 +181,51 @@ fn measure(
     let mut results = Vec::new();
     for &case in cases {
         messages.note(format_args!("{}: {} frames ...", case.name(), setup.frames));
-        results.push((case, measure_one(case, setup, renderer)?));
+        match measure_one(case, setup, renderer) {
+            Ok(measured) => results.push((case, measured)),
+            Err(error) if results.is_empty() => return Err(error),
+            Err(error) => {
+                print_results(args, &results, setup, renderer)?;
+                return Err(error);
+            }
+        }
     }
-    let info = &renderer.gpu().info;
-    let settings = &setup.plan.settings;
+    print_results(args, &results, setup, renderer)
+}
+
+/// What is measured with what, for programs.
+fn setup_json(setup: &Setup, renderer: &Renderer) -> Map<String, Value> {
+    let (info, settings) = (&renderer.gpu().info, &setup.plan.settings);
+    let rows = [
+        (
+            "adapter",
+            json!({ "name": info.name, "backend": info.backend.to_string(), "driver": format!("{} {}", info.driver, info.driver_info) }),
+        ),
+        ("raster", json!(renderer.raster().name())),
+        ("lighting", json!(renderer.raster().lighting.name())),
+        ("version", json!(env!("CARGO_PKG_VERSION"))),
+        ("cores", json!(cores())),
+        ("size", json!(settings.size)),
+        ("samples", json!(settings.samples_per_side.pow(2))),
+        ("stage", setup.plan.config.distribution(Knob::StageName).to_json(false)),
+    ];
+    rows.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
+}
+
+fn print_results(
+    args: &BenchArgs,
+    results: &[(Case, Measured)],
+    setup: &Setup,
+    renderer: &Renderer,
+) -> Result<()> {
+    let (info, settings) = (&renderer.gpu().info, &setup.plan.settings);
     if args.json {
         let cases: Map<String, Value> =
             results.iter().map(|(case, measured)| (case.name().to_owned(), measured.to_json())).collect();
-        let result = json!({
-            "adapter": { "name": info.name, "backend": info.backend.to_string(), "driver": format!("{} {}", info.driver, info.driver_info) },
-            "raster": renderer.raster().name(),
-            "lighting": renderer.raster().lighting.name(),
-            "version": env!("CARGO_PKG_VERSION"),
-            "cores": cores(),
-            "size": settings.size,
-            "samples": settings.samples_per_side.pow(2),
-            "stage": setup.plan.config.distribution(Knob::StageName).to_json(false),
-            "cases": cases,
-            "peak_rss_bytes": bench::peak_rss_bytes(),
-        });
-        return print(&format!("{result:#}\n"));
+        let mut result = setup_json(setup, renderer);
+        result.insert("cases".to_owned(), cases.into());
+        result.insert("peak_rss_bytes".to_owned(), json!(bench::peak_rss_bytes()));
+        return print(&format!("{:#}\n", Value::from(result)));
     }
     let mut text = format!(
         "{}\n{} x {} pixels, {} samples per pixel, {} cores\n\n{:<12}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}{:>12}{:>12}  stages, median ms\n",
@@ -215,7 +244,7 @@ fn measure(
         "triangles",
         "upload MB"
     );
-    for (case, measured) in &results {
+    for (case, measured) in results {
         let stages: Vec<String> =
             measured.stage_ms().iter().map(|(name, ms)| format!("{name} {ms:.1}")).collect();
         text.push_str(&format!(
@@ -255,32 +284,55 @@ fn sweep(
     let path = args.plot.clone().unwrap_or_default();
     let plot = path.file_name().unwrap_or_default();
     let (axis, setups) = bench::sweep(name, setup)?;
-    let mut points = Vec::new();
+    let (mut points, mut failure) = (Vec::new(), None);
     for (value, setup) in &setups {
-        let measured = measure_one(case, setup, renderer)?;
-        points.push((*value, bench::quantile(&measured.frames_ms, 0.5)));
+        match measure_one(case, setup, renderer) {
+            Ok(measured) => points.push((*value, bench::quantile(&measured.frames_ms, 0.5))),
+            Err(error) if points.is_empty() => return Err(error),
+            Err(error) => {
+                failure = Some(error);
+                break;
+            }
+        }
         messages.note(format_args!("{axis} {value}: {:.1} ms", points[points.len() - 1].1));
     }
     let curve = Curve { axis, points };
-    print_curve(args, &curve, case, &path)?;
+    print_curve(args, &curve, case, (setup, renderer, &path))?;
     let name = plot.to_string_lossy().into_owned();
-    let folder =
-        path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(std::path::Path::new("."));
+    let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     disk::write_all(folder, &[Artifact { name, bytes: curve.to_svg().into_bytes() }])?;
-    if args.json { Ok(()) } else { messages.paths(&format!("{}\n", path.display())) }
+    if !args.json {
+        messages.paths(&format!("{}\n", path.display()))?;
+    }
+    failure.map_or(Ok(()), Err)
 }
 
-/// Prints the points of a sweep, before the plot is written: they took their time.
-fn print_curve(args: &BenchArgs, curve: &Curve, case: Case, plot: &Path) -> Result<()> {
+/// Prints the points of a sweep, before the plot is written: they took their time. If a value failed, those before it.
+fn print_curve(
+    args: &BenchArgs,
+    curve: &Curve,
+    case: Case,
+    (setup, renderer, plot): (&Setup, &Renderer, &Path),
+) -> Result<()> {
     if args.json {
         let points: Vec<Value> =
             curve.points.iter().map(|(value, ms)| json!({ "value": value, "median_ms": ms })).collect();
-        return print(&format!(
-            "{:#}\n",
-            json!({
-                "sweep": curve.axis, "case": case.name(), "points": points, "plot": plot.display().to_string(),
-            })
-        ));
+        let mut result = setup_json(setup, renderer);
+        // What a sweep varies is in its points.
+        match args.sweep.as_deref() {
+            Some("size") => drop(result.shift_remove("size")),
+            Some("samples") => drop(result.shift_remove("samples")),
+            _ => {}
+        }
+        for (name, value) in [
+            ("sweep", json!(curve.axis)),
+            ("case", json!(case.name())),
+            ("points", json!(points)),
+            ("plot", json!(plot.display().to_string())),
+        ] {
+            result.insert(name.to_owned(), value);
+        }
+        return print(&format!("{:#}\n", Value::from(result)));
     }
     let mut text = format!("{:<20}{:>12}   case {}\n", curve.axis, "median ms", case.name());
     for (value, ms) in &curve.points {
