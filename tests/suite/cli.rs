@@ -652,6 +652,35 @@ fn the_bench_reports_every_case_and_a_sweep_plots_its_curve() {
     assert_refused(&["bench", "--cases", "camra"], 2, &["unknown case `camra`", "static-sun"]);
 }
 
+/// Only the case `dataset` writes, into the system's folder for temporary files.
+#[test]
+fn the_bench_prints_what_it_measured_before_a_case_failed() {
+    let folder = folder();
+    let words = ["bench", "--frames=1", "--size=32", "--samples=1", "-q", "--json", "--set=terrain.cells=40"];
+    let output = program(folder.path())
+        .args(words)
+        .arg("--cases=camera,dataset,scene")
+        .env("TMPDIR", folder.path().join("missing"))
+        .output()
+        .expect("the program starts");
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(1) && message.contains("missing"), "{message}");
+    let result: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let cases: Vec<&String> = result["cases"].as_object().expect("cases").keys().collect();
+    assert_eq!(cases, ["camera"]);
+}
+
+#[test]
+fn an_empty_adapter_is_refused() {
+    for command in [&[][..], &["doctor"], &["bench"]] {
+        assert_refused(
+            &[command, &["--adapter", " "]].concat(),
+            2,
+            &["--adapter", "regolith-render adapters"],
+        );
+    }
+}
+
 #[test]
 fn presets_are_listed_and_printed() {
     let folder = folder();
