@@ -13,7 +13,8 @@ use serde_json::{Map, Value};
 
 use super::frame_image::decode;
 use super::gate::{Gate, no_dataset, read_manifest};
-use super::log::{FrameLog, check_digest, finished_frames};
+use super::lock::merged_range;
+use super::log::{FrameLog, check_digest, find_lines, finished_frames, line_at};
 use super::log_writer::{FrameLogWriter, record_files};
 use super::manifest::DatasetSpec;
 use super::merge::{Finalized, finalize_run};
@@ -109,7 +110,8 @@ impl Conversion {
     /// before and the number that were added.
     ///
     /// # Errors
-    /// [`Error::Stopped`] once `stop` is true; those of reading and writing. The same call resumes the conversion.
+    /// [`Error::Dataset`] if `out` has frames that are not of this source, [`Error::Stopped`] once `stop` is true; those of reading and
+    /// writing. The same call resumes the conversion.
     pub fn run(
         &self,
         source: &Path,
@@ -118,6 +120,7 @@ impl Conversion {
         stop: &AtomicBool,
         mut watch: impl FnMut(u64, u64),
     ) -> Result<Finalized> {
+        self.check_found(source, out, force)?;
         let mut log = FrameLogWriter::open(out, &self.spec, force)?;
         let found = log.finished().len() as u64;
         let mut chunk = Chunk::new();
@@ -156,6 +159,39 @@ impl Conversion {
         convert_chunk(&mut chunk)?;
         log.write_manifest("done")?;
         finalize_run(out, log.close(), self.spec.range, self.spec.shard)
+    }
+
+    /// Checks that the frames in `out` are frames of this source: two datasets of one configuration can differ in their number of
+    /// frames, and in the adapter that rendered them.
+    fn check_found(&self, source: &Path, out: &Path, force: bool) -> Result<()> {
+        let other = |what: String| {
+            let message = format!("{what}; choose another --out, or delete this one to convert {}", source.display());
+            Err(Error::Dataset { path: out.to_owned(), message })
+        };
+        let (own, all) = (self.spec.range, merged_range(out, &self.spec, force)?);
+        if all != own {
+            return other(format!(
+                "it is for frames {} to {} of another conversion, of which {} has {} to {} only",
+                all.start,
+                all.end().saturating_sub(1),
+                source.display(),
+                own.start,
+                own.end().saturating_sub(1)
+            ));
+        }
+        if !out.exists() {
+            return Ok(());
+        }
+        let found = find_lines(out, &Gate::of_spec(&self.spec)?)?;
+        FrameLog::new(source, self.gate.clone()).for_each(&mut |line| {
+            let Some(position) = found.positions.get(&line.index) else { return Ok(()) };
+            let converted = line_at(&found.logs[position.log], Some(position))?;
+            let index = line.index;
+            if as_rendered(line) == as_rendered(converted) {
+                return Ok(());
+            }
+            other(format!("its frame {index} was converted from another dataset"))
+        })
     }
 
     /// A frame's line and files in the new layout.
@@ -216,6 +252,11 @@ impl Conversion {
         };
         frame.class = mask.into_raw().into_iter().map(class_of).collect();
     }
+}
+
+/// A line without what depends on the layout and on the run: a conversion leaves the rest as it is.
+fn as_rendered(line: FrameLine) -> FrameLine {
+    FrameLine { hashes: Map::new(), entry: Value::Null, ms: Map::new(), ..line }
 }
 
 /// Frames that are converted at a time.

@@ -535,3 +535,43 @@ fn a_log_that_lacks_a_frame_is_not_converted() {
     make(folder.path(), "plain", "folder", &["--count=3"]);
     run_ok(folder.path(), &convert);
 }
+
+/// A folder with a part of another conversion is not completed with frames of this one, and nothing in it changes.
+#[test]
+fn a_conversion_continues_with_frames_of_its_own_source_only() {
+    let folder = folder();
+    make(folder.path(), "small", "folder", &["--count=2"]);
+    make(folder.path(), "large", "folder", &["--count=4"]);
+    // As by another adapter: the same configuration, another line.
+    make(folder.path(), "other", "folder", &["--count=2"]);
+    let lines = folder.path().join("other/frames.jsonl");
+    let text = std::fs::read_to_string(&lines).expect("read").replace("\"adapter\":\"", "\"adapter\":\"Another ");
+    std::fs::write(&lines, text).expect("written");
+    let manifest = folder.path().join("other/manifest.json");
+    let mut values: Value = serde_json::from_slice(&std::fs::read(&manifest).expect("read")).expect("JSON");
+    values.as_object_mut().expect("an object").remove("digest");
+    std::fs::write(&manifest, values.to_string()).expect("written");
+
+    let convert = |source: &str| run(folder.path(), &["convert", source, "--format=basic", "--out=new", "-q"]);
+    for (first, second, message) in [
+        ("large", "small", "new: it is for frames 0 to 3 of another conversion, of which small has 0 to 1 only"),
+        ("other", "small", "new: its frame 0 was converted from another dataset"),
+    ] {
+        let new = folder.path().join("new");
+        assert!(convert(first).status.success(), "{first}");
+        // As if interrupted after the first frame.
+        let log = new.join("frames.jsonl");
+        let text = std::fs::read_to_string(&log).expect("read");
+        std::fs::write(&log, format!("{}\n", text.lines().next().expect("a line"))).expect("written");
+        let before = content(&new);
+        let output = convert(second);
+        let printed = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{printed}");
+        assert!(printed.contains(message) && printed.contains("another --out"), "{printed}");
+        assert!(before == content(&new), "{first}, then {second}");
+        std::fs::remove_dir_all(&new).expect("removed");
+    }
+    // A larger source of the same frames continues.
+    assert!(convert("small").status.success() && convert("large").status.success());
+    assert_eq!(content(&folder.path().join("new")).keys().filter(|name| name.contains("rgb")).count(), 4);
+}
