@@ -91,7 +91,7 @@ fn wrong(path: &Path, message: impl Into<String>) -> Error {
 /// Finds every mask in a folder and its subfolders, with its label file. Links to folders are refused, not followed.
 ///
 /// # Errors
-/// [`Error::Dataset`] if there is no mask, one has no label file, a folder is a link, or a name is not UTF-8; [`Error::Read`].
+/// [`Error::Dataset`] if there is no mask, a mask or a label file is without the other, a folder is a link, or a name is not UTF-8; [`Error::Read`].
 pub fn find(folder: &Path) -> Result<Vec<Pair>> {
     if !folder.is_dir() {
         return Err(wrong(folder, "there is no such folder; name the folder of the masks"));
@@ -139,6 +139,13 @@ fn find_below(folder: &Path, below: &Path, pairs: &mut Vec<Pair>) -> Result<()> 
                 ));
             }
             pairs.push(Pair { mask: path, labels });
+        } else if let Some(number) = name.strip_prefix(LABELS_STEM).and_then(|rest| rest.strip_suffix(".json"))
+            && !folder.join(below).join(format!("{MASK_STEM}{number}.png")).is_file()
+        {
+            return Err(wrong(
+                &folder.join(&path),
+                format!("its mask {MASK_STEM}{number}.png is missing; copy it here, or remove this file"),
+            ));
         }
     }
     Ok(())

@@ -150,6 +150,13 @@ fn remap_turns_replicator_ids_into_canonical_masks() {
     let output = run(folder.path(), &["remap", "raw", "--out", "again"]);
     let message = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.code() == Some(2) && message.contains("it is empty"), "{message}");
+    // Of two frames one has lost its mask.
+    let lost = folder.path().join("raw/camera/semantic_segmentation_labels_0001.json");
+    std::fs::write(lost, r#"{"2": {"class": "sky"}}"#).expect("written");
+    let output = run(folder.path(), &["remap", "raw", "--out", "again"]);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{message}");
+    assert!(message.contains("its mask semantic_segmentation_0001.png is missing"), "{message}");
     assert!(!folder.path().join("again").exists());
 }
 
