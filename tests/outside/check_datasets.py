@@ -248,6 +248,20 @@ def check_types(folder: Path) -> None:
     print(f"{'types':<12} {len(found)} samples of both stages, {count} rocks, by Hugging Face's loader of WebDataset")
 
 
+def check_splits() -> None:
+    """Hugging Face's loader gives the splits of the card, by names that say nothing to it."""
+    from datasets import load_dataset
+
+    splits = {"crater_a": 2, "crater_b": 3}
+    listed = ",".join(f"{name}={count}" for name, count in splits.items())
+    command = [PROGRAM, "dataset", "--split", listed, "--format", "hf", "--out", "data/splits", *"--size 32 --samples 1 --quiet".split()]
+    subprocess.run(command, env={**os.environ, "WGPU_ADAPTER_NAME": "cpu"}, check=True, stdout=subprocess.DEVNULL)
+    found = {name: len(split) for name, split in load_dataset("data/splits").items()}
+    if found != splits:
+        fail(f"datasets.load_dataset gives the splits {found}, not {splits}")
+    print(f"{'splits':<12} {found} by Hugging Face's loader")
+
+
 def main() -> None:
     os.environ.setdefault("HF_HUB_OFFLINE", "1")
     with tempfile.TemporaryDirectory() as temporary:
@@ -266,6 +280,7 @@ def main() -> None:
         check_yolo(folder / "data", truth)
         check_camera(folder)
         check_types(folder)
+        check_splits()
         os.chdir("/")
 
 

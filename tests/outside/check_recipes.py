@@ -19,11 +19,12 @@ FRAMES = 12
 
 
 def environment(program: Path, folder: Path, **variables: str) -> dict[str, str]:
-    """The environment of a task: the program and a fake srun on the PATH, and the CPU driver."""
+    """The environment of a task: the program and a fake srun on the PATH, and the CPU driver. Like that of Slurm 22.05 the fake one demands
+    the number of cores."""
     tools = folder / "tools"
     tools.mkdir(exist_ok=True)
     srun = tools / "srun"
-    srun.write_text('#!/bin/sh\nexec "$@"\n')
+    srun.write_text('#!/bin/sh\n[ "$1" = "--cpus-per-task=$SLURM_CPUS_PER_TASK" ] || exit 64\nshift\nexec "$@"\n')
     srun.chmod(0o755)
     path = f"{tools}:{program.parent}:{os.environ['PATH']}"
     return {**os.environ, "PATH": path, "WGPU_ADAPTER_NAME": "cpu", **variables}
@@ -38,13 +39,14 @@ def run_together(commands: list[tuple[list[str], dict[str, str]]]) -> None:
 
 
 def slurm(program: Path, folder: Path, out: Path) -> None:
-    """Three tasks of an array that starts at 5."""
+    """Two tasks of an array of three, then the third alone, as one that is submitted again."""
     options = ["--count", str(FRAMES), "--out", str(out), "--quiet", *SCENE]
-    tasks = []
-    for task in (5, 6, 7):
-        variables = {"SLURM_ARRAY_TASK_ID": str(task), "SLURM_ARRAY_TASK_MIN": "5", "SLURM_ARRAY_TASK_COUNT": "3"}
-        tasks.append(([str(RECIPES / "slurm.sh"), *options], environment(program, folder, **variables)))
-    run_together(tasks)
+    for array in ((0, 2), (1,)):
+        tasks = []
+        for task in array:
+            variables = {"SLURM_ARRAY_TASK_ID": str(task), "SLURM_ARRAY_TASK_COUNT": str(len(array)), "SLURM_CPUS_PER_TASK": "4"}
+            tasks.append(([str(RECIPES / "slurm.sh"), *options], environment(program, folder, SHARDS="3", **variables)))
+        run_together(tasks)
 
 
 def kubernetes(program: Path, folder: Path, out: Path) -> None:
