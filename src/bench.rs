@@ -117,11 +117,11 @@ fn measure(
         } else if let Some((scene, mut times, in_flight)) = queue.pop_front() {
             measured.triangles.push(in_flight.cost.drawn_triangles as f64);
             measured.upload_bytes.push(in_flight.cost.uploaded_bytes as f64);
-            let (frame, render_times) = renderer.finish(in_flight, &scene)?;
+            measured.readback_bytes = in_flight.cost.readback_bytes;
+            let (_, render_times) = renderer.finish(in_flight, &scene)?;
             times.extend(render_times);
             measured.frames_ms.push(last.elapsed().as_secs_f64() * 1e3);
             measured.stages.push(times);
-            measured.readback_bytes = frame.bytes();
             last = Instant::now();
             finished += 1;
             if finished == WARM_UP {
@@ -182,11 +182,12 @@ pub fn sweep(name: &str, setup: &Setup) -> Result<(&'static str, Vec<(f64, Setup
     };
     let axis = match name {
         "size" => {
-            let [width, height] = setup.plan.settings.size;
+            let [width, height] = setup.plan.settings.size.map(u64::from);
             for side in [128, 256, 512, 768, 1024] {
+                let scaled = (u64::from(side) * height / width).max(1);
                 with(f64::from(side), &|setup| {
-                    setup.plan.settings.size = [side, (side * height / width).max(1)];
-                    Ok(())
+                    setup.plan.settings.size = [side, u32::try_from(scaled).unwrap_or(u32::MAX)];
+                    Plan::check_size(setup.plan.settings.size)
                 })?;
             }
             "width, pixels"

@@ -139,7 +139,8 @@ fn find_below(folder: &Path, below: &Path, pairs: &mut Vec<Pair>) -> Result<()> 
                 ));
             }
             pairs.push(Pair { mask: path, labels });
-        } else if let Some(number) = name.strip_prefix(LABELS_STEM).and_then(|rest| rest.strip_suffix(".json"))
+        } else if let Some(number) =
+            name.strip_prefix(LABELS_STEM).and_then(|rest| rest.strip_suffix(".json"))
             && !folder.join(below).join(format!("{MASK_STEM}{number}.png")).is_file()
         {
             return Err(wrong(

@@ -46,6 +46,7 @@ pub use raw_frame::{FrameCost, InFlight, RawFrame};
 pub use settings::{DEFAULT_TEXTURE_PX, RenderSettings};
 
 use device::bind_groups::BindLayouts;
+use device::packing::Packing;
 use device::timing::{Pass, add_times, milliseconds};
 use frame_packet::FrameRequest;
 use frame_plan::{FramePlan, uniforms};
@@ -270,11 +271,13 @@ impl Renderer {
             None
         };
         times.extend(self.host_times());
-        let PreparedFrame { gbuffer, slot, uploaded_bytes, .. } = frame;
+        let PreparedFrame { gbuffer, slot, uploaded_bytes, tiles, .. } = frame;
+        let packed = |tile: &ImageTile| Packing::new(tile.image.size, request.image.annotations).bytes();
         let cost = FrameCost {
             drawn_triangles: self.visibility.triangles(&self.buffers.meshes, &gbuffer.batches),
             lighting_draws: self.raster.lighting.draws(gbuffer.batches.len()),
             uploaded_bytes,
+            readback_bytes: tiles.iter().map(packed).sum(),
         };
         self.last_cost = cost;
         self.gbuffers.keep(gbuffer);

@@ -9,10 +9,10 @@ use std::time::Instant;
 
 use super::measured::{Measured, Setup, Start, WARM_UP, stopped};
 use crate::dataset;
-use crate::dataset::attempt::{RenderCost, Scenes};
+use crate::dataset::attempt::Scenes;
 use crate::error::Result;
 use crate::output::disk;
-use crate::render::{Renderer, StageTimes};
+use crate::render::{FrameCost, Renderer, StageTimes};
 
 /// The measurement of a pipeline, whose frames come from several threads.
 struct Pipeline<'a> {
@@ -52,7 +52,7 @@ impl<'a> Pipeline<'a> {
     }
 
     /// A frame is finished.
-    fn add(&mut self, times: StageTimes, redraws: u32, cost: &RenderCost) {
+    fn add(&mut self, times: StageTimes, redraws: u32, cost: &FrameCost) {
         if self.is_measured() {
             return;
         }
@@ -63,7 +63,7 @@ impl<'a> Pipeline<'a> {
             self.measured.frames_ms.push(self.last.elapsed().as_secs_f64() * 1e3);
             self.measured.stages.push(times);
             self.measured.redraws += u64::from(redraws);
-            self.measured.triangles.push(cost.triangles as f64);
+            self.measured.triangles.push(cost.drawn_triangles as f64);
             self.measured.upload_bytes.push(cost.uploaded_bytes as f64);
             self.measured.readback_bytes = cost.readback_bytes;
         }
@@ -139,7 +139,7 @@ mod tests {
         let mut pipeline = Pipeline::on(&setup, false, &ends);
         let on_the_way = 16 + 2 + 1;
         for done in 1..=2 * on_the_way + 4 {
-            pipeline.add(StageTimes::new(), 0, &RenderCost::default());
+            pipeline.add(StageTimes::new(), 0, &FrameCost::default());
             let is_measured = done >= on_the_way + 4;
             assert_eq!((pipeline.is_measured(), ends.load(Ordering::Relaxed)), (is_measured, is_measured));
         }
@@ -155,7 +155,7 @@ mod tests {
         let setup = Setup { plan, concurrency, frames: 4, stop };
         let ends = AtomicBool::new(false);
         let mut pipeline = Pipeline::on(&setup, true, &ends);
-        pipeline.add(StageTimes::new(), 0, &RenderCost::default());
+        pipeline.add(StageTimes::new(), 0, &FrameCost::default());
         assert!(ends.load(Ordering::Relaxed));
         assert!(pipeline.end(Ok(())).expect_err("stopped").to_string().contains("stopped: 1 of"));
     }

@@ -85,7 +85,7 @@ pub struct RenderedFrame {
     pub(super) mask: MaskIds,
     pub(super) adapter: wgpu::AdapterInfo,
     pub(super) raster: RasterOptions,
-    pub(super) cost: RenderCost,
+    pub(super) cost: FrameCost,
 }
 
 impl RenderedFrame {
@@ -93,17 +93,6 @@ impl RenderedFrame {
     pub(super) const fn index(&self) -> u64 {
         self.source.index
     }
-}
-
-/// What a frame cost the device.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct RenderCost {
-    /// Triangles drawn for the visible surfaces.
-    pub triangles: u64,
-    /// Bytes uploaded.
-    pub uploaded_bytes: u64,
-    /// Bytes read back.
-    pub readback_bytes: u64,
 }
 
 /// Adapter and options of the renderer that draws a dataset.
@@ -227,11 +216,6 @@ impl RawAttempt {
         let Self { mut source, raw, cost } = self;
         let (frame, times) = raw.post_process(&source.scene);
         source.times.extend(times);
-        let cost = RenderCost {
-            triangles: cost.drawn_triangles,
-            uploaded_bytes: cost.uploaded_bytes,
-            readback_bytes: frame.bytes(),
-        };
         let RendererInfo { adapter, raster } = renderer;
         let mask = MaskIds::new(plan.edges);
         RenderedFrame { source, frame, mask, adapter: adapter.clone(), raster: *raster, cost }

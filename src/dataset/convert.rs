@@ -165,7 +165,8 @@ impl Conversion {
     /// frames, and in the adapter that rendered them.
     fn check_found(&self, source: &Path, out: &Path, force: bool) -> Result<()> {
         let other = |what: String| {
-            let message = format!("{what}; choose another --out, or delete this one to convert {}", source.display());
+            let message =
+                format!("{what}; choose another --out, or delete this one to convert {}", source.display());
             Err(Error::Dataset { path: out.to_owned(), message })
         };
         let (own, all) = (self.spec.range, merged_range(out, &self.spec, force)?);

@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use serde_json::{Map, Value};
 
-use super::attempt::{self, BuiltScene, FrameScene, RenderCost, RenderedFrame, Scenes, scene_of_seed};
+use super::attempt::{self, BuiltScene, FrameScene, RenderedFrame, Scenes, scene_of_seed};
 use super::in_order::InOrder;
 use super::pipeline::{Concurrency, Job, cores, milliseconds_json, record, run_job};
 use super::plan::{Plan, Seeds};
@@ -20,7 +20,7 @@ use super::pose::Pose;
 use crate::error::{Error, Result};
 use crate::output::arrays::{Array, arrays};
 use crate::output::rocks_json;
-use crate::render::{Renderer, StageTimes};
+use crate::render::{FrameCost, Renderer, StageTimes};
 
 /// A frame in memory.
 #[derive(Clone, Debug)]
@@ -40,7 +40,7 @@ pub struct FrameInMemory {
     /// Number of rejected attempts.
     pub redraws: u32,
     /// What rendering it cost the device.
-    pub cost: RenderCost,
+    pub cost: FrameCost,
 }
 
 impl FrameInMemory {

@@ -14,7 +14,7 @@ use std::time::Instant;
 use serde_json::{Map, Value, json};
 
 use super::attempt::{
-    Attempt, FrameScene, PreparedAttempt, RawAttempt, RenderCost, RenderedFrame, RendererInfo, Scenes, lock,
+    Attempt, FrameScene, PreparedAttempt, RawAttempt, RenderedFrame, RendererInfo, Scenes, lock,
     planner_and_info, scene_of_seed,
 };
 use super::log_writer::record_files;
@@ -26,7 +26,7 @@ use crate::meta::FrameRecord;
 use crate::output::layout::{FrameFiles, FrameLine, Sample};
 use crate::output::{self, EncodeInput};
 use crate::params::Stage;
-use crate::render::{FRAMES_IN_FLIGHT, FramePlanner, InFlight, Renderer, StageTimes};
+use crate::render::{FRAMES_IN_FLIGHT, FrameCost, FramePlanner, InFlight, Renderer, StageTimes};
 
 /// Frames for each worker that may be started after the oldest unfinished one: a frame that is redrawn many times does not stop the
 /// others, nor do they pile up behind it.
@@ -51,7 +51,7 @@ pub struct FinishedFrame {
     /// Number of rejected attempts.
     pub redraws: u32,
     /// What rendering it cost the device.
-    pub cost: RenderCost,
+    pub cost: FrameCost,
 }
 
 /// How much is done at the same time. No frame depends on it.

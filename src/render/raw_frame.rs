@@ -20,6 +20,8 @@ pub struct FrameCost {
     pub lighting_draws: usize,
     /// Bytes that were uploaded.
     pub uploaded_bytes: u64,
+    /// Bytes that were read back, of all tiles.
+    pub readback_bytes: u64,
 }
 
 /// A frame that the device works on: from [`Renderer::submit`](super::Renderer::submit) to

@@ -545,16 +545,22 @@ fn a_conversion_continues_with_frames_of_its_own_source_only() {
     // As by another adapter: the same configuration, another line.
     make(folder.path(), "other", "folder", &["--count=2"]);
     let lines = folder.path().join("other/frames.jsonl");
-    let text = std::fs::read_to_string(&lines).expect("read").replace("\"adapter\":\"", "\"adapter\":\"Another ");
+    let text =
+        std::fs::read_to_string(&lines).expect("read").replace("\"adapter\":\"", "\"adapter\":\"Another ");
     std::fs::write(&lines, text).expect("written");
     let manifest = folder.path().join("other/manifest.json");
     let mut values: Value = serde_json::from_slice(&std::fs::read(&manifest).expect("read")).expect("JSON");
     values.as_object_mut().expect("an object").remove("digest");
     std::fs::write(&manifest, values.to_string()).expect("written");
 
-    let convert = |source: &str| run(folder.path(), &["convert", source, "--format=basic", "--out=new", "-q"]);
+    let convert =
+        |source: &str| run(folder.path(), &["convert", source, "--format=basic", "--out=new", "-q"]);
     for (first, second, message) in [
-        ("large", "small", "new: it is for frames 0 to 3 of another conversion, of which small has 0 to 1 only"),
+        (
+            "large",
+            "small",
+            "new: it is for frames 0 to 3 of another conversion, of which small has 0 to 1 only",
+        ),
         ("other", "small", "new: its frame 0 was converted from another dataset"),
     ] {
         let new = folder.path().join("new");
