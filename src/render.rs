@@ -46,7 +46,6 @@ pub use raw_frame::{FrameCost, InFlight, RawFrame};
 pub use settings::{DEFAULT_TEXTURE_PX, RenderSettings};
 
 use device::bind_groups::BindLayouts;
-use device::packing::Packing;
 use device::timing::{Pass, add_times, milliseconds};
 use frame_packet::FrameRequest;
 use frame_plan::{FramePlan, uniforms};
@@ -213,10 +212,6 @@ impl Renderer {
     ///
     /// # Errors
     /// [`Error::SizeBeyondDevice`], [`Error::DeviceLost`] or [`Error::Device`].
-    ///
-    /// [`Error::SizeBeyondDevice`]: crate::Error::SizeBeyondDevice
-    /// [`Error::DeviceLost`]: crate::Error::DeviceLost
-    /// [`Error::Device`]: crate::Error::Device
     pub fn submit_packet(&mut self, scene: &Scene, packet: FramePacket) -> Result<InFlight> {
         let submitted = if self.raster.uses_host() {
             // The host backends share their work out to the pool.
@@ -272,12 +267,12 @@ impl Renderer {
         };
         times.extend(self.host_times());
         let PreparedFrame { gbuffer, slot, uploaded_bytes, tiles, .. } = frame;
-        let packed = |tile: &ImageTile| Packing::new(tile.image.size, request.image.annotations).bytes();
+        let packed_bytes = |tile: &ImageTile| tile.packed_bytes(request.image.annotations);
         let cost = FrameCost {
             drawn_triangles: self.visibility.triangles(&self.buffers.meshes, &gbuffer.batches),
             lighting_draws: self.raster.lighting.draws(gbuffer.batches.len()),
             uploaded_bytes,
-            readback_bytes: tiles.iter().map(packed).sum(),
+            readback_bytes: tiles.iter().map(packed_bytes).sum(),
         };
         self.last_cost = cost;
         self.gbuffers.keep(gbuffer);

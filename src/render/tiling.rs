@@ -5,8 +5,8 @@
 //! Must not know: what is drawn.
 
 use crate::error::{Error, Result};
-use crate::frame::Frame;
 use crate::frame::plane::every_annotation;
+use crate::frame::{Annotations, Frame};
 use crate::gpu::Gpu;
 use crate::render::backend::RasterBackend;
 use crate::render::device::packing::Packing;
@@ -78,7 +78,7 @@ pub(crate) fn tiles(
     let max_buffer_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
     let fits = |tile: ImageTile| {
         let [width, height] = tile.rendered.samples(samples_per_side).size;
-        let packed_bytes = Packing::new(tile.image.size, annotations).bytes();
+        let packed_bytes = tile.packed_bytes(annotations);
         // Packed planes are there twice: where the device writes them and where the host reads them.
         let bytes = u64::from(width) * u64::from(height) * bytes_per_sample + 2 * packed_bytes;
         let bound_bytes = packed_bytes.max(u64::from(width) * u64::from(height) * layout.nearest_bytes());
@@ -92,6 +92,11 @@ pub(crate) fn tiles(
 }
 
 impl ImageTile {
+    /// Bytes of its planes as they are read back.
+    pub(crate) fn packed_bytes(&self, annotations: Annotations) -> u64 {
+        Packing::new(self.image.size, annotations).bytes()
+    }
+
     /// An error of this tile, with the position in the image.
     pub(crate) fn in_image(self, error: Error) -> Error {
         let [left, top] = self.image.origin;
