@@ -39,7 +39,8 @@ pub(super) struct SampleBatch {
 }
 
 /// The ground at the samples of a batch: positions, metres from its centre; the size of the mesh's cells and the distance of samples
-/// there, metres; and the factors on a size in [`mesh_share`] and [`sample_share`].
+/// there, metres; and the factors on a size in [`mesh_share`](crate::scene::relief::mesh_share) and
+/// [`sample_share`](super::relief_bands::sample_share).
 pub(super) struct GroundBatch {
     pub(super) x: [f32; BATCH],
     pub(super) y: [f32; BATCH],
@@ -144,8 +145,9 @@ impl GroundBatch {
         ground
     }
 
-    /// How much of relief of this size the mesh leaves out and samples can show, 0 to 1: the product of one less [`mesh_share`] and
-    /// [`sample_share`] of samples that are closer by a factor.
+    /// How much of relief of this size the mesh leaves out and samples can show, 0 to 1: the product of one less
+    /// [`mesh_share`](crate::scene::relief::mesh_share) and [`sample_share`](super::relief_bands::sample_share) of samples that are closer by a
+    /// factor.
     #[inline(always)]
     pub(super) fn share(&self, i: usize, size_m: f32, closer: f32) -> f32 {
         let left_out = 1.0 - (size_m * self.per_mesh[i] - 1.0).clamp(0.0, 1.0);

@@ -30,7 +30,7 @@ const EXP2_TAYLOR: [f32; 8] = [
 ];
 /// Derivative of the crater's profile inside the crest, diameters per radius: a polynomial in the distance r from the centre in radii.
 /// The profile is `RIM + (1 - r) p(r)` with the coefficients b of p in [`crate::scene::craters::BOWL`], a fit to the profile of Yang
-/// et al. 2021, so that coefficient k is (k + 1) (b[k + 1] - b[k]). Stands in `pits.wgsl` too.
+/// et al. 2021, so that coefficient `k` is `(k + 1) (b[k + 1] - b[k])`. Stands in `pits.wgsl` too.
 const BOWL_SLOPE: [f32; 5] = [0.051_383_2, -0.150_474_8, 2.937_590_4, -5.661_628, 2.871_354];
 /// Distance from the centre where the ejecta have faded out, and one over the width of the fade, radii. The neighbouring cells of the
 /// lattice begin there.
