@@ -10,7 +10,7 @@ use serde_json::json;
 
 use super::args::DeviceArgs;
 use super::device as gpu_device;
-use super::messages::{Messages, print};
+use super::messages::{Messages, frames, print};
 use super::process::stop_on_signals;
 use super::progress::{Meter, duration};
 
@@ -54,7 +54,8 @@ pub(super) fn run(
     match made {
         0 => messages.note(format_args!("no frame was rendered: the dataset has these outputs")),
         made => messages.note(format_args!(
-            "{made} frames rendered again, each as it was, in {}; their new outputs are added",
+            "{} rendered again as before, in {}; the new outputs are added",
+            frames(made),
             duration(start.elapsed().as_secs_f64())
         )),
     }

@@ -16,7 +16,7 @@ use serde_json::{Map, Value, json};
 
 use super::args::{ConfigArgs, DEFAULT_SEED, DeviceArgs, ImageArgs, whole_number};
 use super::device;
-use super::messages::{Messages, print};
+use super::messages::{Messages, frames, print};
 use super::process::stop_on_signals;
 
 /// What a plot begins with.
@@ -180,7 +180,7 @@ fn measure(
 ) -> Result<()> {
     let mut results = Vec::new();
     for &case in cases {
-        messages.note(format_args!("{}: {} frames ...", case.name(), setup.frames));
+        messages.note(format_args!("{}: {} ...", case.name(), frames(setup.frames)));
         match measure_one(case, setup, renderer) {
             Ok(measured) => results.push((case, measured)),
             Err(error) if results.is_empty() => return Err(error),

@@ -23,7 +23,7 @@ use serde_json::{Map, Value, json};
 use super::add_outputs;
 use super::args::{ConfigArgs, DeviceArgs, ImageArgs, output_names, whole_number};
 use super::device;
-use super::messages::{Messages, print};
+use super::messages::{Messages, frames, print};
 use super::process::{end_on_signals, stop_on_signals};
 use super::progress::{Meter, duration};
 
@@ -267,8 +267,8 @@ fn stream(
     write(&archive_end())?;
     device::store_pipelines(renderer.gpu());
     messages.note(format_args!(
-        "{} frames streamed in {}",
-        progress.made,
+        "{} streamed in {}",
+        frames(progress.made),
         duration(start.elapsed().as_secs_f64())
     ));
     Ok(())
@@ -388,8 +388,8 @@ fn report(
     }
     match run {
         Some(run) => messages.note(format_args!(
-            "{} frames made ({} existed), {} redrawn, in {}: {:.2} frames/s",
-            run.made,
+            "{} made ({} existed), {} redrawn, in {}: {:.2} frames/s",
+            frames(run.made),
             run.found,
             run.redraws,
             duration(seconds),
@@ -410,8 +410,8 @@ fn report(
     if finalized.missing.is_empty() {
         let sheet = if args.out.join("contact_sheet.png").is_file() { "contact_sheet.png, " } else { "" };
         messages.note(format_args!(
-            "complete: {} frames in {}; see {sheet}histograms.svg, README.md",
-            manifest["n_completed"],
+            "complete: {} in {}; see {sheet}histograms.svg, README.md",
+            frames(manifest["n_completed"].as_u64().unwrap_or_default()),
             args.out.display()
         ));
     } else if args.shard != DEFAULT_SHARD {

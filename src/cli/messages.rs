@@ -38,6 +38,11 @@ impl Messages {
     }
 }
 
+/// A number of frames, in words.
+pub(super) fn frames(count: u64) -> String {
+    if count == 1 { "1 frame".to_owned() } else { format!("{count} frames") }
+}
+
 /// Prints a line on stderr. A failure is ignored: a closed terminal or a full disk behind stderr must not end a run.
 pub(super) fn note(text: impl Display) {
     // In one write, so that lines of several threads do not mix.

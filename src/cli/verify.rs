@@ -9,7 +9,7 @@ use clap::Args;
 
 use super::args::DeviceArgs;
 use super::device;
-use super::messages::{Messages, print};
+use super::messages::{Messages, frames, print};
 use super::process::end_on_signals;
 use super::progress::Meter;
 
@@ -89,7 +89,7 @@ fn table(report: &Report, quiet: bool) -> String {
             let checked = report.looked_at.get(name).map_or("-".to_owned(), ToString::to_string);
             text.push_str(&format!("{name:<11}{checked:>10}{problems:>10}  {what}\n"));
         }
-        text.push_str(&format!("{} frames\n", report.frames));
+        text.push_str(&format!("{}\n", frames(report.frames)));
     }
     for problem in report.problems.iter().take(MAX_PRINTED) {
         let frame = problem.subject.index().map_or(String::new(), |index| format!("frame {index}: "));

@@ -30,9 +30,13 @@ pub(super) fn markdown(
 ) -> String {
     let mut card = format!(
         "# Labelled images of the Moon\n\n\
-         {} synthetic frames of the lunar surface as a rover sees it, with the exact class of every pixel. Rendered by \
+         {} of the lunar surface as a rover sees it, with the exact class of every pixel. Rendered by \
          regolith-render {} from base seed {}. The image and its mask are rendered together, so they match exactly.\n",
-        totals.frames,
+        if totals.frames == 1 {
+            "1 synthetic frame".to_owned()
+        } else {
+            format!("{} synthetic frames", totals.frames)
+        },
         text(manifest, "version"),
         json(manifest, "base_seed")
     );
