@@ -91,7 +91,7 @@ knobs! {
     WallRelativeAzimuthDeg "wall.relative_azimuth_deg" "deg" in Surface Number, Frame, number(0.0), [-360.0, 360.0],
         "Direction from the camera in which the crest has that distance, clockwise from the camera's heading.";
     WallRocks "wall.rocks" "" in Surface Number, Frame, number(6.0), [1.0, 40.0],
-        "Rocks on the wall, where there are most, relative to the coverage of the plain; with rocks.law = \"lunar\".";
+        "Rocks on the wall, where there are most, relative to the coverage of the plain, but at most on 12 % of the wall; with rocks.law = \"lunar\".";
     GrainsDensity "grains.density" "" in Surface Number, Frame, number(1.0), [0.0, 2.5],
         "Number of grains of 1 mm to 3 cm relative to that counted by Surveyor III: 90 larger than 1 cm per square metre, N(>D) proportional to D^-2.4. Two fifths are fragments of rock, more where rocks.coverage asks for more; the others are clods of soil.";
     GrainsAlbedoSpread "grains.albedo_spread" "" in Surface Number, Frame, number(0.6), [0.0, 1.0],

@@ -11,6 +11,7 @@ pub mod nominal;
 pub mod on_demand;
 mod plan;
 mod rock;
+mod scatter;
 mod shape;
 
 pub use nominal::plan;

@@ -71,12 +71,6 @@ impl Sizes {
         Self { logs, larger }
     }
 
-    /// [`Self::density`] of the table of such a range, which need not be made for it.
-    pub(super) fn density_between(low_m: f64, high_m: f64, coverage: f64) -> f64 {
-        let larger = |step| rocks_larger_than(libm::exp(Self::log_at(low_m, high_m, step)), coverage);
-        larger(0) - larger(Self::STEPS)
-    }
-
     /// Logarithm of the diameter at a step of the table, metres.
     fn log_at(low_m: f64, high_m: f64, step: u32) -> f64 {
         libm::log(low_m) + (libm::log(high_m) - libm::log(low_m)) * f64::from(step) / f64::from(Self::STEPS)
@@ -162,11 +156,6 @@ mod tests {
             for (log, larger) in sizes.logs.iter().zip(&sizes.larger) {
                 assert_eq!(larger.to_bits(), rocks_larger_than(libm::exp(*log), coverage).to_bits());
             }
-            assert_eq!(
-                sizes.density().to_bits(),
-                Sizes::density_between(low_m, high_m, coverage).to_bits(),
-                "from {low_m} m to {high_m} m"
-            );
         }
     }
 
