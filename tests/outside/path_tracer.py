@@ -52,7 +52,7 @@ class Bounds:
 BOUNDS = {
     "unlit faces of rocks over sunlit soil": Bounds(16, 1.25, 4.6, 0.43),
     "soil in shadow over sunlit soil": Bounds(12, 1.3, 3.6, 0.45),
-    "unlit faces over soil in shadow": Bounds(9, 1.5, 5.2, 0.6),
+    "unlit faces over soil in shadow": Bounds(10, 1.5, 5.2, 0.6),
 }
 # Largest relative difference of sunlit soil, below a sun of LOW_SUN_DEG, where penumbrae are wide, and above.
 LOW_SUN_DEG = 9.0
