@@ -41,13 +41,42 @@ fn frame(preset: &str, seed: u64, set: &[&str]) -> Frame {
     renderer().render(&preset_scene(preset, seed, set), &settings(4)).expect("a frame").0
 }
 
-/// Mean and standard deviation of the 8-bit image over some pixels, and the value that a hundredth of them reach: a lit edge is seen however
-/// dark the rest is.
-fn brightness(frame: &Frame, pixels: &[usize]) -> [f64; 3] {
+/// The slope of the brightness over some pixels, per column and row, by least squares: what glare of the sun adds changes evenly, and
+/// hides no texture from a person.
+fn slope(frame: &Frame, pixels: &[usize]) -> [f64; 2] {
+    let place =
+        |pixel: usize| [pixel % frame.width as usize, pixel / frame.width as usize].map(|at| at as f64);
+    let value =
+        |pixel: usize| frame.rgb[3 * pixel..3 * pixel + 3].iter().copied().map(f64::from).sum::<f64>() / 3.0;
+    let count = pixels.len().max(1) as f64;
+    let mut mean = [0.0; 3];
+    for &pixel in pixels {
+        let [x, y] = place(pixel);
+        [x, y, value(pixel)].iter().zip(&mut mean).for_each(|(value, mean)| *mean += value / count);
+    }
+    let [mut xx, mut xy, mut yy, mut xv, mut yv] = [0.0; 5];
+    for &pixel in pixels {
+        let [x, y] = place(pixel);
+        let (x, y, v) = (x - mean[0], y - mean[1], value(pixel) - mean[2]);
+        (xx, xy, yy, xv, yv) = (xx + x * x, xy + x * y, yy + y * y, xv + x * v, yv + y * v);
+    }
+    let determinant = xx * yy - xy * xy;
+    if determinant < 1e-6 {
+        return [0.0; 2];
+    }
+    [(yy * xv - xy * yv) / determinant, (xx * yv - xy * xv) / determinant]
+}
+
+/// Mean and standard deviation of the 8-bit image over some pixels, less a slope, and the value that a hundredth of them reach: a lit edge
+/// is seen however dark the rest is.
+fn brightness(frame: &Frame, pixels: &[usize], [per_column, per_row]: [f64; 2]) -> [f64; 3] {
+    let even = |pixel: usize| {
+        per_column * (pixel % frame.width as usize) as f64 + per_row * (pixel / frame.width as usize) as f64
+    };
     let mut values: Vec<f64> = pixels
         .iter()
-        .flat_map(|pixel| &frame.rgb[3 * pixel..3 * pixel + 3])
-        .map(|value| f64::from(*value))
+        .flat_map(|&pixel| frame.rgb[3 * pixel..3 * pixel + 3].iter().map(move |value| (pixel, *value)))
+        .map(|(pixel, value)| f64::from(value) - even(pixel))
         .collect();
     values.sort_unstable_by(f64::total_cmp);
     let count = values.len() as f64;
@@ -103,8 +132,9 @@ fn labelled_and_invisible_px(frame: &Frame) -> [usize; 2] {
         around.sort_unstable();
         around.dedup();
         around.retain(|&pixel| frame.class[pixel] != ClassId::ROCK.0);
-        let (rock, ground) = (brightness(frame, &region), brightness(frame, &around));
-        let is_black = rock[0] < VISIBLE_U8;
+        let even = slope(frame, &around);
+        let (rock, ground) = (brightness(frame, &region, even), brightness(frame, &around, even));
+        let is_black = brightness(frame, &region, [0.0; 2])[0] < VISIBLE_U8;
         let differs = |i: usize| (rock[i] - ground[i]).abs();
         let is_alike =
             !around.is_empty() && differs(0).max(differs(1)) < VISIBLE_U8 && differs(2) < VISIBLE_EDGE_U8;

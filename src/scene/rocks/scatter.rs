@@ -185,7 +185,7 @@ pub(super) fn scatter(
     let (sizes, abundance) = (Sizes::new(low_m, high_m, DENSEST_COVERAGE), Abundance::new(patch.coverage));
     let reach_m = (high_m / culling.min_angle).min(culling.view.radius_m) as f32;
     let cell_m = CELL_DIAMETERS * high_m;
-    let (densest, most_abundant) = (sizes.density() * cell_m * cell_m, abundance.largest_from(low_m));
+    let (densest, max_abundance) = (sizes.density() * cell_m * cell_m, abundance.largest_from(low_m));
     let (radius_m, outside_m) = (0.75 * cell_m as f32, culling.max_outside_m(high_m));
     // Those that overlap both the circle that rocks are seen in and that of the patch.
     let low = (culling.centre - reach_m).max(patch.middle - patch.radius_m);
@@ -200,7 +200,7 @@ pub(super) fn scatter(
             {
                 continue;
             }
-            let max_level = most_abundant * (patch.most)(middle, radius_m);
+            let max_level = max_abundance * (patch.most)(middle, radius_m);
             let cell = patch.key ^ (u64::from(column as u32) << 32 | u64::from(row as u32));
             let mut draw = streams.stream(octave.purpose, cell);
             // Rocks in the order of their levels, which are as far apart as the events of a Poisson process.
