@@ -14,7 +14,7 @@ use serde_json::{Map, Value};
 use super::frame_image::decode;
 use super::gate::{Gate, no_dataset, read_manifest};
 use super::lock::merged_range;
-use super::log::{FrameLog, check_digest, find_lines, finished_frames, line_at};
+use super::log::{FrameLog, check_digest, find_lines, line_at};
 use super::log_writer::{FrameLogWriter, record_files};
 use super::manifest::DatasetSpec;
 use super::merge::{Finalized, finalize_run};
@@ -122,7 +122,8 @@ impl Conversion {
     ) -> Result<Finalized> {
         self.check_found(source, out, force)?;
         let mut log = FrameLogWriter::open(out, &self.spec, force)?;
-        let found = log.finished().len() as u64;
+        let finished = log.finished().clone();
+        let found = finished.len() as u64;
         let mut chunk = Chunk::new();
         let mut convert_chunk = |chunk: &mut Chunk| -> Result<()> {
             let converted: Vec<Result<(FrameLine, FrameFiles)>> =
@@ -149,7 +150,6 @@ impl Conversion {
             }
             Ok(())
         };
-        let finished = finished_frames(out, &Gate::of_spec(&self.spec)?)?;
         FrameLog::new(source, self.gate.clone()).for_each(&mut |line| {
             if !finished.contains(&line.index) {
                 chunk.lines.push(line);
@@ -184,6 +184,9 @@ impl Conversion {
             return Ok(());
         }
         let found = find_lines(out, &Gate::of_spec(&self.spec)?)?;
+        if found.positions.is_empty() {
+            return Ok(());
+        }
         FrameLog::new(source, self.gate.clone()).for_each(&mut |line| {
             let Some(position) = found.positions.get(&line.index) else { return Ok(()) };
             let converted = line_at(&found.logs[position.log], Some(position))?;

@@ -41,9 +41,9 @@ fn frame(preset: &str, seed: u64, set: &[&str]) -> Frame {
     renderer().render(&preset_scene(preset, seed, set), &settings(4)).expect("a frame").0
 }
 
-/// The slope of the brightness over some pixels, per column and row, by least squares: what glare of the sun adds changes evenly, and
+/// The gradient of the brightness over some pixels, per column and row, by least squares: what glare of the sun adds changes evenly, and
 /// hides no texture from a person.
-fn slope(frame: &Frame, pixels: &[usize]) -> [f64; 2] {
+fn gradient(frame: &Frame, pixels: &[usize]) -> [f64; 2] {
     let place =
         |pixel: usize| [pixel % frame.width as usize, pixel / frame.width as usize].map(|at| at as f64);
     let value =
@@ -67,16 +67,16 @@ fn slope(frame: &Frame, pixels: &[usize]) -> [f64; 2] {
     [(yy * xv - xy * yv) / determinant, (xx * yv - xy * xv) / determinant]
 }
 
-/// Mean and standard deviation of the 8-bit image over some pixels, less a slope, and the value that a hundredth of them reach: a lit edge
+/// Mean and standard deviation of the 8-bit image over some pixels, less a gradient, and the value that a hundredth of them reach: a lit edge
 /// is seen however dark the rest is.
 fn brightness(frame: &Frame, pixels: &[usize], [per_column, per_row]: [f64; 2]) -> [f64; 3] {
-    let even = |pixel: usize| {
+    let glare = |pixel: usize| {
         per_column * (pixel % frame.width as usize) as f64 + per_row * (pixel / frame.width as usize) as f64
     };
     let mut values: Vec<f64> = pixels
         .iter()
         .flat_map(|&pixel| frame.rgb[3 * pixel..3 * pixel + 3].iter().map(move |value| (pixel, *value)))
-        .map(|(pixel, value)| f64::from(value) - even(pixel))
+        .map(|(pixel, value)| f64::from(value) - glare(pixel))
         .collect();
     values.sort_unstable_by(f64::total_cmp);
     let count = values.len() as f64;
@@ -132,8 +132,8 @@ fn labelled_and_invisible_px(frame: &Frame) -> [usize; 2] {
         around.sort_unstable();
         around.dedup();
         around.retain(|&pixel| frame.class[pixel] != ClassId::ROCK.0);
-        let even = slope(frame, &around);
-        let (rock, ground) = (brightness(frame, &region, even), brightness(frame, &around, even));
+        let gradient = gradient(frame, &around);
+        let (rock, ground) = (brightness(frame, &region, gradient), brightness(frame, &around, gradient));
         let is_black = brightness(frame, &region, [0.0; 2])[0] < VISIBLE_U8;
         let differs = |i: usize| (rock[i] - ground[i]).abs();
         let is_alike =

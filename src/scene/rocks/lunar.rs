@@ -262,7 +262,7 @@ fn wall_rocks(
     }
     let centre = culling.centre;
     let is_near = |middle: Vec2, radius_m: f32| f64::from(u8::from(wall.reaches(middle - centre, radius_m)));
-    let patch = Patch { most: &is_near, ..Patch::whole(coverage) };
+    let patch = Patch { max_share: &is_near, ..Patch::whole(coverage) };
     let mut rocks = Vec::new();
     for octave in 0..WALL_OCTAVES {
         let high_m = WALL_LARGEST_M / f64::from(1_u32 << octave);
@@ -306,14 +306,14 @@ fn cluster(
         let radii = f64::from(distance_m / rim_m);
         if radii > f64::from(CLUSTER_RADII) { 0.0 } else { 1.0 / (radii * radii * radii) }
     };
-    let most = |point: Vec2, within_m: f32| share_at((point.distance(middle) - within_m).max(rim_m));
+    let max_share = |point: Vec2, within_m: f32| share_at((point.distance(middle) - within_m).max(rim_m));
     let share = |point: Vec2| {
         let distance_m = point.distance(middle);
         if distance_m < rim_m { 0.0 } else { share_at(distance_m) }
     };
     // Scales with the overall rock coverage.
     let coverage = CLUSTER_COVERAGE * (coverage / 0.008).min(1.0);
-    let patch = Patch { middle, radius_m, coverage, most: &most, share: &share, key: pit.key };
+    let patch = Patch { middle, radius_m, coverage, max_share: &max_share, share: &share, key: pit.key };
     for octave in 0..OCTAVES {
         let high_m = largest_m / f64::from(1_u32 << octave);
         if high_m < culling.min_angle * f64::from(nearest_m) || high_m <= SMALLEST_M {

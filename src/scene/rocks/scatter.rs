@@ -157,9 +157,9 @@ pub(super) struct Patch<'a> {
     pub(super) radius_m: f32,
     /// The fraction of it that they cover at most.
     pub(super) coverage: f64,
-    /// The largest part of their number that lies anywhere in a circle: its middle and radius, metres, world.
-    pub(super) most: &'a dyn Fn(Vec2, f32) -> f64,
-    /// The part that lies at a point.
+    /// Its largest share in a circle: its middle and radius, metres, world.
+    pub(super) max_share: &'a dyn Fn(Vec2, f32) -> f64,
+    /// Their number at a point, as a fraction of that by the coverage.
     pub(super) share: &'a dyn Fn(Vec2) -> f64,
     /// Distinguishes it from others of the same purpose.
     pub(super) key: u64,
@@ -168,8 +168,8 @@ pub(super) struct Patch<'a> {
 impl Patch<'_> {
     /// All of the ground.
     pub(super) fn whole(coverage: f64) -> Self {
-        let (most, share) = (&|_: Vec2, _: f32| 1.0, &|_: Vec2| 1.0);
-        Self { middle: Vec2::ZERO, radius_m: f32::INFINITY, coverage, most, share, key: 0 }
+        let (max_share, share) = (&|_: Vec2, _: f32| 1.0, &|_: Vec2| 1.0);
+        Self { middle: Vec2::ZERO, radius_m: f32::INFINITY, coverage, max_share, share, key: 0 }
     }
 }
 
@@ -200,7 +200,10 @@ pub(super) fn scatter(
             {
                 continue;
             }
-            let max_level = max_abundance * (patch.most)(middle, radius_m);
+            let max_level = max_abundance * (patch.max_share)(middle, radius_m);
+            if max_level <= 0.0 {
+                continue;
+            }
             let cell = patch.key ^ (u64::from(column as u32) << 32 | u64::from(row as u32));
             let mut draw = streams.stream(octave.purpose, cell);
             // Rocks in the order of their levels, which are as far apart as the events of a Poisson process.
@@ -247,7 +250,7 @@ mod tests {
             let radii = f64::from(point.distance(middle) / RIM_M);
             if (1.0..=3.0).contains(&radii) { 1.0 / (radii * radii * radii) } else { 0.0 }
         };
-        let most = |point: Vec2, within_m: f32| {
+        let max_share = |point: Vec2, within_m: f32| {
             let radii = f64::from((point.distance(middle) - within_m).max(RIM_M) / RIM_M);
             if radii > 3.0 { 0.0 } else { 1.0 / (radii * radii * radii) }
         };
@@ -259,7 +262,7 @@ mod tests {
                 middle,
                 radius_m: 3.0 * RIM_M,
                 coverage,
-                most: &most,
+                max_share: &max_share,
                 share: &share,
                 key: 0x5eed << 40,
             };
